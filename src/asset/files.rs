@@ -1,0 +1,88 @@
+//! The files that make a model, as they came and as they go.
+
+use super::Error;
+use bytes::Bytes;
+use std::collections::BTreeMap;
+
+/// What was uploaded: one main file and, for glTF with external buffers, the companions that its URIs may name.
+/// Nothing outside this set is ever read.
+#[derive(Debug, Clone, Default)]
+pub struct FileSet {
+    /// Name of the main file; only used in texts and to tell the format.
+    pub name: String,
+    /// The main file.
+    pub main: Bytes,
+    /// The other files by the relative URI (percent-decoded) under which the main file names them.
+    pub companions: BTreeMap<String, Bytes>,
+}
+
+impl FileSet {
+    /// A set of one file.
+    pub fn single(name: impl Into<String>, main: impl Into<Bytes>) -> Self {
+        Self {
+            name: name.into(),
+            main: main.into(),
+            companions: BTreeMap::new(),
+        }
+    }
+
+    /// Bytes in all files.
+    pub fn total_bytes(&self) -> u64 {
+        self.main.len() as u64 + self.companions.values().map(|b| b.len() as u64).sum::<u64>()
+    }
+}
+
+/// How large a model may be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Render vertices.
+    pub vertices: u64,
+    /// Triangles after triangulation.
+    pub triangles: u64,
+    /// Bytes that decoding (compressed or sparse data) may take.
+    pub decoded_bytes: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            vertices: 20_000_000,
+            triangles: 40_000_000,
+            decoded_bytes: 4 << 30,
+        }
+    }
+}
+
+impl Limits {
+    /// Refuses more render vertices than allowed.
+    pub(super) fn check_vertices(&self, seen: u64) -> Result<(), Error> {
+        within("vertices", seen, self.vertices)
+    }
+
+    /// Refuses more triangles than allowed.
+    pub(super) fn check_triangles(&self, seen: u64) -> Result<(), Error> {
+        within("triangles", seen, self.triangles)
+    }
+}
+
+/// Refuses a main file whose places do not fit 32 bits, which the readers of texts count with.
+pub(super) fn check_main_size(bytes: &[u8]) -> Result<(), Error> {
+    within("bytes of the main file", bytes.len() as u64, u64::from(u32::MAX))
+}
+
+fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
+    if seen > limit {
+        Err(Error::TooLarge { what, seen, limit })
+    } else {
+        Ok(())
+    }
+}
+
+/// A model written to bytes.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Written {
+    /// The main file.
+    pub main: Vec<u8>,
+    /// Companions by URI, for glTF with external buffers; empty for every other case.
+    pub companions: BTreeMap<String, Vec<u8>>,
+}

@@ -1,0 +1,7 @@
+//! The `pliant` program.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    pliant::cli::main()
+}

@@ -1,0 +1,87 @@
+//! `pliant deform`: the engine in process, without a server.
+
+use super::files::{output_format, read, read_model, write_model};
+use super::progress::Bar;
+use super::{Failure, Threads, print_json};
+use crate::job::{self, Limits, pb};
+use clap::Args;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Arguments of `pliant deform`.
+#[derive(Debug, Args)]
+pub struct DeformArgs {
+    /// The model: glb, gltf, obj, ply, off or stl
+    model: PathBuf,
+    /// The job: handles, steps and options as JSON
+    #[arg(long)]
+    job: PathBuf,
+    /// Where to write the result; the extension says the format
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Print a report as JSON on stdout
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    threads: Threads,
+}
+
+/// Runs the command.
+pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
+    let format = output_format(&args.output)?;
+    let in_job = |e: job::Error| match Failure::from(e) {
+        Failure::Input(text) => Failure::Input(format!("{}: {text}", args.job.display())),
+        other => other,
+    };
+    let job: pb::Job = job::json::from_json(&read(&args.job)?).map_err(in_job)?;
+    let pool = args.threads.pool()?;
+    let files = read_model(&args.model)?;
+    let bar = Bar::new(args.json);
+    let clock = Instant::now();
+    let millis = || clock.elapsed().as_secs_f64() * 1e3;
+    let limits = Limits::default();
+    let mut outcome = job::run(files.clone(), &job, Some(format), &limits, &pool, &bar, &millis)?;
+    bar.done();
+
+    let written = write_model(&args.output, &outcome.written, &args.model, &files)?;
+    outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
+    if args.json {
+        print_json(&outcome.report)?;
+    } else {
+        summarise(&outcome.report, millis());
+    }
+    for name in &outcome.unchecked {
+        eprintln!("expect.{name} needs a stored result and was not checked");
+    }
+    match outcome.unmet.is_empty() {
+        true => Ok(()),
+        false => Err(Failure::Check(outcome.unmet.join("; "))),
+    }
+}
+
+fn summarise(report: &pb::Report, millis: f64) {
+    let solver = report.solver.clone().unwrap_or_default();
+    for w in &report.warnings {
+        eprintln!("warning {}: {}", w.code, w.message);
+    }
+    for (k, step) in report.steps.iter().enumerate() {
+        eprintln!(
+            "step {k}: {} cycles, residual {:.1e}, missing at most {:.1e} of the diagonal, {:.0} ms",
+            step.cycles,
+            step.residual,
+            step.max_error,
+            step.ms.get("solve").copied().unwrap_or_default()
+        );
+    }
+    let quality = report.quality.unwrap_or_default();
+    eprintln!(
+        "{} solver vertices, {} graph vertices, {} levels; volume {:+.2} %, {} triangles flipped; {:.0} ms in all",
+        solver.solver_vertices,
+        solver.graph_vertices,
+        solver.levels.len(),
+        100.0 * quality.volume_change,
+        quality.flipped_triangles,
+        millis
+    );
+    eprintln!("{} -> {}", report.digest, report.output.join(", "));
+}

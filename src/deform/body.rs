@@ -1,0 +1,143 @@
+//! What a deformation works on whatever the handles are: the graph and its hierarchy.
+
+use super::Error;
+use crate::graph::{self, Graph};
+use crate::mesh::Mesh;
+use crate::pool::Pool;
+use crate::progress::{Progress, check};
+use crate::solver::{self, Hierarchy};
+use glam::DVec3;
+use rayon::prelude::*;
+
+pub use crate::graph::Weights;
+pub use crate::solver::Operators;
+
+/// When interior nodes are built.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum VolumeMode {
+    /// Where the mesh has an inside.
+    #[default]
+    Auto,
+    /// Never.
+    Off,
+    /// Always; a mesh without an inside is refused.
+    Required,
+}
+
+/// How a [`Body`] is built.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct BodyOptions {
+    /// When interior nodes are built.
+    pub volume: VolumeMode,
+    /// Interior nodes: lattice interval, valence, shell offset, edge weights, most nodes.
+    pub graph: graph::VolumeOptions,
+    /// Operators of the hierarchy.
+    pub operators: Operators,
+}
+
+/// The graph of a mesh, its hierarchy, and the rest pose in the coordinates that solving uses.
+///
+/// Solving happens in centred coordinates of about unit size, scaled by a power of two: neither tiny nor huge models
+/// lose digits, and going there and back changes no bit by scaling.
+pub struct Body {
+    /// The graph; its first nodes are the mesh's vertices.
+    pub graph: Graph,
+    /// The multigrid hierarchy over all nodes.
+    pub hierarchy: Hierarchy,
+    /// Rest positions of all nodes in solving coordinates.
+    pub(super) rest: Vec<[f64; 3]>,
+    /// Σ w (p_i − p_j) over neighbours: the first sum of equation (8)'s right-hand side.
+    pub(super) laplacian: Vec<[f64; 3]>,
+    /// Where solving coordinates have their origin, in model space.
+    pub(super) origin: DVec3,
+    /// Model units of one solving unit; a power of two.
+    pub(super) unit: f64,
+    /// Length of the mesh's bounding box diagonal, model units; above 0.
+    pub diagonal: f64,
+}
+
+impl Body {
+    /// Builds graph and hierarchy. Reports the stages "graph" and "hierarchy".
+    ///
+    /// # Errors
+    /// [`Error::NoInside`] in mode [`VolumeMode::Required`]; [`Error::Graph`] when the graph would be too large;
+    /// [`Error::Cancelled`].
+    pub fn build(mesh: &Mesh, options: &BodyOptions, pool: &Pool, progress: &dyn Progress) -> Result<Self, Error> {
+        progress.report("graph", 0.0);
+        let volume = match options.volume {
+            VolumeMode::Off => None,
+            _ => graph::volume(mesh, &options.graph, pool, progress)?,
+        };
+        let graph = match volume {
+            Some(graph) => graph,
+            None if options.volume == VolumeMode::Required => return Err(Error::NoInside),
+            None => graph::surface(mesh, options.graph.weights),
+        };
+        check(progress)?;
+
+        let bounds = mesh.bounds();
+        let diagonal = (bounds.max - bounds.min).length();
+        let diagonal = if diagonal > 0.0 && diagonal.is_finite() { diagonal } else { 1.0 };
+        let unit = power_of_two_near(diagonal);
+        let origin = bounds.min + (bounds.max - bounds.min) * 0.5;
+        let rest: Vec<[f64; 3]> = graph.positions.iter().map(|&p| ((p - origin) / unit).to_array()).collect();
+
+        progress.report("hierarchy", 0.0);
+        let view = solver::Graph {
+            offsets: &graph.offsets,
+            neighbours: &graph.neighbours,
+            weights: graph.weights.as_deref(),
+            positions: Some(&rest),
+        };
+        let build = solver::BuildOptions { operators: options.operators, ..Default::default() };
+        let hierarchy = Hierarchy::build(&view, &build, pool, progress)?;
+        let laplacian = pool.install(|| laplacian(&graph, &rest));
+        Ok(Self { graph, hierarchy, rest, laplacian, origin, unit, diagonal })
+    }
+
+    /// Number of graph nodes.
+    pub fn nodes(&self) -> usize {
+        self.rest.len()
+    }
+
+    /// Bytes held on the heap.
+    pub fn bytes(&self) -> usize {
+        self.graph.bytes() + self.hierarchy.bytes() + (self.rest.capacity() + self.laplacian.capacity()) * 24
+    }
+
+    /// From model space to solving coordinates.
+    pub(super) fn solving_from_model(&self, p: DVec3) -> DVec3 {
+        (p - self.origin) / self.unit
+    }
+
+    /// From solving coordinates to model space.
+    pub(super) fn model_from_solving(&self, p: DVec3) -> DVec3 {
+        p * self.unit + self.origin
+    }
+
+    /// Neighbours of a node with the weights of the edges.
+    pub(super) fn edges(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let row = self.graph.offsets[node] as usize..self.graph.offsets[node + 1] as usize;
+        let weights = self.graph.weights.as_deref();
+        row.map(move |e| (self.graph.neighbours[e] as usize, weights.map_or(1.0, |w| f64::from(w[e]))))
+    }
+}
+
+fn power_of_two_near(length: f64) -> f64 {
+    libm::exp2(libm::floor(libm::log2(length)).clamp(-900.0, 900.0))
+}
+
+fn laplacian(graph: &Graph, rest: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    (0..rest.len())
+        .into_par_iter()
+        .map(|i| {
+            let p = DVec3::from_array(rest[i]);
+            let mut sum = DVec3::ZERO;
+            for e in graph.offsets[i] as usize..graph.offsets[i + 1] as usize {
+                let w = graph.weights.as_ref().map_or(1.0, |w| f64::from(w[e]));
+                sum += w * (p - DVec3::from_array(rest[graph.neighbours[e] as usize]));
+            }
+            sum.to_array()
+        })
+        .collect()
+}

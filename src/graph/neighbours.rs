@@ -1,0 +1,145 @@
+//! Neighbours in a body-centred cubic grid.
+//!
+//! Two cubic grids A and B of side `a`, B shifted by half a cell along each axis. Each node has six neighbours in its
+//! own grid and eight in the other. A node is named by a key whose order is sheet by sheet, row by row.
+
+use glam::DVec3;
+
+/// Name of a grid node: 20 bits each of z, then one bit for the grid (0 = A), then y and x.
+pub(super) type Key = u64;
+
+/// Coordinates run from 1 to this, so that steps to a neighbour never leave their 20 bits.
+pub(super) const LAST: u32 = (1 << 20) - 2;
+
+const AXIS: [Key; 3] = [1, 1 << 20, 1 << 41];
+const IN_B: Key = 1 << 40;
+
+pub(super) fn key(at: [u32; 3], in_b: bool) -> Key {
+    Key::from(at[0]) + Key::from(at[1]) * AXIS[1] + Key::from(at[2]) * AXIS[2] + if in_b { IN_B } else { 0 }
+}
+
+/// Place of a node in grid units, from the place of A's node (0, 0, 0).
+pub(super) fn place(key: Key) -> DVec3 {
+    let mask = (1 << 20) - 1;
+    let coordinate = |shift: u32| ((key >> shift) & mask) as f64;
+    let half = if key & IN_B == 0 { 0.0 } else { 0.5 };
+    DVec3::new(coordinate(0), coordinate(20), coordinate(41)) + DVec3::splat(half)
+}
+
+/// The key of the neighbour in `direction`: 0 to 5 along the axes (+x, −x, +y, …), 6 to 13 in the other grid (bits of
+/// `direction − 6`: towards +x, +y, +z).
+pub(super) fn toward(key: Key, direction: usize) -> Key {
+    if direction < 6 {
+        let axis = AXIS[direction / 2];
+        return if direction.is_multiple_of(2) {
+            key + axis
+        } else {
+            key - axis
+        };
+    }
+    let bits = direction - 6;
+    let along = |wanted: usize| {
+        (0..3)
+            .filter(move |axis| bits >> axis & 1 == wanted)
+            .map(|axis| AXIS[axis])
+            .sum::<Key>()
+    };
+    // A's node (i, j, k) lies half a cell below B's node of the same numbers along each axis.
+    if key & IN_B == 0 {
+        key + IN_B - along(0)
+    } else {
+        key - IN_B + along(1)
+    }
+}
+
+fn opposite(direction: usize) -> usize {
+    if direction < 6 {
+        direction ^ 1
+    } else {
+        6 + (7 - (direction - 6))
+    }
+}
+
+/// Directions that a lattice of the given valence (14 or 8) has.
+pub(super) fn directions(valence: u32) -> std::ops::Range<usize> {
+    if valence == 8 { 6..14 } else { 0..14 }
+}
+
+/// Neighbouring pairs among `keys`, each once, and for each node the set of directions (bit by bit) in which it has a
+/// neighbour. One pass over the sorted keys per direction: the partner's key rises with the node's.
+pub(super) fn pairs(keys: &[Key], valence: u32) -> (Vec<[u32; 2]>, Vec<u16>) {
+    let mut found = Vec::with_capacity(keys.len() * valence as usize / 2);
+    let mut present = vec![0u16; keys.len()];
+    for direction in directions(valence).filter(|&d| d >= 6 || d.is_multiple_of(2)) {
+        let mut partner = 0;
+        for (i, &key) in keys.iter().enumerate() {
+            if direction >= 6 && key & IN_B != 0 {
+                continue;
+            }
+            let wanted = toward(key, direction);
+            while keys.get(partner).is_some_and(|&k| k < wanted) {
+                partner += 1;
+            }
+            if keys.get(partner) == Some(&wanted) {
+                found.push([i as u32, partner as u32]);
+                present[i] |= 1 << direction;
+                present[partner] |= 1 << opposite(direction);
+            }
+        }
+    }
+    (found, present)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn step(direction: usize) -> DVec3 {
+        if direction < 6 {
+            return DVec3::AXES[direction / 2] * [1.0, -1.0][direction % 2];
+        }
+        DVec3::from_array(std::array::from_fn(|axis| {
+            if (direction - 6) >> axis & 1 == 1 { 0.5 } else { -0.5 }
+        }))
+    }
+
+    #[test]
+    fn steps_and_keys_agree_in_all_fourteen_directions() {
+        for in_b in [false, true] {
+            let here = key([7, 9, 11], in_b);
+            for d in directions(14) {
+                let there = toward(here, d);
+                assert_eq!(place(there) - place(here), step(d), "direction {d}, in B: {in_b}");
+                assert_eq!(toward(there, opposite(d)), here);
+            }
+        }
+        assert_eq!(place(key([1, 2, 3], true)), DVec3::new(1.5, 2.5, 3.5));
+    }
+
+    #[test]
+    fn pairs_are_those_at_neighbour_distance() {
+        let mut keys: Vec<Key> = Vec::new();
+        for n in 0..6 * 5 * 4 * 2u32 {
+            if n % 7 != 3 {
+                keys.push(key([1 + n % 6, 1 + n / 6 % 5, 1 + n / 30 % 4], n >= 120));
+            }
+        }
+        keys.sort_unstable();
+        for (valence, longest) in [(14, 1.0), (8, 0.9)] {
+            let mut expected = Vec::new();
+            for i in 0..keys.len() {
+                for j in i + 1..keys.len() {
+                    if place(keys[i]).distance(place(keys[j])) < longest + 1e-9 {
+                        expected.push([i as u32, j as u32]);
+                    }
+                }
+            }
+            let (found, present) = pairs(&keys, valence);
+            let degrees: u32 = present.iter().map(|p| p.count_ones()).sum();
+            assert_eq!(degrees as usize, 2 * expected.len());
+            let mut found: Vec<[u32; 2]> = found.into_iter().map(|[a, b]| [a.min(b), a.max(b)]).collect();
+            found.sort_unstable();
+            assert_eq!(found, expected, "valence {valence}");
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! Messages as canonical proto-JSON, by descriptor: no field is written twice.
+
+use super::{Error, pb};
+use prost::Message;
+use prost_reflect::{DescriptorPool, DeserializeOptions, DynamicMessage, MessageDescriptor, SerializeOptions};
+use std::sync::LazyLock;
+
+static POOL: LazyLock<Result<DescriptorPool, String>> =
+    LazyLock::new(|| DescriptorPool::decode(pb::DESCRIPTORS).map_err(|e| e.to_string()));
+
+/// The descriptors of the schema.
+///
+/// # Errors
+/// [`Error::Internal`] when the descriptors built into this program cannot be read, which a test rules out.
+pub fn descriptors() -> Result<&'static DescriptorPool, Error> {
+    POOL.as_ref().map_err(|e| Error::Internal(format!("descriptor set: {e}")))
+}
+
+fn descriptor(name: &str) -> Result<MessageDescriptor, Error> {
+    descriptors()?.get_message_by_name(name).ok_or_else(|| Error::Internal(format!("no message {name}")))
+}
+
+/// Reads a message from JSON. Unknown fields are refused with their path.
+///
+/// # Errors
+/// [`Error::Json`] with the path of the field and what is wrong.
+pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, Error> {
+    let options = DeserializeOptions::new().deny_unknown_fields(true);
+    let mut json = serde_json::Deserializer::from_slice(text);
+    let mut track = serde_path_to_error::Track::new();
+    let tracked = serde_path_to_error::Deserializer::new(&mut json, &mut track);
+    let dynamic = DynamicMessage::deserialize_with_options(descriptor(&M::full_name())?, tracked, &options);
+    let dynamic = dynamic.map_err(|e| {
+        let path = track.path().to_string();
+        let place = if path.is_empty() || path == "." { "body".to_owned() } else { path };
+        Error::Json { place, problem: e.to_string() }
+    })?;
+    json.end().map_err(|e| Error::Json { place: "body".into(), problem: e.to_string() })?;
+    M::decode(dynamic.encode_to_vec().as_slice()).map_err(|e| Error::Internal(format!("transcoding: {e}")))
+}
+
+/// Writes a message as JSON, with fields that have their default value, so that clients need not know the defaults.
+///
+/// # Errors
+/// [`Error::Internal`], never for a message of this schema.
+pub fn to_json<M: Message + prost::Name>(message: &M) -> Result<serde_json::Value, Error> {
+    let mut dynamic = DynamicMessage::new(descriptor(&M::full_name())?);
+    dynamic
+        .merge(message.encode_to_vec().as_slice())
+        .map_err(|e| Error::Internal(format!("transcoding: {e}")))?;
+    let options = SerializeOptions::new().skip_default_fields(false);
+    dynamic
+        .serialize_with_options(serde_json::value::Serializer, &options)
+        .map_err(|e| Error::Internal(format!("JSON: {e}")))
+}

@@ -1,0 +1,20 @@
+//! The declarative request: handles, poses and options as messages, their JSON, and a bench that runs them in process.
+//!
+//! Everything that a client can ask is a message of [`pb`]; this floor checks it, resolves regions to vertices and calls
+//! the engine. It knows no session, no connection and no clock.
+
+mod check;
+mod error;
+pub mod frames;
+mod handles;
+pub mod json;
+pub mod pb;
+mod quality;
+mod region;
+mod run;
+mod workbench;
+
+pub use check::Settings;
+pub use error::Error;
+pub use run::{Outcome, Stage, edit_name, inspect, run};
+pub use workbench::{Limits, Mode, Poses, Solved, Watch, Workbench};

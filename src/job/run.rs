@@ -1,0 +1,261 @@
+//! Runs a whole job in process: open, set handles, solve every step, write.
+
+use super::frames::digest;
+use super::{Error, Limits, Mode, Settings, Workbench, pb};
+use crate::asset::{FileSet, Format, Written};
+use crate::mesh::Report;
+use crate::pool::Pool;
+use crate::progress::Progress;
+use glam::DVec3;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// A job done.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// What happened, step by step.
+    pub report: pb::Report,
+    /// Final positions, one per render vertex.
+    pub positions: Arc<Vec<DVec3>>,
+    /// The model in its final shape, in the format asked for.
+    pub written: Written,
+    /// Expectations of the job that do not hold, one sentence each.
+    pub unmet: Vec<String>,
+    /// Expectations that only a comparison with a stored result can check.
+    pub unchecked: Vec<&'static str>,
+}
+
+/// Measures stages with a clock that the caller gives: this floor reads none. As a [`Progress`] it takes every stage
+/// that the work reports, and passes all on.
+pub struct Stage<'a> {
+    millis: &'a (dyn Fn() -> f64 + Sync),
+    inner: &'a dyn Progress,
+    marks: Mutex<Marks>,
+}
+
+#[derive(Default)]
+struct Marks {
+    open: Option<(&'static str, f64)>,
+    done: BTreeMap<String, f64>,
+}
+
+impl<'a> Stage<'a> {
+    /// Watches through `inner`; `millis` tells milliseconds since any fixed moment.
+    pub fn new(millis: &'a (dyn Fn() -> f64 + Sync), inner: &'a dyn Progress) -> Self {
+        Self { millis, inner, marks: Mutex::default() }
+    }
+
+    /// Begins a stage; the one before it ends.
+    pub fn begin(&self, stage: &'static str) {
+        let now = (self.millis)();
+        let mut marks = self.marks.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((before, since)) = marks.open.replace((stage, now)) {
+            *marks.done.entry(before.into()).or_default() += now - since;
+        }
+    }
+
+    /// Ends the stage under way and hands over what was measured since the last call.
+    pub fn take(&self) -> BTreeMap<String, f64> {
+        let now = (self.millis)();
+        let mut marks = self.marks.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((before, since)) = marks.open.take() {
+            *marks.done.entry(before.into()).or_default() += now - since;
+        }
+        std::mem::take(&mut marks.done)
+    }
+}
+
+impl Progress for Stage<'_> {
+    fn cancelled(&self) -> bool {
+        self.inner.cancelled()
+    }
+
+    fn report(&self, stage: &'static str, fraction: f32) {
+        let same = self.marks.lock().unwrap_or_else(PoisonError::into_inner).open.is_some_and(|(open, _)| open == stage);
+        if !same {
+            self.begin(stage);
+        }
+        self.inner.report(stage, fraction);
+    }
+}
+
+/// Runs `job` on a model and writes the result as `format` (the model's own when `None`).
+///
+/// # Errors
+/// Any [`Error`]; those of a step name it (`steps[1]`).
+pub fn run(
+    files: FileSet,
+    job: &pb::Job,
+    format: Option<Format>,
+    limits: &Limits,
+    pool: &Pool,
+    progress: &dyn Progress,
+    millis: &(dyn Fn() -> f64 + Sync),
+) -> Result<Outcome, Error> {
+    let settings = Settings::check(&job.options.clone().unwrap_or_default(), "options", u32::MAX)?;
+    let poses = pose_steps(job)?;
+    let stages = Stage::new(millis, progress);
+    let mut bench = Workbench::open(files, &job.create.clone().unwrap_or_default(), limits, pool, &stages)?;
+    let request = pb::SetHandlesRequest {
+        session_id: String::new(),
+        handles: job.handles.clone(),
+        symmetry_plane: job.symmetry_plane.clone(),
+        region_of_interest: job.region_of_interest.clone(),
+    };
+    bench.set_handles(&request, pool, &stages)?;
+    let build_ms = stages.take();
+
+    let mut in_force = bench.initial_poses();
+    let mut positions = bench.rest().clone();
+    let mut steps = Vec::new();
+    for (k, pose) in poses.iter().enumerate() {
+        stages.report("solve", k as f32 / poses.len() as f32);
+        let step = |e| at_step(e, k);
+        in_force = bench.posed(&in_force, pose).map_err(step)?;
+        let solved = bench
+            .solve(&in_force, &settings, Mode::Commit, pool, &stages, &mut |_| true)
+            .map_err(step)?;
+        stages.report("quality", 0.0);
+        let quality = bench.quality(&solved.positions);
+        let mut ms = stages.take();
+        ms.insert("build".into(), if k == 0 { build_ms.values().sum() } else { 0.0 });
+        let facts = bench.facts().solver.unwrap_or_default();
+        steps.push(pb::report::Step {
+            kind: "pose".into(),
+            ms,
+            cycles: solved.cycles,
+            residual: solved.residual,
+            max_error: solved.max_error,
+            levels: facts.levels.len() as u32,
+            bytes: facts.bytes,
+            quality: Some(quality),
+            digest: digest(&solved.positions),
+            field_cycles: bench.rig().map_or(0, |r| r.field_iterations as u32),
+            solver: solved.solver.into(),
+        });
+        positions = solved.positions;
+    }
+    stages.report("encode", 0.0);
+    let written = bench.model().write(&positions, format.unwrap_or(bench.model().format))?;
+    if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take().remove("encode")) {
+        step.ms.insert("encode".into(), ms);
+    }
+    let facts = bench.facts();
+    let report = pb::Report {
+        model: facts.model,
+        warnings: facts.warnings,
+        quality: Some(bench.quality(&positions)),
+        digest: digest(&positions),
+        solver: facts.solver,
+        build_ms,
+        handles: facts.handles,
+        steps,
+        output: Vec::new(),
+    };
+    let (unmet, unchecked) = expectations(job.expect.as_ref(), &report);
+    Ok(Outcome { report, positions, written, unmet, unchecked })
+}
+
+/// The poses of a job. Without steps the poses that the handles come with are one.
+fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
+    if job.steps.is_empty() {
+        let posed = job.handles.iter().any(|h| h.pose.is_some());
+        return Ok(if posed { vec![pb::Pose::default()] } else { Vec::new() });
+    }
+    let mut poses = Vec::new();
+    for (k, step) in job.steps.iter().enumerate() {
+        match &step.step {
+            Some(pb::step::Step::Pose(pose)) => poses.push(pose.clone()),
+            Some(pb::step::Step::Edit(edit)) => {
+                return Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(edit))));
+            }
+            None => return Err(Error::invalid(format!("steps[{k}]"), "is empty, allowed is one of pose or edit")),
+        }
+    }
+    Ok(poses)
+}
+
+/// The JSON name of an edit's operation.
+pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
+    use pb::edit_request::Operation;
+    match &edit.operation {
+        Some(Operation::Cut(_)) => "cut",
+        Some(Operation::Subdivide(_)) => "subdivide",
+        Some(Operation::Decimate(_)) => "decimate",
+        Some(Operation::Delete(_)) => "delete",
+        Some(Operation::Fill(_)) => "fill",
+        Some(Operation::Remesh(_)) => "remesh",
+        Some(Operation::Merge(_)) => "merge",
+        Some(Operation::InsertCurve(_)) => "insertCurve",
+        Some(Operation::Weld(_)) => "weld",
+        None => "none",
+    }
+}
+
+fn at_step(e: Error, k: usize) -> Error {
+    match e {
+        Error::Invalid { field, problem } => Error::Invalid { field: format!("steps[{k}].{field}"), problem },
+        other => other,
+    }
+}
+
+/// What of the expectations does not hold, and what only a stored result can tell.
+fn expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String>, Vec<&'static str>) {
+    let Some(expect) = expect else { return Default::default() };
+    let quality = report.quality.unwrap_or_default();
+    let mut unmet = Vec::new();
+    if expect.flipped_triangles.is_some_and(|most| quality.flipped_triangles > most) {
+        let most = expect.flipped_triangles.unwrap_or_default();
+        unmet.push(format!("flippedTriangles is {}, at most {most} expected", quality.flipped_triangles));
+    }
+    if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > most.abs()) {
+        unmet.push(format!("volumeChange is {}, at most {} either way expected", quality.volume_change, most.abs()));
+    }
+    if !expect.digest.is_empty() && expect.digest != report.digest {
+        unmet.push(format!("digest is {}, expected {}", report.digest, expect.digest));
+    }
+    let stored = [
+        ("maxDistance", expect.max_distance.is_some()),
+        ("meanDistance", expect.mean_distance.is_some()),
+        ("normalDegrees", expect.normal_degrees.is_some()),
+    ];
+    (unmet, stored.into_iter().filter(|(_, asked)| *asked).map(|(name, _)| name).collect())
+}
+
+/// Reads a model and tells what the solver would see, without solving anything.
+///
+/// # Errors
+/// As [`Workbench::open`].
+pub fn inspect(
+    files: FileSet,
+    create: &pb::CreateOptions,
+    limits: &Limits,
+    pool: &Pool,
+    progress: &dyn Progress,
+) -> Result<pb::Inspection, Error> {
+    let bench = Workbench::open(files, create, limits, pool, progress)?;
+    let facts = bench.facts();
+    let report: &Report = bench.report();
+    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    let renders = report.render_vertices - report.unreferenced_vertices;
+    Ok(pb::Inspection {
+        components: count(report.parts.len()),
+        boundary_loops: count(report.boundary_loops.len()),
+        non_manifold_edges: count(report.non_manifold_edges),
+        non_manifold_vertices: count(report.non_manifold_vertices),
+        seam_vertices: count(renders.min(report.coincident_vertices)),
+        closed: report.closed,
+        box_min: report.bounds.min.to_array().to_vec(),
+        box_max: report.bounds.max.to_array().to_vec(),
+        area: report.area,
+        volume: if report.closed { report.volume } else { 0.0 },
+        memory_estimate: bench.estimate(),
+        degenerate_faces: count(report.degenerate_triangles),
+        duplicate_faces: count(report.duplicate_triangles),
+        unreferenced_vertices: count(report.unreferenced_vertices),
+        model: facts.model,
+        primitives: facts.primitives,
+        solver: facts.solver,
+        warnings: facts.warnings,
+    })
+}

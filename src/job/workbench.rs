@@ -1,0 +1,537 @@
+//! One model on the bench: everything derived from it, its handles, and poses solved on request.
+
+use super::check::{Settings, enumerated, number, transform};
+use super::handles::{HandleSet, resolve_handles};
+use super::quality::quality;
+use super::region::Ground;
+use super::{Error, pb};
+use crate::asset::{self, FileSet, Format, Model};
+use crate::deform::{Body, BodyOptions, Operators, Policy, Request, Rig, Solution, Start, State, VolumeMode, Weights};
+use crate::graph::{VolumeOptions, estimate_nodes};
+use crate::mesh::{Adjacency, Components, Mesh, NONE, Report, Weld, inspect};
+use crate::pool::Pool;
+use crate::progress::{Progress, check};
+use glam::{DVec3, Mat3};
+use sha2::{Digest, Sha256};
+use std::sync::Arc;
+
+/// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
+/// 1,150 on a solid of 128 K nodes, rounded up.
+const BYTES_PER_NODE: u64 = 1400;
+/// Bytes that a render vertex with its triangles costs beside the graph.
+const BYTES_PER_VERTEX: u64 = 500;
+
+/// What a bench may hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Sizes of the model.
+    pub model: asset::Limits,
+    /// Bytes that the bench may hold; checked by estimate before anything large is allocated.
+    pub memory_bytes: u64,
+    /// Handles of one request.
+    pub handles: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { model: asset::Limits::default(), memory_bytes: 16 << 30, handles: 1024 }
+    }
+}
+
+/// The pose of every handle in force, in the order of the handles. Cheap to clone.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Poses(pub Arc<Vec<pb::HandlePose>>);
+
+/// How a solve treats what was solved before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Starts from the last result, for the sake of speed.
+    Drag,
+    /// Depends on nothing but model, handles, poses and settings, so that it can be repeated to the bit.
+    Commit,
+}
+
+/// A state of a solve that is under way, given to the watcher after every cycle.
+pub struct Watch<'a> {
+    /// Cycles done.
+    pub cycle: u32,
+    /// Relative residual reached.
+    pub residual: f64,
+    /// Estimated largest missing displacement, fraction of the diagonal.
+    pub max_error: f64,
+    /// Makes the render-vertex positions of this state; costs a pass over the vertices.
+    pub positions: &'a dyn Fn() -> Vec<DVec3>,
+}
+
+/// A solved pose.
+#[derive(Debug, Clone)]
+pub struct Solved {
+    /// One per render vertex, model space. Where nothing moves, the bits of the rest pose.
+    pub positions: Arc<Vec<DVec3>>,
+    /// Cycles of the position solve.
+    pub cycles: u32,
+    /// Relative residual reached, largest over coordinates.
+    pub residual: f64,
+    /// Estimated largest missing displacement, fraction of the diagonal.
+    pub max_error: f64,
+    /// Name of the method that the solver ended with.
+    pub solver: &'static str,
+}
+
+/// A model with everything derived from it. One owner; solves need `&mut`.
+pub struct Workbench {
+    model: Model,
+    sha256: String,
+    mesh: Mesh,
+    parts: Components,
+    report: Report,
+    body: Body,
+    rest: Arc<Vec<DVec3>>,
+    limits: Limits,
+    policy: Policy,
+    warnings: Vec<pb::Warning>,
+    handles: HandleSet,
+    rig: Option<Rig>,
+    state: State,
+}
+
+impl Workbench {
+    /// Reads a model and builds mesh, graph and hierarchy. Reports the stages "read", "mesh", "graph", "hierarchy" to
+    /// `progress` as they start.
+    ///
+    /// # Errors
+    /// [`Error::Asset`], [`Error::Invalid`] for options, [`Error::TooLarge`] when the estimate of what the bench would
+    /// hold is above `limits`, [`Error::Cancelled`].
+    pub fn open(
+        files: FileSet,
+        create: &pb::CreateOptions,
+        limits: &Limits,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
+        let choices = Choices::check(create)?;
+        progress.report("read", 0.0);
+        let model = Model::read(files, choices.format, &limits.model)?;
+        let sha256 = hex(&Sha256::digest(&model.files.main));
+        check(progress)?;
+
+        progress.report("mesh", 0.0);
+        let vertices = model.positions.len() as u64;
+        admit(vertices * BYTES_PER_VERTEX + model.files.total_bytes(), limits)?;
+        let format = model.format;
+        let no_mesh = |e: crate::mesh::Error| asset::Error::NoMesh { format, problem: e.to_string() };
+        let mesh = Mesh::build(&model.positions, &model.triangles, choices.weld).map_err(no_mesh)?;
+        let adjacency = Adjacency::build(mesh.positions.len(), &mesh.triangles);
+        let report = inspect(&mesh, &adjacency);
+        let parts = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
+        drop(adjacency);
+        check(progress)?;
+
+        let nodes = if choices.body.volume == VolumeMode::Off { mesh.positions.len() } else { estimate_nodes(&mesh) };
+        admit(estimate(vertices, nodes as u64) + model.files.total_bytes(), limits)?;
+        let body = Body::build(&mesh, &choices.body, pool, progress)?;
+        let mut warnings = warnings_of(&model, &report);
+        if choices.body.volume == VolumeMode::Auto && body.graph.surface == body.nodes() {
+            warnings.push(pb::Warning {
+                code: "no-volume-graph".into(),
+                message: "the model encloses no volume, so it deforms as a surface".into(),
+                r#where: String::new(),
+            });
+        }
+        let rest = Arc::new(model.positions.clone());
+        Ok(Self {
+            model,
+            sha256,
+            mesh,
+            parts,
+            report,
+            body,
+            rest,
+            limits: *limits,
+            policy: choices.policy,
+            warnings,
+            handles: HandleSet::default(),
+            rig: None,
+            state: State::default(),
+        })
+    }
+
+    /// The model as it was read.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// What was found about the mesh.
+    pub fn report(&self) -> &Report {
+        &self.report
+    }
+
+    /// The graph and hierarchy.
+    pub fn body(&self) -> &Body {
+        &self.body
+    }
+
+    /// The handles on the body, once set.
+    pub fn rig(&self) -> Option<&Rig> {
+        self.rig.as_ref()
+    }
+
+    /// Positions at rest, one per render vertex.
+    pub fn rest(&self) -> &Arc<Vec<DVec3>> {
+        &self.rest
+    }
+
+    /// Length of the bounding box's diagonal.
+    pub fn diagonal(&self) -> f64 {
+        self.body.diagonal
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> u64 {
+        let model = self.model.files.total_bytes()
+            + (self.model.positions.capacity() * 24
+                + self.model.normals.capacity() * 12
+                + self.model.tangents.capacity() * 16
+                + self.model.triangles.capacity() * 12) as u64;
+        let parts = self.mesh.bytes()
+            + self.parts.of_vertex.capacity() * 4
+            + self.body.bytes()
+            + self.rig.as_ref().map_or(0, Rig::bytes)
+            + self.state.bytes()
+            + self.rest.capacity() * 24;
+        model + parts as u64
+    }
+
+    /// Bytes that a bench for this model is expected to hold at most.
+    pub fn estimate(&self) -> u64 {
+        estimate(self.rest.len() as u64, self.body.nodes() as u64) + self.model.files.total_bytes()
+    }
+
+    /// What a session answers about model, solver and handles; id, revision, times and limits are the caller's.
+    pub fn facts(&self) -> pb::Session {
+        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        let levels = self
+            .body
+            .hierarchy
+            .levels()
+            .iter()
+            .map(|l| pb::solver_facts::Level { vertices: count(l.vertices), edges: l.edges as u64 })
+            .collect();
+        pb::Session {
+            primitives: self.model.primitives.iter().map(primitive).collect(),
+            warnings: self.warnings.iter().chain(&self.handles.warnings).cloned().collect(),
+            model: Some(pb::ModelFacts {
+                format: self.model.format.name().into(),
+                bytes: self.model.files.total_bytes(),
+                sha256: self.sha256.clone(),
+                vertices: count(self.rest.len()),
+                triangles: count(self.model.triangles.len()),
+            }),
+            solver: Some(pb::SolverFacts {
+                solver_vertices: count(self.mesh.positions.len()),
+                graph_vertices: count(self.body.nodes()),
+                graph_edges: self.body.graph.neighbours.len() as u64 / 2,
+                components: count(self.parts.count),
+                levels,
+                bytes: self.bytes(),
+            }),
+            handles: self.handle_facts(),
+            ..Default::default()
+        }
+    }
+
+    fn handle_facts(&self) -> Vec<pb::HandleFacts> {
+        let handles = self.handles.request.handles.iter();
+        handles
+            .zip(self.handles.counts.iter().zip(&self.handles.centroids))
+            .map(|(h, (&vertices, c))| pb::HandleFacts { id: h.id.clone(), vertices, centroid: c.to_array().to_vec() })
+            .collect()
+    }
+
+    /// The handles in force.
+    pub fn handles(&self) -> &pb::SetHandlesRequest {
+        &self.handles.request
+    }
+
+    /// Replaces the handles and recomputes the first-pass fields (stage "fields"). On an error the old ones stay. An
+    /// empty list takes all handles away.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the field, [`Error::Precondition`] when the handles leave the model without a place,
+    /// [`Error::TooLarge`], [`Error::Cancelled`].
+    pub fn set_handles(
+        &mut self,
+        request: &pb::SetHandlesRequest,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<(), Error> {
+        let ground = Ground {
+            positions: &self.rest,
+            primitives: &self.model.primitives,
+            mesh: &self.mesh,
+            parts: &self.parts,
+            graph: &self.body.graph,
+        };
+        let (set, rigging) = resolve_handles(&ground, &self.body, request, self.policy, self.limits.handles)?;
+        let field_bytes = (rigging.holds.len() as u64 + 1) * self.body.nodes() as u64 * 12;
+        admit(self.estimate() + field_bytes, &self.limits)?;
+        let rig = match request.handles.is_empty() {
+            true => None,
+            false => Some(Rig::build(&self.body, rigging, pool, progress)?),
+        };
+        self.handles = set;
+        self.rig = rig;
+        self.state = State::default();
+        Ok(())
+    }
+
+    /// The poses that the handles in force came with.
+    pub fn initial_poses(&self) -> Poses {
+        Poses(Arc::new(self.handles.request.handles.iter().map(|h| h.pose.clone().unwrap_or_default()).collect()))
+    }
+
+    /// `poses` with those that `change` names replaced. Checks every number.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] without handles, [`Error::Invalid`] with the field.
+    pub fn posed(&self, poses: &Poses, change: &pb::Pose) -> Result<Poses, Error> {
+        self.require_handles()?;
+        let mut all = poses.0.as_ref().clone();
+        for (k, entry) in change.handles.iter().enumerate() {
+            let handles = &self.handles.request.handles;
+            let Some(at) = handles.iter().position(|h| h.id == entry.id) else {
+                let ids: Vec<_> = handles.iter().take(8).map(|h| format!("\"{}\"", h.id)).collect();
+                let problem = format!("no handle \"{}\" is set, there are {}", entry.id, ids.join(", "));
+                return Err(Error::invalid(format!("pose.handles[{k}].id"), problem));
+            };
+            let pose = entry.pose.clone().unwrap_or_default();
+            transform(&pose, self.handles.centroids[at], &format!("pose.handles[{k}].pose"))?;
+            all[at] = pose;
+        }
+        Ok(Poses(Arc::new(all)))
+    }
+
+    fn require_handles(&self) -> Result<&Rig, Error> {
+        self.rig.as_ref().ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
+    }
+
+    /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] without handles; [`Error::Cancelled`] when `progress` says so, within one cycle;
+    /// [`Error::Invalid`] when poses do not belong to the handles in force.
+    pub fn solve(
+        &mut self,
+        poses: &Poses,
+        settings: &Settings,
+        mode: Mode,
+        pool: &Pool,
+        progress: &dyn Progress,
+        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
+    ) -> Result<Solved, Error> {
+        self.require_handles()?;
+        let Self { rig: Some(rig), state, body, mesh, handles, rest, .. } = self else {
+            return Err(Error::Internal("handles without a rig".into()));
+        };
+        if poses.0.len() != handles.request.handles.len() {
+            return Err(Error::Internal("poses of other handles".into()));
+        }
+        let transforms = handles.transforms(&poses.0)?;
+        let request = Request {
+            transforms: &transforms,
+            tolerance: settings.tolerance,
+            max_error: settings.max_error,
+            start: if mode == Mode::Drag { Start::Warm } else { Start::Fresh },
+        };
+        let shape = Shape { body, mesh, rest, handles };
+        let solution = rig.solve(body, &request, state, pool, progress, &mut |cycle| {
+            let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
+            watch(&Watch {
+                cycle: u32::try_from(cycle.index).unwrap_or(u32::MAX),
+                residual: cycle.residual,
+                max_error: cycle.max_error,
+                positions: &positions,
+            })
+        })?;
+        Ok(Solved {
+            positions: Arc::new(shape.render(&solution.positions, &solution.frames, &transforms)),
+            cycles: u32::try_from(solution.iterations).unwrap_or(u32::MAX),
+            residual: solution.residual,
+            max_error: solution.max_error,
+            solver: method_name(&solution),
+        })
+    }
+
+    /// How far a shape (one position per render vertex) is from the rest shape.
+    pub fn quality(&self, positions: &[DVec3]) -> pb::Quality {
+        let of = |s: usize| positions[self.mesh.render_vertices_of(s as u32)[0] as usize];
+        let deformed: Vec<DVec3> = (0..self.mesh.positions.len()).map(of).collect();
+        quality(&self.mesh, self.report.closed, &deformed)
+    }
+}
+
+/// From graph nodes back to render vertices.
+struct Shape<'a> {
+    body: &'a Body,
+    mesh: &'a Mesh,
+    rest: &'a [DVec3],
+    handles: &'a HandleSet,
+}
+
+impl Shape<'_> {
+    fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[crate::deform::Transform]) -> Vec<DVec3> {
+        let at_rest = &self.body.graph.positions;
+        let mut positions: Vec<DVec3> = self
+            .rest
+            .iter()
+            .zip(&self.mesh.solver_from_render)
+            .map(|(&rest, &solver)| {
+                let s = solver as usize;
+                // Bits, not values: -0 and 0 are different bytes of the model.
+                if solver == NONE || nodes[s] == at_rest[s] {
+                    return rest;
+                }
+                // Welding by tolerance leaves render vertices a little beside their solver vertex.
+                let beside = rest - at_rest[s];
+                let frame = frames.get(s).map_or(Mat3::IDENTITY, Mat3::from_cols_array);
+                if beside == DVec3::ZERO { nodes[s] } else { nodes[s] + frame.as_dmat3() * beside }
+            })
+            .collect();
+        for &(vertex, hold) in &self.handles.strays {
+            if let Some(t) = transforms.get(hold as usize) {
+                positions[vertex as usize] = t.map()(positions[vertex as usize]);
+            }
+        }
+        positions
+    }
+}
+
+/// Options of a session, checked.
+struct Choices {
+    format: Option<Format>,
+    weld: Weld,
+    policy: Policy,
+    body: BodyOptions,
+}
+
+impl Choices {
+    fn check(create: &pb::CreateOptions) -> Result<Self, Error> {
+        let format = match create.format.as_str() {
+            "" => None,
+            name => Some(Format::from_name(name).ok_or_else(|| {
+                Error::invalid("format", format!("is \"{name}\", allowed are glb, gltf, obj, ply, off and stl"))
+            })?),
+        };
+        let length = |value: f64, field: &str| match number(value, field)? {
+            v if v < 0.0 => Err(Error::invalid(field, format!("is {v}, it must not be negative"))),
+            0.0 => Ok(None),
+            v => Ok(Some(v)),
+        };
+        let weld = match &create.weld {
+            Some(weld) => length(weld.tolerance, "weld.tolerance")?.map_or(Weld::Exact, Weld::Tolerance),
+            None => Weld::Exact,
+        };
+        let policy = match enumerated(create.components, "components")? {
+            pb::create_options::Components::Follow => Policy::Follow,
+            pb::create_options::Components::Hold => Policy::Hold,
+            pb::create_options::Components::Free => Policy::Free,
+        };
+        let weights = match enumerated(create.weights, "weights")? {
+            pb::create_options::Weights::Uniform => Weights::Uniform,
+            pb::create_options::Weights::Cotangent => Weights::Cotangent,
+        };
+        let operators = match enumerated(create.operators, "operators")? {
+            pb::create_options::Operators::FiniteVolume => Operators::FiniteVolume,
+            pb::create_options::Operators::Paper => {
+                return Err(Error::Unimplemented("operators PAPER".into()));
+            }
+        };
+        let volume = create.volume_graph.unwrap_or_default();
+        let mode = match enumerated(volume.mode, "volumeGraph.mode")? {
+            pb::create_options::volume_graph::Mode::Auto => VolumeMode::Auto,
+            pb::create_options::volume_graph::Mode::Off => VolumeMode::Off,
+            pb::create_options::volume_graph::Mode::Required => VolumeMode::Required,
+        };
+        let valence = match volume.valence {
+            0 | 14 => 14,
+            8 => 8,
+            other => {
+                return Err(Error::invalid("volumeGraph.valence", format!("is {other}, allowed are 14 and 8, or 0 for 14")));
+            }
+        };
+        let graph = VolumeOptions {
+            interval: length(volume.interval, "volumeGraph.interval")?,
+            valence,
+            shell_offset: length(volume.shell_offset, "volumeGraph.shellOffset")?,
+            weights,
+            ..Default::default()
+        };
+        Ok(Self { format, weld, policy, body: BodyOptions { volume: mode, graph, operators } })
+    }
+}
+
+fn estimate(vertices: u64, nodes: u64) -> u64 {
+    vertices * BYTES_PER_VERTEX + nodes * BYTES_PER_NODE
+}
+
+fn admit(bytes: u64, limits: &Limits) -> Result<(), Error> {
+    if bytes <= limits.memory_bytes {
+        return Ok(());
+    }
+    Err(Error::TooLarge { what: "the estimated memory of the session in bytes", seen: bytes, limit: limits.memory_bytes })
+}
+
+fn warnings_of(model: &Model, report: &Report) -> Vec<pb::Warning> {
+    let read = model.warnings.iter().map(|(code, message, place)| pb::Warning {
+        code: code.clone(),
+        message: message.clone(),
+        r#where: place.clone(),
+    });
+    let found = report.warnings.iter().map(|w| pb::Warning {
+        code: w.code.into(),
+        message: w.message.clone(),
+        r#where: w.place.clone(),
+    });
+    read.chain(found).collect()
+}
+
+fn primitive(p: &asset::Primitive) -> pb::Primitive {
+    pb::Primitive {
+        node: p.node,
+        mesh: p.mesh,
+        primitive: p.primitive,
+        name: p.name.clone(),
+        first_vertex: p.first_vertex,
+        vertex_count: p.vertex_count,
+        index_count: p.index_count,
+        has_normals: p.has_normals,
+        has_tangents: p.has_tangents,
+    }
+}
+
+fn method_name(solution: &Solution) -> &'static str {
+    match solution.method {
+        crate::solver::Method::Trivial => "trivial",
+        crate::solver::Method::Direct => "direct",
+        crate::solver::Method::Multigrid => "multigrid",
+        crate::solver::Method::ConjugateGradients => "conjugate-gradients",
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+impl From<crate::deform::Error> for Error {
+    fn from(e: crate::deform::Error) -> Self {
+        use crate::deform::Error as Engine;
+        match e {
+            Engine::Cancelled => Self::Cancelled,
+            Engine::Graph(_) => Self::invalid("volumeGraph", e.to_string()),
+            Engine::NoInside => Self::invalid("volumeGraph.mode", e.to_string()),
+            Engine::NoPosition | Engine::FreePart { .. } => Self::Precondition(e.to_string()),
+            Engine::Unsupported(what) => Self::Unimplemented(what),
+            Engine::Solver(_) => Self::Internal(e.to_string()),
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! pliant: a headless mesh-deformation service.
+//!
+//! A client opens a session with a model, says which parts are handles, streams handle poses and gets vertex buffers
+//! back. The method is that of "A Fast Multigrid Algorithm for Mesh Deformation" (Shi, Yu, Bell, Yu, SIGGRAPH 2006).
+//!
+//! The house has floors; a module uses the floors below its own only:
+//!
+//! | floor | modules | what |
+//! |---|---|---|
+//! | 5 | [`cli`], [`server`] | people at a terminal; gRPC, HTTP and WebSocket |
+//! | 4 | [`session`] | sessions: state, commits, undo, the deform stream |
+//! | 3 | [`job`] | the declarative request, its JSON, and a bench that runs it |
+//! | 2 | [`deform`] | two passes: rotation fields, positions |
+//! | 1 | [`solver`], [`graph`] | multigrid on a weighted graph; surface and volume graphs |
+//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`] | triangles; model formats; threads; cancelling |
+
+pub mod asset;
+pub mod cli;
+pub mod deform;
+pub mod graph;
+pub mod job;
+pub mod mesh;
+pub mod pool;
+pub mod progress;
+pub mod server;
+pub mod session;
+pub mod solver;

@@ -1,0 +1,448 @@
+//! The inspection report: what a mesh is made of and what is unusual about it. Nothing here is fatal.
+
+use super::boundary::{BoundaryLoop, boundary_loops};
+use super::measure::{cone_volume, mean_edge_length, signed_volume, surface_area, triangle_area};
+use super::{Adjacency, Bounds, Components, Mesh, NONE, Weld, weld};
+
+/// A face is a sliver when its longest edge is more than this many times its height over that edge.
+const SLIVER: f64 = 100.0;
+/// How many places one warning spells out.
+const PLACES: usize = 16;
+/// Rims closer to each other than this fraction of the box's diagonal look like one crack.
+const CRACK: f64 = 1e-5;
+
+/// Something unusual that a user may want to know of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Warning {
+    /// What kind, in kebab-case; stable.
+    pub code: &'static str,
+    /// What, how many, and where the first one is.
+    pub message: String,
+    /// Where: up to sixteen places, separated by `; `.
+    pub place: String,
+}
+
+/// One connected part.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Part {
+    /// Its smallest solver vertex.
+    pub first_vertex: u32,
+    /// Number of its solver vertices.
+    pub vertices: usize,
+    /// Number of its faces.
+    pub triangles: usize,
+    /// Area of its faces.
+    pub area: f64,
+    /// Signed volume; meaningful when `closed`.
+    pub volume: f64,
+    /// Whether each of its edges has exactly two faces.
+    pub closed: bool,
+}
+
+/// Counts and measures of a mesh. Vertices and faces are the solver's unless said otherwise.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Report {
+    /// Render vertices.
+    pub render_vertices: usize,
+    /// Solver vertices.
+    pub vertices: usize,
+    /// Faces.
+    pub triangles: usize,
+    /// Edges.
+    pub edges: usize,
+    /// Render vertices that no face uses.
+    pub unreferenced_vertices: usize,
+    /// Render vertices that were welded to an earlier one.
+    pub coincident_vertices: usize,
+    /// Input faces with two corners at one point, or without area.
+    pub degenerate_triangles: usize,
+    /// Input faces left out because an earlier one has the same corners.
+    pub duplicate_triangles: usize,
+    /// Faces more than a hundred times longer than high.
+    pub slivers: usize,
+    /// Edges with one face.
+    pub boundary_edges: usize,
+    /// The rims that those edges form.
+    pub boundary_loops: Vec<BoundaryLoop>,
+    /// Edges with more than two faces.
+    pub non_manifold_edges: usize,
+    /// Vertices whose faces form more than one fan.
+    pub non_manifold_vertices: usize,
+    /// Edges whose two faces are wound in opposite senses.
+    pub winding_conflicts: usize,
+    /// Boundary vertices so close to another that they are probably meant to be one.
+    pub cracked_vertices: usize,
+    /// Connected parts in the order of their smallest vertex.
+    pub parts: Vec<Part>,
+    /// Whether each edge has exactly two faces.
+    pub closed: bool,
+    /// The smallest box around the vertices.
+    pub bounds: Bounds,
+    /// Area of all faces.
+    pub area: f64,
+    /// Signed volume; meaningful when `closed`.
+    pub volume: f64,
+    /// Mean length of the edges.
+    pub mean_edge_length: f64,
+    /// What a user may want to know of, at most one entry per code.
+    pub warnings: Vec<Warning>,
+}
+
+/// Examines `mesh`; `adjacency` must be its own.
+///
+/// # Panics
+/// When `adjacency` belongs to another mesh.
+pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> Report {
+    let edges = &adjacency.edges;
+    let parts = parts(mesh, adjacency);
+    let loops = boundary_loops(&mesh.positions, adjacency);
+    let thin = thin_faces(mesh);
+    let fans: Vec<u32> = (0..mesh.positions.len() as u32)
+        .filter(|&v| fans_around(v, &mesh.triangles, adjacency) > 1)
+        .collect();
+    let unreferenced: Vec<u32> = (0u32..)
+        .zip(&mesh.solver_from_render)
+        .filter(|s| *s.1 == NONE)
+        .map(|s| s.0)
+        .collect();
+    let edge_places =
+        |wanted: fn(&super::Edge) -> bool| edges.iter().filter(|e| wanted(e)).map(|e| e.vertices).collect();
+    let non_manifold: Vec<[u32; 2]> = edge_places(|e| e.faces() > 2);
+    let conflicts: Vec<[u32; 2]> = edge_places(|e| e.faces() == 2 && e.forward != e.backward);
+    let cracked = cracked_vertices(mesh, adjacency);
+
+    let mut warnings = Vec::new();
+    let mut warn = |code, one: &str, many: &str, count: usize, place: &dyn Fn(usize) -> String| {
+        if count > 0 {
+            let what = if count == 1 { one } else { many };
+            let first = if count == 1 { "" } else { "first " };
+            let mut places: Vec<String> = (0..count.min(PLACES)).map(place).collect();
+            let message = format!("{count} {what}, {first}{}", places[0]);
+            if count > PLACES {
+                places.push(format!("and {} more", count - PLACES));
+            }
+            warnings.push(Warning {
+                code,
+                message,
+                place: places.join("; "),
+            });
+        }
+    };
+    let vertex = |s: u32| vertex_place(mesh, s);
+    let edge = |e: [u32; 2]| edge_place(mesh, e);
+    let face = |t: u32| format!("at triangle {t}");
+    warn(
+        "boundary-loop",
+        "hole or open rim",
+        "holes or open rims",
+        loops.len(),
+        &|i| format!("{} edges long, {}", loops[i].edges, vertex(loops[i].vertex)),
+    );
+    warn(
+        "crack",
+        "boundary vertex almost on another",
+        "boundary vertices almost on others",
+        cracked.len(),
+        &|i| vertex(cracked[i]),
+    );
+    warn(
+        "non-manifold-edge",
+        "non-manifold edge",
+        "non-manifold edges",
+        non_manifold.len(),
+        &|i| edge(non_manifold[i]),
+    );
+    warn(
+        "non-manifold-vertex",
+        "non-manifold vertex",
+        "non-manifold vertices",
+        fans.len(),
+        &|i| vertex(fans[i]),
+    );
+    let conflict = (
+        "edge between faces of opposite winding",
+        "edges between faces of opposite winding",
+    );
+    warn("winding-conflict", conflict.0, conflict.1, conflicts.len(), &|i| {
+        edge(conflicts[i])
+    });
+    let degenerate: Vec<u32> = merged(&mesh.collapsed_triangles, &thin.flat);
+    warn(
+        "degenerate-face",
+        "face without area",
+        "faces without area",
+        degenerate.len(),
+        &|i| face(degenerate[i]),
+    );
+    let repeated = &mesh.duplicate_triangles;
+    warn(
+        "duplicate-face",
+        "repeated face",
+        "repeated faces",
+        repeated.len(),
+        &|i| face(repeated[i]),
+    );
+    let long = (
+        "face over 100 times longer than high",
+        "faces over 100 times longer than high",
+    );
+    warn("sliver", long.0, long.1, thin.slivers.len(), &|i| face(thin.slivers[i]));
+    let unused = ("vertex that no face uses", "vertices that no face uses");
+    warn("unreferenced-vertex", unused.0, unused.1, unreferenced.len(), &|i| {
+        format!("at render vertex {}", unreferenced[i])
+    });
+    if parts.len() > 1 {
+        let part = |i: usize| format!("{} vertices, {}", parts[i].vertices, vertex(parts[i].first_vertex));
+        warn("components", "connected part", "connected parts", parts.len(), &part);
+    }
+
+    Report {
+        render_vertices: mesh.solver_from_render.len(),
+        vertices: mesh.positions.len(),
+        triangles: mesh.triangles.len(),
+        edges: edges.len(),
+        unreferenced_vertices: unreferenced.len(),
+        coincident_vertices: mesh.render_from_solver().items().len() - mesh.positions.len(),
+        degenerate_triangles: degenerate.len(),
+        duplicate_triangles: mesh.duplicate_triangles.len(),
+        slivers: thin.slivers.len(),
+        boundary_edges: edges.iter().filter(|e| e.faces() == 1).count(),
+        boundary_loops: loops,
+        non_manifold_edges: non_manifold.len(),
+        non_manifold_vertices: fans.len(),
+        winding_conflicts: conflicts.len(),
+        cracked_vertices: cracked.len(),
+        closed: parts.iter().all(|p| p.closed),
+        parts,
+        bounds: mesh.bounds(),
+        area: surface_area(&mesh.positions, &mesh.triangles),
+        volume: signed_volume(&mesh.positions, &mesh.triangles),
+        mean_edge_length: mean_edge_length(&mesh.positions, edges),
+        warnings,
+    }
+}
+
+fn vertex_place(mesh: &Mesh, solver: u32) -> String {
+    let p = mesh.positions[solver as usize];
+    format!(
+        "at render vertex {} at ({}, {}, {})",
+        mesh.render_vertices_of(solver)[0],
+        p.x,
+        p.y,
+        p.z
+    )
+}
+
+fn edge_place(mesh: &Mesh, [a, b]: [u32; 2]) -> String {
+    let p = (mesh.positions[a as usize] + mesh.positions[b as usize]) * 0.5;
+    let (a, b) = (mesh.render_vertices_of(a)[0], mesh.render_vertices_of(b)[0]);
+    format!("between render vertices {a} and {b} at ({}, {}, {})", p.x, p.y, p.z)
+}
+
+/// Two rising lists as one.
+fn merged(a: &[u32], b: &[u32]) -> Vec<u32> {
+    let mut all = [a, b].concat();
+    all.sort_unstable();
+    all
+}
+
+fn parts(mesh: &Mesh, adjacency: &Adjacency) -> Vec<Part> {
+    let components = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
+    let mut parts: Vec<Part> = components
+        .first_vertices()
+        .into_iter()
+        .map(|first_vertex| Part {
+            first_vertex,
+            vertices: 0,
+            triangles: 0,
+            area: 0.0,
+            volume: 0.0,
+            closed: true,
+        })
+        .collect();
+    components
+        .of_vertex
+        .iter()
+        .for_each(|&c| parts[c as usize].vertices += 1);
+    for &t in &mesh.triangles {
+        let part = &mut parts[components.of_vertex[t[0] as usize] as usize];
+        let origin = mesh.positions[part.first_vertex as usize];
+        part.triangles += 1;
+        part.area += triangle_area(&mesh.positions, t);
+        part.volume += cone_volume(&mesh.positions, t, origin);
+    }
+    for e in adjacency.edges.iter().filter(|e| e.faces() != 2) {
+        parts[components.of_vertex[e.vertices[0] as usize] as usize].closed = false;
+    }
+    parts
+}
+
+/// Faces worth a warning, as input triangles.
+struct Thin {
+    flat: Vec<u32>,
+    slivers: Vec<u32>,
+}
+
+fn thin_faces(mesh: &Mesh) -> Thin {
+    let mut thin = Thin {
+        flat: Vec::new(),
+        slivers: Vec::new(),
+    };
+    for (t, &source) in mesh.triangles.iter().zip(&mesh.source_triangle) {
+        let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+        let twice_area = (b - a).cross(c - a).length();
+        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+        // Areas below what rounding of the cross product leaves are none.
+        if twice_area <= longest * longest * 1e-14 {
+            thin.flat.push(source);
+        } else if longest * longest > SLIVER * twice_area {
+            thin.slivers.push(source);
+        }
+    }
+    thin
+}
+
+/// Into how many fans the faces around a vertex fall; faces are in one fan when they share an edge at the vertex.
+fn fans_around(vertex: u32, triangles: &[[u32; 3]], adjacency: &Adjacency) -> usize {
+    let faces = adjacency.faces.of(vertex);
+    let spokes = adjacency.neighbours.of(vertex);
+    let edges = faces.iter().filter_map(|&f| {
+        let mut others = triangles[f as usize].into_iter().filter(|&v| v != vertex);
+        let index = |v: Option<u32>| v.and_then(|v| spokes.binary_search(&v).ok()).map(|i| i as u32);
+        Some((index(others.next())?, index(others.next())?))
+    });
+    Components::of_edges(spokes.len(), edges).count
+}
+
+/// Boundary vertices that lie within the crack distance of another boundary vertex.
+fn cracked_vertices(mesh: &Mesh, adjacency: &Adjacency) -> Vec<u32> {
+    let mut on_rim = vec![false; mesh.positions.len()];
+    let rim = adjacency.edges.iter().filter(|e| e.faces() == 1);
+    rim.flat_map(|e| e.vertices).for_each(|v| on_rim[v as usize] = true);
+    let tolerance = Weld::Tolerance(mesh.bounds().diagonal() * CRACK);
+    let near = weld::representatives(&mesh.positions, &on_rim, tolerance).unwrap_or_default();
+    (0u32..).zip(&near).filter(|(v, r)| v != *r).map(|(v, _)| v).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn report(positions: &[[f64; 3]], faces: &[[u32; 3]]) -> Report {
+        let positions: Vec<DVec3> = positions.iter().copied().map(DVec3::from_array).collect();
+        let mesh = Mesh::build(&positions, faces, Weld::Exact).expect("a mesh");
+        inspect(&mesh, &Adjacency::build(mesh.positions.len(), &mesh.triangles))
+    }
+
+    const TETRAHEDRON: [[f64; 3]; 4] = [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]];
+    const FACES: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+
+    #[test]
+    fn a_clean_closed_mesh_has_nothing_to_warn_of() {
+        let r = report(&TETRAHEDRON, &FACES);
+        assert!(r.closed && r.warnings.is_empty(), "{:?}", r.warnings);
+        assert_eq!((r.vertices, r.edges, r.triangles, r.parts.len()), (4, 6, 4, 1));
+        assert!((r.parts[0].volume - r.volume).abs() < 1e-12 && (r.volume - 1.0 / 6.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn each_defect_is_counted_and_named_once() {
+        // A tetrahedron with a hole, a fin on one edge, a flipped neighbour, a repeated and a collapsed face, a
+        // stray vertex and a second part that touches nothing.
+        let mut p = TETRAHEDRON.to_vec();
+        p.extend([
+            [0.5, -1., 0.],
+            [9., 9., 9.],
+            [5., 0., 0.],
+            [6., 0., 0.],
+            [5.5, 1e-3, 0.],
+        ]);
+        let faces = [
+            [0, 2, 1],
+            [0, 1, 3],
+            [1, 2, 3],
+            [0, 1, 4],
+            [3, 1, 0],
+            [2, 2, 3],
+            [6, 7, 8],
+        ];
+        let r = report(&p, &faces);
+        let codes: Vec<&str> = r.warnings.iter().map(|w| w.code).collect();
+        assert_eq!(
+            codes,
+            [
+                "boundary-loop",
+                "non-manifold-edge",
+                "degenerate-face",
+                "duplicate-face",
+                "sliver",
+                "unreferenced-vertex",
+                "components"
+            ]
+        );
+        assert_eq!(
+            (r.non_manifold_edges, r.duplicate_triangles, r.degenerate_triangles),
+            (1, 1, 1)
+        );
+        assert_eq!(
+            (r.slivers, r.unreferenced_vertices, r.parts.len(), r.closed),
+            (1, 1, 2, false)
+        );
+        let edge = &r.warnings[1].message;
+        assert_eq!(
+            edge,
+            "1 non-manifold edge, between render vertices 0 and 1 at (0.5, 0, 0)"
+        );
+        assert_eq!(r.warnings[3].place, "at triangle 4");
+    }
+
+    #[test]
+    fn winding_conflicts_and_pinched_vertices_are_found() {
+        let mut faces = FACES;
+        faces[0].swap(0, 1);
+        let r = report(&TETRAHEDRON, &faces);
+        assert_eq!((r.winding_conflicts, r.closed), (3, true));
+        let pinch = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [-1., 0., 0.], [-1., -1., 0.]];
+        let r = report(&pinch, &[[0, 1, 2], [0, 3, 4]]);
+        assert_eq!(
+            (r.non_manifold_vertices, r.parts.len(), r.boundary_loops.len()),
+            (1, 1, 2)
+        );
+    }
+
+    #[test]
+    fn a_crack_is_told_from_an_honest_rim() {
+        let gap = 1e-7;
+        let p = [
+            [0., 0., 0.],
+            [1., 0., 0.],
+            [0., 1., 0.],
+            [1., gap, 0.],
+            [gap, 1., 0.],
+            [1., 1., 0.],
+        ];
+        let r = report(&p, &[[0, 1, 2], [3, 5, 4]]);
+        assert_eq!(r.cracked_vertices, 2);
+        assert_eq!(report(&p, &[[0, 1, 2]]).cracked_vertices, 0);
+    }
+
+    #[test]
+    fn many_places_are_summarised() {
+        let p: Vec<[f64; 3]> = (0..90).map(|i| [f64::from(i), f64::from(i % 3), 0.0]).collect();
+        let faces: Vec<[u32; 3]> = (0..30).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let r = report(&p, &faces);
+        let w = &r.warnings[0];
+        assert!(
+            w.message
+                .starts_with("30 holes or open rims, first 3 edges long, at render vertex 0"),
+            "{}",
+            w.message
+        );
+        assert!(
+            w.place.ends_with("; and 14 more") && w.place.matches("; ").count() == PLACES,
+            "{}",
+            w.place
+        );
+    }
+}

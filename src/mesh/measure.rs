@@ -1,0 +1,124 @@
+//! Lengths, areas and volumes. Sums run in the order of the input.
+
+use super::Edge;
+use glam::DVec3;
+
+/// An axis-aligned box.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    /// The corner with the smallest coordinates.
+    pub min: DVec3,
+    /// The corner with the largest coordinates.
+    pub max: DVec3,
+}
+
+impl Bounds {
+    /// The smallest box around `points`; the origin when there are none.
+    pub fn of(points: &[DVec3]) -> Self {
+        let Some(&first) = points.first() else {
+            return Self {
+                min: DVec3::ZERO,
+                max: DVec3::ZERO,
+            };
+        };
+        points.iter().fold(Self { min: first, max: first }, |b, &p| Self {
+            min: b.min.min(p),
+            max: b.max.max(p),
+        })
+    }
+
+    /// Its middle.
+    pub fn center(&self) -> DVec3 {
+        self.min * 0.5 + self.max * 0.5
+    }
+
+    /// Its side lengths.
+    pub fn size(&self) -> DVec3 {
+        self.max - self.min
+    }
+
+    /// Length of its diagonal.
+    pub fn diagonal(&self) -> f64 {
+        self.size().length()
+    }
+}
+
+/// Area of all faces.
+///
+/// # Panics
+/// When a triangle names a position that does not exist.
+pub fn surface_area(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
+    triangles.iter().map(|&t| triangle_area(positions, t)).sum()
+}
+
+/// Area of one face.
+pub(super) fn triangle_area(positions: &[DVec3], triangle: [u32; 3]) -> f64 {
+    let [a, b, c] = triangle.map(|v| positions[v as usize]);
+    0.5 * (b - a).cross(c - a).length()
+}
+
+/// Volume enclosed by a closed surface whose faces are wound counter-clockwise seen from outside; negative when they
+/// are wound the other way. For a surface with holes it is the volume of the cones from the centre of its box.
+///
+/// # Panics
+/// When a triangle names a position that does not exist.
+pub fn signed_volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
+    let origin = Bounds::of(positions).center();
+    triangles.iter().map(|&t| cone_volume(positions, t, origin)).sum()
+}
+
+/// Signed volume of the tetrahedron between `origin` and one face.
+pub(super) fn cone_volume(positions: &[DVec3], triangle: [u32; 3], origin: DVec3) -> f64 {
+    let [a, b, c] = triangle.map(|v| positions[v as usize] - origin);
+    a.dot(b.cross(c)) / 6.0
+}
+
+/// Mean length of `edges`, each counted once; 0 without edges.
+///
+/// # Panics
+/// When an edge names a position that does not exist.
+pub fn mean_edge_length(positions: &[DVec3], edges: &[Edge]) -> f64 {
+    let length = |e: &Edge| positions[e.vertices[0] as usize].distance(positions[e.vertices[1] as usize]);
+    let total: f64 = edges.iter().map(length).sum();
+    if edges.is_empty() {
+        0.0
+    } else {
+        total / edges.len() as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::Adjacency;
+
+    #[test]
+    fn a_corner_tetrahedron_has_the_textbook_measures_wherever_it_lies() {
+        let faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        for shift in [DVec3::ZERO, DVec3::new(1e6, -3e5, 2.0)] {
+            let p: Vec<DVec3> = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z]
+                .iter()
+                .map(|&p| p + shift)
+                .collect();
+            assert!((signed_volume(&p, &faces) - 1.0 / 6.0).abs() < 1e-9);
+            assert!((surface_area(&p, &faces) - (1.5 + 0.75f64.sqrt())).abs() < 1e-9);
+            let inside_out = faces.map(|[a, b, c]| [a, c, b]);
+            assert!((signed_volume(&p, &inside_out) + 1.0 / 6.0).abs() < 1e-9);
+            let mean = mean_edge_length(&p, &Adjacency::build(4, &faces).edges);
+            assert!((mean - (3.0 + 3.0 * 2f64.sqrt()) / 6.0).abs() < 1e-9);
+            assert_eq!(Bounds::of(&p).size(), DVec3::ONE);
+        }
+    }
+
+    #[test]
+    fn nothing_has_no_size() {
+        assert_eq!(
+            (
+                Bounds::of(&[]).diagonal(),
+                mean_edge_length(&[], &[]),
+                surface_area(&[], &[])
+            ),
+            (0.0, 0.0, 0.0)
+        );
+    }
+}

@@ -1,0 +1,55 @@
+//! The thread budget that every computing function takes.
+//!
+//! Floors 0 to 3 never reach for rayon's global pool: they are given a [`Pool`] and run inside it, so that a caller
+//! decides how many cores a piece of work may use. Results never depend on the number of threads.
+
+use std::sync::Arc;
+
+/// A bounded set of threads on which parallel work runs. Cloning shares the threads.
+#[derive(Clone)]
+pub struct Pool {
+    threads: Arc<rayon::ThreadPool>,
+}
+
+/// The threads of a pool could not be started.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot start {threads} compute threads: {reason}")]
+pub struct PoolError {
+    /// How many were asked for.
+    pub threads: usize,
+    /// What the operating system said.
+    pub reason: String,
+}
+
+impl Pool {
+    /// Starts `threads` threads; 0 means one for each core that this process may use.
+    pub fn new(threads: usize) -> Result<Self, PoolError> {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|i| format!("pliant-compute-{i}"))
+            .build()
+            .map(|pool| Self { threads: Arc::new(pool) })
+            .map_err(|e| PoolError { threads, reason: e.to_string() })
+    }
+
+    /// Number of threads, at least 1.
+    pub fn threads(&self) -> usize {
+        self.threads.current_num_threads()
+    }
+
+    /// Runs `work` on this pool, blocking the caller until it is done; rayon calls inside `work` stay on this pool.
+    pub fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        self.threads.install(work)
+    }
+
+    /// Queues `work` without waiting for it.
+    pub fn spawn(&self, work: impl FnOnce() + Send + 'static) {
+        self.threads.spawn(work);
+    }
+}
+
+impl std::fmt::Debug for Pool {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Pool({})", self.threads())
+    }
+}

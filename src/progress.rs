@@ -1,0 +1,49 @@
+//! How long work reports where it is, and how it learns that nobody wants it any more.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Watches one piece of work. Implementations must be cheap: kernels ask `cancelled` between sweeps.
+pub trait Progress: Sync {
+    /// True once the result is no longer wanted; the work then stops at its next check and returns `Cancelled`.
+    fn cancelled(&self) -> bool {
+        false
+    }
+
+    /// Tells that `fraction` (0 to 1) of `stage` is done. Called rarely, from the thread that started the work.
+    fn report(&self, stage: &'static str, fraction: f32) {
+        let _ = (stage, fraction);
+    }
+}
+
+/// Work that nobody watches or cancels.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Silent;
+
+impl Progress for Silent {}
+
+/// The work was given up because its [`Progress`] said so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("cancelled")]
+pub struct Cancelled;
+
+/// Returns `Err(Cancelled)` when the work is no longer wanted.
+pub fn check(progress: &dyn Progress) -> Result<(), Cancelled> {
+    if progress.cancelled() { Err(Cancelled) } else { Ok(()) }
+}
+
+/// A flag that any thread can raise.
+#[derive(Debug, Default)]
+pub struct CancelFlag(AtomicBool);
+
+impl CancelFlag {
+    /// Asks the work to stop at its next check.
+    pub fn cancel(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Progress for CancelFlag {
+    fn cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}

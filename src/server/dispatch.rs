@@ -1,0 +1,113 @@
+//! One port, two families: requests of gRPC and gRPC-Web go to one side, all others to HTTP.
+
+use super::config::Config;
+use super::grpc::Grpc;
+use super::http;
+use super::origin::Origins;
+use super::state::State;
+use ::http::{HeaderName, HeaderValue, Method, Request, Response, header};
+use axum::Router;
+use axum::body::Body;
+use std::convert::Infallible;
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+use tower::{Layer as _, Service, ServiceExt as _, util::BoxCloneSyncService};
+use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
+
+/// Answers every request of the port.
+#[derive(Clone)]
+pub(super) struct Dispatch {
+    service: BoxCloneSyncService<Request<Body>, Response<Body>, Infallible>,
+    grpc: Grpc,
+    dropped: CancellationToken,
+}
+
+impl Dispatch {
+    /// Everything that answers over `state`.
+    ///
+    /// # Errors
+    /// A text, when the descriptors built into this program cannot be read.
+    pub async fn new(state: &State) -> Result<Self, String> {
+        let grpc = Grpc::new(state).await?;
+        let sides = Sides { grpc: grpc.clone(), http: http::router(state) };
+        let service = cors(&state.config).layer(sides);
+        Ok(Self { service: BoxCloneSyncService::new(service), grpc, dropped: CancellationToken::new() })
+    }
+
+    /// Answers a request.
+    pub async fn call(&self, request: Request<Body>) -> Response<Body> {
+        match self.service.clone().oneshot(request).await {
+            Ok(response) => response,
+            Err(never) => match never {},
+        }
+    }
+
+    /// Tells health watchers that no more work is taken.
+    pub async fn stop_serving(&self) {
+        self.grpc.stop_serving().await;
+    }
+
+    /// Drops every connection that is still open.
+    pub fn drop_connections(&self) {
+        self.dropped.cancel();
+    }
+
+    /// Cancelled when connections are dropped.
+    pub fn dropped(&self) -> CancellationToken {
+        self.dropped.clone()
+    }
+}
+
+#[derive(Clone)]
+struct Sides {
+    grpc: Grpc,
+    http: Router,
+}
+
+impl Service<Request<Body>> for Sides {
+    type Response = Response<Body>;
+    type Error = Infallible;
+    type Future = futures::future::BoxFuture<'static, Result<Response<Body>, Infallible>>;
+
+    fn poll_ready(&mut self, _: &mut std::task::Context<'_>) -> std::task::Poll<Result<(), Infallible>> {
+        std::task::Poll::Ready(Ok(()))
+    }
+
+    fn call(&mut self, request: Request<Body>) -> Self::Future {
+        let Self { grpc, http } = self.clone();
+        Box::pin(async move {
+            if Grpc::takes(&request) {
+                Ok(grpc.call(request).await)
+            } else {
+                http.oneshot(request).await
+            }
+        })
+    }
+}
+
+/// What browsers are told about who may call and read which headers.
+fn cors(config: &Config) -> CorsLayer {
+    let origins: Origins = config.origins.clone();
+    let allowed = AllowOrigin::predicate(move |origin: &HeaderValue, request: &::http::request::Parts| {
+        let host = request.headers.get(header::HOST).and_then(|h| h.to_str().ok());
+        origins.allow(origin, host.or_else(|| request.uri.authority().map(|a| a.as_str())))
+    });
+    let own = ["grpc-status", "grpc-message", "grpc-status-details-bin", "x-request-id", "x-pliant-revision", "x-pliant-digest",
+        "x-pliant-vertices", "x-pliant-residual", "x-pliant-max-error", "x-pliant-solve-ms", "x-pliant-queue-ms"];
+    let mut exposed: Vec<HeaderName> = own.into_iter().map(HeaderName::from_static).collect();
+    exposed.extend([
+        header::ETAG,
+        header::LOCATION,
+        header::LINK,
+        header::RETRY_AFTER,
+        header::CONTENT_RANGE,
+        header::ACCEPT_RANGES,
+        header::CONTENT_DISPOSITION,
+    ]);
+    CorsLayer::new()
+        .allow_origin(allowed)
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::PATCH, Method::DELETE])
+        .allow_headers(AllowHeaders::mirror_request())
+        .expose_headers(exposed)
+        .max_age(Duration::from_secs(3600))
+}

@@ -1,0 +1,160 @@
+//! Deadlines of callers (`grpc-timeout`), kept for the whole answer and not only until it begins, and the count of calls.
+//!
+//! Dropping the handler or the body at the deadline is what stops the work: every call of the session floor gives up
+//! when its future is dropped.
+
+use crate::server::telemetry::{self, Telemetry};
+use crate::session::{Code, Error};
+use axum::body::Body;
+use bytes::Bytes;
+use http::{HeaderMap, Request, Response};
+use http_body::{Body as HttpBody, Frame, SizeHint};
+use std::collections::BTreeSet;
+use std::convert::Infallible;
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio::time::{Instant, Sleep};
+use tonic::service::Routes;
+
+/// The routes, each call measured and ended at its deadline.
+#[derive(Clone)]
+pub(super) struct Timed {
+    routes: Routes,
+    telemetry: Telemetry,
+    known: Arc<BTreeSet<String>>,
+}
+
+impl Timed {
+    /// `known` are the methods that calls are counted under, as `package.Service/Method`.
+    pub fn new(routes: Routes, telemetry: Telemetry, known: BTreeSet<String>) -> Self {
+        Self { routes, telemetry, known: Arc::new(known) }
+    }
+}
+
+impl tower::Service<Request<tonic::body::Body>> for Timed {
+    type Response = Response<Body>;
+    type Error = Infallible;
+    type Future = Pin<Box<dyn Future<Output = Result<Response<Body>, Infallible>> + Send>>;
+
+    fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn call(&mut self, request: Request<tonic::body::Body>) -> Self::Future {
+        let method = request.uri().path().trim_start_matches('/');
+        let route = match self.known.get(method) {
+            Some(known) => known.as_str(),
+            None if method.starts_with("grpc.") => method.split('/').next().unwrap_or_default(),
+            None => "unknown",
+        };
+        // The services below refuse unknown names of `grpc.` as well; only the ones that exist get a label.
+        let route = if method.starts_with("grpc.") && !COMMON.contains(&route) { "unknown" } else { route };
+        let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map_or_else(telemetry::request_id, Arc::from);
+        let mut recorder = self.telemetry.recorder("grpc", route, request_id);
+        let deadline = timeout(request.headers()).map(|timeout| Instant::now() + timeout);
+        let answer = tower::Service::call(&mut self.routes, request);
+        Box::pin(async move {
+            let response = match deadline {
+                None => answer.await,
+                Some(at) => match tokio::time::timeout_at(at, answer).await {
+                    Ok(response) => response,
+                    Err(_) => Ok(late().into_http()),
+                },
+            };
+            let response = match response {
+                Ok(response) => response,
+                Err(never) => match never {},
+            };
+            if let Some(code) = telemetry::grpc_code(response.headers()) {
+                recorder.set_code(code);
+            }
+            Ok(response.map(|body| {
+                let body = match deadline {
+                    None => Body::new(body),
+                    Some(at) => Body::new(Limited { inner: Some(body), sleep: Box::pin(tokio::time::sleep_until(at)) }),
+                };
+                recorder.observe(body)
+            }))
+        })
+    }
+}
+
+const COMMON: [&str; 3] = ["grpc.health.v1.Health", "grpc.reflection.v1.ServerReflection", "grpc.reflection.v1alpha.ServerReflection"];
+
+fn late() -> tonic::Status {
+    super::status::status(Error::new(Code::DeadlineExceeded, "the caller's deadline has passed"))
+}
+
+/// Reads `grpc-timeout`: up to 8 digits and a unit. Anything else is no deadline.
+fn timeout(headers: &HeaderMap) -> Option<Duration> {
+    let text = headers.get("grpc-timeout")?.to_str().ok()?;
+    let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
+    if digits.is_empty() || digits.len() > 8 || !digits.bytes().all(|b| b.is_ascii_digit()) {
+        return None;
+    }
+    let count: u64 = digits.parse().ok()?;
+    let timeout = match unit {
+        "H" => Duration::from_secs(count * 3600),
+        "M" => Duration::from_secs(count * 60),
+        "S" => Duration::from_secs(count),
+        "m" => Duration::from_millis(count),
+        "u" => Duration::from_micros(count),
+        "n" => Duration::from_nanos(count),
+        _ => return None,
+    };
+    // Beyond a month a deadline is none, and clocks need not be asked to go that far.
+    (timeout < Duration::from_secs(30 * 24 * 3600)).then_some(timeout)
+}
+
+/// A body that ends with DEADLINE_EXCEEDED when its time is over.
+struct Limited {
+    inner: Option<tonic::body::Body>,
+    sleep: Pin<Box<Sleep>>,
+}
+
+impl HttpBody for Limited {
+    type Data = Bytes;
+    type Error = tonic::Status;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, tonic::Status>>> {
+        let Some(inner) = &mut self.inner else { return Poll::Ready(None) };
+        if let Poll::Ready(frame) = Pin::new(inner).poll_frame(cx) {
+            return Poll::Ready(frame);
+        }
+        if self.sleep.as_mut().poll(cx).is_pending() {
+            return Poll::Pending;
+        }
+        self.inner = None;
+        let mut trailers = HeaderMap::new();
+        // A status made here has no metadata that could be refused as a header.
+        let _ = late().add_header(&mut trailers);
+        Poll::Ready(Some(Ok(Frame::trailers(trailers))))
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.inner.as_ref().is_none_or(HttpBody::is_end_stream)
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        SizeHint::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn timeouts_are_read_as_the_protocol_says() {
+        let read = |text: &str| timeout(&HeaderMap::from_iter([("grpc-timeout".parse().unwrap(), text.parse().unwrap())]));
+        assert_eq!(read("250m"), Some(Duration::from_millis(250)));
+        assert_eq!(read("2S"), Some(Duration::from_secs(2)));
+        assert_eq!(read("1H"), Some(Duration::from_secs(3600)));
+        for text in ["", "m", "12", "-1S", "123456789n", "1x", "99999999H", "1 S"] {
+            assert_eq!(read(text), None, "{text}");
+        }
+    }
+}

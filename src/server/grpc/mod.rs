@@ -1,0 +1,92 @@
+//! gRPC and gRPC-Web: decode, call the session floor, encode.
+//!
+//! Everything of tonic stays in this folder; no other part of the server sees its types.
+
+mod deadline;
+mod deformer;
+mod status;
+mod stream;
+mod upload;
+
+/// Generated from the schema.
+mod wire {
+    #![allow(missing_docs, clippy::all)]
+    include!(concat!(env!("OUT_DIR"), "/services/pliant.v1.rs"));
+}
+
+/// The generated client.
+pub mod client {
+    pub use super::wire::deformer_client::DeformerClient;
+}
+
+use super::state::State;
+use crate::job::{self, pb};
+use axum::body::Body;
+use http::{Request, Response};
+use std::convert::Infallible;
+use tonic_health::ServingStatus;
+use tower::{Layer as _, ServiceExt as _};
+use wire::deformer_server::DeformerServer;
+
+/// The name under which health is reported, beside the empty name of the whole server.
+const SERVICE: &str = "pliant.v1.Deformer";
+
+/// All gRPC services of this server.
+#[derive(Clone)]
+pub(super) struct Grpc {
+    routes: tonic_web::GrpcWebService<deadline::Timed>,
+    health: tonic_health::server::HealthReporter,
+}
+
+impl Grpc {
+    /// The services over `state`, reported as serving.
+    ///
+    /// # Errors
+    /// A text, when the descriptors built into this program cannot be read.
+    pub async fn new(state: &State) -> Result<Self, String> {
+        let deformer = DeformerServer::new(deformer::Calls::new(state.clone()))
+            .max_decoding_message_size(state.message_bytes)
+            .max_encoding_message_size(usize::MAX);
+        let (health, health_service) = tonic_health::server::health_reporter();
+        health.set_service_status(SERVICE, ServingStatus::Serving).await;
+        let mut routes = tonic::service::Routes::new(deformer).add_service(health_service);
+        if state.config.reflection {
+            let configure = || {
+                tonic_reflection::server::Builder::configure()
+                    .register_encoded_file_descriptor_set(pb::DESCRIPTORS)
+                    .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+            };
+            routes = routes.add_service(configure().build_v1().map_err(|e| e.to_string())?);
+            routes = routes.add_service(configure().build_v1alpha().map_err(|e| e.to_string())?);
+        }
+        let names = job::json::descriptors().map_err(|e| e.to_string())?.services();
+        let known = names
+            .flat_map(|service| {
+                service.methods().map(|m| format!("{}/{}", service.full_name(), m.name())).collect::<Vec<_>>()
+            })
+            .collect();
+        let timed = deadline::Timed::new(routes.prepare(), state.telemetry.clone(), known);
+        Ok(Self { routes: tonic_web::GrpcWebLayer::new().layer(timed), health })
+    }
+
+    /// Whether a request is one of gRPC or gRPC-Web.
+    pub fn takes<B>(request: &Request<B>) -> bool {
+        let content_type = request.headers().get(http::header::CONTENT_TYPE).map(http::HeaderValue::as_bytes);
+        content_type.is_some_and(|t| t.starts_with(b"application/grpc"))
+    }
+
+    /// Answers a request.
+    pub async fn call(&self, request: Request<Body>) -> Response<Body> {
+        let answer: Result<Response<tonic::body::Body>, Infallible> = self.routes.clone().oneshot(request).await;
+        match answer {
+            Ok(response) => response.map(Body::new),
+            Err(never) => match never {},
+        }
+    }
+
+    /// Tells those who watch this server's health that it takes no more work.
+    pub async fn stop_serving(&self) {
+        self.health.set_service_status(SERVICE, ServingStatus::NotServing).await;
+        self.health.set_service_status("", ServingStatus::NotServing).await;
+    }
+}

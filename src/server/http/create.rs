@@ -1,0 +1,106 @@
+//! Opening a session over HTTP: the model as the body, or a form with the model, its companions and the options.
+//!
+//! What the model's format is: `?format=` (or `format` in the options), else the content type, else the first bytes.
+
+mod form;
+mod options;
+
+use super::body;
+use super::problem::{Problem, clip};
+use super::request::Caller;
+use super::sessions::json;
+use crate::asset::{FileSet, Format};
+use crate::server::sample;
+use crate::server::state::State;
+use crate::server::uploads::Held;
+use crate::session::Error;
+use axum::extract::{Request, State as From};
+use axum::response::Response;
+use bytes::Bytes;
+use http::{HeaderValue, StatusCode, header};
+use options::Options;
+
+/// Types that say nothing about the format, among them what clients send when nobody tells them.
+const GENERAL: [&str; 6] = [
+    "",
+    "application/octet-stream",
+    "binary/octet-stream",
+    "application/x-www-form-urlencoded",
+    "application/json",
+    "text/plain",
+];
+
+pub(super) async fn create(From(state): From<State>, caller: Caller, request: Request) -> Result<Response, Problem> {
+    if state.draining.is_cancelled() {
+        return Err(Error::draining().into());
+    }
+    let key = caller.key()?.map(str::to_owned);
+    let mut options = Options::from_query(request.uri())?;
+    let kind = body::content_type(request.headers());
+    let Received { files, held } = if let Some(name) = options.sample.take() {
+        built_in(&name).await?
+    } else if kind == "multipart/form-data" {
+        form::receive(&state, request, &mut options).await?
+    } else {
+        let by_type = Format::from_media_type(&kind);
+        if by_type.is_none() && !GENERAL.contains(&kind.as_str()) {
+            let models = Format::ALL.map(Format::media_type).join(", ");
+            return Err(Problem::media_type(&kind, &format!("{models}, application/octet-stream and multipart/form-data")));
+        }
+        let received = raw(&state, request).await?;
+        options.format_by_type(by_type);
+        received
+    };
+    let options = options.finish()?;
+    let created = state.manager.create(&caller.tenant, files, options, key.as_deref()).await;
+    drop(held);
+    let created = created?;
+    let mut response = json(&created.value)?;
+    if !created.repeated {
+        *response.status_mut() = StatusCode::CREATED;
+    }
+    if let Ok(location) = HeaderValue::from_str(&format!("/v1/sessions/{}", created.value.id)) {
+        response.headers_mut().insert(header::LOCATION, location);
+    }
+    Ok(response)
+}
+
+/// Files of an upload, which count as under way until dropped.
+struct Received {
+    files: FileSet,
+    held: Option<Held>,
+}
+
+async fn built_in(name: &str) -> Result<Received, Problem> {
+    if name != sample::NAME {
+        let allowed = sample::NAME;
+        return Err(Error::invalid("sample", format!("\"{}\" is not built in; there is {allowed}", clip(name))).into());
+    }
+    Ok(Received { files: FileSet::single(format!("{name}.glb"), sample::glb().await?), held: None })
+}
+
+/// The body as the model.
+async fn raw(state: &State, request: Request) -> Result<Received, Problem> {
+    if let Some(length) = body::announced(request.headers()) {
+        state.uploads.announce(length)?;
+    }
+    let mut held = state.uploads.hold();
+    let mut stream = request.into_body().into_data_stream();
+    let mut main = Vec::new();
+    while let Some(bytes) = next(state, &mut stream).await? {
+        held.grow(bytes.len())?;
+        main.extend_from_slice(&bytes);
+    }
+    if main.is_empty() {
+        return Err(Error::malformed("the body is empty; it must be the model").into());
+    }
+    Ok(Received { files: FileSet::single("body", Bytes::from(main)), held: Some(held) })
+}
+
+/// The next bytes of an upload; gives up when the server is asked to stop.
+async fn next(state: &State, stream: &mut axum::body::BodyDataStream) -> Result<Option<Bytes>, Problem> {
+    tokio::select! {
+        bytes = body::next(state, stream) => bytes,
+        () = state.draining.cancelled() => Err(Error::draining().into()),
+    }
+}

@@ -1,0 +1,53 @@
+//! Handles of a session: all at once, or one.
+
+use super::problem::Problem;
+use super::request::{Caller, Names};
+use super::sessions::json;
+use super::{body, problem};
+use crate::job::{self, pb};
+use crate::server::state::State;
+use crate::session::Error;
+use axum::extract::{Request, State as From};
+use axum::response::Response;
+
+pub(super) async fn put(From(state): From<State>, caller: Caller, Names(id): Names<String>, request: Request) -> Result<Response, Problem> {
+    state.manager.get(&caller.tenant, &id).await?;
+    let mut handles: pb::SetHandlesRequest = body::message(&state, request).await?;
+    body::same_session(&handles.session_id, &id)?;
+    handles.session_id = id;
+    json(&state.manager.set_handles(&caller.tenant, handles, caller.key()?).await?)
+}
+
+pub(super) async fn patch(
+    From(state): From<State>,
+    caller: Caller,
+    Names((id, handle_id)): Names<(String, String)>,
+    request: Request,
+) -> Result<Response, Problem> {
+    state.manager.get(&caller.tenant, &id).await?;
+    let text = body::text(&state, request).await?;
+    let mut handle: pb::Handle = if text.is_empty() { pb::Handle::default() } else { job::json::from_json(&text)? };
+    if !handle.id.is_empty() && handle.id != handle_id {
+        let shown = problem::clip(&handle.id);
+        return Err(Error::invalid("id", format!("is \"{shown}\", the path says \"{}\"", problem::clip(&handle_id))).into());
+    }
+    handle.id = handle_id;
+    let fields = present(&text);
+    json(&state.manager.put_handle(&caller.tenant, &id, handle, &fields, caller.key()?).await?)
+}
+
+pub(super) async fn delete(
+    From(state): From<State>,
+    caller: Caller,
+    Names((id, handle_id)): Names<(String, String)>,
+) -> Result<Response, Problem> {
+    json(&state.manager.remove_handle(&caller.tenant, &id, &handle_id, caller.key()?).await?)
+}
+
+/// The names of the fields that a JSON object gives.
+fn present(text: &[u8]) -> Vec<String> {
+    match serde_json::from_slice(text) {
+        Ok(serde_json::Value::Object(fields)) => fields.into_iter().map(|(name, _)| name).collect(),
+        _ => Vec::new(),
+    }
+}

@@ -1,0 +1,123 @@
+//! HTTP/1.1 and HTTP/2: JSON in and out, models and vertex buffers as bytes, problems as documents.
+//!
+//! The order of layers, outermost first: request number and count → origin check → problem documents → compression of
+//! JSON → routes. Each call checks in the order authentication, session, then query and body.
+
+mod body;
+mod create;
+mod download;
+mod edits;
+mod handles;
+mod models;
+mod negotiate;
+mod pages;
+pub(super) mod problem;
+mod query;
+mod request;
+mod routes;
+mod sessions;
+mod solve;
+
+pub(super) use request::Caller;
+pub(super) use routes::{ROUTES, Route};
+
+use super::state::State;
+use super::telemetry;
+use crate::session::Error;
+use axum::Router;
+use axum::body::Body;
+use axum::extract::{MatchedPath, Request};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse as _, Response};
+use http::{HeaderName, HeaderValue, Method, StatusCode, header};
+use problem::Problem;
+use std::sync::Arc;
+use tower_http::compression::CompressionLayer;
+use tower_http::compression::predicate::Predicate;
+
+/// The number of a request; returned as it came.
+pub(super) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+
+/// All HTTP routes over `state`.
+pub(super) fn router(state: &State) -> Router {
+    routes::all()
+        .fallback(unknown_route)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(CompressionLayer::new().gzip(true).compress_when(JsonOnly))
+        .layer(middleware::from_fn_with_state(state.clone(), frame))
+        .with_state(state.clone())
+}
+
+async fn unknown_route(request: Request) -> Problem {
+    let path = problem::clip(request.uri().path());
+    Problem::new(StatusCode::NOT_FOUND, "NOT_FOUND", format!("there is nothing at {path}; /openapi.json lists what there is"))
+}
+
+async fn wrong_method(request: Request) -> Problem {
+    let (method, path) = (request.method(), problem::clip(request.uri().path()));
+    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "UNIMPLEMENTED", format!("{method} is not a method of {path}; the header Allow lists them"))
+}
+
+/// Numbers, counts and guards a call, and gives its problem document the path.
+async fn frame(axum::extract::State(state): axum::extract::State<State>, mut request: Request, next: Next) -> Response {
+    let request_id = request
+        .headers()
+        .get(REQUEST_ID)
+        .and_then(|v| v.to_str().ok())
+        .filter(|id| !id.is_empty() && id.len() <= 128)
+        .map_or_else(telemetry::request_id, Arc::from);
+    let path: String = request.uri().path().chars().take(1024).collect();
+    let route = request.extensions().get::<MatchedPath>().map_or("unknown", |m| m.as_str()).to_owned();
+    let mut recorder = state.telemetry.recorder("http", route, Arc::clone(&request_id));
+
+    let changes = !matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
+    let upgrades = request.headers().contains_key(header::UPGRADE) || request.method() == Method::CONNECT;
+    let response = if (changes || upgrades) && !state.config.origins.admit(request.headers(), request.uri()) {
+        Problem::new(StatusCode::FORBIDDEN, "PERMISSION_DENIED", "pages of this origin may not call; the key cors_origins lists who may")
+            .into_response()
+    } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
+        Problem::from(Error::draining()).into_response()
+    } else {
+        let over_http1 = request.version() < http::Version::HTTP_2;
+        if over_http1 {
+            let body = std::mem::replace(request.body_mut(), Body::empty());
+            *request.body_mut() = body::linger(body);
+        }
+        next.run(request).await
+    };
+
+    let mut response = match response.extensions().get::<Problem>().cloned() {
+        // Allow and other headers that the route added stay.
+        Some(problem) => {
+            let mut told = problem.respond(Some(&path));
+            for (name, value) in response.headers() {
+                if !told.headers().contains_key(name) && name != header::CONTENT_LENGTH && name != header::CONTENT_ENCODING {
+                    told.headers_mut().append(name.clone(), value.clone());
+                }
+            }
+            told
+        }
+        None => response,
+    };
+    if let Ok(id) = HeaderValue::from_str(&request_id) {
+        response.headers_mut().insert(REQUEST_ID, id);
+    }
+    let status = response.status();
+    if status == StatusCode::INTERNAL_SERVER_ERROR {
+        tracing::error!(request.id = %request_id, http.path = %path, "a call failed by a defect of the server");
+    }
+    recorder.set_code(status.as_str());
+    response.map(|body| recorder.observe(body))
+}
+
+/// JSON answers are worth compressing; models and vertex buffers are not.
+#[derive(Clone, Copy)]
+struct JsonOnly;
+
+impl Predicate for JsonOnly {
+    fn should_compress<B: http_body::Body>(&self, response: &http::Response<B>) -> bool {
+        let kind = response.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+        let json = kind.starts_with("application/json");
+        json && response.body().size_hint().exact().is_none_or(|bytes| bytes >= 1024)
+    }
+}

@@ -1,0 +1,58 @@
+//! What is not a call of the schema: health, counts, the API description, the sample, and a page for people.
+
+use super::download::Download;
+use super::problem::Problem;
+use super::request::Caller;
+use crate::server::state::State;
+use crate::server::{openapi, sample};
+use crate::session::Error;
+use axum::extract::State as From;
+use axum::response::{Html, IntoResponse as _, Response};
+use http::{HeaderMap, StatusCode, header};
+
+/// The process lives.
+pub(super) async fn alive() -> &'static str {
+    "ok\n"
+}
+
+/// New work is taken.
+pub(super) async fn ready(From(state): From<State>) -> Result<&'static str, Problem> {
+    if state.draining.is_cancelled() {
+        return Err(Error::draining().into());
+    }
+    if !state.manager.admits() {
+        let text = "the sessions hold nearly all the memory that they may";
+        let busy = Error { retry_after_s: Some(5), ..Error::new(crate::session::Code::Unavailable, text) };
+        return Err(busy.into());
+    }
+    Ok("ready\n")
+}
+
+pub(super) async fn metrics(From(state): From<State>) -> Result<Response, Problem> {
+    if !state.config.metrics {
+        return Err(Problem::new(StatusCode::NOT_FOUND, "NOT_FOUND", "counts are switched off (key metrics)"));
+    }
+    let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+    Ok(([(header::CONTENT_TYPE, kind)], state.telemetry.text()).into_response())
+}
+
+pub(super) async fn openapi() -> Result<Response, Problem> {
+    let document = openapi::document()?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], document).into_response())
+}
+
+pub(super) async fn sample(_: Caller, headers: HeaderMap) -> Result<Response, Problem> {
+    let bytes = sample::glb().await?;
+    let etag = sample::etag(&bytes);
+    let download = Download {
+        bytes,
+        media_type: crate::asset::Format::Glb.media_type(),
+        etag,
+        file_name: format!("{}.glb", sample::NAME),
+    };
+    download.respond(&headers)
+}
+
+pub(super) async fn root() -> Html<&'static str> {
+    Html(include_str!("root.html"))
+}

@@ -1,0 +1,56 @@
+//! What every call brings: who asks, its idempotency key, and names in its path.
+
+use super::problem::Problem;
+use crate::server::auth;
+use crate::server::state::State;
+use crate::session::{Error, Tenant};
+use axum::extract::{FromRequestParts, Path};
+use http::StatusCode;
+use http::request::Parts;
+use serde::de::DeserializeOwned;
+
+/// Who asks, checked before anything else.
+pub(in crate::server) struct Caller {
+    /// The tenant.
+    pub tenant: Tenant,
+    /// The idempotency key, where one was sent.
+    key: Option<Result<String, Error>>,
+}
+
+impl Caller {
+    /// The idempotency key. A broken one is refused here and not earlier, so that a missing session is told first.
+    pub fn key(&self) -> Result<Option<&str>, Error> {
+        match &self.key {
+            None => Ok(None),
+            Some(Ok(key)) => Ok(Some(key)),
+            Some(Err(error)) => Err(error.clone()),
+        }
+    }
+}
+
+impl FromRequestParts<State> for Caller {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &State) -> Result<Self, Problem> {
+        let tenant = auth::tenant(&parts.headers)?;
+        let key = parts.headers.get("idempotency-key").map(|value| {
+            let text = value.to_str().map_err(|_| Error::invalid("Idempotency-Key", "is not printable ASCII"))?;
+            Ok(text.to_owned())
+        });
+        Ok(Self { tenant, key })
+    }
+}
+
+/// Names in the path.
+pub(super) struct Names<T>(pub T);
+
+impl<T: DeserializeOwned + Send> FromRequestParts<State> for Names<T> {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &State) -> Result<Self, Problem> {
+        match Path::<T>::from_request_parts(parts, state).await {
+            Ok(Path(names)) => Ok(Self(names)),
+            Err(_) => Err(Problem::new(StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "the path is not valid percent-encoded UTF-8")),
+        }
+    }
+}

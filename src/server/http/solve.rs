@@ -1,0 +1,111 @@
+//! One pose, solved and committed: as JSON, as a vertex buffer, or as the deformed model.
+
+use super::problem::Problem;
+use super::request::{Caller, Names};
+use super::{body, models, negotiate};
+use crate::asset::Format;
+use crate::job::{self, pb};
+use crate::server::state::State;
+use crate::session::{Error, SolvedFrames};
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Request, State as From};
+use axum::response::{IntoResponse as _, Response};
+use bytes::Bytes;
+use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use std::convert::Infallible;
+
+const JSON: &str = "application/json";
+const BUFFER: &str = "application/octet-stream";
+
+/// What an answer can be: JSON, the buffer, then the model in every format.
+fn offers() -> [&'static str; 8] {
+    let mut offers = [JSON, BUFFER, "", "", "", "", "", ""];
+    for (offer, format) in offers.iter_mut().skip(2).zip(Format::ALL) {
+        *offer = format.media_type();
+    }
+    offers
+}
+
+pub(super) async fn solve(From(state): From<State>, caller: Caller, Names(id): Names<String>, request: Request) -> Result<Response, Problem> {
+    state.manager.get(&caller.tenant, &id).await?;
+    let offers = offers();
+    let accept = request.headers().get(header::ACCEPT).and_then(|v| v.to_str().ok());
+    let Some(offer) = negotiate::choose(accept, &offers).and_then(|k| offers.get(k).copied()) else {
+        let detail = format!("none of the types in Accept is offered; there are {}", offers.join(", "));
+        return Err(Problem::new(StatusCode::NOT_ACCEPTABLE, "INVALID_ARGUMENT", detail));
+    };
+    let mut message: pb::SolveRequest = body::message(&state, request).await?;
+    body::same_session(&message.session_id, &id)?;
+    if offer == BUFFER {
+        whole_buffer(message.options.as_ref())?;
+    }
+    message.session_id = id.clone();
+    let solved = state.manager.solve(&caller.tenant, message, caller.key()?).await?;
+    let facts = facts(&solved);
+    let mut response = match offer {
+        JSON => as_json(&solved)?,
+        BUFFER => as_buffer(solved.frames),
+        model => {
+            let exported = state.manager.export(&caller.tenant, &id, Format::from_media_type(model)).await?;
+            models::main_file(&id, exported, &HeaderMap::new())?
+        }
+    };
+    response.headers_mut().extend(facts);
+    Ok(response)
+}
+
+/// The whole buffer is plain floats of every vertex; other forms need the frames that JSON carries.
+fn whole_buffer(options: Option<&pb::Options>) -> Result<(), Error> {
+    let Some(output) = options.and_then(|o| o.output.as_ref()) else { return Ok(()) };
+    if output.encoding() != pb::frame::Encoding::F32 {
+        return Err(Error::invalid("options.output.encoding", format!("only F32 comes as {BUFFER}; ask for {JSON}")));
+    }
+    if output.changed_only.is_some() {
+        return Err(Error::invalid("options.output.changedOnly", format!("a part of the vertices cannot come as {BUFFER}; ask for {JSON}")));
+    }
+    Ok(())
+}
+
+/// What is known of a solve, as headers, for the forms that cannot say it themselves.
+fn facts(solved: &SolvedFrames) -> HeaderMap {
+    let mut headers = HeaderMap::new();
+    let mut set = |name: &'static str, value: String| {
+        if let Ok(value) = HeaderValue::from_str(&value) {
+            headers.insert(HeaderName::from_static(name), value);
+        }
+    };
+    set("x-pliant-revision", solved.revision.to_string());
+    set("x-pliant-digest", solved.digest.clone());
+    set("x-pliant-vertices", solved.positions.len().to_string());
+    if let Some(frame) = solved.frames.first() {
+        set("x-pliant-residual", frame.residual.to_string());
+        set("x-pliant-max-error", frame.max_error.to_string());
+        set("x-pliant-solve-ms", frame.solve_ms.to_string());
+        set("x-pliant-queue-ms", frame.queue_ms.to_string());
+    }
+    headers
+}
+
+fn as_json(solved: &SolvedFrames) -> Result<Response, Problem> {
+    let frames = solved.frames.iter().map(job::json::to_json).collect::<Result<Vec<_>, _>>()?;
+    let answer = serde_json::json!({
+        "frames": frames,
+        // As proto-JSON writes 64-bit numbers.
+        "revision": solved.revision.to_string(),
+        "digest": solved.digest,
+    });
+    Ok(Json(answer).into_response())
+}
+
+fn as_buffer(mut frames: Vec<pb::Frame>) -> Response {
+    // Positions, then normals, then tangents; parts of one attribute keep their order.
+    frames.sort_by_key(|frame| (frame.attribute, frame.part));
+    let parts: Vec<Bytes> = frames.into_iter().map(|frame| frame.data).collect();
+    let bytes: usize = parts.iter().map(Bytes::len).sum();
+    let body = Body::from_stream(futures::stream::iter(parts.into_iter().map(Ok::<_, Infallible>)));
+    let mut response = Response::new(body);
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(BUFFER));
+    response.headers_mut().insert(header::CONTENT_LENGTH, HeaderValue::from(bytes));
+    response
+}

@@ -1,0 +1,361 @@
+//! Connections: accepting, bounding, and ending them.
+//!
+//! The life of a server, in order: accept until asked to stop; then refuse new work but keep accepting, so that health
+//! checks see it; when no work is left, close connections politely; at the deadline, drop what is still there. Nothing in
+//! the protocol libraries is trusted to end in time: a connection that never sent a byte, or a stream that nobody reads,
+//! would hold them for ever.
+
+use super::config::Config;
+use super::state::State;
+use super::{Error, dispatch::Dispatch};
+use axum::body::Body;
+use bytes::Bytes;
+use http::{Request, Response};
+use http_body::{Body as HttpBody, Frame, SizeHint};
+use hyper::body::Incoming;
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto;
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+/// A connection's place among those that may be open; held by the connection and by the WebSocket it becomes.
+#[derive(Clone)]
+pub(super) struct Slot {
+    _permit: Arc<OwnedSemaphorePermit>,
+}
+
+/// How long an idle connection may take to notice that it is being closed.
+const IDLE_CLOSE: Duration = Duration::from_millis(300);
+
+/// Connections that are told at the same time that there are too many.
+const REFUSALS: usize = 64;
+
+/// Serves connections of `listener` until `shutdown` and the drain after it.
+pub(super) async fn serve(
+    listener: TcpListener,
+    state: State,
+    dispatch: Dispatch,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), Error> {
+    let connections = TaskTracker::new();
+    let polite = CancellationToken::new();
+    let doors = Doors {
+        builder: Arc::new(builder(&state.config)),
+        slots: Arc::new(Semaphore::new(state.config.connections as usize)),
+        refusals: Arc::new(Semaphore::new(REFUSALS)),
+        connections: connections.clone(),
+        polite: polite.clone(),
+        state: state.clone(),
+        dispatch: dispatch.clone(),
+    };
+    tokio::pin!(shutdown);
+    tokio::select! {
+        () = doors.accept(&listener) => {}
+        () = &mut shutdown => {}
+    }
+
+    let asked = Instant::now();
+    let deadline = asked + state.config.drain_deadline;
+    // Streams that are cut still get to say so before their connection goes.
+    let cut = deadline - (state.config.drain_deadline / 4).min(Duration::from_millis(500));
+    tracing::info!(
+        drain.deadline_ms = state.config.drain_deadline.as_millis() as u64,
+        "asked to stop: taking no new work, letting what runs finish"
+    );
+    state.draining.cancel();
+    state.manager.start_drain();
+    dispatch.stop_serving().await;
+    let finished = tokio::select! {
+        () = doors.accept(&listener) => false,
+        () = state.manager.drained() => true,
+        () = tokio::time::sleep_until(cut) => false,
+    };
+    drop(listener);
+
+    polite.cancel();
+    connections.close();
+    state.sockets.close();
+    if !finished {
+        tracing::warn!("work is still open at the deadline and is given up");
+        state.manager.abort();
+        state.closing.cancel();
+    }
+    let gone = async {
+        connections.wait().await;
+        // Sockets outlive their connections; with no work left they have nothing more to say.
+        state.sockets.wait().await;
+    };
+    let closed = tokio::time::timeout_at(cut, gone).await.is_ok();
+    if !closed {
+        state.manager.abort();
+        state.closing.cancel();
+        let last = async {
+            connections.wait().await;
+            state.sockets.wait().await;
+        };
+        let _ = tokio::time::timeout_at(deadline, last).await;
+    }
+    doors.dispatch.drop_connections();
+    tracing::info!(duration_ms = asked.elapsed().as_millis() as u64, "stopped");
+    Ok(())
+}
+
+fn builder(config: &Config) -> auto::Builder<TokioExecutor> {
+    const MIB: u32 = 1 << 20;
+    let mut builder = auto::Builder::new(TokioExecutor::new());
+    builder
+        .http1()
+        .timer(TokioTimer::new())
+        .header_read_timeout(config.header_timeout)
+        .max_headers(100)
+        .max_buf_size(128 << 10);
+    builder
+        .http2()
+        .timer(TokioTimer::new())
+        .initial_stream_window_size(MIB)
+        .initial_connection_window_size(4 * MIB)
+        .max_frame_size(MIB)
+        .max_concurrent_streams(config.requests_per_connection)
+        .max_header_list_size(64 << 10)
+        .max_send_buf_size(1 << 20)
+        // Clients that cancel many calls are not attackers yet.
+        .max_pending_accept_reset_streams(256)
+        .max_local_error_reset_streams(1024)
+        .keep_alive_interval(config.keepalive_interval)
+        .keep_alive_timeout(config.keepalive_timeout)
+        .enable_connect_protocol();
+    builder
+}
+
+struct Doors {
+    builder: Arc<auto::Builder<TokioExecutor>>,
+    slots: Arc<Semaphore>,
+    refusals: Arc<Semaphore>,
+    connections: TaskTracker,
+    polite: CancellationToken,
+    state: State,
+    dispatch: Dispatch,
+}
+
+impl Doors {
+    /// Accepts connections for ever.
+    async fn accept(&self, listener: &TcpListener) {
+        loop {
+            match listener.accept().await {
+                Ok((socket, _)) => self.admit(socket),
+                Err(error) => {
+                    // Out of descriptors, or a peer that left at once: neither is a reason to stop.
+                    tracing::warn!(error = %error, "a connection could not be accepted");
+                    tokio::time::sleep(Duration::from_millis(20)).await;
+                }
+            }
+        }
+    }
+
+    fn admit(&self, socket: TcpStream) {
+        // Frames are written whole; waiting for more only delays them.
+        let _ = socket.set_nodelay(true);
+        let Ok(permit) = Arc::clone(&self.slots).try_acquire_owned() else {
+            self.state.telemetry.connections_refused.inc();
+            if let Ok(permit) = Arc::clone(&self.refusals).try_acquire_owned() {
+                tokio::spawn(async move {
+                    let _ = tokio::time::timeout(Duration::from_secs(1), turn_away(socket)).await;
+                    drop(permit);
+                });
+            }
+            return;
+        };
+        let slot = Slot { _permit: Arc::new(permit) };
+        let (state, dispatch) = (self.state.clone(), self.dispatch.clone());
+        let (builder, polite) = (Arc::clone(&self.builder), self.polite.clone());
+        let dropped = self.dispatch.dropped();
+        self.connections.spawn(async move {
+            state.telemetry.connections.inc();
+            tokio::select! {
+                () = connection(socket, &builder, &state, dispatch, slot, &polite) => {}
+                () = dropped.cancelled() => {}
+            }
+            state.telemetry.connections.dec();
+        });
+    }
+}
+
+/// What a connection is doing.
+#[derive(Default)]
+struct Activity {
+    /// Whether any byte has come.
+    spoke: AtomicBool,
+    /// Answers under way.
+    busy: AtomicUsize,
+}
+
+async fn connection(
+    socket: TcpStream,
+    builder: &auto::Builder<TokioExecutor>,
+    state: &State,
+    dispatch: Dispatch,
+    slot: Slot,
+    polite: &CancellationToken,
+) {
+    let activity = Arc::new(Activity::default());
+    let socket = Watched { socket, activity: Arc::clone(&activity), preface: 0 };
+    let heard = Arc::clone(&activity);
+    let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
+        request.extensions_mut().insert(slot.clone());
+        let busy = Busy::new(&heard, !is_watch(&request));
+        let dispatch = dispatch.clone();
+        async move {
+            let response: Response<Body> = dispatch.call(request.map(Body::new)).await;
+            Ok::<_, std::convert::Infallible>(response.map(|inner| Answer { inner, _busy: busy }))
+        }
+    });
+    let serving = builder.serve_connection_with_upgrades(TokioIo::new(socket), service);
+    tokio::pin!(serving);
+
+    // A connection that does not begin with a request line or a preface in time is no client.
+    let silent = async {
+        tokio::time::sleep(state.config.header_timeout).await;
+        while activity.spoke.load(Ordering::Relaxed) {
+            std::future::pending::<()>().await;
+        }
+    };
+    tokio::select! {
+        _ = serving.as_mut() => return,
+        () = silent => return,
+        () = polite.cancelled() => {}
+    }
+    if !activity.spoke.load(Ordering::Relaxed) {
+        return;
+    }
+    serving.as_mut().graceful_shutdown();
+    loop {
+        let idle = activity.busy.load(Ordering::Relaxed) == 0;
+        match tokio::time::timeout(IDLE_CLOSE, serving.as_mut()).await {
+            Ok(_) => return,
+            // It was idle all the while and the peer does not close: enough.
+            Err(_) if idle && activity.busy.load(Ordering::Relaxed) == 0 => return,
+            Err(_) => {}
+        }
+    }
+}
+
+/// Calls that last as long as the server itself and must not hold its end up.
+fn is_watch(request: &Request<Incoming>) -> bool {
+    let path = request.uri().path();
+    path.starts_with("/grpc.health.") || path.starts_with("/grpc.reflection.")
+}
+
+/// Tells a connection beyond the limit to come back later.
+async fn turn_away(mut socket: TcpStream) {
+    let text = r#"{"type":"urn:pliant:problem:unavailable","title":"unavailable","status":503,"detail":"too many connections are open","code":"UNAVAILABLE"}"#;
+    let answer = format!(
+        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: {}\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{text}",
+        super::http::problem::PROBLEM_JSON,
+        text.len()
+    );
+    let _ = socket.write_all(answer.as_bytes()).await;
+    let _ = socket.shutdown().await;
+    // What the client sends is read, or the answer would be lost with the reset that unread bytes cause.
+    let mut sink = [0u8; 1024];
+    while matches!(socket.read(&mut sink).await, Ok(n) if n > 0) {}
+}
+
+/// One answer under way.
+struct Busy(Option<Arc<Activity>>);
+
+impl Busy {
+    fn new(activity: &Arc<Activity>, counts: bool) -> Self {
+        if counts {
+            activity.busy.fetch_add(1, Ordering::Relaxed);
+        }
+        Self(counts.then(|| Arc::clone(activity)))
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        if let Some(activity) = &self.0 {
+            activity.busy.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// A response body that keeps its connection busy until it has been sent.
+struct Answer {
+    inner: Body,
+    _busy: Busy,
+}
+
+impl HttpBody for Answer {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.inner).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.inner.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.inner.size_hint()
+    }
+}
+
+/// A socket that notes when its peer has sent the beginning of a request.
+struct Watched {
+    socket: TcpStream,
+    activity: Arc<Activity>,
+    preface: usize,
+}
+
+/// Bytes of the shortest request: less than this is not yet one, and HTTP/2's preface is longer.
+const SHORTEST: usize = 16;
+
+impl AsyncRead for Watched {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let before = buffer.filled().len();
+        let read = Pin::new(&mut self.socket).poll_read(cx, buffer);
+        if self.preface < SHORTEST {
+            self.preface += buffer.filled().len() - before;
+            if self.preface >= SHORTEST {
+                self.activity.spoke.store(true, Ordering::Relaxed);
+            }
+        }
+        read
+    }
+}
+
+impl AsyncWrite for Watched {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.socket).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.socket).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.socket).poll_shutdown(cx)
+    }
+
+    fn poll_write_vectored(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[io::IoSlice<'_>]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.socket).poll_write_vectored(cx, bytes)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.socket.is_write_vectored()
+    }
+}

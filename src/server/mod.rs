@@ -1,0 +1,64 @@
+//! The server: gRPC, gRPC-Web, HTTP and WebSocket on one port.
+//!
+//! This floor translates: decode, authorise, call the session floor, encode. No decision about deformation is taken here,
+//! and the three transports call the same functions.
+//!
+//! [`run`] takes its listener and its wish to stop as arguments, so a test starts the real thing on a free port.
+
+mod auth;
+pub mod config;
+mod dispatch;
+mod edits;
+pub mod grpc;
+mod http;
+mod listen;
+mod openapi;
+mod origin;
+pub mod sample;
+mod socket;
+mod state;
+mod telemetry;
+mod uploads;
+
+pub use config::Config;
+pub use origin::Origins;
+pub use telemetry::start_log;
+
+use crate::asset::Format;
+use crate::session::{self, Manager};
+use std::future::Future;
+use tokio::net::TcpListener;
+
+/// Why a server could not run.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The services could not be put together.
+    #[error("the services cannot start: {0}")]
+    Start(String),
+}
+
+/// Serves the sessions of `manager` on `listener` until `shutdown` resolves, then drains: new work is refused, streams
+/// are told, what runs may finish until [`Config::drain_deadline`], and then everything is dropped.
+///
+/// # Errors
+/// When the services cannot be put together; nothing was served then.
+///
+/// # Cancel safety
+/// Dropping it leaves connections running without anyone who accepts new ones; let `shutdown` resolve instead.
+pub async fn run(
+    listener: TcpListener,
+    manager: Manager,
+    config: Config,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), Error> {
+    let state = state::State::new(manager, config);
+    let dispatch = dispatch::Dispatch::new(&state).await.map_err(Error::Start)?;
+    listen::serve(listener, state, dispatch, shutdown).await
+}
+
+/// The refusal of a format name that is none.
+fn unknown_format(field: &str, name: &str) -> session::Error {
+    let names = Format::ALL.map(Format::name).join(", ");
+    let shown: String = name.chars().take(64).collect();
+    session::Error::invalid(field, format!("\"{shown}\" is not a format; allowed are {names}"))
+}

@@ -1,0 +1,222 @@
+//! The Deform stream over a WebSocket: one binary message is one DeformRequest or DeformResponse.
+//!
+//! Close codes: 1000 all said, 1001 the server is going away, 1003 a text message, 1007 bytes that are no DeformRequest,
+//! 1009 a message above the limit, 1011 a defect, 4000 + the gRPC status for a failure of the stream.
+//!
+//! A response is pulled from the session only when the one before has been written to the connection, so a reader that
+//! stops costs one frame of memory. Requests are read all the while, so newer poses replace older ones.
+
+use super::http::Caller;
+use super::http::problem::Problem;
+use super::state::State;
+use crate::job::pb::{self, deform_response::Message as Response};
+use crate::session::{Code, Error, Stream, StreamInput, StreamOutput};
+use axum::extract::State as From;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{FromRequestParts as _, Path, Request};
+use futures::stream::{SplitSink, SplitStream};
+use futures::{SinkExt as _, StreamExt as _};
+use http::{StatusCode, header};
+use prost::Message as _;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::Notify;
+use tokio::time::Instant;
+
+/// The sub-protocol that a client may name.
+const PROTOCOL: &str = "pliant.v1";
+
+/// What a written message may wait behind: one part of a frame and its framing.
+const WRITE_BUFFER: usize = 128 << 10;
+const MAX_WRITE_BUFFER: usize = 4 << 20;
+
+/// How long the closing handshake may take.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Opens the session's stream and upgrades. A refusal is an ordinary HTTP answer.
+pub(super) async fn upgrade(
+    From(state): From<State>,
+    caller: Caller,
+    request: Request,
+) -> Result<axum::response::Response, Problem> {
+    let (mut parts, _) = request.into_parts();
+    let Ok(Path(id)) = Path::<String>::from_request_parts(&mut parts, &state).await else {
+        return Err(Error::no_session("").into());
+    };
+    state.manager.get(&caller.tenant, &id).await?;
+    let upgrade = WebSocketUpgrade::from_request_parts(&mut parts, &state).await.map_err(no_upgrade)?;
+    let stream = state.manager.stream(&caller.tenant, &id).await?;
+    let largest = state.message_bytes;
+    // The connection's slot is held by whoever holds its socket.
+    let slot = parts.extensions.get::<super::listen::Slot>().cloned();
+    let token = state.sockets.token();
+    Ok(upgrade
+        .protocols([PROTOCOL])
+        .write_buffer_size(WRITE_BUFFER)
+        .max_write_buffer_size(MAX_WRITE_BUFFER)
+        .max_message_size(largest)
+        .max_frame_size(largest)
+        .on_upgrade(move |socket| async move {
+            state.telemetry.sockets.inc();
+            serve(&state, &id, socket, stream).await;
+            state.telemetry.sockets.dec();
+            drop((slot, token));
+        }))
+}
+
+fn no_upgrade(rejection: WebSocketUpgradeRejection) -> Problem {
+    let detail = format!("this path is a WebSocket: {rejection}");
+    Problem::new(StatusCode::UPGRADE_REQUIRED, "INVALID_ARGUMENT", detail)
+        .with_header(header::UPGRADE, "websocket".into())
+        .with_header(header::CONNECTION, "Upgrade".into())
+}
+
+/// How a socket ends.
+struct Ending {
+    code: u16,
+    reason: String,
+    /// Told to the client as an Error message before the close frame.
+    error: Option<Error>,
+}
+
+impl Ending {
+    fn new(code: u16, reason: &str) -> Self {
+        Self { code, reason: reason.to_owned(), error: None }
+    }
+
+    fn going_away() -> Self {
+        Self::new(1001, "the server is shutting down")
+    }
+
+    fn failed(error: Error) -> Self {
+        let code = match error.code {
+            Code::Internal => 1011,
+            _ => 4000 + u16::try_from(error.grpc_code()).unwrap_or(0),
+        };
+        Self { code, reason: error.message.clone(), error: Some(error) }
+    }
+}
+
+async fn serve(state: &State, id: &str, socket: WebSocket, stream: Stream) {
+    let (input, mut output) = stream.split();
+    let (mut sink, source) = socket.split();
+    let seen = Arc::new(Notify::new());
+    let ending = {
+        let read = read(&input, source, id, &seen);
+        let write = write(state, &mut sink, &mut output);
+        tokio::pin!(read, write);
+        tokio::select! {
+            ending = &mut read => ending,
+            ending = &mut write => ending,
+            () = silence(state, &seen) => Some(Ending::new(1001, "no sign of life")),
+            () = state.closing.cancelled() => Some(Ending::going_away()),
+        }
+    };
+    // The solve under way stops here, not when the handshake below is done.
+    drop((input, output));
+    if let Some(ending) = ending {
+        let _ = tokio::time::timeout(FAREWELL, farewell(sink, ending)).await;
+    }
+}
+
+/// Reads requests until the client closes (`None`) or breaks a rule.
+async fn read(input: &StreamInput, mut source: SplitStream<WebSocket>, id: &str, seen: &Notify) -> Option<Ending> {
+    loop {
+        let message = match source.next().await {
+            None => return None,
+            Some(Err(error)) => return broken(&error),
+            Some(Ok(message)) => message,
+        };
+        seen.notify_one();
+        let bytes = match message {
+            Message::Binary(bytes) => bytes,
+            Message::Text(_) => return Some(Ending::new(1003, "text message; a request is a binary DeformRequest")),
+            Message::Ping(_) | Message::Pong(_) => continue,
+            Message::Close(_) => return None,
+        };
+        let mut request = match pb::DeformRequest::decode(bytes) {
+            Ok(request) => request,
+            Err(error) => {
+                let mut ending = Ending::failed(Error::malformed(format!("the message is no DeformRequest: {error}")));
+                ending.code = 1007;
+                return Some(ending);
+            }
+        };
+        if !request.session_id.is_empty() && request.session_id != id {
+            return Some(Ending::failed(Error::invalid("sessionId", "differs from the session in the path")));
+        }
+        request.session_id.clear();
+        if let Err(error) = input.push(request) {
+            if error.code == Code::Cancelled {
+                // The stream has ended; its other side says why.
+                std::future::pending::<()>().await;
+            }
+            return Some(Ending::failed(error));
+        }
+    }
+}
+
+/// A message above the limit is worth telling; anything else means that nobody is there to be told.
+fn broken(error: &axum::Error) -> Option<Ending> {
+    error.to_string().contains("Space limit exceeded").then(|| Ending::new(1009, "the message is larger than Limits.messageBytes"))
+}
+
+/// Writes responses as the connection takes them.
+async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: &mut StreamOutput) -> Option<Ending> {
+    let mut pings = tokio::time::interval_at(Instant::now() + state.config.keepalive_interval, state.config.keepalive_interval);
+    pings.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut failure = None;
+    loop {
+        let response = tokio::select! {
+            response = output.next() => response,
+            _ = pings.tick() => {
+                if sink.send(Message::Ping(bytes::Bytes::new())).await.is_err() {
+                    return None;
+                }
+                continue;
+            }
+        };
+        let Some(response) = response else {
+            return Some(match failure {
+                Some(ending) => ending,
+                None if state.draining.is_cancelled() => Ending::going_away(),
+                None => Ending::new(1000, ""),
+            });
+        };
+        if let Some(Response::Error(error)) = &response.message
+            && error.seq == 0
+        {
+            let code = if error.code == 13 { 1011 } else { 4000 + u16::try_from(error.code).unwrap_or(0).min(99) };
+            failure = Some(Ending::new(code, &error.message));
+        }
+        if sink.send(Message::Binary(response.encode_to_vec().into())).await.is_err() {
+            return None;
+        }
+    }
+}
+
+/// Ends when the client has sent nothing, not even the answer to a ping, for too long.
+async fn silence(state: &State, seen: &Notify) {
+    let patience = state.config.keepalive_interval + state.config.keepalive_timeout;
+    while tokio::time::timeout(patience, seen.notified()).await.is_ok() {}
+}
+
+/// Says why, and closes.
+async fn farewell(mut sink: SplitSink<WebSocket, Message>, ending: Ending) {
+    if let Some(error) = &ending.error {
+        let told = pb::Error { code: error.grpc_code().unsigned_abs(), message: error.message.clone(), seq: 0 };
+        let response = pb::DeformResponse { message: Some(Response::Error(told)) };
+        let _ = sink.send(Message::Binary(response.encode_to_vec().into())).await;
+    }
+    // A close frame holds at most 123 bytes of text.
+    let mut reason = String::new();
+    for c in ending.reason.chars() {
+        if reason.len() + c.len_utf8() > 123 {
+            break;
+        }
+        reason.push(c);
+    }
+    let _ = sink.send(Message::Close(Some(CloseFrame { code: ending.code, reason: reason.into() }))).await;
+    let _ = sink.close().await;
+}

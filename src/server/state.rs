@@ -1,0 +1,60 @@
+//! What every call of the server can reach.
+
+use super::config::Config;
+use super::telemetry::Telemetry;
+use super::uploads::Budget;
+use crate::session::Manager;
+use std::sync::Arc;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+/// Shared by all connections of one server. Cloning shares it.
+#[derive(Clone)]
+pub(super) struct State(Arc<Inner>);
+
+pub(super) struct Inner {
+    /// The sessions.
+    pub manager: Manager,
+    /// How connections are treated.
+    pub config: Config,
+    /// Counts.
+    pub telemetry: Telemetry,
+    /// Bytes of uploads on their way.
+    pub uploads: Budget,
+    /// Cancelled as soon as the server is asked to stop: no new work from then on.
+    pub draining: CancellationToken,
+    /// Cancelled when what is still open must end now.
+    pub closing: CancellationToken,
+    /// WebSockets, which no connection tracks once they are upgraded.
+    pub sockets: TaskTracker,
+    /// Bytes of one control message.
+    pub message_bytes: usize,
+}
+
+impl State {
+    /// The state of a new server.
+    pub fn new(manager: Manager, config: Config) -> Self {
+        let sessions = manager.config();
+        let uploads = Budget::new(sessions.upload_bytes, sessions.memory_bytes / 2);
+        let message_bytes = usize::try_from(sessions.message_bytes).unwrap_or(usize::MAX);
+        let telemetry = Telemetry::new(&manager);
+        Self(Arc::new(Inner {
+            manager,
+            config,
+            telemetry,
+            uploads,
+            draining: CancellationToken::new(),
+            closing: CancellationToken::new(),
+            sockets: TaskTracker::new(),
+            message_bytes,
+        }))
+    }
+}
+
+impl std::ops::Deref for State {
+    type Target = Inner;
+
+    fn deref(&self) -> &Inner {
+        &self.0
+    }
+}

@@ -1,0 +1,99 @@
+//! Measures a call to the end of its answer, whichever way it ends.
+
+use super::{Call, Route, Telemetry};
+use axum::body::Body;
+use bytes::Bytes;
+use http::HeaderMap;
+use http_body::{Body as HttpBody, Frame, SizeHint};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+use std::time::Instant;
+
+/// A call under way. Counts it when finished or dropped, once.
+pub(in crate::server) struct Recorder {
+    telemetry: Telemetry,
+    transport: &'static str,
+    route: Arc<str>,
+    request_id: Arc<str>,
+    started: Instant,
+    code: Option<Arc<str>>,
+}
+
+impl Recorder {
+    pub(super) fn new(telemetry: Telemetry, transport: &'static str, route: Arc<str>, request_id: Arc<str>) -> Self {
+        telemetry.in_flight.inc();
+        Self { telemetry, transport, route, request_id, started: Instant::now(), code: None }
+    }
+
+    /// The status with which the call will count.
+    pub fn set_code(&mut self, code: impl Into<Arc<str>>) {
+        self.code = Some(code.into());
+    }
+
+    /// Keeps measuring until `body` has been sent. A gRPC status in its trailers is the call's code.
+    pub fn observe(self, body: Body) -> Body {
+        Body::new(Observed { inner: body, recorder: self })
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        let code: Arc<str> = self.code.take().unwrap_or_else(|| "CANCELLED".into());
+        let elapsed = self.started.elapsed();
+        self.telemetry.in_flight.dec();
+        tracing::debug!(
+            request.id = %self.request_id,
+            request.transport = self.transport,
+            request.code = %code,
+            duration_ms = elapsed.as_secs_f64() * 1e3,
+            "answered {} with {code}",
+            self.route
+        );
+        let route = Route { transport: self.transport, route: Arc::clone(&self.route) };
+        self.telemetry.seconds.get_or_create(&route).observe(elapsed.as_secs_f64());
+        let call = Call { transport: self.transport, route: Arc::clone(&self.route), code };
+        self.telemetry.calls.get_or_create(&call).inc();
+    }
+}
+
+/// A response body that carries its [`Recorder`].
+struct Observed {
+    inner: Body,
+    recorder: Recorder,
+}
+
+impl HttpBody for Observed {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        let frame = ready!(Pin::new(&mut self.inner).poll_frame(cx));
+        if let Some(Ok(frame)) = &frame
+            && let Some(code) = frame.trailers_ref().and_then(grpc_code)
+        {
+            self.recorder.set_code(code);
+        }
+        Poll::Ready(frame)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.inner.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.inner.size_hint()
+    }
+}
+
+/// The name of the gRPC status in headers or trailers.
+pub(in crate::server) fn grpc_code(headers: &HeaderMap) -> Option<Arc<str>> {
+    let number: i32 = headers.get("grpc-status")?.to_str().ok()?.parse().ok()?;
+    // Spelled as the documentation of gRPC spells them.
+    const NAMES: [&str; 17] = [
+        "OK", "CANCELLED", "UNKNOWN", "INVALID_ARGUMENT", "DEADLINE_EXCEEDED", "NOT_FOUND", "ALREADY_EXISTS",
+        "PERMISSION_DENIED", "RESOURCE_EXHAUSTED", "FAILED_PRECONDITION", "ABORTED", "OUT_OF_RANGE", "UNIMPLEMENTED",
+        "INTERNAL", "UNAVAILABLE", "DATA_LOSS", "UNAUTHENTICATED",
+    ];
+    usize::try_from(number).ok().and_then(|n| NAMES.get(n)).map(|name| Arc::from(*name))
+}

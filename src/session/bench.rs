@@ -1,0 +1,109 @@
+//! An engine together with what it holds now, so that a piece of work that was given up half-way costs nothing but its
+//! time: the next one brings the engine back to the handles that it needs.
+
+use super::Engine;
+use super::commits::Recipe;
+use crate::job::frames::Shader;
+use crate::job::{self, Mode, Poses, Settings, Solved, Watch, pb};
+use crate::pool::Pool;
+use crate::progress::Progress;
+use glam::DVec3;
+use std::sync::Arc;
+
+/// The engine of one session. Moves to the compute pool and back with every piece of work.
+pub(super) struct Bench {
+    /// The engine.
+    pub engine: Box<dyn Engine>,
+    loaded: Arc<pb::SetHandlesRequest>,
+    shader: Option<Arc<Shader>>,
+}
+
+impl Bench {
+    /// A fresh engine, without handles; `loaded` is the session's empty request.
+    pub fn new(engine: Box<dyn Engine>, loaded: Arc<pb::SetHandlesRequest>) -> Self {
+        Self {
+            engine,
+            loaded,
+            shader: None,
+        }
+    }
+
+    /// Makes `handles` the ones in force.
+    pub fn load(
+        &mut self,
+        handles: &Arc<pb::SetHandlesRequest>,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<(), job::Error> {
+        if !Arc::ptr_eq(&self.loaded, handles) {
+            self.engine.set_handles(handles, pool, progress)?;
+            self.loaded = Arc::clone(handles);
+        }
+        Ok(())
+    }
+
+    /// Replaces the handles by new ones, for a commit. Until the commit is stored, `load` with the old ones goes back.
+    pub fn replace(
+        &mut self,
+        handles: &pb::SetHandlesRequest,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<(Poses, pb::Session), job::Error> {
+        self.engine.set_handles(handles, pool, progress)?;
+        // No request that anybody else knows, so that whatever comes next loads its own.
+        self.loaded = Arc::new(pb::SetHandlesRequest::default());
+        Ok((self.engine.initial_poses(), self.engine.facts()))
+    }
+
+    /// Tells which request the handles of the last `replace` became.
+    pub fn adopt(&mut self, handles: &Arc<pb::SetHandlesRequest>) {
+        self.loaded = Arc::clone(handles);
+    }
+
+    /// Solves a pose with the handles in force.
+    pub fn solve(
+        &mut self,
+        poses: &Poses,
+        settings: &Settings,
+        mode: Mode,
+        pool: &Pool,
+        progress: &dyn Progress,
+        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
+    ) -> Result<Solved, job::Error> {
+        crate::progress::check(progress)?;
+        self.engine.solve(poses, settings, mode, pool, progress, watch)
+    }
+
+    /// Makes a shape again.
+    pub fn replay(
+        &mut self,
+        recipe: &Recipe,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Arc<Vec<DVec3>>, job::Error> {
+        match recipe {
+            Recipe::Rest => Ok(self.engine.rest()),
+            Recipe::Solved {
+                handles,
+                poses,
+                settings,
+            } => {
+                self.load(handles, pool, progress)?;
+                Ok(self
+                    .solve(poses, settings, Mode::Commit, pool, progress, &mut |_| true)?
+                    .positions)
+            }
+        }
+    }
+
+    /// What makes normals and tangents; built when first asked for.
+    pub fn shader(&mut self) -> Arc<Shader> {
+        let Self { engine, shader, .. } = self;
+        Arc::clone(shader.get_or_insert_with(|| Arc::new(engine.shader())))
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> u64 {
+        self.engine.bytes() + self.shader.as_ref().map_or(0, |s| s.bytes())
+    }
+}

@@ -1,0 +1,218 @@
+//! Process-wide compute slots: async callers on one side, the thread pool on the other.
+//!
+//! A slot is asked for before anything is moved to the pool, so that a refused caller loses nothing. Slots are given in
+//! the order in which they were asked for, to however many sessions there are.
+
+use super::{Code, Config, Error, Metrics};
+use crate::pool::Pool;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+
+/// The thread pool and who may use it now.
+#[derive(Debug, Clone)]
+pub(super) struct Compute {
+    pool: Pool,
+    slots: Arc<Semaphore>,
+    /// Bounds those who wait for a slot.
+    seats: Arc<Semaphore>,
+    wait: Duration,
+    metrics: Arc<Metrics>,
+}
+
+/// The right to run one piece of work.
+#[derive(Debug)]
+pub(super) struct Slot {
+    permit: OwnedSemaphorePermit,
+    pool: Pool,
+    metrics: Arc<Metrics>,
+    /// How long its owner waited for it.
+    pub queued: Duration,
+}
+
+/// The work panicked; what it had in hand is lost.
+#[derive(Debug)]
+pub(super) struct Panicked(pub String);
+
+impl From<Panicked> for Error {
+    fn from(_: Panicked) -> Self {
+        Self::new(Code::Internal, "a defect of the server stopped this work")
+    }
+}
+
+impl Compute {
+    pub fn new(config: &Config, metrics: Arc<Metrics>) -> Result<Self, Error> {
+        let pool = Pool::new(config.compute_threads).map_err(|e| Error::new(Code::Internal, e.to_string()))?;
+        let slots = if config.compute_slots == 0 {
+            pool.threads()
+        } else {
+            config.compute_slots
+        };
+        Ok(Self {
+            pool,
+            slots: Arc::new(Semaphore::new(slots.min(Semaphore::MAX_PERMITS))),
+            seats: Arc::new(Semaphore::new(config.compute_queue.min(Semaphore::MAX_PERMITS))),
+            wait: config.compute_wait,
+            metrics,
+        })
+    }
+
+    /// Waits for a slot, first come, first served.
+    ///
+    /// # Cancel safety
+    /// Dropping the future gives up the place in the queue.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` when too many wait already, or after the longest wait.
+    pub async fn slot(&self) -> Result<Slot, Error> {
+        let refuse = |text: String| {
+            self.metrics.refused.up();
+            Error::exhausted(text, 1)
+        };
+        let asked = Instant::now();
+        let slots = Arc::clone(&self.slots);
+        let permit = match Arc::clone(&slots).try_acquire_owned() {
+            Ok(permit) => permit,
+            Err(_) => {
+                let seat = self.seats.try_acquire();
+                let _seat = seat.map_err(|_| refuse("too much work waits to be computed; try again later".into()))?;
+                let _waiting = self.metrics.pool_waiting.hold();
+                let waited = tokio::time::timeout(self.wait, slots.acquire_owned()).await;
+                let permit = waited.map_err(|_| {
+                    refuse(format!(
+                        "no compute slot came free within {} ms; try again later",
+                        self.wait.as_millis()
+                    ))
+                })?;
+                permit.map_err(|_| Error::draining())?
+            }
+        };
+        let queued = asked.elapsed();
+        self.metrics.queue.record(queued);
+        Ok(Slot {
+            permit,
+            pool: self.pool.clone(),
+            metrics: Arc::clone(&self.metrics),
+            queued,
+        })
+    }
+
+    /// Runs small work that needs no slot, such as packing an answer, on the pool.
+    ///
+    /// # Cancel safety
+    /// Dropping the future discards the result.
+    pub async fn offload<R: Send + 'static>(&self, work: impl FnOnce() -> R + Send + 'static) -> Result<R, Panicked> {
+        let (give, result) = oneshot::channel();
+        self.pool.spawn(move || {
+            let _ = give.send(caught(work));
+        });
+        result
+            .await
+            .unwrap_or_else(|_| Err(Panicked("the work was dropped".into())))
+    }
+
+    /// Drops what is large without holding up the caller.
+    pub fn discard(&self, what: impl Send + 'static) {
+        self.pool.spawn(move || {
+            if let Err(Panicked(text)) = caught(move || drop(what)) {
+                tracing::error!(panic = text, "dropping panicked");
+            }
+        });
+    }
+}
+
+impl Slot {
+    /// Runs `work` on the pool. The slot is free again when the work has ended, whether or not anybody waits for it.
+    ///
+    /// # Cancel safety
+    /// Dropping the future discards the result; to stop the work, raise its flag.
+    ///
+    /// # Errors
+    /// [`Panicked`]; the panic goes no further.
+    pub async fn run<R: Send + 'static>(self, work: impl FnOnce(&Pool) -> R + Send + 'static) -> Result<R, Panicked> {
+        let Self {
+            permit, pool, metrics, ..
+        } = self;
+        let (give, result) = oneshot::channel();
+        let inside = pool.clone();
+        pool.spawn(move || {
+            let busy = metrics.pool_busy.hold();
+            let result = caught(|| work(&inside));
+            drop(busy);
+            // Free before the result is told, so that whoever gets the result finds the slot free.
+            drop(permit);
+            let _ = give.send(result);
+        });
+        result
+            .await
+            .unwrap_or_else(|_| Err(Panicked("the work was dropped".into())))
+    }
+}
+
+fn caught<R>(work: impl FnOnce() -> R) -> Result<R, Panicked> {
+    catch_unwind(AssertUnwindSafe(work)).map_err(|payload| {
+        let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
+        Panicked(
+            text.or_else(|| payload.downcast_ref::<String>().cloned())
+                .unwrap_or_else(|| "panic".into()),
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn compute(config: Config) -> Compute {
+        Compute::new(&config, Arc::default()).expect("threads start")
+    }
+
+    #[tokio::test]
+    async fn a_panic_ends_the_work_and_frees_the_slot() {
+        let one = compute(Config {
+            compute_threads: 1,
+            compute_slots: 1,
+            ..Config::default()
+        });
+        let slot = one.slot().await.expect("a slot");
+        let ended = slot.run(|_| -> u32 { std::panic::panic_any("on purpose") }).await;
+        assert_eq!(ended.expect_err("panicked").0, "on purpose");
+        let slot = one.slot().await.expect("the slot is free again");
+        assert_eq!(slot.run(|pool| pool.threads()).await.expect("runs"), 1);
+    }
+
+    #[tokio::test]
+    async fn waiting_is_bounded_in_number() {
+        let one = compute(Config {
+            compute_threads: 1,
+            compute_slots: 1,
+            compute_queue: 1,
+            ..Config::default()
+        });
+        let held = one.slot().await.expect("a slot");
+        let waiter = one.slot();
+        tokio::pin!(waiter);
+        assert!(futures::poll!(waiter.as_mut()).is_pending());
+        let refused = one.slot().await.expect_err("no place to wait");
+        assert_eq!((refused.http_status(), refused.retry_after_s), (429, Some(1)));
+        drop(held);
+        waiter.await.expect("its turn");
+        assert_eq!((one.metrics.refused.get(), one.metrics.pool_waiting.get()), (1, 0));
+    }
+
+    #[tokio::test]
+    async fn waiting_is_bounded_in_time() {
+        let wait = Duration::from_millis(5);
+        let one = compute(Config {
+            compute_threads: 1,
+            compute_slots: 1,
+            compute_wait: wait,
+            ..Config::default()
+        });
+        let held = one.slot().await.expect("a slot");
+        assert_eq!(one.slot().await.expect_err("waited too long").http_status(), 429);
+        drop(held);
+        one.slot().await.expect("free again");
+    }
+}

@@ -1,0 +1,267 @@
+//! What a server lets its sessions use.
+
+use super::Error;
+use crate::{asset, job, job::pb};
+use std::time::Duration;
+
+/// The limits that sessions keep to. [`Config::validate`] says which values make sense; 0 never means "no limit".
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    /// Bytes of one upload, companions included.
+    pub upload_bytes: u64,
+    /// Render vertices of one model.
+    pub vertices: u64,
+    /// Triangles of one model.
+    pub triangles: u64,
+    /// Bytes that decoding one model may take.
+    pub decoded_bytes: u64,
+    /// Sessions held at a time.
+    pub sessions: usize,
+    /// Bytes that all sessions together may hold.
+    pub memory_bytes: u64,
+    /// Share of `memory_bytes` above which the server reports that it takes no new work.
+    pub high_water: f64,
+    /// Handles of one session.
+    pub handles: usize,
+    /// Bytes of one control message; enforced by the transports, and bounds what a stream holds of waiting poses.
+    pub message_bytes: u64,
+    /// Largest window of unacknowledged frames.
+    pub window: u32,
+    /// Bytes of the data of one frame part.
+    pub part_bytes: usize,
+    /// Time to live of a session that names none.
+    pub default_ttl: Duration,
+    /// Longest time to live that a session may ask for.
+    pub max_ttl: Duration,
+    /// Commits that can be undone.
+    pub history: usize,
+    /// Bytes of old shapes that one session keeps, so that going back costs no solve.
+    pub snapshot_bytes: u64,
+    /// Longest solve.
+    pub solve: Duration,
+    /// Longest build of a session, or of its handles.
+    pub build: Duration,
+    /// Streams open on one session at a time.
+    pub streams: usize,
+    /// Commits waiting on one stream.
+    pub stream_commits: usize,
+    /// Calls waiting on one session.
+    pub session_queue: usize,
+    /// Compute threads; 0 = one for each core.
+    pub compute_threads: usize,
+    /// Pieces of work computed at a time; 0 = as many as there are compute threads.
+    pub compute_slots: usize,
+    /// Pieces of work that may wait for a compute slot.
+    pub compute_queue: usize,
+    /// Longest wait for a compute slot.
+    pub compute_wait: Duration,
+    /// How long the answer to an idempotency key is kept.
+    pub idempotency_age: Duration,
+    /// Idempotency keys kept for one tenant.
+    pub idempotency_keys: usize,
+    /// How long open work may go on once the server is asked to stop; enforced by the server.
+    pub drain: Duration,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            upload_bytes: 1 << 30,
+            vertices: 20_000_000,
+            triangles: 40_000_000,
+            decoded_bytes: 4 << 30,
+            sessions: 64,
+            memory_bytes: 8 << 30,
+            high_water: 0.9,
+            handles: 1024,
+            message_bytes: 4 << 20,
+            window: 8,
+            part_bytes: 1 << 20,
+            default_ttl: Duration::from_secs(15 * 60),
+            max_ttl: Duration::from_secs(24 * 3600),
+            history: 100,
+            snapshot_bytes: 256 << 20,
+            solve: Duration::from_secs(60),
+            build: Duration::from_secs(600),
+            streams: 4,
+            stream_commits: 16,
+            session_queue: 64,
+            compute_threads: 0,
+            compute_slots: 0,
+            compute_queue: 256,
+            compute_wait: Duration::from_secs(30),
+            idempotency_age: Duration::from_secs(600),
+            idempotency_keys: 1000,
+            drain: Duration::from_secs(10),
+        }
+    }
+}
+
+/// The shortest time to live that a session may ask for.
+pub const MIN_TTL: Duration = Duration::from_secs(1);
+
+impl Config {
+    /// Checks that every value makes sense.
+    ///
+    /// # Errors
+    /// `INVALID_ARGUMENT` with the key and what is allowed.
+    pub fn validate(&self) -> Result<(), Error> {
+        let at_least = |field: &str, seen: u128, least: u128| {
+            if seen < least {
+                Err(Error::invalid(field, format!("is {seen}, at least {least} is allowed")))
+            } else {
+                Ok(())
+            }
+        };
+        let at_most = |field: &str, seen: u128, most: u128| {
+            if seen > most {
+                Err(Error::invalid(field, format!("is {seen}, at most {most} is allowed")))
+            } else {
+                Ok(())
+            }
+        };
+        at_least("uploadBytes", self.upload_bytes.into(), 1)?;
+        at_least("vertices", self.vertices.into(), 3)?;
+        at_most("vertices", self.vertices.into(), u128::from(u32::MAX))?;
+        at_least("triangles", self.triangles.into(), 1)?;
+        at_least("decodedBytes", self.decoded_bytes.into(), 1)?;
+        at_least("sessions", self.sessions as u128, 1)?;
+        at_most("sessions", self.sessions as u128, 1_000_000)?;
+        at_least("memoryBytes", self.memory_bytes.into(), 1 << 20)?;
+        at_least("handles", self.handles as u128, 1)?;
+        at_most("handles", self.handles as u128, u128::from(u32::MAX))?;
+        at_least("messageBytes", self.message_bytes.into(), 1024)?;
+        at_least("window", self.window.into(), 2)?;
+        at_most("window", self.window.into(), 64)?;
+        at_least("partBytes", self.part_bytes as u128, 1024)?;
+        at_least("historyCommits", self.history as u128, 1)?;
+        at_most("historyCommits", self.history as u128, 100_000)?;
+        at_least("solveMs", self.solve.as_millis(), 1)?;
+        at_least("buildMs", self.build.as_millis(), 1)?;
+        at_least("streams", self.streams as u128, 1)?;
+        at_most("streams", self.streams as u128, 1024)?;
+        at_least("streamCommits", self.stream_commits as u128, 1)?;
+        at_least("sessionQueue", self.session_queue as u128, 1)?;
+        at_least("computeQueue", self.compute_queue as u128, 1)?;
+        at_least("idempotencyKeys", self.idempotency_keys as u128, 1)?;
+        at_least("maxTtlMs", self.max_ttl.as_millis(), MIN_TTL.as_millis())?;
+        at_most(
+            "maxTtlMs",
+            self.max_ttl.as_millis(),
+            Duration::from_secs(366 * 24 * 3600).as_millis(),
+        )?;
+        at_least("defaultTtlMs", self.default_ttl.as_millis(), MIN_TTL.as_millis())?;
+        at_most("defaultTtlMs", self.default_ttl.as_millis(), self.max_ttl.as_millis())?;
+        if !(self.high_water > 0.0 && self.high_water <= 1.0) {
+            return Err(Error::invalid(
+                "highWater",
+                format!("is {}, above 0 and at most 1 is allowed", self.high_water),
+            ));
+        }
+        Ok(())
+    }
+
+    /// The limits as clients see them.
+    pub fn limits(&self) -> pb::Limits {
+        let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        pb::Limits {
+            upload_bytes: self.upload_bytes,
+            vertices: self.vertices,
+            sessions: self.sessions as u64,
+            memory_bytes: self.memory_bytes,
+            handles: narrow(self.handles),
+            message_bytes: self.message_bytes,
+            window: self.window,
+            part_bytes: self.part_bytes as u64,
+            ttl_seconds: self.max_ttl.as_secs_f64(),
+            history: narrow(self.history),
+            solve_ms: self.solve.as_secs_f64() * 1e3,
+            streams: narrow(self.streams),
+        }
+    }
+
+    /// The limits of one bench that may hold `memory_bytes`.
+    pub(super) fn bench_limits(&self, memory_bytes: u64) -> job::Limits {
+        job::Limits {
+            model: asset::Limits {
+                vertices: self.vertices,
+                triangles: self.triangles,
+                decoded_bytes: self.decoded_bytes,
+            },
+            memory_bytes,
+            handles: self.handles,
+        }
+    }
+
+    /// Reads a session's time to live; empty means the default.
+    pub(super) fn ttl(&self, text: &str) -> Result<Duration, Error> {
+        if text.is_empty() {
+            return Ok(self.default_ttl);
+        }
+        let longest = humantime::format_duration(self.max_ttl);
+        let shown: String = text.chars().take(64).collect();
+        let ttl = humantime::parse_duration(text).map_err(|e| {
+            Error::invalid(
+                "ttl",
+                format!("\"{shown}\" is no duration such as \"15m\" or \"1h 30m\": {e}"),
+            )
+        })?;
+        if ttl < MIN_TTL || ttl > self.max_ttl {
+            return Err(Error::invalid(
+                "ttl",
+                format!("\"{shown}\" is out of range, 1s to {longest} is allowed"),
+            ));
+        }
+        Ok(ttl)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_valid_and_nonsense_is_named() {
+        Config::default().validate().expect("the defaults hold together");
+        let refused = |config: Config| config.validate().expect_err("refused").field;
+        assert_eq!(
+            refused(Config {
+                sessions: 0,
+                ..Config::default()
+            })
+            .as_deref(),
+            Some("sessions")
+        );
+        assert_eq!(
+            refused(Config {
+                high_water: f64::NAN,
+                ..Config::default()
+            })
+            .as_deref(),
+            Some("highWater")
+        );
+        let short = Config {
+            max_ttl: Duration::from_secs(60),
+            ..Config::default()
+        };
+        assert_eq!(refused(short).as_deref(), Some("defaultTtlMs"));
+    }
+
+    #[test]
+    fn ttl_reads_durations_within_the_limits() {
+        let config = Config {
+            max_ttl: Duration::from_secs(7200),
+            ..Config::default()
+        };
+        assert_eq!(config.ttl("").expect("default"), config.default_ttl);
+        assert_eq!(config.ttl("1h 30m").expect("allowed"), Duration::from_secs(5400));
+        for text in ["10ms", "3h", "soon", "-5s", "1", "99999999999999999999y"] {
+            let error = config.ttl(text).expect_err(text);
+            assert_eq!(
+                (error.http_status(), error.field.as_deref()),
+                (422, Some("ttl")),
+                "{text}"
+            );
+        }
+    }
+}

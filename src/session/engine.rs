@@ -1,0 +1,143 @@
+//! What a session needs of the thing that deforms its model.
+//!
+//! The one real engine is [`Workbench`]; the seam exists so that the rules of sessions and streams can be tested with
+//! an engine whose every cycle the test controls.
+
+use crate::asset::{self, FileSet, Format, Written};
+use crate::job::frames::Shader;
+use crate::job::{self, Limits, Mode, Poses, Settings, Solved, Watch, Workbench, pb};
+use crate::pool::Pool;
+use crate::progress::Progress;
+use glam::DVec3;
+use std::sync::Arc;
+
+/// One model with everything derived from it. Calls come from compute threads, one at a time.
+///
+/// The contract is that of [`Workbench`]: a call that fails changes nothing, and a [`Mode::Commit`] solve depends on
+/// nothing but model, handles, poses and settings.
+pub trait Engine: Send + 'static {
+    /// What a session answers about model, solver and handles.
+    fn facts(&self) -> pb::Session;
+    /// Positions at rest, one per render vertex.
+    fn rest(&self) -> Arc<Vec<DVec3>>;
+    /// Length of the bounding box's diagonal.
+    fn diagonal(&self) -> f64;
+    /// Bytes held.
+    fn bytes(&self) -> u64;
+    /// Format of the model's files.
+    fn format(&self) -> Format;
+    /// Replaces the handles.
+    fn set_handles(
+        &mut self,
+        request: &pb::SetHandlesRequest,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<(), job::Error>;
+    /// The poses that the handles in force came with.
+    fn initial_poses(&self) -> Poses;
+    /// `poses` with those that `change` names replaced.
+    fn posed(&self, poses: &Poses, change: &pb::Pose) -> Result<Poses, job::Error>;
+    /// Solves a pose.
+    fn solve(
+        &mut self,
+        poses: &Poses,
+        settings: &Settings,
+        mode: Mode,
+        pool: &Pool,
+        progress: &dyn Progress,
+        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
+    ) -> Result<Solved, job::Error>;
+    /// Writes the model with new positions.
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, asset::Error>;
+    /// What makes normals and tangents of a deformed shape.
+    fn shader(&self) -> Shader;
+}
+
+/// Opens engines on models.
+pub trait Opener: Send + Sync + 'static {
+    /// Reads a model and builds everything derived from it, reporting stages to `progress`.
+    fn open(
+        &self,
+        files: FileSet,
+        create: &pb::CreateOptions,
+        limits: &Limits,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Box<dyn Engine>, job::Error>;
+}
+
+/// Opens a [`Workbench`].
+#[derive(Debug, Clone, Copy, Default)]
+pub struct OpenWorkbench;
+
+impl Opener for OpenWorkbench {
+    fn open(
+        &self,
+        files: FileSet,
+        create: &pb::CreateOptions,
+        limits: &Limits,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Box<dyn Engine>, job::Error> {
+        Ok(Box::new(Workbench::open(files, create, limits, pool, progress)?))
+    }
+}
+
+impl Engine for Workbench {
+    fn facts(&self) -> pb::Session {
+        Self::facts(self)
+    }
+
+    fn rest(&self) -> Arc<Vec<DVec3>> {
+        Arc::clone(Self::rest(self))
+    }
+
+    fn diagonal(&self) -> f64 {
+        Self::diagonal(self)
+    }
+
+    fn bytes(&self) -> u64 {
+        Self::bytes(self)
+    }
+
+    fn format(&self) -> Format {
+        self.model().format
+    }
+
+    fn set_handles(
+        &mut self,
+        request: &pb::SetHandlesRequest,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<(), job::Error> {
+        Self::set_handles(self, request, pool, progress)
+    }
+
+    fn initial_poses(&self) -> Poses {
+        Self::initial_poses(self)
+    }
+
+    fn posed(&self, poses: &Poses, change: &pb::Pose) -> Result<Poses, job::Error> {
+        Self::posed(self, poses, change)
+    }
+
+    fn solve(
+        &mut self,
+        poses: &Poses,
+        settings: &Settings,
+        mode: Mode,
+        pool: &Pool,
+        progress: &dyn Progress,
+        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
+    ) -> Result<Solved, job::Error> {
+        Self::solve(self, poses, settings, mode, pool, progress, watch)
+    }
+
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, asset::Error> {
+        self.model().write(positions, format)
+    }
+
+    fn shader(&self) -> Shader {
+        Shader::of(self.model(), self.rest())
+    }
+}

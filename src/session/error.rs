@@ -1,0 +1,297 @@
+//! What a caller is told when a call fails, and the one table from failures to status codes of every transport.
+
+use crate::{asset, job};
+use std::fmt;
+
+/// The kinds of failure. Closed: a new kind needs a row in the table below.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Code {
+    /// The request cannot be taken as it is.
+    InvalidArgument {
+        /// True when it cannot be read at all, false when it reads well but a value is not allowed.
+        malformed: bool,
+    },
+    /// No such session, handle or page; also another tenant's.
+    NotFound,
+    /// It exists already.
+    AlreadyExists,
+    /// It collides with a call that is under way.
+    Aborted,
+    /// Nobody knows who asks.
+    Unauthenticated,
+    /// The caller may not.
+    PermissionDenied,
+    /// A quota or the server's capacity is used up; later it may work.
+    ResourceExhausted,
+    /// One request is larger than the limits allow; later will not help.
+    TooLarge,
+    /// The session's state does not fit the request.
+    FailedPrecondition,
+    /// Part of the contract that this server does not do.
+    Unimplemented,
+    /// It took longer than allowed.
+    DeadlineExceeded,
+    /// The server is going away.
+    Unavailable,
+    /// A defect of the server.
+    Internal,
+    /// The caller gave up.
+    Cancelled,
+}
+
+impl Code {
+    /// gRPC status number, HTTP status and name. The only place where they are written down.
+    const fn row(self) -> (i32, u16, &'static str) {
+        match self {
+            Self::Cancelled => (1, 499, "CANCELLED"),
+            Self::InvalidArgument { malformed: true } => (3, 400, "INVALID_ARGUMENT"),
+            Self::InvalidArgument { malformed: false } => (3, 422, "INVALID_ARGUMENT"),
+            Self::DeadlineExceeded => (4, 504, "DEADLINE_EXCEEDED"),
+            Self::NotFound => (5, 404, "NOT_FOUND"),
+            Self::AlreadyExists => (6, 409, "ALREADY_EXISTS"),
+            Self::PermissionDenied => (7, 403, "PERMISSION_DENIED"),
+            Self::ResourceExhausted => (8, 429, "RESOURCE_EXHAUSTED"),
+            Self::TooLarge => (8, 413, "RESOURCE_EXHAUSTED"),
+            Self::FailedPrecondition => (9, 409, "FAILED_PRECONDITION"),
+            Self::Aborted => (10, 409, "ABORTED"),
+            Self::Unimplemented => (12, 501, "UNIMPLEMENTED"),
+            Self::Internal => (13, 500, "INTERNAL"),
+            Self::Unavailable => (14, 503, "UNAVAILABLE"),
+            Self::Unauthenticated => (16, 401, "UNAUTHENTICATED"),
+        }
+    }
+
+    /// The gRPC status number.
+    pub const fn grpc(self) -> i32 {
+        self.row().0
+    }
+
+    /// The HTTP status.
+    pub const fn http(self) -> u16 {
+        self.row().1
+    }
+
+    /// The name in capitals, as gRPC spells it.
+    pub const fn name(self) -> &'static str {
+        self.row().2
+    }
+}
+
+/// Why a call failed. Nothing has changed when one of these is returned.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Error {
+    /// The kind.
+    pub code: Code,
+    /// What was seen and what is allowed.
+    pub message: String,
+    /// Path of the field that is wrong, in JSON names, where there is one.
+    pub field: Option<String>,
+    /// Seconds after which trying again makes sense.
+    pub retry_after_s: Option<u32>,
+}
+
+impl Error {
+    /// An error of any kind.
+    pub fn new(code: Code, message: impl Into<String>) -> Self {
+        Self {
+            code,
+            message: message.into(),
+            field: None,
+            retry_after_s: None,
+        }
+    }
+
+    /// A field has a value that is not allowed.
+    pub fn invalid(field: impl Into<String>, problem: impl fmt::Display) -> Self {
+        let field = field.into();
+        let message = format!("{field}: {problem}");
+        Self {
+            field: Some(field),
+            ..Self::new(Code::InvalidArgument { malformed: false }, message)
+        }
+    }
+
+    /// The request cannot be read.
+    pub fn malformed(message: impl Into<String>) -> Self {
+        Self::new(Code::InvalidArgument { malformed: true }, message)
+    }
+
+    /// No such session, or one of another tenant.
+    pub fn no_session(id: &str) -> Self {
+        // An id comes from outside and may be of any length.
+        let shown: String = id.chars().take(64).collect();
+        Self::new(
+            Code::NotFound,
+            format!("no session \"{shown}\"; it may have expired or been deleted"),
+        )
+    }
+
+    /// A capacity is used up; `retry_after_s` says when to try again.
+    pub fn exhausted(message: impl Into<String>, retry_after_s: u32) -> Self {
+        Self {
+            retry_after_s: Some(retry_after_s),
+            ..Self::new(Code::ResourceExhausted, message)
+        }
+    }
+
+    /// The server is going away.
+    pub fn draining() -> Self {
+        let text = "the server is shutting down; try again, another instance will answer";
+        Self {
+            retry_after_s: Some(1),
+            ..Self::new(Code::Unavailable, text)
+        }
+    }
+
+    /// The gRPC status number.
+    pub fn grpc_code(&self) -> i32 {
+        self.code.grpc()
+    }
+
+    /// The HTTP status.
+    pub fn http_status(&self) -> u16 {
+        self.code.http()
+    }
+
+    /// The name in capitals, such as `INVALID_ARGUMENT`.
+    pub fn code_name(&self) -> &'static str {
+        self.code.name()
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for Error {}
+
+impl From<job::Error> for Error {
+    fn from(error: job::Error) -> Self {
+        let message = error.to_string();
+        match error {
+            job::Error::Asset(error) => error.into(),
+            job::Error::Json { place, .. } => Self {
+                field: Some(place),
+                ..Self::malformed(message)
+            },
+            job::Error::Invalid { field, .. } => Self {
+                field: Some(field),
+                ..Self::new(Code::InvalidArgument { malformed: false }, message)
+            },
+            job::Error::Precondition(_) => Self::new(Code::FailedPrecondition, message),
+            job::Error::Unimplemented(_) => Self::new(Code::Unimplemented, message),
+            job::Error::TooLarge { .. } => Self::new(Code::TooLarge, message),
+            job::Error::Cancelled => Self::new(Code::Cancelled, message),
+            job::Error::Internal(_) => Self::new(Code::Internal, message),
+        }
+    }
+}
+
+impl From<asset::Error> for Error {
+    fn from(error: asset::Error) -> Self {
+        let code = match &error {
+            asset::Error::UnknownFormat { .. } | asset::Error::Malformed { .. } => {
+                Code::InvalidArgument { malformed: true }
+            }
+            asset::Error::TooLarge { .. } => Code::TooLarge,
+            _ => Code::InvalidArgument { malformed: false },
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::Format;
+
+    /// The table of the contract, written a second time by hand: a changed row is a changed contract.
+    #[test]
+    fn status_table_is_the_contract() {
+        let table = [
+            (Code::InvalidArgument { malformed: true }, 3, 400, "INVALID_ARGUMENT"),
+            (Code::InvalidArgument { malformed: false }, 3, 422, "INVALID_ARGUMENT"),
+            (Code::NotFound, 5, 404, "NOT_FOUND"),
+            (Code::AlreadyExists, 6, 409, "ALREADY_EXISTS"),
+            (Code::Aborted, 10, 409, "ABORTED"),
+            (Code::Unauthenticated, 16, 401, "UNAUTHENTICATED"),
+            (Code::PermissionDenied, 7, 403, "PERMISSION_DENIED"),
+            (Code::ResourceExhausted, 8, 429, "RESOURCE_EXHAUSTED"),
+            (Code::TooLarge, 8, 413, "RESOURCE_EXHAUSTED"),
+            (Code::FailedPrecondition, 9, 409, "FAILED_PRECONDITION"),
+            (Code::Unimplemented, 12, 501, "UNIMPLEMENTED"),
+            (Code::DeadlineExceeded, 4, 504, "DEADLINE_EXCEEDED"),
+            (Code::Unavailable, 14, 503, "UNAVAILABLE"),
+            (Code::Internal, 13, 500, "INTERNAL"),
+            (Code::Cancelled, 1, 499, "CANCELLED"),
+        ];
+        for (code, grpc, http, name) in table {
+            let error = Error::new(code, "x");
+            assert_eq!(
+                (error.grpc_code(), error.http_status(), error.code_name()),
+                (grpc, http, name)
+            );
+        }
+    }
+
+    #[test]
+    fn failures_of_the_lower_floors_keep_their_text_and_field() {
+        let text = |place: &str| place.to_owned();
+        let cases = [
+            (
+                job::Error::invalid("handles[1].id", "empty"),
+                422,
+                Some("handles[1].id"),
+            ),
+            (
+                job::Error::Json {
+                    place: text("body.x"),
+                    problem: text("unknown field"),
+                },
+                400,
+                Some("body.x"),
+            ),
+            (job::Error::Precondition(text("no handles are set")), 409, None),
+            (
+                job::Error::TooLarge {
+                    what: "vertices",
+                    seen: 9,
+                    limit: 3,
+                },
+                413,
+                None,
+            ),
+            (job::Error::Unimplemented(text("method SPATIAL_RBF")), 501, None),
+            (job::Error::Cancelled, 499, None),
+            (job::Error::Internal(text("a defect")), 500, None),
+            (asset::Error::UnknownFormat { place: text("a.txt") }.into(), 400, None),
+            (
+                asset::Error::TooLarge {
+                    what: "triangles",
+                    seen: 9,
+                    limit: 3,
+                }
+                .into(),
+                413,
+                None,
+            ),
+            (
+                asset::Error::NoMesh {
+                    format: Format::Obj,
+                    problem: text("only points"),
+                }
+                .into(),
+                422,
+                None,
+            ),
+        ];
+        for (cause, http, field) in cases {
+            let said = cause.to_string();
+            let error = Error::from(cause);
+            assert_eq!((error.http_status(), error.field.as_deref()), (http, field), "{said}");
+            assert_eq!(error.message, said);
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! Who is still inside, so that a server that stops can wait for the last one.
+
+use tokio::sync::watch;
+
+/// Counts calls and streams under way.
+#[derive(Debug)]
+pub(super) struct Gate(watch::Sender<usize>);
+
+/// One call or stream under way.
+#[derive(Debug)]
+pub(super) struct Inside(watch::Sender<usize>);
+
+impl Gate {
+    pub fn new() -> Self {
+        Self(watch::Sender::new(0))
+    }
+
+    /// One more is inside until the guard is dropped.
+    pub fn enter(&self) -> Inside {
+        self.0.send_modify(|n| *n += 1);
+        Inside(self.0.clone())
+    }
+
+    /// Waits until nobody is inside.
+    ///
+    /// # Cancel safety
+    /// Dropping the future has no effect.
+    pub async fn empty(&self) {
+        // Fails only when the sender is gone, and it is `self`.
+        let _ = self.0.subscribe().wait_for(|&n| n == 0).await;
+    }
+}
+
+impl Drop for Inside {
+    fn drop(&mut self) {
+        self.0.send_modify(|n| *n = n.saturating_sub(1));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn empty_once_the_last_has_left() {
+        let gate = Gate::new();
+        gate.empty().await;
+        let (a, b) = (gate.enter(), gate.enter());
+        drop(a);
+        let wait = gate.empty();
+        tokio::pin!(wait);
+        assert!(futures::poll!(wait.as_mut()).is_pending());
+        drop(b);
+        wait.await;
+    }
+}

@@ -1,0 +1,315 @@
+//! Answers kept by idempotency key, so that a call that is sent twice happens once.
+//!
+//! A call claims its key before it does anything and completes the claim with its answer; a claim that is dropped, because
+//! the call failed or was given up, frees the key. Failures are not kept: nothing happened, so a retry may try.
+
+use super::{Code, Config, Error, Tenant};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::time::Instant;
+use xxhash_rust::xxh3::Xxh3;
+
+/// Bytes of answers kept for one tenant.
+const TENANT_BYTES: u64 = 256 << 20;
+/// Tenants whose keys are kept.
+const TENANTS: usize = 10_000;
+
+/// What tells two requests apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Fingerprint(u128);
+
+impl Fingerprint {
+    /// Of an operation and everything that it was given.
+    pub fn of(operation: &str, parts: &[&[u8]]) -> Self {
+        let mut hasher = Xxh3::new();
+        for part in [operation.as_bytes()].iter().chain(parts) {
+            hasher.update(&(part.len() as u64).to_le_bytes());
+            hasher.update(part);
+        }
+        Self(hasher.digest128())
+    }
+}
+
+/// The answers `A` of finished calls, by tenant and key.
+#[derive(Debug)]
+pub(super) struct Idempotency<A> {
+    tenants: Arc<Mutex<BTreeMap<Tenant, Keys<A>>>>,
+    age: Duration,
+    keys: usize,
+}
+
+#[derive(Debug)]
+struct Keys<A> {
+    entries: BTreeMap<Arc<str>, Entry<A>>,
+    /// Keys of finished calls, oldest first; a number tells a key from its later reuse.
+    finished: VecDeque<(Instant, u64, Arc<str>)>,
+    bytes: u64,
+}
+
+impl<A> Default for Keys<A> {
+    fn default() -> Self {
+        Self {
+            entries: BTreeMap::new(),
+            finished: VecDeque::new(),
+            bytes: 0,
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Entry<A> {
+    fingerprint: Fingerprint,
+    answer: Option<(A, u64)>,
+    number: u64,
+}
+
+/// What a key says about a call.
+#[derive(Debug)]
+pub(super) enum Claimed<A> {
+    /// It is new: do it, then complete the claim.
+    New(Claim<A>),
+    /// It was done; this was the answer.
+    Done(A),
+}
+
+/// The right to answer for one key.
+#[derive(Debug)]
+pub(super) struct Claim<A> {
+    tenants: Arc<Mutex<BTreeMap<Tenant, Keys<A>>>>,
+    tenant: Tenant,
+    key: Arc<str>,
+    open: bool,
+}
+
+impl<A: Clone> Idempotency<A> {
+    pub fn new(config: &Config) -> Self {
+        Self {
+            tenants: Arc::default(),
+            age: config.idempotency_age,
+            keys: config.idempotency_keys,
+        }
+    }
+
+    /// Claims `key` for a request.
+    ///
+    /// # Errors
+    /// `INVALID_ARGUMENT` for a key that is no key or was used for another request, `ABORTED` while the first call runs,
+    /// `RESOURCE_EXHAUSTED` when all keys are taken by calls that run.
+    pub fn claim(&self, tenant: &Tenant, key: &str, fingerprint: Fingerprint) -> Result<Claimed<A>, Error> {
+        if key.is_empty() || key.len() > 255 || !key.bytes().all(|b| b.is_ascii_graphic()) {
+            return Err(Error::invalid(
+                "idempotency-key",
+                "1 to 255 visible ASCII characters are allowed",
+            ));
+        }
+        let mut tenants = self.tenants.lock().unwrap_or_else(PoisonError::into_inner);
+        if !tenants.contains_key(tenant) && tenants.len() >= TENANTS {
+            tenants.retain(|_, keys| {
+                keys.forget(self.age, self.keys);
+                !keys.entries.is_empty()
+            });
+            if tenants.len() >= TENANTS {
+                return Err(Error::exhausted(
+                    "too many callers use idempotency keys at the moment",
+                    60,
+                ));
+            }
+        }
+        let keys = tenants.entry(tenant.clone()).or_default();
+        keys.forget(self.age, self.keys);
+        if let Some(entry) = keys.entries.get(key) {
+            return match &entry.answer {
+                _ if entry.fingerprint != fingerprint => Err(Error::invalid(
+                    "idempotency-key",
+                    "was used for a different request; choose a new key",
+                )),
+                Some((answer, _)) => Ok(Claimed::Done(answer.clone())),
+                None => Err(Error {
+                    retry_after_s: Some(1),
+                    ..Error::new(
+                        Code::Aborted,
+                        "the first call with this idempotency key is still running",
+                    )
+                }),
+            };
+        }
+        if keys.entries.len() >= self.keys {
+            // Whatever is finished may go; what runs may not.
+            keys.forget(self.age, self.keys.saturating_sub(1));
+            if keys.entries.len() >= self.keys {
+                return Err(Error::exhausted("too many calls with idempotency keys are running", 1));
+            }
+        }
+        let key: Arc<str> = Arc::from(key);
+        keys.entries.insert(
+            Arc::clone(&key),
+            Entry {
+                fingerprint,
+                answer: None,
+                number: 0,
+            },
+        );
+        Ok(Claimed::New(Claim {
+            tenants: Arc::clone(&self.tenants),
+            tenant: tenant.clone(),
+            key,
+            open: true,
+        }))
+    }
+}
+
+impl<A> Keys<A> {
+    /// Drops answers that are too old, and the oldest ones beyond `keys` and the bytes allowed.
+    fn forget(&mut self, age: Duration, keys: usize) {
+        while let Some((when, number, _)) = self.finished.front() {
+            let (when, number) = (*when, *number);
+            if when.elapsed() < age && self.entries.len() <= keys && self.bytes <= TENANT_BYTES {
+                break;
+            }
+            let Some((_, _, key)) = self.finished.pop_front() else {
+                break;
+            };
+            if self
+                .entries
+                .get(&key)
+                .is_some_and(|e| e.number == number && e.answer.is_some())
+                && let Some(Entry {
+                    answer: Some((_, bytes)),
+                    ..
+                }) = self.entries.remove(&key)
+            {
+                self.bytes = self.bytes.saturating_sub(bytes);
+            }
+        }
+    }
+}
+
+impl<A> Claim<A> {
+    /// Keeps the answer, which holds about `bytes`.
+    pub fn complete(mut self, answer: A, bytes: u64) {
+        self.open = false;
+        let mut tenants = self.tenants.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(keys) = tenants.get_mut(&self.tenant) else {
+            return;
+        };
+        let number = keys.finished.back().map_or(1, |(_, n, _)| n + 1);
+        let Some(entry) = keys.entries.get_mut(&self.key) else {
+            return;
+        };
+        entry.answer = Some((answer, bytes));
+        entry.number = number;
+        keys.bytes = keys.bytes.saturating_add(bytes);
+        keys.finished.push_back((Instant::now(), number, Arc::clone(&self.key)));
+    }
+}
+
+impl<A> Drop for Claim<A> {
+    fn drop(&mut self) {
+        if self.open {
+            let mut tenants = self.tenants.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(keys) = tenants.get_mut(&self.tenant) {
+                keys.entries.remove(&self.key);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keep(store: &Idempotency<u32>, key: &str, body: &str, answer: u32) {
+        match store
+            .claim(&Tenant::default(), key, Fingerprint::of("op", &[body.as_bytes()]))
+            .expect("claimed")
+        {
+            Claimed::New(claim) => claim.complete(answer, 8),
+            Claimed::Done(_) => panic!("{key} is taken"),
+        }
+    }
+
+    fn ask(store: &Idempotency<u32>, key: &str, body: &str) -> Result<Option<u32>, Error> {
+        let claimed = store.claim(&Tenant::default(), key, Fingerprint::of("op", &[body.as_bytes()]))?;
+        Ok(if let Claimed::Done(answer) = claimed {
+            Some(answer)
+        } else {
+            None
+        })
+    }
+
+    #[tokio::test]
+    async fn the_first_answer_is_given_again() {
+        let store = Idempotency::new(&Config::default());
+        keep(&store, "a", "x", 1);
+        assert_eq!(ask(&store, "a", "x").expect("same request"), Some(1));
+        assert_eq!(ask(&store, "a", "y").expect_err("another request").http_status(), 422);
+        let other = Tenant(Arc::from("other"));
+        let theirs = store
+            .claim(&other, "a", Fingerprint::of("op", &[b"y"]))
+            .expect("keys belong to tenants");
+        assert!(matches!(theirs, Claimed::New(_)));
+    }
+
+    #[tokio::test]
+    async fn an_answer_that_is_too_old_is_forgotten() {
+        let store = Idempotency::new(&Config {
+            idempotency_age: Duration::ZERO,
+            ..Config::default()
+        });
+        keep(&store, "a", "x", 1);
+        assert_eq!(ask(&store, "a", "y").expect("forgotten"), None);
+        let tenants = store.tenants.lock().expect("no panic");
+        assert!(tenants[&Tenant::default()].entries.is_empty() && tenants[&Tenant::default()].bytes == 0);
+    }
+
+    #[tokio::test]
+    async fn a_running_call_holds_its_key_and_a_failed_one_frees_it() {
+        let store: Idempotency<u32> = Idempotency::new(&Config::default());
+        let claim = store
+            .claim(&Tenant::default(), "a", Fingerprint::of("op", &[]))
+            .expect("new");
+        let error = store
+            .claim(&Tenant::default(), "a", Fingerprint::of("op", &[]))
+            .expect_err("runs");
+        assert_eq!((error.http_status(), error.code_name()), (409, "ABORTED"));
+        drop(claim);
+        assert!(matches!(
+            store.claim(&Tenant::default(), "a", Fingerprint::of("op", &[])),
+            Ok(Claimed::New(_))
+        ));
+    }
+
+    #[tokio::test]
+    async fn keys_are_bounded_and_checked() {
+        let store = Idempotency::new(&Config {
+            idempotency_keys: 2,
+            ..Config::default()
+        });
+        for (k, key) in ["a", "b", "c"].into_iter().enumerate() {
+            keep(&store, key, key, k as u32);
+        }
+        assert_eq!(ask(&store, "c", "c").expect("kept"), Some(2));
+        assert_eq!(ask(&store, "b", "b").expect("kept"), Some(1));
+        assert_eq!(ask(&store, "a", "a").expect("made room"), None);
+        for bad in ["", "two words", "é", &"k".repeat(256)] {
+            assert_eq!(ask(&store, bad, "x").expect_err("no key").http_status(), 422, "{bad:?}");
+        }
+        let _running: Vec<_> = ["p", "q"]
+            .map(|k| store.claim(&Tenant::default(), k, Fingerprint::of("o", &[])))
+            .into();
+        let full = store
+            .claim(&Tenant::default(), "r", Fingerprint::of("o", &[]))
+            .expect_err("both run");
+        assert_eq!(full.http_status(), 429);
+    }
+
+    #[test]
+    fn requests_differ_by_where_their_parts_end() {
+        assert_ne!(
+            Fingerprint::of("a", &[b"bc", b"d"]),
+            Fingerprint::of("a", &[b"b", b"cd"])
+        );
+        assert_ne!(Fingerprint::of("ab", &[b""]), Fingerprint::of("a", &[b"b"]));
+    }
+}

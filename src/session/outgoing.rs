@@ -1,0 +1,177 @@
+//! Frames on their way out: what is known of a frame before it is packed, and the packing as a transport pulls it.
+
+use crate::job::frames::{FrameRequest, Parts, Shading, encode};
+use crate::job::pb;
+use glam::{DVec3, Vec3};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// A frame that is not packed yet.
+#[derive(Debug, Clone)]
+pub(super) struct Outgoing {
+    /// Everything but the numbers.
+    pub header: pb::Frame,
+    pub positions: Arc<Vec<DVec3>>,
+    pub shading: Option<Arc<Shading>>,
+    pub output: pb::Output,
+    pub diagonal: f64,
+}
+
+/// Something for the transport.
+#[derive(Debug)]
+pub(super) enum Letter {
+    Message(pb::deform_response::Message),
+    Frame(Box<Outgoing>),
+    End,
+}
+
+/// Packs the frames of one stream. Remembers what the reader holds, for frames that carry changes only.
+#[derive(Debug)]
+pub(super) struct Packer {
+    part_bytes: usize,
+    /// The buffer that the reader holds after each frame that it was sent and has not acknowledged, with the frame's seq.
+    sent: VecDeque<(u64, Arc<Vec<Vec3>>)>,
+    /// The buffer after the newest acknowledged frame.
+    acknowledged: Option<Arc<Vec<Vec3>>>,
+}
+
+/// Buffers remembered at most; more than any window.
+const REMEMBERED: usize = 128;
+
+impl Packer {
+    pub fn new(part_bytes: usize) -> Self {
+        Self {
+            part_bytes,
+            sent: VecDeque::new(),
+            acknowledged: None,
+        }
+    }
+
+    /// Prepares the parts of a frame. `acknowledged` is the newest seq that the reader has acknowledged.
+    pub fn pack(&mut self, frame: Outgoing, acknowledged: Option<u64>) -> Parts {
+        let Outgoing {
+            header,
+            positions,
+            shading,
+            output,
+            diagonal,
+        } = frame;
+        let seq = header.seq;
+        let delta = output.changed_only.is_some();
+        if delta {
+            while self
+                .sent
+                .front()
+                .is_some_and(|(seq, _)| acknowledged.is_some_and(|a| *seq <= a))
+            {
+                self.acknowledged = self.sent.pop_front().map(|(_, buffer)| buffer);
+            }
+        } else {
+            self.sent.clear();
+            self.acknowledged = None;
+        }
+        let held = self
+            .sent
+            .back()
+            .map(|(_, buffer)| Arc::clone(buffer))
+            .or_else(|| self.acknowledged.clone());
+        // Frames arrive in order, so the reader will hold `held` when this one comes, unless it rebuilds what it has
+        // acknowledged: a vertex is left out only when both are right.
+        let baselines = match (&self.acknowledged, &held) {
+            (Some(a), Some(h)) if !Arc::ptr_eq(a, h) => vec![Arc::clone(a), Arc::clone(h)],
+            (Some(a), _) => vec![Arc::clone(a)],
+            (None, _) => Vec::new(),
+        };
+        let parts = encode(FrameRequest {
+            header,
+            positions: Arc::clone(&positions),
+            shading,
+            output,
+            baselines,
+            diagonal,
+            part_bytes: self.part_bytes,
+        });
+        if delta {
+            let buffer = match (parts.selected(), held) {
+                (Some(selected), Some(held)) if held.len() == positions.len() => {
+                    let mut buffer = held.as_ref().clone();
+                    selected
+                        .iter()
+                        .for_each(|&v| buffer[v as usize] = positions[v as usize].as_vec3());
+                    buffer
+                }
+                _ => positions.iter().map(|p| p.as_vec3()).collect(),
+            };
+            self.sent.push_back((seq, Arc::new(buffer)));
+            if self.sent.len() > REMEMBERED {
+                self.sent.pop_front();
+            }
+        }
+        parts
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn frame(seq: u64, positions: &[DVec3], threshold: f64) -> Outgoing {
+        Outgoing {
+            header: pb::Frame {
+                seq,
+                ..Default::default()
+            },
+            positions: Arc::new(positions.to_vec()),
+            shading: None,
+            output: pb::Output {
+                changed_only: Some(threshold),
+                ..Default::default()
+            },
+            diagonal: 1.0,
+        }
+    }
+
+    proptest! {
+        /// A client that applies every change it gets is never further off than the threshold, whenever its
+        /// acknowledgements come.
+        #[test]
+        fn changes_add_up_to_the_shape(
+            steps in prop::collection::vec((prop::collection::vec(-3i8..4, 6), any::<bool>()), 1..20),
+            threshold in 0.0f64..2.5,
+        ) {
+            let mut packer = Packer::new(1 << 20);
+            let mut client = vec![[f32::NAN; 3]; 6];
+            let mut acknowledged = None;
+            for (k, (xs, acknowledge)) in steps.iter().enumerate() {
+                let shape: Vec<DVec3> = xs.iter().map(|&x| DVec3::new(x.into(), 0.0, 0.0)).collect();
+                for part in packer.pack(frame(k as u64 + 1, &shape, threshold), acknowledged) {
+                    for (at, data) in part.indices.iter().zip(part.data.chunks_exact(12)) {
+                        let number = |i: usize| f32::from_le_bytes([data[i], data[i + 1], data[i + 2], data[i + 3]]);
+                        client[*at as usize] = [number(0), number(4), number(8)];
+                    }
+                }
+                for (seen, p) in client.iter().zip(&shape) {
+                    prop_assert!((f64::from(seen[0]) - p.x).abs() <= threshold);
+                }
+                if *acknowledge {
+                    acknowledged = Some(k as u64 + 1);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_shape_at_rest_is_no_change_once_it_is_acknowledged() {
+        let shape = vec![DVec3::new(0.1, 0.2, 0.3); 5];
+        let mut packer = Packer::new(1 << 20);
+        let count = |parts: Parts| parts.map(|p| p.vertex_count).sum::<u32>();
+        assert_eq!(count(packer.pack(frame(1, &shape, 0.0), None)), 5);
+        assert_eq!(
+            count(packer.pack(frame(2, &shape, 0.0), None)),
+            5,
+            "nothing is acknowledged yet"
+        );
+        assert_eq!(count(packer.pack(frame(3, &shape, 0.0), Some(1))), 0);
+    }
+}

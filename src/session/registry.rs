@@ -1,0 +1,188 @@
+//! The sessions of this process, and what of a session anybody may touch.
+//!
+//! Lookups hand out clones of `Arc`s; no guard of the map leaves this file.
+
+use super::expiry::Lease;
+use super::mailbox::Mailbox;
+use super::requests::Command;
+use super::{Code, Config, Error, Tenant};
+use crate::asset::Format;
+use crate::job::pb;
+use crate::progress::CancelFlag;
+use dashmap::DashMap;
+use glam::DVec3;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
+use tokio::sync::{Notify, mpsc};
+use tokio_util::sync::CancellationToken;
+
+/// What a session looks like after its newest change. Replaced as a whole by the session's task.
+#[derive(Debug)]
+pub(super) struct View {
+    pub revision: u64,
+    pub facts: Arc<pb::Session>,
+    pub build_ms: BTreeMap<String, f64>,
+    pub positions: Arc<Vec<DVec3>>,
+    pub digest: String,
+    pub history: pb::HistoryResponse,
+}
+
+/// One session, as seen from outside its task.
+#[derive(Debug)]
+pub(super) struct Session {
+    pub id: String,
+    pub tenant: Tenant,
+    /// Sessions are numbered in the order of their creation.
+    pub number: u64,
+    pub label: String,
+    pub format: Format,
+    pub limits: pb::Limits,
+    pub lease: Lease,
+    pub commands: mpsc::Sender<Command>,
+    pub streams: Streams,
+    /// Wakes the session's task when a stream has work for it.
+    pub wake: Arc<Notify>,
+    /// Stops the session's work.
+    pub cancel: Arc<CancelFlag>,
+    /// Raised when the session is to end.
+    pub closing: CancellationToken,
+    /// Raised when it has ended and its memory is on its way back.
+    pub ended: CancellationToken,
+    pub view: RwLock<Arc<View>>,
+    pub why: OnceLock<Error>,
+}
+
+impl Session {
+    /// The state after the newest change.
+    pub fn view(&self) -> Arc<View> {
+        Arc::clone(&self.view.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Shows a new state.
+    pub fn publish(&self, view: View) {
+        *self.view.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(view);
+    }
+
+    /// The session as its owner sees it.
+    pub fn describe(&self) -> pb::Session {
+        let view = self.view();
+        pb::Session {
+            id: self.id.clone(),
+            revision: view.revision,
+            build_ms: view.build_ms.clone(),
+            expires_at: self.lease.end_text(),
+            label: self.label.clone(),
+            limits: Some(self.limits.clone()),
+            ..view.facts.as_ref().clone()
+        }
+    }
+
+    /// Strong entity tag of the current shape in a representation, with its quotes.
+    pub fn etag(view: &View, representation: &str) -> String {
+        let digest = view.digest.rsplit(':').next().unwrap_or_default();
+        format!("\"{}-{representation}-{digest}\"", view.revision)
+    }
+
+    /// Ends the session: its work stops, its streams say why, later calls do too.
+    pub fn close(&self, why: Error) {
+        let why = self.why.get_or_init(|| why);
+        self.cancel.cancel();
+        self.streams.close(why);
+        self.closing.cancel();
+    }
+
+    /// Why calls on this session fail once it is closing.
+    pub fn why(&self) -> Error {
+        self.why.get().cloned().unwrap_or_else(|| Error::no_session(&self.id))
+    }
+}
+
+/// The streams open on one session.
+#[derive(Debug)]
+pub(super) struct Streams {
+    /// `None` once the session has ended.
+    open: Mutex<Option<Vec<Arc<Mailbox>>>>,
+    most: usize,
+}
+
+impl Streams {
+    pub fn new(config: &Config) -> Self {
+        Self {
+            open: Mutex::new(Some(Vec::new())),
+            most: config.streams,
+        }
+    }
+
+    fn open(&self) -> MutexGuard<'_, Option<Vec<Arc<Mailbox>>>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds a stream.
+    pub fn add(&self, mailbox: Arc<Mailbox>) -> Result<(), Error> {
+        let mut open = self.open();
+        let Some(list) = open.as_mut() else {
+            return Err(Error::new(Code::NotFound, "the session has ended"));
+        };
+        if list.len() >= self.most {
+            let text = format!(
+                "{} streams are open on this session, at most {} are allowed",
+                list.len(),
+                self.most
+            );
+            return Err(Error::exhausted(text, 1));
+        }
+        list.push(mailbox);
+        Ok(())
+    }
+
+    pub fn remove(&self, mailbox: &Arc<Mailbox>) {
+        if let Some(list) = self.open().as_mut() {
+            list.retain(|m| !Arc::ptr_eq(m, mailbox));
+        }
+    }
+
+    /// The streams open now.
+    pub fn all(&self) -> Vec<Arc<Mailbox>> {
+        self.open().as_ref().map_or_else(Vec::new, Vec::clone)
+    }
+
+    fn close(&self, why: &Error) {
+        let list = self.open().take();
+        list.into_iter().flatten().for_each(|m| m.close(why.clone()));
+    }
+}
+
+/// Every session of the process by id.
+#[derive(Debug, Default)]
+pub(super) struct Registry(DashMap<String, Arc<Session>>);
+
+impl Registry {
+    pub fn insert(&self, session: Arc<Session>) {
+        self.0.insert(session.id.clone(), session);
+    }
+
+    pub fn remove(&self, id: &str) {
+        self.0.remove(id);
+    }
+
+    /// The tenant's session of that id, its lease renewed.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, also for another tenant's session.
+    pub fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<Session>, Error> {
+        let found = self.0.get(id).map(|entry| Arc::clone(entry.value()));
+        let session = found
+            .filter(|s| s.tenant == *tenant)
+            .ok_or_else(|| Error::no_session(id))?;
+        if session.closing.is_cancelled() {
+            return Err(session.why());
+        }
+        session.lease.renew();
+        Ok(session)
+    }
+
+    /// Every session.
+    pub fn all(&self) -> Vec<Arc<Session>> {
+        self.0.iter().map(|entry| Arc::clone(entry.value())).collect()
+    }
+}

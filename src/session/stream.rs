@@ -1,0 +1,131 @@
+//! The client's two ends of an interactive deform stream.
+
+use super::gate::Inside;
+use super::mailbox::Mailbox;
+use super::outgoing::{Letter, Packer};
+use super::registry::Session;
+use super::{Error, Metrics};
+use crate::job::frames::Parts;
+use crate::job::pb;
+use std::sync::Arc;
+
+/// One interactive deform stream. Dropping it stops its solve within one cycle and frees its place.
+#[derive(Debug)]
+pub struct Stream {
+    input: StreamInput,
+    output: StreamOutput,
+}
+
+/// Where requests go in. Dropping it means [`StreamInput::finish`].
+#[derive(Debug)]
+pub struct StreamInput {
+    mailbox: Arc<Mailbox>,
+}
+
+/// Where responses come out. Dropping it means that nobody listens any more: the stream's solve stops, and what was
+/// dragged and not committed is gone.
+#[derive(Debug)]
+pub struct StreamOutput {
+    mailbox: Arc<Mailbox>,
+    session: Arc<Session>,
+    packer: Packer,
+    parts: Option<Parts>,
+    ended: bool,
+    metrics: Arc<Metrics>,
+    _inside: Inside,
+}
+
+impl Stream {
+    pub(super) fn new(
+        mailbox: Arc<Mailbox>,
+        session: Arc<Session>,
+        part_bytes: usize,
+        metrics: Arc<Metrics>,
+        inside: Inside,
+    ) -> Self {
+        metrics.streams.add(1);
+        Self {
+            input: StreamInput {
+                mailbox: Arc::clone(&mailbox),
+            },
+            output: StreamOutput {
+                mailbox,
+                session,
+                packer: Packer::new(part_bytes),
+                parts: None,
+                ended: false,
+                metrics,
+                _inside: inside,
+            },
+        }
+    }
+
+    /// The two ends, for a transport that reads and writes in different places.
+    pub fn split(self) -> (StreamInput, StreamOutput) {
+        (self.input, self.output)
+    }
+}
+
+impl StreamInput {
+    /// Takes a request. Never waits and never queues without bound: newer poses replace waiting ones. What is wrong
+    /// with a request is told on the output.
+    ///
+    /// # Errors
+    /// `CANCELLED` when the stream has ended; the output says why.
+    pub fn push(&self, request: pb::DeformRequest) -> Result<(), Error> {
+        self.mailbox.push(request)
+    }
+
+    /// The client will send no more. What waits is still answered, then the output ends.
+    pub fn finish(&self) {
+        self.mailbox.finish();
+    }
+}
+
+impl Drop for StreamInput {
+    fn drop(&mut self) {
+        self.mailbox.finish();
+    }
+}
+
+impl StreamOutput {
+    /// The next response, or `None` when the stream has ended. A part of a frame is packed only here, so a transport
+    /// that does not ask holds up nothing and nobody.
+    ///
+    /// # Cancel safety
+    /// Dropping the future loses no response.
+    pub async fn next(&mut self) -> Option<pb::DeformResponse> {
+        loop {
+            if let Some(frame) = self.parts.as_mut().and_then(Iterator::next) {
+                if frame.part == 0 {
+                    self.metrics.frames_sent.up();
+                }
+                self.metrics.frame_bytes.add(frame.data.len() as u64);
+                return Some(response(pb::deform_response::Message::Frame(frame)));
+            }
+            self.parts = None;
+            if self.ended {
+                return None;
+            }
+            match self.mailbox.collect() {
+                Some(Letter::Message(message)) => return Some(response(message)),
+                Some(Letter::Frame(frame)) => self.parts = Some(self.packer.pack(*frame, self.mailbox.acknowledged())),
+                Some(Letter::End) => self.ended = true,
+                None => self.mailbox.changed().await,
+            }
+        }
+    }
+}
+
+impl Drop for StreamOutput {
+    fn drop(&mut self) {
+        self.mailbox.abandon();
+        self.session.streams.remove(&self.mailbox);
+        self.session.lease.renew();
+        self.metrics.streams.add(-1);
+    }
+}
+
+fn response(message: pb::deform_response::Message) -> pb::DeformResponse {
+    pb::DeformResponse { message: Some(message) }
+}

@@ -1,0 +1,271 @@
+//! The multigrid cycle that preconditions the outer iteration (paper section 5, Algorithm 1).
+
+use super::lanes::{Lanes, WIDTH, Wide};
+use super::sweep::{Dots, Grid};
+use super::threads::Threads;
+use super::{Hierarchy, System};
+use crate::progress::{Cancelled, Progress, check};
+
+/// The second step of a K-cycle is left out once the first one has brought the squared residual down by this factor.
+const ENOUGH: f64 = 1.0 / 16.0;
+
+/// Vectors of one coarse level.
+#[derive(Debug, Default)]
+pub(crate) struct Coarse {
+    pub(crate) b: Vec<Lanes>,
+    pub(crate) z: Vec<Lanes>,
+    t: Vec<Lanes>,
+    first_z: Vec<Lanes>,
+    first_v: Vec<Lanes>,
+    dense: Vec<Wide>,
+    partials: Vec<Dots>,
+}
+
+impl Coarse {
+    /// Sizes the vectors for a level and clears what sweeps will read without having written it.
+    pub(crate) fn prepare(&mut self, grid: &Grid<'_>) {
+        let n = grid.level.rows();
+        self.b.resize(n, Lanes::ZERO);
+        for v in [&mut self.z, &mut self.t, &mut self.first_z, &mut self.first_v] {
+            v.resize(n, Lanes::ZERO);
+            clear_inactive(grid, v);
+        }
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        let lanes = self.b.capacity() + self.z.capacity() + self.t.capacity();
+        let lanes = lanes + self.first_z.capacity() + self.first_v.capacity() + 3 * self.partials.capacity();
+        16 * lanes + 32 * self.dense.capacity()
+    }
+}
+
+/// Sets the rows of inactive blocks to 0.
+pub(crate) fn clear_inactive(grid: &Grid<'_>, v: &mut [Lanes]) {
+    let mut active = grid.mask.active.iter().peekable();
+    for b in 0..grid.level.blocks.len() - 1 {
+        if active.next_if(|a| **a as usize == b).is_none() {
+            v[grid.level.block(b)].fill(Lanes::ZERO);
+        }
+    }
+}
+
+/// Runs cycles on a constrained hierarchy.
+pub(crate) struct Cycle<'a> {
+    pub(crate) hierarchy: &'a Hierarchy,
+    pub(crate) system: &'a System,
+    pub(crate) threads: Threads,
+    pub(crate) progress: &'a dyn Progress,
+}
+
+impl<'a> Cycle<'a> {
+    pub(crate) fn grid(&self, l: usize) -> Grid<'a> {
+        Grid::new(&self.hierarchy.levels[l], &self.system.masks[l], self.threads)
+    }
+
+    /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle. `t` is
+    /// left as [`Grid::apply`] wants it. `below` holds the vectors of the coarser levels.
+    pub(crate) fn run(
+        &self,
+        l: usize,
+        b: &[Lanes],
+        z: &mut [Lanes],
+        t: &mut [Lanes],
+        below: &mut [Coarse],
+    ) -> Result<(), Cancelled> {
+        let grid = self.grid(l);
+        check(self.progress)?;
+        grid.forward(b, z);
+        check(self.progress)?;
+        grid.residual(z, t);
+        grid.restrict(t, &mut below[0].b);
+        self.solve(l + 1, below)?;
+        check(self.progress)?;
+        grid.prolong(&below[0].z, z);
+        grid.backward(b, z, t);
+        Ok(())
+    }
+
+    /// Solves level `l` roughly: `levels[0].z` ≈ A⁻¹ `levels[0].b`; b is used up.
+    ///
+    /// Two steps of flexible conjugate gradients per column, each preconditioned by a cycle (a K-cycle): their inner
+    /// products keep the whole operation positive where plain recursion can fail.
+    pub(crate) fn solve(&self, l: usize, levels: &mut [Coarse]) -> Result<(), Cancelled> {
+        let Some((here, below)) = levels.split_first_mut() else {
+            return Ok(());
+        };
+        if below.is_empty() {
+            self.solve_coarsest(here);
+            return Ok(());
+        }
+        let grid = self.grid(l);
+        self.run(l, &here.b, &mut here.z, &mut here.t, below)?;
+        if self.system.steps[l] < 2 {
+            return Ok(());
+        }
+        let [zb, zv, bb] = grid.apply(&here.z, &mut here.t, &here.b, None, &mut here.partials);
+        let first = per_lane(|c| ratio(zb[c], zv[c]));
+        std::mem::swap(&mut here.z, &mut here.first_z);
+        std::mem::swap(&mut here.t, &mut here.first_v);
+        let rr = step(&grid, first, &here.first_v, &mut here.b, &mut here.partials);
+        if (0..WIDTH).all(|c| rr[c] <= ENOUGH * bb[c]) {
+            combine(&grid, &mut here.z, &here.first_z, None, first);
+            return Ok(());
+        }
+        self.run(l, &here.b, &mut here.z, &mut here.t, below)?;
+        let second_v = Some(here.first_v.as_slice());
+        let [zr, ww, wv] = grid.apply(&here.z, &mut here.t, &here.b, second_v, &mut here.partials);
+        let overlap = per_lane(|c| ratio(wv[c], zv[c]));
+        let second = per_lane(|c| ratio(zr[c], ww[c] - overlap[c] * wv[c]));
+        let first = per_lane(|c| first[c] - second[c] * overlap[c]);
+        combine(&grid, &mut here.z, &here.first_z, Some(second), first);
+        Ok(())
+    }
+
+    fn solve_coarsest(&self, here: &mut Coarse) {
+        let (rows, inverse) = (&self.system.dense_rows, &self.system.inverse);
+        here.dense.clear();
+        here.dense.extend(rows.iter().map(|&i| here.b[i as usize].wide()));
+        here.z.fill(Lanes::ZERO);
+        for (k, &i) in rows.iter().enumerate() {
+            here.z[i as usize] = Lanes::from_wide(inverse.row_times(k, &here.dense));
+        }
+    }
+}
+
+/// The vectors of all levels below the finest, sized for a system.
+pub(crate) fn prepare(cycle: &Cycle<'_>, levels: &mut Vec<Coarse>) {
+    levels.resize_with(cycle.system.masks.len() - 1, Coarse::default);
+    for (k, coarse) in levels.iter_mut().enumerate() {
+        coarse.prepare(&cycle.grid(k + 1));
+    }
+}
+
+pub(crate) fn per_lane(mut value: impl FnMut(usize) -> f64) -> Wide {
+    [value(0), value(1), value(2), value(3)]
+}
+
+/// a / b, or 0 where that makes no sense: a lane without residual takes no step.
+pub(crate) fn ratio(a: f64, b: f64) -> f64 {
+    let q = a / b;
+    if b > 0.0 && q.is_finite() { q } else { 0.0 }
+}
+
+/// b −= factor · v; returns (b, b).
+fn step(grid: &Grid<'_>, factor: Wide, v: &[Lanes], b: &mut [Lanes], partials: &mut Vec<Dots>) -> Wide {
+    let factor = Lanes::from_wide(factor);
+    let b = super::lanes::Shared::new(b);
+    let [rr, _, _] = grid.dots(partials, |rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let b = unsafe { b.rows(rows.clone()) };
+        let mut sum = Lanes::ZERO;
+        for (b, v) in b.iter_mut().zip(&v[rows]) {
+            *b -= *v * factor;
+            sum += *b * *b;
+        }
+        [sum, Lanes::ZERO, Lanes::ZERO]
+    });
+    rr
+}
+
+/// z = second · z + first · first_z; without `second`, z = first · first_z.
+fn combine(grid: &Grid<'_>, z: &mut [Lanes], first_z: &[Lanes], second: Option<Wide>, first: Wide) {
+    let first = Lanes::from_wide(first);
+    let second = second.map(Lanes::from_wide);
+    let z = super::lanes::Shared::new(z);
+    grid.each_block(|_, rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let z = unsafe { z.rows(rows.clone()) };
+        for (z, f) in z.iter_mut().zip(&first_z[rows]) {
+            *z = match second {
+                Some(second) => *z * second + *f * first,
+                None => *f * first,
+            };
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Workspace;
+    use super::super::testing::{Block, pool};
+    use super::*;
+    use crate::progress::Silent;
+
+    /// M u for the cycle M, with u masked.
+    fn apply(hierarchy: &Hierarchy, system: &System, u: &[f32]) -> Vec<Lanes> {
+        let threads = Threads::of(&pool());
+        let cycle = Cycle {
+            hierarchy,
+            system,
+            threads,
+            progress: &Silent,
+        };
+        let mut workspace = Workspace::default();
+        prepare(&cycle, &mut workspace.coarse);
+        let mask = &system.masks[0];
+        let b: Vec<Lanes> = u
+            .iter()
+            .enumerate()
+            .map(|(i, v)| if mask.free(i) { Lanes::splat(*v) } else { Lanes::ZERO })
+            .collect();
+        let (mut z, mut t) = (b.clone(), b.clone());
+        clear_inactive(&cycle.grid(0), &mut z);
+        clear_inactive(&cycle.grid(0), &mut t);
+        cycle.run(0, &b, &mut z, &mut t, &mut workspace.coarse).unwrap();
+
+        // What apply makes of t is A z.
+        let level = &hierarchy.levels[0];
+        let mut partials = Vec::new();
+        cycle.grid(0).apply(&z, &mut t, &b, None, &mut partials);
+        for i in 0..level.rows() {
+            let (begin, _, end) = level.entries(i);
+            let mut want = 0.0;
+            for e in begin..end {
+                want += level.weight(e) * (z[i].0[1] - z[level.neighbours[e] as usize].0[1]);
+            }
+            let want = if mask.free(i) { want } else { 0.0 };
+            assert!((t[i].0[1] - want).abs() < 1e-4, "row {i}: {} against {want}", t[i].0[1]);
+        }
+        z
+    }
+
+    fn vectors(n: usize) -> (Vec<f32>, Vec<f32>) {
+        let u = (0..n).map(|i| ((i * 7919) % 101) as f32 / 50.0 - 1.0).collect();
+        let v = (0..n).map(|i| ((i * 104_729) % 97) as f32 / 48.0 - 1.0).collect();
+        (u, v)
+    }
+
+    fn dot(a: &[f32], b: &[Lanes]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(b.0[2])).sum()
+    }
+
+    #[test]
+    fn the_cycle_is_symmetric_and_positive() {
+        let block = Block::new(14, 12, 12).weighted();
+        let hierarchy = block.hierarchy(20);
+        let mut system = block.system(&hierarchy);
+        let (u, v) = vectors(hierarchy.vertices());
+        assert!(hierarchy.levels.len() > 3 && system.steps.contains(&2));
+        assert!(
+            dot(&u, &apply(&hierarchy, &system, &u)) > 0.0,
+            "with inner products it is positive"
+        );
+        system.steps.fill(1);
+        let (mu, mv) = (apply(&hierarchy, &system, &u), apply(&hierarchy, &system, &v));
+        let (uv, vu) = (dot(&u, &mv), dot(&v, &mu));
+        let size = (dot(&u, &mu) * dot(&v, &mv)).sqrt();
+        assert!((uv - vu).abs() < 1e-5 * size, "{uv} against {vu}, size {size}");
+        assert!(dot(&u, &mu) > 0.0 && dot(&v, &mv) > 0.0);
+    }
+
+    #[test]
+    fn masked_rows_stay_zero() {
+        let block = Block::new(14, 12, 12);
+        let hierarchy = block.hierarchy(20);
+        let system = block.system(&hierarchy);
+        let z = apply(&hierarchy, &system, &vec![1.0; hierarchy.vertices()]);
+        for (i, z) in z.iter().enumerate() {
+            assert_eq!(system.masks[0].free(i), *z != Lanes::ZERO, "row {i}");
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! The weighted graph that the solver works on.
+
+use super::Error;
+
+/// A symmetric weighted graph in compressed rows.
+///
+/// Row `i` lists the neighbours `neighbours[offsets[i]..offsets[i + 1]]`, strictly ascending, without `i` itself. For
+/// every entry `(i, j)` there is an entry `(j, i)` of the same weight. [`Graph::check`] verifies all of this;
+/// [`Hierarchy::build`](super::Hierarchy::build) checks what memory safety needs and trusts the symmetry.
+#[derive(Debug, Clone, Copy)]
+pub struct Graph<'a> {
+    /// Where each row begins, `vertices + 1` entries, first 0.
+    pub offsets: &'a [u32],
+    /// Neighbours of all rows, one after the other.
+    pub neighbours: &'a [u32],
+    /// One positive weight per entry of `neighbours`; `None` means that every weight is 1.
+    pub weights: Option<&'a [f32]>,
+    /// One position per vertex, any unit. They guide ordering and coarsening, never the equations.
+    pub positions: Option<&'a [[f64; 3]]>,
+}
+
+impl Graph<'_> {
+    /// Number of vertices.
+    pub fn vertices(&self) -> usize {
+        self.offsets.len().saturating_sub(1)
+    }
+
+    /// Checks array lengths, row order and ranges, weights (finite, positive) and positions (finite).
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] names the first row that breaks a rule.
+    pub(crate) fn check_rows(&self) -> Result<(), Error> {
+        let invalid = |text: String| Err(Error::Invalid(text));
+        let n = self.vertices();
+        if self.offsets.is_empty() || self.offsets[0] != 0 {
+            return invalid("graph offsets must begin with 0".into());
+        }
+        if n >= u32::MAX as usize {
+            return invalid(format!(
+                "the graph has {n} vertices, at most {} are allowed",
+                u32::MAX - 1
+            ));
+        }
+        if self.offsets[n] as usize != self.neighbours.len() {
+            let (last, len) = (self.offsets[n], self.neighbours.len());
+            return invalid(format!("graph offsets end at {last} but there are {len} neighbours"));
+        }
+        for i in 0..n {
+            let (begin, end) = (self.offsets[i] as usize, self.offsets[i + 1] as usize);
+            let Some(row) = self.neighbours.get(begin..end) else {
+                return invalid(format!(
+                    "row {i} of the graph spans {begin}..{end}, offsets must not decrease"
+                ));
+            };
+            let mut next = 0u64;
+            for &j in row {
+                if u64::from(j) < next || j as usize >= n || j as usize == i {
+                    return invalid(format!(
+                        "row {i} of the graph holds neighbour {j}: neighbours must ascend strictly, be below {n} and \
+                         not be the vertex itself"
+                    ));
+                }
+                next = u64::from(j) + 1;
+            }
+        }
+        if let Some(weights) = self.weights {
+            if weights.len() != self.neighbours.len() {
+                let (w, e) = (weights.len(), self.neighbours.len());
+                return invalid(format!("the graph has {w} weights for {e} neighbours"));
+            }
+            if let Some(k) = weights.iter().position(|w| !(w.is_finite() && *w > 0.0)) {
+                return invalid(format!(
+                    "weight {k} of the graph is {}, weights must be positive",
+                    weights[k]
+                ));
+            }
+        }
+        if let Some(positions) = self.positions {
+            if positions.len() != n {
+                return invalid(format!("the graph has {} positions for {n} vertices", positions.len()));
+            }
+            if let Some(i) = positions.iter().position(|p| !p.iter().all(|c| c.is_finite())) {
+                return invalid(format!(
+                    "position {i} of the graph is {:?}, coordinates must be finite",
+                    positions[i]
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks everything that the type promises, the symmetry of rows and weights included. Linear time.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] names the first place that breaks a rule.
+    pub fn check(&self) -> Result<(), Error> {
+        self.check_rows()?;
+        // Rows ascend and are read in order, so the transpose of a symmetric graph appears in its own order.
+        let mut cursor: Vec<u32> = self.offsets[..self.vertices()].to_vec();
+        for i in 0..self.vertices() {
+            for k in self.offsets[i] as usize..self.offsets[i + 1] as usize {
+                let j = self.neighbours[k] as usize;
+                let back = cursor[j] as usize;
+                if back >= self.offsets[j + 1] as usize || self.neighbours[back] as usize != i {
+                    return Err(Error::Invalid(format!(
+                        "edge {i}-{j} of the graph has no matching entry in row {j}"
+                    )));
+                }
+                if self.weights.is_some_and(|w| w[k].to_bits() != w[back].to_bits()) {
+                    return Err(Error::Invalid(format!(
+                        "edge {i}-{j} of the graph has two different weights"
+                    )));
+                }
+                cursor[j] += 1;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PATH: Graph<'static> = Graph {
+        offsets: &[0, 1, 3, 4],
+        neighbours: &[1, 0, 2, 1],
+        weights: None,
+        positions: None,
+    };
+
+    fn text(graph: Graph<'_>) -> String {
+        graph.check().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_symmetric_graph_passes() {
+        assert_eq!(PATH.check(), Ok(()));
+        assert_eq!(
+            Graph {
+                offsets: &[0],
+                neighbours: &[],
+                ..PATH
+            }
+            .check(),
+            Ok(())
+        );
+    }
+
+    #[test]
+    fn broken_rows_are_named() {
+        assert!(text(Graph { offsets: &[], ..PATH }).contains("begin with 0"));
+        assert!(
+            text(Graph {
+                offsets: &[0, 1, 3, 5],
+                ..PATH
+            })
+            .contains("end at 5")
+        );
+        assert!(
+            text(Graph {
+                offsets: &[0, 3, 1, 4],
+                ..PATH
+            })
+            .contains("row 0")
+        );
+        assert!(
+            text(Graph {
+                offsets: &[0, 9, 3, 4],
+                ..PATH
+            })
+            .contains("row 0")
+        );
+        assert!(
+            text(Graph {
+                neighbours: &[1, 0, 3, 1],
+                ..PATH
+            })
+            .contains("neighbour 3")
+        );
+        assert!(
+            text(Graph {
+                neighbours: &[1, 2, 0, 1],
+                ..PATH
+            })
+            .contains("row 1")
+        );
+        assert!(
+            text(Graph {
+                neighbours: &[0, 0, 2, 1],
+                ..PATH
+            })
+            .contains("row 0")
+        );
+        assert!(
+            text(Graph {
+                neighbours: &[2, 0, 2, 1],
+                ..PATH
+            })
+            .contains("no matching entry")
+        );
+    }
+
+    #[test]
+    fn bad_weights_and_positions_are_named() {
+        assert!(
+            text(Graph {
+                weights: Some(&[1.0; 3]),
+                ..PATH
+            })
+            .contains("3 weights for 4")
+        );
+        assert!(
+            text(Graph {
+                weights: Some(&[1.0, 1.0, 0.0, 1.0]),
+                ..PATH
+            })
+            .contains("weight 2")
+        );
+        assert!(
+            text(Graph {
+                weights: Some(&[1.0, 1.0, 2.0, 1.0]),
+                ..PATH
+            })
+            .contains("two different weights")
+        );
+        assert!(
+            text(Graph {
+                positions: Some(&[[0.0; 3]; 2]),
+                ..PATH
+            })
+            .contains("2 positions")
+        );
+        let nan = [[0.0; 3], [0.0, f64::NAN, 0.0], [0.0; 3]];
+        assert!(
+            text(Graph {
+                positions: Some(&nan),
+                ..PATH
+            })
+            .contains("position 1")
+        );
+    }
+}

@@ -1,0 +1,241 @@
+//! Building the hierarchy: levels from fine to coarse, over all vertices, without constraints.
+
+use std::sync::Arc;
+
+use super::coarsen::aggregates;
+use super::lanes::Lanes;
+use super::level::{Level, NONE, Rows};
+use super::operator::coarse_rows;
+use super::order::{Frame, along_curve, breadth_first};
+use super::threads::Threads;
+use super::{BuildOptions, Constraints, Error, Graph, LevelFacts, Operators, System};
+use crate::pool::Pool;
+use crate::progress::{Cancelled, Progress, check};
+
+/// Rows per block on the finest level; halved from level to level.
+const BLOCK: usize = 512;
+/// Fewest rows per block.
+const SMALLEST_BLOCK: usize = 64;
+
+/// A graph and its coarser versions (paper section 4), over all vertices and without constraints.
+///
+/// It owns all it needs and never changes; any number of [`System`]s can use it at the same time.
+#[derive(Debug)]
+pub struct Hierarchy {
+    /// Finest first; never empty.
+    pub(crate) levels: Vec<Level>,
+    /// Vertex that each row of the finest level stands for.
+    pub(crate) order: Vec<u32>,
+    /// From the caller's positions to those of the levels.
+    pub(crate) frame: Frame,
+    /// Factor on the caller's weights, a power of two: inside, the heaviest edge weighs 1 to 2.
+    pub(crate) weight_scale: f64,
+    /// Largest Σ w of a vertex, scaled.
+    pub(crate) largest_diagonal: f64,
+    /// Tells systems of this hierarchy from those of others.
+    pub(crate) token: Arc<()>,
+}
+
+impl Hierarchy {
+    /// Builds the hierarchy of `graph`. Linear time and memory; the result depends on nothing but the arguments, and
+    /// on the pool not at all.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a malformed graph or options out of range, [`Error::Unsupported`] for operators that
+    /// are not there, [`Error::Cancelled`].
+    pub fn build(
+        graph: &Graph<'_>,
+        options: &BuildOptions,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Hierarchy, Error> {
+        if options.operators == Operators::Paper {
+            return Err(Error::Unsupported("paper operators"));
+        }
+        if !(options.coarsening > 0.0 && options.coarsening <= 1.0) {
+            let seen = options.coarsening;
+            return Err(Error::Invalid(format!(
+                "coarsening is {seen}, it must lie above 0 and be at most 1"
+            )));
+        }
+        if !(1..=1000).contains(&options.coarsest) {
+            let seen = options.coarsest;
+            return Err(Error::Invalid(format!("coarsest is {seen}, allowed are 1 to 1000")));
+        }
+        check(progress)?;
+        graph.check_rows()?;
+        let threads = Threads::of(pool);
+        let stage = "hierarchy";
+        progress.report(stage, 0.0);
+
+        let heaviest = graph.weights.map_or(1.0, |w| w.iter().fold(0.0f32, |a, &b| a.max(b)));
+        let weight_scale = 1.0 / power_of_two_below(f64::from(heaviest));
+        let frame = Frame::around(graph.positions.unwrap_or(&[]));
+        let positions: Vec<Lanes> = graph.positions.unwrap_or(&[]).iter().map(|&p| frame.apply(p)).collect();
+        let (first, order) = threads.enter(pool, || {
+            let sequence = sequence(graph.offsets, graph.neighbours, &positions);
+            check(progress)?;
+            let rows = Rows {
+                offsets: graph.offsets,
+                neighbours: graph.neighbours,
+                weights: graph.weights,
+                scale: weight_scale as f32,
+            };
+            Ok::<_, Cancelled>(Level::arrange(rows, sequence, &positions, BLOCK, threads))
+        })?;
+        let mut levels = vec![first];
+        let mut block = BLOCK;
+        while let Some(level) = levels.last_mut().filter(|l| l.rows() > options.coarsest) {
+            block = (block / 2).max(SMALLEST_BLOCK);
+            let next = threads.enter(pool, || coarser(level, options.coarsening, block, threads, progress))?;
+            levels.push(next);
+            // Level sizes fall geometrically, and so does the work that is left.
+            progress.report(stage, 1.0 - 0.5f32.powi(levels.len() as i32));
+        }
+        progress.report(stage, 1.0);
+        let largest_diagonal = f64::from(levels[0].diagonal.iter().fold(0.0f32, |a, &b| a.max(b)));
+        Ok(Hierarchy {
+            levels,
+            order,
+            frame,
+            weight_scale,
+            largest_diagonal,
+            token: Arc::new(()),
+        })
+    }
+
+    /// Number of vertices of the graph.
+    pub fn vertices(&self) -> usize {
+        self.order.len()
+    }
+
+    /// Sizes of the levels, finest first.
+    pub fn levels(&self) -> Vec<LevelFacts> {
+        let facts = |l: &Level| LevelFacts {
+            vertices: l.rows(),
+            edges: l.neighbours.len() / 2,
+        };
+        // Where every component has shrunk to one vertex there is an empty last level.
+        self.levels.iter().filter(|l| l.rows() > 0).map(facts).collect()
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        self.levels.iter().map(Level::bytes).sum::<usize>() + 4 * self.order.len()
+    }
+
+    /// Prepares solving under `constraints`: masks, diagonals and the coarsest factor of every level. Much cheaper
+    /// than building; the topology of the hierarchy stays as it is.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if the lengths do not fit the graph or a stiffness is negative, not finite or larger than
+    /// 1e12 times the heaviest edge (a harder one is a fixed vertex).
+    pub fn constrain(&self, constraints: &Constraints<'_>, pool: &Pool) -> Result<System, Error> {
+        System::new(self, constraints, pool)
+    }
+}
+
+/// The order in which a level's rows are laid out before colouring.
+fn sequence(offsets: &[u32], neighbours: &[u32], positions: &[Lanes]) -> Vec<u32> {
+    if positions.is_empty() {
+        breadth_first(offsets, neighbours)
+    } else {
+        along_curve(positions)
+    }
+}
+
+/// Groups the rows of `level` and builds the next level from the groups.
+fn coarser(
+    level: &mut Level,
+    ratio: f64,
+    block: usize,
+    threads: Threads,
+    progress: &dyn Progress,
+) -> Result<Level, Cancelled> {
+    check(progress)?;
+    let (groups, count) = aggregates(level, ratio, threads);
+    level.set_aggregates(groups, count);
+    check(progress)?;
+    let coarse = coarse_rows(level, threads);
+    check(progress)?;
+    let sequence = sequence(&coarse.offsets, &coarse.neighbours, &coarse.positions);
+    let rows = Rows {
+        offsets: &coarse.offsets,
+        neighbours: &coarse.neighbours,
+        weights: Some(&coarse.weights),
+        scale: 1.0,
+    };
+    let (next, order) = Level::arrange(rows, sequence, &coarse.positions, block, threads);
+    let mut ranks = vec![0u32; count];
+    for (rank, &old) in order.iter().enumerate() {
+        ranks[old as usize] = rank as u32;
+    }
+    let mut groups = std::mem::take(&mut level.aggregates);
+    for g in &mut groups {
+        if *g != NONE {
+            *g = ranks[*g as usize];
+        }
+    }
+    level.set_aggregates(groups, count);
+    Ok(next)
+}
+
+/// The largest power of two that is at most `v`, kept within 2^±1000; 1 for 0 and for what is no number.
+pub(crate) fn power_of_two_below(v: f64) -> f64 {
+    if !(v > 0.0 && v.is_finite()) {
+        return 1.0;
+    }
+    let v = v.clamp(libm::ldexp(1.0, -1000), libm::ldexp(1.0, 1000));
+    f64::from_bits(v.to_bits() & 0x7ff0_0000_0000_0000)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Block, pool};
+    use super::*;
+    use crate::progress::Silent;
+
+    #[test]
+    fn paper_operators_are_refused() {
+        let block = Block::new(3, 3, 3);
+        let options = BuildOptions {
+            operators: Operators::Paper,
+            ..BuildOptions::default()
+        };
+        let result = Hierarchy::build(&block.view(), &options, &pool(), &Silent);
+        assert_eq!(result.unwrap_err(), Error::Unsupported("paper operators"));
+    }
+
+    #[test]
+    fn aggregates_partition_the_rows() {
+        let hierarchy = Block::new(15, 14, 13).hierarchy(10);
+        assert!(
+            hierarchy
+                .levels
+                .last()
+                .is_some_and(|l| l.rows() <= 10 && l.aggregates.is_empty())
+        );
+        for pair in hierarchy.levels.windows(2) {
+            assert_eq!(pair[0].coarse_rows(), pair[1].rows());
+            let mut seen = vec![false; pair[0].rows()];
+            for row in 0..pair[1].rows() {
+                for &i in pair[0].members_of(row) {
+                    assert_eq!(pair[0].aggregates[i as usize], row as u32);
+                    assert!(!std::mem::replace(&mut seen[i as usize], true));
+                }
+            }
+            assert!(seen.iter().all(|s| *s));
+        }
+    }
+
+    #[test]
+    fn powers_of_two_are_kept_in_range() {
+        assert_eq!(power_of_two_below(1.0), 1.0);
+        assert_eq!(power_of_two_below(7.9), 4.0);
+        assert_eq!(power_of_two_below(0.3), 0.25);
+        assert_eq!(power_of_two_below(0.0), 1.0);
+        assert_eq!(power_of_two_below(f64::NAN), 1.0);
+        assert_eq!(power_of_two_below(f64::MAX), libm::ldexp(1.0, 1000));
+        assert_eq!(power_of_two_below(f64::MIN_POSITIVE), libm::ldexp(1.0, -1000));
+    }
+}

@@ -1,0 +1,407 @@
+//! The outer iteration: flexible conjugate gradients on all columns of a group, preconditioned by one multigrid cycle.
+//!
+//! It goes in *stretches*. A stretch begins with the residual in double precision and iterates a correction in single
+//! precision. Once rounding shows in the residual, the correction is added to the solution and the next stretch
+//! begins from the true residual, in the same search direction: single precision never limits the result.
+
+use super::advance::{Advance, add_correction, advance, reference, residual};
+use super::cycle::{Cycle, clear_inactive, per_lane, prepare, ratio};
+use super::hierarchy::power_of_two_below;
+use super::lanes::{Lanes, WIDTH, Wide};
+use super::problem::Problem;
+use super::workspace::Workspace;
+use super::{Control, Error, Iteration, Method};
+use crate::pool::Pool;
+use crate::progress::Cancelled;
+
+/// A stretch ends once the residual fell by this factor: single precision has few digits left.
+const STRETCH: f64 = 1e-5;
+/// Rounding of one product, relative to the largest diagonal times the norm of the correction.
+const ROUNDING: f64 = 2e-7;
+/// A stretch ends once rounding is this part of the residual. Rounding is smooth as much as rough, while the residual
+/// of a good iterate has lost its smooth part: rounding spoils the solution long before it shows in norms.
+const SPOILT: f64 = 0.03;
+/// A recurred residual is taken for the true one while rounding stays below this part of the tolerance.
+const TRUSTED: f64 = 0.01;
+/// Below this relative residual nothing can be gained in double precision.
+const FLOOR: f64 = 1e-14;
+/// Iterations that must at least halve the residual.
+const PATIENCE: usize = 12;
+/// Stretches in a row that may fail to halve the true residual.
+const POOR_STRETCHES: usize = 2;
+
+/// When to stop.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Criteria {
+    pub(crate) tolerance: Option<f64>,
+    pub(crate) max_error: Option<f64>,
+    pub(crate) max_iterations: usize,
+}
+
+impl Criteria {
+    /// True if all criteria that were given hold, and at least one was.
+    pub(crate) fn hold(&self, relative: &[f64], max_error: f64) -> bool {
+        let residual = relative.iter().all(|r| self.tolerance.is_none_or(|t| *r <= t));
+        let error = self.max_error.is_none_or(|m| max_error <= m);
+        residual && error && (self.tolerance.is_some() || self.max_error.is_some())
+    }
+}
+
+/// What became of a group of columns.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Outcome {
+    pub(crate) iterations: usize,
+    pub(crate) relative: Wide,
+    pub(crate) max_error: f64,
+    pub(crate) factor: f64,
+    pub(crate) method: Method,
+    pub(crate) stopped: bool,
+    pub(crate) converged: bool,
+}
+
+impl Outcome {
+    pub(crate) fn new(method: Method) -> Self {
+        Self {
+            iterations: 0,
+            relative: [0.0; WIDTH],
+            max_error: f64::INFINITY,
+            factor: 0.0,
+            method,
+            stopped: false,
+            converged: false,
+        }
+    }
+}
+
+/// The solution at one moment.
+pub(crate) struct Snapshot<'a> {
+    pub(crate) problem: Problem<'a>,
+    pub(crate) x: &'a [Wide],
+    /// A correction that x lacks, and its unit per column.
+    pub(crate) e: Option<(&'a [Lanes], Wide)>,
+    pub(crate) caller: &'a [f64],
+}
+
+impl Snapshot<'_> {
+    pub(crate) fn copy_to(&self, out: &mut [f64]) {
+        out.copy_from_slice(self.caller);
+        self.problem.store(self.x, self.e, out);
+    }
+}
+
+impl std::fmt::Debug for Snapshot<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Snapshot({} rows)", self.x.len())
+    }
+}
+
+/// Called after every iteration.
+pub(crate) type Watch<'a> = dyn FnMut(&Iteration<'_>) -> Control + 'a;
+
+/// One group of columns under iteration.
+pub(crate) struct Outer<'a, 'w> {
+    pub(crate) problem: Problem<'a>,
+    pub(crate) cycle: Cycle<'a>,
+    pub(crate) pool: &'a Pool,
+    pub(crate) criteria: Criteria,
+    pub(crate) workspace: &'w mut Workspace,
+    /// The caller's x, for snapshots.
+    pub(crate) caller: &'w [f64],
+}
+
+/// What is carried from iteration to iteration.
+struct State {
+    outcome: Outcome,
+    /// Norms of b, which residuals are relative to.
+    reference: Wide,
+    /// Power of two by which the vectors of a stretch are multiplied.
+    scale: Wide,
+    /// (p, A p) of the last direction.
+    direction: Option<Wide>,
+    /// Reduction of the residual by each iteration, slowest column.
+    history: Vec<f64>,
+    /// Error estimate of columns that have stopped.
+    resting_error: f64,
+    /// False if rounding may have spoilt the last error estimate.
+    sound: bool,
+}
+
+/// How a stretch ended.
+enum Stretch {
+    /// The caller can have x as it is.
+    Accepted,
+    /// Look at the true residual and go on.
+    Ended,
+    /// Little or no progress.
+    Troubled,
+    /// Numbers that are not finite; the correction of this stretch was thrown away.
+    Ruined,
+}
+
+impl Outer<'_, '_> {
+    /// Iterates on `workspace.x` from the values it holds.
+    pub(crate) fn solve(&mut self, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
+        let (problem, threads, pool) = (self.problem, self.problem.threads, self.pool);
+        let n = problem.hierarchy.vertices();
+        let width = problem.width();
+        let grid = self.cycle.grid(0);
+        let Workspace { x, fine, coarse, .. } = &mut *self.workspace;
+        fine.resize(n);
+        clear_inactive(&grid, &mut fine.z);
+        clear_inactive(&grid, &mut fine.t);
+        prepare(&self.cycle, coarse);
+
+        let mut state = State {
+            outcome: Outcome::new(Method::Multigrid),
+            reference: threads.enter(pool, || reference(&problem, x)),
+            scale: [1.0; WIDTH],
+            direction: None,
+            history: Vec::new(),
+            resting_error: 0.0,
+            sound: true,
+        };
+        let mut beginning: Option<Wide> = None;
+        let mut last: Option<Wide> = None;
+        let mut poor = 0;
+        loop {
+            let Workspace { x, fine, .. } = &mut *self.workspace;
+            let mut norms = threads.enter(pool, || residual(&problem, x, fine, state.scale));
+            if norms.iter().any(|r| !r.is_finite()) && state.outcome.iterations == 0 {
+                // Frames of absurd size can overflow the full-multigrid start.
+                problem.load(self.caller, false, x);
+                norms = threads.enter(pool, || residual(&problem, x, fine, state.scale));
+            }
+            if norms.iter().any(|r| !r.is_finite()) {
+                let iterations = state.outcome.iterations;
+                return Err(Error::Diverged {
+                    iterations,
+                    residual: f64::INFINITY,
+                });
+            }
+            let relative = relative_norms(norms, &mut state.reference);
+            let beginning = *beginning.get_or_insert(relative);
+            let outcome = &mut state.outcome;
+            outcome.relative = relative;
+            outcome.factor = mean_factor(beginning, relative, outcome.iterations);
+            let exact = relative.iter().all(|r| *r <= FLOOR);
+            if exact && outcome.iterations == 0 {
+                outcome.max_error = 0.0;
+            }
+            let sound = state.sound || self.criteria.max_error.is_none();
+            let holds = sound && self.criteria.hold(&relative[..width], outcome.max_error);
+            outcome.converged = exact || (holds && outcome.iterations > 0);
+            if outcome.converged || outcome.iterations >= self.criteria.max_iterations {
+                return Ok(*outcome);
+            }
+            if let Some(last) = last.replace(relative) {
+                let idle = (0..WIDTH).all(|c| relative[c] > 0.5 * last[c] || relative[c] <= FLOOR);
+                poor = if idle { poor + 1 } else { 0 };
+            }
+            if poor >= POOR_STRETCHES {
+                if at_rounding(&problem, x, relative, state.reference) {
+                    return Ok(*outcome);
+                }
+                return super::fallback::conjugate_gradients(self, state.reference, state.outcome, watch);
+            }
+
+            match self.stretch(&mut state, watch)? {
+                Stretch::Accepted => {
+                    let outcome = &mut state.outcome;
+                    outcome.factor = mean_factor(beginning, outcome.relative, outcome.iterations);
+                    return Ok(*outcome);
+                }
+                Stretch::Ended => {}
+                Stretch::Troubled => {
+                    poor += 1;
+                    state.direction = None;
+                }
+                Stretch::Ruined => {
+                    state.outcome.relative = relative;
+                    return super::fallback::conjugate_gradients(self, state.reference, state.outcome, watch);
+                }
+            }
+            // The next residual is about this large; bring its entries near 1 for single precision.
+            for c in 0..WIDTH {
+                let rms = state.outcome.relative[c] * state.reference[c] / (n as f64).sqrt();
+                state.scale[c] = if rms > 1e-200 {
+                    1.0 / power_of_two_below(rms)
+                } else {
+                    1.0
+                };
+            }
+        }
+    }
+
+    /// One stretch from the residual in `fine.r`; adds its correction to x.
+    fn stretch(&mut self, state: &mut State, watch: &mut Watch<'_>) -> Result<Stretch, Error> {
+        let (problem, threads, pool, criteria) = (self.problem, self.problem.threads, self.pool, self.criteria);
+        let width = problem.width();
+        let grid = self.cycle.grid(0);
+        let start = state.outcome.relative;
+        let scale = state.scale;
+        // Of the vectors' norms in units of the relative residual, and of their entries in the caller's.
+        let norm_unit = per_lane(|c| scale[c] * state.reference[c]);
+        let unit = per_lane(|c| problem.unit[c] / scale[c]);
+        let largest_unit = unit[..width].iter().fold(0.0f64, |a, &b| a.max(b));
+        let mut open = per_lane(|c| f64::from(u8::from(c < width && start[c] > FLOOR && !criteria.rests(start[c]))));
+        if open == [0.0; WIDTH] {
+            open = per_lane(|c| f64::from(u8::from(c < width && start[c] > FLOOR)));
+        }
+        let mut fresh = true;
+        let verdict = loop {
+            let weights = per_lane(|c| if open[c] > 0.0 { unit[c] / largest_unit } else { 0.0 });
+            let Workspace { fine, coarse, .. } = &mut *self.workspace;
+            let Advance {
+                rr,
+                ee,
+                longest,
+                broken,
+            } = threads
+                .enter(pool, || {
+                    advance(
+                        &self.cycle,
+                        &grid,
+                        fine,
+                        coarse,
+                        &mut state.direction,
+                        fresh,
+                        open,
+                        weights,
+                    )
+                })
+                .map_err(|Cancelled| Error::Cancelled)?;
+            fresh = false;
+            state.outcome.iterations += 1;
+            if rr.iter().any(|v| !v.is_finite()) || !longest.is_finite() {
+                return Ok(Stretch::Ruined);
+            }
+            let before = state.outcome.relative;
+            let now = per_lane(|c| {
+                if open[c] > 0.0 {
+                    ratio(rr[c].sqrt(), norm_unit[c])
+                } else {
+                    before[c]
+                }
+            });
+            let lanes = || (0..width).filter(|&c| open[c] > 0.0);
+            state
+                .history
+                .push(lanes().map(|c| now[c] / before[c]).fold(0.0, f64::max));
+            // What rounding may have added to the true residual without the recurrence noticing.
+            let noise = per_lane(|c| ratio(self.rounding() * ee[c].sqrt(), norm_unit[c]));
+            let share = lanes().map(|c| ratio(noise[c], now[c])).fold(0.0, f64::max);
+            state.sound = share <= SPOILT;
+            let moving = estimate(&state.history, longest * largest_unit, share);
+            state.outcome.relative = now;
+            state.outcome.max_error = libm::hypot(state.resting_error, moving);
+
+            let claimed = per_lane(|c| now[c] * (1.0 + 2.0 * TRUSTED));
+            let holds = criteria.hold(&claimed[..width], state.outcome.max_error);
+            let iteration = Iteration {
+                index: state.outcome.iterations,
+                columns: problem.columns(),
+                residual: now[..width].iter().fold(0.0, |a, &b| a.max(b)),
+                max_error: state.outcome.max_error,
+                snapshot: Snapshot {
+                    problem,
+                    x: &self.workspace.x,
+                    e: Some((&self.workspace.fine.e, per_lane(|c| 1.0 / scale[c]))),
+                    caller: self.caller,
+                },
+            };
+            if watch(&iteration) == Control::Stop {
+                state.outcome.stopped = true;
+                state.outcome.converged = holds;
+                break Stretch::Accepted;
+            }
+            if holds {
+                let trusted = (0..width).all(|c| criteria.tolerance.is_none_or(|t| noise[c] <= TRUSTED * t));
+                state.outcome.converged = trusted && (state.sound || criteria.max_error.is_none());
+                break if state.outcome.converged {
+                    Stretch::Accepted
+                } else {
+                    Stretch::Ended
+                };
+            }
+            let rests = |c: usize| open[c] > 0.0 && criteria.rests(claimed[c]);
+            if (0..width).any(rests) {
+                state.resting_error = state.outcome.max_error;
+                open = per_lane(|c| if rests(c) { 0.0 } else { open[c] });
+            }
+            let spent = (0..width).any(|c| open[c] > 0.0 && now[c] <= (STRETCH * start[c]).max(FLOOR));
+            if !state.sound || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
+                break Stretch::Ended;
+            }
+            let recent = state.history.len().saturating_sub(PATIENCE);
+            let slow = recent > 0 && state.history[recent..].iter().product::<f64>() > 0.5;
+            if broken || slow {
+                break Stretch::Troubled;
+            }
+        };
+        let Workspace { x, fine, .. } = &mut *self.workspace;
+        threads.enter(pool, || add_correction(&problem, &grid, &mut fine.e, scale, x));
+        Ok(verdict)
+    }
+
+    /// Bound on the rounding of one product per unit of the correction.
+    fn rounding(&self) -> f64 {
+        ROUNDING * self.problem.hierarchy.largest_diagonal
+    }
+}
+
+impl Criteria {
+    /// True if a column at this relative residual needs no more iterations, whatever the others need.
+    fn rests(&self, relative: f64) -> bool {
+        self.max_error.is_none() && self.tolerance.is_some_and(|t| relative <= t)
+    }
+}
+
+/// Residual norms relative to those of b. A column without right-hand side is measured against its first residual.
+fn relative_norms(squares: Wide, reference: &mut Wide) -> Wide {
+    per_lane(|c| {
+        let norm = squares[c].sqrt();
+        if reference[c] == 0.0 {
+            reference[c] = norm;
+        }
+        if norm > 0.0 { norm / reference[c] } else { 0.0 }
+    })
+}
+
+/// True if the residual is about what computing it in double precision leaves, so that no method can go on.
+fn at_rounding(problem: &Problem<'_>, x: &[Wide], relative: Wide, reference: Wide) -> bool {
+    const PRODUCT: f64 = 100.0 * f64::EPSILON;
+    let mut squares = [0.0; WIDTH];
+    for x in x {
+        for c in 0..WIDTH {
+            squares[c] += x[c] * x[c];
+        }
+    }
+    let limit = PRODUCT * problem.hierarchy.largest_diagonal;
+    (0..WIDTH).all(|c| relative[c] * reference[c] <= limit * squares[c].sqrt())
+}
+
+/// Geometric mean of the reduction per iteration, slowest column.
+fn mean_factor(from: Wide, to: Wide, iterations: usize) -> f64 {
+    let worst = (0..WIDTH)
+        .filter(|&c| from[c] > 0.0)
+        .map(|c| to[c] / from[c])
+        .fold(0.0, f64::max);
+    if iterations == 0 {
+        0.0
+    } else {
+        libm::pow(worst, 1.0 / iterations as f64)
+    }
+}
+
+/// Distance to the solution after a step, from the largest row of the step.
+///
+/// Summing what later steps will move, each ρ times the one before, gives step · ρ / (1 − ρ). ρ is the slower of the
+/// last reduction and the mean one, since smooth error outlives the residual; the first reduction alone may be that
+/// of rough residual only, which a full-multigrid start leaves. Where rounding makes up a `share` of the residual, its
+/// smooth part keeps the error from falling with it.
+fn estimate(history: &[f64], step: f64, share: f64) -> f64 {
+    let mean = libm::pow(history.iter().product::<f64>(), 1.0 / history.len().max(1) as f64);
+    let least = if history.len() == 1 { 0.3 } else { 0.1 };
+    let rho = mean.max(history.last().copied().unwrap_or(0.0)).clamp(least, 0.95);
+    step * rho / (1.0 - rho) * (1.0 + 10.0 * share)
+}

@@ -1,0 +1,280 @@
+//! One group of up to four columns in double precision: scaling, residual, right-hand side.
+
+use std::ops::Range;
+
+use super::hierarchy::power_of_two_below;
+use super::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
+use super::threads::{Threads, piece, pieces};
+use super::{Error, Hierarchy, System};
+
+/// Rows that one piece of work handles where there are no blocks.
+const PIECE: usize = 4096;
+
+/// A group of columns of `A x = b`.
+///
+/// Inside, every column is divided by a power of two (its `unit`) so that all numbers are moderate whatever the
+/// caller's units are; that loses nothing.
+#[derive(Clone, Copy)]
+pub(crate) struct Problem<'a> {
+    pub(crate) hierarchy: &'a Hierarchy,
+    pub(crate) system: &'a System,
+    pub(crate) threads: Threads,
+    rhs: &'a [f64],
+    columns: usize,
+    first: usize,
+    width: usize,
+    /// The caller's value of an inner 1, per column.
+    pub(crate) unit: Wide,
+    rhs_factor: Wide,
+}
+
+impl<'a> Problem<'a> {
+    /// Looks at the columns from `first` on. `given`: the free rows of `x` count too.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if a number that matters is not finite.
+    pub(crate) fn new(
+        hierarchy: &'a Hierarchy,
+        system: &'a System,
+        threads: Threads,
+        (rhs, x): (&'a [f64], &[f64]),
+        (columns, first): (usize, usize),
+        given: bool,
+    ) -> Result<Self, Error> {
+        let width = WIDTH.min(columns - first);
+        let mask = &system.masks[0];
+        let n = hierarchy.vertices();
+        let threads = threads.for_rows(n);
+        // Sums instead of maxima would overflow; a value that is not finite shows up as an infinite maximum.
+        let parts = threads.map(
+            0..pieces(n, PIECE),
+            || (),
+            |(), k| {
+                let mut most = [[0.0f64; WIDTH]; 2];
+                for i in piece(k, n, PIECE) {
+                    let at = hierarchy.order[i] as usize * columns + first;
+                    let free = mask.free(i);
+                    for c in 0..width {
+                        let size = |v: f64| if v.is_finite() { v.abs() } else { f64::INFINITY };
+                        if free {
+                            most[0][c] = most[0][c].max(size(rhs[at + c]));
+                        }
+                        if !free || given {
+                            most[1][c] = most[1][c].max(size(x[at + c]));
+                        }
+                    }
+                }
+                most
+            },
+        );
+        let (mut unit, mut rhs_factor) = ([1.0; WIDTH], [1.0; WIDTH]);
+        for c in 0..width {
+            let most = |what: usize| parts.iter().fold(0.0f64, |a, p| a.max(p[what][c]));
+            for (what, name) in ["right-hand side", "start or fixed value"].into_iter().enumerate() {
+                if most(what).is_infinite() {
+                    return Err(Error::Invalid(format!(
+                        "column {} of the {name} holds a number that is not finite",
+                        first + c
+                    )));
+                }
+            }
+            unit[c] = power_of_two_below((most(0) * hierarchy.weight_scale).max(most(1)).min(f64::MAX));
+            rhs_factor[c] = hierarchy.weight_scale / unit[c];
+        }
+        Ok(Self {
+            hierarchy,
+            system,
+            threads,
+            rhs,
+            columns,
+            first,
+            width,
+            unit,
+            rhs_factor,
+        })
+    }
+
+    pub(crate) fn width(&self) -> usize {
+        self.width
+    }
+
+    pub(crate) fn columns(&self) -> Range<usize> {
+        self.first..self.first + self.width
+    }
+
+    /// A residual of column `c` of the group in the caller's units.
+    pub(crate) fn outer_residual(&self, r: f64, c: usize) -> f64 {
+        r / self.rhs_factor[c]
+    }
+
+    /// Right-hand side of a row.
+    #[inline(always)]
+    pub(crate) fn rhs(&self, row: usize) -> Wide {
+        let at = self.hierarchy.order[row] as usize * self.columns + self.first;
+        let mut v = [0.0; WIDTH];
+        for c in 0..self.width {
+            v[c] = self.rhs[at + c] * self.rhs_factor[c];
+        }
+        v
+    }
+
+    /// Copies `x` into row order; free rows become 0 unless `given`.
+    pub(crate) fn load(&self, x: &[f64], given: bool, out: &mut Vec<Wide>) {
+        let n = self.hierarchy.vertices();
+        out.resize(n, [0.0; WIDTH]);
+        let mask = &self.system.masks[0];
+        let shared = Shared::new(out.as_mut_slice());
+        self.threads.each(0..pieces(n, PIECE), |k| {
+            // SAFETY: pieces are disjoint and each is visited once.
+            let out = unsafe { shared.rows(piece(k, n, PIECE)) };
+            for (i, out) in piece(k, n, PIECE).zip(out) {
+                *out = [0.0; WIDTH];
+                if given || !mask.free(i) {
+                    let at = self.hierarchy.order[i] as usize * self.columns + self.first;
+                    for c in 0..self.width {
+                        out[c] = x[at + c] / self.unit[c];
+                    }
+                }
+            }
+        });
+    }
+
+    /// Writes free rows back in the caller's order and units: x + e · e_unit, or x alone.
+    pub(crate) fn store(&self, x: &[Wide], e: Option<(&[Lanes], Wide)>, out: &mut [f64]) {
+        let mask = &self.system.masks[0];
+        for (i, &vertex) in self.hierarchy.order.iter().enumerate() {
+            if mask.free(i) {
+                let mut v = x[i];
+                if let Some((e, e_unit)) = e {
+                    let e = e[i].wide();
+                    for c in 0..WIDTH {
+                        v[c] += e[c] * e_unit[c];
+                    }
+                }
+                let at = vertex as usize * self.columns + self.first;
+                for c in 0..self.width {
+                    out[at + c] = v[c] * self.unit[c];
+                }
+            }
+        }
+    }
+
+    /// b − A x of every free row, handed to `convert` and written to `out`; masked rows get `convert` of 0, rows of
+    /// inactive blocks are not touched. Returns the squared norms. Without `with_rhs`, b is 0.
+    ///
+    /// The products are taken of differences x_i − x_j, which keeps full precision for bodies far from the origin.
+    pub(crate) fn residual<T: Copy + Send + Sync>(
+        &self,
+        x: &[Wide],
+        with_rhs: bool,
+        out: &mut [T],
+        convert: impl Fn(Wide) -> T + Sync + Send,
+    ) -> Wide {
+        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        let stiffness = &self.system.stiffness;
+        assert!(x.len() == level.rows());
+        let out = Shared::new(out);
+        self.norms(|rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let out = unsafe { out.rows(rows.clone()) };
+            let mut norms = [0.0; WIDTH];
+            for (i, out) in rows.zip(out) {
+                let mut r = [0.0; WIDTH];
+                if mask.free(i) {
+                    if with_rhs {
+                        r = self.rhs(i);
+                    }
+                    let (begin, _, end) = level.entries(i);
+                    let here = x[i];
+                    match &level.weights {
+                        None => {
+                            for &j in &level.neighbours[begin..end] {
+                                let there = x[j as usize];
+                                for c in 0..WIDTH {
+                                    r[c] -= here[c] - there[c];
+                                }
+                            }
+                        }
+                        Some(w) => {
+                            for (&j, &w) in level.neighbours[begin..end].iter().zip(&w[begin..end]) {
+                                let there = x[j as usize];
+                                for c in 0..WIDTH {
+                                    r[c] -= f64::from(w) * (here[c] - there[c]);
+                                }
+                            }
+                        }
+                    }
+                    if let Some(s) = stiffness.get(i) {
+                        for c in 0..WIDTH {
+                            r[c] -= s * here[c];
+                        }
+                    }
+                    for c in 0..WIDTH {
+                        norms[c] += r[c] * r[c];
+                    }
+                }
+                *out = convert(r);
+            }
+            norms
+        })
+    }
+
+    /// Squared norms of b, the right-hand side with the fixed values moved into it (β of the paper's equation (11)).
+    pub(crate) fn rhs_norms(&self, x: &[Wide]) -> Wide {
+        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        self.norms(|rows| {
+            let mut norms = [0.0; WIDTH];
+            for i in rows.filter(|&i| mask.free(i)) {
+                let mut b = self.rhs(i);
+                if self.system.on_border(i) {
+                    let (begin, _, end) = level.entries(i);
+                    for e in begin..end {
+                        let j = level.neighbours[e] as usize;
+                        if !mask.free(j) {
+                            for c in 0..WIDTH {
+                                b[c] += f64::from(level.weight(e)) * x[j][c];
+                            }
+                        }
+                    }
+                }
+                for c in 0..WIDTH {
+                    norms[c] += b[c] * b[c];
+                }
+            }
+            norms
+        })
+    }
+
+    /// b − A x in double precision, floating components without their means; returns the squared norms.
+    pub(crate) fn wide_residual(&self, x: &[Wide], r: &mut [Wide]) -> Wide {
+        let norms = self.residual(x, true, r, |v| v);
+        if self.system.floating.is_empty() {
+            return norms;
+        }
+        self.system.floating.remove_wide_means(r);
+        let r = &*r;
+        self.norms(|rows| {
+            let mut norms = [0.0; WIDTH];
+            for r in &r[rows] {
+                for c in 0..WIDTH {
+                    norms[c] += r[c] * r[c];
+                }
+            }
+            norms
+        })
+    }
+
+    /// Adds up what `body` returns for each active block, always in the same order.
+    pub(crate) fn norms(&self, body: impl Fn(Range<usize>) -> Wide + Sync + Send) -> Wide {
+        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        let active = &mask.active;
+        let parts = self
+            .threads
+            .map(0..active.len(), || (), |(), k| body(level.block(active[k] as usize)));
+        let mut sum = [0.0; WIDTH];
+        for part in parts {
+            add_wide(&mut sum, part);
+        }
+        sum
+    }
+}

@@ -1,0 +1,413 @@
+//! Constraints on a hierarchy: which rows of each level are solved for, and with which diagonal.
+
+use std::sync::Arc;
+
+use super::dense::Inverse;
+use super::floating::Floating;
+use super::lanes::Shared;
+use super::level::{Level, NONE};
+use super::threads::{Threads, piece, pieces};
+use super::{Constraints, Error, Hierarchy};
+use crate::pool::Pool;
+
+/// Up to this many free vertices are solved directly.
+const DIRECT: usize = 200;
+
+/// Largest stiffness in units of the heaviest edge.
+const STIFFEST: f64 = 1e12;
+
+/// Rows that one piece of work handles.
+const PIECE: usize = 4096;
+
+/// One level under constraints. The level's off-diagonal entries stay as they are; a constrained row is *masked*: its
+/// unknown is 0 in every correction, which takes it out of the equations of its neighbours.
+#[derive(Debug, Default)]
+pub(crate) struct Mask {
+    /// 1 / (Σ w + α) of rows that are solved for, 0 of masked ones.
+    pub(crate) inverses: Vec<f32>,
+    /// α of each row, or empty where it is 0 everywhere.
+    pub(crate) alphas: Vec<f32>,
+    /// Blocks that hold a row to solve for, in sweep order.
+    pub(crate) active: Vec<u32>,
+    /// First of `active` for each colour, and their number.
+    pub(crate) colours: Vec<u32>,
+}
+
+impl Mask {
+    #[inline(always)]
+    pub(crate) fn free(&self, row: usize) -> bool {
+        self.inverses[row] != 0.0
+    }
+
+    #[inline]
+    pub(crate) fn alpha(&self, row: usize) -> f32 {
+        self.alphas.get(row).copied().unwrap_or(0.0)
+    }
+
+    /// Fills in what follows from `inverses`.
+    fn list_active(&mut self, level: &Level) {
+        self.colours.push(0);
+        for c in 0..level.colours.len() - 1 {
+            for b in level.colours[c]..level.colours[c + 1] {
+                if level.block(b as usize).any(|i| self.free(i)) {
+                    self.active.push(b);
+                }
+            }
+            self.colours.push(self.active.len() as u32);
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        4 * (self.inverses.len() + self.alphas.len() + self.active.len() + self.colours.len())
+    }
+}
+
+/// A hierarchy under one set of constraints, ready to solve for any right-hand side.
+///
+/// It refers to its hierarchy by identity and borrows nothing; pass the hierarchy to every call.
+#[derive(Debug)]
+pub struct System {
+    token: Arc<()>,
+    free: usize,
+    /// One per level; only the finest where the direct method applies.
+    pub(crate) masks: Vec<Mask>,
+    /// Scaled stiffness in row order, or empty.
+    pub(crate) stiffness: Vec<f64>,
+    /// Free rows of the finest level that have a masked neighbour, one bit each.
+    pub(crate) border: Vec<u64>,
+    /// Rows of the last level that `inverse` covers.
+    pub(crate) dense_rows: Vec<u32>,
+    pub(crate) inverse: Inverse,
+    /// How many cycles each level runs for one of the level above it: 1 or 2.
+    pub(crate) steps: Vec<u8>,
+    pub(crate) floating: Floating,
+}
+
+impl System {
+    pub(crate) fn new(hierarchy: &Hierarchy, constraints: &Constraints<'_>, pool: &Pool) -> Result<System, Error> {
+        let threads = Threads::of(pool);
+        check(hierarchy, constraints)?;
+        let scale = hierarchy.weight_scale;
+        let stiffness: Vec<f64> = match constraints.stiffness {
+            Some(s) if s.iter().any(|v| *v != 0.0) => hierarchy
+                .order
+                .iter()
+                .map(|&v| {
+                    if constraints.fixed[v as usize] {
+                        0.0
+                    } else {
+                        s[v as usize] * scale
+                    }
+                })
+                .collect(),
+            _ => Vec::new(),
+        };
+        let free = constraints.fixed.iter().filter(|f| !**f).count();
+        let mut system = System {
+            token: hierarchy.token.clone(),
+            free,
+            masks: Vec::with_capacity(hierarchy.levels.len()),
+            stiffness,
+            border: Vec::new(),
+            dense_rows: Vec::new(),
+            inverse: Inverse::default(),
+            steps: Vec::new(),
+            floating: Floating::default(),
+        };
+        threads.enter(pool, || {
+            system.mask_finest(hierarchy, constraints.fixed, threads);
+            if free > DIRECT {
+                for l in 1..hierarchy.levels.len() {
+                    let mask = coarser(
+                        &hierarchy.levels[l - 1],
+                        &hierarchy.levels[l],
+                        &system.masks[l - 1],
+                        threads,
+                    );
+                    system.masks.push(mask);
+                }
+            }
+            system.factor(hierarchy);
+            system.floating = Floating::find(hierarchy, &system);
+        });
+        system.steps = steps(hierarchy);
+        Ok(system)
+    }
+
+    /// Number of free vertices.
+    pub fn free(&self) -> usize {
+        self.free
+    }
+
+    /// Bytes held, without the hierarchy's.
+    pub fn bytes(&self) -> usize {
+        let masks: usize = self.masks.iter().map(Mask::bytes).sum();
+        masks + 8 * (self.stiffness.len() + self.border.len()) + self.inverse.bytes() + self.floating.bytes()
+    }
+
+    /// True if the dense inverse covers the finest level itself.
+    pub(crate) fn is_direct(&self) -> bool {
+        self.masks.len() == 1
+    }
+
+    /// Makes sure that `hierarchy` is the one this system was made for.
+    pub(crate) fn check_hierarchy(&self, hierarchy: &Hierarchy) -> Result<(), Error> {
+        if Arc::ptr_eq(&self.token, &hierarchy.token) {
+            Ok(())
+        } else {
+            Err(Error::Invalid("the system was made for another hierarchy".into()))
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn on_border(&self, row: usize) -> bool {
+        self.border[row >> 6] >> (row & 63) & 1 == 1
+    }
+
+    fn mask_finest(&mut self, hierarchy: &Hierarchy, fixed: &[bool], threads: Threads) {
+        let level = &hierarchy.levels[0];
+        let mut mask = Mask {
+            inverses: vec![0.0; level.rows()],
+            ..Mask::default()
+        };
+        mask.alphas = self.stiffness.iter().map(|&s| s as f32).collect();
+        let n = level.rows();
+        let out = Shared::new(&mut mask.inverses);
+        let alphas = &mask.alphas;
+        threads.for_rows(n).each(0..pieces(n, PIECE), |k| {
+            // SAFETY: pieces are disjoint and each is visited once.
+            let out = unsafe { out.rows(piece(k, n, PIECE)) };
+            for (i, out) in piece(k, n, PIECE).zip(out) {
+                if !fixed[hierarchy.order[i] as usize] {
+                    let diagonal = level.diagonal[i] + alphas.get(i).copied().unwrap_or(0.0);
+                    // A free vertex that touches nothing has diagonal 0. It stays free; see `floating`.
+                    *out = if diagonal > 0.0 { 1.0 / diagonal } else { 1.0 };
+                }
+            }
+        });
+        mask.list_active(level);
+
+        // The border is found from whichever side has fewer rows.
+        let mut border = vec![0u64; n.div_ceil(64)];
+        let from_free = self.free < n / 2;
+        for i in 0..n {
+            if mask.free(i) != from_free {
+                continue;
+            }
+            let (begin, _, end) = level.entries(i);
+            for e in begin..end {
+                let j = level.neighbours[e] as usize;
+                if mask.free(j) != from_free {
+                    let row = if from_free { i } else { j };
+                    border[row >> 6] |= 1 << (row & 63);
+                }
+            }
+        }
+        self.border = border;
+        self.masks.push(mask);
+    }
+
+    /// Factors the last level that has a mask: the coarsest one, or the finest one if that is small enough.
+    fn factor(&mut self, hierarchy: &Hierarchy) {
+        let last = self.masks.len() - 1;
+        let (level, mask) = (&hierarchy.levels[last], &self.masks[last]);
+        let rows: Vec<u32> = (0..level.rows() as u32).filter(|&i| mask.free(i as usize)).collect();
+        let n = rows.len();
+        let mut matrix = vec![0.0; n * n];
+        for (a, &i) in rows.iter().enumerate() {
+            let (begin, _, end) = level.entries(i as usize);
+            let stiffness = if last == 0 {
+                self.stiffness.get(i as usize).copied().unwrap_or(0.0)
+            } else {
+                f64::from(mask.alpha(i as usize))
+            };
+            let mut diagonal = stiffness;
+            for e in begin..end {
+                let w = f64::from(level.weight(e));
+                diagonal += w;
+                if let Ok(b) = rows.binary_search(&level.neighbours[e]) {
+                    matrix[a * n + b] -= w;
+                }
+            }
+            matrix[a * n + a] = if diagonal > 0.0 { diagonal } else { 1.0 };
+        }
+        self.inverse = Inverse::new(matrix, n);
+        self.dense_rows = rows;
+    }
+}
+
+fn check(hierarchy: &Hierarchy, constraints: &Constraints<'_>) -> Result<(), Error> {
+    let n = hierarchy.vertices();
+    if constraints.fixed.len() != n {
+        let seen = constraints.fixed.len();
+        return Err(Error::Invalid(format!("{seen} constraint flags for {n} vertices")));
+    }
+    let Some(stiffness) = constraints.stiffness else {
+        return Ok(());
+    };
+    if stiffness.len() != n {
+        return Err(Error::Invalid(format!(
+            "{} stiffness values for {n} vertices",
+            stiffness.len()
+        )));
+    }
+    let most = STIFFEST / hierarchy.weight_scale;
+    if let Some(i) = stiffness.iter().position(|s| !(*s >= 0.0 && *s <= most)) {
+        return Err(Error::Invalid(format!(
+            "the stiffness of vertex {i} is {}, allowed are 0 to {most:e} (hold the vertex fixed instead)",
+            stiffness[i]
+        )));
+    }
+    Ok(())
+}
+
+/// The mask of the level below `fine`. An aggregate without free members is masked. Another one sums α over its free
+/// members, and the weights that tie these to its masked members. Always from scratch: nothing accumulates over
+/// changes of constraints.
+fn coarser(fine: &Level, coarse: &Level, fine_mask: &Mask, threads: Threads) -> Mask {
+    let n = coarse.rows();
+    let mut mask = Mask {
+        inverses: vec![0.0; n],
+        alphas: vec![0.0; n],
+        ..Mask::default()
+    };
+    let (inverses, alphas) = (Shared::new(&mut mask.inverses), Shared::new(&mut mask.alphas));
+    threads.for_rows(fine.rows()).each(0..pieces(n, PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        let (inverses, alphas) = unsafe { (inverses.rows(piece(k, n, PIECE)), alphas.rows(piece(k, n, PIECE))) };
+        for (local, row) in piece(k, n, PIECE).enumerate() {
+            let members = fine.members_of(row);
+            let free = members.iter().filter(|&&i| fine_mask.free(i as usize)).count();
+            if free == 0 {
+                continue;
+            }
+            let mut alpha = 0.0f64;
+            for &i in members {
+                let i = i as usize;
+                if !fine_mask.free(i) {
+                    continue;
+                }
+                alpha += f64::from(fine_mask.alpha(i));
+                if free == members.len() {
+                    continue;
+                }
+                let (begin, _, end) = fine.entries(i);
+                for e in begin..end {
+                    let j = fine.neighbours[e] as usize;
+                    if fine.aggregates[j] == row as u32 && !fine_mask.free(j) {
+                        alpha += f64::from(fine.weight(e));
+                    }
+                }
+            }
+            alphas[local] = alpha as f32;
+            let diagonal = coarse.diagonal[row] + alphas[local];
+            inverses[local] = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
+        }
+    });
+    mask.list_active(coarse);
+    mask
+}
+
+/// Two cycles per visit (the K-cycle) wherever all cycles of the level together stay cheaper than the finest level.
+fn steps(hierarchy: &Hierarchy) -> Vec<u8> {
+    const SHARE: f64 = 0.6;
+    let work = |l: &Level| (l.rows() + l.neighbours.len()) as f64;
+    let budget = SHARE * work(&hierarchy.levels[0]).max(1e6);
+    let mut cycles = 1.0;
+    let mut steps = vec![1];
+    for pair in hierarchy.levels[1..].windows(2) {
+        // The level below is visited once per cycle; count it, the coarsest one with its dense inverse.
+        let below = if pair[1].aggregates.is_empty() {
+            (pair[1].rows() as f64).powi(2)
+        } else {
+            0.0
+        };
+        let two = 2.0 * cycles * (work(&pair[0]) + below) <= budget;
+        steps.push(if two { 2 } else { 1 });
+        cycles *= if two { 2.0 } else { 1.0 };
+    }
+    steps.push(1);
+    debug_assert!(hierarchy.levels.iter().all(|l| {
+        l.aggregates
+            .iter()
+            .all(|&a| a == NONE || (a as usize) < l.coarse_rows())
+    }));
+    steps
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Block, pool};
+    use super::*;
+
+    #[test]
+    fn masks_follow_their_members() {
+        let block = Block::new(12, 11, 10).weighted();
+        let hierarchy = block.hierarchy(30);
+        let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] < 4.0).collect();
+        let stiffness: Vec<f64> = block
+            .positions
+            .iter()
+            .map(|p| f64::from(u8::from(p[0] > 9.0)))
+            .collect();
+        let constraints = Constraints {
+            fixed: &fixed,
+            stiffness: Some(&stiffness),
+        };
+        let system = hierarchy.constrain(&constraints, &pool()).unwrap();
+        assert_eq!(system.free(), fixed.iter().filter(|f| !**f).count());
+        let (mut masked, mut mixed) = (0, 0);
+        for (row, &vertex) in hierarchy.order.iter().enumerate() {
+            assert_eq!(system.masks[0].free(row), !fixed[vertex as usize]);
+        }
+        for l in 1..hierarchy.levels.len() {
+            let (fine, coarse) = (&hierarchy.levels[l - 1], &hierarchy.levels[l]);
+            let (above, mask) = (&system.masks[l - 1], &system.masks[l]);
+            for row in 0..coarse.rows() {
+                let members = fine.members_of(row);
+                let free: Vec<usize> = members.iter().map(|&i| i as usize).filter(|&i| above.free(i)).collect();
+                assert_eq!(mask.free(row), !free.is_empty());
+                masked += usize::from(free.is_empty());
+                mixed += usize::from(!free.is_empty() && free.len() < members.len());
+                let mut alpha = 0.0;
+                for &i in &free {
+                    alpha += above.alpha(i);
+                    let (begin, _, end) = fine.entries(i);
+                    for e in begin..end {
+                        let j = fine.neighbours[e] as usize;
+                        let tied = members.contains(&(j as u32)) && !above.free(j);
+                        alpha += if tied { fine.weight(e) } else { 0.0 };
+                    }
+                }
+                assert!((alpha - mask.alpha(row)).abs() <= 1e-5 * alpha, "level {l} row {row}");
+                if mask.free(row) {
+                    let diagonal = coarse.diagonal[row] + mask.alpha(row);
+                    assert!((mask.inverses[row] * diagonal - 1.0).abs() < 1e-5);
+                }
+            }
+        }
+        assert!(masked > 0 && mixed > 0, "the test meets both kinds");
+        // The border, found from the other side.
+        let level = &hierarchy.levels[0];
+        for row in 0..level.rows() {
+            let (begin, _, end) = level.entries(row);
+            let touches = level.neighbours[begin..end]
+                .iter()
+                .any(|&j| !system.masks[0].free(j as usize));
+            assert_eq!(system.on_border(row), system.masks[0].free(row) && touches);
+        }
+    }
+
+    #[test]
+    fn cycles_stay_within_their_budget() {
+        let hierarchy = Block::new(40, 40, 24).hierarchy(20);
+        let steps = steps(&hierarchy);
+        assert_eq!(steps.len(), hierarchy.levels.len());
+        assert!(steps.contains(&2), "coarse levels run twice: {steps:?}");
+        let mut cycles = 1.0;
+        for (level, steps) in hierarchy.levels.iter().zip(&steps) {
+            cycles *= f64::from(*steps);
+            assert!(cycles * (level.neighbours.len() as f64) <= hierarchy.levels[0].neighbours.len() as f64);
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! Scratch that solves share.
+
+use super::cycle::Coarse;
+use super::lanes::{Lanes, Wide};
+use super::start::Patches;
+use super::sweep::Dots;
+
+/// Vectors that a solve needs; reuse it and solves of the same size allocate next to nothing.
+///
+/// It belongs to no hierarchy: one workspace can serve systems of any size, one solve at a time.
+#[derive(Debug, Default)]
+pub struct Workspace {
+    /// The solution so far, in row order.
+    pub(crate) x: Vec<Wide>,
+    pub(crate) fine: Fine,
+    pub(crate) coarse: Vec<Coarse>,
+    pub(crate) patches: Vec<Patches>,
+    /// Vectors in double precision for the direct method and the fallback.
+    pub(crate) wide: [Vec<Wide>; 3],
+}
+
+/// Single-precision vectors of the outer iteration on the finest level.
+#[derive(Debug, Default)]
+pub(crate) struct Fine {
+    /// Residual.
+    pub(crate) r: Vec<Lanes>,
+    /// Preconditioned residual.
+    pub(crate) z: Vec<Lanes>,
+    /// A z, and scratch on the way there.
+    pub(crate) t: Vec<Lanes>,
+    /// Search direction.
+    pub(crate) p: Vec<Lanes>,
+    /// A p.
+    pub(crate) q: Vec<Lanes>,
+    /// Correction to the solution.
+    pub(crate) e: Vec<Lanes>,
+    pub(crate) partials: Vec<Dots>,
+}
+
+impl Fine {
+    pub(crate) fn resize(&mut self, rows: usize) {
+        for v in [
+            &mut self.r,
+            &mut self.z,
+            &mut self.t,
+            &mut self.p,
+            &mut self.q,
+            &mut self.e,
+        ] {
+            v.resize(rows, Lanes::ZERO);
+        }
+    }
+}
+
+impl Workspace {
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        let f = &self.fine;
+        let lanes: usize = [&f.r, &f.z, &f.t, &f.p, &f.q, &f.e].iter().map(|v| v.capacity()).sum();
+        let wide = self.x.capacity() + self.wide.iter().map(Vec::capacity).sum::<usize>();
+        let coarse: usize = self.coarse.iter().map(Coarse::bytes).sum();
+        let patches: usize = self.patches.iter().map(Patches::bytes).sum();
+        16 * (lanes + 3 * f.partials.capacity()) + 32 * wide + coarse + patches
+    }
+}

@@ -1,0 +1,74 @@
+//! Finds the glTF files of the data folder, each with the companions that lie beside it.
+
+use bytes::Bytes;
+use pliant::asset::FileSet;
+use std::path::{Path, PathBuf};
+
+/// The data folder; `None`, and a line that says so, when it is not there.
+pub fn data_folder(what: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("PLIANT_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+        PathBuf::from,
+    );
+    if folder.join("gltf").is_dir() {
+        return Some(folder);
+    }
+    println!(
+        "skipped {what}: no data folder at {}; PLIANT_DATA names it",
+        folder.display()
+    );
+    None
+}
+
+/// Every .glb and .gltf below a folder, in order.
+pub fn gltf_files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut open = vec![folder.to_path_buf()];
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(&folder).expect("a readable folder") {
+            let path = entry.expect("a readable entry").path();
+            if path.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|e| e == "glb" || e == "gltf") {
+                found.push(path);
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// The set that an upload of this file would be: for .gltf, with every file beside it that is no model of its own.
+pub fn file_set(path: &Path) -> FileSet {
+    let name = path.file_name().expect("a file").to_string_lossy().into_owned();
+    let mut set = FileSet::single(name, std::fs::read(path).expect("a readable file"));
+    if path.extension().is_some_and(|e| e == "gltf") {
+        let folder = path.parent().expect("a folder");
+        let uris = companion_names(&set.main);
+        for uri in uris {
+            if let Ok(bytes) = std::fs::read(folder.join(&uri)) {
+                set.companions.insert(uri, Bytes::from(bytes));
+            }
+        }
+    }
+    set
+}
+
+/// Relative names in a document's buffers and images; none when it is no document.
+fn companion_names(json: &[u8]) -> Vec<String> {
+    let Ok(document) = serde_json::from_slice::<serde_json::Value>(json) else {
+        return Vec::new();
+    };
+    let uris = ["buffers", "images"]
+        .iter()
+        .filter_map(|key| document[key].as_array())
+        .flatten()
+        .filter_map(|item| item["uri"].as_str())
+        .filter(|uri| !uri.contains(':') && !uri.contains(".."));
+    uris.map(|uri| {
+        percent_encoding::percent_decode_str(uri)
+            .decode_utf8_lossy()
+            .into_owned()
+    })
+    .collect()
+}
