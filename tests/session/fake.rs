@@ -13,7 +13,7 @@ use pliant::pool::Pool;
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::{Config, Engine, Manager, Opener, Stream, StreamInput, StreamOutput, Tenant};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
-use std::sync::{Arc, Condvar, Mutex};
+use std::sync::{Arc, Condvar, LazyLock, Mutex};
 use std::time::Duration;
 
 /// Lets cycles pass, or holds them.
@@ -111,7 +111,7 @@ impl Opener for OpenFake {
         match word {
             "points" => {}
             "panic" => panic!("opening panics on purpose"),
-            "slow" => self.control.cycle(progress)?,
+            "slow" => self.0.cycle(progress)?,
             "large" if number > limits.memory_bytes => {
                 return Err(job::Error::TooLarge {
                     what: "bytes",
@@ -307,8 +307,9 @@ pub async fn until(holds: impl Fn() -> bool) {
     panic!("it never came true");
 }
 
-pub fn tenant() -> Tenant {
-    Tenant::default()
+pub fn tenant() -> &'static Tenant {
+    static ME: LazyLock<Tenant> = LazyLock::new(Tenant::default);
+    &ME
 }
 
 pub fn small() -> Config {
@@ -334,7 +335,7 @@ pub fn model(text: &str) -> FileSet {
 pub async fn open(manager: &Manager) -> String {
     let id = create(manager, "points 4").await;
     manager
-        .set_handles(&tenant(), handles(&id, &["a", "b"]), None)
+        .set_handles(tenant(), handles(&id, &["a", "b"]), None)
         .await
         .expect("two handles");
     id
@@ -342,7 +343,7 @@ pub async fn open(manager: &Manager) -> String {
 
 pub async fn create(manager: &Manager, text: &str) -> String {
     let made = manager
-        .create(&tenant(), model(text), pb::CreateOptions::default(), None)
+        .create(tenant(), model(text), pb::CreateOptions::default(), None)
         .await;
     made.expect("a session").value.id
 }
@@ -404,7 +405,7 @@ pub struct Seen {
 
 impl Client {
     pub async fn open(manager: &Manager, id: &str) -> Self {
-        Self::of(manager.stream(&tenant(), id).await.expect("a stream"))
+        Self::of(manager.stream(tenant(), id).await.expect("a stream"))
     }
 
     pub fn of(stream: Stream) -> Self {

@@ -2,6 +2,7 @@
 #![allow(dead_code)]
 
 use glam::DVec3;
+use pliant::graph::Graph;
 use pliant::mesh::{Adjacency, Mesh, Report, Weld, inspect};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -123,4 +124,63 @@ pub fn mesh(shape: &Shape) -> Mesh {
 pub fn report(points: &[DVec3], faces: &[[u32; 3]]) -> Report {
     let mesh = Mesh::build(points, faces, Weld::Exact).expect("a generated shape is a mesh");
     inspect(&mesh, &Adjacency::build(mesh.positions.len(), &mesh.triangles))
+}
+
+/// The sum of all solid angles, one by one (van Oosterom and Strackee).
+pub fn winding_by_sum((points, faces): &Shape, q: DVec3) -> f64 {
+    let angle = |f: &[u32; 3]| {
+        let [a, b, c] = f.map(|v| points[v as usize] - q);
+        let (la, lb, lc) = (a.length(), b.length(), c.length());
+        let below = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+        libm::atan2(a.dot(b.cross(c)), below)
+    };
+    faces.iter().map(angle).sum::<f64>() / std::f64::consts::TAU
+}
+
+/// Panics unless the graph keeps everything that its type promises.
+pub fn check_graph(graph: &Graph, mesh: &Mesh) {
+    let n = graph.nodes();
+    assert_eq!(graph.surface, mesh.positions.len());
+    assert_eq!(graph.positions[..graph.surface], mesh.positions);
+    assert_eq!(
+        (graph.offsets.len(), graph.offsets[n] as usize),
+        (n + 1, graph.neighbours.len())
+    );
+    assert_eq!((graph.nearest_surface.len(), graph.component.len()), (n, n));
+    assert_eq!(graph.surface + graph.stats.shell_nodes + graph.stats.lattice_nodes, n);
+    let weight = |i: u32, k: usize| {
+        graph
+            .weights
+            .as_ref()
+            .map_or(1.0, |w| w[graph.offsets[i as usize] as usize + k])
+    };
+    let mut with_surface = vec![false; graph.components];
+    for i in 0..n as u32 {
+        let row = graph.row(i);
+        assert!(row.windows(2).all(|w| w[0] < w[1]), "row {i} rises");
+        assert!(
+            !row.is_empty() && row.binary_search(&i).is_err(),
+            "row {i} has neighbours, not itself"
+        );
+        for (k, &j) in row.iter().enumerate() {
+            let back = graph
+                .row(j)
+                .binary_search(&i)
+                .unwrap_or_else(|_| panic!("{i} – {j} is one-sided"));
+            assert_eq!(weight(i, k), weight(j, back));
+            assert!(weight(i, k) > 0.0);
+            assert_eq!(graph.component[i as usize], graph.component[j as usize]);
+        }
+        assert!(graph.positions[i as usize].is_finite());
+        let near = graph.nearest_surface[i as usize];
+        assert!((near as usize) < graph.surface);
+        if (i as usize) < graph.surface {
+            assert_eq!(near, i);
+            with_surface[graph.component[i as usize] as usize] = true;
+        } else if (i as usize) < graph.surface + graph.stats.shell_nodes {
+            assert!(row.contains(&near), "a shell node is tied to its vertex");
+        }
+    }
+    assert!(with_surface.iter().all(|&s| s), "each component has surface nodes");
+    assert_eq!(graph.stats.component_has_volume.len(), graph.components);
 }

@@ -1,0 +1,194 @@
+//! Every real model of the data folder through `pliant deform`, the way a pipeline would call it.
+
+use pliant::asset::{FileSet, Format, Limits, Model};
+use serde_json::json;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+/// A run that takes longer hangs.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn data_folder() -> PathBuf {
+    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    std::env::var_os("PLIANT_DATA").map_or(default, PathBuf::from)
+}
+
+fn models_under(folder: &Path, found: &mut Vec<PathBuf>) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for path in entries.flatten().map(|e| e.path()) {
+        if path.is_dir() {
+            models_under(&path, found);
+        } else if Format::from_file_name(&path.to_string_lossy()).is_some() {
+            found.push(path);
+        }
+    }
+}
+
+/// Runs the program with a deadline; returns (exit code, stdout, last line of stderr).
+fn pliant(arguments: &[&str]) -> (Option<i32>, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
+    let out = tempfile::tempfile().expect("a file");
+    let err = tempfile::tempfile().expect("a file");
+    let stdio = |f: &fs::File| Stdio::from(f.try_clone().expect("a handle"));
+    let mut child =
+        command.args(arguments).stdin(Stdio::null()).stdout(stdio(&out)).stderr(stdio(&err)).spawn().expect("it starts");
+    let begun = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait().expect("it can be waited for") {
+            break status.code();
+        }
+        if begun.elapsed() > PATIENCE {
+            let _ = child.kill();
+            let _ = child.wait();
+            return (None, String::new(), "no result in time".into());
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    };
+    let text = |mut f: fs::File| {
+        use std::io::{Read, Seek};
+        let mut text = String::new();
+        f.rewind().and_then(|()| f.read_to_string(&mut text)).expect("text");
+        text
+    };
+    let err = text(err);
+    (status, text(out), err.trim_end().lines().last().unwrap_or_default().to_owned())
+}
+
+fn read(path: &Path) -> Option<Model> {
+    let mut files = FileSet::single(path.file_name()?.to_string_lossy(), fs::read(path).ok()?);
+    if let Some(folder) = path.parent().filter(|_| path.extension().is_some_and(|e| e == "gltf")) {
+        for entry in fs::read_dir(folder).ok()?.flatten().filter(|e| e.path().is_file()) {
+            files.companions.insert(entry.file_name().to_string_lossy().into_owned(), fs::read(entry.path()).ok()?.into());
+        }
+    }
+    Model::read(files, None, &Limits::default()).ok()
+}
+
+/// Two handles at the ends of the longest side: one stays, one is turned and shifted.
+fn job_for(model: &Model) -> serde_json::Value {
+    let low = model.positions.iter().copied().reduce(|a, b| a.min(b)).unwrap_or_default();
+    let high = model.positions.iter().copied().reduce(|a, b| a.max(b)).unwrap_or_default();
+    let size = high - low;
+    let axis = (0..3).fold(0, |best, k| if size[k] > size[best] { k } else { best });
+    let normal = |sign: f64| {
+        let mut n = [0.0; 3];
+        n[axis] = sign;
+        n
+    };
+    let mut turn = [0.0; 3];
+    turn[(axis + 1) % 3] = 0.5;
+    let mut shift = [0.0; 3];
+    shift[(axis + 2) % 3] = 0.1 * size.length();
+    json!({
+        "handles": [
+            {"id": "base", "region": {"halfSpace": {"normal": normal(-1.0), "offset": -(low[axis] + 0.15 * size[axis])}}},
+            {"id": "top", "region": {"halfSpace": {"normal": normal(1.0), "offset": low[axis] + 0.85 * size[axis]}}},
+        ],
+        "steps": [{"pose": {"handles": [{"id": "top", "pose": {"rotationVector": turn, "translation": shift}}]}}],
+    })
+}
+
+/// What became of one model: a line for the table, or what went wrong.
+fn try_model(path: &Path, work: &Path) -> Result<String, String> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();
+    let model_path = path.to_string_lossy();
+    let out = work.join("out").join(&name);
+    let out_text = out.to_string_lossy().into_owned();
+    fs::create_dir_all(out.parent().unwrap_or(work)).map_err(|e| e.to_string())?;
+    let job_path = work.join("job.json");
+    let run = |job: &serde_json::Value| {
+        fs::write(&job_path, job.to_string()).expect("the job is written");
+        pliant(&["deform", &model_path, "--job", &job_path.to_string_lossy(), "-o", &out_text, "--json", "--threads", "1"])
+    };
+    let model = read(path);
+    let begun = Instant::now();
+    let job = model.as_ref().map_or_else(|| json!({"handles": []}), job_for);
+    let (code, stdout, reason) = run(&job);
+    let ms = begun.elapsed().as_millis();
+    match code {
+        None => return Err(format!("no result after {PATIENCE:?}")),
+        Some(2) if reason.is_empty() || out.exists() => return Err("refused without a reason, or with an output".into()),
+        Some(2) if !stdout.trim().is_empty() => return Err("a refusal printed on stdout".into()),
+        Some(2) => return Ok(format!("refused: {}", reason.trim_start_matches("pliant: "))),
+        Some(0) => {}
+        Some(code) => return Err(format!("exit code {code}: {reason}")),
+    }
+    let model = model.ok_or("deformed, but cannot be read")?;
+    let report: serde_json::Value = serde_json::from_str(&stdout).map_err(|e| format!("stdout is no JSON: {e}"))?;
+    let written = read(&out).ok_or("the output cannot be read again")?;
+    if written.positions.len() != model.positions.len() || written.triangles != model.triangles {
+        return Err("the output has other vertices or triangles".into());
+    }
+    if !written.positions.iter().all(|p| p.is_finite()) {
+        return Err("the output holds a number that is not finite".into());
+    }
+    if written.positions == model.positions {
+        return Err("nothing moved".into());
+    }
+    // Without a pose the model comes back byte for byte.
+    let (code, _, reason) = run(&json!({"handles": job["handles"].clone()}));
+    if code != Some(0) {
+        return Err(format!("without a pose: exit code {code:?}: {reason}"));
+    }
+    if fs::read(&out).ok() != fs::read(path).ok() {
+        return Err(format!("without a pose the .{extension} changed"));
+    }
+    let step = &report["steps"][0];
+    Ok(format!(
+        "deformed: {} vertices, {} graph, {} cycles, residual {:.0e}, {} flipped, {ms} ms",
+        model.positions.len(),
+        report["solver"]["graphVertices"],
+        step["cycles"],
+        step["residual"].as_f64().unwrap_or_default(),
+        report["quality"]["flippedTriangles"]
+    ))
+}
+
+#[test]
+fn every_model_is_deformed_or_refused_in_one_line() {
+    let data = data_folder();
+    let mut models = Vec::new();
+    models_under(&data.join("meshes"), &mut models);
+    models_under(&data.join("gltf"), &mut models);
+    models.sort();
+    if models.is_empty() {
+        println!("skipped: no models under {}", data.display());
+        return;
+    }
+    let work = tempfile::tempdir().expect("a folder");
+    let next = Mutex::new(models.iter().enumerate());
+    let results = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                loop {
+                    let Some((k, path)) = next.lock().expect("no panic").next() else { break };
+                    let folder = work.path().join(k.to_string());
+                    let result = try_model(path, &folder);
+                    let _ = fs::remove_dir_all(&folder);
+                    results.lock().expect("no panic").push((k, result));
+                }
+            });
+        }
+    });
+    let mut results = results.into_inner().expect("no panic");
+    results.sort_by_key(|r| r.0);
+    let mut wrong = Vec::new();
+    for (k, result) in &results {
+        let name = models[*k].strip_prefix(&data).unwrap_or(&models[*k]).display();
+        match result {
+            Ok(line) => println!("{name:<58} {line}"),
+            Err(problem) => {
+                println!("{name:<58} WRONG: {problem}");
+                wrong.push(format!("{name}: {problem}"));
+            }
+        }
+    }
+    let refused = results.iter().filter(|r| r.1.as_ref().is_ok_and(|l| l.starts_with("refused"))).count();
+    println!("{} models: {} deformed, {refused} refused, {} wrong", results.len(), results.len() - refused - wrong.len(), wrong.len());
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
