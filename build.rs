@@ -10,7 +10,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rerun-if-changed={SCHEMA}");
     let out = PathBuf::from(env::var("OUT_DIR")?);
     let mut compiler = protox::Compiler::new(["proto"])?;
-    compiler.include_source_info(true).include_imports(true).open_file(SCHEMA)?;
+    compiler
+        .include_source_info(true)
+        .include_imports(true)
+        .open_file(SCHEMA)?;
     let descriptors = compiler.file_descriptor_set();
     fs::write(out.join("descriptors.bin"), descriptors.encode_to_vec())?;
 
@@ -18,7 +21,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     for file in &mut messages.file {
         file.service.clear();
     }
-    prost_build::Config::new().bytes(["."]).btree_map(["."]).enable_type_names().compile_fds(messages)?;
+    prost_build::Config::new()
+        .bytes(["."])
+        .btree_map(["."])
+        .enable_type_names()
+        .compile_fds(messages)?;
 
     let services = out.join("services");
     fs::create_dir_all(&services)?;

@@ -28,8 +28,13 @@ impl Pool {
             .num_threads(threads)
             .thread_name(|i| format!("pliant-compute-{i}"))
             .build()
-            .map(|pool| Self { threads: Arc::new(pool) })
-            .map_err(|e| PoolError { threads, reason: e.to_string() })
+            .map(|pool| Self {
+                threads: Arc::new(pool),
+            })
+            .map_err(|e| PoolError {
+                threads,
+                reason: e.to_string(),
+            })
     }
 
     /// Number of threads, at least 1.

@@ -187,7 +187,7 @@ async fn problems_say_what_where_and_what_is_allowed() {
         ("PUT", at("handles"), json_type, r#"{"sessionId": "another", "handles": []}"#, 422, "INVALID_ARGUMENT", Some("sessionId"), &["differs"]),
         ("POST", at("solve"), json_type, r#"{"pose": {"handles": [{"id": "nose"}]}}"#, 422, "INVALID_ARGUMENT", Some("pose.handles[0].id"), &["nose"]),
         ("POST", at("solve"), json_type, r#"{"pose": {"handles": [{"id": "top", "pose": {"translation": ["NaN", 0, 0]}}]}}"#, 422,
-            "INVALID_ARGUMENT", Some("pose.handles[0].pose.translation"), &["finite"]),
+            "INVALID_ARGUMENT", Some("pose.handles[0].pose.translation[0]"), &["finite"]),
         ("POST", at("solve"), json_type, &large, 413, "RESOURCE_EXHAUSTED", None, &["65536"]),
         ("POST", format!("/v1/sessions/{bare}/solve"), json_type, "{}", 409, "FAILED_PRECONDITION", None, &["handles"]),
         ("POST", at("redo"), None, "", 409, "FAILED_PRECONDITION", None, &["redo"]),

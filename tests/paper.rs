@@ -16,8 +16,12 @@ fn pool(threads: usize) -> Pool {
 
 fn obj((positions, triangles): &Shape) -> FileSet {
     let mut text = String::new();
-    positions.iter().for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-    triangles.iter().for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+    positions
+        .iter()
+        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
+    triangles
+        .iter()
+        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
     FileSet::single("shape.obj", text)
 }
 
@@ -38,31 +42,64 @@ fn above(offset: f64) -> pb::Region {
 }
 
 fn half_space(normal: [f64; 3], offset: f64) -> pb::Region {
-    let half = pb::region::HalfSpace { normal: normal.to_vec(), offset };
-    pb::Region { region: Some(pb::region::Region::HalfSpace(half)) }
+    let half = pb::region::HalfSpace {
+        normal: normal.to_vec(),
+        offset,
+    };
+    pb::Region {
+        region: Some(pb::region::Region::HalfSpace(half)),
+    }
 }
 
 fn handle(id: &str, region: pb::Region) -> pb::Handle {
-    pb::Handle { id: id.into(), region: Some(region), ..Default::default() }
+    pb::Handle {
+        id: id.into(),
+        region: Some(region),
+        ..Default::default()
+    }
 }
 
 fn set(bench: &mut Workbench, handles: Vec<pb::Handle>) {
-    let request = pb::SetHandlesRequest { handles, ..Default::default() };
+    let request = pb::SetHandlesRequest {
+        handles,
+        ..Default::default()
+    };
     bench.set_handles(&request, &pool(2), &Silent).expect("the handles fit");
 }
 
 fn settings(tolerance: f64) -> Settings {
-    Settings::check(&pb::Options { tolerance, ..Default::default() }, "options", 8).expect("valid options")
+    Settings::check(
+        &pb::Options {
+            tolerance,
+            ..Default::default()
+        },
+        "options",
+        8,
+    )
+    .expect("valid options")
 }
 
 fn pose(entries: &[(&str, pb::HandlePose)]) -> pb::Pose {
-    let entry = |(id, pose): &(&str, pb::HandlePose)| pb::pose::Entry { id: (*id).into(), pose: Some(pose.clone()) };
-    pb::Pose { handles: entries.iter().map(entry).collect(), ..Default::default() }
+    let entry = |(id, pose): &(&str, pb::HandlePose)| pb::pose::Entry {
+        id: (*id).into(),
+        pose: Some(pose.clone()),
+    };
+    pb::Pose {
+        handles: entries.iter().map(entry).collect(),
+        ..Default::default()
+    }
 }
 
 fn try_solve(bench: &mut Workbench, pose: &pb::Pose, tolerance: f64, threads: usize) -> Result<Solved, Error> {
     let poses = bench.posed(&bench.initial_poses(), pose)?;
-    bench.solve(&poses, &settings(tolerance), Mode::Commit, &pool(threads), &Silent, &mut |_| true)
+    bench.solve(
+        &poses,
+        &settings(tolerance),
+        Mode::Commit,
+        &pool(threads),
+        &Silent,
+        &mut |_| true,
+    )
 }
 
 fn solve(bench: &mut Workbench, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> Solved {
@@ -70,11 +107,18 @@ fn solve(bench: &mut Workbench, entries: &[(&str, pb::HandlePose)], tolerance: f
 }
 
 fn turn(vector: DVec3, pivot: DVec3) -> pb::HandlePose {
-    pb::HandlePose { rotation_vector: vector.to_array().to_vec(), pivot: pivot.to_array().to_vec(), ..Default::default() }
+    pb::HandlePose {
+        rotation_vector: vector.to_array().to_vec(),
+        pivot: pivot.to_array().to_vec(),
+        ..Default::default()
+    }
 }
 
 fn shift(by: DVec3) -> pb::HandlePose {
-    pb::HandlePose { translation: by.to_array().to_vec(), ..Default::default() }
+    pb::HandlePose {
+        translation: by.to_array().to_vec(),
+        ..Default::default()
+    }
 }
 
 fn largest_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
@@ -85,12 +129,18 @@ fn largest_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
 /// A bar along z, 4 long and 1 wide.
 fn bar() -> Shape {
     let (positions, triangles) = shapes::box_with_cells(DVec3::new(1.0, 1.0, 4.0), [8, 8, 32]);
-    (positions.iter().map(|p| *p - DVec3::new(0.5, 0.5, 0.0)).collect(), triangles)
+    (
+        positions.iter().map(|p| *p - DVec3::new(0.5, 0.5, 0.0)).collect(),
+        triangles,
+    )
 }
 
 fn bent_bar() -> Workbench {
     let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(0.25)), handle("top", above(3.75))]);
+    set(
+        &mut bench,
+        vec![handle("base", below(0.25)), handle("top", above(3.75))],
+    );
     bench
 }
 
@@ -98,18 +148,41 @@ fn bent_bar() -> Workbench {
 #[test]
 fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
     let pool = pool(2);
-    for (name, shape) in [("bar", bar()), ("torus", shapes::torus(1.0, 0.35, 64, 24)), ("sheet", shapes::grid(1.0, 1.0, [24, 24]))] {
+    for (name, shape) in [
+        ("bar", bar()),
+        ("torus", shapes::torus(1.0, 0.35, 64, 24)),
+        ("sheet", shapes::grid(1.0, 1.0, [24, 24])),
+    ] {
         let mesh = Mesh::build(&shape.0, &shape.1, Weld::Exact).expect("a mesh");
         let body = Body::build(&mesh, &BodyOptions::default(), &pool, &Silent).expect("a body");
         let bounds = mesh.bounds();
         let reach = bounds.max.x - 0.15 * (bounds.max.x - bounds.min.x);
         let region = |keep: &dyn Fn(DVec3) -> bool| {
-            (0u32..).zip(&body.graph.positions).filter(|(_, p)| keep(**p)).map(|(n, _)| n).collect::<Vec<_>>()
+            (0u32..)
+                .zip(&body.graph.positions)
+                .filter(|(_, p)| keep(**p))
+                .map(|(n, _)| n)
+                .collect::<Vec<_>>()
         };
-        let hold = |nodes| Hold { nodes, position: true, rotation: true, scale: true, ..Default::default() };
+        let hold = |nodes| Hold {
+            nodes,
+            position: true,
+            rotation: true,
+            scale: true,
+            ..Default::default()
+        };
         let low = bounds.min.x + 0.15 * (bounds.max.x - bounds.min.x);
         let holds = vec![hold(region(&|p| p.x <= low)), hold(region(&|p| p.x >= reach))];
-        let rig = Rig::build(&body, Rigging { holds, ..Default::default() }, &pool, &Silent).expect("a rig");
+        let rig = Rig::build(
+            &body,
+            Rigging {
+                holds,
+                ..Default::default()
+            },
+            &pool,
+            &Silent,
+        )
+        .expect("a rig");
         let moved = Transform {
             translation: DVec3::new(0.1, 0.3, -0.2),
             rotation: DVec3::new(0.4, -0.3, 0.9),
@@ -118,12 +191,21 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
         };
         let transforms = [Transform::IDENTITY, moved];
         for tolerance in [1e-3, 1e-5, 1e-8] {
-            let request = Request { transforms: &transforms, tolerance: Some(tolerance), max_error: None, start: Start::Fresh };
-            let solution =
-                rig.solve(&body, &request, &mut State::default(), &pool, &Silent, &mut |_| true).expect("solved");
+            let request = Request {
+                transforms: &transforms,
+                tolerance: Some(tolerance),
+                max_error: None,
+                start: Start::Fresh,
+            };
+            let solution = rig
+                .solve(&body, &request, &mut State::default(), &pool, &Silent, &mut |_| true)
+                .expect("solved");
             let frames = frames(&body, &rig, &transforms, &pool);
             let residual = equation_8_residual(&body, &rig, &frames, &solution.positions);
-            assert!(residual <= tolerance * 1.05, "{name}: asked for {tolerance:e}, equation (8) holds to {residual:e}");
+            assert!(
+                residual <= tolerance * 1.05,
+                "{name}: asked for {tolerance:e}, equation (8) holds to {residual:e}"
+            );
         }
     }
 }
@@ -132,7 +214,12 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
 fn equation_8_residual(body: &Body, rig: &Rig, frames: &[[f32; 9]], x: &[DVec3]) -> f64 {
     let graph = &body.graph;
     let matrix = |i: usize| glam::Mat3::from_cols_array(&frames[i]).as_dmat3();
-    let given: Vec<DVec3> = x.iter().zip(rig.given()).filter(|(_, g)| **g).map(|(x, _)| *x).collect();
+    let given: Vec<DVec3> = x
+        .iter()
+        .zip(rig.given())
+        .filter(|(_, g)| **g)
+        .map(|(x, _)| *x)
+        .collect();
     let mean = given.iter().sum::<DVec3>() / given.len() as f64;
     let (mut squares, mut size) = (DVec3::ZERO, DVec3::ZERO);
     for i in (0..graph.positions.len()).filter(|i| !rig.given()[*i]) {
@@ -147,20 +234,40 @@ fn equation_8_residual(body: &Body, rig: &Rig, frames: &[[f32; 9]], x: &[DVec3])
         squares += left * left;
         size += right * right;
     }
-    (0..3).map(|k| (squares[k] / size[k].max(f64::MIN_POSITIVE)).sqrt()).fold(0.0, f64::max)
+    (0..3)
+        .map(|k| (squares[k] / size[k].max(f64::MIN_POSITIVE)).sqrt())
+        .fold(0.0, f64::max)
 }
 
 #[test]
 fn a_rigid_motion_of_all_handles_moves_the_whole_mesh_rigidly() {
-    let (vector, pivot, by) = (DVec3::new(0.7, -1.1, 0.4), DVec3::new(0.3, 0.2, 1.0), DVec3::new(5.0, -3.0, 2.0));
-    for shape in [bar(), shapes::torus(1.0, 0.3, 48, 16), shapes::cylinder(0.5, 4.0, 24, 24, false)] {
+    let (vector, pivot, by) = (
+        DVec3::new(0.7, -1.1, 0.4),
+        DVec3::new(0.3, 0.2, 1.0),
+        DVec3::new(5.0, -3.0, 2.0),
+    );
+    for shape in [
+        bar(),
+        shapes::torus(1.0, 0.3, 48, 16),
+        shapes::cylinder(0.5, 4.0, 24, 24, false),
+    ] {
         let mut bench = bench(&shape);
         let bounds = bench.report().bounds;
         let cut = |t: f64| bounds.min.z + t * (bounds.max.z - bounds.min.z);
-        set(&mut bench, vec![handle("base", below(cut(0.1))), handle("top", above(cut(0.9)))]);
-        let both = pb::HandlePose { translation: by.to_array().to_vec(), ..turn(vector, pivot) };
+        set(
+            &mut bench,
+            vec![handle("base", below(cut(0.1))), handle("top", above(cut(0.9)))],
+        );
+        let both = pb::HandlePose {
+            translation: by.to_array().to_vec(),
+            ..turn(vector, pivot)
+        };
         let solved = solve(&mut bench, &[("base", both.clone()), ("top", both)], 1e-6);
-        let expected: Vec<_> = shape.0.iter().map(|&p| exp_rotation(vector) * (p - pivot) + pivot + by).collect();
+        let expected: Vec<_> = shape
+            .0
+            .iter()
+            .map(|&p| exp_rotation(vector) * (p - pivot) + pivot + by)
+            .collect();
         let error = largest_distance(&solved.positions, &expected) / bench.diagonal();
         assert!(error < 1e-5, "off by {error:e} of the diagonal");
     }
@@ -169,7 +276,11 @@ fn a_rigid_motion_of_all_handles_moves_the_whole_mesh_rigidly() {
 #[test]
 fn the_same_scale_on_all_handles_scales_the_whole_mesh() {
     let mut bench = bent_bar();
-    let grown = pb::HandlePose { scale: vec![1.7], pivot: vec![0.0, 0.0, 0.0], ..Default::default() };
+    let grown = pb::HandlePose {
+        scale: vec![1.7],
+        pivot: vec![0.0, 0.0, 0.0],
+        ..Default::default()
+    };
     let solved = solve(&mut bench, &[("base", grown.clone()), ("top", grown)], 1e-7);
     let expected: Vec<_> = bar().0.iter().map(|p| *p * 1.7).collect();
     assert!(largest_distance(&solved.positions, &expected) < 1e-4);
@@ -182,7 +293,11 @@ fn a_pose_at_rest_returns_the_bits_of_the_model() {
     assert_eq!(digest(&solved.positions), digest(&bar().0));
     solve(&mut bench, &[("top", shift(DVec3::X))], 1e-4);
     let back = solve(&mut bench, &[("top", pb::HandlePose::default())], 1e-4);
-    assert_eq!(digest(&back.positions), digest(&bar().0), "also after something else was solved");
+    assert_eq!(
+        digest(&back.positions),
+        digest(&bar().0),
+        "also after something else was solved"
+    );
 }
 
 #[test]
@@ -196,11 +311,23 @@ fn a_twist_is_spread_evenly_and_keeps_most_of_the_volume() {
             .iter()
             .map(|p| DQuat::from_rotation_z(angle * ((p.z - 0.25) / 3.5).clamp(0.0, 1.0)) * *p)
             .collect();
-        let squares: f64 = solved.positions.iter().zip(&ideal).map(|(a, b)| a.distance_squared(*b)).sum();
+        let squares: f64 = solved
+            .positions
+            .iter()
+            .zip(&ideal)
+            .map(|(a, b)| a.distance_squared(*b))
+            .sum();
         let rms = (squares / ideal.len() as f64).sqrt() / bench.diagonal();
-        assert!(rms < largest, "{degrees} degrees: {rms} of the diagonal from the even twist");
+        assert!(
+            rms < largest,
+            "{degrees} degrees: {rms} of the diagonal from the even twist"
+        );
         let quality = bench.quality(&solved.positions);
-        assert!(quality.volume_change.abs() < volume, "{degrees} degrees: volume {}", quality.volume_change);
+        assert!(
+            quality.volume_change.abs() < volume,
+            "{degrees} degrees: volume {}",
+            quality.volume_change
+        );
         assert_eq!(quality.flipped_triangles, 0);
     }
 }
@@ -208,24 +335,50 @@ fn a_twist_is_spread_evenly_and_keeps_most_of_the_volume() {
 #[test]
 fn the_volume_graph_keeps_volume_that_the_surface_alone_loses() {
     let change = |mode: pb::create_options::volume_graph::Mode| {
-        let volume_graph = Some(pb::create_options::VolumeGraph { mode: mode as i32, ..Default::default() });
-        let mut bench = bench_with(&bar(), &pb::CreateOptions { volume_graph, ..Default::default() }, &pool(2));
-        set(&mut bench, vec![handle("base", below(0.25)), handle("top", above(3.75))]);
+        let volume_graph = Some(pb::create_options::VolumeGraph {
+            mode: mode as i32,
+            ..Default::default()
+        });
+        let mut bench = bench_with(
+            &bar(),
+            &pb::CreateOptions {
+                volume_graph,
+                ..Default::default()
+            },
+            &pool(2),
+        );
+        set(
+            &mut bench,
+            vec![handle("base", below(0.25)), handle("top", above(3.75))],
+        );
         let solved = solve(&mut bench, &[("top", turn(DVec3::Z * 2.4, DVec3::ZERO))], 1e-5);
         bench.quality(&solved.positions).volume_change
     };
-    let (with, without) =
-        (change(pb::create_options::volume_graph::Mode::Auto), change(pb::create_options::volume_graph::Mode::Off));
+    let (with, without) = (
+        change(pb::create_options::volume_graph::Mode::Auto),
+        change(pb::create_options::volume_graph::Mode::Off),
+    );
     assert!(with.abs() < 0.6 * without.abs(), "{with} with, {without} without");
 }
 
 #[test]
 fn fields_are_bounded_and_sum_to_one() {
     let mut bench = bench(&bar());
-    let middle = pb::region::Sphere { center: vec![0.5, 0.0, 2.0], radius: 0.2 };
-    let middle = pb::Region { region: Some(pb::region::Region::Sphere(middle)) };
-    let soft = pb::Handle { stiffness: Some(2.0), ..handle("side", middle) };
-    set(&mut bench, vec![handle("base", below(0.25)), handle("top", above(3.75)), soft]);
+    let middle = pb::region::Sphere {
+        center: vec![0.5, 0.0, 2.0],
+        radius: 0.2,
+    };
+    let middle = pb::Region {
+        region: Some(pb::region::Region::Sphere(middle)),
+    };
+    let soft = pb::Handle {
+        stiffness: Some(2.0),
+        ..handle("side", middle)
+    };
+    set(
+        &mut bench,
+        vec![handle("base", below(0.25)), handle("top", above(3.75)), soft],
+    );
     let fields = bench.rig().expect("a rig").rotation_fields();
     let nodes = bench.body().nodes();
     let mut inner = 0;
@@ -246,23 +399,51 @@ fn turning_the_scene_turns_the_result() {
     let shape = bar();
     let turned: Shape = (shape.0.iter().map(|p| place(*p)).collect(), shape.1.clone());
     let list = |keep: &dyn Fn(DVec3) -> bool| {
-        let indices = (0u32..).zip(&shape.0).filter(|(_, p)| keep(**p)).map(|(k, _)| k).collect();
-        let list = pb::region::Vertices { indices, ranges: Vec::new() };
-        pb::Region { region: Some(pb::region::Region::Vertices(list)) }
+        let indices = (0u32..)
+            .zip(&shape.0)
+            .filter(|(_, p)| keep(**p))
+            .map(|(k, _)| k)
+            .collect();
+        let list = pb::region::Vertices {
+            indices,
+            ranges: Vec::new(),
+        };
+        pb::Region {
+            region: Some(pb::region::Region::Vertices(list)),
+        }
     };
     let handles = || {
         let side = |p: DVec3| (1.5..2.5).contains(&p.z) && p.x > 0.4;
-        vec![handle("base", list(&|p| p.z <= 0.25)), handle("top", list(&|p| p.z >= 3.75)), handle("side", list(&side))]
+        vec![
+            handle("base", list(&|p| p.z <= 0.25)),
+            handle("top", list(&|p| p.z >= 3.75)),
+            handle("side", list(&side)),
+        ]
     };
-    let poses = [("top", DVec3::new(0.0, 1.2, 0.3), DVec3::new(0.8, 0.0, -0.5)), ("side", DVec3::new(0.5, 0.0, 0.0), DVec3::X * 0.3)];
+    let poses = [
+        ("top", DVec3::new(0.0, 1.2, 0.3), DVec3::new(0.8, 0.0, -0.5)),
+        ("side", DVec3::new(0.5, 0.0, 0.0), DVec3::X * 0.3),
+    ];
     let entry = |(id, vector, by): &(&'static str, DVec3, DVec3), turn_by: DQuat, pivot: DVec3| {
         let pose = turn(turn_by * *vector, pivot);
-        (*id, pb::HandlePose { translation: (turn_by * *by).to_array().to_vec(), ..pose })
+        (
+            *id,
+            pb::HandlePose {
+                translation: (turn_by * *by).to_array().to_vec(),
+                ..pose
+            },
+        )
     };
     let pivot = DVec3::new(0.0, 0.0, 2.0);
     // Without inside nodes, whose lattice does not turn with the scene.
-    let off = pb::create_options::VolumeGraph { mode: pb::create_options::volume_graph::Mode::Off as i32, ..Default::default() };
-    let create = pb::CreateOptions { volume_graph: Some(off), ..Default::default() };
+    let off = pb::create_options::VolumeGraph {
+        mode: pb::create_options::volume_graph::Mode::Off as i32,
+        ..Default::default()
+    };
+    let create = pb::CreateOptions {
+        volume_graph: Some(off),
+        ..Default::default()
+    };
     let run = |shape: &Shape, q: DQuat, pivot: DVec3| {
         let mut bench = bench_with(shape, &create, &pool(1));
         set(&mut bench, handles());
@@ -285,13 +466,21 @@ fn the_bits_do_not_depend_on_threads_or_on_what_was_dragged_before() {
             handles: vec![handle("base", below(0.25)), handle("top", above(3.75))],
             ..Default::default()
         };
-        bench.set_handles(&request, &pool(threads), &Silent).expect("the handles fit");
+        bench
+            .set_handles(&request, &pool(threads), &Silent)
+            .expect("the handles fit");
         if threads == 3 {
-            let dragged = bench.posed(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))])).expect("a pose");
-            bench.solve(&dragged, &settings(1e-4), Mode::Drag, &pool(3), &Silent, &mut |_| true).expect("solved");
+            let dragged = bench
+                .posed(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
+                .expect("a pose");
+            bench
+                .solve(&dragged, &settings(1e-4), Mode::Drag, &pool(3), &Silent, &mut |_| true)
+                .expect("solved");
         }
         let bent = pose(&[("top", turn(DVec3::new(0.0, 1.4, 0.6), DVec3::ZERO))]);
-        digests.push(digest(&try_solve(&mut bench, &bent, 1e-5, threads).expect("solved").positions));
+        digests.push(digest(
+            &try_solve(&mut bench, &bent, 1e-5, threads).expect("solved").positions,
+        ));
     }
     assert_eq!(digests[0], digests[1]);
     assert_eq!(digests[0], digests[2]);
@@ -313,13 +502,24 @@ fn a_part_without_a_handle_follows_holds_or_is_refused() {
     let (shape, first) = bar_and_ball();
     let bend = [("top", turn(DVec3::Y * 1.0, DVec3::new(0.0, 0.0, 2.0)))];
     let run = |policy: Components| {
-        let create = pb::CreateOptions { components: policy as i32, ..Default::default() };
+        let create = pb::CreateOptions {
+            components: policy as i32,
+            ..Default::default()
+        };
         let mut bench = bench_with(&shape, &create, &pool(2));
         // A box, so that the ball beside it stays loose.
-        let top = pb::region::Box { min: vec![-1.0, -1.0, 3.75], max: vec![0.6, 1.0, 5.0] };
-        let top = pb::Region { region: Some(pb::region::Region::Box(top)) };
+        let top = pb::region::Box {
+            min: vec![-1.0, -1.0, 3.75],
+            max: vec![0.6, 1.0, 5.0],
+        };
+        let top = pb::Region {
+            region: Some(pb::region::Region::Box(top)),
+        };
         let handles = vec![handle("base", below(0.25)), handle("top", top)];
-        let request = pb::SetHandlesRequest { handles, ..Default::default() };
+        let request = pb::SetHandlesRequest {
+            handles,
+            ..Default::default()
+        };
         bench.set_handles(&request, &pool(2), &Silent)?;
         try_solve(&mut bench, &pose(&bend), 1e-5, 2)
     };
@@ -368,20 +568,34 @@ fn a_symmetry_plane_does_what_mirrored_handles_would() {
     let shape = shapes::torus(1.0, 0.3, 48, 16);
     let front = || handle("front", half_space([0.0, -1.0, 0.0], 1.1));
     let side = || handle("side", half_space([1.0, 0.0, 0.0], 1.1));
-    let moved = pb::HandlePose { translation: vec![0.4, 0.1, 0.3], ..turn(DVec3::new(0.2, 0.5, 0.3), DVec3::X) };
-    let image = pb::HandlePose { translation: vec![-0.4, 0.1, 0.3], ..turn(DVec3::new(0.2, -0.5, -0.3), -DVec3::X) };
+    let moved = pb::HandlePose {
+        translation: vec![0.4, 0.1, 0.3],
+        ..turn(DVec3::new(0.2, 0.5, 0.3), DVec3::X)
+    };
+    let image = pb::HandlePose {
+        translation: vec![-0.4, 0.1, 0.3],
+        ..turn(DVec3::new(0.2, -0.5, -0.3), -DVec3::X)
+    };
 
     let mut by_plane = bench(&shape);
     let request = pb::SetHandlesRequest {
         handles: vec![front(), side()],
-        symmetry_plane: Some(pb::Plane { normal: vec![2.0, 0.0, 0.0], offset: 0.0 }),
+        symmetry_plane: Some(pb::Plane {
+            normal: vec![2.0, 0.0, 0.0],
+            offset: 0.0,
+        }),
         ..Default::default()
     };
-    by_plane.set_handles(&request, &pool(2), &Silent).expect("the handles fit");
+    by_plane
+        .set_handles(&request, &pool(2), &Silent)
+        .expect("the handles fit");
     let mirrored = solve(&mut by_plane, &[("side", moved.clone())], 1e-8);
 
     let mut by_hand = bench(&shape);
-    set(&mut by_hand, vec![front(), side(), handle("other", half_space([-1.0, 0.0, 0.0], 1.1))]);
+    set(
+        &mut by_hand,
+        vec![front(), side(), handle("other", half_space([-1.0, 0.0, 0.0], 1.1))],
+    );
     let explicit = solve(&mut by_hand, &[("side", moved), ("other", image)], 1e-8);
     let error = largest_distance(&mirrored.positions, &explicit.positions);
     assert!(error < 1e-6, "off by {error}");
@@ -392,7 +606,10 @@ fn a_symmetry_plane_does_what_mirrored_handles_would() {
 fn soft_handles_give_way_and_stiffer_ones_less() {
     let missing = |stiffness: f64| {
         let mut bench = bench(&bar());
-        let top = pb::Handle { stiffness: Some(stiffness), ..handle("top", above(3.75)) };
+        let top = pb::Handle {
+            stiffness: Some(stiffness),
+            ..handle("top", above(3.75))
+        };
         set(&mut bench, vec![handle("base", below(0.25)), top]);
         let by = DVec3::new(0.0, 0.0, 1.0);
         let solved = solve(&mut bench, &[("top", shift(by))], 1e-7);
@@ -401,26 +618,45 @@ fn soft_handles_give_way_and_stiffer_ones_less() {
         held().map(|(p, x)| x.distance(*p + by)).sum::<f64>() / held().count() as f64
     };
     let (soft, stiff, hard) = (missing(0.01), missing(1.0), missing(1000.0));
-    assert!(soft > 2.0 * stiff && stiff > 10.0 * hard && hard < 1e-3, "{soft} {stiff} {hard}");
+    assert!(
+        soft > 2.0 * stiff && stiff > 10.0 * hard && hard < 1e-3,
+        "{soft} {stiff} {hard}"
+    );
 }
 
 #[test]
 fn a_falloff_pulls_its_surroundings_and_fades() {
     let run = |falloff: Option<pb::Falloff>| {
         let mut bench = bench(&shapes::grid(2.0, 2.0, [40, 40]));
-        let center = pb::region::Sphere { center: vec![1.0, 0.0, 1.0], radius: 0.15 };
-        let region = pb::Region { region: Some(pb::region::Region::Sphere(center)) };
-        let soft = pb::Handle { stiffness: Some(5.0), falloff, ..handle("pull", region) };
-        set(&mut bench, vec![handle("rim", half_space([0.0, 0.0, -1.0], -0.1)), soft]);
+        let center = pb::region::Sphere {
+            center: vec![1.0, 0.0, 1.0],
+            radius: 0.15,
+        };
+        let region = pb::Region {
+            region: Some(pb::region::Region::Sphere(center)),
+        };
+        let soft = pb::Handle {
+            stiffness: Some(5.0),
+            falloff,
+            ..handle("pull", region)
+        };
+        set(
+            &mut bench,
+            vec![handle("rim", half_space([0.0, 0.0, -1.0], -0.1)), soft],
+        );
         let solved = solve(&mut bench, &[("pull", shift(DVec3::Y * 0.5))], 1e-7);
         let rest = bench.rest().clone();
-        let ring = rest.iter().zip(solved.positions.iter()).filter(|(p, _)| {
-            (0.3..0.4).contains(&p.distance(DVec3::new(1.0, 0.0, 1.0)))
-        });
+        let ring = rest
+            .iter()
+            .zip(solved.positions.iter())
+            .filter(|(p, _)| (0.3..0.4).contains(&p.distance(DVec3::new(1.0, 0.0, 1.0))));
         let (sum, count) = ring.fold((0.0, 0), |(s, n), (_, x)| (s + x.y, n + 1));
         sum / f64::from(count)
     };
-    let smooth = pb::Falloff { radius: 0.6, kind: pb::falloff::Kind::Smooth as i32 };
+    let smooth = pb::Falloff {
+        radius: 0.6,
+        kind: pb::falloff::Kind::Smooth as i32,
+    };
     let (without, with) = (run(None), run(Some(smooth)));
     assert!(with > without + 0.05, "{with} with, {without} without");
 }
@@ -428,13 +664,32 @@ fn a_falloff_pulls_its_surroundings_and_fades() {
 #[test]
 fn a_rigid_region_keeps_its_shape_when_others_move_it() {
     let mut bench = bench(&bar());
-    let middle = pb::region::Box { min: vec![-1.0, -1.0, 1.6], max: vec![1.0, 1.0, 2.4] };
-    let region = pb::Region { region: Some(pb::region::Region::Box(middle)) };
+    let middle = pb::region::Box {
+        min: vec![-1.0, -1.0, 1.6],
+        max: vec![1.0, 1.0, 2.4],
+    };
+    let region = pb::Region {
+        region: Some(pb::region::Region::Box(middle)),
+    };
     let rotation = pb::handle::Constrains::Rotation as i32;
-    let rigid = pb::Handle { rigid: true, constrains: vec![rotation], stiffness: Some(1e-6), ..handle("middle", region) };
-    set(&mut bench, vec![handle("base", below(0.25)), handle("top", above(3.75)), rigid]);
-    let solved = solve(&mut bench, &[("top", turn(DVec3::new(0.0, 1.3, 0.8), DVec3::ZERO))], 1e-6);
-    let inside: Vec<usize> = (0..bench.rest().len()).filter(|k| (1.6..=2.4).contains(&bench.rest()[*k].z)).collect();
+    let rigid = pb::Handle {
+        rigid: true,
+        constrains: vec![rotation],
+        stiffness: Some(1e-6),
+        ..handle("middle", region)
+    };
+    set(
+        &mut bench,
+        vec![handle("base", below(0.25)), handle("top", above(3.75)), rigid],
+    );
+    let solved = solve(
+        &mut bench,
+        &[("top", turn(DVec3::new(0.0, 1.3, 0.8), DVec3::ZERO))],
+        1e-6,
+    );
+    let inside: Vec<usize> = (0..bench.rest().len())
+        .filter(|k| (1.6..=2.4).contains(&bench.rest()[*k].z))
+        .collect();
     let worst = inside
         .windows(9)
         .map(|w| {
@@ -448,7 +703,10 @@ fn a_rigid_region_keeps_its_shape_when_others_move_it() {
 #[test]
 fn position_and_rotation_may_be_held_by_different_handles() {
     let mut bench = bench(&bar());
-    let only = |id: &str, region, kind: pb::handle::Constrains| pb::Handle { constrains: vec![kind as i32], ..handle(id, region) };
+    let only = |id: &str, region, kind: pb::handle::Constrains| pb::Handle {
+        constrains: vec![kind as i32],
+        ..handle(id, region)
+    };
     set(
         &mut bench,
         vec![
@@ -461,8 +719,13 @@ fn position_and_rotation_may_be_held_by_different_handles() {
     let solved = solve(&mut bench, &[("turned", turn(DVec3::Z * angle, DVec3::ZERO))], 1e-7);
     // Nothing moves the ends, yet the part between them is asked to turn.
     let rest = bench.rest();
-    let middle = rest.iter().zip(solved.positions.iter()).filter(|(p, _)| (3.1..3.5).contains(&p.z));
-    let turned = middle.map(|(p, x)| p.truncate().angle_to(x.truncate())).fold(0.0, f64::max);
+    let middle = rest
+        .iter()
+        .zip(solved.positions.iter())
+        .filter(|(p, _)| (3.1..3.5).contains(&p.z));
+    let turned = middle
+        .map(|(p, x)| p.truncate().angle_to(x.truncate()))
+        .fold(0.0, f64::max);
     assert!(turned > 0.1 * angle, "turned by {turned}");
     let held = rest.iter().zip(solved.positions.iter()).filter(|(p, _)| p.z >= 3.9);
     assert!(held.into_iter().all(|(p, x)| p == x));
@@ -472,7 +735,10 @@ fn position_and_rotation_may_be_held_by_different_handles() {
 fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing() {
     let mut bench = bent_bar();
     let refused = |bench: &mut Workbench, handles: Vec<pb::Handle>, place: &str| {
-        let request = pb::SetHandlesRequest { handles, ..Default::default() };
+        let request = pb::SetHandlesRequest {
+            handles,
+            ..Default::default()
+        };
         match bench.set_handles(&request, &pool(1), &Silent) {
             Err(Error::Invalid { field, problem }) => assert_eq!(field, place, "{problem}"),
             other => panic!("{place}: {other:?}"),
@@ -480,23 +746,75 @@ fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing()
         assert_eq!(bench.handles().handles.len(), 2);
     };
     refused(&mut bench, vec![handle("", below(0.0))], "handles[0].id");
-    refused(&mut bench, vec![handle("a", below(0.5)), handle("a", above(3.0))], "handles[1].id");
+    refused(
+        &mut bench,
+        vec![handle("a", below(0.5)), handle("a", above(3.0))],
+        "handles[1].id",
+    );
     refused(&mut bench, vec![handle("a", above(99.0))], "handles[0].region");
-    refused(&mut bench, vec![pb::Handle { id: "a".into(), ..Default::default() }], "handles[0].region");
-    refused(&mut bench, vec![handle("a", half_space([0.0; 3], 1.0))], "handles[0].region.halfSpace.normal");
-    refused(&mut bench, vec![handle("a", half_space([f64::NAN, 0.0, 1.0], 1.0))], "handles[0].region.halfSpace.normal[0]");
-    let far = pb::region::Vertices { indices: vec![1, 1 << 30], ranges: Vec::new() };
-    let far = pb::Region { region: Some(pb::region::Region::Vertices(far)) };
-    refused(&mut bench, vec![handle("a", far)], "handles[0].region.vertices.indices[1]");
-    let wide = pb::region::Range { first: u32::MAX, count: u32::MAX };
-    let wide = pb::region::Vertices { indices: Vec::new(), ranges: vec![wide] };
-    let wide = pb::Region { region: Some(pb::region::Region::Vertices(wide)) };
-    refused(&mut bench, vec![handle("a", wide)], "handles[0].region.vertices.ranges[0]");
-    let fading = pb::Handle { falloff: Some(pb::Falloff { radius: 1.0, kind: 1 }), ..handle("a", below(0.5)) };
+    refused(
+        &mut bench,
+        vec![pb::Handle {
+            id: "a".into(),
+            ..Default::default()
+        }],
+        "handles[0].region",
+    );
+    refused(
+        &mut bench,
+        vec![handle("a", half_space([0.0; 3], 1.0))],
+        "handles[0].region.halfSpace.normal",
+    );
+    refused(
+        &mut bench,
+        vec![handle("a", half_space([f64::NAN, 0.0, 1.0], 1.0))],
+        "handles[0].region.halfSpace.normal[0]",
+    );
+    let far = pb::region::Vertices {
+        indices: vec![1, 1 << 30],
+        ranges: Vec::new(),
+    };
+    let far = pb::Region {
+        region: Some(pb::region::Region::Vertices(far)),
+    };
+    refused(
+        &mut bench,
+        vec![handle("a", far)],
+        "handles[0].region.vertices.indices[1]",
+    );
+    let wide = pb::region::Range {
+        first: u32::MAX,
+        count: u32::MAX,
+    };
+    let wide = pb::region::Vertices {
+        indices: Vec::new(),
+        ranges: vec![wide],
+    };
+    let wide = pb::Region {
+        region: Some(pb::region::Region::Vertices(wide)),
+    };
+    refused(
+        &mut bench,
+        vec![handle("a", wide)],
+        "handles[0].region.vertices.ranges[0]",
+    );
+    let fading = pb::Handle {
+        falloff: Some(pb::Falloff { radius: 1.0, kind: 1 }),
+        ..handle("a", below(0.5))
+    };
     refused(&mut bench, vec![fading], "handles[0].falloff");
-    let only_turned = pb::Handle { constrains: vec![pb::handle::Constrains::Rotation as i32], ..handle("a", below(0.5)) };
-    let request = pb::SetHandlesRequest { handles: vec![only_turned], ..Default::default() };
-    assert!(matches!(bench.set_handles(&request, &pool(1), &Silent), Err(Error::Precondition(_))));
+    let only_turned = pb::Handle {
+        constrains: vec![pb::handle::Constrains::Rotation as i32],
+        ..handle("a", below(0.5))
+    };
+    let request = pb::SetHandlesRequest {
+        handles: vec![only_turned],
+        ..Default::default()
+    };
+    assert!(matches!(
+        bench.set_handles(&request, &pool(1), &Silent),
+        Err(Error::Precondition(_))
+    ));
     let nobody = pose(&[("nobody", pb::HandlePose::default())]);
     match bench.posed(&bench.initial_poses(), &nobody) {
         Err(Error::Invalid { field, problem }) => {
@@ -513,10 +831,16 @@ fn cancelled_work_leaves_the_bench_usable() {
     let mut bench = bent_bar();
     let flag = CancelFlag::default();
     flag.cancel();
-    let poses = bench.posed(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))])).expect("a pose");
+    let poses = bench
+        .posed(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
+        .expect("a pose");
     let cancelled = bench.solve(&poses, &settings(1e-6), Mode::Drag, &pool(2), &flag, &mut |_| true);
     assert!(matches!(cancelled, Err(Error::Cancelled)));
-    let after = bench.solve(&poses, &settings(1e-6), Mode::Drag, &pool(2), &Silent, &mut |_| true).expect("solved");
-    let fresh = bench.solve(&poses, &settings(1e-6), Mode::Commit, &pool(2), &Silent, &mut |_| true).expect("solved");
+    let after = bench
+        .solve(&poses, &settings(1e-6), Mode::Drag, &pool(2), &Silent, &mut |_| true)
+        .expect("solved");
+    let fresh = bench
+        .solve(&poses, &settings(1e-6), Mode::Commit, &pool(2), &Silent, &mut |_| true)
+        .expect("solved");
     assert!(largest_distance(&after.positions, &fresh.positions) < 1e-3);
 }

@@ -36,10 +36,17 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, Failure> {
     let refuse = |e: std::io::Error| Failure::Input(format!("cannot read {}: {e}", path.display()));
     let facts = fs::metadata(path).map_err(refuse)?;
     if facts.is_dir() {
-        return Err(Failure::Input(format!("{} is a folder, a file is needed", path.display())));
+        return Err(Failure::Input(format!(
+            "{} is a folder, a file is needed",
+            path.display()
+        )));
     }
     if facts.len() > LARGEST {
-        let problem = format!("{} has {} bytes, at most {LARGEST} are allowed", path.display(), facts.len());
+        let problem = format!(
+            "{} has {} bytes, at most {LARGEST} are allowed",
+            path.display(),
+            facts.len()
+        );
         return Err(Failure::Input(problem));
     }
     fs::read(path).map_err(refuse)
@@ -47,7 +54,9 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, Failure> {
 
 /// URIs of buffers and images that are not embedded. Broken JSON names none; the reader says what is wrong with it.
 fn named_files(json: &[u8]) -> Vec<String> {
-    let Ok(document) = serde_json::from_slice::<serde_json::Value>(json) else { return Vec::new() };
+    let Ok(document) = serde_json::from_slice::<serde_json::Value>(json) else {
+        return Vec::new();
+    };
     ["buffers", "images"]
         .iter()
         .filter_map(|list| document.get(list)?.as_array())
@@ -65,7 +74,11 @@ fn stays_inside(uri: &str) -> bool {
 
 /// The same after symbolic links are followed.
 fn inside_on_disk(folder: &Path, file: &Path) -> bool {
-    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let folder = if folder.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        folder
+    };
     match (folder.canonicalize(), file.canonicalize()) {
         (Ok(folder), Ok(file)) => file.starts_with(folder),
         _ => false,
@@ -83,22 +96,38 @@ pub(super) fn output_format(path: &Path) -> Result<Format, Failure> {
 /// Writes a model and its companions beside it: all or nothing as far as a file system allows, each file by rename.
 ///
 /// Refuses to replace a companion of the model that was read by different bytes.
-pub(super) fn write_model(path: &Path, written: &Written, model: &Path, read: &FileSet) -> Result<Vec<PathBuf>, Failure> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+pub(super) fn write_model(
+    path: &Path,
+    written: &Written,
+    model: &Path,
+    read: &FileSet,
+) -> Result<Vec<PathBuf>, Failure> {
+    let folder = path
+        .parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     let mut files = BTreeMap::new();
     for (uri, bytes) in &written.companions {
         if !stays_inside(uri) {
-            return Err(Failure::Input(format!("the model names \"{uri}\", which lies outside the output's folder")));
+            return Err(Failure::Input(format!(
+                "the model names \"{uri}\", which lies outside the output's folder"
+            )));
         }
         let target = folder.join(uri);
         let own = model.parent().unwrap_or(Path::new("")).join(uri);
         let same_file = matches!((own.canonicalize(), target.canonicalize()), (Ok(a), Ok(b)) if a == b);
         if same_file {
-            if read.companions.get(uri).is_some_and(|before| before.as_ref() == bytes.as_slice()) {
+            if read
+                .companions
+                .get(uri)
+                .is_some_and(|before| before.as_ref() == bytes.as_slice())
+            {
                 continue;
             }
             let problem = format!("writing {} would overwrite the model's own {uri}", path.display());
-            return Err(Failure::Input(format!("{problem}; write into another folder, or as .glb")));
+            return Err(Failure::Input(format!(
+                "{problem}; write into another folder, or as .glb"
+            )));
         }
         files.insert(target, bytes.as_slice());
     }

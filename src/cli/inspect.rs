@@ -41,17 +41,32 @@ fn describe(found: &pb::Inspection) -> String {
     let yes_no = |b: bool| if b { "yes" } else { "no" };
     let mut text = String::new();
     let mut line = |name: &str, value: String| text.push_str(&format!("{name:<22}{value}\n"));
-    line("format", format!("{}, {} bytes, sha256 {}", model.format, model.bytes, model.sha256));
-    line("render vertices", format!("{} in {} primitives", model.vertices, found.primitives.len()));
+    line(
+        "format",
+        format!("{}, {} bytes, sha256 {}", model.format, model.bytes, model.sha256),
+    );
+    line(
+        "render vertices",
+        format!("{} in {} primitives", model.vertices, found.primitives.len()),
+    );
     line("triangles", model.triangles.to_string());
     line("solver vertices", solver.solver_vertices.to_string());
     line("seam vertices", found.seam_vertices.to_string());
-    line("graph", format!("{} vertices, {} edges", solver.graph_vertices, solver.graph_edges));
+    line(
+        "graph",
+        format!("{} vertices, {} edges", solver.graph_vertices, solver.graph_edges),
+    );
     line("hierarchy", levels.join(" > "));
     line("parts", found.components.to_string());
     line("closed", yes_no(found.closed).into());
     line("holes", found.boundary_loops.to_string());
-    line("non-manifold", format!("{} edges, {} vertices", found.non_manifold_edges, found.non_manifold_vertices));
+    line(
+        "non-manifold",
+        format!(
+            "{} edges, {} vertices",
+            found.non_manifold_edges, found.non_manifold_vertices
+        ),
+    );
     line("degenerate faces", found.degenerate_faces.to_string());
     line("duplicate faces", found.duplicate_faces.to_string());
     line("unreferenced", found.unreferenced_vertices.to_string());

@@ -43,7 +43,10 @@ struct Threads {
 impl Threads {
     fn pool(&self) -> Result<Pool, Failure> {
         if self.threads > 1024 {
-            return Err(Failure::Input(format!("--threads is {}, allowed are 0 to 1024", self.threads)));
+            return Err(Failure::Input(format!(
+                "--threads is {}, allowed are 0 to 1024",
+                self.threads
+            )));
         }
         Pool::new(self.threads).map_err(|e| Failure::Internal(e.to_string()))
     }

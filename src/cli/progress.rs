@@ -9,7 +9,11 @@ pub(super) struct Bar(ProgressBar);
 impl Bar {
     pub fn new(quiet: bool) -> Self {
         // indicatif draws nothing when stderr is not a terminal.
-        let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
+        let bar = if quiet {
+            ProgressBar::hidden()
+        } else {
+            ProgressBar::new_spinner()
+        };
         if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} {elapsed}") {
             bar.set_style(style);
         }

@@ -164,16 +164,25 @@ impl ServeArgs {
             ("reflection", &self.reflection),
             ("metrics", &self.metrics),
         ];
-        all.into_iter().filter_map(|(key, value)| Some((key, value.clone()?))).collect()
+        all.into_iter()
+            .filter_map(|(key, value)| Some((key, value.clone()?)))
+            .collect()
     }
 }
 
 /// Runs the server of this process.
 pub(super) fn main(args: ServeArgs) -> Result<(), Failure> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("pliant-serve").build();
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .thread_name("pliant-serve")
+        .build();
     let runtime = runtime.map_err(|e| Failure::Internal(format!("cannot start threads: {e}")))?;
     let done = runtime.block_on(run(args)).map_err(|error| {
-        if error.is_usage() { Failure::Input(error.to_string()) } else { Failure::Internal(error.to_string()) }
+        if error.is_usage() {
+            Failure::Input(error.to_string())
+        } else {
+            Failure::Internal(error.to_string())
+        }
     });
     // Work that ignored the deadline ends with the process; waiting for its threads would undo the deadline.
     runtime.shutdown_background();
@@ -193,7 +202,10 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
         tracing::warn!("{remark}");
     }
     let shutdown = signals().map_err(|e| ServeError::Signals(e.to_string()))?;
-    let refuse = |e: std::io::Error| ServeError::Listen { address: settings.listen, problem: e.to_string() };
+    let refuse = |e: std::io::Error| ServeError::Listen {
+        address: settings.listen,
+        problem: e.to_string(),
+    };
     let listener = TcpListener::bind(settings.listen).await.map_err(refuse)?;
     let address = listener.local_addr().map_err(refuse)?;
     let manager = Manager::new(settings.session)?;
@@ -239,14 +251,35 @@ async fn open_sample(manager: &Manager, address: SocketAddr) -> Result<(), sessi
     let tenant = Tenant::default();
     let started = Instant::now();
     let files = FileSet::single(format!("{}.glb", sample::NAME), sample::glb().await?);
-    let options = pb::CreateOptions { label: sample::NAME.into(), ttl: String::new(), ..pb::CreateOptions::default() };
+    let options = pb::CreateOptions {
+        label: sample::NAME.into(),
+        ttl: String::new(),
+        ..pb::CreateOptions::default()
+    };
     let session = manager.create(&tenant, files, options, None).await?.value;
     let id = session.id;
-    let request = pb::SetHandlesRequest { session_id: id.clone(), handles: sample::handles(), ..pb::SetHandlesRequest::default() };
+    let request = pb::SetHandlesRequest {
+        session_id: id.clone(),
+        handles: sample::handles(),
+        ..pb::SetHandlesRequest::default()
+    };
     manager.set_handles(&tenant, request, None).await?;
-    let pose = pb::HandlePose { rotation_vector: vec![0.0, 0.8, 0.0], ..pb::HandlePose::default() };
-    let pose = pb::Pose { handles: vec![pb::pose::Entry { id: "head".into(), pose: Some(pose) }], ..pb::Pose::default() };
-    let solve = pb::SolveRequest { session_id: id.clone(), pose: Some(pose), options: None };
+    let pose = pb::HandlePose {
+        rotation_vector: vec![0.0, 0.8, 0.0],
+        ..pb::HandlePose::default()
+    };
+    let pose = pb::Pose {
+        handles: vec![pb::pose::Entry {
+            id: "head".into(),
+            pose: Some(pose),
+        }],
+        ..pb::Pose::default()
+    };
+    let solve = pb::SolveRequest {
+        session_id: id.clone(),
+        pose: Some(pose),
+        options: None,
+    };
     let solved = manager.solve(&tenant, solve, None).await?;
     let frame = solved.frames.first();
     tracing::info!(
@@ -278,7 +311,9 @@ mod tests {
 
     fn parse(words: &[&str]) -> ServeArgs {
         let command = ServeArgs::augment_args(clap::Command::new("serve"));
-        let matches = command.try_get_matches_from(std::iter::once("serve").chain(words.iter().copied())).unwrap();
+        let matches = command
+            .try_get_matches_from(std::iter::once("serve").chain(words.iter().copied()))
+            .unwrap();
         ServeArgs::from_arg_matches(&matches).unwrap()
     }
 

@@ -77,10 +77,18 @@ impl Body {
 
         let bounds = mesh.bounds();
         let diagonal = (bounds.max - bounds.min).length();
-        let diagonal = if diagonal > 0.0 && diagonal.is_finite() { diagonal } else { 1.0 };
+        let diagonal = if diagonal > 0.0 && diagonal.is_finite() {
+            diagonal
+        } else {
+            1.0
+        };
         let unit = power_of_two_near(diagonal);
         let origin = bounds.min + (bounds.max - bounds.min) * 0.5;
-        let rest: Vec<[f64; 3]> = graph.positions.iter().map(|&p| ((p - origin) / unit).to_array()).collect();
+        let rest: Vec<[f64; 3]> = graph
+            .positions
+            .iter()
+            .map(|&p| ((p - origin) / unit).to_array())
+            .collect();
 
         progress.report("hierarchy", 0.0);
         let view = solver::Graph {
@@ -89,10 +97,21 @@ impl Body {
             weights: graph.weights.as_deref(),
             positions: Some(&rest),
         };
-        let build = solver::BuildOptions { operators: options.operators, ..Default::default() };
+        let build = solver::BuildOptions {
+            operators: options.operators,
+            ..Default::default()
+        };
         let hierarchy = Hierarchy::build(&view, &build, pool, progress)?;
         let laplacian = pool.install(|| laplacian(&graph, &rest));
-        Ok(Self { graph, hierarchy, rest, laplacian, origin, unit, diagonal })
+        Ok(Self {
+            graph,
+            hierarchy,
+            rest,
+            laplacian,
+            origin,
+            unit,
+            diagonal,
+        })
     }
 
     /// Number of graph nodes.
@@ -119,7 +138,12 @@ impl Body {
     pub(super) fn edges(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         let row = self.graph.offsets[node] as usize..self.graph.offsets[node + 1] as usize;
         let weights = self.graph.weights.as_deref();
-        row.map(move |e| (self.graph.neighbours[e] as usize, weights.map_or(1.0, |w| f64::from(w[e]))))
+        row.map(move |e| {
+            (
+                self.graph.neighbours[e] as usize,
+                weights.map_or(1.0, |w| f64::from(w[e])),
+            )
+        })
     }
 }
 

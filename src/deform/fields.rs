@@ -46,10 +46,18 @@ pub(super) fn solve(
 ) -> Result<Fields, Error> {
     let nodes = body.nodes();
     let covered = ownership.covered(body);
-    let active: Vec<usize> = (0..=holds).zip(ownership.active(holds)).filter(|(_, a)| *a).map(|(k, _)| k).collect();
+    let active: Vec<usize> = (0..=holds)
+        .zip(ownership.active(holds))
+        .filter(|(_, a)| *a)
+        .map(|(k, _)| k)
+        .collect();
     let mut fields = vec![Vec::new(); holds + 1];
     let Some((&first, others)) = active.split_first() else {
-        return Ok(Fields { fields, covered, iterations: 0 });
+        return Ok(Fields {
+            fields,
+            covered,
+            iterations: 0,
+        });
     };
     let in_cover = |i: usize| covered[body.graph.component[i] as usize];
     let columns = others.len();
@@ -69,12 +77,20 @@ pub(super) fn solve(
                 rhs[node as usize * columns + column_of[k as usize]] += stiffness;
             }
         }
-        let fixed: Vec<bool> = (0..nodes).map(|i| ownership.hard[i] != NOBODY || !in_cover(i)).collect();
+        let fixed: Vec<bool> = (0..nodes)
+            .map(|i| ownership.hard[i] != NOBODY || !in_cover(i))
+            .collect();
         let stiffness = ownership.stiffness();
-        let constraints = Constraints { fixed: &fixed, stiffness: stiffness.as_deref() };
+        let constraints = Constraints {
+            fixed: &fixed,
+            stiffness: stiffness.as_deref(),
+        };
         let system = body.hierarchy.constrain(&constraints, pool)?;
         let options = SolveOptions {
-            start: Start::FullMultigrid { frames: None, rest: None },
+            start: Start::FullMultigrid {
+                frames: None,
+                rest: None,
+            },
             tolerance: Some(FIELD_TOLERANCE),
             ..Default::default()
         };
@@ -112,5 +128,9 @@ pub(super) fn solve(
             })
             .collect();
     });
-    Ok(Fields { fields, covered, iterations })
+    Ok(Fields {
+        fields,
+        covered,
+        iterations,
+    })
 }

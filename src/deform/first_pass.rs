@@ -58,7 +58,11 @@ impl<'a> Rotations<'a> {
         // The frozen surroundings stand still; they come after the holds.
         let rotation = |k: usize| transforms.get(k).map_or(DVec3::ZERO, |t| t.rotation);
         let active: Vec<usize> = (0..=rig.holds()).filter(|&k| !fields.of(k).is_empty()).collect();
-        let base_hold = active.iter().copied().find(|&k| rotation(k) == DVec3::ZERO).or(active.first().copied());
+        let base_hold = active
+            .iter()
+            .copied()
+            .find(|&k| rotation(k) == DVec3::ZERO)
+            .or(active.first().copied());
         let base = base_hold.map_or(DVec3::ZERO, rotation);
         let terms: Vec<_> = active
             .iter()
@@ -66,8 +70,18 @@ impl<'a> Rotations<'a> {
             .filter(|(_, v)| *v != DVec3::ZERO)
             .collect();
         let vectors: Vec<DVec3> = terms.iter().map(|t| t.1).collect();
-        let karcher = if coaxial(&vectors) || !within_half_turn(&vectors) { 0 } else { KARCHER_STEPS };
-        Self { base: exp_rotation(base), turned_base: base != DVec3::ZERO, terms, covered: &fields.covered, karcher }
+        let karcher = if coaxial(&vectors) || !within_half_turn(&vectors) {
+            0
+        } else {
+            KARCHER_STEPS
+        };
+        Self {
+            base: exp_rotation(base),
+            turned_base: base != DVec3::ZERO,
+            terms,
+            covered: &fields.covered,
+            karcher,
+        }
     }
 
     /// The rotation at a node; `None` for the identity.

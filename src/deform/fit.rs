@@ -37,7 +37,10 @@ fn largest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
         row[i] = 1.0;
     }
     for _sweep in 0..16 {
-        let off: f64 = (0..4).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| a[i][j] * a[i][j]).sum();
+        let off: f64 = (0..4)
+            .flat_map(|i| (0..i).map(move |j| (i, j)))
+            .map(|(i, j)| a[i][j] * a[i][j])
+            .sum();
         if off < 1e-30 {
             break;
         }
@@ -107,10 +110,19 @@ mod tests {
 
     #[test]
     fn a_rigid_motion_is_found_again_and_a_mirror_image_gives_no_reflection() {
-        let rest: Vec<_> =
-            [[0., 0., 0.], [1., 0., 0.], [0., 2., 0.], [0., 0., 3.], [1., 1., 1.]].map(DVec3::from_array).to_vec();
-        for rotation in [DVec3::ZERO, DVec3::new(0.1, 0., 0.), DVec3::new(1.0, -2.0, 0.5), DVec3::new(0., 0., 3.1)] {
-            let moved: Vec<_> = rest.iter().map(|&p| exp_rotation(rotation) * p + DVec3::new(7., 8., 9.)).collect();
+        let rest: Vec<_> = [[0., 0., 0.], [1., 0., 0.], [0., 2., 0.], [0., 0., 3.], [1., 1., 1.]]
+            .map(DVec3::from_array)
+            .to_vec();
+        for rotation in [
+            DVec3::ZERO,
+            DVec3::new(0.1, 0., 0.),
+            DVec3::new(1.0, -2.0, 0.5),
+            DVec3::new(0., 0., 3.1),
+        ] {
+            let moved: Vec<_> = rest
+                .iter()
+                .map(|&p| exp_rotation(rotation) * p + DVec3::new(7., 8., 9.))
+                .collect();
             let map = rigid_fit(&rest, &moved).map();
             for (p, x) in rest.iter().zip(&moved) {
                 assert!((map(*p) - *x).length() < 1e-9, "{rotation}");

@@ -72,14 +72,21 @@ mod tests {
     fn agrees_with_looking_at_every_point() {
         let mut state = 1u64;
         let mut random = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
             (state >> 40) as f64 / (1u64 << 24) as f64
         };
-        let points: Vec<_> = (0..500).map(|k| (DVec3::new(random(), random() * 0.1, random()), k)).collect();
+        let points: Vec<_> = (0..500)
+            .map(|k| (DVec3::new(random(), random() * 0.1, random()), k))
+            .collect();
         let tree = NearestPoints::new(points.iter().copied());
         for _ in 0..200 {
             let place = DVec3::new(random() * 2.0, random(), random());
-            let expected = points.iter().map(|p| (p.0.distance_squared(place), p.1)).min_by(|a, b| a.partial_cmp(b).unwrap());
+            let expected = points
+                .iter()
+                .map(|p| (p.0.distance_squared(place), p.1))
+                .min_by(|a, b| a.partial_cmp(b).unwrap());
             assert_eq!(tree.nearest(place).map(|(n, d)| (d, n)), expected);
         }
         assert_eq!(NearestPoints::new([]).nearest(DVec3::ZERO), None);

@@ -41,14 +41,28 @@ impl Parts {
         }
         if policy == Policy::Free {
             let part = loose[0];
-            let node = body.graph.component.iter().position(|&c| c as usize == part).unwrap_or(0);
+            let node = body
+                .graph
+                .component
+                .iter()
+                .position(|&c| c as usize == part)
+                .unwrap_or(0);
             let p = body.graph.positions[node];
-            return Err(Error::FreePart { part, place: format!("({}, {}, {})", p.x, p.y, p.z) });
+            return Err(Error::FreePart {
+                part,
+                place: format!("({}, {}, {})", p.x, p.y, p.z),
+            });
         }
         let mut number = vec![usize::MAX; covered.len()];
         loose.iter().enumerate().for_each(|(k, &c)| number[c] = k);
         let mut nodes = vec![Vec::new(); loose.len()];
-        for (node, &c) in body.graph.component.iter().enumerate().filter(|(_, c)| !covered[**c as usize]) {
+        for (node, &c) in body
+            .graph
+            .component
+            .iter()
+            .enumerate()
+            .filter(|(_, c)| !covered[**c as usize])
+        {
             nodes[number[c as usize]].push(node as u32);
         }
         let held = (0..body.graph.surface).filter(|&i| covered[body.graph.component[i] as usize]);
@@ -57,7 +71,10 @@ impl Parts {
             .into_iter()
             .filter_map(|nodes| {
                 let near = |&n: &u32| tree.nearest(DVec3::from_array(body.rest[n as usize]));
-                let candidates = nodes.iter().filter(|n| (**n as usize) < body.graph.surface).filter_map(near);
+                let candidates = nodes
+                    .iter()
+                    .filter(|n| (**n as usize) < body.graph.surface)
+                    .filter_map(near);
                 let (leader, _) = candidates.reduce(|best, next| if next.1 < best.1 { next } else { best })?;
                 Some(Follower { nodes, leader })
             })
@@ -89,8 +106,15 @@ fn local_rotation(body: &Body, node: usize, positions: &[DVec3]) -> DQuat {
     let mut moved = positions[node] != rest[node];
     for (j, w) in body.edges(node) {
         moved |= positions[j] != rest[j];
-        let (x, p) = ((positions[j] - positions[node]) / body.unit, (rest[j] - rest[node]) / body.unit);
+        let (x, p) = (
+            (positions[j] - positions[node]) / body.unit,
+            (rest[j] - rest[node]) / body.unit,
+        );
         covariance += outer(x, p) * w;
     }
-    if moved { rotation_of(covariance) } else { DQuat::IDENTITY }
+    if moved {
+        rotation_of(covariance)
+    } else {
+        DQuat::IDENTITY
+    }
 }

@@ -80,14 +80,20 @@ impl Ownership {
             }
         }
         soft.sort_by_key(|&(node, hold, _)| (node, hold));
-        let hard = core.into_iter().map(|k| if k != NOBODY && is_hard(k) { k } else { NOBODY }).collect();
+        let hard = core
+            .into_iter()
+            .map(|k| if k != NOBODY && is_hard(k) { k } else { NOBODY })
+            .collect();
         Self { hard, soft }
     }
 
     /// Which holds constrain any node; the frozen surroundings come last.
     pub fn active(&self, holds: usize) -> Vec<bool> {
         let mut active = vec![false; holds + 1];
-        self.hard.iter().filter(|&&k| k != NOBODY).for_each(|&k| active[k as usize] = true);
+        self.hard
+            .iter()
+            .filter(|&&k| k != NOBODY)
+            .for_each(|&k| active[k as usize] = true);
         self.soft.iter().for_each(|&(_, k, _)| active[k as usize] = true);
         active
     }
@@ -164,23 +170,38 @@ impl Rig {
             true => None,
             false => Some(fields::solve(body, &scale, rigging.holds.len(), pool, progress)?),
         };
-        let field_iterations =
-            rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);
+        let field_iterations = rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);
 
         let fixed: Vec<bool> = (0..nodes)
             .map(|i| position.hard[i] != NOBODY || !covered[body.graph.component[i] as usize])
             .collect();
         let stiffness = position.stiffness();
         let positions = constrained(body, fixed, stiffness.as_deref(), pool)?;
-        let loose: Vec<&Hold> = rigging.holds.iter().filter(|h| h.rigid && !(h.position && h.stiffness.is_none())).collect();
+        let loose: Vec<&Hold> = rigging
+            .holds
+            .iter()
+            .filter(|h| h.rigid && !(h.position && h.stiffness.is_none()))
+            .collect();
         let rigid = if loose.is_empty() {
             None
         } else {
             let mut fixed = positions.fixed.clone();
-            loose.iter().flat_map(|h| &h.nodes).for_each(|&n| fixed[n as usize] = true);
+            loose
+                .iter()
+                .flat_map(|h| &h.nodes)
+                .for_each(|&n| fixed[n as usize] = true);
             Some(constrained(body, fixed, stiffness.as_deref(), pool)?)
         };
-        Ok(Self { rigging, position, rotation_fields, scale_fields, positions, rigid, parts, field_iterations })
+        Ok(Self {
+            rigging,
+            position,
+            rotation_fields,
+            scale_fields,
+            positions,
+            rigid,
+            parts,
+            field_iterations,
+        })
     }
 
     /// Number of handles.
@@ -201,7 +222,10 @@ impl Rig {
     /// By hold: how many of the body's surface nodes it constrains in place, after overlaps are settled.
     pub fn held_surface_nodes(&self, body: &Body) -> Vec<usize> {
         let mut count = vec![0; self.holds() + 1];
-        self.position.hard[..body.graph.surface].iter().filter(|&&k| k != NOBODY).for_each(|&k| count[k as usize] += 1);
+        self.position.hard[..body.graph.surface]
+            .iter()
+            .filter(|&&k| k != NOBODY)
+            .for_each(|&k| count[k as usize] += 1);
         self.position
             .soft
             .iter()
@@ -213,7 +237,12 @@ impl Rig {
 
     /// Bytes held on the heap.
     pub fn bytes(&self) -> usize {
-        let holds: usize = self.rigging.holds.iter().map(|h| h.nodes.capacity() * 4 + h.pulls.capacity() * 16).sum();
+        let holds: usize = self
+            .rigging
+            .holds
+            .iter()
+            .map(|h| h.nodes.capacity() * 4 + h.pulls.capacity() * 16)
+            .sum();
         holds
             + self.rotation_fields.bytes()
             + self.scale_fields.as_ref().map_or(0, Fields::bytes)
@@ -226,6 +255,12 @@ impl Rig {
 }
 
 fn constrained(body: &Body, fixed: Vec<bool>, stiffness: Option<&[f64]>, pool: &Pool) -> Result<Constrained, Error> {
-    let system = body.hierarchy.constrain(&Constraints { fixed: &fixed, stiffness }, pool)?;
+    let system = body.hierarchy.constrain(
+        &Constraints {
+            fixed: &fixed,
+            stiffness,
+        },
+        pool,
+    )?;
     Ok(Constrained { fixed, system })
 }

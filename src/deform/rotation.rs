@@ -23,7 +23,11 @@ pub fn log_rotation(q: DQuat) -> DVec3 {
     let axis = DVec3::new(q.x, q.y, q.z);
     let sin = axis.length();
     // Near the identity the ratio angle / sin tends to 2 and needs no division.
-    if sin < 1e-12 { axis * 2.0 } else { axis * (2.0 * libm::atan2(sin, q.w) / sin) }
+    if sin < 1e-12 {
+        axis * 2.0
+    } else {
+        axis * (2.0 * libm::atan2(sin, q.w) / sin)
+    }
 }
 
 /// The rotation vector that leads from `base` to `target`, both unbounded rotation vectors: exp(base)·exp(result) is
@@ -36,7 +40,11 @@ pub fn relative_rotation(base: DVec3, target: DVec3) -> DVec3 {
     let short = log_rotation(exp_rotation(base).inverse() * exp_rotation(target));
     let angle = short.length();
     // Along which axis turns may be added: the relative rotation's own, or, when that is none, the difference's.
-    let Some(axis) = short.try_normalize().filter(|_| angle > 1e-9).or_else(|| wanted.try_normalize()) else {
+    let Some(axis) = short
+        .try_normalize()
+        .filter(|_| angle > 1e-9)
+        .or_else(|| wanted.try_normalize())
+    else {
         return short;
     };
     let turns = libm::round((wanted.dot(axis) - short.dot(axis)) / TAU);
@@ -58,7 +66,10 @@ pub fn blend_rotations(terms: &[(f64, DVec3)], karcher: usize) -> DQuat {
     for _ in 0..karcher {
         let back = mean.inverse();
         let step = log_rotation(back) * base_weight
-            + terms.iter().map(|&(u, v)| log_rotation(back * exp_rotation(v)) * u).sum::<DVec3>();
+            + terms
+                .iter()
+                .map(|&(u, v)| log_rotation(back * exp_rotation(v)) * u)
+                .sum::<DVec3>();
         mean = (mean * exp_rotation(step)).normalize();
         if step.length_squared() < 1e-20 {
             break;
@@ -73,24 +84,35 @@ pub fn within_half_turn(vectors: &[DVec3]) -> bool {
     vectors.iter().all(|v| v.length() < bound)
         && vectors.iter().enumerate().all(|(i, a)| {
             let from_a = exp_rotation(*a).inverse();
-            vectors[..i].iter().all(|b| log_rotation(from_a * exp_rotation(*b)).length() < bound)
+            vectors[..i]
+                .iter()
+                .all(|b| log_rotation(from_a * exp_rotation(*b)).length() < bound)
         })
 }
 
 /// Whether all vectors lie on one line through the origin.
 pub fn coaxial(vectors: &[DVec3]) -> bool {
-    let Some(longest) = vectors.iter().copied().reduce(|a, b| if b.length_squared() > a.length_squared() { b } else { a })
+    let Some(longest) = vectors
+        .iter()
+        .copied()
+        .reduce(|a, b| if b.length_squared() > a.length_squared() { b } else { a })
     else {
         return true;
     };
-    vectors.iter().all(|v| v.cross(longest).length() <= 1e-9 * longest.length_squared())
+    vectors
+        .iter()
+        .all(|v| v.cross(longest).length() <= 1e-9 * longest.length_squared())
 }
 
 /// exp of a symmetric matrix.
 pub fn exp_symmetric(m: DMat3) -> DMat3 {
     let off = m.x_axis.y.abs() + m.x_axis.z.abs() + m.y_axis.z.abs();
     if off == 0.0 {
-        return DMat3::from_diagonal(DVec3::new(libm::exp(m.x_axis.x), libm::exp(m.y_axis.y), libm::exp(m.z_axis.z)));
+        return DMat3::from_diagonal(DVec3::new(
+            libm::exp(m.x_axis.x),
+            libm::exp(m.y_axis.y),
+            libm::exp(m.z_axis.z),
+        ));
     }
     // Halved until small, Taylor to the tenth power, squared back: exact to rounding for the scales that poses allow.
     let size = m.x_axis.length() + m.y_axis.length() + m.z_axis.length();
@@ -114,7 +136,12 @@ mod tests {
 
     #[test]
     fn logarithm_undoes_exponential_below_half_a_turn() {
-        for v in [DVec3::ZERO, DVec3::new(1e-14, 0., 0.), DVec3::new(0.3, -1.0, 2.0), DVec3::new(0., 3.1, 0.)] {
+        for v in [
+            DVec3::ZERO,
+            DVec3::new(1e-14, 0., 0.),
+            DVec3::new(0.3, -1.0, 2.0),
+            DVec3::new(0., 3.1, 0.),
+        ] {
             assert!((log_rotation(exp_rotation(v)) - v).length() < 1e-12, "{v}");
         }
     }

@@ -110,12 +110,25 @@ impl Rig {
         // Solving around the mean of what is held makes the residual independent of where in space the model is.
         let center = mean_of(&targets, &self.positions.fixed);
         let warm = request.start == Start::Warm && state.x.len() == body.nodes() * 3;
-        prepare(body, self, &frames, &targets, request.transforms, center, warm, state, pool);
+        prepare(
+            body,
+            self,
+            &frames,
+            &targets,
+            request.transforms,
+            center,
+            warm,
+            state,
+            pool,
+        );
 
         let unit_per_diagonal = body.unit / body.diagonal;
         let start = match warm {
             true => solver::Start::Given,
-            false => solver::Start::FullMultigrid { frames: Some(&frames), rest: Some(&body.rest) },
+            false => solver::Start::FullMultigrid {
+                frames: Some(&frames),
+                rest: Some(&body.rest),
+            },
         };
         let options = SolveOptions {
             start,
@@ -126,26 +139,50 @@ impl Rig {
         let placed = |x: &[f64]| self.place(body, &moved_parts, request.transforms, center, x);
         let State { x, rhs, workspace } = state;
         let mut run = |constrained: &Constrained, options: &SolveOptions<'_>, x: &mut Vec<f64>| {
-            constrained.system.solve(&body.hierarchy, 3, rhs, x, options, workspace, pool, progress, &mut |iteration| {
-                let positions = || {
-                    let mut now = vec![0.0; body.nodes() * 3];
-                    iteration.copy_to(&mut now);
-                    placed(&now)
-                };
-                let cycle = Cycle {
-                    index: iteration.index,
-                    residual: iteration.residual,
-                    max_error: iteration.max_error * unit_per_diagonal,
-                    positions: &positions,
-                };
-                if watch(&cycle) { Control::Continue } else { Control::Stop }
-            })
+            constrained.system.solve(
+                &body.hierarchy,
+                3,
+                rhs,
+                x,
+                options,
+                workspace,
+                pool,
+                progress,
+                &mut |iteration| {
+                    let positions = || {
+                        let mut now = vec![0.0; body.nodes() * 3];
+                        iteration.copy_to(&mut now);
+                        placed(&now)
+                    };
+                    let cycle = Cycle {
+                        index: iteration.index,
+                        residual: iteration.residual,
+                        max_error: iteration.max_error * unit_per_diagonal,
+                        positions: &positions,
+                    };
+                    if watch(&cycle) {
+                        Control::Continue
+                    } else {
+                        Control::Stop
+                    }
+                },
+            )
         };
         let result = run(&self.positions, &options, x).and_then(|mut stats| {
             if let Some(rigid) = &self.rigid {
                 self.make_rigid(body, x);
-                let again = run(rigid, &SolveOptions { start: solver::Start::Given, ..options.clone() }, x)?;
-                stats = solver::Stats { iterations: stats.iterations + again.iterations, ..again };
+                let again = run(
+                    rigid,
+                    &SolveOptions {
+                        start: solver::Start::Given,
+                        ..options.clone()
+                    },
+                    x,
+                )?;
+                stats = solver::Stats {
+                    iterations: stats.iterations + again.iterations,
+                    ..again
+                };
             }
             Ok(stats)
         });
@@ -163,7 +200,10 @@ impl Rig {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
         }
         // Kept relative to nothing, so that the next solve may centre elsewhere.
-        state.x.chunks_exact_mut(3).for_each(|row| row.iter_mut().zip(center.to_array()).for_each(|(v, c)| *v += c));
+        state
+            .x
+            .chunks_exact_mut(3)
+            .for_each(|row| row.iter_mut().zip(center.to_array()).for_each(|(v, c)| *v += c));
         Ok(Solution {
             positions,
             frames,
@@ -177,7 +217,13 @@ impl Rig {
     /// By component: whether any hold that has moved has a say in it.
     fn moved_parts(&self, body: &Body, transforms: &[Transform]) -> Vec<bool> {
         let mut moved = vec![false; body.graph.components];
-        for (hold, _) in self.rigging.holds.iter().zip(transforms).filter(|(_, t)| !t.is_identity()) {
+        for (hold, _) in self
+            .rigging
+            .holds
+            .iter()
+            .zip(transforms)
+            .filter(|(_, t)| !t.is_identity())
+        {
             let nodes = hold.nodes.iter().copied().chain(hold.pulls.iter().map(|p| p.0));
             nodes.for_each(|n| moved[body.graph.component[n as usize] as usize] = true);
         }
@@ -189,10 +235,8 @@ impl Rig {
         let mut targets: Vec<DVec3> = body.rest.iter().map(|p| DVec3::from_array(*p)).collect();
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
         for (node, &k) in self.position.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {
-            if let (Some(map), Some(t)) = (maps.get(k as usize), transforms.get(k as usize)) {
-                if !t.is_identity() {
-                    targets[node] = body.solving_from_model(map(body.graph.positions[node]));
-                }
+            if let Some(map) = maps.get(k as usize).filter(|_| !transforms[k as usize].is_identity()) {
+                targets[node] = body.solving_from_model(map(body.graph.positions[node]));
             }
         }
         targets
@@ -228,9 +272,18 @@ impl Rig {
 
     /// Replaces the solution on rigid regions by the rigid motion that fits it best.
     fn make_rigid(&self, body: &Body, x: &mut [f64]) {
-        for hold in self.rigging.holds.iter().filter(|h| h.rigid && !(h.position && h.stiffness.is_none())) {
+        for hold in self
+            .rigging
+            .holds
+            .iter()
+            .filter(|h| h.rigid && !(h.position && h.stiffness.is_none()))
+        {
             let at = |n: &u32| DVec3::from_slice(&x[*n as usize * 3..*n as usize * 3 + 3]);
-            let rest: Vec<_> = hold.nodes.iter().map(|n| DVec3::from_array(body.rest[*n as usize])).collect();
+            let rest: Vec<_> = hold
+                .nodes
+                .iter()
+                .map(|n| DVec3::from_array(body.rest[*n as usize]))
+                .collect();
             let now: Vec<_> = hold.nodes.iter().map(at).collect();
             let map = rigid_fit(&rest, &now).map();
             for (n, p) in hold.nodes.iter().zip(&rest) {
@@ -260,18 +313,24 @@ fn prepare(
     state.rhs.resize(nodes * 3, 0.0);
     let State { x, rhs, .. } = state;
     pool.install(|| {
-        x.par_chunks_exact_mut(3).with_min_len(4096).enumerate().for_each(|(i, x)| {
-            let value = match rig.positions.fixed[i] || !warm {
-                true => targets[i],
-                false => DVec3::from_slice(x),
-            };
-            x.copy_from_slice(&(value - center).to_array());
-        });
-        rhs.par_chunks_exact_mut(3).with_min_len(1024).enumerate().for_each(|(i, rhs)| {
-            if !rig.positions.fixed[i] {
-                rhs.copy_from_slice(&right_hand_side(body, frames, i).to_array());
-            }
-        });
+        x.par_chunks_exact_mut(3)
+            .with_min_len(4096)
+            .enumerate()
+            .for_each(|(i, x)| {
+                let value = match rig.positions.fixed[i] || !warm {
+                    true => targets[i],
+                    false => DVec3::from_slice(x),
+                };
+                x.copy_from_slice(&(value - center).to_array());
+            });
+        rhs.par_chunks_exact_mut(3)
+            .with_min_len(1024)
+            .enumerate()
+            .for_each(|(i, rhs)| {
+                if !rig.positions.fixed[i] {
+                    rhs.copy_from_slice(&right_hand_side(body, frames, i).to_array());
+                }
+            });
     });
     if rig.position.soft.is_empty() {
         return;
@@ -279,9 +338,14 @@ fn prepare(
     let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
     for &(node, k, stiffness) in &rig.position.soft {
         let node = node as usize;
-        let target = maps.get(k as usize).map_or(body.graph.positions[node], |map| map(body.graph.positions[node]));
+        let target = maps
+            .get(k as usize)
+            .map_or(body.graph.positions[node], |map| map(body.graph.positions[node]));
         let pull = (body.solving_from_model(target) - center) * stiffness;
-        rhs[node * 3..node * 3 + 3].iter_mut().zip(pull.to_array()).for_each(|(r, p)| *r += p);
+        rhs[node * 3..node * 3 + 3]
+            .iter_mut()
+            .zip(pull.to_array())
+            .for_each(|(r, p)| *r += p);
     }
 }
 
@@ -289,13 +353,19 @@ fn prepare(
 fn right_hand_side(body: &Body, frames: &[Frame], i: usize) -> DVec3 {
     let p = DVec3::from_array(body.rest[i]);
     let own = linear(&frames[i]) * DVec3::from_array(body.laplacian[i]);
-    let others: DVec3 =
-        body.edges(i).map(|(j, w)| linear(&frames[j]) * (p - DVec3::from_array(body.rest[j])) * w).sum();
+    let others: DVec3 = body
+        .edges(i)
+        .map(|(j, w)| linear(&frames[j]) * (p - DVec3::from_array(body.rest[j])) * w)
+        .sum();
     0.5 * (own + others)
 }
 
 fn linear(frame: &Frame) -> DMat3 {
-    if *frame == IDENTITY_FRAME { DMat3::IDENTITY } else { Mat3::from_cols_array(frame).as_dmat3() }
+    if *frame == IDENTITY_FRAME {
+        DMat3::IDENTITY
+    } else {
+        Mat3::from_cols_array(frame).as_dmat3()
+    }
 }
 
 /// Mean of the values on given nodes, in a fixed order; the origin when nothing is given.

@@ -18,8 +18,12 @@ pub struct Transform {
 
 impl Transform {
     /// Leaves everything as it is.
-    pub const IDENTITY: Self =
-        Self { translation: DVec3::ZERO, rotation: DVec3::ZERO, log_scale: DMat3::ZERO, pivot: DVec3::ZERO };
+    pub const IDENTITY: Self = Self {
+        translation: DVec3::ZERO,
+        rotation: DVec3::ZERO,
+        log_scale: DMat3::ZERO,
+        pivot: DVec3::ZERO,
+    };
 
     /// Whether every point stays where it is, to the bit. A full turn is not the identity: it twists what lies between.
     pub fn is_identity(&self) -> bool {
@@ -29,7 +33,11 @@ impl Transform {
     /// R S, the linear part.
     pub fn linear(&self) -> DMat3 {
         let rotation = DMat3::from_quat(exp_rotation(self.rotation));
-        if self.log_scale == DMat3::ZERO { rotation } else { rotation * exp_symmetric(self.log_scale) }
+        if self.log_scale == DMat3::ZERO {
+            rotation
+        } else {
+            rotation * exp_symmetric(self.log_scale)
+        }
     }
 
     /// The affine map as a closure, with its matrix computed once. The identity returns its argument's bits.

@@ -10,7 +10,10 @@ const LARGEST: f64 = 1e30;
 /// Exactly three finite numbers.
 pub(super) fn vector(values: &[f64], field: &str) -> Result<DVec3, Error> {
     if values.len() != 3 {
-        return Err(Error::invalid(field, format!("has {} numbers, a vector has 3 [x, y, z]", values.len())));
+        return Err(Error::invalid(
+            field,
+            format!("has {} numbers, a vector has 3 [x, y, z]", values.len()),
+        ));
     }
     for (k, v) in values.iter().enumerate() {
         number(*v, &format!("{field}[{k}]"))?;
@@ -23,14 +26,21 @@ pub(super) fn number(value: f64, field: &str) -> Result<f64, Error> {
     if value.abs() <= LARGEST {
         Ok(value)
     } else {
-        Err(Error::invalid(field, format!("is {value}, allowed are finite numbers up to {LARGEST:e}")))
+        Err(Error::invalid(
+            field,
+            format!("is {value}, allowed are finite numbers up to {LARGEST:e}"),
+        ))
     }
 }
 
 /// A finite number above 0.
 pub(super) fn positive(value: f64, field: &str) -> Result<f64, Error> {
     number(value, field)?;
-    if value > 0.0 { Ok(value) } else { Err(Error::invalid(field, format!("is {value}, it must be above 0"))) }
+    if value > 0.0 {
+        Ok(value)
+    } else {
+        Err(Error::invalid(field, format!("is {value}, it must be above 0")))
+    }
 }
 
 /// 0 for "not given", else a number in `range`.
@@ -41,7 +51,10 @@ pub(super) fn optional_within(value: f64, low: f64, high: f64, field: &str) -> R
     if (low..=high).contains(&value) {
         Ok(Some(value))
     } else {
-        Err(Error::invalid(field, format!("is {value}, allowed are {low:e} to {high:e}, or 0 for the default")))
+        Err(Error::invalid(
+            field,
+            format!("is {value}, allowed are {low:e} to {high:e}, or 0 for the default"),
+        ))
     }
 }
 
@@ -56,7 +69,10 @@ pub(super) fn plane(plane: &pb::Plane, field: &str) -> Result<(DVec3, DVec3), Er
     let offset = number(plane.offset, &format!("{field}.offset"))?;
     let length = normal.length();
     if !(length > 0.0 && length.is_finite()) {
-        return Err(Error::invalid(format!("{field}.normal"), "is zero, a plane needs a direction"));
+        return Err(Error::invalid(
+            format!("{field}.normal"),
+            "is zero, a plane needs a direction",
+        ));
     }
     let unit = normal / length;
     Ok((unit, unit * (offset / length)))
@@ -72,17 +88,28 @@ pub(super) fn transform(pose: &pb::HandlePose, pivot: DVec3, field: &str) -> Res
     let pivot = optional(&pose.pivot, "pivot")?.unwrap_or(pivot);
     let turned = optional(&pose.rotation_vector, "rotationVector")?;
     if turned.is_some_and(|v| v.length() > 1e6) {
-        return Err(Error::invalid(format!("{field}.rotationVector"), "is longer than 1e6 radians"));
+        return Err(Error::invalid(
+            format!("{field}.rotationVector"),
+            "is longer than 1e6 radians",
+        ));
     }
     let rotation = match (quaternion(&pose.rotation, &format!("{field}.rotation"))?, turned) {
         (Some(_), Some(_)) => {
-            return Err(Error::invalid(field, "has both rotation and rotationVector, only one of them is allowed"));
+            return Err(Error::invalid(
+                field,
+                "has both rotation and rotationVector, only one of them is allowed",
+            ));
         }
         (Some(q), None) => crate::deform::log_rotation(q),
         (None, v) => v.unwrap_or(DVec3::ZERO),
     };
     let log_scale = log_scale(&pose.scale, &format!("{field}.scale"))?;
-    Ok(Transform { translation, rotation, log_scale, pivot })
+    Ok(Transform {
+        translation,
+        rotation,
+        log_scale,
+        pivot,
+    })
 }
 
 fn quaternion(values: &[f64], field: &str) -> Result<Option<DQuat>, Error> {
@@ -95,7 +122,7 @@ fn quaternion(values: &[f64], field: &str) -> Result<Option<DQuat>, Error> {
     };
     let q = DQuat::from_xyzw(*x, *y, *z, *w);
     let length = q.length();
-    if !((length - 1.0).abs() <= 0.01) {
+    if !(0.99..=1.01).contains(&length) {
         let problem = format!("has length {length}, a rotation needs a unit quaternion [x, y, z, w]");
         return Err(Error::invalid(field, problem));
     }
@@ -107,11 +134,20 @@ fn log_scale(values: &[f64], field: &str) -> Result<DMat3, Error> {
         [] => return Ok(DMat3::ZERO),
         [s] => [*s; 3],
         [x, y, z] => [*x, *y, *z],
-        more => return Err(Error::invalid(field, format!("has {} numbers, allowed are 1 or 3", more.len()))),
+        more => {
+            return Err(Error::invalid(
+                field,
+                format!("has {} numbers, allowed are 1 or 3", more.len()),
+            ));
+        }
     };
     for (k, s) in factors.iter().enumerate() {
         if !(1e-6..=1e6).contains(s) {
-            let place = if values.len() == 1 { field.to_owned() } else { format!("{field}[{k}]") };
+            let place = if values.len() == 1 {
+                field.to_owned()
+            } else {
+                format!("{field}[{k}]")
+            };
             return Err(Error::invalid(place, format!("is {s}, allowed are 1e-6 to 1e6")));
         }
     }
@@ -151,10 +187,18 @@ impl Settings {
         let first_pass: pb::options::FirstPass = enumerated(options.first_pass, &at("firstPass"))?;
         let method: pb::options::Method = enumerated(options.method, &at("method"))?;
         if first_pass != pb::options::FirstPass::Harmonic {
-            return Err(Error::Unimplemented(format!("{} {}", at("firstPass"), first_pass.as_str_name())));
+            return Err(Error::Unimplemented(format!(
+                "{} {}",
+                at("firstPass"),
+                first_pass.as_str_name()
+            )));
         }
         if method != pb::options::Method::Graph {
-            return Err(Error::Unimplemented(format!("{} {}", at("method"), method.as_str_name())));
+            return Err(Error::Unimplemented(format!(
+                "{} {}",
+                at("method"),
+                method.as_str_name()
+            )));
         }
         if options.refine.is_some_and(|n| n > 0) {
             return Err(Error::Unimplemented(format!("{} above 0", at("refine"))));
@@ -166,21 +210,27 @@ impl Settings {
             let problem = format!("is {}, allowed are 1 to {max_window}, or 0 for 2", options.window);
             return Err(Error::invalid(at("window"), problem));
         }
-        let output = options.output.clone().unwrap_or_default();
+        let output = options.output.unwrap_or_default();
         let _: pb::frame::Encoding = enumerated(output.encoding, &at("output.encoding"))?;
-        if let Some(threshold) = output.changed_only {
-            if !(0.0..=1.0).contains(&threshold) {
-                let problem = format!("is {threshold}, allowed are 0 to 1 (fraction of the diagonal)");
-                return Err(Error::invalid(at("output.changedOnly"), problem));
-            }
+        if let Some(threshold) = output.changed_only.filter(|t| !(0.0..=1.0).contains(t)) {
+            let problem = format!("is {threshold}, allowed are 0 to 1 (fraction of the diagonal)");
+            return Err(Error::invalid(at("output.changedOnly"), problem));
         }
         Ok(Self {
-            tolerance: if tolerance.is_none() && max_error.is_none() { Some(1e-4) } else { tolerance },
+            tolerance: if tolerance.is_none() && max_error.is_none() {
+                Some(1e-4)
+            } else {
+                tolerance
+            },
             max_error,
             budget_ms,
             progressive: options.progressive,
             output,
-            window: if options.window == 0 { 2.min(max_window.max(1)) } else { options.window },
+            window: if options.window == 0 {
+                2.min(max_window.max(1))
+            } else {
+                options.window
+            },
         })
     }
 }
@@ -196,14 +246,60 @@ mod tests {
             other => panic!("{field}: {other:?}"),
         };
         let pose = pb::HandlePose::default;
-        refused(pb::HandlePose { translation: vec![1.0], ..pose() }, "p.translation");
-        refused(pb::HandlePose { translation: vec![1.0, f64::NAN, 0.0], ..pose() }, "p.translation[1]");
-        refused(pb::HandlePose { rotation: vec![0.0, 0.0, 0.0, 2.0], ..pose() }, "p.rotation");
-        refused(pb::HandlePose { rotation: vec![f64::NAN, 0.0, 0.0, 1.0], ..pose() }, "p.rotation");
-        refused(pb::HandlePose { scale: vec![1.0, 2.0], ..pose() }, "p.scale");
-        refused(pb::HandlePose { scale: vec![0.0], ..pose() }, "p.scale");
-        refused(pb::HandlePose { scale: vec![1.0, -1.0, 1.0], ..pose() }, "p.scale[1]");
-        let both = pb::HandlePose { rotation: vec![0., 0., 0., 1.], rotation_vector: vec![0., 0., 0.], ..pose() };
+        refused(
+            pb::HandlePose {
+                translation: vec![1.0],
+                ..pose()
+            },
+            "p.translation",
+        );
+        refused(
+            pb::HandlePose {
+                translation: vec![1.0, f64::NAN, 0.0],
+                ..pose()
+            },
+            "p.translation[1]",
+        );
+        refused(
+            pb::HandlePose {
+                rotation: vec![0.0, 0.0, 0.0, 2.0],
+                ..pose()
+            },
+            "p.rotation",
+        );
+        refused(
+            pb::HandlePose {
+                rotation: vec![f64::NAN, 0.0, 0.0, 1.0],
+                ..pose()
+            },
+            "p.rotation",
+        );
+        refused(
+            pb::HandlePose {
+                scale: vec![1.0, 2.0],
+                ..pose()
+            },
+            "p.scale",
+        );
+        refused(
+            pb::HandlePose {
+                scale: vec![0.0],
+                ..pose()
+            },
+            "p.scale",
+        );
+        refused(
+            pb::HandlePose {
+                scale: vec![1.0, -1.0, 1.0],
+                ..pose()
+            },
+            "p.scale[1]",
+        );
+        let both = pb::HandlePose {
+            rotation: vec![0., 0., 0., 1.],
+            rotation_vector: vec![0., 0., 0.],
+            ..pose()
+        };
         refused(both, "p");
     }
 
@@ -214,15 +310,58 @@ mod tests {
             other => panic!("{name}: {other:?}"),
         };
         let options = pb::Options::default;
-        says(pb::Options { refine: Some(3), ..options() }, "options.refine");
-        says(pb::Options { rotation_smoothing: 0.1, ..options() }, "options.rotationSmoothing");
-        says(pb::Options { first_pass: 1, ..options() }, "DIFFUSION");
-        says(pb::Options { first_pass: 2, ..options() }, "LINEAR_FRAMES");
+        says(
+            pb::Options {
+                refine: Some(3),
+                ..options()
+            },
+            "options.refine",
+        );
+        says(
+            pb::Options {
+                rotation_smoothing: 0.1,
+                ..options()
+            },
+            "options.rotationSmoothing",
+        );
+        says(
+            pb::Options {
+                first_pass: 1,
+                ..options()
+            },
+            "DIFFUSION",
+        );
+        says(
+            pb::Options {
+                first_pass: 2,
+                ..options()
+            },
+            "LINEAR_FRAMES",
+        );
         says(pb::Options { method: 1, ..options() }, "SPATIAL_RBF");
-        assert!(matches!(Settings::check(&pb::Options { method: 7, ..options() }, "options", 8), Err(Error::Invalid { .. })));
-        let fine = Settings::check(&pb::Options { refine: Some(0), ..options() }, "options", 8).expect("valid");
+        assert!(matches!(
+            Settings::check(&pb::Options { method: 7, ..options() }, "options", 8),
+            Err(Error::Invalid { .. })
+        ));
+        let fine = Settings::check(
+            &pb::Options {
+                refine: Some(0),
+                ..options()
+            },
+            "options",
+            8,
+        )
+        .expect("valid");
         assert_eq!((fine.tolerance, fine.window), (Some(1e-4), 2));
-        let by_error = Settings::check(&pb::Options { max_error: 1e-3, ..options() }, "options", 8).expect("valid");
+        let by_error = Settings::check(
+            &pb::Options {
+                max_error: 1e-3,
+                ..options()
+            },
+            "options",
+            8,
+        )
+        .expect("valid");
         assert_eq!((by_error.tolerance, by_error.max_error), (None, Some(1e-3)));
     }
 }

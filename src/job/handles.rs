@@ -35,11 +35,23 @@ pub(super) fn resolve_handles(
     most: usize,
 ) -> Result<(HandleSet, Rigging), Error> {
     if request.handles.len() > most {
-        return Err(Error::TooLarge { what: "handles", seen: request.handles.len() as u64, limit: most as u64 });
+        return Err(Error::TooLarge {
+            what: "handles",
+            seen: request.handles.len() as u64,
+            limit: most as u64,
+        });
     }
-    let mirror = request.symmetry_plane.as_ref().map(|p| plane(p, "symmetryPlane")).transpose()?;
+    let mirror = request
+        .symmetry_plane
+        .as_ref()
+        .map(|p| plane(p, "symmetryPlane"))
+        .transpose()?;
     let mut ids = BTreeSet::new();
-    let mut set = HandleSet { request: request.clone(), mirror, ..Default::default() };
+    let mut set = HandleSet {
+        request: request.clone(),
+        mirror,
+        ..Default::default()
+    };
     let mut holds = Vec::new();
     let mut images = Vec::new();
     let mut strays = Vec::new();
@@ -50,7 +62,10 @@ pub(super) fn resolve_handles(
             return Err(Error::invalid(format!("{field}.id"), problem));
         }
         if !ids.insert(handle.id.as_str()) {
-            return Err(Error::invalid(format!("{field}.id"), format!("\"{}\" is used twice", handle.id)));
+            return Err(Error::invalid(
+                format!("{field}.id"),
+                format!("\"{}\" is used twice", handle.id),
+            ));
         }
         let region_field = format!("{field}.region");
         let region = resolve(ground, handle.region.as_ref(), None, &region_field)?;
@@ -83,7 +98,12 @@ pub(super) fn resolve_handles(
     strays.reverse();
     set.strays = strays;
     set.counts = render_counts(ground, &holds, request.handles.len(), &frozen);
-    for (k, _) in set.counts.iter().enumerate().filter(|(k, c)| **c == 0 && !holds[*k].nodes.is_empty()) {
+    for (k, _) in set
+        .counts
+        .iter()
+        .enumerate()
+        .filter(|(k, c)| **c == 0 && !holds[*k].nodes.is_empty())
+    {
         set.warnings.push(pb::Warning {
             code: "empty-handle".into(),
             message: format!("handle \"{}\" holds no vertex after overlaps", request.handles[k].id),
@@ -158,7 +178,15 @@ fn hold(body: &Body, handle: &pb::Handle, region: &Resolved, field: &str) -> Res
             pulls.sort_by_key(|p| p.0);
         }
     }
-    Ok(Hold { nodes: region.nodes.clone(), pulls, stiffness, position, rotation, scale, rigid: handle.rigid })
+    Ok(Hold {
+        nodes: region.nodes.clone(),
+        pulls,
+        stiffness,
+        position,
+        rotation,
+        scale,
+        rigid: handle.rigid,
+    })
 }
 
 /// Weights around a region by distance along the graph's edges, so that a falloff does not jump between fingers.
@@ -209,7 +237,9 @@ fn fade(body: &Body, core: &[u32], radius: f64, kind: pb::falloff::Kind) -> Vec<
 }
 
 fn frozen_nodes(ground: &Ground<'_>, request: &pb::SetHandlesRequest) -> Result<Vec<bool>, Error> {
-    let Some(region) = &request.region_of_interest else { return Ok(Vec::new()) };
+    let Some(region) = &request.region_of_interest else {
+        return Ok(Vec::new());
+    };
     let inside = resolve(ground, Some(region), None, "regionOfInterest")?;
     let mut frozen = vec![true; ground.graph.positions.len()];
     inside.nodes.iter().for_each(|&n| frozen[n as usize] = false);
@@ -231,7 +261,11 @@ fn last_holders(holds: &[Hold], nodes: usize, frozen: &[bool]) -> Vec<u32> {
     for (k, hold) in holds.iter().enumerate() {
         hold.nodes.iter().for_each(|&n| owner[n as usize] = k as u32);
     }
-    owner.iter_mut().zip(frozen).filter(|(_, f)| **f).for_each(|(o, _)| *o = u32::MAX);
+    owner
+        .iter_mut()
+        .zip(frozen)
+        .filter(|(_, f)| **f)
+        .for_each(|(o, _)| *o = u32::MAX);
     owner
 }
 
@@ -241,7 +275,11 @@ fn render_counts(ground: &Ground<'_>, holds: &[Hold], handles: usize, frozen: &[
     for &solver in ground.mesh.solver_from_render.iter().filter(|s| **s != NONE) {
         let k = owner[solver as usize] as usize;
         // A mirror image counts for its handle.
-        if let Some(count) = k.checked_rem(handles.max(1)).filter(|_| k < holds.len()).and_then(|k| counts.get_mut(k)) {
+        if let Some(count) = k
+            .checked_rem(handles.max(1))
+            .filter(|_| k < holds.len())
+            .and_then(|k| counts.get_mut(k))
+        {
             *count += 1;
         }
     }
@@ -252,10 +290,13 @@ fn overlaps(request: &pb::SetHandlesRequest, holds: &[Hold], images: &[Hold], fr
     let mut warnings = Vec::new();
     let name = |k: usize| &request.handles[k % request.handles.len()].id;
     let all: Vec<&Hold> = holds.iter().chain(images).collect();
-    let same_kind = |a: &Hold, b: &Hold| {
-        (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale)
-    };
-    let most = all.iter().flat_map(|h| h.nodes.last()).max().map_or(0, |n| *n as usize + 1);
+    let same_kind =
+        |a: &Hold, b: &Hold| (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale);
+    let most = all
+        .iter()
+        .flat_map(|h| h.nodes.last())
+        .max()
+        .map_or(0, |n| *n as usize + 1);
     let mut holder = vec![u32::MAX; most];
     let mut shared = std::collections::BTreeMap::<(u32, u32), usize>::new();
     for (k, hold) in all.iter().enumerate() {
@@ -271,8 +312,16 @@ fn overlaps(request: &pb::SetHandlesRequest, holds: &[Hold], images: &[Hold], fr
         let (a, b) = (a as usize, b as usize);
         warnings.push(pb::Warning {
             code: "overlapping-handles".into(),
-            message: format!("handles \"{}\" and \"{}\" share {count} graph nodes; the later one holds them", name(a), name(b)),
-            r#where: format!("handles[{}], handles[{}]", a % request.handles.len(), b % request.handles.len()),
+            message: format!(
+                "handles \"{}\" and \"{}\" share {count} graph nodes; the later one holds them",
+                name(a),
+                name(b)
+            ),
+            r#where: format!(
+                "handles[{}], handles[{}]",
+                a % request.handles.len(),
+                b % request.handles.len()
+            ),
         });
     }
     if !frozen.is_empty() {
@@ -281,7 +330,10 @@ fn overlaps(request: &pb::SetHandlesRequest, holds: &[Hold], images: &[Hold], fr
             if outside > 0 {
                 warnings.push(pb::Warning {
                     code: "handle-outside-region".into(),
-                    message: format!("{outside} graph nodes of handle \"{}\" lie outside the region of interest and stay fixed", name(k)),
+                    message: format!(
+                        "{outside} graph nodes of handle \"{}\" lie outside the region of interest and stay fixed",
+                        name(k)
+                    ),
                     r#where: format!("handles[{k}]"),
                 });
             }

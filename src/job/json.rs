@@ -13,11 +13,14 @@ static POOL: LazyLock<Result<DescriptorPool, String>> =
 /// # Errors
 /// [`Error::Internal`] when the descriptors built into this program cannot be read, which a test rules out.
 pub fn descriptors() -> Result<&'static DescriptorPool, Error> {
-    POOL.as_ref().map_err(|e| Error::Internal(format!("descriptor set: {e}")))
+    POOL.as_ref()
+        .map_err(|e| Error::Internal(format!("descriptor set: {e}")))
 }
 
 fn descriptor(name: &str) -> Result<MessageDescriptor, Error> {
-    descriptors()?.get_message_by_name(name).ok_or_else(|| Error::Internal(format!("no message {name}")))
+    descriptors()?
+        .get_message_by_name(name)
+        .ok_or_else(|| Error::Internal(format!("no message {name}")))
 }
 
 /// Reads a message from JSON. Unknown fields are refused with their path.
@@ -32,10 +35,20 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
     let dynamic = DynamicMessage::deserialize_with_options(descriptor(&M::full_name())?, tracked, &options);
     let dynamic = dynamic.map_err(|e| {
         let path = track.path().to_string();
-        let place = if path.is_empty() || path == "." { "body".to_owned() } else { path };
-        Error::Json { place, problem: e.to_string() }
+        let place = if path.is_empty() || path == "." {
+            "body".to_owned()
+        } else {
+            path
+        };
+        Error::Json {
+            place,
+            problem: e.to_string(),
+        }
     })?;
-    json.end().map_err(|e| Error::Json { place: "body".into(), problem: e.to_string() })?;
+    json.end().map_err(|e| Error::Json {
+        place: "body".into(),
+        problem: e.to_string(),
+    })?;
     M::decode(dynamic.encode_to_vec().as_slice()).map_err(|e| Error::Internal(format!("transcoding: {e}")))
 }
 

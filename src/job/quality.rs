@@ -31,11 +31,19 @@ pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3]) -> pb::Qual
         }
     }
     let area = surface_area(rest, &mesh.triangles);
-    let volume = if closed { signed_volume(rest, &mesh.triangles) } else { 0.0 };
+    let volume = if closed {
+        signed_volume(rest, &mesh.triangles)
+    } else {
+        0.0
+    };
     let change = |now: f64, before: f64| if before != 0.0 { now / before - 1.0 } else { 0.0 };
     pb::Quality {
         edge_rms: (squares / edges.max(1) as f64).sqrt(),
-        volume_change: if volume == 0.0 { 0.0 } else { change(signed_volume(deformed, &mesh.triangles), volume) },
+        volume_change: if volume == 0.0 {
+            0.0
+        } else {
+            change(signed_volume(deformed, &mesh.triangles), volume)
+        },
         area_change: change(surface_area(deformed, &mesh.triangles), area),
         flipped_triangles: flipped(mesh, deformed),
         max_stretch,

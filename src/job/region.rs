@@ -36,11 +36,21 @@ impl Resolved {
     /// Mean of the region's solver vertices at rest; of its render vertices when none of them is in a face.
     pub fn centroid(&self, ground: &Ground<'_>) -> DVec3 {
         let surface = ground.graph.surface as u32;
-        let solver: Vec<DVec3> =
-            self.nodes.iter().filter(|n| **n < surface).map(|n| ground.graph.positions[*n as usize]).collect();
+        let solver: Vec<DVec3> = self
+            .nodes
+            .iter()
+            .filter(|n| **n < surface)
+            .map(|n| ground.graph.positions[*n as usize])
+            .collect();
         let points = match solver.is_empty() {
             false => solver,
-            true => ground.positions.iter().zip(&self.render).filter(|(_, r)| **r).map(|(p, _)| *p).collect(),
+            true => ground
+                .positions
+                .iter()
+                .zip(&self.render)
+                .filter(|(_, r)| **r)
+                .map(|(p, _)| *p)
+                .collect(),
         };
         points.iter().map(|p| *p / points.len().max(1) as f64).sum()
     }
@@ -67,7 +77,11 @@ pub(super) fn resolve(
             let at = format!("{field}.component.index");
             in_range(part.index, ground.parts.count, &at, "parts")?;
             let of = |v: &u32| *v != NONE && ground.parts.of_vertex[*v as usize] == part.index;
-            listed(ground, &ground.mesh.solver_from_render.iter().map(of).collect::<Vec<_>>(), mirror)
+            listed(
+                ground,
+                &ground.mesh.solver_from_render.iter().map(of).collect::<Vec<_>>(),
+                mirror,
+            )
         }
         Region::Primitive(part) => {
             let at = format!("{field}.primitive.index");
@@ -75,12 +89,22 @@ pub(super) fn resolve(
             let primitive = &ground.primitives[part.index as usize];
             let first = primitive.first_vertex as usize;
             let mut marks = vec![false; ground.positions.len()];
-            marks.iter_mut().skip(first).take(primitive.vertex_count as usize).for_each(|m| *m = true);
+            marks
+                .iter_mut()
+                .skip(first)
+                .take(primitive.vertex_count as usize)
+                .for_each(|m| *m = true);
             listed(ground, &marks, mirror)
         }
         Region::Weights(weights) => weighted(ground, &weights.values, mirror, field)?,
         Region::HalfSpace(half) => {
-            let plane = plane(&pb::Plane { normal: half.normal.clone(), offset: half.offset }, &format!("{field}.halfSpace"))?;
+            let plane = plane(
+                &pb::Plane {
+                    normal: half.normal.clone(),
+                    offset: half.offset,
+                },
+                &format!("{field}.halfSpace"),
+            )?;
             inside(ground, mirror, |p| (p - plane.1).dot(plane.0) >= 0.0)
         }
         Region::Sphere(sphere) => {
@@ -92,7 +116,10 @@ pub(super) fn resolve(
             let min = vector(&corners.min, &format!("{field}.box.min"))?;
             let max = vector(&corners.max, &format!("{field}.box.max"))?;
             if !min.cmple(max).all() {
-                return Err(Error::invalid(format!("{field}.box"), format!("min {min} is above max {max}")));
+                return Err(Error::invalid(
+                    format!("{field}.box"),
+                    format!("min {min} is above max {max}"),
+                ));
             }
             inside(ground, mirror, |p| p.cmpge(min).all() && p.cmple(max).all())
         }
@@ -105,12 +132,17 @@ pub(super) fn resolve(
         Region::Tube(tube) => {
             let points = polyline(&tube.points, &format!("{field}.tube.points"))?;
             let radius = positive(tube.radius, &format!("{field}.tube.radius"))?;
-            inside(ground, mirror, |p| points.windows(2).any(|s| distance_to_segment(p, s[0], s[1]) <= radius))
+            inside(ground, mirror, |p| {
+                points.windows(2).any(|s| distance_to_segment(p, s[0], s[1]) <= radius)
+            })
         }
     };
     // A mirror image may hold nothing: not every model is symmetric.
     if mirror.is_none() && !resolved.render.contains(&true) {
-        return Err(Error::invalid(field, "holds no vertex; regions are taken in the rest pose and in model space"));
+        return Err(Error::invalid(
+            field,
+            "holds no vertex; regions are taken in the rest pose and in model space",
+        ));
     }
     Ok(resolved)
 }
@@ -119,7 +151,10 @@ fn in_range(index: u32, count: usize, field: &str, what: &str) -> Result<(), Err
     if (index as usize) < count {
         Ok(())
     } else {
-        Err(Error::invalid(field, format!("is {index}, the model has {count} {what}, counted from 0")))
+        Err(Error::invalid(
+            field,
+            format!("is {index}, the model has {count} {what}, counted from 0"),
+        ))
     }
 }
 
@@ -127,7 +162,12 @@ fn mark(ground: &Ground<'_>, list: &pb::region::Vertices, field: &str) -> Result
     let count = ground.positions.len();
     let mut marks = vec![false; count];
     for (k, &index) in list.indices.iter().enumerate() {
-        in_range(index, count, &format!("{field}.vertices.indices[{k}]"), "render vertices")?;
+        in_range(
+            index,
+            count,
+            &format!("{field}.vertices.indices[{k}]"),
+            "render vertices",
+        )?;
         marks[index as usize] = true;
     }
     for (k, range) in list.ranges.iter().enumerate() {
@@ -144,7 +184,13 @@ fn mark(ground: &Ground<'_>, list: &pb::region::Vertices, field: &str) -> Result
 /// Nodes of listed render vertices: their solver vertices, and the inside nodes nearest to those.
 fn listed(ground: &Ground<'_>, marks: &[bool], mirror: Option<Mirror>) -> Resolved {
     let mut surface = vec![false; ground.graph.surface];
-    for (&solver, _) in ground.mesh.solver_from_render.iter().zip(marks).filter(|(s, m)| **m && **s != NONE) {
+    for (&solver, _) in ground
+        .mesh
+        .solver_from_render
+        .iter()
+        .zip(marks)
+        .filter(|(s, m)| **m && **s != NONE)
+    {
         surface[solver as usize] = true;
     }
     match mirror {
@@ -160,13 +206,25 @@ fn listed(ground: &Ground<'_>, marks: &[bool], mirror: Option<Mirror>) -> Resolv
 
 /// The nodes whose nearest surface vertex is marked.
 fn from_surface(ground: &Ground<'_>, surface: &[bool], render: Vec<bool>) -> Resolved {
-    let nodes =
-        (0u32..).zip(&ground.graph.nearest_surface).filter(|(_, s)| surface[**s as usize]).map(|(n, _)| n).collect();
-    Resolved { render, nodes, weights: None }
+    let nodes = (0u32..)
+        .zip(&ground.graph.nearest_surface)
+        .filter(|(_, s)| surface[**s as usize])
+        .map(|(n, _)| n)
+        .collect();
+    Resolved {
+        render,
+        nodes,
+        weights: None,
+    }
 }
 
 fn render_of(ground: &Ground<'_>, surface: &[bool]) -> Vec<bool> {
-    ground.mesh.solver_from_render.iter().map(|s| *s != NONE && surface[*s as usize]).collect()
+    ground
+        .mesh
+        .solver_from_render
+        .iter()
+        .map(|s| *s != NONE && surface[*s as usize])
+        .collect()
 }
 
 /// For every solver vertex the one whose mirror image it is: the nearest within half a mean edge of the exact place.
@@ -178,7 +236,11 @@ fn images(ground: &Ground<'_>, (normal, point): Mirror) -> Vec<Option<u32>> {
         .mesh
         .positions
         .iter()
-        .map(|&p| tree.nearest(reflect(p)).filter(|(_, d)| *d <= edge * edge).map(|(n, _)| n))
+        .map(|&p| {
+            tree.nearest(reflect(p))
+                .filter(|(_, d)| *d <= edge * edge)
+                .map(|(n, _)| n)
+        })
         .collect()
 }
 
@@ -198,20 +260,34 @@ fn weighted(ground: &Ground<'_>, values: &[f32], mirror: Option<Mirror>, field: 
     let at = format!("{field}.weights.values");
     let count = ground.positions.len();
     if values.len() != count {
-        return Err(Error::invalid(at, format!("has {} numbers, the model has {count} render vertices", values.len())));
+        return Err(Error::invalid(
+            at,
+            format!("has {} numbers, the model has {count} render vertices", values.len()),
+        ));
     }
     if let Some(k) = values.iter().position(|w| !(0.0..=1.0).contains(w)) {
-        return Err(Error::invalid(format!("{at}[{k}]"), format!("is {}, allowed are 0 to 1", values[k])));
+        return Err(Error::invalid(
+            format!("{at}[{k}]"),
+            format!("is {}, allowed are 0 to 1", values[k]),
+        ));
     }
     let mut by_solver = vec![0f32; ground.graph.surface];
-    for (&solver, &w) in ground.mesh.solver_from_render.iter().zip(values).filter(|(s, _)| **s != NONE) {
+    for (&solver, &w) in ground
+        .mesh
+        .solver_from_render
+        .iter()
+        .zip(values)
+        .filter(|(s, _)| **s != NONE)
+    {
         by_solver[solver as usize] = by_solver[solver as usize].max(w);
     }
     let (by_solver, render) = match mirror {
         None => (by_solver, values.iter().map(|w| *w > 0.0).collect()),
         Some(mirror) => {
-            let seen: Vec<f32> =
-                images(ground, mirror).iter().map(|o| o.map_or(0.0, |o| by_solver[o as usize])).collect();
+            let seen: Vec<f32> = images(ground, mirror)
+                .iter()
+                .map(|o| o.map_or(0.0, |o| by_solver[o as usize]))
+                .collect();
             let marks: Vec<bool> = seen.iter().map(|w| *w > 0.0).collect();
             let render = render_of(ground, &marks);
             (seen, render)
@@ -232,14 +308,21 @@ fn inside(ground: &Ground<'_>, mirror: Option<Mirror>, contains: impl Fn(DVec3) 
     };
     Resolved {
         render: ground.positions.iter().map(|&p| seen(p)).collect(),
-        nodes: (0u32..).zip(&ground.graph.positions).filter(|(_, p)| seen(**p)).map(|(n, _)| n).collect(),
+        nodes: (0u32..)
+            .zip(&ground.graph.positions)
+            .filter(|(_, p)| seen(**p))
+            .map(|(n, _)| n)
+            .collect(),
         weights: None,
     }
 }
 
 fn polyline(values: &[f64], field: &str) -> Result<Vec<DVec3>, Error> {
-    if values.len() < 6 || values.len() % 3 != 0 {
-        let problem = format!("has {} numbers, a polyline has three for each of at least two points", values.len());
+    if values.len() < 6 || !values.len().is_multiple_of(3) {
+        let problem = format!(
+            "has {} numbers, a polyline has three for each of at least two points",
+            values.len()
+        );
         return Err(Error::invalid(field, problem));
     }
     for (k, v) in values.iter().enumerate() {
@@ -251,6 +334,10 @@ fn polyline(values: &[f64], field: &str) -> Result<Vec<DVec3>, Error> {
 fn distance_to_segment(p: DVec3, from: DVec3, to: DVec3) -> f64 {
     let along = to - from;
     let length = along.length_squared();
-    let t = if length > 0.0 { ((p - from).dot(along) / length).clamp(0.0, 1.0) } else { 0.0 };
+    let t = if length > 0.0 {
+        ((p - from).dot(along) / length).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     p.distance(from + along * t)
 }

@@ -42,7 +42,11 @@ struct Marks {
 impl<'a> Stage<'a> {
     /// Watches through `inner`; `millis` tells milliseconds since any fixed moment.
     pub fn new(millis: &'a (dyn Fn() -> f64 + Sync), inner: &'a dyn Progress) -> Self {
-        Self { millis, inner, marks: Mutex::default() }
+        Self {
+            millis,
+            inner,
+            marks: Mutex::default(),
+        }
     }
 
     /// Begins a stage; the one before it ends.
@@ -71,7 +75,12 @@ impl Progress for Stage<'_> {
     }
 
     fn report(&self, stage: &'static str, fraction: f32) {
-        let same = self.marks.lock().unwrap_or_else(PoisonError::into_inner).open.is_some_and(|(open, _)| open == stage);
+        let same = self
+            .marks
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .open
+            .is_some_and(|(open, _)| open == stage);
         if !same {
             self.begin(stage);
         }
@@ -92,7 +101,7 @@ pub fn run(
     progress: &dyn Progress,
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<Outcome, Error> {
-    let settings = Settings::check(&job.options.clone().unwrap_or_default(), "options", u32::MAX)?;
+    let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     let poses = pose_steps(job)?;
     let stages = Stage::new(millis, progress);
     let mut bench = Workbench::open(files, &job.create.clone().unwrap_or_default(), limits, pool, &stages)?;
@@ -136,7 +145,9 @@ pub fn run(
         positions = solved.positions;
     }
     stages.report("encode", 0.0);
-    let written = bench.model().write(&positions, format.unwrap_or(bench.model().format))?;
+    let written = bench
+        .model()
+        .write(&positions, format.unwrap_or(bench.model().format))?;
     if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take().remove("encode")) {
         step.ms.insert("encode".into(), ms);
     }
@@ -153,7 +164,13 @@ pub fn run(
         output: Vec::new(),
     };
     let (unmet, unchecked) = expectations(job.expect.as_ref(), &report);
-    Ok(Outcome { report, positions, written, unmet, unchecked })
+    Ok(Outcome {
+        report,
+        positions,
+        written,
+        unmet,
+        unchecked,
+    })
 }
 
 /// The poses of a job. Without steps the poses that the handles come with are one.
@@ -169,7 +186,12 @@ fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
             Some(pb::step::Step::Edit(edit)) => {
                 return Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(edit))));
             }
-            None => return Err(Error::invalid(format!("steps[{k}]"), "is empty, allowed is one of pose or edit")),
+            None => {
+                return Err(Error::invalid(
+                    format!("steps[{k}]"),
+                    "is empty, allowed is one of pose or edit",
+                ));
+            }
         }
     }
     Ok(poses)
@@ -194,22 +216,40 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
 
 fn at_step(e: Error, k: usize) -> Error {
     match e {
-        Error::Invalid { field, problem } => Error::Invalid { field: format!("steps[{k}].{field}"), problem },
+        Error::Invalid { field, problem } => Error::Invalid {
+            field: format!("steps[{k}].{field}"),
+            problem,
+        },
         other => other,
     }
 }
 
 /// What of the expectations does not hold, and what only a stored result can tell.
 fn expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String>, Vec<&'static str>) {
-    let Some(expect) = expect else { return Default::default() };
+    let Some(expect) = expect else {
+        return Default::default();
+    };
     let quality = report.quality.unwrap_or_default();
     let mut unmet = Vec::new();
-    if expect.flipped_triangles.is_some_and(|most| quality.flipped_triangles > most) {
+    if expect
+        .flipped_triangles
+        .is_some_and(|most| quality.flipped_triangles > most)
+    {
         let most = expect.flipped_triangles.unwrap_or_default();
-        unmet.push(format!("flippedTriangles is {}, at most {most} expected", quality.flipped_triangles));
+        unmet.push(format!(
+            "flippedTriangles is {}, at most {most} expected",
+            quality.flipped_triangles
+        ));
     }
-    if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > most.abs()) {
-        unmet.push(format!("volumeChange is {}, at most {} either way expected", quality.volume_change, most.abs()));
+    if let Some(most) = expect
+        .volume_change
+        .filter(|most| quality.volume_change.abs() > most.abs())
+    {
+        unmet.push(format!(
+            "volumeChange is {}, at most {} either way expected",
+            quality.volume_change,
+            most.abs()
+        ));
     }
     if !expect.digest.is_empty() && expect.digest != report.digest {
         unmet.push(format!("digest is {}, expected {}", report.digest, expect.digest));
@@ -219,7 +259,14 @@ fn expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String
         ("meanDistance", expect.mean_distance.is_some()),
         ("normalDegrees", expect.normal_degrees.is_some()),
     ];
-    (unmet, stored.into_iter().filter(|(_, asked)| *asked).map(|(name, _)| name).collect())
+    (
+        unmet,
+        stored
+            .into_iter()
+            .filter(|(_, asked)| *asked)
+            .map(|(name, _)| name)
+            .collect(),
+    )
 }
 
 /// Reads a model and tells what the solver would see, without solving anything.

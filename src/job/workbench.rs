@@ -34,7 +34,11 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { model: asset::Limits::default(), memory_bytes: 16 << 30, handles: 1024 }
+        Self {
+            model: asset::Limits::default(),
+            memory_bytes: 16 << 30,
+            handles: 1024,
+        }
     }
 }
 
@@ -119,7 +123,10 @@ impl Workbench {
         let vertices = model.positions.len() as u64;
         admit(vertices * BYTES_PER_VERTEX + model.files.total_bytes(), limits)?;
         let format = model.format;
-        let no_mesh = |e: crate::mesh::Error| asset::Error::NoMesh { format, problem: e.to_string() };
+        let no_mesh = |e: crate::mesh::Error| asset::Error::NoMesh {
+            format,
+            problem: e.to_string(),
+        };
         let mesh = Mesh::build(&model.positions, &model.triangles, choices.weld).map_err(no_mesh)?;
         let adjacency = Adjacency::build(mesh.positions.len(), &mesh.triangles);
         let report = inspect(&mesh, &adjacency);
@@ -127,7 +134,11 @@ impl Workbench {
         drop(adjacency);
         check(progress)?;
 
-        let nodes = if choices.body.volume == VolumeMode::Off { mesh.positions.len() } else { estimate_nodes(&mesh) };
+        let nodes = if choices.body.volume == VolumeMode::Off {
+            mesh.positions.len()
+        } else {
+            estimate_nodes(&mesh)
+        };
         admit(estimate(vertices, nodes as u64) + model.files.total_bytes(), limits)?;
         let body = Body::build(&mesh, &choices.body, pool, progress)?;
         let mut warnings = warnings_of(&model, &report);
@@ -215,7 +226,10 @@ impl Workbench {
             .hierarchy
             .levels()
             .iter()
-            .map(|l| pb::solver_facts::Level { vertices: count(l.vertices), edges: l.edges as u64 })
+            .map(|l| pb::solver_facts::Level {
+                vertices: count(l.vertices),
+                edges: l.edges as u64,
+            })
             .collect();
         pb::Session {
             primitives: self.model.primitives.iter().map(primitive).collect(),
@@ -244,7 +258,11 @@ impl Workbench {
         let handles = self.handles.request.handles.iter();
         handles
             .zip(self.handles.counts.iter().zip(&self.handles.centroids))
-            .map(|(h, (&vertices, c))| pb::HandleFacts { id: h.id.clone(), vertices, centroid: c.to_array().to_vec() })
+            .map(|(h, (&vertices, c))| pb::HandleFacts {
+                id: h.id.clone(),
+                vertices,
+                centroid: c.to_array().to_vec(),
+            })
             .collect()
     }
 
@@ -287,7 +305,14 @@ impl Workbench {
 
     /// The poses that the handles in force came with.
     pub fn initial_poses(&self) -> Poses {
-        Poses(Arc::new(self.handles.request.handles.iter().map(|h| h.pose.clone().unwrap_or_default()).collect()))
+        Poses(Arc::new(
+            self.handles
+                .request
+                .handles
+                .iter()
+                .map(|h| h.pose.clone().unwrap_or_default())
+                .collect(),
+        ))
     }
 
     /// `poses` with those that `change` names replaced. Checks every number.
@@ -312,7 +337,9 @@ impl Workbench {
     }
 
     fn require_handles(&self) -> Result<&Rig, Error> {
-        self.rig.as_ref().ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
+        self.rig
+            .as_ref()
+            .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
     }
 
     /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is.
@@ -330,7 +357,16 @@ impl Workbench {
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, Error> {
         self.require_handles()?;
-        let Self { rig: Some(rig), state, body, mesh, handles, rest, .. } = self else {
+        let Self {
+            rig: Some(rig),
+            state,
+            body,
+            mesh,
+            handles,
+            rest,
+            ..
+        } = self
+        else {
             return Err(Error::Internal("handles without a rig".into()));
         };
         if poses.0.len() != handles.request.handles.len() {
@@ -343,7 +379,12 @@ impl Workbench {
             max_error: settings.max_error,
             start: if mode == Mode::Drag { Start::Warm } else { Start::Fresh },
         };
-        let shape = Shape { body, mesh, rest, handles };
+        let shape = Shape {
+            body,
+            mesh,
+            rest,
+            handles,
+        };
         let solution = rig.solve(body, &request, state, pool, progress, &mut |cycle| {
             let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
             watch(&Watch {
@@ -394,7 +435,11 @@ impl Shape<'_> {
                 // Welding by tolerance leaves render vertices a little beside their solver vertex.
                 let beside = rest - at_rest[s];
                 let frame = frames.get(s).map_or(Mat3::IDENTITY, Mat3::from_cols_array);
-                if beside == DVec3::ZERO { nodes[s] } else { nodes[s] + frame.as_dmat3() * beside }
+                if beside == DVec3::ZERO {
+                    nodes[s]
+                } else {
+                    nodes[s] + frame.as_dmat3() * beside
+                }
             })
             .collect();
         for &(vertex, hold) in &self.handles.strays {
@@ -419,7 +464,10 @@ impl Choices {
         let format = match create.format.as_str() {
             "" => None,
             name => Some(Format::from_name(name).ok_or_else(|| {
-                Error::invalid("format", format!("is \"{name}\", allowed are glb, gltf, obj, ply, off and stl"))
+                Error::invalid(
+                    "format",
+                    format!("is \"{name}\", allowed are glb, gltf, obj, ply, off and stl"),
+                )
             })?),
         };
         let length = |value: f64, field: &str| match number(value, field)? {
@@ -456,7 +504,10 @@ impl Choices {
             0 | 14 => 14,
             8 => 8,
             other => {
-                return Err(Error::invalid("volumeGraph.valence", format!("is {other}, allowed are 14 and 8, or 0 for 14")));
+                return Err(Error::invalid(
+                    "volumeGraph.valence",
+                    format!("is {other}, allowed are 14 and 8, or 0 for 14"),
+                ));
             }
         };
         let graph = VolumeOptions {
@@ -466,7 +517,16 @@ impl Choices {
             weights,
             ..Default::default()
         };
-        Ok(Self { format, weld, policy, body: BodyOptions { volume: mode, graph, operators } })
+        Ok(Self {
+            format,
+            weld,
+            policy,
+            body: BodyOptions {
+                volume: mode,
+                graph,
+                operators,
+            },
+        })
     }
 }
 
@@ -478,7 +538,11 @@ fn admit(bytes: u64, limits: &Limits) -> Result<(), Error> {
     if bytes <= limits.memory_bytes {
         return Ok(());
     }
-    Err(Error::TooLarge { what: "the estimated memory of the session in bytes", seen: bytes, limit: limits.memory_bytes })
+    Err(Error::TooLarge {
+        what: "the estimated memory of the session in bytes",
+        seen: bytes,
+        limit: limits.memory_bytes,
+    })
 }
 
 fn warnings_of(model: &Model, report: &Report) -> Vec<pb::Warning> {

@@ -10,6 +10,9 @@ use prost::Message as _;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
+/// Bytes of handles and poses that one session's commits may hold; the oldest are folded before there are more.
+const LOG_BYTES: u64 = 64 << 20;
+
 /// Names a shape of one session.
 pub(super) type ShapeId = u64;
 
@@ -209,7 +212,7 @@ impl History {
     /// Folds the oldest commits away and drops snapshots until the limits hold.
     fn trim(&mut self) {
         let too_many = |h: &Self| h.records.len() > h.limit.saturating_add(1);
-        while self.at > 0 && (too_many(self) || (self.at > 1 && self.log_bytes() > self.snapshot_bytes)) {
+        while self.at > 0 && (too_many(self) || (self.at > 1 && self.log_bytes() > LOG_BYTES)) {
             self.records.pop_front();
             self.at -= 1;
         }

@@ -98,23 +98,19 @@ impl Compute {
         })
     }
 
-    /// Runs small work that needs no slot, such as packing an answer, on the pool.
+    /// Runs small work that needs no slot, such as packing an answer, where it waits for no solve.
     ///
     /// # Cancel safety
     /// Dropping the future discards the result.
     pub async fn offload<R: Send + 'static>(&self, work: impl FnOnce() -> R + Send + 'static) -> Result<R, Panicked> {
-        let (give, result) = oneshot::channel();
-        self.pool.spawn(move || {
-            let _ = give.send(caught(work));
-        });
-        result
+        tokio::task::spawn_blocking(move || caught(work))
             .await
-            .unwrap_or_else(|_| Err(Panicked("the work was dropped".into())))
+            .unwrap_or_else(|_| Err(Panicked("the runtime is shutting down".into())))
     }
 
-    /// Drops what is large without holding up the caller.
+    /// Drops what is large without holding up the caller or waiting for a solve.
     pub fn discard(&self, what: impl Send + 'static) {
-        self.pool.spawn(move || {
+        tokio::task::spawn_blocking(move || {
             if let Err(Panicked(text)) = caught(move || drop(what)) {
                 tracing::error!(panic = text, "dropping panicked");
             }

@@ -7,34 +7,18 @@
 //! The books: every pose received ends as a final frame, as an error, or in the `superseded` of a frame.
 
 use super::outgoing::{Letter, Outgoing};
+use super::waiting::{Overlay, Waiting, fits, merge};
 use super::{Code, Config, Error, Metrics};
 use crate::job::{Settings, pb};
 use crate::progress::CancelFlag;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
-/// Drag poses that wait one by one; more are merged, oldest first.
-const WAITING_DRAGS: usize = 64;
 /// Errors and notices that wait unread; more end the stream.
 const WAITING_NOTES: usize = 64;
 /// Pongs that wait unread; more replace the oldest.
 const WAITING_PONGS: usize = 16;
-
-/// Poses by handle.
-pub(super) type Overlay = BTreeMap<String, Option<pb::HandlePose>>;
-
-/// A pose that waits to be solved.
-#[derive(Debug, Clone)]
-pub(super) struct Waiting {
-    pub seq: u64,
-    pub entries: Vec<pb::pose::Entry>,
-    pub commit: bool,
-    /// The options in force when it came.
-    pub settings: Arc<Settings>,
-    /// Poses that it stands for, itself included; more than one only when poses had to be merged.
-    pub poses: u32,
-}
 
 /// What a stream gives its session to do: all poses up to the first commit, or all that wait.
 #[derive(Debug)]
@@ -217,7 +201,7 @@ impl Mailbox {
             return self.refuse(books, pose.seq, Error::invalid("pose.seq", text));
         }
         books.last_seq = Some(pose.seq);
-        if let Err(error) = self.fits(&pose) {
+        if let Err(error) = fits(&pose, self.max_entries) {
             return self.refuse(books, pose.seq, error);
         }
         if pose.commit && books.waiting.iter().filter(|w| w.commit).count() >= self.max_commits {
@@ -235,76 +219,8 @@ impl Mailbox {
             settings,
             poses: 1,
         });
-        self.merge(books);
+        merge(&mut books.waiting, self.max_entries);
         self.task.notify_one();
-    }
-
-    /// Refuses what no engine would take and what would make waiting poses large.
-    fn fits(&self, pose: &pb::Pose) -> Result<(), Error> {
-        if pose.handles.len() > self.max_entries {
-            let text = format!(
-                "has {} entries, at most {} are allowed",
-                pose.handles.len(),
-                self.max_entries
-            );
-            return Err(Error::invalid("pose.handles", text));
-        }
-        for (k, entry) in pose.handles.iter().enumerate() {
-            if entry.id.len() > 128 {
-                return Err(Error::invalid(
-                    format!("pose.handles[{k}].id"),
-                    "is longer than the 128 bytes of any handle",
-                ));
-            }
-            let Some(p) = &entry.pose else { continue };
-            let lists = [
-                ("translation", &p.translation),
-                ("rotation", &p.rotation),
-                ("rotationVector", &p.rotation_vector),
-                ("scale", &p.scale),
-                ("pivot", &p.pivot),
-            ];
-            if let Some((name, list)) = lists.into_iter().find(|(_, list)| list.len() > 4) {
-                let field = format!("pose.handles[{k}].pose.{name}");
-                return Err(Error::invalid(
-                    field,
-                    format!("has {} numbers, at most 4 are allowed", list.len()),
-                ));
-            }
-        }
-        Ok(())
-    }
-
-    /// Merges the oldest neighbouring drags while too much waits. Which of them was wrong, if any, is then not told.
-    fn merge(&self, books: &mut Books) {
-        let most = 2 * self.max_entries + WAITING_DRAGS;
-        loop {
-            let drags = books.waiting.iter().filter(|w| !w.commit);
-            let (count, entries) = drags.fold((0, 0), |(n, e), w| (n + 1, e + w.entries.len()));
-            let runs = books.waiting.iter().zip(books.waiting.iter().skip(1));
-            let Some(at) = runs.into_iter().position(|(a, b)| !a.commit && !b.commit) else {
-                return;
-            };
-            if count <= WAITING_DRAGS && entries <= most {
-                return;
-            }
-            let Some(old) = books.waiting.remove(at) else { return };
-            let Some(new) = books.waiting.get_mut(at) else { return };
-            let mut union: BTreeMap<String, Option<pb::HandlePose>> = BTreeMap::new();
-            union.extend(
-                old.entries
-                    .into_iter()
-                    .chain(std::mem::take(&mut new.entries))
-                    .map(|e| (e.id, e.pose)),
-            );
-            // More names than a session has handles: some are wrong, and the newest poses are known no better than the rest.
-            new.entries = union
-                .into_iter()
-                .take(self.max_entries)
-                .map(|(id, pose)| pb::pose::Entry { id, pose })
-                .collect();
-            new.poses = new.poses.saturating_add(old.poses);
-        }
     }
 
     fn refuse(&self, books: &mut Books, seq: u64, error: Error) {

@@ -1,7 +1,7 @@
 //! Every session of the process: the functions that all transports call.
 //!
 //! A call finds its session (404), claims its idempotency key, hands a command to the session's task and waits for the answer.
-//! What only reads the published view needs no task. Opening sessions is in `create`.
+//! What only reads the published view needs no task. Opening sessions is in `create`, stopping in `drain`.
 
 use super::budget::Budget;
 use super::compute::Compute;
@@ -361,46 +361,6 @@ impl Manager {
             Err(Error::draining())
         } else {
             Ok(stream)
-        }
-    }
-
-    /// Whether new sessions are welcome: not draining, and memory below the high-water mark.
-    pub fn admits(&self) -> bool {
-        let budget = &self.shared.budget;
-        let mark = budget.total() as f64 * self.shared.config.high_water;
-        !self.shared.draining.load(SeqCst) && budget.used() as f64 <= mark
-    }
-
-    /// Takes no new sessions and streams from now on, and tells the open streams.
-    pub fn start_drain(&self) {
-        if self.shared.draining.swap(true, SeqCst) {
-            return;
-        }
-        for session in self.shared.registry.all() {
-            for mailbox in session.streams.all() {
-                mailbox.notice(
-                    "going-away",
-                    "the server is shutting down; commit and open the stream again elsewhere",
-                );
-            }
-        }
-    }
-
-    /// Waits until no call and no stream is under way.
-    ///
-    /// # Cancel safety
-    /// Dropping the future has no effect.
-    pub async fn drained(&self) {
-        self.shared.gate.empty().await;
-    }
-
-    /// Stops everything at once: work, calls and streams end with `UNAVAILABLE`, sessions are gone.
-    pub fn abort(&self) {
-        self.shared.draining.store(true, SeqCst);
-        self.shared.aborted.cancel();
-        self.shared.abort_flag.cancel();
-        for session in self.shared.registry.all() {
-            session.close(Error::draining());
         }
     }
 

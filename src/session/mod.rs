@@ -11,10 +11,10 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `manager`, `create` | the calls of all transports; opening a session |
+//! | `manager`, `create`, `drain` | the calls of all transports; opening a session; stopping them all |
 //! | `actor`, `drag`, `requests` | a session's task: commits, one turn of a stream, what it is asked |
 //! | `commits`, `bench` | the ordered commits and their shapes; the engine and what it holds |
-//! | `stream`, `mailbox`, `outgoing` | a stream's ends, its books, frames on their way out |
+//! | `stream`, `mailbox`, `waiting`, `outgoing` | a stream's ends, its books, poses that wait, frames on their way out |
 //! | `registry`, `expiry`, `gate` | who is there, for how long, and who is still inside |
 //! | `compute`, `budget`, `stop` | compute slots, bytes, giving work up |
 //! | `idempotency`, `config`, `error`, `metrics`, `answers` | keys, limits, the status table, counts, answer types |
@@ -28,6 +28,7 @@ mod compute;
 mod config;
 mod create;
 mod drag;
+mod drain;
 mod engine;
 mod error;
 mod expiry;
@@ -41,6 +42,7 @@ mod registry;
 mod requests;
 mod stop;
 mod stream;
+mod waiting;
 
 pub use answers::{Answer, Exported, Positions, SolvedFrames, Tenant};
 pub use config::{Config, MIN_TTL};

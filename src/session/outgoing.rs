@@ -141,7 +141,7 @@ mod tests {
             threshold in 0.0f64..2.5,
         ) {
             let mut packer = Packer::new(1 << 20);
-            let mut client = vec![[f32::NAN; 3]; 6];
+            let mut client = [[f32::NAN; 3]; 6];
             let mut acknowledged = None;
             for (k, (xs, acknowledge)) in steps.iter().enumerate() {
                 let shape: Vec<DVec3> = xs.iter().map(|&x| DVec3::new(x.into(), 0.0, 0.0)).collect();

@@ -72,7 +72,7 @@ impl Session {
             build_ms: view.build_ms.clone(),
             expires_at: self.lease.end_text(),
             label: self.label.clone(),
-            limits: Some(self.limits.clone()),
+            limits: Some(self.limits),
             ..view.facts.as_ref().clone()
         }
     }

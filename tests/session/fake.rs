@@ -253,22 +253,22 @@ impl Engine for Fake {
             };
             self.rest.iter().enumerate().map(moved).collect()
         };
-        let (mut cycles, mut residual) = (0, 1.0);
-        loop {
+        let mut cycles = 0;
+        let residual = loop {
             self.control.cycle(progress)?;
             cycles += 1;
-            residual *= 0.1;
+            let residual = 1.0 / 10f64.powi(cycles as i32);
             let watched = Watch {
                 cycle: cycles,
                 residual,
                 max_error: residual,
                 positions: &|| at(1.0 - residual),
             };
-            if !watch(&watched) || residual <= settings.tolerance.unwrap_or(1e-4) * 1.0001 {
-                break;
+            if !watch(&watched) || residual <= settings.tolerance.unwrap_or(1e-4) {
+                break residual;
             }
-        }
-        let positions = Arc::new(at(if residual <= 1.0001e-4 { 1.0 } else { 1.0 - residual }));
+        };
+        let positions = Arc::new(at(if residual <= 1e-4 { 1.0 } else { 1.0 - residual }));
         Ok(Solved {
             positions,
             cycles,

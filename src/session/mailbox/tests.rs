@@ -1,5 +1,6 @@
 //! The books of a stream, driven without a session: whatever the order of events, they balance and stay bounded.
 
+use super::super::waiting::WAITING_DRAGS;
 use super::*;
 use glam::DVec3;
 use pb::deform_request::Message as Ask;
