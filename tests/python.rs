@@ -34,8 +34,15 @@ impl Server {
         let mut stdout = BufReader::new(process.stdout.take().expect("stdout is piped"));
         let mut line = String::new();
         stdout.read_line(&mut line).expect("the server says where it listens");
-        let url = line.trim().strip_prefix("listening on ").unwrap_or_else(|| panic!("the server said {line:?} first"));
-        Self { url: url.to_owned(), process, _stdout: stdout }
+        let url = line
+            .trim()
+            .strip_prefix("listening on ")
+            .unwrap_or_else(|| panic!("the server said {line:?} first"));
+        Self {
+            url: url.to_owned(),
+            process,
+            _stdout: stdout,
+        }
     }
 
     fn host(&self) -> &str {
@@ -52,22 +59,37 @@ impl Drop for Server {
 
 /// Whether a program answers to being asked for its version.
 fn has(program: &str) -> bool {
-    let asked = Command::new(program).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    let asked = Command::new(program)
+        .arg("--version")
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status();
     asked.is_ok_and(|status| status.success())
 }
 
 /// The one code block of README.md with that first line.
 fn block(first_line: &str) -> String {
     let readme = fs::read_to_string(root().join("README.md")).expect("README.md can be read");
-    let mut blocks = readme.split("\n```").skip(1).step_by(2).filter_map(|b| b.split_once('\n'));
+    let mut blocks = readme
+        .split("\n```")
+        .skip(1)
+        .step_by(2)
+        .filter_map(|b| b.split_once('\n'));
     let found = blocks.find(|(_, text)| text.starts_with(first_line));
-    found.unwrap_or_else(|| panic!("README.md has no code block that begins with {first_line:?}")).1.to_owned()
+    found
+        .unwrap_or_else(|| panic!("README.md has no code block that begins with {first_line:?}"))
+        .1
+        .to_owned()
 }
 
 /// The Python of `target/clients` with grpcio and the stubs, made by README's commands; or why there is none.
 fn python() -> Result<&'static Path, &'static str> {
     static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
-    PYTHON.get_or_init(prepare).as_ref().map(PathBuf::as_path).map_err(String::as_str)
+    PYTHON
+        .get_or_init(prepare)
+        .as_ref()
+        .map(PathBuf::as_path)
+        .map_err(String::as_str)
 }
 
 fn prepare() -> Result<PathBuf, String> {
@@ -78,14 +100,23 @@ fn prepare() -> Result<PathBuf, String> {
     }
     let commands = block("python3 -m venv");
     let read = |name: &str| fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
-    let stamp = [commands.clone(), read("tests/clients/requirements.txt"), read("proto/pliant/v1/pliant.proto")].concat();
+    let stamp = [
+        commands.clone(),
+        read("tests/clients/requirements.txt"),
+        read("proto/pliant/v1/pliant.proto"),
+    ]
+    .concat();
     let home = root().join("target/clients");
     let python = home.join("bin/python");
     if fs::read_to_string(home.join("stamp")).is_ok_and(|old| old == stamp) && has(&python.to_string_lossy()) {
         return Ok(python);
     }
     for line in commands.lines() {
-        let done = Command::new("bash").args(["-c", line]).current_dir(root()).output().expect("bash runs");
+        let done = Command::new("bash")
+            .args(["-c", line])
+            .current_dir(root())
+            .output()
+            .expect("bash runs");
         if done.status.success() {
             continue;
         }
@@ -99,12 +130,21 @@ fn prepare() -> Result<PathBuf, String> {
 }
 
 fn said(output: &Output) -> String {
-    [&output.stdout[..], &output.stderr[..]].map(|text| String::from_utf8_lossy(text).into_owned()).concat()
+    [&output.stdout[..], &output.stderr[..]]
+        .map(|text| String::from_utf8_lossy(text).into_owned())
+        .concat()
 }
 
 /// Whether pip failed because it reached no package index.
 fn is_offline(said: &str) -> bool {
-    let signs = ["NewConnectionError", "ConnectTimeout", "ReadTimeout", "ProxyError", "NameResolutionError", "Temporary failure"];
+    let signs = [
+        "NewConnectionError",
+        "ConnectTimeout",
+        "ReadTimeout",
+        "ProxyError",
+        "NameResolutionError",
+        "Temporary failure",
+    ];
     signs.iter().any(|sign| said.contains(sign))
 }
 
@@ -122,7 +162,12 @@ fn positions(path: &Path) -> Vec<[f64; 3]> {
     let bytes = fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let model = Model::read(FileSet::single(name, bytes), None, &Limits::default());
-    model.unwrap_or_else(|e| panic!("{}: {e}", path.display())).positions.iter().map(|p| p.to_array()).collect()
+    model
+        .unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+        .positions
+        .iter()
+        .map(|p| p.to_array())
+        .collect()
 }
 
 /// The feet stand to the bit, and the head has moved.
@@ -131,7 +176,10 @@ fn assert_bent(rest: &[[f64; 3]], bent: &[[f64; 3]]) {
     let feet = rest.iter().zip(bent).filter(|(r, _)| -r[1] >= -0.14);
     assert!(feet.clone().count() > 0);
     assert!(feet.clone().all(|(r, b)| r == b), "the feet are held");
-    let moved = rest.iter().zip(bent).map(|(r, b)| (0..3).map(|k| (r[k] - b[k]).powi(2)).sum::<f64>().sqrt());
+    let moved = rest
+        .iter()
+        .zip(bent)
+        .map(|(r, b)| (0..3).map(|k| (r[k] - b[k]).powi(2)).sum::<f64>().sqrt());
     assert!(moved.fold(0.0, f64::max) > 0.05, "the head moves");
 }
 
@@ -146,25 +194,42 @@ fn the_tour_of_the_readme() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let at = |name: &str| folder.path().join(name);
     let script = root().join("tests/clients/tour.sh");
-    let told = run(Command::new("bash").arg(&script).arg(&server.url).current_dir(folder.path()));
+    let told = run(Command::new("bash")
+        .arg(&script)
+        .arg(&server.url)
+        .current_dir(folder.path()));
     let rest = positions(&at("creature.glb"));
-    assert!(told.contains(&format!("{} vertices", rest.len())), "the tour counts the vertices: {told}");
+    assert!(
+        told.contains(&format!("{} vertices", rest.len())),
+        "the tour counts the vertices: {told}"
+    );
     assert_bent(&rest, &positions(&at("bent.glb")));
-    assert_eq!(positions(&at("bent.obj")).len(), rest.len(), "OBJ has the same vertices");
+    assert_eq!(
+        positions(&at("bent.obj")).len(),
+        rest.len(),
+        "OBJ has the same vertices"
+    );
 
     let python = match python() {
         Ok(python) => python,
         Err(reason) => return println!("skipped: the Python half of the tour, because {reason}"),
     };
     let mut client = Command::new(python);
-    client.arg(root().join("tests/clients/tour.py")).arg(server.host()).current_dir(folder.path());
+    client
+        .arg(root().join("tests/clients/tour.py"))
+        .arg(server.host())
+        .current_dir(folder.path());
     let told = run(client.env("PYTHONPATH", root().join("target/clients")));
     assert!(told.contains("pose 30: solved"), "the last pose is answered: {told}");
     assert_bent(&rest, &positions(&at("nodding.glb")));
 
     let listed = run(Command::new("curl").args(["-sSf", &format!("{}/v1/sessions", server.url)]));
     let listed: serde_json::Value = serde_json::from_str(&listed).expect("JSON");
-    assert_eq!(listed["sessions"], serde_json::json!([]), "the tour leaves no session behind");
+    assert_eq!(
+        listed["sessions"],
+        serde_json::json!([]),
+        "the tour leaves no session behind"
+    );
 }
 
 #[test]
@@ -177,5 +242,8 @@ fn a_pipeline_script_over_grpc() {
     let mut client = Command::new(python);
     client.arg(root().join("tests/clients/pipeline.py")).arg(&server.url);
     let told = run(client.env("PYTHONPATH", root().join("target/clients")));
-    assert!(told.contains("50 poses sent") && told.contains("the session is deleted"), "{told}");
+    assert!(
+        told.contains("50 poses sent") && told.contains("the session is deleted"),
+        "{told}"
+    );
 }

@@ -39,6 +39,14 @@ pub(crate) struct Books {
 }
 
 impl Books {
+    /// Empty books of one client.
+    pub fn of_one_client() -> Self {
+        Self {
+            clients: 1,
+            ..Self::default()
+        }
+    }
+
     /// Enters a part of a frame; true when it completes the final frame of a pose. `latency` is that pose's so far.
     pub fn part(&mut self, frame: &pb::Frame, latency: impl FnOnce(u64) -> Duration) -> bool {
         self.parts += 1;
@@ -46,16 +54,25 @@ impl Books {
         let due = self.open.take().unwrap_or((frame.seq, 0));
         if due != (frame.seq, frame.part) {
             let (seq, part) = due;
-            self.broken.push(format!("part {} of frame {} came where part {part} of frame {seq} was due", frame.part, frame.seq));
+            self.broken.push(format!(
+                "part {} of frame {} came where part {part} of frame {seq} was due",
+                frame.part, frame.seq
+            ));
         }
         if frame.part + 1 < frame.parts {
             self.open = Some((frame.seq, frame.part + 1));
             return false;
         }
         self.superseded += u64::from(frame.superseded);
-        let newer = self.last.is_none_or(|last| frame.seq > last || (frame.seq == last && !self.last_final));
+        let newer = self
+            .last
+            .is_none_or(|last| frame.seq > last || (frame.seq == last && !self.last_final));
         if !newer {
-            self.broken.push(format!("frame {} came after frame {}", frame.seq, self.last.unwrap_or_default()));
+            self.broken.push(format!(
+                "frame {} came after frame {}",
+                frame.seq,
+                self.last.unwrap_or_default()
+            ));
         }
         (self.last, self.last_final) = (Some(frame.seq), frame.r#final);
         if !frame.r#final {
@@ -96,7 +113,13 @@ impl Books {
         let mut problems = self.broken.clone();
         let answered = self.finals + self.refused + self.superseded;
         if answered != self.sent {
-            let Self { sent, finals, refused, superseded, .. } = self;
+            let Self {
+                sent,
+                finals,
+                refused,
+                superseded,
+                ..
+            } = self;
             problems.push(format!(
                 "{sent} poses were sent, but {finals} final frames, {refused} errors and {superseded} superseded are {answered}"
             ));
@@ -116,37 +139,61 @@ mod tests {
     use super::*;
 
     fn frame(seq: u64, part: u32, parts: u32, last: bool, superseded: u32) -> pb::Frame {
-        pb::Frame { seq, part, parts, r#final: last, superseded, data: vec![0; 12].into(), ..Default::default() }
+        pb::Frame {
+            seq,
+            part,
+            parts,
+            r#final: last,
+            superseded,
+            data: vec![0; 12].into(),
+            ..Default::default()
+        }
     }
 
     #[test]
     fn percentiles_are_values_that_were_seen() {
         let hundred: Vec<f64> = (1..=100).map(f64::from).collect();
         let of = |q| percentile(&hundred, q);
-        assert_eq!((of(0.5), of(0.99), of(1.0), of(1e-9)), (Some(50.0), Some(99.0), Some(100.0), Some(1.0)));
+        assert_eq!(
+            (of(0.5), of(0.99), of(1.0), of(1e-9)),
+            (Some(50.0), Some(99.0), Some(100.0), Some(1.0))
+        );
         assert_eq!((percentile(&[7.0], 0.99), percentile(&[], 0.5)), (Some(7.0), None));
     }
 
     #[test]
     fn books_balance_and_say_when_they_do_not() {
-        let mut books = Books { clients: 1, sent: 4, ..Default::default() };
+        let mut books = Books {
+            clients: 1,
+            sent: 4,
+            ..Default::default()
+        };
         let zero = |_| Duration::ZERO;
         assert!(!books.part(&frame(1, 0, 2, true, 0), zero));
         assert!(books.part(&frame(1, 1, 2, true, 0), zero));
         assert!(!books.part(&frame(4, 0, 1, false, 2), zero));
         assert!(books.part(&frame(4, 0, 1, true, 0), zero));
         assert_eq!(books.problems(), Vec::<String>::new());
-        assert_eq!((books.finals, books.intermediate, books.superseded, books.bytes), (2, 1, 2, 48));
+        assert_eq!(
+            (books.finals, books.intermediate, books.superseded, books.bytes),
+            (2, 1, 2, 48)
+        );
         books.sent = 5;
         assert!(books.problems()[0].contains("5 poses were sent"));
     }
 
     #[test]
     fn a_frame_that_goes_back_or_lacks_a_part_is_noticed() {
-        let mut books = Books { sent: 2, ..Default::default() };
+        let mut books = Books {
+            sent: 2,
+            ..Default::default()
+        };
         books.part(&frame(2, 0, 1, true, 0), |_| Duration::ZERO);
         books.part(&frame(1, 1, 2, true, 0), |_| Duration::ZERO);
         let problems = books.problems().join("; ");
-        assert!(problems.contains("part 1 of frame 1 came where part 0") && problems.contains("frame 1 came after frame 2"), "{problems}");
+        assert!(
+            problems.contains("part 1 of frame 1 came where part 0") && problems.contains("frame 1 came after frame 2"),
+            "{problems}"
+        );
     }
 }

@@ -36,9 +36,16 @@ pub(crate) async fn run_all(channel: Channel, scene: &Scene, args: &StreamArgs) 
 /// One client, from its first call to its last.
 async fn run(channel: Channel, scene: &Scene, args: &StreamArgs, number: u32) -> Result<Books, Failure> {
     let mut client = DeformerClient::new(channel);
-    let session = client.create_session(tokio_stream::iter(upload(scene, number))).await?.into_inner();
+    let session = client
+        .create_session(tokio_stream::iter(upload(scene, number)))
+        .await?
+        .into_inner();
     let id = session.id;
-    let handles = pb::SetHandlesRequest { session_id: id.clone(), handles: scene.handles(), ..Default::default() };
+    let handles = pb::SetHandlesRequest {
+        session_id: id.clone(),
+        handles: scene.handles(),
+        ..Default::default()
+    };
     let outcome = match client.set_handles(handles).await {
         Ok(_) => drag(&mut client, &id, scene, args).await,
         Err(status) => Err(status.into()),
@@ -53,16 +60,32 @@ async fn run(channel: Channel, scene: &Scene, args: &StreamArgs, number: u32) ->
 fn upload(scene: &Scene, number: u32) -> Vec<pb::CreateSessionRequest> {
     use create_session_request::Message;
     let message = |message| pb::CreateSessionRequest { message: Some(message) };
-    let options = pb::CreateOptions { label: format!("loadtest {number}"), ..Default::default() };
-    let pieces = scene.bytes.chunks(PIECE).map(|piece| message(Message::Chunk(piece.to_vec().into())));
-    std::iter::once(message(Message::Options(options))).chain(pieces).collect()
+    let options = pb::CreateOptions {
+        label: format!("loadtest {number}"),
+        ..Default::default()
+    };
+    let pieces = scene
+        .bytes
+        .chunks(PIECE)
+        .map(|piece| message(Message::Chunk(piece.to_vec().into())));
+    std::iter::once(message(Message::Options(options)))
+        .chain(pieces)
+        .collect()
 }
 
 fn request(message: deform_request::Message) -> pb::DeformRequest {
-    pb::DeformRequest { session_id: String::new(), message: Some(message) }
+    pb::DeformRequest {
+        session_id: String::new(),
+        message: Some(message),
+    }
 }
 
-async fn drag(client: &mut DeformerClient<Channel>, id: &str, scene: &Scene, args: &StreamArgs) -> Result<Books, Failure> {
+async fn drag(
+    client: &mut DeformerClient<Channel>,
+    id: &str,
+    scene: &Scene,
+    args: &StreamArgs,
+) -> Result<Books, Failure> {
     let (requests, outbound) = mpsc::channel(8);
     let options = pb::Options {
         tolerance: args.tolerance,
@@ -70,17 +93,26 @@ async fn drag(client: &mut DeformerClient<Channel>, id: &str, scene: &Scene, arg
         progressive: args.progressive,
         ..Default::default()
     };
-    let first = pb::DeformRequest { session_id: id.to_owned(), message: Some(deform_request::Message::Options(options)) };
+    let first = pb::DeformRequest {
+        session_id: id.to_owned(),
+        message: Some(deform_request::Message::Options(options)),
+    };
     let _ = requests.send(first).await;
     let mut responses = client.deform(ReceiverStream::new(outbound)).await?.into_inner();
 
     let start = Instant::now();
     // The number of the last pose, known a moment before it is sent; 0 until then.
     let last = Arc::new(AtomicU64::new(0));
-    let sender = tokio::spawn(send(requests.clone(), scene.clone(), args.clone(), start, Arc::clone(&last)));
+    let sender = tokio::spawn(send(
+        requests.clone(),
+        scene.clone(),
+        args.clone(),
+        start,
+        Arc::clone(&last),
+    ));
     let patience = start + Duration::from_secs(args.seconds.into()) + GRACE;
     let mut acknowledge = Some(requests);
-    let mut books = Books { clients: 1, ..Default::default() };
+    let mut books = Books::of_one_client();
     loop {
         let Ok(response) = timeout_at(patience, responses.message()).await else {
             books.problem(format!("no end came within {} s of the last pose", GRACE.as_secs()));
@@ -90,7 +122,11 @@ async fn drag(client: &mut DeformerClient<Channel>, id: &str, scene: &Scene, arg
             None => break,
             Some(deform_response::Message::Frame(frame)) => {
                 let latency = |seq: u64| start.elapsed().saturating_sub(args.due(seq - 1));
-                if books.part(&frame, latency) { Some(frame.seq) } else { None }
+                if books.part(&frame, latency) {
+                    Some(frame.seq)
+                } else {
+                    None
+                }
             }
             Some(deform_response::Message::Error(error)) if error.seq == 0 => {
                 return Err(Failure::Server(format!("the stream failed: {}", error.message)));
@@ -103,7 +139,9 @@ async fn drag(client: &mut DeformerClient<Channel>, id: &str, scene: &Scene, arg
         };
         let Some(seq) = answered else { continue };
         if let Some(requests) = &acknowledge {
-            let _ = requests.send(request(deform_request::Message::Ack(pb::Ack { seq }))).await;
+            let _ = requests
+                .send(request(deform_request::Message::Ack(pb::Ack { seq })))
+                .await;
         }
         if seq == last.load(Ordering::Acquire) {
             // All is said; the server ends the stream once both senders are gone.
@@ -131,7 +169,11 @@ async fn send(
         if is_last {
             last.store(seq, Ordering::Release);
         }
-        if requests.send(request(deform_request::Message::Pose(scene.pose(seq)))).await.is_err() {
+        if requests
+            .send(request(deform_request::Message::Pose(scene.pose(seq))))
+            .await
+            .is_err()
+        {
             return seq - 1;
         }
         if is_last {

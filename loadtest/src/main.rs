@@ -117,9 +117,9 @@ async fn stream(args: &StreamArgs) -> Result<(), Failure> {
     let books = outcome?;
     let unbalanced = books.problems();
     if args.json {
-        println!("{}", report::json(&books, args));
+        println!("{}", report::json(&books, &scene, args));
     } else {
-        print!("{}", report::text(&books, args));
+        print!("{}", report::text(&books, &scene, args));
     }
     match unbalanced.is_empty() {
         true => Ok(()),
@@ -137,38 +137,48 @@ mod tests {
         args
     }
 
-    async fn load(line: &str) -> books::Books {
+    async fn load(line: &str, scene: &scene::Scene) -> books::Books {
         let args = args(line);
-        let scene = scene::Scene::load(None).unwrap();
         let server = target::Server::reach(None).await.unwrap();
-        let books = client::run_all(server.channel().await.unwrap(), &scene, &args).await.unwrap();
+        let books = client::run_all(server.channel().await.unwrap(), scene, &args)
+            .await
+            .unwrap();
         server.stop().await.unwrap();
         books
     }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn every_pose_of_every_client_is_accounted_for() {
-        let books = load("--poses 40 --hz 200 --clients 3").await;
+        let scene = scene::Scene::load(None).unwrap();
+        let books = load("--poses 40 --hz 200 --clients 3", &scene).await;
         assert_eq!(books.problems(), Vec::<String>::new());
         assert_eq!((books.clients, books.sent, books.refused), (3, 120, 0));
         assert!(books.finals >= 3, "every client's last pose has a final frame");
         assert_eq!(books.finals + books.superseded, 120);
         assert_eq!(books.latency_ms.len() as u64, books.finals);
-        let report: serde_json::Value = serde_json::from_str(&report::json(&books, &args("--json"))).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&report::json(&books, &scene, &args("--json"))).unwrap();
         assert_eq!(report["poses"]["sent"], 120);
         assert_eq!(report["poses"]["balanced"], true);
     }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn better_frames_of_one_pose_are_no_answers_of_their_own() {
-        let books = load("--poses 10 --hz 20 --progressive --tolerance 1e-9 --window 8").await;
+        let scene = scene::Scene::load(None).unwrap();
+        let books = load("--poses 10 --hz 20 --progressive --tolerance 1e-9 --window 8", &scene).await;
         assert_eq!(books.problems(), Vec::<String>::new());
         assert_eq!(books.finals + books.superseded, 10);
     }
 
     #[test]
     fn numbers_are_bounded() {
-        for line in ["--poses 0", "--poses 100001", "--hz 1001", "--clients 65", "--seconds 601", "--window 0"] {
+        for line in [
+            "--poses 0",
+            "--poses 100001",
+            "--hz 1001",
+            "--clients 65",
+            "--seconds 601",
+            "--window 0",
+        ] {
             let words = ["loadtest", "stream"].into_iter().chain(line.split_whitespace());
             assert!(Cli::try_parse_from(words).is_err(), "{line}");
         }

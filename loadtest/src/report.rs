@@ -2,6 +2,7 @@
 
 use crate::StreamArgs;
 use crate::books::{Books, percentile};
+use crate::scene::Scene;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
@@ -23,11 +24,19 @@ fn times(books: &Books) -> [(&'static str, Vec<f64>); 3] {
 }
 
 /// A table for people.
-pub(crate) fn text(books: &Books, args: &StreamArgs) -> String {
+pub(crate) fn text(books: &Books, scene: &Scene, args: &StreamArgs) -> String {
     let mut text = String::new();
-    let balanced = if books.problems().is_empty() { "balanced" } else { "NOT BALANCED" };
+    let balanced = if books.problems().is_empty() {
+        "balanced"
+    } else {
+        "NOT BALANCED"
+    };
     let seconds = books.elapsed.as_secs_f64();
-    let _ = writeln!(text, "{} clients at {} Hz, {seconds:.2} s", books.clients, args.hz);
+    let _ = writeln!(
+        text,
+        "{} clients at {} Hz on {} vertices, {seconds:.2} s",
+        books.clients, args.hz, scene.vertices
+    );
     let _ = writeln!(
         text,
         "poses    {} sent = {} final frames + {} superseded + {} refused ({balanced})",
@@ -42,21 +51,29 @@ pub(crate) fn text(books: &Books, args: &StreamArgs) -> String {
         books.bytes as f64 / f64::from(1 << 20),
         rate(books)
     );
-    let _ = writeln!(text, "{:9}{}", "ms", SHARES.map(|(name, _)| format!("{name:>10}")).concat());
+    let _ = writeln!(
+        text,
+        "{:9}{}",
+        "ms",
+        SHARES.map(|(name, _)| format!("{name:>10}")).concat()
+    );
     for (name, values) in times(books) {
-        let cells = SHARES.map(|(_, q)| percentile(&values, q).map_or_else(|| format!("{:>10}", "-"), |ms| format!("{ms:>10.2}")));
+        let cells = SHARES
+            .map(|(_, q)| percentile(&values, q).map_or_else(|| format!("{:>10}", "-"), |ms| format!("{ms:>10.2}")));
         let _ = writeln!(text, "{name:9}{}", cells.concat());
     }
     text
 }
 
 /// One JSON document.
-pub(crate) fn json(books: &Books, args: &StreamArgs) -> String {
+pub(crate) fn json(books: &Books, scene: &Scene, args: &StreamArgs) -> String {
     let ms: serde_json::Map<String, Value> = times(books)
         .into_iter()
         .map(|(name, values)| {
-            let shares: serde_json::Map<String, Value> =
-                SHARES.into_iter().map(|(share, q)| (share.to_owned(), json!(percentile(&values, q)))).collect();
+            let shares: serde_json::Map<String, Value> = SHARES
+                .into_iter()
+                .map(|(share, q)| (share.to_owned(), json!(percentile(&values, q))))
+                .collect();
             (name.to_owned(), Value::Object(shares))
         })
         .collect();
@@ -64,6 +81,7 @@ pub(crate) fn json(books: &Books, args: &StreamArgs) -> String {
     let report = json!({
         "clients": books.clients,
         "hz": args.hz,
+        "vertices": scene.vertices,
         "seconds": books.elapsed.as_secs_f64(),
         "poses": {
             "sent": books.sent,
@@ -87,5 +105,9 @@ pub(crate) fn json(books: &Books, args: &StreamArgs) -> String {
 
 fn rate(books: &Books) -> f64 {
     let seconds = books.elapsed.as_secs_f64();
-    if seconds > 0.0 { books.finals as f64 / seconds } else { 0.0 }
+    if seconds > 0.0 {
+        books.finals as f64 / seconds
+    } else {
+        0.0
+    }
 }

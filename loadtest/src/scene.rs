@@ -45,7 +45,12 @@ impl Scene {
                 high[k] = high[k].max(v);
             }
         }
-        Ok(Self { bytes: Arc::new(bytes), vertices: model.positions.len(), low, high })
+        Ok(Self {
+            bytes: Arc::new(bytes),
+            vertices: model.positions.len(),
+            low,
+            high,
+        })
     }
 
     /// The longest axis of the bounding box.
@@ -63,9 +68,16 @@ impl Scene {
             normal[axis] = sign;
             let region = pb::region::Region::HalfSpace(pb::region::HalfSpace { normal, offset });
             let region = Some(pb::Region { region: Some(region) });
-            pb::Handle { id: id.to_owned(), region, ..Default::default() }
+            pb::Handle {
+                id: id.to_owned(),
+                region,
+                ..Default::default()
+            }
         };
-        vec![end("base", -1.0, -(self.low[axis] + margin)), end("top", 1.0, self.high[axis] - margin)]
+        vec![
+            end("base", -1.0, -(self.low[axis] + margin)),
+            end("top", 1.0, self.high[axis] - margin),
+        ]
     }
 
     /// The pose number `seq`: the moving end swings about an axis across the model and is lifted with it.
@@ -75,8 +87,19 @@ impl Scene {
         let (mut turn, mut lift) = (vec![0.0; 3], vec![0.0; 3]);
         turn[(axis + 2) % 3] = TURN * swing;
         lift[(axis + 1) % 3] = END * (self.high[axis] - self.low[axis]) * swing;
-        let pose = pb::HandlePose { rotation_vector: turn, translation: lift, ..Default::default() };
-        let entry = pb::pose::Entry { id: "top".into(), pose: Some(pose) };
-        pb::Pose { seq, handles: vec![entry], commit: false }
+        let pose = pb::HandlePose {
+            rotation_vector: turn,
+            translation: lift,
+            ..Default::default()
+        };
+        let entry = pb::pose::Entry {
+            id: "top".into(),
+            pose: Some(pose),
+        };
+        pb::Pose {
+            seq,
+            handles: vec![entry],
+            commit: false,
+        }
     }
 }

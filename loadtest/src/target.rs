@@ -31,8 +31,13 @@ impl Server {
     /// When the address is not one of this machine's loopback, or cannot be had.
     pub async fn reach(url: Option<&str>) -> Result<Self, Failure> {
         match url {
-            Some(url) => Ok(Self { address: loopback(url).await?, own: None }),
-            None => Self::start().await.map_err(|problem| Failure::Server(format!("cannot start a server: {problem}"))),
+            Some(url) => Ok(Self {
+                address: loopback(url).await?,
+                own: None,
+            }),
+            None => Self::start()
+                .await
+                .map_err(|problem| Failure::Server(format!("cannot start a server: {problem}"))),
         }
     }
 
@@ -45,13 +50,18 @@ impl Server {
             let _ = stopped.await;
         };
         let done = tokio::spawn(server::run(listener, manager, server::Config::default(), wait));
-        Ok(Self { address, own: Some(Own { stop, done }) })
+        Ok(Self {
+            address,
+            own: Some(Own { stop, done }),
+        })
     }
 
     /// A connection.
     pub async fn channel(&self) -> Result<Channel, Failure> {
         let endpoint = Endpoint::from_shared(format!("http://{}", self.address));
-        let endpoint = endpoint.map_err(|e| Failure::Usage(e.to_string()))?.connect_timeout(PATIENCE);
+        let endpoint = endpoint
+            .map_err(|e| Failure::Usage(e.to_string()))?
+            .connect_timeout(PATIENCE);
         endpoint.connect().await.map_err(|e| {
             let cause = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
             Failure::Server(format!("cannot connect to {}: {cause}", self.address))
@@ -73,17 +83,24 @@ impl Server {
 /// The address of a URL, when every address of its host is this machine's own.
 async fn loopback(url: &str) -> Result<SocketAddr, Failure> {
     let refuse = |problem: &str| Failure::Usage(format!("--server {url}: {problem}, such as http://127.0.0.1:7411"));
-    let uri: Uri = url.parse().map_err(|_| refuse("is no URL; allowed is http:// with a loopback address"))?;
+    let uri: Uri = url
+        .parse()
+        .map_err(|_| refuse("is no URL; allowed is http:// with a loopback address"))?;
     if uri.scheme_str() != Some("http") {
         return Err(refuse("allowed is http:// with a loopback address"));
     }
     let host = uri.host().unwrap_or_default().trim_matches(['[', ']']);
     let found = lookup_host((host, uri.port_u16().unwrap_or(80))).await;
-    let addresses: Vec<SocketAddr> = found.map_err(|e| refuse(&format!("cannot be found ({e}); name a loopback address")))?.collect();
+    let addresses: Vec<SocketAddr> = found
+        .map_err(|e| refuse(&format!("cannot be found ({e}); name a loopback address")))?
+        .collect();
     if !addresses.iter().all(|a| a.ip().is_loopback()) {
         return Err(refuse("is not this machine; a load test loads loopback addresses only"));
     }
-    addresses.first().copied().ok_or_else(|| refuse("has no address; name a loopback address"))
+    addresses
+        .first()
+        .copied()
+        .ok_or_else(|| refuse("has no address; name a loopback address"))
 }
 
 #[cfg(test)]
@@ -95,9 +112,21 @@ mod tests {
         for url in ["http://127.0.0.1:7411", "http://127.9.9.9", "http://[::1]:80/"] {
             assert!(loopback(url).await.is_ok(), "{url}");
         }
-        for url in ["http://192.0.2.1:7411", "http://0.0.0.0:7411", "http://[2001:db8::1]", "https://127.0.0.1", "127.0.0.1", ""] {
-            let Err(Failure::Usage(text)) = loopback(url).await else { panic!("{url} was not refused") };
-            assert!(text.contains("loopback") && text.contains("http://127.0.0.1:7411"), "{text}");
+        for url in [
+            "http://192.0.2.1:7411",
+            "http://0.0.0.0:7411",
+            "http://[2001:db8::1]",
+            "https://127.0.0.1",
+            "127.0.0.1",
+            "",
+        ] {
+            let Err(Failure::Usage(text)) = loopback(url).await else {
+                panic!("{url} was not refused")
+            };
+            assert!(
+                text.contains("loopback") && text.contains("http://127.0.0.1:7411"),
+                "{text}"
+            );
         }
     }
 }

@@ -5,51 +5,34 @@ use super::document::Document;
 use super::schema::{Accessor, View};
 use crate::asset::Error;
 
-/// Type of one number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Component {
-    I8,
-    U8,
-    I16,
-    U16,
-    U32,
-    F32,
+/// Type of one number, as the `gltf` crate names it.
+pub(super) use gltf::json::accessor::ComponentType as Component;
+
+/// The type that a `componentType` number stands for.
+fn component_of(code: u64) -> Option<Component> {
+    use gltf::json::accessor as known;
+    Some(match u32::try_from(code).ok()? {
+        known::BYTE => Component::I8,
+        known::UNSIGNED_BYTE => Component::U8,
+        known::SHORT => Component::I16,
+        known::UNSIGNED_SHORT => Component::U16,
+        known::UNSIGNED_INT => Component::U32,
+        known::FLOAT => Component::F32,
+        _ => return None,
+    })
 }
 
-impl Component {
-    fn of(code: u64) -> Option<Self> {
-        Some(match code {
-            5120 => Self::I8,
-            5121 => Self::U8,
-            5122 => Self::I16,
-            5123 => Self::U16,
-            5125 => Self::U32,
-            5126 => Self::F32,
-            _ => return None,
-        })
-    }
-
-    /// Bytes of one number.
-    pub(super) fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::U32 | Self::F32 => 4,
-        }
-    }
-
-    /// The number that starts `bytes`; integers are scaled to 0..1 or -1..1 when `normalized`.
-    fn read(self, bytes: &[u8], normalized: bool) -> Option<f32> {
-        let scaled = |value: f32, largest: f32| if normalized { (value / largest).max(-1.0) } else { value };
-        Some(match self {
-            Self::I8 => scaled(f32::from(i8::from_le_bytes(*bytes.first_chunk()?)), 127.0),
-            Self::U8 => scaled(f32::from(*bytes.first()?), 255.0),
-            Self::I16 => scaled(f32::from(i16::from_le_bytes(*bytes.first_chunk()?)), 32_767.0),
-            Self::U16 => scaled(f32::from(u16::from_le_bytes(*bytes.first_chunk()?)), 65_535.0),
-            Self::U32 => u32::from_le_bytes(*bytes.first_chunk()?) as f32,
-            Self::F32 => f32::from_le_bytes(*bytes.first_chunk()?),
-        })
-    }
+/// The number that starts `bytes`; integers are scaled to 0..1 or -1..1 when `normalized`.
+fn read_number(component: Component, bytes: &[u8], normalized: bool) -> Option<f32> {
+    let scaled = |value: f32, largest: f32| if normalized { (value / largest).max(-1.0) } else { value };
+    Some(match component {
+        Component::I8 => scaled(f32::from(i8::from_le_bytes(*bytes.first_chunk()?)), 127.0),
+        Component::U8 => scaled(f32::from(*bytes.first()?), 255.0),
+        Component::I16 => scaled(f32::from(i16::from_le_bytes(*bytes.first_chunk()?)), 32_767.0),
+        Component::U16 => scaled(f32::from(u16::from_le_bytes(*bytes.first_chunk()?)), 65_535.0),
+        Component::U32 => u32::from_le_bytes(*bytes.first_chunk()?) as f32,
+        Component::F32 => f32::from_le_bytes(*bytes.first_chunk()?),
+    })
 }
 
 /// How an accessor's elements lie in its view.
@@ -67,7 +50,7 @@ pub(super) struct Layout {
 impl Layout {
     /// The layout, or `None` for a component type or shape that glTF 2.0 does not know.
     pub(super) fn of(accessor: &Accessor, views: &[View]) -> Option<Self> {
-        let component = Component::of(accessor.component_type.0)?;
+        let component = component_of(accessor.component_type.0)?;
         let (columns, rows) = match accessor.shape.as_str() {
             "SCALAR" => (1, 1),
             "VEC2" => (1, 2),
@@ -237,7 +220,7 @@ fn sparse_indices(doc: &Document<'_>, buffers: &Buffers, index: usize) -> Result
     let Some(sparse) = &accessor.sparse else {
         return Ok(Vec::new());
     };
-    let Some(component) = Component::of(sparse.indices.component_type.0) else {
+    let Some(component) = component_of(sparse.indices.component_type.0) else {
         return Err(short(doc, index));
     };
     let bytes = buffers.view(doc, sparse.indices.buffer_view.index())?;
@@ -347,11 +330,8 @@ fn read_run(
     for _ in 0..count {
         let element = bytes.get(at..)?;
         for lane in 0..layout.lanes {
-            into.push(
-                layout
-                    .component
-                    .read(element.get(lane * layout.component.size()..)?, normalized)?,
-            );
+            let number = element.get(lane * layout.component.size()..)?;
+            into.push(read_number(layout.component, number, normalized)?);
         }
         at = at.checked_add(stride)?;
     }
