@@ -12,6 +12,7 @@ use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Code;
+use tonic_health::pb::health_check_response::ServingStatus;
 
 async fn open(server: &Server, id: &str) -> (mpsc::Sender<pb::DeformRequest>, tonic::Streaming<pb::DeformResponse>) {
     let (requests, waiting) = mpsc::channel(16);
@@ -38,6 +39,12 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
     // Both are really open before the end begins.
     eventually("two streams", async || server.metric("pliant_streams").await == 2.0).await;
+
+    // One who watches the server's health stays to the end and must not put it off.
+    let mut health = tonic_health::pb::health_client::HealthClient::new(server.channel().await);
+    let check = || tonic_health::pb::HealthCheckRequest { service: "pliant.v1.Deformer".into() };
+    let mut watched = health.watch(check()).await.unwrap().into_inner();
+    assert_eq!(watched.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
 
     server.ask_to_stop();
     let told = within("the notice", async {
@@ -70,10 +77,8 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     let mut client = server.grpc().await;
     let solve = pb::SolveRequest { session_id: id.clone(), pose: Some(turned(1, 0.1, true)), options: None };
     assert_eq!(client.solve(solve).await.unwrap_err().code(), Code::Unavailable);
-    let mut health = tonic_health::pb::health_client::HealthClient::new(server.channel().await);
-    let check = tonic_health::pb::HealthCheckRequest { service: "pliant.v1.Deformer".into() };
-    let health = health.check(check).await.unwrap().into_inner();
-    assert_eq!(health.status(), tonic_health::pb::health_check_response::ServingStatus::NotServing);
+    assert_eq!(health.check(check()).await.unwrap().into_inner().status(), ServingStatus::NotServing);
+    assert_eq!(within("the change of health", watched.message()).await.unwrap().unwrap().status(), ServingStatus::NotServing);
 
     // A last pose is still answered; then both leave, and nothing holds the end up any more.
     let last = deform_request::Message::Pose(turned(2, 0.2, true));

@@ -352,7 +352,7 @@ async fn a_foreign_page_gets_no_websocket_and_a_protocol_is_agreed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn large_frames_come_in_parts_that_fit_default_limits() {
-    let server = Server::with(|sessions, _| sessions.part_bytes = 4096).await;
+    let server = Server::with(|sessions, _| sessions.part_bytes = 1024).await;
     let id = server.bar_session().await;
     let mut client = server.grpc().await;
     let solve = pb::SolveRequest { session_id: id.clone(), pose: Some(turned(1, 0.5, true)), options: None };
@@ -366,7 +366,7 @@ async fn large_frames_come_in_parts_that_fit_default_limits() {
     let mut next_vertex = 0;
     for (k, part) in parts.iter().enumerate() {
         assert_eq!((part.part, part.parts, part.first_vertex), (k as u32, count, next_vertex));
-        assert!(part.data.len() <= 4096);
+        assert!(part.data.len() <= 1024);
         next_vertex += part.vertex_count;
     }
     let whole: Vec<u8> = parts.iter().flat_map(|p| p.data.to_vec()).collect();

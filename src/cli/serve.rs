@@ -201,7 +201,7 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     for remark in &settings.remarks {
         tracing::warn!("{remark}");
     }
-    let shutdown = signals().map_err(|e| ServeError::Signals(e.to_string()))?;
+    let mut signals = Signals::new().map_err(|e| ServeError::Signals(e.to_string()))?;
     let refuse = |e: std::io::Error| ServeError::Listen {
         address: settings.listen,
         problem: e.to_string(),
@@ -229,21 +229,37 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     // Whoever started this process may wait for the line; that nobody reads it is no reason to stop.
     let mut out = std::io::stdout();
     let _ = writeln!(out, "listening on http://{address}").and_then(|()| out.flush());
+    let hurried = manager.clone();
+    let shutdown = async move {
+        signals.next().await;
+        tokio::spawn(async move {
+            signals.next().await;
+            tracing::warn!("asked again: giving up what still runs");
+            hurried.abort();
+        });
+    };
     server::run(listener, manager, settings.server, shutdown).await?;
     Ok(())
 }
 
-/// Resolves at the first SIGTERM or SIGINT.
-fn signals() -> std::io::Result<impl Future<Output = ()>> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let mut terminate = signal(SignalKind::terminate())?;
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    Ok(async move {
+/// The wishes to stop: SIGTERM and SIGINT.
+struct Signals {
+    terminate: tokio::signal::unix::Signal,
+    interrupt: tokio::signal::unix::Signal,
+}
+
+impl Signals {
+    fn new() -> std::io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
+    }
+
+    async fn next(&mut self) {
         tokio::select! {
-            _ = terminate.recv() => {}
-            _ = interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
         }
-    })
+    }
 }
 
 /// Opens a session with the built-in creature, turns its head once, and says how to go on.
@@ -298,7 +314,7 @@ async fn open_sample(manager: &Manager, address: SocketAddr) -> Result<(), sessi
          curl -s {base}/solve -H 'content-type: application/json' -H 'accept: model/gltf-binary' -o turned.glb \\\n    \
          -d '{body}'\n  \
          curl -s -X POST {base}/undo\n  \
-         curl -s {base}/model?format=obj -o creature.obj\n\n"
+         curl -s '{base}/model?format=obj' -o creature.obj\n\n"
     );
     let _ = std::io::stderr().write_all(text.as_bytes());
     Ok(())

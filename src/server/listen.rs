@@ -194,7 +194,7 @@ impl Doors {
 /// What a connection is doing.
 #[derive(Default)]
 struct Activity {
-    /// Whether any byte has come.
+    /// Whether as much has come as a preface has.
     spoke: AtomicBool,
     /// Answers under way.
     busy: AtomicUsize,
@@ -209,7 +209,7 @@ async fn connection(
     polite: &CancellationToken,
 ) {
     let activity = Arc::new(Activity::default());
-    let socket = Watched { socket, activity: Arc::clone(&activity), preface: 0 };
+    let socket = Watched { socket, activity: Arc::clone(&activity), heard: 0 };
     let heard = Arc::clone(&activity);
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(slot.clone());
@@ -223,19 +223,24 @@ async fn connection(
     let serving = builder.serve_connection_with_upgrades(TokioIo::new(socket), service);
     tokio::pin!(serving);
 
-    // A connection that does not begin with a request line or a preface in time is no client.
+    // A connection that does not begin with a request or a preface in time is no client.
     let silent = async {
         tokio::time::sleep(state.config.header_timeout).await;
-        while activity.spoke.load(Ordering::Relaxed) {
+        if activity.spoke.load(Ordering::Relaxed) || activity.busy.load(Ordering::Relaxed) > 0 {
             std::future::pending::<()>().await;
         }
     };
     tokio::select! {
-        _ = serving.as_mut() => return,
+        ended = serving.as_mut() => {
+            if let Err(error) = ended {
+                tracing::debug!("a connection broke: {error}");
+            }
+            return;
+        }
         () = silent => return,
         () = polite.cancelled() => {}
     }
-    if !activity.spoke.load(Ordering::Relaxed) {
+    if !activity.spoke.load(Ordering::Relaxed) && activity.busy.load(Ordering::Relaxed) == 0 {
         return;
     }
     serving.as_mut().graceful_shutdown();
@@ -318,19 +323,20 @@ impl HttpBody for Answer {
 struct Watched {
     socket: TcpStream,
     activity: Arc<Activity>,
-    preface: usize,
+    heard: usize,
 }
 
-/// Bytes of the shortest request: less than this is not yet one, and HTTP/2's preface is longer.
-const SHORTEST: usize = 16;
+/// Bytes of HTTP/2's preface. Until so many have come, nothing but the clock above watches the connection; afterwards the
+/// protocol libraries do.
+const PREFACE: usize = 24;
 
 impl AsyncRead for Watched {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.socket).poll_read(cx, buffer);
-        if self.preface < SHORTEST {
-            self.preface += buffer.filled().len() - before;
-            if self.preface >= SHORTEST {
+        if self.heard < PREFACE {
+            self.heard += buffer.filled().len() - before;
+            if self.heard >= PREFACE {
                 self.activity.spoke.store(true, Ordering::Relaxed);
             }
         }

@@ -7,11 +7,13 @@ use crate::server::telemetry::{self, Telemetry};
 use crate::session::{Code, Error};
 use axum::body::Body;
 use bytes::Bytes;
+use futures::FutureExt as _;
 use http::{HeaderMap, Request, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::future::Future;
+use std::panic::AssertUnwindSafe;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -57,16 +59,19 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
         let deadline = timeout(request.headers()).map(|timeout| Instant::now() + timeout);
         let answer = tower::Service::call(&mut self.routes, request);
         Box::pin(async move {
-            let response = match deadline {
-                None => answer.await,
-                Some(at) => match tokio::time::timeout_at(at, answer).await {
-                    Ok(response) => response,
-                    Err(_) => Ok(late().into_http()),
-                },
+            let answer = AssertUnwindSafe(answer).catch_unwind();
+            let answered = match deadline {
+                None => Ok(answer.await),
+                Some(at) => tokio::time::timeout_at(at, answer).await,
             };
-            let response = match response {
-                Ok(response) => response,
-                Err(never) => match never {},
+            let response = match answered {
+                Ok(Ok(Ok(response))) => response,
+                Ok(Ok(Err(never))) => match never {},
+                Ok(Err(_panic)) => {
+                    tracing::error!("internal: a gRPC call panicked");
+                    broken().into_http()
+                }
+                Err(_elapsed) => late().into_http(),
             };
             if let Some(code) = telemetry::grpc_code(response.headers()) {
                 recorder.set_code(code);
@@ -86,6 +91,10 @@ const COMMON: [&str; 3] = ["grpc.health.v1.Health", "grpc.reflection.v1.ServerRe
 
 fn late() -> tonic::Status {
     super::status::status(Error::new(Code::DeadlineExceeded, "the caller's deadline has passed"))
+}
+
+fn broken() -> tonic::Status {
+    super::status::status(Error::new(Code::Internal, "a defect of the server; its log says more"))
 }
 
 /// Reads `grpc-timeout`: up to 8 digits and a unit. Anything else is no deadline.
@@ -120,12 +129,11 @@ impl HttpBody for Limited {
     type Error = tonic::Status;
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, tonic::Status>>> {
+        // The clock comes first: a body that always has something ready must end in time as well.
+        let over = self.sleep.as_mut().poll(cx).is_ready();
         let Some(inner) = &mut self.inner else { return Poll::Ready(None) };
-        if let Poll::Ready(frame) = Pin::new(inner).poll_frame(cx) {
-            return Poll::Ready(frame);
-        }
-        if self.sleep.as_mut().poll(cx).is_pending() {
-            return Poll::Pending;
+        if !over {
+            return Pin::new(inner).poll_frame(cx);
         }
         self.inner = None;
         let mut trailers = HeaderMap::new();

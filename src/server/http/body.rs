@@ -28,20 +28,26 @@ pub(super) fn announced(headers: &HeaderMap) -> Option<u64> {
 
 /// The next bytes of a body; refuses one that stands still.
 pub(super) async fn next(state: &State, stream: &mut BodyDataStream) -> Result<Option<Bytes>, Problem> {
-    let patience = state.config.keepalive_interval + state.config.keepalive_timeout;
     let next = tokio::select! {
-        next = tokio::time::timeout(patience, stream.next()) => next,
+        next = tokio::time::timeout(patience(state), stream.next()) => next,
         () = state.closing.cancelled() => return Err(Error::draining().into()),
     };
     match next {
         Ok(None) => Ok(None),
         Ok(Some(Ok(bytes))) => Ok(Some(bytes)),
         Ok(Some(Err(_))) => Err(Error::malformed("the body broke off").into()),
-        Err(_) => {
-            let text = format!("the body stood still for {}", humantime::format_duration(patience));
-            Err(Problem::new(StatusCode::REQUEST_TIMEOUT, "DEADLINE_EXCEEDED", text))
-        }
+        Err(_) => Err(stalled(state)),
     }
+}
+
+/// How long a peer may take for a sign of life.
+fn patience(state: &State) -> Duration {
+    state.config.keepalive_interval + state.config.keepalive_timeout
+}
+
+fn stalled(state: &State) -> Problem {
+    let text = format!("the body did not come within {}", humantime::format_duration(patience(state)));
+    Problem::new(StatusCode::REQUEST_TIMEOUT, "DEADLINE_EXCEEDED", text)
 }
 
 /// The JSON text of a request, at most `message_bytes` long. An absent body is empty.
@@ -60,14 +66,21 @@ pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Probl
         return Err(too_large(length));
     }
     let mut stream = request.into_body().into_data_stream();
-    let mut text = BytesMut::new();
-    while let Some(bytes) = next(state, &mut stream).await? {
-        if bytes.len() > limit - text.len() {
-            return Err(too_large((text.len() + bytes.len()) as u64));
+    let read = async {
+        let mut text = BytesMut::new();
+        while let Some(bytes) = next(state, &mut stream).await? {
+            if bytes.len() > limit - text.len() {
+                return Err(too_large((text.len() + bytes.len()) as u64));
+            }
+            text.extend_from_slice(&bytes);
         }
-        text.extend_from_slice(&bytes);
+        Ok(text.freeze())
+    };
+    // A message is small: one that trickles in is no honest one.
+    match tokio::time::timeout(patience(state), read).await {
+        Ok(read) => read,
+        Err(_) => Err(stalled(state)),
     }
-    Ok(text.freeze())
 }
 
 /// A message from the JSON body of a request; an absent body is the message with all defaults.

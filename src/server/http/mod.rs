@@ -29,8 +29,10 @@ use axum::body::Body;
 use axum::extract::{MatchedPath, Request};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse as _, Response};
+use futures::FutureExt as _;
 use http::{HeaderName, HeaderValue, Method, StatusCode, header};
 use problem::Problem;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::Predicate;
@@ -83,7 +85,11 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
             let body = std::mem::replace(request.body_mut(), Body::empty());
             *request.body_mut() = body::linger(body);
         }
-        next.run(request).await
+        // A defect costs its call an answer of 500, not the connection.
+        match AssertUnwindSafe(next.run(request)).catch_unwind().await {
+            Ok(response) => response,
+            Err(_panic) => Problem::internal("a call panicked").into_response(),
+        }
     };
 
     let mut response = match response.extensions().get::<Problem>().cloned() {
