@@ -14,6 +14,8 @@
 //! | 1 | [`solver`], [`graph`] | multigrid on a weighted graph; surface and volume graphs |
 //! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`] | triangles; model formats; threads; cancelling |
 
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
+
 pub mod asset;
 pub mod cli;
 pub mod deform;

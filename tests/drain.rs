@@ -16,13 +16,31 @@ use tonic_health::pb::health_check_response::ServingStatus;
 
 async fn open(server: &Server, id: &str) -> (mpsc::Sender<pb::DeformRequest>, tonic::Streaming<pb::DeformResponse>) {
     let (requests, waiting) = mpsc::channel(16);
-    requests.send(pb::DeformRequest { session_id: id.to_owned(), message: None }).await.unwrap();
+    requests
+        .send(pb::DeformRequest {
+            session_id: id.to_owned(),
+            message: None,
+        })
+        .await
+        .unwrap();
     let mut client = server.grpc().await;
-    let mut responses = within("a stream", client.deform(ReceiverStream::new(waiting))).await.unwrap().into_inner();
+    let mut responses = within("a stream", client.deform(ReceiverStream::new(waiting)))
+        .await
+        .unwrap()
+        .into_inner();
     // A first frame shows that the stream is open on the session.
     let pose = deform_request::Message::Pose(turned(1, 0.1, false));
-    requests.send(pb::DeformRequest { session_id: String::new(), message: Some(pose) }).await.unwrap();
-    within("a first frame", responses.message()).await.unwrap().expect("a frame");
+    requests
+        .send(pb::DeformRequest {
+            session_id: String::new(),
+            message: Some(pose),
+        })
+        .await
+        .unwrap();
+    within("a first frame", responses.message())
+        .await
+        .unwrap()
+        .expect("a frame");
     (requests, responses)
 }
 
@@ -42,9 +60,14 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
 
     // One who watches the server's health stays to the end and must not put it off.
     let mut health = tonic_health::pb::health_client::HealthClient::new(server.channel().await);
-    let check = || tonic_health::pb::HealthCheckRequest { service: "pliant.v1.Deformer".into() };
+    let check = || tonic_health::pb::HealthCheckRequest {
+        service: "pliant.v1.Deformer".into(),
+    };
     let mut watched = health.watch(check()).await.unwrap().into_inner();
-    assert_eq!(watched.message().await.unwrap().unwrap().status(), ServingStatus::Serving);
+    assert_eq!(
+        watched.message().await.unwrap().unwrap().status(),
+        ServingStatus::Serving
+    );
 
     server.ask_to_stop();
     let told = within("the notice", async {
@@ -56,7 +79,9 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
         }
     })
     .await;
-    let Some(deform_response::Message::Notice(notice)) = told.message else { unreachable!() };
+    let Some(deform_response::Message::Notice(notice)) = told.message else {
+        unreachable!()
+    };
     assert_eq!(notice.resume_token, id);
     loop {
         if let Came::Response(response) = socket.next().await
@@ -71,18 +96,43 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     assert_eq!(ready.status(), 503);
     assert!(ready.headers().contains_key("retry-after"));
     assert_eq!(http().get(server.url("/healthz")).send().await.unwrap().status(), 200);
-    let refused = http().post(server.url("/v1/sessions")).body(bar_obj(4)).send().await.unwrap();
+    let refused = http()
+        .post(server.url("/v1/sessions"))
+        .body(bar_obj(4))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(refused.status(), 503);
     assert_eq!(refused.json::<Value>().await.unwrap()["code"], "UNAVAILABLE");
     let mut client = server.grpc().await;
-    let solve = pb::SolveRequest { session_id: id.clone(), pose: Some(turned(1, 0.1, true)), options: None };
+    let solve = pb::SolveRequest {
+        session_id: id.clone(),
+        pose: Some(turned(1, 0.1, true)),
+        options: None,
+    };
     assert_eq!(client.solve(solve).await.unwrap_err().code(), Code::Unavailable);
-    assert_eq!(health.check(check()).await.unwrap().into_inner().status(), ServingStatus::NotServing);
-    assert_eq!(within("the change of health", watched.message()).await.unwrap().unwrap().status(), ServingStatus::NotServing);
+    assert_eq!(
+        health.check(check()).await.unwrap().into_inner().status(),
+        ServingStatus::NotServing
+    );
+    assert_eq!(
+        within("the change of health", watched.message())
+            .await
+            .unwrap()
+            .unwrap()
+            .status(),
+        ServingStatus::NotServing
+    );
 
     // A last pose is still answered; then both leave, and nothing holds the end up any more.
     let last = deform_request::Message::Pose(turned(2, 0.2, true));
-    requests.send(pb::DeformRequest { session_id: String::new(), message: Some(last) }).await.unwrap();
+    requests
+        .send(pb::DeformRequest {
+            session_id: String::new(),
+            message: Some(last),
+        })
+        .await
+        .unwrap();
     drop(requests);
     let mut answered = false;
     while let Some(response) = within("the last frame", responses.message()).await.unwrap() {
@@ -91,7 +141,10 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     assert!(answered);
     drop(socket);
     let took = server.stopped().await;
-    assert!(took < Duration::from_secs(40), "the deadline was not needed, yet it took {took:?}");
+    assert!(
+        took < Duration::from_secs(40),
+        "the deadline was not needed, yet it took {took:?}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -131,7 +184,10 @@ async fn work_under_way_is_finished_before_the_end() {
     let mut server = Server::with(|_, config| config.drain_deadline = Duration::from_secs(50)).await;
     let url = server.url("/v1/sessions?label=late");
     let create = tokio::spawn(async move { http().post(url).body(large_bar()).send().await });
-    eventually("work under way", async || server.manager.metrics().pool_busy.get() > 0 || create.is_finished()).await;
+    eventually("work under way", async || {
+        server.manager.metrics().pool_busy.get() > 0 || create.is_finished()
+    })
+    .await;
     server.ask_to_stop();
     let answer = within("the answer", create).await.unwrap().expect("an answer");
     assert_eq!(answer.status(), 201);
@@ -148,8 +204,17 @@ async fn work_whose_client_is_gone_is_given_up() {
     eventually("work under way", async || busy() || create.is_finished()).await;
     create.abort();
     eventually("a free slot", async || !busy()).await;
-    assert_eq!(server.manager.metrics().sessions.get(), 1, "nothing exists of what nobody waited for");
-    let solved = http().post(server.url(&format!("/v1/sessions/{id}/solve"))).json(&turn_json(0.1)).send().await.unwrap();
+    assert_eq!(
+        server.manager.metrics().sessions.get(),
+        1,
+        "nothing exists of what nobody waited for"
+    );
+    let solved = http()
+        .post(server.url(&format!("/v1/sessions/{id}/solve")))
+        .json(&turn_json(0.1))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(solved.status(), 200);
 }
 
@@ -157,11 +222,15 @@ async fn work_whose_client_is_gone_is_given_up() {
 async fn a_stream_that_is_dropped_mid_solve_frees_its_slot() {
     let server = Server::with(|sessions, _| sessions.compute_slots = 1).await;
     let id = text(&server.open(large_bar()).await["id"]);
-    let handles = http().put(server.url(&format!("/v1/sessions/{id}/handles"))).json(&serde_json::json!({"handles": ends()}));
+    let handles = http()
+        .put(server.url(&format!("/v1/sessions/{id}/handles")))
+        .json(&serde_json::json!({"handles": ends()}));
     assert_eq!(handles.send().await.unwrap().status(), 200);
     let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
     for seq in 1..=20 {
-        socket.send(deform_request::Message::Pose(turned(seq, seq as f64 * 0.3, false))).await;
+        socket
+            .send(deform_request::Message::Pose(turned(seq, seq as f64 * 0.3, false)))
+            .await;
     }
     eventually("a solve", async || server.manager.metrics().poses_received.get() > 0).await;
     drop(socket);
@@ -171,21 +240,13 @@ async fn a_stream_that_is_dropped_mid_solve_frees_its_slot() {
     })
     .await;
     let other = server.bar_session().await;
-    let solved = http().post(server.url(&format!("/v1/sessions/{other}/solve"))).json(&turn_json(0.1)).send().await.unwrap();
+    let solved = http()
+        .post(server.url(&format!("/v1/sessions/{other}/solve")))
+        .json(&turn_json(0.1))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(solved.status(), 200);
-}
-
-/// A bar with enough vertices that opening it takes a while.
-fn large_bar() -> String {
-    let (points, triangles) = pliant::asset::shapes::box_with_cells(glam::DVec3::new(0.5, 0.5, 4.0), [40, 40, 320]);
-    let mut text = String::new();
-    for p in points {
-        text += &format!("v {} {} {}\n", p.x, p.y, p.z);
-    }
-    for t in triangles {
-        text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1);
-    }
-    text
 }
 
 /// A process that is killed when a test fails.
@@ -214,14 +275,28 @@ fn serve(arguments: &[&str]) -> Process {
 async fn the_program_listens_serves_and_ends_well_on_sigterm() {
     let mut process = serve(&["--listen", "127.0.0.1:0", "--drain-deadline", "2s", "--threads", "1"]);
     let mut line = String::new();
-    BufReader::new(process.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let url = line.trim().strip_prefix("listening on ").expect("the line that scripts wait for").to_owned();
-    let answer = within("an answer", http().get(format!("{url}/readyz")).send()).await.unwrap();
+    BufReader::new(process.0.stdout.take().unwrap())
+        .read_line(&mut line)
+        .unwrap();
+    let url = line
+        .trim()
+        .strip_prefix("listening on ")
+        .expect("the line that scripts wait for")
+        .to_owned();
+    let answer = within("an answer", http().get(format!("{url}/readyz")).send())
+        .await
+        .unwrap();
     assert_eq!(answer.status(), 200);
     let _silent = std::net::TcpStream::connect(url.strip_prefix("http://").unwrap()).unwrap();
-    let killed = Command::new("kill").args(["-TERM", &process.0.id().to_string()]).status().unwrap();
+    let killed = Command::new("kill")
+        .args(["-TERM", &process.0.id().to_string()])
+        .status()
+        .unwrap();
     assert!(killed.success());
-    let status = within("the end", tokio::task::spawn_blocking(move || process.0.wait())).await.unwrap().unwrap();
+    let status = within("the end", tokio::task::spawn_blocking(move || process.0.wait()))
+        .await
+        .unwrap()
+        .unwrap();
     assert_eq!(status.code(), Some(0));
 }
 

@@ -1,26 +1,36 @@
 //! gRPC: every rpc, the status codes and their details, deadlines, health, reflection, gRPC-Web.
 
+#[path = "grpc/around.rs"]
+mod around;
 mod support;
 
-use bytes::{Buf as _, Bytes, BytesMut};
+use bytes::Bytes;
 use futures::StreamExt as _;
 use pliant::job::pb::{self, create_session_request::Message as Upload};
-use prost::Message as _;
-use std::time::Duration;
 use support::*;
 use tonic::{Code, Request};
 use tonic_types::StatusExt as _;
 
 fn upload(messages: Vec<Upload>) -> impl futures::Stream<Item = pb::CreateSessionRequest> + Send + 'static {
-    futures::stream::iter(messages.into_iter().map(|message| pb::CreateSessionRequest { message: Some(message) }))
+    futures::stream::iter(
+        messages
+            .into_iter()
+            .map(|message| pb::CreateSessionRequest { message: Some(message) }),
+    )
 }
 
 fn chunks(model: &str, size: usize) -> Vec<Upload> {
-    model.as_bytes().chunks(size).map(|chunk| Upload::Chunk(Bytes::copy_from_slice(chunk))).collect()
+    model
+        .as_bytes()
+        .chunks(size)
+        .map(|chunk| Upload::Chunk(Bytes::copy_from_slice(chunk)))
+        .collect()
 }
 
 fn named(id: &str) -> pb::SessionRequest {
-    pb::SessionRequest { session_id: id.to_owned() }
+    pb::SessionRequest {
+        session_id: id.to_owned(),
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -28,25 +38,50 @@ async fn every_rpc_answers() {
     let server = Server::start().await;
     let mut client = server.grpc().await;
     let model = bar_obj(24);
-    let mut messages = vec![Upload::Options(pb::CreateOptions { label: "bar".into(), ..pb::CreateOptions::default() })];
+    let mut messages = vec![Upload::Options(pb::CreateOptions {
+        label: "bar".into(),
+        ..pb::CreateOptions::default()
+    })];
     messages.extend(chunks(&model, 1000));
     let session = client.create_session(upload(messages)).await.unwrap().into_inner();
     let id = session.id.clone();
-    assert_eq!((session.label.as_str(), session.model.as_ref().map(|m| m.bytes)), ("bar", Some(model.len() as u64)));
+    assert_eq!(
+        (session.label.as_str(), session.model.as_ref().map(|m| m.bytes)),
+        ("bar", Some(model.len() as u64))
+    );
 
     assert_eq!(client.get_session(named(&id)).await.unwrap().into_inner().id, id);
-    let list = client.list_sessions(pb::ListSessionsRequest::default()).await.unwrap().into_inner();
+    let list = client
+        .list_sessions(pb::ListSessionsRequest::default())
+        .await
+        .unwrap()
+        .into_inner();
     assert_eq!(list.sessions.len(), 1);
     let limits = client.get_limits(pb::GetLimitsRequest {}).await.unwrap().into_inner();
     assert_eq!(limits.part_bytes, 1 << 20);
 
-    let handles = pb::SetHandlesRequest { session_id: id.clone(), handles: end_handles(), ..pb::SetHandlesRequest::default() };
+    let handles = pb::SetHandlesRequest {
+        session_id: id.clone(),
+        handles: end_handles(),
+        ..pb::SetHandlesRequest::default()
+    };
     let held = client.set_handles(handles).await.unwrap().into_inner();
     assert_eq!(held.handles.len(), 2);
     assert!(held.revision > session.revision);
 
-    let solve = pb::SolveRequest { session_id: id.clone(), pose: Some(turned(7, 0.5, true)), options: None };
-    let frames: Vec<pb::Frame> = client.solve(solve).await.unwrap().into_inner().map(Result::unwrap).collect().await;
+    let solve = pb::SolveRequest {
+        session_id: id.clone(),
+        pose: Some(turned(7, 0.5, true)),
+        options: None,
+    };
+    let frames: Vec<pb::Frame> = client
+        .solve(solve)
+        .await
+        .unwrap()
+        .into_inner()
+        .map(Result::unwrap)
+        .collect()
+        .await;
     assert_eq!(frames.len(), 1);
     assert_eq!((frames[0].seq, frames[0].r#final, frames[0].parts), (7, true, 1));
     let bent = floats(&frames[0].data);
@@ -57,13 +92,20 @@ async fn every_rpc_answers() {
     let text = String::from_utf8(exported).unwrap();
     assert_ne!(text, model);
     assert_eq!(text.lines().count(), model.lines().count());
-    assert!(export(&mut client, &id, "ply").await.unwrap()[0].data.starts_with(b"ply"));
+    assert!(
+        export(&mut client, &id, "ply").await.unwrap()[0]
+            .data
+            .starts_with(b"ply")
+    );
 
     let undone = client.undo(named(&id)).await.unwrap().into_inner();
     let redone = client.redo(named(&id)).await.unwrap().into_inner();
     assert!(redone.revision > undone.revision);
     let history = client.history(named(&id)).await.unwrap().into_inner();
-    assert_eq!(history.commits.iter().map(|c| c.kind.as_str()).collect::<Vec<_>>(), ["create", "handles", "pose"]);
+    assert_eq!(
+        history.commits.iter().map(|c| c.kind.as_str()).collect::<Vec<_>>(),
+        ["create", "handles", "pose"]
+    );
 
     client.delete_session(named(&id)).await.unwrap();
     assert_eq!(client.get_session(named(&id)).await.unwrap_err().code(), Code::NotFound);
@@ -72,7 +114,10 @@ async fn every_rpc_answers() {
 type Client = pliant::server::grpc::client::DeformerClient<tonic::transport::Channel>;
 
 async fn export(client: &mut Client, id: &str, format: &str) -> Result<Vec<pb::Chunk>, tonic::Status> {
-    let request = pb::ExportRequest { session_id: id.to_owned(), format: format.to_owned() };
+    let request = pb::ExportRequest {
+        session_id: id.to_owned(),
+        format: format.to_owned(),
+    };
     let mut stream = client.export(request).await?.into_inner();
     let mut chunks = Vec::new();
     while let Some(chunk) = stream.message().await? {
@@ -88,10 +133,28 @@ async fn the_transports_give_the_same_bits() {
     let id = server.bar_session().await;
     let body = turn_json(0.5);
     let url = server.url(&format!("/v1/sessions/{id}/solve"));
-    let over_http = http().post(url).json(&body).header("accept", "application/octet-stream").send().await.unwrap();
+    let over_http = http()
+        .post(url)
+        .json(&body)
+        .header("accept", "application/octet-stream")
+        .send()
+        .await
+        .unwrap();
     let over_http = over_http.bytes().await.unwrap();
-    let solve = pb::SolveRequest { session_id: id, pose: Some(turned(0, 0.5, true)), options: None };
-    let frame = client.solve(solve).await.unwrap().into_inner().message().await.unwrap().unwrap();
+    let solve = pb::SolveRequest {
+        session_id: id,
+        pose: Some(turned(0, 0.5, true)),
+        options: None,
+    };
+    let frame = client
+        .solve(solve)
+        .await
+        .unwrap()
+        .into_inner()
+        .message()
+        .await
+        .unwrap()
+        .unwrap();
     assert_eq!(frame.data, over_http);
 }
 
@@ -102,29 +165,61 @@ async fn failures_carry_code_and_details() {
     let id = server.bar_session().await;
 
     let missing = client.get_session(named("nobody")).await.unwrap_err();
-    assert_eq!((missing.code(), missing.get_error_details().error_info().unwrap().reason.as_str()), (Code::NotFound, "NOT_FOUND"));
+    assert_eq!(
+        (
+            missing.code(),
+            missing.get_error_details().error_info().unwrap().reason.as_str()
+        ),
+        (Code::NotFound, "NOT_FOUND")
+    );
 
     let mut handles = end_handles();
-    handles[1].pose = Some(pb::HandlePose { scale: vec![0.0], ..pb::HandlePose::default() });
-    let handles = pb::SetHandlesRequest { session_id: id.clone(), handles, ..pb::SetHandlesRequest::default() };
+    handles[1].pose = Some(pb::HandlePose {
+        scale: vec![0.0],
+        ..pb::HandlePose::default()
+    });
+    let handles = pb::SetHandlesRequest {
+        session_id: id.clone(),
+        handles,
+        ..pb::SetHandlesRequest::default()
+    };
     let wrong = client.set_handles(handles).await.unwrap_err();
     assert_eq!(wrong.code(), Code::InvalidArgument);
     let details = wrong.get_error_details();
-    assert_eq!(details.bad_request().unwrap().field_violations[0].field, "handles[1].pose.scale", "{wrong}");
+    assert_eq!(
+        details.bad_request().unwrap().field_violations[0].field,
+        "handles[1].pose.scale",
+        "{wrong}"
+    );
 
-    let full = client.create_session(upload(chunks(&bar_obj(4), 1000))).await.unwrap_err();
+    let full = client
+        .create_session(upload(chunks(&bar_obj(4), 1000)))
+        .await
+        .unwrap_err();
     assert_eq!(full.code(), Code::ResourceExhausted);
     assert!(full.get_error_details().retry_info().is_some(), "{full}");
     assert!(full.metadata().contains_key("retry-after"));
 
     let operation = pb::edit_request::Operation::Weld(pb::edit_request::Weld { tolerance: 0.1 });
-    let edit = pb::EditRequest { session_id: id.clone(), operation: Some(operation), ..pb::EditRequest::default() };
+    let edit = pb::EditRequest {
+        session_id: id.clone(),
+        operation: Some(operation),
+        ..pb::EditRequest::default()
+    };
     let edit = client.edit(edit).await.unwrap_err();
     assert_eq!(edit.code(), Code::Unimplemented);
     assert!(edit.message().contains("weld"), "{edit}");
 
     let format = export(&mut client, &id, "doc").await.unwrap_err();
-    assert_eq!((format.code(), format.get_error_details().bad_request().unwrap().field_violations[0].field.as_str()), (Code::InvalidArgument, "format"));
+    assert_eq!(
+        (
+            format.code(),
+            format.get_error_details().bad_request().unwrap().field_violations[0]
+                .field
+                .as_str()
+        ),
+        (Code::InvalidArgument, "format")
+    );
 
     let forward = client.redo(named(&id)).await.unwrap_err();
     assert_eq!(forward.code(), Code::FailedPrecondition);
@@ -141,20 +236,35 @@ async fn an_upload_keeps_its_order_and_its_limit() {
         (vec![chunk(10), options()], Code::InvalidArgument, "options"),
         (vec![options(), options()], Code::InvalidArgument, "options"),
         (vec![chunk(10), companion("")], Code::InvalidArgument, "companion.uri"),
-        (vec![chunk(10), companion("a"), companion("a")], Code::InvalidArgument, "companion.uri"),
-        (vec![chunk(60 << 10), companion("a"), chunk(60 << 10)], Code::ResourceExhausted, "102400"),
+        (
+            vec![chunk(10), companion("a"), companion("a")],
+            Code::InvalidArgument,
+            "companion.uri",
+        ),
+        (
+            vec![chunk(60 << 10), companion("a"), chunk(60 << 10)],
+            Code::ResourceExhausted,
+            "102400",
+        ),
         (vec![], Code::InvalidArgument, ""),
     ];
     for (messages, code, word) in cases {
         let refused = client.create_session(upload(messages)).await.unwrap_err();
         assert_eq!(refused.code(), code, "{refused}");
         let details = refused.get_error_details();
-        let field = details.bad_request().map(|b| b.field_violations[0].field.clone()).unwrap_or_default();
+        let field = details
+            .bad_request()
+            .map(|b| b.field_violations[0].field.clone())
+            .unwrap_or_default();
         assert!(refused.message().contains(word) || field == word, "{refused}");
     }
     // Refused while it is being sent: an upload without end does end.
-    let endless = futures::stream::repeat_with(move || pb::CreateSessionRequest { message: Some(Upload::Chunk(Bytes::from(vec![b'v'; 32 << 10]))) });
-    let refused = within("the refusal of an endless upload", client.create_session(endless)).await.unwrap_err();
+    let endless = futures::stream::repeat_with(move || pb::CreateSessionRequest {
+        message: Some(Upload::Chunk(Bytes::from(vec![b'v'; 32 << 10]))),
+    });
+    let refused = within("the refusal of an endless upload", client.create_session(endless))
+        .await
+        .unwrap_err();
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
     assert_eq!(refused.get_error_details().error_info().unwrap().reason, "TOO_LARGE");
 }
@@ -163,8 +273,14 @@ async fn an_upload_keeps_its_order_and_its_limit() {
 async fn a_message_above_the_limit_is_refused() {
     let server = Server::with(|sessions, _| sessions.message_bytes = 64 << 10).await;
     let mut client = server.grpc().await;
-    let refused = client.create_session(upload(vec![Upload::Chunk(Bytes::from(vec![0; 65 << 10]))])).await.unwrap_err();
-    assert!(matches!(refused.code(), Code::OutOfRange | Code::ResourceExhausted), "{refused}");
+    let refused = client
+        .create_session(upload(vec![Upload::Chunk(Bytes::from(vec![0; 65 << 10]))]))
+        .await
+        .unwrap_err();
+    assert!(
+        matches!(refused.code(), Code::OutOfRange | Code::ResourceExhausted),
+        "{refused}"
+    );
     assert!(client.get_limits(pb::GetLimitsRequest {}).await.is_ok());
 }
 
@@ -202,158 +318,35 @@ async fn an_idempotency_key_comes_as_metadata() {
     let mut ids = Vec::new();
     for _ in 0..2 {
         let mut request = Request::new(upload(chunks(&bar_obj(4), 500)));
-        request.metadata_mut().insert("idempotency-key", "again".parse().unwrap());
+        request
+            .metadata_mut()
+            .insert("idempotency-key", "again".parse().unwrap());
         ids.push(client.create_session(request).await.unwrap().into_inner().id);
     }
     assert_eq!(ids[0], ids[1]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_deadline_ends_a_call_before_and_during_its_answer() {
-    let server = Server::start().await;
-    let channel = server.channel().await;
-    // Raw calls, so that it is the server's clock that ends them and not the client's.
-    let mut raw = tonic::client::Grpc::new(channel);
-    raw.ready().await.unwrap();
-    let id = server.bar_session().await;
-    let codec = tonic_prost::ProstCodec::<pb::DeformRequest, pb::DeformResponse>::default();
-    let first = pb::DeformRequest { session_id: id.clone(), message: None };
-    // A stream that stays open on both sides: only the deadline can end it.
-    let mut request = Request::new(futures::stream::once(async move { first }).chain(futures::stream::pending()));
-    request.metadata_mut().insert("grpc-timeout", "300m".parse().unwrap());
-    let path = http::uri::PathAndQuery::from_static("/pliant.v1.Deformer/Deform");
-    let mut responses = raw.streaming(request, path, codec).await.unwrap().into_inner();
-    let ended = within("the deadline", responses.message()).await.unwrap_err();
-    assert_eq!(ended.code(), Code::DeadlineExceeded, "{ended}");
-    eventually("the stream's place", async || server.metric("pliant_streams").await == 0.0).await;
-
-    // An upload that never ends, from a client without a clock.
-    let plain = reqwest::Client::builder().no_proxy().http2_prior_knowledge().build().unwrap();
-    let endless = futures::stream::pending::<Result<Bytes, std::io::Error>>();
-    let request = plain
-        .post(server.url("/pliant.v1.Deformer/CreateSession"))
-        .header("content-type", "application/grpc")
-        .header("te", "trailers")
-        .header("grpc-timeout", "100m")
-        .body(reqwest::Body::wrap_stream(endless));
-    let late = within("the deadline", request.send()).await.unwrap();
-    assert_eq!(late.headers()["grpc-status"], "4");
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn health_is_told_and_watched() {
-    use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient};
-    let server = Server::start().await;
-    let mut client = HealthClient::new(server.channel().await);
-    for service in ["", "pliant.v1.Deformer"] {
-        let answer = client.check(HealthCheckRequest { service: service.into() }).await.unwrap().into_inner();
-        assert_eq!(answer.status(), ServingStatus::Serving, "{service:?}");
-    }
-    let unknown = client.check(HealthCheckRequest { service: "other".into() }).await.unwrap_err();
-    assert_eq!(unknown.code(), Code::NotFound);
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn reflection_tells_the_schema_with_its_imports() {
-    use tonic_reflection::pb::v1::{
-        ServerReflectionRequest, server_reflection_client::ServerReflectionClient, server_reflection_request::MessageRequest,
-        server_reflection_response::MessageResponse,
-    };
-    let server = Server::start().await;
-    let mut client = ServerReflectionClient::new(server.channel().await);
-    let mut ask = async |message: MessageRequest| {
-        let request = ServerReflectionRequest { host: String::new(), message_request: Some(message) };
-        let mut answers = client.server_reflection_info(futures::stream::iter([request])).await.unwrap().into_inner();
-        answers.message().await.unwrap().unwrap().message_response.unwrap()
-    };
-    let MessageResponse::ListServicesResponse(list) = ask(MessageRequest::ListServices(String::new())).await else {
-        panic!("no list")
-    };
-    let names: Vec<&str> = list.service.iter().map(|s| s.name.as_str()).collect();
-    assert!(names.contains(&"pliant.v1.Deformer") && names.contains(&"grpc.health.v1.Health"), "{names:?}");
-    let symbol = MessageRequest::FileContainingSymbol("pliant.v1.Deformer.Solve".into());
-    let MessageResponse::FileDescriptorResponse(files) = ask(symbol).await else { panic!("no file") };
-    let pool = prost_reflect::DescriptorPool::from_file_descriptor_set(prost_reflect::prost_types::FileDescriptorSet {
-        file: files.file_descriptor_proto.iter().map(|f| prost_reflect::prost_types::FileDescriptorProto::decode(f.as_slice()).unwrap()).collect(),
-    })
-    .unwrap();
-    assert!(pool.get_message_by_name("pliant.v1.Frame").is_some());
-}
-
-/// Messages and trailers of a gRPC-Web body.
-fn web_parts(mut body: Bytes) -> (Vec<Bytes>, String) {
-    let (mut messages, mut trailers) = (Vec::new(), String::new());
-    while body.len() >= 5 {
-        let flag = body.get_u8();
-        let length = body.get_u32() as usize;
-        let part = body.split_to(length);
-        if flag & 0x80 == 0 { messages.push(part) } else { trailers = String::from_utf8(part.to_vec()).unwrap() }
-    }
-    assert!(body.is_empty(), "whole parts");
-    (messages, trailers)
-}
-
-async fn web(server: &Server, rpc: &str, message: &impl prost::Message) -> (reqwest::StatusCode, Vec<Bytes>, String) {
-    let mut body = BytesMut::new();
-    body.extend([0u8]);
-    body.extend((message.encoded_len() as u32).to_be_bytes());
-    message.encode(&mut body).unwrap();
-    let request = http()
-        .post(server.url(&format!("/pliant.v1.Deformer/{rpc}")))
-        .header("content-type", "application/grpc-web+proto")
-        .header("origin", "http://localhost:3000")
-        .body(body.freeze());
-    let answer = request.send().await.unwrap();
-    assert_eq!(answer.headers()["access-control-allow-origin"], "http://localhost:3000");
-    let status = answer.status();
-    let headers = answer.headers().clone();
-    let (messages, trailers) = web_parts(answer.bytes().await.unwrap());
-    // A call that fails at once says so in its headers.
-    let code = headers.get("grpc-status").map(|c| format!("grpc-status:{}", c.to_str().unwrap())).unwrap_or(trailers);
-    (status, messages, code.replace(' ', ""))
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn browsers_call_over_grpc_web() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let (status, messages, code) = web(&server, "GetSession", &named(&id)).await;
-    assert_eq!((status.as_u16(), messages.len()), (200, 1));
-    assert!(code.contains("grpc-status:0"), "{code}");
-    assert_eq!(pb::Session::decode(messages[0].clone()).unwrap().id, id);
-
-    let solve = pb::SolveRequest { session_id: id, pose: Some(turned(3, 0.2, true)), options: None };
-    let (_, messages, code) = web(&server, "Solve", &solve).await;
-    assert!(code.contains("grpc-status:0"), "{code}");
-    assert_eq!(pb::Frame::decode(messages[0].clone()).unwrap().seq, 3);
-
-    let (_, _, code) = web(&server, "GetSession", &named("nobody")).await;
-    assert!(code.contains("grpc-status:5"), "{code}");
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn unknown_methods_are_unimplemented_and_counted_as_one() {
-    let server = Server::start().await;
-    let mut raw = tonic::client::Grpc::new(server.channel().await);
-    for path in ["/pliant.v1.Deformer/Melt", "/other.Service/Call"] {
-        raw.ready().await.unwrap();
-        let codec = tonic_prost::ProstCodec::<pb::GetLimitsRequest, pb::Limits>::default();
-        let refused = raw.unary(Request::new(pb::GetLimitsRequest {}), http::uri::PathAndQuery::from_static(path), codec).await;
-        assert_eq!(refused.unwrap_err().code(), Code::Unimplemented, "{path}");
-    }
-    let counts = http().get(server.url("/metrics")).send().await.unwrap().text().await.unwrap();
-    assert!(counts.contains("pliant_requests_total{transport=\"grpc\",route=\"unknown\",code=\"UNIMPLEMENTED\"} 2"), "{counts}");
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_hangs_up_stops_its_call() {
     let server = Server::start().await;
     let mut client = server.grpc().await;
-    let pending = tokio::time::timeout(Duration::from_millis(200), client.create_session(futures::stream::pending()));
-    assert!(pending.await.is_err());
+    let messages = chunks(&large_bar(), 1 << 20);
+    let call = tokio::spawn(async move { client.create_session(upload(messages)).await });
+    let busy = || server.manager.metrics().pool_busy.get() > 0;
+    eventually("work under way", async || busy() || call.is_finished()).await;
+    call.abort();
+    eventually("a free slot", async || !busy()).await;
     eventually("the call is counted as cancelled", async || {
-        let text = http().get(server.url("/metrics")).send().await.unwrap().text().await.unwrap();
+        let text = http()
+            .get(server.url("/metrics"))
+            .send()
+            .await
+            .unwrap()
+            .text()
+            .await
+            .unwrap();
         text.contains("route=\"pliant.v1.Deformer/CreateSession\",code=\"CANCELLED\"")
     })
     .await;
+    assert_eq!(server.manager.metrics().sessions.get(), 0);
 }

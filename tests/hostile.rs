@@ -42,7 +42,11 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     while let Some(folder) = open.pop() {
         for entry in std::fs::read_dir(&folder).expect("a readable folder") {
             let path = entry.expect("a readable entry").path();
-            if path.is_dir() { open.push(path) } else { found.push(path) }
+            if path.is_dir() {
+                open.push(path)
+            } else {
+                found.push(path)
+            }
         }
     }
     found.sort();
@@ -57,7 +61,10 @@ fn upload(path: &Path) -> (Option<&'static str>, Vec<u8>) {
     }
     let mut body = Vec::new();
     let mut part = |name: &str, file: &str, bytes: &[u8]| {
-        body.extend(format!("--edge\r\ncontent-disposition: form-data; name=\"{name}\"; filename=\"{file}\"\r\n\r\n").into_bytes());
+        body.extend(
+            format!("--edge\r\ncontent-disposition: form-data; name=\"{name}\"; filename=\"{file}\"\r\n\r\n")
+                .into_bytes(),
+        );
         body.extend_from_slice(bytes);
         body.extend(b"\r\n");
     };
@@ -76,30 +83,49 @@ fn upload(path: &Path) -> (Option<&'static str>, Vec<u8>) {
 }
 
 /// Opens a model and pulls one vertex of it; how that ended, or what was wrong with the answers.
-async fn try_model(server: &Server, client: &reqwest::Client, (kind, bytes): (Option<&str>, Vec<u8>)) -> Result<String, String> {
+async fn try_model(
+    server: &Server,
+    client: &reqwest::Client,
+    (kind, bytes): (Option<&str>, Vec<u8>),
+) -> Result<String, String> {
     let mut create = client.post(server.url("/v1/sessions")).body(bytes);
     if let Some(kind) = kind {
         create = create.header("content-type", kind);
     }
-    let created = within("create", create.send()).await.map_err(|e| format!("no answer: {e}"))?;
+    let created = within("create", create.send())
+        .await
+        .map_err(|e| format!("no answer: {e}"))?;
     let status = created.status().as_u16();
-    let body: Value = created.json().await.map_err(|e| format!("{status} without JSON: {e}"))?;
+    let body: Value = created
+        .json()
+        .await
+        .map_err(|e| format!("{status} without JSON: {e}"))?;
     if status != 201 {
         return clear(status, &body).map(|detail| format!("{status} {detail}"));
     }
     let id = text(&body["id"]);
     let vertices = body["model"]["vertices"].as_u64().ok_or("no vertex count")?;
-    let vertex = |id: &str, first: u64| json!({"id": id, "region": {"vertices": {"ranges": [{"first": first, "count": 1}]}}});
+    let vertex =
+        |id: &str, first: u64| json!({"id": id, "region": {"vertices": {"ranges": [{"first": first, "count": 1}]}}});
     let mut handles = vec![vertex("first", 0)];
     if vertices > 1 {
         handles.push(vertex("last", vertices - 1));
     }
     let moved = handles.last().map(|h| h["id"].clone());
     let url = |end: &str| server.url(&format!("/v1/sessions/{id}{end}"));
-    let held = within("handles", client.put(url("/handles")).json(&json!({"handles": handles})).send()).await.map_err(|e| e.to_string())?;
+    let held = within(
+        "handles",
+        client.put(url("/handles")).json(&json!({"handles": handles})).send(),
+    )
+    .await
+    .map_err(|e| e.to_string())?;
     let said = if held.status() == 200 {
         let pose = json!({"pose": {"handles": [{"id": moved, "pose": {"translation": [0.1, 0, 0]}}]}});
-        let solve = client.post(url("/solve")).header("accept", "application/octet-stream").json(&pose).send();
+        let solve = client
+            .post(url("/solve"))
+            .header("accept", "application/octet-stream")
+            .json(&pose)
+            .send();
         let solved = within("solve", solve).await.map_err(|e| e.to_string())?;
         if solved.status() == 200 {
             let bytes = solved.bytes().await.map_err(|e| e.to_string())?;
@@ -110,7 +136,9 @@ async fn try_model(server: &Server, client: &reqwest::Client, (kind, bytes): (Op
             if numbers.iter().any(|n| !n.is_finite()) {
                 return Err("numbers that are not finite".into());
             }
-            let model = within("export", client.get(url("/model")).send()).await.map_err(|e| e.to_string())?;
+            let model = within("export", client.get(url("/model")).send())
+                .await
+                .map_err(|e| e.to_string())?;
             if model.status() == 200 {
                 "works".to_owned()
             } else {
@@ -129,7 +157,11 @@ async fn try_model(server: &Server, client: &reqwest::Client, (kind, bytes): (Op
         format!("{status} on handles: {}", clear(status, &body)?)
     };
     let deleted = client.delete(url("")).send().await.map_err(|e| e.to_string())?;
-    if deleted.status() == 204 { Ok(said) } else { Err(format!("{} on delete", deleted.status())) }
+    if deleted.status() == 204 {
+        Ok(said)
+    } else {
+        Err(format!("{} on delete", deleted.status()))
+    }
 }
 
 /// The detail of a refusal, when it is one that a user can work with.
@@ -138,7 +170,9 @@ fn clear(status: u16, problem: &Value) -> Result<String, String> {
     if !(400..500).contains(&status) {
         return Err(format!("{status}: {detail}"));
     }
-    let panicky = ["panick", "unwrap", "index out of", "overflow when", ".rs:"].iter().any(|word| detail.contains(word));
+    let panicky = ["panick", "unwrap", "index out of", "overflow when", ".rs:"]
+        .iter()
+        .any(|word| detail.contains(word));
     if detail.len() < 12 || panicky {
         return Err(format!("{status} with an unclear text: {detail:?}"));
     }
@@ -147,7 +181,9 @@ fn clear(status: u16, problem: &Value) -> Result<String, String> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_hostile_file_gets_a_clear_answer() {
-    let Some(data) = data_folder("hostile files") else { return };
+    let Some(data) = data_folder("hostile files") else {
+        return;
+    };
     let right = manifest(&data);
     let server = Server::with(|sessions, _| {
         sessions.memory_bytes = 1 << 30;
@@ -161,7 +197,11 @@ async fn every_hostile_file_gets_a_clear_answer() {
     let before = peak_memory();
     let (mut wrong, mut tried) = (Vec::new(), 0);
     for path in files(&data.join("hostile")) {
-        let name = path.strip_prefix(&data).expect("below the data folder").display().to_string();
+        let name = path
+            .strip_prefix(&data)
+            .expect("below the data folder")
+            .display()
+            .to_string();
         let outcome = try_model(&server, &client, upload(&path)).await;
         tried += 1;
         println!("{name}: {outcome:?}");
@@ -182,7 +222,12 @@ async fn every_hostile_file_gets_a_clear_answer() {
     let grown = peak_memory().saturating_sub(before);
     println!("{tried} files; peak memory grew by {} MiB", grown >> 20);
     assert!(grown < 1 << 30, "peak memory grew by {grown} bytes");
-    assert!(wrong.is_empty(), "{} of {tried} answers are wrong:\n{}", wrong.len(), wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} of {tried} answers are wrong:\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
 }
 
 /// Things that need no data: requests that are no models at all.
@@ -191,16 +236,32 @@ async fn bytes_that_are_nothing_are_refused_quickly() {
     let server = Server::start().await;
     let client = http();
     let zeros = vec![0u8; 1 << 20];
-    let noise: Vec<u8> = (0..1u32 << 16).flat_map(|i| i.wrapping_mul(2_654_435_761).to_le_bytes()).collect();
+    let noise: Vec<u8> = (0..1u32 << 16)
+        .flat_map(|i| i.wrapping_mul(2_654_435_761).to_le_bytes())
+        .collect();
     let mut glb = b"glTF\x02\x00\x00\x00".to_vec();
     glb.extend(u32::MAX.to_le_bytes());
     glb.extend([0xff; 64]);
     let stl = [vec![b' '; 80], u32::MAX.to_le_bytes().to_vec(), vec![0; 50]].concat();
-    let nested = [b"{\"asset\": {\"version\": \"2.0\"}, \"extras\": ".as_slice(), &b"[".repeat(1 << 16)].concat();
+    let nested = [
+        b"{\"asset\": {\"version\": \"2.0\"}, \"extras\": ".as_slice(),
+        &b"[".repeat(1 << 16),
+    ]
+    .concat();
     let faces = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999999999999999\n".to_vec();
-    for (name, bytes) in [("zeros", zeros), ("noise", noise), ("glb", glb), ("stl", stl), ("nested", nested), ("faces", faces)] {
+    for (name, bytes) in [
+        ("zeros", zeros),
+        ("noise", noise),
+        ("glb", glb),
+        ("stl", stl),
+        ("nested", nested),
+        ("faces", faces),
+    ] {
         let outcome = try_model(&server, &client, (None, bytes)).await;
-        assert!(outcome.as_ref().is_ok_and(|said| said.starts_with('4')), "{name}: {outcome:?}");
+        assert!(
+            outcome.as_ref().is_ok_and(|said| said.starts_with('4')),
+            "{name}: {outcome:?}"
+        );
     }
 }
 
@@ -227,7 +288,11 @@ async fn connections_that_speak_nonsense_harm_nobody() {
         let _ = socket.shutdown().await;
         let mut answer = Vec::new();
         let _ = within("the end of the connection", socket.read_to_end(&mut answer)).await;
-        assert!(!answer.starts_with(b"HTTP/1.1 5"), "{}", String::from_utf8_lossy(&answer));
+        assert!(
+            !answer.starts_with(b"HTTP/1.1 5"),
+            "{}",
+            String::from_utf8_lossy(&answer)
+        );
     }
     assert_eq!(http().get(server.url("/healthz")).send().await.unwrap().status(), 200);
 }

@@ -1,9 +1,9 @@
 //! The deform stream, over gRPC and over a WebSocket: what is counted, what a slow reader costs, how it ends.
 
+#[path = "stream/sockets.rs"]
+mod sockets;
 mod support;
 
-use bytes::Bytes;
-use futures::SinkExt as _;
 use pliant::job::pb::{self, deform_request, deform_response};
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -66,7 +66,10 @@ impl Books {
 }
 
 fn message(message: deform_request::Message) -> pb::DeformRequest {
-    pb::DeformRequest { session_id: String::new(), message: Some(message) }
+    pb::DeformRequest {
+        session_id: String::new(),
+        message: Some(message),
+    }
 }
 
 fn ack(seq: u64) -> deform_request::Message {
@@ -76,9 +79,18 @@ fn ack(seq: u64) -> deform_request::Message {
 /// A gRPC stream on a session: where requests go, where responses come from.
 async fn open(server: &Server, id: &str) -> (mpsc::Sender<pb::DeformRequest>, tonic::Streaming<pb::DeformResponse>) {
     let (requests, waiting) = mpsc::channel(16);
-    requests.send(pb::DeformRequest { session_id: id.to_owned(), message: None }).await.unwrap();
+    requests
+        .send(pb::DeformRequest {
+            session_id: id.to_owned(),
+            message: None,
+        })
+        .await
+        .unwrap();
     let mut client = server.grpc().await;
-    let responses = within("a stream", client.deform(ReceiverStream::new(waiting))).await.unwrap().into_inner();
+    let responses = within("a stream", client.deform(ReceiverStream::new(waiting)))
+        .await
+        .unwrap()
+        .into_inner();
     (requests, responses)
 }
 
@@ -100,7 +112,10 @@ async fn every_pose_at_60_hz_is_accounted_for_over_grpc() {
     });
     let mut books = Books::default();
     while books.seqs.last() != Some(&POSES) {
-        let response = within("a response", responses.message()).await.unwrap().expect("an open stream");
+        let response = within("a response", responses.message())
+            .await
+            .unwrap()
+            .expect("an open stream");
         if let Some(seq) = books.enter(&response) {
             requests.send(message(ack(seq))).await.unwrap();
         }
@@ -110,8 +125,14 @@ async fn every_pose_at_60_hz_is_accounted_for_over_grpc() {
     assert_eq!(books.errors, 0);
     assert!(books.seqs.is_sorted(), "frames come in the order of their poses");
     drop(requests);
-    assert!(within("the end", responses.message()).await.unwrap().is_none(), "a half-closed stream ends well");
-    eventually("the stream's place", async || server.metric("pliant_streams").await == 0.0).await;
+    assert!(
+        within("the end", responses.message()).await.unwrap().is_none(),
+        "a half-closed stream ends well"
+    );
+    eventually("the stream's place", async || {
+        server.metric("pliant_streams").await == 0.0
+    })
+    .await;
     assert_eq!(server.metric("pliant_poses_received_total").await, POSES as f64);
 }
 
@@ -141,7 +162,10 @@ async fn every_pose_at_60_hz_is_accounted_for_over_a_websocket() {
     }
     assert_eq!(books.total(), POSES, "{books:?}");
     drop(socket);
-    eventually("the stream's place", async || server.metric("pliant_streams").await == 0.0).await;
+    eventually("the stream's place", async || {
+        server.metric("pliant_streams").await == 0.0
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -149,7 +173,10 @@ async fn a_client_that_only_half_closes_still_gets_its_last_frame() {
     let server = Server::start().await;
     let id = server.bar_session().await;
     let (requests, mut responses) = open(&server, &id).await;
-    requests.send(message(deform_request::Message::Pose(turned(9, 0.3, false)))).await.unwrap();
+    requests
+        .send(message(deform_request::Message::Pose(turned(9, 0.3, false))))
+        .await
+        .unwrap();
     drop(requests);
     let mut books = Books::default();
     while let Some(response) = within("a response", responses.message()).await.unwrap() {
@@ -164,19 +191,39 @@ async fn a_committed_pose_equals_a_solve_call_to_the_bit() {
     let id = server.bar_session().await;
     let (requests, mut responses) = open(&server, &id).await;
     for seq in 1..=5 {
-        requests.send(message(deform_request::Message::Pose(turned(seq, 0.1 * seq as f64, seq == 5)))).await.unwrap();
+        requests
+            .send(message(deform_request::Message::Pose(turned(
+                seq,
+                0.1 * seq as f64,
+                seq == 5,
+            ))))
+            .await
+            .unwrap();
     }
     let mut books = Books::default();
     while books.seqs.last() != Some(&5) {
-        let response = within("a response", responses.message()).await.unwrap().expect("an open stream");
+        let response = within("a response", responses.message())
+            .await
+            .unwrap()
+            .expect("an open stream");
         if let Some(seq) = books.enter(&response) {
             requests.send(message(ack(seq))).await.unwrap();
         }
     }
-    let stored = http().get(server.url(&format!("/v1/sessions/{id}/positions"))).send().await.unwrap().bytes().await.unwrap();
+    let stored = http()
+        .get(server.url(&format!("/v1/sessions/{id}/positions")))
+        .send()
+        .await
+        .unwrap()
+        .bytes()
+        .await
+        .unwrap();
     assert_eq!(floats(&stored), books.last, "what was acknowledged is what is stored");
     let twin = server.bar_session().await;
-    let solve = http().post(server.url(&format!("/v1/sessions/{twin}/solve"))).json(&turn_json(0.5)).header("accept", "application/octet-stream");
+    let solve = http()
+        .post(server.url(&format!("/v1/sessions/{twin}/solve")))
+        .json(&turn_json(0.5))
+        .header("accept", "application/octet-stream");
     assert_eq!(solve.send().await.unwrap().bytes().await.unwrap(), stored);
 }
 
@@ -188,16 +235,29 @@ async fn a_reader_that_stops_gets_fewer_frames_not_older_ones() {
     let (requests, mut responses) = open(&server, &id).await;
     let before = memory();
     for seq in 1..=2000u64 {
-        requests.send(message(deform_request::Message::Pose(turned(seq, seq as f64 * 0.0005, false)))).await.unwrap();
+        requests
+            .send(message(deform_request::Message::Pose(turned(
+                seq,
+                seq as f64 * 0.0005,
+                false,
+            ))))
+            .await
+            .unwrap();
     }
-    eventually("the poses have arrived", async || server.metric("pliant_poses_received_total").await == 2000.0).await;
+    eventually("the poses have arrived", async || {
+        server.metric("pliant_poses_received_total").await == 2000.0
+    })
+    .await;
     let solved = server.metric("pliant_frames_sent_total").await;
     assert!(solved <= 10.0, "{solved} frames for a reader that acknowledged none");
     let grown = memory().saturating_sub(before);
     assert!(grown < 256 << 20, "{grown} bytes more");
     let mut books = Books::default();
     while books.seqs.last() != Some(&2000) {
-        let response = within("a response", responses.message()).await.unwrap().expect("an open stream");
+        let response = within("a response", responses.message())
+            .await
+            .unwrap()
+            .expect("an open stream");
         if let Some(seq) = books.enter(&response) {
             requests.send(message(ack(seq))).await.unwrap();
         }
@@ -212,13 +272,20 @@ async fn a_websocket_reader_that_stops_costs_no_growing_memory() {
     let id = server.bar_session().await;
     let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
     for seq in 1..=2000u64 {
-        socket.send(deform_request::Message::Pose(turned(seq, seq as f64 * 0.0005, false))).await;
+        socket
+            .send(deform_request::Message::Pose(turned(seq, seq as f64 * 0.0005, false)))
+            .await;
     }
-    eventually("the poses have arrived", async || server.metric("pliant_poses_received_total").await == 2000.0).await;
+    eventually("the poses have arrived", async || {
+        server.metric("pliant_poses_received_total").await == 2000.0
+    })
+    .await;
     assert!(server.metric("pliant_frames_sent_total").await <= 10.0);
     let mut books = Books::default();
     while books.seqs.last() != Some(&2000) {
-        let Came::Response(response) = socket.next().await else { panic!("closed") };
+        let Came::Response(response) = socket.next().await else {
+            panic!("closed")
+        };
         if let Some(seq) = books.enter(&response) {
             socket.send(ack(seq)).await;
         }
@@ -227,44 +294,33 @@ async fn a_websocket_reader_that_stops_costs_no_growing_memory() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
-    let mut wrong = turned(1, 0.1, false);
-    wrong.handles[0].id = "nose".into();
-    socket.send(deform_request::Message::Pose(wrong)).await;
-    let Came::Response(pb::DeformResponse { message: Some(deform_response::Message::Error(error)) }) = socket.next().await else {
-        panic!("no error")
-    };
-    assert_eq!((error.seq, error.code), (1, 3));
-    assert!(error.message.contains("nose"), "{}", error.message);
-    socket.send(deform_request::Message::Pose(turned(2, 0.1, false))).await;
-    let mut books = Books::default();
-    while books.seqs.last() != Some(&2) {
-        let Came::Response(response) = socket.next().await else { panic!("closed") };
-        books.enter(&response);
-    }
-    socket.send(deform_request::Message::Ping(pb::Ping { nonce: 77 })).await;
-    loop {
-        let Came::Response(response) = socket.next().await else { panic!("closed") };
-        if response.message == Some(deform_response::Message::Pong(pb::Ping { nonce: 77 })) {
-            break;
-        }
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_stream_belongs_to_one_session_that_exists() {
     let server = Server::start().await;
     let id = server.bar_session().await;
     let (_requests, mut responses) = open(&server, "nobody").await;
-    assert_eq!(within("a refusal", responses.message()).await.unwrap_err().code(), Code::NotFound);
+    assert_eq!(
+        within("a refusal", responses.message()).await.unwrap_err().code(),
+        Code::NotFound
+    );
     let (requests, mut responses) = open(&server, &id).await;
-    requests.send(pb::DeformRequest { session_id: "another".into(), message: None }).await.unwrap();
-    assert_eq!(within("a refusal", responses.message()).await.unwrap_err().code(), Code::InvalidArgument);
+    requests
+        .send(pb::DeformRequest {
+            session_id: "another".into(),
+            message: None,
+        })
+        .await
+        .unwrap();
+    assert_eq!(
+        within("a refusal", responses.message()).await.unwrap_err().code(),
+        Code::InvalidArgument
+    );
 
-    let tungstenite::Error::Http(refused) = server.socket("/v1/sessions/nobody/stream").await.map(|_| ()).unwrap_err() else {
+    let tungstenite::Error::Http(refused) = server
+        .socket("/v1/sessions/nobody/stream")
+        .await
+        .map(|_| ())
+        .unwrap_err()
+    else {
         panic!("no HTTP answer")
     };
     assert_eq!(refused.status(), 404);
@@ -281,81 +337,15 @@ async fn a_client_that_never_names_a_session_is_not_waited_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn streams_of_a_session_are_bounded_and_given_back() {
-    let server = Server::with(|sessions, _| sessions.streams = 1).await;
-    let id = server.bar_session().await;
-    let path = format!("/v1/sessions/{id}/stream");
-    let first = server.socket(&path).await.unwrap();
-    let tungstenite::Error::Http(refused) = server.socket(&path).await.map(|_| ()).unwrap_err() else { panic!("no HTTP answer") };
-    assert_eq!(refused.status(), 429);
-    assert!(refused.headers().contains_key("retry-after"));
-    let (_requests, mut responses) = open(&server, &id).await;
-    assert_eq!(within("a refusal", responses.message()).await.unwrap_err().code(), Code::ResourceExhausted);
-    drop(first);
-    eventually("a free place", async || server.socket(&path).await.is_ok()).await;
-}
-
-/// The close code and text after a message that breaks the rules.
-async fn closed_after(socket: &mut Socket, broken: tungstenite::Message) -> (u16, String) {
-    let _ = socket.stream.send(broken).await;
-    loop {
-        if let Came::Closed(frame) = socket.next().await {
-            return frame.expect("a close frame");
-        }
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_websocket_says_why_it_closes() {
-    let server = Server::with(|sessions, _| sessions.message_bytes = 64 << 10).await;
-    let id = server.bar_session().await;
-    let path = format!("/v1/sessions/{id}/stream");
-    let mut socket = server.socket(&path).await.unwrap();
-    assert_eq!(closed_after(&mut socket, tungstenite::Message::text("{}")).await.0, 1003);
-    let mut socket = server.socket(&path).await.unwrap();
-    assert_eq!(closed_after(&mut socket, tungstenite::Message::Binary(Bytes::from_static(&[0xff; 9]))).await.0, 1007);
-    let mut socket = server.socket(&path).await.unwrap();
-    assert_eq!(closed_after(&mut socket, tungstenite::Message::Binary(Bytes::from(vec![0; 65 << 10]))).await.0, 1009);
-
-    let mut socket = server.socket(&path).await.unwrap();
-    let gone = http().delete(server.url(&format!("/v1/sessions/{id}"))).send().await.unwrap();
-    assert_eq!(gone.status(), 204);
-    let mut told = None;
-    let (code, reason) = loop {
-        match socket.next().await {
-            Came::Response(response) => told = response.message,
-            Came::Closed(frame) => break frame.expect("a close frame"),
-        }
-    };
-    assert!(matches!(told, Some(deform_response::Message::Error(ref e)) if e.seq == 0 && e.code == 5), "{told:?}");
-    assert_eq!(code, 4005);
-    assert!(reason.contains("deleted"), "{reason}");
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_foreign_page_gets_no_websocket_and_a_protocol_is_agreed() {
-    use tungstenite::client::IntoClientRequest as _;
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let url = format!("ws://{}/v1/sessions/{id}/stream", server.address);
-    let mut foreign = url.as_str().into_client_request().unwrap();
-    foreign.headers_mut().insert("origin", "https://evil.example".parse().unwrap());
-    let tungstenite::Error::Http(refused) = tokio_tungstenite::connect_async(foreign).await.map(|_| ()).unwrap_err() else {
-        panic!("no HTTP answer")
-    };
-    assert_eq!(refused.status(), 403);
-    let mut named = url.as_str().into_client_request().unwrap();
-    named.headers_mut().insert("sec-websocket-protocol", "other, pliant.v1".parse().unwrap());
-    let (_, answer) = tokio_tungstenite::connect_async(named).await.unwrap();
-    assert_eq!(answer.headers()["sec-websocket-protocol"], "pliant.v1");
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn large_frames_come_in_parts_that_fit_default_limits() {
     let server = Server::with(|sessions, _| sessions.part_bytes = 1024).await;
     let id = server.bar_session().await;
     let mut client = server.grpc().await;
-    let solve = pb::SolveRequest { session_id: id.clone(), pose: Some(turned(1, 0.5, true)), options: None };
+    let solve = pb::SolveRequest {
+        session_id: id.clone(),
+        pose: Some(turned(1, 0.5, true)),
+        options: None,
+    };
     let mut parts = Vec::new();
     let mut stream = client.solve(solve).await.unwrap().into_inner();
     while let Some(frame) = stream.message().await.unwrap() {
@@ -365,7 +355,10 @@ async fn large_frames_come_in_parts_that_fit_default_limits() {
     assert!(count > 1);
     let mut next_vertex = 0;
     for (k, part) in parts.iter().enumerate() {
-        assert_eq!((part.part, part.parts, part.first_vertex), (k as u32, count, next_vertex));
+        assert_eq!(
+            (part.part, part.parts, part.first_vertex),
+            (k as u32, count, next_vertex)
+        );
         assert!(part.data.len() <= 1024);
         next_vertex += part.vertex_count;
     }
@@ -373,6 +366,14 @@ async fn large_frames_come_in_parts_that_fit_default_limits() {
     let url = server.url(&format!("/v1/sessions/{id}/positions"));
     assert_eq!(http().get(url).send().await.unwrap().bytes().await.unwrap(), whole);
     let body = json!({"options": {"output": {"normals": true}}});
-    let answer = http().post(server.url(&format!("/v1/sessions/{id}/solve"))).header("accept", "application/octet-stream").json(&body).send();
-    assert_eq!(answer.await.unwrap().bytes().await.unwrap().len(), whole.len() * 2, "blocks of positions, then normals");
+    let answer = http()
+        .post(server.url(&format!("/v1/sessions/{id}/solve")))
+        .header("accept", "application/octet-stream")
+        .json(&body)
+        .send();
+    assert_eq!(
+        answer.await.unwrap().bytes().await.unwrap().len(),
+        whole.len() * 2,
+        "blocks of positions, then normals"
+    );
 }

@@ -21,6 +21,14 @@ pub struct ServeArgs {
     /// Configuration file (TOML); deploy/config.toml explains every key.
     #[arg(long, value_name = "FILE", env = "PLIANT_CONFIG")]
     pub config: Option<PathBuf>,
+    /// Keys of the configuration.
+    #[command(flatten)]
+    pub keys: Box<Keys>,
+}
+
+/// The keys of the configuration as flags; texts, read by the same rules as those of the file.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct Keys {
     /// Address and port [default: 127.0.0.1:7411]; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub listen: Option<String>,
@@ -133,7 +141,7 @@ impl ServeError {
     }
 }
 
-impl ServeArgs {
+impl Keys {
     /// The flags that were given, as (key, text).
     fn flags(&self) -> Vec<(&'static str, String)> {
         let all: [(&'static str, &Option<String>); 26] = [
@@ -196,7 +204,7 @@ pub(super) fn main(args: ServeArgs) -> Result<(), Failure> {
 /// # Errors
 /// When the configuration, the port or the services cannot be had. A drain that met its deadline is no error.
 pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
-    let settings = Settings::load(args.config.as_deref(), &args.flags())?;
+    let settings = Settings::load(args.config.as_deref(), &args.keys.flags())?;
     server::start_log(&settings.log, settings.log_format);
     for remark in &settings.remarks {
         tracing::warn!("{remark}");
@@ -251,7 +259,10 @@ struct Signals {
 impl Signals {
     fn new() -> std::io::Result<Self> {
         use tokio::signal::unix::{SignalKind, signal};
-        Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
+        Ok(Self {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+        })
     }
 
     async fn next(&mut self) {
@@ -267,9 +278,11 @@ async fn open_sample(manager: &Manager, address: SocketAddr) -> Result<(), sessi
     let tenant = Tenant::default();
     let started = Instant::now();
     let files = FileSet::single(format!("{}.glb", sample::NAME), sample::glb().await?);
+    // It stands ready for a person, who may take a while.
+    let ttl = humantime::format_duration(manager.config().max_ttl).to_string();
     let options = pb::CreateOptions {
         label: sample::NAME.into(),
-        ttl: String::new(),
+        ttl,
         ..pb::CreateOptions::default()
     };
     let session = manager.create(&tenant, files, options, None).await?.value;
@@ -337,12 +350,12 @@ mod tests {
     fn every_key_is_a_flag() {
         for key in config::KEYS {
             let flag = format!("--{}=1", key.replace('_', "-"));
-            assert_eq!(parse(&[&flag]).flags(), vec![(key, "1".to_owned())], "{key}");
+            assert_eq!(parse(&[&flag]).keys.flags(), vec![(key, "1".to_owned())], "{key}");
         }
     }
 
     #[test]
     fn sample_needs_no_value() {
-        assert_eq!(parse(&["--sample"]).flags(), vec![("sample", "true".to_owned())]);
+        assert_eq!(parse(&["--sample"]).keys.flags(), vec![("sample", "true".to_owned())]);
     }
 }

@@ -4,6 +4,7 @@
 //! the engine. It knows no session, no connection and no clock.
 
 mod check;
+mod create;
 mod error;
 pub mod frames;
 mod handles;

@@ -1,14 +1,15 @@
 //! One model on the bench: everything derived from it, its handles, and poses solved on request.
 
-use super::check::{Settings, enumerated, number, transform};
+use super::check::{Settings, transform};
+use super::create::Choices;
 use super::handles::{HandleSet, resolve_handles};
 use super::quality::quality;
 use super::region::Ground;
 use super::{Error, pb};
-use crate::asset::{self, FileSet, Format, Model};
-use crate::deform::{Body, BodyOptions, Operators, Policy, Request, Rig, Solution, Start, State, VolumeMode, Weights};
-use crate::graph::{VolumeOptions, estimate_nodes};
-use crate::mesh::{Adjacency, Components, Mesh, NONE, Report, Weld, inspect};
+use crate::asset::{self, FileSet, Model};
+use crate::deform::{Body, Policy, Request, Rig, Solution, Start, State, VolumeMode};
+use crate::graph::estimate_nodes;
+use crate::mesh::{Adjacency, Components, Mesh, NONE, Report, inspect};
 use crate::pool::Pool;
 use crate::progress::{Progress, check};
 use glam::{DVec3, Mat3};
@@ -448,85 +449,6 @@ impl Shape<'_> {
             }
         }
         positions
-    }
-}
-
-/// Options of a session, checked.
-struct Choices {
-    format: Option<Format>,
-    weld: Weld,
-    policy: Policy,
-    body: BodyOptions,
-}
-
-impl Choices {
-    fn check(create: &pb::CreateOptions) -> Result<Self, Error> {
-        let format = match create.format.as_str() {
-            "" => None,
-            name => Some(Format::from_name(name).ok_or_else(|| {
-                Error::invalid(
-                    "format",
-                    format!("is \"{name}\", allowed are glb, gltf, obj, ply, off and stl"),
-                )
-            })?),
-        };
-        let length = |value: f64, field: &str| match number(value, field)? {
-            v if v < 0.0 => Err(Error::invalid(field, format!("is {v}, it must not be negative"))),
-            0.0 => Ok(None),
-            v => Ok(Some(v)),
-        };
-        let weld = match &create.weld {
-            Some(weld) => length(weld.tolerance, "weld.tolerance")?.map_or(Weld::Exact, Weld::Tolerance),
-            None => Weld::Exact,
-        };
-        let policy = match enumerated(create.components, "components")? {
-            pb::create_options::Components::Follow => Policy::Follow,
-            pb::create_options::Components::Hold => Policy::Hold,
-            pb::create_options::Components::Free => Policy::Free,
-        };
-        let weights = match enumerated(create.weights, "weights")? {
-            pb::create_options::Weights::Uniform => Weights::Uniform,
-            pb::create_options::Weights::Cotangent => Weights::Cotangent,
-        };
-        let operators = match enumerated(create.operators, "operators")? {
-            pb::create_options::Operators::FiniteVolume => Operators::FiniteVolume,
-            pb::create_options::Operators::Paper => {
-                return Err(Error::Unimplemented("operators PAPER".into()));
-            }
-        };
-        let volume = create.volume_graph.unwrap_or_default();
-        let mode = match enumerated(volume.mode, "volumeGraph.mode")? {
-            pb::create_options::volume_graph::Mode::Auto => VolumeMode::Auto,
-            pb::create_options::volume_graph::Mode::Off => VolumeMode::Off,
-            pb::create_options::volume_graph::Mode::Required => VolumeMode::Required,
-        };
-        let valence = match volume.valence {
-            0 | 14 => 14,
-            8 => 8,
-            other => {
-                return Err(Error::invalid(
-                    "volumeGraph.valence",
-                    format!("is {other}, allowed are 14 and 8, or 0 for 14"),
-                ));
-            }
-        };
-        let graph = VolumeOptions {
-            interval: length(volume.interval, "volumeGraph.interval")?,
-            valence,
-            shell_offset: length(volume.shell_offset, "volumeGraph.shellOffset")?,
-            weights,
-            ..Default::default()
-        };
-        Ok(Self {
-            format,
-            weld,
-            policy,
-            body: BodyOptions {
-                volume: mode,
-                graph,
-                operators,
-            },
-        })
     }
 }
 

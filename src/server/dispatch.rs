@@ -11,14 +11,15 @@ use axum::body::Body;
 use std::convert::Infallible;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
-use tower::{Layer as _, Service, ServiceExt as _, util::BoxCloneSyncService};
-use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
+use tower::{Layer as _, Service, ServiceExt as _};
+use tower_http::cors::{AllowHeaders, AllowOrigin, Cors, CorsLayer};
 
 /// Answers every request of the port.
 #[derive(Clone)]
 pub(super) struct Dispatch {
-    service: BoxCloneSyncService<Request<Body>, Response<Body>, Infallible>,
-    grpc: Grpc,
+    sides: Sides,
+    /// The same for requests of browser pages.
+    pages: Cors<Sides>,
     dropped: CancellationToken,
 }
 
@@ -28,15 +29,23 @@ impl Dispatch {
     /// # Errors
     /// A text, when the descriptors built into this program cannot be read.
     pub async fn new(state: &State) -> Result<Self, String> {
-        let grpc = Grpc::new(state).await?;
-        let sides = Sides { grpc: grpc.clone(), http: http::router(state) };
-        let service = cors(&state.config).layer(sides);
-        Ok(Self { service: BoxCloneSyncService::new(service), grpc, dropped: CancellationToken::new() })
+        let sides = Sides {
+            grpc: Grpc::new(state).await?,
+            http: http::router(state),
+        };
+        let pages = cors(&state.config).layer(sides.clone());
+        let dropped = CancellationToken::new();
+        Ok(Self { sides, pages, dropped })
     }
 
     /// Answers a request.
     pub async fn call(&self, request: Request<Body>) -> Response<Body> {
-        match self.service.clone().oneshot(request).await {
+        let answer = if request.headers().contains_key(header::ORIGIN) {
+            self.pages.clone().oneshot(request).await
+        } else {
+            self.sides.clone().oneshot(request).await
+        };
+        match answer {
             Ok(response) => response,
             Err(never) => match never {},
         }
@@ -44,7 +53,7 @@ impl Dispatch {
 
     /// Tells health watchers that no more work is taken.
     pub async fn stop_serving(&self) {
-        self.grpc.stop_serving().await;
+        self.sides.grpc.stop_serving().await;
     }
 
     /// Drops every connection that is still open.
@@ -92,8 +101,19 @@ fn cors(config: &Config) -> CorsLayer {
         let host = request.headers.get(header::HOST).and_then(|h| h.to_str().ok());
         origins.allow(origin, host.or_else(|| request.uri.authority().map(|a| a.as_str())))
     });
-    let own = ["grpc-status", "grpc-message", "grpc-status-details-bin", "x-request-id", "x-pliant-revision", "x-pliant-digest",
-        "x-pliant-vertices", "x-pliant-residual", "x-pliant-max-error", "x-pliant-solve-ms", "x-pliant-queue-ms"];
+    let own = [
+        "grpc-status",
+        "grpc-message",
+        "grpc-status-details-bin",
+        "x-request-id",
+        "x-pliant-revision",
+        "x-pliant-digest",
+        "x-pliant-vertices",
+        "x-pliant-residual",
+        "x-pliant-max-error",
+        "x-pliant-solve-ms",
+        "x-pliant-queue-ms",
+    ];
     let mut exposed: Vec<HeaderName> = own.into_iter().map(HeaderName::from_static).collect();
     exposed.extend([
         header::ETAG,
@@ -106,7 +126,14 @@ fn cors(config: &Config) -> CorsLayer {
     ]);
     CorsLayer::new()
         .allow_origin(allowed)
-        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::PATCH, Method::DELETE])
+        .allow_methods([
+            Method::GET,
+            Method::HEAD,
+            Method::POST,
+            Method::PUT,
+            Method::PATCH,
+            Method::DELETE,
+        ])
         .allow_headers(AllowHeaders::mirror_request())
         .expose_headers(exposed)
         .max_age(Duration::from_secs(3600))

@@ -20,5 +20,8 @@ pub(super) fn refusal(request: &EditRequest) -> Error {
         Some(Operation::InsertCurve(_)) => "insertCurve",
         Some(Operation::Weld(_)) => "weld",
     };
-    Error::new(Code::Unimplemented, format!("the edit {name} is not implemented by this version"))
+    Error::new(
+        Code::Unimplemented,
+        format!("the edit {name} is not implemented by this version"),
+    )
 }

@@ -176,7 +176,9 @@ impl Doors {
             }
             return;
         };
-        let slot = Slot { _permit: Arc::new(permit) };
+        let slot = Slot {
+            _permit: Arc::new(permit),
+        };
         let (state, dispatch) = (self.state.clone(), self.dispatch.clone());
         let (builder, polite) = (Arc::clone(&self.builder), self.polite.clone());
         let dropped = self.dispatch.dropped();
@@ -209,7 +211,11 @@ async fn connection(
     polite: &CancellationToken,
 ) {
     let activity = Arc::new(Activity::default());
-    let socket = Watched { socket, activity: Arc::clone(&activity), heard: 0 };
+    let socket = Watched {
+        socket,
+        activity: Arc::clone(&activity),
+        heard: 0,
+    };
     let heard = Arc::clone(&activity);
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(slot.clone());
@@ -357,7 +363,11 @@ impl AsyncWrite for Watched {
         Pin::new(&mut self.socket).poll_shutdown(cx)
     }
 
-    fn poll_write_vectored(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[io::IoSlice<'_>]) -> Poll<io::Result<usize>> {
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
         Pin::new(&mut self.socket).poll_write_vectored(cx, bytes)
     }
 

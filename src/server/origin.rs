@@ -16,7 +16,11 @@ pub struct Origins {
 
 impl Default for Origins {
     fn default() -> Self {
-        Self { any: false, local: true, listed: Vec::new() }
+        Self {
+            any: false,
+            local: true,
+            listed: Vec::new(),
+        }
     }
 }
 
@@ -26,7 +30,11 @@ impl Origins {
     /// # Errors
     /// What was seen and what is allowed.
     pub fn parse(words: &[String]) -> Result<Self, String> {
-        let mut origins = Self { any: false, local: false, listed: Vec::new() };
+        let mut origins = Self {
+            any: false,
+            local: false,
+            listed: Vec::new(),
+        };
         for word in words {
             match word.as_str() {
                 "*" => origins.any = true,
@@ -57,13 +65,17 @@ impl Origins {
         if self.listed.contains(&origin) {
             return true;
         }
-        let Some((_, authority)) = origin.split_once("://") else { return false };
+        let Some((_, authority)) = origin.split_once("://") else {
+            return false;
+        };
         (self.local && is_local(authority)) || host.is_some_and(|host| host.eq_ignore_ascii_case(authority))
     }
 
     /// Whether a request with these headers may go on: it names no origin, or one that may call.
     pub fn admit(&self, headers: &HeaderMap, uri: &Uri) -> bool {
-        let Some(origin) = headers.get(header::ORIGIN) else { return true };
+        let Some(origin) = headers.get(header::ORIGIN) else {
+            return true;
+        };
         let host = headers.get(header::HOST).and_then(|h| h.to_str().ok());
         self.allow(origin, host.or_else(|| uri.authority().map(|a| a.as_str())))
     }
@@ -83,7 +95,9 @@ mod tests {
 
     fn allow(words: &[&str], origin: &str, host: Option<&str>) -> bool {
         let words: Vec<String> = words.iter().map(|w| (*w).to_owned()).collect();
-        Origins::parse(&words).unwrap().allow(&HeaderValue::from_str(origin).unwrap(), host)
+        Origins::parse(&words)
+            .unwrap()
+            .allow(&HeaderValue::from_str(origin).unwrap(), host)
     }
 
     #[test]
@@ -108,8 +122,16 @@ mod tests {
 
     #[test]
     fn a_word_that_is_no_origin_is_refused() {
-        for word in ["example.org", "https://example.org/path", "https://example.org/", "ftp://example.org"] {
-            assert!(Origins::parse(&[word.to_owned()]).unwrap_err().contains("allowed are"), "{word}");
+        for word in [
+            "example.org",
+            "https://example.org/path",
+            "https://example.org/",
+            "ftp://example.org",
+        ] {
+            assert!(
+                Origins::parse(&[word.to_owned()]).unwrap_err().contains("allowed are"),
+                "{word}"
+            );
         }
     }
 }

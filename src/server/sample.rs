@@ -38,7 +38,19 @@ pub fn handles() -> Vec<pb::Handle> {
     let (normal, offset) = regions.feet;
     let (center, radius) = regions.head;
     vec![
-        handle("feet", Region::HalfSpace(pb::region::HalfSpace { normal: normal.to_vec(), offset })),
-        handle("head", Region::Sphere(pb::region::Sphere { center: center.to_vec(), radius })),
+        handle(
+            "feet",
+            Region::HalfSpace(pb::region::HalfSpace {
+                normal: normal.to_vec(),
+                offset,
+            }),
+        ),
+        handle(
+            "head",
+            Region::Sphere(pb::region::Sphere {
+                center: center.to_vec(),
+                radius,
+            }),
+        ),
     ]
 }

@@ -45,7 +45,9 @@ pub(super) async fn upgrade(
         return Err(Error::no_session("").into());
     };
     state.manager.get(&caller.tenant, &id).await?;
-    let upgrade = WebSocketUpgrade::from_request_parts(&mut parts, &state).await.map_err(no_upgrade)?;
+    let upgrade = WebSocketUpgrade::from_request_parts(&mut parts, &state)
+        .await
+        .map_err(no_upgrade)?;
     let stream = state.manager.stream(&caller.tenant, &id).await?;
     let largest = state.message_bytes;
     // The connection's slot is held by whoever holds its socket.
@@ -82,7 +84,11 @@ struct Ending {
 
 impl Ending {
     fn new(code: u16, reason: &str) -> Self {
-        Self { code, reason: reason.to_owned(), error: None }
+        Self {
+            code,
+            reason: reason.to_owned(),
+            error: None,
+        }
     }
 
     fn going_away() -> Self {
@@ -94,7 +100,11 @@ impl Ending {
             Code::Internal => 1011,
             _ => 4000 + u16::try_from(error.grpc_code()).unwrap_or(0),
         };
-        Self { code, reason: error.message.clone(), error: Some(error) }
+        Self {
+            code,
+            reason: error.message.clone(),
+            error: Some(error),
+        }
     }
 }
 
@@ -144,7 +154,10 @@ async fn read(input: &StreamInput, mut source: SplitStream<WebSocket>, id: &str,
             }
         };
         if !request.session_id.is_empty() && request.session_id != id {
-            return Some(Ending::failed(Error::invalid("sessionId", "differs from the session in the path")));
+            return Some(Ending::failed(Error::invalid(
+                "sessionId",
+                "differs from the session in the path",
+            )));
         }
         request.session_id.clear();
         if let Err(error) = input.push(request) {
@@ -159,12 +172,18 @@ async fn read(input: &StreamInput, mut source: SplitStream<WebSocket>, id: &str,
 
 /// A message above the limit is worth telling; anything else means that nobody is there to be told.
 fn broken(error: &axum::Error) -> Option<Ending> {
-    error.to_string().contains("Space limit exceeded").then(|| Ending::new(1009, "the message is larger than Limits.messageBytes"))
+    error
+        .to_string()
+        .contains("Space limit exceeded")
+        .then(|| Ending::new(1009, "the message is larger than Limits.messageBytes"))
 }
 
 /// Writes responses as the connection takes them.
 async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: &mut StreamOutput) -> Option<Ending> {
-    let mut pings = tokio::time::interval_at(Instant::now() + state.config.keepalive_interval, state.config.keepalive_interval);
+    let mut pings = tokio::time::interval_at(
+        Instant::now() + state.config.keepalive_interval,
+        state.config.keepalive_interval,
+    );
     pings.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     let mut failure = None;
     loop {
@@ -187,10 +206,18 @@ async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: 
         if let Some(Response::Error(error)) = &response.message
             && error.seq == 0
         {
-            let code = if error.code == 13 { 1011 } else { 4000 + u16::try_from(error.code).unwrap_or(0).min(99) };
+            let code = if error.code == 13 {
+                1011
+            } else {
+                4000 + u16::try_from(error.code).unwrap_or(0).min(99)
+            };
             failure = Some(Ending::new(code, &error.message));
         }
-        if sink.send(Message::Binary(response.encode_to_vec().into())).await.is_err() {
+        if sink
+            .send(Message::Binary(response.encode_to_vec().into()))
+            .await
+            .is_err()
+        {
             return None;
         }
     }
@@ -205,8 +232,14 @@ async fn silence(state: &State, seen: &Notify) {
 /// Says why, and closes.
 async fn farewell(mut sink: SplitSink<WebSocket, Message>, ending: Ending) {
     if let Some(error) = &ending.error {
-        let told = pb::Error { code: error.grpc_code().unsigned_abs(), message: error.message.clone(), seq: 0 };
-        let response = pb::DeformResponse { message: Some(Response::Error(told)) };
+        let told = pb::Error {
+            code: error.grpc_code().unsigned_abs(),
+            message: error.message.clone(),
+            seq: 0,
+        };
+        let response = pb::DeformResponse {
+            message: Some(Response::Error(told)),
+        };
         let _ = sink.send(Message::Binary(response.encode_to_vec().into())).await;
     }
     // A close frame holds at most 123 bytes of text.
@@ -217,6 +250,11 @@ async fn farewell(mut sink: SplitSink<WebSocket, Message>, ending: Ending) {
         }
         reason.push(c);
     }
-    let _ = sink.send(Message::Close(Some(CloseFrame { code: ending.code, reason: reason.into() }))).await;
+    let _ = sink
+        .send(Message::Close(Some(CloseFrame {
+            code: ending.code,
+            reason: reason.into(),
+        })))
+        .await;
     let _ = sink.close().await;
 }

@@ -22,12 +22,19 @@ pub(super) struct Held {
 impl Budget {
     /// `each` bytes for one upload, `total` for all together.
     pub fn new(each: u64, total: u64) -> Self {
-        Self { used: Arc::default(), total: total.max(each), each }
+        Self {
+            used: Arc::default(),
+            total: total.max(each),
+            each,
+        }
     }
 
     /// Starts an upload.
     pub fn hold(&self) -> Held {
-        Held { budget: self.clone(), bytes: 0 }
+        Held {
+            budget: self.clone(),
+            bytes: 0,
+        }
     }
 
     /// Refuses an announced length before any of it is read.
@@ -35,11 +42,21 @@ impl Budget {
     /// # Errors
     /// `RESOURCE_EXHAUSTED` as too large.
     pub fn announce(&self, bytes: u64) -> Result<(), Error> {
-        if bytes > self.each { Err(self.too_large(bytes)) } else { Ok(()) }
+        if bytes > self.each {
+            Err(self.too_large(bytes))
+        } else {
+            Ok(())
+        }
     }
 
     fn too_large(&self, bytes: u64) -> Error {
-        Error::new(Code::TooLarge, format!("the upload has {bytes} bytes or more, at most {} are allowed", self.each))
+        Error::new(
+            Code::TooLarge,
+            format!(
+                "the upload has {bytes} bytes or more, at most {} are allowed",
+                self.each
+            ),
+        )
     }
 }
 

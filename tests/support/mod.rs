@@ -48,7 +48,10 @@ impl Server {
 
     /// A server with changed limits.
     pub async fn with(change: impl FnOnce(&mut session::Config, &mut Config)) -> Self {
-        let mut sessions = session::Config { compute_threads: 2, ..session::Config::default() };
+        let mut sessions = session::Config {
+            compute_threads: 2,
+            ..session::Config::default()
+        };
         let mut config = Config::default();
         change(&mut sessions, &mut config);
         let manager = Manager::new(sessions).expect("a configuration that holds together");
@@ -59,7 +62,12 @@ impl Server {
             let _ = stopped.await;
         };
         let task = tokio::spawn(server::run(listener, manager.clone(), config, shutdown));
-        Self { address, manager, stop: Some(stop), task }
+        Self {
+            address,
+            manager,
+            stop: Some(stop),
+            task,
+        }
     }
 
     /// Asks the server to stop, as SIGTERM does, and returns at once.
@@ -72,7 +80,10 @@ impl Server {
     /// Waits until the server has stopped; how long that took.
     pub async fn stopped(mut self) -> Duration {
         let started = Instant::now();
-        within("the end of the server", &mut self.task).await.expect("no panic").expect("a clean end");
+        within("the end of the server", &mut self.task)
+            .await
+            .expect("no panic")
+            .expect("a clean end");
         started.elapsed()
     }
 
@@ -87,7 +98,9 @@ impl Server {
 
     pub async fn channel(&self) -> Channel {
         let endpoint = Endpoint::from_shared(self.url("")).expect("a URL");
-        within("a gRPC connection", endpoint.connect()).await.expect("a connection")
+        within("a gRPC connection", endpoint.connect())
+            .await
+            .expect("a connection")
     }
 
     /// A WebSocket on a path; the refusal when there is none.
@@ -95,14 +108,19 @@ impl Server {
         let url = format!("ws://{}{path}", self.address);
         let config = tungstenite::protocol::WebSocketConfig::default().max_message_size(Some(64 << 20));
         let connect = tokio_tungstenite::connect_async_with_config(url, Some(config), true);
-        within("a WebSocket", connect).await.map(|(stream, _)| Socket { stream })
+        within("a WebSocket", connect)
+            .await
+            .map(|(stream, _)| Socket { stream })
     }
 
     /// A session with a bar and its two ends as handles; its id.
     pub async fn bar_session(&self) -> String {
         let session = self.open(bar_obj(24)).await;
         let id = text(&session["id"]);
-        let answer = http().put(self.url(&format!("/v1/sessions/{id}/handles"))).json(&json!({"handles": ends()})).send();
+        let answer = http()
+            .put(self.url(&format!("/v1/sessions/{id}/handles")))
+            .json(&json!({"handles": ends()}))
+            .send();
         let answer = within("handles", answer).await.expect("an answer");
         assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap_or_default());
         id
@@ -110,15 +128,26 @@ impl Server {
 
     /// Opens a session over HTTP.
     pub async fn open(&self, model: String) -> Value {
-        let answer = within("a session", http().post(self.url("/v1/sessions")).body(model).send()).await.expect("an answer");
+        let answer = within("a session", http().post(self.url("/v1/sessions")).body(model).send())
+            .await
+            .expect("an answer");
         assert_eq!(answer.status(), 201);
         answer.json().await.expect("JSON")
     }
 
     /// A figure of `/metrics`; 0 when it is not there.
     pub async fn metric(&self, name: &str) -> f64 {
-        let text = http().get(self.url("/metrics")).send().await.expect("an answer").text().await.expect("a text");
-        let line = text.lines().find(|l| l.strip_prefix(name).is_some_and(|rest| rest.starts_with([' ', '{'])));
+        let text = http()
+            .get(self.url("/metrics"))
+            .send()
+            .await
+            .expect("an answer")
+            .text()
+            .await
+            .expect("a text");
+        let line = text
+            .lines()
+            .find(|l| l.strip_prefix(name).is_some_and(|rest| rest.starts_with([' ', '{'])));
         line.and_then(|l| l.rsplit(' ').next()?.parse().ok()).unwrap_or(0.0)
     }
 }
@@ -144,9 +173,14 @@ pub enum Came {
 
 impl Socket {
     pub async fn send(&mut self, message: pb::deform_request::Message) {
-        let request = pb::DeformRequest { session_id: String::new(), message: Some(message) };
+        let request = pb::DeformRequest {
+            session_id: String::new(),
+            message: Some(message),
+        };
         let bytes = Bytes::from(request.encode_to_vec());
-        within("sending", self.stream.send(tungstenite::Message::Binary(bytes))).await.expect("an open socket");
+        within("sending", self.stream.send(tungstenite::Message::Binary(bytes)))
+            .await
+            .expect("an open socket");
     }
 
     pub async fn next(&mut self) -> Came {
@@ -172,12 +206,24 @@ pub fn http() -> reqwest::Client {
 
 /// The text of a JSON string.
 pub fn text(value: &Value) -> String {
-    value.as_str().unwrap_or_else(|| panic!("{value} is no string")).to_owned()
+    value
+        .as_str()
+        .unwrap_or_else(|| panic!("{value} is no string"))
+        .to_owned()
 }
 
 /// A bar along z from 0 to 4, closed, as OBJ.
 pub fn bar_obj(along: usize) -> String {
-    let (points, triangles) = shapes::box_with_cells(glam::DVec3::new(0.5, 0.5, 4.0), [3, 3, along]);
+    bar([3, 3, along])
+}
+
+/// Such a bar with so many vertices that opening it takes a while.
+pub fn large_bar() -> String {
+    bar([40, 40, 320])
+}
+
+fn bar(cells: [usize; 3]) -> String {
+    let (points, triangles) = shapes::box_with_cells(glam::DVec3::new(0.5, 0.5, 4.0), cells);
     let mut text = String::new();
     for p in points {
         text += &format!("v {} {} {}\n", p.x, p.y, p.z);
@@ -210,7 +256,14 @@ pub fn turned(seq: u64, angle: f64, commit: bool) -> pb::Pose {
         translation: vec![0.0, 0.0, 0.25],
         ..pb::HandlePose::default()
     };
-    pb::Pose { seq, handles: vec![pb::pose::Entry { id: "top".into(), pose: Some(pose) }], commit }
+    pb::Pose {
+        seq,
+        handles: vec![pb::pose::Entry {
+            id: "top".into(),
+            pose: Some(pose),
+        }],
+        commit,
+    }
 }
 
 /// The body of a solve call, in JSON.
@@ -221,31 +274,45 @@ pub fn turn_json(angle: f64) -> Value {
 /// Little-endian floats.
 pub fn floats(bytes: &[u8]) -> Vec<f32> {
     assert_eq!(bytes.len() % 4, 0, "whole floats");
-    bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+    bytes
+        .chunks_exact(4)
+        .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        .collect()
 }
 
 /// The data folder; `None`, and a line that says so, when it is not there.
 pub fn data_folder(what: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("PLIANT_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let folder = std::env::var_os("PLIANT_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+        PathBuf::from,
+    );
     if folder.is_dir() {
         return Some(folder);
     }
-    println!("skipped {what}: no data folder at {}; PLIANT_DATA names it", folder.display());
+    println!(
+        "skipped {what}: no data folder at {}; PLIANT_DATA names it",
+        folder.display()
+    );
     None
 }
 
 /// Peak memory of this process so far, in bytes.
 pub fn peak_memory() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).unwrap_or_default();
+    let line = status
+        .lines()
+        .find_map(|l| l.strip_prefix("VmHWM:"))
+        .unwrap_or_default();
     line.trim().trim_end_matches(" kB").trim().parse::<u64>().unwrap_or(0) << 10
 }
 
 /// Memory of this process now, in bytes.
 pub fn memory() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap_or_default();
+    let line = status
+        .lines()
+        .find_map(|l| l.strip_prefix("VmRSS:"))
+        .unwrap_or_default();
     line.trim().trim_end_matches(" kB").trim().parse::<u64>().unwrap_or(0) << 10
 }
 

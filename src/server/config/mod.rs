@@ -110,8 +110,11 @@ impl Settings {
     pub fn load(file: Option<&Path>, flags: &[(&'static str, String)]) -> Result<Self, Error> {
         let sources = raw::Sources::collect(file, flags)?;
         let raw = sources.raw()?;
-        let refuse =
-            |key: &str, problem: String| Error::Value { key: key.to_owned(), place: sources.place(key), problem };
+        let refuse = |key: &str, problem: String| Error::Value {
+            key: key.to_owned(),
+            place: sources.place(key),
+            problem,
+        };
 
         let listen = raw.listen.as_deref().unwrap_or("127.0.0.1:7411");
         let listen: SocketAddr = listen.parse().map_err(|_| {
@@ -120,49 +123,97 @@ impl Settings {
         let session = session_config(&raw, &refuse)?;
         let server = server_config(&raw, &refuse)?;
         let log = raw.log.clone().unwrap_or_else(|| "info".to_owned());
-        tracing_subscriber::EnvFilter::builder()
-            .parse(&log)
-            .map_err(|e| refuse("log", format!("\"{log}\": {e}; allowed are directives such as info or info,pliant=debug")))?;
+        tracing_subscriber::EnvFilter::builder().parse(&log).map_err(|e| {
+            refuse(
+                "log",
+                format!("\"{log}\": {e}; allowed are directives such as info or info,pliant=debug"),
+            )
+        })?;
         let log_format = match raw.log_format.as_deref() {
             None | Some("text") => LogFormat::Text,
             Some("json") => LogFormat::Json,
-            Some(other) => return Err(refuse("log_format", format!("\"{other}\" is not known; allowed are text and json"))),
+            Some(other) => {
+                return Err(refuse(
+                    "log_format",
+                    format!("\"{other}\" is not known; allowed are text and json"),
+                ));
+            }
         };
         let remarks = raw::strangers()
             .into_iter()
             .map(|name| format!("environment variable {name} is no configuration key and was ignored"))
             .collect();
-        Ok(Self { listen, server, session, log, log_format, sample: raw.sample.unwrap_or(false), remarks })
+        Ok(Self {
+            listen,
+            server,
+            session,
+            log,
+            log_format,
+            sample: raw.sample.unwrap_or(false),
+            remarks,
+        })
     }
 }
 
 fn server_config(raw: &raw::Raw, refuse: &impl Fn(&str, String) -> Error) -> Result<Config, Error> {
     let mut config = Config::default();
     let count = |key: &str, value: Option<u32>, default: u32, highest: u32| match value {
-        Some(value) if value == 0 || value > highest => Err(refuse(key, format!("{value} is out of range; allowed are 1 to {highest}"))),
+        Some(value) if value == 0 || value > highest => Err(refuse(
+            key,
+            format!("{value} is out of range; allowed are 1 to {highest}"),
+        )),
         value => Ok(value.unwrap_or(default)),
     };
-    let span = |key: &str, value: Option<units::Span>, default: Duration, lowest: Duration, highest: Duration| match value {
-        Some(units::Span(value)) if value < lowest || value > highest => Err(refuse(
-            key,
-            format!(
-                "{} is out of range; allowed are {} to {}",
-                humantime::format_duration(value),
-                humantime::format_duration(lowest),
-                humantime::format_duration(highest)
-            ),
-        )),
-        value => Ok(value.map_or(default, |s| s.0)),
-    };
+    let span =
+        |key: &str, value: Option<units::Span>, default: Duration, lowest: Duration, highest: Duration| match value {
+            Some(units::Span(value)) if value < lowest || value > highest => Err(refuse(
+                key,
+                format!(
+                    "{} is out of range; allowed are {} to {}",
+                    humantime::format_duration(value),
+                    humantime::format_duration(lowest),
+                    humantime::format_duration(highest)
+                ),
+            )),
+            value => Ok(value.map_or(default, |s| s.0)),
+        };
     let (second, hour) = (Duration::from_secs(1), Duration::from_secs(3600));
     let millisecond = Duration::from_millis(1);
     config.connections = count("connections", raw.connections, config.connections, 1_000_000)?;
-    config.requests_per_connection =
-        count("requests_per_connection", raw.requests_per_connection, config.requests_per_connection, 65_536)?;
-    config.header_timeout = span("header_timeout", raw.header_timeout, config.header_timeout, 10 * millisecond, hour)?;
-    config.keepalive_interval = span("keepalive_interval", raw.keepalive_interval, config.keepalive_interval, second, hour)?;
-    config.keepalive_timeout = span("keepalive_timeout", raw.keepalive_timeout, config.keepalive_timeout, second, hour)?;
-    config.drain_deadline = span("drain_deadline", raw.drain_deadline, config.drain_deadline, 10 * millisecond, hour)?;
+    config.requests_per_connection = count(
+        "requests_per_connection",
+        raw.requests_per_connection,
+        config.requests_per_connection,
+        65_536,
+    )?;
+    config.header_timeout = span(
+        "header_timeout",
+        raw.header_timeout,
+        config.header_timeout,
+        10 * millisecond,
+        hour,
+    )?;
+    config.keepalive_interval = span(
+        "keepalive_interval",
+        raw.keepalive_interval,
+        config.keepalive_interval,
+        second,
+        hour,
+    )?;
+    config.keepalive_timeout = span(
+        "keepalive_timeout",
+        raw.keepalive_timeout,
+        config.keepalive_timeout,
+        second,
+        hour,
+    )?;
+    config.drain_deadline = span(
+        "drain_deadline",
+        raw.drain_deadline,
+        config.drain_deadline,
+        10 * millisecond,
+        hour,
+    )?;
     if let Some(words) = &raw.cors_origins {
         config.origins = Origins::parse(&words.0).map_err(|problem| refuse("cors_origins", problem))?;
     }
@@ -180,7 +231,9 @@ fn session_config(raw: &raw::Raw, refuse: &impl Fn(&str, String) -> Error) -> Re
     set(raw.message_bytes, &mut config.message_bytes);
     config.vertices = raw.vertices.unwrap_or(config.vertices);
     // A closed surface has about twice as many triangles as vertices.
-    config.triangles = raw.vertices.map_or(config.triangles, |vertices| vertices.saturating_mul(2).max(1024));
+    config.triangles = raw
+        .vertices
+        .map_or(config.triangles, |vertices| vertices.saturating_mul(2).max(1024));
     config.sessions = raw.sessions.map_or(config.sessions, wide);
     config.handles = raw.handles.map_or(config.handles, |n| wide(n.into()));
     config.window = raw.window.unwrap_or(config.window);
@@ -192,15 +245,27 @@ fn session_config(raw: &raw::Raw, refuse: &impl Fn(&str, String) -> Error) -> Re
     config.drain = raw.drain_deadline.map_or(config.drain, |span| span.0);
     if let Some(ms) = raw.solve_ms {
         if !(1.0..=3_600_000.0).contains(&ms) {
-            return Err(refuse("solve_ms", format!("{ms} is out of range; allowed are 1 to 3600000 milliseconds")));
+            return Err(refuse(
+                "solve_ms",
+                format!("{ms} is out of range; allowed are 1 to 3600000 milliseconds"),
+            ));
         }
         config.solve = Duration::from_secs_f64(ms / 1e3);
     }
     if config.compute_threads > 1024 {
-        return Err(refuse("threads", format!("{} is out of range; allowed are 1 to 1024, and 0 for one per core", config.compute_threads)));
+        return Err(refuse(
+            "threads",
+            format!(
+                "{} is out of range; allowed are 1 to 1024, and 0 for one per core",
+                config.compute_threads
+            ),
+        ));
     }
     if config.message_bytes > 256 << 20 {
-        return Err(refuse("message_bytes", format!("{} is out of range; allowed are 1KiB to 256MiB", config.message_bytes)));
+        return Err(refuse(
+            "message_bytes",
+            format!("{} is out of range; allowed are 1KiB to 256MiB", config.message_bytes),
+        ));
     }
     config.validate().map_err(|error| {
         let field = error.field.as_deref().unwrap_or_default();
@@ -210,7 +275,11 @@ fn session_config(raw: &raw::Raw, refuse: &impl Fn(&str, String) -> Error) -> Re
             "historyCommits" => "history".to_owned(),
             camel => snake(camel),
         };
-        let problem = error.message.strip_prefix(field).unwrap_or(&error.message).trim_start_matches([':', ' ']);
+        let problem = error
+            .message
+            .strip_prefix(field)
+            .unwrap_or(&error.message)
+            .trim_start_matches([':', ' ']);
         refuse(&key, problem.to_owned())
     })?;
     Ok(config)
@@ -246,7 +315,11 @@ mod tests {
 
     #[test]
     fn flags_win_over_the_file_and_the_file_over_the_defaults() {
-        let settings = load("upload_bytes = \"64MiB\"\nsessions = 3\n", &[("sessions", "5"), ("listen", "[::1]:9")]).unwrap();
+        let settings = load(
+            "upload_bytes = \"64MiB\"\nsessions = 3\n",
+            &[("sessions", "5"), ("listen", "[::1]:9")],
+        )
+        .unwrap();
         assert_eq!(settings.session.upload_bytes, 64 << 20);
         assert_eq!(settings.session.sessions, 5);
         assert_eq!(settings.listen, "[::1]:9".parse().unwrap());
@@ -255,17 +328,42 @@ mod tests {
 
     #[test]
     fn every_error_names_key_source_and_what_is_allowed() {
-        let cases: [(&str, &[(&'static str, &str)], &[&str]); 11] = [
-            ("upload_bytes = \"many\"", &[], &["upload_bytes", "\"many\"", "KiB", "file "]),
+        type Case<'a> = (&'a str, &'a [(&'static str, &'a str)], &'a [&'a str]);
+        let cases: [Case<'_>; 11] = [
+            (
+                "upload_bytes = \"many\"",
+                &[],
+                &["upload_bytes", "\"many\"", "KiB", "file "],
+            ),
             ("sessions = 0", &[], &["sessions", "is 0", "at least 1", "file "]),
             ("", &[("ttl", "15")], &["ttl", "unit", "--ttl"]),
             ("", &[("max_ttl", "5s"), ("ttl", "10s")], &["ttl", "--ttl"]),
-            ("", &[("listen", "localhost")], &["listen", "\"localhost\"", "127.0.0.1:7411", "--listen"]),
-            ("", &[("log_format", "xml")], &["log_format", "\"xml\"", "text and json", "--log-format"]),
+            (
+                "",
+                &[("listen", "localhost")],
+                &["listen", "\"localhost\"", "127.0.0.1:7411", "--listen"],
+            ),
+            (
+                "",
+                &[("log_format", "xml")],
+                &["log_format", "\"xml\"", "text and json", "--log-format"],
+            ),
             ("", &[("log", "pliant=loud")], &["log", "allowed are", "--log"]),
-            ("", &[("connections", "0")], &["connections", "1 to 1000000", "--connections"]),
-            ("", &[("drain_deadline", "9h")], &["drain_deadline", "9h", "1h", "--drain-deadline"]),
-            ("cors_origins = [\"example.org\"]", &[], &["cors_origins", "example.org", "https://example.org", "file "]),
+            (
+                "",
+                &[("connections", "0")],
+                &["connections", "1 to 1000000", "--connections"],
+            ),
+            (
+                "",
+                &[("drain_deadline", "9h")],
+                &["drain_deadline", "9h", "1h", "--drain-deadline"],
+            ),
+            (
+                "cors_origins = [\"example.org\"]",
+                &[],
+                &["cors_origins", "example.org", "https://example.org", "file "],
+            ),
             ("sessons = 4", &[], &["sessons", "no such key", "sessions", "file "]),
         ];
         for (text, flags, parts) in cases {
@@ -287,13 +385,25 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/config.toml");
         let text = std::fs::read_to_string(&path).unwrap();
         // Keys stand there commented out, so that the file also works as it is.
-        let active: String = text.lines().map(|l| l.strip_prefix("#= ").unwrap_or(l)).fold(String::new(), |a, l| a + l + "\n");
+        let active: String = text
+            .lines()
+            .map(|l| l.strip_prefix("#= ").unwrap_or(l))
+            .fold(String::new(), |a, l| a + l + "\n");
         for key in KEYS {
-            assert!(active.lines().any(|l| l.starts_with(&format!("{key} = "))), "{key} is not explained in deploy/config.toml");
+            assert!(
+                active.lines().any(|l| l.starts_with(&format!("{key} = "))),
+                "{key} is not explained in deploy/config.toml"
+            );
         }
         let told = load(&active, &[]).unwrap();
         let defaults = load("", &[]).unwrap();
-        assert_eq!((told.listen, &told.server, &told.session), (defaults.listen, &defaults.server, &defaults.session));
-        assert_eq!((told.log, told.log_format, told.sample), (defaults.log, defaults.log_format, defaults.sample));
+        assert_eq!(
+            (told.listen, &told.server, &told.session),
+            (defaults.listen, &defaults.server, &defaults.session)
+        );
+        assert_eq!(
+            (told.log, told.log_format, told.sample),
+            (defaults.log, defaults.log_format, defaults.sample)
+        );
     }
 }

@@ -80,7 +80,11 @@ impl Provider for Flags<'_> {
 
     fn data(&self) -> figment::Result<Map<Profile, Dict>> {
         let read = |text: &str| text.parse::<Value>().unwrap_or_else(|never| match never {});
-        let keys: Dict = self.0.iter().map(|(key, text)| ((*key).to_owned(), read(text))).collect();
+        let keys: Dict = self
+            .0
+            .iter()
+            .map(|(key, text)| ((*key).to_owned(), read(text)))
+            .collect();
         Ok(Map::from([(Profile::Default, keys)]))
     }
 }
@@ -95,9 +99,14 @@ impl Sources {
     pub fn collect(file: Option<&Path>, flags: &[(&'static str, String)]) -> Result<Self, Error> {
         let mut figment = Figment::new();
         if let Some(path) = file {
-            let text = std::fs::read_to_string(path)
-                .map_err(|e| Error::File { path: path.display().to_string(), problem: e.to_string() })?;
-            figment = figment.merge(NamedToml { toml: Toml::string(&text), path: path.display().to_string() });
+            let text = std::fs::read_to_string(path).map_err(|e| Error::File {
+                path: path.display().to_string(),
+                problem: e.to_string(),
+            })?;
+            figment = figment.merge(NamedToml {
+                toml: Toml::string(&text),
+                path: path.display().to_string(),
+            });
         }
         let figment = figment.merge(Env::prefixed("PLIANT_").only(&KEYS)).merge(Flags(flags));
         Ok(Self { figment })
@@ -114,18 +123,32 @@ impl Sources {
             };
             match &error.kind {
                 Kind::UnknownField(name, _) => {
-                    let file = self.figment.metadata().next().map_or_else(|| place.clone(), |m| m.name.to_string());
+                    let file = self
+                        .figment
+                        .metadata()
+                        .next()
+                        .map_or_else(|| place.clone(), |m| m.name.to_string());
                     let problem = format!("no such key; allowed are {}", KEYS.join(", "));
-                    Error::Value { key: name.clone(), place: if error.metadata.is_some() { place } else { file }, problem }
+                    Error::Value {
+                        key: name.clone(),
+                        place: if error.metadata.is_some() { place } else { file },
+                        problem,
+                    }
                 }
-                kind => Error::Value { key: if key.is_empty() { "(file)".into() } else { key }, place, problem: kind.to_string() },
+                kind => Error::Value {
+                    key: if key.is_empty() { "(file)".into() } else { key },
+                    place,
+                    problem: kind.to_string(),
+                },
             }
         })
     }
 
     /// Where the value of `key` came from.
     pub fn place(&self, key: &str) -> String {
-        self.figment.find_metadata(key).map_or_else(|| "the defaults".to_owned(), |m| describe(m, key))
+        self.figment
+            .find_metadata(key)
+            .map_or_else(|| "the defaults".to_owned(), |m| describe(m, key))
     }
 }
 

@@ -32,16 +32,23 @@ pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
     let text = text.trim();
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = (&text[..digits], text[digits..].trim());
-    let refuse = || format!("\"{text}\" is not a size; allowed are bytes or a whole number with KiB, MiB, GiB, KB, MB or GB");
+    let refuse =
+        || format!("\"{text}\" is not a size; allowed are bytes or a whole number with KiB, MiB, GiB, KB, MB or GB");
     let number: u64 = number.parse().map_err(|_| refuse())?;
-    let (_, factor) = UNITS.into_iter().find(|(name, _)| name.eq_ignore_ascii_case(unit)).ok_or_else(refuse)?;
-    number.checked_mul(factor).ok_or_else(|| format!("\"{text}\" is more than 2^64 bytes"))
+    let (_, factor) = UNITS
+        .into_iter()
+        .find(|(name, _)| name.eq_ignore_ascii_case(unit))
+        .ok_or_else(refuse)?;
+    number
+        .checked_mul(factor)
+        .ok_or_else(|| format!("\"{text}\" is more than 2^64 bytes"))
 }
 
 /// Reads a span of time; the problem is told without the key.
 pub(super) fn parse_span(text: &str) -> Result<Duration, String> {
-    humantime::parse_duration(text)
-        .map_err(|_| format!("\"{text}\" is not a span of time; allowed are numbers with units, such as 250ms, 10s or 1h 30m"))
+    humantime::parse_duration(text).map_err(|_| {
+        format!("\"{text}\" is not a span of time; allowed are numbers with units, such as 250ms, 10s or 1h 30m")
+    })
 }
 
 impl<'de> Deserialize<'de> for ByteSize {
@@ -59,7 +66,9 @@ impl<'de> Deserialize<'de> for ByteSize {
             }
 
             fn visit_i64<E: de::Error>(self, value: i64) -> Result<ByteSize, E> {
-                u64::try_from(value).map(ByteSize).map_err(|_| E::invalid_value(de::Unexpected::Signed(value), &self))
+                u64::try_from(value)
+                    .map(ByteSize)
+                    .map_err(|_| E::invalid_value(de::Unexpected::Signed(value), &self))
             }
 
             fn visit_str<E: de::Error>(self, value: &str) -> Result<ByteSize, E> {
@@ -99,7 +108,14 @@ impl<'de> Deserialize<'de> for Words {
             }
 
             fn visit_str<E: de::Error>(self, value: &str) -> Result<Words, E> {
-                Ok(Words(value.split(',').map(str::trim).filter(|w| !w.is_empty()).map(str::to_owned).collect()))
+                Ok(Words(
+                    value
+                        .split(',')
+                        .map(str::trim)
+                        .filter(|w| !w.is_empty())
+                        .map(str::to_owned)
+                        .collect(),
+                ))
             }
 
             fn visit_seq<A: de::SeqAccess<'de>>(self, mut seq: A) -> Result<Words, A::Error> {

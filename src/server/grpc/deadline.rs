@@ -8,7 +8,7 @@ use crate::session::{Code, Error};
 use axum::body::Body;
 use bytes::Bytes;
 use futures::FutureExt as _;
-use http::{HeaderMap, Request, Response};
+use http::{HeaderMap, HeaderValue, Request, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use std::collections::BTreeSet;
 use std::convert::Infallible;
@@ -32,7 +32,11 @@ pub(super) struct Timed {
 impl Timed {
     /// `known` are the methods that calls are counted under, as `package.Service/Method`.
     pub fn new(routes: Routes, telemetry: Telemetry, known: BTreeSet<String>) -> Self {
-        Self { routes, telemetry, known: Arc::new(known) }
+        Self {
+            routes,
+            telemetry,
+            known: Arc::new(known),
+        }
     }
 }
 
@@ -53,8 +57,17 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
             None => "unknown",
         };
         // The services below refuse unknown names of `grpc.` as well; only the ones that exist get a label.
-        let route = if method.starts_with("grpc.") && !COMMON.contains(&route) { "unknown" } else { route };
-        let request_id = request.headers().get("x-request-id").and_then(|v| v.to_str().ok()).map_or_else(telemetry::request_id, Arc::from);
+        let route = if method.starts_with("grpc.") && !COMMON.contains(&route) {
+            "unknown"
+        } else {
+            route
+        };
+        let request_id = request
+            .headers()
+            .get("x-request-id")
+            .and_then(|v| v.to_str().ok())
+            .map_or_else(telemetry::request_id, Arc::from);
+        let echoed = HeaderValue::from_str(&request_id);
         let mut recorder = self.telemetry.recorder("grpc", route, request_id);
         let deadline = timeout(request.headers()).map(|timeout| Instant::now() + timeout);
         let answer = tower::Service::call(&mut self.routes, request);
@@ -64,7 +77,7 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
                 None => Ok(answer.await),
                 Some(at) => tokio::time::timeout_at(at, answer).await,
             };
-            let response = match answered {
+            let mut response = match answered {
                 Ok(Ok(Ok(response))) => response,
                 Ok(Ok(Err(never))) => match never {},
                 Ok(Err(_panic)) => {
@@ -73,13 +86,19 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
                 }
                 Err(_elapsed) => late().into_http(),
             };
+            if let Ok(id) = echoed {
+                response.headers_mut().insert("x-request-id", id);
+            }
             if let Some(code) = telemetry::grpc_code(response.headers()) {
                 recorder.set_code(code);
             }
             Ok(response.map(|body| {
                 let body = match deadline {
                     None => Body::new(body),
-                    Some(at) => Body::new(Limited { inner: Some(body), sleep: Box::pin(tokio::time::sleep_until(at)) }),
+                    Some(at) => Body::new(Limited {
+                        inner: Some(body),
+                        sleep: Box::pin(tokio::time::sleep_until(at)),
+                    }),
                 };
                 recorder.observe(body)
             }))
@@ -87,7 +106,11 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
     }
 }
 
-const COMMON: [&str; 3] = ["grpc.health.v1.Health", "grpc.reflection.v1.ServerReflection", "grpc.reflection.v1alpha.ServerReflection"];
+const COMMON: [&str; 3] = [
+    "grpc.health.v1.Health",
+    "grpc.reflection.v1.ServerReflection",
+    "grpc.reflection.v1alpha.ServerReflection",
+];
 
 fn late() -> tonic::Status {
     super::status::status(Error::new(Code::DeadlineExceeded, "the caller's deadline has passed"))
@@ -131,7 +154,9 @@ impl HttpBody for Limited {
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, tonic::Status>>> {
         // The clock comes first: a body that always has something ready must end in time as well.
         let over = self.sleep.as_mut().poll(cx).is_ready();
-        let Some(inner) = &mut self.inner else { return Poll::Ready(None) };
+        let Some(inner) = &mut self.inner else {
+            return Poll::Ready(None);
+        };
         if !over {
             return Pin::new(inner).poll_frame(cx);
         }
@@ -157,7 +182,12 @@ mod tests {
 
     #[test]
     fn timeouts_are_read_as_the_protocol_says() {
-        let read = |text: &str| timeout(&HeaderMap::from_iter([("grpc-timeout".parse().unwrap(), text.parse().unwrap())]));
+        let read = |text: &str| {
+            timeout(&HeaderMap::from_iter([(
+                "grpc-timeout".parse().unwrap(),
+                text.parse().unwrap(),
+            )]))
+        };
         assert_eq!(read("250m"), Some(Duration::from_millis(250)));
         assert_eq!(read("2S"), Some(Duration::from_secs(2)));
         assert_eq!(read("1H"), Some(Duration::from_secs(3600)));

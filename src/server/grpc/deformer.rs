@@ -38,7 +38,11 @@ fn tenant<T>(request: &Request<T>) -> Result<Tenant, Status> {
 /// New work is refused while the server is going away; what only reads is not.
 fn work<T>(state: &State, request: Request<T>) -> Result<(Tenant, Option<String>, T), Status> {
     let parts = keyed(request)?;
-    if state.draining.is_cancelled() { Err(status(Error::draining())) } else { Ok(parts) }
+    if state.draining.is_cancelled() {
+        Err(status(Error::draining()))
+    } else {
+        Ok(parts)
+    }
 }
 
 /// The caller's idempotency key, its metadata and the message.
@@ -47,7 +51,9 @@ fn keyed<T>(request: Request<T>) -> Result<(Tenant, Option<String>, T), Status> 
     let key = match request.metadata().get("idempotency-key") {
         None => None,
         Some(value) => {
-            let text = value.to_str().map_err(|_| status(Error::invalid("idempotency-key", "is not printable ASCII")))?;
+            let text = value
+                .to_str()
+                .map_err(|_| status(Error::invalid("idempotency-key", "is not printable ASCII")))?;
             Some(text.to_owned())
         }
     };
@@ -71,12 +77,22 @@ impl Deformer for Calls {
     async fn get_session(&self, request: Request<pb::SessionRequest>) -> Answer<pb::Session> {
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
-        self.state.manager.get(&tenant, &id).await.map(Response::new).map_err(status)
+        self.state
+            .manager
+            .get(&tenant, &id)
+            .await
+            .map(Response::new)
+            .map_err(status)
     }
 
     async fn list_sessions(&self, request: Request<pb::ListSessionsRequest>) -> Answer<pb::ListSessionsResponse> {
         let tenant = tenant(&request)?;
-        self.state.manager.list(&tenant, request.into_inner()).await.map(Response::new).map_err(status)
+        self.state
+            .manager
+            .list(&tenant, request.into_inner())
+            .await
+            .map(Response::new)
+            .map_err(status)
     }
 
     async fn delete_session(&self, request: Request<pb::SessionRequest>) -> Answer<pb::DeleteSessionResponse> {
@@ -88,7 +104,12 @@ impl Deformer for Calls {
 
     async fn set_handles(&self, request: Request<pb::SetHandlesRequest>) -> Answer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
-        self.state.manager.set_handles(&tenant, message, key.as_deref()).await.map(Response::new).map_err(status)
+        self.state
+            .manager
+            .set_handles(&tenant, message, key.as_deref())
+            .await
+            .map(Response::new)
+            .map_err(status)
     }
 
     type DeformStream = Sent<pb::DeformResponse>;
@@ -96,37 +117,65 @@ impl Deformer for Calls {
     async fn deform(&self, request: Request<Streaming<pb::DeformRequest>>) -> Answer<Self::DeformStream> {
         let tenant = tenant(&request)?;
         // The head of the answer goes out at once: clients wait for it before they send their first message.
-        Ok(Response::new(Box::pin(stream::responses(self.state.clone(), tenant, request.into_inner()))))
+        Ok(Response::new(Box::pin(stream::responses(
+            self.state.clone(),
+            tenant,
+            request.into_inner(),
+        ))))
     }
 
     type SolveStream = Sent<pb::Frame>;
 
     async fn solve(&self, request: Request<pb::SolveRequest>) -> Answer<Self::SolveStream> {
         let (tenant, key, message) = work(&self.state, request)?;
-        let solved = self.state.manager.solve(&tenant, message, key.as_deref()).await.map_err(status)?;
+        let solved = self
+            .state
+            .manager
+            .solve(&tenant, message, key.as_deref())
+            .await
+            .map_err(status)?;
         Ok(Response::new(sent(solved.frames)))
     }
 
     async fn edit(&self, request: Request<pb::EditRequest>) -> Answer<pb::EditResult> {
         let (tenant, _, message) = work(&self.state, request)?;
-        self.state.manager.get(&tenant, &message.session_id).await.map_err(status)?;
+        self.state
+            .manager
+            .get(&tenant, &message.session_id)
+            .await
+            .map_err(status)?;
         Err(status(edits::refusal(&message)))
     }
 
     async fn undo(&self, request: Request<pb::SessionRequest>) -> Answer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
-        self.state.manager.undo(&tenant, &message.session_id, key.as_deref()).await.map(Response::new).map_err(status)
+        self.state
+            .manager
+            .undo(&tenant, &message.session_id, key.as_deref())
+            .await
+            .map(Response::new)
+            .map_err(status)
     }
 
     async fn redo(&self, request: Request<pb::SessionRequest>) -> Answer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
-        self.state.manager.redo(&tenant, &message.session_id, key.as_deref()).await.map(Response::new).map_err(status)
+        self.state
+            .manager
+            .redo(&tenant, &message.session_id, key.as_deref())
+            .await
+            .map(Response::new)
+            .map_err(status)
     }
 
     async fn history(&self, request: Request<pb::SessionRequest>) -> Answer<pb::HistoryResponse> {
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
-        self.state.manager.history(&tenant, &id).await.map(Response::new).map_err(status)
+        self.state
+            .manager
+            .history(&tenant, &id)
+            .await
+            .map(Response::new)
+            .map_err(status)
     }
 
     type ExportStream = Sent<pb::Chunk>;
@@ -138,10 +187,17 @@ impl Deformer for Calls {
             "" => None,
             name => Some(Format::from_name(name).ok_or_else(|| status(crate::server::unknown_format("format", name)))?),
         };
-        let exported = self.state.manager.export(&tenant, &message.session_id, format).await.map_err(status)?;
+        let exported = self
+            .state
+            .manager
+            .export(&tenant, &message.session_id, format)
+            .await
+            .map_err(status)?;
         let main = (String::new(), exported.written.main);
         let files: Vec<_> = std::iter::once(main).chain(exported.written.companions).collect();
-        Ok(Response::new(sent(files.into_iter().flat_map(|(uri, bytes)| chunks(uri, bytes.into())))))
+        Ok(Response::new(sent(
+            files.into_iter().flat_map(|(uri, bytes)| chunks(uri, bytes.into())),
+        )))
     }
 
     async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> Answer<pb::Limits> {
@@ -155,6 +211,9 @@ fn chunks(uri: String, bytes: Bytes) -> impl Iterator<Item = pb::Chunk> + Send {
     let count = bytes.len().div_ceil(CHUNK).max(1);
     (0..count).map(move |k| {
         let (first, last) = (k * CHUNK, bytes.len().min((k + 1) * CHUNK));
-        pb::Chunk { data: bytes.slice(first..last), uri: uri.clone() }
+        pb::Chunk {
+            data: bytes.slice(first..last),
+            uri: uri.clone(),
+        }
     })
 }

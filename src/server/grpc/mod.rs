@@ -62,16 +62,25 @@ impl Grpc {
         let names = job::json::descriptors().map_err(|e| e.to_string())?.services();
         let known = names
             .flat_map(|service| {
-                service.methods().map(|m| format!("{}/{}", service.full_name(), m.name())).collect::<Vec<_>>()
+                service
+                    .methods()
+                    .map(|m| format!("{}/{}", service.full_name(), m.name()))
+                    .collect::<Vec<_>>()
             })
             .collect();
         let timed = deadline::Timed::new(routes.prepare(), state.telemetry.clone(), known);
-        Ok(Self { routes: tonic_web::GrpcWebLayer::new().layer(timed), health })
+        Ok(Self {
+            routes: tonic_web::GrpcWebLayer::new().layer(timed),
+            health,
+        })
     }
 
     /// Whether a request is one of gRPC or gRPC-Web.
     pub fn takes<B>(request: &Request<B>) -> bool {
-        let content_type = request.headers().get(http::header::CONTENT_TYPE).map(http::HeaderValue::as_bytes);
+        let content_type = request
+            .headers()
+            .get(http::header::CONTENT_TYPE)
+            .map(http::HeaderValue::as_bytes);
         content_type.is_some_and(|t| t.starts_with(b"application/grpc"))
     }
 

@@ -46,13 +46,26 @@ mod tests {
         assert_eq!(invalid.code(), tonic::Code::InvalidArgument);
         let details = invalid.get_error_details();
         let violation = &details.bad_request().unwrap().field_violations[0];
-        assert_eq!((violation.field.as_str(), violation.description.as_str()), ("handles[0].id", "is empty, 1 to 128 bytes are allowed"));
+        assert_eq!(
+            (violation.field.as_str(), violation.description.as_str()),
+            ("handles[0].id", "is empty, 1 to 128 bytes are allowed")
+        );
         assert_eq!(details.error_info().unwrap().reason, "INVALID_ARGUMENT");
         assert!(details.retry_info().is_none());
 
         let full = status(Error::exhausted("no slot", 3));
-        assert_eq!(full.get_error_details().retry_info().unwrap().retry_delay, Some(Duration::from_secs(3)));
-        assert_eq!(status(Error::new(Code::TooLarge, "x")).get_error_details().error_info().unwrap().reason, "TOO_LARGE");
+        assert_eq!(
+            full.get_error_details().retry_info().unwrap().retry_delay,
+            Some(Duration::from_secs(3))
+        );
+        assert_eq!(
+            status(Error::new(Code::TooLarge, "x"))
+                .get_error_details()
+                .error_info()
+                .unwrap()
+                .reason,
+            "TOO_LARGE"
+        );
     }
 
     #[test]

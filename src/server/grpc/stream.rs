@@ -65,11 +65,17 @@ impl Open {
             () = state.draining.cancelled() => return Err(status(Error::draining())),
         };
         let first = first.map_err(|_| {
-            let text = format!("no message came within {}; the first one names the session", humantime::format_duration(patience));
+            let text = format!(
+                "no message came within {}; the first one names the session",
+                humantime::format_duration(patience)
+            );
             status(Error::new(Code::DeadlineExceeded, text))
         })??;
         let Some(mut first) = first else {
-            return Err(status(Error::invalid("sessionId", "is missing; the first message of a stream names the session")));
+            return Err(status(Error::invalid(
+                "sessionId",
+                "is missing; the first message of a stream names the session",
+            )));
         };
         let id = std::mem::take(&mut first.session_id);
         let (input, output) = state.manager.stream(tenant, &id).await.map_err(status)?.split();
@@ -80,7 +86,14 @@ impl Open {
         let pump = tokio::spawn(async move {
             let _ = tell.send(pump(inbound, &input, &id).await);
         });
-        Ok(Self { state, output, _pump: AbortOnDropHandle::new(pump), ended, half_closed: false, failure: None })
+        Ok(Self {
+            state,
+            output,
+            _pump: AbortOnDropHandle::new(pump),
+            ended,
+            half_closed: false,
+            failure: None,
+        })
     }
 
     async fn next(&mut self) -> Option<Result<pb::DeformResponse, Status>> {
@@ -127,12 +140,19 @@ fn failure(response: &pb::DeformResponse) -> Option<Status> {
 async fn pump(mut inbound: Streaming<pb::DeformRequest>, input: &StreamInput, id: &str) -> Result<(), Status> {
     while let Some(mut request) = inbound.message().await? {
         if !request.session_id.is_empty() && request.session_id != id {
-            return Err(status(Error::invalid("sessionId", "differs from the first message's; a stream belongs to one session")));
+            return Err(status(Error::invalid(
+                "sessionId",
+                "differs from the first message's; a stream belongs to one session",
+            )));
         }
         request.session_id.clear();
         if let Err(error) = input.push(request) {
             // A stream that has ended says why on its other side.
-            return if error.code == Code::Cancelled { Ok(()) } else { Err(status(error)) };
+            return if error.code == Code::Cancelled {
+                Ok(())
+            } else {
+                Err(status(error))
+            };
         }
     }
     input.finish();

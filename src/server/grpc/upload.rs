@@ -25,7 +25,14 @@ pub(super) struct Upload {
 /// # Cancel safety
 /// Dropping it gives back what was received.
 pub(super) async fn receive(state: &State, mut inbound: Streaming<pb::CreateSessionRequest>) -> Result<Upload, Status> {
-    let mut parts = Parts { held: state.uploads.hold(), main: Vec::new(), options: None, companions: BTreeMap::new(), current: None, messages: 0 };
+    let mut parts = Parts {
+        held: state.uploads.hold(),
+        main: Vec::new(),
+        options: None,
+        companions: BTreeMap::new(),
+        current: None,
+        messages: 0,
+    };
     // A peer that stops sending holds memory, so it has to show a sign of life as any connection has.
     let patience = state.config.keepalive_interval + state.config.keepalive_timeout;
     loop {
@@ -75,26 +82,50 @@ impl Parts {
             }
             Some(Message::Companion(companion)) => {
                 if companion.uri.is_empty() {
-                    return Err(Error::invalid("companion.uri", "is empty; give the URI by which the model names the file"));
+                    return Err(Error::invalid(
+                        "companion.uri",
+                        "is empty; give the URI by which the model names the file",
+                    ));
                 }
                 if self.companions.len() >= MAX_COMPANIONS {
-                    return Err(Error::invalid("companion", format!("more than {MAX_COMPANIONS} companion files")));
+                    return Err(Error::invalid(
+                        "companion",
+                        format!("more than {MAX_COMPANIONS} companion files"),
+                    ));
                 }
                 self.held.grow(companion.uri.len())?;
                 if self.companions.insert(companion.uri.clone(), Vec::new()).is_some() {
                     let shown: String = companion.uri.chars().take(100).collect();
-                    return Err(Error::invalid("companion.uri", format!("\"{shown}\" came before; every file comes once")));
+                    return Err(Error::invalid(
+                        "companion.uri",
+                        format!("\"{shown}\" came before; every file comes once"),
+                    ));
                 }
                 self.current = Some(companion.uri);
                 Ok(())
             }
-            None => Err(Error::invalid("message", "is empty; allowed are options, chunk and companion")),
+            None => Err(Error::invalid(
+                "message",
+                "is empty; allowed are options, chunk and companion",
+            )),
         }
     }
 
     fn finish(self) -> Upload {
-        let companions = self.companions.into_iter().map(|(uri, bytes)| (uri, Bytes::from(bytes))).collect();
-        let files = FileSet { name: "upload".into(), main: Bytes::from(self.main), companions };
-        Upload { files, options: self.options.unwrap_or_default(), held: self.held }
+        let companions = self
+            .companions
+            .into_iter()
+            .map(|(uri, bytes)| (uri, Bytes::from(bytes)))
+            .collect();
+        let files = FileSet {
+            name: "upload".into(),
+            main: Bytes::from(self.main),
+            companions,
+        };
+        Upload {
+            files,
+            options: self.options.unwrap_or_default(),
+            held: self.held,
+        }
     }
 }

@@ -17,7 +17,10 @@ use std::time::Duration;
 
 /// The essence of the content type, in lower case and without parameters; empty when there is none.
 pub(super) fn content_type(headers: &HeaderMap) -> String {
-    let text = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    let text = headers
+        .get(header::CONTENT_TYPE)
+        .and_then(|v| v.to_str().ok())
+        .unwrap_or_default();
     text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
 }
 
@@ -46,7 +49,10 @@ fn patience(state: &State) -> Duration {
 }
 
 fn stalled(state: &State) -> Problem {
-    let text = format!("the body did not come within {}", humantime::format_duration(patience(state)));
+    let text = format!(
+        "the body did not come within {}",
+        humantime::format_duration(patience(state))
+    );
     Problem::new(StatusCode::REQUEST_TIMEOUT, "DEADLINE_EXCEEDED", text)
 }
 
@@ -60,18 +66,24 @@ pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Probl
     }
     let limit = state.message_bytes;
     let too_large = |seen: u64| {
-        Problem::from(Error::new(Code::TooLarge, format!("the body has {seen} bytes or more, at most {limit} are allowed")))
+        Problem::from(Error::new(
+            Code::TooLarge,
+            format!("the body has {seen} bytes or more, at most {limit} are allowed"),
+        ))
     };
     if let Some(length) = length.filter(|&length| length > limit as u64) {
         return Err(too_large(length));
     }
     let mut stream = request.into_body().into_data_stream();
+    // Many bodies at a time are as heavy as an upload.
+    let mut held = state.uploads.hold();
     let read = async {
         let mut text = BytesMut::new();
         while let Some(bytes) = next(state, &mut stream).await? {
             if bytes.len() > limit - text.len() {
                 return Err(too_large((text.len() + bytes.len()) as u64));
             }
+            held.grow(bytes.len())?;
             text.extend_from_slice(&bytes);
         }
         Ok(text.freeze())
@@ -86,7 +98,11 @@ pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Probl
 /// A message from the JSON body of a request; an absent body is the message with all defaults.
 pub(super) async fn message<M: Message + Default + prost::Name>(state: &State, request: Request) -> Result<M, Problem> {
     let text = text(state, request).await?;
-    if text.is_empty() { Ok(M::default()) } else { Ok(job::json::from_json(&text)?) }
+    if text.is_empty() {
+        Ok(M::default())
+    } else {
+        Ok(job::json::from_json(&text)?)
+    }
 }
 
 /// Refuses a session id in a body that differs from the path's.
@@ -94,7 +110,11 @@ pub(super) fn same_session(in_body: &str, in_path: &str) -> Result<(), Problem> 
     if in_body.is_empty() || in_body == in_path {
         return Ok(());
     }
-    Err(Error::invalid("sessionId", "differs from the session in the path; leave it out or repeat it").into())
+    Err(Error::invalid(
+        "sessionId",
+        "differs from the session in the path; leave it out or repeat it",
+    )
+    .into())
 }
 
 /// How long, and at what most, an unwanted body is read on.
@@ -103,7 +123,11 @@ const LINGER: Duration = Duration::from_secs(5);
 /// Makes an HTTP/1 body polite: when it is dropped before its end, the rest is read and forgotten for a while, so that a
 /// client that is still sending gets to see the answer instead of a broken connection.
 pub(super) fn linger(body: Body) -> Body {
-    if body.is_end_stream() { body } else { Body::new(Lingering { inner: Some(body) }) }
+    if body.is_end_stream() {
+        body
+    } else {
+        Body::new(Lingering { inner: Some(body) })
+    }
 }
 
 struct Lingering {
@@ -115,7 +139,9 @@ impl HttpBody for Lingering {
     type Error = axum::Error;
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        let Some(inner) = &mut self.inner else { return Poll::Ready(None) };
+        let Some(inner) = &mut self.inner else {
+            return Poll::Ready(None);
+        };
         let frame = Pin::new(inner).poll_frame(cx);
         if let Poll::Ready(None | Some(Err(_))) = frame {
             self.inner = None;
@@ -128,14 +154,20 @@ impl HttpBody for Lingering {
     }
 
     fn size_hint(&self) -> SizeHint {
-        self.inner.as_ref().map_or_else(|| SizeHint::with_exact(0), HttpBody::size_hint)
+        self.inner
+            .as_ref()
+            .map_or_else(|| SizeHint::with_exact(0), HttpBody::size_hint)
     }
 }
 
 impl Drop for Lingering {
     fn drop(&mut self) {
-        let Some(body) = self.inner.take().filter(|body| !body.is_end_stream()) else { return };
-        let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
+        let Some(body) = self.inner.take().filter(|body| !body.is_end_stream()) else {
+            return;
+        };
+        let Ok(runtime) = tokio::runtime::Handle::try_current() else {
+            return;
+        };
         runtime.spawn(tokio::time::timeout(LINGER, async move {
             let mut stream = body.into_data_stream();
             while let Some(Ok(_)) = stream.next().await {}

@@ -45,14 +45,20 @@ pub(super) async fn create(From(state): From<State>, caller: Caller, request: Re
         let by_type = Format::from_media_type(&kind);
         if by_type.is_none() && !GENERAL.contains(&kind.as_str()) {
             let models = Format::ALL.map(Format::media_type).join(", ");
-            return Err(Problem::media_type(&kind, &format!("{models}, application/octet-stream and multipart/form-data")));
+            return Err(Problem::media_type(
+                &kind,
+                &format!("{models}, application/octet-stream and multipart/form-data"),
+            ));
         }
         let received = raw(&state, request).await?;
         options.format_by_type(by_type);
         received
     };
     let options = options.finish()?;
-    let created = state.manager.create(&caller.tenant, files, options, key.as_deref()).await;
+    let created = state
+        .manager
+        .create(&caller.tenant, files, options, key.as_deref())
+        .await;
     drop(held);
     let created = created?;
     let mut response = json(&created.value)?;
@@ -74,9 +80,16 @@ struct Received {
 async fn built_in(name: &str) -> Result<Received, Problem> {
     if name != sample::NAME {
         let allowed = sample::NAME;
-        return Err(Error::invalid("sample", format!("\"{}\" is not built in; there is {allowed}", clip(name))).into());
+        return Err(Error::invalid(
+            "sample",
+            format!("\"{}\" is not built in; there is {allowed}", clip(name)),
+        )
+        .into());
     }
-    Ok(Received { files: FileSet::single(format!("{name}.glb"), sample::glb().await?), held: None })
+    Ok(Received {
+        files: FileSet::single(format!("{name}.glb"), sample::glb().await?),
+        held: None,
+    })
 }
 
 /// The body as the model.
@@ -94,7 +107,10 @@ async fn raw(state: &State, request: Request) -> Result<Received, Problem> {
     if main.is_empty() {
         return Err(Error::malformed("the body is empty; it must be the model").into());
     }
-    Ok(Received { files: FileSet::single("body", Bytes::from(main)), held: Some(held) })
+    Ok(Received {
+        files: FileSet::single("body", Bytes::from(main)),
+        held: Some(held),
+    })
 }
 
 /// The next bytes of an upload; gives up when the server is asked to stop.

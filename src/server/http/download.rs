@@ -35,14 +35,19 @@ impl Download {
         }
 
         let total = self.bytes.len() as u64;
-        let unchanged = request.get(header::IF_RANGE).is_none_or(|v| v.as_bytes() == etag.as_bytes());
+        let unchanged = request
+            .get(header::IF_RANGE)
+            .is_none_or(|v| v.as_bytes() == etag.as_bytes());
         let span = match request.get(header::RANGE).and_then(|v| v.to_str().ok()) {
             Some(range) if unchanged => span(range, total),
             _ => Span::Whole,
         };
         let (status, body) = match span {
             Span::Whole => (StatusCode::OK, self.bytes),
-            Span::Part { first, last } => (StatusCode::PARTIAL_CONTENT, self.bytes.slice(first as usize..=last as usize)),
+            Span::Part { first, last } => (
+                StatusCode::PARTIAL_CONTENT,
+                self.bytes.slice(first as usize..=last as usize),
+            ),
             Span::Unsatisfiable => {
                 return Err(Problem::new(
                     StatusCode::RANGE_NOT_SATISFIABLE,
@@ -81,38 +86,64 @@ pub(super) fn unchanged(etag: &str, request: &HeaderMap) -> Option<Response<Body
     }
     let mut response = Response::new(Body::empty());
     *response.status_mut() = StatusCode::NOT_MODIFIED;
-    response.headers_mut().insert(header::ETAG, HeaderValue::from_str(&etag).ok()?);
+    response
+        .headers_mut()
+        .insert(header::ETAG, HeaderValue::from_str(&etag).ok()?);
     Some(response)
 }
 
 fn quoted(tag: &str) -> String {
-    if tag.starts_with('"') { tag.to_owned() } else { format!("\"{tag}\"") }
+    if tag.starts_with('"') {
+        tag.to_owned()
+    } else {
+        format!("\"{tag}\"")
+    }
 }
 
 /// `If-None-Match` compares weakly: a `W/` mark makes no difference.
 fn matches_tag(known: &str, etag: &str) -> bool {
-    known.split(',').map(|t| t.trim()).any(|t| t == "*" || t.strip_prefix("W/").unwrap_or(t) == etag)
+    known
+        .split(',')
+        .map(|t| t.trim())
+        .any(|t| t == "*" || t.strip_prefix("W/").unwrap_or(t) == etag)
 }
 
 fn disposition(name: &str) -> String {
-    let plain: String =
-        name.chars().map(|c| if c.is_ascii_graphic() && c != '"' && c != '\\' { c } else { '_' }).collect();
+    let plain: String = name
+        .chars()
+        .map(|c| {
+            if c.is_ascii_graphic() && c != '"' && c != '\\' {
+                c
+            } else {
+                '_'
+            }
+        })
+        .collect();
     format!("attachment; filename=\"{plain}\"")
 }
 
 /// Reads a `Range` header. What is no single byte range is ignored, as the standard allows.
 fn span(range: &str, total: u64) -> Span {
-    let Some(spec) = range.strip_prefix("bytes=").map(str::trim).filter(|s| !s.contains(',')) else { return Span::Whole };
-    let Some((first, last)) = spec.split_once('-') else { return Span::Whole };
+    let Some(spec) = range.strip_prefix("bytes=").map(str::trim).filter(|s| !s.contains(',')) else {
+        return Span::Whole;
+    };
+    let Some((first, last)) = spec.split_once('-') else {
+        return Span::Whole;
+    };
     match (first.trim(), last.trim()) {
         ("", suffix) => match suffix.parse::<u64>() {
             Ok(0) => Span::Unsatisfiable,
             Ok(_) if total == 0 => Span::Unsatisfiable,
-            Ok(count) => Span::Part { first: total.saturating_sub(count), last: total - 1 },
+            Ok(count) => Span::Part {
+                first: total.saturating_sub(count),
+                last: total - 1,
+            },
             Err(_) => Span::Whole,
         },
         (first, last) => {
-            let Ok(first) = first.parse::<u64>() else { return Span::Whole };
+            let Ok(first) = first.parse::<u64>() else {
+                return Span::Whole;
+            };
             let last = match last {
                 "" => u64::MAX,
                 text => match text.parse::<u64>() {
@@ -120,7 +151,14 @@ fn span(range: &str, total: u64) -> Span {
                     _ => return Span::Whole,
                 },
             };
-            if first >= total { Span::Unsatisfiable } else { Span::Part { first, last: last.min(total - 1) } }
+            if first >= total {
+                Span::Unsatisfiable
+            } else {
+                Span::Part {
+                    first,
+                    last: last.min(total - 1),
+                }
+            }
         }
     }
 }
@@ -143,7 +181,14 @@ mod tests {
 
     #[test]
     fn what_is_no_range_is_ignored() {
-        for range in ["bytes=9-0", "bytes=a-b", "items=0-9", "bytes=0-1,4-5", "bytes=", "bytes=18446744073709551616-"] {
+        for range in [
+            "bytes=9-0",
+            "bytes=a-b",
+            "items=0-9",
+            "bytes=0-1,4-5",
+            "bytes=",
+            "bytes=18446744073709551616-",
+        ] {
             assert_eq!(span(range, 100), Span::Whole, "{range}");
         }
     }

@@ -10,12 +10,22 @@ use crate::session::Error;
 use axum::extract::{Request, State as From};
 use axum::response::Response;
 
-pub(super) async fn put(From(state): From<State>, caller: Caller, Names(id): Names<String>, request: Request) -> Result<Response, Problem> {
+pub(super) async fn put(
+    From(state): From<State>,
+    caller: Caller,
+    Names(id): Names<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     state.manager.get(&caller.tenant, &id).await?;
     let mut handles: pb::SetHandlesRequest = body::message(&state, request).await?;
     body::same_session(&handles.session_id, &id)?;
     handles.session_id = id;
-    json(&state.manager.set_handles(&caller.tenant, handles, caller.key()?).await?)
+    json(
+        &state
+            .manager
+            .set_handles(&caller.tenant, handles, caller.key()?)
+            .await?,
+    )
 }
 
 pub(super) async fn patch(
@@ -26,14 +36,27 @@ pub(super) async fn patch(
 ) -> Result<Response, Problem> {
     state.manager.get(&caller.tenant, &id).await?;
     let text = body::text(&state, request).await?;
-    let mut handle: pb::Handle = if text.is_empty() { pb::Handle::default() } else { job::json::from_json(&text)? };
+    let mut handle: pb::Handle = if text.is_empty() {
+        pb::Handle::default()
+    } else {
+        job::json::from_json(&text)?
+    };
     if !handle.id.is_empty() && handle.id != handle_id {
         let shown = problem::clip(&handle.id);
-        return Err(Error::invalid("id", format!("is \"{shown}\", the path says \"{}\"", problem::clip(&handle_id))).into());
+        return Err(Error::invalid(
+            "id",
+            format!("is \"{shown}\", the path says \"{}\"", problem::clip(&handle_id)),
+        )
+        .into());
     }
     handle.id = handle_id;
     let fields = present(&text);
-    json(&state.manager.put_handle(&caller.tenant, &id, handle, &fields, caller.key()?).await?)
+    json(
+        &state
+            .manager
+            .put_handle(&caller.tenant, &id, handle, &fields, caller.key()?)
+            .await?,
+    )
 }
 
 pub(super) async fn delete(
@@ -41,7 +64,12 @@ pub(super) async fn delete(
     caller: Caller,
     Names((id, handle_id)): Names<(String, String)>,
 ) -> Result<Response, Problem> {
-    json(&state.manager.remove_handle(&caller.tenant, &id, &handle_id, caller.key()?).await?)
+    json(
+        &state
+            .manager
+            .remove_handle(&caller.tenant, &id, &handle_id, caller.key()?)
+            .await?,
+    )
 }
 
 /// The names of the fields that a JSON object gives.

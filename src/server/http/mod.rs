@@ -52,12 +52,20 @@ pub(super) fn router(state: &State) -> Router {
 
 async fn unknown_route(request: Request) -> Problem {
     let path = problem::clip(request.uri().path());
-    Problem::new(StatusCode::NOT_FOUND, "NOT_FOUND", format!("there is nothing at {path}; /openapi.json lists what there is"))
+    Problem::new(
+        StatusCode::NOT_FOUND,
+        "NOT_FOUND",
+        format!("there is nothing at {path}; /openapi.json lists what there is"),
+    )
 }
 
 async fn wrong_method(request: Request) -> Problem {
     let (method, path) = (request.method(), problem::clip(request.uri().path()));
-    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "UNIMPLEMENTED", format!("{method} is not a method of {path}; the header Allow lists them"))
+    Problem::new(
+        StatusCode::METHOD_NOT_ALLOWED,
+        "UNIMPLEMENTED",
+        format!("{method} is not a method of {path}; the header Allow lists them"),
+    )
 }
 
 /// Numbers, counts and guards a call, and gives its problem document the path.
@@ -69,14 +77,22 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         .filter(|id| !id.is_empty() && id.len() <= 128)
         .map_or_else(telemetry::request_id, Arc::from);
     let path: String = request.uri().path().chars().take(1024).collect();
-    let route = request.extensions().get::<MatchedPath>().map_or("unknown", |m| m.as_str()).to_owned();
+    let route = request
+        .extensions()
+        .get::<MatchedPath>()
+        .map_or("unknown", |m| m.as_str())
+        .to_owned();
     let mut recorder = state.telemetry.recorder("http", route, Arc::clone(&request_id));
 
     let changes = !matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
     let upgrades = request.headers().contains_key(header::UPGRADE) || request.method() == Method::CONNECT;
     let response = if (changes || upgrades) && !state.config.origins.admit(request.headers(), request.uri()) {
-        Problem::new(StatusCode::FORBIDDEN, "PERMISSION_DENIED", "pages of this origin may not call; the key cors_origins lists who may")
-            .into_response()
+        Problem::new(
+            StatusCode::FORBIDDEN,
+            "PERMISSION_DENIED",
+            "pages of this origin may not call; the key cors_origins lists who may",
+        )
+        .into_response()
     } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
         Problem::from(Error::draining()).into_response()
     } else {
@@ -97,7 +113,10 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         Some(problem) => {
             let mut told = problem.respond(Some(&path));
             for (name, value) in response.headers() {
-                if !told.headers().contains_key(name) && name != header::CONTENT_LENGTH && name != header::CONTENT_ENCODING {
+                if !told.headers().contains_key(name)
+                    && name != header::CONTENT_LENGTH
+                    && name != header::CONTENT_ENCODING
+                {
                     told.headers_mut().append(name.clone(), value.clone());
                 }
             }
@@ -122,7 +141,11 @@ struct JsonOnly;
 
 impl Predicate for JsonOnly {
     fn should_compress<B: http_body::Body>(&self, response: &http::Response<B>) -> bool {
-        let kind = response.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+        let kind = response
+            .headers()
+            .get(header::CONTENT_TYPE)
+            .and_then(|v| v.to_str().ok())
+            .unwrap_or_default();
         let json = kind.starts_with("application/json");
         json && response.body().size_hint().exact().is_none_or(|bytes| bytes >= 1024)
     }

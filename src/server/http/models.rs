@@ -26,7 +26,9 @@ pub(super) async fn model(
 ) -> Result<Response, Problem> {
     state.manager.get(&caller.tenant, &id).await?;
     let mut found = query::parameters(&uri, &["format", "uri"])?;
-    let format = found.remove("format").map(|name| Format::from_name(&name).ok_or_else(|| unknown_format("format", &name)));
+    let format = found
+        .remove("format")
+        .map(|name| Format::from_name(&name).ok_or_else(|| unknown_format("format", &name)));
     let format = format.transpose()?;
     let wanted = found.remove("uri").filter(|uri| !uri.is_empty());
     if wanted.is_none() && headers.contains_key(header::IF_NONE_MATCH) {
@@ -46,11 +48,18 @@ pub(super) async fn model(
 pub(super) fn main_file(id: &str, exported: Exported, headers: &HeaderMap) -> Result<Response, Problem> {
     let Exported { written, format, etag } = exported;
     let file_name = format!("{id}.{format}");
-    let download = Download { bytes: Bytes::from(written.main), media_type: format.media_type(), etag, file_name };
+    let download = Download {
+        bytes: Bytes::from(written.main),
+        media_type: format.media_type(),
+        etag,
+        file_name,
+    };
     let mut response = download.respond(headers)?;
     for uri in written.companions.keys() {
         let target = utf8_percent_encode(uri, NON_ALPHANUMERIC);
-        if let Ok(link) = HeaderValue::from_str(&format!("</v1/sessions/{id}/model?format={format}&uri={target}>; rel=\"item\"")) {
+        if let Ok(link) = HeaderValue::from_str(&format!(
+            "</v1/sessions/{id}/model?format={format}&uri={target}>; rel=\"item\""
+        )) {
             response.headers_mut().append(header::LINK, link);
         }
     }
@@ -58,15 +67,29 @@ pub(super) fn main_file(id: &str, exported: Exported, headers: &HeaderMap) -> Re
 }
 
 fn companion(exported: Exported, uri: &str, headers: &HeaderMap) -> Result<Response, Problem> {
-    let Exported { mut written, format, etag } = exported;
+    let Exported {
+        mut written,
+        format,
+        etag,
+    } = exported;
     let Some(bytes) = written.companions.remove(uri) else {
         let known: Vec<&str> = written.companions.keys().map(String::as_str).collect();
-        let list = if known.is_empty() { format!("this {format} file has none") } else { format!("there are {}", clip(&known.join(", "))) };
+        let list = if known.is_empty() {
+            format!("this {format} file has none")
+        } else {
+            format!("there are {}", clip(&known.join(", ")))
+        };
         return Err(Error::invalid("uri", format!("\"{}\" names no companion file; {list}", clip(uri))).into());
     };
     let etag = format!("\"{}-{:016x}\"", etag.trim_matches('"'), xxh3_64(uri.as_bytes()));
     let file_name = uri.rsplit('/').next().unwrap_or(uri).to_owned();
-    Download { bytes: Bytes::from(bytes), media_type: "application/octet-stream", etag, file_name }.respond(headers)
+    Download {
+        bytes: Bytes::from(bytes),
+        media_type: "application/octet-stream",
+        etag,
+        file_name,
+    }
+    .respond(headers)
 }
 
 /// `GET …/positions`: little-endian x, y, z per render vertex.
@@ -81,6 +104,11 @@ pub(super) async fn positions(
     query::parameters(&uri, &[])?;
     let positions = state.manager.positions(&caller.tenant, &id).await?;
     let file_name = format!("{id}.f32");
-    let download = Download { bytes: positions.bytes, media_type: "application/octet-stream", etag: positions.etag, file_name };
+    let download = Download {
+        bytes: positions.bytes,
+        media_type: "application/octet-stream",
+        etag: positions.etag,
+        file_name,
+    };
     download.respond(&headers)
 }

@@ -22,7 +22,10 @@ pub(super) async fn ready(From(state): From<State>) -> Result<&'static str, Prob
     }
     if !state.manager.admits() {
         let text = "the sessions hold nearly all the memory that they may";
-        let busy = Error { retry_after_s: Some(5), ..Error::new(crate::session::Code::Unavailable, text) };
+        let busy = Error {
+            retry_after_s: Some(5),
+            ..Error::new(crate::session::Code::Unavailable, text)
+        };
         return Err(busy.into());
     }
     Ok("ready\n")
@@ -30,7 +33,11 @@ pub(super) async fn ready(From(state): From<State>) -> Result<&'static str, Prob
 
 pub(super) async fn metrics(From(state): From<State>) -> Result<Response, Problem> {
     if !state.config.metrics {
-        return Err(Problem::new(StatusCode::NOT_FOUND, "NOT_FOUND", "counts are switched off (key metrics)"));
+        return Err(Problem::new(
+            StatusCode::NOT_FOUND,
+            "NOT_FOUND",
+            "counts are switched off (key metrics)",
+        ));
     }
     let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
     Ok(([(header::CONTENT_TYPE, kind)], state.telemetry.text()).into_response())

@@ -22,7 +22,13 @@ pub(crate) struct Problem {
 impl Problem {
     /// A problem that only HTTP knows, such as a wrong method.
     pub fn new(status: StatusCode, code: &'static str, detail: impl Into<String>) -> Self {
-        Self { status, code, detail: detail.into(), field: None, headers: Vec::new() }
+        Self {
+            status,
+            code,
+            detail: detail.into(),
+            field: None,
+            headers: Vec::new(),
+        }
     }
 
     /// A defect of the server; `what` is for its log.
@@ -36,7 +42,10 @@ impl Problem {
         let detail = if seen.is_empty() {
             format!("the content type is missing; allowed are {allowed}")
         } else {
-            format!("the content type \"{}\" is not taken here; allowed are {allowed}", clip(seen))
+            format!(
+                "the content type \"{}\" is not taken here; allowed are {allowed}",
+                clip(seen)
+            )
         };
         Self::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "INVALID_ARGUMENT", detail)
     }
@@ -60,7 +69,11 @@ impl Problem {
             document["instance"] = instance.into();
         }
         if let Some(field) = &self.field {
-            let problem = self.detail.strip_prefix(field.as_str()).and_then(|d| d.strip_prefix(": ")).unwrap_or(&self.detail);
+            let problem = self
+                .detail
+                .strip_prefix(field.as_str())
+                .and_then(|d| d.strip_prefix(": "))
+                .unwrap_or(&self.detail);
             document["errors"] = json!([{ "field": field, "problem": problem }]);
         }
         document
@@ -140,7 +153,10 @@ mod tests {
 
     #[test]
     fn overload_always_says_when_to_come_back() {
-        for error in [Error::new(Code::ResourceExhausted, "full"), Error::new(Code::Unavailable, "leaving")] {
+        for error in [
+            Error::new(Code::ResourceExhausted, "full"),
+            Error::new(Code::Unavailable, "leaving"),
+        ] {
             let response = Problem::from(error).into_response();
             assert_eq!(response.headers()[header::RETRY_AFTER], "1");
         }

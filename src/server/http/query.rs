@@ -17,9 +17,16 @@ pub(super) fn parameters(uri: &Uri, allowed: &[&str]) -> Result<BTreeMap<String,
     };
     let mut parameters = BTreeMap::new();
     for (name, value) in pairs {
-        if !allowed.iter().any(|a| name == *a || (a.ends_with('.') && name.starts_with(a))) {
+        if !allowed
+            .iter()
+            .any(|a| name == *a || (a.ends_with('.') && name.starts_with(a)))
+        {
             let names: Vec<&str> = allowed.iter().copied().filter(|a| !a.ends_with('.')).collect();
-            let list = if names.is_empty() { "none here".to_owned() } else { names.join(", ") };
+            let list = if names.is_empty() {
+                "none here".to_owned()
+            } else {
+                names.join(", ")
+            };
             return Err(refuse(&name, &format!("is not a query parameter; allowed are {list}")));
         }
         if parameters.insert(name.clone(), value).is_some() {
@@ -31,7 +38,10 @@ pub(super) fn parameters(uri: &Uri, allowed: &[&str]) -> Result<BTreeMap<String,
 
 fn refuse(name: &str, problem: &str) -> Problem {
     let name = clip(name);
-    let error = Error { field: Some(name.clone()), ..Error::malformed(format!("{name}: {problem}")) };
+    let error = Error {
+        field: Some(name.clone()),
+        ..Error::malformed(format!("{name}: {problem}"))
+    };
     error.into()
 }
 

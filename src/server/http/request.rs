@@ -34,7 +34,9 @@ impl FromRequestParts<State> for Caller {
     async fn from_request_parts(parts: &mut Parts, _: &State) -> Result<Self, Problem> {
         let tenant = auth::tenant(&parts.headers)?;
         let key = parts.headers.get("idempotency-key").map(|value| {
-            let text = value.to_str().map_err(|_| Error::invalid("Idempotency-Key", "is not printable ASCII"))?;
+            let text = value
+                .to_str()
+                .map_err(|_| Error::invalid("Idempotency-Key", "is not printable ASCII"))?;
             Ok(text.to_owned())
         });
         Ok(Self { tenant, key })
@@ -50,7 +52,11 @@ impl<T: DeserializeOwned + Send> FromRequestParts<State> for Names<T> {
     async fn from_request_parts(parts: &mut Parts, state: &State) -> Result<Self, Problem> {
         match Path::<T>::from_request_parts(parts, state).await {
             Ok(Path(names)) => Ok(Self(names)),
-            Err(_) => Err(Problem::new(StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "the path is not valid percent-encoded UTF-8")),
+            Err(_) => Err(Problem::new(
+                StatusCode::BAD_REQUEST,
+                "INVALID_ARGUMENT",
+                "the path is not valid percent-encoded UTF-8",
+            )),
         }
     }
 }

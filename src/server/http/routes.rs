@@ -12,7 +12,10 @@ pub(super) fn all() -> Router<State> {
         .route("/v1/sessions", post(create::create).get(sessions::list))
         .route("/v1/sessions/{id}", get(sessions::get).delete(sessions::delete))
         .route("/v1/sessions/{id}/handles", put(handles::put))
-        .route("/v1/sessions/{id}/handles/{handleId}", patch(handles::patch).delete(handles::delete))
+        .route(
+            "/v1/sessions/{id}/handles/{handleId}",
+            patch(handles::patch).delete(handles::delete),
+        )
         .route("/v1/sessions/{id}/solve", post(solve::solve))
         .route("/v1/sessions/{id}/edits", post(edits::edit))
         .route("/v1/sessions/{id}/animations", post(edits::animate))
@@ -21,7 +24,10 @@ pub(super) fn all() -> Router<State> {
         .route("/v1/sessions/{id}/history", get(sessions::history))
         .route("/v1/sessions/{id}/model", get(models::model))
         .route("/v1/sessions/{id}/positions", get(models::positions))
-        .route("/v1/sessions/{id}/stream", get(socket::upgrade).connect(socket::upgrade))
+        .route(
+            "/v1/sessions/{id}/stream",
+            get(socket::upgrade).connect(socket::upgrade),
+        )
         .route("/v1/limits", get(sessions::limits))
         .route("/v1/sample.glb", get(pages::sample))
         .route("/healthz", get(pages::alive))
@@ -51,8 +57,17 @@ pub(in crate::server) struct Route {
     pub keyed: bool,
 }
 
-const PLAIN: Route =
-    Route { method: "get", path: "", rpc: None, summary: "", takes: None, gives: None, status: 200, query: &[], keyed: false };
+const PLAIN: Route = Route {
+    method: "get",
+    path: "",
+    rpc: None,
+    summary: "",
+    takes: None,
+    gives: None,
+    status: 200,
+    query: &[],
+    keyed: false,
+};
 
 const FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off or stl");
 
@@ -73,7 +88,10 @@ pub(in crate::server) const ROUTES: [Route; 22] = [
             ("components", "CreateOptions.components"),
             ("weights", "CreateOptions.weights"),
             ("operators", "CreateOptions.operators"),
-            ("volumeGraph", "CreateOptions.volumeGraph.mode; its other fields as volumeGraph.interval and so on"),
+            (
+                "volumeGraph",
+                "CreateOptions.volumeGraph.mode; its other fields as volumeGraph.interval and so on",
+            ),
             ("weld", "CreateOptions.weld.tolerance"),
             ("sample", "creature: open the built-in model; the body stays empty"),
         ],
@@ -85,11 +103,27 @@ pub(in crate::server) const ROUTES: [Route; 22] = [
         rpc: Some("ListSessions"),
         summary: "List sessions.",
         gives: Some("ListSessionsResponse"),
-        query: &[("pageSize", "sessions a page, 1 to 1000"), ("pageToken", "nextPageToken of the page before")],
+        query: &[
+            ("pageSize", "sessions a page, 1 to 1000"),
+            ("pageToken", "nextPageToken of the page before"),
+        ],
         ..PLAIN
     },
-    Route { path: "/v1/sessions/{id}", rpc: Some("GetSession"), summary: "Describe a session.", gives: Some("Session"), ..PLAIN },
-    Route { method: "delete", path: "/v1/sessions/{id}", rpc: Some("DeleteSession"), summary: "Close a session.", status: 204, ..PLAIN },
+    Route {
+        path: "/v1/sessions/{id}",
+        rpc: Some("GetSession"),
+        summary: "Describe a session.",
+        gives: Some("Session"),
+        ..PLAIN
+    },
+    Route {
+        method: "delete",
+        path: "/v1/sessions/{id}",
+        rpc: Some("DeleteSession"),
+        summary: "Close a session.",
+        status: 204,
+        ..PLAIN
+    },
     Route {
         method: "put",
         path: "/v1/sessions/{id}/handles",
@@ -143,9 +177,31 @@ pub(in crate::server) const ROUTES: [Route; 22] = [
         summary: "Bake a motion. Not implemented by this version: answers 501.",
         ..PLAIN
     },
-    Route { method: "post", path: "/v1/sessions/{id}/undo", rpc: Some("Undo"), summary: "Undo.", gives: Some("Session"), keyed: true, ..PLAIN },
-    Route { method: "post", path: "/v1/sessions/{id}/redo", rpc: Some("Redo"), summary: "Redo.", gives: Some("Session"), keyed: true, ..PLAIN },
-    Route { path: "/v1/sessions/{id}/history", rpc: Some("History"), summary: "List commits.", gives: Some("HistoryResponse"), ..PLAIN },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/undo",
+        rpc: Some("Undo"),
+        summary: "Undo.",
+        gives: Some("Session"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/redo",
+        rpc: Some("Redo"),
+        summary: "Redo.",
+        gives: Some("Session"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sessions/{id}/history",
+        rpc: Some("History"),
+        summary: "List commits.",
+        gives: Some("HistoryResponse"),
+        ..PLAIN
+    },
     Route {
         path: "/v1/sessions/{id}/model",
         rpc: Some("Export"),
@@ -165,10 +221,36 @@ pub(in crate::server) const ROUTES: [Route; 22] = [
         status: 101,
         ..PLAIN
     },
-    Route { path: "/v1/limits", rpc: Some("GetLimits"), summary: "The limits of this server.", gives: Some("Limits"), ..PLAIN },
-    Route { path: "/v1/sample.glb", summary: "The built-in creature.", ..PLAIN },
-    Route { path: "/healthz", summary: "200 while the process lives.", ..PLAIN },
-    Route { path: "/readyz", summary: "200 while new work is taken, else 503.", ..PLAIN },
-    Route { path: "/metrics", summary: "Counts as OpenMetrics text.", ..PLAIN },
-    Route { path: "/openapi.json", summary: "This description.", ..PLAIN },
+    Route {
+        path: "/v1/limits",
+        rpc: Some("GetLimits"),
+        summary: "The limits of this server.",
+        gives: Some("Limits"),
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sample.glb",
+        summary: "The built-in creature.",
+        ..PLAIN
+    },
+    Route {
+        path: "/healthz",
+        summary: "200 while the process lives.",
+        ..PLAIN
+    },
+    Route {
+        path: "/readyz",
+        summary: "200 while new work is taken, else 503.",
+        ..PLAIN
+    },
+    Route {
+        path: "/metrics",
+        summary: "Counts as OpenMetrics text.",
+        ..PLAIN
+    },
+    Route {
+        path: "/openapi.json",
+        summary: "This description.",
+        ..PLAIN
+    },
 ];

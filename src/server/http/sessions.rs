@@ -23,31 +23,62 @@ pub(super) async fn list(From(state): From<State>, caller: Caller, uri: Uri) -> 
     let page_size = match take("pageSize", "page_size") {
         None => 0,
         Some(text) => text.parse().map_err(|_| {
-            Error::invalid("pageSize", format!("\"{}\" is not a whole number from 1 to 1000", super::problem::clip(&text)))
+            Error::invalid(
+                "pageSize",
+                format!(
+                    "\"{}\" is not a whole number from 1 to 1000",
+                    super::problem::clip(&text)
+                ),
+            )
         })?,
     };
     let page_token = take("pageToken", "page_token").unwrap_or_default();
-    json(&state.manager.list(&caller.tenant, pb::ListSessionsRequest { page_size, page_token }).await?)
+    json(
+        &state
+            .manager
+            .list(&caller.tenant, pb::ListSessionsRequest { page_size, page_token })
+            .await?,
+    )
 }
 
-pub(super) async fn get(From(state): From<State>, caller: Caller, Names(id): Names<String>) -> Result<Response, Problem> {
+pub(super) async fn get(
+    From(state): From<State>,
+    caller: Caller,
+    Names(id): Names<String>,
+) -> Result<Response, Problem> {
     json(&state.manager.get(&caller.tenant, &id).await?)
 }
 
-pub(super) async fn delete(From(state): From<State>, caller: Caller, Names(id): Names<String>) -> Result<Response, Problem> {
+pub(super) async fn delete(
+    From(state): From<State>,
+    caller: Caller,
+    Names(id): Names<String>,
+) -> Result<Response, Problem> {
     state.manager.delete(&caller.tenant, &id).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
-pub(super) async fn undo(From(state): From<State>, caller: Caller, Names(id): Names<String>) -> Result<Response, Problem> {
+pub(super) async fn undo(
+    From(state): From<State>,
+    caller: Caller,
+    Names(id): Names<String>,
+) -> Result<Response, Problem> {
     json(&state.manager.undo(&caller.tenant, &id, caller.key()?).await?)
 }
 
-pub(super) async fn redo(From(state): From<State>, caller: Caller, Names(id): Names<String>) -> Result<Response, Problem> {
+pub(super) async fn redo(
+    From(state): From<State>,
+    caller: Caller,
+    Names(id): Names<String>,
+) -> Result<Response, Problem> {
     json(&state.manager.redo(&caller.tenant, &id, caller.key()?).await?)
 }
 
-pub(super) async fn history(From(state): From<State>, caller: Caller, Names(id): Names<String>) -> Result<Response, Problem> {
+pub(super) async fn history(
+    From(state): From<State>,
+    caller: Caller,
+    Names(id): Names<String>,
+) -> Result<Response, Problem> {
     json(&state.manager.history(&caller.tenant, &id).await?)
 }
 

@@ -27,12 +27,20 @@ fn offers() -> [&'static str; 8] {
     offers
 }
 
-pub(super) async fn solve(From(state): From<State>, caller: Caller, Names(id): Names<String>, request: Request) -> Result<Response, Problem> {
+pub(super) async fn solve(
+    From(state): From<State>,
+    caller: Caller,
+    Names(id): Names<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     state.manager.get(&caller.tenant, &id).await?;
     let offers = offers();
     let accept = request.headers().get(header::ACCEPT).and_then(|v| v.to_str().ok());
     let Some(offer) = negotiate::choose(accept, &offers).and_then(|k| offers.get(k).copied()) else {
-        let detail = format!("none of the types in Accept is offered; there are {}", offers.join(", "));
+        let detail = format!(
+            "none of the types in Accept is offered; there are {}",
+            offers.join(", ")
+        );
         return Err(Problem::new(StatusCode::NOT_ACCEPTABLE, "INVALID_ARGUMENT", detail));
     };
     let mut message: pb::SolveRequest = body::message(&state, request).await?;
@@ -47,7 +55,10 @@ pub(super) async fn solve(From(state): From<State>, caller: Caller, Names(id): N
         JSON => as_json(&solved)?,
         BUFFER => as_buffer(solved.frames),
         model => {
-            let exported = state.manager.export(&caller.tenant, &id, Format::from_media_type(model)).await?;
+            let exported = state
+                .manager
+                .export(&caller.tenant, &id, Format::from_media_type(model))
+                .await?;
             models::main_file(&id, exported, &HeaderMap::new())?
         }
     };
@@ -57,12 +68,20 @@ pub(super) async fn solve(From(state): From<State>, caller: Caller, Names(id): N
 
 /// The whole buffer is plain floats of every vertex; other forms need the frames that JSON carries.
 fn whole_buffer(options: Option<&pb::Options>) -> Result<(), Error> {
-    let Some(output) = options.and_then(|o| o.output.as_ref()) else { return Ok(()) };
+    let Some(output) = options.and_then(|o| o.output.as_ref()) else {
+        return Ok(());
+    };
     if output.encoding() != pb::frame::Encoding::F32 {
-        return Err(Error::invalid("options.output.encoding", format!("only F32 comes as {BUFFER}; ask for {JSON}")));
+        return Err(Error::invalid(
+            "options.output.encoding",
+            format!("only F32 comes as {BUFFER}; ask for {JSON}"),
+        ));
     }
     if output.changed_only.is_some() {
-        return Err(Error::invalid("options.output.changedOnly", format!("a part of the vertices cannot come as {BUFFER}; ask for {JSON}")));
+        return Err(Error::invalid(
+            "options.output.changedOnly",
+            format!("a part of the vertices cannot come as {BUFFER}; ask for {JSON}"),
+        ));
     }
     Ok(())
 }
@@ -88,7 +107,11 @@ fn facts(solved: &SolvedFrames) -> HeaderMap {
 }
 
 fn as_json(solved: &SolvedFrames) -> Result<Response, Problem> {
-    let frames = solved.frames.iter().map(job::json::to_json).collect::<Result<Vec<_>, _>>()?;
+    let frames = solved
+        .frames
+        .iter()
+        .map(job::json::to_json)
+        .collect::<Result<Vec<_>, _>>()?;
     let answer = serde_json::json!({
         "frames": frames,
         // As proto-JSON writes 64-bit numbers.
@@ -105,7 +128,11 @@ fn as_buffer(mut frames: Vec<pb::Frame>) -> Response {
     let bytes: usize = parts.iter().map(Bytes::len).sum();
     let body = Body::from_stream(futures::stream::iter(parts.into_iter().map(Ok::<_, Infallible>)));
     let mut response = Response::new(body);
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(BUFFER));
-    response.headers_mut().insert(header::CONTENT_LENGTH, HeaderValue::from(bytes));
+    response
+        .headers_mut()
+        .insert(header::CONTENT_TYPE, HeaderValue::from_static(BUFFER));
+    response
+        .headers_mut()
+        .insert(header::CONTENT_LENGTH, HeaderValue::from(bytes));
     response
 }

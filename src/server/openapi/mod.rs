@@ -93,11 +93,15 @@ fn operation(route: &Route, schemas: &Schemas) -> Value {
         .map(|name| json!({"name": name, "in": "path", "required": true, "schema": {"type": "string"}}))
         .collect();
     parameters.extend(
-        route.query.iter().map(|(name, text)| json!({"name": name, "in": "query", "description": text, "schema": {"type": "string"}})),
+        route.query.iter().map(
+            |(name, text)| json!({"name": name, "in": "query", "description": text, "schema": {"type": "string"}}),
+        ),
     );
     if route.keyed {
         let text = "A retry with the same key gets the first answer.";
-        parameters.push(json!({"name": "Idempotency-Key", "in": "header", "description": text, "schema": {"type": "string"}}));
+        parameters.push(
+            json!({"name": "Idempotency-Key", "in": "header", "description": text, "schema": {"type": "string"}}),
+        );
     }
     if !parameters.is_empty() {
         operation.insert("parameters".into(), parameters.into());
@@ -116,10 +120,18 @@ fn operation_id(route: &Route) -> String {
     match route.rpc {
         Some(rpc) => {
             let mut letters = rpc.chars();
-            letters.next().map(|first| first.to_ascii_lowercase()).into_iter().chain(letters).collect()
+            letters
+                .next()
+                .map(|first| first.to_ascii_lowercase())
+                .into_iter()
+                .chain(letters)
+                .collect()
         }
         None => {
-            let words = route.path.split(|c: char| !c.is_ascii_alphanumeric()).filter(|w| !w.is_empty() && *w != "v1");
+            let words = route
+                .path
+                .split(|c: char| !c.is_ascii_alphanumeric())
+                .filter(|w| !w.is_empty() && *w != "v1");
             words.fold(route.method.to_owned(), |id, word| {
                 let (first, rest) = word.split_at(1);
                 id + &first.to_ascii_uppercase() + rest
@@ -133,7 +145,10 @@ fn bytes() -> Value {
 }
 
 fn models() -> Map<String, Value> {
-    crate::asset::Format::ALL.into_iter().map(|format| (format.media_type().to_owned(), bytes())).collect()
+    crate::asset::Format::ALL
+        .into_iter()
+        .map(|format| (format.media_type().to_owned(), bytes()))
+        .collect()
 }
 
 fn request_body(route: &Route) -> Option<Value> {
@@ -156,7 +171,10 @@ fn request_body(route: &Route) -> Option<Value> {
 fn success(route: &Route) -> Value {
     let mut content = Map::new();
     if let Some(message) = route.gives {
-        content.insert("application/json".into(), json!({"schema": {"$ref": format!("#/components/schemas/{message}")}}));
+        content.insert(
+            "application/json".into(),
+            json!({"schema": {"$ref": format!("#/components/schemas/{message}")}}),
+        );
     }
     match route.path {
         "/v1/sessions/{id}/solve" => {
@@ -171,7 +189,10 @@ fn success(route: &Route) -> Value {
             content.insert("model/gltf-binary".into(), bytes());
         }
         "/metrics" => {
-            content.insert("application/openmetrics-text".into(), json!({"schema": {"type": "string"}}));
+            content.insert(
+                "application/openmetrics-text".into(),
+                json!({"schema": {"type": "string"}}),
+            );
         }
         "/healthz" | "/readyz" => {
             content.insert("text/plain".into(), json!({"schema": {"type": "string"}}));
@@ -201,11 +222,28 @@ mod tests {
             assert!(schemas.contains_key(name), "{name} is referred to and not described");
         }
         // Comments of the schema arrive.
-        assert_eq!(schemas["SetHandlesRequest"]["description"], "Replaces a session's handles.");
-        assert!(schemas["Handle"]["properties"]["stiffness"]["description"].as_str().unwrap().starts_with("Absent = hard"));
-        assert_eq!(schemas["Session"]["properties"]["revision"]["type"], json!(["string", "integer"]));
-        assert_eq!(schemas["CreateOptions.Components"]["enum"], json!(["FOLLOW", "HOLD", "FREE"]));
-        assert_eq!(schemas["Session"]["properties"]["buildMs"]["additionalProperties"]["type"], "number");
+        assert_eq!(
+            schemas["SetHandlesRequest"]["description"],
+            "Replaces a session's handles."
+        );
+        assert!(
+            schemas["Handle"]["properties"]["stiffness"]["description"]
+                .as_str()
+                .unwrap()
+                .starts_with("Absent = hard")
+        );
+        assert_eq!(
+            schemas["Session"]["properties"]["revision"]["type"],
+            json!(["string", "integer"])
+        );
+        assert_eq!(
+            schemas["CreateOptions.Components"]["enum"],
+            json!(["FOLLOW", "HOLD", "FREE"])
+        );
+        assert_eq!(
+            schemas["Session"]["properties"]["buildMs"]["additionalProperties"]["type"],
+            "number"
+        );
     }
 
     #[test]
@@ -219,9 +257,16 @@ mod tests {
 
     #[test]
     fn every_rpc_with_a_message_form_has_a_route() {
-        let service = job::json::descriptors().unwrap().get_service_by_name("pliant.v1.Deformer").unwrap();
+        let service = job::json::descriptors()
+            .unwrap()
+            .get_service_by_name("pliant.v1.Deformer")
+            .unwrap();
         for method in service.methods() {
-            assert!(ROUTES.iter().any(|r| r.rpc == Some(method.name())), "{} has no route", method.name());
+            assert!(
+                ROUTES.iter().any(|r| r.rpc == Some(method.name())),
+                "{} has no route",
+                method.name()
+            );
         }
         for route in &ROUTES {
             if let Some(rpc) = route.rpc {

@@ -16,8 +16,12 @@ pub(super) struct Schemas<'a> {
 impl<'a> Schemas<'a> {
     /// Reads the comments of the schema's file.
     pub fn new(pool: &'a DescriptorPool) -> Self {
-        let file = pool.files().find(|file: &FileDescriptor| file.package_name() == PACKAGE);
-        let comments = file.map(|file| comments(file.file_descriptor_proto())).unwrap_or_default();
+        let file = pool
+            .files()
+            .find(|file: &FileDescriptor| file.package_name() == PACKAGE);
+        let comments = file
+            .map(|file| comments(file.file_descriptor_proto()))
+            .unwrap_or_default();
         Self { pool, comments }
     }
 
@@ -31,7 +35,11 @@ impl<'a> Schemas<'a> {
     /// Every message and enumeration by its name below the package.
     pub fn all(&self) -> Map<String, Value> {
         let mut all = BTreeMap::new();
-        for message in self.pool.all_messages().filter(|m| m.package_name() == PACKAGE && !m.is_map_entry()) {
+        for message in self
+            .pool
+            .all_messages()
+            .filter(|m| m.package_name() == PACKAGE && !m.is_map_entry())
+        {
             all.insert(name(message.full_name()), self.message(&message));
         }
         for kind in self.pool.all_enums().filter(|e| e.package_name() == PACKAGE) {
@@ -52,13 +60,20 @@ impl<'a> Schemas<'a> {
     }
 
     fn message(&self, message: &MessageDescriptor) -> Value {
-        let properties: Map<String, Value> =
-            message.fields().map(|field| (field.json_name().to_owned(), self.field(&field))).collect();
+        let properties: Map<String, Value> = message
+            .fields()
+            .map(|field| (field.json_name().to_owned(), self.field(&field)))
+            .collect();
         let mut schema = json!({"type": "object", "properties": properties, "additionalProperties": false});
         let choices: Vec<String> = message
             .oneofs()
             .filter(|one| !one.is_synthetic())
-            .map(|one| one.fields().map(|f| f.json_name().to_owned()).collect::<Vec<_>>().join(", "))
+            .map(|one| {
+                one.fields()
+                    .map(|f| f.json_name().to_owned())
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            })
             .collect();
         if !choices.is_empty() {
             schema["$comment"] = format!("at most one of {}", choices.join("; at most one of ")).into();
@@ -93,7 +108,10 @@ impl<'a> Schemas<'a> {
 }
 
 fn name(full: &str) -> String {
-    full.strip_prefix(PACKAGE).and_then(|n| n.strip_prefix('.')).unwrap_or(full).to_owned()
+    full.strip_prefix(PACKAGE)
+        .and_then(|n| n.strip_prefix('.'))
+        .unwrap_or(full)
+        .to_owned()
 }
 
 fn one(kind: &Kind) -> Value {

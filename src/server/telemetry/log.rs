@@ -9,7 +9,9 @@ pub fn start(directives: &str, format: LogFormat) {
     // Chatter of the protocol libraries helps nobody and slows streams.
     let quiet = "h2=warn,hyper=warn,hyper_util=warn,tonic=warn,tower=warn,tungstenite=warn";
     let filter = EnvFilter::builder().parse_lossy(format!("{quiet},{directives}"));
-    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let lines = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr);
     let _ = match format {
         LogFormat::Text => lines.with_ansi(std::io::stderr().is_terminal()).try_init(),
         LogFormat::Json => lines.json().flatten_event(true).try_init(),

@@ -51,7 +51,9 @@ pub(super) struct Telemetry {
 }
 
 fn seconds_histogram() -> Histogram {
-    Histogram::new([0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0])
+    Histogram::new([
+        0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0,
+    ])
 }
 
 impl Telemetry {
@@ -62,15 +64,40 @@ impl Telemetry {
         let seconds = Family::<Route, Histogram, fn() -> Histogram>::new_with_constructor(seconds_histogram);
         let (in_flight, connections, sockets) = (Gauge::default(), Gauge::default(), Gauge::default());
         let connections_refused = Counter::default();
-        registry.register("build", "Version of this server", Info::new([("version", env!("CARGO_PKG_VERSION"))]));
-        registry.register("requests", "Calls finished, by transport, route and status", calls.clone());
-        registry.register_with_unit("request", "Time from the head of a call to the end of its answer", Unit::Seconds, seconds.clone());
+        registry.register(
+            "build",
+            "Version of this server",
+            Info::new([("version", env!("CARGO_PKG_VERSION"))]),
+        );
+        registry.register(
+            "requests",
+            "Calls finished, by transport, route and status",
+            calls.clone(),
+        );
+        registry.register_with_unit(
+            "request",
+            "Time from the head of a call to the end of its answer",
+            Unit::Seconds,
+            seconds.clone(),
+        );
         registry.register("requests_in_flight", "Calls being answered", in_flight.clone());
         registry.register("connections", "Connections open", connections.clone());
-        registry.register("connections_refused", "Connections turned away because too many were open", connections_refused.clone());
+        registry.register(
+            "connections_refused",
+            "Connections turned away because too many were open",
+            connections_refused.clone(),
+        );
         registry.register("websockets", "WebSockets open", sockets.clone());
         registry.register_collector(Box::new(collector::Sessions(manager.clone())));
-        Self { registry: Arc::new(registry), calls, seconds, in_flight, connections, connections_refused, sockets }
+        Self {
+            registry: Arc::new(registry),
+            calls,
+            seconds,
+            in_flight,
+            connections,
+            connections_refused,
+            sockets,
+        }
     }
 
     /// Starts to measure a call.

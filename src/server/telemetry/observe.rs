@@ -23,7 +23,14 @@ pub(in crate::server) struct Recorder {
 impl Recorder {
     pub(super) fn new(telemetry: Telemetry, transport: &'static str, route: Arc<str>, request_id: Arc<str>) -> Self {
         telemetry.in_flight.inc();
-        Self { telemetry, transport, route, request_id, started: Instant::now(), code: None }
+        Self {
+            telemetry,
+            transport,
+            route,
+            request_id,
+            started: Instant::now(),
+            code: None,
+        }
     }
 
     /// The status with which the call will count.
@@ -33,7 +40,10 @@ impl Recorder {
 
     /// Keeps measuring until `body` has been sent. A gRPC status in its trailers is the call's code.
     pub fn observe(self, body: Body) -> Body {
-        Body::new(Observed { inner: body, recorder: self })
+        Body::new(Observed {
+            inner: body,
+            recorder: self,
+        })
     }
 }
 
@@ -50,9 +60,19 @@ impl Drop for Recorder {
             "answered {} with {code}",
             self.route
         );
-        let route = Route { transport: self.transport, route: Arc::clone(&self.route) };
-        self.telemetry.seconds.get_or_create(&route).observe(elapsed.as_secs_f64());
-        let call = Call { transport: self.transport, route: Arc::clone(&self.route), code };
+        let route = Route {
+            transport: self.transport,
+            route: Arc::clone(&self.route),
+        };
+        self.telemetry
+            .seconds
+            .get_or_create(&route)
+            .observe(elapsed.as_secs_f64());
+        let call = Call {
+            transport: self.transport,
+            route: Arc::clone(&self.route),
+            code,
+        };
         self.telemetry.calls.get_or_create(&call).inc();
     }
 }
@@ -91,9 +111,26 @@ pub(in crate::server) fn grpc_code(headers: &HeaderMap) -> Option<Arc<str>> {
     let number: i32 = headers.get("grpc-status")?.to_str().ok()?.parse().ok()?;
     // Spelled as the documentation of gRPC spells them.
     const NAMES: [&str; 17] = [
-        "OK", "CANCELLED", "UNKNOWN", "INVALID_ARGUMENT", "DEADLINE_EXCEEDED", "NOT_FOUND", "ALREADY_EXISTS",
-        "PERMISSION_DENIED", "RESOURCE_EXHAUSTED", "FAILED_PRECONDITION", "ABORTED", "OUT_OF_RANGE", "UNIMPLEMENTED",
-        "INTERNAL", "UNAVAILABLE", "DATA_LOSS", "UNAUTHENTICATED",
+        "OK",
+        "CANCELLED",
+        "UNKNOWN",
+        "INVALID_ARGUMENT",
+        "DEADLINE_EXCEEDED",
+        "NOT_FOUND",
+        "ALREADY_EXISTS",
+        "PERMISSION_DENIED",
+        "RESOURCE_EXHAUSTED",
+        "FAILED_PRECONDITION",
+        "ABORTED",
+        "OUT_OF_RANGE",
+        "UNIMPLEMENTED",
+        "INTERNAL",
+        "UNAVAILABLE",
+        "DATA_LOSS",
+        "UNAUTHENTICATED",
     ];
-    usize::try_from(number).ok().and_then(|n| NAMES.get(n)).map(|name| Arc::from(*name))
+    usize::try_from(number)
+        .ok()
+        .and_then(|n| NAMES.get(n))
+        .map(|name| Arc::from(*name))
 }

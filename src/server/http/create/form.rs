@@ -20,9 +20,16 @@ const MAX_COMPANIONS: usize = 1000;
 
 /// Receives a form.
 pub(super) async fn receive(state: &State, request: Request, options: &mut Options) -> Result<Received, Problem> {
-    let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
-    let boundary = multer::parse_boundary(content_type)
-        .map_err(|_| Problem::from(Error::malformed("the content type multipart/form-data names no boundary")))?;
+    let content_type = request
+        .headers()
+        .get(header::CONTENT_TYPE)
+        .and_then(|v| v.to_str().ok())
+        .unwrap_or_default();
+    let boundary = multer::parse_boundary(content_type).map_err(|_| {
+        Problem::from(Error::malformed(
+            "the content type multipart/form-data names no boundary",
+        ))
+    })?;
     if let Some(length) = body::announced(request.headers()) {
         // Headers of parts do not count, so the refusal of an announced length leaves them room.
         state.uploads.announce(length.saturating_sub(1 << 20))?;
@@ -30,23 +37,32 @@ pub(super) async fn receive(state: &State, request: Request, options: &mut Optio
     // The reason why the body stopped, which the form's reader would hide behind an error of its own.
     let stopped: Arc<Mutex<Option<Problem>>> = Arc::default();
     let stream = request.into_body().into_data_stream();
-    let chunks = futures::stream::unfold((stream, state.clone(), Arc::clone(&stopped)), |(mut stream, state, stopped)| async move {
-        let next = match super::next(&state, &mut stream).await {
-            Ok(Some(bytes)) => Some(Ok(bytes)),
-            Ok(None) => None,
-            Err(problem) => {
-                *stopped.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
-                Some(Err(std::io::Error::other("the body stopped")))
-            }
-        };
-        next.map(|next| (next, (stream, state, stopped)))
-    });
+    let chunks = futures::stream::unfold(
+        (stream, state.clone(), Arc::clone(&stopped)),
+        |(mut stream, state, stopped)| async move {
+            let next = match super::next(&state, &mut stream).await {
+                Ok(Some(bytes)) => Some(Ok(bytes)),
+                Ok(None) => None,
+                Err(problem) => {
+                    *stopped.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
+                    Some(Err(std::io::Error::other("the body stopped")))
+                }
+            };
+            next.map(|next| (next, (stream, state, stopped)))
+        },
+    );
     let mut form = Multipart::new(chunks, boundary);
     let reason = |error: multer::Error| {
         let told = stopped.lock().unwrap_or_else(PoisonError::into_inner).take();
         told.unwrap_or_else(|| Error::malformed(format!("the form is not readable: {error}")).into())
     };
-    let mut parts = Parts { held: state.uploads.hold(), model: None, by_type: None, options_seen: false, companions: BTreeMap::new() };
+    let mut parts = Parts {
+        held: state.uploads.hold(),
+        model: None,
+        by_type: None,
+        options_seen: false,
+        companions: BTreeMap::new(),
+    };
     while let Some(field) = form.next_field().await.map_err(reason)? {
         parts.take(state, field, options, &reason).await?;
     }
@@ -57,7 +73,14 @@ pub(super) async fn receive(state: &State, request: Request, options: &mut Optio
         return Err(Error::malformed("the part \"model\" is empty").into());
     }
     options.format_by_type(parts.by_type);
-    Ok(Received { files: FileSet { name, main, companions: parts.companions }, held: Some(parts.held) })
+    Ok(Received {
+        files: FileSet {
+            name,
+            main,
+            companions: parts.companions,
+        },
+        held: Some(parts.held),
+    })
 }
 
 struct Parts {
@@ -79,7 +102,11 @@ impl Parts {
         let part = field.name().unwrap_or_default().to_owned();
         let file = field.file_name().map(str::to_owned);
         let media_type = field.content_type().map(|m| m.essence_str().to_owned());
-        let limit = if part == "options" { state.message_bytes } else { usize::MAX };
+        let limit = if part == "options" {
+            state.message_bytes
+        } else {
+            usize::MAX
+        };
         let mut bytes = Vec::new();
         while let Some(chunk) = field.chunk().await.map_err(reason)? {
             self.held.grow(chunk.len())?;
@@ -105,7 +132,9 @@ impl Parts {
             }
             (_, Some(uri)) if !uri.is_empty() => {
                 if self.companions.len() >= MAX_COMPANIONS {
-                    return Err(Error::malformed(format!("the form has more than {MAX_COMPANIONS} companion files")).into());
+                    return Err(
+                        Error::malformed(format!("the form has more than {MAX_COMPANIONS} companion files")).into(),
+                    );
                 }
                 self.held.grow(uri.len())?;
                 if self.companions.insert(uri.clone(), Bytes::from(bytes)).is_some() {

@@ -44,7 +44,13 @@ impl Options {
         let allowed: Vec<&str> = allowed.iter().map(String::as_str).collect();
         let mut single = query::parameters(uri, &allowed)?;
         let (json, sample) = (single.remove("options"), single.remove("sample"));
-        Ok(Self { sample, json, single, part: Map::new(), by_type: None })
+        Ok(Self {
+            sample,
+            json,
+            single,
+            part: Map::new(),
+            by_type: None,
+        })
     }
 
     /// Takes the `options` part of a form.
@@ -100,8 +106,13 @@ fn merge(into: &mut Map<String, Value>, from: Map<String, Value>) {
 }
 
 fn set(whole: &mut Map<String, Value>, schema: &MessageDescriptor, path: &str, text: String) -> Result<(), Error> {
-    let (name, rest) = path.split_once('.').map_or((path, None), |(name, rest)| (name, Some(rest)));
-    let unknown = || Error { field: Some(path.to_owned()), ..Error::malformed(format!("{path}: is not a query parameter")) };
+    let (name, rest) = path
+        .split_once('.')
+        .map_or((path, None), |(name, rest)| (name, Some(rest)));
+    let unknown = || Error {
+        field: Some(path.to_owned()),
+        ..Error::malformed(format!("{path}: is not a query parameter"))
+    };
     let field = schema.get_field_by_json_name(name).ok_or_else(unknown)?;
     match (field.kind(), rest) {
         (Kind::Message(inner), rest) => {
@@ -143,29 +154,48 @@ mod tests {
 
     #[test]
     fn single_fields_are_read_by_the_schema() {
-        let read = options("label=a%20b&components=hold&weights=COTANGENT&volumeGraph=OFF&volumeGraph.interval=0.25&weld=0.5").unwrap();
+        let read =
+            options("label=a%20b&components=hold&weights=COTANGENT&volumeGraph=OFF&volumeGraph.interval=0.25&weld=0.5")
+                .unwrap();
         assert_eq!(read.label, "a b");
         assert_eq!(read.components(), pb::create_options::Components::Hold);
         assert_eq!(read.weights(), pb::create_options::Weights::Cotangent);
         let graph = read.volume_graph.unwrap();
-        assert_eq!((graph.mode(), graph.interval), (pb::create_options::volume_graph::Mode::Off, 0.25));
+        assert_eq!(
+            (graph.mode(), graph.interval),
+            (pb::create_options::volume_graph::Mode::Off, 0.25)
+        );
         assert_eq!(read.weld.unwrap().tolerance, 0.5);
     }
 
     #[test]
     fn a_single_field_wins_over_the_json_and_the_json_over_the_part() {
         let mut merged = Options::from_query(
-            &"/v1/sessions?options=%7B%22label%22%3A%22json%22%2C%22ttl%22%3A%221m%22%7D&label=single".parse().unwrap(),
+            &"/v1/sessions?options=%7B%22label%22%3A%22json%22%2C%22ttl%22%3A%221m%22%7D&label=single"
+                .parse()
+                .unwrap(),
         )
         .unwrap();
-        merged.take_part(br#"{"label": "part", "ttl": "9m", "format": "obj"}"#).unwrap();
+        merged
+            .take_part(br#"{"label": "part", "ttl": "9m", "format": "obj"}"#)
+            .unwrap();
         let read = merged.finish().unwrap();
-        assert_eq!((read.label.as_str(), read.ttl.as_str(), read.format.as_str()), ("single", "1m", "obj"));
+        assert_eq!(
+            (read.label.as_str(), read.ttl.as_str(), read.format.as_str()),
+            ("single", "1m", "obj")
+        );
     }
 
     #[test]
     fn what_the_schema_does_not_know_is_refused() {
-        for query in ["colour=red", "volumeGraph.colour=red", "label.x=1", "options=%5B%5D", "components=SOMETIMES", "options=%7B%22x%22%3A1%7D"] {
+        for query in [
+            "colour=red",
+            "volumeGraph.colour=red",
+            "label.x=1",
+            "options=%5B%5D",
+            "components=SOMETIMES",
+            "options=%7B%22x%22%3A1%7D",
+        ] {
             assert!(options(query).is_err(), "{query}");
         }
     }
