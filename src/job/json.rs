@@ -34,15 +34,10 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
     let tracked = serde_path_to_error::Deserializer::new(&mut json, &mut track);
     let dynamic = DynamicMessage::deserialize_with_options(descriptor(&M::full_name())?, tracked, &options);
     let dynamic = dynamic.map_err(|e| {
-        let path = track.path().to_string();
-        let place = if path.is_empty() || path == "." {
-            "body".to_owned()
-        } else {
-            path
-        };
+        let problem = e.to_string();
         Error::Json {
-            place,
-            problem: e.to_string(),
+            place: place_of(&track.path().to_string(), &problem),
+            problem,
         }
     })?;
     json.end().map_err(|e| Error::Json {
@@ -50,6 +45,21 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
         problem: e.to_string(),
     })?;
     M::decode(dynamic.encode_to_vec().as_slice()).map_err(|e| Error::Internal(format!("transcoding: {e}")))
+}
+
+/// The path of the field that a problem is about. Tracking ends at the object that holds an unknown field, so the
+/// field's own name is taken from the text.
+fn place_of(path: &str, problem: &str) -> String {
+    let path = if path == "." { "" } else { path };
+    let unknown = problem
+        .strip_prefix("unrecognized field name '")
+        .and_then(|rest| rest.split_once('\''));
+    match (path, unknown) {
+        ("", None) => "body".into(),
+        ("", Some((name, _))) => name.into(),
+        (path, None) => path.into(),
+        (path, Some((name, _))) => format!("{path}.{name}"),
+    }
 }
 
 /// Writes a message as JSON, with fields that have their default value, so that clients need not know the defaults.
@@ -65,4 +75,38 @@ pub fn to_json<M: Message + prost::Name>(message: &M) -> Result<serde_json::Valu
     dynamic
         .serialize_with_options(serde_json::value::Serializer, &options)
         .map_err(|e| Error::Internal(format!("JSON: {e}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_field_is_refused_with_its_path() {
+        let refused = |text: &str, path: &str| match from_json::<pb::Job>(text.as_bytes()) {
+            Err(Error::Json { place, problem }) => assert_eq!(place, path, "{problem}"),
+            other => panic!("{path}: {other:?}"),
+        };
+        refused(r#"{"handels": []}"#, "handels");
+        refused(
+            r#"{"handles": [{"id": "a"}, {"id": "b", "regionn": {}}]}"#,
+            "handles[1].regionn",
+        );
+        refused(
+            r#"{"handles": [{"region": {"sphere": {"radius": "wide"}}}]}"#,
+            "handles[0].region.sphere.radius",
+        );
+        refused("[1]", "body");
+        refused(r#"{"options": {}} x"#, "body");
+    }
+
+    #[test]
+    fn a_message_survives_json() {
+        let text =
+            r#"{"options": {"tolerance": 1e-6, "refine": 0}, "handles": [{"id": "a", "constrains": ["ROTATION"]}]}"#;
+        let job: pb::Job = from_json(text.as_bytes()).expect("a job");
+        assert_eq!(job.options.and_then(|o| o.refine), Some(0));
+        let again: pb::Job = from_json(to_json(&job).expect("JSON").to_string().as_bytes()).expect("a job");
+        assert_eq!(again, job);
+    }
 }
