@@ -72,6 +72,12 @@ impl Failure {
         }
     }
 
+    /// Says why in the last line of stderr.
+    fn end(&self) -> ExitCode {
+        eprintln!("pliant: {}", self.text());
+        ExitCode::from(self.code())
+    }
+
     fn text(&self) -> &str {
         match self {
             Self::Check(text) | Self::Input(text) | Self::Internal(text) => text,
@@ -93,10 +99,12 @@ pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(e) => {
-            // Help and version are answers, not failures.
-            let code = if e.use_stderr() { 2 } else { 0 };
             let _ = e.print();
-            return ExitCode::from(code);
+            if !e.use_stderr() {
+                // Help and version are answers, not failures.
+                return ExitCode::SUCCESS;
+            }
+            return Failure::Input(usage_reason(&e.to_string())).end();
         }
     };
     let result = match cli.command {
@@ -106,11 +114,18 @@ pub fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("pliant: {}", failure.text());
-            ExitCode::from(failure.code())
-        }
+        Err(failure) => failure.end(),
     }
+}
+
+/// What is wrong with the arguments, in one line: the first paragraph of the parser's message.
+fn usage_reason(message: &str) -> String {
+    let paragraph: Vec<&str> = message
+        .lines()
+        .take_while(|line| !line.trim().is_empty())
+        .map(str::trim)
+        .collect();
+    paragraph.join(" ").trim_start_matches("error: ").to_owned()
 }
 
 /// Prints one JSON document on stdout. A reader that went away is no failure of ours to report twice.

@@ -1,0 +1,171 @@
+//! The command line as a script sees it: exit codes, the last line of stderr, one document on stdout, no output on refusal.
+
+use pliant::asset::sample;
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// Runs the program; returns (exit code, stdout, last line of stderr).
+fn pliant(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
+    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .expect("it runs");
+    let err = String::from_utf8_lossy(&done.stderr).into_owned();
+    let last = err.trim_end().lines().last().unwrap_or_default().to_owned();
+    (
+        done.status.code(),
+        String::from_utf8_lossy(&done.stdout).into_owned(),
+        last,
+    )
+}
+
+fn workplace() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("creature.glb"), sample::creature_glb()).expect("written");
+    folder
+}
+
+const JOB: &str = r#"{
+  "handles": [
+    {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}},
+    {"id": "head", "region": {"sphere": {"center": [0.76, 1.22, 0], "radius": 0.36}}}],
+  "steps": [{"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0.8, 0]}}]}}]}"#;
+
+#[test]
+fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
+    let folder = workplace();
+    let job = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
+    job("job.json", JOB);
+    job("unknown.json", r#"{"handles": [{"id": "a", "regoin": {}}]}"#);
+    job("edit.json", r#"{"steps": [{"edit": {"subdivide": {}}}]}"#);
+    job("refine.json", r#"{"options": {"refine": 2}}"#);
+    job(
+        "empty.json",
+        r#"{"handles": [{"id": "a", "region": {"sphere": {"center": [99, 0, 0], "radius": 1}}}]}"#,
+    );
+    job("nobody.json", r#"{"handles": [], "steps": [{"pose": {}}]}"#);
+    fs::write(folder.path().join("broken.obj"), "v 0 0 nan\nf 1 1 1\n").expect("written");
+    let cases: [(&[&str], &str); 11] = [
+        (&["frobnicate"], "frobnicate"),
+        (&["deform", "creature.glb"], "--job"),
+        (
+            &["deform", "none.glb", "--job", "job.json", "-o", "out.glb"],
+            "none.glb",
+        ),
+        (
+            &["deform", "creature.glb", "--job", "none.json", "-o", "out.glb"],
+            "none.json",
+        ),
+        (
+            &["deform", "creature.glb", "--job", "job.json", "-o", "out.xyz"],
+            "glb, gltf, obj, ply, off and stl",
+        ),
+        (
+            &["deform", "creature.glb", "--job", "unknown.json", "-o", "out.glb"],
+            "handles[0].regoin",
+        ),
+        (
+            &["deform", "creature.glb", "--job", "edit.json", "-o", "out.glb"],
+            "subdivide",
+        ),
+        (
+            &["deform", "creature.glb", "--job", "refine.json", "-o", "out.glb"],
+            "options.refine",
+        ),
+        (
+            &["deform", "creature.glb", "--job", "empty.json", "-o", "out.glb"],
+            "handles[0].region",
+        ),
+        (
+            &["deform", "creature.glb", "--job", "nobody.json", "-o", "out.glb"],
+            "no handles",
+        ),
+        (&["inspect", "broken.obj"], "line 1"),
+    ];
+    for (arguments, reason) in cases {
+        let (code, stdout, last) = pliant(folder.path(), arguments);
+        assert_eq!(code, Some(2), "{arguments:?}: {last}");
+        assert!(
+            last.starts_with("pliant: ") && last.contains(reason),
+            "{arguments:?}: {last}"
+        );
+        assert!(stdout.is_empty(), "{arguments:?} printed {stdout}");
+        let left = fs::read_dir(folder.path()).expect("a folder").flatten();
+        assert!(
+            !left
+                .into_iter()
+                .any(|f| f.file_name().to_string_lossy().starts_with("out")),
+            "{arguments:?}"
+        );
+    }
+}
+
+#[test]
+fn a_report_is_one_document_and_its_digest_is_the_same_for_any_thread_count() {
+    let folder = workplace();
+    fs::write(folder.path().join("job.json"), JOB).expect("written");
+    let digest = |threads: &str| {
+        let arguments = [
+            "deform",
+            "creature.glb",
+            "--job",
+            "job.json",
+            "-o",
+            "out.glb",
+            "--json",
+            "--threads",
+            threads,
+        ];
+        let (code, stdout, last) = pliant(folder.path(), &arguments);
+        assert_eq!(code, Some(0), "{last}");
+        let report: Value = serde_json::from_str(&stdout).expect("one JSON document");
+        assert_eq!(report["steps"][0]["kind"], "pose");
+        assert!(
+            report["steps"][0]["residual"].as_f64().is_some_and(|r| r <= 1e-4),
+            "{stdout}"
+        );
+        assert_eq!(report["quality"]["flippedTriangles"], 0);
+        (
+            report["digest"].clone(),
+            fs::read(folder.path().join("out.glb")).expect("an output"),
+        )
+    };
+    let one = digest("1");
+    assert!(one.0.as_str().is_some_and(|d| d.starts_with("xxh3:") && d.len() == 21));
+    assert!(
+        one == digest("2") && one == digest("3"),
+        "bytes and digest are the same"
+    );
+}
+
+#[test]
+fn an_expectation_that_does_not_hold_is_exit_1() {
+    let folder = workplace();
+    let strict = JOB.replacen('{', r#"{"expect": {"digest": "xxh3:0000000000000000"},"#, 1);
+    fs::write(folder.path().join("job.json"), strict).expect("written");
+    let (code, _, last) = pliant(
+        folder.path(),
+        &["deform", "creature.glb", "--job", "job.json", "-o", "out.glb"],
+    );
+    assert_eq!(code, Some(1));
+    assert!(last.contains("digest is xxh3:"), "{last}");
+}
+
+#[test]
+fn help_and_version_are_answers() {
+    let folder = workplace();
+    for arguments in [&["--help"][..], &["--version"], &["deform", "--help"]] {
+        let (code, stdout, _) = pliant(folder.path(), arguments);
+        assert_eq!(code, Some(0));
+        assert!(stdout.contains("pliant"), "{stdout}");
+    }
+    let (code, stdout, _) = pliant(folder.path(), &["inspect", "creature.glb", "--json"]);
+    let found: Value = serde_json::from_str(&stdout).expect("one JSON document");
+    assert_eq!(
+        (code, &found["closed"], &found["components"]),
+        (Some(0), &Value::Bool(true), &Value::from(1))
+    );
+}
