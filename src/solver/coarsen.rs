@@ -1,8 +1,13 @@
 //! Seeds and aggregates: which rows become one row of the next level (paper section 4).
 
-use super::lanes::Shared;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use super::lanes::{Lanes, Shared};
 use super::level::{Level, NONE};
-use super::threads::Threads;
+use super::threads::{Threads, piece, pieces};
+
+/// Rows that one piece of work handles.
+const PIECE: usize = 4096;
 
 /// Rows whose edges make the sample for the mean edge length.
 const SAMPLE: usize = 4096;
@@ -19,20 +24,36 @@ const SHRINK: f64 = 0.8;
 /// Aggregates are connected, and at most 80 % as many as there are rows with neighbours.
 pub(crate) fn aggregates(level: &Level, ratio: f64, threads: Threads) -> (Vec<u32>, usize) {
     let threads = threads.for_rows(level.rows());
-    let connected = (0..level.rows())
-        .filter(|&i| level.offsets[i] < level.offsets[i + 1])
-        .count();
-    let seeds = seeds(level, ratio, threads);
-    let count = seeds.iter().filter(|&&s| s != NONE).count();
-    if count as f64 <= SHRINK * connected as f64 {
-        (join_seeds(level, &seeds, threads), count)
-    } else {
-        pair(level)
+    let connected = (0..level.rows()).filter(|&i| level.connected(i)).count();
+    let nearest = nearest_seeds(level, ratio, threads);
+    // Seeds are numbered in sweep order.
+    let mut numbers = vec![NONE; level.rows()];
+    let mut count = 0u32;
+    for (i, number) in numbers.iter_mut().enumerate() {
+        if nearest[i] == i as u32 {
+            *number = count;
+            count += 1;
+        }
     }
+    if f64::from(count) > SHRINK * connected as f64 {
+        return pair(level);
+    }
+    let mut aggregates = nearest;
+    let shared = Shared::new(&mut aggregates);
+    threads.each(0..pieces(level.rows(), PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        for seed in unsafe { shared.rows(piece(k, level.rows(), PIECE)) } {
+            if *seed != NONE {
+                *seed = numbers[*seed as usize];
+            }
+        }
+    });
+    (aggregates, count as usize)
 }
 
-fn distance2(level: &Level, i: usize, j: usize) -> f32 {
-    let d = level.positions[i] - level.positions[j];
+#[inline(always)]
+fn distance2(a: Lanes, b: Lanes) -> f32 {
+    let d = a - b;
     let [x, y, z, _] = (d * d).0;
     x + y + z
 }
@@ -44,94 +65,75 @@ fn mean_edge(level: &Level) -> f64 {
     let (mut total, mut edges) = (0.0, 0usize);
     for s in 0..samples {
         let i = (s as u64 * n as u64 / samples as u64) as usize;
-        let (begin, _, end) = level.entries(i);
-        for e in begin..end {
-            total += f64::from(distance2(level, i, level.neighbours[e] as usize)).sqrt();
+        for (j, _) in level.row(i) {
+            total += f64::from(distance2(level.positions[i], level.positions[j])).sqrt();
+            edges += 1;
         }
-        edges += end - begin;
     }
     if edges > 0 { total / edges as f64 } else { 0.0 }
 }
 
-/// The paper's maximal δ-independent set: a row is a seed unless a seed before it is a (not weak) neighbour within δ.
-/// Numbers the seeds in sweep order; other rows get [`NONE`].
-fn seeds(level: &Level, ratio: f64, threads: Threads) -> Vec<u32> {
+/// Largest (squared) distance of neighbours of which only one can be a seed: the paper's δ.
+fn reach2(level: &Level, ratio: f64) -> f32 {
+    if level.positions.is_empty() {
+        return f32::INFINITY;
+    }
+    let delta = mean_edge(level) * libm::cbrt(1.0 / ratio);
+    (delta * delta) as f32
+}
+
+/// The paper's maximal δ-independent set, and for every row the seed it joins (a seed itself, [`NONE`] for a row without
+/// neighbours).
+///
+/// In sweep order, a row becomes a seed unless a seed before it is a (not weak) neighbour within δ. Each row joins the
+/// adjacent seed with the least (squared distance) / weight, ties to the earlier one. Seeds tell their neighbours of
+/// both, so that only the rows of seeds are read. The outcome does not depend on who tells first: a block hears of
+/// seeds in blocks of other colours before or after it is swept, never while, and joining takes a minimum.
+fn nearest_seeds(level: &Level, ratio: f64, threads: Threads) -> Vec<u32> {
     let n = level.rows();
-    let limit2 = if level.positions.is_empty() {
-        f32::INFINITY
-    } else {
-        let delta = mean_edge(level) * libm::cbrt(1.0 / ratio);
-        (delta * delta) as f32
+    let reach2 = reach2(level, ratio);
+    let placed = !level.positions.is_empty();
+    let weak: Vec<f32> = match &level.weights {
+        None => Vec::new(),
+        Some(_) => (0..n)
+            .map(|i| WEAK * level.row(i).fold(0.0f32, |a, (_, w)| a.max(w)))
+            .collect(),
     };
-    let mut flags = vec![false; n];
-    let shared = Shared::new(&mut flags);
+    let covered: Vec<AtomicBool> = (0..n).map(|_| AtomicBool::new(false)).collect();
+    // Cost in the upper half, seed in the lower one: the order of these numbers is that of costs, then of seeds.
+    let offers: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(u64::MAX)).collect();
     for c in 0..level.colours.len() - 1 {
         threads.each(level.colours[c] as usize..level.colours[c + 1] as usize, |b| {
             for i in level.block(b) {
-                let (begin, middle, end) = level.entries(i);
-                if begin == end {
+                if !level.connected(i) || covered[i].load(Ordering::Relaxed) {
                     continue;
                 }
-                let weak = level.weights.as_ref().map_or(0.0, |w| WEAK * heaviest(&w[begin..end]));
-                let covered = (begin..middle).any(|e| {
-                    let j = level.neighbours[e] as usize;
-                    // SAFETY: in range; j is in this block or one of another colour, which no thread writes now.
-                    let seed = unsafe { shared.get(j) };
-                    seed && level.weight(e) >= weak && (level.positions.is_empty() || distance2(level, i, j) <= limit2)
-                });
-                // SAFETY: row i belongs to this block, which one thread sweeps.
-                unsafe { shared.set(i, !covered) };
+                offers[i].store(i as u64, Ordering::Relaxed);
+                let here = if placed { level.positions[i] } else { Lanes::ZERO };
+                for (j, w) in level.row(i) {
+                    let length2 = if placed {
+                        distance2(here, level.positions[j])
+                    } else {
+                        1.0
+                    };
+                    if j > i && (!placed || length2 <= reach2) && weak.get(j).is_none_or(|weak| w >= *weak) {
+                        covered[j].store(true, Ordering::Relaxed);
+                    }
+                    let cost = (length2 / w).min(f32::MAX);
+                    // Above every cost of a seed to itself.
+                    let offer = (u64::from(cost.to_bits()) + 1) << 32 | i as u64;
+                    if offer < offers[j].load(Ordering::Relaxed) {
+                        if threads.parallel() {
+                            offers[j].fetch_min(offer, Ordering::Relaxed);
+                        } else {
+                            offers[j].store(offer, Ordering::Relaxed);
+                        }
+                    }
+                }
             }
         });
     }
-    let mut count = 0;
-    let number = |flag: bool| {
-        if flag {
-            count += 1;
-            count - 1
-        } else {
-            NONE
-        }
-    };
-    flags.into_iter().map(number).collect()
-}
-
-fn heaviest(weights: &[f32]) -> f32 {
-    weights.iter().fold(0.0, |a, &b| a.max(b))
-}
-
-/// Every row joins the adjacent seed with the least (squared distance) / weight, ties to the smaller number.
-fn join_seeds(level: &Level, seeds: &[u32], threads: Threads) -> Vec<u32> {
-    let mut aggregates = seeds.to_vec();
-    let shared = Shared::new(&mut aggregates);
-    threads.each(0..level.blocks.len() - 1, |b| {
-        for i in level.block(b) {
-            let (begin, _, end) = level.entries(i);
-            if seeds[i] != NONE || begin == end {
-                continue;
-            }
-            let mut best = (f32::INFINITY, NONE);
-            for e in begin..end {
-                let j = level.neighbours[e] as usize;
-                let seed = seeds[j];
-                if seed == NONE {
-                    continue;
-                }
-                let length2 = if level.positions.is_empty() {
-                    1.0
-                } else {
-                    distance2(level, i, j)
-                };
-                let cost = (length2 / level.weight(e)).min(f32::MAX);
-                if cost < best.0 || (cost == best.0 && seed < best.1) {
-                    best = (cost, seed);
-                }
-            }
-            // SAFETY: row i belongs to this block, which one thread visits.
-            unsafe { shared.set(i, best.1) };
-        }
-    });
-    aggregates
+    offers.into_iter().map(|offer| offer.into_inner() as u32).collect()
 }
 
 /// Greedy pairing along the heaviest edges, for graphs where seeds hardly thin out (stars, edges of very different
@@ -141,13 +143,12 @@ fn pair(level: &Level) -> (Vec<u32>, usize) {
     let mut aggregates = vec![NONE; level.rows()];
     let mut count = 0;
     for i in 0..level.rows() {
-        let (begin, _, end) = level.entries(i);
-        if aggregates[i] != NONE || begin == end {
+        if aggregates[i] != NONE || !level.connected(i) {
             continue;
         }
         let (mut open, mut any) = ((0.0, NONE), (0.0, NONE));
-        for e in begin..end {
-            let (w, j) = (level.weight(e), level.neighbours[e]);
+        for (j, w) in level.row(i) {
+            let j = j as u32;
             let heavier = |best: (f32, u32)| w > best.0 || (w == best.0 && j < best.1);
             if heavier(any) {
                 any = (w, j);
@@ -169,7 +170,7 @@ fn pair(level: &Level) -> (Vec<u32>, usize) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::level::Rows;
+    use super::super::layout::{Rows, arrange};
     use super::super::testing::{Block, pool};
     use super::*;
 
@@ -184,7 +185,8 @@ mod tests {
             weights,
             scale: 1.0,
         };
-        Level::arrange(rows, (0..offsets.len() as u32 - 1).collect(), &[], 64, threads()).0
+        let sequence: Vec<u32> = (0..offsets.len() as u32 - 1).collect();
+        arrange(rows, &sequence, &[], 64, threads()).0
     }
 
     #[test]
@@ -193,15 +195,16 @@ mod tests {
         let level = &hierarchy.levels[0];
         // δ between the edge lengths 1 and √2: diagonal neighbours may both be seeds.
         for (ratio, separate) in [(0.99, 1.01), (0.1, 10.0)] {
-            let seeds = seeds(level, ratio, threads());
-            let delta2 = (mean_edge(level) * libm::cbrt(1.0 / ratio)).powi(2) as f32;
-            let unit2 = distance2(level, 0, level.neighbours[0] as usize);
-            assert!(separate < 2.0 || delta2 > 3.0 * unit2);
-            for i in 0..level.rows() {
-                let (begin, _, end) = level.entries(i);
-                let near = level.neighbours[begin..end].iter().map(|&j| j as usize);
-                let mut covered = near.filter(|&j| seeds[j] != NONE && distance2(level, i, j) <= delta2);
-                assert_eq!(seeds[i] == NONE, covered.next().is_some(), "row {i}");
+            let nearest = nearest_seeds(level, ratio, threads());
+            let reach2 = reach2(level, ratio);
+            let length2 = |i: usize, j: usize| distance2(level.positions[i], level.positions[j]);
+            let unit2 = level.row(0).map(|(j, _)| length2(0, j)).fold(f32::MAX, f32::min);
+            assert!(separate < 2.0 || reach2 > 3.0 * unit2);
+            for i in (0..level.rows()).filter(|&i| level.connected(i)) {
+                let seed = |j: usize| nearest[j] == j as u32;
+                let before = |j: usize| j < i && seed(j) && length2(i, j) <= reach2;
+                let covered = level.row(i).any(|(j, _)| before(j));
+                assert_eq!(seed(i), !covered, "row {i}");
             }
         }
     }
@@ -210,20 +213,16 @@ mod tests {
     fn rows_join_an_adjacent_seed() {
         let hierarchy = Block::new(12, 11, 10).weighted().hierarchy(1);
         let level = &hierarchy.levels[0];
-        let seeds = seeds(level, 0.1, threads());
-        let joined = join_seeds(level, &seeds, threads());
+        let nearest = nearest_seeds(level, 0.1, threads());
         for i in 0..level.rows() {
-            let (begin, _, end) = level.entries(i);
-            let cost = |e: usize| distance2(level, i, level.neighbours[e] as usize) / level.weight(e);
-            let options = (begin..end).filter(|&e| seeds[level.neighbours[e] as usize] != NONE);
-            if seeds[i] != NONE {
-                assert_eq!(joined[i], seeds[i]);
-            } else {
-                let best = options.min_by(|&a, &b| cost(a).total_cmp(&cost(b))).unwrap();
-                let taken = (begin..end)
-                    .find(|&e| seeds[level.neighbours[e] as usize] == joined[i])
-                    .unwrap();
-                assert_eq!(cost(taken), cost(best));
+            if !level.connected(i) {
+                assert_eq!(nearest[i], NONE);
+            } else if nearest[i] != i as u32 {
+                let cost = |j: usize, w: f32| distance2(level.positions[i], level.positions[j]) / w;
+                let seeds = level.row(i).filter(|&(j, _)| nearest[j] == j as u32);
+                let best = seeds.map(|(j, w)| cost(j, w)).fold(f32::MAX, f32::min);
+                let taken = level.row(i).find(|&(j, _)| j as u32 == nearest[i]).unwrap();
+                assert_eq!(cost(taken.0, taken.1), best);
             }
         }
     }
@@ -240,11 +239,8 @@ mod tests {
         let level = level_of(&offsets, &neighbours, None);
         let (groups, count) = aggregates(&level, 0.1, threads());
         assert_eq!(count, 1);
-        assert_eq!(
-            groups.iter().filter(|&&g| g == NONE).count(),
-            1,
-            "the lone row needs no coarse row"
-        );
+        let lone = (0..level.rows()).filter(|&i| groups[i] == NONE && !level.connected(i));
+        assert_eq!(level.rows() - lone.count(), 101, "the lone row needs no coarse row");
         assert_eq!(groups.iter().filter(|&&g| g == 0).count(), 101);
     }
 
@@ -255,10 +251,9 @@ mod tests {
         let level = level_of(&[0, 1, 3, 5, 7, 9, 10], &[1, 0, 2, 1, 3, 2, 4, 3, 5, 4], Some(&weights));
         let (groups, count) = pair(&level);
         assert_eq!(count, 3);
-        for i in 0..6 {
-            let (begin, _, end) = level.entries(i);
-            let heavy = (begin..end).find(|&e| level.weight(e) == 9.0).unwrap();
-            assert_eq!(groups[i], groups[level.neighbours[heavy] as usize]);
+        for i in (0..level.rows()).filter(|&i| level.connected(i)) {
+            let heavy = level.row(i).find(|(_, w)| *w == 9.0).unwrap().0;
+            assert_eq!(groups[i], groups[heavy]);
         }
     }
 }

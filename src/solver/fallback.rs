@@ -24,7 +24,7 @@ pub(crate) fn conjugate_gradients(
 ) -> Result<Outcome, Error> {
     let (problem, pool, criteria) = (outer.problem, outer.pool, outer.criteria);
     let threads = problem.threads;
-    let n = problem.hierarchy.vertices();
+    let n = problem.hierarchy.levels[0].rows();
     let width = problem.width();
     let [r, p, q] = &mut outer.workspace.wide;
     for v in [&mut *r, &mut *p, &mut *q] {

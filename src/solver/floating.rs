@@ -21,7 +21,7 @@ impl Floating {
         let last = system.masks.len() - 1;
         let finest = &hierarchy.levels[0];
         for row in 0..finest.rows() {
-            let alone = finest.offsets[row] == finest.offsets[row + 1];
+            let alone = !finest.connected(row);
             if last > 0 && alone && system.masks[0].free(row) && system.stiffness.get(row).is_none_or(|s| *s == 0.0) {
                 floating.add(hierarchy, 0, vec![row as u32]);
             }
@@ -29,7 +29,7 @@ impl Floating {
         for l in 1..=last {
             let (level, mask, below) = (&hierarchy.levels[l], &system.masks[l], &system.masks[l - 1]);
             for row in 0..level.rows() {
-                let alone = level.offsets[row] == level.offsets[row + 1];
+                let alone = !level.connected(row);
                 let members = hierarchy.levels[l - 1].members_of(row);
                 if alone && !mask.free(row) && members.iter().any(|&i| below.free(i as usize)) {
                     floating.add(hierarchy, l, vec![row as u32]);
@@ -49,12 +49,11 @@ impl Floating {
                 let i = part[head] as usize;
                 head += 1;
                 held |= mask.alpha(i) > 0.0 || (last == 0 && system.stiffness.get(i).is_some_and(|s| *s > 0.0));
-                let (begin, _, end) = level.entries(i);
-                for &j in &level.neighbours[begin..end] {
-                    if !mask.free(j as usize) {
+                for (j, _) in level.row(i) {
+                    if !mask.free(j) {
                         held = true;
-                    } else if !std::mem::replace(&mut seen[j as usize], true) {
-                        part.push(j);
+                    } else if !std::mem::replace(&mut seen[j], true) {
+                        part.push(j as u32);
                     }
                 }
             }

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use super::coarsen::aggregates;
 use super::lanes::Lanes;
-use super::level::{Level, NONE, Rows};
+use super::layout::{Rows, arrange};
+use super::level::{BUNDLE, Level};
 use super::operator::coarse_rows;
 use super::order::{Frame, along_curve, breadth_first};
 use super::threads::Threads;
@@ -24,7 +25,7 @@ const SMALLEST_BLOCK: usize = 64;
 pub struct Hierarchy {
     /// Finest first; never empty.
     pub(crate) levels: Vec<Level>,
-    /// Vertex that each row of the finest level stands for.
+    /// Vertex that each row of the finest level stands for, none (`u32::MAX`) for filling.
     pub(crate) order: Vec<u32>,
     /// From the caller's positions to those of the levels.
     pub(crate) frame: Frame,
@@ -64,6 +65,14 @@ impl Hierarchy {
         }
         check(progress)?;
         graph.check_rows()?;
+        // Bundles hold up to four times as many entries as there are neighbours.
+        let most = u32::MAX as usize / (2 * BUNDLE);
+        if graph.neighbours.len() > most {
+            let seen = graph.neighbours.len();
+            return Err(Error::Invalid(format!(
+                "the graph has {seen} neighbours in all its rows, at most {most} are allowed"
+            )));
+        }
         let threads = Threads::of(pool);
         let stage = "hierarchy";
         progress.report(stage, 0.0);
@@ -81,11 +90,11 @@ impl Hierarchy {
                 weights: graph.weights,
                 scale: weight_scale as f32,
             };
-            Ok::<_, Cancelled>(Level::arrange(rows, sequence, &positions, BLOCK, threads))
+            Ok::<_, Cancelled>(arrange(rows, &sequence, &positions, BLOCK, threads))
         })?;
         let mut levels = vec![first];
         let mut block = BLOCK;
-        while let Some(level) = levels.last_mut().filter(|l| l.rows() > options.coarsest) {
+        while let Some(level) = levels.last_mut().filter(|l| l.occupied() > options.coarsest) {
             block = (block / 2).max(SMALLEST_BLOCK);
             let next = threads.enter(pool, || coarser(level, options.coarsening, block, threads, progress))?;
             levels.push(next);
@@ -106,17 +115,17 @@ impl Hierarchy {
 
     /// Number of vertices of the graph.
     pub fn vertices(&self) -> usize {
-        self.order.len()
+        self.levels[0].occupied()
     }
 
     /// Sizes of the levels, finest first.
     pub fn levels(&self) -> Vec<LevelFacts> {
         let facts = |l: &Level| LevelFacts {
-            vertices: l.rows(),
-            edges: l.neighbours.len() / 2,
+            vertices: l.occupied(),
+            edges: l.edges(),
         };
         // Where every component has shrunk to one vertex there is an empty last level.
-        self.levels.iter().filter(|l| l.rows() > 0).map(facts).collect()
+        self.levels.iter().filter(|l| l.occupied() > 0).map(facts).collect()
     }
 
     /// Bytes held.
@@ -165,18 +174,8 @@ fn coarser(
         weights: Some(&coarse.weights),
         scale: 1.0,
     };
-    let (next, order) = Level::arrange(rows, sequence, &coarse.positions, block, threads);
-    let mut ranks = vec![0u32; count];
-    for (rank, &old) in order.iter().enumerate() {
-        ranks[old as usize] = rank as u32;
-    }
-    let mut groups = std::mem::take(&mut level.aggregates);
-    for g in &mut groups {
-        if *g != NONE {
-            *g = ranks[*g as usize];
-        }
-    }
-    level.set_aggregates(groups, count);
+    let (next, order) = arrange(rows, &sequence, &coarse.positions, block, threads);
+    level.renumber_aggregates(&order, threads);
     Ok(next)
 }
 
@@ -213,7 +212,7 @@ mod tests {
             hierarchy
                 .levels
                 .last()
-                .is_some_and(|l| l.rows() <= 10 && l.aggregates.is_empty())
+                .is_some_and(|l| l.occupied() <= 10 && l.aggregates.is_empty())
         );
         for pair in hierarchy.levels.windows(2) {
             assert_eq!(pair[0].coarse_rows(), pair[1].rows());
@@ -224,7 +223,7 @@ mod tests {
                     assert!(!std::mem::replace(&mut seen[i as usize], true));
                 }
             }
-            assert!(seen.iter().all(|s| *s));
+            assert_eq!(seen.iter().filter(|s| **s).count(), pair[0].occupied());
         }
     }
 

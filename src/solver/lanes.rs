@@ -33,6 +33,13 @@ impl Lanes {
         [f64::from(a[0]), f64::from(a[1]), f64::from(a[2]), f64::from(a[3])]
     }
 
+    /// Itself if `keep`, else 0.
+    #[inline(always)]
+    pub(crate) fn when(self, keep: bool) -> Lanes {
+        let mask = u32::from(keep).wrapping_neg();
+        Lanes(self.0.map(|v| f32::from_bits(v.to_bits() & mask)))
+    }
+
     /// Sum of the lanes.
     #[inline(always)]
     pub(crate) fn sum(self) -> f32 {

@@ -1,43 +1,41 @@
 //! One level of the hierarchy: a weighted graph stored in the order in which it is swept.
 
 use super::lanes::{Lanes, Shared};
-use super::threads::Threads;
+use super::threads::{Threads, piece, pieces};
 
-/// No aggregate: the row has no neighbours, so its own equation already determines it.
+/// Rows that one piece of work handles.
+const PIECE: usize = 4096;
+
+/// No aggregate: the row has no neighbours, so its own equation already determines it. Also: no vertex, a row of filling.
 pub(crate) const NONE: u32 = u32::MAX;
 
-/// Rows of a graph in any order; the raw material of a [`Level`].
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Rows<'a> {
-    pub(crate) offsets: &'a [u32],
-    pub(crate) neighbours: &'a [u32],
-    pub(crate) weights: Option<&'a [f32]>,
-    /// Factor on every weight.
-    pub(crate) scale: f32,
-}
-
-impl Rows<'_> {
-    fn degree(&self, i: usize) -> usize {
-        (self.offsets[i + 1] - self.offsets[i]) as usize
-    }
-}
+/// Rows that are swept together. No two of them are adjacent.
+pub(crate) const BUNDLE: usize = 4;
 
 /// A graph in sweep order.
 ///
-/// Rows come in *blocks* of consecutive rows, blocks in *colours*. Two blocks of one colour are not adjacent, so they
-/// can be swept at the same time with the result of sweeping them one after the other: index order is sweep order.
-/// In each row the neighbours before the row come first.
+/// Rows come in *bundles* of four, bundles in *blocks*, blocks in *colours*. Two blocks of one colour are not adjacent,
+/// so they can be swept at the same time with the result of sweeping them one after the other: index order is sweep
+/// order. Nor are two rows of one bundle.
+///
+/// The entries of a bundle are stored side by side: the first neighbour of each of its rows, then the second, and so
+/// on; those before the row first. Where rows differ in their numbers of neighbours, and where no fourth row was left
+/// for a bundle, there is *filling*: entries of weight 0 that lead to the row [`Level::filling`], and rows without
+/// neighbours. Rows of filling hold 0 in every vector.
 #[derive(Debug, Default)]
 pub(crate) struct Level {
+    /// Where the entries of each bundle begin; ends with their number.
     pub(crate) offsets: Vec<u32>,
-    /// First neighbour of each row that comes after the row.
+    /// For each bundle its first entry that leads to a later row.
     pub(crate) middles: Vec<u32>,
     pub(crate) neighbours: Vec<u32>,
-    /// `None`: all 1.
+    /// `None`: all 1, except filling.
     pub(crate) weights: Option<Vec<f32>>,
-    /// Sum of the weights of each row.
+    /// Sum of the weights of each row; 0 for rows of filling.
     pub(crate) diagonal: Vec<f32>,
-    /// First row of each block, and the number of rows.
+    /// Rows that are not filling.
+    pub(crate) occupied: usize,
+    /// First row of each block, and the end of the last one.
     pub(crate) blocks: Vec<u32>,
     /// First block of each colour, and the number of blocks.
     pub(crate) colours: Vec<u32>,
@@ -52,23 +50,58 @@ pub(crate) struct Level {
 }
 
 impl Level {
+    /// Rows, those of filling included.
     pub(crate) fn rows(&self) -> usize {
         self.diagonal.len()
     }
 
-    /// Entries of row `i` before and after the row itself.
+    /// The row that entries of filling lead to: the first of the last bundle, which is in no block.
+    pub(crate) fn filling(&self) -> u32 {
+        ((self.middles.len() - 1) * BUNDLE) as u32
+    }
+
+    /// Where the entries of bundle `k` begin, where those to later rows begin, and where they end.
     #[inline(always)]
-    pub(crate) fn entries(&self, i: usize) -> (usize, usize, usize) {
+    pub(crate) fn bundle(&self, k: usize) -> (usize, usize, usize) {
         (
-            self.offsets[i] as usize,
-            self.middles[i] as usize,
-            self.offsets[i + 1] as usize,
+            self.offsets[k] as usize,
+            self.middles[k] as usize,
+            self.offsets[k + 1] as usize,
         )
+    }
+
+    /// Neighbours of row `i` and their weights, without filling.
+    #[inline(always)]
+    pub(crate) fn row(&self, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let (begin, _, end) = self.bundle(i / BUNDLE);
+        let filling = self.filling();
+        (begin + i % BUNDLE..end)
+            .step_by(BUNDLE)
+            .map(move |e| (self.neighbours[e], self.weight(e)))
+            .filter(move |&(j, _)| j != filling)
+            .map(|(j, w)| (j as usize, w))
     }
 
     #[inline(always)]
     pub(crate) fn weight(&self, entry: usize) -> f32 {
         self.weights.as_ref().map_or(1.0, |w| w[entry])
+    }
+
+    /// True if row `i` has a neighbour.
+    #[inline(always)]
+    pub(crate) fn connected(&self, i: usize) -> bool {
+        self.diagonal[i] > 0.0
+    }
+
+    /// Rows that are not filling.
+    pub(crate) fn occupied(&self) -> usize {
+        self.occupied
+    }
+
+    /// Undirected edges.
+    pub(crate) fn edges(&self) -> usize {
+        let filling = self.filling();
+        self.neighbours.iter().filter(|&&j| j != filling).count() / 2
     }
 
     /// Rows of block `b`.
@@ -119,289 +152,30 @@ impl Level {
         self.members = members;
     }
 
-    /// Brings `rows` into sweep order, starting from `sequence` (which should keep neighbours close), with blocks of
-    /// `block` rows (a power of two). Returns the level and, for each of its rows, the row of `rows` it holds.
-    ///
-    /// `positions` are those of `rows`, or empty.
-    pub(crate) fn arrange(
-        rows: Rows<'_>,
-        mut sequence: Vec<u32>,
-        positions: &[Lanes],
-        block: usize,
-        threads: Threads,
-    ) -> (Level, Vec<u32>) {
-        let n = sequence.len();
-        let threads = threads.for_rows(n);
-        sort_blocks_by_degree(&rows, &mut sequence, block, threads);
-        let (draft, adjacency) = draft(&rows, &sequence, block, threads);
-        let (colours, by_colour) = colour(&adjacency);
-        drop(adjacency);
-
-        // Where each block of the draft goes.
-        let blocks_of_draft = by_colour.len();
-        let mut bases = vec![0u32; blocks_of_draft];
-        let mut blocks = Vec::with_capacity(blocks_of_draft + 1);
-        let mut total = 0u32;
-        for &b in &by_colour {
-            bases[b as usize] = total;
-            blocks.push(total);
-            total += (n - b as usize * block).min(block) as u32;
-        }
-        blocks.push(total);
-
-        let mut order = vec![0u32; n];
-        let mut offsets = vec![0u32; n + 1];
-        for (k, &b) in by_colour.iter().enumerate() {
-            let from = b as usize * block;
-            for (local, i) in (blocks[k] as usize..blocks[k + 1] as usize).enumerate() {
-                order[i] = sequence[from + local];
-                offsets[i + 1] = offsets[i] + (draft.offsets[from + local + 1] - draft.offsets[from + local]);
+    /// Gives aggregate `order[k]` the number k. [`NONE`] in `order` makes an aggregate without members.
+    pub(crate) fn renumber_aggregates(&mut self, order: &[u32], threads: Threads) {
+        let mut numbers = vec![0u32; self.coarse_rows()];
+        let mut offsets = Vec::with_capacity(order.len() + 1);
+        let mut members = Vec::with_capacity(self.members.len());
+        offsets.push(0);
+        for (k, &old) in order.iter().enumerate() {
+            if old != NONE {
+                numbers[old as usize] = k as u32;
+                members.extend_from_slice(self.members_of(old as usize));
             }
+            offsets.push(members.len() as u32);
         }
-        let mut level = Level {
-            middles: vec![0; n],
-            neighbours: vec![0; draft.neighbours.len()],
-            weights: draft.weights.as_ref().map(|w| vec![0.0; w.len()]),
-            diagonal: vec![0.0; n],
-            positions: vec![Lanes::ZERO; positions.len()],
-            offsets,
-            blocks,
-            colours,
-            ..Level::default()
-        };
-        level.fill(&draft, &by_colour, &bases, block, threads);
-        if !positions.is_empty() {
-            for (p, &old) in level.positions.iter_mut().zip(&order) {
-                *p = positions[old as usize];
-            }
-        }
-        (level, order)
-    }
-
-    /// Copies the draft block by block into place, renames neighbours and puts those before each row first.
-    fn fill(&mut self, draft: &Draft, by_colour: &[u32], bases: &[u32], block: usize, threads: Threads) {
-        let shift = block.trailing_zeros();
-        let mask = block as u32 - 1;
-        let (offsets, blocks) = (&self.offsets, &self.blocks);
-        let middles = Shared::new(&mut self.middles);
-        let diagonal = Shared::new(&mut self.diagonal);
-        let neighbours = Shared::new(&mut self.neighbours);
-        let weights = self.weights.as_mut().map(|w| Shared::new(w));
-        threads.each(0..by_colour.len(), |k| {
-            let rows = blocks[k] as usize..blocks[k + 1] as usize;
-            let entries = offsets[rows.start] as usize..offsets[rows.end] as usize;
-            // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
-            let (middles, diagonal, out) = unsafe {
-                (
-                    middles.rows(rows.clone()),
-                    diagonal.rows(rows.clone()),
-                    neighbours.rows(entries.clone()),
-                )
-            };
-            // SAFETY: as above.
-            let mut out_weights = weights.map(|w| unsafe { w.rows(entries.clone()) });
-            let from = by_colour[k] as usize * block;
-            for (local, i) in rows.enumerate() {
-                let source = draft.offsets[from + local] as usize..draft.offsets[from + local + 1] as usize;
-                // Both ends are written; the one that does not advance is overwritten by a later entry.
-                let (mut low, mut high) = (
-                    offsets[i] as usize - entries.start,
-                    offsets[i + 1] as usize - entries.start,
-                );
-                let mut sum = 0.0f64;
-                for s in source.clone() {
-                    let j = draft.neighbours[s];
-                    let j = bases[(j >> shift) as usize] + (j & mask);
-                    let before = usize::from((j as usize) < i);
-                    out[low] = j;
-                    out[high - 1] = j;
-                    if let (Some(out), Some(w)) = (out_weights.as_deref_mut(), &draft.weights) {
-                        out[low] = w[s];
-                        out[high - 1] = w[s];
-                        sum += f64::from(w[s]);
-                    }
-                    low += before;
-                    high -= 1 - before;
+        self.member_offsets = offsets;
+        self.members = members;
+        let n = self.rows();
+        let aggregates = Shared::new(&mut self.aggregates);
+        threads.for_rows(n).each(0..pieces(n, PIECE), |k| {
+            // SAFETY: pieces are disjoint and each is visited once.
+            for a in unsafe { aggregates.rows(piece(k, n, PIECE)) } {
+                if *a != NONE {
+                    *a = numbers[*a as usize];
                 }
-                middles[local] = (low + entries.start) as u32;
-                diagonal[local] = if draft.weights.is_some() {
-                    sum as f32
-                } else {
-                    source.len() as f32
-                };
             }
         });
-    }
-}
-
-/// Inside each block rows of equal length come together: the inner loops then run the same number of times row after
-/// row, which branch prediction rewards with half the time.
-fn sort_blocks_by_degree(rows: &Rows<'_>, sequence: &mut [u32], block: usize, threads: Threads) {
-    let n = sequence.len();
-    let shared = Shared::new(sequence);
-    threads.each(0..n.div_ceil(block), |b| {
-        // SAFETY: each block is visited once.
-        let part = unsafe { shared.rows(b * block..((b + 1) * block).min(n)) };
-        let mut keyed: Vec<(u32, u32, u32)> = part
-            .iter()
-            .enumerate()
-            .map(|(k, &i)| (rows.degree(i as usize) as u32, k as u32, i))
-            .collect();
-        keyed.sort_unstable();
-        for (slot, (_, _, i)) in part.iter_mut().zip(keyed) {
-            *slot = i;
-        }
-    });
-}
-
-/// The graph along the sequence, before its blocks are coloured.
-struct Draft {
-    offsets: Vec<u32>,
-    neighbours: Vec<u32>,
-    weights: Option<Vec<f32>>,
-}
-
-/// Copies the rows along `sequence` and lists, for each block, the other blocks it touches.
-fn draft(rows: &Rows<'_>, sequence: &[u32], block: usize, threads: Threads) -> (Draft, Vec<Vec<u32>>) {
-    let n = sequence.len();
-    let shift = block.trailing_zeros();
-    let mut ranks = vec![0u32; n];
-    let mut offsets = vec![0u32; n + 1];
-    for (k, &i) in sequence.iter().enumerate() {
-        ranks[i as usize] = k as u32;
-        offsets[k + 1] = offsets[k] + rows.degree(i as usize) as u32;
-    }
-    let mut neighbours = vec![0u32; rows.neighbours.len()];
-    let mut weights = rows.weights.map(|w| vec![0.0f32; w.len()]);
-    let blocks = n.div_ceil(block);
-    let out = Shared::new(&mut neighbours);
-    let out_weights = weights.as_mut().map(|w| Shared::new(w));
-    let adjacency = threads.map(
-        0..blocks,
-        || vec![NONE; blocks],
-        |stamps, b| {
-            let range = b * block..((b + 1) * block).min(n);
-            let entries = offsets[range.start] as usize..offsets[range.end] as usize;
-            // SAFETY: blocks hold disjoint entries and each block is visited once.
-            let out = unsafe { out.rows(entries.clone()) };
-            // SAFETY: as above.
-            let mut out_weights = out_weights.map(|w| unsafe { w.rows(entries.clone()) });
-            let mut touched = Vec::new();
-            let mut to = 0;
-            stamps[b] = b as u32;
-            for k in range {
-                let i = sequence[k] as usize;
-                for e in rows.offsets[i] as usize..rows.offsets[i + 1] as usize {
-                    let j = ranks[rows.neighbours[e] as usize];
-                    out[to] = j;
-                    if let (Some(out), Some(w)) = (out_weights.as_deref_mut(), rows.weights) {
-                        out[to] = w[e] * rows.scale;
-                    }
-                    to += 1;
-                    let other = (j >> shift) as usize;
-                    if stamps[other] != b as u32 {
-                        stamps[other] = b as u32;
-                        touched.push(other as u32);
-                    }
-                }
-            }
-            touched
-        },
-    );
-    (
-        Draft {
-            offsets,
-            neighbours,
-            weights,
-        },
-        adjacency,
-    )
-}
-
-/// Colours blocks greedily in their order. Returns the first block of each colour and the blocks colour by colour.
-fn colour(adjacency: &[Vec<u32>]) -> (Vec<u32>, Vec<u32>) {
-    let mut colour_of = vec![NONE; adjacency.len()];
-    let mut taken: Vec<usize> = Vec::new();
-    for (b, others) in adjacency.iter().enumerate() {
-        for &other in others {
-            let c = colour_of[other as usize];
-            if c != NONE {
-                taken[c as usize] = b + 1;
-            }
-        }
-        let free = taken.iter().position(|&t| t != b + 1).unwrap_or(taken.len());
-        if free == taken.len() {
-            taken.push(0);
-        }
-        colour_of[b] = free as u32;
-    }
-    let mut begins = vec![0u32; taken.len() + 1];
-    for &c in &colour_of {
-        begins[c as usize + 1] += 1;
-    }
-    for c in 0..taken.len() {
-        begins[c + 1] += begins[c];
-    }
-    let mut cursor = begins.clone();
-    let mut by_colour = vec![0u32; adjacency.len()];
-    for (b, &c) in colour_of.iter().enumerate() {
-        by_colour[cursor[c as usize] as usize] = b as u32;
-        cursor[c as usize] += 1;
-    }
-    (begins, by_colour)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::testing::Block;
-
-    #[test]
-    fn arranging_keeps_the_graph() {
-        let block = Block::new(9, 8, 7).weighted();
-        let hierarchy = block.hierarchy(1);
-        let level = &hierarchy.levels[0];
-        let mut ranks = vec![0; level.rows()];
-        for (row, &vertex) in hierarchy.order.iter().enumerate() {
-            ranks[vertex as usize] = row as u32;
-        }
-        for (row, &vertex) in hierarchy.order.iter().enumerate() {
-            let vertex = vertex as usize;
-            let source = block.offsets[vertex] as usize..block.offsets[vertex + 1] as usize;
-            let weights = block.weights.as_ref().unwrap();
-            let scale = hierarchy.weight_scale as f32;
-            let mut want: Vec<(u32, f32)> = source
-                .map(|e| (ranks[block.neighbours[e] as usize], weights[e] * scale))
-                .collect();
-            let (begin, middle, end) = level.entries(row);
-            let mut seen: Vec<(u32, f32)> = (begin..end).map(|e| (level.neighbours[e], level.weight(e))).collect();
-            want.sort_by_key(|w| w.0);
-            seen.sort_by_key(|w| w.0);
-            assert_eq!(seen, want);
-            assert!(level.neighbours[begin..middle].iter().all(|&j| (j as usize) < row));
-            assert!(level.neighbours[middle..end].iter().all(|&j| (j as usize) > row));
-            let sum: f32 = want.iter().map(|w| w.1).sum();
-            assert!((sum - level.diagonal[row]).abs() < 1e-4 * sum);
-        }
-    }
-
-    /// The promise on which parallel sweeps and their unsafe code rest.
-    #[test]
-    fn blocks_of_one_colour_do_not_touch() {
-        let block = Block::new(14, 13, 12);
-        let hierarchy = block.hierarchy(1);
-        for level in &hierarchy.levels {
-            assert_eq!(level.blocks.first(), Some(&0));
-            assert_eq!(*level.blocks.last().unwrap() as usize, level.rows());
-            assert_eq!(*level.colours.last().unwrap() as usize, level.blocks.len() - 1);
-            let block_of = |row: u32| level.blocks.partition_point(|&b| b <= row) - 1;
-            let colour_of = |row: u32| level.colours.partition_point(|&c| c as usize <= block_of(row)) - 1;
-            for row in 0..level.rows() as u32 {
-                let (begin, _, end) = level.entries(row as usize);
-                for &j in &level.neighbours[begin..end] {
-                    assert!(block_of(row) == block_of(j) || colour_of(row) != colour_of(j));
-                }
-            }
-        }
-        assert!(hierarchy.levels[0].colours.len() > 2 && hierarchy.levels.len() > 2);
     }
 }

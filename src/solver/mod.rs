@@ -107,6 +107,7 @@ mod floating;
 mod graph;
 mod hierarchy;
 mod lanes;
+mod layout;
 mod level;
 mod operator;
 mod options;

@@ -6,7 +6,7 @@
 //! coarse corrections have the right length and need no over-correction factor.
 
 use super::lanes::Lanes;
-use super::level::{Level, NONE};
+use super::level::{BUNDLE, Level, NONE};
 use super::threads::{Threads, piece, pieces};
 
 /// Bounds of φ. Below, a coarse vertex could lose its connection (φ can even be negative on folded surfaces); above 1
@@ -29,10 +29,63 @@ pub(crate) struct CoarseRows {
     pub(crate) positions: Vec<Lanes>,
 }
 
-/// Scratch of one thread: where in the list of sums the present row keeps those for another aggregate.
+/// Scratch of one thread: the aggregates that the present one touches, and the sums towards them.
+///
+/// Every entry is added somewhere without asking where it leads, since such questions cost more than the sums: those
+/// inside the aggregate and filling get sums of their own, which nobody reads.
 struct Slots {
-    owner: Vec<u32>,
-    slot: Vec<u32>,
+    /// For each aggregate the one whose slot numbers `slots` holds last.
+    owners: Vec<u32>,
+    slots: Vec<u32>,
+    /// Aggregate of each slot in use; longer than that.
+    others: Vec<u32>,
+    /// Σ w (p_i − p_j) in the first three lanes, Σ w in the last; 0 beyond those in use.
+    sums: Vec<Lanes>,
+    used: usize,
+}
+
+impl Slots {
+    fn new(count: usize) -> Slots {
+        // One more for entries that lead to no aggregate.
+        Slots {
+            owners: vec![NONE; count + 1],
+            slots: vec![0; count + 1],
+            others: Vec::new(),
+            sums: Vec::new(),
+            used: 0,
+        }
+    }
+
+    fn begin(&mut self) {
+        self.sums[..self.used].fill(Lanes::ZERO);
+        self.used = 0;
+    }
+
+    /// Makes sure that `more` slots can be taken.
+    fn reserve(&mut self, more: usize) {
+        let want = self.used + more + 1;
+        if self.sums.len() < want {
+            self.sums.resize(want, Lanes::ZERO);
+            self.others.resize(want, NONE);
+        }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, owner: u32, other: u32, term: Lanes) {
+        let known = self.owners[other as usize] == owner;
+        let slot = if known {
+            self.slots[other as usize]
+        } else {
+            self.used as u32
+        };
+        self.others[self.used] = other;
+        self.used += usize::from(!known);
+        self.owners[other as usize] = owner;
+        self.slots[other as usize] = slot;
+        // A fresh slot overwrites what lies at its end; a known one writes there what the next fresh one replaces.
+        self.others[slot as usize] = other;
+        self.sums[slot as usize] += term;
+    }
 }
 
 /// Builds the coarse rows of a level whose aggregates are set.
@@ -48,19 +101,22 @@ pub(crate) fn coarse_rows(level: &Level, threads: Threads) -> CoarseRows {
     // Each pair of aggregates is summed once, from its smaller number, so the result is symmetric to the bit.
     let halves = threads.map(
         0..pieces(count, PIECE),
-        || Slots {
-            owner: vec![NONE; count],
-            slot: vec![0; count],
-        },
+        || Slots::new(count),
         |slots, k| {
             let rows = piece(k, count, PIECE);
-            let mut entries: Vec<(u32, f32)> = Vec::new();
+            let mut entries: Vec<(u32, f32)> = Vec::with_capacity(8 * rows.len());
             let mut ends = Vec::with_capacity(rows.len());
-            let mut sums: Vec<(u32, Lanes)> = Vec::new();
             for coarse in rows {
-                sum_crossing(level, coarse, slots, &mut sums);
-                for &(other, sum) in &sums {
-                    entries.push((other, weight(&positions, coarse, other as usize, sum)));
+                match (&level.weights, positions.is_empty()) {
+                    (None, false) => sum_crossing::<false, true>(level, coarse, slots),
+                    (Some(_), false) => sum_crossing::<true, true>(level, coarse, slots),
+                    (None, true) => sum_crossing::<false, false>(level, coarse, slots),
+                    (Some(_), true) => sum_crossing::<true, false>(level, coarse, slots),
+                }
+                for (&other, &sum) in slots.others[..slots.used].iter().zip(&slots.sums) {
+                    if other as usize > coarse && (other as usize) < count {
+                        entries.push((other, weight(&positions, coarse, other as usize, sum)));
+                    }
                 }
                 ends.push(entries.len());
             }
@@ -91,30 +147,23 @@ fn centroids(level: &Level, threads: Threads) -> Vec<Lanes> {
     parts.concat()
 }
 
-/// For each aggregate after `coarse` that an edge leads to: Σ w (p_i − p_j) in the first three lanes, Σ w in the last.
-fn sum_crossing(level: &Level, coarse: usize, slots: &mut Slots, sums: &mut Vec<(u32, Lanes)>) {
-    sums.clear();
+/// Sums over the edges from aggregate `coarse` to each aggregate that they lead to.
+fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(level: &Level, coarse: usize, slots: &mut Slots) {
+    let weights: &[f32] = level.weights.as_deref().unwrap_or(&[]);
+    let nowhere = level.coarse_rows() as u32;
+    slots.begin();
     for &i in level.members_of(coarse) {
         let i = i as usize;
-        let mut here = level.positions.get(i).copied().unwrap_or(Lanes::ZERO);
+        let mut here = if PLACED { level.positions[i] } else { Lanes::ZERO };
         here.0[3] = 1.0;
-        let (begin, _, end) = level.entries(i);
-        for e in begin..end {
+        let (begin, _, end) = level.bundle(i / BUNDLE);
+        slots.reserve((end - begin) / BUNDLE);
+        for e in (begin + i % BUNDLE..end).step_by(BUNDLE) {
             let j = level.neighbours[e] as usize;
-            let other = level.aggregates[j];
-            if other as usize <= coarse {
-                continue;
-            }
-            let there = level.positions.get(j).copied().unwrap_or(Lanes::ZERO);
-            let term = (here - there) * level.weight(e);
-            let known = slots.owner[other as usize] == coarse as u32;
-            if known {
-                sums[slots.slot[other as usize] as usize].1 += term;
-            } else {
-                slots.owner[other as usize] = coarse as u32;
-                slots.slot[other as usize] = sums.len() as u32;
-                sums.push((other, term));
-            }
+            let there = if PLACED { level.positions[j] } else { Lanes::ZERO };
+            let difference = here - there;
+            let term = if WEIGHTED { difference * weights[e] } else { difference };
+            slots.add(coarse as u32, level.aggregates[j].min(nowhere), term);
         }
     }
 }
@@ -192,19 +241,15 @@ mod tests {
         for pair in hierarchy.levels.windows(2) {
             let (fine, coarse) = (&pair[0], &pair[1]);
             for row in 0..coarse.rows() {
-                let (begin, _, end) = coarse.entries(row);
-                for e in begin..end {
-                    let other = coarse.neighbours[e] as usize;
-                    let (b, _, f) = coarse.entries(other);
-                    let back = (b..f).find(|&k| coarse.neighbours[k] as usize == row).unwrap();
-                    assert_eq!(coarse.weight(e).to_bits(), coarse.weight(back).to_bits());
+                for (other, w) in coarse.row(row) {
+                    let back = coarse.row(other).find(|(k, _)| *k == row).unwrap().1;
+                    assert_eq!(w.to_bits(), back.to_bits());
                     let mut sum = 0.0;
                     for &i in fine.members_of(row) {
-                        let (b, _, f) = fine.entries(i as usize);
-                        let cross = |k: &usize| fine.aggregates[fine.neighbours[*k] as usize] as usize == other;
-                        sum += (b..f).filter(cross).map(|k| fine.weight(k)).sum::<f32>();
+                        let cross = |(j, _): &(usize, f32)| fine.aggregates[*j] as usize == other;
+                        sum += fine.row(i as usize).filter(cross).map(|(_, w)| w).sum::<f32>();
                     }
-                    let ratio = coarse.weight(e) / sum;
+                    let ratio = w / sum;
                     assert!((0.2999..=1.0001).contains(&ratio), "{ratio}");
                 }
             }
@@ -218,7 +263,11 @@ mod tests {
         let mut block = Block::new(4, 1, 1);
         block.positions = (0..4).map(|i| [f64::from(i), 0.0, 0.0]).collect();
         let mut level = block.hierarchy(4).levels.swap_remove(0);
-        let pieces = level.positions.iter().map(|p| u32::from(p.0[0] > 0.0)).collect();
+        let piece_of = |(i, p): (usize, &Lanes)| match level.connected(i) {
+            true => u32::from(p.0[0] > 0.0),
+            false => NONE,
+        };
+        let pieces = level.positions.iter().enumerate().map(piece_of).collect();
         level.set_aggregates(pieces, 2);
         let coarse = coarse_rows(&level, Threads::of(&pool()));
         assert_eq!(coarse.neighbours, [1, 0]);

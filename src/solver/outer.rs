@@ -142,7 +142,7 @@ impl Outer<'_, '_> {
     /// Iterates on `workspace.x` from the values it holds.
     pub(crate) fn solve(&mut self, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         let (problem, threads, pool) = (self.problem, self.problem.threads, self.pool);
-        let n = problem.hierarchy.vertices();
+        let n = problem.hierarchy.levels[0].rows();
         let width = problem.width();
         let grid = self.cycle.grid(0);
         let Workspace { x, fine, coarse, .. } = &mut *self.workspace;

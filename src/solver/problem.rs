@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::hierarchy::power_of_two_below;
 use super::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
+use super::level::{BUNDLE, NONE};
 use super::threads::{Threads, piece, pieces};
 use super::{Error, Hierarchy, System};
 
@@ -43,7 +44,7 @@ impl<'a> Problem<'a> {
     ) -> Result<Self, Error> {
         let width = WIDTH.min(columns - first);
         let mask = &system.masks[0];
-        let n = hierarchy.vertices();
+        let n = hierarchy.levels[0].rows();
         let threads = threads.for_rows(n);
         // Sums instead of maxima would overflow; a value that is not finite shows up as an infinite maximum.
         let parts = threads.map(
@@ -51,7 +52,7 @@ impl<'a> Problem<'a> {
             || (),
             |(), k| {
                 let mut most = [[0.0f64; WIDTH]; 2];
-                for i in piece(k, n, PIECE) {
+                for i in piece(k, n, PIECE).filter(|&i| hierarchy.order[i] != NONE) {
                     let at = hierarchy.order[i] as usize * columns + first;
                     let free = mask.free(i);
                     for c in 0..width {
@@ -120,7 +121,7 @@ impl<'a> Problem<'a> {
 
     /// Copies `x` into row order; free rows become 0 unless `given`.
     pub(crate) fn load(&self, x: &[f64], given: bool, out: &mut Vec<Wide>) {
-        let n = self.hierarchy.vertices();
+        let n = self.hierarchy.levels[0].rows();
         out.resize(n, [0.0; WIDTH]);
         let mask = &self.system.masks[0];
         let shared = Shared::new(out.as_mut_slice());
@@ -129,7 +130,7 @@ impl<'a> Problem<'a> {
             let out = unsafe { shared.rows(piece(k, n, PIECE)) };
             for (i, out) in piece(k, n, PIECE).zip(out) {
                 *out = [0.0; WIDTH];
-                if given || !mask.free(i) {
+                if self.hierarchy.order[i] != NONE && (given || !mask.free(i)) {
                     let at = self.hierarchy.order[i] as usize * self.columns + self.first;
                     for c in 0..self.width {
                         out[c] = x[at + c] / self.unit[c];
@@ -170,53 +171,70 @@ impl<'a> Problem<'a> {
         out: &mut [T],
         convert: impl Fn(Wide) -> T + Sync + Send,
     ) -> Wide {
-        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        let mask = &self.system.masks[0];
         let stiffness = &self.system.stiffness;
-        assert!(x.len() == level.rows());
+        assert!(x.len() == self.hierarchy.levels[0].rows());
         let out = Shared::new(out);
         self.norms(|rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let out = unsafe { out.rows(rows.clone()) };
             let mut norms = [0.0; WIDTH];
-            for (i, out) in rows.zip(out) {
-                let mut r = [0.0; WIDTH];
-                if mask.free(i) {
-                    if with_rhs {
-                        r = self.rhs(i);
-                    }
-                    let (begin, _, end) = level.entries(i);
-                    let here = x[i];
-                    match &level.weights {
-                        None => {
-                            for &j in &level.neighbours[begin..end] {
-                                let there = x[j as usize];
-                                for c in 0..WIDTH {
-                                    r[c] -= here[c] - there[c];
-                                }
-                            }
+            for (out, k) in out.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(rows.start / BUNDLE..) {
+                let flows = self.flows(x, k);
+                for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                    let mut r = [0.0; WIDTH];
+                    if mask.free(i) {
+                        if with_rhs {
+                            r = self.rhs(i);
                         }
-                        Some(w) => {
-                            for (&j, &w) in level.neighbours[begin..end].iter().zip(&w[begin..end]) {
-                                let there = x[j as usize];
-                                for c in 0..WIDTH {
-                                    r[c] -= f64::from(w) * (here[c] - there[c]);
-                                }
-                            }
-                        }
-                    }
-                    if let Some(s) = stiffness.get(i) {
+                        let s = stiffness.get(i).copied().unwrap_or(0.0);
                         for c in 0..WIDTH {
-                            r[c] -= s * here[c];
+                            r[c] -= flows[d][c] + s * x[i][c];
+                            norms[c] += r[c] * r[c];
                         }
                     }
-                    for c in 0..WIDTH {
-                        norms[c] += r[c] * r[c];
-                    }
+                    out[d] = convert(r);
                 }
-                *out = convert(r);
             }
             norms
         })
+    }
+
+    /// Σ w (x_i − x_j) of the rows of bundle `k`.
+    #[inline(always)]
+    fn flows(&self, x: &[Wide], k: usize) -> [Wide; BUNDLE] {
+        let level = &self.hierarchy.levels[0];
+        let (begin, _, end) = level.bundle(k);
+        let first = k * BUNDLE;
+        let here: [Wide; BUNDLE] = std::array::from_fn(|d| x[first + d]);
+        let mut flows = [[0.0; WIDTH]; BUNDLE];
+        let neighbours = level.neighbours[begin..end].as_chunks::<BUNDLE>().0;
+        match &level.weights {
+            None => {
+                let filling = level.filling();
+                for j in neighbours {
+                    for d in 0..BUNDLE {
+                        // Filling has weight 0: to itself, a row has no difference.
+                        let j = if j[d] == filling { first + d } else { j[d] as usize };
+                        let there = x[j];
+                        for c in 0..WIDTH {
+                            flows[d][c] += here[d][c] - there[c];
+                        }
+                    }
+                }
+            }
+            Some(w) => {
+                for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<BUNDLE>().0) {
+                    for d in 0..BUNDLE {
+                        let there = x[j[d] as usize];
+                        for c in 0..WIDTH {
+                            flows[d][c] += f64::from(w[d]) * (here[d][c] - there[c]);
+                        }
+                    }
+                }
+            }
+        }
+        flows
     }
 
     /// Squared norms of b, the right-hand side with the fixed values moved into it (β of the paper's equation (11)).
@@ -227,12 +245,10 @@ impl<'a> Problem<'a> {
             for i in rows.filter(|&i| mask.free(i)) {
                 let mut b = self.rhs(i);
                 if self.system.on_border(i) {
-                    let (begin, _, end) = level.entries(i);
-                    for e in begin..end {
-                        let j = level.neighbours[e] as usize;
+                    for (j, w) in level.row(i) {
                         if !mask.free(j) {
                             for c in 0..WIDTH {
-                                b[c] += f64::from(level.weight(e)) * x[j][c];
+                                b[c] += f64::from(w) * x[j][c];
                             }
                         }
                     }

@@ -3,6 +3,7 @@
 use super::advance::reference;
 use super::cycle::{Cycle, per_lane, ratio};
 use super::lanes::{WIDTH, Wide};
+use super::level::NONE;
 use super::outer::{Criteria, Outcome, Outer, Snapshot, Watch};
 use super::problem::Problem;
 use super::start::full_multigrid;
@@ -148,7 +149,7 @@ impl System {
             out.fill(0.0);
         }
         let threads = Threads::of(pool);
-        let n = hierarchy.vertices();
+        let n = hierarchy.levels[0].rows();
         let (mut values, mut r) = (Vec::new(), vec![[0.0; WIDTH]; n]);
         let mut relative = Vec::with_capacity(columns);
         for first in (0..columns).step_by(WIDTH) {
@@ -165,7 +166,7 @@ impl System {
                 let norm = norms[c].sqrt();
                 relative.push(if norm == 0.0 { 0.0 } else { norm / reference[c] });
                 if let Some(out) = rows.as_deref_mut() {
-                    for (r, &v) in r.iter().zip(&hierarchy.order) {
+                    for (r, &v) in r.iter().zip(&hierarchy.order).filter(|(_, v)| **v != NONE) {
                         out[v as usize * columns + first + c] = problem.outer_residual(r[c], c);
                     }
                 }

@@ -77,7 +77,7 @@ pub(crate) fn full_multigrid(
     rest: Option<&[[f64; 3]]>,
     workspace: &mut Workspace,
 ) -> Result<(), Cancelled> {
-    let (hierarchy, system) = (problem.hierarchy, problem.system);
+    let system = problem.system;
     let Workspace { x, patches, coarse, .. } = workspace;
     let last = system.masks.len() - 1;
     patches.resize_with(last + 1, Patches::default);
@@ -86,7 +86,7 @@ pub(crate) fn full_multigrid(
     let middle = mean_of_masked(problem, x);
     let grid = cycle.grid(0);
     let finest = &mut patches[0];
-    finest.resize(hierarchy.vertices(), frames.is_some());
+    finest.resize(grid.level.rows(), frames.is_some());
     if let Some(frames) = frames {
         load_maps(problem, frames, rest, finest);
     }
@@ -135,7 +135,7 @@ fn mean_of_masked(problem: &Problem<'_>, x: &[Wide]) -> Wide {
     let mask = &problem.system.masks[0];
     let (mut sum, mut count) = ([0.0; WIDTH], 0usize);
     for (i, x) in x.iter().enumerate() {
-        if !mask.free(i) {
+        if !mask.free(i) && problem.hierarchy.order[i] != NONE {
             add_wide(&mut sum, *x);
             count += 1;
         }
@@ -150,6 +150,10 @@ fn load_maps(problem: &Problem<'_>, frames: &[[f32; 9]], rest: Option<&[[f64; 3]
     let scale = |c: usize| frame.size / problem.unit[c];
     let scale = Lanes([scale(0) as f32, scale(1) as f32, scale(2) as f32, 0.0]);
     for (i, &v) in hierarchy.order.iter().enumerate() {
+        if v == NONE {
+            finest.maps[i] = [Lanes::ZERO; 3];
+            continue;
+        }
         let f = &frames[v as usize];
         finest.maps[i] = [0, 3, 6].map(|k| Lanes([f[k], f[k + 1], f[k + 2], 0.0]) * scale);
     }
@@ -157,7 +161,7 @@ fn load_maps(problem: &Problem<'_>, frames: &[[f32; 9]], rest: Option<&[[f64; 3]
         None => finest.positions.copy_from_slice(&hierarchy.levels[0].positions),
         Some(rest) => {
             for (p, &v) in finest.positions.iter_mut().zip(&hierarchy.order) {
-                *p = frame.apply(rest[v as usize]);
+                *p = rest.get(v as usize).map_or(Lanes::ZERO, |&p| frame.apply(p));
             }
         }
     }
@@ -193,9 +197,8 @@ fn load_equations(grid: &Grid<'_>, problem: &Problem<'_>, x: &[Wide], middle: Wi
             }
             let mut sum = Lanes::ZERO;
             if !patches.maps.is_empty() {
-                let (begin, _, end) = grid.level.entries(i);
-                for e in begin..end {
-                    sum += patches.edge(i, grid.level.neighbours[e] as usize) * grid.level.weight(e);
+                for (j, w) in grid.level.row(i) {
+                    sum += patches.edge(i, j) * w;
                 }
             }
             let sum = sum.wide();
@@ -234,11 +237,9 @@ fn restrict(grid: &Grid<'_>, below: &Grid<'_>, fine: &Patches, coarse: &mut Patc
                     Lanes::ZERO
                 };
                 beta += fine.beta[i] - offset * mask.alpha(i);
-                let (begin, _, end) = level.entries(i);
-                for e in begin..end {
-                    let j = level.neighbours[e] as usize;
+                for (j, w) in level.row(i) {
                     if !mask.free(j) && level.aggregates[j] == row as u32 {
-                        beta += (fine.x[j] + fine.edge(i, j) - offset) * level.weight(e);
+                        beta += (fine.x[j] + fine.edge(i, j) - offset) * w;
                     }
                 }
             }
@@ -255,7 +256,7 @@ fn restrict(grid: &Grid<'_>, below: &Grid<'_>, fine: &Patches, coarse: &mut Patc
                     if free {
                         Lanes::ZERO
                     } else {
-                        given * (1.0 / members.len() as f32)
+                        given * (1.0 / members.len().max(1) as f32)
                     },
                 );
             }
@@ -269,7 +270,7 @@ fn mean_patch(fine: &Patches, members: &[u32]) -> (Map, Lanes) {
         let squares = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
         squares.sum().sqrt()
     };
-    let share = 1.0 / members.len() as f32;
+    let share = 1.0 / members.len().max(1) as f32;
     let (mut map, mut centre, mut sizes) = ([Lanes::ZERO; 3], Lanes::ZERO, 0.0f32);
     for &i in members {
         let m = &fine.maps[i as usize];
@@ -302,10 +303,8 @@ fn defect(grid: &Grid<'_>, patches: &Patches, out: &mut [Lanes]) {
             }
             let here = patches.x[i];
             let mut r = patches.beta[i] - here * mask.alpha(i);
-            let (begin, _, end) = level.entries(i);
-            for e in begin..end {
-                let j = level.neighbours[e] as usize;
-                r -= (here - patches.x[j] - patches.edge(i, j)) * level.weight(e);
+            for (j, w) in level.row(i) {
+                r -= (here - patches.x[j] - patches.edge(i, j)) * w;
             }
             *out = r;
         }

@@ -5,7 +5,7 @@
 //! these neighbours.
 
 use super::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
-use super::level::{Level, NONE};
+use super::level::{BUNDLE, Level, NONE};
 use super::system::Mask;
 use super::threads::{Threads, piece, pieces};
 
@@ -63,16 +63,21 @@ impl<'a> Grid<'a> {
 
     fn forward_with<W: Weight>(&self, b: &[Lanes], x: &mut [Lanes], w: &W) {
         let (level, inverses) = (self.level, &self.mask.inverses);
-        assert!(b.len() == level.rows() && x.len() == level.rows());
+        assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
         let x = Shared::new(x);
         self.sweep(false, |rows| {
-            for i in rows {
-                let (begin, middle, _) = level.entries(i);
+            for k in rows.start / BUNDLE..rows.end / BUNDLE {
+                let (begin, middle, _) = level.bundle(k);
                 // SAFETY: neighbours are rows of the level; those read lie in this block or in one of a colour that
-                // no thread writes now; row i is written by the one thread that sweeps its block.
+                // no thread writes now, or hold filling, which nobody writes; the bundle is written by the one thread
+                // that sweeps its block.
                 unsafe {
-                    let sum = gather(level, w, x, begin, middle);
-                    x.set(i, (b[i] + sum) * inverses[i]);
+                    let sums = gather(level, w, x, begin, middle);
+                    let rows = k * BUNDLE..(k + 1) * BUNDLE;
+                    let (b, inverses) = (&b[rows.clone()], &inverses[rows.clone()]);
+                    for (d, i) in rows.enumerate() {
+                        x.set(i, (b[d] + sums[d]) * inverses[d]);
+                    }
                 }
             }
         });
@@ -93,13 +98,13 @@ impl<'a> Grid<'a> {
         self.each_block(|_, rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let out = unsafe { r.rows(rows.clone()) };
-            for (i, out) in rows.zip(out) {
-                let (_, middle, end) = level.entries(i);
-                *out = if mask.free(i) {
-                    gather_slice(level, w, x, middle, end)
-                } else {
-                    Lanes::ZERO
-                };
+            for (out, k) in out.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(rows.start / BUNDLE..) {
+                let (_, middle, end) = level.bundle(k);
+                // SAFETY: neighbours are rows of the level, and nobody writes x now.
+                let sums = unsafe { gather(level, w, Frozen(x), middle, end) };
+                for d in 0..BUNDLE {
+                    out[d] = sums[d].when(mask.free(k * BUNDLE + d));
+                }
             }
         });
     }
@@ -115,20 +120,25 @@ impl<'a> Grid<'a> {
 
     fn backward_with<W: Weight>(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes], w: &W) {
         let (level, inverses) = (self.level, &self.mask.inverses);
-        assert!(b.len() == level.rows() && x.len() == level.rows());
+        assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
         let (x, t) = (Shared::new(x), Shared::new(t));
         self.sweep(true, |rows| {
-            let first = rows.start;
             // SAFETY: one thread sweeps this block.
             let t = unsafe { t.rows(rows.clone()) };
-            for i in rows.rev() {
-                let (begin, middle, end) = level.entries(i);
+            let bundles = rows.start / BUNDLE..rows.end / BUNDLE;
+            for (t, k) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(bundles).rev() {
+                let (begin, middle, end) = level.bundle(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
-                    let before = b[i] + gather(level, w, x, begin, middle);
+                    let before = gather(level, w, x, begin, middle);
                     let after = gather(level, w, x, middle, end);
-                    t[i - first] = before;
-                    x.set(i, (before + after) * inverses[i]);
+                    let rows = k * BUNDLE..(k + 1) * BUNDLE;
+                    let (b, inverses) = (&b[rows.clone()], &inverses[rows.clone()]);
+                    for (d, i) in rows.enumerate() {
+                        let before = b[d] + before[d];
+                        t[d] = before;
+                        x.set(i, (before + after[d]) * inverses[d]);
+                    }
                 }
             }
         });
@@ -147,8 +157,8 @@ impl<'a> Grid<'a> {
         partials: &mut Vec<Dots>,
     ) -> [Wide; 3] {
         match &self.level.weights {
-            None => self.apply_with(x, t, a, c, partials, &Unit),
-            Some(w) => self.apply_with(x, t, a, c, partials, &Values(w)),
+            None => self.apply_with(x, t, a, c.unwrap_or(a), c.is_some(), partials, &Unit),
+            Some(w) => self.apply_with(x, t, a, c.unwrap_or(a), c.is_some(), partials, &Values(w)),
         }
     }
 
@@ -157,30 +167,30 @@ impl<'a> Grid<'a> {
         x: &[Lanes],
         t: &mut [Lanes],
         a: &[Lanes],
-        c: Option<&[Lanes]>,
+        c: &[Lanes],
+        with_x: bool,
         partials: &mut Vec<Dots>,
         w: &W,
     ) -> [Wide; 3] {
         let (level, mask) = (self.level, self.mask);
-        assert!(x.len() == level.rows());
+        assert!(x.len() == level.rows() && a.len() == level.rows() && c.len() == level.rows());
         let t = Shared::new(t);
         self.dots(partials, |rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let t = unsafe { t.rows(rows.clone()) };
             let mut sums = [Lanes::ZERO; 3];
-            for (i, t) in rows.zip(t) {
-                let (begin, middle, _) = level.entries(i);
-                *t = if mask.free(i) {
-                    *t - gather_slice(level, w, x, begin, middle)
-                } else {
-                    Lanes::ZERO
-                };
-                sums[0] += x[i] * a[i];
-                sums[1] += x[i] * *t;
-                sums[2] += match c {
-                    Some(c) => x[i] * c[i],
-                    None => a[i] * a[i],
-                };
+            for (t, k) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(rows.start / BUNDLE..) {
+                let (begin, middle, _) = level.bundle(k);
+                // SAFETY: neighbours are rows of the level, and nobody writes x now.
+                let before = unsafe { gather(level, w, Frozen(x), begin, middle) };
+                let rows = k * BUNDLE..(k + 1) * BUNDLE;
+                let (x, a, c) = (&x[rows.clone()], &a[rows.clone()], &c[rows]);
+                for d in 0..BUNDLE {
+                    t[d] = (t[d] - before[d]).when(mask.free(k * BUNDLE + d));
+                    sums[0] += x[d] * a[d];
+                    sums[1] += x[d] * t[d];
+                    sums[2] += if with_x { x[d] } else { a[d] } * c[d];
+                }
             }
             sums
         })
@@ -242,18 +252,29 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// Weight of an entry.
+/// Weights of the entries of a level.
 trait Weight: Sync {
-    fn scale(&self, entry: usize, x: Lanes) -> Lanes;
+    /// Adds w x_j for entries `from..to` of one bundle to its four sums.
+    ///
+    /// # Safety
+    /// The entries exist, and `x` can be read at all their neighbours.
+    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE];
 }
 
-/// All weights are 1 and none is stored.
+/// All weights are 1 and none is stored; filling reads a row that holds 0.
 struct Unit;
 
 impl Weight for Unit {
     #[inline(always)]
-    fn scale(&self, _: usize, x: Lanes) -> Lanes {
-        x
+    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
+        let mut sums = [Lanes::ZERO; BUNDLE];
+        for j in neighbours[from..to].as_chunks::<BUNDLE>().0 {
+            for d in 0..BUNDLE {
+                // SAFETY: by the caller's promise.
+                sums[d] += unsafe { x.at(j[d] as usize) };
+            }
+        }
+        sums
     }
 }
 
@@ -262,31 +283,55 @@ struct Values<'a>(&'a [f32]);
 
 impl Weight for Values<'_> {
     #[inline(always)]
-    fn scale(&self, entry: usize, x: Lanes) -> Lanes {
-        x * self.0[entry]
+    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
+        let mut sums = [Lanes::ZERO; BUNDLE];
+        let neighbours = neighbours[from..to].as_chunks::<BUNDLE>().0;
+        for (j, w) in neighbours.iter().zip(self.0[from..to].as_chunks::<BUNDLE>().0) {
+            for d in 0..BUNDLE {
+                // SAFETY: by the caller's promise.
+                sums[d] += unsafe { x.at(j[d] as usize) } * w[d];
+            }
+        }
+        sums
     }
 }
 
-/// Σ w x_j over entries.
+/// A vector to gather from.
+trait Vector: Copy {
+    /// Row `i`.
+    ///
+    /// # Safety
+    /// The row exists and no thread writes it now.
+    unsafe fn at(self, i: usize) -> Lanes;
+}
+
+impl Vector for Shared<'_, Lanes> {
+    #[inline(always)]
+    unsafe fn at(self, i: usize) -> Lanes {
+        // SAFETY: by the caller's promise.
+        unsafe { self.get(i) }
+    }
+}
+
+/// A vector that nobody writes.
+#[derive(Clone, Copy)]
+struct Frozen<'a>(&'a [Lanes]);
+
+impl Vector for Frozen<'_> {
+    #[inline(always)]
+    unsafe fn at(self, i: usize) -> Lanes {
+        debug_assert!(i < self.0.len());
+        // SAFETY: by the caller's promise.
+        unsafe { *self.0.get_unchecked(i) }
+    }
+}
+
+/// Σ w x_j over entries of one bundle, for each of its rows.
 ///
 /// # Safety
-/// No thread writes the neighbours' rows now, and all neighbours are rows of x.
+/// `x` has all rows of the level, and no thread writes those of the neighbours now.
 #[inline(always)]
-unsafe fn gather<W: Weight>(level: &Level, w: &W, x: Shared<'_, Lanes>, from: usize, to: usize) -> Lanes {
-    let mut sum = Lanes::ZERO;
-    for (e, &j) in (from..to).zip(&level.neighbours[from..to]) {
-        // SAFETY: by the caller's promise.
-        sum += w.scale(e, unsafe { x.get(j as usize) });
-    }
-    sum
-}
-
-/// Σ w x_j over entries of a vector that nobody writes.
-#[inline(always)]
-fn gather_slice<W: Weight>(level: &Level, w: &W, x: &[Lanes], from: usize, to: usize) -> Lanes {
-    let mut sum = Lanes::ZERO;
-    for (e, &j) in (from..to).zip(&level.neighbours[from..to]) {
-        sum += w.scale(e, x[j as usize]);
-    }
-    sum
+unsafe fn gather<W: Weight, X: Vector>(level: &Level, w: &W, x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
+    // SAFETY: neighbours are rows of the level, the rest by the caller's promise.
+    unsafe { w.gather(&level.neighbours, x, from, to) }
 }

@@ -93,7 +93,7 @@ impl System {
                 .order
                 .iter()
                 .map(|&v| {
-                    if constraints.fixed[v as usize] {
+                    if v == NONE || constraints.fixed[v as usize] {
                         0.0
                     } else {
                         s[v as usize] * scale
@@ -178,7 +178,8 @@ impl System {
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { out.rows(piece(k, n, PIECE)) };
             for (i, out) in piece(k, n, PIECE).zip(out) {
-                if !fixed[hierarchy.order[i] as usize] {
+                let vertex = hierarchy.order[i];
+                if vertex != NONE && !fixed[vertex as usize] {
                     let diagonal = level.diagonal[i] + alphas.get(i).copied().unwrap_or(0.0);
                     // A free vertex that touches nothing has diagonal 0. It stays free; see `floating`.
                     *out = if diagonal > 0.0 { 1.0 / diagonal } else { 1.0 };
@@ -194,9 +195,7 @@ impl System {
             if mask.free(i) != from_free {
                 continue;
             }
-            let (begin, _, end) = level.entries(i);
-            for e in begin..end {
-                let j = level.neighbours[e] as usize;
+            for (j, _) in level.row(i) {
                 if mask.free(j) != from_free {
                     let row = if from_free { i } else { j };
                     border[row >> 6] |= 1 << (row & 63);
@@ -215,17 +214,16 @@ impl System {
         let n = rows.len();
         let mut matrix = vec![0.0; n * n];
         for (a, &i) in rows.iter().enumerate() {
-            let (begin, _, end) = level.entries(i as usize);
             let stiffness = if last == 0 {
                 self.stiffness.get(i as usize).copied().unwrap_or(0.0)
             } else {
                 f64::from(mask.alpha(i as usize))
             };
             let mut diagonal = stiffness;
-            for e in begin..end {
-                let w = f64::from(level.weight(e));
+            for (j, w) in level.row(i as usize) {
+                let w = f64::from(w);
                 diagonal += w;
-                if let Ok(b) = rows.binary_search(&level.neighbours[e]) {
+                if let Ok(b) = rows.binary_search(&(j as u32)) {
                     matrix[a * n + b] -= w;
                 }
             }
@@ -291,11 +289,9 @@ fn coarser(fine: &Level, coarse: &Level, fine_mask: &Mask, threads: Threads) -> 
                 if free == members.len() {
                     continue;
                 }
-                let (begin, _, end) = fine.entries(i);
-                for e in begin..end {
-                    let j = fine.neighbours[e] as usize;
+                for (j, w) in fine.row(i) {
                     if fine.aggregates[j] == row as u32 && !fine_mask.free(j) {
-                        alpha += f64::from(fine.weight(e));
+                        alpha += f64::from(w);
                     }
                 }
             }
@@ -358,7 +354,8 @@ mod tests {
         assert_eq!(system.free(), fixed.iter().filter(|f| !**f).count());
         let (mut masked, mut mixed) = (0, 0);
         for (row, &vertex) in hierarchy.order.iter().enumerate() {
-            assert_eq!(system.masks[0].free(row), !fixed[vertex as usize]);
+            let free = vertex != NONE && !fixed[vertex as usize];
+            assert_eq!(system.masks[0].free(row), free);
         }
         for l in 1..hierarchy.levels.len() {
             let (fine, coarse) = (&hierarchy.levels[l - 1], &hierarchy.levels[l]);
@@ -372,11 +369,9 @@ mod tests {
                 let mut alpha = 0.0;
                 for &i in &free {
                     alpha += above.alpha(i);
-                    let (begin, _, end) = fine.entries(i);
-                    for e in begin..end {
-                        let j = fine.neighbours[e] as usize;
+                    for (j, w) in fine.row(i) {
                         let tied = members.contains(&(j as u32)) && !above.free(j);
-                        alpha += if tied { fine.weight(e) } else { 0.0 };
+                        alpha += if tied { w } else { 0.0 };
                     }
                 }
                 assert!((alpha - mask.alpha(row)).abs() <= 1e-5 * alpha, "level {l} row {row}");
@@ -390,10 +385,7 @@ mod tests {
         // The border, found from the other side.
         let level = &hierarchy.levels[0];
         for row in 0..level.rows() {
-            let (begin, _, end) = level.entries(row);
-            let touches = level.neighbours[begin..end]
-                .iter()
-                .any(|&j| !system.masks[0].free(j as usize));
+            let touches = level.row(row).any(|(j, _)| !system.masks[0].free(j));
             assert_eq!(system.on_border(row), system.masks[0].free(row) && touches);
         }
     }

@@ -23,6 +23,11 @@ impl Threads {
         }
     }
 
+    /// True if loops may use more than one thread.
+    pub(crate) fn parallel(self) -> bool {
+        self.parallel
+    }
+
     /// The same for work over `rows` rows: small work stays on one thread.
     pub(crate) fn for_rows(self, rows: usize) -> Self {
         Self {
