@@ -2,6 +2,7 @@
 
 use super::cycle::{Coarse, Cycle, per_lane, ratio};
 use super::lanes::{Lanes, Shared, WIDTH, Wide};
+use super::level::BUNDLE;
 use super::problem::Problem;
 use super::sweep::{Dots, Grid};
 use super::workspace::Fine;
@@ -26,10 +27,21 @@ pub(crate) fn reference(problem: &Problem<'_>, x: &[Wide]) -> Wide {
     per_lane(|c| (norms[c] - means[c]).max(0.0).sqrt())
 }
 
+/// Fills `fine.r` with the residual of an x that is 0 on free rows; returns the squared norms.
+pub(crate) fn first_residual(problem: &Problem<'_>, x: &[Wide], fine: &mut Fine) -> Wide {
+    let norms = problem.first_residual(x, &mut fine.r, Lanes::from_wide);
+    without_means(problem, fine, [1.0; WIDTH], norms)
+}
+
 /// Fills `fine.r` with the residual of x, times `scale`; returns the squared norms without that factor.
 pub(crate) fn residual(problem: &Problem<'_>, x: &[Wide], fine: &mut Fine, scale: Wide) -> Wide {
     let convert = |r: Wide| Lanes::from_wide(per_lane(|c| r[c] * scale[c]));
     let norms = problem.residual(x, true, &mut fine.r, convert);
+    without_means(problem, fine, scale, norms)
+}
+
+/// Takes the means of floating components out of `fine.r`; returns the squared norms of what is left, over `scale`.
+fn without_means(problem: &Problem<'_>, fine: &mut Fine, scale: Wide, norms: Wide) -> Wide {
     let floating = &problem.system.floating;
     if floating.is_empty() {
         return norms;
@@ -49,10 +61,13 @@ pub(crate) fn residual(problem: &Problem<'_>, x: &[Wide], fine: &mut Fine, scale
     })
 }
 
-/// One iteration: precondition, make the direction conjugate to the last one, step.
+/// One iteration: precondition, make the direction conjugate to the last step, step.
 ///
-/// `direction` holds (p, A p) of the last direction, if there was one. `fresh`: the correction begins here. Lanes
-/// that are not `open` do not move. `weights` are those of [`Advance::longest`].
+/// With d the last step, the new one is α (z + β d), β making it conjugate to d. d and A d are kept as differences of
+/// corrections and residuals, which saves two vectors' traffic over the usual form.
+///
+/// `direction` holds (d, A d), if there was a step. `fresh`: the correction begins here, at 0. Lanes that are not
+/// `open` do not move. `weights` are those of [`Advance::longest`].
 pub(crate) fn advance(
     cycle: &Cycle<'_>,
     grid: &Grid<'_>,
@@ -63,71 +78,70 @@ pub(crate) fn advance(
     open: Wide,
     weights: Wide,
 ) -> Result<Advance, Cancelled> {
-    cycle.run(0, &fine.r, &mut fine.z, &mut fine.t, coarse)?;
-    let last_q = direction.is_some().then_some(fine.q.as_slice());
-    let [zr, zv, zq] = grid.apply(&fine.z, &mut fine.t, &fine.r, last_q, &mut fine.partials);
     let first = direction.is_none();
-    // p = z + β p, conjugate to the last p; (p, A p) follows from products that are known.
-    let last = direction.unwrap_or([0.0; WIDTH]);
-    let beta = per_lane(|c| if first { 0.0 } else { -ratio(zq[c], last[c]) });
-    let pq = per_lane(|c| {
-        if first {
-            zv[c]
-        } else {
-            zv[c] + 2.0 * beta[c] * zq[c] + beta[c] * beta[c] * last[c]
-        }
-    });
-    // Within a stretch the last p is orthogonal to r; the true residual that began this one may differ.
-    let pr = if fresh && !first {
-        inner_product(grid, &fine.p, &fine.r, &mut fine.partials)
-    } else {
-        [0.0; WIDTH]
-    };
-    let alpha = per_lane(|c| open[c] * ratio(zr[c] + beta[c] * pr[c], pq[c]));
-    let broken = (0..WIDTH).any(|c| open[c] > 0.0 && alpha[c] <= 0.0);
-    *direction = Some(pq);
-    let (beta, alpha) = (Lanes::from_wide(beta), Lanes::from_wide(alpha));
-    let weights = Lanes::from_wide(weights);
-
     let Fine {
         r,
         z,
         t,
-        p,
-        q,
         e,
+        last_r,
+        last_e,
         partials,
     } = fine;
+    let last = (!first).then_some(last_r.as_slice());
+    let [zr, zv, zl] = cycle.run(0, r, z, t, last, partials, coarse)?;
+    let dd = direction.unwrap_or([0.0; WIDTH]);
+    let zd = per_lane(|c| if first { 0.0 } else { zl[c] - zr[c] });
+    let beta = per_lane(|c| -ratio(zd[c], dd[c]));
+    let pp = per_lane(|c| zv[c] + 2.0 * beta[c] * zd[c] + beta[c] * beta[c] * dd[c]);
+    // Within a stretch the last step is orthogonal to r; the true residual that began this one may differ.
+    let dr = if fresh && !first {
+        inner_product(grid, last_e, r, partials).map(|v| -v)
+    } else {
+        [0.0; WIDTH]
+    };
+    let alpha = per_lane(|c| open[c] * ratio(zr[c] + beta[c] * dr[c], pp[c]));
+    let broken = (0..WIDTH).any(|c| open[c] > 0.0 && alpha[c] <= 0.0);
+    *direction = Some(per_lane(|c| alpha[c] * alpha[c] * pp[c]));
+    let gamma = Lanes::from_wide(per_lane(|c| alpha[c] * beta[c]));
+    let alpha = Lanes::from_wide(alpha);
+    let weights = Lanes::from_wide(weights);
+
     let (z, t) = (&*z, &*t);
-    let (r, p, q, e) = (Shared::new(r), Shared::new(p), Shared::new(q), Shared::new(e));
+    let (r_now, e_now) = (&*r, &*e);
+    let (r_next, e_next) = (Shared::new(last_r), Shared::new(last_e));
     let [rr, ee, _] = grid.dots(partials, |rows| {
         // SAFETY: blocks are disjoint and each is visited once.
-        let (r, p, q, e) = unsafe {
-            (
-                r.rows(rows.clone()),
-                p.rows(rows.clone()),
-                q.rows(rows.clone()),
-                e.rows(rows.clone()),
-            )
-        };
-        let (z, t) = (&z[rows.clone()], &t[rows]);
+        let (r_next, e_next) = unsafe { (r_next.rows(rows.clone()), e_next.rows(rows.clone())) };
         let (mut rr, mut ee, mut longest) = (Lanes::ZERO, Lanes::ZERO, 0.0f32);
-        for i in 0..z.len() {
-            (p[i], q[i]) = if first {
-                (z[i], t[i])
-            } else {
-                (z[i] + p[i] * beta, t[i] + q[i] * beta)
-            };
-            let step = p[i] * alpha;
-            e[i] = if fresh { step } else { e[i] + step };
-            r[i] -= q[i] * alpha;
-            rr += r[i] * r[i];
-            ee += e[i] * e[i];
-            let weighted = step * weights;
-            longest = longest.max((weighted * weighted).sum());
+        let next = r_next.as_chunks_mut::<BUNDLE>().0.iter_mut();
+        let next = next.zip(e_next.as_chunks_mut::<BUNDLE>().0);
+        let now = r_now[rows.clone()].as_chunks::<BUNDLE>().0.iter();
+        let now = now.zip(e_now[rows.clone()].as_chunks::<BUNDLE>().0);
+        let made = z[rows.clone()].as_chunks::<BUNDLE>().0.iter();
+        let made = made.zip(t[rows.clone()].as_chunks::<BUNDLE>().0);
+        for (k, (((r_next, e_next), (r, e)), (zs, t))) in (rows.start / BUNDLE..).zip(next.zip(now).zip(made)) {
+            let v = grid.products(z, t, k);
+            for d in 0..BUNDLE {
+                let (step, residual) = if first {
+                    (zs[d] * alpha, r[d] - v[d] * alpha)
+                } else {
+                    let step = zs[d] * alpha + (e[d] - e_next[d]) * gamma;
+                    (step, r[d] - v[d] * alpha + (r[d] - r_next[d]) * gamma)
+                };
+                let correction = if fresh { step } else { e[d] + step };
+                r_next[d] = residual;
+                e_next[d] = correction;
+                rr += residual * residual;
+                ee += correction * correction;
+                let weighted = step * weights;
+                longest = longest.max((weighted * weighted).sum());
+            }
         }
         [rr, ee, Lanes::splat(longest)]
     });
+    std::mem::swap(r, last_r);
+    std::mem::swap(e, last_e);
     let longest = partials.iter().fold(0.0f32, |a, p| a.max(p[2].0[0]));
     Ok(Advance {
         rr,
@@ -148,21 +162,48 @@ fn inner_product(grid: &Grid<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<D
     sum
 }
 
-/// x += e / scale on free rows. Floating components keep their means.
-pub(crate) fn add_correction(problem: &Problem<'_>, grid: &Grid<'_>, e: &mut [Lanes], scale: Wide, x: &mut [Wide]) {
+/// x += e / scale on free rows. Floating components keep their means. Then the correction is 0 again, and `last_e`
+/// and `last_r` hold the last step, negative, and A times it.
+pub(crate) fn add_correction(problem: &Problem<'_>, grid: &Grid<'_>, fine: &mut Fine, scale: Wide, x: &mut [Wide]) {
+    let Fine {
+        r, e, last_r, last_e, ..
+    } = fine;
     if !problem.system.floating.is_empty() {
         problem.system.floating.remove_means(e);
     }
-    let e = &*e;
-    let x = Shared::new(x);
+    let inverse = per_lane(|c| 1.0 / scale[c]);
+    let r = &*r;
+    let (x, e, last_r, last_e) = (Shared::new(x), Shared::new(e), Shared::new(last_r), Shared::new(last_e));
     grid.each_block(|_, rows| {
         // SAFETY: blocks are disjoint and each is visited once.
-        let x = unsafe { x.rows(rows.clone()) };
-        for (x, e) in x.iter_mut().zip(&e[rows]) {
-            let e = e.wide();
+        let (x, e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone())) };
+        // SAFETY: as above.
+        let (last_r, last_e) = unsafe { (last_r.rows(rows.clone()), last_e.rows(rows.clone())) };
+        for (k, r) in r[rows].iter().enumerate() {
+            last_r[k] -= *r;
+            last_e[k] -= e[k];
+            let e = std::mem::replace(&mut e[k], Lanes::ZERO).wide();
             for c in 0..WIDTH {
-                x[c] += e[c] / scale[c];
+                x[k][c] += e[c] * inverse[c];
             }
+        }
+    });
+}
+
+/// After [`add_correction`] and a new residual: makes the differences of residuals and of corrections the last step
+/// again, `factor` times as large.
+pub(crate) fn resume(grid: &Grid<'_>, fine: &mut Fine, factor: Wide, direction: &mut Option<Wide>) {
+    let Some(dd) = direction else { return };
+    *dd = per_lane(|c| dd[c] * factor[c] * factor[c]);
+    let factor = Lanes::from_wide(factor);
+    let r = &fine.r;
+    let (last_r, last_e) = (Shared::new(&mut fine.last_r), Shared::new(&mut fine.last_e));
+    grid.each_block(|_, rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let (last_r, last_e) = unsafe { (last_r.rows(rows.clone()), last_e.rows(rows.clone())) };
+        for (k, r) in r[rows].iter().enumerate() {
+            last_r[k] = *r + last_r[k] * factor;
+            last_e[k] = last_e[k] * factor;
         }
     });
 }

@@ -3,7 +3,8 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use super::lanes::{Lanes, Shared};
-use super::level::{Level, NONE};
+use super::draft::{Blocks, Draft};
+use super::level::NONE;
 use super::threads::{Threads, piece, pieces};
 
 /// Rows that one piece of work handles.
@@ -19,15 +20,62 @@ const WEAK: f32 = 0.02;
 /// Seeds must leave at most this part of the rows, or the level is paired instead.
 const SHRINK: f64 = 0.8;
 
-/// For each row the number of its aggregate, or [`NONE`] for a row without neighbours; and how many there are.
+/// The rows of a [`Draft`] in groups, each of which becomes one row of the next level.
+#[derive(Debug, Default)]
+pub(crate) struct Groups {
+    /// Number of the group of each row, or [`NONE`] for a row without neighbours.
+    pub(crate) of_row: Vec<u32>,
+    /// Where the members of each group begin; ends with their number.
+    pub(crate) offsets: Vec<u32>,
+    /// Rows by group, ascending inside each.
+    pub(crate) members: Vec<u32>,
+}
+
+impl Groups {
+    pub(crate) fn new(of_row: Vec<u32>, count: usize) -> Groups {
+        let mut offsets = vec![0u32; count + 1];
+        for &g in &of_row {
+            if g != NONE {
+                offsets[g as usize + 1] += 1;
+            }
+        }
+        for k in 0..count {
+            offsets[k + 1] += offsets[k];
+        }
+        let mut cursor = offsets.clone();
+        let mut members = vec![0u32; offsets[count] as usize];
+        for (i, &g) in of_row.iter().enumerate() {
+            if g != NONE {
+                members[cursor[g as usize] as usize] = i as u32;
+                cursor[g as usize] += 1;
+            }
+        }
+        Groups {
+            of_row,
+            offsets,
+            members,
+        }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    #[inline(always)]
+    pub(crate) fn members_of(&self, group: usize) -> &[u32] {
+        &self.members[self.offsets[group] as usize..self.offsets[group + 1] as usize]
+    }
+}
+
+/// Groups the rows of `draft`.
 ///
-/// Aggregates are connected, and at most 80 % as many as there are rows with neighbours.
-pub(crate) fn aggregates(level: &Level, ratio: f64, threads: Threads) -> (Vec<u32>, usize) {
-    let threads = threads.for_rows(level.rows());
-    let connected = (0..level.rows()).filter(|&i| level.connected(i)).count();
-    let nearest = nearest_seeds(level, ratio, threads);
-    // Seeds are numbered in sweep order.
-    let mut numbers = vec![NONE; level.rows()];
+/// Groups are connected, and at most 80 % as many as there are rows with neighbours. They are numbered along the draft,
+/// so that the next level inherits its order.
+pub(crate) fn aggregates(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Threads) -> Groups {
+    let threads = threads.for_rows(draft.rows());
+    let connected = (0..draft.rows()).filter(|&i| draft.connected(i)).count();
+    let nearest = nearest_seeds(draft, blocks, ratio, threads);
+    let mut numbers = vec![NONE; draft.rows()];
     let mut count = 0u32;
     for (i, number) in numbers.iter_mut().enumerate() {
         if nearest[i] == i as u32 {
@@ -36,19 +84,20 @@ pub(crate) fn aggregates(level: &Level, ratio: f64, threads: Threads) -> (Vec<u3
         }
     }
     if f64::from(count) > SHRINK * connected as f64 {
-        return pair(level);
+        let (of_row, count) = pair(draft);
+        return Groups::new(of_row, count);
     }
     let mut aggregates = nearest;
     let shared = Shared::new(&mut aggregates);
-    threads.each(0..pieces(level.rows(), PIECE), |k| {
+    threads.each(0..pieces(draft.rows(), PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
-        for seed in unsafe { shared.rows(piece(k, level.rows(), PIECE)) } {
+        for seed in unsafe { shared.rows(piece(k, draft.rows(), PIECE)) } {
             if *seed != NONE {
                 *seed = numbers[*seed as usize];
             }
         }
     });
-    (aggregates, count as usize)
+    Groups::new(aggregates, count as usize)
 }
 
 #[inline(always)]
@@ -59,26 +108,26 @@ fn distance2(a: Lanes, b: Lanes) -> f32 {
 }
 
 /// Mean length of the edges of evenly spread rows.
-fn mean_edge(level: &Level) -> f64 {
-    let n = level.rows();
+fn mean_edge(draft: &Draft) -> f64 {
+    let n = draft.rows();
     let samples = n.min(SAMPLE);
     let (mut total, mut edges) = (0.0, 0usize);
     for s in 0..samples {
         let i = (s as u64 * n as u64 / samples as u64) as usize;
-        for (j, _) in level.row(i) {
-            total += f64::from(distance2(level.positions[i], level.positions[j])).sqrt();
-            edges += 1;
+        for &j in draft.row(i) {
+            total += f64::from(distance2(draft.positions[i], draft.positions[j as usize])).sqrt();
         }
+        edges += draft.row(i).len();
     }
     if edges > 0 { total / edges as f64 } else { 0.0 }
 }
 
 /// Largest (squared) distance of neighbours of which only one can be a seed: the paper's δ.
-fn reach2(level: &Level, ratio: f64) -> f32 {
-    if level.positions.is_empty() {
+fn reach2(draft: &Draft, ratio: f64) -> f32 {
+    if draft.positions.is_empty() {
         return f32::INFINITY;
     }
-    let delta = mean_edge(level) * libm::cbrt(1.0 / ratio);
+    let delta = mean_edge(draft) * libm::cbrt(1.0 / ratio);
     (delta * delta) as f32
 }
 
@@ -89,34 +138,36 @@ fn reach2(level: &Level, ratio: f64) -> f32 {
 /// adjacent seed with the least (squared distance) / weight, ties to the earlier one. Seeds tell their neighbours of
 /// both, so that only the rows of seeds are read. The outcome does not depend on who tells first: a block hears of
 /// seeds in blocks of other colours before or after it is swept, never while, and joining takes a minimum.
-fn nearest_seeds(level: &Level, ratio: f64, threads: Threads) -> Vec<u32> {
-    let n = level.rows();
-    let reach2 = reach2(level, ratio);
-    let placed = !level.positions.is_empty();
-    let weak: Vec<f32> = match &level.weights {
+fn nearest_seeds(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Threads) -> Vec<u32> {
+    let n = draft.rows();
+    let reach2 = reach2(draft, ratio);
+    let placed = !draft.positions.is_empty();
+    let weak: Vec<f32> = match &draft.weights {
         None => Vec::new(),
-        Some(_) => (0..n)
-            .map(|i| WEAK * level.row(i).fold(0.0f32, |a, (_, w)| a.max(w)))
+        Some(w) => (0..n)
+            .map(|i| WEAK * w[draft.entries(i)].iter().fold(0.0f32, |a, &b| a.max(b)))
             .collect(),
     };
     let covered: Vec<AtomicBool> = (0..n).map(|_| AtomicBool::new(false)).collect();
     // Cost in the upper half, seed in the lower one: the order of these numbers is that of costs, then of seeds.
     let offers: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(u64::MAX)).collect();
-    for c in 0..level.colours.len() - 1 {
-        threads.each(level.colours[c] as usize..level.colours[c + 1] as usize, |b| {
-            for i in level.block(b) {
-                if !level.connected(i) || covered[i].load(Ordering::Relaxed) {
+    for c in blocks.colours.windows(2) {
+        threads.each(c[0] as usize..c[1] as usize, |k| {
+            for i in blocks.range(blocks.by_colour[k] as usize) {
+                if !draft.connected(i) || covered[i].load(Ordering::Relaxed) {
                     continue;
                 }
                 offers[i].store(i as u64, Ordering::Relaxed);
-                let here = if placed { level.positions[i] } else { Lanes::ZERO };
-                for (j, w) in level.row(i) {
+                let here = if placed { draft.positions[i] } else { Lanes::ZERO };
+                for e in draft.entries(i) {
+                    let (j, w) = (draft.neighbours[e] as usize, draft.weight(e));
                     let length2 = if placed {
-                        distance2(here, level.positions[j])
+                        distance2(here, draft.positions[j])
                     } else {
                         1.0
                     };
-                    if j > i && (!placed || length2 <= reach2) && weak.get(j).is_none_or(|weak| w >= *weak) {
+                    // Rows before this one have had their turn: what they hear now changes nothing.
+                    if (!placed || length2 <= reach2) && weak.get(j).is_none_or(|weak| w >= *weak) {
                         covered[j].store(true, Ordering::Relaxed);
                     }
                     let cost = (length2 / w).min(f32::MAX);
@@ -139,16 +190,16 @@ fn nearest_seeds(level: &Level, ratio: f64, threads: Threads) -> Vec<u32> {
 /// Greedy pairing along the heaviest edges, for graphs where seeds hardly thin out (stars, edges of very different
 /// lengths): each row pairs with its heaviest unpaired neighbour, or joins its heaviest neighbour. Every aggregate has
 /// at least two rows.
-fn pair(level: &Level) -> (Vec<u32>, usize) {
-    let mut aggregates = vec![NONE; level.rows()];
+fn pair(draft: &Draft) -> (Vec<u32>, usize) {
+    let mut aggregates = vec![NONE; draft.rows()];
     let mut count = 0;
-    for i in 0..level.rows() {
-        if aggregates[i] != NONE || !level.connected(i) {
+    for i in 0..draft.rows() {
+        if aggregates[i] != NONE || !draft.connected(i) {
             continue;
         }
         let (mut open, mut any) = ((0.0, NONE), (0.0, NONE));
-        for (j, w) in level.row(i) {
-            let j = j as u32;
+        for e in draft.entries(i) {
+            let (j, w) = (draft.neighbours[e], draft.weight(e));
             let heavier = |best: (f32, u32)| w > best.0 || (w == best.0 && j < best.1);
             if heavier(any) {
                 any = (w, j);
@@ -170,7 +221,8 @@ fn pair(level: &Level) -> (Vec<u32>, usize) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::layout::{Rows, arrange};
+    use super::super::draft::Rows;
+    use super::super::order::Frame;
     use super::super::testing::{Block, pool};
     use super::*;
 
@@ -178,32 +230,46 @@ mod tests {
         Threads::of(&pool())
     }
 
-    fn level_of(offsets: &[u32], neighbours: &[u32], weights: Option<&[f32]>) -> Level {
+    fn draft_of(offsets: &[u32], neighbours: &[u32], weights: Option<&[f32]>, positions: &[Lanes]) -> Draft {
         let rows = Rows {
             offsets,
             neighbours,
             weights,
             scale: 1.0,
+            positions,
         };
         let sequence: Vec<u32> = (0..offsets.len() as u32 - 1).collect();
-        arrange(rows, &sequence, &[], 64, threads()).0
+        Draft::new(&rows, &sequence, threads())
+    }
+
+    fn draft_of_block(block: &Block) -> Draft {
+        let frame = Frame::around(&block.positions);
+        let positions: Vec<Lanes> = block.positions.iter().map(|&p| frame.apply(p)).collect();
+        draft_of(&block.offsets, &block.neighbours, block.weights.as_deref(), &positions)
+    }
+
+    fn nearest(draft: &Draft, ratio: f64) -> Vec<u32> {
+        nearest_seeds(draft, &Blocks::new(draft, 64, threads()), ratio, threads())
+    }
+
+    fn row(draft: &Draft, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+        draft.entries(i).map(|e| (draft.neighbours[e] as usize, draft.weight(e)))
     }
 
     #[test]
     fn seeds_are_a_maximal_independent_set() {
-        let hierarchy = Block::new(12, 11, 10).hierarchy(1);
-        let level = &hierarchy.levels[0];
+        let level = &draft_of_block(&Block::new(12, 11, 10));
         // δ between the edge lengths 1 and √2: diagonal neighbours may both be seeds.
         for (ratio, separate) in [(0.99, 1.01), (0.1, 10.0)] {
-            let nearest = nearest_seeds(level, ratio, threads());
+            let nearest = nearest(level, ratio);
             let reach2 = reach2(level, ratio);
             let length2 = |i: usize, j: usize| distance2(level.positions[i], level.positions[j]);
-            let unit2 = level.row(0).map(|(j, _)| length2(0, j)).fold(f32::MAX, f32::min);
+            let unit2 = row(level, 0).map(|(j, _)| length2(0, j)).fold(f32::MAX, f32::min);
             assert!(separate < 2.0 || reach2 > 3.0 * unit2);
-            for i in (0..level.rows()).filter(|&i| level.connected(i)) {
+            for i in 0..level.rows() {
                 let seed = |j: usize| nearest[j] == j as u32;
-                let before = |j: usize| j < i && seed(j) && length2(i, j) <= reach2;
-                let covered = level.row(i).any(|(j, _)| before(j));
+                let near = |j: usize| seed(j) && length2(i, j) <= reach2;
+                let covered = row(level, i).any(|(j, _)| near(j));
                 assert_eq!(seed(i), !covered, "row {i}");
             }
         }
@@ -211,17 +277,16 @@ mod tests {
 
     #[test]
     fn rows_join_an_adjacent_seed() {
-        let hierarchy = Block::new(12, 11, 10).weighted().hierarchy(1);
-        let level = &hierarchy.levels[0];
-        let nearest = nearest_seeds(level, 0.1, threads());
+        let level = &draft_of_block(&Block::new(12, 11, 10).weighted());
+        let nearest = nearest(level, 0.1);
         for i in 0..level.rows() {
             if !level.connected(i) {
                 assert_eq!(nearest[i], NONE);
             } else if nearest[i] != i as u32 {
                 let cost = |j: usize, w: f32| distance2(level.positions[i], level.positions[j]) / w;
-                let seeds = level.row(i).filter(|&(j, _)| nearest[j] == j as u32);
+                let seeds = row(level, i).filter(|&(j, _)| nearest[j] == j as u32);
                 let best = seeds.map(|(j, w)| cost(j, w)).fold(f32::MAX, f32::min);
-                let taken = level.row(i).find(|&(j, _)| j as u32 == nearest[i]).unwrap();
+                let taken = row(level, i).find(|&(j, _)| j as u32 == nearest[i]).unwrap();
                 assert_eq!(cost(taken.0, taken.1), best);
             }
         }
@@ -236,23 +301,24 @@ mod tests {
         let hub = leaves + 1;
         let mut neighbours = vec![hub; leaves as usize];
         neighbours.extend(0..leaves);
-        let level = level_of(&offsets, &neighbours, None);
-        let (groups, count) = aggregates(&level, 0.1, threads());
-        assert_eq!(count, 1);
-        let lone = (0..level.rows()).filter(|&i| groups[i] == NONE && !level.connected(i));
-        assert_eq!(level.rows() - lone.count(), 101, "the lone row needs no coarse row");
-        assert_eq!(groups.iter().filter(|&&g| g == 0).count(), 101);
+        let level = draft_of(&offsets, &neighbours, None, &[]);
+        let groups = aggregates(&level, &Blocks::new(&level, 64, threads()), 0.1, threads());
+        assert_eq!(groups.len(), 1);
+        let lone = groups.of_row.iter().filter(|&&g| g == NONE).count();
+        assert_eq!(lone, 1, "the lone row needs no coarse row");
+        assert_eq!(groups.members_of(0).len(), 101);
     }
 
     #[test]
     fn pairs_follow_heavy_edges() {
         // A path of six with heavy edges 0-1, 2-3, 4-5.
         let weights = [9.0, 9.0, 1.0, 1.0, 9.0, 9.0, 1.0, 1.0, 9.0, 9.0];
-        let level = level_of(&[0, 1, 3, 5, 7, 9, 10], &[1, 0, 2, 1, 3, 2, 4, 3, 5, 4], Some(&weights));
+        let neighbours = [1, 0, 2, 1, 3, 2, 4, 3, 5, 4];
+        let level = draft_of(&[0, 1, 3, 5, 7, 9, 10], &neighbours, Some(&weights), &[]);
         let (groups, count) = pair(&level);
         assert_eq!(count, 3);
         for i in (0..level.rows()).filter(|&i| level.connected(i)) {
-            let heavy = level.row(i).find(|(_, w)| *w == 9.0).unwrap().0;
+            let heavy = row(level, i).find(|(_, w)| *w == 9.0).unwrap().0;
             assert_eq!(groups[i], groups[heavy]);
         }
     }

@@ -1,6 +1,7 @@
 //! The multigrid cycle that preconditions the outer iteration (paper section 5, Algorithm 1).
 
-use super::lanes::{Lanes, WIDTH, Wide};
+use super::lanes::{Lanes, Shared, WIDTH, Wide};
+use super::level::BUNDLE;
 use super::sweep::{Dots, Grid};
 use super::threads::Threads;
 use super::{Hierarchy, System};
@@ -63,16 +64,19 @@ impl<'a> Cycle<'a> {
         Grid::new(&self.hierarchy.levels[l], &self.system.masks[l], self.threads)
     }
 
-    /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle. `t` is
-    /// left as [`Grid::apply`] wants it. `below` holds the vectors of the coarser levels.
+    /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle. Returns
+    /// (z, b), (z, A z) and (z, c), or (b, b) without `c`; `t` is left as [`Grid::products`] wants it. `below` holds
+    /// the vectors of the coarser levels.
     pub(crate) fn run(
         &self,
         l: usize,
         b: &[Lanes],
         z: &mut [Lanes],
         t: &mut [Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
         below: &mut [Coarse],
-    ) -> Result<(), Cancelled> {
+    ) -> Result<[Wide; 3], Cancelled> {
         let grid = self.grid(l);
         check(self.progress)?;
         grid.forward(b, z);
@@ -82,8 +86,7 @@ impl<'a> Cycle<'a> {
         self.solve(l + 1, below)?;
         check(self.progress)?;
         grid.prolong(&below[0].z, z);
-        grid.backward(b, z, t);
-        Ok(())
+        Ok(grid.backward(b, z, t, c, partials))
     }
 
     /// Solves level `l` roughly: `levels[0].z` ≈ A⁻¹ `levels[0].b`; b is used up.
@@ -99,26 +102,32 @@ impl<'a> Cycle<'a> {
             return Ok(());
         }
         let grid = self.grid(l);
-        self.run(l, &here.b, &mut here.z, &mut here.t, below)?;
+        let Coarse {
+            b,
+            z,
+            t,
+            first_z,
+            first_v,
+            partials,
+            ..
+        } = here;
+        let [zb, zv, bb] = self.run(l, b, z, t, None, partials, below)?;
         if self.system.steps[l] < 2 {
             return Ok(());
         }
-        let [zb, zv, bb] = grid.apply(&here.z, &mut here.t, &here.b, None, &mut here.partials);
         let first = per_lane(|c| ratio(zb[c], zv[c]));
-        std::mem::swap(&mut here.z, &mut here.first_z);
-        std::mem::swap(&mut here.t, &mut here.first_v);
-        let rr = step(&grid, first, &here.first_v, &mut here.b, &mut here.partials);
+        std::mem::swap(z, first_z);
+        std::mem::swap(t, first_v);
+        let rr = step(&grid, first, first_z, first_v, b, partials);
         if (0..WIDTH).all(|c| rr[c] <= ENOUGH * bb[c]) {
-            combine(&grid, &mut here.z, &here.first_z, None, first);
+            combine(&grid, z, first_z, None, first);
             return Ok(());
         }
-        self.run(l, &here.b, &mut here.z, &mut here.t, below)?;
-        let second_v = Some(here.first_v.as_slice());
-        let [zr, ww, wv] = grid.apply(&here.z, &mut here.t, &here.b, second_v, &mut here.partials);
+        let [zr, ww, wv] = self.run(l, b, z, t, Some(first_v), partials, below)?;
         let overlap = per_lane(|c| ratio(wv[c], zv[c]));
         let second = per_lane(|c| ratio(zr[c], ww[c] - overlap[c] * wv[c]));
         let first = per_lane(|c| first[c] - second[c] * overlap[c]);
-        combine(&grid, &mut here.z, &here.first_z, Some(second), first);
+        combine(&grid, z, first_z, Some(second), first);
         Ok(())
     }
 
@@ -151,17 +160,28 @@ pub(crate) fn ratio(a: f64, b: f64) -> f64 {
     if b > 0.0 && q.is_finite() { q } else { 0.0 }
 }
 
-/// b −= factor · v; returns (b, b).
-fn step(grid: &Grid<'_>, factor: Wide, v: &[Lanes], b: &mut [Lanes], partials: &mut Vec<Dots>) -> Wide {
+/// v becomes A z, b −= factor · v; returns (b, b). `v` comes as the sweep left it that made z.
+fn step(
+    grid: &Grid<'_>,
+    factor: Wide,
+    z: &[Lanes],
+    v: &mut [Lanes],
+    b: &mut [Lanes],
+    partials: &mut Vec<Dots>,
+) -> Wide {
     let factor = Lanes::from_wide(factor);
-    let b = super::lanes::Shared::new(b);
+    let (b, v) = (Shared::new(b), Shared::new(v));
     let [rr, _, _] = grid.dots(partials, |rows| {
         // SAFETY: blocks are disjoint and each is visited once.
-        let b = unsafe { b.rows(rows.clone()) };
+        let (b, v) = unsafe { (b.rows(rows.clone()), v.rows(rows.clone())) };
         let mut sum = Lanes::ZERO;
-        for (b, v) in b.iter_mut().zip(&v[rows]) {
-            *b -= *v * factor;
-            sum += *b * *b;
+        let bundles = b.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(v.as_chunks_mut::<BUNDLE>().0);
+        for ((b, v), k) in bundles.zip(rows.start / BUNDLE..) {
+            *v = grid.products(z, v, k);
+            for d in 0..BUNDLE {
+                b[d] -= v[d] * factor;
+                sum += b[d] * b[d];
+            }
         }
         [sum, Lanes::ZERO, Lanes::ZERO]
     });
@@ -172,7 +192,7 @@ fn step(grid: &Grid<'_>, factor: Wide, v: &[Lanes], b: &mut [Lanes], partials: &
 fn combine(grid: &Grid<'_>, z: &mut [Lanes], first_z: &[Lanes], second: Option<Wide>, first: Wide) {
     let first = Lanes::from_wide(first);
     let second = second.map(Lanes::from_wide);
-    let z = super::lanes::Shared::new(z);
+    let z = Shared::new(z);
     grid.each_block(|_, rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let z = unsafe { z.rows(rows.clone()) };
@@ -212,12 +232,19 @@ mod tests {
         let (mut z, mut t) = (b.clone(), b.clone());
         clear_inactive(&cycle.grid(0), &mut z);
         clear_inactive(&cycle.grid(0), &mut t);
-        cycle.run(0, &b, &mut z, &mut t, &mut workspace.coarse).unwrap();
-
-        // What apply makes of t is A z.
-        let level = &hierarchy.levels[0];
         let mut partials = Vec::new();
-        cycle.grid(0).apply(&z, &mut t, &b, None, &mut partials);
+        let c = Some(b.as_slice());
+        let dots = cycle.run(0, &b, &mut z, &mut t, c, &mut partials, &mut workspace.coarse).unwrap();
+
+        // What is made of t is A z, and the inner products are those of z.
+        let level = &hierarchy.levels[0];
+        for (k, t) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().enumerate() {
+            *t = cycle.grid(0).products(&z, t, k);
+        }
+        let dot = |a: &[Lanes]| a.iter().zip(&z).map(|(a, z)| f64::from(a.0[1]) * f64::from(z.0[1])).sum::<f64>();
+        for (seen, want) in dots.iter().zip([dot(&b), dot(&t), dot(&b)]) {
+            assert!((seen[1] - want).abs() < 1e-4 * want.abs(), "{} against {want}", seen[1]);
+        }
         for i in 0..level.rows() {
             let flow = |(j, w): (usize, f32)| w * (z[i].0[1] - z[j].0[1]);
             let want: f32 = level.row(i).map(flow).sum();

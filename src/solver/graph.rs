@@ -1,6 +1,7 @@
 //! The weighted graph that the solver works on.
 
 use super::Error;
+use super::threads::{Threads, piece, pieces};
 
 /// A symmetric weighted graph in compressed rows.
 ///
@@ -29,7 +30,7 @@ impl Graph<'_> {
     ///
     /// # Errors
     /// [`Error::Invalid`] names the first row that breaks a rule.
-    pub(crate) fn check_rows(&self) -> Result<(), Error> {
+    pub(crate) fn check_rows(&self, threads: Threads) -> Result<(), Error> {
         let invalid = |text: String| Err(Error::Invalid(text));
         let n = self.vertices();
         if self.offsets.is_empty() || self.offsets[0] != 0 {
@@ -45,23 +46,12 @@ impl Graph<'_> {
             let (last, len) = (self.offsets[n], self.neighbours.len());
             return invalid(format!("graph offsets end at {last} but there are {len} neighbours"));
         }
-        for i in 0..n {
-            let (begin, end) = (self.offsets[i] as usize, self.offsets[i + 1] as usize);
-            let Some(row) = self.neighbours.get(begin..end) else {
-                return invalid(format!(
-                    "row {i} of the graph spans {begin}..{end}, offsets must not decrease"
-                ));
-            };
-            let mut next = 0u64;
-            for &j in row {
-                if u64::from(j) < next || j as usize >= n || j as usize == i {
-                    return invalid(format!(
-                        "row {i} of the graph holds neighbour {j}: neighbours must ascend strictly, be below {n} and \
-                         not be the vertex itself"
-                    ));
-                }
-                next = u64::from(j) + 1;
-            }
+        const PIECE: usize = 4096;
+        let sound = |k| self.are_sound(piece(k, n, PIECE));
+        let sound = threads.for_rows(n).map(0..pieces(n, PIECE), || (), |(), k| sound(k));
+        if let Some(k) = sound.iter().position(|s| !s) {
+            let i = piece(k, n, PIECE).find(|&i| !self.are_sound(i..i + 1));
+            return Err(self.fault(i.unwrap_or(0)));
         }
         if let Some(weights) = self.weights {
             if weights.len() != self.neighbours.len() {
@@ -89,12 +79,56 @@ impl Graph<'_> {
         Ok(())
     }
 
+    /// True if all of these rows lie in `neighbours`, ascend strictly, stay below the number of vertices and do not
+    /// hold themselves.
+    fn are_sound(&self, rows: std::ops::Range<usize>) -> bool {
+        let n = self.vertices() as u32;
+        let offsets = &self.offsets[rows.start..rows.end + 1];
+        if offsets.windows(2).any(|w| w[0] > w[1]) {
+            return false;
+        }
+        let Some(all) = self.neighbours.get(offsets[0] as usize..offsets[rows.len()] as usize) else {
+            return false;
+        };
+        // Descents of the whole list, less those where one row ends and the next begins: one pass without branches.
+        let descents: u32 = all.iter().zip(all.iter().skip(1)).map(|(a, b)| u32::from(a >= b)).sum();
+        let (mut between, mut sound) = (0, true);
+        for (i, w) in rows.zip(offsets.windows(2)) {
+            let (begin, end) = ((w[0] - offsets[0]) as usize, (w[1] - offsets[0]) as usize);
+            let row = &all[begin..end];
+            if let (Some(&last), true) = (row.last(), sound) {
+                sound &= last < n;
+                between += all.get(end).map_or(0, |next| u32::from(last >= *next));
+            }
+            sound &= !row.iter().fold(false, |own, &j| own | (j as usize == i));
+        }
+        sound && descents == between
+    }
+
+    /// Says what is wrong with row `i`.
+    fn fault(&self, i: usize) -> Error {
+        let n = self.vertices();
+        let (begin, end) = (self.offsets[i] as usize, self.offsets[i + 1] as usize);
+        let Some(row) = self.neighbours.get(begin..end) else {
+            return Error::Invalid(format!(
+                "row {i} of the graph spans {begin}..{end}, offsets must not decrease"
+            ));
+        };
+        let descends = |k: &usize| *k > 0 && row[*k - 1] >= row[*k];
+        let wrong = |k: &usize| descends(k) || row[*k] as usize >= n || row[*k] as usize == i;
+        let j = (0..row.len()).find(wrong).map_or(0, |k| row[k]);
+        Error::Invalid(format!(
+            "row {i} of the graph holds neighbour {j}: neighbours must ascend strictly, be below {n} and not be the \
+             vertex itself"
+        ))
+    }
+
     /// Checks everything that the type promises, the symmetry of rows and weights included. Linear time.
     ///
     /// # Errors
     /// [`Error::Invalid`] names the first place that breaks a rule.
     pub fn check(&self) -> Result<(), Error> {
-        self.check_rows()?;
+        self.check_rows(Threads::one())?;
         // Rows ascend and are read in order, so the transpose of a symmetric graph appears in its own order.
         let mut cursor: Vec<u32> = self.offsets[..self.vertices()].to_vec();
         for i in 0..self.vertices() {

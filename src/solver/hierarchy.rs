@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use super::coarsen::aggregates;
+use super::coarsen::{Groups, aggregates};
+use super::draft::{Blocks, Draft, Rows};
 use super::lanes::Lanes;
-use super::layout::{Rows, arrange};
-use super::level::{BUNDLE, Level};
+use super::layout::arrange;
+use super::level::{BUNDLE, Level, NONE};
 use super::operator::coarse_rows;
 use super::order::{Frame, along_curve, breadth_first};
 use super::threads::Threads;
@@ -17,6 +18,8 @@ use crate::progress::{Cancelled, Progress, check};
 const BLOCK: usize = 512;
 /// Fewest rows per block.
 const SMALLEST_BLOCK: usize = 64;
+/// Name of the stage that progress is reported under.
+const STAGE: &str = "hierarchy";
 
 /// A graph and its coarser versions (paper section 4), over all vertices and without constraints.
 ///
@@ -64,7 +67,8 @@ impl Hierarchy {
             return Err(Error::Invalid(format!("coarsest is {seen}, allowed are 1 to 1000")));
         }
         check(progress)?;
-        graph.check_rows()?;
+        let threads = Threads::of(pool);
+        threads.enter(pool, || graph.check_rows(threads))?;
         // Bundles hold up to four times as many entries as there are neighbours.
         let most = u32::MAX as usize / (2 * BUNDLE);
         if graph.neighbours.len() > most {
@@ -73,35 +77,34 @@ impl Hierarchy {
                 "the graph has {seen} neighbours in all its rows, at most {most} are allowed"
             )));
         }
-        let threads = Threads::of(pool);
-        let stage = "hierarchy";
-        progress.report(stage, 0.0);
+        progress.report(STAGE, 0.0);
 
         let heaviest = graph.weights.map_or(1.0, |w| w.iter().fold(0.0f32, |a, &b| a.max(b)));
         let weight_scale = 1.0 / power_of_two_below(f64::from(heaviest));
         let frame = Frame::around(graph.positions.unwrap_or(&[]));
         let positions: Vec<Lanes> = graph.positions.unwrap_or(&[]).iter().map(|&p| frame.apply(p)).collect();
-        let (first, order) = threads.enter(pool, || {
-            let sequence = sequence(graph.offsets, graph.neighbours, &positions);
-            check(progress)?;
-            let rows = Rows {
-                offsets: graph.offsets,
-                neighbours: graph.neighbours,
-                weights: graph.weights,
-                scale: weight_scale as f32,
+        let rows = Rows {
+            offsets: graph.offsets,
+            neighbours: graph.neighbours,
+            weights: graph.weights,
+            scale: weight_scale as f32,
+            positions: &positions,
+        };
+        let (levels, order) = threads.enter(pool, || {
+            let sequence = match positions.is_empty() {
+                true => breadth_first(graph.offsets, graph.neighbours),
+                false => along_curve(&positions),
             };
-            Ok::<_, Cancelled>(arrange(rows, &sequence, &positions, BLOCK, threads))
+            check(progress)?;
+            let draft = Draft::new(&rows, &sequence, threads);
+            let (levels, ranks) = levels(draft, options, threads, progress)?;
+            let mut order = vec![NONE; levels[0].rows()];
+            for (&row, &vertex) in ranks.iter().zip(&sequence) {
+                order[row as usize] = vertex;
+            }
+            Ok::<_, Cancelled>((levels, order))
         })?;
-        let mut levels = vec![first];
-        let mut block = BLOCK;
-        while let Some(level) = levels.last_mut().filter(|l| l.occupied() > options.coarsest) {
-            block = (block / 2).max(SMALLEST_BLOCK);
-            let next = threads.enter(pool, || coarser(level, options.coarsening, block, threads, progress))?;
-            levels.push(next);
-            // Level sizes fall geometrically, and so does the work that is left.
-            progress.report(stage, 1.0 - 0.5f32.powi(levels.len() as i32));
-        }
-        progress.report(stage, 1.0);
+        progress.report(STAGE, 1.0);
         let largest_diagonal = f64::from(levels[0].diagonal.iter().fold(0.0f32, |a, &b| a.max(b)));
         Ok(Hierarchy {
             levels,
@@ -144,39 +147,46 @@ impl Hierarchy {
     }
 }
 
-/// The order in which a level's rows are laid out before colouring.
-fn sequence(offsets: &[u32], neighbours: &[u32], positions: &[Lanes]) -> Vec<u32> {
-    if positions.is_empty() {
-        breadth_first(offsets, neighbours)
-    } else {
-        along_curve(positions)
-    }
-}
-
-/// Groups the rows of `level` and builds the next level from the groups.
-fn coarser(
-    level: &mut Level,
-    ratio: f64,
-    block: usize,
+/// Builds all levels from the finest one. Returns them and the row that each row of `draft` has become.
+fn levels(
+    mut draft: Draft,
+    options: &BuildOptions,
     threads: Threads,
     progress: &dyn Progress,
-) -> Result<Level, Cancelled> {
-    check(progress)?;
-    let (groups, count) = aggregates(level, ratio, threads);
-    level.set_aggregates(groups, count);
-    check(progress)?;
-    let coarse = coarse_rows(level, threads);
-    check(progress)?;
-    let sequence = sequence(&coarse.offsets, &coarse.neighbours, &coarse.positions);
-    let rows = Rows {
-        offsets: &coarse.offsets,
-        neighbours: &coarse.neighbours,
-        weights: Some(&coarse.weights),
-        scale: 1.0,
-    };
-    let (next, order) = arrange(rows, &sequence, &coarse.positions, block, threads);
-    level.renumber_aggregates(&order, threads);
-    Ok(next)
+) -> Result<(Vec<Level>, Vec<u32>), Cancelled> {
+    let mut levels: Vec<Level> = Vec::new();
+    let mut block = BLOCK;
+    let mut finest = Vec::new();
+    // Of the level before: the rows that the rows of its draft have become, and their groups.
+    let mut above: Option<(Vec<u32>, Groups)> = None;
+    loop {
+        check(progress)?;
+        let blocks = Blocks::new(&draft, block, threads);
+        let next = if draft.rows() > options.coarsest {
+            let groups = aggregates(&draft, &blocks, options.coarsening, threads);
+            check(progress)?;
+            Some((coarse_rows(&draft, &groups, threads), groups))
+        } else {
+            None
+        };
+        check(progress)?;
+        let (level, ranks) = arrange(&draft, &blocks, threads);
+        if let (Some((above, groups)), Some(last)) = (&above, levels.last_mut()) {
+            last.set_aggregates(groups, above, &ranks, level.rows(), threads);
+        }
+        levels.push(level);
+        // Level sizes fall geometrically, and so does the work that is left.
+        progress.report(STAGE, 1.0 - 0.5f32.powi(levels.len() as i32));
+        if levels.len() == 1 {
+            finest.clone_from(&ranks);
+        }
+        let Some((coarse, groups)) = next else {
+            return Ok((levels, finest));
+        };
+        above = Some((ranks, groups));
+        draft = coarse;
+        block = (block / 2).max(SMALLEST_BLOCK);
+    }
 }
 
 /// The largest power of two that is at most `v`, kept within 2^±1000; 1 for 0 and for what is no number.

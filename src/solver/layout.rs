@@ -4,53 +4,29 @@
 //! block are coloured in turn, and four rows of one colour with (nearly) equal numbers of neighbours before and after
 //! them make a *bundle*: one loop serves four rows, and four independent sums are under way at any time.
 
+use super::draft::{Blocks, Draft};
 use super::lanes::{Lanes, Shared};
-use super::level::{BUNDLE, Level, NONE};
+use super::level::{BUNDLE, Level};
 use super::threads::{Threads, piece, pieces};
-
-/// Rows of a graph in any order; the raw material of a [`Level`].
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Rows<'a> {
-    pub(crate) offsets: &'a [u32],
-    pub(crate) neighbours: &'a [u32],
-    pub(crate) weights: Option<&'a [f32]>,
-    /// Factor on every weight.
-    pub(crate) scale: f32,
-}
-
-impl Rows<'_> {
-    fn degree(&self, i: usize) -> u32 {
-        self.offsets[i + 1] - self.offsets[i]
-    }
-}
 
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
 
 /// Largest colour inside a block; rows that would need a higher one are bundled one by one.
 const LAST_COLOUR: u8 = 62;
+/// Rows of a block at most. Arrays of this size need no checks of indices that are cut to it.
+const MOST_ROWS: usize = 512;
 /// Not coloured yet, or in another block.
 const NO_COLOUR: u8 = 63;
 /// Bundles of left-over rows that another left-over row is tried with.
 const OPEN_BUNDLES: usize = 16;
 
-/// Brings `rows` into sweep order, starting from `sequence` (which should keep neighbours close), with blocks of
-/// `block` rows (a power of two, at most 2048). Returns the level and, for each of its rows, the row of `rows` it
-/// holds, [`NONE`] for filling.
-///
-/// `positions` are those of `rows`, or empty.
-pub(crate) fn arrange(
-    rows: Rows<'_>,
-    sequence: &[u32],
-    positions: &[Lanes],
-    block: usize,
-    threads: Threads,
-) -> (Level, Vec<u32>) {
-    let n = sequence.len();
+/// Brings `draft` into sweep order. Returns the level, without aggregates, and the row that each row of the draft has
+/// become.
+pub(crate) fn arrange(draft: &Draft, blocks: &Blocks, threads: Threads) -> (Level, Vec<u32>) {
+    let n = draft.rows();
     let threads = threads.for_rows(n);
-    let (draft, adjacency) = draft(&rows, sequence, block, threads);
-    let (colours, by_colour) = colour(&adjacency);
-    drop(adjacency);
+    let (block, by_colour) = (blocks.size, &blocks.by_colour);
     let mut places = vec![0u32; by_colour.len()];
     for (place, &b) in by_colour.iter().enumerate() {
         places[b as usize] = place as u32;
@@ -59,21 +35,21 @@ pub(crate) fn arrange(
     let mut ranks = vec![0u32; n];
     let shared = Shared::new(&mut ranks);
     let plans = threads.map(0..by_colour.len(), Scratch::new, |scratch, b| {
-        let range = b * block..((b + 1) * block).min(n);
+        let range = blocks.range(b);
         // SAFETY: blocks hold disjoint rows and each is visited once.
         let slots = unsafe { shared.rows(range.clone()) };
-        scratch.plan(&draft, &places, b, range, block, slots)
+        scratch.plan(draft, &places, b, range, block, slots)
     });
 
     // Rows and entries block by block in the order of colours.
-    let mut blocks = Vec::with_capacity(by_colour.len() + 1);
+    let mut block_rows = Vec::with_capacity(by_colour.len() + 1);
     let mut bases = vec![0u32; by_colour.len()];
     let bundles: usize = plans.iter().map(Vec::len).sum();
     let (mut offsets, mut middles) = (Vec::with_capacity(bundles + 2), Vec::with_capacity(bundles + 1));
     let mut total = 0u32;
-    for &b in &by_colour {
+    for &b in by_colour {
         let base = (offsets.len() * BUNDLE) as u32;
-        blocks.push(base);
+        block_rows.push(base);
         bases[b as usize] = base;
         for &[before, after] in &plans[b as usize] {
             offsets.push(total);
@@ -82,29 +58,24 @@ pub(crate) fn arrange(
         }
     }
     drop(plans);
-    blocks.push((offsets.len() * BUNDLE) as u32);
+    block_rows.push((offsets.len() * BUNDLE) as u32);
     // One bundle of nothing but filling, which no block holds: see `Level::filling`.
     offsets.extend([total, total]);
     middles.push(total);
     let padded = middles.len() * BUNDLE;
 
     let shift = block.trailing_zeros();
-    let mut order = vec![NONE; padded];
-    let mut placed = vec![Lanes::ZERO; if positions.is_empty() { 0 } else { padded }];
-    let (ranks_out, order_out, placed_out) = (
-        Shared::new(&mut ranks),
-        Shared::new(&mut order),
-        Shared::new(&mut placed),
-    );
+    let placed = !draft.positions.is_empty();
+    let mut positions = vec![Lanes::ZERO; if placed { padded } else { 0 }];
+    let (ranks_out, positions_out) = (Shared::new(&mut ranks), Shared::new(&mut positions));
     threads.each(0..pieces(n, PIECE), |k| {
         for k in piece(k, n, PIECE) {
             // SAFETY: every row of the draft has its own row of the level; each is visited once.
             unsafe {
                 let row = bases[k >> shift] + ranks_out.get(k);
                 ranks_out.set(k, row);
-                order_out.set(row as usize, sequence[k]);
-                if !positions.is_empty() {
-                    placed_out.set(row as usize, positions[sequence[k] as usize]);
+                if placed {
+                    positions_out.set(row as usize, draft.positions[k]);
                 }
             }
         }
@@ -114,27 +85,27 @@ pub(crate) fn arrange(
         neighbours: vec![0; total as usize],
         weights: draft.weights.as_ref().map(|_| vec![0.0; total as usize]),
         diagonal: vec![0.0; padded],
-        positions: placed,
+        positions,
         occupied: n,
         offsets,
         middles,
-        blocks,
-        colours,
+        blocks: block_rows,
+        colours: blocks.colours.clone(),
         ..Level::default()
     };
-    fill(&mut level, &draft, &by_colour, &ranks, block, threads);
-    (level, order)
+    fill(&mut level, draft, blocks, &ranks, threads);
+    (level, ranks)
 }
 
 /// Copies the draft block by block into bundles, renames neighbours and puts those before each row first.
-fn fill(level: &mut Level, draft: &Draft, by_colour: &[u32], ranks: &[u32], block: usize, threads: Threads) {
+fn fill(level: &mut Level, draft: &Draft, blocks: &Blocks, ranks: &[u32], threads: Threads) {
     let filling = level.filling();
-    let (offsets, middles, blocks) = (&level.offsets, &level.middles, &level.blocks);
+    let (offsets, middles, block_rows) = (&level.offsets, &level.middles, &level.blocks);
     let diagonal = Shared::new(&mut level.diagonal);
     let neighbours = Shared::new(&mut level.neighbours);
     let weights = level.weights.as_mut().map(|w| Shared::new(w));
-    threads.each(0..by_colour.len(), |k| {
-        let rows = blocks[k] as usize..blocks[k + 1] as usize;
+    threads.each(0..blocks.by_colour.len(), |k| {
+        let rows = block_rows[k] as usize..block_rows[k + 1] as usize;
         let bundles = rows.start / BUNDLE..rows.end / BUNDLE;
         let entries = offsets[bundles.start] as usize..offsets[bundles.end] as usize;
         // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
@@ -142,10 +113,10 @@ fn fill(level: &mut Level, draft: &Draft, by_colour: &[u32], ranks: &[u32], bloc
         // SAFETY: as above.
         let mut out_weights = weights.map(|w| unsafe { w.rows(entries.clone()) });
         out.fill(filling);
-        let from = by_colour[k] as usize * block;
-        for (local, &rank) in ranks[from..(from + block).min(ranks.len())].iter().enumerate() {
+        for from in blocks.range(blocks.by_colour[k] as usize) {
+            let rank = ranks[from];
             let i = rank as usize;
-            let source = draft.offsets[from + local] as usize..draft.offsets[from + local + 1] as usize;
+            let source = draft.entries(from);
             let (bundle, lane) = (i / BUNDLE, i % BUNDLE);
             // From both ends: every entry is written at both, and the end that does not advance is written again.
             let mut low = offsets[bundle] as usize - entries.start + lane;
@@ -189,119 +160,31 @@ fn fill(level: &mut Level, draft: &Draft, by_colour: &[u32], ranks: &[u32], bloc
     });
 }
 
-/// The graph along the sequence, before its blocks are coloured.
-struct Draft {
-    offsets: Vec<u32>,
-    neighbours: Vec<u32>,
-    weights: Option<Vec<f32>>,
+/// What rows of a block are sorted by.
+#[derive(Debug, Clone, Copy, Default)]
+struct Key {
+    class: u16,
+    before: u8,
+    after: u8,
+    row: u16,
 }
 
-/// Copies the rows along `sequence` and lists, for each block, the other blocks it touches.
-fn draft(rows: &Rows<'_>, sequence: &[u32], block: usize, threads: Threads) -> (Draft, Vec<Vec<u32>>) {
-    let n = sequence.len();
-    let shift = block.trailing_zeros();
-    let mut ranks = vec![0u32; n];
-    let mut offsets = vec![0u32; n + 1];
-    let mut total = 0;
-    for (k, &i) in sequence.iter().enumerate() {
-        ranks[i as usize] = k as u32;
-        offsets[k] = total;
-        total += rows.degree(i as usize);
-    }
-    offsets[n] = total;
-    let mut neighbours = vec![0u32; rows.neighbours.len()];
-    let mut weights = rows.weights.map(|w| vec![0.0f32; w.len()]);
-    let blocks = n.div_ceil(block);
-    let out = Shared::new(&mut neighbours);
-    let out_weights = weights.as_mut().map(|w| Shared::new(w));
-    let adjacency = threads.map(
-        0..blocks,
-        || vec![NONE; blocks],
-        |stamps, b| {
-            let range = b * block..((b + 1) * block).min(n);
-            let entries = offsets[range.start] as usize..offsets[range.end] as usize;
-            // SAFETY: blocks hold disjoint entries and each block is visited once.
-            let out = unsafe { out.rows(entries.clone()) };
-            // SAFETY: as above.
-            let mut out_weights = out_weights.map(|w| unsafe { w.rows(entries.clone()) });
-            let mut touched = Vec::new();
-            stamps[b] = b as u32;
-            let mut to = 0;
-            for &i in &sequence[range] {
-                let from = rows.offsets[i as usize] as usize..rows.offsets[i as usize + 1] as usize;
-                if let (Some(out), Some(w)) = (out_weights.as_deref_mut(), rows.weights) {
-                    for (out, w) in out[to..].iter_mut().zip(&w[from.clone()]) {
-                        *out = w * rows.scale;
-                    }
-                }
-                for (out, &j) in out[to..].iter_mut().zip(&rows.neighbours[from.clone()]) {
-                    let j = ranks[j as usize];
-                    *out = j;
-                    let other = (j >> shift) as usize;
-                    if stamps[other] != b as u32 {
-                        stamps[other] = b as u32;
-                        touched.push(other as u32);
-                    }
-                }
-                to += from.len();
-            }
-            touched
-        },
-    );
-    (
-        Draft {
-            offsets,
-            neighbours,
-            weights,
-        },
-        adjacency,
-    )
-}
-
-/// Colours blocks greedily in their order. Returns the first block of each colour and the blocks colour by colour.
-fn colour(adjacency: &[Vec<u32>]) -> (Vec<u32>, Vec<u32>) {
-    let mut colour_of = vec![NONE; adjacency.len()];
-    let mut taken: Vec<usize> = Vec::new();
-    for (b, others) in adjacency.iter().enumerate() {
-        for &other in others {
-            let c = colour_of[other as usize];
-            if c != NONE {
-                taken[c as usize] = b + 1;
-            }
-        }
-        let free = taken.iter().position(|&t| t != b + 1).unwrap_or(taken.len());
-        if free == taken.len() {
-            taken.push(0);
-        }
-        colour_of[b] = free as u32;
-    }
-    let mut begins = vec![0u32; taken.len() + 1];
-    for &c in &colour_of {
-        begins[c as usize + 1] += 1;
-    }
-    for c in 0..taken.len() {
-        begins[c + 1] += begins[c];
-    }
-    let mut cursor = begins.clone();
-    let mut by_colour = vec![0u32; adjacency.len()];
-    for (b, &c) in colour_of.iter().enumerate() {
-        by_colour[cursor[c as usize] as usize] = b as u32;
-        cursor[c as usize] += 1;
-    }
-    (begins, by_colour)
-}
+/// Numbers of neighbours above this one count as equal in the sort.
+const WIDEST: u32 = 255;
 
 /// Scratch for ordering the rows of one block. Rows are numbered from the first of the block.
 struct Scratch {
-    colours: Vec<u8>,
+    colours: [u8; MOST_ROWS],
     /// Classes are swept one after the other; rows of one class are not adjacent.
-    classes: Vec<u16>,
-    /// Neighbours in blocks that are swept before this one.
-    outer: Vec<u32>,
+    classes: [u16; MOST_ROWS],
+    /// Neighbours of each row that are swept before it, at first only those in blocks before this one.
+    before: Vec<u32>,
     /// Left-over rows in bundles of their own.
     rest: Vec<[u16; BUNDLE]>,
     stamps: Vec<u16>,
-    keys: Vec<u64>,
+    keys: Vec<Key>,
+    spare: Vec<Key>,
+    tally: Vec<u16>,
     counts: [u16; LAST_COLOUR as usize + 1],
 }
 
@@ -311,12 +194,14 @@ const EMPTY: u16 = u16::MAX;
 impl Scratch {
     fn new() -> Scratch {
         Scratch {
-            colours: Vec::new(),
-            classes: Vec::new(),
-            outer: Vec::new(),
+            colours: [NO_COLOUR; MOST_ROWS],
+            classes: [0; MOST_ROWS],
+            before: Vec::new(),
             rest: Vec::new(),
             stamps: Vec::new(),
             keys: Vec::new(),
+            spare: Vec::new(),
+            tally: Vec::new(),
             counts: [0; LAST_COLOUR as usize + 1],
         }
     }
@@ -334,18 +219,11 @@ impl Scratch {
     ) -> Vec<[u32; 2]> {
         let shift = block.trailing_zeros();
         let (mask, own) = (block as u32 - 1, b as u32);
-        let row = |k: usize| {
-            let at = range.start + k;
-            &draft.neighbours[draft.offsets[at] as usize..draft.offsets[at + 1] as usize]
-        };
-        let inside = |j: u32| (j >> shift == own, (j & mask) as usize);
-        self.colour(row, range.len(), block, inside);
+        let row = |k: usize| draft.row(range.start + k);
+        let inside = |j: u32| (j >> shift == own, (j & mask) as usize % MOST_ROWS);
         let here = places[b];
-        self.outer.clear();
-        for k in 0..range.len() {
-            let before = |j: &u32| u32::from(places[(j >> shift) as usize] < here);
-            self.outer.push(row(k).iter().map(before).sum());
-        }
+        let outer = |j: u32| u32::from(places[(j >> shift) as usize] < here);
+        self.colour(row, range.len(), inside, outer);
         self.bundle_rest(row, range.len(), inside);
 
         // Inside a class, rows with equal numbers of neighbours before and after them come together; every second
@@ -357,26 +235,30 @@ impl Scratch {
                 let (inside, j) = inside(j);
                 u32::from(inside & (self.classes[j] < class))
             };
-            let before = self.outer[k] + row(k).iter().map(earlier).sum::<u32>();
+            let before = self.before[k] + row(k).iter().map(earlier).sum::<u32>();
             let after = row(k).len() as u32 - before;
-            self.outer[k] = before;
-            let (before, after) = (u64::from(before.min(0xfff)), u64::from(after.min(0xfff)));
-            let after = if before % 2 == 1 { 0xfff - after } else { after };
-            self.keys
-                .push(u64::from(class) << 48 | before << 36 | after << 24 | k as u64);
+            self.before[k] = before;
+            let (before, after) = (before.min(WIDEST), after.min(WIDEST));
+            let after = if before % 2 == 1 { WIDEST - after } else { after };
+            self.keys.push(Key {
+                class,
+                before: before as u8,
+                after: after as u8,
+                row: k as u16,
+            });
         }
-        self.keys.sort_unstable();
+        self.sort_keys();
         let mut widths: Vec<[u32; 2]> = Vec::with_capacity(range.len().div_ceil(BUNDLE) + self.rest.len());
-        let (mut filled, mut last) = (BUNDLE, u64::MAX);
-        for &key in &self.keys {
-            let (class, k) = (key >> 48, (key & 0xff_ffff) as usize);
+        let (mut filled, mut last) = (BUNDLE, u16::MAX);
+        for &Key { class, row: k, .. } in &self.keys {
+            let k = usize::from(k);
             if filled == BUNDLE || class != last {
                 widths.push([0; 2]);
                 (filled, last) = (0, class);
             }
             slots[k] = ((widths.len() - 1) * BUNDLE + filled) as u32;
             filled += 1;
-            let before = self.outer[k];
+            let before = self.before[k];
             let after = row(k).len() as u32 - before;
             if let Some(width) = widths.last_mut() {
                 *width = [width[0].max(before), width[1].max(after)];
@@ -385,23 +267,54 @@ impl Scratch {
         widths
     }
 
-    /// Colours the rows greedily in their order.
+    /// Sorts by class, then by neighbours before, then by neighbours after; equal keys keep their order.
+    fn sort_keys(&mut self) {
+        let pass = |from: &[Key], to: &mut Vec<Key>, counts: &mut Vec<u16>, digit: &dyn Fn(&Key) -> usize| {
+            counts.clear();
+            for key in from {
+                let d = digit(key);
+                if counts.len() <= d + 1 {
+                    counts.resize(d + 2, 0);
+                }
+                counts[d + 1] += 1;
+            }
+            for d in 1..counts.len() {
+                counts[d] += counts[d - 1];
+            }
+            to.clear();
+            to.resize(from.len(), Key::default());
+            for key in from {
+                let slot = &mut counts[digit(key)];
+                to[usize::from(*slot)] = *key;
+                *slot += 1;
+            }
+        };
+        pass(&self.keys, &mut self.spare, &mut self.tally, &|k| usize::from(k.after));
+        pass(&self.spare, &mut self.keys, &mut self.tally, &|k| usize::from(k.before));
+        pass(&self.keys, &mut self.spare, &mut self.tally, &|k| usize::from(k.class));
+        std::mem::swap(&mut self.keys, &mut self.spare);
+    }
+
+    /// Colours the rows greedily in their order, and counts neighbours that `outer` says are in blocks before this one.
     fn colour<'r>(
         &mut self,
         row: impl Fn(usize) -> &'r [u32],
         rows: usize,
-        block: usize,
         inside: impl Fn(u32) -> (bool, usize),
+        outer: impl Fn(u32) -> u32,
     ) {
-        self.colours.clear();
-        self.colours.resize(block, NO_COLOUR);
+        self.before.clear();
+        self.colours.fill(NO_COLOUR);
         self.counts.fill(0);
         for k in 0..rows {
             let mut taken = 0u64;
+            let mut before = 0;
             for &j in row(k) {
+                before += outer(j);
                 let (inside, j) = inside(j);
                 taken |= 1 << if inside { self.colours[j] } else { NO_COLOUR };
             }
+            self.before.push(before);
             let colour = ((!taken).trailing_zeros() as u8).min(LAST_COLOUR);
             self.colours[k] = colour;
             self.counts[usize::from(colour)] += 1;
@@ -421,8 +334,7 @@ impl Scratch {
                 *count %= BUNDLE as u16;
             }
         }
-        self.classes.clear();
-        self.classes.extend(self.colours.iter().map(|&c| u16::from(c)));
+        self.classes = self.colours.map(u16::from);
         self.rest.clear();
         self.stamps.clear();
         self.stamps.resize(rows, EMPTY);
@@ -455,6 +367,7 @@ impl Scratch {
 
 #[cfg(test)]
 mod tests {
+    use super::super::level::NONE;
     use super::super::testing::Block;
     use super::*;
 
@@ -524,18 +437,16 @@ mod tests {
         let n = 70u32;
         let offsets: Vec<u32> = (0..=n).map(|i| i * (n - 1)).collect();
         let neighbours: Vec<u32> = (0..n).flat_map(|i| (0..n).filter(move |&j| j != i)).collect();
-        let rows = Rows {
-            offsets: &offsets,
-            neighbours: &neighbours,
-            weights: None,
-            scale: 1.0,
+        let draft = Draft {
+            offsets,
+            neighbours,
+            ..Draft::default()
         };
-        let sequence: Vec<u32> = (0..n).collect();
         let threads = Threads::of(&super::super::testing::pool());
-        let (level, order) = arrange(rows, &sequence, &[], 64, threads);
-        let mut seen: Vec<u32> = order.into_iter().filter(|&v| v != NONE).collect();
-        seen.sort_unstable();
-        assert_eq!(seen, sequence);
+        let (level, mut ranks) = arrange(&draft, &Blocks::new(&draft, 64, threads), threads);
+        ranks.sort_unstable();
+        ranks.dedup();
+        assert_eq!(ranks.len(), 70);
         let filled = (0..level.rows()).filter(|&i| level.diagonal[i] == 69.0).count();
         assert_eq!(filled, 70);
     }

@@ -1,5 +1,6 @@
 //! One level of the hierarchy: a weighted graph stored in the order in which it is swept.
 
+use super::coarsen::Groups;
 use super::lanes::{Lanes, Shared};
 use super::threads::{Threads, piece, pieces};
 
@@ -45,7 +46,7 @@ pub(crate) struct Level {
     pub(crate) aggregates: Vec<u32>,
     /// Where the members of each row of the next level begin in `members`.
     pub(crate) member_offsets: Vec<u32>,
-    /// Rows of this level by aggregate, ascending inside each.
+    /// Rows of this level by aggregate.
     pub(crate) members: Vec<u32>,
 }
 
@@ -128,54 +129,48 @@ impl Level {
         4 * (words + self.weights.as_ref().map_or(0, Vec::len)) + 16 * self.positions.len()
     }
 
-    /// Stores which aggregate each row belongs to and lists the members of each.
-    pub(crate) fn set_aggregates(&mut self, aggregates: Vec<u32>, count: usize) {
-        let mut offsets = vec![0u32; count + 1];
-        for &a in &aggregates {
-            if a != NONE {
-                offsets[a as usize + 1] += 1;
-            }
-        }
-        for k in 0..count {
-            offsets[k + 1] += offsets[k];
-        }
-        let mut cursor = offsets.clone();
-        let mut members = vec![0u32; offsets[count] as usize];
-        for (i, &a) in aggregates.iter().enumerate() {
-            if a != NONE {
-                members[cursor[a as usize] as usize] = i as u32;
-                cursor[a as usize] += 1;
-            }
-        }
-        self.aggregates = aggregates;
-        self.member_offsets = offsets;
-        self.members = members;
-    }
-
-    /// Gives aggregate `order[k]` the number k. [`NONE`] in `order` makes an aggregate without members.
-    pub(crate) fn renumber_aggregates(&mut self, order: &[u32], threads: Threads) {
-        let mut numbers = vec![0u32; self.coarse_rows()];
-        let mut offsets = Vec::with_capacity(order.len() + 1);
-        let mut members = Vec::with_capacity(self.members.len());
-        offsets.push(0);
-        for (k, &old) in order.iter().enumerate() {
-            if old != NONE {
-                numbers[old as usize] = k as u32;
-                members.extend_from_slice(self.members_of(old as usize));
-            }
-            offsets.push(members.len() as u32);
-        }
-        self.member_offsets = offsets;
-        self.members = members;
-        let n = self.rows();
+    /// Stores which row of the next level each row belongs to. `ranks` and `coarse_ranks` tell which rows the rows of
+    /// the two drafts have become; `coarse_rows` is the number of rows of the next level, filling included.
+    pub(crate) fn set_aggregates(
+        &mut self,
+        groups: &Groups,
+        ranks: &[u32],
+        coarse_ranks: &[u32],
+        coarse_rows: usize,
+        threads: Threads,
+    ) {
+        let n = ranks.len();
+        let threads = threads.for_rows(n);
+        self.aggregates = vec![NONE; self.rows()];
         let aggregates = Shared::new(&mut self.aggregates);
-        threads.for_rows(n).each(0..pieces(n, PIECE), |k| {
-            // SAFETY: pieces are disjoint and each is visited once.
-            for a in unsafe { aggregates.rows(piece(k, n, PIECE)) } {
-                if *a != NONE {
-                    *a = numbers[*a as usize];
+        threads.each(0..pieces(n, PIECE), |k| {
+            for k in piece(k, n, PIECE) {
+                let group = groups.of_row[k];
+                if group != NONE {
+                    // SAFETY: every row of the draft has its own row of the level; each is visited once.
+                    unsafe { aggregates.set(ranks[k] as usize, coarse_ranks[group as usize]) };
                 }
             }
         });
+        let mut offsets = vec![0u32; coarse_rows + 1];
+        for (group, &row) in coarse_ranks.iter().enumerate() {
+            offsets[row as usize + 1] = groups.members_of(group).len() as u32;
+        }
+        for row in 0..coarse_rows {
+            offsets[row + 1] += offsets[row];
+        }
+        self.members = vec![0; groups.members.len()];
+        let members = Shared::new(&mut self.members);
+        threads.each(0..pieces(coarse_ranks.len(), PIECE), |k| {
+            for group in piece(k, coarse_ranks.len(), PIECE) {
+                let row = coarse_ranks[group] as usize;
+                // SAFETY: every group has its own row of the next level; each is visited once.
+                let out = unsafe { members.rows(offsets[row] as usize..offsets[row + 1] as usize) };
+                for (out, &i) in out.iter_mut().zip(groups.members_of(group)) {
+                    *out = ranks[i as usize];
+                }
+            }
+        });
+        self.member_offsets = offsets;
     }
 }

@@ -101,6 +101,7 @@ mod advance;
 mod coarsen;
 mod cycle;
 mod dense;
+mod draft;
 mod error;
 mod fallback;
 mod floating;

@@ -6,7 +6,9 @@
 //! coarse corrections have the right length and need no over-correction factor.
 
 use super::lanes::Lanes;
-use super::level::{BUNDLE, Level, NONE};
+use super::coarsen::Groups;
+use super::draft::Draft;
+use super::level::NONE;
 use super::threads::{Threads, piece, pieces};
 
 /// Bounds of φ. Below, a coarse vertex could lose its connection (φ can even be negative on folded surfaces); above 1
@@ -19,25 +21,14 @@ const RATIO_WITHOUT_POSITIONS: f64 = 0.55;
 /// Coarse rows that one piece of work handles.
 const PIECE: usize = 1024;
 
-/// Rows of the next level, numbered like the aggregates.
-#[derive(Debug, Default)]
-pub(crate) struct CoarseRows {
-    pub(crate) offsets: Vec<u32>,
-    pub(crate) neighbours: Vec<u32>,
-    pub(crate) weights: Vec<f32>,
-    /// Centroids, or empty.
-    pub(crate) positions: Vec<Lanes>,
-}
-
-/// Scratch of one thread: the aggregates that the present one touches, and the sums towards them.
+/// Scratch of one thread: the groups that the present one touches, and the sums towards them.
 ///
 /// Every entry is added somewhere without asking where it leads, since such questions cost more than the sums: those
-/// inside the aggregate and filling get sums of their own, which nobody reads.
+/// inside the group get a sum of their own, which nobody reads.
 struct Slots {
-    /// For each aggregate the one whose slot numbers `slots` holds last.
-    owners: Vec<u32>,
-    slots: Vec<u32>,
-    /// Aggregate of each slot in use; longer than that.
+    /// For each group the one whose slot numbers were written last, in the upper half, and the slot in the lower one.
+    table: Vec<u64>,
+    /// Group of each slot in use; longer than that.
     others: Vec<u32>,
     /// Σ w (p_i − p_j) in the first three lanes, Σ w in the last; 0 beyond those in use.
     sums: Vec<Lanes>,
@@ -46,10 +37,8 @@ struct Slots {
 
 impl Slots {
     fn new(count: usize) -> Slots {
-        // One more for entries that lead to no aggregate.
         Slots {
-            owners: vec![NONE; count + 1],
-            slots: vec![0; count + 1],
+            table: vec![u64::MAX; count],
             others: Vec::new(),
             sums: Vec::new(),
             used: 0,
@@ -65,37 +54,20 @@ impl Slots {
     fn reserve(&mut self, more: usize) {
         let want = self.used + more + 1;
         if self.sums.len() < want {
-            self.sums.resize(want, Lanes::ZERO);
-            self.others.resize(want, NONE);
+            self.sums.resize(2 * want, Lanes::ZERO);
+            self.others.resize(2 * want, NONE);
         }
-    }
-
-    #[inline(always)]
-    fn add(&mut self, owner: u32, other: u32, term: Lanes) {
-        let known = self.owners[other as usize] == owner;
-        let slot = if known {
-            self.slots[other as usize]
-        } else {
-            self.used as u32
-        };
-        self.others[self.used] = other;
-        self.used += usize::from(!known);
-        self.owners[other as usize] = owner;
-        self.slots[other as usize] = slot;
-        // A fresh slot overwrites what lies at its end; a known one writes there what the next fresh one replaces.
-        self.others[slot as usize] = other;
-        self.sums[slot as usize] += term;
     }
 }
 
-/// Builds the coarse rows of a level whose aggregates are set.
-pub(crate) fn coarse_rows(level: &Level, threads: Threads) -> CoarseRows {
-    let count = level.coarse_rows();
-    let threads = threads.for_rows(level.rows());
-    let positions = if level.positions.is_empty() {
+/// Builds the next level from the groups of `draft`, a row for each group.
+pub(crate) fn coarse_rows(draft: &Draft, groups: &Groups, threads: Threads) -> Draft {
+    let count = groups.len();
+    let threads = threads.for_rows(draft.rows());
+    let positions = if draft.positions.is_empty() {
         Vec::new()
     } else {
-        centroids(level, threads)
+        centroids(draft, groups, threads)
     };
 
     // Each pair of aggregates is summed once, from its smaller number, so the result is symmetric to the bit.
@@ -107,14 +79,14 @@ pub(crate) fn coarse_rows(level: &Level, threads: Threads) -> CoarseRows {
             let mut entries: Vec<(u32, f32)> = Vec::with_capacity(8 * rows.len());
             let mut ends = Vec::with_capacity(rows.len());
             for coarse in rows {
-                match (&level.weights, positions.is_empty()) {
-                    (None, false) => sum_crossing::<false, true>(level, coarse, slots),
-                    (Some(_), false) => sum_crossing::<true, true>(level, coarse, slots),
-                    (None, true) => sum_crossing::<false, false>(level, coarse, slots),
-                    (Some(_), true) => sum_crossing::<true, false>(level, coarse, slots),
+                match (&draft.weights, positions.is_empty()) {
+                    (None, false) => sum_crossing::<false, true>(draft, groups, coarse, slots),
+                    (Some(_), false) => sum_crossing::<true, true>(draft, groups, coarse, slots),
+                    (None, true) => sum_crossing::<false, false>(draft, groups, coarse, slots),
+                    (Some(_), true) => sum_crossing::<true, false>(draft, groups, coarse, slots),
                 }
                 for (&other, &sum) in slots.others[..slots.used].iter().zip(&slots.sums) {
-                    if other as usize > coarse && (other as usize) < count {
+                    if other as usize > coarse {
                         entries.push((other, weight(&positions, coarse, other as usize, sum)));
                     }
                 }
@@ -127,17 +99,17 @@ pub(crate) fn coarse_rows(level: &Level, threads: Threads) -> CoarseRows {
 }
 
 /// Mean position of each aggregate's members.
-fn centroids(level: &Level, threads: Threads) -> Vec<Lanes> {
-    let count = level.coarse_rows();
+fn centroids(draft: &Draft, groups: &Groups, threads: Threads) -> Vec<Lanes> {
+    let count = groups.len();
     let parts = threads.map(
         0..pieces(count, PIECE),
         || (),
         |(), k| {
             let mean = |coarse: usize| {
-                let members = level.members_of(coarse);
+                let members = groups.members_of(coarse);
                 let mut sum = [0.0f64; 4];
                 for &i in members {
-                    super::lanes::add_wide(&mut sum, level.positions[i as usize].wide());
+                    super::lanes::add_wide(&mut sum, draft.positions[i as usize].wide());
                 }
                 Lanes::from_wide(sum.map(|s| s / members.len() as f64))
             };
@@ -148,23 +120,42 @@ fn centroids(level: &Level, threads: Threads) -> Vec<Lanes> {
 }
 
 /// Sums over the edges from aggregate `coarse` to each aggregate that they lead to.
-fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(level: &Level, coarse: usize, slots: &mut Slots) {
-    let weights: &[f32] = level.weights.as_deref().unwrap_or(&[]);
-    let nowhere = level.coarse_rows() as u32;
+fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(
+    draft: &Draft,
+    groups: &Groups,
+    coarse: usize,
+    slots: &mut Slots,
+) {
+    let weights: &[f32] = draft.weights.as_deref().unwrap_or(&[]);
+    let of_row = groups.of_row.as_slice();
+    let owner = (coarse as u64) << 32;
     slots.begin();
-    for &i in level.members_of(coarse) {
+    for &i in groups.members_of(coarse) {
         let i = i as usize;
-        let mut here = if PLACED { level.positions[i] } else { Lanes::ZERO };
+        let mut here = if PLACED { draft.positions[i] } else { Lanes::ZERO };
         here.0[3] = 1.0;
-        let (begin, _, end) = level.bundle(i / BUNDLE);
-        slots.reserve((end - begin) / BUNDLE);
-        for e in (begin + i % BUNDLE..end).step_by(BUNDLE) {
-            let j = level.neighbours[e] as usize;
-            let there = if PLACED { level.positions[j] } else { Lanes::ZERO };
+        let entries = draft.entries(i);
+        slots.reserve(entries.len());
+        let neighbours = &draft.neighbours[entries.clone()];
+        let weights = if WEIGHTED { &weights[entries] } else { &[] };
+        let (table, others, sums) = (&mut slots.table[..], &mut slots.others[..], &mut slots.sums[..]);
+        let mut used = slots.used;
+        for (e, &j) in neighbours.iter().enumerate() {
+            let j = j as usize;
+            let there = if PLACED { draft.positions[j] } else { Lanes::ZERO };
             let difference = here - there;
             let term = if WEIGHTED { difference * weights[e] } else { difference };
-            slots.add(coarse as u32, level.aggregates[j].min(nowhere), term);
+            let other = of_row[j];
+            let known = table[other as usize];
+            let fresh = known ^ owner > u64::from(u32::MAX);
+            let slot = if fresh { used } else { known as u32 as usize };
+            // What a known slot writes at the end, the next fresh one replaces.
+            others[used] = other;
+            used += usize::from(fresh);
+            table[other as usize] = owner | slot as u64;
+            sums[slot] += term;
         }
+        slots.used = used;
     }
 }
 
@@ -188,7 +179,7 @@ fn weight(positions: &[Lanes], coarse: usize, other: usize, sum: Lanes) -> f32 {
 type Half = (Vec<(u32, f32)>, Vec<usize>);
 
 /// Turns the entries towards larger numbers into full rows.
-fn mirror(count: usize, halves: &[Half], positions: Vec<Lanes>) -> CoarseRows {
+fn mirror(count: usize, halves: &[Half], positions: Vec<Lanes>) -> Draft {
     let each = |visit: &mut dyn FnMut(usize, u32, f32)| {
         for (k, (entries, ends)) in halves.iter().enumerate() {
             let mut begin = 0;
@@ -221,10 +212,10 @@ fn mirror(count: usize, halves: &[Half], positions: Vec<Lanes>) -> CoarseRows {
         put(i, j, w);
         put(j as usize, i as u32, w);
     });
-    CoarseRows {
+    Draft {
         offsets,
         neighbours,
-        weights,
+        weights: Some(weights),
         positions,
     }
 }
@@ -260,18 +251,17 @@ mod tests {
     fn an_affine_field_flows_alike_on_both_levels() {
         // Along a chain cut into equal pieces the coarse edge must carry the flow of the one edge it replaces:
         // one fine edge of length 1 against a coarse edge of length 2.
-        let mut block = Block::new(4, 1, 1);
-        block.positions = (0..4).map(|i| [f64::from(i), 0.0, 0.0]).collect();
-        let mut level = block.hierarchy(4).levels.swap_remove(0);
-        let piece_of = |(i, p): (usize, &Lanes)| match level.connected(i) {
-            true => u32::from(p.0[0] > 0.0),
-            false => NONE,
+        let at = |x: f32| Lanes([x, 0.0, 0.0, 0.0]);
+        let draft = Draft {
+            offsets: vec![0, 1, 3, 5, 6],
+            neighbours: vec![1, 0, 2, 1, 3, 2],
+            weights: None,
+            positions: vec![at(0.0), at(1.0), at(2.0), at(3.0)],
         };
-        let pieces = level.positions.iter().enumerate().map(piece_of).collect();
-        level.set_aggregates(pieces, 2);
-        let coarse = coarse_rows(&level, Threads::of(&pool()));
+        let groups = Groups::new(vec![0, 0, 1, 1], 2);
+        let coarse = coarse_rows(&draft, &groups, Threads::of(&pool()));
         assert_eq!(coarse.neighbours, [1, 0]);
-        assert!((coarse.weights[0] - 0.5).abs() < 1e-6, "{:?}", coarse.weights);
+        assert!((coarse.weight(0) - 0.5).abs() < 1e-6, "{:?}", coarse.weights);
     }
 
     #[test]

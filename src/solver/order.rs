@@ -12,6 +12,7 @@ pub(crate) struct Frame {
     pub(crate) centre: [f64; 3],
     /// Longest side of the bounding box, 1 if it has none.
     pub(crate) size: f64,
+    inverse: f64,
 }
 
 impl Frame {
@@ -19,29 +20,32 @@ impl Frame {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for p in positions {
             for c in 0..3 {
-                low[c] = low[c].min(p[c]);
-                high[c] = high[c].max(p[c]);
+                low[c] = if p[c] < low[c] { p[c] } else { low[c] };
+                high[c] = if p[c] > high[c] { p[c] } else { high[c] };
             }
         }
         if positions.is_empty() {
-            return Frame {
-                centre: [0.0; 3],
-                size: 1.0,
-            };
+            return Frame::new([0.0; 3], 1.0);
         }
         let centre = [0, 1, 2].map(|c| 0.5 * low[c] + 0.5 * high[c]);
         let half = (0..3).map(|c| 0.5 * high[c] - 0.5 * low[c]).fold(0.0, f64::max);
         // Twice the half may overflow for boxes that fill the range of f64; a box half as large serves as well.
         let size = if (2.0 * half).is_finite() { 2.0 * half } else { half };
+        Frame::new(centre, size)
+    }
+
+    fn new(centre: [f64; 3], size: f64) -> Frame {
+        let size = if (1.0 / size).is_finite() { size } else { 1.0 };
         Frame {
             centre,
-            size: if size > 0.0 { size } else { 1.0 },
+            size,
+            inverse: 1.0 / size,
         }
     }
 
     #[inline]
     pub(crate) fn apply(&self, p: [f64; 3]) -> Lanes {
-        let f = |c: usize| ((p[c] - self.centre[c]) / self.size) as f32;
+        let f = |c: usize| ((p[c] - self.centre[c]) * self.inverse) as f32;
         Lanes([f(0), f(1), f(2), 0.0])
     }
 }

@@ -4,7 +4,7 @@
 //! precision. Once rounding shows in the residual, the correction is added to the solution and the next stretch
 //! begins from the true residual, in the same search direction: single precision never limits the result.
 
-use super::advance::{Advance, add_correction, advance, reference, residual};
+use super::advance::{Advance, add_correction, advance, first_residual, reference, residual, resume};
 use super::cycle::{Cycle, clear_inactive, per_lane, prepare, ratio};
 use super::hierarchy::power_of_two_below;
 use super::lanes::{Lanes, WIDTH, Wide};
@@ -107,6 +107,8 @@ pub(crate) struct Outer<'a, 'w> {
     pub(crate) workspace: &'w mut Workspace,
     /// The caller's x, for snapshots.
     pub(crate) caller: &'w [f64],
+    /// True if x is 0 on free rows at first, which makes the first residual cheap.
+    pub(crate) from_zero: bool,
 }
 
 /// What is carried from iteration to iteration.
@@ -153,19 +155,39 @@ impl Outer<'_, '_> {
 
         let mut state = State {
             outcome: Outcome::new(Method::Multigrid),
-            reference: threads.enter(pool, || reference(&problem, x)),
+            reference: [0.0; WIDTH],
             scale: [1.0; WIDTH],
             direction: None,
             history: Vec::new(),
             resting_error: 0.0,
             sound: true,
         };
+        let mut first = Some(threads.enter(pool, || {
+            if self.from_zero {
+                let norms = first_residual(&problem, x, fine);
+                state.reference = norms.map(f64::sqrt);
+                norms
+            } else {
+                state.reference = reference(&problem, x);
+                residual(&problem, x, fine, state.scale)
+            }
+        }));
         let mut beginning: Option<Wide> = None;
         let mut last: Option<Wide> = None;
+        let mut rescaled: Option<Wide> = None;
         let mut poor = 0;
         loop {
             let Workspace { x, fine, .. } = &mut *self.workspace;
-            let mut norms = threads.enter(pool, || residual(&problem, x, fine, state.scale));
+            let mut norms = match first.take() {
+                Some(norms) => norms,
+                None => threads.enter(pool, || {
+                    let norms = residual(&problem, x, fine, state.scale);
+                    if let Some(factor) = rescaled.take() {
+                        resume(&grid, fine, factor, &mut state.direction);
+                    }
+                    norms
+                }),
+            };
             if norms.iter().any(|r| !r.is_finite()) && state.outcome.iterations == 0 {
                 // Frames of absurd size can overflow the full-multigrid start.
                 problem.load(self.caller, false, x);
@@ -221,6 +243,7 @@ impl Outer<'_, '_> {
                 }
             }
             // The next residual is about this large; bring its entries near 1 for single precision.
+            let before = state.scale;
             for c in 0..WIDTH {
                 let rms = state.outcome.relative[c] * state.reference[c] / (n as f64).sqrt();
                 state.scale[c] = if rms > 1e-200 {
@@ -229,6 +252,7 @@ impl Outer<'_, '_> {
                     1.0
                 };
             }
+            rescaled = Some(per_lane(|c| state.scale[c] / before[c]));
         }
     }
 
@@ -339,7 +363,7 @@ impl Outer<'_, '_> {
             }
         };
         let Workspace { x, fine, .. } = &mut *self.workspace;
-        threads.enter(pool, || add_correction(&problem, &grid, &mut fine.e, scale, x));
+        threads.enter(pool, || add_correction(&problem, &grid, fine, scale, x));
         Ok(verdict)
     }
 

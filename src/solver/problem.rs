@@ -43,8 +43,7 @@ impl<'a> Problem<'a> {
         given: bool,
     ) -> Result<Self, Error> {
         let width = WIDTH.min(columns - first);
-        let mask = &system.masks[0];
-        let n = hierarchy.levels[0].rows();
+        let n = hierarchy.vertices();
         let threads = threads.for_rows(n);
         // Sums instead of maxima would overflow; a value that is not finite shows up as an infinite maximum.
         let parts = threads.map(
@@ -52,15 +51,15 @@ impl<'a> Problem<'a> {
             || (),
             |(), k| {
                 let mut most = [[0.0f64; WIDTH]; 2];
-                for i in piece(k, n, PIECE).filter(|&i| hierarchy.order[i] != NONE) {
-                    let at = hierarchy.order[i] as usize * columns + first;
-                    let free = mask.free(i);
+                for v in piece(k, n, PIECE) {
+                    let fixed = system.is_fixed(v);
+                    let at = v * columns + first;
                     for c in 0..width {
                         let size = |v: f64| if v.is_finite() { v.abs() } else { f64::INFINITY };
-                        if free {
+                        if !fixed {
                             most[0][c] = most[0][c].max(size(rhs[at + c]));
                         }
-                        if !free || given {
+                        if fixed || given {
                             most[1][c] = most[1][c].max(size(x[at + c]));
                         }
                     }
@@ -239,26 +238,59 @@ impl<'a> Problem<'a> {
 
     /// Squared norms of b, the right-hand side with the fixed values moved into it (β of the paper's equation (11)).
     pub(crate) fn rhs_norms(&self, x: &[Wide]) -> Wide {
-        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
         self.norms(|rows| {
             let mut norms = [0.0; WIDTH];
-            for i in rows.filter(|&i| mask.free(i)) {
-                let mut b = self.rhs(i);
-                if self.system.on_border(i) {
-                    for (j, w) in level.row(i) {
-                        if !mask.free(j) {
-                            for c in 0..WIDTH {
-                                b[c] += f64::from(w) * x[j][c];
-                            }
-                        }
-                    }
-                }
+            for i in rows {
+                let b = self.moved_rhs(x, i);
                 for c in 0..WIDTH {
                     norms[c] += b[c] * b[c];
                 }
             }
             norms
         })
+    }
+
+    /// The same, and b itself handed to `convert` and written to `out`: the residual of an `x` that is 0 on free rows.
+    pub(crate) fn first_residual(
+        &self,
+        x: &[Wide],
+        out: &mut [Lanes],
+        convert: impl Fn(Wide) -> Lanes + Sync + Send,
+    ) -> Wide {
+        let out = Shared::new(out);
+        self.norms(|rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let out = unsafe { out.rows(rows.clone()) };
+            let mut norms = [0.0; WIDTH];
+            for (i, out) in rows.zip(out) {
+                let b = self.moved_rhs(x, i);
+                for c in 0..WIDTH {
+                    norms[c] += b[c] * b[c];
+                }
+                *out = convert(b);
+            }
+            norms
+        })
+    }
+
+    /// b of row `i`, 0 if that is masked.
+    #[inline(always)]
+    fn moved_rhs(&self, x: &[Wide], i: usize) -> Wide {
+        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        if !mask.free(i) {
+            return [0.0; WIDTH];
+        }
+        let mut b = self.rhs(i);
+        if self.system.on_border(i) {
+            for (j, w) in level.row(i) {
+                if !mask.free(j) {
+                    for c in 0..WIDTH {
+                        b[c] += f64::from(w) * x[j][c];
+                    }
+                }
+            }
+        }
+        b
     }
 
     /// b − A x in double precision, floating components without their means; returns the squared norms.

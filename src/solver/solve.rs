@@ -104,6 +104,7 @@ impl System {
                     criteria,
                     workspace,
                     caller: x,
+                    from_zero: matches!(options.start, Start::Zero),
                 }
                 .solve(watch)?
             };

@@ -40,15 +40,16 @@ impl<'a> Grid<'a> {
         });
     }
 
-    /// Calls `body` for every active block, colour by colour; blocks of one colour in any order.
+    /// Calls `body` with the number and the rows of every active block, colour by colour; those of one colour in any
+    /// order.
     #[inline]
-    fn sweep(&self, backward: bool, body: impl Fn(std::ops::Range<usize>) + Sync + Send) {
+    fn sweep(&self, backward: bool, body: impl Fn(usize, std::ops::Range<usize>) + Sync + Send) {
         let colours = self.mask.colours.len() - 1;
         for c in 0..colours {
             let c = if backward { colours - 1 - c } else { c };
             self.threads
                 .each(self.mask.colours[c] as usize..self.mask.colours[c + 1] as usize, |k| {
-                    body(self.level.block(self.mask.active[k] as usize));
+                    body(k, self.level.block(self.mask.active[k] as usize));
                 });
         }
     }
@@ -65,7 +66,7 @@ impl<'a> Grid<'a> {
         let (level, inverses) = (self.level, &self.mask.inverses);
         assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
         let x = Shared::new(x);
-        self.sweep(false, |rows| {
+        self.sweep(false, |_, rows| {
             for k in rows.start / BUNDLE..rows.end / BUNDLE {
                 let (begin, middle, _) = level.bundle(k);
                 // SAFETY: neighbours are rows of the level; those read lie in this block or in one of a colour that
@@ -109,20 +110,45 @@ impl<'a> Grid<'a> {
         });
     }
 
-    /// A full backward sweep on x. `t` receives what each row saw of b and of the neighbours before it, which
-    /// [`Grid::apply`] turns into A x.
-    pub(crate) fn backward(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes]) {
+    /// A full backward sweep on x. Returns (x, b), (x, A x) and (x, c), or (b, b) without `c`.
+    ///
+    /// `t` receives what each row saw of b and of the neighbours before it, from which [`Grid::products`] makes A x.
+    /// With it, D x_i = t_i + (neighbours after i, final when i is swept), and (A x)_i = t_i − Σ_before w x_j. Every edge
+    /// leads once to an earlier and once to a later row, so (x, A x) is also the sum of x_i (t_i − Σ_after w x_j): all
+    /// inner products come with the sweep.
+    pub(crate) fn backward(
+        &self,
+        b: &[Lanes],
+        x: &mut [Lanes],
+        t: &mut [Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+    ) -> [Wide; 3] {
         match &self.level.weights {
-            None => self.backward_with(b, x, t, &Unit),
-            Some(w) => self.backward_with(b, x, t, &Values(w)),
+            None => self.backward_with(b, x, t, c, partials, &Unit),
+            Some(w) => self.backward_with(b, x, t, c, partials, &Values(w)),
         }
     }
 
-    fn backward_with<W: Weight>(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes], w: &W) {
+    fn backward_with<W: Weight>(
+        &self,
+        b: &[Lanes],
+        x: &mut [Lanes],
+        t: &mut [Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+        w: &W,
+    ) -> [Wide; 3] {
         let (level, inverses) = (self.level, &self.mask.inverses);
-        assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
+        let (with_x, c) = (c.is_some(), c.unwrap_or(b));
+        let n = level.rows();
+        assert!(b.len() == n && c.len() == n && x.len() == n && inverses.len() == n);
         let (x, t) = (Shared::new(x), Shared::new(t));
-        self.sweep(true, |rows| {
+        partials.clear();
+        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
+        let shared = Shared::new(partials.as_mut_slice());
+        self.sweep(true, |number, rows| {
+            let mut sums = [Lanes::ZERO; 3];
             // SAFETY: one thread sweeps this block.
             let t = unsafe { t.rows(rows.clone()) };
             let bundles = rows.start / BUNDLE..rows.end / BUNDLE;
@@ -133,67 +159,37 @@ impl<'a> Grid<'a> {
                     let before = gather(level, w, x, begin, middle);
                     let after = gather(level, w, x, middle, end);
                     let rows = k * BUNDLE..(k + 1) * BUNDLE;
-                    let (b, inverses) = (&b[rows.clone()], &inverses[rows.clone()]);
+                    let (b, c, inverses) = (&b[rows.clone()], &c[rows.clone()], &inverses[rows.clone()]);
                     for (d, i) in rows.enumerate() {
                         let before = b[d] + before[d];
+                        let value = (before + after[d]) * inverses[d];
                         t[d] = before;
-                        x.set(i, (before + after[d]) * inverses[d]);
+                        x.set(i, value);
+                        sums[0] += value * b[d];
+                        sums[1] += value * (before - after[d]);
+                        sums[2] += if with_x { value } else { b[d] } * c[d];
                     }
                 }
             }
+            // SAFETY: each block has a number of its own.
+            unsafe { shared.set(number, sums) };
         });
+        sum_up(partials)
     }
 
-    /// After [`Grid::backward`]: t becomes v = A x. Returns (x, a), (x, v) and (x, c), or (a, a) without `c`.
-    ///
-    /// When row i was swept, D x_i = t_i + (neighbours after it, final by then); only the neighbours before it have
-    /// changed since, so (A x)_i = t_i − Σ_before w x_j.
-    pub(crate) fn apply(
-        &self,
-        x: &[Lanes],
-        t: &mut [Lanes],
-        a: &[Lanes],
-        c: Option<&[Lanes]>,
-        partials: &mut Vec<Dots>,
-    ) -> [Wide; 3] {
-        match &self.level.weights {
-            None => self.apply_with(x, t, a, c.unwrap_or(a), c.is_some(), partials, &Unit),
-            Some(w) => self.apply_with(x, t, a, c.unwrap_or(a), c.is_some(), partials, &Values(w)),
-        }
-    }
-
-    fn apply_with<W: Weight>(
-        &self,
-        x: &[Lanes],
-        t: &mut [Lanes],
-        a: &[Lanes],
-        c: &[Lanes],
-        with_x: bool,
-        partials: &mut Vec<Dots>,
-        w: &W,
-    ) -> [Wide; 3] {
-        let (level, mask) = (self.level, self.mask);
-        assert!(x.len() == level.rows() && a.len() == level.rows() && c.len() == level.rows());
-        let t = Shared::new(t);
-        self.dots(partials, |rows| {
-            // SAFETY: blocks are disjoint and each is visited once.
-            let t = unsafe { t.rows(rows.clone()) };
-            let mut sums = [Lanes::ZERO; 3];
-            for (t, k) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(rows.start / BUNDLE..) {
-                let (begin, middle, _) = level.bundle(k);
-                // SAFETY: neighbours are rows of the level, and nobody writes x now.
-                let before = unsafe { gather(level, w, Frozen(x), begin, middle) };
-                let rows = k * BUNDLE..(k + 1) * BUNDLE;
-                let (x, a, c) = (&x[rows.clone()], &a[rows.clone()], &c[rows]);
-                for d in 0..BUNDLE {
-                    t[d] = (t[d] - before[d]).when(mask.free(k * BUNDLE + d));
-                    sums[0] += x[d] * a[d];
-                    sums[1] += x[d] * t[d];
-                    sums[2] += if with_x { x[d] } else { a[d] } * c[d];
-                }
+    /// A x of the rows of bundle `k`, from x and the `t` that [`Grid::backward`] left.
+    #[inline(always)]
+    pub(crate) fn products(&self, x: &[Lanes], t: &[Lanes; BUNDLE], k: usize) -> [Lanes; BUNDLE] {
+        assert!(x.len() == self.level.rows());
+        let (begin, middle, _) = self.level.bundle(k);
+        // SAFETY: neighbours are rows of the level, and nobody writes x now.
+        let before = unsafe {
+            match &self.level.weights {
+                None => gather(self.level, &Unit, Frozen(x), begin, middle),
+                Some(w) => gather(self.level, &Values(w), Frozen(x), begin, middle),
             }
-            sums
-        })
+        };
+        std::array::from_fn(|d| (t[d] - before[d]).when(self.mask.free(k * BUNDLE + d)))
     }
 
     /// Adds up what `body` returns for each active block, always in the same order.
@@ -207,13 +203,7 @@ impl<'a> Grid<'a> {
         let shared = Shared::new(partials.as_mut_slice());
         // SAFETY: element k is written by the one thread that visits block k.
         self.each_block(|k, rows| unsafe { shared.set(k, body(rows)) });
-        let mut sums = [[0.0; WIDTH]; 3];
-        for partial in partials.iter() {
-            for (sum, p) in sums.iter_mut().zip(partial) {
-                add_wide(sum, p.wide());
-            }
-        }
-        sums
+        sum_up(partials)
     }
 
     /// Sums `r` over the members of each row of the next level.
@@ -250,6 +240,17 @@ impl<'a> Grid<'a> {
             }
         });
     }
+}
+
+/// Sums over all blocks, always in the same order.
+fn sum_up(partials: &[Dots]) -> [Wide; 3] {
+    let mut sums = [[0.0; WIDTH]; 3];
+    for partial in partials {
+        for (sum, p) in sums.iter_mut().zip(partial) {
+            add_wide(sum, p.wide());
+        }
+    }
+    sums
 }
 
 /// Weights of the entries of a level.

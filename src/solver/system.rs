@@ -73,6 +73,8 @@ pub struct System {
     pub(crate) masks: Vec<Mask>,
     /// Scaled stiffness in row order, or empty.
     pub(crate) stiffness: Vec<f64>,
+    /// Fixed vertices, in the caller's order, one bit each.
+    fixed: Vec<u64>,
     /// Free rows of the finest level that have a masked neighbour, one bit each.
     pub(crate) border: Vec<u64>,
     /// Rows of the last level that `inverse` covers.
@@ -108,6 +110,7 @@ impl System {
             free,
             masks: Vec::with_capacity(hierarchy.levels.len()),
             stiffness,
+            fixed: bits(constraints.fixed),
             border: Vec::new(),
             dense_rows: Vec::new(),
             inverse: Inverse::default(),
@@ -142,7 +145,7 @@ impl System {
     /// Bytes held, without the hierarchy's.
     pub fn bytes(&self) -> usize {
         let masks: usize = self.masks.iter().map(Mask::bytes).sum();
-        masks + 8 * (self.stiffness.len() + self.border.len()) + self.inverse.bytes() + self.floating.bytes()
+        masks + 8 * (self.stiffness.len() + self.fixed.len() + self.border.len()) + self.inverse.bytes() + self.floating.bytes()
     }
 
     /// True if the dense inverse covers the finest level itself.
@@ -157,6 +160,11 @@ impl System {
         } else {
             Err(Error::Invalid("the system was made for another hierarchy".into()))
         }
+    }
+
+    #[inline(always)]
+    pub(crate) fn is_fixed(&self, vertex: usize) -> bool {
+        self.fixed[vertex >> 6] >> (vertex & 63) & 1 == 1
     }
 
     #[inline(always)]
@@ -232,6 +240,12 @@ impl System {
         self.inverse = Inverse::new(matrix, n);
         self.dense_rows = rows;
     }
+}
+
+/// One bit per flag.
+fn bits(flags: &[bool]) -> Vec<u64> {
+    let word = |flags: &[bool]| flags.iter().enumerate().fold(0, |w, (k, &f)| w | u64::from(f) << k);
+    flags.chunks(64).map(word).collect()
 }
 
 fn check(hierarchy: &Hierarchy, constraints: &Constraints<'_>) -> Result<(), Error> {

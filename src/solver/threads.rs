@@ -23,6 +23,11 @@ impl Threads {
         }
     }
 
+    /// This thread alone.
+    pub(crate) fn one() -> Self {
+        Self { parallel: false }
+    }
+
     /// True if loops may use more than one thread.
     pub(crate) fn parallel(self) -> bool {
         self.parallel

@@ -26,14 +26,14 @@ pub(crate) struct Fine {
     pub(crate) r: Vec<Lanes>,
     /// Preconditioned residual.
     pub(crate) z: Vec<Lanes>,
-    /// A z, and scratch on the way there.
+    /// What A z is made from, and scratch on the way there.
     pub(crate) t: Vec<Lanes>,
-    /// Search direction.
-    pub(crate) p: Vec<Lanes>,
-    /// A p.
-    pub(crate) q: Vec<Lanes>,
     /// Correction to the solution.
     pub(crate) e: Vec<Lanes>,
+    /// Residual and correction before the last step. Their differences to the present ones are that step and A times
+    /// it: the search direction.
+    pub(crate) last_r: Vec<Lanes>,
+    pub(crate) last_e: Vec<Lanes>,
     pub(crate) partials: Vec<Dots>,
 }
 
@@ -43,9 +43,9 @@ impl Fine {
             &mut self.r,
             &mut self.z,
             &mut self.t,
-            &mut self.p,
-            &mut self.q,
             &mut self.e,
+            &mut self.last_r,
+            &mut self.last_e,
         ] {
             v.resize(rows, Lanes::ZERO);
         }
@@ -56,7 +56,7 @@ impl Workspace {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         let f = &self.fine;
-        let lanes: usize = [&f.r, &f.z, &f.t, &f.p, &f.q, &f.e].iter().map(|v| v.capacity()).sum();
+        let lanes: usize = [&f.r, &f.z, &f.t, &f.e, &f.last_r, &f.last_e].iter().map(|v| v.capacity()).sum();
         let wide = self.x.capacity() + self.wide.iter().map(Vec::capacity).sum::<usize>();
         let coarse: usize = self.coarse.iter().map(Coarse::bytes).sum();
         let patches: usize = self.patches.iter().map(Patches::bytes).sum();
