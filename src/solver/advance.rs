@@ -66,7 +66,7 @@ fn without_means(problem: &Problem<'_>, fine: &mut Fine, scale: Wide, norms: Wid
 /// With d the last step, the new one is α (z + β d), β making it conjugate to d. d and A d are kept as differences of
 /// corrections and residuals, which saves two vectors' traffic over the usual form.
 ///
-/// `direction` holds (d, A d), if there was a step. `fresh`: the correction begins here, at 0. Lanes that are not
+/// `direction` holds (d, A d), if there was a step. `fresh`: the correction begins here, at 0. `exact`: see there. Lanes that are not
 /// `open` do not move. `weights` are those of [`Advance::longest`].
 pub(crate) fn advance(
     cycle: &Cycle<'_>,
@@ -74,7 +74,7 @@ pub(crate) fn advance(
     fine: &mut Fine,
     coarse: &mut [Coarse],
     direction: &mut Option<Wide>,
-    fresh: bool,
+    (fresh, exact): (bool, bool),
     open: Wide,
     weights: Wide,
 ) -> Result<Advance, Cancelled> {
@@ -107,10 +107,10 @@ pub(crate) fn advance(
     let alpha = Lanes::from_wide(alpha);
     let weights = Lanes::from_wide(weights);
 
-    let (z, t) = (&*z, &*t);
+    let z = &*z;
     let (r_now, e_now) = (&*r, &*e);
     let (r_next, e_next) = (Shared::new(last_r), Shared::new(last_e));
-    let [rr, ee, _] = grid.dots(partials, |rows| {
+    let [mut rr, ee, _] = grid.dots(partials, |rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (r_next, e_next) = unsafe { (r_next.rows(rows.clone()), e_next.rows(rows.clone())) };
         let (mut rr, mut ee, mut longest) = (Lanes::ZERO, Lanes::ZERO, 0.0f32);
@@ -118,10 +118,9 @@ pub(crate) fn advance(
         let next = next.zip(e_next.as_chunks_mut::<BUNDLE>().0);
         let now = r_now[rows.clone()].as_chunks::<BUNDLE>().0.iter();
         let now = now.zip(e_now[rows.clone()].as_chunks::<BUNDLE>().0);
-        let made = z[rows.clone()].as_chunks::<BUNDLE>().0.iter();
-        let made = made.zip(t[rows.clone()].as_chunks::<BUNDLE>().0);
-        for (k, (((r_next, e_next), (r, e)), (zs, t))) in (rows.start / BUNDLE..).zip(next.zip(now).zip(made)) {
-            let v = grid.products(z, t, k);
+        let made = z[rows.clone()].as_chunks::<BUNDLE>().0;
+        for (k, (((r_next, e_next), (r, e)), zs)) in (rows.start / BUNDLE..).zip(next.zip(now).zip(made)) {
+            let v = grid.flows(z, k);
             for d in 0..BUNDLE {
                 let (step, residual) = if first {
                     (zs[d] * alpha, r[d] - v[d] * alpha)
@@ -142,6 +141,27 @@ pub(crate) fn advance(
     });
     std::mem::swap(r, last_r);
     std::mem::swap(e, last_e);
+    if first && exact {
+        // The first correction is the largest by far. From what single precision makes of it, not from the step that
+        // was meant, comes a residual that stays true for longer.
+        let e = &*e;
+        let (r, before) = (Shared::new(r), &*last_r);
+        let mut norms = Vec::new();
+        [rr, _, _] = grid.dots(&mut norms, |rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let r = unsafe { r.rows(rows.clone()) };
+            let before = before[rows.clone()].as_chunks::<BUNDLE>().0;
+            let mut rr = Lanes::ZERO;
+            for (k, (r, before)) in (rows.start / BUNDLE..).zip(r.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(before)) {
+                let v = grid.flows(e, k);
+                for d in 0..BUNDLE {
+                    r[d] = before[d] - v[d];
+                    rr += r[d] * r[d];
+                }
+            }
+            [rr, Lanes::ZERO, Lanes::ZERO]
+        });
+    }
     let longest = partials.iter().fold(0.0f32, |a, p| a.max(p[2].0[0]));
     Ok(Advance {
         rr,
@@ -160,6 +180,23 @@ fn inner_product(grid: &Grid<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<D
         [sum, Lanes::ZERO, Lanes::ZERO]
     });
     sum
+}
+
+/// x += e / scale on free rows, and the correction begins at 0 again; residual and direction stay as they are.
+pub(crate) fn fold(grid: &Grid<'_>, fine: &mut Fine, scale: Wide, x: &mut [Wide]) {
+    let inverse = per_lane(|c| 1.0 / scale[c]);
+    let (x, e, last_e) = (Shared::new(x), Shared::new(&mut fine.e), Shared::new(&mut fine.last_e));
+    grid.each_block(|_, rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let (x, e, last_e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone()), last_e.rows(rows)) };
+        for ((x, e), last_e) in x.iter_mut().zip(e).zip(last_e) {
+            *last_e -= *e;
+            let e = std::mem::replace(e, Lanes::ZERO).wide();
+            for c in 0..WIDTH {
+                x[c] += e[c] * inverse[c];
+            }
+        }
+    });
 }
 
 /// x += e / scale on free rows. Floating components keep their means. Then the correction is 0 again, and `last_e`

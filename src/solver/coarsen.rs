@@ -2,8 +2,8 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use super::lanes::{Lanes, Shared};
 use super::draft::{Blocks, Draft};
+use super::lanes::{Lanes, Shared};
 use super::level::NONE;
 use super::threads::{Threads, piece, pieces};
 
@@ -253,7 +253,9 @@ mod tests {
     }
 
     fn row(draft: &Draft, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
-        draft.entries(i).map(|e| (draft.neighbours[e] as usize, draft.weight(e)))
+        draft
+            .entries(i)
+            .map(|e| (draft.neighbours[e] as usize, draft.weight(e)))
     }
 
     #[test]
@@ -318,7 +320,7 @@ mod tests {
         let (groups, count) = pair(&level);
         assert_eq!(count, 3);
         for i in (0..level.rows()).filter(|&i| level.connected(i)) {
-            let heavy = row(level, i).find(|(_, w)| *w == 9.0).unwrap().0;
+            let heavy = row(&level, i).find(|(_, w)| *w == 9.0).unwrap().0;
             assert_eq!(groups[i], groups[heavy]);
         }
     }

@@ -65,8 +65,8 @@ impl<'a> Cycle<'a> {
     }
 
     /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle. Returns
-    /// (z, b), (z, A z) and (z, c), or (b, b) without `c`; `t` is left as [`Grid::products`] wants it. `below` holds
-    /// the vectors of the coarser levels.
+    /// (z, b), (z, A z) and (z, c), or (b, b) without `c`. `t` is scratch, on coarse levels left as [`Grid::products`]
+    /// wants it. `below` holds the vectors of the coarser levels.
     pub(crate) fn run(
         &self,
         l: usize,
@@ -86,7 +86,7 @@ impl<'a> Cycle<'a> {
         self.solve(l + 1, below)?;
         check(self.progress)?;
         grid.prolong(&below[0].z, z);
-        Ok(grid.backward(b, z, t, c, partials))
+        Ok(grid.backward(b, z, (l > 0).then_some(t), c, partials))
     }
 
     /// Solves level `l` roughly: `levels[0].z` ≈ A⁻¹ `levels[0].b`; b is used up.
@@ -175,7 +175,11 @@ fn step(
         // SAFETY: blocks are disjoint and each is visited once.
         let (b, v) = unsafe { (b.rows(rows.clone()), v.rows(rows.clone())) };
         let mut sum = Lanes::ZERO;
-        let bundles = b.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(v.as_chunks_mut::<BUNDLE>().0);
+        let bundles = b
+            .as_chunks_mut::<BUNDLE>()
+            .0
+            .iter_mut()
+            .zip(v.as_chunks_mut::<BUNDLE>().0);
         for ((b, v), k) in bundles.zip(rows.start / BUNDLE..) {
             *v = grid.products(z, v, k);
             for d in 0..BUNDLE {
@@ -234,14 +238,33 @@ mod tests {
         clear_inactive(&cycle.grid(0), &mut t);
         let mut partials = Vec::new();
         let c = Some(b.as_slice());
-        let dots = cycle.run(0, &b, &mut z, &mut t, c, &mut partials, &mut workspace.coarse).unwrap();
+        let dots = cycle
+            .run(0, &b, &mut z, &mut t, c, &mut partials, &mut workspace.coarse)
+            .unwrap();
 
-        // What is made of t is A z, and the inner products are those of z.
+        // Both ways to A z give it, and the inner products are those of z.
         let level = &hierarchy.levels[0];
         for (k, t) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().enumerate() {
-            *t = cycle.grid(0).products(&z, t, k);
+            *t = cycle.grid(0).flows(&z, k);
         }
-        let dot = |a: &[Lanes]| a.iter().zip(&z).map(|(a, z)| f64::from(a.0[1]) * f64::from(z.0[1])).sum::<f64>();
+        let mut again = z.clone();
+        let mut left = vec![Lanes::ZERO; z.len()];
+        cycle
+            .grid(0)
+            .backward(&b, &mut again, Some(&mut left), None, &mut partials);
+        let size = again.iter().fold(1.0, |a: f32, z| a.max(z.0[1].abs()));
+        for (k, left) in left.as_chunks::<BUNDLE>().0.iter().enumerate() {
+            let (made, want) = (cycle.grid(0).products(&again, left, k), cycle.grid(0).flows(&again, k));
+            for d in 0..BUNDLE {
+                assert!((made[d].0[1] - want[d].0[1]).abs() < 1e-4 * size, "bundle {k}");
+            }
+        }
+        let dot = |a: &[Lanes]| {
+            a.iter()
+                .zip(&z)
+                .map(|(a, z)| f64::from(a.0[1]) * f64::from(z.0[1]))
+                .sum::<f64>()
+        };
         for (seen, want) in dots.iter().zip([dot(&b), dot(&t), dot(&b)]) {
             assert!((seen[1] - want).abs() < 1e-4 * want.abs(), "{} against {want}", seen[1]);
         }
@@ -249,7 +272,11 @@ mod tests {
             let flow = |(j, w): (usize, f32)| w * (z[i].0[1] - z[j].0[1]);
             let want: f32 = level.row(i).map(flow).sum();
             let want = if mask.free(i) { want } else { 0.0 };
-            assert!((t[i].0[1] - want).abs() < 1e-4, "row {i}: {} against {want}", t[i].0[1]);
+            assert!(
+                (t[i].0[1] - want).abs() < 1e-4 * size,
+                "row {i}: {} against {want}",
+                t[i].0[1]
+            );
         }
         z
     }

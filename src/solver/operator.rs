@@ -5,9 +5,9 @@
 //! would carry S g·D with D = c_I − c_J. Their ratio φ = v·D / (S |D|²) makes the coarse edge carry the right flow, so
 //! coarse corrections have the right length and need no over-correction factor.
 
-use super::lanes::Lanes;
 use super::coarsen::Groups;
 use super::draft::Draft;
+use super::lanes::Lanes;
 use super::level::NONE;
 use super::threads::{Threads, piece, pieces};
 

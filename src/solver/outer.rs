@@ -4,7 +4,7 @@
 //! precision. Once rounding shows in the residual, the correction is added to the solution and the next stretch
 //! begins from the true residual, in the same search direction: single precision never limits the result.
 
-use super::advance::{Advance, add_correction, advance, first_residual, reference, residual, resume};
+use super::advance::{Advance, add_correction, advance, first_residual, fold, reference, residual, resume};
 use super::cycle::{Cycle, clear_inactive, per_lane, prepare, ratio};
 use super::hierarchy::power_of_two_below;
 use super::lanes::{Lanes, WIDTH, Wide};
@@ -17,12 +17,16 @@ use crate::progress::Cancelled;
 /// A stretch ends once the residual fell by this factor: single precision has few digits left.
 const STRETCH: f64 = 1e-5;
 /// Rounding of one product, relative to the largest diagonal times the norm of the correction.
-const ROUNDING: f64 = 2e-7;
+const ROUNDING: f64 = 6e-8;
 /// A stretch ends once rounding is this part of the residual. Rounding is smooth as much as rough, while the residual
 /// of a good iterate has lost its smooth part: rounding spoils the solution long before it shows in norms.
 const SPOILT: f64 = 0.03;
+/// Tolerances below this one are worth an exact first step.
+const DEEP: f64 = 1e-4;
+/// The same where only the residual matters.
+const LOST: f64 = 0.3;
 /// A recurred residual is taken for the true one while rounding stays below this part of the tolerance.
-const TRUSTED: f64 = 0.01;
+const TRUSTED: f64 = 0.2;
 /// Below this relative residual nothing can be gained in double precision.
 const FLOOR: f64 = 1e-14;
 /// Iterations that must at least halve the residual.
@@ -272,6 +276,10 @@ impl Outer<'_, '_> {
             open = per_lane(|c| f64::from(u8::from(c < width && start[c] > FLOOR)));
         }
         let mut fresh = true;
+        // Small residuals are reached sooner if the first step leaves no rounding behind.
+        let deep = state.outcome.iterations == 0
+            && problem.system.floating.is_empty()
+            && criteria.tolerance.is_some_and(|t| t < DEEP);
         let verdict = loop {
             let weights = per_lane(|c| if open[c] > 0.0 { unit[c] / largest_unit } else { 0.0 });
             let Workspace { fine, coarse, .. } = &mut *self.workspace;
@@ -288,13 +296,12 @@ impl Outer<'_, '_> {
                         fine,
                         coarse,
                         &mut state.direction,
-                        fresh,
+                        (fresh, deep),
                         open,
                         weights,
                     )
                 })
                 .map_err(|Cancelled| Error::Cancelled)?;
-            fresh = false;
             state.outcome.iterations += 1;
             if rr.iter().any(|v| !v.is_finite()) || !longest.is_finite() {
                 return Ok(Stretch::Ruined);
@@ -319,7 +326,7 @@ impl Outer<'_, '_> {
             state.outcome.relative = now;
             state.outcome.max_error = libm::hypot(state.resting_error, moving);
 
-            let claimed = per_lane(|c| now[c] * (1.0 + 2.0 * TRUSTED));
+            let claimed = per_lane(|c| now[c] + 2.0 * noise[c]);
             let holds = criteria.hold(&claimed[..width], state.outcome.max_error);
             let iteration = Iteration {
                 index: state.outcome.iterations,
@@ -352,8 +359,14 @@ impl Outer<'_, '_> {
                 state.resting_error = state.outcome.max_error;
                 open = per_lane(|c| if rests(c) { 0.0 } else { open[c] });
             }
+            if deep && fresh {
+                let Workspace { x, fine, .. } = &mut *self.workspace;
+                threads.enter(pool, || fold(&grid, fine, scale, x));
+            }
+            fresh = false;
             let spent = (0..width).any(|c| open[c] > 0.0 && now[c] <= (STRETCH * start[c]).max(FLOOR));
-            if !state.sound || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
+            let spoilt = share > if criteria.max_error.is_some() { SPOILT } else { LOST };
+            if spoilt || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
                 break Stretch::Ended;
             }
             let recent = state.history.len().saturating_sub(PATIENCE);

@@ -8,6 +8,9 @@ use super::level::{BUNDLE, NONE};
 use super::threads::{Threads, piece, pieces};
 use super::{Error, Hierarchy, System};
 
+/// Bundles whose right-hand sides are fetched together.
+const FETCH: usize = 16;
+
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
 
@@ -111,11 +114,17 @@ impl<'a> Problem<'a> {
     #[inline(always)]
     pub(crate) fn rhs(&self, row: usize) -> Wide {
         let at = self.hierarchy.order[row] as usize * self.columns + self.first;
-        let mut v = [0.0; WIDTH];
-        for c in 0..self.width {
-            v[c] = self.rhs[at + c] * self.rhs_factor[c];
+        let f = &self.rhs_factor;
+        match &self.rhs[at..at + self.width] {
+            [a, b, c] => [a * f[0], b * f[1], c * f[2], 0.0],
+            some => {
+                let mut v = [0.0; WIDTH];
+                for (v, (a, f)) in v.iter_mut().zip(some.iter().zip(f)) {
+                    *v = a * f;
+                }
+                v
+            }
         }
-        v
     }
 
     /// Copies `x` into row order; free rows become 0 unless `given`.
@@ -178,14 +187,25 @@ impl<'a> Problem<'a> {
             // SAFETY: blocks are disjoint and each is visited once.
             let out = unsafe { out.rows(rows.clone()) };
             let mut norms = [0.0; WIDTH];
-            for (out, k) in out.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(rows.start / BUNDLE..) {
+            // The caller's rows lie far apart. Fetched by themselves, many are under way at a time.
+            let mut fetched = [[0.0; WIDTH]; FETCH * BUNDLE];
+            for (n, (out, k)) in out
+                .as_chunks_mut::<BUNDLE>()
+                .0
+                .iter_mut()
+                .zip(rows.start / BUNDLE..)
+                .enumerate()
+            {
+                if with_rhs && n % FETCH == 0 {
+                    for (b, i) in fetched.iter_mut().zip(k * BUNDLE..rows.end) {
+                        *b = if mask.free(i) { self.rhs(i) } else { [0.0; WIDTH] };
+                    }
+                }
                 let flows = self.flows(x, k);
                 for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
                     let mut r = [0.0; WIDTH];
                     if mask.free(i) {
-                        if with_rhs {
-                            r = self.rhs(i);
-                        }
+                        r = fetched[(n % FETCH) * BUNDLE + d];
                         let s = stiffness.get(i).copied().unwrap_or(0.0);
                         for c in 0..WIDTH {
                             r[c] -= flows[d][c] + s * x[i][c];

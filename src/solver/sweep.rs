@@ -112,7 +112,8 @@ impl<'a> Grid<'a> {
 
     /// A full backward sweep on x. Returns (x, b), (x, A x) and (x, c), or (b, b) without `c`.
     ///
-    /// `t` receives what each row saw of b and of the neighbours before it, from which [`Grid::products`] makes A x.
+    /// `t`, if given, receives what each row saw of b and of the neighbours before it, from which [`Grid::products`]
+    /// makes A x.
     /// With it, D x_i = t_i + (neighbours after i, final when i is swept), and (A x)_i = t_i − Σ_before w x_j. Every edge
     /// leads once to an earlier and once to a later row, so (x, A x) is also the sum of x_i (t_i − Σ_after w x_j): all
     /// inner products come with the sweep.
@@ -120,17 +121,19 @@ impl<'a> Grid<'a> {
         &self,
         b: &[Lanes],
         x: &mut [Lanes],
-        t: &mut [Lanes],
+        t: Option<&mut [Lanes]>,
         c: Option<&[Lanes]>,
         partials: &mut Vec<Dots>,
     ) -> [Wide; 3] {
-        match &self.level.weights {
-            None => self.backward_with(b, x, t, c, partials, &Unit),
-            Some(w) => self.backward_with(b, x, t, c, partials, &Values(w)),
+        match (&self.level.weights, t) {
+            (None, None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &Unit),
+            (None, Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &Unit),
+            (Some(w), None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &Values(w)),
+            (Some(w), Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &Values(w)),
         }
     }
 
-    fn backward_with<W: Weight>(
+    fn backward_with<W: Weight, const KEEP: bool>(
         &self,
         b: &[Lanes],
         x: &mut [Lanes],
@@ -149,10 +152,10 @@ impl<'a> Grid<'a> {
         let shared = Shared::new(partials.as_mut_slice());
         self.sweep(true, |number, rows| {
             let mut sums = [Lanes::ZERO; 3];
+            let first = rows.start;
             // SAFETY: one thread sweeps this block.
-            let t = unsafe { t.rows(rows.clone()) };
-            let bundles = rows.start / BUNDLE..rows.end / BUNDLE;
-            for (t, k) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(bundles).rev() {
+            let t = unsafe { t.rows(if KEEP { rows.clone() } else { 0..0 }) };
+            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
                 let (begin, middle, end) = level.bundle(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
@@ -163,7 +166,9 @@ impl<'a> Grid<'a> {
                     for (d, i) in rows.enumerate() {
                         let before = b[d] + before[d];
                         let value = (before + after[d]) * inverses[d];
-                        t[d] = before;
+                        if KEEP {
+                            t[i - first] = before;
+                        }
                         x.set(i, value);
                         sums[0] += value * b[d];
                         sums[1] += value * (before - after[d]);
@@ -175,6 +180,43 @@ impl<'a> Grid<'a> {
             unsafe { shared.set(number, sums) };
         });
         sum_up(partials)
+    }
+
+    /// A x of the rows of bundle `k`, from differences x_i − x_j: rounding stays relative to these, not to x.
+    #[inline(always)]
+    pub(crate) fn flows(&self, x: &[Lanes], k: usize) -> [Lanes; BUNDLE] {
+        let level = self.level;
+        assert!(x.len() == level.rows());
+        let (begin, _, end) = level.bundle(k);
+        let neighbours = level.neighbours[begin..end].as_chunks::<BUNDLE>().0;
+        let here: &[Lanes] = &x[k * BUNDLE..(k + 1) * BUNDLE];
+        let here: [Lanes; BUNDLE] = std::array::from_fn(|d| here[d]);
+        let mut sums = [Lanes::ZERO; BUNDLE];
+        match &level.weights {
+            None => {
+                let filling = level.filling();
+                for j in neighbours {
+                    for d in 0..BUNDLE {
+                        // Filling has weight 0: to itself, a row has no difference.
+                        let j = if j[d] == filling { k * BUNDLE + d } else { j[d] as usize };
+                        // SAFETY: neighbours are rows of the level, and nobody writes x now.
+                        sums[d] += here[d] - unsafe { Frozen(x).at(j) };
+                    }
+                }
+            }
+            Some(w) => {
+                for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<BUNDLE>().0) {
+                    for d in 0..BUNDLE {
+                        // SAFETY: as above.
+                        sums[d] += (here[d] - unsafe { Frozen(x).at(j[d] as usize) }) * w[d];
+                    }
+                }
+            }
+        }
+        std::array::from_fn(|d| {
+            let i = k * BUNDLE + d;
+            (sums[d] + here[d] * self.mask.alpha(i)).when(self.mask.free(i))
+        })
     }
 
     /// A x of the rows of bundle `k`, from x and the `t` that [`Grid::backward`] left.

@@ -145,7 +145,10 @@ impl System {
     /// Bytes held, without the hierarchy's.
     pub fn bytes(&self) -> usize {
         let masks: usize = self.masks.iter().map(Mask::bytes).sum();
-        masks + 8 * (self.stiffness.len() + self.fixed.len() + self.border.len()) + self.inverse.bytes() + self.floating.bytes()
+        masks
+            + 8 * (self.stiffness.len() + self.fixed.len() + self.border.len())
+            + self.inverse.bytes()
+            + self.floating.bytes()
     }
 
     /// True if the dense inverse covers the finest level itself.

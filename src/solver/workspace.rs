@@ -56,7 +56,10 @@ impl Workspace {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         let f = &self.fine;
-        let lanes: usize = [&f.r, &f.z, &f.t, &f.e, &f.last_r, &f.last_e].iter().map(|v| v.capacity()).sum();
+        let lanes: usize = [&f.r, &f.z, &f.t, &f.e, &f.last_r, &f.last_e]
+            .iter()
+            .map(|v| v.capacity())
+            .sum();
         let wide = self.x.capacity() + self.wide.iter().map(Vec::capacity).sum::<usize>();
         let coarse: usize = self.coarse.iter().map(Coarse::bytes).sum();
         let patches: usize = self.patches.iter().map(Patches::bytes).sum();
