@@ -141,7 +141,7 @@ pub(crate) fn advance(
     });
     std::mem::swap(r, last_r);
     std::mem::swap(e, last_e);
-    if first && exact {
+    if fresh && exact {
         // The first correction is the largest by far. From what single precision makes of it, not from the step that
         // was meant, comes a residual that stays true for longer.
         let e = &*e;

@@ -16,8 +16,10 @@ use crate::progress::Cancelled;
 
 /// A stretch ends once the residual fell by this factor: single precision has few digits left.
 const STRETCH: f64 = 1e-5;
-/// Rounding of one product, relative to the largest diagonal times the norm of the correction.
-const ROUNDING: f64 = 6e-8;
+/// Rounding of one step, relative to the largest diagonal times the norm of the correction.
+const ROUNDING: f64 = 2e-7;
+/// The same after an exact first step.
+const ROUNDING_DEEP: f64 = 6e-8;
 /// A stretch ends once rounding is this part of the residual. Rounding is smooth as much as rough, while the residual
 /// of a good iterate has lost its smooth part: rounding spoils the solution long before it shows in norms.
 const SPOILT: f64 = 0.03;
@@ -26,7 +28,9 @@ const DEEP: f64 = 1e-4;
 /// The same where only the residual matters.
 const LOST: f64 = 0.3;
 /// A recurred residual is taken for the true one while rounding stays below this part of the tolerance.
-const TRUSTED: f64 = 0.2;
+const TRUSTED: f64 = 0.1;
+/// After more steps than this a recurred residual is not trusted, whatever rounding should have done to it.
+const LONG: f64 = 12.0;
 /// Below this relative residual nothing can be gained in double precision.
 const FLOOR: f64 = 1e-14;
 /// Iterations that must at least halve the residual.
@@ -155,6 +159,8 @@ impl Outer<'_, '_> {
         fine.resize(n);
         clear_inactive(&grid, &mut fine.z);
         clear_inactive(&grid, &mut fine.t);
+        clear_inactive(&grid, &mut fine.e);
+        clear_inactive(&grid, &mut fine.last_e);
         prepare(&self.cycle, coarse);
 
         let mut state = State {
@@ -275,11 +281,9 @@ impl Outer<'_, '_> {
         if open == [0.0; WIDTH] {
             open = per_lane(|c| f64::from(u8::from(c < width && start[c] > FLOOR)));
         }
-        let mut fresh = true;
+        let (mut fresh, mut steps) = (true, 0.0);
         // Small residuals are reached sooner if the first step leaves no rounding behind.
-        let deep = state.outcome.iterations == 0
-            && problem.system.floating.is_empty()
-            && criteria.tolerance.is_some_and(|t| t < DEEP);
+        let deep = problem.system.floating.is_empty() && criteria.tolerance.is_some_and(|t| t < DEEP);
         let verdict = loop {
             let weights = per_lane(|c| if open[c] > 0.0 { unit[c] / largest_unit } else { 0.0 });
             let Workspace { fine, coarse, .. } = &mut *self.workspace;
@@ -319,7 +323,10 @@ impl Outer<'_, '_> {
                 .history
                 .push(lanes().map(|c| now[c] / before[c]).fold(0.0, f64::max));
             // What rounding may have added to the true residual without the recurrence noticing.
-            let noise = per_lane(|c| ratio(self.rounding() * ee[c].sqrt(), norm_unit[c]));
+            steps += 1.0;
+            let rounding = if deep { ROUNDING_DEEP } else { ROUNDING };
+            let rounding = rounding * f64::sqrt(steps) * problem.hierarchy.largest_diagonal;
+            let noise = per_lane(|c| ratio(rounding * ee[c].sqrt(), norm_unit[c]));
             let share = lanes().map(|c| ratio(noise[c], now[c])).fold(0.0, f64::max);
             state.sound = share <= SPOILT;
             let moving = estimate(&state.history, longest * largest_unit, share);
@@ -346,7 +353,8 @@ impl Outer<'_, '_> {
                 break Stretch::Accepted;
             }
             if holds {
-                let trusted = (0..width).all(|c| criteria.tolerance.is_none_or(|t| noise[c] <= TRUSTED * t));
+                let quiet = |c: usize| criteria.tolerance.is_none_or(|t| noise[c] <= TRUSTED * t);
+                let trusted = steps <= LONG && (0..width).all(quiet);
                 state.outcome.converged = trusted && (state.sound || criteria.max_error.is_none());
                 break if state.outcome.converged {
                     Stretch::Accepted
@@ -365,7 +373,7 @@ impl Outer<'_, '_> {
             }
             fresh = false;
             let spent = (0..width).any(|c| open[c] > 0.0 && now[c] <= (STRETCH * start[c]).max(FLOOR));
-            let spoilt = share > if criteria.max_error.is_some() { SPOILT } else { LOST };
+            let spoilt = share > if deep && criteria.max_error.is_none() { LOST } else { SPOILT };
             if spoilt || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
                 break Stretch::Ended;
             }
@@ -380,10 +388,6 @@ impl Outer<'_, '_> {
         Ok(verdict)
     }
 
-    /// Bound on the rounding of one product per unit of the correction.
-    fn rounding(&self) -> f64 {
-        ROUNDING * self.problem.hierarchy.largest_diagonal
-    }
 }
 
 impl Criteria {
