@@ -149,7 +149,13 @@ fn error_estimates_are_close_to_the_truth() {
             let mut watch = |iteration: &Iteration<'_>| {
                 iteration.copy_to(&mut now);
                 if iteration.index >= 2 {
-                    ratios.push(iteration.max_error / largest_distance(3, &now, &exact));
+                    // Towards the digits of single precision only caution is asked for.
+                    let most = if number == 3 || iteration.residual < 1e-6 {
+                        8.0
+                    } else {
+                        3.0
+                    };
+                    ratios.push((iteration.max_error / largest_distance(3, &now, &exact), most));
                 }
                 Control::Continue
             };
@@ -174,7 +180,7 @@ fn error_estimates_are_close_to_the_truth() {
                 .unwrap();
             assert!(ratios.len() >= 3);
             assert!(
-                ratios.iter().all(|r| (0.5..=8.0).contains(r)),
+                ratios.iter().all(|(r, most)| (0.5..=*most).contains(r)),
                 "case {number}: {ratios:?}"
             );
         }
