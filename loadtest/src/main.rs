@@ -1,10 +1,12 @@
-//! Loads a pliant server on loopback and prints what it did.
+//! Loads a pliant server on loopback, and measures the solver and the pipeline.
 //!
 //! `loadtest stream` drags a handle of a model at a steady rate over gRPC, from one client or several, and keeps the
 //! books: every pose that was sent must come back as a final frame, as an error, or in the `superseded` of a frame.
+//! `export-system`, `solver` and `pipeline` are the bench: see [`bench`].
 //!
-//! Exit codes: 0 the books balance, 1 they do not or the server failed, 2 usage.
+//! Exit codes: 0 the books balance, 1 they do not or the server or solver failed, 2 usage.
 
+mod bench;
 mod books;
 mod client;
 mod report;
@@ -16,7 +18,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// Loads a pliant server on loopback and prints what it did.
+/// Loads a pliant server on loopback, and measures the solver and the pipeline.
 #[derive(Debug, Parser)]
 #[command(name = "loadtest", version)]
 struct Cli {
@@ -28,6 +30,12 @@ struct Cli {
 enum Command {
     /// Drag a handle at a steady rate and measure what comes back
     Stream(StreamArgs),
+    /// Write the second-pass system of a pose as files that any solver can read
+    ExportSystem(bench::export::ExportArgs),
+    /// Solve an exported system and say what it took
+    Solver(bench::solver::SolverArgs),
+    /// Time every stage from a model's file to the first frame
+    Pipeline(bench::pipeline::PipelineArgs),
 }
 
 /// Arguments of `loadtest stream`.
@@ -77,7 +85,7 @@ impl StreamArgs {
 enum Failure {
     /// What was asked for makes no sense: exit code 2.
     Usage(String),
-    /// The server failed, or its books do not balance: exit code 1.
+    /// The server or the solver failed, or the books do not balance: exit code 1.
     Server(String),
 }
 
@@ -88,15 +96,17 @@ impl From<tonic::Status> for Failure {
 }
 
 fn main() -> ExitCode {
-    let Command::Stream(args) = Cli::parse().command;
-    let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
-        Ok(runtime) => runtime,
-        Err(e) => {
-            eprintln!("loadtest: cannot start threads: {e}");
-            return ExitCode::from(1);
-        }
+    let outcome = match &Cli::parse().command {
+        Command::Stream(args) => tokio::runtime::Builder::new_multi_thread()
+            .enable_all()
+            .build()
+            .map_err(|e| Failure::Server(format!("cannot start threads: {e}")))
+            .and_then(|runtime| runtime.block_on(stream(args))),
+        Command::ExportSystem(args) => bench::export::run(args),
+        Command::Solver(args) => bench::solver::run(args),
+        Command::Pipeline(args) => bench::pipeline::run(args),
     };
-    match runtime.block_on(stream(&args)) {
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure::Server(text)) => {
             eprintln!("loadtest: {text}");
@@ -133,8 +143,10 @@ mod tests {
 
     fn args(line: &str) -> StreamArgs {
         let words = ["loadtest", "stream"].into_iter().chain(line.split_whitespace());
-        let Command::Stream(args) = Cli::parse_from(words).command;
-        args
+        match Cli::parse_from(words).command {
+            Command::Stream(args) => args,
+            other => panic!("{other:?}"),
+        }
     }
 
     async fn load(line: &str, scene: &scene::Scene) -> books::Books {

@@ -14,6 +14,9 @@ const TURN: f64 = 0.5;
 /// Poses of one swing there and back.
 const SWING: f64 = 120.0;
 
+/// The pose at which the moving end is farthest from rest.
+pub(crate) const FARTHEST: u64 = SWING as u64 / 4;
+
 /// A model with two handles. Cheap to clone.
 #[derive(Debug, Clone)]
 pub(crate) struct Scene {

@@ -119,6 +119,16 @@ impl Body {
         self.rest.len()
     }
 
+    /// Rest positions of all nodes in the coordinates that solving uses.
+    pub fn rest(&self) -> &[[f64; 3]] {
+        &self.rest
+    }
+
+    /// Model units of one unit of the coordinates that solving uses.
+    pub fn unit(&self) -> f64 {
+        self.unit
+    }
+
     /// Bytes held on the heap.
     pub fn bytes(&self) -> usize {
         self.graph.bytes() + self.hierarchy.bytes() + (self.rest.capacity() + self.laplacian.capacity()) * 24

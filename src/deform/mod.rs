@@ -8,6 +8,7 @@
 //! [`Solution`] (positions for the handles' transforms). This module knows no model, no request and no clock.
 
 mod body;
+mod equations;
 mod error;
 mod fields;
 mod first_pass;
@@ -20,6 +21,7 @@ mod second_pass;
 mod transform;
 
 pub use body::{Body, BodyOptions, Operators, VolumeMode, Weights};
+pub use equations::Equations;
 pub use error::Error;
 pub use fields::Fields;
 pub use first_pass::{Frame, frames};

@@ -148,7 +148,8 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// Solves the first-pass fields and prepares the second pass (paper sections 2.1 and 4). Reports the stage "fields".
+    /// Solves the first-pass fields and prepares the second pass (paper sections 2.1 and 4). Reports the stages
+    /// "fields" and "constrain".
     ///
     /// # Errors
     /// [`Error::NoPosition`], [`Error::FreePart`], [`Error::Solver`], [`Error::Cancelled`].
@@ -172,6 +173,7 @@ impl Rig {
         };
         let field_iterations = rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);
 
+        progress.report("constrain", 0.0);
         let fixed: Vec<bool> = (0..nodes)
             .map(|i| position.hard[i] != NOBODY || !covered[body.graph.component[i] as usize])
             .collect();
@@ -204,6 +206,11 @@ impl Rig {
         })
     }
 
+    /// What it was built from.
+    pub fn rigging(&self) -> &Rigging {
+        &self.rigging
+    }
+
     /// Number of handles.
     pub fn holds(&self) -> usize {
         self.rigging.holds.len()
@@ -217,6 +224,11 @@ impl Rig {
     /// By node: whether its position is given (held hard, frozen, or in a part that is placed by policy).
     pub fn given(&self) -> &[bool] {
         &self.positions.fixed
+    }
+
+    /// By node: extra diagonal of soft handles, in units of edge weights; `None` without soft handles.
+    pub fn stiffness(&self) -> Option<Vec<f64>> {
+        self.position.stiffness()
     }
 
     /// By hold: how many of the body's surface nodes it constrains in place, after overlaps are settled.

@@ -1,16 +1,13 @@
 //! The second pass: positions that agree best with the local frames (paper section 2.2, equations 8 and 11).
-//!
-//! With d_ij = ½ (M_i + M_j)(p_i − p_j), where M = R S is a node's frame, the right-hand side needs no d:
-//! b_i = ½ M_i Σ w (p_i − p_j) + ½ Σ w M_j (p_i − p_j), and the first sum does not change with the pose. Constrained
-//! neighbours enter through α and β inside the solver; soft handles add their stiffness.
 
-use super::first_pass::{Frame, IDENTITY_FRAME, frames};
+use super::equations::Posed;
+use super::first_pass::Frame;
 use super::rig::{Constrained, NOBODY, Rig};
 use super::{Body, Error, Transform, rigid_fit};
 use crate::pool::Pool;
 use crate::progress::Progress;
 use crate::solver::{self, Control, SolveOptions, Workspace};
-use glam::{DMat3, DVec3, Mat3};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// What a solve keeps for the next one: the last solution and scratch memory.
@@ -105,28 +102,17 @@ impl Rig {
                 method: solver::Method::Trivial,
             });
         }
-        let frames = frames(body, self, request.transforms, pool);
-        let targets = self.targets(body, request.transforms);
-        // Solving around the mean of what is held makes the residual independent of where in space the model is.
-        let center = mean_of(&targets, &self.positions.fixed);
+        let posed = self.posed(body, request.transforms, pool);
+        let center = posed.center;
         let warm = request.start == Start::Warm && state.x.len() == body.nodes() * 3;
-        prepare(
-            body,
-            self,
-            &frames,
-            &targets,
-            request.transforms,
-            center,
-            warm,
-            state,
-            pool,
-        );
+        prepare(body, self, &posed, warm, state, pool);
+        self.assemble(body, &posed, request.transforms, &mut state.rhs, pool);
 
         let unit_per_diagonal = body.unit / body.diagonal;
         let start = match warm {
             true => solver::Start::Given,
             false => solver::Start::FullMultigrid {
-                frames: Some(&frames),
+                frames: Some(&posed.frames),
                 rest: Some(&body.rest),
             },
         };
@@ -206,7 +192,7 @@ impl Rig {
             .for_each(|row| row.iter_mut().zip(center.to_array()).for_each(|(v, c)| *v += c));
         Ok(Solution {
             positions,
-            frames,
+            frames: posed.frames,
             iterations: stats.iterations,
             residual: stats.residual,
             max_error: stats.max_error * unit_per_diagonal,
@@ -228,18 +214,6 @@ impl Rig {
             nodes.for_each(|n| moved[body.graph.component[n as usize] as usize] = true);
         }
         moved
-    }
-
-    /// Solving coordinates of all given nodes; rest elsewhere.
-    fn targets(&self, body: &Body, transforms: &[Transform]) -> Vec<DVec3> {
-        let mut targets: Vec<DVec3> = body.rest.iter().map(|p| DVec3::from_array(*p)).collect();
-        let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
-        for (node, &k) in self.position.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {
-            if let Some(map) = maps.get(k as usize).filter(|_| !transforms[k as usize].is_identity()) {
-                targets[node] = body.solving_from_model(map(body.graph.positions[node]));
-            }
-        }
-        targets
     }
 
     /// Model-space positions of all nodes from solving coordinates around `center`: parts that nothing moved and nodes
@@ -296,84 +270,22 @@ impl Rig {
     }
 }
 
-/// Fills `state.x` (given values, and the start of a warm solve) and `state.rhs`, both around `center`.
-fn prepare(
-    body: &Body,
-    rig: &Rig,
-    frames: &[Frame],
-    targets: &[DVec3],
-    transforms: &[Transform],
-    center: DVec3,
-    warm: bool,
-    state: &mut State,
-    pool: &Pool,
-) {
+/// Sizes `state` and fills `state.x`, around the pose's centre: given values, and the start of a warm solve.
+fn prepare(body: &Body, rig: &Rig, posed: &Posed, warm: bool, state: &mut State, pool: &Pool) {
     let nodes = body.nodes();
     state.x.resize(nodes * 3, 0.0);
     state.rhs.resize(nodes * 3, 0.0);
-    let State { x, rhs, .. } = state;
+    let x = &mut state.x;
     pool.install(|| {
         x.par_chunks_exact_mut(3)
             .with_min_len(4096)
             .enumerate()
             .for_each(|(i, x)| {
                 let value = match rig.positions.fixed[i] || !warm {
-                    true => targets[i],
+                    true => posed.targets[i],
                     false => DVec3::from_slice(x),
                 };
-                x.copy_from_slice(&(value - center).to_array());
-            });
-        rhs.par_chunks_exact_mut(3)
-            .with_min_len(1024)
-            .enumerate()
-            .for_each(|(i, rhs)| {
-                if !rig.positions.fixed[i] {
-                    rhs.copy_from_slice(&right_hand_side(body, frames, i).to_array());
-                }
+                x.copy_from_slice(&(value - posed.center).to_array());
             });
     });
-    if rig.position.soft.is_empty() {
-        return;
-    }
-    let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
-    for &(node, k, stiffness) in &rig.position.soft {
-        let node = node as usize;
-        let target = maps
-            .get(k as usize)
-            .map_or(body.graph.positions[node], |map| map(body.graph.positions[node]));
-        let pull = (body.solving_from_model(target) - center) * stiffness;
-        rhs[node * 3..node * 3 + 3]
-            .iter_mut()
-            .zip(pull.to_array())
-            .for_each(|(r, p)| *r += p);
-    }
-}
-
-/// Equation (8)'s right-hand side at one node.
-fn right_hand_side(body: &Body, frames: &[Frame], i: usize) -> DVec3 {
-    let p = DVec3::from_array(body.rest[i]);
-    let own = linear(&frames[i]) * DVec3::from_array(body.laplacian[i]);
-    let others: DVec3 = body
-        .edges(i)
-        .map(|(j, w)| linear(&frames[j]) * (p - DVec3::from_array(body.rest[j])) * w)
-        .sum();
-    0.5 * (own + others)
-}
-
-fn linear(frame: &Frame) -> DMat3 {
-    if *frame == IDENTITY_FRAME {
-        DMat3::IDENTITY
-    } else {
-        Mat3::from_cols_array(frame).as_dmat3()
-    }
-}
-
-/// Mean of the values on given nodes, in a fixed order; the origin when nothing is given.
-fn mean_of(values: &[DVec3], given: &[bool]) -> DVec3 {
-    let (sum, count) = values
-        .iter()
-        .zip(given)
-        .filter(|(_, given)| **given)
-        .fold((DVec3::ZERO, 0usize), |(sum, count), (v, _)| (sum + *v, count + 1));
-    if count == 0 { DVec3::ZERO } else { sum / count as f64 }
 }

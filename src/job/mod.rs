@@ -17,5 +17,5 @@ mod workbench;
 
 pub use check::Settings;
 pub use error::Error;
-pub use run::{Outcome, Stage, edit_name, inspect, run};
+pub use run::{Outcome, Stage, edit_name, inspect, pose_steps, run};
 pub use workbench::{Limits, Mode, Poses, Solved, Watch, Workbench};

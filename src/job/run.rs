@@ -173,8 +173,12 @@ pub fn run(
     })
 }
 
-/// The poses of a job. Without steps the poses that the handles come with are one.
-fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
+/// The poses of a job, each naming the handles that it changes. Without steps the poses that the handles come with are
+/// one.
+///
+/// # Errors
+/// [`Error::Unimplemented`] for steps that edit, [`Error::Invalid`] for empty ones.
+pub fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
     if job.steps.is_empty() {
         let posed = job.handles.iter().any(|h| h.pose.is_some());
         return Ok(if posed { vec![pb::Pose::default()] } else { Vec::new() });

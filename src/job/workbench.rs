@@ -7,7 +7,7 @@ use super::quality::quality;
 use super::region::Ground;
 use super::{Error, pb};
 use crate::asset::{self, FileSet, Model};
-use crate::deform::{Body, Policy, Request, Rig, Solution, Start, State, VolumeMode};
+use crate::deform::{Body, Policy, Request, Rig, Solution, Start, State, Transform, VolumeMode};
 use crate::graph::estimate_nodes;
 use crate::mesh::{Adjacency, Components, Mesh, NONE, Report, inspect};
 use crate::pool::Pool;
@@ -343,6 +343,18 @@ impl Workbench {
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
     }
 
+    /// The transforms of the rig's holds for poses by handle, in model space.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] without handles; [`Error::Invalid`] when poses do not belong to the handles in force.
+    pub fn transforms(&self, poses: &Poses) -> Result<Vec<Transform>, Error> {
+        self.require_handles()?;
+        if poses.0.len() != self.handles.request.handles.len() {
+            return Err(Error::Internal("poses of other handles".into()));
+        }
+        self.handles.transforms(&poses.0)
+    }
+
     /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is.
     ///
     /// # Errors
@@ -357,7 +369,7 @@ impl Workbench {
         progress: &dyn Progress,
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, Error> {
-        self.require_handles()?;
+        let transforms = self.transforms(poses)?;
         let Self {
             rig: Some(rig),
             state,
@@ -370,10 +382,6 @@ impl Workbench {
         else {
             return Err(Error::Internal("handles without a rig".into()));
         };
-        if poses.0.len() != handles.request.handles.len() {
-            return Err(Error::Internal("poses of other handles".into()));
-        }
-        let transforms = handles.transforms(&poses.0)?;
         let request = Request {
             transforms: &transforms,
             tolerance: settings.tolerance,
@@ -421,7 +429,7 @@ struct Shape<'a> {
 }
 
 impl Shape<'_> {
-    fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[crate::deform::Transform]) -> Vec<DVec3> {
+    fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[Transform]) -> Vec<DVec3> {
         let at_rest = &self.body.graph.positions;
         let mut positions: Vec<DVec3> = self
             .rest

@@ -441,14 +441,14 @@ fn mean_factor(from: Wide, to: Wide, iterations: usize) -> f64 {
 /// Distance to the solution after a step, from the largest row of the step.
 ///
 /// Summing what later steps will move, each ρ times the one before, gives step · ρ / (1 − ρ). ρ is the mean reduction
-/// of the residual, without the first one, which removes what is rough and tells nothing about the smooth error that
-/// is left. That error falls less evenly than the residual, hence a floor: on volume graphs, a step is followed by
+/// of the residual, or the last one if that was slower, without the first one, which removes what is rough and tells
+/// nothing about the smooth error that is left. That error falls less evenly than the residual, hence a floor: on volume graphs, a step is followed by
 /// 0.1 to 0.5 times its length. Where rounding makes up a `share` of the residual, its smooth part keeps the error
 /// from falling with it.
 fn estimate(history: &[f64], step: f64, share: f64) -> f64 {
     const LEAST: f64 = 0.22;
     let later = if history.len() > 1 { &history[1..] } else { history };
     let mean = libm::pow(later.iter().product::<f64>(), 1.0 / later.len().max(1) as f64);
-    let rho = mean.clamp(LEAST, 0.95);
+    let rho = mean.max(history.last().copied().unwrap_or(0.0)).clamp(LEAST, 0.95);
     step * rho / (1.0 - rho) * (1.0 + 4.0 * share)
 }
