@@ -79,13 +79,24 @@ impl<'a> Cycle<'a> {
     ) -> Result<[Wide; 3], Cancelled> {
         let grid = self.grid(l);
         check(self.progress)?;
+        let twice = l == 0 && self.system.twice;
         grid.forward(b, z);
         check(self.progress)?;
-        grid.residual(z, t);
+        if twice {
+            grid.backward_after_forward(z, t);
+            grid.residual_after_both(b, z, t);
+        } else {
+            grid.residual(z, t);
+        }
         grid.restrict(t, &mut below[0].b);
         self.solve(l + 1, below)?;
         check(self.progress)?;
         grid.prolong(&below[0].z, z);
+        if twice {
+            grid.forward_full(b, z, t);
+            check(self.progress)?;
+            return Ok(grid.backward_from(b, z, t, c, partials));
+        }
         Ok(grid.backward(b, z, (l > 0).then_some(t), c, partials))
     }
 

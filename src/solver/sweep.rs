@@ -110,6 +110,142 @@ impl<'a> Grid<'a> {
         });
     }
 
+    /// The backward sweep that makes a forward sweep from zero symmetric. The neighbours before a row have not changed
+    /// since that was swept, and D x_i says what it saw of them: only those after it are read. `t` receives D x_i.
+    pub(crate) fn backward_after_forward(&self, x: &mut [Lanes], t: &mut [Lanes]) {
+        match &self.level.weights {
+            None => self.backward_after_forward_with(x, t, &Unit),
+            Some(w) => self.backward_after_forward_with(x, t, &Values(w)),
+        }
+    }
+
+    fn backward_after_forward_with<W: Weight>(&self, x: &mut [Lanes], t: &mut [Lanes], w: &W) {
+        let (level, mask) = (self.level, self.mask);
+        assert!(x.len() == level.rows());
+        let (x, t) = (Shared::new(x), Shared::new(t));
+        self.sweep(true, |_, rows| {
+            let first = rows.start;
+            // SAFETY: one thread sweeps this block.
+            let t = unsafe { t.rows(rows.clone()) };
+            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
+                let (_, middle, end) = level.bundle(k);
+                // SAFETY: as in the forward sweep.
+                unsafe {
+                    let after = gather(level, w, x, middle, end);
+                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                        let seen = x.get(i) * (level.diagonal[i] + mask.alpha(i));
+                        t[i - first] = seen;
+                        x.set(i, (seen + after[d]) * mask.inverses[i]);
+                    }
+                }
+            }
+        });
+    }
+
+    /// The residual that these two sweeps leave: only the neighbours before a row have changed since it was swept. `t`
+    /// holds D x_i as of then, and receives the residual.
+    pub(crate) fn residual_after_both(&self, b: &[Lanes], x: &[Lanes], t: &mut [Lanes]) {
+        assert!(b.len() == self.level.rows());
+        let t = Shared::new(t);
+        self.each_block(|_, rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let t = unsafe { t.rows(rows.clone()) };
+            let b = b[rows.clone()].as_chunks::<BUNDLE>().0;
+            for ((t, b), k) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(b).zip(rows.start / BUNDLE..) {
+                let product = self.products(x, t, k);
+                for d in 0..BUNDLE {
+                    t[d] = (b[d] - product[d]).when(self.mask.free(k * BUNDLE + d));
+                }
+            }
+        });
+    }
+
+    /// A full forward sweep on x. `t` receives what each row saw of b and of the neighbours before it.
+    pub(crate) fn forward_full(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes]) {
+        match &self.level.weights {
+            None => self.forward_full_with(b, x, t, &Unit),
+            Some(w) => self.forward_full_with(b, x, t, &Values(w)),
+        }
+    }
+
+    fn forward_full_with<W: Weight>(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes], w: &W) {
+        let (level, inverses) = (self.level, &self.mask.inverses);
+        assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
+        let (x, t) = (Shared::new(x), Shared::new(t));
+        self.sweep(false, |_, rows| {
+            let first = rows.start;
+            // SAFETY: one thread sweeps this block.
+            let t = unsafe { t.rows(rows.clone()) };
+            for k in rows.start / BUNDLE..rows.end / BUNDLE {
+                let (begin, middle, end) = level.bundle(k);
+                // SAFETY: as in the sweep from zero.
+                unsafe {
+                    let before = gather(level, w, x, begin, middle);
+                    let after = gather(level, w, x, middle, end);
+                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                        let seen = b[i] + before[d];
+                        t[i - first] = seen;
+                        x.set(i, (seen + after[d]) * inverses[i]);
+                    }
+                }
+            }
+        });
+    }
+
+    /// The backward sweep after [`Grid::forward_full`], which left `t`. Returns what [`Grid::backward`] returns.
+    pub(crate) fn backward_from(
+        &self,
+        b: &[Lanes],
+        x: &mut [Lanes],
+        t: &[Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+    ) -> [Wide; 3] {
+        match &self.level.weights {
+            None => self.backward_from_with(b, x, t, c, partials, &Unit),
+            Some(w) => self.backward_from_with(b, x, t, c, partials, &Values(w)),
+        }
+    }
+
+    fn backward_from_with<W: Weight>(
+        &self,
+        b: &[Lanes],
+        x: &mut [Lanes],
+        t: &[Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+        w: &W,
+    ) -> [Wide; 3] {
+        let (level, inverses) = (self.level, &self.mask.inverses);
+        let (with_x, c) = (c.is_some(), c.unwrap_or(b));
+        let n = level.rows();
+        assert!(b.len() == n && c.len() == n && t.len() == n && x.len() == n && inverses.len() == n);
+        let x = Shared::new(x);
+        partials.clear();
+        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
+        let shared = Shared::new(partials.as_mut_slice());
+        self.sweep(true, |number, rows| {
+            let mut sums = [Lanes::ZERO; 3];
+            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
+                let (_, middle, end) = level.bundle(k);
+                // SAFETY: as in the forward sweep.
+                unsafe {
+                    let after = gather(level, w, x, middle, end);
+                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                        let value = (t[i] + after[d]) * inverses[i];
+                        x.set(i, value);
+                        sums[0] += value * b[i];
+                        sums[1] += value * (t[i] - after[d]);
+                        sums[2] += if with_x { value } else { b[i] } * c[i];
+                    }
+                }
+            }
+            // SAFETY: each block has a number of its own.
+            unsafe { shared.set(number, sums) };
+        });
+        sum_up(partials)
+    }
+
     /// A full backward sweep on x. Returns (x, b), (x, A x) and (x, c), or (b, b) without `c`.
     ///
     /// `t`, if given, receives what each row saw of b and of the neighbours before it, from which [`Grid::products`]

@@ -1,0 +1,169 @@
+//! The system over all nodes, as sessions use it: set-up, a change of handles, full multigrid, a drag.
+
+use super::clock;
+use super::companion::{Companion, Pose};
+use super::figures::Figures;
+use super::solver::{EXACT, Ready, Terms, failed, farthest, to_residual};
+use crate::Failure;
+use pliant::progress::Silent;
+use pliant::solver::{BuildOptions, Constraints, Hierarchy, SolveOptions, Start, Workspace};
+
+/// Largest missing displacement that a drag's frame may have, fraction of the diagonal.
+const DRAG_ERROR: f64 = 1e-3;
+/// Residual that stands in for an exact solution when there is no time for one.
+const NEARLY: f64 = 1e-6;
+
+/// Measures everything that needs the given nodes, the frames or the second pose.
+pub(super) fn measure(all: &Companion, terms: &Terms, figures: &mut Figures) -> Result<(), Failure> {
+    figures.set("nodes", all.rest.len());
+    let constraints = Constraints {
+        fixed: &all.fixed,
+        stiffness: all.stiffness.as_deref(),
+    };
+    let set_up = |()| {
+        let hierarchy = Hierarchy::build(&all.graph(), &BuildOptions::default(), &terms.pool, &Silent)?;
+        let system = hierarchy.constrain(&constraints, &terms.pool)?;
+        Ok(Ready { hierarchy, system })
+    };
+    let (ready, times) = clock::best_of(terms.repeat, || (), set_up).map_err(failed)?;
+    figures.measured("setup_all_s", times.best);
+
+    let grown = grown(all);
+    let other = Constraints {
+        fixed: &grown,
+        ..constraints
+    };
+    let change = |()| ready.hierarchy.constrain(&other, &terms.pool);
+    let (_, times) = clock::best_of(terms.repeat.saturating_mul(3), || (), change).map_err(failed)?;
+    figures.measured("handle_s", times.best);
+
+    let mut workspace = Workspace::default();
+    let first = full_multigrid(all, &ready, &mut workspace, terms, figures)?;
+    let second = drag(all, &ready, &first, &mut workspace, terms, figures)?;
+    if !terms.fast {
+        let (exact, _) = settled(&ready, &all.poses[1], &second, EXACT, &mut workspace, terms)?;
+        figures.measured("drag_err", farthest(&second, &exact) / all.diagonal);
+    }
+    Ok(())
+}
+
+/// The given nodes and all their neighbours: another set of handles that is as large and lies as near.
+fn grown(all: &Companion) -> Vec<bool> {
+    let mut grown = all.fixed.clone();
+    for i in (0..grown.len()).filter(|i| all.fixed[*i]) {
+        let row = all.offsets[i] as usize..all.offsets[i + 1] as usize;
+        all.neighbours[row].iter().for_each(|&j| grown[j as usize] = true);
+    }
+    grown
+}
+
+/// Times full multigrid to 1e-3; the solution that comes back is the exact one of the first pose, or nearly.
+fn full_multigrid(
+    all: &Companion,
+    ready: &Ready,
+    workspace: &mut Workspace,
+    terms: &Terms,
+    figures: &mut Figures,
+) -> Result<Vec<[f64; 3]>, Failure> {
+    let pose = &all.poses[0];
+    let options = SolveOptions {
+        start: Start::FullMultigrid {
+            frames: Some(&all.frames),
+            rest: Some(&all.rest),
+        },
+        ..to_residual(1e-3)
+    };
+    let prepare = || pose.given.clone();
+    let (x, stats, times) = ready.race(&pose.rhs, prepare, &options, workspace, terms)?;
+    figures.measured("fmg3_s", times.best);
+    figures.set("fmg_it3", stats.iterations);
+    let tolerance = if terms.fast { NEARLY } else { EXACT };
+    let (exact, _) = settled(ready, pose, &x, tolerance, workspace, terms)?;
+    if !terms.fast {
+        figures.measured("fmg_err3", farthest(&x, &exact) / all.diagonal);
+    }
+    Ok(exact)
+}
+
+/// Times the second pose from the first one's solution, and returns what it came to.
+fn drag(
+    all: &Companion,
+    ready: &Ready,
+    from: &[[f64; 3]],
+    workspace: &mut Workspace,
+    terms: &Terms,
+    figures: &mut Figures,
+) -> Result<Vec<[f64; 3]>, Failure> {
+    let pose = &all.poses[1];
+    let options = SolveOptions {
+        start: Start::Given,
+        tolerance: None,
+        max_error: Some(DRAG_ERROR * all.diagonal),
+        ..Default::default()
+    };
+    let prepare = || placed(all, pose, from);
+    let (x, stats, times) = ready.race(&pose.rhs, prepare, &options, workspace, terms)?;
+    figures.measured("drag_s", times.best);
+    figures.set("drag_it", stats.iterations);
+    figures.measured("drag_wu", times.best / figures.number("wu_s").unwrap_or(f64::NAN));
+    figures.measured("drag_estimate", stats.max_error / all.diagonal);
+    Ok(x)
+}
+
+/// A solution with the given nodes where `pose` holds them.
+fn placed(all: &Companion, pose: &Pose, x: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let rows = x.iter().zip(&pose.given).zip(&all.fixed);
+    rows.map(|((x, given), fixed)| if *fixed { *given } else { *x })
+        .collect()
+}
+
+/// Goes on from `x` to a residual; with the residual reached.
+fn settled(
+    ready: &Ready,
+    pose: &Pose,
+    x: &[[f64; 3]],
+    tolerance: f64,
+    workspace: &mut Workspace,
+    terms: &Terms,
+) -> Result<(Vec<[f64; 3]>, f64), Failure> {
+    let options = SolveOptions {
+        start: Start::Given,
+        ..to_residual(tolerance)
+    };
+    let mut x = x.to_vec();
+    let stats = ready.solve(&pose.rhs, &mut x, &options, workspace, terms, None)?;
+    Ok((x, stats.residual))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::export::tests::creature;
+    use super::*;
+    use pliant::pool::Pool;
+
+    #[test]
+    fn a_drag_keeps_its_promise_and_other_handles_are_other_handles() {
+        let terms = Terms {
+            pool: Pool::new(1).unwrap(),
+            repeat: 2,
+            fast: false,
+        };
+        let (_, all) = creature(&terms.pool);
+        let mut figures = Figures::default();
+        figures.measured("wu_s", 1e-6);
+        measure(&all, &terms, &mut figures).unwrap();
+        let number = |key: &str| {
+            figures
+                .number(key)
+                .unwrap_or_else(|| panic!("{key}: {}", figures.json()))
+        };
+        for key in ["setup_all_s", "handle_s", "fmg3_s", "drag_s", "drag_wu"] {
+            assert!(number(key) > 0.0, "{key}");
+        }
+        assert!(number("drag_it") >= 1.0 && number("drag_err") <= DRAG_ERROR);
+        assert!(number("fmg_err3") < 1e-2);
+        let grown = grown(&all);
+        assert!(grown.iter().zip(&all.fixed).all(|(more, less)| more >= less));
+        assert!(grown != all.fixed && grown.contains(&false));
+    }
+}
