@@ -8,6 +8,7 @@
 //! [`Solution`] (positions for the handles' transforms). This module knows no model, no request and no clock.
 
 mod body;
+mod carry;
 mod equations;
 mod error;
 mod fields;
@@ -21,6 +22,7 @@ mod second_pass;
 mod transform;
 
 pub use body::{Body, BodyOptions, Operators, VolumeMode, Weights};
+pub use carry::{Motion, carry};
 pub use equations::Equations;
 pub use error::Error;
 pub use fields::Fields;

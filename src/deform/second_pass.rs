@@ -15,6 +15,8 @@ use rayon::prelude::*;
 pub struct State {
     /// Solving coordinates by node; empty before the first solve.
     x: Vec<f64>,
+    /// Where the handles were for `x`.
+    transforms: Vec<Transform>,
     rhs: Vec<f64>,
     workspace: Workspace,
 }
@@ -105,6 +107,11 @@ impl Rig {
         let posed = self.posed(body, request.transforms, pool);
         let center = posed.center;
         let warm = request.start == Start::Warm && state.x.len() == body.nodes() * 3;
+        if warm {
+            self.carry(body, &state.transforms, request.transforms, &mut state.x, pool);
+        }
+        state.transforms.clear();
+        state.transforms.extend_from_slice(request.transforms);
         prepare(body, self, &posed, warm, state, pool);
         self.assemble(body, &posed, request.transforms, &mut state.rhs, pool);
 
@@ -123,7 +130,7 @@ impl Rig {
             ..Default::default()
         };
         let placed = |x: &[f64]| self.place(body, &moved_parts, request.transforms, center, x);
-        let State { x, rhs, workspace } = state;
+        let State { x, rhs, workspace, .. } = state;
         let mut run = |constrained: &Constrained, options: &SolveOptions<'_>, x: &mut Vec<f64>| {
             constrained.system.solve(
                 &body.hierarchy,

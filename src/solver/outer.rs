@@ -25,6 +25,8 @@ const ROUNDING_DEEP: f64 = 6e-8;
 const SPOILT: f64 = 0.03;
 /// Tolerances below this one are worth an exact first step.
 const DEEP: f64 = 1e-4;
+/// An estimate that rounding may have spoilt is believed if it is this many times below what is asked for.
+const AMPLE: f64 = 4.0;
 /// The same where only the residual matters.
 const LOST: f64 = 0.3;
 /// A recurred residual is taken for the true one while rounding stays below this part of the tolerance.
@@ -355,7 +357,10 @@ impl Outer<'_, '_> {
             if holds {
                 let quiet = |c: usize| criteria.tolerance.is_none_or(|t| noise[c] <= TRUSTED * t);
                 let trusted = steps <= LONG && (0..width).all(quiet);
-                state.outcome.converged = trusted && (state.sound || criteria.max_error.is_none());
+                let error = state.outcome.max_error;
+                let ample = |m: f64| share <= LOST && AMPLE * error <= m;
+                let sound = state.sound || criteria.max_error.is_none_or(ample);
+                state.outcome.converged = trusted && sound;
                 break if state.outcome.converged {
                     Stretch::Accepted
                 } else {

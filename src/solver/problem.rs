@@ -301,7 +301,7 @@ impl<'a> Problem<'a> {
             return [0.0; WIDTH];
         }
         let mut b = self.rhs(i);
-        if self.system.on_border(i) {
+        if mask.on_border(i) {
             for (j, w) in level.row(i) {
                 if !mask.free(j) {
                     for c in 0..WIDTH {

@@ -11,6 +11,7 @@ use super::level::NONE;
 use super::order::Frame;
 use super::problem::Problem;
 use super::sweep::Grid;
+use super::system::tie_share;
 use super::threads::{piece, pieces};
 use super::workspace::Workspace;
 use crate::progress::{Cancelled, check};
@@ -238,8 +239,9 @@ fn restrict(grid: &Grid<'_>, below: &Grid<'_>, fine: &Patches, coarse: &mut Patc
                 };
                 beta += fine.beta[i] - offset * mask.alpha(i);
                 for (j, w) in level.row(i) {
-                    if !mask.free(j) && level.aggregates[j] == row as u32 {
-                        beta += (fine.x[j] + fine.edge(i, j) - offset) * w;
+                    if !mask.free(j) {
+                        let share = tie_share(level, below.mask, row, j);
+                        beta += (fine.x[j] + fine.edge(i, j) - offset) * (w * share);
                     }
                 }
             }

@@ -151,7 +151,13 @@ impl<'a> Grid<'a> {
             // SAFETY: blocks are disjoint and each is visited once.
             let t = unsafe { t.rows(rows.clone()) };
             let b = b[rows.clone()].as_chunks::<BUNDLE>().0;
-            for ((t, b), k) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(b).zip(rows.start / BUNDLE..) {
+            for ((t, b), k) in t
+                .as_chunks_mut::<BUNDLE>()
+                .0
+                .iter_mut()
+                .zip(b)
+                .zip(rows.start / BUNDLE..)
+            {
                 let product = self.products(x, t, k);
                 for d in 0..BUNDLE {
                     t[d] = (b[d] - product[d]).when(self.mask.free(k * BUNDLE + d));

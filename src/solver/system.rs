@@ -31,6 +31,8 @@ pub(crate) struct Mask {
     pub(crate) active: Vec<u32>,
     /// First of `active` for each colour, and their number.
     pub(crate) colours: Vec<u32>,
+    /// Free rows that have a masked neighbour, one bit each.
+    border: Vec<u64>,
 }
 
 impl Mask {
@@ -57,8 +59,31 @@ impl Mask {
         }
     }
 
+    #[inline(always)]
+    pub(crate) fn on_border(&self, row: usize) -> bool {
+        self.border[row >> 6] >> (row & 63) & 1 == 1
+    }
+
+    /// Fills in `border`, from whichever side has fewer rows. Filling counts as neither.
+    fn find_border(&mut self, level: &Level) {
+        let n = level.rows();
+        let free = (0..n).filter(|&i| self.free(i)).count();
+        let from_free = free < level.occupied() / 2;
+        let mut border = vec![0u64; n.div_ceil(64)];
+        for i in (0..n).filter(|&i| self.free(i) == from_free && level.connected(i)) {
+            for (j, _) in level.row(i) {
+                if self.free(j) != from_free {
+                    let row = if from_free { i } else { j };
+                    border[row >> 6] |= 1 << (row & 63);
+                }
+            }
+        }
+        self.border = border;
+    }
+
     fn bytes(&self) -> usize {
-        4 * (self.inverses.len() + self.alphas.len() + self.active.len() + self.colours.len())
+        let words = self.inverses.len() + self.alphas.len() + self.active.len() + self.colours.len();
+        4 * words + 8 * self.border.len()
     }
 }
 
@@ -75,8 +100,6 @@ pub struct System {
     pub(crate) stiffness: Vec<f64>,
     /// Fixed vertices, in the caller's order, one bit each.
     fixed: Vec<u64>,
-    /// Free rows of the finest level that have a masked neighbour, one bit each.
-    pub(crate) border: Vec<u64>,
     /// Rows of the last level that `inverse` covers.
     pub(crate) dense_rows: Vec<u32>,
     pub(crate) inverse: Inverse,
@@ -113,7 +136,6 @@ impl System {
             masks: Vec::with_capacity(hierarchy.levels.len()),
             stiffness,
             fixed: bits(constraints.fixed),
-            border: Vec::new(),
             dense_rows: Vec::new(),
             inverse: Inverse::default(),
             steps: Vec::new(),
@@ -148,10 +170,7 @@ impl System {
     /// Bytes held, without the hierarchy's.
     pub fn bytes(&self) -> usize {
         let masks: usize = self.masks.iter().map(Mask::bytes).sum();
-        masks
-            + 8 * (self.stiffness.len() + self.fixed.len() + self.border.len())
-            + self.inverse.bytes()
-            + self.floating.bytes()
+        masks + 8 * (self.stiffness.len() + self.fixed.len()) + self.inverse.bytes() + self.floating.bytes()
     }
 
     /// True if the dense inverse covers the finest level itself.
@@ -171,11 +190,6 @@ impl System {
     #[inline(always)]
     pub(crate) fn is_fixed(&self, vertex: usize) -> bool {
         self.fixed[vertex >> 6] >> (vertex & 63) & 1 == 1
-    }
-
-    #[inline(always)]
-    pub(crate) fn on_border(&self, row: usize) -> bool {
-        self.border[row >> 6] >> (row & 63) & 1 == 1
     }
 
     fn mask_finest(&mut self, hierarchy: &Hierarchy, fixed: &[bool], threads: Threads) {
@@ -202,21 +216,7 @@ impl System {
         });
         mask.list_active(level);
 
-        // The border is found from whichever side has fewer rows.
-        let mut border = vec![0u64; n.div_ceil(64)];
-        let from_free = self.free < n / 2;
-        for i in 0..n {
-            if mask.free(i) != from_free {
-                continue;
-            }
-            for (j, _) in level.row(i) {
-                if mask.free(j) != from_free {
-                    let row = if from_free { i } else { j };
-                    border[row >> 6] |= 1 << (row & 63);
-                }
-            }
-        }
-        self.border = border;
+        mask.find_border(level);
         self.masks.push(mask);
     }
 
@@ -280,48 +280,77 @@ fn check(hierarchy: &Hierarchy, constraints: &Constraints<'_>) -> Result<(), Err
 }
 
 /// The mask of the level below `fine`. An aggregate without free members is masked. Another one sums α over its free
-/// members, and the weights that tie these to its masked members. Always from scratch: nothing accumulates over
+/// members, and the weights that tie these to masked rows ([`tie_share`]). Always from scratch: nothing accumulates over
 /// changes of constraints.
 fn coarser(fine: &Level, coarse: &Level, fine_mask: &Mask, threads: Threads) -> Mask {
     let n = coarse.rows();
+    let threads = threads.for_rows(fine.rows());
     let mut mask = Mask {
         inverses: vec![0.0; n],
         alphas: vec![0.0; n],
         ..Mask::default()
     };
-    let (inverses, alphas) = (Shared::new(&mut mask.inverses), Shared::new(&mut mask.alphas));
-    threads.for_rows(fine.rows()).each(0..pieces(n, PIECE), |k| {
+    // 1 marks aggregates with free members until all of them are known.
+    let inverses = Shared::new(&mut mask.inverses);
+    threads.each(0..pieces(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
-        let (inverses, alphas) = unsafe { (inverses.rows(piece(k, n, PIECE)), alphas.rows(piece(k, n, PIECE))) };
-        for (local, row) in piece(k, n, PIECE).enumerate() {
-            let members = fine.members_of(row);
-            let free = members.iter().filter(|&&i| fine_mask.free(i as usize)).count();
-            if free == 0 {
+        let inverses = unsafe { inverses.rows(piece(k, n, PIECE)) };
+        for (inverse, row) in inverses.iter_mut().zip(piece(k, n, PIECE)) {
+            let free = fine.members_of(row).iter().any(|&i| fine_mask.free(i as usize));
+            *inverse = f32::from(u8::from(free));
+        }
+    });
+    let mut alphas = std::mem::take(&mut mask.alphas);
+    let shared = Shared::new(&mut alphas);
+    threads.each(0..pieces(n, PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        let alphas = unsafe { shared.rows(piece(k, n, PIECE)) };
+        for (alpha, row) in alphas.iter_mut().zip(piece(k, n, PIECE)) {
+            if !mask.free(row) {
                 continue;
             }
-            let mut alpha = 0.0f64;
-            for &i in members {
+            let mut sum = 0.0f64;
+            for &i in fine.members_of(row) {
                 let i = i as usize;
                 if !fine_mask.free(i) {
                     continue;
                 }
-                alpha += f64::from(fine_mask.alpha(i));
-                if free == members.len() {
+                sum += f64::from(fine_mask.alpha(i));
+                if !fine_mask.on_border(i) {
                     continue;
                 }
-                for (j, w) in fine.row(i) {
-                    if fine.aggregates[j] == row as u32 && !fine_mask.free(j) {
-                        alpha += f64::from(w);
-                    }
+                for (j, w) in fine.row(i).filter(|&(j, _)| !fine_mask.free(j)) {
+                    sum += f64::from(w) * f64::from(tie_share(fine, &mask, row, j));
                 }
             }
-            alphas[local] = alpha as f32;
-            let diagonal = coarse.diagonal[row] + alphas[local];
-            inverses[local] = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
+            *alpha = sum as f32;
         }
     });
+    mask.alphas = alphas;
+    for (row, inverse) in mask.inverses.iter_mut().enumerate().filter(|(_, v)| **v != 0.0) {
+        let diagonal = coarse.diagonal[row] + mask.alphas[row];
+        *inverse = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
+    }
     mask.list_active(coarse);
+    mask.find_border(coarse);
     mask
+}
+
+/// How much of an edge from a free member of aggregate `row` to the masked row `j` becomes α of the aggregate.
+///
+/// All of it inside the aggregate. Nothing if `j`'s aggregate is masked: the coarse edge to it says it all. Otherwise
+/// that aggregate moves in the coarse equations, and what the edge holds would be lost; it counts as much as crossing
+/// edges do on average. Handles of a few vertices are held by such edges alone.
+pub(crate) fn tie_share(fine: &Level, coarse_mask: &Mask, row: usize, j: usize) -> f32 {
+    const CROSSING: f32 = 0.6;
+    let aggregate = fine.aggregates[j];
+    if aggregate == row as u32 {
+        1.0
+    } else if aggregate != NONE && coarse_mask.free(aggregate as usize) {
+        CROSSING
+    } else {
+        0.0
+    }
 }
 
 /// True for graphs with few neighbours per row, such as those of surfaces. A sweep does less there and costs less:
@@ -396,9 +425,10 @@ mod tests {
                 let mut alpha = 0.0;
                 for &i in &free {
                     alpha += above.alpha(i);
-                    for (j, w) in fine.row(i) {
-                        let tied = members.contains(&(j as u32)) && !above.free(j);
-                        alpha += if tied { w } else { 0.0 };
+                    for (j, w) in fine.row(i).filter(|&(j, _)| !above.free(j)) {
+                        let inside = members.contains(&(j as u32));
+                        let partial = mask.free(fine.aggregates[j] as usize);
+                        alpha += if inside { w } else { w * if partial { 0.6 } else { 0.0 } };
                     }
                 }
                 assert!((alpha - mask.alpha(row)).abs() <= 1e-5 * alpha, "level {l} row {row}");
@@ -413,7 +443,7 @@ mod tests {
         let level = &hierarchy.levels[0];
         for row in 0..level.rows() {
             let touches = level.row(row).any(|(j, _)| !system.masks[0].free(j));
-            assert_eq!(system.on_border(row), system.masks[0].free(row) && touches);
+            assert_eq!(system.masks[0].on_border(row), system.masks[0].free(row) && touches);
         }
     }
 

@@ -153,7 +153,7 @@ fn error_estimates_are_close_to_the_truth() {
                     let most = if number == 3 || iteration.residual < 1e-6 {
                         8.0
                     } else {
-                        3.0
+                        4.0
                     };
                     ratios.push((iteration.max_error / largest_distance(3, &now, &exact), most));
                 }
