@@ -142,6 +142,30 @@ fn a_report_is_one_document_and_its_digest_is_the_same_for_any_thread_count() {
 }
 
 #[test]
+fn a_job_can_ask_for_the_papers_operators() {
+    let folder = workplace();
+    let paper = JOB.replacen('{', r#"{"create": {"operators": "PAPER"},"#, 1);
+    let report = |name: &str, text: &str| {
+        fs::write(folder.path().join(name), text).expect("written");
+        let (code, stdout, last) = pliant(
+            folder.path(),
+            &["deform", "creature.glb", "--job", name, "-o", "out.glb", "--json"],
+        );
+        assert_eq!(code, Some(0), "{last}");
+        serde_json::from_str::<Value>(&stdout).expect("one JSON document")
+    };
+    let (ours, theirs) = (report("job.json", JOB), report("paper.json", &paper));
+    assert_eq!(ours["steps"][0]["solver"], "multigrid");
+    let method = theirs["steps"][0]["solver"].as_str();
+    assert!(
+        matches!(method, Some("paper-cycles" | "conjugate-gradients")),
+        "{theirs}"
+    );
+    assert!(theirs["steps"][0]["residual"].as_f64().is_some_and(|r| r <= 1e-4));
+    assert_eq!(theirs["quality"]["flippedTriangles"], 0);
+}
+
+#[test]
 fn an_expectation_that_does_not_hold_is_exit_1() {
     let folder = workplace();
     let strict = JOB.replacen('{', r#"{"expect": {"digest": "xxh3:0000000000000000"},"#, 1);

@@ -63,6 +63,8 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
                 tolerance: Some(tolerance),
                 max_error: None,
                 start: Start::Fresh,
+                first_pass: Default::default(),
+                refinement: Default::default(),
             };
             let solution = rig
                 .solve(&body, &request, &mut State::default(), &pool, &Silent, &mut |_| true)

@@ -4,7 +4,7 @@
 //! b_i = ½ M_i Σ w (p_i − p_j) + ½ Σ w M_j (p_i − p_j), and the first sum does not change with the pose. Constrained
 //! neighbours enter through α and β inside the solver; soft handles add their stiffness.
 
-use super::first_pass::{Frame, IDENTITY_FRAME, frames};
+use super::first_pass::{Frame, IDENTITY_FRAME, Turn, frames_with};
 use super::rig::{NOBODY, Rig};
 use super::{Body, Transform};
 use crate::pool::Pool;
@@ -38,7 +38,7 @@ impl Rig {
     /// The equations of a pose (`transforms[k]` belongs to hold k), for those who want to solve or store them
     /// themselves. Rigid regions that nothing holds are taken as free, as in the first of their two solves.
     pub fn equations(&self, body: &Body, transforms: &[Transform], pool: &Pool) -> Equations {
-        let posed = self.posed(body, transforms, pool);
+        let posed = self.posed(body, transforms, None, pool);
         let mut rhs = vec![0.0; body.nodes() * 3];
         self.assemble(body, &posed, transforms, &mut rhs, pool);
         Equations {
@@ -49,9 +49,9 @@ impl Rig {
         }
     }
 
-    /// Frames and given positions of a pose.
-    pub(super) fn posed(&self, body: &Body, transforms: &[Transform], pool: &Pool) -> Posed {
-        let frames = frames(body, self, transforms, pool);
+    /// Frames and given positions of a pose; `instead` are rotations in place of the blend by harmonic fields.
+    pub(super) fn posed(&self, body: &Body, transforms: &[Transform], instead: Option<&[Turn]>, pool: &Pool) -> Posed {
+        let frames = frames_with(body, self, transforms, instead, pool);
         let targets = self.targets(body, transforms);
         let center = mean_of(&targets, self.given());
         Posed {

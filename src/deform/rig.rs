@@ -120,6 +120,10 @@ impl Ownership {
         Some(sum)
     }
 
+    fn bytes(&self) -> usize {
+        self.hard.capacity() * 4 + self.soft.capacity() * 24
+    }
+
     fn same_as(&self, other: &Self) -> bool {
         self.hard == other.hard && self.soft == other.soft
     }
@@ -135,6 +139,7 @@ pub(super) struct Constrained {
 pub struct Rig {
     pub(super) rigging: Rigging,
     pub(super) position: Ownership,
+    pub(super) rotation: Ownership,
     /// Fields of the handles that constrain rotation.
     pub(super) rotation_fields: Fields,
     /// Fields of those that constrain scale; `None` when they are the same as for rotation.
@@ -197,6 +202,7 @@ impl Rig {
         Ok(Self {
             rigging,
             position,
+            rotation,
             rotation_fields,
             scale_fields,
             positions,
@@ -258,8 +264,8 @@ impl Rig {
         holds
             + self.rotation_fields.bytes()
             + self.scale_fields.as_ref().map_or(0, Fields::bytes)
-            + self.position.hard.capacity() * 4
-            + self.position.soft.capacity() * 24
+            + self.position.bytes()
+            + self.rotation.bytes()
             + self.positions.fixed.capacity()
             + self.positions.system.bytes()
             + self.rigid.as_ref().map_or(0, |r| r.fixed.capacity() + r.system.bytes())

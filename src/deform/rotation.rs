@@ -1,10 +1,10 @@
-//! Rotation vectors: exponential, logarithm with any number of turns, and weighted means.
+//! Rotation vectors: exponential, and logarithm with any number of turns; the rotational part of a matrix.
 //!
 //! A rotation vector is axis times angle in radians; 2π about an axis is a full turn and not nothing. Sines and cosines
 //! come from `libm`, so that the same input gives the same bits everywhere.
 
 use glam::{DMat3, DQuat, DVec3};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// The rotation by |v| radians about v.
 pub fn exp_rotation(v: DVec3) -> DQuat {
@@ -51,57 +51,69 @@ pub fn relative_rotation(base: DVec3, target: DVec3) -> DVec3 {
     short + axis * (turns * TAU)
 }
 
-/// A symmetric matrix of log-scales and a rotation vector, per handle, with the blending that they need.
+/// Newton steps towards the nearest rotation; from the one of a similar matrix two or three are enough.
+const NEAREST_STEPS: usize = 30;
+
+/// The rotation R that makes tr(Rᵀ a) largest, found from `start`: the rotational part of `a`.
 ///
-/// `terms` are (weight, rotation vector relative to the base); the weights of the moved handles, the rest of the weight
-/// belongs to the base. One term or one axis: exp(Σ u θ), exact for any number of turns. Otherwise that is the start of
-/// `karcher` steps towards the Karcher mean, which the caller asks for only when no |θ| reaches half a turn.
-pub fn blend_rotations(terms: &[(f64, DVec3)], karcher: usize) -> DQuat {
-    let sum: DVec3 = terms.iter().map(|&(u, v)| v * u).sum();
-    let mut mean = exp_rotation(sum);
-    if terms.len() < 2 {
-        return mean;
+/// Always a rotation and never a reflection: where `a` is inverted it is the nearest proper one, and a matrix that does
+/// not determine a rotation (of rank one, or 0) keeps what it leaves open from `start`.
+///
+/// For R exp(ω) the trace is tr B + g·ω − ½ ωᵀ (tr(S) I − S) ω with B = Rᵀ a and S its symmetric part. Where that
+/// matrix is positive the Newton step is taken, elsewhere one along g that cannot be too long.
+pub fn nearest_rotation(a: DMat3, start: DQuat) -> DQuat {
+    let size = (a.x_axis.length_squared() + a.y_axis.length_squared() + a.z_axis.length_squared()).sqrt();
+    if !(size > 0.0 && size.is_finite()) {
+        return start;
     }
-    let base_weight = 1.0 - terms.iter().map(|t| t.0).sum::<f64>();
-    for _ in 0..karcher {
-        let back = mean.inverse();
-        let step = log_rotation(back) * base_weight
-            + terms
-                .iter()
-                .map(|&(u, v)| log_rotation(back * exp_rotation(v)) * u)
-                .sum::<DVec3>();
-        mean = (mean * exp_rotation(step)).normalize();
-        if step.length_squared() < 1e-20 {
+    let a = a * (1.0 / size);
+    let mut q = start;
+    for _ in 0..NEAREST_STEPS {
+        let b = DMat3::from_quat(q).transpose() * a;
+        let gradient = DVec3::new(
+            b.y_axis.z - b.z_axis.y,
+            b.z_axis.x - b.x_axis.z,
+            b.x_axis.y - b.y_axis.x,
+        );
+        let trace = b.x_axis.x + b.y_axis.y + b.z_axis.z;
+        let off = DVec3::new(
+            0.5 * (b.y_axis.z + b.z_axis.y),
+            0.5 * (b.z_axis.x + b.x_axis.z),
+            0.5 * (b.x_axis.y + b.y_axis.x),
+        );
+        let diagonal = DVec3::splat(trace) - DVec3::new(b.x_axis.x, b.y_axis.y, b.z_axis.z);
+        let step = newton_step(diagonal, off, gradient)
+            .filter(|step| step.length_squared() < 1.0)
+            .unwrap_or_else(|| gradient / (trace.abs() + gradient.length() + 1e-9));
+        q = (q * DQuat::from_xyzw(0.5 * step.x, 0.5 * step.y, 0.5 * step.z, 1.0)).normalize();
+        if step.length_squared() < 1e-12 {
             break;
         }
     }
-    mean
+    q
 }
 
-/// Whether the Karcher mean of these rotation vectors and the identity is safe: no two of them half a turn apart.
-pub fn within_half_turn(vectors: &[DVec3]) -> bool {
-    let bound = PI * 0.95;
-    vectors.iter().all(|v| v.length() < bound)
-        && vectors.iter().enumerate().all(|(i, a)| {
-            let from_a = exp_rotation(*a).inverse();
-            vectors[..i]
-                .iter()
-                .all(|b| log_rotation(from_a * exp_rotation(*b)).length() < bound)
-        })
-}
-
-/// Whether all vectors lie on one line through the origin.
-pub fn coaxial(vectors: &[DVec3]) -> bool {
-    let Some(longest) = vectors
-        .iter()
-        .copied()
-        .reduce(|a, b| if b.length_squared() > a.length_squared() { b } else { a })
-    else {
-        return true;
-    };
-    vectors
-        .iter()
-        .all(|v| v.cross(longest).length() <= 1e-9 * longest.length_squared())
+/// Solves H ω = g for the symmetric H with `diagonal` and −`off` (yz, zx, xy); `None` unless H is clearly positive.
+fn newton_step(diagonal: DVec3, off: DVec3, g: DVec3) -> Option<DVec3> {
+    const LEAST: f64 = 1e-6;
+    let (yz, zx, xy) = (-off.x, -off.y, -off.z);
+    if diagonal.x < LEAST {
+        return None;
+    }
+    let (l_y, l_z) = (xy / diagonal.x, zx / diagonal.x);
+    let d_y = diagonal.y - l_y * xy;
+    if d_y < LEAST {
+        return None;
+    }
+    let l_zy = (yz - l_z * xy) / d_y;
+    let d_z = diagonal.z - l_z * zx - l_zy * l_zy * d_y;
+    if d_z < LEAST {
+        return None;
+    }
+    let y = g.y - l_y * g.x;
+    let z = (g.z - l_z * g.x - l_zy * y) / d_z;
+    let y = y / d_y - l_zy * z;
+    Some(DVec3::new(g.x / diagonal.x - l_y * y - l_z * z, y, z))
 }
 
 /// exp of a symmetric matrix.
@@ -157,19 +169,33 @@ mod tests {
     }
 
     #[test]
-    fn half_the_weight_turns_half_the_way() {
-        let v = DVec3::new(0., 0., 5.0 * PI);
-        assert!(blend_rotations(&[(0.5, v)], 3).angle_between(exp_rotation(v * 0.5)) < 1e-7);
+    fn the_nearest_rotation_is_the_rotational_part() {
+        let turn = |v: DVec3| DMat3::from_quat(exp_rotation(v));
+        for k in 0..200 {
+            let angle = |s: f64| libm::sin(f64::from(k) * s + s);
+            let r = DVec3::new(angle(1.3), angle(2.1), angle(3.7)) * 1.7;
+            let v = turn(DVec3::new(angle(0.7), angle(5.1), angle(0.3)) * 3.0);
+            let stretch = v * DMat3::from_diagonal(DVec3::new(2.0, 0.7, 0.1 + 0.3 * angle(9.0).abs())) * v.transpose();
+            let found = nearest_rotation(turn(r) * stretch * 1e-9, DQuat::IDENTITY);
+            assert!(found.angle_between(exp_rotation(r)) < 1e-6, "{k}");
+            // Inverted along its shortest axis: the same rotation, not a reflection and not another one.
+            let inverted = v * DMat3::from_diagonal(DVec3::new(2.0, 0.7, -0.1)) * v.transpose();
+            let found = nearest_rotation(turn(r) * inverted, exp_rotation(r * 0.8));
+            assert!(found.angle_between(exp_rotation(r)) < 1e-5, "{k} inverted");
+        }
     }
 
     #[test]
-    fn the_karcher_mean_turns_with_the_scene() {
-        let (a, b) = (DVec3::new(1.2, 0.1, 0.), DVec3::new(0., -0.9, 1.1));
-        let scene = exp_rotation(DVec3::new(0.4, 2.0, -0.7));
-        let plain = blend_rotations(&[(0.3, a), (0.4, b)], 20);
-        let turned = blend_rotations(&[(0.3, scene * a), (0.4, scene * b)], 20);
-        assert!((scene * plain * scene.inverse()).angle_between(turned) < 1e-7);
-        assert!(within_half_turn(&[a, b]) && !coaxial(&[a, b]) && coaxial(&[a, a * -3.0]));
+    fn what_a_matrix_leaves_open_stays() {
+        let start = exp_rotation(DVec3::new(0.4, 0.0, 0.0));
+        for nothing in [DMat3::ZERO, DMat3::NAN] {
+            assert_eq!(nearest_rotation(nothing, start), start);
+        }
+        // One edge along x that now points along y: turned there, and no further about itself.
+        let edge = DMat3::from_cols(DVec3::Y, DVec3::ZERO, DVec3::ZERO);
+        let found = nearest_rotation(edge, DQuat::IDENTITY);
+        assert!((found * DVec3::X - DVec3::Y).length() < 1e-6);
+        assert!((found * DVec3::Z - DVec3::Z).length() < 1e-6);
     }
 
     #[test]

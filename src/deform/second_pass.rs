@@ -1,11 +1,13 @@
 //! The second pass: positions that agree best with the local frames (paper section 2.2, equations 8 and 11).
 
 use super::equations::Posed;
-use super::first_pass::Frame;
-use super::rig::{Constrained, NOBODY, Rig};
-use super::{Body, Error, Transform, rigid_fit};
+use super::first_pass::{self, FirstPass, Frame, Turn};
+use super::refine::Fit;
+use super::rig::{Constrained, Rig};
+use super::spatial_rbf::Space;
+use super::{Body, Error, Refinement, Transform};
 use crate::pool::Pool;
-use crate::progress::Progress;
+use crate::progress::{Progress, check};
 use crate::solver::{self, Control, SolveOptions, Workspace};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -17,14 +19,27 @@ pub struct State {
     x: Vec<f64>,
     /// Where the handles were for `x`.
     transforms: Vec<Transform>,
+    /// What refinement had added to the first pass's rotations in `x`; empty when it had not been asked for.
+    extra: Vec<Turn>,
     rhs: Vec<f64>,
     workspace: Workspace,
+    /// What [`Rig::solve_in_space`] made of the handles.
+    pub(super) space: Option<Box<Space>>,
 }
 
 impl State {
     /// Bytes held on the heap.
     pub fn bytes(&self) -> usize {
-        (self.x.capacity() + self.rhs.capacity()) * 8 + self.workspace.bytes()
+        (self.x.capacity() + self.rhs.capacity()) * 8
+            + self.extra.capacity() * 16
+            + self.workspace.bytes()
+            + self.space.as_ref().map_or(0, |space| space.bytes())
+    }
+
+    /// Lets go of the last solution.
+    pub(super) fn forget(&mut self) {
+        self.x.clear();
+        self.extra.clear();
     }
 }
 
@@ -47,12 +62,18 @@ pub struct Request<'a> {
     pub max_error: Option<f64>,
     /// Where to start.
     pub start: Start,
+    /// How rotations are spread from the handles.
+    pub first_pass: FirstPass,
+    /// Fitting rotations after the second pass.
+    pub refinement: Refinement,
 }
 
 /// A solve under way, after one iteration.
 pub struct Cycle<'a> {
     /// Iterations done, from 1.
     pub index: usize,
+    /// How often rotations were fitted before this iteration.
+    pub refined: u32,
     /// Relative residual, largest over coordinates.
     pub residual: f64,
     /// Estimated largest missing displacement, fraction of the diagonal.
@@ -67,17 +88,47 @@ pub struct Solution {
     /// Positions of all graph nodes, model space; the first `graph.surface` are the mesh's vertices. Parts in which no
     /// handle has moved keep their rest positions to the bit.
     pub positions: Vec<DVec3>,
-    /// The first-pass frames by node; empty when nothing moved.
+    /// Frames by node, of the first pass or as refined; empty when nothing moved.
     pub frames: Vec<Frame>,
+    /// How often rotations were fitted; less than was asked for when the solve was cut short.
+    pub refined: u32,
     /// Iterations of the solver.
     pub iterations: usize,
     /// Relative residual, largest over coordinates.
     pub residual: f64,
     /// Estimated largest missing displacement, fraction of the diagonal.
     pub max_error: f64,
-    /// How the solver ended.
-    pub method: solver::Method,
+    /// How it was solved.
+    pub method: Method,
 }
+
+/// How a pose was solved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// By two passes on the graph, and how the solver ended.
+    Graph(solver::Method),
+    /// By radial basis functions in space.
+    SpatialRbf,
+}
+
+impl Solution {
+    /// Nothing has moved.
+    pub(super) fn at_rest(body: &Body) -> Self {
+        Self {
+            positions: body.graph.positions.clone(),
+            frames: Vec::new(),
+            refined: 0,
+            iterations: 0,
+            residual: 0.0,
+            max_error: 0.0,
+            method: Method::Graph(solver::Method::Trivial),
+        }
+    }
+}
+
+/// Iterations between two fits of rotations. Each brings the error of what the fit before changed down by about five;
+/// solving further would be lost on rotations that change again.
+const BETWEEN_FITS: usize = 2;
 
 impl Rig {
     /// Solves a pose. `watch` is called after every iteration; `false` takes the result as it is.
@@ -95,185 +146,199 @@ impl Rig {
     ) -> Result<Solution, Error> {
         let moved_parts = self.moved_parts(body, request.transforms);
         if !moved_parts.contains(&true) {
-            return Ok(Solution {
-                positions: body.graph.positions.clone(),
-                frames: Vec::new(),
-                iterations: 0,
-                residual: 0.0,
-                max_error: 0.0,
-                method: solver::Method::Trivial,
-            });
+            return Ok(Solution::at_rest(body));
         }
-        let posed = self.posed(body, request.transforms, pool);
-        let center = posed.center;
+        let instead = first_pass::instead(body, self, request.transforms, request.first_pass, pool, progress)?;
+        let instead = instead.as_deref();
+        let pose = Pose {
+            rig: self,
+            body,
+            request,
+            instead,
+            moved_parts: &moved_parts,
+            pool,
+            progress,
+        };
+        let mut posed = self.posed(body, request.transforms, instead, pool);
+        let result = pose.solve(&mut posed, state, watch);
+        if result.is_err() {
+            // A solution that was interrupted is no start for the next one.
+            state.forget();
+        }
+        result.map(|solution| Solution {
+            frames: posed.frames,
+            ..solution
+        })
+    }
+}
+
+/// One pose under way.
+struct Pose<'a> {
+    rig: &'a Rig,
+    body: &'a Body,
+    request: &'a Request<'a>,
+    /// Rotations in place of the blend by harmonic fields.
+    instead: Option<&'a [Turn]>,
+    moved_parts: &'a [bool],
+    pool: &'a Pool,
+    progress: &'a dyn Progress,
+}
+
+/// What the solves of one pose came to so far.
+struct Tally {
+    iterations: usize,
+    refined: u32,
+    /// `watch` has had enough.
+    stopped: bool,
+}
+
+impl Pose<'_> {
+    /// Solves for positions, and fits rotations as often as asked for. Leaves `posed.frames` as last solved with.
+    fn solve(
+        &self,
+        posed: &mut Posed,
+        state: &mut State,
+        watch: &mut dyn FnMut(&Cycle<'_>) -> bool,
+    ) -> Result<Solution, Error> {
+        let Self {
+            rig,
+            body,
+            request,
+            pool,
+            ..
+        } = *self;
+        let Refinement { steps, smoothing } = request.refinement;
         let warm = request.start == Start::Warm && state.x.len() == body.nodes() * 3;
         if warm {
-            self.carry(body, &state.transforms, request.transforms, &mut state.x, pool);
+            rig.carry(body, &state.transforms, request.transforms, &mut state.x, pool);
         }
         state.transforms.clear();
         state.transforms.extend_from_slice(request.transforms);
-        prepare(body, self, &posed, warm, state, pool);
-        self.assemble(body, &posed, request.transforms, &mut state.rhs, pool);
+        prepare(body, rig, posed, warm, state, pool);
+        let fit = (steps > 0).then(|| Fit::new(body, rig, request.transforms, self.moved_parts, self.instead, smoothing));
+        let mut turns = match &fit {
+            Some(fit) if warm && state.extra.len() == body.nodes() => {
+                let turns = fit.resume(&state.extra, pool);
+                posed.frames = fit.frames(&turns, pool);
+                turns
+            }
+            Some(fit) => fit.start(pool),
+            None => Vec::new(),
+        };
+        rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
 
-        let unit_per_diagonal = body.unit / body.diagonal;
-        let start = match warm {
+        let mut tally = Tally {
+            iterations: 0,
+            refined: 0,
+            stopped: false,
+        };
+        let first = match warm {
             true => solver::Start::Given,
             false => solver::Start::FullMultigrid {
                 frames: Some(&posed.frames),
                 rest: Some(&body.rest),
             },
         };
+        let brief = if steps > 0 { BETWEEN_FITS } else { usize::MAX };
+        let mut stats = self.run(&rig.positions, posed.center, first, brief, state, &mut tally, watch)?;
+        if let Some(fit) = &fit {
+            while tally.refined < steps && !tally.stopped {
+                check(self.progress)?;
+                turns = fit.step(&turns, &state.x, pool);
+                posed.frames = fit.frames(&turns, pool);
+                rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
+                tally.refined += 1;
+                let brief = if tally.refined < steps {
+                    BETWEEN_FITS
+                } else {
+                    usize::MAX
+                };
+                let start = solver::Start::Given;
+                stats = self.run(&rig.positions, posed.center, start, brief, state, &mut tally, watch)?;
+            }
+            state.extra = fit.extra(&turns, pool);
+        } else {
+            state.extra.clear();
+        }
+        if let Some(rigid) = &rig.rigid {
+            rig.make_rigid(body, &mut state.x);
+            let start = solver::Start::Given;
+            stats = self.run(rigid, posed.center, start, usize::MAX, state, &mut tally, watch)?;
+        }
+
+        let positions = rig.place(body, self.moved_parts, request.transforms, posed.center, &state.x);
+        if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
+            return Err(Error::Solver(format!("node {node} left the range of numbers")));
+        }
+        // Kept relative to nothing, so that the next solve may centre elsewhere.
+        let center = posed.center.to_array();
+        state
+            .x
+            .chunks_exact_mut(3)
+            .for_each(|row| row.iter_mut().zip(center).for_each(|(v, c)| *v += c));
+        Ok(Solution {
+            positions,
+            frames: Vec::new(),
+            refined: tally.refined,
+            iterations: tally.iterations,
+            residual: stats.residual,
+            max_error: stats.max_error * body.unit / body.diagonal,
+            method: Method::Graph(stats.method),
+        })
+    }
+
+    /// Solves the equations in `state`: to what the request asks for, or for `brief` iterations.
+    fn run(
+        &self,
+        constrained: &Constrained,
+        center: DVec3,
+        start: solver::Start<'_>,
+        brief: usize,
+        state: &mut State,
+        tally: &mut Tally,
+        watch: &mut dyn FnMut(&Cycle<'_>) -> bool,
+    ) -> Result<solver::Stats, Error> {
+        let Self { rig, body, request, .. } = *self;
+        let unit_per_diagonal = body.unit / body.diagonal;
         let options = SolveOptions {
             start,
             tolerance: request.tolerance,
             max_error: request.max_error.map(|e| e / unit_per_diagonal),
             ..Default::default()
         };
-        let placed = |x: &[f64]| self.place(body, &moved_parts, request.transforms, center, x);
+        let before = tally.iterations;
         let State { x, rhs, workspace, .. } = state;
-        let mut run = |constrained: &Constrained, options: &SolveOptions<'_>, x: &mut Vec<f64>| {
-            constrained.system.solve(
-                &body.hierarchy,
-                3,
-                rhs,
-                x,
-                options,
-                workspace,
-                pool,
-                progress,
-                &mut |iteration| {
-                    let positions = || {
-                        let mut now = vec![0.0; body.nodes() * 3];
-                        iteration.copy_to(&mut now);
-                        placed(&now)
-                    };
-                    let cycle = Cycle {
-                        index: iteration.index,
-                        residual: iteration.residual,
-                        max_error: iteration.max_error * unit_per_diagonal,
-                        positions: &positions,
-                    };
-                    if watch(&cycle) {
-                        Control::Continue
-                    } else {
-                        Control::Stop
-                    }
-                },
-            )
-        };
-        let result = run(&self.positions, &options, x).and_then(|mut stats| {
-            if let Some(rigid) = &self.rigid {
-                self.make_rigid(body, x);
-                let again = run(
-                    rigid,
-                    &SolveOptions {
-                        start: solver::Start::Given,
-                        ..options.clone()
-                    },
-                    x,
-                )?;
-                stats = solver::Stats {
-                    iterations: stats.iterations + again.iterations,
-                    ..again
+        let stats = constrained.system.solve(
+            &body.hierarchy,
+            3,
+            rhs,
+            x,
+            &options,
+            workspace,
+            self.pool,
+            self.progress,
+            &mut |iteration| {
+                let positions = || {
+                    let mut now = vec![0.0; body.nodes() * 3];
+                    iteration.copy_to(&mut now);
+                    rig.place(body, self.moved_parts, request.transforms, center, &now)
                 };
-            }
-            Ok(stats)
-        });
-        let stats = match result {
-            Ok(stats) => stats,
-            Err(e) => {
-                // A solution that was interrupted is no start for the next one.
-                state.x.clear();
-                return Err(e.into());
-            }
-        };
-        let positions = placed(&state.x);
-        if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
-            state.x.clear();
-            return Err(Error::Solver(format!("node {node} left the range of numbers")));
-        }
-        // Kept relative to nothing, so that the next solve may centre elsewhere.
-        state
-            .x
-            .chunks_exact_mut(3)
-            .for_each(|row| row.iter_mut().zip(center.to_array()).for_each(|(v, c)| *v += c));
-        Ok(Solution {
-            positions,
-            frames: posed.frames,
-            iterations: stats.iterations,
-            residual: stats.residual,
-            max_error: stats.max_error * unit_per_diagonal,
-            method: stats.method,
-        })
-    }
-
-    /// By component: whether any hold that has moved has a say in it.
-    fn moved_parts(&self, body: &Body, transforms: &[Transform]) -> Vec<bool> {
-        let mut moved = vec![false; body.graph.components];
-        for (hold, _) in self
-            .rigging
-            .holds
-            .iter()
-            .zip(transforms)
-            .filter(|(_, t)| !t.is_identity())
-        {
-            let nodes = hold.nodes.iter().copied().chain(hold.pulls.iter().map(|p| p.0));
-            nodes.for_each(|n| moved[body.graph.component[n as usize] as usize] = true);
-        }
-        moved
-    }
-
-    /// Model-space positions of all nodes from solving coordinates around `center`: parts that nothing moved and nodes
-    /// held by handles are set to the bit, loose parts are placed.
-    fn place(
-        &self,
-        body: &Body,
-        moved_parts: &[bool],
-        transforms: &[Transform],
-        center: DVec3,
-        x: &[f64],
-    ) -> Vec<DVec3> {
-        let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
-        let mut positions: Vec<DVec3> = (0..body.nodes())
-            .map(|i| {
-                let rest = body.graph.positions[i];
-                if !moved_parts[body.graph.component[i] as usize] {
-                    return rest;
+                let cycle = Cycle {
+                    index: before + iteration.index,
+                    refined: tally.refined,
+                    residual: iteration.residual,
+                    max_error: iteration.max_error * unit_per_diagonal,
+                    positions: &positions,
+                };
+                tally.stopped = !watch(&cycle);
+                match tally.stopped || iteration.index >= brief {
+                    true => Control::Stop,
+                    false => Control::Continue,
                 }
-                match self.position.hard[i] {
-                    NOBODY if self.positions.fixed[i] => rest,
-                    NOBODY => body.model_from_solving(DVec3::from_slice(&x[i * 3..i * 3 + 3]) + center),
-                    k => maps.get(k as usize).map_or(rest, |map| map(rest)),
-                }
-            })
-            .collect();
-        self.parts.place(body, &mut positions);
-        positions
-    }
-
-    /// Replaces the solution on rigid regions by the rigid motion that fits it best.
-    fn make_rigid(&self, body: &Body, x: &mut [f64]) {
-        for hold in self
-            .rigging
-            .holds
-            .iter()
-            .filter(|h| h.rigid && !(h.position && h.stiffness.is_none()))
-        {
-            let at = |n: &u32| DVec3::from_slice(&x[*n as usize * 3..*n as usize * 3 + 3]);
-            let rest: Vec<_> = hold
-                .nodes
-                .iter()
-                .map(|n| DVec3::from_array(body.rest[*n as usize]))
-                .collect();
-            let now: Vec<_> = hold.nodes.iter().map(at).collect();
-            let map = rigid_fit(&rest, &now).map();
-            for (n, p) in hold.nodes.iter().zip(&rest) {
-                let n = *n as usize;
-                if self.position.hard[n] == NOBODY {
-                    x[n * 3..n * 3 + 3].copy_from_slice(&map(*p).to_array());
-                }
-            }
-        }
+            },
+        )?;
+        tally.iterations += stats.iterations;
+        Ok(stats)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Checks of numbers and options, with the field's path in every refusal.
 
 use super::{Error, pb};
-use crate::deform::Transform;
+use crate::deform::{FirstPass, Transform};
 use glam::{DMat3, DQuat, DVec3};
 
 /// Largest coordinate, translation, radius and rotation that a request may hold.
@@ -154,6 +154,13 @@ fn log_scale(values: &[f64], field: &str) -> Result<DMat3, Error> {
     Ok(DMat3::from_diagonal(DVec3::from_array(factors.map(libm::log))))
 }
 
+/// How often a commit fits rotations unless asked otherwise.
+pub const COMMIT_REFINE: u32 = 4;
+/// Most fits of rotations in one solve.
+const MOST_REFINE: u32 = 1000;
+/// Largest weight of neighbours in such a fit.
+const MOST_SMOOTHING: f64 = 1e6;
+
 /// Checked options of a solve. Made by [`Settings::check`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
@@ -161,6 +168,14 @@ pub struct Settings {
     pub tolerance: Option<f64>,
     /// Largest missing displacement as a fraction of the diagonal, when asked for.
     pub max_error: Option<f64>,
+    /// How often rotations are fitted after the second pass; `None`: [`COMMIT_REFINE`] on commit, not at all in a drag.
+    pub refine: Option<u32>,
+    /// What the neighbours weigh in such a fit.
+    pub rotation_smoothing: f64,
+    /// How rotations are spread from the handles.
+    pub first_pass: FirstPass,
+    /// Whether space is deformed instead of the graph.
+    pub spatial_rbf: bool,
     /// Milliseconds after which the best result so far is taken; the caller's watch enforces it.
     pub budget_ms: Option<f64>,
     /// Whether intermediate results are wanted.
@@ -172,8 +187,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Checks `options`; what this version does not do is [`Error::Unimplemented`] by name, wrong values are
-    /// [`Error::Invalid`] with the field's path below `prefix` (such as `options`).
+    /// Checks `options`; wrong values are [`Error::Invalid`] with the field's path below `prefix` (such as `options`).
     pub fn check(options: &pb::Options, prefix: &str, max_window: u32) -> Result<Self, Error> {
         let at = |name: &str| format!("{prefix}.{name}");
         let max_error = optional_within(options.max_error, 1e-9, 1.0, &at("maxError"))?;
@@ -186,25 +200,15 @@ impl Settings {
         }
         let first_pass: pb::options::FirstPass = enumerated(options.first_pass, &at("firstPass"))?;
         let method: pb::options::Method = enumerated(options.method, &at("method"))?;
-        if first_pass != pb::options::FirstPass::Harmonic {
-            return Err(Error::Unimplemented(format!(
-                "{} {}",
-                at("firstPass"),
-                first_pass.as_str_name()
-            )));
+        if let Some(seen) = options.refine.filter(|n| *n > MOST_REFINE) {
+            return Err(Error::invalid(
+                at("refine"),
+                format!("is {seen}, allowed are 0 to {MOST_REFINE}"),
+            ));
         }
-        if method != pb::options::Method::Graph {
-            return Err(Error::Unimplemented(format!(
-                "{} {}",
-                at("method"),
-                method.as_str_name()
-            )));
-        }
-        if options.refine.is_some_and(|n| n > 0) {
-            return Err(Error::Unimplemented(format!("{} above 0", at("refine"))));
-        }
-        if options.rotation_smoothing > 0.0 {
-            return Err(Error::Unimplemented(format!("{} above 0", at("rotationSmoothing"))));
+        if options.rotation_smoothing > MOST_SMOOTHING {
+            let problem = format!("is {}, allowed are 0 to {MOST_SMOOTHING}", options.rotation_smoothing);
+            return Err(Error::invalid(at("rotationSmoothing"), problem));
         }
         if options.window > max_window {
             let problem = format!("is {}, allowed are 1 to {max_window}, or 0 for 2", options.window);
@@ -223,6 +227,14 @@ impl Settings {
                 tolerance
             },
             max_error,
+            refine: options.refine,
+            rotation_smoothing: options.rotation_smoothing,
+            first_pass: match first_pass {
+                pb::options::FirstPass::Harmonic => FirstPass::Harmonic,
+                pb::options::FirstPass::Diffusion => FirstPass::Diffusion,
+                pb::options::FirstPass::LinearFrames => FirstPass::LinearFrames,
+            },
+            spatial_rbf: method == pb::options::Method::SpatialRbf,
             budget_ms,
             progressive: options.progressive,
             output,
@@ -304,64 +316,45 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_implemented_is_said_by_name() {
-        let says = |options: pb::Options, name: &str| match Settings::check(&options, "options", 8) {
-            Err(e @ Error::Unimplemented(_)) => assert!(e.to_string().contains(name), "{e}"),
-            other => panic!("{name}: {other:?}"),
-        };
+    fn first_passes_and_methods_are_taken_as_named() {
+        let check = |options: &pb::Options| Settings::check(options, "options", 8);
         let options = pb::Options::default;
-        says(
-            pb::Options {
-                refine: Some(3),
-                ..options()
-            },
-            "options.refine",
-        );
-        says(
-            pb::Options {
-                rotation_smoothing: 0.1,
-                ..options()
-            },
-            "options.rotationSmoothing",
-        );
-        says(
-            pb::Options {
-                first_pass: 1,
-                ..options()
-            },
-            "DIFFUSION",
-        );
-        says(
-            pb::Options {
-                first_pass: 2,
-                ..options()
-            },
-            "LINEAR_FRAMES",
-        );
-        says(pb::Options { method: 1, ..options() }, "SPATIAL_RBF");
-        assert!(matches!(
-            Settings::check(&pb::Options { method: 7, ..options() }, "options", 8),
-            Err(Error::Invalid { .. })
-        ));
-        let fine = Settings::check(
-            &pb::Options {
-                refine: Some(0),
-                ..options()
-            },
-            "options",
-            8,
-        )
-        .expect("valid");
+        for (first_pass, expected) in [
+            (pb::options::FirstPass::Harmonic, FirstPass::Harmonic),
+            (pb::options::FirstPass::Diffusion, FirstPass::Diffusion),
+            (pb::options::FirstPass::LinearFrames, FirstPass::LinearFrames),
+        ] {
+            let first_pass = first_pass as i32;
+            let settings = check(&pb::Options { first_pass, ..options() }).expect("valid");
+            assert_eq!((settings.first_pass, settings.spatial_rbf), (expected, false));
+        }
+        assert!(check(&pb::Options { method: 1, ..options() }).expect("valid").spatial_rbf);
+        for (wrong, field) in [
+            (pb::Options { method: 7, ..options() }, "options.method"),
+            (
+                pb::Options {
+                    first_pass: -1,
+                    ..options()
+                },
+                "options.firstPass",
+            ),
+        ] {
+            assert!(matches!(check(&wrong), Err(Error::Invalid { field: f, .. }) if f == field));
+        }
+    }
+
+    #[test]
+    fn what_is_not_given_has_its_default() {
+        let check = |options: &pb::Options| Settings::check(options, "options", 8).expect("valid");
+        let fine = check(&pb::Options {
+            refine: Some(0),
+            ..Default::default()
+        });
         assert_eq!((fine.tolerance, fine.window), (Some(1e-4), 2));
-        let by_error = Settings::check(
-            &pb::Options {
-                max_error: 1e-3,
-                ..options()
-            },
-            "options",
-            8,
-        )
-        .expect("valid");
+        let by_error = check(&pb::Options {
+            max_error: 1e-3,
+            ..Default::default()
+        });
         assert_eq!((by_error.tolerance, by_error.max_error), (None, Some(1e-3)));
     }
 }

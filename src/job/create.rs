@@ -47,9 +47,7 @@ impl Choices {
         };
         let operators = match enumerated(create.operators, "operators")? {
             pb::create_options::Operators::FiniteVolume => Operators::FiniteVolume,
-            pb::create_options::Operators::Paper => {
-                return Err(Error::Unimplemented("operators PAPER".into()));
-            }
+            pb::create_options::Operators::Paper => Operators::Paper,
         };
         let volume = create.volume_graph.unwrap_or_default();
         let mode = match enumerated(volume.mode, "volumeGraph.mode")? {
@@ -84,5 +82,31 @@ impl Choices {
                 operators,
             },
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_operators_can_be_chosen() {
+        use pb::create_options::Operators as Wanted;
+        for (wanted, chosen) in [
+            (Wanted::FiniteVolume, Operators::FiniteVolume),
+            (Wanted::Paper, Operators::Paper),
+        ] {
+            let create = pb::CreateOptions {
+                operators: wanted.into(),
+                ..Default::default()
+            };
+            let choices = Choices::check(&create).ok();
+            assert_eq!(choices.map(|c| c.body.operators), Some(chosen));
+        }
+        let unknown = pb::CreateOptions {
+            operators: 7,
+            ..Default::default()
+        };
+        assert!(Choices::check(&unknown).is_err());
     }
 }

@@ -1,13 +1,13 @@
 //! One model on the bench: everything derived from it, its handles, and poses solved on request.
 
-use super::check::{Settings, transform};
+use super::check::{COMMIT_REFINE, Settings, transform};
 use super::create::Choices;
 use super::handles::{HandleSet, resolve_handles};
 use super::quality::quality;
 use super::region::Ground;
 use super::{Error, pb};
 use crate::asset::{self, FileSet, Model};
-use crate::deform::{Body, Policy, Request, Rig, Solution, Start, State, Transform, VolumeMode};
+use crate::deform::{Body, Cycle, Policy, Refinement, Request, Rig, Solution, Start, State, Transform, VolumeMode};
 use crate::graph::estimate_nodes;
 use crate::mesh::{Adjacency, Components, Mesh, NONE, Report, inspect};
 use crate::pool::Pool;
@@ -60,6 +60,8 @@ pub enum Mode {
 pub struct Watch<'a> {
     /// Cycles done.
     pub cycle: u32,
+    /// Fits of rotations done.
+    pub refined: u32,
     /// Relative residual reached.
     pub residual: f64,
     /// Estimated largest missing displacement, fraction of the diagonal.
@@ -387,6 +389,14 @@ impl Workbench {
             tolerance: settings.tolerance,
             max_error: settings.max_error,
             start: if mode == Mode::Drag { Start::Warm } else { Start::Fresh },
+            first_pass: settings.first_pass,
+            refinement: Refinement {
+                steps: settings.refine.unwrap_or(match mode {
+                    Mode::Drag => 0,
+                    Mode::Commit => COMMIT_REFINE,
+                }),
+                smoothing: settings.rotation_smoothing,
+            },
         };
         let shape = Shape {
             body,
@@ -394,15 +404,20 @@ impl Workbench {
             rest,
             handles,
         };
-        let solution = rig.solve(body, &request, state, pool, progress, &mut |cycle| {
+        let mut on_cycle = |cycle: &Cycle<'_>| {
             let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
             watch(&Watch {
                 cycle: u32::try_from(cycle.index).unwrap_or(u32::MAX),
+                refined: cycle.refined,
                 residual: cycle.residual,
                 max_error: cycle.max_error,
                 positions: &positions,
             })
-        })?;
+        };
+        let solution = match settings.spatial_rbf {
+            true => rig.solve_in_space(body, &transforms, state, pool, progress)?,
+            false => rig.solve(body, &request, state, pool, progress, &mut on_cycle)?,
+        };
         Ok(Solved {
             positions: Arc::new(shape.render(&solution.positions, &solution.frames, &transforms)),
             cycles: u32::try_from(solution.iterations).unwrap_or(u32::MAX),
@@ -504,11 +519,15 @@ fn primitive(p: &asset::Primitive) -> pb::Primitive {
 }
 
 fn method_name(solution: &Solution) -> &'static str {
+    use crate::deform::Method::{Graph, SpatialRbf};
+    use crate::solver::Method as Solver;
     match solution.method {
-        crate::solver::Method::Trivial => "trivial",
-        crate::solver::Method::Direct => "direct",
-        crate::solver::Method::Multigrid => "multigrid",
-        crate::solver::Method::ConjugateGradients => "conjugate-gradients",
+        Graph(Solver::Trivial) => "trivial",
+        Graph(Solver::Direct) => "direct",
+        Graph(Solver::Multigrid) => "multigrid",
+        Graph(Solver::PaperCycles) => "paper-cycles",
+        Graph(Solver::ConjugateGradients) => "conjugate-gradients",
+        SpatialRbf => "spatial-rbf",
     }
 }
 

@@ -293,10 +293,13 @@ fn solve(
         if commit {
             return true;
         }
-        if stop.elapsed() >= budget || (settings.progressive && mailbox.newer()) {
+        // Refinement goes on from frame to frame, so a newer pose loses nothing by cutting it short.
+        let refining = now.refined > 0;
+        if stop.elapsed() >= budget || ((settings.progressive || refining) && mailbox.newer()) {
             return false;
         }
-        if settings.progressive && !reached(now, settings) && mailbox.wants_more() {
+        let unfinished = !reached(now, settings) || now.refined < settings.refine.unwrap_or(0);
+        if settings.progressive && unfinished && mailbox.wants_more() {
             let positions = Arc::new((now.positions)());
             let shading = shade(&positions);
             let errors = (now.residual, now.max_error);

@@ -141,13 +141,13 @@ pub(crate) fn advance(
     });
     std::mem::swap(r, last_r);
     std::mem::swap(e, last_e);
+    let longest = partials.iter().fold(0.0f32, |a, p| a.max(p[2].0[0]));
     if fresh && exact {
         // The first correction is the largest by far. From what single precision makes of it, not from the step that
         // was meant, comes a residual that stays true for longer.
         let e = &*e;
         let (r, before) = (Shared::new(r), &*last_r);
-        let mut norms = Vec::new();
-        [rr, _, _] = grid.dots(&mut norms, |rows| {
+        [rr, _, _] = grid.dots(partials, |rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let r = unsafe { r.rows(rows.clone()) };
             let before = before[rows.clone()].as_chunks::<BUNDLE>().0;
@@ -162,7 +162,6 @@ pub(crate) fn advance(
             [rr, Lanes::ZERO, Lanes::ZERO]
         });
     }
-    let longest = partials.iter().fold(0.0f32, |a, p| a.max(p[2].0[0]));
     Ok(Advance {
         rr,
         ee,
@@ -180,6 +179,25 @@ fn inner_product(grid: &Grid<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<D
         [sum, Lanes::ZERO, Lanes::ZERO]
     });
     sum
+}
+
+/// Largest row of the last step, as a vector of weighted lanes.
+pub(crate) fn longest_step(grid: &Grid<'_>, fine: &mut Fine, weights: Wide) -> f64 {
+    let weights = Lanes::from_wide(weights);
+    let Fine {
+        e, last_e, partials, ..
+    } = fine;
+    let (e, last_e) = (&*e, &*last_e);
+    grid.dots(partials, |rows| {
+        let mut longest = 0.0f32;
+        for (e, last_e) in e[rows.clone()].iter().zip(&last_e[rows]) {
+            let step = (*e - *last_e) * weights;
+            longest = longest.max((step * step).sum());
+        }
+        [Lanes::ZERO, Lanes::ZERO, Lanes::splat(longest)]
+    });
+    let longest = partials.iter().fold(0.0f32, |a, p| a.max(p[2].0[0]));
+    f64::from(longest).sqrt()
 }
 
 /// x += e / scale on free rows, and the correction begins at 0 again; residual and direction stay as they are.

@@ -10,6 +10,9 @@ use super::threads::{Threads, piece, pieces};
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
 
+/// Groups that one piece of work gathers.
+const SEED_PIECE: usize = 1024;
+
 /// Rows whose edges make the sample for the mean edge length.
 const SAMPLE: usize = 4096;
 
@@ -27,7 +30,7 @@ pub(crate) struct Groups {
     pub(crate) of_row: Vec<u32>,
     /// Where the members of each group begin; ends with their number.
     pub(crate) offsets: Vec<u32>,
-    /// Rows by group, ascending inside each.
+    /// Rows by group.
     pub(crate) members: Vec<u32>,
 }
 
@@ -57,6 +60,60 @@ impl Groups {
         }
     }
 
+    /// Groups of seeds and neighbours that have joined them; `seeds` ascend. Only the rows of seeds are
+    /// read.
+    fn around(seeds: &[u32], of_row: Vec<u32>, draft: &Draft, threads: Threads) -> Groups {
+        let count = seeds.len();
+        let parts = threads.map(
+            0..pieces(count, SEED_PIECE),
+            || (),
+            |(), k| {
+                let range = piece(k, count, SEED_PIECE);
+                let most: usize = seeds[range.clone()]
+                    .iter()
+                    .map(|&s| 1 + draft.entries(s as usize).len())
+                    .sum();
+                let mut members = vec![0u32; most];
+                let mut ends = Vec::with_capacity(range.len());
+                let mut used = 0;
+                for group in range {
+                    let seed = seeds[group];
+                    members[used] = seed;
+                    used += 1;
+                    // Whoever has not joined is written too, and then overwritten: that is faster than asking.
+                    let row = draft.row(seed as usize);
+                    for &j in row {
+                        members[used] = j;
+                        used += usize::from(of_row[j as usize] == group as u32);
+                    }
+                    ends.push(used as u32);
+                }
+                members.truncate(used);
+                (members, ends)
+            },
+        );
+        let mut offsets = Vec::with_capacity(count + 1);
+        offsets.push(0);
+        let mut base = 0;
+        for (members, ends) in &parts {
+            offsets.extend(ends.iter().map(|end| base + end));
+            base += members.len() as u32;
+        }
+        let mut members = vec![0u32; base as usize];
+        let out = Shared::new(&mut members);
+        threads.each(0..parts.len(), |k| {
+            let range = piece(k, count, SEED_PIECE);
+            // SAFETY: pieces are disjoint and each is visited once.
+            let out = unsafe { out.rows(offsets[range.start] as usize..offsets[range.end] as usize) };
+            out.copy_from_slice(&parts[k].0);
+        });
+        Groups {
+            of_row,
+            offsets,
+            members,
+        }
+    }
+
     pub(crate) fn len(&self) -> usize {
         self.offsets.len() - 1
     }
@@ -73,19 +130,30 @@ impl Groups {
 /// so that the next level inherits its order.
 pub(crate) fn aggregates(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Threads) -> Groups {
     let threads = threads.for_rows(draft.rows());
-    let connected = (0..draft.rows()).filter(|&i| draft.connected(i)).count();
     let nearest = nearest_seeds(draft, blocks, ratio, threads);
-    let mut numbers = vec![NONE; draft.rows()];
-    let mut count = 0u32;
-    for (i, number) in numbers.iter_mut().enumerate() {
-        if nearest[i] == i as u32 {
-            *number = count;
-            count += 1;
-        }
-    }
-    if f64::from(count) > SHRINK * connected as f64 {
+    // Neighbours come in pairs, so a row is connected exactly when it has joined something.
+    let parts = threads.map(
+        0..pieces(draft.rows(), PIECE),
+        || (),
+        |(), k| {
+            let range = piece(k, draft.rows(), PIECE);
+            let seeds: Vec<u32> = range
+                .clone()
+                .filter(|&i| nearest[i] == i as u32)
+                .map(|i| i as u32)
+                .collect();
+            (seeds, nearest[range].iter().filter(|seed| **seed != NONE).count())
+        },
+    );
+    let connected: usize = parts.iter().map(|p| p.1).sum();
+    let seeds: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
+    if seeds.len() as f64 > SHRINK * connected as f64 {
         let (of_row, count) = pair(draft);
         return Groups::new(of_row, count);
+    }
+    let mut numbers = vec![0u32; draft.rows()];
+    for (number, &seed) in seeds.iter().enumerate() {
+        numbers[seed as usize] = number as u32;
     }
     let mut aggregates = nearest;
     let shared = Shared::new(&mut aggregates);
@@ -97,7 +165,7 @@ pub(crate) fn aggregates(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Th
             }
         }
     });
-    Groups::new(aggregates, count as usize)
+    Groups::around(&seeds, aggregates, draft, threads)
 }
 
 #[inline(always)]

@@ -36,27 +36,46 @@ impl Draft {
         let n = sequence.len();
         let threads = threads.for_rows(n);
         let mut ranks = vec![0u32; n];
-        let mut offsets = Vec::with_capacity(n + 1);
+        let mut offsets = vec![0u32; n + 1];
+        let (shared_ranks, lengths) = (Shared::new(&mut ranks), Shared::new(&mut offsets));
+        let totals = threads.map(
+            0..pieces(n, PIECE),
+            || (),
+            |(), k| {
+                let range = piece(k, n, PIECE);
+                let mut total = 0;
+                for (&i, k) in sequence[range.clone()].iter().zip(range) {
+                    let length = rows.offsets[i as usize + 1] - rows.offsets[i as usize];
+                    // SAFETY: a sequence holds every row once, and pieces are disjoint.
+                    unsafe {
+                        shared_ranks.set(i as usize, k as u32);
+                        lengths.set(k, length);
+                    }
+                    total += length;
+                }
+                total
+            },
+        );
         let mut total = 0;
-        for (k, &i) in sequence.iter().enumerate() {
-            ranks[i as usize] = k as u32;
-            offsets.push(total);
-            total += rows.offsets[i as usize + 1] - rows.offsets[i as usize];
+        let mut bases = Vec::with_capacity(totals.len());
+        for t in &totals {
+            bases.push(total);
+            total += t;
         }
-        offsets.push(total);
+        offsets[n] = total;
         let mut draft = Draft {
             neighbours: vec![0; total as usize],
             weights: rows.weights.map(|w| vec![0.0; w.len()]),
             positions: vec![Lanes::ZERO; if rows.positions.is_empty() { 0 } else { n }],
             offsets,
         };
-        let offsets = &draft.offsets;
+        let offsets = Shared::new(&mut draft.offsets[..n]);
         let neighbours = Shared::new(&mut draft.neighbours);
         let positions = Shared::new(&mut draft.positions);
         let weights = draft.weights.as_mut().map(|w| Shared::new(w));
         threads.each(0..pieces(n, PIECE), |k| {
             let range = piece(k, n, PIECE);
-            let entries = offsets[range.start] as usize..offsets[range.end] as usize;
+            let entries = bases[k] as usize..(bases[k] + totals[k]) as usize;
             // SAFETY: pieces hold disjoint rows and entries, and each is visited once.
             let out = unsafe { neighbours.rows(entries.clone()) };
             // SAFETY: as above.
@@ -68,8 +87,11 @@ impl Draft {
                     *out = rows.positions[i as usize];
                 }
             }
+            // SAFETY: as above.
+            let lengths = unsafe { offsets.rows(range.clone()) };
             let mut to = 0;
-            for &i in &sequence[range] {
+            for (&i, length) in sequence[range].iter().zip(lengths) {
+                *length = bases[k] + to as u32;
                 let from = rows.offsets[i as usize] as usize..rows.offsets[i as usize + 1] as usize;
                 if let (Some(out), Some(w)) = (out_weights.as_deref_mut(), rows.weights) {
                     for (out, w) in out[to..].iter_mut().zip(&w[from.clone()]) {
@@ -148,7 +170,7 @@ impl Blocks {
                 touched
             },
         );
-        let (colours, by_colour) = colour(&adjacency);
+        let (colours, by_colour) = colour(&both_ways(adjacency));
         Blocks {
             size,
             rows,
@@ -161,6 +183,20 @@ impl Blocks {
     pub(crate) fn range(&self, b: usize) -> std::ops::Range<usize> {
         b * self.size..((b + 1) * self.size).min(self.rows)
     }
+}
+
+/// Adds to every list of adjacent blocks those that name its block. In a symmetric graph they are there already; that
+/// blocks of one colour can be swept at the same time must not hang on a caller's promise.
+fn both_ways(mut adjacency: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
+    let named: Vec<(u32, u32)> = (0u32..)
+        .zip(&adjacency)
+        .flat_map(|(b, others)| others.iter().map(move |&other| (b, other)))
+        .filter(|&(b, other)| !adjacency[other as usize].contains(&b))
+        .collect();
+    for (b, other) in named {
+        adjacency[other as usize].push(b);
+    }
+    adjacency
 }
 
 /// Colours blocks greedily in their order. Returns the first block of each colour and the blocks colour by colour.

@@ -9,6 +9,7 @@ use super::layout::arrange;
 use super::level::{BUNDLE, Level, NONE};
 use super::operator::coarse_rows;
 use super::order::{Frame, along_curve, breadth_first};
+use super::paper::Kept;
 use super::threads::Threads;
 use super::{BuildOptions, Constraints, Error, Graph, LevelFacts, Operators, System};
 use crate::pool::Pool;
@@ -38,6 +39,8 @@ pub struct Hierarchy {
     pub(crate) largest_diagonal: f64,
     /// Tells systems of this hierarchy from those of others.
     pub(crate) token: Arc<()>,
+    /// With the paper's operators: the graph itself, to be cut by constraints and then coarsened.
+    pub(crate) paper: Option<Kept>,
 }
 
 impl Hierarchy {
@@ -45,17 +48,13 @@ impl Hierarchy {
     /// on the pool not at all.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a malformed graph or options out of range, [`Error::Unsupported`] for operators that
-    /// are not there, [`Error::Cancelled`].
+    /// [`Error::Invalid`] for a malformed graph or options out of range, [`Error::Cancelled`].
     pub fn build(
         graph: &Graph<'_>,
         options: &BuildOptions,
         pool: &Pool,
         progress: &dyn Progress,
     ) -> Result<Hierarchy, Error> {
-        if options.operators == Operators::Paper {
-            return Err(Error::Unsupported("paper operators"));
-        }
         if !(options.coarsening > 0.0 && options.coarsening <= 1.0) {
             let seen = options.coarsening;
             return Err(Error::Invalid(format!(
@@ -65,6 +64,9 @@ impl Hierarchy {
         if !(1..=1000).contains(&options.coarsest) {
             let seen = options.coarsest;
             return Err(Error::Invalid(format!("coarsest is {seen}, allowed are 1 to 1000")));
+        }
+        if let Some(seen) = options.interleave.filter(|s| *s > 100) {
+            return Err(Error::Invalid(format!("interleave is {seen}, at most 100 are allowed")));
         }
         check(progress)?;
         let threads = Threads::of(pool);
@@ -93,7 +95,7 @@ impl Hierarchy {
         let (levels, order) = threads.enter(pool, || {
             let sequence = match positions.is_empty() {
                 true => breadth_first(graph.offsets, graph.neighbours),
-                false => along_curve(&positions),
+                false => along_curve(&positions, threads),
             };
             check(progress)?;
             let draft = Draft::new(&rows, &sequence, threads);
@@ -113,6 +115,7 @@ impl Hierarchy {
             weight_scale,
             largest_diagonal,
             token: Arc::new(()),
+            paper: (options.operators == Operators::Paper).then(|| Kept::new(graph, options)),
         })
     }
 
@@ -133,7 +136,8 @@ impl Hierarchy {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        self.levels.iter().map(Level::bytes).sum::<usize>() + 4 * self.order.len()
+        let kept = self.paper.as_ref().map_or(0, Kept::bytes);
+        self.levels.iter().map(Level::bytes).sum::<usize>() + 4 * self.order.len() + kept
     }
 
     /// Prepares solving under `constraints`: masks, diagonals and the coarsest factor of every level. Much cheaper
@@ -200,20 +204,8 @@ pub(crate) fn power_of_two_below(v: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Block, pool};
+    use super::super::testing::Block;
     use super::*;
-    use crate::progress::Silent;
-
-    #[test]
-    fn paper_operators_are_refused() {
-        let block = Block::new(3, 3, 3);
-        let options = BuildOptions {
-            operators: Operators::Paper,
-            ..BuildOptions::default()
-        };
-        let result = Hierarchy::build(&block.view(), &options, &pool(), &Silent);
-        assert_eq!(result.unwrap_err(), Error::Unsupported("paper operators"));
-    }
 
     #[test]
     fn aggregates_partition_the_rows() {

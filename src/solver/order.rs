@@ -1,6 +1,7 @@
 //! Sequences of vertices: along a space-filling curve, or breadth first where no positions are known.
 
-use super::lanes::Lanes;
+use super::lanes::{Lanes, Shared};
+use super::threads::{Threads, piece, pieces};
 
 /// Bits per axis of the curve.
 const BITS: u32 = 10;
@@ -60,40 +61,76 @@ fn spread(v: u32) -> u32 {
     (v | (v << 2)) & 0x0924_9249
 }
 
+/// Rows that one piece of work sorts.
+const PIECE: usize = 1 << 15;
+
 /// Vertices along the Morton curve through positions in the box −1 … 1; equal cells keep the order of the ids.
-pub(crate) fn along_curve(positions: &[Lanes]) -> Vec<u32> {
-    let cells = (1u32 << BITS) as f32;
+///
+/// A radix sort by three digits. Every piece counts its digits, and from the counts of all pieces follows where each
+/// of its items belongs, so that pieces move their items independently.
+pub(crate) fn along_curve(positions: &[Lanes], threads: Threads) -> Vec<u32> {
+    const DIGITS: usize = 1 << BITS;
+    let n = positions.len();
+    let threads = threads.for_rows(n);
+    let cells = DIGITS as f32;
     let cell = |v: f32| ((v + 0.5) * cells).clamp(0.0, cells - 1.0) as u32;
-    let mut items: Vec<(u32, u32)> = positions
-        .iter()
-        .enumerate()
-        .map(|(i, p)| {
-            let [x, y, z, _] = p.0;
-            (
-                spread(cell(x)) | (spread(cell(y)) << 1) | (spread(cell(z)) << 2),
-                i as u32,
-            )
-        })
-        .collect();
-    let mut spare = vec![(0, 0); items.len()];
+    let digit = |key: u32, pass: u32| (key >> (pass * BITS)) as usize % DIGITS;
+    let mut items = vec![(0u32, 0u32); n];
+    let mut spare = vec![(0u32, 0u32); n];
+    let mut order = vec![0u32; n];
     for pass in 0..3 {
-        let digit = |key: u32| (key >> (pass * BITS)) as usize & 0x3ff;
-        let mut begins = [0u32; 1 << BITS];
-        for &(key, _) in &items {
-            begins[digit(key)] += 1;
-        }
+        let from = Shared::new(&mut items);
+        let counts = threads.map(
+            0..pieces(n, PIECE),
+            || (),
+            |(), k| {
+                let range = piece(k, n, PIECE);
+                // SAFETY: pieces are disjoint and each is visited once.
+                let items = unsafe { from.rows(range.clone()) };
+                if pass == 0 {
+                    for ((item, p), i) in items.iter_mut().zip(&positions[range.clone()]).zip(range) {
+                        let [x, y, z, _] = p.0;
+                        let key = spread(cell(x)) | (spread(cell(y)) << 1) | (spread(cell(z)) << 2);
+                        *item = (key, i as u32);
+                    }
+                }
+                let mut counts = vec![0u32; DIGITS];
+                for &(key, _) in items.iter() {
+                    counts[digit(key, pass)] += 1;
+                }
+                counts
+            },
+        );
+        let mut cursors = vec![0u32; counts.len() * DIGITS];
         let mut total = 0;
-        for b in &mut begins {
-            total += std::mem::replace(b, total);
+        for d in 0..DIGITS {
+            for (k, counts) in counts.iter().enumerate() {
+                cursors[k * DIGITS + d] = total;
+                total += counts[d];
+            }
         }
-        for &item in &items {
-            let slot = &mut begins[digit(item.0)];
-            spare[*slot as usize] = item;
-            *slot += 1;
-        }
+        let (cursors, to, order) = (
+            Shared::new(&mut cursors),
+            Shared::new(&mut spare),
+            Shared::new(&mut order),
+        );
+        threads.each(0..pieces(n, PIECE), |k| {
+            // SAFETY: pieces are disjoint, each is visited once, and so is every place that their cursors pass.
+            unsafe {
+                let cursors = cursors.rows(k * DIGITS..(k + 1) * DIGITS);
+                for &item in from.rows(piece(k, n, PIECE)).iter() {
+                    let slot = &mut cursors[digit(item.0, pass)];
+                    match pass {
+                        2 => order.set(*slot as usize, item.1),
+                        _ => to.set(*slot as usize, item),
+                    }
+                    *slot += 1;
+                }
+            }
+        });
         std::mem::swap(&mut items, &mut spare);
     }
-    items.into_iter().map(|(_, i)| i).collect()
+    order
 }
 
 /// Vertices breadth first, each component from its smallest id.
@@ -132,7 +169,7 @@ mod tests {
             let c = |s: u32| ((((k * 7 + 3) % 512) >> s) & 7) as f32 / 8.0 - 0.5 + 1.0 / 32.0;
             points.push(Lanes([c(0), c(3), c(6), 0.0]));
         }
-        let order = along_curve(&points);
+        let order = along_curve(&points, Threads::one());
         let octant = |i: u32| {
             points[i as usize]
                 .0
@@ -154,8 +191,8 @@ mod tests {
 
     #[test]
     fn equal_cells_keep_their_order() {
-        assert_eq!(along_curve(&[Lanes::ZERO; 5]), [0, 1, 2, 3, 4]);
-        assert!(along_curve(&[]).is_empty());
+        assert_eq!(along_curve(&[Lanes::ZERO; 5], Threads::one()), [0, 1, 2, 3, 4]);
+        assert!(along_curve(&[], Threads::one()).is_empty());
     }
 
     #[test]

@@ -4,7 +4,9 @@
 //! precision. Once rounding shows in the residual, the correction is added to the solution and the next stretch
 //! begins from the true residual, in the same search direction: single precision never limits the result.
 
-use super::advance::{Advance, add_correction, advance, first_residual, fold, reference, residual, resume};
+use super::advance::{
+    Advance, add_correction, advance, first_residual, fold, longest_step, reference, residual, resume,
+};
 use super::cycle::{Cycle, clear_inactive, per_lane, prepare, ratio};
 use super::hierarchy::power_of_two_below;
 use super::lanes::{Lanes, WIDTH, Wide};
@@ -37,6 +39,8 @@ const LONG: f64 = 12.0;
 const FLOOR: f64 = 1e-14;
 /// Iterations that must at least halve the residual.
 const PATIENCE: usize = 12;
+/// Iterations that solves stay below unless something is wrong: their history has room from the first solve on.
+const USUAL: usize = 64;
 /// Stretches in a row that may fail to halve the true residual.
 const POOR_STRETCHES: usize = 2;
 
@@ -130,9 +134,11 @@ struct State {
     scale: Wide,
     /// (p, A p) of the last direction.
     direction: Option<Wide>,
-    /// Reduction of the residual by each iteration, slowest column.
-    history: Vec<f64>,
-    /// Error estimate of columns that have stopped.
+    /// Largest row of the last step.
+    last_step: Option<f64>,
+    /// 1 for columns that have stopped.
+    resting: Wide,
+    /// Error estimate of those.
     resting_error: f64,
     /// False if rounding may have spoilt the last error estimate.
     sound: bool,
@@ -157,11 +163,20 @@ impl Outer<'_, '_> {
         let n = problem.hierarchy.levels[0].rows();
         let width = problem.width();
         let grid = self.cycle.grid(0);
-        let Workspace { x, fine, coarse, .. } = &mut *self.workspace;
+        let Workspace {
+            x,
+            fine,
+            coarse,
+            history,
+            ..
+        } = &mut *self.workspace;
+        history.clear();
+        history.reserve(USUAL);
         fine.resize(n);
+        // A solve that was cancelled or ruined has left a correction behind.
+        fine.e.fill(Lanes::ZERO);
         clear_inactive(&grid, &mut fine.z);
         clear_inactive(&grid, &mut fine.t);
-        clear_inactive(&grid, &mut fine.e);
         clear_inactive(&grid, &mut fine.last_e);
         prepare(&self.cycle, coarse);
 
@@ -170,7 +185,8 @@ impl Outer<'_, '_> {
             reference: [0.0; WIDTH],
             scale: [1.0; WIDTH],
             direction: None,
-            history: Vec::new(),
+            last_step: None,
+            resting: [0.0; WIDTH],
             resting_error: 0.0,
             sound: true,
         };
@@ -279,9 +295,19 @@ impl Outer<'_, '_> {
         let norm_unit = per_lane(|c| scale[c] * state.reference[c]);
         let unit = per_lane(|c| problem.unit[c] / scale[c]);
         let largest_unit = unit[..width].iter().fold(0.0f64, |a, &b| a.max(b));
-        let mut open = per_lane(|c| f64::from(u8::from(c < width && start[c] > FLOOR && !criteria.rests(start[c]))));
+        let left = |c: usize| c < width && start[c] > FLOOR;
+        // Columns stay at rest unless the true residual says otherwise.
+        state.resting = per_lane(|c| {
+            if criteria.rests(start[c]) {
+                state.resting[c]
+            } else {
+                0.0
+            }
+        });
+        let mut open = per_lane(|c| if left(c) { 1.0 - state.resting[c] } else { 0.0 });
         if open == [0.0; WIDTH] {
-            open = per_lane(|c| f64::from(u8::from(c < width && start[c] > FLOOR)));
+            (state.resting, state.resting_error) = (open, 0.0);
+            open = per_lane(|c| f64::from(u8::from(left(c))));
         }
         let (mut fresh, mut steps) = (true, 0.0);
         // Small residuals are reached sooner if the first step leaves no rounding behind.
@@ -321,9 +347,8 @@ impl Outer<'_, '_> {
                 }
             });
             let lanes = || (0..width).filter(|&c| open[c] > 0.0);
-            state
-                .history
-                .push(lanes().map(|c| now[c] / before[c]).fold(0.0, f64::max));
+            let history = &mut self.workspace.history;
+            history.push(lanes().map(|c| now[c] / before[c]).fold(0.0, f64::max));
             // What rounding may have added to the true residual without the recurrence noticing.
             steps += 1.0;
             let rounding = if deep { ROUNDING_DEEP } else { ROUNDING };
@@ -331,7 +356,9 @@ impl Outer<'_, '_> {
             let noise = per_lane(|c| ratio(rounding * ee[c].sqrt(), norm_unit[c]));
             let share = lanes().map(|c| ratio(noise[c], now[c])).fold(0.0, f64::max);
             state.sound = share <= SPOILT;
-            let moving = estimate(&state.history, longest * largest_unit, share);
+            let step = longest * largest_unit;
+            let shrinkage = state.last_step.replace(step).map(|last| ratio(step, last));
+            let moving = estimate(history, step, shrinkage, share);
             state.outcome.relative = now;
             state.outcome.max_error = libm::hypot(state.resting_error, moving);
 
@@ -367,10 +394,17 @@ impl Outer<'_, '_> {
                     Stretch::Ended
                 };
             }
-            let rests = |c: usize| open[c] > 0.0 && criteria.rests(claimed[c]);
+            // Before the second iteration nothing is known about the error of what would rest.
+            let rests = |c: usize| state.outcome.iterations > 1 && open[c] > 0.0 && criteria.rests(claimed[c]);
             if (0..width).any(rests) {
-                state.resting_error = state.outcome.max_error;
-                open = per_lane(|c| if rests(c) { 0.0 } else { open[c] });
+                let weights = per_lane(|c| if rests(c) { weights[c] } else { 0.0 });
+                let Workspace { fine, history, .. } = &mut *self.workspace;
+                let longest = threads.enter(pool, || longest_step(&grid, fine, weights));
+                let left = estimate(history, longest * largest_unit, shrinkage, share);
+                state.resting_error = libm::hypot(state.resting_error, left);
+                let still = per_lane(|c| if rests(c) { 0.0 } else { open[c] });
+                state.resting = per_lane(|c| if rests(c) { 1.0 } else { state.resting[c] });
+                open = still;
             }
             if deep && fresh {
                 let Workspace { x, fine, .. } = &mut *self.workspace;
@@ -387,8 +421,9 @@ impl Outer<'_, '_> {
             if spoilt || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
                 break Stretch::Ended;
             }
-            let recent = state.history.len().saturating_sub(PATIENCE);
-            let slow = recent > 0 && state.history[recent..].iter().product::<f64>() > 0.5;
+            let history = &self.workspace.history;
+            let recent = history.len().saturating_sub(PATIENCE);
+            let slow = recent > 0 && history[recent..].iter().product::<f64>() > 0.5;
             if broken || slow {
                 break Stretch::Troubled;
             }
@@ -447,13 +482,20 @@ fn mean_factor(from: Wide, to: Wide, iterations: usize) -> f64 {
 ///
 /// Summing what later steps will move, each ρ times the one before, gives step · ρ / (1 − ρ). ρ is the mean reduction
 /// of the residual, or the last one if that was slower, without the first one, which removes what is rough and tells
-/// nothing about the smooth error that is left. That error falls less evenly than the residual, hence a floor: on volume graphs, a step is followed by
-/// 0.1 to 0.5 times its length. Where rounding makes up a `share` of the residual, its smooth part keeps the error
-/// from falling with it.
-fn estimate(history: &[f64], step: f64, share: f64) -> f64 {
+/// nothing about the smooth error that is left. Steps see that error better but fall less evenly, so where their last
+/// `shrinkage` says that it fell faster, it has a part in ρ only. The error falls unevenly too, hence a floor: on volume graphs, a step is followed
+/// by 0.1 to 0.5 times its length. Where rounding makes up a large `share` of the residual, its smooth part keeps the
+/// error from falling with it.
+fn estimate(history: &[f64], step: f64, shrinkage: Option<f64>, share: f64) -> f64 {
     const LEAST: f64 = 0.22;
+    const MOST: f64 = 0.95;
+    const BY_STEPS: f64 = 0.3;
+    const HARMLESS: f64 = 0.2;
     let later = if history.len() > 1 { &history[1..] } else { history };
     let mean = libm::pow(later.iter().product::<f64>(), 1.0 / later.len().max(1) as f64);
-    let rho = mean.max(history.last().copied().unwrap_or(0.0)).clamp(LEAST, 0.95);
-    step * rho / (1.0 - rho) * (1.0 + 4.0 * share)
+    let by_residual = mean.max(history.last().copied().unwrap_or(0.0)).min(MOST);
+    let by_steps = shrinkage.map_or(by_residual, |s| s.clamp(1e-3, MOST));
+    let mixed = libm::pow(by_residual, 1.0 - BY_STEPS) * libm::pow(by_steps, BY_STEPS);
+    let rho = mixed.min(by_residual).max(LEAST);
+    step * rho / (1.0 - rho) * (1.0 + 1.5 * (share - HARMLESS).max(0.0))
 }

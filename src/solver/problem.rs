@@ -49,30 +49,28 @@ impl<'a> Problem<'a> {
         let n = hierarchy.vertices();
         let threads = threads.for_rows(n);
         // Sums instead of maxima would overflow; a value that is not finite shows up as an infinite maximum.
-        let parts = threads.map(
-            0..pieces(n, PIECE),
-            || (),
-            |(), k| {
-                let mut most = [[0.0f64; WIDTH]; 2];
-                for v in piece(k, n, PIECE) {
-                    let fixed = system.is_fixed(v);
-                    let at = v * columns + first;
-                    for c in 0..width {
-                        let size = |v: f64| if v.is_finite() { v.abs() } else { f64::INFINITY };
-                        if !fixed {
-                            most[0][c] = most[0][c].max(size(rhs[at + c]));
-                        }
-                        if fixed || given {
-                            most[1][c] = most[1][c].max(size(x[at + c]));
-                        }
+        let most_of = |k: usize| {
+            let mut most = [[0.0f64; WIDTH]; 2];
+            for v in piece(k, n, PIECE) {
+                let fixed = system.is_fixed(v);
+                let at = v * columns + first;
+                for c in 0..width {
+                    let size = |v: f64| if v.is_finite() { v.abs() } else { f64::INFINITY };
+                    if !fixed {
+                        most[0][c] = most[0][c].max(size(rhs[at + c]));
+                    }
+                    if fixed || given {
+                        most[1][c] = most[1][c].max(size(x[at + c]));
                     }
                 }
-                most
-            },
-        );
+            }
+            most
+        };
+        let larger = |a: [Wide; 2], b: [Wide; 2]| [0, 1].map(|k| std::array::from_fn(|c| a[k][c].max(b[k][c])));
+        let most: [Wide; 2] = in_order(threads, pieces(n, PIECE), [[0.0; WIDTH]; 2], most_of, larger);
         let (mut unit, mut rhs_factor) = ([1.0; WIDTH], [1.0; WIDTH]);
         for c in 0..width {
-            let most = |what: usize| parts.iter().fold(0.0f64, |a, p| a.max(p[what][c]));
+            let most = |what: usize| most[what][c];
             for (what, name) in ["right-hand side", "start or fixed value"].into_iter().enumerate() {
                 if most(what).is_infinite() {
                     return Err(Error::Invalid(format!(
@@ -336,13 +334,27 @@ impl<'a> Problem<'a> {
     pub(crate) fn norms(&self, body: impl Fn(Range<usize>) -> Wide + Sync + Send) -> Wide {
         let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
         let active = &mask.active;
-        let parts = self
-            .threads
-            .map(0..active.len(), || (), |(), k| body(level.block(active[k] as usize)));
-        let mut sum = [0.0; WIDTH];
-        for part in parts {
+        let of_block = |k: usize| body(level.block(active[k] as usize));
+        let add = |mut sum: Wide, part: Wide| {
             add_wide(&mut sum, part);
-        }
-        sum
+            sum
+        };
+        in_order(self.threads, active.len(), [0.0; WIDTH], of_block, add)
+    }
+}
+
+/// Joins what `body` makes of 0, 1, … `count` − 1, always in this order. One thread needs no memory for that.
+fn in_order<T: Copy + Send>(
+    threads: Threads,
+    count: usize,
+    zero: T,
+    body: impl Fn(usize) -> T + Sync + Send,
+    join: impl Fn(T, T) -> T,
+) -> T {
+    if threads.parallel() {
+        let parts = threads.map(0..count, || (), |(), k| body(k));
+        parts.into_iter().fold(zero, join)
+    } else {
+        (0..count).fold(zero, |sum, k| join(sum, body(k)))
     }
 }

@@ -92,12 +92,13 @@ impl System {
                     threads,
                     progress,
                 };
-                if let Start::FullMultigrid { frames, rest } = options.start {
+                let paper = hierarchy.paper.as_ref().zip(self.paper.as_ref());
+                if let (Start::FullMultigrid { frames, rest }, None) = (options.start, paper) {
                     problem
                         .threads
                         .enter(pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
                 }
-                Outer {
+                let mut outer = Outer {
                     problem,
                     cycle,
                     pool,
@@ -105,8 +106,11 @@ impl System {
                     workspace,
                     caller: x,
                     from_zero: matches!(options.start, Start::Zero),
+                };
+                match paper {
+                    Some((kept, paper)) => super::paper::solve(&mut outer, paper, kept, options.start, watch)?,
+                    None => outer.solve(watch)?,
                 }
-                .solve(watch)?
             };
             problem.store(&workspace.x, None, x);
             merge(&mut stats, &outcome, problem.width());

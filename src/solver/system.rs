@@ -6,8 +6,9 @@ use super::dense::Inverse;
 use super::floating::Floating;
 use super::lanes::Shared;
 use super::level::{Level, NONE};
+use super::paper::PaperHierarchy;
 use super::threads::{Threads, piece, pieces};
-use super::{Constraints, Error, Hierarchy};
+use super::{Constraints, Error, Hierarchy, LevelFacts};
 use crate::pool::Pool;
 
 /// Up to this many free vertices are solved directly.
@@ -108,6 +109,8 @@ pub struct System {
     /// Whether the finest level is swept forth and back on either side of the coarse correction, not just once.
     pub(crate) twice: bool,
     pub(crate) floating: Floating,
+    /// With the paper's operators: its own levels.
+    pub(crate) paper: Option<PaperHierarchy>,
 }
 
 impl System {
@@ -141,6 +144,7 @@ impl System {
             steps: Vec::new(),
             twice: is_thin(&hierarchy.levels[0]),
             floating: Floating::default(),
+            paper: None,
         };
         threads.enter(pool, || {
             system.mask_finest(hierarchy, constraints.fixed, threads);
@@ -159,6 +163,10 @@ impl System {
             system.floating = Floating::find(hierarchy, &system);
         });
         system.steps = steps(hierarchy);
+        if let (Some(kept), false) = (&hierarchy.paper, system.is_direct()) {
+            let paper = PaperHierarchy::build(kept, hierarchy, constraints.fixed, &system.stiffness);
+            system.paper = Some(paper);
+        }
         Ok(system)
     }
 
@@ -167,10 +175,18 @@ impl System {
         self.free
     }
 
+    /// Sizes of the levels over free vertices, finest first, where constraints have a hierarchy of their own: with
+    /// [`Operators::Paper`](super::Operators::Paper) and more free vertices than are solved directly.
+    pub fn levels(&self) -> Option<Vec<LevelFacts>> {
+        self.paper.as_ref().map(PaperHierarchy::facts)
+    }
+
     /// Bytes held, without the hierarchy's.
     pub fn bytes(&self) -> usize {
         let masks: usize = self.masks.iter().map(Mask::bytes).sum();
-        masks + 8 * (self.stiffness.len() + self.fixed.len()) + self.inverse.bytes() + self.floating.bytes()
+        let paper = self.paper.as_ref().map_or(0, PaperHierarchy::bytes);
+        let vectors = 8 * (self.stiffness.len() + self.fixed.len());
+        masks + vectors + self.inverse.bytes() + self.floating.bytes() + paper
     }
 
     /// True if the dense inverse covers the finest level itself.

@@ -15,6 +15,8 @@ pub struct Workspace {
     pub(crate) fine: Fine,
     pub(crate) coarse: Vec<Coarse>,
     pub(crate) patches: Vec<Patches>,
+    /// Reduction of the residual by each iteration of the present solve, slowest column.
+    pub(crate) history: Vec<f64>,
     /// Vectors in double precision for the direct method and the fallback.
     pub(crate) wide: [Vec<Wide>; 3],
 }
@@ -63,6 +65,6 @@ impl Workspace {
         let wide = self.x.capacity() + self.wide.iter().map(Vec::capacity).sum::<usize>();
         let coarse: usize = self.coarse.iter().map(Coarse::bytes).sum();
         let patches: usize = self.patches.iter().map(Patches::bytes).sum();
-        16 * (lanes + 3 * f.partials.capacity()) + 32 * wide + coarse + patches
+        16 * (lanes + 3 * f.partials.capacity()) + 32 * wide + coarse + patches + 8 * self.history.capacity()
     }
 }

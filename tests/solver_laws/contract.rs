@@ -104,6 +104,57 @@ fn cancelling_stops_within_a_cycle() {
 }
 
 #[test]
+fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable() {
+    let case = Case::ends(lattice(12, 12, 16), 2);
+    let (rhs, start, frames) = twist(&case, 1.0);
+    let full = Start::FullMultigrid {
+        frames: Some(&frames),
+        rest: None,
+    };
+    for start_at in [Start::Zero, full] {
+        let options = SolveOptions {
+            start: start_at,
+            ..to(1e-9)
+        };
+        let mut want = start.clone();
+        case.solve(3, &rhs, &mut want, &options);
+        let mut workspace = Workspace::default();
+        let mut solve = |x: &mut [f64], progress: &dyn Progress, watch: &mut dyn FnMut(&Iteration<'_>) -> Control| {
+            let (hierarchy, pool) = (&case.hierarchy, &case.pool);
+            let system = &case.system;
+            system.solve(hierarchy, 3, &rhs, x, &options, &mut workspace, pool, progress, watch)
+        };
+        for at in [1, 2, 4] {
+            // Raised while iteration `at` is shown: the next one is not finished.
+            let flag = CancelFlag::default();
+            let (mut x, mut last) = (start.clone(), 0);
+            let result = solve(&mut x, &flag, &mut |iteration| {
+                last = iteration.index;
+                if last == at {
+                    flag.cancel();
+                }
+                Control::Continue
+            });
+            assert_eq!((result, last), (Err(Error::Cancelled), at));
+            let given = |i: &usize| case.fixed[*i / 3];
+            assert!((0..x.len()).filter(given).all(|k| x[k].to_bits() == start[k].to_bits()));
+        }
+        // At any question, also inside the start and between the sweeps of a cycle.
+        for questions in 0..40 {
+            let mut x = start.clone();
+            let result = solve(&mut x, &After(questions.into()), &mut |_| Control::Continue);
+            assert_eq!(result, Err(Error::Cancelled), "after {questions} questions");
+        }
+        let mut x = start.clone();
+        solve(&mut x, &Silent, &mut |_| Control::Continue).unwrap();
+        assert!(
+            x.iter().zip(&want).all(|(a, b)| a.to_bits() == b.to_bits()),
+            "what was cancelled leaves no trace"
+        );
+    }
+}
+
+#[test]
 fn bad_arguments_are_named() {
     let case = Case::ends(lattice(12, 12, 12), 2);
     let other = Case::ends(lattice(12, 12, 12), 2);

@@ -111,6 +111,13 @@ impl Lattice {
         self
     }
 
+    /// With a weight for every entry of the rows.
+    pub fn with_weights(mut self, weights: Vec<f32>) -> Lattice {
+        assert_eq!(weights.len(), self.neighbours.len());
+        self.weights = Some(weights);
+        self
+    }
+
     /// Drops about a third of the edges.
     pub fn disconnected(self, seed: u64) -> Lattice {
         let mut random = Random::new(seed);

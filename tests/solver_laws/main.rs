@@ -7,4 +7,5 @@ mod contract;
 mod equations;
 mod graphs;
 mod hard;
+mod paper;
 mod starts;

@@ -238,6 +238,8 @@ pub(super) mod tests {
                 tolerance: Some(1e-11),
                 max_error: None,
                 start: Start::Fresh,
+                first_pass: Default::default(),
+                refinement: Default::default(),
             };
             let mut state = State::default();
             let solution = rig

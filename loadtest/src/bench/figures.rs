@@ -30,6 +30,13 @@ impl Figures {
         self.0.get(key)?.as_f64()
     }
 
+    /// A list of numbers set before; empty if there is none.
+    pub fn list(&self, key: &str) -> Vec<f64> {
+        let list = self.0.get(key).and_then(Value::as_array);
+        list.map(|l| l.iter().filter_map(Value::as_f64).collect())
+            .unwrap_or_default()
+    }
+
     /// Everything on one line.
     pub fn json(&self) -> String {
         Value::Object(self.0.clone()).to_string()

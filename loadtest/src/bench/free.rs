@@ -180,6 +180,7 @@ fn method(method: Method) -> &'static str {
         Method::Trivial => "trivial",
         Method::Direct => "direct",
         Method::Multigrid => "multigrid",
+        Method::PaperCycles => "paper-cycles",
         Method::ConjugateGradients => "conjugate-gradients",
     }
 }

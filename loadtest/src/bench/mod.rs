@@ -4,6 +4,7 @@
 
 mod clock;
 mod companion;
+mod cycles;
 pub(crate) mod export;
 mod figures;
 mod files;

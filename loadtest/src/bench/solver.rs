@@ -4,7 +4,7 @@ use super::clock::Times;
 use super::companion::Companion;
 use super::figures::Figures;
 use super::problem::Problem;
-use super::{clock, free, memory, whole};
+use super::{clock, cycles, free, memory, whole};
 use crate::Failure;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -31,6 +31,10 @@ pub(crate) struct SolverArgs {
     /// Leave out the solutions to the last digit, and with them all errors
     #[arg(long)]
     fast: bool,
+    /// Instead of all else: residual and error of every iteration after full multigrid, with these operators and with
+    /// the default ones; needs the companion
+    #[arg(long, value_parser = ["paper"])]
+    operators: Option<String>,
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
@@ -139,6 +143,20 @@ pub(crate) fn run(args: &SolverArgs) -> Result<(), Failure> {
     figures.set("nnz", problem.matrix.entries());
     figures.set("threads", pool.threads());
     figures.measured("wu_s", clock::work_unit(&problem.matrix));
+    if args.operators.is_some() {
+        let terms = Terms {
+            pool,
+            repeat: 1,
+            fast: false,
+        };
+        let companion = Companion::read(&Companion::path_beside(&args.problem))?;
+        cycles::measure(&companion, &terms, &mut figures)?;
+        match args.json {
+            true => println!("{}", figures.json()),
+            false => print!("{}", cycles::table(&figures)),
+        }
+        return Ok(());
+    }
     let base = memory::resident();
     figures.megabytes("rss_base_MB", base as f64);
     memory::reset_peak();
