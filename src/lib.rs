@@ -11,7 +11,7 @@
 //! | 4 | [`session`] | sessions: state, commits, undo, the deform stream |
 //! | 3 | [`job`] | the declarative request, its JSON, and a bench that runs it |
 //! | 2 | [`deform`] | two passes: rotation fields, positions |
-//! | 1 | [`solver`], [`graph`] | multigrid on a weighted graph; surface and volume graphs |
+//! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
 //! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`] | triangles; model formats; threads; cancelling |
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
@@ -24,6 +24,7 @@ pub mod job;
 pub mod mesh;
 pub mod pool;
 pub mod progress;
+pub mod render;
 pub mod server;
 pub mod session;
 pub mod solver;

@@ -41,7 +41,7 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
     job("job.json", JOB);
     job("unknown.json", r#"{"handles": [{"id": "a", "regoin": {}}]}"#);
     job("edit.json", r#"{"steps": [{"edit": {"subdivide": {}}}]}"#);
-    job("refine.json", r#"{"options": {"refine": 2}}"#);
+    job("refine.json", r#"{"options": {"refine": 1001}}"#);
     job(
         "empty.json",
         r#"{"handles": [{"id": "a", "region": {"sphere": {"center": [99, 0, 0], "radius": 1}}}]}"#,
@@ -181,7 +181,12 @@ fn an_expectation_that_does_not_hold_is_exit_1() {
 #[test]
 fn help_and_version_are_answers() {
     let folder = workplace();
-    for arguments in [&["--help"][..], &["--version"], &["deform", "--help"]] {
+    for arguments in [
+        &["--help"][..],
+        &["--version"],
+        &["deform", "--help"],
+        &["render", "--help"],
+    ] {
         let (code, stdout, _) = pliant(folder.path(), arguments);
         assert_eq!(code, Some(0));
         assert!(stdout.contains("pliant"), "{stdout}");

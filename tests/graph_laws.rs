@@ -190,13 +190,106 @@ fn a_model_with_holes_still_has_an_inside() {
 
 #[test]
 fn thin_walls_get_thinner_shells_and_no_lattice() {
-    let plate = shapes::moved(shapes::cube(6), |p| p * DVec3::new(1.0, 1.0, 0.01));
+    let plate = shapes::moved(shapes::cube(6), |p| p * DVec3::new(1.0, 1.0, 0.05));
     let mesh = shapes::mesh(&plate);
     let graph = volume_of(&plate).expect("an inside");
     shapes::check_graph(&graph, &mesh);
     assert_eq!(graph.stats.lattice_nodes, 0);
     assert!(graph.stats.shell_nodes > graph.surface / 2, "{:?}", graph.stats);
-    assert!(graph.positions.iter().all(|p| p.z.abs() <= 0.01));
+    assert!(graph.positions.iter().all(|p| p.z.abs() <= 0.05));
+}
+
+#[test]
+fn parts_too_thin_for_a_shell_are_surfaces_and_others_keep_their_inside() {
+    let foil = shapes::moved(shapes::cube(6), |p| p * DVec3::new(1.0, 1.0, 0.002));
+    assert!(volume_of(&foil).is_none(), "a foil alone is a surface");
+    let beside = shapes::moved(foil, |p| p + DVec3::Z * 3.0);
+    let scene = shapes::both(shapes::sphere(5, 1.0), beside);
+    let graph = volume_of(&scene).expect("the ball has an inside");
+    shapes::check_graph(&graph, &shapes::mesh(&scene));
+    assert_eq!(graph.stats.component_has_volume, [true, false]);
+    let alone = volume_of(&shapes::sphere(5, 1.0)).expect("an inside");
+    assert!(
+        graph.stats.lattice_nodes > alone.stats.lattice_nodes / 2,
+        "{:?}",
+        graph.stats
+    );
+}
+
+#[test]
+fn parts_that_overlap_share_one_lattice_and_nested_ones_too() {
+    let ball = shapes::sphere(5, 1.0);
+    let overlapping = shapes::both(ball.clone(), shapes::moved(ball.clone(), |p| p * 0.9 + DVec3::X * 1.2));
+    let nested = shapes::both(ball.clone(), shapes::moved(ball.clone(), |p| p * 0.6));
+    let touching = shapes::both(shapes::cube(5), shapes::moved(shapes::cube(5), |p| p + DVec3::X * 1.9));
+    // A bowl with its rim cut off beside the ball that it overlaps: one closed, one open.
+    let bowl = {
+        let (p, f) = shapes::moved(ball.clone(), |p| p + DVec3::X * 1.1);
+        let faces = f.into_iter().filter(|t| p[t[0] as usize].x < 1.9).collect();
+        (p, faces)
+    };
+    let open = shapes::both(ball, bowl);
+    for (name, scene) in [
+        ("overlapping", overlapping),
+        ("nested", nested),
+        ("touching", touching),
+        ("open", open),
+    ] {
+        let graph = volume_of(&scene).expect("an inside");
+        shapes::check_graph(&graph, &shapes::mesh(&scene));
+        assert_eq!(graph.components, 1, "{name}: {:?}", graph.stats);
+    }
+}
+
+#[test]
+fn soups_have_an_inside() {
+    // Every face on its own, a little smaller, so that no two share a vertex.
+    let (p, f) = shapes::sphere(4, 1.0);
+    let mut soup: Shape = Default::default();
+    for t in f {
+        let middle = t.iter().map(|&v| p[v as usize]).sum::<DVec3>() / 3.0;
+        let first = soup.0.len() as u32;
+        soup.0.extend(t.map(|v| middle + (p[v as usize] - middle) * 0.97));
+        soup.1.push([first, first + 1, first + 2]);
+    }
+    let graph = volume_of(&soup).expect("an inside");
+    shapes::check_graph(&graph, &shapes::mesh(&soup));
+    assert!(graph.stats.lattice_nodes > 500, "{:?}", graph.stats);
+    let ball = 4.0 / 3.0 * std::f64::consts::PI;
+    assert!(
+        (0.8..1.1).contains(&(graph.stats.enclosed_volume / ball)),
+        "{:?}",
+        graph.stats
+    );
+    assert!(
+        graph.components < soup.1.len() / 2,
+        "the lattice joins faces: {} of {}",
+        graph.components,
+        soup.1.len()
+    );
+}
+
+#[test]
+fn a_surface_parted_by_cracks_still_has_an_inside() {
+    // A ball in eight patches that do not meet.
+    let (p, f) = shapes::sphere(5, 1.0);
+    let mut cracked: Shape = Default::default();
+    for octant in 0..8u32 {
+        let sign = |k: u32| if octant >> k & 1 == 1 { 1.0 } else { -1.0 };
+        let toward = DVec3::new(sign(0), sign(1), sign(2));
+        let middle = |t: &[u32; 3]| t.iter().map(|&v| p[v as usize]).sum::<DVec3>();
+        let own = f.iter().copied().filter(|t| (middle(t) * toward).min_element() > 0.0);
+        cracked = shapes::both(cracked, (p.iter().map(|&p| p + toward * 1e-3).collect(), own.collect()));
+    }
+    let graph = volume_of(&cracked).expect("an inside");
+    shapes::check_graph(&graph, &shapes::mesh(&cracked));
+    assert_eq!(graph.components, 1, "one lattice holds the patches together");
+    let ball = 4.0 / 3.0 * std::f64::consts::PI;
+    assert!(
+        (0.9..1.1).contains(&(graph.stats.enclosed_volume / ball)),
+        "{:?}",
+        graph.stats
+    );
 }
 
 #[test]

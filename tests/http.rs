@@ -108,13 +108,20 @@ async fn one_solve_in_three_forms() {
         (frames[0]["final"].as_bool(), frames[0]["encoding"].as_str()),
         (Some(true), Some("F32"))
     );
+    let quality = frames[0]["quality"].clone();
+    assert!(
+        quality["edgeRms"].as_f64().is_some_and(|x| x > 0.0) && quality.get("selfIntersections").is_none(),
+        "{quality}"
+    );
     let data = base64::engine::general_purpose::STANDARD
         .decode(frames[0]["data"].as_str().unwrap())
         .unwrap();
 
+    let mut counted = turn_json(0.5);
+    counted["options"] = json!({"output": {"selfIntersections": true}});
     let binary = http()
         .post(server.url(&path))
-        .json(&turn_json(0.5))
+        .json(&counted)
         .header("accept", "application/octet-stream")
         .send();
     let binary = binary.await.unwrap();
@@ -131,6 +138,11 @@ async fn one_solve_in_three_forms() {
             .unwrap()
             < 1e-3
     );
+    // What JSON says in a field, headers say for the other forms.
+    let said = |name: &str| binary.headers()[name].to_str().unwrap().parse::<f64>().unwrap();
+    assert_eq!(said("x-pliant-edge-rms"), quality["edgeRms"]);
+    assert_eq!(said("x-pliant-flipped-triangles"), 0.0);
+    assert_eq!(said("x-pliant-self-intersections"), 0.0);
     let buffer = binary.bytes().await.unwrap();
     assert_eq!(
         floats(&buffer),

@@ -191,7 +191,7 @@ fn a_twist_is_spread_evenly_and_keeps_most_of_the_volume() {
             rms < largest,
             "{degrees} degrees: {rms} of the diagonal from the even twist"
         );
-        let quality = bench.quality(&solved.positions);
+        let quality = bench.quality(&solved.positions, &pool(2));
         assert!(
             quality.volume_change.abs() < volume,
             "{degrees} degrees: volume {}",
@@ -221,7 +221,7 @@ fn the_volume_graph_keeps_volume_that_the_surface_alone_loses() {
             vec![handle("base", below(0.25)), handle("top", above(3.75))],
         );
         let solved = solve(&mut bench, &[("top", turn(DVec3::Z * 2.4, DVec3::ZERO))], 1e-5);
-        bench.quality(&solved.positions).volume_change
+        bench.quality(&solved.positions, &pool(2)).volume_change
     };
     let (with, without) = (
         change(pb::create_options::volume_graph::Mode::Auto),

@@ -2,15 +2,18 @@
 //!
 //! `loadtest stream` drags a handle of a model at a steady rate over gRPC, from one client or several, and keeps the
 //! books: every pose that was sent must come back as a final frame, as an error, or in the `superseded` of a frame.
-//! `export-system`, `solver` and `pipeline` are the bench: see [`bench`].
+//! `export-system`, `solver` and `pipeline` are the bench: see [`bench`]. `sheet` draws what deforming does to a folder of
+//! models.
 //!
 //! Exit codes: 0 the books balance, 1 they do not or the server or solver failed, 2 usage.
 
 mod bench;
 mod books;
 mod client;
+mod figures;
 mod report;
 mod scene;
+mod sheet;
 mod target;
 
 use clap::{Parser, Subcommand};
@@ -36,6 +39,10 @@ enum Command {
     Solver(bench::solver::SolverArgs),
     /// Time every stage from a model's file to the first frame
     Pipeline(bench::pipeline::PipelineArgs),
+    /// Deform every model of a folder and draw them all on one picture
+    Sheet(sheet::SheetArgs),
+    /// Make the paper's figures 2 and 3: every first pass, and the deformation of space, side by side
+    Figures(figures::FiguresArgs),
 }
 
 /// Arguments of `loadtest stream`.
@@ -105,6 +112,8 @@ fn main() -> ExitCode {
         Command::ExportSystem(args) => bench::export::run(args),
         Command::Solver(args) => bench::solver::run(args),
         Command::Pipeline(args) => bench::pipeline::run(args),
+        Command::Sheet(args) => sheet::run(args),
+        Command::Figures(args) => figures::run(args),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

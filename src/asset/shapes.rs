@@ -89,6 +89,24 @@ pub fn cylinder(radius: f64, length: f64, around: usize, along: usize, capped: b
     (positions, triangles)
 }
 
+/// A wire of radius `wire` wound about the z axis: `turns` of radius `radius` that rise by `pitch` each, with `around` (at
+/// least 3) by `along` (at least 1) cells and closed ends. It begins on the x axis at z = 0.
+pub fn spring(radius: f64, wire: f64, pitch: f64, turns: f64, around: usize, along: usize) -> Shape {
+    let (mut positions, triangles) = cylinder(wire, 1.0, around, along, true);
+    let rise = pitch / TAU;
+    // The frame of the wire: outwards, and across both that and its direction.
+    let across = libm::atan2(rise, radius);
+    let (tilt, level) = libm::sincos(across);
+    for p in &mut positions {
+        let angle = TAU * turns * p.z;
+        let (sin, cos) = libm::sincos(angle);
+        let (outwards, along) = (DVec3::new(cos, sin, 0.0), DVec3::new(-sin, cos, 0.0));
+        let up = DVec3::Z * level - along * tilt;
+        *p = outwards * (radius + p.x) + DVec3::Z * (rise * angle) - up * p.y;
+    }
+    (positions, triangles)
+}
+
 /// A sphere about the origin with poles on the z axis, of `around` (at least 3) meridians and `along` (at least 2) bands.
 pub fn uv_sphere(radius: f64, around: usize, along: usize) -> Shape {
     let (around, along) = (around.max(3), along.max(2));
@@ -257,6 +275,8 @@ pub(super) mod tests {
         assert_closed(&uv_sphere(2.0, 60, 40), 2, 4.0 / 3.0 * PI * 8.0, 0.01);
         assert_closed(&icosphere(0.5, 4), 2, PI / 6.0, 0.01);
         assert_closed(&torus(2.0, 0.5, 80, 40), 0, 2.0 * PI * PI * 2.0 * 0.25, 0.01);
+        let length = 3.0 * f64::hypot(TAU * 2.0, 1.2);
+        assert_closed(&spring(2.0, 0.2, 1.2, 3.0, 64, 300), 2, PI * 0.04 * length, 0.01);
     }
 
     #[test]

@@ -83,5 +83,8 @@ fn summarise(report: &pb::Report, millis: f64) {
         quality.flipped_triangles,
         millis
     );
+    if let Some(pairs) = quality.self_intersections {
+        eprintln!("{pairs} pairs of triangles cross");
+    }
     eprintln!("{} -> {}", report.digest, report.output.join(", "));
 }

@@ -148,6 +148,13 @@ pub(super) fn write_model(
     Ok(files.into_keys().collect())
 }
 
+/// Writes one file: whole or not at all as far as a file system allows.
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    let refuse = |e: std::io::Error| Failure::Input(format!("cannot write {}: {e}", path.display()));
+    let temp = write_beside(path, bytes).map_err(refuse)?;
+    fs::rename(&temp, path).map_err(refuse)
+}
+
 fn write_beside(target: &Path, bytes: &[u8]) -> std::io::Result<PathBuf> {
     if let Some(folder) = target.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder)?;

@@ -7,6 +7,7 @@ mod deform;
 mod files;
 mod inspect;
 mod progress;
+mod render;
 pub mod serve;
 
 use crate::job;
@@ -30,6 +31,8 @@ enum Command {
     Deform(deform::DeformArgs),
     /// Tell what the solver sees in a model
     Inspect(inspect::InspectArgs),
+    /// Draw a model, maybe beside what it was, as a png
+    Render(render::RenderArgs),
 }
 
 /// The thread budget of commands that compute in process.
@@ -111,6 +114,7 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::main(args),
         Command::Deform(args) => deform::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Render(args) => render::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -15,7 +15,7 @@ pub use crate::solver::Operators;
 /// When interior nodes are built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum VolumeMode {
-    /// Where the mesh has an inside.
+    /// Where the mesh has an inside, and the graph is not too large with it.
     #[default]
     Auto,
     /// Never.
@@ -54,19 +54,31 @@ pub struct Body {
     pub(super) unit: f64,
     /// Length of the mesh's bounding box diagonal, model units; above 0.
     pub diagonal: f64,
+    /// Why there are no interior nodes although mode [`VolumeMode::Auto`] would have them: there would be too many.
+    pub too_large: Option<String>,
 }
 
 impl Body {
     /// Builds graph and hierarchy. Reports the stages "graph" and "hierarchy".
     ///
     /// # Errors
-    /// [`Error::NoInside`] in mode [`VolumeMode::Required`]; [`Error::Graph`] when the graph would be too large;
-    /// [`Error::Cancelled`].
+    /// [`Error::NoInside`] in mode [`VolumeMode::Required`]; [`Error::Graph`] for senseless options, and in that mode when
+    /// the graph would be too large; [`Error::Cancelled`].
     pub fn build(mesh: &Mesh, options: &BodyOptions, pool: &Pool, progress: &dyn Progress) -> Result<Self, Error> {
         progress.report("graph", 0.0);
-        let volume = match options.volume {
-            VolumeMode::Off => None,
-            _ => graph::volume(mesh, &options.graph, pool, progress)?,
+        let built = match options.volume {
+            VolumeMode::Off => Ok(None),
+            _ => graph::volume(mesh, &options.graph, pool, progress),
+        };
+        let (volume, too_large) = match built {
+            Ok(volume) => (volume, None),
+            // What cannot be had with an inside can be had as a surface, unless the inside was asked for.
+            Err(e @ (graph::Error::TooManyNodes { .. } | graph::Error::TooManyEdges { .. }))
+                if options.volume == VolumeMode::Auto =>
+            {
+                (None, Some(e.to_string()))
+            }
+            Err(e) => return Err(e.into()),
         };
         let graph = match volume {
             Some(graph) => graph,
@@ -111,6 +123,7 @@ impl Body {
             origin,
             unit,
             diagonal,
+            too_large,
         })
     }
 

@@ -143,7 +143,11 @@ impl<'a> Blend<'a> {
 
     /// The longest way from the base to any hold's rotation, in radians.
     pub fn reach(&self) -> f64 {
-        self.rotations.terms.iter().map(|t| t.vector.length()).fold(0.0, f64::max)
+        self.rotations
+            .terms
+            .iter()
+            .map(|t| t.vector.length())
+            .fold(0.0, f64::max)
     }
 }
 
@@ -165,7 +169,7 @@ struct Rotations<'a> {
 
 impl<'a> Rotations<'a> {
     fn new(rig: &'a Rig, transforms: &[Transform]) -> Self {
-        let fields = &rig.rotation_fields;
+        let fields = rig.blending_fields.as_ref().unwrap_or(&rig.rotation_fields);
         // The frozen surroundings stand still; they come after the holds.
         let rotation = |k: usize| transforms.get(k).map_or(DVec3::ZERO, |t| t.rotation);
         let active: Vec<usize> = (0..=rig.holds()).filter(|&k| !fields.of(k).is_empty()).collect();

@@ -32,9 +32,14 @@ impl NearestPoints {
     /// The number of the nearest point and its squared distance; ties go to the smaller number. `None` without points.
     pub fn nearest(&self, place: DVec3) -> Option<(u32, f64)> {
         let mut best: Option<(u32, f64)> = None;
-        // (range, squared distance below which nothing in it can be nearer)
-        let mut stack = vec![(0, self.points.len(), 0.0)];
-        while let Some((from, to, bound)) = stack.pop() {
+        // (range, squared distance below which nothing in it can be nearer). Each range taken puts back two of half its
+        // length, so there are never more than twice as many as the number of points has digits.
+        let mut stack = [(0usize, 0usize, 0.0f64); 2 * usize::BITS as usize];
+        stack[0].1 = self.points.len();
+        let mut waiting = 1;
+        while waiting > 0 {
+            waiting -= 1;
+            let (from, to, bound) = stack[waiting];
             if from >= to || best.is_some_and(|b| bound > b.1) {
                 continue;
             }
@@ -47,13 +52,12 @@ impl NearestPoints {
             }
             let ahead = place[axis] - point[axis];
             let far = ahead * ahead;
-            if ahead < 0.0 {
-                stack.push((middle + 1, to, far));
-                stack.push((from, middle, bound));
-            } else {
-                stack.push((from, middle, far));
-                stack.push((middle + 1, to, bound));
-            }
+            let halves = [(from, middle), (middle + 1, to)];
+            let [near, other] = if ahead < 0.0 { halves } else { [halves[1], halves[0]] };
+            // The half that the place lies in goes on top.
+            stack[waiting] = (other.0, other.1, far.max(bound));
+            stack[waiting + 1] = (near.0, near.1, bound);
+            waiting += 2;
         }
         best
     }

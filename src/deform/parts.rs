@@ -10,7 +10,7 @@ use glam::{DMat3, DQuat, DVec3};
 /// What happens to parts without a position constraint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Policy {
-    /// The part moves rigidly with the nearest node of a part that has one.
+    /// The part moves rigidly with the nodes nearest to it of parts that have one.
     #[default]
     Follow,
     /// The part stays at rest.
@@ -19,12 +19,21 @@ pub enum Policy {
     Free,
 }
 
-/// A loose part and the node that it follows.
+/// A loose part and the nodes that it follows, with their weights.
 #[derive(Debug, Clone)]
 struct Follower {
     nodes: Vec<u32>,
-    leader: u32,
+    leaders: Vec<(u32, f64)>,
 }
+
+/// Vertices of a loose part that look for the node nearest to them.
+const LOOKING: usize = 1024;
+/// Nodes that a loose part follows, at most.
+const LEADERS: usize = 16;
+/// Leaders further away than the nearest by this much of the part's size weigh half.
+const NEAR: f64 = 0.1;
+/// What the identity weighs in a fit of rotations, so that it breaks ties where leaders lie in a line.
+const TIE: f64 = 1e-9;
 
 /// The parts to be placed after a solve.
 #[derive(Debug, Clone, Default)]
@@ -70,13 +79,8 @@ impl Parts {
         let followers = nodes
             .into_iter()
             .filter_map(|nodes| {
-                let near = |&n: &u32| tree.nearest(DVec3::from_array(body.rest[n as usize]));
-                let candidates = nodes
-                    .iter()
-                    .filter(|n| (**n as usize) < body.graph.surface)
-                    .filter_map(near);
-                let (leader, _) = candidates.reduce(|best, next| if next.1 < best.1 { next } else { best })?;
-                Some(Follower { nodes, leader })
+                let leaders = leaders(body, &tree, &nodes);
+                (!leaders.is_empty()).then_some(Follower { nodes, leaders })
             })
             .collect();
         Ok(Self { followers })
@@ -84,37 +88,76 @@ impl Parts {
 
     /// Places the followers: `positions` (model space, by node) hold the solution elsewhere.
     pub fn place(&self, body: &Body, positions: &mut [DVec3]) {
+        let rest = &body.graph.positions;
         for follower in &self.followers {
-            let leader = follower.leader as usize;
-            let rest = body.graph.positions[leader];
-            let now = positions[leader];
-            let turn = local_rotation(body, leader, positions);
-            if now == rest && turn == DQuat::IDENTITY {
+            let Some((from, to, turn)) = motion(body, &follower.leaders, positions) else {
                 continue;
-            }
+            };
             for &n in &follower.nodes {
-                positions[n as usize] = now + turn * (body.graph.positions[n as usize] - rest);
+                positions[n as usize] = to + turn * (rest[n as usize] - from);
             }
         }
     }
 }
 
-/// How the neighbourhood of a node has turned; exactly the identity where it has not moved.
-fn local_rotation(body: &Body, node: usize, positions: &[DVec3]) -> DQuat {
+/// The nodes of `tree` that a part with these `nodes` follows: those nearest to places all over its surface, each
+/// weighing the less the further away it is.
+fn leaders(body: &Body, tree: &NearestPoints, nodes: &[u32]) -> Vec<(u32, f64)> {
+    let at = |n: u32| DVec3::from_array(body.rest[n as usize]);
+    let count = nodes.partition_point(|n| (*n as usize) < body.graph.surface);
+    let looking = nodes[..count].iter().step_by(count.div_ceil(LOOKING).max(1));
+    let mut found: Vec<(u32, f64)> = looking.filter_map(|&n| tree.nearest(at(n))).collect();
+    found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+    let Some(&(_, nearest)) = found.first() else {
+        return found;
+    };
+    let vertices = || nodes[..count].iter().map(|&n| at(n));
+    let low = vertices().fold(DVec3::INFINITY, DVec3::min);
+    let high = vertices().fold(DVec3::NEG_INFINITY, DVec3::max);
+    // Squares of lengths, all of them. The least keeps weights finite where a part is a point on another.
+    let size = (high - low).length_squared();
+    let half = nearest + NEAR * NEAR * size + f64::MIN_POSITIVE;
+    // The nearest is one of them; the others are spread over all that were found.
+    found.dedup_by_key(|f| f.0);
+    let step = found.len().div_ceil(LEADERS);
+    let mut chosen: Vec<(u32, f64)> = found
+        .into_iter()
+        .step_by(step.max(1))
+        .map(|(n, square)| (n, half / (half + (square - nearest))))
+        .collect();
+    chosen.sort_by_key(|c| c.0);
+    chosen.dedup_by_key(|c| c.0);
+    chosen
+}
+
+/// The rigid motion of weighted nodes and their neighbours: a place, where it has gone, and the turn about it. `None` where
+/// none of them has moved.
+fn motion(body: &Body, leaders: &[(u32, f64)], positions: &[DVec3]) -> Option<(DVec3, DVec3, DQuat)> {
     let rest = &body.graph.positions;
+    let mut moved = false;
+    let (mut from, mut shift, mut total) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+    for &(n, weight) in leaders {
+        let n = n as usize;
+        moved |= positions[n] != rest[n] || body.edges(n).any(|(j, _)| positions[j] != rest[j]);
+        from += rest[n] * weight;
+        shift += (positions[n] - rest[n]) * weight;
+        total += weight;
+    }
+    if !moved || total <= 0.0 {
+        return None;
+    }
+    let from = from / total;
+    let to = from + shift / total;
     let mut covariance = DMat3::ZERO;
-    let mut moved = positions[node] != rest[node];
-    for (j, w) in body.edges(node) {
-        moved |= positions[j] != rest[j];
-        let (x, p) = (
-            (positions[j] - positions[node]) / body.unit,
-            (rest[j] - rest[node]) / body.unit,
-        );
-        covariance += outer(x, p) * w;
+    for &(n, weight) in leaders {
+        let n = n as usize;
+        for (j, w) in body.edges(n) {
+            let (x, p) = (positions[j] - positions[n], rest[j] - rest[n]);
+            covariance += outer(x / body.unit, p / body.unit) * (w * weight);
+        }
+        covariance += outer((positions[n] - to) / body.unit, (rest[n] - from) / body.unit) * weight;
     }
-    if moved {
-        rotation_of(covariance)
-    } else {
-        DQuat::IDENTITY
-    }
+    let size = covariance.x_axis.length() + covariance.y_axis.length() + covariance.z_axis.length();
+    let turn = rotation_of(covariance + DMat3::IDENTITY * (size * TIE));
+    Some((from, to, turn))
 }

@@ -142,6 +142,8 @@ pub struct Rig {
     pub(super) rotation: Ownership,
     /// Fields of the handles that constrain rotation.
     pub(super) rotation_fields: Fields,
+    /// What rotations are blended with instead, when a handle is small.
+    pub(super) blending_fields: Option<Fields>,
     /// Fields of those that constrain scale; `None` when they are the same as for rotation.
     pub(super) scale_fields: Option<Fields>,
     pub(super) positions: Constrained,
@@ -171,6 +173,7 @@ impl Rig {
         let parts = Parts::settle(body, &covered, rigging.policy)?;
 
         let rotation_fields = fields::solve(body, &rotation, rigging.holds.len(), pool, progress)?;
+        let blending_fields = rotation_fields.around_small(body, &rotation, pool);
         let shared = scale.same_as(&rotation);
         let scale_fields = match shared {
             true => None,
@@ -204,6 +207,7 @@ impl Rig {
             position,
             rotation,
             rotation_fields,
+            blending_fields,
             scale_fields,
             positions,
             rigid,
@@ -263,6 +267,7 @@ impl Rig {
             .sum();
         holds
             + self.rotation_fields.bytes()
+            + self.blending_fields.as_ref().map_or(0, Fields::bytes)
             + self.scale_fields.as_ref().map_or(0, Fields::bytes)
             + self.position.bytes()
             + self.rotation.bytes()

@@ -126,9 +126,10 @@ impl Solution {
     }
 }
 
-/// Iterations between two fits of rotations. Each brings the error of what the fit before changed down by about five;
-/// solving further would be lost on rotations that change again.
-const BETWEEN_FITS: usize = 2;
+/// Largest missing displacement, as a fraction of the diagonal, with which rotations are fitted, unless a smaller residual
+/// is asked for. Less would be lost on rotations that change again; with more, results would show how each coordinate was
+/// solved.
+const BETWEEN_FITS: f64 = 1e-4;
 
 impl Rig {
     /// Solves a pose. `watch` is called after every iteration; `false` takes the result as it is.
@@ -215,7 +216,8 @@ impl Pose<'_> {
         state.transforms.clear();
         state.transforms.extend_from_slice(request.transforms);
         prepare(body, rig, posed, warm, state, pool);
-        let fit = (steps > 0).then(|| Fit::new(body, rig, request.transforms, self.moved_parts, self.instead, smoothing));
+        let fit =
+            (steps > 0).then(|| Fit::new(body, rig, request.transforms, self.moved_parts, self.instead, smoothing));
         let mut turns = match &fit {
             Some(fit) if warm && state.extra.len() == body.nodes() => {
                 let turns = fit.resume(&state.extra, pool);
@@ -239,8 +241,9 @@ impl Pose<'_> {
                 rest: Some(&body.rest),
             },
         };
-        let brief = if steps > 0 { BETWEEN_FITS } else { usize::MAX };
-        let mut stats = self.run(&rig.positions, posed.center, first, brief, state, &mut tally, watch)?;
+        let between = request.tolerance.map_or(BETWEEN_FITS, |t| t.min(BETWEEN_FITS));
+        let rough = if steps > 0 { between } else { 0.0 };
+        let mut stats = self.run(&rig.positions, posed.center, first, rough, state, &mut tally, watch)?;
         if let Some(fit) = &fit {
             while tally.refined < steps && !tally.stopped {
                 check(self.progress)?;
@@ -248,13 +251,9 @@ impl Pose<'_> {
                 posed.frames = fit.frames(&turns, pool);
                 rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
                 tally.refined += 1;
-                let brief = if tally.refined < steps {
-                    BETWEEN_FITS
-                } else {
-                    usize::MAX
-                };
+                let rough = if tally.refined < steps { between } else { 0.0 };
                 let start = solver::Start::Given;
-                stats = self.run(&rig.positions, posed.center, start, brief, state, &mut tally, watch)?;
+                stats = self.run(&rig.positions, posed.center, start, rough, state, &mut tally, watch)?;
             }
             state.extra = fit.extra(&turns, pool);
         } else {
@@ -263,7 +262,7 @@ impl Pose<'_> {
         if let Some(rigid) = &rig.rigid {
             rig.make_rigid(body, &mut state.x);
             let start = solver::Start::Given;
-            stats = self.run(rigid, posed.center, start, usize::MAX, state, &mut tally, watch)?;
+            stats = self.run(rigid, posed.center, start, 0.0, state, &mut tally, watch)?;
         }
 
         let positions = rig.place(body, self.moved_parts, request.transforms, posed.center, &state.x);
@@ -287,13 +286,13 @@ impl Pose<'_> {
         })
     }
 
-    /// Solves the equations in `state`: to what the request asks for, or for `brief` iterations.
+    /// Solves the equations in `state`: to what the request asks for, or only to the error `rough`.
     fn run(
         &self,
         constrained: &Constrained,
         center: DVec3,
         start: solver::Start<'_>,
-        brief: usize,
+        rough: f64,
         state: &mut State,
         tally: &mut Tally,
         watch: &mut dyn FnMut(&Cycle<'_>) -> bool,
@@ -331,7 +330,7 @@ impl Pose<'_> {
                     positions: &positions,
                 };
                 tally.stopped = !watch(&cycle);
-                match tally.stopped || iteration.index >= brief {
+                match tally.stopped || (iteration.index > 1 && cycle.max_error <= rough) {
                     true => Control::Stop,
                     false => Control::Continue,
                 }

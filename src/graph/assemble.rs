@@ -1,73 +1,141 @@
-//! From lists of edges to a [`Graph`].
+//! From shell, lattice and ties to the rows of a [`Graph`].
+//!
+//! Every row can be written on its own, already rising: a vertex's neighbours on the mesh come before their shell
+//! copies, and these before the lattice. So rows are counted, then filled, both in parallel.
 
+use super::neighbours::{NONE, Row};
 use super::{Graph, Stats, Weights, weights};
-use crate::mesh::{Adjacency, Components, Mesh};
+use crate::mesh::{Adjacency, Components, Lists, Mesh};
+use crate::pool::Pool;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// Nodes and edges beyond the mesh's own.
 #[derive(Default)]
 pub(super) struct Inner {
-    /// For each vertex, the node number of its shell copy, or [`NO_SHELL`]; empty without a shell.
+    /// For each vertex, the node number of its shell copy, or [`NONE`]; empty without a shell.
     pub(super) shell: Vec<u32>,
+    /// Number of shell nodes.
+    pub(super) copies: usize,
     /// Positions of shell nodes, then lattice nodes.
     pub(super) positions: Vec<DVec3>,
     /// The solver vertex of each of them.
     pub(super) nearest_surface: Vec<u32>,
-    /// Lattice edges and ties, in node numbers; repeats are allowed.
-    pub(super) edges: Vec<[u32; 2]>,
+    /// For each lattice node its neighbours in the lattice, counted from the first lattice node, rising up to the first
+    /// [`NONE`].
+    pub(super) lattice: Vec<Row>,
+    /// Lattice node, counted from the first one, and the surface or shell node that it is tied to; rising, each once.
+    pub(super) ties: Vec<[u32; 2]>,
 }
 
-/// In [`Inner::shell`]: no room inside for a copy.
-pub(super) const NO_SHELL: u32 = u32::MAX;
+/// Rows handled in one go.
+const BLOCK: usize = 1 << 12;
 
-impl Inner {
+/// What rows are made from.
+struct Rows<'a> {
+    adjacency: &'a Adjacency,
+    inner: &'a Inner,
+    positions: &'a [DVec3],
+    surface: usize,
+    /// Shell nodes' vertices come first in `nearest_surface`.
+    first_lattice: usize,
+    /// Ties by lattice node and by what they are tied to.
+    from_lattice: Lists,
+    to_lattice: Lists,
+}
+
+impl Rows<'_> {
     fn shell_of(&self, vertex: u32) -> Option<u32> {
-        self.shell.get(vertex as usize).copied().filter(|&s| s != NO_SHELL)
+        self.inner.shell.get(vertex as usize).copied().filter(|&s| s != NONE)
+    }
+
+    /// Whether `v` is joined to the copy of its neighbour `w`: the shorter diagonal of each prism side is, the only one
+    /// there is when one end has no copy.
+    fn diagonal(&self, v: u32, w: u32) -> bool {
+        let length = |a: u32, b: u32| self.positions[a as usize].distance_squared(self.positions[b as usize]);
+        match (self.shell_of(v), self.shell_of(w)) {
+            (_, None) => false,
+            (None, Some(_)) => true,
+            (Some(sv), Some(sw)) if v < w => length(v, sw) <= length(w, sv),
+            (Some(sv), Some(sw)) => length(w, sv) > length(v, sw),
+        }
+    }
+
+    /// Calls `put` for the neighbours of `node`, rising.
+    fn each(&self, node: usize, mut put: impl FnMut(u32)) {
+        let put = &mut put;
+        let first = self.first_lattice as u32;
+        if node < self.surface {
+            let v = node as u32;
+            let around = self.adjacency.neighbours.of(v);
+            around.iter().for_each(|&w| put(w));
+            if !self.inner.shell.is_empty() {
+                let lower = around.partition_point(|&w| w < v);
+                let copies = |part: &[u32], put: &mut dyn FnMut(u32)| {
+                    let joined = part.iter().filter(|&&w| self.diagonal(v, w));
+                    joined.filter_map(|&w| self.shell_of(w)).for_each(put)
+                };
+                copies(&around[..lower], put);
+                self.shell_of(v).into_iter().for_each(&mut *put);
+                copies(&around[lower..], put);
+            }
+            self.to_lattice.of(v).iter().for_each(|&n| put(first + n));
+        } else if node < self.first_lattice {
+            let v = self.inner.nearest_surface[node - self.surface];
+            let around = self.adjacency.neighbours.of(v);
+            let lower = around.partition_point(|&w| w < v);
+            let vertices = |part: &[u32], put: &mut dyn FnMut(u32)| {
+                part.iter().copied().filter(|&w| self.diagonal(w, v)).for_each(put)
+            };
+            vertices(&around[..lower], put);
+            put(v);
+            vertices(&around[lower..], put);
+            around.iter().filter_map(|&w| self.shell_of(w)).for_each(&mut *put);
+            self.to_lattice.of(node as u32).iter().for_each(|&n| put(first + n));
+        } else {
+            let n = node - self.first_lattice;
+            self.from_lattice.of(n as u32).iter().for_each(|&to| put(to));
+            let row = self.inner.lattice[n].iter();
+            row.take_while(|&&n| n != NONE).for_each(|&n| put(first + n));
+        }
     }
 }
 
-/// Puts mesh, shell and lattice together. `stats.component_has_volume` is filled in here.
+/// Puts mesh, shell and lattice together, on the caller's thread without a pool. `stats.component_has_volume` is filled in here.
 pub(super) fn assemble(
     mesh: &Mesh,
     adjacency: &Adjacency,
+    parts: &Components,
     inner: Inner,
     weighting: Weights,
     mut stats: Stats,
+    pool: Option<&Pool>,
 ) -> Graph {
     let surface = mesh.positions.len();
     let nodes = surface + inner.positions.len();
     let mut positions = Vec::with_capacity(nodes);
     positions.extend_from_slice(&mesh.positions);
     positions.extend_from_slice(&inner.positions);
-    let each = |edge: &mut dyn FnMut(u32, u32)| each_edge(adjacency, &inner, &positions, edge);
+    let first_lattice = surface + inner.copies;
+    let rows = Rows {
+        adjacency,
+        inner: &inner,
+        positions: &positions,
+        surface,
+        first_lattice,
+        from_lattice: Lists::gather(inner.lattice.len(), || inner.ties.iter().map(|&[n, to]| (n, to))),
+        to_lattice: Lists::gather(first_lattice, || inner.ties.iter().map(|&[n, to]| (to, n))),
+    };
 
-    let mut offsets = vec![0u32; nodes + 1];
-    each(&mut |a, b| {
-        offsets[a as usize + 1] += 1;
-        offsets[b as usize + 1] += 1;
-    });
-    for i in 0..nodes {
-        offsets[i + 1] += offsets[i];
-    }
-    let mut next = offsets.clone();
-    let mut neighbours = vec![0u32; offsets[nodes] as usize];
-    each(&mut |a, b| {
-        for (from, to) in [(a, b), (b, a)] {
-            neighbours[next[from as usize] as usize] = to;
-            next[from as usize] += 1;
-        }
-    });
-    drop(next);
-    sort_rows(&mut offsets, &mut neighbours);
-
-    let rows = offsets.windows(2).zip(0u32..);
-    let pairs = rows.flat_map(|(w, i)| neighbours[w[0] as usize..w[1] as usize].iter().map(move |&j| (i, j)));
-    let components = Components::of_edges(nodes, pairs.filter(|(i, j)| i < j));
+    let (offsets, neighbours) = match pool {
+        Some(pool) => pool.install(|| filled(nodes, &rows)),
+        None => filled_alone(nodes, &rows),
+    };
+    let components = components(&inner, parts, surface);
     stats.component_has_volume = vec![false; components.count];
     components.of_vertex[surface..]
         .iter()
         .for_each(|&c| stats.component_has_volume[c as usize] = true);
-
     let weights = match weighting {
         Weights::Uniform => None,
         Weights::Cotangent => {
@@ -90,54 +158,73 @@ pub(super) fn assemble(
     }
 }
 
-/// Calls `edge` for every edge: the mesh's; the shell's, as the mesh's; vertex to shell copy; the shorter diagonal of
-/// each prism side (the only one there is when one end has no copy); lattice edges and ties.
-fn each_edge(adjacency: &Adjacency, inner: &Inner, positions: &[DVec3], edge: &mut dyn FnMut(u32, u32)) {
-    let length = |a: u32, b: u32| positions[a as usize].distance_squared(positions[b as usize]);
-    for e in &adjacency.edges {
-        let [u, v] = e.vertices;
-        edge(u, v);
-        match (inner.shell_of(u), inner.shell_of(v)) {
-            (Some(su), Some(sv)) => {
-                edge(su, sv);
-                if length(u, sv) <= length(v, su) {
-                    edge(u, sv)
-                } else {
-                    edge(v, su)
+/// Offsets and neighbours of all rows.
+fn filled(nodes: usize, rows: &Rows) -> (Vec<u32>, Vec<u32>) {
+    let mut offsets = vec![0u32; nodes + 1];
+    let counted = offsets[1..].par_iter_mut().enumerate().with_min_len(BLOCK);
+    counted.for_each(|(node, count)| rows.each(node, |_| *count += 1));
+    for i in 0..nodes {
+        offsets[i + 1] += offsets[i];
+    }
+    let mut neighbours = vec![0u32; offsets[nodes] as usize];
+    let mut blocks = Vec::with_capacity(nodes.div_ceil(BLOCK));
+    let mut rest = neighbours.as_mut_slice();
+    for from in (0..nodes).step_by(BLOCK) {
+        let to = (from + BLOCK).min(nodes);
+        let (block, after) = rest.split_at_mut((offsets[to] - offsets[from]) as usize);
+        blocks.push((from..to, block));
+        rest = after;
+    }
+    blocks.into_par_iter().for_each(|(range, block)| {
+        let mut slots = block.iter_mut();
+        for node in range {
+            rows.each(node, |neighbour| {
+                if let Some(slot) = slots.next() {
+                    *slot = neighbour;
                 }
-            }
-            (Some(su), None) => edge(v, su),
-            (None, Some(sv)) => edge(u, sv),
-            (None, None) => {}
+            });
         }
-    }
-    for v in 0..inner.shell.len() as u32 {
-        if let Some(s) = inner.shell_of(v) {
-            edge(v, s);
-        }
-    }
-    inner.edges.iter().for_each(|&[a, b]| edge(a, b));
+    });
+    (offsets, neighbours)
 }
 
-/// Sorts each row and drops repeats, closing the gaps.
-fn sort_rows(offsets: &mut [u32], neighbours: &mut Vec<u32>) {
-    let mut end = 0;
-    let mut start = 0;
-    for i in 0..offsets.len() - 1 {
-        let stop = offsets[i + 1] as usize;
-        neighbours[start..stop].sort_unstable();
-        let first = end;
-        for k in start..stop {
-            if end == first || neighbours[end - 1] != neighbours[k] {
-                neighbours[end] = neighbours[k];
-                end += 1;
-            }
-        }
-        start = stop;
-        offsets[i + 1] = end as u32;
+/// As [`filled`], on the caller's thread.
+fn filled_alone(nodes: usize, rows: &Rows) -> (Vec<u32>, Vec<u32>) {
+    let mut offsets = Vec::with_capacity(nodes + 1);
+    offsets.push(0);
+    let mut neighbours = Vec::new();
+    for node in 0..nodes {
+        rows.each(node, |neighbour| neighbours.push(neighbour));
+        offsets.push(neighbours.len() as u32);
     }
-    neighbours.truncate(end);
     neighbours.shrink_to_fit();
+    (offsets, neighbours)
+}
+
+/// The components of the graph: parts of the mesh, joined where one lattice is tied to several.
+fn components(inner: &Inner, parts: &Components, surface: usize) -> Components {
+    let lattice = parts.count as u32;
+    let part = |node: u32| {
+        let vertex = match (node as usize).checked_sub(surface) {
+            Some(copy) => inner.nearest_surface[copy],
+            None => node,
+        };
+        parts.of_vertex[vertex as usize]
+    };
+    let within = (0u32..).zip(&inner.lattice).flat_map(|(n, row)| {
+        let lower = row.iter().take_while(move |&&m| m < n);
+        lower.map(move |&m| (lattice + n, lattice + m))
+    });
+    let ties = inner.ties.iter().map(|&[n, to]| (lattice + n, part(to)));
+    let joined = Components::of_edges(parts.count + inner.lattice.len(), within.chain(ties));
+    let mut of_vertex = Vec::with_capacity(surface + inner.positions.len());
+    of_vertex.extend(parts.of_vertex.iter().map(|&p| joined.of_vertex[p as usize]));
+    of_vertex.extend((0..inner.copies).map(|copy| joined.of_vertex[part((surface + copy) as u32) as usize]));
+    of_vertex.extend_from_slice(&joined.of_vertex[parts.count..]);
+    Components {
+        of_vertex,
+        count: joined.count,
+    }
 }
 
 /// Weights of mesh edges brought to both of their entries; all other entries are 1.

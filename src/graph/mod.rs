@@ -8,11 +8,15 @@
 //! vertex moved inwards; and the *lattice*, a body-centred cubic grid further inside.
 
 mod assemble;
+mod caps;
+mod columns;
 mod error;
 mod lattice;
 mod nearest;
 mod neighbours;
+mod octree;
 mod parallel;
+mod scan;
 mod shell;
 mod solid;
 mod surface;
@@ -64,6 +68,8 @@ pub struct Stats {
     pub lattice_nodes: usize,
     /// Side of a lattice cell; 0 without a volume graph.
     pub interval: f64,
+    /// The side that would have been used without a limit of nodes.
+    pub wanted_interval: f64,
     /// Largest distance that shell nodes were moved inwards; 0 without a volume graph.
     pub shell_offset: f64,
     /// Volume of the inside, measured or (for open or nested parts) sampled; 0 without a volume graph.

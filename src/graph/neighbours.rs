@@ -3,7 +3,9 @@
 //! Two cubic grids A and B of side `a`, B shifted by half a cell along each axis. Each node has six neighbours in its
 //! own grid and eight in the other. A node is named by a key whose order is sheet by sheet, row by row.
 
+use crate::pool::Pool;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// Name of a grid node: 20 bits each of z, then one bit for the grid (0 = A), then y and x.
 pub(super) type Key = u64;
@@ -52,6 +54,7 @@ pub(super) fn toward(key: Key, direction: usize) -> Key {
     }
 }
 
+#[cfg(test)]
 fn opposite(direction: usize) -> usize {
     if direction < 6 {
         direction ^ 1
@@ -65,29 +68,55 @@ pub(super) fn directions(valence: u32) -> std::ops::Range<usize> {
     if valence == 8 { 6..14 } else { 0..14 }
 }
 
-/// Neighbouring pairs among `keys`, each once, and for each node the set of directions (bit by bit) in which it has a
-/// neighbour. One pass over the sorted keys per direction: the partner's key rises with the node's.
-pub(super) fn pairs(keys: &[Key], valence: u32) -> (Vec<[u32; 2]>, Vec<u16>) {
-    let mut found = Vec::with_capacity(keys.len() * valence as usize / 2);
-    let mut present = vec![0u16; keys.len()];
-    for direction in directions(valence).filter(|&d| d >= 6 || d.is_multiple_of(2)) {
-        let mut partner = 0;
-        for (i, &key) in keys.iter().enumerate() {
-            if direction >= 6 && key & IN_B != 0 {
-                continue;
-            }
-            let wanted = toward(key, direction);
-            while keys.get(partner).is_some_and(|&k| k < wanted) {
-                partner += 1;
-            }
-            if keys.get(partner) == Some(&wanted) {
-                found.push([i as u32, partner as u32]);
-                present[i] |= 1 << direction;
-                present[partner] |= 1 << opposite(direction);
+/// In a [`Row`]: no neighbour.
+pub(super) const NONE: u32 = u32::MAX;
+/// For a node the node in each of the 14 directions, or [`NONE`].
+pub(super) type Row = [u32; 14];
+
+/// Nodes whose rows are found in one go.
+const BLOCK: usize = 1 << 12;
+
+/// The neighbours of each of the sorted `keys`. One pass over a block of keys per direction: the partner's key rises
+/// with the node's.
+pub(super) fn rows(keys: &[Key], valence: u32, pool: &Pool) -> Vec<Row> {
+    let mut rows = vec![[NONE; 14]; keys.len()];
+    let fill = |(rows, block): (&mut [Row], &[Key])| {
+        for direction in directions(valence) {
+            // Steps from A and from B differ, and the partners of each rise on their own.
+            for grid in [0, IN_B] {
+                let mut own = rows.iter_mut().zip(block).filter(|(_, k)| *k & IN_B == grid).peekable();
+                let Some((_, first)) = own.peek() else { continue };
+                let wanted = toward(**first, direction);
+                let mut partner = keys.partition_point(|&k| k < wanted);
+                for (row, &key) in own {
+                    let wanted = toward(key, direction);
+                    while keys.get(partner).is_some_and(|&k| k < wanted) {
+                        partner += 1;
+                    }
+                    if keys.get(partner) == Some(&wanted) {
+                        row[direction] = partner as u32;
+                    }
+                }
             }
         }
-    }
-    (found, present)
+    };
+    pool.install(|| rows.par_chunks_mut(BLOCK).zip(keys.par_chunks(BLOCK)).for_each(fill));
+    rows
+}
+
+/// The directions in the order of the neighbours' keys, for nodes of A and of B.
+pub(super) fn rising() -> [[usize; 14]; 2] {
+    [false, true].map(|in_b| {
+        let middle = key([LAST / 2; 3], in_b);
+        let mut order: [usize; 14] = std::array::from_fn(|d| d);
+        order.sort_by_key(|&d| toward(middle, d));
+        order
+    })
+}
+
+/// Whether a node belongs to grid B.
+pub(super) fn in_b(key: Key) -> bool {
+    key & IN_B != 0
 }
 
 #[cfg(test)]
@@ -134,10 +163,17 @@ mod tests {
                     }
                 }
             }
-            let (found, present) = pairs(&keys, valence);
-            let degrees: u32 = present.iter().map(|p| p.count_ones()).sum();
-            assert_eq!(degrees as usize, 2 * expected.len());
-            let mut found: Vec<[u32; 2]> = found.into_iter().map(|[a, b]| [a.min(b), a.max(b)]).collect();
+            let rows = rows(&keys, valence, &Pool::new(2).expect("threads"));
+            let mut found: Vec<[u32; 2]> = Vec::new();
+            for (i, row) in (0u32..).zip(&rows) {
+                found.extend(row.iter().filter(|&&j| j != NONE && j > i).map(|&j| [i, j]));
+                for (d, &j) in row.iter().enumerate().filter(|r| *r.1 != NONE) {
+                    assert_eq!(rows[j as usize][opposite(d)], i, "from {i} to {j} and back");
+                }
+                let order = rising()[usize::from(in_b(keys[i as usize]))];
+                let along: Vec<u32> = order.iter().map(|&d| row[d]).filter(|&j| j != NONE).collect();
+                assert!(along.is_sorted(), "{along:?} rises");
+            }
             found.sort_unstable();
             assert_eq!(found, expected, "valence {valence}");
         }

@@ -22,6 +22,17 @@ pub(super) fn map<T: Sync, R: Send>(
     Ok(answers)
 }
 
+/// As [`map`], for items that are much work each.
+pub(super) fn map_few<T: Sync, R: Send>(
+    items: &[T],
+    pool: &Pool,
+    progress: &dyn Progress,
+    ask: impl Fn(&T) -> R + Sync + Send,
+) -> Result<Vec<R>, Cancelled> {
+    check(progress)?;
+    Ok(pool.install(|| items.par_iter().map(&ask).collect()))
+}
+
 /// As [`map`], but each answer may lean on the one before it in its run of 64 items, which the caller has put next to
 /// each other for that. The answer must not depend on it.
 pub(super) fn map_along<T: Sync, R: Send>(

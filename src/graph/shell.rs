@@ -5,9 +5,11 @@
 //! such a place has no copy.
 
 use super::Error;
+use super::columns::Columns;
 use super::parallel::map;
+use super::solid::Parts;
 use super::winding::WindingTree;
-use crate::mesh::{Adjacency, Components, Mesh};
+use crate::mesh::{Adjacency, Mesh};
 use crate::pool::Pool;
 use crate::progress::Progress;
 use glam::DVec3;
@@ -24,93 +26,77 @@ pub(super) struct Site<'a> {
     pub(super) adjacency: &'a Adjacency,
     /// The whole surface, for distances and crossings.
     pub(super) surface: &'a WindingTree<'a>,
-    /// The parts that enclose space, for winding numbers.
-    pub(super) solid: &'a WindingTree<'a>,
-    /// The winding number of `solid` is a whole number everywhere off its surface, so places that are joined without
-    /// crossing the surface lie on the same side of it.
-    pub(super) balanced: bool,
+    pub(super) parts: &'a Parts,
+    /// Closed parts and those whose holes have been closed, if there are any.
+    pub(super) hull: Option<&'a WindingTree<'a>>,
+    /// The same, to be asked what lies inside.
+    pub(super) columns: Option<Columns<'a>>,
+    /// Soups that enclose space, if there are any.
+    pub(super) soup: Option<&'a WindingTree<'a>>,
     pub(super) pool: &'a Pool,
     pub(super) progress: &'a dyn Progress,
 }
 
-/// Moves each vertex along its `inward` direction by `offset`, or by less where there is less room; vertices whose
-/// direction is zero have no copy.
-pub(super) fn shell(site: &Site, inward: &[DVec3], offset: f64) -> Result<Shell, Error> {
-    let vertices = site.mesh.positions.len();
-    let mut placed: Shell = vec![None; vertices];
+impl Site<'_> {
+    /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
+    pub(super) fn walk(&self, start: u32, p: DVec3) -> u32 {
+        let distance = |v: u32| self.mesh.positions[v as usize].distance_squared(p);
+        let nearer = |a: u32, b: u32| if distance(b) < distance(a) { b } else { a };
+        let mut here = start;
+        loop {
+            let next = self.adjacency.neighbours.of(here).iter().copied().fold(here, nearer);
+            if next == here {
+                return here;
+            }
+            here = next;
+        }
+    }
+
+    /// Soups that are worth a lattice; beside a hull of many more faces they have a shell only.
+    pub(super) fn large_soup(&self) -> Option<&WindingTree<'_>> {
+        let faces = |tree: &WindingTree| tree.triangles().len();
+        self.soup
+            .filter(|soup| self.hull.is_none_or(|hull| faces(soup) >= faces(hull) / 4))
+    }
+
+    /// Whether a place lies inside the hull, or inside soups.
+    pub(super) fn contains(&self, p: DVec3) -> bool {
+        self.columns.as_ref().is_some_and(|columns| columns.contains(p))
+            || self.soup.is_some_and(|soup| soup.contains(p))
+    }
+}
+
+/// Moves each vertex along its `inward` direction by the offset of its part, or by less where there is less room;
+/// vertices whose direction is zero have no copy.
+pub(super) fn shell(site: &Site, inward: &[DVec3], offsets: &[f64]) -> Result<Shell, Error> {
+    let mut placed: Shell = vec![None; site.mesh.positions.len()];
     // In the order of the tree, so that one query finds in the cache what the last one read.
     let mut waiting = site.surface.vertices_in_space();
     waiting.retain(|&v| inward[v as usize] != DVec3::ZERO);
-    let at = |v: u32, by: f64| site.mesh.positions[v as usize] + inward[v as usize] * by;
-    for halving in 0..=HALVINGS {
-        if waiting.is_empty() {
-            break;
-        }
-        let by = offset * 0.5f64.powi(halving);
-        let reach = by * 1.001;
-        // The room around each moved vertex, 0 where it is too close to the surface or beyond it.
-        let room = map(&waiting, site.pool, site.progress, |&v| {
-            let p = at(v, by);
-            let room = site
-                .surface
-                .closest_within(p, reach)
-                .map_or(reach, |near| near.distance);
-            // Only the part of the way that lies outside the clear ball can meet the surface.
-            let way = by - room;
-            let free = way <= by * 1e-9 || site.surface.first_hit(at(v, 0.0), at(v, way), Some(v)).is_none();
-            if room >= 0.5 * by && free { room } else { 0.0 }
-        })?;
-        let candidates: Vec<(u32, f64)> = waiting
-            .iter()
-            .zip(&room)
-            .filter(|c| *c.1 > 0.0)
-            .map(|(&v, &room)| (v, room))
-            .collect();
-        for ((v, _), inside) in candidates.iter().zip(inside_of(site, &candidates, |v| at(v, by))?) {
-            if inside {
-                placed[*v as usize] = Some(at(*v, by));
+    let found = map(&waiting, site.pool, site.progress, |&v| {
+        let at = |by: f64| site.mesh.positions[v as usize] + inward[v as usize] * by;
+        let has_room = |by: f64| {
+            // Only the half of the way that lies outside the clear ball can meet the surface.
+            let half = 0.5 * by;
+            !site.surface.is_within(at(by), half) && site.surface.first_hit(at(0.0), at(half), Some(v)).is_none()
+        };
+        let offset = offsets[site.parts.components.of_vertex[v as usize] as usize];
+        let mut by = offset;
+        for halving in 0..=HALVINGS {
+            if has_room(by) && site.contains(at(by)) {
+                return Some(at(by));
             }
-        }
-        waiting.retain(|&v| placed[v as usize].is_none());
-        if halving == 0 {
-            // Where not even the smallest offset leads inside, the halvings between need not be tried.
+            // Where not even the smallest offset leads inside, those between need not be tried.
             let smallest = offset * 0.5f64.powi(HALVINGS);
-            let hope = map(&waiting, site.pool, site.progress, |&v| {
-                site.solid.contains(at(v, smallest))
-            })?;
-            let mut hope = hope.into_iter();
-            waiting.retain(|_| hope.next() == Some(true));
+            if halving == 0 && !site.contains(at(smallest)) {
+                return None;
+            }
+            by *= 0.5;
         }
+        None
+    })?;
+    for (v, copy) in waiting.into_iter().zip(found) {
+        placed[v as usize] = copy;
     }
     Ok(placed)
-}
-
-/// Whether each candidate's place lies inside. Around a place there is a ball without surface; on a balanced surface all
-/// places in it share an answer, so one is asked per set of mesh neighbours whose balls contain each other.
-fn inside_of(site: &Site, candidates: &[(u32, f64)], at: impl Fn(u32) -> DVec3 + Sync) -> Result<Vec<bool>, Error> {
-    if !site.balanced {
-        return Ok(map(candidates, site.pool, site.progress, |c| {
-            site.solid.contains(at(c.0))
-        })?);
-    }
-    let mut place = vec![u32::MAX; site.mesh.positions.len()];
-    for (i, c) in (0u32..).zip(candidates) {
-        place[c.0 as usize] = i;
-    }
-    let joined = candidates.iter().zip(0u32..).flat_map(|(&(v, room), i)| {
-        let (at, place) = (&at, &place);
-        let later = site.adjacency.neighbours.of(v).iter().map(|&w| (w, place[w as usize]));
-        let later = later.filter(move |&(_, j)| j != u32::MAX && j > i);
-        later
-            .filter(move |&(w, j)| at(v).distance(at(w)) < room.max(candidates[j as usize].1))
-            .map(move |l| (i, l.1))
-    });
-    let sets = Components::of_edges(candidates.len(), joined);
-    let firsts: Vec<u32> = sets
-        .first_vertices()
-        .into_iter()
-        .map(|i| candidates[i as usize].0)
-        .collect();
-    let inside = map(&firsts, site.pool, site.progress, |&v| site.solid.contains(at(v)))?;
-    Ok(sets.of_vertex.iter().map(|&s| inside[s as usize]).collect())
 }

@@ -1,16 +1,19 @@
 //! The volume graph of a mesh: surface, shell and lattice (Zhou et al. 2005; the lattice interval is calibrated on the
 //! node counts in the paper's tables).
 
-use super::assemble::{Inner, NO_SHELL, assemble};
+use super::assemble::{Inner, assemble};
+use super::columns::Columns;
 use super::lattice::{self, Grid, Nodes};
 use super::nearest::nearest_vertices;
+use super::neighbours::{NONE, in_b, rising};
 use super::shell::{Shell, Site, shell};
-use super::solid::Parts;
+use super::solid::{Kind, Parts};
 use super::winding::WindingTree;
-use super::{Error, Graph, Stats, Weights};
+use super::{Error, Graph, Stats, Weights, octree, scan};
 use crate::mesh::{Adjacency, Mesh, mean_edge_length, signed_volume};
 use crate::pool::Pool;
 use crate::progress::{Progress, check};
+use rayon::prelude::*;
 
 /// How a volume graph is built.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,7 +23,8 @@ pub struct VolumeOptions {
     pub interval: Option<f64>,
     /// Neighbours of a lattice node: 14 (default), or 8 in the other of the two cubic grids only.
     pub valence: u32,
-    /// How far the shell is moved inwards; by default the mean edge length. Less where there is less room.
+    /// How far the shell is moved inwards; by default the mean edge length, of the mesh or of the part, whichever is
+    /// less. Less where there is less room.
     pub shell_offset: Option<f64>,
     /// Weights of the mesh's edges.
     pub weights: Weights,
@@ -48,6 +52,8 @@ const DEPTH: f64 = 1.25;
 const BESIDE: f64 = 1.0 / 64.0;
 /// Cells along the longest side of the box when the volume has to be sampled.
 const SAMPLES_ALONG: f64 = 32.0;
+/// The same for a hull, whose rows are measured by their length.
+const ROWS_ALONG: f64 = 64.0;
 
 /// About how many nodes the volume graph of `mesh` will have, without building anything.
 pub fn estimate_nodes(mesh: &Mesh) -> usize {
@@ -58,7 +64,8 @@ pub fn estimate_nodes(mesh: &Mesh) -> usize {
 /// Builds the volume graph of `mesh`; `None` when it encloses nothing, and a surface graph is all there is.
 ///
 /// The inside is where the generalised winding number is further from 0 than ½, so meshes with holes have one too, and
-/// parts that overlap share one lattice. Parts that are mere sheets enclose nothing and keep their mesh edges. Time is `n log n`, most of it spent near the surface.
+/// parts that overlap share one lattice. Parts that are mere sheets, or too thin for a shell, keep their mesh edges only.
+/// Time is `n log n`, most of it spent near the surface.
 ///
 /// # Errors
 /// [`Error`] when an option makes no sense, when surface and shell alone exceed `max_nodes`, or when the work was
@@ -99,36 +106,43 @@ pub fn volume(
     let tree = WindingTree::build(&mesh.positions, &mesh.triangles, pool);
     progress.report("graph", 0.1);
     let step = mean_edge * BESIDE;
-    let parts = Parts::sort(mesh, &adjacency, &tree, step, pool, progress)?;
-    if !parts.solid.contains(&true) {
-        return Ok(None);
+    let mut parts = Parts::sort(mesh, &adjacency, &tree, step, pool, progress)?;
+    let mut closed = parts.hull(mesh, &adjacency);
+    if let Some(hull) = &closed
+        && parts.doubt(&tree, hull, pool, progress)?
+    {
+        closed = parts.hull(mesh, &adjacency);
     }
-    let solid_triangles = if parts.solid.contains(&false) {
-        parts.solid_triangles(mesh)
-    } else {
-        Vec::new()
-    };
-    let some = (!solid_triangles.is_empty()).then(|| WindingTree::build(&mesh.positions, &solid_triangles, pool));
-    let solid = some.as_ref().unwrap_or(&tree);
-    let inward = parts.inward(mesh, &adjacency, solid, step, pool, progress)?;
+    let soup = parts.soup(mesh);
+    let build = |positions, faces| WindingTree::build(positions, faces, pool);
+    let hull_tree = closed.as_ref().map(|hull| build(&hull.positions, &hull.faces));
+    let soup_tree = soup.as_ref().map(|faces| build(&mesh.positions, faces));
+    let hull = hull_tree.as_ref().or_else(|| parts.all(Kind::Closed).then_some(&tree));
     let site = Site {
         mesh,
         adjacency: &adjacency,
         surface: &tree,
-        solid,
-        balanced: parts.is_balanced(&adjacency),
+        hull,
+        columns: hull.map(|hull| Columns::sort(hull, pool)),
+        soup: soup_tree.as_ref().or_else(|| parts.all(Kind::Soup).then_some(&tree)),
+        parts: &parts,
         pool,
         progress,
     };
+    if site.hull.is_none() && site.soup.is_none() {
+        return Ok(None);
+    }
+    let inward = parts.inward(mesh, &adjacency, |p| site.contains(p), step, pool, progress)?;
 
     progress.report("graph", 0.2);
     let offset = options.shell_offset.unwrap_or(mean_edge);
-    let shell = shell(&site, &inward, offset)?;
+    let offsets = offsets(&site, options.shell_offset, mean_edge);
+    let shell = shell(&site, &inward, &offsets)?;
     let shell_nodes = shell.iter().flatten().count();
     let room = room_beyond(surface + shell_nodes)?;
 
     progress.report("graph", 0.5);
-    let volume = enclosed_volume(&site, &parts)?;
+    let volume = enclosed_volume(&site)?;
     if shell_nodes == 0 && volume == 0.0 {
         return Ok(None);
     }
@@ -140,16 +154,20 @@ pub fn volume(
     }
 
     progress.report("graph", 0.7);
+    let inner = inner(&site, shell, &offsets, &grid, &nodes, options.valence)?;
+    if inner.positions.is_empty() {
+        return Ok(None);
+    }
     let stats = Stats {
-        shell_nodes,
+        shell_nodes: inner.copies,
         lattice_nodes: nodes.keys.len(),
         interval: grid.interval,
+        wanted_interval: wanted,
         shell_offset: offset,
         enclosed_volume: volume,
         component_has_volume: Vec::new(),
     };
-    let inner = inner(&site, shell, &grid, &nodes, options.valence)?;
-    let most_edges = 3 * adjacency.edges.len() + shell_nodes + inner.edges.len();
+    let most_edges = 3 * adjacency.edges.len() + inner.copies + 7 * inner.lattice.len() + inner.ties.len();
     if most_edges > u32::MAX as usize / 2 {
         return Err(Error::TooManyEdges {
             edges: most_edges,
@@ -157,37 +175,77 @@ pub fn volume(
         });
     }
     progress.report("graph", 0.9);
-    let graph = assemble(mesh, &adjacency, inner, options.weights, stats);
+    let graph = assemble(
+        mesh,
+        &adjacency,
+        &parts.components,
+        inner,
+        options.weights,
+        stats,
+        Some(pool),
+    );
     check(progress)?;
     progress.report("graph", 1.0);
     Ok(Some(graph))
 }
 
-/// Volume of the inside: measured for one closed part, else sampled, because parts may overlap, nest or have holes.
-fn enclosed_volume(site: &Site, parts: &Parts) -> Result<f64, Error> {
+/// How far the copies of each part are moved: as wanted, or by the mean edge length of the mesh. Parts of a finer mesh
+/// than the rest have no room for that, and a finer shell.
+fn offsets(site: &Site, wanted: Option<f64>, mean_edge: f64) -> Vec<f64> {
+    let components = &site.parts.components;
+    let Some(wanted) = wanted else {
+        let mut sums = vec![(0.0f64, 0usize); components.count];
+        for e in &site.adjacency.edges {
+            let [a, b] = e.vertices.map(|v| site.mesh.positions[v as usize]);
+            let sum = &mut sums[components.of_vertex[e.vertices[0] as usize] as usize];
+            *sum = (sum.0 + a.distance(b), sum.1 + 1);
+        }
+        let mean = |(length, edges): (f64, usize)| length / edges.max(1) as f64;
+        // One part has the mean to the bit.
+        return match components.count {
+            1 => vec![mean_edge],
+            _ => sums.into_iter().map(|sum| mean(sum).min(mean_edge)).collect(),
+        };
+    };
+    vec![wanted; components.count]
+}
+
+/// Volume of the inside: measured for one part, else sampled, because parts may overlap or nest.
+fn enclosed_volume(site: &Site) -> Result<f64, Error> {
     let mesh = site.mesh;
-    let measured = signed_volume(&mesh.positions, site.solid.triangles()).abs();
-    if site.balanced && parts.solid.iter().filter(|&&s| s).count() == 1 {
-        return Ok(measured);
+    let mut volume = 0.0;
+    if let Some(hull) = site.hull {
+        let measured = signed_volume(hull.positions(), hull.triangles()).abs();
+        if site.parts.components.count == 1 {
+            volume = measured;
+        } else if let Some(grid) = Grid::around(&mesh.bounds(), longest(mesh) / ROWS_ALONG) {
+            let sampled = scan::volume(site, hull, &grid)?.unwrap_or(0.0);
+            let measured_fits = sampled == 0.0 || (measured - sampled).abs() <= 0.1 * measured;
+            volume = if measured_fits { measured } else { sampled };
+        }
     }
-    let bounds = mesh.bounds();
-    let interval = bounds.size().max_element() / SAMPLES_ALONG;
-    let Some(grid) = Grid::around(&bounds, interval) else {
-        return Ok(0.0);
-    };
-    // The limit is beyond what a grid of this size holds.
-    let Ok(nodes) = lattice::nodes(site, &grid, 0.0, 1 << 20)? else {
-        return Ok(0.0);
-    };
-    let sampled = nodes.keys.len() as f64 * (interval * interval * interval) * 0.5;
-    let measured_fits = site.balanced && (nodes.keys.is_empty() || (measured - sampled).abs() <= 0.1 * measured);
-    Ok(if measured_fits { measured } else { sampled })
+    if let Some(soup) = site.large_soup() {
+        let interval = longest(mesh) / SAMPLES_ALONG;
+        let Some(grid) = Grid::around(&mesh.bounds(), interval) else {
+            return Ok(volume);
+        };
+        // The limit is beyond what a grid of this size holds.
+        if let Ok(nodes) = octree::nodes(site, soup, &grid, 0.0, 1 << 20)? {
+            volume += nodes.keys.len() as f64 * (interval * interval * interval) * 0.5;
+        }
+    }
+    Ok(volume)
+}
+
+/// The longest side of the box around a mesh.
+fn longest(mesh: &Mesh) -> f64 {
+    mesh.bounds().size().max_element()
 }
 
 /// The lattice of the wanted interval, or of the narrowest wider one tried that has at most `room` nodes.
 fn fitting_lattice(site: &Site, wanted: f64, depth: f64, volume: f64, room: usize) -> Result<(Grid, Nodes), Error> {
     let bounds = site.mesh.bounds();
-    let longest = bounds.size().max_element();
+    let longest = longest(site.mesh);
     // Half of what the volume would hold: nodes near the surface are left out.
     let by_count = libm::cbrt(volume / room.max(1) as f64);
     let mut interval = wanted.max(longest * 1e-6).max(by_count);
@@ -209,12 +267,41 @@ fn fitting_lattice(site: &Site, wanted: f64, depth: f64, volume: f64, room: usiz
     Ok((grid, Nodes::default()))
 }
 
+/// Takes the copies away from parts without lattice in which most vertices have no room for a copy at a quarter of the
+/// offset or more: copies so near to the surface keep nothing from collapsing, and the part is no more than a sheet.
+fn leave_out_thin(site: &Site, shell: &mut Shell, offsets: &[f64], ties: &[[u32; 2]]) {
+    let components = &site.parts.components;
+    let part = |v: u32| components.of_vertex[v as usize] as usize;
+    // By part: vertices, and those with room.
+    let mut count = vec![(0usize, 0usize); components.count];
+    for (v, copy) in (0u32..).zip(shell.iter()) {
+        let roomy = copy.is_some_and(|p| p.distance(site.mesh.positions[v as usize]) > offsets[part(v)] * 0.24);
+        count[part(v)].0 += 1;
+        count[part(v)].1 += usize::from(roomy);
+    }
+    let mut keeps: Vec<bool> = count.into_iter().map(|(all, roomy)| roomy * 2 >= all).collect();
+    ties.iter().for_each(|t| keeps[part(t[1])] = true);
+    for (v, copy) in (0u32..).zip(shell.iter_mut()) {
+        if !keeps[part(v)] {
+            *copy = None;
+        }
+    }
+}
+
 /// Numbers shell and lattice nodes after the surface and collects their edges.
-fn inner(site: &Site, shell: Shell, grid: &Grid, nodes: &Nodes, valence: u32) -> Result<Inner, Error> {
+fn inner(
+    site: &Site,
+    mut shell: Shell,
+    offsets: &[f64],
+    grid: &Grid,
+    nodes: &Nodes,
+    valence: u32,
+) -> Result<Inner, Error> {
     let surface = site.mesh.positions.len() as u32;
     let edges = lattice::edges(site, grid, nodes, valence)?;
+    leave_out_thin(site, &mut shell, offsets, &edges.ties);
     let mut inner = Inner {
-        shell: vec![NO_SHELL; shell.len()],
+        shell: vec![NONE; shell.len()],
         ..Inner::default()
     };
     for (v, copy) in (0u32..).zip(&shell) {
@@ -224,16 +311,30 @@ fn inner(site: &Site, shell: Shell, grid: &Grid, nodes: &Nodes, valence: u32) ->
             inner.nearest_surface.push(v);
         }
     }
-    let first = surface + inner.positions.len() as u32;
+    inner.copies = inner.positions.len();
     inner.positions.extend(nodes.keys.iter().map(|&k| grid.position(k)));
     inner
         .nearest_surface
         .extend(nearest_vertices(site, grid, nodes, &edges)?);
-    inner.edges = edges.lattice;
-    inner.edges.iter_mut().flatten().for_each(|node| *node += first);
-    inner.edges.extend(edges.ties.into_iter().map(|[node, vertex]| {
-        let copy = inner.shell[vertex as usize];
-        [first + node, if copy == NO_SHELL { vertex } else { copy }]
-    }));
+    inner.ties = edges.ties;
+    for [_, to] in &mut inner.ties {
+        let copy = inner.shell[*to as usize];
+        *to = if copy == NONE { *to } else { copy };
+    }
+    site.pool.install(|| inner.ties.par_sort_unstable());
+    inner.lattice = edges.rows;
+    let order = rising();
+    site.pool.install(|| {
+        let rows = inner.lattice.par_iter_mut().zip(&nodes.keys).with_min_len(1024);
+        rows.for_each(|(row, &key)| {
+            let mut sorted = [NONE; 14];
+            let there = order[usize::from(in_b(key))]
+                .iter()
+                .map(|&d| row[d])
+                .filter(|&n| n != NONE);
+            sorted.iter_mut().zip(there).for_each(|(slot, n)| *slot = n);
+            *row = sorted;
+        });
+    });
     Ok(inner)
 }

@@ -325,10 +325,18 @@ mod tests {
             (pb::options::FirstPass::LinearFrames, FirstPass::LinearFrames),
         ] {
             let first_pass = first_pass as i32;
-            let settings = check(&pb::Options { first_pass, ..options() }).expect("valid");
+            let settings = check(&pb::Options {
+                first_pass,
+                ..options()
+            })
+            .expect("valid");
             assert_eq!((settings.first_pass, settings.spatial_rbf), (expected, false));
         }
-        assert!(check(&pb::Options { method: 1, ..options() }).expect("valid").spatial_rbf);
+        assert!(
+            check(&pb::Options { method: 1, ..options() })
+                .expect("valid")
+                .spatial_rbf
+        );
         for (wrong, field) in [
             (pb::Options { method: 7, ..options() }, "options.method"),
             (

@@ -8,6 +8,7 @@ mod create;
 mod error;
 pub mod frames;
 mod handles;
+mod interior;
 pub mod json;
 pub mod pb;
 mod quality;

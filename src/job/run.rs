@@ -125,7 +125,7 @@ pub fn run(
             .solve(&in_force, &settings, Mode::Commit, pool, &stages, &mut |_| true)
             .map_err(step)?;
         stages.report("quality", 0.0);
-        let quality = bench.quality(&solved.positions);
+        let quality = bench.measure(&solved.positions, &settings.output, pool, &stages)?;
         let mut ms = stages.take();
         ms.insert("build".into(), if k == 0 { build_ms.values().sum() } else { 0.0 });
         let facts = bench.facts().solver.unwrap_or_default();
@@ -144,6 +144,10 @@ pub fn run(
         });
         positions = solved.positions;
     }
+    let quality = match steps.last().and_then(|step: &pb::report::Step| step.quality) {
+        Some(quality) => quality,
+        None => bench.measure(&positions, &settings.output, pool, &stages)?,
+    };
     stages.report("encode", 0.0);
     let written = bench
         .model()
@@ -155,7 +159,7 @@ pub fn run(
     let report = pb::Report {
         model: facts.model,
         warnings: facts.warnings,
-        quality: Some(bench.quality(&positions)),
+        quality: Some(quality),
         digest: digest(&positions),
         solver: facts.solver,
         build_ms,

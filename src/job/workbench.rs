@@ -3,22 +3,20 @@
 use super::check::{COMMIT_REFINE, Settings, transform};
 use super::create::Choices;
 use super::handles::{HandleSet, resolve_handles};
+use super::interior::{self, BYTES_PER_NODE};
 use super::quality::quality;
 use super::region::Ground;
 use super::{Error, pb};
 use crate::asset::{self, FileSet, Model};
 use crate::deform::{Body, Cycle, Policy, Refinement, Request, Rig, Solution, Start, State, Transform, VolumeMode};
 use crate::graph::estimate_nodes;
-use crate::mesh::{Adjacency, Components, Mesh, NONE, Report, inspect};
+use crate::mesh::{Adjacency, Components, Mesh, NONE, Report, inspect, self_intersections};
 use crate::pool::Pool;
 use crate::progress::{Progress, check};
 use glam::{DVec3, Mat3};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
-/// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
-/// 1,150 on a solid of 128 K nodes, rounded up.
-const BYTES_PER_NODE: u64 = 1400;
 /// Bytes that a render vertex with its triangles costs beside the graph.
 const BYTES_PER_VERTEX: u64 = 500;
 
@@ -116,7 +114,7 @@ impl Workbench {
         pool: &Pool,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
-        let choices = Choices::check(create)?;
+        let mut choices = Choices::check(create)?;
         progress.report("read", 0.0);
         let model = Model::read(files, choices.format, &limits.model)?;
         let sha256 = hex(&Sha256::digest(&model.files.main));
@@ -137,21 +135,18 @@ impl Workbench {
         drop(adjacency);
         check(progress)?;
 
-        let nodes = if choices.body.volume == VolumeMode::Off {
-            mesh.positions.len()
-        } else {
+        // Without a wish for interior nodes they are what may be left out to stay within the limits.
+        let nodes = if choices.body.volume == VolumeMode::Required {
             estimate_nodes(&mesh)
+        } else {
+            mesh.positions.len()
         };
         admit(estimate(vertices, nodes as u64) + model.files.total_bytes(), limits)?;
+        let beside = vertices * BYTES_PER_VERTEX + model.files.total_bytes();
+        interior::fit(&mut choices.body, beside, limits);
         let body = Body::build(&mesh, &choices.body, pool, progress)?;
         let mut warnings = warnings_of(&model, &report);
-        if choices.body.volume == VolumeMode::Auto && body.graph.surface == body.nodes() {
-            warnings.push(pb::Warning {
-                code: "no-volume-graph".into(),
-                message: "the model encloses no volume, so it deforms as a surface".into(),
-                r#where: String::new(),
-            });
-        }
+        warnings.extend(interior::warnings(&body, choices.body.volume));
         let rest = Arc::new(model.positions.clone());
         Ok(Self {
             model,
@@ -428,10 +423,34 @@ impl Workbench {
     }
 
     /// How far a shape (one position per render vertex) is from the rest shape.
-    pub fn quality(&self, positions: &[DVec3]) -> pb::Quality {
-        let of = |s: usize| positions[self.mesh.render_vertices_of(s as u32)[0] as usize];
-        let deformed: Vec<DVec3> = (0..self.mesh.positions.len()).map(of).collect();
-        quality(&self.mesh, self.report.closed, &deformed)
+    pub fn quality(&self, positions: &[DVec3], pool: &Pool) -> pb::Quality {
+        quality(&self.mesh, self.report.closed, &self.welded(positions), pool)
+    }
+
+    /// As [`Workbench::quality`], with what `output` asks for beside: the number of self-intersections.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`] when `progress` says so.
+    pub fn measure(
+        &self,
+        positions: &[DVec3],
+        output: &pb::Output,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<pb::Quality, Error> {
+        let deformed = self.welded(positions);
+        let mut found = quality(&self.mesh, self.report.closed, &deformed, pool);
+        if output.self_intersections {
+            let pairs = self_intersections(&deformed, &self.mesh.triangles, pool, progress)?;
+            found.self_intersections = Some(u32::try_from(pairs).unwrap_or(u32::MAX));
+        }
+        Ok(found)
+    }
+
+    /// Of positions of render vertices those of the solver's vertices.
+    fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
+        let of = |s: u32| positions[self.mesh.render_vertices_of(s)[0] as usize];
+        (0..self.mesh.positions.len() as u32).map(of).collect()
     }
 }
 

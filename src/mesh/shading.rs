@@ -47,9 +47,9 @@ pub fn gradients(
         .collect()
 }
 
-/// The gradient of the affine map that takes one triangle and its unit normal to the other, times the rest area; `None` for a
-/// triangle without area.
-fn area_gradient(p: [DVec3; 3], q: [DVec3; 3]) -> Option<DMat3> {
+/// The gradient of the affine map that takes one triangle and its unit normal to the other, times twice the rest area;
+/// `None` for a triangle without area.
+pub fn area_gradient(p: [DVec3; 3], q: [DVec3; 3]) -> Option<DMat3> {
     // Scaled to unit edges, so that tiny and huge models neither underflow nor overflow.
     let size = (p[1] - p[0]).abs().max((p[2] - p[0]).abs()).max_element();
     if !(size > 0.0 && size.is_finite()) {
@@ -67,7 +67,13 @@ fn area_gradient(p: [DVec3; 3], q: [DVec3; 3]) -> Option<DMat3> {
 /// The normal after the deformation, of unit length; the old one where the gradient has collapsed.
 pub fn carry_normal(gradient: &DMat3, normal: Vec3) -> Vec3 {
     let n = normal.as_dvec3();
-    // The cofactor matrix needs no division, so it stays finite where the gradient is singular.
+    (cofactor(gradient) * n).try_normalize().map_or(normal, |n| n.as_vec3())
+}
+
+/// What moves normals when the gradient moves points, scaled to entries of at most 1; zero where the gradient has
+/// collapsed.
+pub fn cofactor(gradient: &DMat3) -> DMat3 {
+    // It needs no division, so it stays finite where the gradient is singular.
     let (a, b, c) = (gradient.x_axis, gradient.y_axis, gradient.z_axis);
     let cofactor = DMat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
     let largest = cofactor
@@ -76,12 +82,11 @@ pub fn carry_normal(gradient: &DMat3, normal: Vec3) -> Vec3 {
         .max(cofactor.y_axis.abs())
         .max(cofactor.z_axis.abs())
         .max_element();
-    let carried = if largest > 0.0 {
-        (cofactor * (1.0 / largest)) * n
+    if largest > 0.0 {
+        cofactor * (1.0 / largest)
     } else {
-        DVec3::ZERO
-    };
-    carried.try_normalize().map_or(normal, |n| n.as_vec3())
+        DMat3::ZERO
+    }
 }
 
 /// The tangent after the deformation: unit length, orthogonal to `carried_normal`, with its handedness (w) kept.

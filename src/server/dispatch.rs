@@ -113,6 +113,12 @@ fn cors(config: &Config) -> CorsLayer {
         "x-pliant-max-error",
         "x-pliant-solve-ms",
         "x-pliant-queue-ms",
+        "x-pliant-edge-rms",
+        "x-pliant-volume-change",
+        "x-pliant-area-change",
+        "x-pliant-flipped-triangles",
+        "x-pliant-max-stretch",
+        "x-pliant-self-intersections",
     ];
     let mut exposed: Vec<HeaderName> = own.into_iter().map(HeaderName::from_static).collect();
     exposed.extend([

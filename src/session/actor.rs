@@ -263,6 +263,7 @@ impl Actor {
                     let poses = bench.engine.posed(&state.poses, &pose)?;
                     let solved = bench.solve(&poses, &settings, Mode::Commit, pool, stop, &mut |_| true)?;
                     let elapsed = stop.elapsed();
+                    let quality = bench.engine.measure(&solved.positions, &settings.output, pool, stop)?;
                     let shading = (settings.output.normals || settings.output.tangents)
                         .then(|| Arc::new(bench.shader().shade(&solved.positions)));
                     let frame = FrameRequest {
@@ -274,6 +275,7 @@ impl Actor {
                             max_error: solved.max_error,
                             solve_ms: elapsed.as_secs_f64() * 1e3,
                             queue_ms: queued.as_secs_f64() * 1e3,
+                            quality,
                             ..Default::default()
                         },
                         positions: Arc::clone(&solved.positions),

@@ -35,6 +35,8 @@ struct Solution {
     shading: Option<Arc<Shading>>,
     /// Of a commit.
     digest: String,
+    /// Of a commit.
+    quality: Option<pb::Quality>,
     solve: Duration,
 }
 
@@ -132,6 +134,7 @@ impl Actor {
             solved,
             shading,
             digest,
+            quality,
             solve,
         } = match result {
             Ok(solution) => solution,
@@ -162,6 +165,7 @@ impl Actor {
         let errors = (solved.residual, solved.max_error);
         let mut frame = frames.frame(seq, &settings, errors, solved.positions, shading, solve);
         frame.header.r#final = true;
+        frame.header.quality = quality;
         mailbox.complete(Done {
             overlay,
             frame: Some(frame),
@@ -311,16 +315,18 @@ fn solve(
     let solved = bench.solve(&poses, settings, mode, pool, stop, &mut watch)?;
     let solve = stop.elapsed();
     let shading = shade(&solved.positions);
-    let digest = if commit {
-        digest(&solved.positions)
+    let (digest, quality) = if commit {
+        let quality = bench.engine.measure(&solved.positions, &settings.output, pool, stop)?;
+        (digest(&solved.positions), quality)
     } else {
-        String::new()
+        (String::new(), None)
     };
     Ok(Solution {
         poses,
         solved,
         shading,
         digest,
+        quality,
         solve,
     })
 }

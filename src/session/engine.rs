@@ -47,6 +47,17 @@ pub trait Engine: Send + 'static {
         progress: &dyn Progress,
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, job::Error>;
+    /// How far a shape is from the rest shape, with what `output` asks for beside; `None` when the engine measures
+    /// nothing.
+    fn measure(
+        &self,
+        _positions: &[DVec3],
+        _output: &pb::Output,
+        _pool: &Pool,
+        _progress: &dyn Progress,
+    ) -> Result<Option<pb::Quality>, job::Error> {
+        Ok(None)
+    }
     /// Writes the model with new positions.
     fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, asset::Error>;
     /// What makes normals and tangents of a deformed shape.
@@ -131,6 +142,16 @@ impl Engine for Workbench {
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, job::Error> {
         Self::solve(self, poses, settings, mode, pool, progress, watch)
+    }
+
+    fn measure(
+        &self,
+        positions: &[DVec3],
+        output: &pb::Output,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Option<pb::Quality>, job::Error> {
+        Self::measure(self, positions, output, pool, progress).map(Some)
     }
 
     fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, asset::Error> {

@@ -19,6 +19,10 @@ pub(super) struct Outgoing {
 
 /// Something for the transport.
 #[derive(Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one at a time, moved straight on into a response of the same size"
+)]
 pub(super) enum Letter {
     Message(pb::deform_response::Message),
     Frame(Box<Outgoing>),

@@ -70,6 +70,8 @@ pub fn settings(tolerance: f64) -> Settings {
     Settings::check(
         &pb::Options {
             tolerance,
+            // The paper's two passes.
+            refine: Some(0),
             ..Default::default()
         },
         "options",

@@ -259,6 +259,7 @@ impl Engine for Fake {
             cycles += 1;
             let residual = 1.0 / 10f64.powi(cycles as i32);
             let watched = Watch {
+                refined: 0,
                 cycle: cycles,
                 residual,
                 max_error: residual,

@@ -190,3 +190,55 @@ async fn frames_carry_normals_that_turn_with_the_shape() {
         "what frames carry does not change the shape"
     );
 }
+
+#[tokio::test]
+async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
+    let manager = Manager::new(small()).expect("valid");
+    let (id, _) = bent(&manager).await;
+    let options = |self_intersections: bool| pb::Options {
+        output: Some(pb::Output {
+            self_intersections,
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    let solve = async |angle: f64, count: bool| {
+        let mut request = turned(&id, angle);
+        request.options = Some(options(count));
+        let solved = manager.solve(tenant(), request, None).await.expect("solved");
+        solved.frames[0].quality.expect("a commit is measured")
+    };
+    let home = solve(0.0, true).await;
+    assert_eq!(
+        (home.edge_rms, home.volume_change, home.self_intersections),
+        (0.0, 0.0, Some(0))
+    );
+    let plain = solve(1.0, false).await;
+    assert!(plain.edge_rms > 0.0 && plain.max_stretch > 1.0 && plain.self_intersections.is_none());
+    let counted = solve(1.0, true).await;
+    assert_eq!(
+        counted,
+        pb::Quality {
+            self_intersections: Some(0),
+            ..plain
+        }
+    );
+
+    // On a stream commits are measured, and drags are not.
+    let mut client = Client::open(&manager, &id).await;
+    client.options(options(true));
+    for (seq, commit) in [(1, false), (2, true)] {
+        let pose = pb::Pose {
+            seq,
+            commit,
+            ..turned(&id, 1.0).pose.expect("a pose")
+        };
+        client
+            .input
+            .push(ask(pb::deform_request::Message::Pose(pose)))
+            .expect("open");
+        let frame = client.frame().await.header;
+        assert_eq!(frame.quality, commit.then_some(counted), "pose {seq}");
+        client.ack(seq);
+    }
+}

@@ -111,7 +111,7 @@ pub fn inside_out((points, faces): Shape) -> Shape {
 }
 
 /// The shape with its points moved.
-pub fn moved((points, faces): Shape, to: impl Fn(DVec3) -> DVec3) -> Shape {
+pub fn moved((points, faces): Shape, to: impl FnMut(DVec3) -> DVec3) -> Shape {
     (points.into_iter().map(to).collect(), faces)
 }
 

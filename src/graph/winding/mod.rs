@@ -9,5 +9,6 @@ mod nearest;
 mod number;
 mod tree;
 
+pub(super) use nearest::closest_on_triangle;
 pub use nearest::{Hit, Nearest};
 pub use tree::WindingTree;

@@ -54,6 +54,19 @@ impl WindingTree<'_> {
         })
     }
 
+    /// Whether any triangle is nearer than `radius`.
+    pub fn is_within(&self, point: DVec3, radius: f64) -> bool {
+        let mut found = false;
+        self.visit_near(point, radius * radius, |place, limit| {
+            if !found && closest_on_triangle(point, self.corners(place)).distance_squared(point) < *limit {
+                found = true;
+                // Nothing is nearer than this, so the search ends.
+                *limit = -1.0;
+            }
+        });
+        found
+    }
+
     /// The triangle corner nearest to `point`; of equally near ones the smallest. `None` without triangles.
     ///
     /// A vertex that is probably near, such as the answer for a neighbouring point, makes the search faster; it does
@@ -85,7 +98,8 @@ impl WindingTree<'_> {
             if index >= self.leaves {
                 let boxes = &self.boxes[index - self.leaves];
                 let until = best.map_or(1.0, |b| b.0);
-                let met = (0..node.count).filter(|&child| ray.meets(boxes, child as usize, until));
+                let met = ray.meets(boxes, until);
+                let met = (0..node.count).filter(|&child| met[child as usize]);
                 met.for_each(|child| stack.push(node.first + child));
                 continue;
             }
@@ -182,18 +196,29 @@ impl Ray {
         }
     }
 
-    /// Whether the segment meets the box of `child` no later than `until` along it.
-    fn meets(&self, boxes: &Boxes, child: usize, until: f64) -> bool {
-        let (mut enter, mut leave) = (0.0f64, until);
+    /// Which of the boxes the segment meets no later than `until` along it.
+    #[inline]
+    fn meets(&self, boxes: &Boxes, until: f64) -> [bool; FAN] {
+        let (mut enter, mut leave) = ([0.0f64; FAN], [until; FAN]);
         for axis in 0..3 {
-            let from = self.from[axis];
-            let low = (boxes.min[axis][child] - self.margin - from) * self.inverse[axis];
-            let high = (boxes.max[axis][child] + self.margin - from) * self.inverse[axis];
-            // Zero times infinity is not a number: the segment runs in the face of the box, and min and max pass it by.
-            enter = enter.max(low.min(high));
-            leave = leave.min(low.max(high));
+            let (from, inverse) = (self.from[axis], self.inverse[axis]);
+            let (min, max) = (&boxes.min[axis], &boxes.max[axis]);
+            for child in 0..FAN {
+                let a = (min[child] - self.margin - from) * inverse;
+                let b = (max[child] + self.margin - from) * inverse;
+                // Zero times infinity is not a number: the segment runs in the face of the box, which limits nothing.
+                let (low, high) = if a <= b {
+                    (a, b)
+                } else if b < a {
+                    (b, a)
+                } else {
+                    (f64::NEG_INFINITY, f64::INFINITY)
+                };
+                enter[child] = if low > enter[child] { low } else { enter[child] };
+                leave[child] = if high < leave[child] { high } else { leave[child] };
+            }
         }
-        enter <= leave
+        std::array::from_fn(|child| enter[child] <= leave[child])
     }
 }
 
@@ -216,7 +241,7 @@ fn crossing(from: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> Option<f64>
 
 /// The point of a triangle nearest to `p`, by the region of the plane that its foot lies in (Ericson 2005). A face
 /// without area is its edges.
-fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
+pub(in crate::graph) fn closest_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
     let (ab, ac) = (b - a, c - a);
     let (d11, d12, d22) = (ab.length_squared(), ab.dot(ac), ac.length_squared());
     // Thin faces lose their regions to rounding; the nearest point of their edges is as good.

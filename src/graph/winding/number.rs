@@ -20,9 +20,14 @@ impl WindingTree<'_> {
         self.evaluate(point, FAR)
     }
 
+    /// As [`Self::at`], at a third of the cost, but off by up to about 0.1.
+    pub fn roughly(&self, point: DVec3) -> f64 {
+        self.evaluate(point, ROUGHLY_FAR)
+    }
+
     /// Whether `point` lies inside: the winding number is further from 0 than ½.
     pub fn contains(&self, point: DVec3) -> bool {
-        let roughly = self.evaluate(point, ROUGHLY_FAR).abs();
+        let roughly = self.roughly(point).abs();
         if (roughly - 0.5).abs() > CLEAR {
             roughly > 0.5
         } else {

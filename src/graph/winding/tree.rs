@@ -110,6 +110,11 @@ impl<'a> WindingTree<'a> {
         self.triangles
     }
 
+    /// The positions that its triangles name.
+    pub fn positions(&self) -> &'a [DVec3] {
+        self.positions
+    }
+
     /// The corners of all triangles, each once, so that vertices next to each other in the list are close in space.
     pub(in crate::graph) fn vertices_in_space(&self) -> Vec<u32> {
         let mut seen = vec![false; self.positions.len()];

@@ -102,6 +102,16 @@ fn facts(solved: &SolvedFrames) -> HeaderMap {
         set("x-pliant-max-error", frame.max_error.to_string());
         set("x-pliant-solve-ms", frame.solve_ms.to_string());
         set("x-pliant-queue-ms", frame.queue_ms.to_string());
+        if let Some(quality) = frame.quality {
+            set("x-pliant-edge-rms", quality.edge_rms.to_string());
+            set("x-pliant-volume-change", quality.volume_change.to_string());
+            set("x-pliant-area-change", quality.area_change.to_string());
+            set("x-pliant-flipped-triangles", quality.flipped_triangles.to_string());
+            set("x-pliant-max-stretch", quality.max_stretch.to_string());
+            if let Some(pairs) = quality.self_intersections {
+                set("x-pliant-self-intersections", pairs.to_string());
+            }
+        }
     }
     headers
 }

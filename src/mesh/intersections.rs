@@ -1,0 +1,342 @@
+//! Where a surface passes through itself: pairs of triangles that cross.
+//!
+//! Positions are rounded to 32 bits first, which is what frames and most formats carry; differences of such numbers
+//! and the signs of the volumes made of them are then taken in 64 bits. Touching is not crossing.
+
+use crate::pool::Pool;
+use crate::progress::{Cancelled, Progress, check};
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Triangles of one leaf of the tree.
+const LEAF: usize = 4;
+/// Triangles between two looks at the progress. A triangle meets every other one at worst.
+const BLOCK: usize = 16;
+/// Bits of a place along one axis of the space-filling curve.
+const BITS: u32 = 21;
+
+/// Number of pairs of triangles that cross.
+///
+/// A pair that shares an edge never counts. A pair that shares one vertex counts when the edge opposite to it in one
+/// triangle passes through the other triangle. Any other pair counts when an edge of one passes through the other. An
+/// edge passes through a triangle when its ends lie strictly on both sides and it meets the triangle or its border.
+///
+/// Takes time in proportion to n log n plus the pairs whose boxes overlap, which may be all when a surface has
+/// collapsed; `progress` is asked often. The count does not depend on threads.
+///
+/// # Errors
+/// [`Cancelled`] when `progress` says so.
+///
+/// # Panics
+/// When a triangle names a position that does not exist. Triangles of a [`super::Mesh`] never do.
+pub fn self_intersections(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    pool: &Pool,
+    progress: &dyn Progress,
+) -> Result<u64, Cancelled> {
+    if triangles.len() < 2 {
+        return Ok(0);
+    }
+    pool.install(|| {
+        let points: Vec<Vec3> = positions.par_iter().map(|p| p.as_vec3()).collect();
+        let tree = Tree::build(&points, triangles);
+        check(progress)?;
+        (0..triangles.len().div_ceil(BLOCK))
+            .into_par_iter()
+            .map(|block| {
+                check(progress)?;
+                let places = block * BLOCK..((block + 1) * BLOCK).min(triangles.len());
+                Ok(places
+                    .map(|place| tree.crossings(&points, triangles, place))
+                    .sum::<u64>())
+            })
+            .sum()
+    })
+}
+
+/// An axis-aligned box.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    low: Vec3,
+    high: Vec3,
+}
+
+impl Cell {
+    const EMPTY: Self = Self {
+        low: Vec3::INFINITY,
+        high: Vec3::NEG_INFINITY,
+    };
+
+    fn of(corners: [Vec3; 3]) -> Self {
+        let [a, b, c] = corners;
+        Self {
+            low: a.min(b).min(c),
+            high: a.max(b).max(c),
+        }
+    }
+
+    fn join(self, other: Self) -> Self {
+        Self {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+        }
+    }
+
+    fn meets(&self, other: &Self) -> bool {
+        self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
+    }
+}
+
+/// Boxes of triangles in the order of a space-filling curve, and above them boxes of pairs, of pairs of pairs, and so
+/// on.
+struct Tree {
+    /// Triangle at each place of the curve.
+    order: Vec<u32>,
+    /// Its box, in the same order.
+    cells: Vec<Cell>,
+    /// Level 0 has a box for every [`LEAF`] places; each level above one for two boxes below; the last has one box.
+    levels: Vec<Vec<Cell>>,
+}
+
+impl Tree {
+    fn build(points: &[Vec3], triangles: &[[u32; 3]]) -> Self {
+        let cell = |t: u32| Cell::of(triangles[t as usize].map(|v| points[v as usize]));
+        let whole = points.iter().fold(Cell::EMPTY, |all, &p| Cell {
+            low: all.low.min(p),
+            high: all.high.max(p),
+        });
+        let extent = (whole.high.as_dvec3() - whole.low.as_dvec3()).max_element();
+        let steps = f64::from((1u32 << BITS) - 1);
+        let scale = if extent > 0.0 && extent.is_finite() {
+            steps / extent
+        } else {
+            0.0
+        };
+        let mut keys: Vec<(u64, u32)> = (0..triangles.len() as u32)
+            .into_par_iter()
+            .map(|t| {
+                let Cell { low, high } = cell(t);
+                let middle = 0.5 * (low.as_dvec3() + high.as_dvec3());
+                // Casts saturate, and take what is no number as 0.
+                let at = (middle - whole.low.as_dvec3()) * scale;
+                (curve(at.to_array().map(|x| (x as u64).min(steps as u64))), t)
+            })
+            .collect();
+        keys.par_sort_unstable();
+        let order: Vec<u32> = keys.into_iter().map(|(_, t)| t).collect();
+        let cells: Vec<Cell> = order.par_iter().map(|&t| cell(t)).collect();
+        let join = |cells: &[Cell]| cells.iter().copied().fold(Cell::EMPTY, Cell::join);
+        let mut levels: Vec<Vec<Cell>> = vec![cells.chunks(LEAF).map(join).collect()];
+        while let Some(below) = levels.last().filter(|below| below.len() > 1) {
+            let above = below.chunks(2).map(join).collect();
+            levels.push(above);
+        }
+        Self { order, cells, levels }
+    }
+
+    /// Triangles at later places that cross the one at `place`.
+    fn crossings(&self, points: &[Vec3], triangles: &[[u32; 3]], place: usize) -> u64 {
+        let (own, cell) = (self.order[place], self.cells[place]);
+        let mut found = 0;
+        // Depth first: at most one box waits on every level.
+        let mut open = Vec::with_capacity(self.levels.len() + 1);
+        open.push((self.levels.len() - 1, 0usize));
+        while let Some((level, at)) = open.pop() {
+            // Places below this box end before `place`, so that other one counts the pair.
+            let last = LEAF * ((at + 1) << level);
+            if last <= place || !self.levels[level][at].meets(&cell) {
+                continue;
+            }
+            if level > 0 {
+                let right = 2 * at + 1;
+                if right < self.levels[level - 1].len() {
+                    open.push((level - 1, right));
+                }
+                open.push((level - 1, 2 * at));
+                continue;
+            }
+            let first = (at * LEAF).max(place + 1);
+            for other in first..((at + 1) * LEAF).min(self.order.len()) {
+                if self.cells[other].meets(&cell) {
+                    let theirs = self.order[other];
+                    let (f, g) = (own.min(theirs), own.max(theirs));
+                    found += u64::from(cross(points, triangles[f as usize], triangles[g as usize]));
+                }
+            }
+        }
+        found
+    }
+}
+
+/// The place of a cell on Morton's curve: the bits of its coordinates by turns.
+fn curve(at: [u64; 3]) -> u64 {
+    let spread = |x: u64| {
+        let x = (x | x << 32) & 0x001f_0000_0000_ffff;
+        let x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+        let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+        let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+        (x | x << 2) & 0x1249_2492_4924_9249
+    };
+    spread(at[0]) | spread(at[1]) << 1 | spread(at[2]) << 2
+}
+
+/// Whether two triangles cross.
+fn cross(points: &[Vec3], f: [u32; 3], g: [u32; 3]) -> bool {
+    let (mut shared, mut i, mut j) = (0, 0, 0);
+    for (k, v) in f.iter().enumerate() {
+        for (l, w) in g.iter().enumerate() {
+            if v == w {
+                (shared, i, j) = (shared + 1, k, l);
+            }
+        }
+    }
+    let at = |v: u32| points[v as usize].as_dvec3();
+    let (a, b) = (f.map(at), g.map(at));
+    match shared {
+        0 => {
+            if beside(a, b) || beside(b, a) {
+                return false;
+            }
+            (0..3).any(|k| passes(a[k], a[(k + 1) % 3], b) || passes(b[k], b[(k + 1) % 3], a))
+        }
+        1 => passes(a[(i + 1) % 3], a[(i + 2) % 3], b) || passes(b[(j + 1) % 3], b[(j + 2) % 3], a),
+        _ => false,
+    }
+}
+
+/// Whether all corners of `a` lie strictly on one side of the plane of `b`.
+fn beside(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
+    let sides = a.map(|p| volume(b[0], b[1], b[2], p));
+    sides.iter().all(|&s| s > 0.0) || sides.iter().all(|&s| s < 0.0)
+}
+
+/// Whether the segment from `p` to `q` passes through `t`, border included, with its ends strictly on both sides.
+fn passes(p: DVec3, q: DVec3, t: [DVec3; 3]) -> bool {
+    let [a, b, c] = t;
+    let (s, e) = (volume(a, b, c, p), volume(a, b, c, q));
+    if !((s < 0.0 && e > 0.0) || (s > 0.0 && e < 0.0)) {
+        return false;
+    }
+    let around = [volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)];
+    around.iter().all(|&v| v >= 0.0) || around.iter().all(|&v| v <= 0.0)
+}
+
+/// Six times the signed volume of a tetrahedron.
+fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+    (b - a).cross(c - a).dot(d - a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::{CancelFlag, Silent};
+
+    fn pool() -> Pool {
+        Pool::new(2).expect("two threads")
+    }
+
+    fn count(positions: &[DVec3], triangles: &[[u32; 3]]) -> u64 {
+        self_intersections(positions, triangles, &pool(), &Silent).expect("nobody cancels")
+    }
+
+    fn points(p: &[[f64; 3]]) -> Vec<DVec3> {
+        p.iter().copied().map(DVec3::from_array).collect()
+    }
+
+    #[test]
+    fn pairs_count_by_what_they_share() {
+        let flat = [[0., 0., 0.], [4., 0., 0.], [0., 4., 0.]];
+        let with = |more: &[[f64; 3]]| points(&[&flat[..], more].concat());
+        // A blade through the middle, the same blade beside, and one that only touches with a corner.
+        let through = with(&[[1., 1., -1.], [1., 1., 1.], [2., 1., 1.]]);
+        let beside = with(&[[9., 1., -1.], [9., 1., 1.], [9., 2., 1.]]);
+        let touching = with(&[[1., 1., 0.], [1., 1., 1.], [2., 1., 1.]]);
+        for (positions, wanted) in [(through, 1), (beside, 0), (touching, 0)] {
+            assert_eq!(count(&positions, &[[0, 1, 2], [3, 4, 5]]), wanted);
+        }
+        // From a shared corner, back through the triangle.
+        let back = with(&[[1., 1., -1.], [1., 1., 1.]]);
+        assert_eq!(count(&back, &[[0, 1, 2], [0, 3, 4]]), 1);
+        let away = with(&[[-1., -1., -1.], [-1., -1., 1.]]);
+        assert_eq!(count(&away, &[[0, 1, 2], [0, 3, 4]]), 0);
+        // Folded flat onto its neighbour across an edge: never counted.
+        let folded = with(&[[3., 3., 0.]]);
+        assert_eq!(count(&folded, &[[0, 1, 2], [1, 2, 3]]), 0);
+    }
+
+    /// Sheets of n × n cells in planes that cross at a right angle along a line between grid lines.
+    fn crossed_sheets(n: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let mut positions = Vec::new();
+        let mut triangles = Vec::new();
+        for sheet in 0..2 {
+            let first = positions.len();
+            for i in 0..=n {
+                for j in 0..=n {
+                    let (x, y) = (i as f64 - n as f64 / 2.0 + 0.25, j as f64);
+                    positions.push(if sheet == 0 {
+                        DVec3::new(x, y, 0.0)
+                    } else {
+                        DVec3::new(0.0, y + 0.3, x)
+                    });
+                }
+            }
+            let at = |i: usize, j: usize| (first + i * (n + 1) + j) as u32;
+            for i in 0..n {
+                for j in 0..n {
+                    triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
+                    triangles.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
+                }
+            }
+        }
+        (positions, triangles)
+    }
+
+    /// Every pair, without the tree.
+    fn slowly(positions: &[DVec3], triangles: &[[u32; 3]]) -> u64 {
+        let points: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
+        let mut found = 0;
+        for (k, f) in triangles.iter().enumerate() {
+            found += triangles[k + 1..].iter().filter(|g| cross(&points, *f, **g)).count() as u64;
+        }
+        found
+    }
+
+    #[test]
+    fn the_tree_misses_nothing_and_counts_nothing_twice() {
+        for n in [1, 2, 3, 7, 16] {
+            let (positions, triangles) = crossed_sheets(n);
+            let all = slowly(&positions, &triangles);
+            assert!(all >= n as u64, "{n} cells cross in {all} pairs");
+            assert_eq!(count(&positions, &triangles), all, "{n} cells");
+            let one = self_intersections(&positions, &triangles, &Pool::new(1).expect("a thread"), &Silent);
+            assert_eq!(one, Ok(all));
+            // The count belongs to the shape, not to the order of its triangles or where it lies.
+            let turned: Vec<_> = triangles.iter().rev().map(|&[a, b, c]| [c, a, b]).collect();
+            assert_eq!(count(&positions, &turned), all);
+            let doubled: Vec<_> = positions.iter().map(|p| *p * 2.0).collect();
+            assert_eq!(count(&doubled, &triangles), all);
+        }
+    }
+
+    #[test]
+    fn nothing_odd_counts_or_panics() {
+        assert_eq!(count(&[], &[]), 0);
+        let nan = points(&[[f64::NAN, 0., 0.], [1e300, 0., 0.], [0., 1., 0.], [0., 0., 1.]]);
+        assert_eq!(count(&nan, &[[0, 1, 2], [1, 2, 3], [0, 2, 3]]), 0);
+        let heap = vec![DVec3::ONE; 300];
+        let triangles: Vec<[u32; 3]> = (0..100).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        assert_eq!(count(&heap, &triangles), 0, "points are no surface");
+    }
+
+    #[test]
+    fn a_count_that_nobody_wants_stops() {
+        let flag = CancelFlag::default();
+        flag.cancel();
+        let (positions, triangles) = crossed_sheets(4);
+        assert_eq!(
+            self_intersections(&positions, &triangles, &pool(), &flag),
+            Err(Cancelled)
+        );
+    }
+}

@@ -1,0 +1,218 @@
+//! Where a picture is taken from: a direction, and a frame that several shapes can share.
+
+use super::{Error, Surface};
+use glam::DVec3;
+
+/// Share of a view's sides that the shape may fill.
+const FILL: f64 = 0.92;
+
+/// Pixels of a view, both sides in the range that is allowed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Size {
+    width: u32,
+    height: u32,
+}
+
+impl Size {
+    /// Fewest pixels of a side.
+    pub const LEAST: u32 = 16;
+    /// Most pixels of a side.
+    pub const MOST: u32 = 8192;
+
+    /// A size.
+    ///
+    /// # Errors
+    /// [`Error::Size`] when a side is out of range.
+    pub fn new(width: u32, height: u32) -> Result<Self, Error> {
+        let allowed = Self::LEAST..=Self::MOST;
+        if allowed.contains(&width) && allowed.contains(&height) {
+            return Ok(Self { width, height });
+        }
+        Err(Error::Size {
+            width: width.into(),
+            height: height.into(),
+            least: Self::LEAST,
+            most: Self::MOST,
+        })
+    }
+
+    /// Pixels across.
+    pub fn width(self) -> u32 {
+        self.width
+    }
+
+    /// Pixels down.
+    pub fn height(self) -> u32 {
+        self.height
+    }
+}
+
+/// The axis of the model that points up in the picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Up {
+    /// As in glTF.
+    #[default]
+    Y,
+    /// As in most scans and drawings.
+    Z,
+}
+
+/// A direction from which a shape is seen, without perspective.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    azimuth: f64,
+    elevation: f64,
+    up: Up,
+}
+
+impl View {
+    /// `azimuth` degrees around the up axis (0 looks at the side that faces +z, or -y with [`Up::Z`]; 90 at the one that
+    /// faces +x) and `elevation` degrees above the horizon.
+    ///
+    /// # Errors
+    /// [`Error::View`] when the angles are out of range.
+    pub fn new(azimuth: f64, elevation: f64, up: Up) -> Result<Self, Error> {
+        if azimuth.abs() <= 360.0 && elevation.abs() <= 90.0 {
+            Ok(Self { azimuth, elevation, up })
+        } else {
+            Err(Error::View { azimuth, elevation })
+        }
+    }
+
+    /// The same view after `degrees` more around the up axis.
+    #[must_use]
+    pub fn turned(self, degrees: f64) -> Self {
+        Self {
+            azimuth: (self.azimuth + degrees) % 360.0,
+            ..self
+        }
+    }
+
+    /// Unit vectors in model space: right, up and towards the eye.
+    fn axes(&self) -> [DVec3; 3] {
+        let (sin_a, cos_a) = libm::sincos(self.azimuth.to_radians());
+        let (sin_e, cos_e) = libm::sincos(self.elevation.to_radians());
+        let right = DVec3::new(cos_a, 0.0, -sin_a);
+        let towards = DVec3::new(cos_e * sin_a, sin_e, cos_e * cos_a);
+        let axes = [right, towards.cross(right), towards];
+        match self.up {
+            Up::Y => axes,
+            Up::Z => axes.map(|v| DVec3::new(v.x, -v.z, v.y)),
+        }
+    }
+}
+
+/// A view with a frame: what of the model falls on which pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Camera {
+    axes: [DVec3; 3],
+    center: DVec3,
+    scale: f64,
+    size: Size,
+}
+
+impl Camera {
+    /// One camera for each view, with one scale for all, such that every surface fits into every picture. A single
+    /// view is centred on what is seen; several turn about the middle of the box around the surfaces.
+    pub fn around(surfaces: &[&Surface], views: &[View], size: Size) -> Vec<Self> {
+        let points = || surfaces.iter().flat_map(|s| s.positions());
+        let mut low = DVec3::INFINITY;
+        let mut high = DVec3::NEG_INFINITY;
+        for &p in points() {
+            (low, high) = (low.min(p), high.max(p));
+        }
+        let mut middle = low * 0.5 + high * 0.5;
+        if !middle.is_finite() {
+            middle = DVec3::ZERO;
+        }
+        // Half of what each picture must show, seen from the middle.
+        let mut half = [0.0f64; 2];
+        for view in views {
+            let [right, up, _] = view.axes();
+            let mut reach = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+            for p in points() {
+                let d = *p - middle;
+                for (r, x) in reach.iter_mut().zip([d.dot(right), d.dot(up)]) {
+                    *r = [r[0].min(x), r[1].max(x)];
+                }
+            }
+            if views.len() == 1 && reach.iter().flatten().all(|x| x.is_finite()) {
+                let shift = reach.map(|r| 0.5 * (r[0] + r[1]));
+                middle += right * shift[0] + up * shift[1];
+                reach = [0, 1].map(|k| [reach[k][0] - shift[k], reach[k][1] - shift[k]]);
+            }
+            for (h, r) in half.iter_mut().zip(reach) {
+                *h = h.max(-r[0]).max(r[1]);
+            }
+        }
+        let room = [size.width, size.height].map(|n| 0.5 * FILL * f64::from(n));
+        let fit = |k: usize| room[k] / half[k];
+        let mut scale = fit(0).min(fit(1));
+        if !(scale.is_finite() && scale > 0.0) {
+            scale = 1.0;
+        }
+        views
+            .iter()
+            .map(|view| Self {
+                axes: view.axes(),
+                center: middle,
+                scale,
+                size,
+            })
+            .collect()
+    }
+
+    /// Pixels of the picture.
+    pub fn size(&self) -> Size {
+        self.size
+    }
+
+    /// Right and down in pixels from the upper left corner, and towards the eye.
+    pub fn project(&self, p: DVec3) -> DVec3 {
+        let d = p - self.center;
+        let [right, up, towards] = self.axes;
+        DVec3::new(
+            0.5 * f64::from(self.size.width) + d.dot(right) * self.scale,
+            0.5 * f64::from(self.size.height) - d.dot(up) * self.scale,
+            d.dot(towards) * self.scale,
+        )
+    }
+
+    /// Unit vectors in model space: right, up and towards the eye.
+    pub(super) fn axes(&self) -> [DVec3; 3] {
+        self.axes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_look_where_they_say_and_are_right_handed() {
+        let axes = |a, e, up| View::new(a, e, up).expect("in range").axes();
+        let near = |a: DVec3, b: DVec3| a.distance(b) < 1e-12;
+        assert!(near(axes(0.0, 0.0, Up::Y)[2], DVec3::Z) && near(axes(90.0, 0.0, Up::Y)[2], DVec3::X));
+        assert!(near(axes(0.0, 0.0, Up::Z)[2], -DVec3::Y) && near(axes(90.0, 0.0, Up::Z)[2], DVec3::X));
+        assert!(near(axes(0.0, 0.0, Up::Y)[1], DVec3::Y) && near(axes(0.0, 0.0, Up::Z)[1], DVec3::Z));
+        for up in [Up::Y, Up::Z] {
+            let [right, above, towards] = axes(37.0, 64.0, up);
+            assert!(near(right.cross(above), towards));
+        }
+        assert!(near(axes(10.0, 90.0, Up::Y)[2], DVec3::Y), "straight from above");
+    }
+
+    #[test]
+    fn sizes_and_views_out_of_range_are_refused_with_what_is_allowed() {
+        for (w, h) in [(15, 100), (100, 8193), (0, 0)] {
+            let text = Size::new(w, h).expect_err("out of range").to_string();
+            assert!(
+                text.contains(&format!("{w}x{h}")) && text.contains("16 to 8192"),
+                "{text}"
+            );
+        }
+        for (a, e) in [(f64::NAN, 0.0), (0.0, 91.0), (f64::INFINITY, 0.0)] {
+            assert!(View::new(a, e, Up::Y).is_err());
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! A surface made ready to be drawn: welded, with a normal for every corner of every triangle and maybe colours.
+
+use super::Error;
+use crate::mesh::{Lists, Mesh, Weld};
+use crate::pool::Pool;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Cosine of the angle between faces beyond which the edge between them is drawn sharp: 40°.
+const CREASE: f64 = 0.766;
+/// Faces around a vertex from which on they are not compared one by one.
+const MANY: usize = 48;
+
+/// A surface to draw.
+#[derive(Debug, Clone)]
+pub struct Surface {
+    mesh: Mesh,
+    vertices: usize,
+    normals: Vec<[Vec3; 3]>,
+    inside_out: bool,
+    colours: Vec<Vec3>,
+    wires: bool,
+}
+
+impl Surface {
+    /// Takes triangles over positions. Vertices at the same place are one, so that seams of a model do not show.
+    ///
+    /// # Errors
+    /// [`Error::Empty`] without triangles, [`Error::Surface`] when a position that is used is not finite.
+    pub fn new(positions: &[DVec3], triangles: &[[u32; 3]], pool: &Pool) -> Result<Self, Error> {
+        let mesh = Mesh::build(positions, triangles, Weld::Exact)?;
+        // In units of the shape's size, so that tiny and huge models neither underflow nor overflow.
+        let bounds = mesh.bounds();
+        let size = bounds.diagonal();
+        let unit = if size > 0.0 && size.is_finite() {
+            1.0 / size
+        } else {
+            1.0
+        };
+        let corner = |v: u32| (mesh.positions[v as usize] - bounds.center()) * unit;
+        let (normals, volume, area) = pool.install(|| {
+            let faces: Vec<DVec3> = mesh
+                .triangles
+                .par_iter()
+                .map(|t| {
+                    let [a, b, c] = t.map(corner);
+                    (b - a).cross(c - a)
+                })
+                .collect();
+            let volume: f64 = faces
+                .iter()
+                .zip(&mesh.triangles)
+                .map(|(n, t)| n.dot(corner(t[0])))
+                .sum();
+            let area: f64 = faces.iter().map(|n| n.length()).sum();
+            (corner_normals(&mesh, &faces), volume / 6.0, area / 2.0)
+        });
+        Ok(Self {
+            vertices: positions.len(),
+            normals,
+            // Of an open sheet the volume says little.
+            inside_out: volume < -1e-3 * area * area.sqrt(),
+            mesh,
+            colours: Vec::new(),
+            wires: false,
+        })
+    }
+
+    /// Colours the surface: linear light for every vertex that [`Surface::new`] was given.
+    ///
+    /// # Errors
+    /// [`Error::Count`] when there are more or fewer.
+    pub fn coloured(mut self, colours: &[Vec3]) -> Result<Self, Error> {
+        if colours.len() != self.vertices {
+            return Err(Error::Count {
+                what: "colours",
+                seen: colours.len(),
+                vertices: self.vertices,
+            });
+        }
+        let first = |s: u32| self.mesh.render_vertices_of(s).first();
+        self.colours = (0..self.mesh.positions.len() as u32)
+            .map(|s| first(s).map_or(Vec3::ONE, |&v| colours[v as usize]))
+            .collect();
+        Ok(self)
+    }
+
+    /// Draws the edges of the triangles too.
+    #[must_use]
+    pub fn with_wires(mut self) -> Self {
+        self.wires = true;
+        self
+    }
+
+    /// Positions of the welded vertices.
+    pub fn positions(&self) -> &[DVec3] {
+        &self.mesh.positions
+    }
+
+    /// Triangles over the welded vertices.
+    pub fn triangles(&self) -> &[[u32; 3]] {
+        &self.mesh.triangles
+    }
+
+    pub(super) fn normals(&self) -> &[[Vec3; 3]] {
+        &self.normals
+    }
+
+    /// Whether the faces of a closed surface look inwards.
+    pub(super) fn inside_out(&self) -> bool {
+        self.inside_out
+    }
+
+    pub(super) fn colours(&self) -> Option<&[Vec3]> {
+        (!self.colours.is_empty()).then_some(self.colours.as_slice())
+    }
+
+    pub(super) fn wires(&self) -> bool {
+        self.wires
+    }
+}
+
+/// For every corner the mean of the faces around its vertex that are nearly parallel to its own; zero where a face has
+/// no area.
+fn corner_normals(mesh: &Mesh, faces: &[DVec3]) -> Vec<[Vec3; 3]> {
+    let around = Lists::gather(mesh.positions.len(), || {
+        mesh.triangles.iter().zip(0u32..).flat_map(|(t, i)| t.map(|v| (v, i)))
+    });
+    let sums: Vec<DVec3> = (0..mesh.positions.len() as u32)
+        .into_par_iter()
+        .map(|v| around.of(v).iter().map(|&f| faces[f as usize]).sum())
+        .collect();
+    mesh.triangles
+        .par_iter()
+        .zip(faces)
+        .map(|(t, face)| {
+            let own = face.normalize_or_zero();
+            t.map(|v| {
+                let row = around.of(v);
+                let smooth = if own == DVec3::ZERO {
+                    sums[v as usize]
+                } else if row.len() > MANY {
+                    let all = sums[v as usize].normalize_or_zero();
+                    if all.dot(own) > CREASE { all } else { own }
+                } else {
+                    let parallel = |n: &DVec3| n.dot(own) > CREASE * n.length();
+                    row.iter().map(|&f| faces[f as usize]).filter(parallel).sum()
+                };
+                smooth.normalize_or(own).as_vec3()
+            })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pool() -> Pool {
+        Pool::new(2).expect("two threads")
+    }
+
+    /// Two unit squares that meet at an edge along y, the second one folded up by an angle; four vertices are seams.
+    fn fold(degrees: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let (sin, cos) = libm::sincos(degrees.to_radians());
+        let across = DVec3::new(cos, 0.0, sin);
+        let p = vec![
+            DVec3::NEG_X,
+            DVec3::ZERO,
+            DVec3::Y,
+            DVec3::NEG_X + DVec3::Y,
+            DVec3::ZERO,
+            across,
+            across + DVec3::Y,
+            DVec3::Y,
+        ];
+        (p, vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    }
+
+    #[test]
+    fn seams_are_smooth_and_creases_are_sharp() {
+        let normals = |degrees: f64| {
+            let (p, t) = fold(degrees);
+            Surface::new(&p, &t, &pool()).expect("a surface").normals().to_vec()
+        };
+        let gentle = normals(20.0);
+        // Vertex 1 and vertex 4 lie at the same place and look the same way.
+        assert!((gentle[0][1] - gentle[2][0]).length() < 1e-6 && gentle[0][1].x < -0.05);
+        let sharp = normals(90.0);
+        assert_eq!(sharp[0], [Vec3::Z; 3]);
+        assert!((sharp[2][0] - Vec3::NEG_X).length() < 1e-6);
+    }
+
+    #[test]
+    fn what_is_no_surface_is_refused() {
+        let text = |p: &[DVec3], t: &[[u32; 3]]| Surface::new(p, t, &pool()).expect_err("refused").to_string();
+        assert!(text(&[], &[]).contains("nothing to draw"));
+        assert!(text(&[DVec3::ONE; 3], &[[0, 1, 2]]).contains("none of 1 triangles"));
+        let p = [DVec3::ZERO, DVec3::X, DVec3::NAN];
+        assert!(text(&p, &[[0, 1, 2]]).contains("vertex 2"));
+        assert!(text(&p, &[[0, 1, 7]]).contains("vertex 7"));
+        let (p, t) = fold(10.0);
+        let surface = Surface::new(&p, &t, &pool()).expect("a surface");
+        let count = surface.coloured(&[Vec3::ONE; 3]).expect_err("too few").to_string();
+        assert!(count.contains('3') && count.contains('8'), "{count}");
+    }
+}

@@ -1,0 +1,353 @@
+//! `pliant render` as a script sees it: which pixels show what, the same bytes for any number of threads, refusals.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// Runs `pliant render`; returns (exit code, stdout, last line of stderr).
+fn render(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
+    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .arg("render")
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .expect("it runs");
+    let err = String::from_utf8_lossy(&done.stderr).into_owned();
+    let last = err.trim_end().lines().last().unwrap_or_default().to_owned();
+    (
+        done.status.code(),
+        String::from_utf8_lossy(&done.stdout).into_owned(),
+        last,
+    )
+}
+
+/// A picture read back.
+struct Seen {
+    width: usize,
+    height: usize,
+    pixels: Vec<[u8; 3]>,
+}
+
+impl Seen {
+    fn open(path: &Path) -> Self {
+        let file = std::io::BufReader::new(fs::File::open(path).expect("a picture"));
+        let mut reader = png::Decoder::new(file).read_info().expect("a PNG");
+        let mut bytes = vec![0; reader.output_buffer_size().expect("it fits")];
+        let facts = reader.next_frame(&mut bytes).expect("an image");
+        assert_eq!(
+            (facts.color_type, facts.bit_depth),
+            (png::ColorType::Rgb, png::BitDepth::Eight)
+        );
+        let pixels = bytes.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        Self {
+            width: facts.width as usize,
+            height: facts.height as usize,
+            pixels,
+        }
+    }
+
+    fn at(&self, x: usize, y: usize) -> [u8; 3] {
+        self.pixels[y * self.width + x]
+    }
+
+    /// Whether something is drawn there: the background has one colour in every row.
+    fn drawn(&self, x: usize, y: usize) -> bool {
+        self.at(x, y) != self.at(0, y)
+    }
+
+    /// First and last column and row where something is drawn, between two columns.
+    fn reach(&self, columns: std::ops::Range<usize>) -> [usize; 4] {
+        let mut found = [usize::MAX, 0, usize::MAX, 0];
+        for y in 0..self.height {
+            for x in columns.clone().filter(|&x| self.drawn(x, y)) {
+                found = [found[0].min(x), found[1].max(x), found[2].min(y), found[3].max(y)];
+            }
+        }
+        found
+    }
+}
+
+fn red(p: [u8; 3]) -> bool {
+    i32::from(p[0]) > i32::from(p[2]) + 60
+}
+
+fn blue(p: [u8; 3]) -> bool {
+    i32::from(p[2]) > i32::from(p[0]) + 60
+}
+
+/// A flat strip from x = -2 to 2 and y = -0.5 to 0.5 in 16 × 4 cells, each vertex moved by `place`.
+fn strip(place: impl Fn(f64, f64) -> [f64; 3]) -> String {
+    let mut text = String::new();
+    for i in 0..=16 {
+        for j in 0..=4 {
+            let [x, y, z] = place(f64::from(i) * 0.25 - 2.0, f64::from(j) * 0.25 - 0.5);
+            text += &format!("v {x} {y} {z}\n");
+        }
+    }
+    for i in 0..16 {
+        for j in 0..4 {
+            let at = |i: i32, j: i32| i * 5 + j + 1;
+            text += &format!(
+                "f {} {} {} {}\n",
+                at(i, j),
+                at(i + 1, j),
+                at(i + 1, j + 1),
+                at(i, j + 1)
+            );
+        }
+    }
+    text
+}
+
+/// A folder with the strip at rest, and one whose right half is twice as long and left half two thirds as long.
+fn workplace() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: String| fs::write(folder.path().join(name), text).expect("written");
+    write("rest.obj", strip(|x, y| [x, y, 0.0]));
+    write(
+        "pulled.obj",
+        strip(|x, y| {
+            [
+                if x > 0.0 { 2.0 * x } else { x / 1.5 },
+                if x > 0.0 { y } else { y / 1.5 },
+                0.0,
+            ]
+        }),
+    );
+    write(
+        "moved.obj",
+        strip(|x, y| [x, y + if x > 1.0 { 0.25 * (x - 1.0) } else { 0.0 }, 0.0]),
+    );
+    folder
+}
+
+#[test]
+fn a_shape_covers_the_pixels_that_it_should() {
+    let folder = workplace();
+    let arguments = ["rest.obj", "-o", "rest.png", "--size", "200x100", "--view", "0,0"];
+    let (code, stdout, last) = render(folder.path(), &arguments);
+    assert_eq!((code, stdout.as_str()), (Some(0), ""), "{last}");
+    assert!(last.contains("rest.png") && last.contains("200x100"), "{last}");
+    let seen = Seen::open(&folder.path().join("rest.png"));
+    assert_eq!((seen.width, seen.height), (200, 100));
+    // Four times as wide as high, in the middle, 92 % of the width: 184 by 46 pixels.
+    assert_eq!(seen.reach(0..200), [8, 191, 27, 72]);
+    assert!((30..70).all(|y| (10..190).all(|x| seen.drawn(x, y))), "it has no hole");
+    // From the side nothing but an edge is left.
+    let arguments = ["rest.obj", "-o", "edge.png", "--size", "200x100", "--view", "0,90"];
+    assert_eq!(render(folder.path(), &arguments).0, Some(0));
+    let edge = Seen::open(&folder.path().join("edge.png"));
+    assert!((0..100).all(|y| (0..200).all(|x| !edge.drawn(x, y))));
+}
+
+#[test]
+fn colours_say_where_edges_are_longer_and_where_shorter() {
+    let folder = workplace();
+    let arguments = [
+        "pulled.obj",
+        "--before",
+        "rest.obj",
+        "-o",
+        "two.png",
+        "--size",
+        "240x160",
+        "--view",
+        "0,0",
+    ];
+    let (code, _, last) = render(folder.path(), &arguments);
+    assert_eq!(code, Some(0), "{last}");
+    let seen = Seen::open(&folder.path().join("two.png"));
+    assert_eq!(
+        (seen.width, seen.height),
+        (480, 160),
+        "before on the left, after on the right"
+    );
+    // Rows of the key, at the bottom, count as drawn; leave them out.
+    let above = |p: &[usize; 4]| p[2]..130;
+    let [before, after] = [seen.reach(0..240), seen.reach(240..480)];
+    let middle = 75;
+    assert!(above(&before).contains(&middle) && above(&after).contains(&middle));
+    // One scale for both: 4 units before, 5.33 after, one camera.
+    let columns = |from: usize| (from..from + 240).filter(|&x| seen.drawn(x, middle)).count() as f64;
+    let ratio = columns(240) / columns(0);
+    assert!((ratio - 5.333 / 4.0).abs() < 0.02, "{ratio}");
+    let row: Vec<[u8; 3]> = (240..480)
+        .filter(|&x| seen.drawn(x, middle))
+        .map(|x| seen.at(x, middle))
+        .collect();
+    let end = row.len() - 1;
+    assert!(
+        red(row[end - 5]) && red(row[end / 2 + end / 4]),
+        "stretched: {:?}",
+        row[end - 5]
+    );
+    assert!(blue(row[5]) && blue(row[end / 8]), "squeezed: {:?}", row[5]);
+    assert!(
+        (0..240).all(|x| !red(seen.at(x, middle)) && !blue(seen.at(x, middle))),
+        "before has no colours"
+    );
+    // The key below shows both ends of the ramp.
+    let key = || (0..480).flat_map(|x| (145..160).map(move |y| (x, y)));
+    assert!(key().any(|(x, y)| red(seen.at(x, y))) && key().any(|(x, y)| blue(seen.at(x, y))));
+}
+
+#[test]
+fn differences_and_wires_show_where_they_are() {
+    let folder = workplace();
+    let view = ["--size", "240x160", "--view", "0,0"];
+    let difference = [
+        &[
+            "moved.obj",
+            "--before",
+            "rest.obj",
+            "--color",
+            "difference",
+            "-o",
+            "d.png",
+        ],
+        &view[..],
+    ]
+    .concat();
+    let (code, _, last) = render(folder.path(), &difference);
+    assert_eq!(code, Some(0), "{last}");
+    let seen = Seen::open(&folder.path().join("d.png"));
+    let middle = 75;
+    let row: Vec<[u8; 3]> = (240..480)
+        .filter(|&x| seen.drawn(x, middle))
+        .map(|x| seen.at(x, middle))
+        .collect();
+    let end = row[row.len() - 4];
+    assert!(red(end), "the end moved: {end:?}");
+    let light = |p: [u8; 3]| p.iter().all(|&c| c > 150);
+    assert!(
+        row[..row.len() / 2].iter().all(|&p| light(p)),
+        "the rest did not: {:?}",
+        row[0]
+    );
+
+    let wires = [&["rest.obj", "--color", "wire", "-o", "w.png"], &view[..]].concat();
+    assert_eq!(render(folder.path(), &wires).0, Some(0));
+    let plain = [&["rest.obj", "-o", "p.png"], &view[..]].concat();
+    assert_eq!(render(folder.path(), &plain).0, Some(0));
+    let dark = |name: &str| {
+        let seen = Seen::open(&folder.path().join(name));
+        seen.pixels.iter().filter(|p| p.iter().all(|&c| c < 110)).count()
+    };
+    assert_eq!(dark("p.png"), 0);
+    assert!(dark("w.png") > 300, "{}", dark("w.png"));
+}
+
+#[test]
+fn a_turntable_is_a_strip_once_around() {
+    let folder = workplace();
+    let arguments = [
+        "moved.obj",
+        "-o",
+        "t.png",
+        "--size",
+        "64x48",
+        "--view",
+        "-45,10",
+        "--turntable",
+        "8",
+        "--up",
+        "z",
+    ];
+    let (code, _, last) = render(folder.path(), &arguments);
+    assert_eq!(code, Some(0), "{last}");
+    let seen = Seen::open(&folder.path().join("t.png"));
+    assert_eq!((seen.width, seen.height), (512, 48));
+    let tile = |k: usize| -> Vec<[u8; 3]> {
+        (0..48)
+            .flat_map(|y| (0..64).map(move |x| (x, y)))
+            .map(|(x, y)| seen.at(64 * k + x, y))
+            .collect()
+    };
+    for k in 0..8 {
+        assert!(
+            (64 * k..64 * k + 64).any(|x| seen.drawn(x, 24)),
+            "view {k} shows something"
+        );
+        assert!(tile(k) != tile((k + 1) % 8), "view {k} is another one than the next");
+    }
+}
+
+#[test]
+fn the_same_bytes_for_any_number_of_threads_and_twice() {
+    let folder = workplace();
+    fs::write(
+        folder.path().join("creature.glb"),
+        pliant::asset::sample::creature_glb(),
+    )
+    .expect("written");
+    let bytes = |model: &str, more: &[&str], threads: &str| {
+        let arguments = [&[model, "-o", "x.png", "--size", "300x200", "--threads", threads], more].concat();
+        let (code, _, last) = render(folder.path(), &arguments);
+        assert_eq!(code, Some(0), "{last}");
+        fs::read(folder.path().join("x.png")).expect("a picture")
+    };
+    for (model, more) in [
+        ("creature.glb", &["--color", "wire"][..]),
+        ("creature.glb", &["--before", "creature.glb", "--color", "difference"]),
+        ("pulled.obj", &["--before", "rest.obj", "--turntable", "3"]),
+    ] {
+        let one = bytes(model, more, "1");
+        assert!(
+            one == bytes(model, more, "2") && one == bytes(model, more, "3"),
+            "{model} {more:?}"
+        );
+        assert!(one == bytes(model, more, "1"));
+    }
+}
+
+#[test]
+fn a_refusal_is_exit_2_with_its_reason_last_and_no_picture() {
+    let folder = workplace();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
+    write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    write("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n");
+    write("flat.obj", "v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n");
+    write("empty.obj", "");
+    write("other.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    let cases: [(&[&str], &str); 16] = [
+        (&["none.obj"], "none.obj"),
+        (&["nan.obj"], "line 1"),
+        (&["points.obj"], "no triangle"),
+        (&["flat.obj"], "none of 1 triangles"),
+        (&["empty.obj"], "empty.obj"),
+        (&["rest.obj", "--size", "15x100"], "16 to 8192"),
+        (&["rest.obj", "--size", "100x9000"], "16 to 8192"),
+        (&["rest.obj", "--size", "big"], "800x600"),
+        (&["rest.obj", "--view", "10"], "30,20"),
+        (&["rest.obj", "--view", "0,nan"], "-90 to 90"),
+        (&["rest.obj", "--turntable", "1"], "--turntable"),
+        (&["rest.obj", "--turntable", "64", "--size", "8192x8192"], "pixels"),
+        (&["rest.obj", "--color", "distortion"], "--before"),
+        (&["rest.obj", "--color", "rainbow"], "rainbow"),
+        (
+            &["rest.obj", "--before", "other.obj", "--color", "difference"],
+            "85 vertices",
+        ),
+        (&["rest.obj", "--threads", "5000"], "0 to 1024"),
+    ];
+    for (arguments, reason) in cases {
+        let arguments = [arguments, &["-o", "out.png"]].concat();
+        let (code, stdout, last) = render(folder.path(), &arguments);
+        assert_eq!(code, Some(2), "{arguments:?}: {last}");
+        assert!(
+            last.starts_with("pliant: ") && last.contains(reason),
+            "{arguments:?}: {last}"
+        );
+        assert!(
+            stdout.is_empty() && !folder.path().join("out.png").exists(),
+            "{arguments:?}"
+        );
+    }
+    for output in ["out.jpg", "out", "folder/"] {
+        let (code, _, last) = render(folder.path(), &["rest.obj", "-o", output]);
+        assert!(code == Some(2) && last.contains("png"), "{output}: {last}");
+    }
+    // Models that cannot be compared vertex by vertex can still be seen side by side.
+    let (code, _, last) = render(folder.path(), &["rest.obj", "--before", "other.obj", "-o", "both.png"]);
+    assert_eq!(code, Some(0), "{last}");
+}
