@@ -1,0 +1,47 @@
+//! Topology operations: from a surface and what is asked for to the smallest patch that does it.
+//!
+//! An operation never touches the session's arrays. It reads a [`Surface`] and answers a [`Patch`]: which triangles go,
+//! which vertices and triangles come, what the new vertices are made of. [`apply`] turns surface and patch into the next
+//! surface with the maps between both, so that attributes, handles, graph and hierarchy can follow. What is far from the
+//! edit keeps its order and its bits. Knows no format, no handle and no solver.
+//!
+//! Topology is that of *points* (welded vertices): a seam in texture coordinates is no gap. A cut that keeps both sides
+//! leaves two points at one place, so points are told apart by number, never by position.
+
+mod patch;
+
+pub use patch::{NewTriangle, NewVertex, Patch, Surface};
+
+/// Why an edit cannot be done. The surface is as it was.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// A value that the operation does not allow.
+    #[error("{field}: {problem}")]
+    Invalid {
+        /// The field as in the request, for example `cut.plane.normal`.
+        field: String,
+        /// What was seen and what is allowed.
+        problem: String,
+    },
+    /// The values are allowed, but not on this surface: the plane misses, loops do not match.
+    #[error("{problem} ({place})")]
+    Impossible {
+        /// What stands against it, and a hint.
+        problem: String,
+        /// Where: points, faces or coordinates.
+        place: String,
+    },
+    /// The result would exceed a limit.
+    #[error("the result would have {seen} {what}, the limit is {limit}")]
+    TooLarge {
+        /// Of what.
+        what: &'static str,
+        /// How many.
+        seen: u64,
+        /// How many are allowed.
+        limit: u64,
+    },
+    /// The caller gave up.
+    #[error("cancelled")]
+    Cancelled,
+}
