@@ -8,8 +8,12 @@
 //! Topology is that of *points* (welded vertices): a seam in texture coordinates is no gap. A cut that keeps both sides
 //! leaves two points at one place, so points are told apart by number, never by position.
 
+mod apply;
+mod check;
 mod patch;
 
+pub use apply::{Applied, apply};
+pub use check::{Topology, check};
 pub use patch::{NewTriangle, NewVertex, Patch, Surface};
 
 /// Why an edit cannot be done. The surface is as it was.

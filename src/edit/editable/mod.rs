@@ -1,0 +1,251 @@
+//! A small mesh of a region that can be changed edge by edge.
+//!
+//! [`gather`](Editable::gather) takes the faces of a region and, frozen, those that touch it; edges are then split,
+//! collapsed and flipped; [`into_patch`](Editable::into_patch) says what became different. Topology is that of points;
+//! each face corner names a *wedge*, the render vertex or blend of render vertices that it shows there. Points on the
+//! rim of the region, and those around which the faces make no single fan, are fixed: nothing at them changes, so that
+//! what lies outside does not notice. Knows lengths and angles, but no aim: what to change is the caller's.
+
+mod change;
+mod collapse;
+mod emit;
+mod gather;
+pub(in crate::edit) mod triangle;
+
+pub(in crate::edit) use collapse::Collapse;
+pub(in crate::edit) use gather::{Touching, check_faces};
+
+use crate::mesh::NONE;
+use glam::DVec3;
+
+/// A point and the faces around it.
+#[derive(Debug, Clone)]
+pub(in crate::edit) struct Point {
+    pub position: DVec3,
+    /// The surface's point that it is; [`NONE`] for one made or moved here.
+    pub old: u32,
+    /// Living faces with a corner here, in no order.
+    pub faces: Vec<u32>,
+    /// Whether the point and its faces' edges at it must stay.
+    pub fixed: bool,
+}
+
+/// What a face corner shows at its point.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::edit) struct Wedge {
+    pub point: u32,
+    pub primitive: u32,
+    /// The render vertex that it is; [`NONE`] for a blend.
+    pub old: u32,
+    /// Render vertices that it is blended from, with their weights.
+    pub of: [u32; 3],
+    pub weights: [f64; 3],
+}
+
+/// A face; corners are wedges.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::edit) struct Face {
+    pub corners: [u32; 3],
+    pub primitive: u32,
+    /// The surface's triangle that it still is, else [`NONE`].
+    pub old: u32,
+    /// Outside the region: stays as it is.
+    pub frozen: bool,
+    pub alive: bool,
+    /// A face, by its number at the start, that lies on the same side of all seams and features.
+    pub source: u32,
+}
+
+/// The faces at an edge from `a` to `b`; [`NONE`] where there is none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::edit) struct Edge {
+    /// The face that passes from `a` to `b`.
+    pub left: u32,
+    /// The face that passes from `b` to `a`.
+    pub right: u32,
+    /// More than one face passes it the same way.
+    pub tangled: bool,
+}
+
+impl Edge {
+    /// The faces that are there.
+    pub fn faces(self) -> impl Iterator<Item = u32> {
+        [self.left, self.right].into_iter().filter(|&f| f != NONE)
+    }
+}
+
+/// See the module page.
+#[derive(Debug, Clone, Default)]
+pub(in crate::edit) struct Editable {
+    pub points: Vec<Point>,
+    pub wedges: Vec<Wedge>,
+    pub faces: Vec<Face>,
+    /// The surface's triangles that were gathered to be changed, rising.
+    region: Vec<u32>,
+    old_vertices: u32,
+    old_points: u32,
+}
+
+impl Editable {
+    /// Points at the corners of face `f`.
+    pub fn points_of(&self, f: u32) -> [u32; 3] {
+        self.faces[f as usize].corners.map(|w| self.wedges[w as usize].point)
+    }
+
+    /// Positions of the corners of face `f`.
+    pub fn corners_of(&self, f: u32) -> [DVec3; 3] {
+        self.points_of(f).map(|p| self.at(p))
+    }
+
+    /// Where point `p` is.
+    pub fn at(&self, p: u32) -> DVec3 {
+        self.points[p as usize].position
+    }
+
+    /// Distance of two points.
+    pub fn length(&self, a: u32, b: u32) -> f64 {
+        self.at(a).distance(self.at(b))
+    }
+
+    /// The faces at the edge from `a` to `b`.
+    pub fn edge(&self, a: u32, b: u32) -> Edge {
+        let mut edge = Edge {
+            left: NONE,
+            right: NONE,
+            tangled: false,
+        };
+        for &f in &self.points[a as usize].faces {
+            let p = self.points_of(f);
+            for i in 0..3 {
+                let side = if p[i] == a && p[(i + 1) % 3] == b {
+                    &mut edge.left
+                } else if p[i] == b && p[(i + 1) % 3] == a {
+                    &mut edge.right
+                } else {
+                    continue;
+                };
+                edge.tangled |= *side != NONE;
+                *side = f;
+            }
+        }
+        edge
+    }
+
+    /// The wedge of face `f` at point `p`; `None` when `p` is none of its corners.
+    pub fn wedge_at(&self, f: u32, p: u32) -> Option<u32> {
+        let corners = self.faces[f as usize].corners;
+        corners.into_iter().find(|&w| self.wedges[w as usize].point == p)
+    }
+
+    /// The corner of face `f` that is neither `a` nor `b`.
+    pub fn across(&self, f: u32, a: u32, b: u32) -> Option<u32> {
+        self.points_of(f).into_iter().find(|&p| p != a && p != b)
+    }
+
+    /// Whether the two faces at an edge show the same wedges along it.
+    pub fn is_smooth(&self, edge: Edge, a: u32, b: u32) -> bool {
+        edge.left != NONE
+            && edge.right != NONE
+            && [a, b]
+                .into_iter()
+                .all(|p| self.wedge_at(edge.left, p) == self.wedge_at(edge.right, p))
+    }
+
+    /// Whether an edge may not be changed at all: a face outside the region lies there, or more than two faces meet.
+    pub fn is_locked(&self, edge: Edge) -> bool {
+        edge.tangled || edge.faces().any(|f| self.faces[f as usize].frozen)
+    }
+
+    /// Whether the edge has a face of the region on either side and the same wedges on both.
+    pub fn is_inside(&self, edge: Edge, a: u32, b: u32) -> bool {
+        !self.is_locked(edge) && self.is_smooth(edge, a, b)
+    }
+
+    /// Points that share an edge with `p`, rising.
+    pub fn neighbours(&self, p: u32) -> Vec<u32> {
+        let faces = &self.points[p as usize].faces;
+        let mut around: Vec<u32> = faces.iter().flat_map(|&f| self.points_of(f)).filter(|&q| q != p).collect();
+        around.sort_unstable();
+        around.dedup();
+        around
+    }
+
+    /// Whether the faces around `p` make one fan, open or closed, that turns one way.
+    pub fn is_single_fan(&self, p: u32) -> bool {
+        let mut links: Vec<(u32, u32)> = Vec::new();
+        for &f in &self.points[p as usize].faces {
+            let q = self.points_of(f);
+            if let Some(i) = q.iter().position(|&x| x == p) {
+                links.push((q[(i + 1) % 3], q[(i + 2) % 3]));
+            }
+        }
+        single_fan(&mut links)
+    }
+
+    /// All edges that the living faces of the region have, smaller end first, sorted.
+    pub fn edges(&self) -> Vec<(u32, u32)> {
+        let mut edges = Vec::with_capacity(self.faces.len() * 3);
+        for (f, face) in self.faces.iter().enumerate() {
+            if face.alive && !face.frozen {
+                let p = self.points_of(f as u32);
+                edges.extend((0..3).map(|i| (p[i].min(p[(i + 1) % 3]), p[i].max(p[(i + 1) % 3]))));
+            }
+        }
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// Numbers of the living faces of the region.
+    pub fn living(&self) -> impl Iterator<Item = u32> {
+        let faces = self.faces.iter().zip(0u32..);
+        faces.filter(|(face, _)| face.alive && !face.frozen).map(|(_, f)| f)
+    }
+}
+
+/// Whether directed links make one path or one ring: each link leads from a corner to the next around the middle.
+pub(in crate::edit) fn single_fan(links: &mut [(u32, u32)]) -> bool {
+    links.sort_unstable();
+    if links.is_empty() || links.windows(2).any(|l| l[0].0 == l[1].0) {
+        return false;
+    }
+    let mut ends: Vec<u32> = links.iter().map(|l| l.1).collect();
+    ends.sort_unstable();
+    if ends.windows(2).any(|e| e[0] == e[1]) {
+        return false;
+    }
+    // An open fan begins at the one corner that no link leads to; a ring begins anywhere.
+    let mut starts = links.iter().map(|l| l.0).filter(|s| ends.binary_search(s).is_err());
+    let start = starts.next().unwrap_or(links[0].0);
+    if starts.next().is_some() {
+        return false;
+    }
+    let mut here = start;
+    for step in 0..links.len() {
+        let Ok(i) = links.binary_search_by_key(&here, |l| l.0) else {
+            return false;
+        };
+        here = links[i].1;
+        if here == start {
+            return step + 1 == links.len();
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rings_and_paths_are_fans_and_pairs_of_them_are_not() {
+        assert!(single_fan(&mut [(1, 2), (3, 1), (2, 3)]), "a ring");
+        assert!(single_fan(&mut [(7, 2), (2, 5)]), "an open fan");
+        assert!(!single_fan(&mut [(1, 2), (3, 4)]), "two leaves that touch");
+        assert!(!single_fan(&mut [(1, 2), (2, 1), (3, 4), (4, 3)]), "two rings");
+        assert!(!single_fan(&mut [(1, 2), (3, 2)]), "a leaf turned over");
+        assert!(!single_fan(&mut [(1, 2), (1, 3)]), "three faces at an edge");
+        assert!(!single_fan(&mut [(1, 2), (3, 4), (4, 3)]), "a leaf and a ring");
+        assert!(!single_fan(&mut []));
+    }
+}
