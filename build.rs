@@ -1,8 +1,11 @@
 //! Compiles `proto/` without protoc: messages for the job floor, services for the server floor, and the descriptor set that
-//! JSON, reflection and the API description are made from.
+//! JSON, reflection and the API description are made from. Builds the viewer's page where node is there.
 
 use prost::Message as _;
 use std::{env, error::Error, fs, path::PathBuf};
+
+#[path = "src/server/viewer/build.rs"]
+mod viewer;
 
 const SCHEMA: &str = "proto/pliant/v1/pliant.proto";
 
@@ -33,5 +36,5 @@ fn main() -> Result<(), Box<dyn Error>> {
         .out_dir(services)
         .extern_path(".pliant.v1", "crate::job::pb")
         .compile_fds(descriptors)?;
-    Ok(())
+    viewer::build(&out)
 }

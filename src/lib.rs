@@ -10,7 +10,7 @@
 //! | 5 | [`cli`], [`server`] | people at a terminal; gRPC, HTTP and WebSocket |
 //! | 4 | [`session`] | sessions: state, commits, undo, the deform stream |
 //! | 3 | [`job`] | the declarative request, its JSON, and a bench that runs it |
-//! | 2 | [`deform`] | two passes: rotation fields, positions |
+//! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
 //! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`] | triangles; model formats; threads; cancelling |
 
@@ -19,6 +19,7 @@
 pub mod asset;
 pub mod cli;
 pub mod deform;
+pub mod edit;
 pub mod graph;
 pub mod job;
 pub mod mesh;

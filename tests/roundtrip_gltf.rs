@@ -4,6 +4,8 @@
 mod gltf_parsed;
 #[path = "support/gltf_sets.rs"]
 mod gltf_sets;
+#[path = "support/khronos.rs"]
+mod khronos;
 
 use glam::DVec3;
 use gltf_parsed::{Parsed, parse};
@@ -366,70 +368,6 @@ fn check_bounds(file: &Parsed, name: &str) {
     }
 }
 
-/// Error and warning codes that the Khronos validator finds in each file.
-type Findings = BTreeMap<PathBuf, BTreeSet<String>>;
-
-/// Runs the Khronos validator; `None`, and a line that says why, where it cannot be had.
-fn khronos_validate(files: &[PathBuf]) -> Option<Findings> {
-    use std::io::Write as _;
-    use std::process::{Command, Stdio};
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("gltf-validator");
-    if !folder.join("node_modules/gltf-validator").is_dir() {
-        std::fs::create_dir_all(&folder).expect("a writable target folder");
-        std::fs::write(folder.join("package.json"), "{}").expect("a writable target folder");
-        let install = ["install", "--no-audit", "--no-fund", "gltf-validator@2.0.0-dev.3.10"];
-        let done = Command::new("npm")
-            .args(install)
-            .current_dir(&folder)
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .status();
-        if !done.is_ok_and(|status| status.success()) {
-            println!("skipped the Khronos validator: npm is missing or cannot reach its registry");
-            return None;
-        }
-    }
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/validate_gltf.mjs");
-    let mut node = Command::new("node");
-    let node = node
-        .arg(script)
-        .arg(&folder)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn();
-    let Ok(mut node) = node else {
-        println!("skipped the Khronos validator: node is missing");
-        return None;
-    };
-    let names: Vec<String> = files.iter().map(|f| f.display().to_string()).collect();
-    let mut input = node.stdin.take().expect("a pipe");
-    // In the background: the validator answers while it is still being asked.
-    let asking = std::thread::spawn(move || input.write_all(names.join("\n").as_bytes()));
-    let output = node.wait_with_output().expect("the validator ends");
-    asking.join().expect("no panic").expect("the validator reads its input");
-    assert!(output.status.success(), "the validator failed");
-    let text = String::from_utf8(output.stdout).expect("text");
-    let line = |line: &str| {
-        let report: Value = serde_json::from_str(line).expect("a JSON line");
-        let codes = ["errors", "warnings"]
-            .into_iter()
-            .filter_map(|k| report[k].as_object())
-            .flat_map(|m| m.keys().cloned());
-        (PathBuf::from(report["file"].as_str().expect("a name")), codes.collect())
-    };
-    Some(text.lines().map(line).collect())
-}
-
-fn store(written: &Written, at: &Path) {
-    std::fs::create_dir_all(at.parent().expect("a folder")).expect("a writable folder");
-    std::fs::write(at, &written.main).expect("a writable folder");
-    for (name, bytes) in &written.companions {
-        let at = at.parent().expect("a folder").join(name);
-        std::fs::create_dir_all(at.parent().expect("a folder")).expect("a writable folder");
-        std::fs::write(at, bytes).expect("a writable folder");
-    }
-}
-
 #[test]
 fn the_khronos_validator_finds_nothing_new() {
     let models = models("the Khronos validator");
@@ -442,7 +380,7 @@ fn the_khronos_validator_finds_nothing_new() {
             let at = folder
                 .path()
                 .join(format!("{i}-{}/model.{}", format.name(), format.name()));
-            store(&model.write(&moved, format).expect("writable"), &at);
+            khronos::store(&model.write(&moved, format).expect("writable"), &at);
             pairs.push((path, at.clone()));
             all.push(at);
         }
@@ -463,11 +401,13 @@ fn the_khronos_validator_finds_nothing_new() {
             let at = folder
                 .path()
                 .join(format!("fresh-{i}-{}/model.{}", format.name(), format.name()));
-            store(&model.write(&swayed(&model), format).expect("writable"), &at);
+            khronos::store(&model.write(&swayed(&model), format).expect("writable"), &at);
             all.push(at);
         }
     }
-    let Some(findings) = khronos_validate(&all) else { return };
+    let Some(findings) = khronos::validate(&all) else {
+        return;
+    };
     let known = models.iter().filter(|(path, _)| path.ends_with("CesiumMan.glb"));
     known.for_each(|(path, _)| {
         assert!(

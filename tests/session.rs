@@ -3,6 +3,8 @@
 
 #[path = "session/commits.rs"]
 mod commits;
+#[path = "session/edits.rs"]
+mod edits;
 #[path = "session/fake.rs"]
 mod fake;
 #[path = "session/life.rs"]

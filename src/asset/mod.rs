@@ -4,8 +4,9 @@
 //! positions changes those places only that the deformation changed.
 //!
 //! Each format has a reader (bytes to [`Geometry`] and what the writer must remember), a writer that edits the uploaded
-//! bytes in place, and a builder that makes a fresh file from the geometry of another format. [`sample`] and [`shapes`]
-//! make models where no file is at hand.
+//! bytes in place, a builder that makes a fresh file from a model of another format, and a writer for models whose
+//! triangles an edit has remade ([`Remade`]), which takes every attribute along. [`sample`] and [`shapes`] make models
+//! where no file is at hand.
 
 mod error;
 mod files;
@@ -15,8 +16,10 @@ mod gltf;
 mod model;
 mod obj;
 mod off;
+mod plain;
 mod ply;
 mod polygons;
+mod remade;
 pub mod sample;
 pub mod shapes;
 mod stl;
@@ -28,3 +31,4 @@ pub use files::{FileSet, Limits, Written};
 pub use format::Format;
 pub use geometry::Geometry;
 pub use model::{Model, Primitive};
+pub use remade::{Base, Recipe, Recipes, Remade, Run, write_remade};

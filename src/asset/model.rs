@@ -1,6 +1,6 @@
 //! A model as the rest of the house sees it: render vertices, triangles, primitives, and how to write it back.
 
-use super::{Error, FileSet, Format, Geometry, Limits, Written, gltf, obj, off, ply, stl};
+use super::{Error, FileSet, Format, Geometry, Limits, Written, gltf, obj, off, plain, ply, stl};
 use glam::DVec3;
 use std::ops::Deref;
 
@@ -37,12 +37,12 @@ pub struct Model {
     pub geometry: Geometry,
     /// The files, kept byte for byte.
     pub files: FileSet,
-    source: Source,
+    pub(super) source: Source,
 }
 
 /// What a format's writer must know beyond the files and the geometry.
 #[derive(Debug, Clone)]
-enum Source {
+pub(super) enum Source {
     Gltf(gltf::Source),
     Obj(obj::Source),
     Ply(ply::Source),
@@ -110,8 +110,8 @@ impl Model {
     ///
     /// In the model's own format (GLB and glTF count as one) the uploaded files are edited: what the deformation did not
     /// change stays as it was, byte for byte, and authored normals and tangents follow the deformation. In another
-    /// format a fresh file is made of the positions, triangles, names and, where every vertex has one, normals;
-    /// materials and texture coordinates do not go along.
+    /// format a fresh file is made of the positions, triangles, names, normals, one set of texture coordinates, colours
+    /// and the names of materials, as far as both formats know them.
     ///
     /// # Errors
     /// [`Error::Unwritable`] when the count differs from the model's, when a position is not finite, or when it does not
@@ -138,13 +138,13 @@ impl Model {
             (Source::Gltf(source), Format::Glb | Format::Gltf) => {
                 return gltf::write(&self.files, source, rest, positions, format);
             }
-            (_, Format::Glb | Format::Gltf) => return gltf::build(&rest.deformed(positions), format),
+            (_, Format::Glb | Format::Gltf) => return gltf::build(&plain::of_model(self, positions, format)?, format),
             (Source::Obj(source), Format::Obj) => obj::write(&self.files.main, source, rest, positions),
             (Source::Ply(source), Format::Ply) => ply::write(&self.files.main, source, rest, positions)?,
             (Source::Off(source), Format::Off) => off::write(&self.files.main, source, rest, positions),
             (Source::Stl(source), Format::Stl) => stl::write(&self.files.main, source, rest, positions)?,
-            (_, Format::Obj) => obj::build(&rest.deformed(positions)),
-            (_, Format::Ply) => ply::build(&rest.deformed(positions)),
+            (_, Format::Obj) => obj::build(&plain::of_model(self, positions, format)?),
+            (_, Format::Ply) => ply::build(&plain::of_model(self, positions, format)?),
             (_, Format::Off) => off::build(&rest.deformed(positions)),
             (_, Format::Stl) => stl::build(&rest.deformed(positions))?,
         };

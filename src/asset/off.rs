@@ -3,6 +3,10 @@
 //! Each vertex and each face begins a line of its own; what follows the numbers that the mesh needs (colours, texture
 //! coordinates) is kept unread.
 
+mod remade;
+
+pub(super) use remade::{extras, write_remade};
+
 use super::files::check_main_size;
 use super::geometry::unit_or_zero;
 use super::polygons::Polygons;

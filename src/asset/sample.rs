@@ -3,6 +3,7 @@
 //! It is about two units long, stands on the ground y = 0 with the origin between its feet, y up, looking along +x. Its
 //! skin is one closed manifold: the zero of a field that blends rounded limbs.
 
+use super::plain::Plain;
 use super::surface_nets::{Lattice, gradient, polygonise, relax};
 use super::{Format, Geometry, gltf};
 use glam::{DVec2, DVec3, USizeVec3};
@@ -55,7 +56,7 @@ pub fn creature() -> Geometry {
 /// # Panics
 /// Never: a mesh of a few thousand finite vertices fits the format.
 pub fn creature_glb() -> Vec<u8> {
-    gltf::build(&creature(), Format::Glb)
+    gltf::build(&Plain::of(creature()), Format::Glb)
         .expect("a small finite mesh fits the format")
         .main
 }

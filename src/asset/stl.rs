@@ -4,9 +4,11 @@
 //! affair. The facet normal is redundant; it is computed anew for facets that moved.
 
 use super::files::check_main_size;
-use super::model::bits;
+use super::model::{Source as Held, bits};
+use super::remade::{Base, Origins, Remade};
 use super::text::{Lexer, Patch, Precision, Style, Token, coordinate, shown};
 use super::{Error, Format, Geometry, Limits};
+use crate::mesh::NONE;
 use glam::DVec3;
 
 /// What the writer must know beyond the file and the geometry.
@@ -229,6 +231,48 @@ pub(super) fn write(bytes: &[u8], source: &Source, rest: &Geometry, positions: &
         }
     }
     Ok(patch.finish())
+}
+
+/// A binary file of an edited model; a binary source keeps its header, and facets the attribute of those they lie on.
+pub(super) fn write_remade(remade: &Remade<'_>, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
+    check_single(positions)?;
+    // Far below four billion: the description was checked.
+    let count = remade.triangles.len() as u32;
+    let mut out = vec![0; HEADER + remade.triangles.len() * FACET];
+    out[..6].copy_from_slice(b"pliant");
+    let binary = |base: &Base<'_>| match &base.model.source {
+        Held::Stl(source) => source.binary,
+        _ => false,
+    };
+    if let Some(first) = remade.bases.first().filter(|base| binary(base))
+        && let Some(header) = first.model.files.main.get(..HEADER)
+    {
+        out[..HEADER].copy_from_slice(header);
+    }
+    out[HEADER - 4..HEADER].copy_from_slice(&count.to_le_bytes());
+    let facets = remade.triangles.iter().zip(out[HEADER..].chunks_exact_mut(FACET));
+    facets.for_each(|(triangle, facet)| push_facet(facet, &triangle.map(|v| positions[v as usize])));
+    for run in remade
+        .runs
+        .iter()
+        .filter(|r| r.triangle_count > 0 && binary(remade.base(r)))
+    {
+        let base = remade.base(run).model;
+        let origins = Origins::new(remade, run, &base.geometry.triangles);
+        for (triangle, &origin) in run.triangles().zip(origins.of()) {
+            let from = HEADER as u64 + u64::from(origin) * FACET as u64 + 48;
+            let from = usize::try_from(from).unwrap_or(usize::MAX);
+            let attribute = base
+                .files
+                .main
+                .get(from..from.saturating_add(2))
+                .filter(|_| origin != NONE);
+            if let Some(attribute) = attribute {
+                out[HEADER + triangle * FACET + 48..][..2].copy_from_slice(attribute);
+            }
+        }
+    }
+    Ok(out)
 }
 
 /// A fresh binary file.

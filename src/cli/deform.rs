@@ -3,9 +3,10 @@
 use super::files::{output_format, read, read_model, write_model};
 use super::progress::Bar;
 use super::{Failure, Threads, print_json};
+use crate::asset::Format;
 use crate::job::{self, Limits, pb};
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Arguments of `pliant deform`.
@@ -33,7 +34,8 @@ pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
         Failure::Input(text) => Failure::Input(format!("{}: {text}", args.job.display())),
         other => other,
     };
-    let job: pb::Job = job::json::from_json(&read(&args.job)?).map_err(in_job)?;
+    let mut job: pb::Job = job::json::from_json(&read(&args.job)?).map_err(in_job)?;
+    read_merged(&mut job, &args.job)?;
     let pool = args.threads.pool()?;
     let files = read_model(&args.model)?;
     let bar = Bar::new(args.json);
@@ -59,12 +61,49 @@ pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
     }
 }
 
+/// Puts the models in that a job names by file.
+fn read_merged(job: &mut pb::Job, beside: &Path) -> Result<(), Failure> {
+    use pb::edit_request::{Operation, merge::Source};
+    for step in &mut job.steps {
+        let Some(pb::step::Step::Edit(edit)) = &mut step.step else {
+            continue;
+        };
+        let Some(Operation::Merge(merge)) = &mut edit.operation else {
+            continue;
+        };
+        if let Some(Source::File(name)) = &merge.source {
+            let path = beside.with_file_name(name);
+            if merge.format.is_empty() {
+                let told = Format::from_file_name(name);
+                merge.format = told.map_or_else(String::new, |f| f.name().to_owned());
+            }
+            merge.source = Some(Source::Model(read(&path)?.into()));
+        }
+    }
+    Ok(())
+}
+
 fn summarise(report: &pb::Report, millis: f64) {
     let solver = report.solver.clone().unwrap_or_default();
     for w in &report.warnings {
         eprintln!("warning {}: {}", w.code, w.message);
     }
     for (k, step) in report.steps.iter().enumerate() {
+        if let Some(edit) = &step.edit {
+            let [before, after] = [edit.before, edit.after].map(Option::unwrap_or_default);
+            eprintln!(
+                "step {k}: edited, {} -> {} vertices, {} -> {} triangles, {:.0} ms",
+                before.vertices,
+                after.vertices,
+                before.faces,
+                after.faces,
+                step.ms.values().sum::<f64>()
+            );
+            edit.warnings
+                .iter()
+                .for_each(|w| eprintln!("warning {}: {}", w.code, w.message));
+            continue;
+        }
         eprintln!(
             "step {k}: {} cycles, residual {:.1e}, missing at most {:.1e} of the diagonal, {:.0} ms",
             step.cycles,

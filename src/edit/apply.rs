@@ -4,7 +4,8 @@
 //! each group the old ones that are left come first, in their old order, then the new ones. Triangles likewise. Points:
 //! the old ones that are left, in their old order, then the new ones.
 
-use super::{Error, NewVertex, Patch, Surface};
+use super::resolved::{Resolved, check_surface, invalid};
+use super::{Error, Patch, Surface};
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -87,7 +88,7 @@ pub fn apply(surface: &Surface<'_>, patch: &Patch, first_vertex: &[u32]) -> Resu
             applied.triangles.extend_from_slice(&surface.triangles[done..stop]);
             applied.old_from_triangle.extend(done as u32..stop as u32);
             done = stop;
-            if removed.next_if_eq(&done).is_some() {
+            if done < end && removed.next_if_eq(&done).is_some() {
                 done += 1;
             }
         }
@@ -98,29 +99,28 @@ pub fn apply(surface: &Surface<'_>, patch: &Patch, first_vertex: &[u32]) -> Resu
         applied.primitive_of.resize(applied.triangles.len(), primitive);
     }
 
-    // A vertex that had a point goes when no triangle of the result names it.
-    let mut used = vec![false; old_vertices + patch.vertices.len()];
-    for corner in applied.triangles.iter().flatten() {
-        used[*corner as usize] = true;
-    }
-    if let Some(idle) = used[old_vertices..].iter().position(|u| !u) {
-        return Err(invalid("patch.vertices", format!("new vertex {idle} is in no triangle")));
-    }
-    let mut number = vec![NONE; used.len()];
+    let lost = lost_vertices(surface, patch, &applied.triangles)?;
+    let mut lost = lost.into_iter().map(|v| v as usize).peekable();
+    let mut number = vec![NONE; old_vertices + patch.vertices.len()];
     let mut order: Vec<u32> = (0..patch.vertices.len() as u32).collect();
     order.sort_by_key(|&v| patch.vertices[v as usize].primitive);
     let mut order = order.into_iter().peekable();
-    let capacity = used.len();
+    let capacity = number.len();
     applied.positions.reserve_exact(capacity);
     applied.old_from_vertex.reserve_exact(capacity);
     for primitive in 0..first_vertex.len() {
         applied.first_vertex.push(applied.positions.len() as u32);
+        let mut v = first_vertex[primitive] as usize;
         let end = first_vertex.get(primitive + 1).map_or(old_vertices, |&v| v as usize);
-        for v in first_vertex[primitive] as usize..end {
-            if used[v] || surface.point_of[v] == NONE {
-                number[v] = applied.positions.len() as u32;
-                applied.positions.push(surface.positions[v]);
-                applied.old_from_vertex.push(v as u32);
+        while v < end {
+            let stop = lost.peek().map_or(end, |&l| l.min(end));
+            let now = applied.positions.len() as u32;
+            number[v..stop].iter_mut().zip(now..).for_each(|(n, i)| *n = i);
+            applied.positions.extend_from_slice(&surface.positions[v..stop]);
+            applied.old_from_vertex.extend(v as u32..stop as u32);
+            v = stop;
+            if v < end && lost.next_if_eq(&v).is_some() {
+                v += 1;
             }
         }
         while let Some(v) = order.next_if(|&v| patch.vertices[v as usize].primitive as usize == primitive) {
@@ -138,232 +138,34 @@ pub fn apply(surface: &Surface<'_>, patch: &Patch, first_vertex: &[u32]) -> Resu
     Ok(applied)
 }
 
-/// What a patch says about points, checked and ready to look up.
-struct Resolved {
-    /// Old points that change place or number, with the vertex run that shows it: empty when the patch has none.
-    joined: Vec<u32>,
-    /// Position of each old point, where the patch moves or joins any.
-    moved: Vec<Option<DVec3>>,
-}
-
-impl Resolved {
-    fn of(surface: &Surface<'_>, patch: &Patch, first_vertex: &[u32]) -> Result<Self, Error> {
-        let rising = |what: &str, seen: &mut dyn Iterator<Item = u32>, limit: usize| -> Result<(), Error> {
-            let mut last = None;
-            for s in seen {
-                if s as usize >= limit || last.is_some_and(|l| l >= s) {
-                    let problem = format!("{s} after {last:?}; numbers must rise and stay below {limit}");
-                    return Err(invalid(what, problem));
-                }
-                last = Some(s);
-            }
-            Ok(())
-        };
-        let points = surface.points as usize;
-        rising("patch.removed", &mut patch.removed.iter().copied(), surface.triangles.len())?;
-        rising("patch.moved", &mut patch.moved.iter().map(|m| m.0), points)?;
-        rising("patch.joined", &mut patch.joined.iter().map(|j| j.0), points)?;
-        let counts = [
-            ("vertices", surface.positions.len() + patch.vertices.len()),
-            ("triangles", surface.triangles.len() + patch.triangles.len()),
-        ];
-        for (what, seen) in counts {
-            if seen > (NONE / 6) as usize {
-                return Err(Error::TooLarge { what, seen: seen as u64, limit: u64::from(NONE / 6) });
-            }
-        }
-        let mut resolved = Self { joined: Vec::new(), moved: Vec::new() };
-        if !patch.joined.is_empty() {
-            resolved.joined = (0..surface.points).collect();
-            for &(from, to) in &patch.joined {
-                let chained = patch.joined.binary_search_by_key(&to, |j| j.0).is_ok();
-                if to >= surface.points || chained {
-                    let problem = format!("point {from} joins {to}, which joins another point or does not exist");
-                    return Err(invalid("patch.joined", problem));
-                }
-                resolved.joined[from as usize] = to;
-            }
-        }
-        if let Some(m) = patch.moved.iter().find(|m| !m.1.is_finite()) {
-            return Err(invalid("patch.moved", format!("point {} moves to {}, not a place", m.0, m.1)));
-        }
-        let needs_places = !patch.moved.is_empty()
-            || !patch.joined.is_empty()
-            || patch.vertices.iter().any(|v| v.point < surface.points);
-        if needs_places {
-            resolved.moved = vec![None; points];
-            for (&p, &x) in surface.point_of.iter().zip(surface.positions) {
-                if p != NONE {
-                    resolved.moved[p as usize] = Some(x);
-                }
-            }
-            for &(p, x) in &patch.moved {
-                resolved.moved[p as usize] = Some(x);
-            }
-        }
-        resolved.check_vertices(surface, patch, first_vertex)?;
-        resolved.check_triangles(surface, patch, first_vertex)?;
-        Ok(resolved)
+/// The old vertices that were corners of removed triangles and are in no triangle now, rising. Checks that all new
+/// vertices are in one.
+fn lost_vertices(surface: &Surface<'_>, patch: &Patch, triangles: &[[u32; 3]]) -> Result<Vec<u32>, Error> {
+    let old = surface.positions.len();
+    let mut missing = vec![false; old + patch.vertices.len()];
+    for v in patch.removed.iter().flat_map(|&t| surface.triangles[t as usize]) {
+        missing[v as usize] = surface.point_of[v as usize] != NONE;
     }
-
-    fn check_vertices(&self, surface: &Surface<'_>, patch: &Patch, first_vertex: &[u32]) -> Result<(), Error> {
-        let mut next = surface.points;
-        let mut places: Vec<DVec3> = Vec::new();
-        for (index, v) in patch.vertices.iter().enumerate() {
-            let refuse = |problem: String| Err(invalid("patch.vertices", format!("new vertex {index} {problem}")));
-            if v.primitive as usize >= first_vertex.len() {
-                return refuse(format!("is of primitive {}, there are {}", v.primitive, first_vertex.len()));
-            }
-            if !v.position.is_finite() {
-                return refuse(format!("lies at {}, which is no place", v.position));
-            }
-            if v.point > next {
-                return refuse(format!("names point {} where {next} is the next new one", v.point));
-            }
-            if v.point == next {
-                next += 1;
-                places.push(v.position);
-            } else if v.point >= surface.points {
-                if places[(v.point - surface.points) as usize] != v.position {
-                    return refuse(format!("lies apart from the others of its point {}", v.point));
-                }
-            } else {
-                let joins = self.joined.get(v.point as usize).is_some_and(|&to| to != v.point);
-                if joins || self.moved[v.point as usize] != Some(v.position) {
-                    return refuse(format!("lies apart from its old point {}, or that joins another", v.point));
-                }
-            }
-            let mut sum = 0.0;
-            for (&of, &weight) in v.of.iter().zip(&v.weights) {
-                if weight == 0.0 {
-                    continue;
-                }
-                let run = run_of(first_vertex, surface.positions.len(), v.primitive);
-                if !(weight > 0.0 && weight <= 1.0 + 1e-9) || !run.contains(&of) {
-                    return refuse(format!("is blended from vertex {of} by {weight}; allowed are {run:?}, 0 to 1"));
-                }
-                sum += weight;
-            }
-            if !((sum - 1.0).abs() <= 1e-6) {
-                return refuse(format!("has weights that sum to {sum}, not 1"));
-            }
+    missing[old..].fill(true);
+    for t in triangles {
+        // Reading is cheaper than writing: few are missing.
+        if t.iter().any(|&v| missing[v as usize]) {
+            t.iter().for_each(|&v| missing[v as usize] = false);
         }
-        Ok(())
     }
-
-    fn check_triangles(&self, surface: &Surface<'_>, patch: &Patch, first_vertex: &[u32]) -> Result<(), Error> {
-        let old = surface.positions.len();
-        for (index, t) in patch.triangles.iter().enumerate() {
-            let refuse = |problem: String| Err(invalid("patch.triangles", format!("new triangle {index} {problem}")));
-            if t.primitive as usize >= first_vertex.len() {
-                return refuse(format!("is of primitive {}, there are {}", t.primitive, first_vertex.len()));
-            }
-            let mut points = [NONE; 3];
-            for (point, &corner) in points.iter_mut().zip(&t.corners) {
-                let fresh = (corner as usize).checked_sub(old).map(|v| patch.vertices.get(v));
-                let (primitive, of) = match fresh {
-                    None => {
-                        let run = run_of(first_vertex, old, t.primitive);
-                        let primitive = if run.contains(&corner) { t.primitive } else { NONE };
-                        (primitive, surface.point_of[corner as usize])
-                    }
-                    Some(Some(NewVertex { primitive, point, .. })) => (*primitive, *point),
-                    Some(None) => return refuse(format!("names vertex {corner}, which does not exist")),
-                };
-                if primitive != t.primitive || of == NONE {
-                    return refuse(format!("of primitive {} names vertex {corner} of another, or unused", t.primitive));
-                }
-                *point = self.joined.get(of as usize).copied().unwrap_or(of);
-            }
-            let [a, b, c] = points;
-            if a == b || b == c || c == a {
-                return refuse(format!("has the points {points:?}, two are one"));
-            }
-        }
-        Ok(())
+    if let Some(idle) = missing[old..].iter().position(|&m| m) {
+        return Err(invalid(
+            "patch.vertices",
+            format!("new vertex {idle} is in no triangle"),
+        ));
     }
-
-    /// Numbers the points that are left and writes what depends on that.
-    fn number_points(&self, surface: &Surface<'_>, patch: &Patch, applied: &mut Applied) {
-        let old_vertices = surface.positions.len();
-        let root = |p: u32| self.joined.get(p as usize).copied().unwrap_or(p);
-        let fresh = patch.vertices.iter().map(|v| v.point).filter(|&p| p != NONE && p >= surface.points).max();
-        let all = fresh.map_or(surface.points, |p| p + 1);
-        let mut number = vec![NONE; all as usize];
-        applied.point_of = (applied.old_from_vertex.iter())
-            .map(|&v| match patch.vertices.get((v as usize).wrapping_sub(old_vertices)) {
-                Some(fresh) => fresh.point,
-                None => match surface.point_of[v as usize] {
-                    NONE => NONE,
-                    p => root(p),
-                },
-            })
-            .collect();
-        // Marks first, numbers after, so that numbers follow the old ones and not the order of the vertices.
-        for &p in applied.point_of.iter().filter(|&&p| p != NONE) {
-            number[p as usize] = 0;
-        }
-        for (p, n) in number.iter_mut().enumerate().filter(|(_, n)| **n == 0) {
-            *n = applied.old_from_point.len() as u32;
-            applied.old_from_point.push(if p < surface.points as usize { p as u32 } else { NONE });
-        }
-        applied.points = applied.old_from_point.len() as u32;
-        let moves = !patch.moved.is_empty() || !patch.joined.is_empty();
-        for (p, x) in applied.point_of.iter_mut().zip(&mut applied.positions) {
-            if *p != NONE {
-                if moves && let Some(Some(place)) = self.moved.get(*p as usize) {
-                    *x = *place;
-                }
-                *p = number[*p as usize];
-            }
-        }
-        number.truncate(surface.points as usize);
-        for &(from, to) in &patch.joined {
-            number[from as usize] = number[to as usize];
-        }
-        applied.point_from_old = number;
-    }
-}
-
-fn invalid(field: &str, problem: String) -> Error {
-    Error::Invalid { field: field.to_owned(), problem }
-}
-
-/// The render vertices of a primitive.
-fn run_of(first_vertex: &[u32], vertices: usize, primitive: u32) -> std::ops::Range<u32> {
-    let p = primitive as usize;
-    first_vertex[p]..first_vertex.get(p + 1).map_or(vertices as u32, |&v| v)
-}
-
-/// Refuses a surface whose arrays do not fit together, so that nothing after this can index out of range.
-fn check_surface(surface: &Surface<'_>, first_vertex: &[u32]) -> Result<(), Error> {
-    let vertices = surface.positions.len();
-    let refuse = |problem: String| Err(invalid("surface", problem));
-    if surface.point_of.len() != vertices || surface.primitive_of.len() != surface.triangles.len() {
-        return refuse("arrays differ in length".to_owned());
-    }
-    let runs = first_vertex.first().is_none_or(|&v| v == 0)
-        && first_vertex.windows(2).all(|w| w[0] <= w[1])
-        && first_vertex.last().map_or(vertices == 0, |&v| v as usize <= vertices);
-    if !runs {
-        return refuse("the vertex runs of the primitives do not rise from 0 to the number of vertices".to_owned());
-    }
-    let primitives = surface.primitive_of.windows(2).all(|w| w[0] <= w[1]);
-    if !primitives || surface.primitive_of.last().is_some_and(|&p| p as usize >= first_vertex.len()) {
-        return refuse("primitives of triangles fall, or have no vertex run".to_owned());
-    }
-    if let Some(t) = surface.triangles.iter().position(|t| t.iter().any(|&v| v as usize >= vertices)) {
-        return refuse(format!("triangle {t} names a vertex that does not exist"));
-    }
-    if let Some(v) = surface.point_of.iter().position(|&p| p != NONE && p >= surface.points) {
-        return refuse(format!("vertex {v} has a point that does not exist"));
-    }
-    Ok(())
+    let lost = missing[..old].iter().zip(0u32..).filter(|(m, _)| **m);
+    Ok(lost.map(|(_, v)| v).collect())
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{NewTriangle, check};
+    use super::super::{NewTriangle, NewVertex, check};
     use super::*;
 
     const POSITIONS: [DVec3; 7] = [
@@ -388,16 +190,28 @@ mod tests {
     }
 
     fn vertex(primitive: u32, point: u32, position: DVec3, of: u32) -> NewVertex {
-        NewVertex { primitive, point, position, of: [of; 3], weights: [1.0, 0.0, 0.0] }
+        NewVertex {
+            primitive,
+            point,
+            position,
+            of: [of; 3],
+            weights: [1.0, 0.0, 0.0],
+        }
     }
 
     #[test]
     fn an_empty_patch_changes_nothing() {
         let s = square();
         let a = apply(&s, &Patch::default(), &[0, 4]).expect("applies");
-        assert_eq!((a.positions.as_slice(), a.triangles.as_slice()), (s.positions, s.triangles));
+        assert_eq!(
+            (a.positions.as_slice(), a.triangles.as_slice()),
+            (s.positions, s.triangles)
+        );
         assert_eq!((a.point_of.as_slice(), a.points), (s.point_of, 4));
-        assert_eq!((a.first_vertex.as_slice(), a.old_from_triangle.as_slice()), (&[0, 4][..], &[0, 1][..]));
+        assert_eq!(
+            (a.first_vertex.as_slice(), a.old_from_triangle.as_slice()),
+            (&[0, 4][..], &[0, 1][..])
+        );
         assert_eq!(a.vertex_from_old, [0, 1, 2, 3, 4, 5, 6]);
         assert_eq!(check(&a.surface()), Ok(()));
     }
@@ -409,20 +223,35 @@ mod tests {
         let patch = Patch {
             removed: vec![0, 1],
             vertices: vec![
-                NewVertex { primitive: 1, point: 4, position: middle, of: [4, 5, 0], weights: [0.5, 0.5, 0.0] },
+                NewVertex {
+                    primitive: 1,
+                    point: 4,
+                    position: middle,
+                    of: [4, 5, 0],
+                    weights: [0.5, 0.5, 0.0],
+                },
                 vertex(0, 4, middle, 0),
                 vertex(0, 5, DVec3::X * 2.0, 1),
             ],
             triangles: vec![
-                NewTriangle { primitive: 1, corners: [4, 7, 6] },
-                NewTriangle { primitive: 0, corners: [0, 9, 8] },
+                NewTriangle {
+                    primitive: 1,
+                    corners: [4, 7, 6],
+                },
+                NewTriangle {
+                    primitive: 0,
+                    corners: [0, 9, 8],
+                },
             ],
             ..Patch::default()
         };
         let a = apply(&square(), &patch, &[0, 4]).expect("applies");
         assert_eq!(a.old_from_vertex, [0, 3, 8, 9, 4, 6, 7]);
         assert_eq!(a.triangles, [[0, 3, 2], [4, 6, 5]]);
-        assert_eq!((a.primitive_of.as_slice(), a.first_vertex.as_slice()), (&[0, 1][..], &[0, 4][..]));
+        assert_eq!(
+            (a.primitive_of.as_slice(), a.first_vertex.as_slice()),
+            (&[0, 1][..], &[0, 4][..])
+        );
         assert_eq!(a.point_from_old, [0, NONE, NONE, 1]);
         assert_eq!(a.old_from_point, [0, 3, NONE, NONE]);
         assert_eq!(a.point_of, [0, NONE, 2, 3, 0, 1, 2]);
@@ -437,7 +266,10 @@ mod tests {
             ..Patch::default()
         };
         let a = apply(&square(), &patch, &[0, 4]).expect("applies");
-        assert_eq!((a.positions[0], a.positions[4], a.positions[6]), (DVec3::Z, DVec3::Z, DVec3::X));
+        assert_eq!(
+            (a.positions[0], a.positions[4], a.positions[6]),
+            (DVec3::Z, DVec3::Z, DVec3::X)
+        );
         assert_eq!((a.points, a.point_from_old.as_slice()), (3, &[0, 1, 2, 1][..]));
     }
 
@@ -446,23 +278,77 @@ mod tests {
         let s = square();
         let fresh = |v: NewVertex| Patch {
             vertices: vec![v],
-            triangles: vec![NewTriangle { primitive: 0, corners: [0, 1, 7] }],
+            triangles: vec![NewTriangle {
+                primitive: 0,
+                corners: [0, 1, 7],
+            }],
             ..Patch::default()
         };
         let cases = [
-            (Patch { removed: vec![1, 1], ..Patch::default() }, "patch.removed"),
-            (Patch { removed: vec![0, 1], ..Patch::default() }, "no triangle"),
-            (Patch { moved: vec![(9, DVec3::ZERO)], ..Patch::default() }, "patch.moved"),
-            (Patch { moved: vec![(0, DVec3::NAN)], ..Patch::default() }, "no"),
-            (Patch { joined: vec![(0, 1), (1, 2)], ..Patch::default() }, "patch.joined"),
+            (
+                Patch {
+                    removed: vec![1, 1],
+                    ..Patch::default()
+                },
+                "patch.removed",
+            ),
+            (
+                Patch {
+                    removed: vec![0, 1],
+                    ..Patch::default()
+                },
+                "no triangle",
+            ),
+            (
+                Patch {
+                    moved: vec![(9, DVec3::ZERO)],
+                    ..Patch::default()
+                },
+                "patch.moved",
+            ),
+            (
+                Patch {
+                    moved: vec![(0, DVec3::NAN)],
+                    ..Patch::default()
+                },
+                "not a place",
+            ),
+            (
+                Patch {
+                    joined: vec![(0, 1), (1, 2)],
+                    ..Patch::default()
+                },
+                "patch.joined",
+            ),
             (fresh(vertex(0, 5, DVec3::Z, 0)), "next new one"),
             (fresh(vertex(0, 4, DVec3::Z, 4)), "blended from vertex 4"),
             (fresh(vertex(7, 4, DVec3::Z, 0)), "primitive 7"),
             (fresh(vertex(0, 3, DVec3::Z, 0)), "old point 3"),
             (fresh(vertex(0, 0, DVec3::ZERO, 0)), "two are one"),
-            (fresh(NewVertex { weights: [0.5, 0.2, 0.0], ..vertex(0, 4, DVec3::Z, 0) }), "sum to 0.7"),
-            (Patch { triangles: vec![NewTriangle { primitive: 0, corners: [0, 1, 3] }], ..Patch::default() }, "unused"),
-            (Patch { vertices: vec![vertex(0, 4, DVec3::Z, 0)], ..Patch::default() }, "in no triangle"),
+            (
+                fresh(NewVertex {
+                    weights: [0.5, 0.2, 0.0],
+                    ..vertex(0, 4, DVec3::Z, 0)
+                }),
+                "sum to 0.7",
+            ),
+            (
+                Patch {
+                    triangles: vec![NewTriangle {
+                        primitive: 0,
+                        corners: [0, 1, 3],
+                    }],
+                    ..Patch::default()
+                },
+                "unused",
+            ),
+            (
+                Patch {
+                    vertices: vec![vertex(0, 4, DVec3::Z, 0)],
+                    ..Patch::default()
+                },
+                "in no triangle",
+            ),
         ];
         for (patch, words) in cases {
             let text = apply(&s, &patch, &[0, 4]).expect_err(words).to_string();

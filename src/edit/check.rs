@@ -21,7 +21,9 @@ pub fn check(surface: &Surface<'_>) -> Result<(), String> {
         return Err("arrays differ in length".to_owned());
     }
     if let Some(t) = (1..triangles.len()).find(|&t| primitive_of[t] < primitive_of[t - 1]) {
-        return Err(format!("triangle {t} is of an earlier primitive than the one before it"));
+        return Err(format!(
+            "triangle {t} is of an earlier primitive than the one before it"
+        ));
     }
     let mut place: Vec<Option<DVec3>> = vec![None; points as usize];
     for (v, (&p, &x)) in point_of.iter().zip(positions).enumerate() {
@@ -83,7 +85,11 @@ impl Topology {
     /// When [`check`] would refuse the surface.
     pub fn of(surface: &Surface<'_>) -> Self {
         use crate::mesh::{Adjacency, Components};
-        let faces: Vec<[u32; 3]> = surface.triangles.iter().map(|t| t.map(|v| surface.point_of[v as usize])).collect();
+        let faces: Vec<[u32; 3]> = surface
+            .triangles
+            .iter()
+            .map(|t| t.map(|v| surface.point_of[v as usize]))
+            .collect();
         let points = surface.points as usize;
         let adjacency = Adjacency::build(points, &faces);
         let edges = &adjacency.edges;
@@ -91,7 +97,10 @@ impl Topology {
             euler: points as i64 - edges.len() as i64 + faces.len() as i64,
             rim_edges: edges.iter().filter(|e| e.faces() == 1).count(),
             crowded_edges: edges.iter().filter(|e| e.faces() > 2).count(),
-            twisted_edges: edges.iter().filter(|e| e.faces() == 2 && e.forward != e.backward).count(),
+            twisted_edges: edges
+                .iter()
+                .filter(|e| e.faces() == 2 && e.forward != e.backward)
+                .count(),
             components: Components::of_triangles(points, &faces).count,
             pinched_points: 0,
         };

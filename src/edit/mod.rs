@@ -9,12 +9,47 @@
 //! leaves two points at one place, so points are told apart by number, never by position.
 
 mod apply;
+mod cap;
 mod check;
+mod curve;
+pub mod decimate;
+mod draft;
+mod editable;
+mod fair;
+mod fans;
+mod fill;
+mod finish;
+mod flips;
+mod hole;
+mod lid;
+mod local;
 mod patch;
+mod path;
+mod places;
+mod plane;
+mod polygon;
+mod refine;
+pub mod remesh;
+mod resolved;
+mod rims;
+pub mod stitch;
+pub mod subdivide;
+mod trace;
+pub mod weld;
 
 pub use apply::{Applied, apply};
 pub use check::{Topology, check};
+pub use curve::{Curve, insert_curve};
+pub use decimate::decimate;
+pub use fill::{delete, fill};
+pub use local::{Local, Side};
 pub use patch::{NewTriangle, NewVertex, Patch, Surface};
+pub use path::cut_path;
+pub use plane::{Keep, Plane, cut_plane};
+pub use remesh::{ASPECT, MENDED, MOST_TRIANGLES, STRETCH, Target, remesh};
+pub use stitch::{Between, stitch};
+pub use subdivide::{Scheme, subdivide};
+pub use weld::{weld, weld_boundaries};
 
 /// Why an edit cannot be done. The surface is as it was.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -4,6 +4,7 @@
 //! copies, and these before the lattice. So rows are counted, then filled, both in parallel.
 
 use super::neighbours::{NONE, Row};
+use super::recipe::Recipe;
 use super::{Graph, Stats, Weights, weights};
 use crate::mesh::{Adjacency, Components, Lists, Mesh};
 use crate::pool::Pool;
@@ -26,6 +27,8 @@ pub(super) struct Inner {
     pub(super) lattice: Vec<Row>,
     /// Lattice node, counted from the first one, and the surface or shell node that it is tied to; rising, each once.
     pub(super) ties: Vec<[u32; 2]>,
+    /// What edits need to know of how these nodes were placed.
+    pub(super) recipe: Recipe,
 }
 
 /// Rows handled in one go.
@@ -106,12 +109,13 @@ pub(super) fn assemble(
     mesh: &Mesh,
     adjacency: &Adjacency,
     parts: &Components,
-    inner: Inner,
+    mut inner: Inner,
     weighting: Weights,
     mut stats: Stats,
     pool: Option<&Pool>,
 ) -> Graph {
     let surface = mesh.positions.len();
+    let mut recipe = std::mem::take(&mut inner.recipe);
     let nodes = surface + inner.positions.len();
     let mut positions = Vec::with_capacity(nodes);
     positions.extend_from_slice(&mesh.positions);
@@ -139,7 +143,8 @@ pub(super) fn assemble(
     let weights = match weighting {
         Weights::Uniform => None,
         Weights::Cotangent => {
-            let of_edge = weights::cotangents(&mesh.positions, &mesh.triangles, adjacency);
+            let (of_edge, scale) = weights::cotangents(&mesh.positions, &mesh.triangles, adjacency);
+            recipe.cotangent_scale = scale;
             Some(spread(&offsets, &neighbours, adjacency, &of_edge))
         }
     };
@@ -155,6 +160,7 @@ pub(super) fn assemble(
         component: components.of_vertex,
         components: components.count,
         stats,
+        recipe,
     }
 }
 

@@ -48,18 +48,18 @@ impl Hull {
 }
 
 /// The passages that an edge lacks.
-fn missing(e: &Edge) -> impl Iterator<Item = [u32; 2]> {
-    let [a, b] = e.vertices;
-    let (passage, times) = if e.forward > e.backward {
-        ([b, a], e.forward - e.backward)
-    } else {
-        ([a, b], e.backward - e.forward)
-    };
-    (0..times).map(move |_| passage)
+pub(super) fn missing(e: &Edge) -> impl Iterator<Item = [u32; 2]> + use<> {
+    missing_of(e.vertices, i32::from(e.forward) - i32::from(e.backward))
+}
+
+/// The passages that an edge lacks which is passed `more` times more from its first end than from its second.
+pub(super) fn missing_of([a, b]: [u32; 2], more: i32) -> impl Iterator<Item = [u32; 2]> + use<> {
+    let passage = if more > 0 { [b, a] } else { [a, b] };
+    (0..more.unsigned_abs()).map(move |_| passage)
 }
 
 /// Loops without repeated vertices that use each of the sorted `passages` once.
-fn rings(vertices: usize, passages: &[[u32; 2]]) -> Vec<Vec<u32>> {
+pub(super) fn rings(vertices: usize, passages: &[[u32; 2]]) -> Vec<Vec<u32>> {
     const OFF: u32 = u32::MAX;
     let mut place = vec![OFF; vertices];
     let mut used = vec![false; passages.len()];

@@ -19,7 +19,10 @@ const DEEP: u64 = 512;
 
 /// The faces of a hull by columns.
 pub(super) struct Columns<'a> {
-    hull: &'a WindingTree<'a>,
+    positions: &'a [DVec3],
+    triangles: &'a [[u32; 3]],
+    /// Asked where columns are of no help.
+    tree: Option<&'a WindingTree<'a>>,
     /// The axis along the columns, then those across.
     axes: [usize; 3],
     low: DVec3,
@@ -27,7 +30,7 @@ pub(super) struct Columns<'a> {
     side: f64,
     /// Columns along either axis across.
     count: [u32; 2],
-    /// Faces by column; `None` where too many lie behind each other.
+    /// Faces by column; `None` where too many lie behind each other and there is a tree to ask.
     faces: Option<Lists>,
 }
 
@@ -44,11 +47,31 @@ impl<'a> Columns<'a> {
         }
         let depth = |axis: usize| shadow[axis] * size[axis];
         let along = (1..3).fold(0, |best, axis| if depth(axis) < depth(best) { axis } else { best });
+        Self::build(positions, triangles, along, Some(hull), pool)
+    }
+
+    /// Sorts `triangles` along a given axis. They may be those faces of a closed hull that any line along the axis through
+    /// the places asked about can cross.
+    pub(super) fn along(along: usize, positions: &'a [DVec3], triangles: &'a [[u32; 3]], pool: &Pool) -> Self {
+        Self::build(positions, triangles, along, None, pool)
+    }
+
+    fn build(
+        positions: &'a [DVec3],
+        triangles: &'a [[u32; 3]],
+        along: usize,
+        tree: Option<&'a WindingTree<'a>>,
+        pool: &Pool,
+    ) -> Self {
+        let bounds = Bounds::of(positions);
+        let size = bounds.size();
         let axes = [along, (along + 1) % 3, (along + 2) % 3];
         let across = [size[axes[1]], size[axes[2]]];
         let widest = across[0].max(across[1]);
         let mut columns = Self {
-            hull,
+            positions,
+            triangles,
+            tree,
             axes,
             low: bounds.min,
             side: (across[0] * across[1] / (COLUMNS * triangles.len() as f64)).sqrt(),
@@ -81,7 +104,7 @@ impl<'a> Columns<'a> {
             })
         });
         let squares: u64 = lists.offsets().windows(2).map(|w| u64::from(w[1] - w[0]).pow(2)).sum();
-        if squares <= DEEP * lists.items().len() as u64 {
+        if tree.is_none() || squares <= DEEP * lists.items().len() as u64 {
             columns.faces = Some(lists);
         }
         columns
@@ -96,27 +119,25 @@ impl<'a> Columns<'a> {
 
     /// The first and last column of a face.
     fn span(&self, t: &[u32; 3]) -> [[u32; 2]; 2] {
-        let [a, b, c] = t.map(|v| self.hull.positions()[v as usize]);
+        let [a, b, c] = t.map(|v| self.positions[v as usize]);
         [a.min(b).min(c), a.max(b).max(c)].map(|p| [0, 1].map(|across| self.column(p, across)))
     }
 
     /// Whether the winding number at a place is not 0.
     pub(super) fn contains(&self, p: DVec3) -> bool {
         let Some(faces) = &self.faces else {
-            return self.hull.contains(p);
+            return self.tree.is_some_and(|tree| tree.contains(p));
         };
         let column = self.column(p, 1) * self.count[0] + self.column(p, 0);
         let near = faces.of(column).iter();
-        near.map(|&t| self.turn(self.hull.triangles()[t as usize], p))
-            .sum::<i32>()
-            != 0
+        near.map(|&t| self.turn(self.triangles[t as usize], p)).sum::<i32>() != 0
     }
 
     /// How a face that lies beyond a place changes the winding number; 0 for others. Each edge is cut in one way whichever
     /// face asks, so a place sees no gap between neighbours.
     fn turn(&self, face: [u32; 3], p: DVec3) -> i32 {
         let [x, y, z] = self.axes;
-        let positions = self.hull.positions();
+        let positions = self.positions;
         let above = face.map(|v| positions[v as usize][z] > p[z]);
         if above == [above[0]; 3] {
             return 0;

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 /// Two balls without triangles join when they overlap; balls that touch at the surface from both sides must not be
 /// taken to overlap for a rounding error.
-const CERTAIN: f64 = 1.0 - 1e-9;
+pub(super) const CERTAIN: f64 = 1.0 - 1e-9;
 
 /// A body-centred cubic grid around a box.
 #[derive(Debug, Clone, Copy)]

@@ -16,6 +16,8 @@ mod nearest;
 mod neighbours;
 mod octree;
 mod parallel;
+mod recipe;
+mod resample;
 mod scan;
 mod shell;
 mod solid;
@@ -25,6 +27,8 @@ mod weights;
 pub mod winding;
 
 pub use error::Error;
+pub use recipe::Recipe;
+pub use resample::{Change, Resampled, resample};
 pub use surface::surface;
 pub use volume::{VolumeOptions, estimate_nodes, volume};
 pub use weights::Weights;
@@ -57,6 +61,8 @@ pub struct Graph {
     pub components: usize,
     /// How the graph came about.
     pub stats: Stats,
+    /// What [`resample`] needs to follow an edit of the mesh.
+    pub recipe: Recipe,
 }
 
 /// Facts about a graph.
@@ -107,5 +113,6 @@ impl Graph {
         words * size_of::<u32>()
             + self.positions.capacity() * size_of::<DVec3>()
             + self.stats.component_has_volume.capacity()
+            + self.recipe.bytes()
     }
 }

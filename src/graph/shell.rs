@@ -40,16 +40,7 @@ pub(super) struct Site<'a> {
 impl Site<'_> {
     /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
     pub(super) fn walk(&self, start: u32, p: DVec3) -> u32 {
-        let distance = |v: u32| self.mesh.positions[v as usize].distance_squared(p);
-        let nearer = |a: u32, b: u32| if distance(b) < distance(a) { b } else { a };
-        let mut here = start;
-        loop {
-            let next = self.adjacency.neighbours.of(here).iter().copied().fold(here, nearer);
-            if next == here {
-                return here;
-            }
-            here = next;
-        }
+        walk(&self.mesh.positions, self.adjacency, start, p)
     }
 
     /// Soups that are worth a lattice; beside a hull of many more faces they have a shell only.
@@ -74,29 +65,57 @@ pub(super) fn shell(site: &Site, inward: &[DVec3], offsets: &[f64]) -> Result<Sh
     let mut waiting = site.surface.vertices_in_space();
     waiting.retain(|&v| inward[v as usize] != DVec3::ZERO);
     let found = map(&waiting, site.pool, site.progress, |&v| {
-        let at = |by: f64| site.mesh.positions[v as usize] + inward[v as usize] * by;
-        let has_room = |by: f64| {
-            // Only the half of the way that lies outside the clear ball can meet the surface.
-            let half = 0.5 * by;
-            !site.surface.is_within(at(by), half) && site.surface.first_hit(at(0.0), at(half), Some(v)).is_none()
-        };
         let offset = offsets[site.parts.components.of_vertex[v as usize] as usize];
-        let mut by = offset;
-        for halving in 0..=HALVINGS {
-            if has_room(by) && site.contains(at(by)) {
-                return Some(at(by));
-            }
-            // Where not even the smallest offset leads inside, those between need not be tried.
-            let smallest = offset * 0.5f64.powi(HALVINGS);
-            if halving == 0 && !site.contains(at(smallest)) {
-                return None;
-            }
-            by *= 0.5;
-        }
-        None
+        let p = site.mesh.positions[v as usize];
+        copy(site.surface, v, p, inward[v as usize], offset, |p| site.contains(p))
     })?;
     for (v, copy) in waiting.into_iter().zip(found) {
         placed[v as usize] = copy;
     }
     Ok(placed)
+}
+
+/// Where the copy of vertex `v`, at `p`, is put: `offset` along `inward`, or less where there is less room.
+pub(super) fn copy(
+    surface: &WindingTree,
+    v: u32,
+    p: DVec3,
+    inward: DVec3,
+    offset: f64,
+    contains: impl Fn(DVec3) -> bool,
+) -> Option<DVec3> {
+    let at = |by: f64| p + inward * by;
+    let mut by = offset;
+    for halving in 0..=HALVINGS {
+        if has_room(surface, v, at(0.0), at(0.5 * by), at(by), 0.5 * by) && contains(at(by)) {
+            return Some(at(by));
+        }
+        // Where not even the smallest offset leads inside, those between need not be tried.
+        let smallest = offset * 0.5f64.powi(HALVINGS);
+        if halving == 0 && !contains(at(smallest)) {
+            return None;
+        }
+        by *= 0.5;
+    }
+    None
+}
+
+/// Whether no face is nearer to `end` than `half`, and none but those around vertex `v` crosses the way from `start` to
+/// `middle`; only this half of the way, outside the clear ball, can meet the surface.
+pub(super) fn has_room(surface: &WindingTree, v: u32, start: DVec3, middle: DVec3, end: DVec3, half: f64) -> bool {
+    !surface.is_within(end, half) && surface.first_hit(start, middle, Some(v)).is_none()
+}
+
+/// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
+pub(super) fn walk(positions: &[DVec3], adjacency: &Adjacency, start: u32, p: DVec3) -> u32 {
+    let distance = |v: u32| positions[v as usize].distance_squared(p);
+    let nearer = |a: u32, b: u32| if distance(b) < distance(a) { b } else { a };
+    let mut here = start;
+    loop {
+        let next = adjacency.neighbours.of(here).iter().copied().fold(here, nearer);
+        if next == here {
+            return here;
+        }
+        here = next;
+    }
 }

@@ -18,9 +18,9 @@ use glam::DVec3;
 const SAMPLES: usize = 32;
 /// A part is a sheet when the winding number beside its faces is on average further than this from a whole number.
 /// Measured: 0.47 to 0.50 for sheets, 0.26 for a car body without floor, under 0.07 for scans with holes.
-const OPEN: f64 = 0.35;
+pub(super) const OPEN: f64 = 0.35;
 /// One edge in so many without its match makes a soup.
-const SOUP: usize = 4;
+pub(super) const SOUP: usize = 4;
 /// And so does one in so many edges around holes that lie inside.
 const LOST: usize = 4;
 /// Across a hole the winding number lies half-way between whole numbers; where it is nearer to one than this, there is no
@@ -157,7 +157,8 @@ impl Parts {
     }
 
     /// The unit vector that leads inwards from each vertex; zero where the vertex has no normal, and on parts that
-    /// enclose nothing. Normals of a part that is wound inside out are turned round.
+    /// enclose nothing. Normals of a part that is wound inside out are turned round. With it for each part 1, −1 when its
+    /// normals were turned, or 0 when it has no inside.
     pub(super) fn inward(
         &self,
         mesh: &Mesh,
@@ -166,11 +167,11 @@ impl Parts {
         step: f64,
         pool: &Pool,
         progress: &dyn Progress,
-    ) -> Result<Directions, Error> {
+    ) -> Result<(Directions, Vec<f64>), Error> {
         let vertices: Vec<u32> = (0..mesh.positions.len() as u32).collect();
         let mut inward = map(&vertices, pool, progress, |&v| {
             if self.kind(v) != Kind::Sheet {
-                -normal(mesh, adjacency, v)
+                -normal(&mesh.positions, &mesh.triangles, adjacency, v)
             } else {
                 DVec3::ZERO
             }
@@ -191,19 +192,29 @@ impl Parts {
             vote.0 += usize::from(ahead);
             vote.1 += usize::from(behind);
         }
+        let turns: Vec<f64> = votes.into_iter().map(turn).collect();
         for (d, v) in inward.iter_mut().zip(0u32..) {
-            match votes[part(v)] {
-                (0, 0) => *d = DVec3::ZERO,
-                (ahead, behind) if behind > ahead => *d = -*d,
-                _ => {}
+            let turn = turns[part(v)];
+            if turn <= 0.0 {
+                *d = if turn < 0.0 { -*d } else { DVec3::ZERO };
             }
         }
-        Ok(inward)
+        Ok((inward, turns))
+    }
+}
+
+/// From how many places ahead of and behind a part's vertices lie inside to how its normals are to be taken: 1, −1 turned
+/// round, 0 not at all.
+pub(super) fn turn((ahead, behind): (usize, usize)) -> f64 {
+    match (ahead, behind) {
+        (0, 0) => 0.0,
+        _ if behind > ahead => -1.0,
+        _ => 1.0,
     }
 }
 
 /// At most about [`SAMPLES`] members of each part, evenly spread over `members`.
-fn sample(members: Vec<u32>, parts: usize, part: impl Fn(u32) -> usize) -> Vec<u32> {
+pub(super) fn sample(members: Vec<u32>, parts: usize, part: impl Fn(u32) -> usize) -> Vec<u32> {
     let mut size = vec![0usize; parts];
     members.iter().for_each(|&m| size[part(m)] += 1);
     let mut seen = vec![0usize; parts];
@@ -217,15 +228,15 @@ fn sample(members: Vec<u32>, parts: usize, part: impl Fn(u32) -> usize) -> Vec<u
 }
 
 /// Unit normal of a vertex: face normals weighted by the angle at the vertex; zero where they cancel.
-fn normal(mesh: &Mesh, adjacency: &Adjacency, v: u32) -> DVec3 {
-    let p = mesh.positions[v as usize];
+pub(super) fn normal(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency, v: u32) -> DVec3 {
+    let p = positions[v as usize];
     let mut sum = DVec3::ZERO;
     for &f in adjacency.faces.of(v) {
-        let t = mesh.triangles[f as usize];
+        let t = triangles[f as usize];
         let first = t.iter().position(|&c| c == v).unwrap_or(0);
         let (a, b) = (
-            mesh.positions[t[(first + 1) % 3] as usize] - p,
-            mesh.positions[t[(first + 2) % 3] as usize] - p,
+            positions[t[(first + 1) % 3] as usize] - p,
+            positions[t[(first + 2) % 3] as usize] - p,
         );
         let cross = a.cross(b);
         let twice_area = cross.length();

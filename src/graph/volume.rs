@@ -2,10 +2,12 @@
 //! node counts in the paper's tables).
 
 use super::assemble::{Inner, assemble};
+use super::caps::missing;
 use super::columns::Columns;
 use super::lattice::{self, Grid, Nodes};
 use super::nearest::nearest_vertices;
 use super::neighbours::{NONE, in_b, rising};
+use super::recipe::Inside;
 use super::shell::{Shell, Site, shell};
 use super::solid::{Kind, Parts};
 use super::winding::WindingTree;
@@ -132,7 +134,7 @@ pub fn volume(
     if site.hull.is_none() && site.soup.is_none() {
         return Ok(None);
     }
-    let inward = parts.inward(mesh, &adjacency, |p| site.contains(p), step, pool, progress)?;
+    let (inward, turns) = parts.inward(mesh, &adjacency, |p| site.contains(p), step, pool, progress)?;
 
     progress.report("graph", 0.2);
     let offset = options.shell_offset.unwrap_or(mean_edge);
@@ -154,10 +156,19 @@ pub fn volume(
     }
 
     progress.report("graph", 0.7);
-    let inner = inner(&site, shell, &offsets, &grid, &nodes, options.valence)?;
+    let (mut inner, keeps) = inner(&site, shell, &offsets, &grid, &nodes, options.valence)?;
     if inner.positions.is_empty() {
         return Ok(None);
     }
+    inner.recipe.inside = Some(inside(
+        &site,
+        &offsets,
+        &turns,
+        &keeps,
+        &grid,
+        options.valence,
+        DEPTH * offset,
+    ));
     let stats = Stats {
         shell_nodes: inner.copies,
         lattice_nodes: nodes.keys.len(),
@@ -269,7 +280,9 @@ fn fitting_lattice(site: &Site, wanted: f64, depth: f64, volume: f64, room: usiz
 
 /// Takes the copies away from parts without lattice in which most vertices have no room for a copy at a quarter of the
 /// offset or more: copies so near to the surface keep nothing from collapsing, and the part is no more than a sheet.
-fn leave_out_thin(site: &Site, shell: &mut Shell, offsets: &[f64], ties: &[[u32; 2]]) {
+///
+/// Answers which parts keep theirs.
+fn leave_out_thin(site: &Site, shell: &mut Shell, offsets: &[f64], ties: &[[u32; 2]]) -> Vec<bool> {
     let components = &site.parts.components;
     let part = |v: u32| components.of_vertex[v as usize] as usize;
     // By part: vertices, and those with room.
@@ -286,9 +299,51 @@ fn leave_out_thin(site: &Site, shell: &mut Shell, offsets: &[f64], ties: &[[u32;
             *copy = None;
         }
     }
+    keeps
 }
 
-/// Numbers shell and lattice nodes after the surface and collects their edges.
+/// What edits need to know of how interior nodes were placed.
+fn inside(
+    site: &Site,
+    offsets: &[f64],
+    turns: &[f64],
+    keeps: &[bool],
+    grid: &Grid,
+    valence: u32,
+    depth: f64,
+) -> Inside {
+    let parts = site.parts;
+    let reach: Vec<f32> = (0..parts.kinds.len())
+        .map(|part| {
+            let encloses = parts.kinds[part] != Kind::Sheet && keeps[part];
+            if encloses {
+                (offsets[part] * turns[part]) as f32
+            } else {
+                0.0
+            }
+        })
+        .collect();
+    let enclosing = |v: u32| reach[parts.components.of_vertex[v as usize] as usize] != 0.0;
+    let edges = site.adjacency.edges.iter();
+    let mut open: Vec<[u32; 2]> = edges.filter(|e| enclosing(e.vertices[0])).flat_map(missing).collect();
+    open.sort_unstable();
+    Inside {
+        origin: grid.origin,
+        interval: grid.interval,
+        valence,
+        depth,
+        soups: parts.kinds.contains(&Kind::Soup),
+        reach: parts
+            .components
+            .of_vertex
+            .iter()
+            .map(|&part| reach[part as usize])
+            .collect(),
+        open,
+    }
+}
+
+/// Numbers shell and lattice nodes after the surface and collects their edges. With it, which parts keep their copies.
 fn inner(
     site: &Site,
     mut shell: Shell,
@@ -296,10 +351,10 @@ fn inner(
     grid: &Grid,
     nodes: &Nodes,
     valence: u32,
-) -> Result<Inner, Error> {
+) -> Result<(Inner, Vec<bool>), Error> {
     let surface = site.mesh.positions.len() as u32;
     let edges = lattice::edges(site, grid, nodes, valence)?;
-    leave_out_thin(site, &mut shell, offsets, &edges.ties);
+    let keeps = leave_out_thin(site, &mut shell, offsets, &edges.ties);
     let mut inner = Inner {
         shell: vec![NONE; shell.len()],
         ..Inner::default()
@@ -336,5 +391,5 @@ fn inner(
             *row = sorted;
         });
     });
-    Ok(inner)
+    Ok((inner, keeps))
 }

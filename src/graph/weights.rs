@@ -17,28 +17,44 @@ pub enum Weights {
 /// Cotangents beyond this, of angles under 0.6°, say nothing but that a face is thin.
 const STEEPEST: f64 = 100.0;
 
-/// The cotangent weight of each edge of `adjacency`.
-pub(super) fn cotangents(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency) -> Vec<f32> {
-    let raw: Vec<f64> = adjacency
-        .edges
-        .iter()
-        .map(|e| {
-            let [a, b] = e.vertices;
-            let opposite = adjacency.faces.of(a).iter().filter_map(|&f| {
-                let t = triangles[f as usize];
-                t.contains(&b)
-                    .then(|| t.into_iter().find(|&v| v != a && v != b))
-                    .flatten()
-            });
-            opposite
-                .map(|c| 0.5 * cotangent([a, b, c].map(|v| positions[v as usize])))
-                .sum()
-        })
+/// The cotangent weight of each edge of `adjacency`, and what their raw values were multiplied by.
+pub(super) fn cotangents(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency) -> (Vec<f32>, f64) {
+    let edges = adjacency.edges.iter();
+    let raw: Vec<f64> = edges
+        .map(|e| raw(positions, triangles, adjacency, e.vertices))
         .collect();
     let mean = raw.iter().map(|w| w.max(0.0)).sum::<f64>() / raw.len().max(1) as f64;
     // Only a mesh without any acute angle opposite to an edge has no positive mean, and then no cotangent helps.
     let scale = if mean > 0.0 { 1.0 / mean } else { 0.0 };
-    raw.iter().map(|w| (w * scale).clamp(1e-3, 1e3) as f32).collect()
+    (raw.iter().map(|&w| limited(w, scale)).collect(), scale)
+}
+
+/// Half the sum of the cotangents of the angles opposite to the edge from `a` to `b`.
+fn raw(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency, [a, b]: [u32; 2]) -> f64 {
+    let opposite = adjacency.faces.of(a).iter().filter_map(|&f| {
+        let t = triangles[f as usize];
+        t.contains(&b)
+            .then(|| t.into_iter().find(|&v| v != a && v != b))
+            .flatten()
+    });
+    opposite
+        .map(|c| 0.5 * cotangent([a, b, c].map(|v| positions[v as usize])))
+        .sum()
+}
+
+fn limited(raw: f64, scale: f64) -> f32 {
+    (raw * scale).clamp(1e-3, 1e3) as f32
+}
+
+/// The weight of one edge, the smaller end first, where the others have been multiplied by `scale`.
+pub(super) fn cotangent_of(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    adjacency: &Adjacency,
+    edge: [u32; 2],
+    scale: f64,
+) -> f32 {
+    limited(raw(positions, triangles, adjacency, edge), scale)
 }
 
 /// Cotangent of the angle at the last corner; 0 for a face without area.
@@ -63,7 +79,7 @@ mod tests {
         let p = [[0., 0.], [1., 0.], [0.5, h], [1.5, h], [3., 0.001]].map(|[x, y]| DVec3::new(x, y, 0.0));
         let faces = [[0, 1, 2], [2, 1, 3], [1, 4, 3]];
         let adjacency = Adjacency::build(5, &faces);
-        let w = cotangents(&p, &faces, &adjacency);
+        let (w, _) = cotangents(&p, &faces, &adjacency);
         let of = |a: u32, b: u32| {
             w[adjacency
                 .edges

@@ -8,6 +8,7 @@ use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
 /// Options of a session, checked.
+#[derive(Debug, Clone)]
 pub(super) struct Choices {
     pub format: Option<Format>,
     pub weld: Weld,

@@ -3,13 +3,18 @@
 //! Everything that a client can ask is a message of [`pb`]; this floor checks it, resolves regions to vertices and calls
 //! the engine. It knows no session, no connection and no clock.
 
+mod carry;
 mod check;
 mod create;
+mod edit;
 mod error;
+mod foundation;
 pub mod frames;
 mod handles;
 mod interior;
 pub mod json;
+mod operation;
+mod origins;
 pub mod pb;
 mod quality;
 mod region;
@@ -17,6 +22,7 @@ mod run;
 mod workbench;
 
 pub use check::Settings;
+pub use edit::{EditOrder, EditOutcome, Trail};
 pub use error::Error;
 pub use run::{Outcome, Stage, edit_name, inspect, pose_steps, run};
 pub use workbench::{Limits, Mode, Poses, Solved, Watch, Workbench};

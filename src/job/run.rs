@@ -1,7 +1,7 @@
 //! Runs a whole job in process: open, set handles, solve every step, write.
 
 use super::frames::digest;
-use super::{Error, Limits, Mode, Settings, Workbench, pb};
+use super::{EditOrder, Error, Limits, Mode, Settings, Workbench, pb};
 use crate::asset::{FileSet, Format, Written};
 use crate::mesh::Report;
 use crate::pool::Pool;
@@ -102,7 +102,7 @@ pub fn run(
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<Outcome, Error> {
     let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
-    let poses = pose_steps(job)?;
+    let todo = steps_of(job)?;
     let stages = Stage::new(millis, progress);
     let mut bench = Workbench::open(files, &job.create.clone().unwrap_or_default(), limits, pool, &stages)?;
     let request = pb::SetHandlesRequest {
@@ -117,41 +117,63 @@ pub fn run(
     let mut in_force = bench.initial_poses();
     let mut positions = bench.rest().clone();
     let mut steps = Vec::new();
-    for (k, pose) in poses.iter().enumerate() {
-        stages.report("solve", k as f32 / poses.len() as f32);
+    for (k, todo_now) in todo.iter().enumerate() {
+        let fraction = k as f32 / todo.len() as f32;
         let step = |e| at_step(e, k);
-        in_force = bench.posed(&in_force, pose).map_err(step)?;
-        let solved = bench
-            .solve(&in_force, &settings, Mode::Commit, pool, &stages, &mut |_| true)
-            .map_err(step)?;
-        stages.report("quality", 0.0);
-        let quality = bench.measure(&solved.positions, &settings.output, pool, &stages)?;
+        let mut done = match todo_now {
+            Todo::Pose(pose) => {
+                stages.report("solve", fraction);
+                in_force = bench.posed(&in_force, pose).map_err(step)?;
+                let solved = bench
+                    .solve(&in_force, &settings, Mode::Commit, pool, &stages, &mut |_| true)
+                    .map_err(step)?;
+                stages.report("quality", 0.0);
+                let quality = bench.measure(&solved.positions, &settings.output, pool, &stages)?;
+                positions = solved.positions;
+                pb::report::Step {
+                    kind: "pose".into(),
+                    cycles: solved.cycles,
+                    residual: solved.residual,
+                    max_error: solved.max_error,
+                    quality: Some(quality),
+                    solver: solved.solver.into(),
+                    ..Default::default()
+                }
+            }
+            Todo::Edit(request) => {
+                stages.report("edit", fraction);
+                let order = EditOrder {
+                    request,
+                    shape: &positions,
+                    poses: &in_force,
+                    other: None,
+                };
+                let outcome = bench.edit(&order, pool, &stages).map_err(step)?;
+                in_force = outcome.poses;
+                positions = outcome.positions;
+                pb::report::Step {
+                    kind: "edit".into(),
+                    edit: Some(outcome.result),
+                    ..Default::default()
+                }
+            }
+        };
         let mut ms = stages.take();
         ms.insert("build".into(), if k == 0 { build_ms.values().sum() } else { 0.0 });
         let facts = bench.facts().solver.unwrap_or_default();
-        steps.push(pb::report::Step {
-            kind: "pose".into(),
-            ms,
-            cycles: solved.cycles,
-            residual: solved.residual,
-            max_error: solved.max_error,
-            levels: facts.levels.len() as u32,
-            bytes: facts.bytes,
-            quality: Some(quality),
-            digest: digest(&solved.positions),
-            field_cycles: bench.rig().map_or(0, |r| r.field_iterations as u32),
-            solver: solved.solver.into(),
-        });
-        positions = solved.positions;
+        done.ms = ms.into_iter().collect();
+        done.levels = facts.levels.len() as u32;
+        done.bytes = facts.bytes;
+        done.digest = digest(&positions);
+        done.field_cycles = bench.rig().map_or(0, |r| r.field_iterations as u32);
+        steps.push(done);
     }
     let quality = match steps.last().and_then(|step: &pb::report::Step| step.quality) {
         Some(quality) => quality,
         None => bench.measure(&positions, &settings.output, pool, &stages)?,
     };
     stages.report("encode", 0.0);
-    let written = bench
-        .model()
-        .write(&positions, format.unwrap_or(bench.model().format))?;
+    let written = bench.write(&positions, format.unwrap_or(bench.model().format))?;
     if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take().remove("encode")) {
         step.ms.insert("encode".into(), ms);
     }
@@ -177,23 +199,40 @@ pub fn run(
     })
 }
 
-/// The poses of a job, each naming the handles that it changes. Without steps the poses that the handles come with are
-/// one.
+/// One thing to do.
+enum Todo {
+    Pose(pb::Pose),
+    Edit(pb::EditRequest),
+}
+
+/// The poses of a job that edits nothing, each naming the handles that it changes. Without steps the poses that the handles
+/// come with are one.
 ///
 /// # Errors
 /// [`Error::Unimplemented`] for steps that edit, [`Error::Invalid`] for empty ones.
 pub fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
+    (steps_of(job)?.into_iter().enumerate())
+        .map(|(k, todo)| match todo {
+            Todo::Pose(pose) => Ok(pose),
+            Todo::Edit(edit) => Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(&edit)))),
+        })
+        .collect()
+}
+
+fn steps_of(job: &pb::Job) -> Result<Vec<Todo>, Error> {
     if job.steps.is_empty() {
         let posed = job.handles.iter().any(|h| h.pose.is_some());
-        return Ok(if posed { vec![pb::Pose::default()] } else { Vec::new() });
+        return Ok(if posed {
+            vec![Todo::Pose(pb::Pose::default())]
+        } else {
+            Vec::new()
+        });
     }
-    let mut poses = Vec::new();
+    let mut all = Vec::new();
     for (k, step) in job.steps.iter().enumerate() {
         match &step.step {
-            Some(pb::step::Step::Pose(pose)) => poses.push(pose.clone()),
-            Some(pb::step::Step::Edit(edit)) => {
-                return Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(edit))));
-            }
+            Some(pb::step::Step::Pose(pose)) => all.push(Todo::Pose(pose.clone())),
+            Some(pb::step::Step::Edit(edit)) => all.push(Todo::Edit(edit.clone())),
             None => {
                 return Err(Error::invalid(
                     format!("steps[{k}]"),
@@ -202,7 +241,7 @@ pub fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
             }
         }
     }
-    Ok(poses)
+    Ok(all)
 }
 
 /// The JSON name of an edit's operation.
@@ -228,6 +267,7 @@ fn at_step(e: Error, k: usize) -> Error {
             field: format!("steps[{k}].{field}"),
             problem,
         },
+        Error::Precondition(text) => Error::Precondition(format!("steps[{k}]: {text}")),
         other => other,
     }
 }

@@ -2,19 +2,19 @@
 
 use super::check::{COMMIT_REFINE, Settings, transform};
 use super::create::Choices;
+use super::foundation::{Foundation, primitive};
 use super::handles::{HandleSet, resolve_handles};
 use super::interior::{self, BYTES_PER_NODE};
 use super::quality::quality;
 use super::region::Ground;
 use super::{Error, pb};
-use crate::asset::{self, FileSet, Model};
-use crate::deform::{Body, Cycle, Policy, Refinement, Request, Rig, Solution, Start, State, Transform, VolumeMode};
+use crate::asset::{self, FileSet, Format, Geometry, Model, Written};
+use crate::deform::{Body, Cycle, Refinement, Request, Rig, Solution, Start, State, Transform, VolumeMode};
 use crate::graph::estimate_nodes;
 use crate::mesh::{Adjacency, Components, Mesh, NONE, Report, inspect, self_intersections};
 use crate::pool::Pool;
 use crate::progress::{Progress, check};
 use glam::{DVec3, Mat3};
-use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
 /// Bytes that a render vertex with its triangles costs beside the graph.
@@ -85,15 +85,13 @@ pub struct Solved {
 
 /// A model with everything derived from it. One owner; solves need `&mut`.
 pub struct Workbench {
-    model: Model,
-    sha256: String,
-    mesh: Mesh,
+    pub(super) foundation: Arc<Foundation>,
+    pub(super) mesh: Mesh,
     parts: Components,
     report: Report,
     body: Body,
-    rest: Arc<Vec<DVec3>>,
-    limits: Limits,
-    policy: Policy,
+    pub(super) choices: Choices,
+    pub(super) limits: Limits,
     warnings: Vec<pb::Warning>,
     handles: HandleSet,
     rig: Option<Rig>,
@@ -114,21 +112,27 @@ impl Workbench {
         pool: &Pool,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
-        let mut choices = Choices::check(create)?;
+        let choices = Choices::check(create)?;
         progress.report("read", 0.0);
         let model = Model::read(files, choices.format, &limits.model)?;
-        let sha256 = hex(&Sha256::digest(&model.files.main));
         check(progress)?;
-
         progress.report("mesh", 0.0);
-        let vertices = model.positions.len() as u64;
-        admit(vertices * BYTES_PER_VERTEX + model.files.total_bytes(), limits)?;
-        let format = model.format;
-        let no_mesh = |e: crate::mesh::Error| asset::Error::NoMesh {
-            format,
-            problem: e.to_string(),
-        };
-        let mesh = Mesh::build(&model.positions, &model.triangles, choices.weld).map_err(no_mesh)?;
+        Self::on(Arc::new(Foundation::new(model)), choices, limits, pool, progress)
+    }
+
+    /// Builds mesh, graph and hierarchy on a model, edited or not.
+    pub(super) fn on(
+        foundation: Arc<Foundation>,
+        choices: Choices,
+        limits: &Limits,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
+        progress.report("mesh", 0.0);
+        let vertices = foundation.rest.len() as u64;
+        let files = foundation.model.files.total_bytes();
+        admit(vertices * BYTES_PER_VERTEX + files, limits)?;
+        let mesh = foundation.mesh(choices.weld)?;
         let adjacency = Adjacency::build(mesh.positions.len(), &mesh.triangles);
         let report = inspect(&mesh, &adjacency);
         let parts = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
@@ -141,23 +145,21 @@ impl Workbench {
         } else {
             mesh.positions.len()
         };
-        admit(estimate(vertices, nodes as u64) + model.files.total_bytes(), limits)?;
-        let beside = vertices * BYTES_PER_VERTEX + model.files.total_bytes();
-        interior::fit(&mut choices.body, beside, limits);
-        let body = Body::build(&mesh, &choices.body, pool, progress)?;
-        let mut warnings = warnings_of(&model, &report);
+        admit(estimate(vertices, nodes as u64) + files, limits)?;
+        let beside = vertices * BYTES_PER_VERTEX + files;
+        let mut options = choices.body.clone();
+        interior::fit(&mut options, beside, limits);
+        let body = Body::build(&mesh, &options, pool, progress)?;
+        let mut warnings = warnings_of(&foundation.model, &report);
         warnings.extend(interior::warnings(&body, choices.body.volume));
-        let rest = Arc::new(model.positions.clone());
         Ok(Self {
-            model,
-            sha256,
+            foundation,
             mesh,
             parts,
             report,
             body,
-            rest,
+            choices,
             limits: *limits,
-            policy: choices.policy,
             warnings,
             handles: HandleSet::default(),
             rig: None,
@@ -167,7 +169,21 @@ impl Workbench {
 
     /// The model as it was read.
     pub fn model(&self) -> &Model {
-        &self.model
+        &self.foundation.model
+    }
+
+    /// Triangles, normals, tangents and primitives as they are now. Once edited, positions are those of [`Workbench::rest`]
+    /// alone.
+    pub fn geometry(&self) -> &Geometry {
+        self.foundation.geometry()
+    }
+
+    /// The model at `positions` (one per render vertex) as files.
+    ///
+    /// # Errors
+    /// Those of [`Model::write`].
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, Error> {
+        self.foundation.write(positions, format)
     }
 
     /// What was found about the mesh.
@@ -187,7 +203,7 @@ impl Workbench {
 
     /// Positions at rest, one per render vertex.
     pub fn rest(&self) -> &Arc<Vec<DVec3>> {
-        &self.rest
+        &self.foundation.rest
     }
 
     /// Length of the bounding box's diagonal.
@@ -197,23 +213,18 @@ impl Workbench {
 
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
-        let model = self.model.files.total_bytes()
-            + (self.model.positions.capacity() * 24
-                + self.model.normals.capacity() * 12
-                + self.model.tangents.capacity() * 16
-                + self.model.triangles.capacity() * 12) as u64;
+        let model = self.foundation.model.files.total_bytes() + self.foundation.bytes();
         let parts = self.mesh.bytes()
             + self.parts.of_vertex.capacity() * 4
             + self.body.bytes()
             + self.rig.as_ref().map_or(0, Rig::bytes)
-            + self.state.bytes()
-            + self.rest.capacity() * 24;
+            + self.state.bytes();
         model + parts as u64
     }
 
     /// Bytes that a bench for this model is expected to hold at most.
     pub fn estimate(&self) -> u64 {
-        estimate(self.rest.len() as u64, self.body.nodes() as u64) + self.model.files.total_bytes()
+        estimate(self.rest().len() as u64, self.body.nodes() as u64) + self.model().files.total_bytes()
     }
 
     /// What a session answers about model, solver and handles; id, revision, times and limits are the caller's.
@@ -230,14 +241,14 @@ impl Workbench {
             })
             .collect();
         pb::Session {
-            primitives: self.model.primitives.iter().map(primitive).collect(),
+            primitives: self.geometry().primitives.iter().map(primitive).collect(),
             warnings: self.warnings.iter().chain(&self.handles.warnings).cloned().collect(),
             model: Some(pb::ModelFacts {
-                format: self.model.format.name().into(),
-                bytes: self.model.files.total_bytes(),
-                sha256: self.sha256.clone(),
-                vertices: count(self.rest.len()),
-                triangles: count(self.model.triangles.len()),
+                format: self.model().format.name().into(),
+                bytes: self.model().files.total_bytes(),
+                sha256: self.foundation.sha256.to_string(),
+                vertices: count(self.rest().len()),
+                triangles: count(self.geometry().triangles.len()),
             }),
             solver: Some(pb::SolverFacts {
                 solver_vertices: count(self.mesh.positions.len()),
@@ -281,14 +292,8 @@ impl Workbench {
         pool: &Pool,
         progress: &dyn Progress,
     ) -> Result<(), Error> {
-        let ground = Ground {
-            positions: &self.rest,
-            primitives: &self.model.primitives,
-            mesh: &self.mesh,
-            parts: &self.parts,
-            graph: &self.body.graph,
-        };
-        let (set, rigging) = resolve_handles(&ground, &self.body, request, self.policy, self.limits.handles)?;
+        let ground = self.ground();
+        let (set, rigging) = resolve_handles(&ground, &self.body, request, self.choices.policy, self.limits.handles)?;
         let field_bytes = (rigging.holds.len() as u64 + 1) * self.body.nodes() as u64 * 12;
         admit(self.estimate() + field_bytes, &self.limits)?;
         let rig = match request.handles.is_empty() {
@@ -299,6 +304,22 @@ impl Workbench {
         self.rig = rig;
         self.state = State::default();
         Ok(())
+    }
+
+    /// What regions are resolved against.
+    pub(super) fn ground(&self) -> Ground<'_> {
+        Ground {
+            positions: &self.foundation.rest,
+            primitives: &self.geometry().primitives,
+            mesh: &self.mesh,
+            parts: &self.parts,
+            graph: &self.body.graph,
+        }
+    }
+
+    /// Default pivots of the handles in force.
+    pub(super) fn centroids(&self) -> &[DVec3] {
+        &self.handles.centroids
     }
 
     /// The poses that the handles in force came with.
@@ -373,7 +394,7 @@ impl Workbench {
             body,
             mesh,
             handles,
-            rest,
+            foundation,
             ..
         } = self
         else {
@@ -396,7 +417,7 @@ impl Workbench {
         let shape = Shape {
             body,
             mesh,
-            rest,
+            rest: &foundation.rest,
             handles,
         };
         let mut on_cycle = |cycle: &Cycle<'_>| {
@@ -523,20 +544,6 @@ fn warnings_of(model: &Model, report: &Report) -> Vec<pb::Warning> {
     read.chain(found).collect()
 }
 
-fn primitive(p: &asset::Primitive) -> pb::Primitive {
-    pb::Primitive {
-        node: p.node,
-        mesh: p.mesh,
-        primitive: p.primitive,
-        name: p.name.clone(),
-        first_vertex: p.first_vertex,
-        vertex_count: p.vertex_count,
-        index_count: p.index_count,
-        has_normals: p.has_normals,
-        has_tangents: p.has_tangents,
-    }
-}
-
 fn method_name(solution: &Solution) -> &'static str {
     use crate::deform::Method::{Graph, SpatialRbf};
     use crate::solver::Method as Solver;
@@ -548,10 +555,6 @@ fn method_name(solution: &Solution) -> &'static str {
         Graph(Solver::ConjugateGradients) => "conjugate-gradients",
         SpatialRbf => "spatial-rbf",
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
 impl From<crate::deform::Error> for Error {

@@ -113,6 +113,59 @@ impl Mesh {
         })
     }
 
+    /// A mesh whose welding is already known: `solver_from_render` numbers the solver vertices below `vertices`, each a
+    /// corner of some triangle, and no triangle has a corner twice. Nothing is welded, dropped or renumbered.
+    ///
+    /// # Errors
+    /// [`Error`] when an index is out of range, a used position is not finite or outside the range of `f32`, there are
+    /// more than 32-bit indices can name, or there is no face.
+    pub fn of_points(
+        positions: &[DVec3],
+        triangles: &[[u32; 3]],
+        solver_from_render: Vec<u32>,
+        vertices: usize,
+    ) -> Result<Self, Error> {
+        let limit = (NONE / 6) as usize;
+        for (what, seen) in [("vertices", positions.len()), ("triangles", triangles.len())] {
+            if seen > limit {
+                return Err(Error::TooLarge { what, seen, limit });
+            }
+        }
+        if triangles.is_empty() {
+            return Err(Error::NoTriangle { triangles: 0 });
+        }
+        used_vertices(positions, triangles)?;
+        let mut solver_positions = vec![DVec3::ZERO; vertices];
+        // The first render vertex of each speaks for it.
+        for (&s, &p) in solver_from_render
+            .iter()
+            .zip(positions)
+            .rev()
+            .filter(|(s, _)| **s != NONE)
+        {
+            solver_positions[s as usize] = p;
+        }
+        let render_from_solver = Lists::gather(vertices, || {
+            solver_from_render
+                .iter()
+                .zip(0u32..)
+                .filter(|&(&s, _)| s != NONE)
+                .map(|(&s, render)| (s, render))
+        });
+        Ok(Self {
+            positions: solver_positions,
+            triangles: triangles
+                .iter()
+                .map(|t| t.map(|v| solver_from_render[v as usize]))
+                .collect(),
+            source_triangle: (0..triangles.len() as u32).collect(),
+            collapsed_triangles: Vec::new(),
+            duplicate_triangles: Vec::new(),
+            solver_from_render,
+            render_from_solver,
+        })
+    }
+
     /// The render vertices at one solver vertex, in rising order, at least one.
     ///
     /// # Panics

@@ -8,7 +8,6 @@
 mod auth;
 pub mod config;
 mod dispatch;
-mod edits;
 pub mod grpc;
 mod http;
 mod listen;

@@ -33,7 +33,6 @@ pub(super) struct Actor {
     pub bench: Option<Bench>,
     pub history: History,
     pub build_ms: BTreeMap<String, f64>,
-    pub diagonal: f64,
     pub memory: Reservation,
     pub seat: OwnedSemaphorePermit,
     /// Which stream is asked for work first.
@@ -212,6 +211,10 @@ impl Actor {
                 };
                 answer(call, result, |_| stored);
             }
+            Command::Edit(request, call) => {
+                let result = self.edit(*request, &call).await;
+                answer(call, result, |result| Some(Stored::Edited(Box::new(result.clone()))));
+            }
             Command::Export(format, call) => {
                 let result = self.export(format, &call).await;
                 answer(call, result, |_| None);
@@ -223,9 +226,10 @@ impl Actor {
         let state = self.history.current();
         let request = change.apply(&state.handles, &state.poses)?;
         let limit = self.shared.config.build;
+        let trail = state.trail.clone();
         let (replaced, stop) = self
             .compute(&call.cancel, limit, move |bench, pool, stop, _| {
-                let replaced = bench.replace(&request, pool, stop);
+                let replaced = bench.replace(trail.as_ref(), &request, pool, stop);
                 (replaced, request, stop.stage_ms())
             })
             .await?;
@@ -252,14 +256,14 @@ impl Actor {
         if state.handles.handles.is_empty() {
             return Err(no_handles());
         }
-        let (limit, part_bytes, diagonal) = (self.shared.config.solve, self.shared.config.part_bytes, self.diagonal);
+        let (limit, part_bytes, diagonal) = (self.shared.config.solve, self.shared.config.part_bytes, state.diagonal);
         let (revision, kept) = (self.history.revision() + 1, settings.clone());
         let (solved, stop) = self
             .compute(
                 &call.cancel,
                 limit,
                 move |bench, pool, stop, queued| -> Result<_, job::Error> {
-                    bench.load(&state.handles, pool, stop)?;
+                    bench.load(state.trail.as_ref(), &state.handles, pool, stop)?;
                     let poses = bench.engine.posed(&state.poses, &pose)?;
                     let solved = bench.solve(&poses, &settings, Mode::Commit, pool, stop, &mut |_| true)?;
                     let elapsed = stop.elapsed();
@@ -345,13 +349,15 @@ impl Actor {
         let etag = Session::etag(&view, format.name());
         let limit = self.shared.config.build;
         let positions = Arc::clone(&view.positions);
-        let (written, _) = self
-            .compute(&call.cancel, limit, move |bench, _, _, _| {
+        let trail = self.history.current().trail.clone();
+        let (written, stop) = self
+            .compute(&call.cancel, limit, move |bench, pool, stop, _| {
+                bench.go(trail.as_ref(), pool, stop)?;
                 bench.engine.write(&positions, format)
             })
             .await?;
         Ok(Exported {
-            written: written?,
+            written: written.map_err(|e| self.failure(e, &stop))?,
             format,
             etag,
         })

@@ -4,7 +4,7 @@
 use super::Engine;
 use super::commits::Recipe;
 use crate::job::frames::Shader;
-use crate::job::{self, Mode, Poses, Settings, Solved, Watch, pb};
+use crate::job::{self, EditOrder, EditOutcome, Mode, Poses, Settings, Solved, Trail, Watch, pb};
 use crate::pool::Pool;
 use crate::progress::Progress;
 use glam::DVec3;
@@ -28,13 +28,15 @@ impl Bench {
         }
     }
 
-    /// Makes `handles` the ones in force.
+    /// Makes `trail` the state that edits have left, and `handles` the ones in force.
     pub fn load(
         &mut self,
+        trail: Option<&Trail>,
         handles: &Arc<pb::SetHandlesRequest>,
         pool: &Pool,
         progress: &dyn Progress,
     ) -> Result<(), job::Error> {
+        self.go(trail, pool, progress)?;
         if !Arc::ptr_eq(&self.loaded, handles) {
             self.engine.set_handles(handles, pool, progress)?;
             self.loaded = Arc::clone(handles);
@@ -42,13 +44,49 @@ impl Bench {
         Ok(())
     }
 
+    /// Makes `trail` the state that edits have left.
+    pub fn go(&mut self, trail: Option<&Trail>, pool: &Pool, progress: &dyn Progress) -> Result<(), job::Error> {
+        let Some(trail) = trail else { return Ok(()) };
+        if self.engine.trail().is_some_and(|now| now.same(trail)) {
+            return Ok(());
+        }
+        self.engine.retrace(trail, pool, progress)?;
+        self.forget();
+        Ok(())
+    }
+
+    /// Edits the shape of the state named by `trail` and `handles`, for a commit. Until the commit is stored, `load` with
+    /// the old ones goes back.
+    pub fn edit(
+        &mut self,
+        trail: Option<&Trail>,
+        handles: &Arc<pb::SetHandlesRequest>,
+        order: &EditOrder<'_>,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<EditOutcome, job::Error> {
+        self.load(trail, handles, pool, progress)?;
+        let outcome = self.engine.edit(order, pool, progress)?;
+        self.forget();
+        Ok(outcome)
+    }
+
+    /// What was derived from the engine's state is out of date.
+    fn forget(&mut self) {
+        // No request that anybody else knows, so that whatever comes next loads its own.
+        self.loaded = Arc::new(pb::SetHandlesRequest::default());
+        self.shader = None;
+    }
+
     /// Replaces the handles by new ones, for a commit. Until the commit is stored, `load` with the old ones goes back.
     pub fn replace(
         &mut self,
+        trail: Option<&Trail>,
         handles: &pb::SetHandlesRequest,
         pool: &Pool,
         progress: &dyn Progress,
     ) -> Result<(Poses, pb::Session), job::Error> {
+        self.go(trail, pool, progress)?;
         self.engine.set_handles(handles, pool, progress)?;
         // No request that anybody else knows, so that whatever comes next loads its own.
         self.loaded = Arc::new(pb::SetHandlesRequest::default());
@@ -82,13 +120,17 @@ impl Bench {
         progress: &dyn Progress,
     ) -> Result<Arc<Vec<DVec3>>, job::Error> {
         match recipe {
-            Recipe::Rest => Ok(self.engine.rest()),
+            Recipe::Rest { trail } => {
+                self.go(trail.as_ref(), pool, progress)?;
+                Ok(self.engine.rest())
+            }
             Recipe::Solved {
+                trail,
                 handles,
                 poses,
                 settings,
             } => {
-                self.load(handles, pool, progress)?;
+                self.load(trail.as_ref(), handles, pool, progress)?;
                 Ok(self
                     .solve(poses, settings, Mode::Commit, pool, progress, &mut |_| true)?
                     .positions)

@@ -4,7 +4,7 @@
 //! they fit a budget of bytes; an older one is solved again from its recipe, which gives the same bits. Knows no
 //! engine and no task: it is told what was solved.
 
-use crate::job::{Poses, Settings, pb};
+use crate::job::{Poses, Settings, Trail, pb};
 use glam::DVec3;
 use prost::Message as _;
 use std::collections::{BTreeMap, VecDeque};
@@ -19,6 +19,10 @@ pub(super) type ShapeId = u64;
 /// What a commit leaves the session in.
 #[derive(Debug, Clone)]
 pub(super) struct State {
+    /// What edits have made of the model.
+    pub trail: Option<Trail>,
+    /// Length of its bounding box's diagonal.
+    pub diagonal: f64,
     /// The handles in force.
     pub handles: Arc<pb::SetHandlesRequest>,
     /// Their poses.
@@ -35,9 +39,10 @@ pub(super) struct State {
 #[derive(Debug, Clone)]
 pub(super) enum Recipe {
     /// It is the rest shape.
-    Rest,
+    Rest { trail: Option<Trail> },
     /// It is the solution of these poses.
     Solved {
+        trail: Option<Trail>,
         handles: Arc<pb::SetHandlesRequest>,
         poses: Poses,
         settings: Settings,
@@ -77,10 +82,14 @@ impl History {
         poses: Poses,
         rest: Arc<Vec<DVec3>>,
         digest: String,
+        (trail, diagonal): (Option<Trail>, f64),
         limit: usize,
         snapshot_bytes: u64,
     ) -> Self {
+        let recipe = Recipe::Rest { trail: trail.clone() };
         let state = State {
+            trail,
+            diagonal,
             handles: Arc::default(),
             poses,
             facts: Arc::new(facts),
@@ -98,7 +107,7 @@ impl History {
             shapes: BTreeMap::from([(
                 0,
                 Shape {
-                    recipe: Recipe::Rest,
+                    recipe,
                     snapshot: Some(rest),
                 },
             )]),
@@ -141,14 +150,24 @@ impl History {
                 ..
             }) => Ok(Arc::clone(positions)),
             Some(Shape { recipe, .. }) => Err(recipe.clone()),
-            None => Err(Recipe::Rest),
+            None => Err(Recipe::Rest {
+                trail: self.current().trail.clone(),
+            }),
         }
     }
 
     /// Records new handles; the shape stays as it is. What was undone is gone.
     pub fn commit_handles(&mut self, handles: pb::SetHandlesRequest, poses: Poses, facts: pb::Session) {
-        let State { shape, digest, .. } = self.current().clone();
+        let State {
+            trail,
+            diagonal,
+            shape,
+            digest,
+            ..
+        } = self.current().clone();
         let state = State {
+            trail,
+            diagonal,
             handles: Arc::new(handles),
             poses,
             facts: Arc::new(facts),
@@ -160,10 +179,17 @@ impl History {
 
     /// Records a solved pose. What was undone is gone.
     pub fn commit_pose(&mut self, poses: Poses, settings: Settings, positions: Arc<Vec<DVec3>>, digest: String) {
-        let State { handles, facts, .. } = self.current().clone();
+        let State {
+            trail,
+            diagonal,
+            handles,
+            facts,
+            ..
+        } = self.current().clone();
         let shape = self.next_shape;
         self.next_shape += 1;
         let recipe = Recipe::Solved {
+            trail: trail.clone(),
             handles: Arc::clone(&handles),
             poses: poses.clone(),
             settings,
@@ -178,6 +204,8 @@ impl History {
         self.push(
             "pose",
             State {
+                trail,
+                diagonal,
                 handles,
                 poses,
                 facts,
@@ -185,6 +213,25 @@ impl History {
                 digest,
             },
         );
+    }
+
+    /// Records an edit: the state that it left, and how its shape came about. What was undone is gone.
+    pub fn commit_edit(&mut self, mut state: State, positions: Arc<Vec<DVec3>>, solved: Option<Settings>) {
+        state.shape = self.next_shape;
+        self.next_shape += 1;
+        let trail = state.trail.clone();
+        let recipe = match solved {
+            None => Recipe::Rest { trail },
+            Some(settings) => Recipe::Solved {
+                trail,
+                handles: Arc::clone(&state.handles),
+                poses: state.poses.clone(),
+                settings,
+            },
+        };
+        let snapshot = Some(positions);
+        self.shapes.insert(state.shape, Shape { recipe, snapshot });
+        self.push("edit", state);
     }
 
     /// Goes to commit `index`, whose shape is `positions`.
@@ -212,7 +259,8 @@ impl History {
     /// Folds the oldest commits away and drops snapshots until the limits hold.
     fn trim(&mut self) {
         let too_many = |h: &Self| h.records.len() > h.limit.saturating_add(1);
-        while self.at > 0 && (too_many(self) || (self.at > 1 && self.log_bytes() > LOG_BYTES)) {
+        let too_large = |h: &Self| h.log_bytes() > LOG_BYTES || h.edit_bytes() > h.snapshot_bytes.max(LOG_BYTES);
+        while self.at > 0 && (too_many(self) || (self.at > 1 && too_large(self))) {
             self.records.pop_front();
             self.at -= 1;
         }
@@ -244,6 +292,21 @@ impl History {
             .sum()
     }
 
+    /// Bytes of what edits have made of the model, beyond what the engine holds itself.
+    fn edit_bytes(&self) -> u64 {
+        let now = self.current().trail.as_ref();
+        let mut last = None;
+        let mut bytes = 0;
+        for trail in self.records.iter().filter_map(|r| r.state.trail.as_ref()) {
+            let known = |other: Option<&Trail>| other.is_some_and(|t| t.same(trail));
+            if !known(now) && !known(last) {
+                bytes += trail.bytes();
+            }
+            last = Some(trail);
+        }
+        bytes
+    }
+
     /// Bytes of the handles and poses recorded, about.
     fn log_bytes(&self) -> u64 {
         let mut bytes = 0;
@@ -260,7 +323,7 @@ impl History {
 
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
-        self.snapshots() + self.log_bytes()
+        self.snapshots() + self.log_bytes() + self.edit_bytes()
     }
 
     /// The commits as clients see them.
@@ -293,6 +356,7 @@ mod tests {
             Poses::default(),
             rest,
             "rest".into(),
+            (None, 1.0),
             limit,
             snapshot_bytes,
         )

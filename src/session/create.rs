@@ -108,7 +108,6 @@ pub(super) async fn create(
             shared.budget.used() - held
         )));
     }
-    let diagonal = bench.engine.diagonal();
     let positions = bench.engine.rest();
     let (send, commands) = mpsc::channel(config.session_queue);
     let session = Arc::new(Session {
@@ -145,7 +144,6 @@ pub(super) async fn create(
         bench: Some(bench),
         history,
         build_ms,
-        diagonal,
         memory,
         seat,
         turn: 0,
@@ -209,6 +207,7 @@ async fn open(
             engine.initial_poses(),
             rest,
             digest,
+            (engine.trail(), engine.diagonal()),
             config.history,
             config.snapshot_bytes,
         );

@@ -96,7 +96,7 @@ impl Actor {
         let longest = self.shared.config.solve;
         // A drag takes its best result in time; only one that has none after twice the time is given up.
         let limit = if commit { longest } else { longest.saturating_mul(2) };
-        let (revision, diagonal) = (self.history.revision(), self.diagonal);
+        let (revision, diagonal) = (self.history.revision(), state.diagonal);
         let desk = Arc::clone(&mailbox);
         let ran = self
             .compute(&mailbox.cancel, limit, move |bench, pool, stop, queued| {
@@ -195,7 +195,7 @@ fn turn(
     frames: &Frames,
     longest: Duration,
 ) -> Result<Turn, job::Error> {
-    bench.load(&state.handles, pool, stop)?;
+    bench.load(state.trail.as_ref(), &state.handles, pool, stop)?;
     let mut refused = Vec::new();
     let mut superseded = 0u32;
     let mut newest: Option<Waiting> = None;

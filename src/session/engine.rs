@@ -3,9 +3,9 @@
 //! The one real engine is [`Workbench`]; the seam exists so that the rules of sessions and streams can be tested with
 //! an engine whose every cycle the test controls.
 
-use crate::asset::{self, FileSet, Format, Written};
+use crate::asset::{FileSet, Format, Written};
 use crate::job::frames::Shader;
-use crate::job::{self, Limits, Mode, Poses, Settings, Solved, Watch, Workbench, pb};
+use crate::job::{self, EditOrder, EditOutcome, Limits, Mode, Poses, Settings, Solved, Trail, Watch, Workbench, pb};
 use crate::pool::Pool;
 use crate::progress::Progress;
 use glam::DVec3;
@@ -58,8 +58,28 @@ pub trait Engine: Send + 'static {
     ) -> Result<Option<pb::Quality>, job::Error> {
         Ok(None)
     }
+    /// The state that edits have left the engine in; `None` when it knows no edits.
+    fn trail(&self) -> Option<Trail> {
+        None
+    }
+    /// Goes to the state that an earlier [`Engine::trail`] named; without handles then.
+    fn retrace(&mut self, _trail: &Trail, _pool: &Pool, _progress: &dyn Progress) -> Result<(), job::Error> {
+        Ok(())
+    }
+    /// Carries out an edit and sets the handles that are left.
+    fn edit(
+        &mut self,
+        order: &EditOrder<'_>,
+        _pool: &Pool,
+        _progress: &dyn Progress,
+    ) -> Result<EditOutcome, job::Error> {
+        Err(job::Error::Unimplemented(format!(
+            "the edit {}",
+            job::edit_name(order.request)
+        )))
+    }
     /// Writes the model with new positions.
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, asset::Error>;
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error>;
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
 }
@@ -154,11 +174,23 @@ impl Engine for Workbench {
         Self::measure(self, positions, output, pool, progress).map(Some)
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, asset::Error> {
-        self.model().write(positions, format)
+    fn trail(&self) -> Option<Trail> {
+        Some(Self::trail(self))
+    }
+
+    fn retrace(&mut self, trail: &Trail, pool: &Pool, progress: &dyn Progress) -> Result<(), job::Error> {
+        Self::retrace(self, trail, pool, progress)
+    }
+
+    fn edit(&mut self, order: &EditOrder<'_>, pool: &Pool, progress: &dyn Progress) -> Result<EditOutcome, job::Error> {
+        Self::edit(self, order, pool, progress)
+    }
+
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error> {
+        Self::write(self, positions, format)
     }
 
     fn shader(&self) -> Shader {
-        Shader::of(self.model(), self.rest())
+        Shader::of(self.geometry(), self.rest())
     }
 }

@@ -364,11 +364,11 @@ impl Manager {
         }
     }
 
-    fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<Session>, Error> {
+    pub(super) fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<Session>, Error> {
         self.shared.registry.find(tenant, id)
     }
 
-    fn claim(
+    pub(super) fn claim(
         &self,
         tenant: &Tenant,
         key: Option<&str>,
@@ -427,7 +427,7 @@ impl Manager {
     ///
     /// # Cancel safety
     /// Dropping the future raises the command's flag.
-    async fn call<T>(
+    pub(super) async fn call<T>(
         &self,
         session: &Arc<Session>,
         claim: Option<Claim<Stored>>,

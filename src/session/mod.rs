@@ -29,6 +29,7 @@ mod config;
 mod create;
 mod drag;
 mod drain;
+mod edits;
 mod engine;
 mod error;
 mod expiry;

@@ -61,6 +61,17 @@ impl Packer {
             diagonal,
         } = frame;
         let seq = header.seq;
+        let other = |buffer: &Arc<Vec<Vec3>>| buffer.len() != positions.len();
+        if self
+            .acknowledged
+            .iter()
+            .chain(self.sent.iter().map(|s| &s.1))
+            .any(other)
+        {
+            // An edit has changed the number of vertices: the reader gets all of them.
+            self.sent.clear();
+            self.acknowledged = None;
+        }
         let delta = output.changed_only.is_some();
         if delta {
             while self

@@ -2,7 +2,7 @@
 
 use super::idempotency::Claim;
 use super::{Error, Exported, SolvedFrames};
-use crate::asset::Format;
+use crate::asset::{FileSet, Format};
 use crate::job::frames::FrameRequest;
 use crate::job::{Poses, Settings, pb};
 use crate::progress::CancelFlag;
@@ -16,7 +16,15 @@ pub(super) enum Command {
     Solve(Box<(pb::Pose, Settings)>, Call<SolvedFrames>),
     /// One commit forward or back.
     Step(Direction, Call<pb::Session>),
+    Edit(Box<Edit>, Call<pb::EditResult>),
     Export(Option<Format>, Call<Exported>),
+}
+
+/// An edit, with the model of the session that it merges with.
+#[derive(Debug)]
+pub(super) struct Edit {
+    pub request: pb::EditRequest,
+    pub other: Option<FileSet>,
 }
 
 /// Along the commits.
@@ -39,6 +47,7 @@ pub(super) struct Call<T> {
 #[derive(Debug, Clone)]
 pub(super) enum Stored {
     Session(Box<pb::Session>),
+    Edited(Box<pb::EditResult>),
     Solved {
         frame: Box<FrameRequest>,
         revision: u64,
@@ -52,6 +61,7 @@ impl Stored {
         use prost::Message as _;
         match self {
             Self::Session(session) => session.encoded_len() as u64,
+            Self::Edited(result) => result.encoded_len() as u64,
             Self::Solved { frame, .. } => {
                 let shading = frame
                     .shading

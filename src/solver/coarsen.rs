@@ -18,10 +18,19 @@ const SAMPLE: usize = 4096;
 
 /// A neighbour whose edge weighs less than this part of a row's heaviest edge says too little about the row to stand
 /// for it on the next level.
-const WEAK: f32 = 0.02;
+pub(crate) const WEAK: f32 = 0.02;
 
 /// Seeds must leave at most this part of the rows, or the level is paired instead.
-const SHRINK: f64 = 0.8;
+pub(crate) const SHRINK: f64 = 0.8;
+
+/// How the rows of a level were grouped, which a repair goes on with.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Grouping {
+    /// Largest (squared) distance of neighbours of which only one can be a seed.
+    pub(crate) reach2: f32,
+    /// True if there are no seeds: see [`pair`].
+    pub(crate) paired: bool,
+}
 
 /// The rows of a [`Draft`] in groups, each of which becomes one row of the next level.
 #[derive(Debug, Default)]
@@ -30,11 +39,13 @@ pub(crate) struct Groups {
     pub(crate) of_row: Vec<u32>,
     /// Where the members of each group begin; ends with their number.
     pub(crate) offsets: Vec<u32>,
-    /// Rows by group.
+    /// Rows by group; the seed, if there is one, comes first.
     pub(crate) members: Vec<u32>,
+    pub(crate) grouping: Grouping,
 }
 
 impl Groups {
+    /// Groups without seeds.
     pub(crate) fn new(of_row: Vec<u32>, count: usize) -> Groups {
         let mut offsets = vec![0u32; count + 1];
         for &g in &of_row {
@@ -53,16 +64,21 @@ impl Groups {
                 cursor[g as usize] += 1;
             }
         }
+        let grouping = Grouping {
+            reach2: 0.0,
+            paired: true,
+        };
         Groups {
             of_row,
             offsets,
             members,
+            grouping,
         }
     }
 
     /// Groups of seeds and neighbours that have joined them; `seeds` ascend. Only the rows of seeds are
     /// read.
-    fn around(seeds: &[u32], of_row: Vec<u32>, draft: &Draft, threads: Threads) -> Groups {
+    fn around(seeds: &[u32], of_row: Vec<u32>, reach2: f32, draft: &Draft, threads: Threads) -> Groups {
         let count = seeds.len();
         let parts = threads.map(
             0..pieces(count, SEED_PIECE),
@@ -107,10 +123,12 @@ impl Groups {
             let out = unsafe { out.rows(offsets[range.start] as usize..offsets[range.end] as usize) };
             out.copy_from_slice(&parts[k].0);
         });
+        let grouping = Grouping { reach2, paired: false };
         Groups {
             of_row,
             offsets,
             members,
+            grouping,
         }
     }
 
@@ -130,7 +148,8 @@ impl Groups {
 /// so that the next level inherits its order.
 pub(crate) fn aggregates(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Threads) -> Groups {
     let threads = threads.for_rows(draft.rows());
-    let nearest = nearest_seeds(draft, blocks, ratio, threads);
+    let reach2 = reach2(draft, ratio);
+    let nearest = nearest_seeds(draft, blocks, reach2, threads);
     // Neighbours come in pairs, so a row is connected exactly when it has joined something.
     let parts = threads.map(
         0..pieces(draft.rows(), PIECE),
@@ -165,11 +184,11 @@ pub(crate) fn aggregates(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Th
             }
         }
     });
-    Groups::around(&seeds, aggregates, draft, threads)
+    Groups::around(&seeds, aggregates, reach2, draft, threads)
 }
 
 #[inline(always)]
-fn distance2(a: Lanes, b: Lanes) -> f32 {
+pub(crate) fn distance2(a: Lanes, b: Lanes) -> f32 {
     let d = a - b;
     let [x, y, z, _] = (d * d).0;
     x + y + z
@@ -206,9 +225,8 @@ fn reach2(draft: &Draft, ratio: f64) -> f32 {
 /// adjacent seed with the least (squared distance) / weight, ties to the earlier one. Seeds tell their neighbours of
 /// both, so that only the rows of seeds are read. The outcome does not depend on who tells first: a block hears of
 /// seeds in blocks of other colours before or after it is swept, never while, and joining takes a minimum.
-fn nearest_seeds(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Threads) -> Vec<u32> {
+fn nearest_seeds(draft: &Draft, blocks: &Blocks, reach2: f32, threads: Threads) -> Vec<u32> {
     let n = draft.rows();
-    let reach2 = reach2(draft, ratio);
     let placed = !draft.positions.is_empty();
     let weak: Vec<f32> = match &draft.weights {
         None => Vec::new(),
@@ -317,7 +335,8 @@ mod tests {
     }
 
     fn nearest(draft: &Draft, ratio: f64) -> Vec<u32> {
-        nearest_seeds(draft, &Blocks::new(draft, 64, threads()), ratio, threads())
+        let reach2 = reach2(draft, ratio);
+        nearest_seeds(draft, &Blocks::new(draft, 64, threads()), reach2, threads())
     }
 
     fn row(draft: &Draft, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {

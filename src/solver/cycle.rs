@@ -48,7 +48,8 @@ pub(crate) fn clear_inactive(grid: &Grid<'_>, v: &mut [Lanes]) {
             v[grid.level.block(b)].fill(Lanes::ZERO);
         }
     }
-    v[grid.level.filling() as usize..].fill(Lanes::ZERO);
+    let filling = grid.level.filling() as usize;
+    v[filling..filling + BUNDLE].fill(Lanes::ZERO);
 }
 
 /// Runs cycles on a constrained hierarchy.

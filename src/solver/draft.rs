@@ -19,6 +19,9 @@ pub(crate) struct Rows<'a> {
 }
 
 /// A graph in compressed rows, neighbours close to each other.
+///
+/// Rows that join a level that exists may have neighbours there: `k` stands for the *foreign* row number
+/// `k − padded(size)` where it is not below the number of rows, `size` being that of the blocks.
 #[derive(Debug, Default)]
 pub(crate) struct Draft {
     pub(crate) offsets: Vec<u32>,
@@ -162,7 +165,8 @@ impl Blocks {
                 let mut touched = Vec::new();
                 for &j in &draft.neighbours[entries] {
                     let other = (j >> shift) as usize;
-                    if stamps[other] != b as u32 {
+                    // Foreign rows are in no block.
+                    if other < count && stamps[other] != b as u32 {
                         stamps[other] = b as u32;
                         touched.push(other as u32);
                     }
@@ -177,6 +181,11 @@ impl Blocks {
             colours,
             by_colour,
         }
+    }
+
+    /// The number that the first foreign row goes by.
+    pub(crate) fn padded(&self) -> usize {
+        self.rows.next_multiple_of(self.size)
     }
 
     /// Rows of block `b`.

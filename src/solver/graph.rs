@@ -79,6 +79,50 @@ impl Graph<'_> {
         Ok(())
     }
 
+    /// The same of a part: lengths, and the rows of `vertices`, which are below the number of vertices. Other rows are not
+    /// read.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] names the first row that breaks a rule.
+    pub(crate) fn check_some(&self, vertices: &[u32]) -> Result<(), Error> {
+        let n = self.vertices();
+        let ends = (
+            self.offsets.first().copied(),
+            self.offsets.get(n).map(|&end| end as usize),
+        );
+        if n >= u32::MAX as usize || ends != (Some(0), Some(self.neighbours.len())) {
+            return self.check_rows(Threads::one());
+        }
+        let fits = |len: Option<usize>, want: usize| len.is_none_or(|len| len == want);
+        if !fits(self.weights.map(<[f32]>::len), self.neighbours.len()) || !fits(self.positions.map(<[_]>::len), n) {
+            return self.check_rows(Threads::one());
+        }
+        for i in vertices.iter().map(|&v| v as usize) {
+            if !self.are_sound(i..i + 1) {
+                return Err(self.fault(i));
+            }
+            let row = self.offsets[i] as usize..self.offsets[i + 1] as usize;
+            if let Some(w) = self
+                .weights
+                .and_then(|w| w[row].iter().find(|w| !(w.is_finite() && **w > 0.0)))
+            {
+                return Err(Error::Invalid(format!(
+                    "row {i} of the graph has the weight {w}, weights must be positive"
+                )));
+            }
+            if let Some(p) = self
+                .positions
+                .map(|p| p[i])
+                .filter(|p| !p.iter().all(|c| c.is_finite()))
+            {
+                return Err(Error::Invalid(format!(
+                    "position {i} of the graph is {p:?}, coordinates must be finite"
+                )));
+            }
+        }
+        Ok(())
+    }
+
     /// True if all of these rows lie in `neighbours`, ascend strictly, stay below the number of vertices and do not
     /// hold themselves.
     fn are_sound(&self, rows: std::ops::Range<usize>) -> bool {

@@ -1,35 +1,46 @@
-//! Bringing a graph into sweep order: blocks, their colours, and bundles of rows inside each block.
+//! Bringing a graph into sweep order: blocks by colour, the rows of each in bundles.
 //!
 //! A sweep over irregular rows is bound by mispredicted branches and by waiting, not by arithmetic. Here the rows of a
 //! block are coloured in turn, and four rows of one colour with (nearly) equal numbers of neighbours before and after
 //! them make a *bundle*: one loop serves four rows, and four independent sums are under way at any time.
 
+use super::bundling::Scratch;
 use super::draft::{Blocks, Draft};
 use super::lanes::{Lanes, Shared};
-use super::level::{BUNDLE, Level};
+use super::level::{BUNDLE, Bundle, Level};
 use super::threads::{Threads, piece, pieces};
 
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
 
-/// Largest colour inside a block; rows that would need a higher one are bundled one by one.
-const LAST_COLOUR: u8 = 62;
-/// Rows of a block at most. Arrays of this size need no checks of indices that are cut to it.
-const MOST_ROWS: usize = 512;
-/// Not coloured yet, or in another block.
-const NO_COLOUR: u8 = 63;
-/// Bundles of left-over rows that another left-over row is tried with.
-const OPEN_BUNDLES: usize = 16;
+/// One part in this many of a vector is kept as room for more.
+const SLACK: usize = 16;
 
 /// Brings `draft` into sweep order. Returns the level, without aggregates, and the row that each row of the draft has
 /// become.
 pub(crate) fn arrange(draft: &Draft, blocks: &Blocks, threads: Threads) -> (Level, Vec<u32>) {
+    let mut level = Level {
+        weights: draft.weights.as_ref().map(|_| Vec::new()),
+        blocks: vec![0],
+        colours: vec![0],
+        ..Level::default()
+    };
+    let ranks = append(&mut level, draft, &[], blocks, threads);
+    (level, ranks)
+}
+
+/// Puts the rows of `draft` behind all that `level` has, in blocks and colours of their own. Returns the row that each
+/// has become, and from [`Blocks::padded`] on the rows of `foreign`, which the draft's foreign neighbours stand for.
+///
+/// The rows of `foreign` are not told of their new neighbours, and new rows have no aggregates.
+pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: &Blocks, threads: Threads) -> Vec<u32> {
     let n = draft.rows();
     let threads = threads.for_rows(n);
     let (block, by_colour) = (blocks.size, &blocks.by_colour);
-    let mut places = vec![0u32; by_colour.len()];
-    for (place, &b) in by_colour.iter().enumerate() {
-        places[b as usize] = place as u32;
+    // Foreign rows come before all.
+    let mut places = vec![0u32; by_colour.len() + foreign.len().div_ceil(block)];
+    for (place, &b) in (1..).zip(by_colour) {
+        places[b as usize] = place;
     }
 
     let mut ranks = vec![0u32; n];
@@ -41,33 +52,60 @@ pub(crate) fn arrange(draft: &Draft, blocks: &Blocks, threads: Threads) -> (Leve
         scratch.plan(draft, &places, b, range, block, slots)
     });
 
+    let first = level.bundles.len();
+    if first > 0 && level.blocks.last() == Some(&level.filling) {
+        // The bundle of filling gets a block, so that others can follow.
+        level.blocks.push(level.filling + BUNDLE as u32);
+        level.colours.push(level.blocks.len() as u32 - 1);
+    }
     // Rows and entries block by block in the order of colours.
-    let mut block_rows = Vec::with_capacity(by_colour.len() + 1);
+    let first_block = level.blocks.len() - 1;
     let mut bases = vec![0u32; by_colour.len()];
     let bundles: usize = plans.iter().map(Vec::len).sum();
-    let (mut offsets, mut middles) = (Vec::with_capacity(bundles + 2), Vec::with_capacity(bundles + 1));
-    let mut total = 0u32;
+    level.bundles.reserve_exact(bundles + 1);
+    let begin = level.neighbours.len() as u32;
+    let mut total = begin;
     for &b in by_colour {
-        let base = (offsets.len() * BUNDLE) as u32;
-        block_rows.push(base);
-        bases[b as usize] = base;
+        bases[b as usize] = (level.bundles.len() * BUNDLE) as u32;
         for &[before, after] in &plans[b as usize] {
-            offsets.push(total);
-            middles.push(total + BUNDLE as u32 * before);
-            total += BUNDLE as u32 * (before + after);
+            let middle = total + BUNDLE as u32 * before;
+            let end = middle + BUNDLE as u32 * after;
+            level.bundles.push(Bundle {
+                begin: total,
+                middle,
+                end,
+            });
+            total = end;
         }
+        level.blocks.push((level.bundles.len() * BUNDLE) as u32);
     }
     drop(plans);
-    block_rows.push((offsets.len() * BUNDLE) as u32);
-    // One bundle of nothing but filling, which no block holds: see `Level::filling`.
-    offsets.extend([total, total]);
-    middles.push(total);
-    let padded = middles.len() * BUNDLE;
+    let colours = blocks.colours[1..].iter().map(|&c| first_block as u32 + c);
+    level.colours.extend(colours);
+    if first == 0 {
+        // One bundle of nothing but filling, which no block holds.
+        level.filling = (level.bundles.len() * BUNDLE) as u32;
+        level.bundles.push(Bundle {
+            begin: total,
+            middle: total,
+            end: total,
+        });
+    }
+    let (rows, entries) = ((level.bundles.len() - first) * BUNDLE, (total - begin) as usize);
+    level.occupied += n;
+    level.entries += entries;
+    grow(&mut level.neighbours, entries, 0);
+    if let Some(weights) = &mut level.weights {
+        grow(weights, entries, 0.0);
+    }
+    grow(&mut level.diagonal, rows, 0.0);
+    let placed = !draft.positions.is_empty();
+    if placed {
+        grow(&mut level.positions, rows, Lanes::ZERO);
+    }
 
     let shift = block.trailing_zeros();
-    let placed = !draft.positions.is_empty();
-    let mut positions = vec![Lanes::ZERO; if placed { padded } else { 0 }];
-    let (ranks_out, positions_out) = (Shared::new(&mut ranks), Shared::new(&mut positions));
+    let (ranks_out, positions_out) = (Shared::new(&mut ranks), Shared::new(&mut level.positions));
     threads.each(0..pieces(n, PIECE), |k| {
         for k in piece(k, n, PIECE) {
             // SAFETY: every row of the draft has its own row of the level; each is visited once.
@@ -80,34 +118,38 @@ pub(crate) fn arrange(draft: &Draft, blocks: &Blocks, threads: Threads) -> (Leve
             }
         }
     });
+    if !foreign.is_empty() {
+        ranks.resize(blocks.padded(), 0);
+        ranks.extend(foreign);
+    }
+    fill(level, first_block, draft, blocks, &ranks, threads);
+    ranks
+}
 
-    let mut level = Level {
-        neighbours: vec![0; total as usize],
-        weights: draft.weights.as_ref().map(|_| vec![0.0; total as usize]),
-        diagonal: vec![0.0; padded],
-        positions,
-        occupied: n,
-        offsets,
-        middles,
-        blocks: block_rows,
-        colours: blocks.colours.clone(),
-        ..Level::default()
-    };
-    fill(&mut level, draft, blocks, &ranks, threads);
-    (level, ranks)
+/// Lengthens `v`. There is always some room left, so that repairs rarely move what they add to; one that is empty is
+/// made anew, which leaves it to those who write it first to touch its memory.
+pub(crate) fn grow<T: Clone>(v: &mut Vec<T>, more: usize, value: T) {
+    if v.is_empty() {
+        *v = vec![value; more + more / SLACK];
+        v.truncate(more);
+        return;
+    }
+    if v.capacity() - v.len() < more {
+        v.reserve_exact(more + v.len() / SLACK);
+    }
+    v.resize(v.len() + more, value);
 }
 
 /// Copies the draft block by block into bundles, renames neighbours and puts those before each row first.
-fn fill(level: &mut Level, draft: &Draft, blocks: &Blocks, ranks: &[u32], threads: Threads) {
+fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, ranks: &[u32], threads: Threads) {
     let filling = level.filling();
-    let (offsets, middles, block_rows) = (&level.offsets, &level.middles, &level.blocks);
+    let (bundles, block_rows) = (&level.bundles, &level.blocks[first_block..]);
     let diagonal = Shared::new(&mut level.diagonal);
     let neighbours = Shared::new(&mut level.neighbours);
     let weights = level.weights.as_mut().map(|w| Shared::new(w));
     threads.each(0..blocks.by_colour.len(), |k| {
         let rows = block_rows[k] as usize..block_rows[k + 1] as usize;
-        let bundles = rows.start / BUNDLE..rows.end / BUNDLE;
-        let entries = offsets[bundles.start] as usize..offsets[bundles.end] as usize;
+        let entries = bundles[rows.start / BUNDLE].begin as usize..bundles[rows.end / BUNDLE - 1].end as usize;
         // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
         let (diagonal, out) = unsafe { (diagonal.rows(rows.clone()), neighbours.rows(entries.clone())) };
         // SAFETY: as above.
@@ -117,10 +159,10 @@ fn fill(level: &mut Level, draft: &Draft, blocks: &Blocks, ranks: &[u32], thread
             let rank = ranks[from];
             let i = rank as usize;
             let source = draft.entries(from);
-            let (bundle, lane) = (i / BUNDLE, i % BUNDLE);
+            let (bundle, lane) = (bundles[i / BUNDLE], i % BUNDLE);
             // From both ends: every entry is written at both, and the end that does not advance is written again.
-            let mut low = offsets[bundle] as usize - entries.start + lane;
-            let mut high = offsets[bundle + 1] as usize - entries.start + lane;
+            let mut low = bundle.begin as usize - entries.start + lane;
+            let mut high = bundle.end as usize - entries.start + lane;
             let mut sum = 0.0f64;
             match (out_weights.as_deref_mut(), &draft.weights) {
                 (Some(out_weights), Some(w)) => {
@@ -154,215 +196,10 @@ fn fill(level: &mut Level, draft: &Draft, blocks: &Blocks, ranks: &[u32], thread
             for e in (low..high).step_by(BUNDLE) {
                 out[e] = filling;
             }
-            debug_assert!(low <= middles[bundle] as usize - entries.start + lane);
+            debug_assert!(low <= bundle.middle as usize - entries.start + lane);
             diagonal[i - rows.start] = sum as f32;
         }
     });
-}
-
-/// What rows of a block are sorted by.
-#[derive(Debug, Clone, Copy, Default)]
-struct Key {
-    class: u16,
-    before: u8,
-    after: u8,
-    row: u16,
-}
-
-/// Numbers of neighbours above this one count as equal in the sort.
-const WIDEST: u32 = 255;
-
-/// Scratch for ordering the rows of one block. Rows are numbered from the first of the block.
-struct Scratch {
-    colours: [u8; MOST_ROWS],
-    /// Classes are swept one after the other; rows of one class are not adjacent.
-    classes: [u16; MOST_ROWS],
-    /// Neighbours of each row that are swept before it, at first only those in blocks before this one.
-    before: Vec<u32>,
-    /// Left-over rows in bundles of their own.
-    rest: Vec<[u16; BUNDLE]>,
-    stamps: Vec<u16>,
-    keys: Vec<Key>,
-    spare: Vec<Key>,
-    tally: Vec<u16>,
-    counts: [u16; LAST_COLOUR as usize + 1],
-}
-
-/// No row in this place of a bundle.
-const EMPTY: u16 = u16::MAX;
-
-impl Scratch {
-    fn new() -> Scratch {
-        Scratch {
-            colours: [NO_COLOUR; MOST_ROWS],
-            classes: [0; MOST_ROWS],
-            before: Vec::new(),
-            rest: Vec::new(),
-            stamps: Vec::new(),
-            keys: Vec::new(),
-            spare: Vec::new(),
-            tally: Vec::new(),
-            counts: [0; LAST_COLOUR as usize + 1],
-        }
-    }
-
-    /// Orders the rows of block `b`. Writes the place of each row in the block to `slots`; returns, bundle by bundle,
-    /// the largest number of neighbours of its rows before and after them.
-    fn plan(
-        &mut self,
-        draft: &Draft,
-        places: &[u32],
-        b: usize,
-        range: std::ops::Range<usize>,
-        block: usize,
-        slots: &mut [u32],
-    ) -> Vec<[u32; 2]> {
-        let shift = block.trailing_zeros();
-        let (mask, own) = (block as u32 - 1, b as u32);
-        let row = |k: usize| draft.row(range.start + k);
-        let inside = |j: u32| (j >> shift == own, (j & mask) as usize % MOST_ROWS);
-        let here = places[b];
-        let outer = |j: u32| u32::from(places[(j >> shift) as usize] < here);
-        self.colour(row, range.len(), inside, outer);
-        self.bundle_rest(row, range.len(), inside);
-
-        // Inside a class, rows with equal numbers of neighbours before and after them come together; every second
-        // group runs backwards, so that its neighbours in the list are alike too.
-        self.keys.clear();
-        for k in 0..range.len() {
-            let class = self.classes[k];
-            let earlier = |&j: &u32| {
-                let (inside, j) = inside(j);
-                u32::from(inside & (self.classes[j] < class))
-            };
-            let before = self.before[k] + row(k).iter().map(earlier).sum::<u32>();
-            let after = row(k).len() as u32 - before;
-            self.before[k] = before;
-            let (before, after) = (before.min(WIDEST), after.min(WIDEST));
-            let after = if before % 2 == 1 { WIDEST - after } else { after };
-            self.keys.push(Key {
-                class,
-                before: before as u8,
-                after: after as u8,
-                row: k as u16,
-            });
-        }
-        self.sort_keys();
-        let mut widths: Vec<[u32; 2]> = Vec::with_capacity(range.len().div_ceil(BUNDLE) + self.rest.len());
-        let (mut filled, mut last) = (BUNDLE, u16::MAX);
-        for &Key { class, row: k, .. } in &self.keys {
-            let k = usize::from(k);
-            if filled == BUNDLE || class != last {
-                widths.push([0; 2]);
-                (filled, last) = (0, class);
-            }
-            slots[k] = ((widths.len() - 1) * BUNDLE + filled) as u32;
-            filled += 1;
-            let before = self.before[k];
-            let after = row(k).len() as u32 - before;
-            if let Some(width) = widths.last_mut() {
-                *width = [width[0].max(before), width[1].max(after)];
-            }
-        }
-        widths
-    }
-
-    /// Sorts by class, then by neighbours before, then by neighbours after; equal keys keep their order.
-    fn sort_keys(&mut self) {
-        let pass = |from: &[Key], to: &mut Vec<Key>, counts: &mut Vec<u16>, digit: &dyn Fn(&Key) -> usize| {
-            counts.clear();
-            for key in from {
-                let d = digit(key);
-                if counts.len() <= d + 1 {
-                    counts.resize(d + 2, 0);
-                }
-                counts[d + 1] += 1;
-            }
-            for d in 1..counts.len() {
-                counts[d] += counts[d - 1];
-            }
-            to.clear();
-            to.resize(from.len(), Key::default());
-            for key in from {
-                let slot = &mut counts[digit(key)];
-                to[usize::from(*slot)] = *key;
-                *slot += 1;
-            }
-        };
-        pass(&self.keys, &mut self.spare, &mut self.tally, &|k| usize::from(k.after));
-        pass(&self.spare, &mut self.keys, &mut self.tally, &|k| usize::from(k.before));
-        pass(&self.keys, &mut self.spare, &mut self.tally, &|k| usize::from(k.class));
-        std::mem::swap(&mut self.keys, &mut self.spare);
-    }
-
-    /// Colours the rows greedily in their order, and counts neighbours that `outer` says are in blocks before this one.
-    fn colour<'r>(
-        &mut self,
-        row: impl Fn(usize) -> &'r [u32],
-        rows: usize,
-        inside: impl Fn(u32) -> (bool, usize),
-        outer: impl Fn(u32) -> u32,
-    ) {
-        self.before.clear();
-        self.colours.fill(NO_COLOUR);
-        self.counts.fill(0);
-        for k in 0..rows {
-            let mut taken = 0u64;
-            let mut before = 0;
-            for &j in row(k) {
-                before += outer(j);
-                let (inside, j) = inside(j);
-                taken |= 1 << if inside { self.colours[j] } else { NO_COLOUR };
-            }
-            self.before.push(before);
-            let colour = ((!taken).trailing_zeros() as u8).min(LAST_COLOUR);
-            self.colours[k] = colour;
-            self.counts[usize::from(colour)] += 1;
-        }
-    }
-
-    /// Takes out of each colour what does not fill a bundle and bundles these rows as far as they are not adjacent.
-    /// Every such bundle becomes a class of its own after all colours.
-    fn bundle_rest<'r>(
-        &mut self,
-        row: impl Fn(usize) -> &'r [u32],
-        rows: usize,
-        inside: impl Fn(u32) -> (bool, usize),
-    ) {
-        for (colour, count) in self.counts.iter_mut().enumerate() {
-            if colour != usize::from(LAST_COLOUR) {
-                *count %= BUNDLE as u16;
-            }
-        }
-        self.classes = self.colours.map(u16::from);
-        self.rest.clear();
-        self.stamps.clear();
-        self.stamps.resize(rows, EMPTY);
-        for k in (0..rows).rev() {
-            let count = &mut self.counts[usize::from(self.colours[k])];
-            if *count == 0 {
-                continue;
-            }
-            *count -= 1;
-            for (_, j) in row(k).iter().map(|&j| inside(j)).filter(|(inside, _)| *inside) {
-                self.stamps[j] = k as u16;
-            }
-            let first = self.rest.len().saturating_sub(OPEN_BUNDLES);
-            let fits = |bundle: &[u16; BUNDLE]| {
-                let apart = |&m: &u16| m == EMPTY || self.stamps[usize::from(m)] != k as u16;
-                bundle[BUNDLE - 1] == EMPTY && bundle.iter().all(apart)
-            };
-            let at = self.rest[first..].iter().position(fits).map(|at| first + at);
-            let at = at.unwrap_or_else(|| {
-                self.rest.push([EMPTY; BUNDLE]);
-                self.rest.len() - 1
-            });
-            if let Some(place) = self.rest[at].iter_mut().find(|m| **m == EMPTY) {
-                *place = k as u16;
-            }
-            self.classes[k] = (usize::from(NO_COLOUR) + 1 + at) as u16;
-        }
-    }
 }
 
 #[cfg(test)]

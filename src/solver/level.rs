@@ -1,6 +1,6 @@
 //! One level of the hierarchy: a weighted graph stored in the order in which it is swept.
 
-use super::coarsen::Groups;
+use super::coarsen::{Grouping, Groups};
 use super::lanes::{Lanes, Shared};
 use super::threads::{Threads, piece, pieces};
 
@@ -23,12 +23,13 @@ pub(crate) const BUNDLE: usize = 4;
 /// on; those before the row first. Where rows differ in their numbers of neighbours, and where no fourth row was left
 /// for a bundle, there is *filling*: entries of weight 0 that lead to the row [`Level::filling`], and rows without
 /// neighbours. Rows of filling hold 0 in every vector.
-#[derive(Debug, Default)]
+///
+/// A level that was built stands without gaps, and the bundle of filling comes last. A repair moves rows: their old
+/// places become filling, and new blocks follow after that bundle, each colour behind all earlier ones.
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Level {
-    /// Where the entries of each bundle begin; ends with their number.
-    pub(crate) offsets: Vec<u32>,
-    /// For each bundle its first entry that leads to a later row.
-    pub(crate) middles: Vec<u32>,
+    pub(crate) bundles: Vec<Bundle>,
+    /// Entries of all bundles. After a repair there are gaps that no bundle refers to.
     pub(crate) neighbours: Vec<u32>,
     /// `None`: all 1, except filling.
     pub(crate) weights: Option<Vec<f32>>,
@@ -36,6 +37,10 @@ pub(crate) struct Level {
     pub(crate) diagonal: Vec<f32>,
     /// Rows that are not filling.
     pub(crate) occupied: usize,
+    /// Entries that bundles refer to.
+    pub(crate) entries: usize,
+    /// First row of a bundle of nothing but filling: that which entries of filling lead to.
+    pub(crate) filling: u32,
     /// First row of each block, and the end of the last one.
     pub(crate) blocks: Vec<u32>,
     /// First block of each colour, and the number of blocks.
@@ -44,10 +49,21 @@ pub(crate) struct Level {
     pub(crate) positions: Vec<Lanes>,
     /// Row of the next level that each row belongs to, or [`NONE`]. Empty on the coarsest level.
     pub(crate) aggregates: Vec<u32>,
-    /// Where the members of each row of the next level begin in `members`.
-    pub(crate) member_offsets: Vec<u32>,
-    /// Rows of this level by aggregate.
+    /// Where the members of each row of the next level begin in `members`, and where they end.
+    pub(crate) ranges: Vec<[u32; 2]>,
+    /// Rows of this level by aggregate; the seed comes first. After a repair there are gaps.
     pub(crate) members: Vec<u32>,
+    /// How the next level was chosen.
+    pub(crate) grouping: Grouping,
+}
+
+/// Where the entries of a bundle stand.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Bundle {
+    pub(crate) begin: u32,
+    /// First entry that leads to a later row.
+    pub(crate) middle: u32,
+    pub(crate) end: u32,
 }
 
 impl Level {
@@ -56,19 +72,16 @@ impl Level {
         self.diagonal.len()
     }
 
-    /// The row that entries of filling lead to: the first of the last bundle, which is in no block.
+    /// The row that entries of filling lead to. Its block, if any, holds filling only.
     pub(crate) fn filling(&self) -> u32 {
-        ((self.middles.len() - 1) * BUNDLE) as u32
+        self.filling
     }
 
     /// Where the entries of bundle `k` begin, where those to later rows begin, and where they end.
     #[inline(always)]
     pub(crate) fn bundle(&self, k: usize) -> (usize, usize, usize) {
-        (
-            self.offsets[k] as usize,
-            self.middles[k] as usize,
-            self.offsets[k + 1] as usize,
-        )
+        let Bundle { begin, middle, end } = self.bundles[k];
+        (begin as usize, middle as usize, end as usize)
     }
 
     /// Neighbours of row `i` and their weights, without filling.
@@ -102,7 +115,9 @@ impl Level {
     /// Undirected edges.
     pub(crate) fn edges(&self) -> usize {
         let filling = self.filling();
-        self.neighbours.iter().filter(|&&j| j != filling).count() / 2
+        let entries = |b: &Bundle| &self.neighbours[b.begin as usize..b.end as usize];
+        let of_bundle = |b| entries(b).iter().filter(|&&j| j != filling).count();
+        self.bundles.iter().map(of_bundle).sum::<usize>() / 2
     }
 
     /// Rows of block `b`.
@@ -114,18 +129,19 @@ impl Level {
     /// Rows of this level that row `coarse` of the next one stands for.
     #[inline(always)]
     pub(crate) fn members_of(&self, coarse: usize) -> &[u32] {
-        &self.members[self.member_offsets[coarse] as usize..self.member_offsets[coarse + 1] as usize]
+        let [begin, end] = self.ranges[coarse];
+        &self.members[begin as usize..end as usize]
     }
 
     /// Rows of the next level.
     pub(crate) fn coarse_rows(&self) -> usize {
-        self.member_offsets.len().saturating_sub(1)
+        self.ranges.len()
     }
 
     pub(crate) fn bytes(&self) -> usize {
-        let words = self.offsets.len() + self.middles.len() + self.neighbours.len() + self.diagonal.len();
+        let words = 3 * self.bundles.len() + self.neighbours.len() + self.diagonal.len();
         let words = words + self.blocks.len() + self.colours.len() + self.aggregates.len();
-        let words = words + self.member_offsets.len() + self.members.len();
+        let words = words + 2 * self.ranges.len() + self.members.len();
         4 * (words + self.weights.as_ref().map_or(0, Vec::len)) + 16 * self.positions.len()
     }
 
@@ -152,25 +168,28 @@ impl Level {
                 }
             }
         });
-        let mut offsets = vec![0u32; coarse_rows + 1];
+        let mut ranges = vec![[0u32; 2]; coarse_rows];
         for (group, &row) in coarse_ranks.iter().enumerate() {
-            offsets[row as usize + 1] = groups.members_of(group).len() as u32;
+            ranges[row as usize][1] = groups.members_of(group).len() as u32;
         }
-        for row in 0..coarse_rows {
-            offsets[row + 1] += offsets[row];
+        let mut end = 0;
+        for range in &mut ranges {
+            *range = [end, end + range[1]];
+            end = range[1];
         }
         self.members = vec![0; groups.members.len()];
         let members = Shared::new(&mut self.members);
         threads.each(0..pieces(coarse_ranks.len(), PIECE), |k| {
             for group in piece(k, coarse_ranks.len(), PIECE) {
-                let row = coarse_ranks[group] as usize;
+                let [begin, end] = ranges[coarse_ranks[group] as usize];
                 // SAFETY: every group has its own row of the next level; each is visited once.
-                let out = unsafe { members.rows(offsets[row] as usize..offsets[row + 1] as usize) };
+                let out = unsafe { members.rows(begin as usize..end as usize) };
                 for (out, &i) in out.iter_mut().zip(groups.members_of(group)) {
                     *out = ranks[i as usize];
                 }
             }
         });
-        self.member_offsets = offsets;
+        self.ranges = ranges;
+        self.grouping = groups.grouping;
     }
 }

@@ -41,6 +41,13 @@
 //! aggregate's members near the handle hardly move while the others do, and with the whole weight corrections around
 //! tiny handles would be too short.
 //!
+//! # Topology may change
+//!
+//! [`Hierarchy::repair`] follows a graph whose vertices come and go, at the price of the edit: rows that change move to
+//! the end of their level, aggregates that lost a member are formed anew by the rule that built them, old seeds first,
+//! and so on level by level. All other aggregates stay. It converges as a fresh build does, within an iteration, also
+//! after hundreds of edits.
+//!
 //! # Cycles and iterations (paper section 5)
 //!
 //! One cycle is a forward Gauss–Seidel sweep (equation (7)), a coarse correction of the defect equation (16), and a
@@ -112,6 +119,7 @@
 //! ```
 
 mod advance;
+mod bundling;
 mod coarsen;
 mod cycle;
 mod dense;
@@ -130,6 +138,7 @@ mod order;
 mod outer;
 mod paper;
 mod problem;
+mod repair;
 mod solve;
 mod start;
 mod sweep;
@@ -145,5 +154,6 @@ pub use hierarchy::Hierarchy;
 pub use options::{
     BuildOptions, Constraints, Control, Iteration, LevelFacts, Method, Operators, SolveOptions, Start, Stats,
 };
+pub use repair::{Change, Repair};
 pub use system::System;
 pub use workspace::Workspace;

@@ -7,7 +7,7 @@
 
 use super::coarsen::Groups;
 use super::draft::Draft;
-use super::lanes::Lanes;
+use super::lanes::{Lanes, Wide};
 use super::level::NONE;
 use super::threads::{Threads, piece, pieces};
 
@@ -159,18 +159,26 @@ fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(
     }
 }
 
-/// The coarse weight S·φ, never 0.
+/// The coarse weight S·φ of two aggregates of the present draft.
 fn weight(positions: &[Lanes], coarse: usize, other: usize, sum: Lanes) -> f32 {
-    let [vx, vy, vz, s] = sum.wide();
-    let ratio = if positions.is_empty() {
-        RATIO_WITHOUT_POSITIONS
-    } else {
-        let [dx, dy, dz, _] = (positions[coarse] - positions[other]).wide();
-        let ratio = (vx * dx + vy * dy + vz * dz) / (s * (dx * dx + dy * dy + dz * dz));
-        if ratio.is_finite() {
-            ratio.clamp(RATIO.0, RATIO.1)
-        } else {
-            1.0
+    let apart = (!positions.is_empty()).then(|| positions[coarse] - positions[other]);
+    coarse_weight(apart, sum.wide())
+}
+
+/// The coarse weight S·φ, never 0. `apart` is the way between the centroids, where there are positions; `sum` holds
+/// Σ w (p_i − p_j) and S.
+pub(crate) fn coarse_weight(apart: Option<Lanes>, sum: Wide) -> f32 {
+    let [vx, vy, vz, s] = sum;
+    let ratio = match apart {
+        None => RATIO_WITHOUT_POSITIONS,
+        Some(apart) => {
+            let [dx, dy, dz, _] = apart.wide();
+            let ratio = (vx * dx + vy * dy + vz * dz) / (s * (dx * dx + dy * dy + dz * dz));
+            if ratio.is_finite() {
+                ratio.clamp(RATIO.0, RATIO.1)
+            } else {
+                1.0
+            }
         }
     };
     ((s * ratio) as f32).max(f32::MIN_POSITIVE)

@@ -142,7 +142,7 @@ impl System {
             dense_rows: Vec::new(),
             inverse: Inverse::default(),
             steps: Vec::new(),
-            twice: is_thin(&hierarchy.levels[0]),
+            twice: hierarchy.thin,
             floating: Floating::default(),
             paper: None,
         };
@@ -369,17 +369,10 @@ pub(crate) fn tie_share(fine: &Level, coarse_mask: &Mask, row: usize, j: usize) 
     }
 }
 
-/// True for graphs with few neighbours per row, such as those of surfaces. A sweep does less there and costs less:
-/// twice as many pay (measured: 0.25 per iteration instead of 0.33 for a third more work; on volume graphs they do not).
-fn is_thin(level: &Level) -> bool {
-    const VALENCE: usize = 9;
-    level.neighbours.len() < VALENCE * level.occupied()
-}
-
 /// Two cycles per visit (the K-cycle) wherever all cycles of the level together stay cheaper than the finest level.
 fn steps(hierarchy: &Hierarchy) -> Vec<u8> {
     const SHARE: f64 = 0.6;
-    let work = |l: &Level| (l.rows() + l.neighbours.len()) as f64;
+    let work = |l: &Level| (l.rows() + l.entries) as f64;
     let budget = SHARE * work(&hierarchy.levels[0]).max(1e6);
     let mut cycles = 1.0;
     let mut steps = vec![1];

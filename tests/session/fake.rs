@@ -279,12 +279,13 @@ impl Engine for Fake {
         })
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, asset::Error> {
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error> {
         if format == Format::Stl {
             return Err(asset::Error::Unwritable {
                 format,
                 problem: "this engine writes no stl".into(),
-            });
+            }
+            .into());
         }
         Ok(Written {
             main: format!("{format} {positions:?}").into_bytes(),

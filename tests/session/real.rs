@@ -51,7 +51,7 @@ fn half_space(id: &str, z: f64, offset: f64) -> pb::Handle {
     }
 }
 
-async fn bent(manager: &Manager) -> (String, pb::Session) {
+pub async fn bent(manager: &Manager) -> (String, pb::Session) {
     let made = manager
         .create(tenant(), bar(), pb::CreateOptions::default(), None)
         .await
@@ -67,7 +67,7 @@ async fn bent(manager: &Manager) -> (String, pb::Session) {
     (made.id, session)
 }
 
-fn turned(id: &str, angle: f64) -> pb::SolveRequest {
+pub fn turned(id: &str, angle: f64) -> pb::SolveRequest {
     let pose = pb::HandlePose {
         rotation_vector: vec![angle, 0.0, 0.0],
         ..Default::default()

@@ -208,6 +208,7 @@ pub fn star(leaves: usize) -> Lattice {
 }
 
 /// A small reproducible generator (splitmix64).
+#[derive(Clone)]
 pub struct Random(u64);
 
 impl Random {

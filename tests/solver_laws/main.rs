@@ -4,8 +4,10 @@
 mod case;
 mod constraints;
 mod contract;
+mod edits;
 mod equations;
 mod graphs;
 mod hard;
 mod paper;
+mod repair;
 mod starts;

@@ -45,6 +45,8 @@ pub(super) struct Layout {
     pub(super) element: u64,
     /// Bytes from one element to the next.
     pub(super) stride: u64,
+    /// Numbers per column, and bytes from one column to the next; vectors are one column.
+    column: (usize, usize),
 }
 
 impl Layout {
@@ -77,6 +79,7 @@ impl Layout {
             lanes: columns * rows,
             element: ((columns - 1) * pitch + column) as u64,
             stride: stride.map_or((columns * pitch) as u64, |s| s.0),
+            column: (rows, pitch),
         })
     }
 }
@@ -152,7 +155,19 @@ pub(super) fn check_role(doc: &Document<'_>, index: usize, role: Role) -> Result
 /// All elements of an attribute in file order, lane by lane, as floats. Compressed views must be decoded.
 pub(super) fn read_floats(doc: &Document<'_>, buffers: &Buffers, index: usize, role: Role) -> Result<Vec<f32>, Error> {
     let layout = check_role(doc, index, role)?;
-    let accessor = &doc.accessors.values[index];
+    read_values(doc, buffers, index, layout)
+}
+
+/// All elements of an accessor of any kind, lane by lane, as floats. Compressed views must be decoded.
+pub(super) fn read_values(
+    doc: &Document<'_>,
+    buffers: &Buffers,
+    index: usize,
+    layout: Layout,
+) -> Result<Vec<f32>, Error> {
+    let Some(accessor) = doc.accessors.get(index) else {
+        return Err(doc.fault.malformed(format!("accessors/{index}"), "does not exist"));
+    };
     let count = accessor.count.index();
     let mut values = Vec::new();
     if let Some(view) = accessor.buffer_view {
@@ -330,7 +345,8 @@ fn read_run(
     for _ in 0..count {
         let element = bytes.get(at..)?;
         for lane in 0..layout.lanes {
-            let number = element.get(lane * layout.component.size()..)?;
+            let (column, row) = (lane / layout.column.0, lane % layout.column.0);
+            let number = element.get(column * layout.column.1 + row * layout.component.size()..)?;
             into.push(read_number(layout.component, number, normalized)?);
         }
         at = at.checked_add(stride)?;

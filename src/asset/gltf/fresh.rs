@@ -5,12 +5,15 @@ use super::fault::Fault;
 use super::patch::json_floats;
 use super::text::quoted;
 use super::uri;
+use crate::asset::plain::{Part, Plain};
 use crate::asset::{Error, Format, Geometry, Primitive, Written};
 use crate::mesh::shading;
 use glam::Vec3;
 
-/// One buffer, one node and mesh for each primitive, with positions, normals where there are any, and indices.
-pub(super) fn build(geometry: &Geometry, format: Format) -> Result<Written, Error> {
+/// One buffer, one node and mesh for each primitive, with positions, indices, and normals, texture coordinates and
+/// colours where there are any; and a material for each name.
+pub(super) fn build(plain: &Plain, format: Format) -> Result<Written, Error> {
+    let geometry = &plain.geometry;
     let fault = Fault(format);
     let mut asset = Asset {
         fault,
@@ -18,13 +21,14 @@ pub(super) fn build(geometry: &Geometry, format: Format) -> Result<Written, Erro
         views: Vec::new(),
         accessors: Vec::new(),
         meshes: Vec::new(),
+        materials: Vec::new(),
     };
     let mut nodes = Vec::new();
-    for (primitive, triangles) in geometry.triangles_of_primitives() {
+    for ((primitive, triangles), part) in geometry.triangles_of_primitives().zip(&plain.parts) {
         if triangles.is_empty() {
             continue;
         }
-        asset.add(geometry, primitive, triangles)?;
+        asset.add(plain, primitive, triangles, part)?;
         let name = name_of(primitive);
         nodes.push(format!(r#"{{"mesh":{}{name}}}"#, nodes.len()));
     }
@@ -37,8 +41,18 @@ pub(super) fn build(geometry: &Geometry, format: Format) -> Result<Written, Erro
         views,
         accessors,
         meshes,
+        materials,
         ..
     } = asset;
+    let materials = if materials.is_empty() {
+        String::new()
+    } else {
+        let one = |name: &String| format!(r#"{{"name":{}}}"#, quoted(name));
+        format!(
+            r#","materials":[{}]"#,
+            materials.iter().map(one).collect::<Vec<_>>().join(",")
+        )
+    };
     let embedded = if format == Format::Glb {
         String::new()
     } else {
@@ -47,7 +61,7 @@ pub(super) fn build(geometry: &Geometry, format: Format) -> Result<Written, Erro
     let json = format!(
         concat!(
             r#"{{"asset":{{"version":"2.0","generator":"pliant"}},"scene":0,"scenes":[{{"nodes":[{}]}}],"#,
-            r#""nodes":[{}],"meshes":[{}],"accessors":[{}],"bufferViews":[{}],"buffers":[{{"byteLength":{}{}}}]}}"#
+            r#""nodes":[{}],"meshes":[{}],"accessors":[{}],"bufferViews":[{}],"buffers":[{{"byteLength":{}{}}}]{}}}"#
         ),
         scene.join(","),
         nodes.join(","),
@@ -56,6 +70,7 @@ pub(super) fn build(geometry: &Geometry, format: Format) -> Result<Written, Erro
         views.join(","),
         bytes.len(),
         embedded,
+        materials,
     );
     let main = match format {
         Format::Glb => container::join(&json, Some(&bytes), &[], fault)?,
@@ -81,10 +96,13 @@ struct Asset {
     views: Vec<String>,
     accessors: Vec<String>,
     meshes: Vec<String>,
+    /// Names of materials.
+    materials: Vec<String>,
 }
 
 impl Asset {
-    fn add(&mut self, geometry: &Geometry, primitive: &Primitive, triangles: &[[u32; 3]]) -> Result<(), Error> {
+    fn add(&mut self, plain: &Plain, primitive: &Primitive, triangles: &[[u32; 3]], part: &Part) -> Result<(), Error> {
+        let geometry = &plain.geometry;
         let (first, count) = (primitive.first_vertex as usize, primitive.vertex_count as usize);
         let outside = || self.fault.unwritable("a primitive names vertices that do not exist");
         let last = first.checked_add(count).ok_or_else(outside)?;
@@ -112,25 +130,47 @@ impl Asset {
         let least = positions.iter().fold(Vec3::INFINITY, |a, &p| a.min(p)).to_array();
         let most = positions.iter().fold(Vec3::NEG_INFINITY, |a, &p| a.max(p)).to_array();
         let limits = format!(r#","min":{},"max":{}"#, json_floats(&least), json_floats(&most));
-        let position = self.floats(&floats, &limits);
+        let position = self.floats(&floats, 3, &limits);
         let mut attributes = format!(r#""POSITION":{position}"#);
         if primitive.has_normals
             && let Some(normals) = geometry.normals.get(first..last)
         {
-            let normal = self.floats(&unit_normals(normals, geometry, first, &indices), "");
+            let normal = self.floats(&unit_normals(normals, geometry, first, &indices), 3, "");
             attributes += &format!(r#","NORMAL":{normal}"#);
         }
+        if let Some(uv) = plain.uv.get(first..last).filter(|_| part.has_uv) {
+            let uv = self.floats(uv.as_flattened(), 2, "");
+            attributes += &format!(r#","TEXCOORD_0":{uv}"#);
+        }
+        if let Some(colours) = plain.colours.get(first..last).filter(|_| part.has_colours) {
+            let colour = self.floats(colours.as_flattened(), 4, "");
+            attributes += &format!(r#","COLOR_0":{colour}"#);
+        }
+        let material = part
+            .material
+            .as_ref()
+            .map(|name| format!(r#","material":{}"#, self.material(name)));
+        let material = material.unwrap_or_default();
         let indices = self.indices(&indices, count);
         let name = name_of(primitive);
         self.meshes.push(format!(
-            r#"{{"primitives":[{{"attributes":{{{attributes}}},"indices":{indices},"mode":4}}]{name}}}"#
+            r#"{{"primitives":[{{"attributes":{{{attributes}}},"indices":{indices},"mode":4{material}}}]{name}}}"#
         ));
         Ok(())
     }
 
-    fn floats(&mut self, values: &[f32], limits: &str) -> usize {
+    fn floats(&mut self, values: &[f32], lanes: usize, limits: &str) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        self.accessor(&bytes, 34962, values.len() / 3, 5126, "VEC3", limits)
+        let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1];
+        self.accessor(&bytes, 34962, values.len() / lanes.max(1), 5126, shape, limits)
+    }
+
+    fn material(&mut self, name: &str) -> usize {
+        let known = self.materials.iter().position(|n| n == name);
+        known.unwrap_or_else(|| {
+            self.materials.push(name.to_owned());
+            self.materials.len() - 1
+        })
     }
 
     fn indices(&mut self, indices: &[u32], vertices: usize) -> usize {

@@ -8,7 +8,8 @@
 //! [`text`], [`check`] checks references and ranges, [`buffers`] finds bytes (with [`uri`] and [`compressed`]),
 //! [`accessors`] reads them, [`scene`] places meshes, [`read`] puts triangles together. Writing: [`deformed`] computes
 //! what each attribute should become, [`sharing`] decides which copies must part, [`patch`] edits text and bytes,
-//! [`package`] makes the files. [`fresh`] makes an asset from other formats' geometry.
+//! [`package`] makes the files. [`fresh`] makes an asset from other formats' geometry. After edits of the topology,
+//! [`remade`] writes primitives anew.
 //!
 //! # Conventions
 //! - Positions are in world space; a skinned mesh is in its bind pose, its node's transform ignored.
@@ -31,6 +32,7 @@ mod fresh;
 mod package;
 mod patch;
 mod read;
+mod remade;
 mod scene;
 mod schema;
 mod sharing;
@@ -39,8 +41,10 @@ mod tests;
 mod text;
 mod uri;
 
+use super::plain::Plain;
 use super::{Error, FileSet, Format, Geometry, Limits, Written};
 use glam::DVec3;
+pub(super) use remade::{extras, write as write_remade};
 
 /// What writing needs to know beyond the files: where the rows of the primitive table came from.
 #[derive(Debug, Clone)]
@@ -90,6 +94,6 @@ pub(crate) fn write(
 ///
 /// # Errors
 /// [`Error::Unwritable`] when it has no triangles, a position is beyond 32-bit floats, or the result is too large.
-pub(crate) fn build(geometry: &Geometry, format: Format) -> Result<Written, Error> {
-    fresh::build(geometry, format)
+pub(super) fn build(plain: &Plain, format: Format) -> Result<Written, Error> {
+    fresh::build(plain, format)
 }

@@ -258,7 +258,7 @@ fn edit_mesh<'a>(
 }
 
 /// The least and the largest value of each lane as JSON, which read back as exactly the same floats.
-fn bounds(values: &[f32], lanes: usize) -> (String, String) {
+pub(super) fn bounds(values: &[f32], lanes: usize) -> (String, String) {
     let mut least = vec![f32::INFINITY; lanes];
     let mut most = vec![f32::NEG_INFINITY; lanes];
     for element in values.chunks_exact(lanes) {

@@ -4,10 +4,14 @@
 //! (materials, groups, curves, whatever is unknown) are never interpreted, so they survive untouched.
 
 mod normals;
+mod parted;
+mod remade;
+mod statements;
 #[cfg(test)]
 mod tests;
 mod write;
 
+pub(super) use remade::{extras, seamed, write_remade};
 pub(super) use write::{build, write};
 
 use super::files::check_main_size;

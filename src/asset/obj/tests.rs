@@ -1,4 +1,5 @@
 use super::*;
+use crate::asset::plain::Plain;
 use crate::asset::{FileSet, Model};
 use crate::mesh::shading;
 use glam::DQuat;
@@ -239,7 +240,7 @@ fn a_fresh_file_keeps_names_normals_and_order() {
             ..Default::default()
         })
         .to_vec();
-    let text = String::from_utf8(build(&geometry)).expect("text");
+    let text = String::from_utf8(build(&Plain::of(geometry.clone()))).expect("text");
     assert!(
         text.contains("o a b\nf 1//1 2//2 3//3\no \nf 1//1 2//2 4//4\n"),
         "{text}"

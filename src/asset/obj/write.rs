@@ -4,7 +4,8 @@ use super::normals::{Normals, Plan};
 use super::{Corner, STYLE, Source, resolve, three_words};
 use crate::asset::Geometry;
 use crate::asset::model::bits;
-use crate::asset::text::{Lexer, Patch, Precision, newline_of, push_triple};
+use crate::asset::plain::Plain;
+use crate::asset::text::{Lexer, Patch, Precision, newline_of, push_number, push_triple};
 use glam::{DVec3, Vec3};
 use std::io::Write as _;
 
@@ -149,17 +150,49 @@ fn insert(patch: &mut Patch<'_>, place: &Insertion, plan: &Plan, newline: &[u8])
     }
 }
 
-fn push_line(out: &mut Vec<u8>, keyword: &[u8], values: DVec3, precision: Precision, newline: &[u8]) {
+pub(super) fn push_line(out: &mut Vec<u8>, keyword: &[u8], values: DVec3, precision: Precision, newline: &[u8]) {
     out.extend_from_slice(keyword);
     push_triple(out, values, precision);
     out.extend_from_slice(newline);
 }
 
-/// A fresh text: one object for each primitive, normals where every vertex has one.
-pub(in crate::asset) fn build(geometry: &Geometry) -> Vec<u8> {
+/// A name without what would end its line.
+pub(super) fn printable(name: &str) -> String {
+    name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
+/// A fresh text: one object for each primitive, normals where every vertex has one, texture coordinates where the
+/// primitive has them, colours behind the coordinates where any primitive has some, and the names of materials.
+pub(in crate::asset) fn build(plain: &Plain) -> Vec<u8> {
+    let Plain {
+        geometry,
+        parts,
+        uv,
+        colours,
+    } = plain;
     let mut out = b"# pliant\n".to_vec();
-    for &position in &geometry.positions {
-        push_line(&mut out, b"v ", position, Precision::Double, b"\n");
+    for (i, &position) in geometry.positions.iter().enumerate() {
+        push_line(&mut out, b"v ", position, Precision::Double, b"");
+        if let Some([r, g, b, _]) = colours.get(i) {
+            out.push(b' ');
+            push_triple(&mut out, Vec3::new(*r, *g, *b).as_dvec3(), Precision::Single);
+        }
+        out.push(b'\n');
+    }
+    let mut texture_number = Vec::with_capacity(uv.len());
+    let with_uv = geometry.primitives.iter().zip(parts).filter(|(_, part)| part.has_uv);
+    for (primitive, _) in with_uv {
+        let range = primitive.first_vertex as usize..primitive.first_vertex as usize + primitive.vertex_count as usize;
+        let next = texture_number.last().map_or(1u32, |&last: &u32| last + 1);
+        texture_number.resize(range.start, 0);
+        for (number, [u, v]) in (next..).zip(uv.get(range).unwrap_or(&[])) {
+            texture_number.push(number);
+            out.extend_from_slice(b"vt ");
+            push_number(&mut out, f64::from(*u), Precision::Single);
+            out.push(b' ');
+            push_number(&mut out, f64::from(1.0 - v), Precision::Single);
+            out.push(b'\n');
+        }
     }
     let with_normals = geometry.all_have_normals();
     if with_normals {
@@ -168,27 +201,23 @@ pub(in crate::asset) fn build(geometry: &Geometry) -> Vec<u8> {
             push_line(&mut out, b"vn ", normal.as_dvec3(), Precision::Single, b"\n");
         }
     }
-    for (primitive, triangles) in geometry.triangles_of_primitives() {
+    for ((primitive, triangles), part) in geometry.triangles_of_primitives().zip(parts) {
         if geometry.primitives.len() > 1 || !primitive.name.is_empty() {
-            out.extend_from_slice(b"o ");
-            out.extend(
-                primitive
-                    .name
-                    .chars()
-                    .map(|c| if c.is_control() { ' ' } else { c })
-                    .collect::<String>()
-                    .bytes(),
-            );
-            out.push(b'\n');
+            out.extend(format!("o {}\n", printable(&primitive.name)).bytes());
+        }
+        if let Some(material) = &part.material {
+            out.extend(format!("usemtl {}\n", printable(material)).bytes());
         }
         for triangle in triangles {
             out.push(b'f');
             for &v in triangle {
                 let number = u64::from(v) + 1;
-                let result = if with_normals {
-                    write!(out, " {number}//{number}")
-                } else {
-                    write!(out, " {number}")
+                let texture = texture_number.get(v as usize).filter(|_| part.has_uv);
+                let result = match (texture, with_normals) {
+                    (None, true) => write!(out, " {number}//{number}"),
+                    (None, false) => write!(out, " {number}"),
+                    (Some(texture), true) => write!(out, " {number}/{texture}/{number}"),
+                    (Some(texture), false) => write!(out, " {number}/{texture}"),
                 };
                 debug_assert!(result.is_ok(), "writing to memory does not fail");
             }

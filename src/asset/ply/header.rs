@@ -50,22 +50,60 @@ impl Scalar {
         }
     }
 
-    pub fn is_integer(self) -> bool {
-        !matches!(self, Self::F32 | Self::F64)
+    /// The name that every reader knows.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::I8 => "char",
+            Self::U8 => "uchar",
+            Self::I16 => "short",
+            Self::U16 => "ushort",
+            Self::I32 => "int",
+            Self::U32 => "uint",
+            Self::F32 => "float",
+            Self::F64 => "double",
+        }
     }
 
-    /// Whether the type holds the value without rounding it.
-    pub fn holds(self, value: f64) -> bool {
-        let (low, high) = match self {
+    /// The least and the largest value of a whole-number type; without bounds for the others.
+    fn range(self) -> (f64, f64) {
+        match self {
             Self::I8 => (f64::from(i8::MIN), f64::from(i8::MAX)),
             Self::U8 => (0.0, f64::from(u8::MAX)),
             Self::I16 => (f64::from(i16::MIN), f64::from(i16::MAX)),
             Self::U16 => (0.0, f64::from(u16::MAX)),
             Self::I32 => (f64::from(i32::MIN), f64::from(i32::MAX)),
             Self::U32 => (0.0, f64::from(u32::MAX)),
+            Self::F32 | Self::F64 => (f64::NEG_INFINITY, f64::INFINITY),
+        }
+    }
+
+    /// The largest value of a whole-number type.
+    pub fn most(self) -> f64 {
+        self.range().1
+    }
+
+    /// The nearest value that a whole-number type holds.
+    pub fn nearest(self, value: f64) -> f64 {
+        let (low, high) = self.range();
+        if value.is_nan() {
+            0.0
+        } else {
+            value.round().clamp(low, high)
+        }
+    }
+
+    pub fn is_integer(self) -> bool {
+        !matches!(self, Self::F32 | Self::F64)
+    }
+
+    /// Whether the type holds the value without rounding it.
+    pub fn holds(self, value: f64) -> bool {
+        match self {
             Self::F32 => return f64::from(value as f32).to_bits() == value.to_bits(),
             Self::F64 => return true,
-        };
+            _ => {}
+        }
+        let (low, high) = self.range();
         (low..=high).contains(&value) && value.fract() == 0.0
     }
 }

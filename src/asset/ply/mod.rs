@@ -5,11 +5,16 @@
 
 mod body;
 mod header;
+mod remade;
+mod table;
 #[cfg(test)]
 mod tests;
 
+pub(super) use remade::{extras, write_remade};
+
 use super::files::check_main_size;
 use super::geometry::unit_or_zero;
+use super::plain::Plain;
 use super::polygons::Polygons;
 use super::text::Patch;
 use super::{Error, Format, Geometry, Limits};
@@ -139,7 +144,6 @@ fn read_faces(
     faces: &mut Polygons,
     limits: &Limits,
 ) -> Result<(), Error> {
-    let is_indices = |name: &str| name == "vertex_indices" || name == "vertex_index";
     let list = element
         .properties
         .iter()
@@ -180,6 +184,11 @@ fn read_faces(
         }
     }
     Ok(())
+}
+
+/// Whether a list property names the vertices of a face.
+fn is_indices(name: &str) -> bool {
+    name == "vertex_indices" || name == "vertex_index"
 }
 
 /// The last two vertices of a triangle strip; every other triangle is turned over.
@@ -270,18 +279,38 @@ pub(super) fn write(bytes: &[u8], source: &Source, rest: &Geometry, positions: &
     Ok(patch.finish())
 }
 
-/// A fresh binary file with double coordinates, and normals where every vertex has one.
-pub(super) fn build(geometry: &Geometry) -> Vec<u8> {
+/// A fresh binary file with double coordinates, normals where every vertex has one, and colours and texture coordinates
+/// where any has some.
+pub(super) fn build(plain: &Plain) -> Vec<u8> {
+    let Plain {
+        geometry, uv, colours, ..
+    } = plain;
     let with_normals = geometry.all_have_normals();
     let mut out = b"ply\nformat binary_little_endian 1.0\ncomment pliant\n".to_vec();
+    let floats = |names: &[&str]| {
+        names
+            .iter()
+            .map(|n| format!("property float {n}\n"))
+            .collect::<String>()
+    };
     let normals = if with_normals {
-        "property float nx\nproperty float ny\nproperty float nz\n"
+        floats(&["nx", "ny", "nz"])
     } else {
+        String::new()
+    };
+    let coordinates = if uv.is_empty() {
+        String::new()
+    } else {
+        floats(&["s", "t"])
+    };
+    let bytes = if colours.is_empty() {
         ""
+    } else {
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nproperty uchar alpha\n"
     };
     let result = write!(
         out,
-        "element vertex {}\nproperty double x\nproperty double y\nproperty double z\n{normals}\
+        "element vertex {}\nproperty double x\nproperty double y\nproperty double z\n{normals}{coordinates}{bytes}\
          element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
         geometry.positions.len(),
         geometry.triangles.len()
@@ -291,6 +320,12 @@ pub(super) fn build(geometry: &Geometry) -> Vec<u8> {
         out.extend(position.to_array().into_iter().flat_map(f64::to_le_bytes));
         if with_normals {
             out.extend(geometry.normals[i].to_array().into_iter().flat_map(f32::to_le_bytes));
+        }
+        if let Some([u, v]) = uv.get(i) {
+            out.extend([*u, 1.0 - v].into_iter().flat_map(f32::to_le_bytes));
+        }
+        if let Some(colour) = colours.get(i) {
+            out.extend(colour.map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8));
         }
     }
     for triangle in &geometry.triangles {

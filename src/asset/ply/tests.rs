@@ -1,4 +1,5 @@
 use super::*;
+use crate::asset::plain::Plain;
 use crate::asset::{FileSet, Model};
 
 fn read_bytes(bytes: impl Into<Vec<u8>>) -> Result<Model, Error> {
@@ -256,6 +257,6 @@ fn what_is_wrong_is_named_with_its_place() {
 #[test]
 fn a_fresh_file_reads_back() {
     let geometry = read_bytes(awkward(Encoding::Ascii, "double")).expect("valid").geometry;
-    let reread = read_bytes(build(&geometry)).expect("valid");
+    let reread = read_bytes(build(&Plain::of(geometry.clone()))).expect("valid");
     assert_eq!(reread.geometry, geometry);
 }

@@ -1,6 +1,6 @@
 //! Splitting and flipping edges, moving points.
 
-use super::{Edge, Editable, Face, Point, Wedge, triangle};
+use super::{Edge, Editable, Face, Point, Wedge};
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -44,11 +44,11 @@ impl Editable {
             let middle = self.wedges[wedge as usize].point;
             let face = self.faces[f as usize];
             let mut rest = Face { old: NONE, ..face };
-            rest.corners[i] = wedge;
+            (rest.corners[i], rest.points[i]) = (wedge, middle);
             let new = self.faces.len() as u32;
             self.faces.push(rest);
             let half = &mut self.faces[f as usize];
-            half.corners[(i + 1) % 3] = wedge;
+            (half.corners[(i + 1) % 3], half.points[(i + 1) % 3]) = (wedge, middle);
             half.old = NONE;
             let (end, tip) = (points[(i + 1) % 3], points[(i + 2) % 3]);
             for g in &mut self.points[end as usize].faces {
@@ -73,19 +73,8 @@ impl Editable {
         if c == d || self.edge(c, d).faces().next().is_some() {
             return None;
         }
-        // An end that has no other edge would be left hanging.
-        if [a, b].iter().any(|&p| self.points[p as usize].faces.len() < 3) && self.is_closed_at(a, b) {
-            return None;
-        }
         let [a, b, c, d] = [a, b, c, d].map(|p| self.at(p));
         Some([[a, d, c], [d, b, c]])
-    }
-
-    /// Whether an end of the edge would keep two faces only, with two edges: the faces would lie on one another.
-    fn is_closed_at(&self, a: u32, b: u32) -> bool {
-        [a, b]
-            .iter()
-            .any(|&p| self.neighbours(p).len() == self.points[p as usize].faces.len())
     }
 
     /// Turns the edge; see [`flipped`](Self::flipped), which must have said that it can be.
@@ -97,30 +86,14 @@ impl Editable {
         let (Some(wa), Some(wb), Some(wc), Some(wd)) = (wedge(l, a), wedge(l, b), wedge(l, c), wedge(r, d)) else {
             return;
         };
-        self.faces[l as usize].corners = [wa, wd, wc];
-        self.faces[r as usize].corners = [wd, wb, wc];
-        for f in [l, r] {
-            self.faces[f as usize].old = NONE;
+        for (f, corners, points) in [(l, [wa, wd, wc], [a, d, c]), (r, [wd, wb, wc], [d, b, c])] {
+            let face = &mut self.faces[f as usize];
+            (face.corners, face.points, face.old) = (corners, points, NONE);
         }
         self.points[a as usize].faces.retain(|&f| f != r);
         self.points[b as usize].faces.retain(|&f| f != l);
         self.points[c as usize].faces.push(r);
         self.points[d as usize].faces.push(l);
-    }
-
-    /// Whether point `p` can be at `position` without turning a face by more than the angle with cosine `least` or taking
-    /// its area.
-    pub fn can_move(&self, p: u32, position: DVec3, least: f64) -> bool {
-        self.points[p as usize].faces.iter().all(|&f| {
-            let points = self.points_of(f);
-            let before = points.map(|q| self.at(q));
-            let after = points.map(|q| if q == p { position } else { self.at(q) });
-            let (n, m) = (triangle::area_normal(before), triangle::area_normal(after));
-            match triangle::cosine(n, m) {
-                Some(cosine) => cosine >= least,
-                None => n.try_normalize().is_none(),
-            }
-        })
     }
 
     /// Moves a point: it, its wedges and faces become new ones. `blend` gives what each of its wedges is made of.

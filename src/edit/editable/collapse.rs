@@ -1,6 +1,6 @@
 //! Collapsing an edge into one of its ends.
 
-use super::{Editable, triangle};
+use super::Editable;
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -95,30 +95,23 @@ impl Editable {
         })
     }
 
-    /// Whether no kept face turns by more than the angle with cosine `least`, nor loses its area. A face that had none
-    /// may get any.
-    pub fn keeps_normals(&self, collapse: &Collapse, least: f64) -> bool {
-        self.before_and_after(collapse).all(|(_, before, after)| {
-            let (n, m) = (triangle::area_normal(before), triangle::area_normal(after));
-            match triangle::cosine(n, m) {
-                Some(cosine) => cosine >= least,
-                None => n.try_normalize().is_none(),
-            }
-        })
-    }
-
     /// Does it.
     pub fn apply_collapse(&mut self, collapse: &Collapse) {
         for f in collapse.gone.into_iter().filter(|&f| f != NONE) {
             self.kill(f);
         }
         for &f in &collapse.kept {
-            for corner in &mut self.faces[f as usize].corners {
-                if let Some(&(_, with)) = collapse.wedges.iter().find(|w| w.0 == *corner) {
-                    *corner = with;
+            let face = &mut self.faces[f as usize];
+            for i in 0..3 {
+                if face.points[i] != collapse.from {
+                    continue;
+                }
+                face.points[i] = collapse.to;
+                if let Some(&(_, with)) = collapse.wedges.iter().find(|w| w.0 == face.corners[i]) {
+                    face.corners[i] = with;
                 }
             }
-            self.faces[f as usize].old = NONE;
+            face.old = NONE;
         }
         self.points[collapse.from as usize].faces = Vec::new();
         self.points[collapse.to as usize].faces.extend(&collapse.kept);

@@ -46,7 +46,9 @@ impl Bits {
 
     /// Whether `i` is in.
     pub fn has(&self, i: u32) -> bool {
-        self.0.get(i as usize / 64).is_some_and(|word| word >> (i % 64) & 1 == 1)
+        self.0
+            .get(i as usize / 64)
+            .is_some_and(|word| word >> (i % 64) & 1 == 1)
     }
 }
 
@@ -66,7 +68,9 @@ pub(in crate::edit) fn check_faces(surface: &Surface, faces: &[u32]) -> Result<(
     }
     if last as usize >= surface.triangles.len() {
         let count = surface.triangles.len();
-        return invalid(format!("triangle {last} does not exist, there are {count}, counted from 0"));
+        return invalid(format!(
+            "triangle {last} does not exist, there are {count}, counted from 0"
+        ));
     }
     Ok(())
 }
@@ -164,12 +168,13 @@ impl Editable {
             *known = self.wedges.len() as u32;
             *known - 1
         });
-        for w in corners {
-            let point = self.wedges[w as usize].point;
-            self.points[point as usize].faces.push(f);
+        let points = corners.map(|w| self.wedges[w as usize].point);
+        for p in points {
+            self.points[p as usize].faces.push(f);
         }
         self.faces.push(Face {
             corners,
+            points,
             primitive: surface.primitive_of[t as usize],
             old: t,
             frozen,

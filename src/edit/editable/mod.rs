@@ -13,7 +13,7 @@ mod gather;
 pub(in crate::edit) mod triangle;
 
 pub(in crate::edit) use collapse::Collapse;
-pub(in crate::edit) use gather::{Touching, check_faces};
+pub(in crate::edit) use gather::{Bits, Touching, check_faces, proper_points};
 
 use crate::mesh::NONE;
 use glam::DVec3;
@@ -46,6 +46,8 @@ pub(in crate::edit) struct Wedge {
 #[derive(Debug, Clone, Copy)]
 pub(in crate::edit) struct Face {
     pub corners: [u32; 3],
+    /// Points of the corners.
+    pub points: [u32; 3],
     pub primitive: u32,
     /// The surface's triangle that it still is, else [`NONE`].
     pub old: u32,
@@ -68,6 +70,11 @@ pub(in crate::edit) struct Edge {
 }
 
 impl Edge {
+    /// The face that is there beside `f`.
+    pub fn other(self, f: u32) -> Option<u32> {
+        self.faces().find(|&g| g != f)
+    }
+
     /// The faces that are there.
     pub fn faces(self) -> impl Iterator<Item = u32> {
         [self.left, self.right].into_iter().filter(|&f| f != NONE)
@@ -89,7 +96,7 @@ pub(in crate::edit) struct Editable {
 impl Editable {
     /// Points at the corners of face `f`.
     pub fn points_of(&self, f: u32) -> [u32; 3] {
-        self.faces[f as usize].corners.map(|w| self.wedges[w as usize].point)
+        self.faces[f as usize].points
     }
 
     /// Positions of the corners of face `f`.
@@ -133,8 +140,8 @@ impl Editable {
 
     /// The wedge of face `f` at point `p`; `None` when `p` is none of its corners.
     pub fn wedge_at(&self, f: u32, p: u32) -> Option<u32> {
-        let corners = self.faces[f as usize].corners;
-        corners.into_iter().find(|&w| self.wedges[w as usize].point == p)
+        let face = &self.faces[f as usize];
+        (0..3).find(|&i| face.points[i] == p).map(|i| face.corners[i])
     }
 
     /// The corner of face `f` that is neither `a` nor `b`.
@@ -164,10 +171,31 @@ impl Editable {
     /// Points that share an edge with `p`, rising.
     pub fn neighbours(&self, p: u32) -> Vec<u32> {
         let faces = &self.points[p as usize].faces;
-        let mut around: Vec<u32> = faces.iter().flat_map(|&f| self.points_of(f)).filter(|&q| q != p).collect();
+        let mut around: Vec<u32> = Vec::with_capacity(faces.len() + 4);
+        for &f in faces {
+            for q in self.points_of(f) {
+                if q != p && !around.contains(&q) {
+                    around.push(q);
+                }
+            }
+        }
         around.sort_unstable();
-        around.dedup();
         around
+    }
+
+    /// How many points share an edge with `p`, and how many faces are there: equal in the inside of a surface.
+    pub fn valence(&self, p: u32) -> (usize, usize) {
+        let faces = &self.points[p as usize].faces;
+        // In a fan each neighbour is the next corner of one face, but the last of an open one.
+        let next = |f: u32| {
+            let q = self.points_of(f);
+            (0..3).find(|&i| q[i] == p).map(|i| (q[(i + 1) % 3], q[(i + 2) % 3]))
+        };
+        let ends = faces.iter().filter(|&&f| {
+            let last = next(f).map(|l| l.1);
+            !faces.iter().any(|&g| next(g).map(|l| l.0) == last)
+        });
+        (faces.len() + ends.count(), faces.len())
     }
 
     /// Whether the faces around `p` make one fan, open or closed, that turns one way.

@@ -22,6 +22,16 @@ pub(in crate::edit) fn cosine(a: DVec3, b: DVec3) -> Option<f64> {
     Some(a.try_normalize()?.dot(b.try_normalize()?))
 }
 
+/// Whether a triangle that changes keeps an area and turns by no more than the angle with cosine `least`. One that had
+/// no area may get any.
+pub(in crate::edit) fn turns_little(before: [DVec3; 3], after: [DVec3; 3], least: f64) -> bool {
+    let (n, m) = (area_normal(before), area_normal(after));
+    match cosine(n, m) {
+        Some(cosine) => cosine >= least,
+        None => n.try_normalize().is_none(),
+    }
+}
+
 /// The point of a triangle nearest to `p`, as weights of the corners (not negative, sum 1), and its squared distance.
 pub(in crate::edit) fn nearest(p: DVec3, t: [DVec3; 3]) -> ([f64; 3], f64) {
     let n = area_normal(t);

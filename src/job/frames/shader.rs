@@ -1,6 +1,6 @@
 //! Normals and tangents of deformed shapes, for frames.
 
-use crate::asset::{Model, Primitive};
+use crate::asset::{Geometry, Primitive};
 use crate::mesh::shading;
 use glam::{DVec3, Vec3, Vec4};
 use std::sync::Arc;
@@ -27,7 +27,7 @@ pub struct Shader {
 
 impl Shader {
     /// Copies what shading needs.
-    pub fn of(model: &Model, rest: &Arc<Vec<DVec3>>) -> Self {
+    pub fn of(model: &Geometry, rest: &Arc<Vec<DVec3>>) -> Self {
         Self {
             rest: Arc::clone(rest),
             triangles: model.triangles.clone(),
@@ -62,7 +62,7 @@ impl Shader {
 ///
 /// Authored normals and tangents follow the deformation. Primitives that came without normals get the smooth normals of the
 /// deformed shape; without tangents, zeros.
-pub fn shading(model: &Model, rest: &[DVec3], positions: &[DVec3]) -> Shading {
+pub fn shading(model: &Geometry, rest: &[DVec3], positions: &[DVec3]) -> Shading {
     let authored = Authored {
         triangles: &model.triangles,
         normals: &model.normals,

@@ -6,8 +6,8 @@ use super::upload;
 use super::wire::deformer_server::Deformer;
 use crate::asset::Format;
 use crate::job::pb;
+use crate::server::auth;
 use crate::server::state::State;
-use crate::server::{auth, edits};
 use crate::session::{Error, Tenant};
 use bytes::Bytes;
 use futures::Stream;
@@ -138,13 +138,13 @@ impl Deformer for Calls {
     }
 
     async fn edit(&self, request: Request<pb::EditRequest>) -> Answer<pb::EditResult> {
-        let (tenant, _, message) = work(&self.state, request)?;
+        let (tenant, key, message) = work(&self.state, request)?;
         self.state
             .manager
-            .get(&tenant, &message.session_id)
+            .edit(&tenant, message, key.as_deref())
             .await
-            .map_err(status)?;
-        Err(status(edits::refusal(&message)))
+            .map(Response::new)
+            .map_err(status)
     }
 
     async fn undo(&self, request: Request<pb::SessionRequest>) -> Answer<pb::Session> {

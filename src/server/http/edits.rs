@@ -1,10 +1,10 @@
-//! Parts of the contract that this version reads and refuses by name.
+//! Edits of the topology; and what this version refuses by name.
 
 use super::body;
 use super::problem::Problem;
 use super::request::{Caller, Names};
+use super::sessions::json;
 use crate::job::pb;
-use crate::server::edits;
 use crate::server::state::State;
 use crate::session::{Code, Error};
 use axum::extract::{Request, State as From};
@@ -17,9 +17,10 @@ pub(super) async fn edit(
     request: Request,
 ) -> Result<Response, Problem> {
     state.manager.get(&caller.tenant, &id).await?;
-    let message: pb::EditRequest = body::message(&state, request).await?;
+    let mut message: pb::EditRequest = body::message(&state, request).await?;
     body::same_session(&message.session_id, &id)?;
-    Err(edits::refusal(&message).into())
+    message.session_id = id;
+    json(&state.manager.edit(&caller.tenant, message, caller.key()?).await?)
 }
 
 pub(super) async fn animate(

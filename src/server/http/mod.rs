@@ -17,6 +17,7 @@ mod request;
 mod routes;
 mod sessions;
 mod solve;
+mod viewer;
 
 pub(super) use request::Caller;
 pub(super) use routes::{ROUTES, Route};

@@ -7,7 +7,7 @@ use crate::server::state::State;
 use crate::server::{openapi, sample};
 use crate::session::Error;
 use axum::extract::State as From;
-use axum::response::{Html, IntoResponse as _, Response};
+use axum::response::{IntoResponse as _, Response};
 use http::{HeaderMap, StatusCode, header};
 
 /// The process lives.
@@ -58,8 +58,4 @@ pub(super) async fn sample(_: Caller, headers: HeaderMap) -> Result<Response, Pr
         file_name: format!("{}.glb", sample::NAME),
     };
     download.respond(&headers)
-}
-
-pub(super) async fn root() -> Html<&'static str> {
-    Html(include_str!("root.html"))
 }

@@ -1,6 +1,6 @@
 //! Which path leads where, once for the router and once for the API description; a test holds them together.
 
-use super::{create, edits, handles, models, pages, sessions, solve};
+use super::{create, edits, handles, models, pages, sessions, solve, viewer};
 use crate::server::socket;
 use crate::server::state::State;
 use axum::Router;
@@ -34,7 +34,9 @@ pub(super) fn all() -> Router<State> {
         .route("/readyz", get(pages::ready))
         .route("/metrics", get(pages::metrics))
         .route("/openapi.json", get(pages::openapi))
-        .route("/", get(pages::root))
+        .route("/", get(viewer::page))
+        .route("/icon.svg", get(viewer::icon))
+        .route("/assets/{name}", get(viewer::asset))
 }
 
 /// A route as the API description tells it.

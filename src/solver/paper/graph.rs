@@ -6,7 +6,7 @@ use crate::solver::level::NONE;
 use crate::solver::{BuildOptions, Graph, Hierarchy};
 
 /// A copy of the caller's graph. The paper builds its hierarchy after the constraints are known.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Kept {
     offsets: Vec<u32>,
     neighbours: Vec<u32>,

@@ -1,6 +1,7 @@
 //! Buffers in chunks, in text and in files, and the ways between GLB and glTF.
 
 use super::*;
+use crate::asset::plain::Plain;
 
 fn square() -> Draft {
     let mut draft = Draft::default();
@@ -129,7 +130,7 @@ fn a_fresh_asset_holds_what_other_formats_gave() {
     geometry.primitives[0].has_normals = true;
     geometry.normals = vec![glam::Vec3::ZERO, glam::Vec3::Z * 2.0, glam::Vec3::Z, glam::Vec3::Z];
     for format in [Format::Glb, Format::Gltf] {
-        let written = super::super::build(&geometry, format).expect("writable");
+        let written = super::super::build(&Plain::of(geometry.clone()), format).expect("writable");
         let (read, _) = open(&again(&written));
         assert_eq!(read.positions, geometry.positions);
         assert_eq!(read.triangles, geometry.triangles);
@@ -143,5 +144,5 @@ fn a_fresh_asset_holds_what_other_formats_gave() {
     }
     geometry.triangles.clear();
     geometry.primitives[0].index_count = 0;
-    assert!(super::super::build(&geometry, Format::Glb).is_err());
+    assert!(super::super::build(&Plain::of(geometry.clone()), Format::Glb).is_err());
 }

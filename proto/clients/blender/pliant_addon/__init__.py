@@ -1,0 +1,40 @@
+"""Pliant for Blender: vertex groups become handles, handles are dragged or keyed, results are shape keys.
+
+The topology never changes, and every operator is one step of undo. The mathematics happens in a pliant server: one that
+the preferences name, or one that is started on this machine.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from . import bake, drag, handles, link, operators, panel, preferences
+
+bl_info = {
+    "name": "Pliant",
+    "description": "Bends large meshes by vertex groups into shape keys",
+    "author": "The pliant authors",
+    "version": (0, 1, 0),
+    "blender": (4, 2, 0),
+    "location": "3D View > Sidebar > Pliant",
+    "category": "Mesh",
+}
+
+_MODULES = (preferences, handles, operators, drag, bake, panel)
+
+
+def register() -> None:
+    """Makes the add-on known to Blender."""
+    for module in _MODULES:
+        for kind in module.CLASSES:
+            bpy.utils.register_class(kind)
+    bpy.types.Object.pliant = bpy.props.PointerProperty(type=handles.PliantSettings)
+
+
+def unregister() -> None:
+    """Takes the add-on back, and closes its sessions."""
+    link.close_all()
+    del bpy.types.Object.pliant
+    for module in reversed(_MODULES):
+        for kind in reversed(module.CLASSES):
+            bpy.utils.unregister_class(kind)

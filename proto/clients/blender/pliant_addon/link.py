@@ -1,0 +1,136 @@
+"""The link to a server: one session for each object's rest shape, kept while the shape stays the same."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from . import handles, mesh, preferences
+
+# A copy of the Python package inside the add-on's folder is found as well.
+_VENDOR = Path(__file__).parent / "vendor"
+if _VENDOR.is_dir() and str(_VENDOR) not in sys.path:
+    sys.path.append(str(_VENDOR))
+
+try:
+    import pliant
+except ImportError as missing:  # told in the panel, where it can be read
+    pliant = None
+    MISSING = f"the Python package pliant is not installed for Blender: {missing}"
+else:
+    MISSING = ""
+
+
+class Link:
+    """One open session and what it was opened with."""
+
+    def __init__(self, client: Any, session: Any, fingerprint: tuple[Any, ...]) -> None:
+        self.client = client
+        self.session = session
+        self.fingerprint = fingerprint
+        #: The handles that it holds, as bytes.
+        self.handles: list[tuple[str, bytes, float]] = []
+
+    def close(self) -> None:
+        """Ends the session and its connection."""
+        self.session.close()
+        self.client.close()
+
+
+_links: dict[str, Link] = {}
+_server: Any = None
+
+
+def session(object: bpy.types.Object) -> Any:
+    """The session of an object's rest shape, with the object's handles; opened where there is none that fits."""
+    if pliant is None:
+        raise mesh.Refusal(MISSING)
+    named = handles.regions(object)
+    points, corners = mesh.rest(object), mesh.triangles(object)
+    settings = object.pliant
+    created = {"volume_graph": settings.volume_graph.lower(), "components": settings.components.lower()}
+    way = preferences.way()
+    fingerprint = (points.tobytes(), corners.tobytes(), *created.values(), *way)
+    link = _links.get(object.name)
+    if link is not None and (link.fingerprint != fingerprint or not _alive(link)):
+        close(object.name)
+        link = None
+    if link is None:
+        client = _connect(*way)
+        try:
+            opened = client.open((points, corners), label=object.name[:100], **created)
+        except Exception:
+            client.close()
+            raise
+        link = _links[object.name] = Link(client, opened, fingerprint)
+    # Handles are sent when they changed; setting them costs more than a pose.
+    wanted = [(group, weights.tobytes(), stiffness) for group, (weights, stiffness) in named.items()]
+    if link.handles != wanted:
+        link.handles = []
+        handles.declare(link.session, named)
+        link.session.apply()
+        link.handles = wanted
+    return link.session
+
+
+def _connect(server: str, token: str, program: str) -> Any:
+    global _server
+    if not server and program:
+        if _server is None or _server.ended is not None:
+            _server = pliant.LocalServer(program)
+        return pliant.connect(_server, token=token or None)
+    return pliant.connect(server or None, token=token or None)
+
+
+def _alive(link: Link) -> bool:
+    try:
+        link.session.refresh()
+    except pliant.PliantError:
+        return False
+    return True
+
+
+def options(object: bpy.types.Object) -> dict[str, Any]:
+    """How a final result is solved."""
+    return {"tolerance": object.pliant.tolerance, "refine": object.pliant.refine}
+
+
+def words(error: Exception) -> str:
+    """An error as a line for the status bar."""
+    text = str(error)
+    return text[:1].upper() + text[1:]
+
+
+def is_failure(error: Exception) -> bool:
+    """Whether an exception is one that people are told of, rather than a defect of this add-on."""
+    return isinstance(error, (mesh.Refusal, ValueError)) or (
+        pliant is not None and isinstance(error, pliant.PliantError)
+    )
+
+
+def result(object: bpy.types.Object, frame: Any) -> None:
+    """Notes what a result was like, for the panel."""
+    quality = frame.quality
+    object.pliant.told = f"{frame.solve_ms:.0f} ms, missing at most {100 * frame.max_error:.2g} % of the size"
+    if quality is not None:
+        object.pliant.told += f"; volume {100 * quality.volume_change:+.1f} %, {quality.flipped_triangles} flipped"
+
+
+def close(name: str) -> None:
+    """Ends the session of an object."""
+    link = _links.pop(name, None)
+    if link is not None:
+        link.close()
+
+
+def close_all() -> None:
+    """Ends all sessions, and the server if it is our own."""
+    global _server
+    for name in list(_links):
+        close(name)
+    if _server is not None:
+        _server.stop()
+        _server = None

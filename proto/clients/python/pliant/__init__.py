@@ -1,0 +1,72 @@
+"""Bends large meshes through the pliant deformation service.
+
+    import pliant
+
+    with pliant.open("creature.glb") as s:
+        s.handle("feet", half_space=((0, -1, 0), -0.14))
+        s.handle("head", sphere=((0.76, 1.22, 0), 0.36))
+        positions = s.solve({"head": {"rotation_vector": (0, 0.8, 0)}})
+        s.export("turned.glb")
+
+The same with ``async`` is in :mod:`pliant.aio`. Failures are exceptions of :mod:`pliant.errors`.
+"""
+
+from .books import Commit
+from .channel import Settings
+from .client import Client, connect, open
+from .edits import EditResult
+from .errors import (
+    Aborted,
+    AlreadyExists,
+    Cancelled,
+    DeadlineExceeded,
+    FailedPrecondition,
+    Internal,
+    InvalidArgument,
+    LocalServerError,
+    NotFound,
+    PermissionDenied,
+    PliantError,
+    ResourceExhausted,
+    SessionLost,
+    TooLarge,
+    Unauthenticated,
+    Unavailable,
+    Unimplemented,
+)
+from .frames import Frame
+from .poses import Pose
+from .server import LocalServer
+from .session import Session
+from .stream import Stream
+
+__all__ = [
+    "Aborted",
+    "AlreadyExists",
+    "Cancelled",
+    "Client",
+    "Commit",
+    "DeadlineExceeded",
+    "EditResult",
+    "FailedPrecondition",
+    "Frame",
+    "Internal",
+    "InvalidArgument",
+    "LocalServer",
+    "LocalServerError",
+    "NotFound",
+    "PermissionDenied",
+    "PliantError",
+    "Pose",
+    "ResourceExhausted",
+    "Session",
+    "SessionLost",
+    "Settings",
+    "Stream",
+    "TooLarge",
+    "Unauthenticated",
+    "Unavailable",
+    "Unimplemented",
+    "connect",
+    "open",
+]

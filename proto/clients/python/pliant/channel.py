@@ -1,0 +1,160 @@
+"""The way to a server: addresses, channel settings, credentials, and when to try again."""
+
+from __future__ import annotations
+
+import os
+import re
+import ssl
+import time
+import urllib.error
+import urllib.request
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import grpc
+
+from . import errors
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to reach a server, and how to behave on the way."""
+
+    #: ``http://HOST:PORT`` (plain), ``https://HOST:PORT`` (TLS), or ``HOST:PORT`` (plain).
+    url: str
+    #: Sent with every call as ``authorization: Bearer TOKEN``.
+    token: str | None = None
+    #: PEM file of the authorities that may sign an https server's certificate; default: those of gRPC.
+    ca: str | os.PathLike[str] | None = None
+    #: Seconds that a call may take, uploads and solves included.
+    timeout: float = 600.0
+    #: Seconds for which a lost connection is looked for again. 0 = give up at once.
+    patience: float = 15.0
+    #: Largest message taken. The server's parts are 1 MiB unless it was configured otherwise.
+    message_bytes: int = 16 << 20
+    #: Bytes of one stream that may be under way before they are read: HTTP/2's flow-control window.
+    window_bytes: int = 8 << 20
+
+    def __post_init__(self) -> None:
+        parts = urlsplit(self.url if "://" in self.url else f"http://{self.url}")
+        named = parts.hostname is not None and re.fullmatch(r"[\w.:-]+", parts.hostname)
+        if parts.scheme not in ("http", "https") or not named or parts.path not in ("", "/"):
+            raise ValueError(f"server: {self.url!r}; http://HOST:PORT, https://HOST:PORT or HOST:PORT is allowed")
+        host = f"[{parts.hostname}]" if ":" in str(parts.hostname) else parts.hostname
+        port = parts.port or (443 if parts.scheme == "https" else 7411)
+        object.__setattr__(self, "url", f"{parts.scheme}://{host}:{port}")
+
+    @property
+    def secure(self) -> bool:
+        """Whether it is TLS."""
+        return self.url.startswith("https:")
+
+    @property
+    def target(self) -> str:
+        """HOST:PORT."""
+        return self.url.split("://", 1)[1]
+
+    @property
+    def loopback(self) -> bool:
+        """Whether it is this machine."""
+        return urlsplit(self.url).hostname in LOOPBACK
+
+    def options(self) -> list[tuple[str, int]]:
+        """gRPC's settings of the channel."""
+        return [
+            ("grpc.max_receive_message_length", self.message_bytes),
+            # What may be sent is the server's to say; it names its limit.
+            ("grpc.max_send_message_length", -1),
+            # One megabyte a frame instead of 16 KiB makes large frames about twice as fast.
+            ("grpc.http2.max_frame_size", 1 << 20),
+            ("grpc.http2.lookahead_bytes", self.window_bytes),
+            # Finds out within a minute that a peer is gone without a word; servers allow one sign of life in 30 s.
+            ("grpc.keepalive_time_ms", 40_000),
+            ("grpc.keepalive_timeout_ms", 20_000),
+            # A restarted server is found within the second, not after gRPC's growing pauses of up to two minutes.
+            ("grpc.initial_reconnect_backoff_ms", 100),
+            ("grpc.min_reconnect_backoff_ms", 5_000),
+            ("grpc.max_reconnect_backoff_ms", 1_000),
+            # A connection of its own: one upload does not hold up another client's frames.
+            ("grpc.use_local_subchannel_pool", 1),
+            ("grpc.enable_http_proxy", 0 if self.loopback else 1),
+            # Calls are repeated here, with an idempotency key.
+            ("grpc.enable_retries", 0),
+        ]
+
+    def credentials(self) -> grpc.ChannelCredentials:
+        """TLS with the authorities of `ca`."""
+        return grpc.ssl_channel_credentials(Path(self.ca).read_bytes() if self.ca is not None else None)
+
+    def metadata(self, key: str | None = None) -> tuple[tuple[str, str], ...]:
+        """The headers of a call; `key` makes its repetition harmless."""
+        token = (("authorization", f"Bearer {self.token}"),) if self.token else ()
+        return token + ((("idempotency-key", key),) if key else ())
+
+    def get(self, path: str) -> bytes:
+        """The body of an HTTP GET, for what has no call in gRPC."""
+        request = urllib.request.Request(self.url + path, headers=dict(self.metadata()))
+        handlers: list[urllib.request.BaseHandler] = []
+        if self.loopback:
+            handlers.append(urllib.request.ProxyHandler({}))
+        if self.secure:
+            context = ssl.create_default_context(cafile=None if self.ca is None else os.fspath(self.ca))
+            handlers.append(urllib.request.HTTPSHandler(context=context))
+        try:
+            with urllib.request.build_opener(*handlers).open(request, timeout=self.timeout) as answer:
+                body = answer.read()
+        except urllib.error.HTTPError as refused:
+            raise errors.of_problem(refused.code, refused.read(), refused.headers.get("retry-after")) from None
+        except OSError as lost:
+            reason = getattr(lost, "reason", lost)
+            raise errors.Unavailable(f"{self.url} cannot be reached: {reason}") from None
+        assert isinstance(body, bytes)
+        return body
+
+
+def key() -> str:
+    """A new idempotency key."""
+    return uuid.uuid4().hex
+
+
+#: What gRPC says, beside UNAVAILABLE, when a connection goes in the middle of a call.
+_LOST = ("RST_STREAM", "Stream removed", "Internal error from Core")
+
+
+class Attempts:
+    """When a call that failed is worth another try."""
+
+    _FIRST, _LONGEST = 0.05, 1.0
+
+    def __init__(self, patience: float) -> None:
+        self._end = time.monotonic() + patience
+        self._pause = self._FIRST
+
+    @property
+    def left(self) -> float:
+        """Seconds of patience."""
+        return max(0.0, self._end - time.monotonic())
+
+    def again(self, error: errors.PliantError) -> float | None:
+        """Seconds to wait before the next try, or None when the error stands."""
+        if isinstance(error, errors.LocalServerError):
+            return None
+        lost = isinstance(error, errors.Unavailable) or any(words in error.message for words in _LOST)
+        running = isinstance(error, errors.Aborted) and "still running" in error.message
+        left = self.left
+        if left == 0 or not (lost or running):
+            return None
+        pause, self._pause = min(self._pause, left), min(self._pause * 2, self._LONGEST)
+        return pause
+
+
+def of_session(error: errors.PliantError) -> errors.PliantError:
+    """The same error, as what it means to somebody who holds a session."""
+    if isinstance(error, errors.NotFound) and error.message.startswith("no session"):
+        hint = "a server that was restarted holds none of its old ones. Open the model again"
+        return errors.SessionLost(f"{error.message}; {hint}", code=error.code)
+    return error

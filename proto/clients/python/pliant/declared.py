@@ -1,0 +1,112 @@
+"""What a session notes down before it tells the server: handles, symmetry, the region of interest.
+
+The part that the synchronous and the asyncio session have in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, Union
+
+from typing_extensions import Unpack
+
+from . import regions
+from .books import Books
+from .poses import Pose, Vector, to_message
+from .regions import RegionFields
+from .v1 import pliant_pb2 as pb
+
+#: Which poses of a drag are recorded: none, every one, or the last.
+CommitWish = Union[bool, Literal["last"]]
+
+#: Seconds for which a lost connection is looked for to close a session, which expires by itself otherwise.
+CLOSE_SECONDS = 2.0
+
+
+class Declared:
+    """A session's facts and the handles that are to hold in it."""
+
+    def __init__(self, info: pb.Session) -> None:
+        self._books = Books(info)
+
+    @property
+    def id(self) -> str:
+        """What names the session on its server."""
+        return self._books.info.id
+
+    @property
+    def info(self) -> pb.Session:
+        """What the server last said about the session: primitives, warnings, sizes, handles in force, limits."""
+        return self._books.info
+
+    @property
+    def vertices(self) -> int:
+        """Render vertices: the rows of every position array."""
+        return sum(primitive.vertex_count for primitive in self._books.info.primitives)
+
+    @property
+    def handles(self) -> list[str]:
+        """Ids of the handles that this client has set or is going to set."""
+        return self._books.handle_ids
+
+    def handle(
+        self,
+        id: str,
+        *,
+        translation: Vector | None = None,
+        rotation: Vector | None = None,
+        rotation_vector: Vector | None = None,
+        scale: float | Vector | None = None,
+        pivot: Vector | None = None,
+        constrains: Sequence[Literal["position", "rotation", "scale"]] | None = None,
+        stiffness: float | None = None,
+        rigid: bool = False,
+        falloff: tuple[float, Literal["none", "linear", "smooth"]] | None = None,
+        **region: Unpack[RegionFields],
+    ) -> None:
+        """Adds a handle, or replaces the one of that id.
+
+        The region is one of ``vertices``, ``half_space``, ``sphere``, ``box``, ``capsule``, ``tube``, ``component``,
+        ``primitive`` and ``weights``. Without a pose the handle is an anchor at rest. Where regions overlap, the handle
+        that was added later wins.
+        """
+        pose = Pose(translation, rotation, rotation_vector, scale, pivot)
+        handle = regions.handle(
+            id,
+            pose=to_message(pose),
+            constrains=constrains,
+            stiffness=stiffness,
+            rigid=rigid,
+            falloff=falloff,
+            fields=region,
+        )
+        self._books.put(handle)
+
+    def remove_handle(self, id: str) -> None:
+        """Takes a handle away."""
+        self._books.remove(id)
+
+    def clear_handles(self) -> None:
+        """Takes all handles away, also those of other clients."""
+        self._books.clear()
+
+    def symmetry_plane(self, normal: Vector, offset: float = 0.0) -> None:
+        """Mirrors every handle at the plane normal . x = offset."""
+        self._books.limit(symmetry_plane=regions.plane((normal, offset)))
+
+    def region_of_interest(self, **region: Unpack[RegionFields]) -> None:
+        """Keeps everything outside the region fixed to the bit."""
+        self._books.limit(region_of_interest=regions.region(region))
+
+    def _named(self) -> pb.SessionRequest:
+        return pb.SessionRequest(session_id=self.id)
+
+
+def recorded(wish: pb.Options) -> pb.Options:
+    """A stream's options for a pose that is recorded: solved to the end, and answered whole."""
+    record = pb.Options()
+    record.CopyFrom(wish)
+    for name in ("budget_ms", "progressive", "window"):
+        record.ClearField(name)
+    record.output.ClearField("changed_only")
+    return record

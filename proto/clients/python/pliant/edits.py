@@ -1,0 +1,210 @@
+"""Edits: operations that change the topology."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Union
+
+import numpy as np
+import numpy.typing as npt
+from typing_extensions import TypedDict
+
+from .poses import Vector
+from .regions import RegionLike, enum, plane, region
+from .v1 import pliant_pb2 as pb
+
+
+class Cut(TypedDict, total=False):
+    """Cuts by a plane (``normal`` and ``offset``), by a line drawn on the surface, or along edges."""
+
+    #: The plane's points have normal . x = offset.
+    normal: Vector
+    offset: float
+    #: (points, 3) of a line on the surface.
+    polyline: Any
+    #: Render vertices along edges.
+    path: Any
+    #: The line or path returns to its first point.
+    closed: bool
+    #: Which sides stay: for a plane above is where the normal points, for a line its left. Default both.
+    keep: Literal["both", "above", "below"]
+    #: Close the cut.
+    fill: bool
+
+
+class Subdivide(TypedDict, total=False):
+    """Splits triangles."""
+
+    region: RegionLike
+    scheme: Literal["loop", "midpoint"]
+
+
+class Decimate(TypedDict, total=False):
+    """Removes triangles while keeping the shape."""
+
+    region: RegionLike
+    #: Share of triangles to keep, between 0 and 1.
+    ratio: float
+
+
+class Delete(TypedDict, total=False):
+    """Removes a region."""
+
+    region: RegionLike
+    #: Close the hole.
+    fill: bool
+
+
+class Fill(TypedDict, total=False):
+    """Closes holes."""
+
+    region: RegionLike
+
+
+class Remesh(TypedDict, total=False):
+    """Evens out triangles."""
+
+    region: RegionLike
+    #: Target edge length in model units.
+    edge_length: float
+    #: Only where stretch or aspect asks for it.
+    auto: bool
+
+
+class Merge(TypedDict, total=False):
+    """Adds another model: a file or its bytes, or another session by id."""
+
+    model: Union[str, os.PathLike[str], bytes]
+    session: str
+    #: 4 by 4, column vectors, translation in the last column.
+    transform: Any
+    how: Literal["weld", "stitch", "loose"]
+    #: Largest distance of boundary vertices that are welded, in model units.
+    tolerance: float
+    #: Format of the model, where its bytes do not tell.
+    format: str
+
+
+class InsertCurve(TypedDict, total=False):
+    """Inserts a polyline into the surface as edges."""
+
+    #: (points, 3).
+    points: Any
+    #: The line returns to its first point.
+    closed: bool
+
+
+class Weld(TypedDict, total=False):
+    """Welds vertices."""
+
+    #: Largest distance, in model units.
+    tolerance: float
+
+
+class EditFields(TypedDict, total=False):
+    """One operation; exactly one key is given."""
+
+    cut: Cut
+    subdivide: Subdivide
+    decimate: Decimate
+    delete: Delete
+    fill: Fill
+    remesh: Remesh
+    merge: Merge
+    insert_curve: InsertCurve
+    weld: Weld
+
+
+@dataclass(frozen=True)
+class EditResult:
+    """What an edit did."""
+
+    #: The session's revision.
+    revision: int
+    #: Render vertices and triangles before.
+    before: tuple[int, int]
+    #: Render vertices and triangles after.
+    after: tuple[int, int]
+    #: Handles that still hold vertices.
+    handles_kept: list[str]
+    #: What was noticed.
+    warnings: list[pb.Warning]
+    #: Milliseconds by stage.
+    ms: dict[str, float]
+    #: For every render vertex of before its number now, or -1 where it is gone.
+    now_from_before: npt.NDArray[np.int64]
+    #: Render vertices along an inserted curve.
+    curve: list[int]
+    #: Digest of the positions after it.
+    digest: str
+
+
+OPERATIONS = tuple(EditFields.__annotations__)
+
+
+def request(session_id: str, on: str, fields: Mapping[str, Any]) -> pb.EditRequest:
+    """An edit as the schema carries it."""
+    if len(fields) != 1 or next(iter(fields)) not in OPERATIONS:
+        seen = ", ".join(fields) or "nothing"
+        raise ValueError(f"edit: {seen} is given, exactly one of {', '.join(OPERATIONS)} is allowed")
+    name, given = next(iter(fields.items()))
+    message = pb.EditRequest(session_id=session_id, on=enum("on", pb.EditRequest.On, on))
+    _fill(name, getattr(message, name), dict(given))
+    getattr(message, name).SetInParent()
+    return message
+
+
+def _fill(name: str, operation: Any, given: dict[str, Any]) -> None:
+    if name == "cut" and ("normal" in given or "offset" in given):
+        operation.plane.CopyFrom(plane((given.pop("normal", ()), given.pop("offset", 0.0))))
+    for key, value in given.items():
+        if key == "region":
+            operation.region.CopyFrom(region(value))
+        elif key in ("keep", "scheme", "how"):
+            setattr(operation, key, enum(key, _ENUMS[key], value))
+        elif key == "transform":
+            matrix = np.asarray(value, dtype=np.float64)
+            if matrix.shape != (4, 4):
+                raise ValueError(f"merge: a transform of shape {matrix.shape}, (4, 4) is allowed")
+            operation.transform.extend(matrix.T.ravel().tolist())
+        elif key in ("points", "polyline"):
+            points = np.asarray(value, dtype=np.float64)
+            if points.ndim != 2 or points.shape[1] != 3:
+                raise ValueError(f"{name}: {key} of shape {points.shape}, (points, 3) is allowed")
+            getattr(operation, key).extend(points.ravel().tolist())
+        elif key == "path":
+            operation.path.extend(int(vertex) for vertex in value)
+        elif key == "model" and name == "merge":
+            operation.model = value if isinstance(value, bytes) else Path(value).read_bytes()
+        elif key in operation.DESCRIPTOR.fields_by_name and key not in ("plane", "file"):
+            setattr(operation, key, value)
+        else:
+            raise TypeError(f"{name}: no such setting as {key}")
+
+
+_ENUMS: dict[str, Any] = {
+    "keep": pb.EditRequest.Cut.Keep,
+    "scheme": pb.EditRequest.Subdivide.Scheme,
+    "how": pb.EditRequest.Merge.How,
+}
+
+
+def result(message: pb.EditResult) -> EditResult:
+    """What the server says that it did."""
+    now_from_before = np.full(message.before.vertices, -1, np.int64)
+    for run in message.kept:
+        now_from_before[run.was : run.was + run.count] = np.arange(run.now, run.now + run.count)
+    return EditResult(
+        revision=message.revision,
+        before=(message.before.vertices, message.before.faces),
+        after=(message.after.vertices, message.after.faces),
+        handles_kept=list(message.handles_kept),
+        warnings=list(message.warnings),
+        ms=dict(message.ms),
+        now_from_before=now_from_before,
+        curve=list(message.curve),
+        digest=message.digest,
+    )

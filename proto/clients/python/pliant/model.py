@@ -1,0 +1,153 @@
+"""Models: what can be opened, as the bytes that are uploaded."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol, TypeAlias, Union, runtime_checkable
+from urllib.parse import unquote
+
+import numpy as np
+import numpy.typing as npt
+
+from .progress import Progress
+from .v1 import pliant_pb2 as pb
+
+#: Bytes of one piece of an upload, where the server takes messages of that size.
+_PIECE = 1 << 20
+#: Bytes that a message needs beside its piece.
+_FRAMING = 64
+
+
+@runtime_checkable
+class MeshLike(Protocol):
+    """Anything with vertices and faces, such as a mesh of trimesh."""
+
+    @property
+    def vertices(self) -> Any:
+        """(vertices, 3) numbers."""
+
+    @property
+    def faces(self) -> Any:
+        """(faces, 3 or 4) indices."""
+
+
+Model: TypeAlias = Union[str, "os.PathLike[str]", bytes, BinaryIO, "tuple[npt.ArrayLike, npt.ArrayLike]", MeshLike]
+
+
+@dataclass
+class Upload:
+    """The bytes of a model and of the files that it refers to."""
+
+    main: bytes
+    companions: dict[str, bytes] = field(default_factory=dict)
+    #: The format, where the bytes alone do not tell it.
+    format: str = ""
+
+    def requests(
+        self, options: pb.CreateOptions, message_bytes: int, progress: Progress
+    ) -> Iterator[pb.CreateSessionRequest]:
+        """The messages of the upload, none larger than the server takes; tells how many bytes went out."""
+        size = max(1, min(_PIECE, message_bytes - _FRAMING))
+        yield pb.CreateSessionRequest(options=options)
+        done = 0
+        total = len(self.main) + sum(map(len, self.companions.values()))
+        for uri, data in [("", self.main), *self.companions.items()]:
+            if uri:
+                yield pb.CreateSessionRequest(companion=pb.Companion(uri=uri))
+            for first in range(0, len(data), size):
+                piece = data[first : first + size]
+                yield pb.CreateSessionRequest(chunk=piece)
+                done += len(piece)
+                progress(done, total)
+
+
+def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
+    """Reads whatever names or is a model.
+
+    A path to a .gltf also reads the files that its buffers name, from beside it. Arrays become a PLY in which vertices
+    keep their number.
+    """
+    if isinstance(model, (str, os.PathLike)):
+        path = Path(model)
+        upload = Upload(path.read_bytes(), format=path.suffix.lstrip(".").lower())
+        if upload.format not in ("glb", "gltf", "obj", "ply", "off", "stl"):
+            upload.format = ""
+        if upload.format == "gltf" and companions is None:
+            upload.companions = dict(_beside(path, upload.main))
+    elif isinstance(model, (bytes, bytearray, memoryview)):
+        upload = Upload(bytes(model))
+    elif isinstance(model, tuple):
+        if len(model) != 2:
+            raise ValueError(f"a model in {len(model)} arrays, (vertices, faces) is allowed")
+        upload = Upload(ply(*model), format="ply")
+    elif isinstance(model, MeshLike):
+        upload = Upload(ply(model.vertices, model.faces), format="ply")
+    else:
+        upload = Upload(model.read())
+    if companions is not None:
+        upload.companions = dict(companions)
+    return upload
+
+
+def _beside(path: Path, main: bytes) -> Iterator[tuple[str, bytes]]:
+    """The buffers of a .gltf. What cannot be read is left to the server to complain about."""
+    try:
+        buffers = json.loads(main).get("buffers", [])
+        uris = [unquote(str(buffer["uri"])) for buffer in buffers if "uri" in buffer]
+    except (ValueError, TypeError, AttributeError):
+        return
+    folder = path.parent.resolve()
+    for uri in dict.fromkeys(uris):
+        named = (folder / uri).resolve()
+        # A model from elsewhere must not make us send files from outside its folder.
+        if not uri.startswith("data:") and named.is_relative_to(folder) and named.is_file():
+            yield uri, named.read_bytes()
+
+
+def ply(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> bytes:
+    """A binary PLY of (n, 3) vertices and (m, corners) faces; numbers keep their precision."""
+    points = np.asarray(vertices)
+    corners = np.asarray(faces)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"vertices have shape {points.shape}, (vertices, 3) is allowed")
+    if corners.ndim != 2 or not 3 <= corners.shape[1] <= 255 or not np.issubdtype(corners.dtype, np.integer):
+        raise ValueError(f"faces are {corners.dtype} of shape {corners.shape}, (faces, 3) whole numbers are allowed")
+    if corners.size and not 0 <= int(corners.min()) <= int(corners.max()) < len(points):
+        raise ValueError(f"faces name vertices {corners.min()} to {corners.max()} of {len(points)}")
+    single = points.dtype == np.float32
+    name = "float" if single else "double"
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(points)}\nproperty {name} x\nproperty {name} y\nproperty {name} z\n"
+        f"element face {len(corners)}\nproperty list uchar uint vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(corners), np.dtype([("count", "u1"), ("corners", "<u4", (corners.shape[1],))]))
+    rows["count"] = corners.shape[1]
+    rows["corners"] = corners
+    return header.encode() + points.astype("<f4" if single else "<f8").tobytes() + rows.tobytes()
+
+
+def joined(chunks: Iterable[pb.Chunk]) -> dict[str, bytes]:
+    """An export's files by URI; "" is the main one."""
+    files: dict[str, list[bytes]] = {}
+    for chunk in chunks:
+        files.setdefault(chunk.uri, []).append(chunk.data)
+    return {uri: b"".join(pieces) for uri, pieces in files.items()}
+
+
+def write(path: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Writes an export: the main file under `path`, companions beside it. Answers the paths."""
+    written = []
+    folder = path.parent.resolve()
+    for uri, data in files.items():
+        target = path if uri == "" else folder / uri
+        if uri and not target.resolve().is_relative_to(folder):
+            raise ValueError(f"the model's companion {uri!r} would be written outside {folder}")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(data)
+        written.append(target)
+    return written

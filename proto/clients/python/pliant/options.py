@@ -1,0 +1,135 @@
+"""Options: how poses are solved, and how a session is built."""
+
+from __future__ import annotations
+
+from typing import Literal, Union
+
+from typing_extensions import TypedDict
+
+from .regions import enum
+from .v1 import pliant_pb2 as pb
+
+
+class SolveFields(TypedDict, total=False):
+    """How poses are solved, all optional; the server's defaults hold for what is absent."""
+
+    #: Relative residual to reach, 1e-12 to 1.
+    tolerance: float
+    #: Largest displacement that may be missing, as a fraction of the bounding box's diagonal.
+    max_error: float
+    #: Milliseconds after which the best result so far is taken. Not for commits.
+    budget_ms: float
+    #: Better and better frames for one pose. Only on a stream.
+    progressive: bool
+    #: Rotation re-fits after the second pass. Default 4 on commit, 0 while dragging.
+    refine: int
+    #: How rotations are found between handles.
+    first_pass: Literal["harmonic", "diffusion", "linear_frames"]
+    #: The deformation method.
+    method: Literal["graph", "spatial_rbf"]
+    #: Weight of rotation smoothing in re-fits.
+    rotation_smoothing: float
+    #: Frames also carry normals.
+    normals: bool
+    #: Frames also carry tangents.
+    tangents: bool
+    #: Only vertices that moved by more than this fraction of the diagonal travel. Frames are whole all the same.
+    changed_only: float
+    #: How numbers travel: as they are, or as 16 bits between the corners of the frame's box.
+    encoding: Literal["f32", "u16"]
+    #: Count self-intersections in the quality of a committed pose.
+    self_intersections: bool
+    #: Unacknowledged frames in flight. Only on a stream.
+    window: int
+
+
+_PLAIN = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "rotation_smoothing", "window")
+_OUTPUT = ("normals", "tangents", "changed_only", "self_intersections")
+
+
+def options(fields: SolveFields) -> pb.Options:
+    """Options as the schema carries them."""
+    message = pb.Options()
+    for name, value in fields.items():
+        if name in _PLAIN:
+            setattr(message, name, value)
+        elif name in _OUTPUT:
+            setattr(message.output, name, value)
+        elif name == "encoding":
+            if value not in ("f32", "u16"):
+                raise ValueError(f"encoding: {value!r}, f32 or u16 is allowed")
+            message.output.encoding = enum(name, pb.Frame.Encoding, str(value))
+        elif name == "first_pass":
+            message.first_pass = enum(name, pb.Options.FirstPass, str(value))
+        elif name == "method":
+            message.method = enum(name, pb.Options.Method, str(value))
+        else:
+            allowed = ", ".join(SolveFields.__annotations__)
+            raise TypeError(f"{name}: no such option; allowed are {allowed}")
+    return message
+
+
+class VolumeGraph(TypedDict, total=False):
+    """The interior nodes that keep the volume."""
+
+    #: Whether they are built: where the model has an inside, never, or always.
+    mode: Literal["auto", "off", "required"]
+    #: Lattice interval in model units.
+    interval: float
+    #: Lattice neighbours of an interior node.
+    valence: Literal[8, 14]
+    #: Depth of the inner shell in model units.
+    shell_offset: float
+
+
+class CreateFields(TypedDict, total=False):
+    """How a session is built from its model, all optional."""
+
+    #: "glb", "gltf", "obj", "ply", "off" or "stl"; absent = told by the first bytes.
+    format: str
+    volume_graph: Union[Literal["auto", "off", "required"], VolumeGraph]
+    #: What happens to parts in which no handle lies.
+    components: Literal["follow", "hold", "free"]
+    #: Edge weights of the surface graph.
+    weights: Literal["uniform", "cotangent"]
+    #: Free text for people.
+    label: str
+    #: How long the session outlives its last use, such as "15m".
+    ttl: str
+    #: Vertices at most this far apart become one, in model units.
+    weld: float
+    #: Operators of the multigrid hierarchy.
+    operators: Literal["finite_volume", "paper"]
+
+
+def create_options(fields: CreateFields) -> pb.CreateOptions:
+    """Creation options as the schema carries them."""
+    message = pb.CreateOptions()
+    for name, value in fields.items():
+        if name in ("format", "label", "ttl"):
+            setattr(message, name, value)
+        elif name == "weld":
+            message.weld.tolerance = fields["weld"]
+        elif name == "components":
+            message.components = enum(name, pb.CreateOptions.Components, str(value))
+        elif name == "weights":
+            message.weights = enum(name, pb.CreateOptions.Weights, str(value))
+        elif name == "operators":
+            message.operators = enum(name, pb.CreateOptions.Operators, str(value))
+        elif name == "volume_graph":
+            graph = fields["volume_graph"]
+            _volume_graph({"mode": graph} if isinstance(graph, str) else graph, message.volume_graph)
+        else:
+            allowed = ", ".join(CreateFields.__annotations__)
+            raise TypeError(f"{name}: no such option of a session; allowed are {allowed}")
+    return message
+
+
+def _volume_graph(fields: VolumeGraph, message: pb.CreateOptions.VolumeGraph) -> None:
+    for name, value in fields.items():
+        if name == "mode":
+            message.mode = enum(name, pb.CreateOptions.VolumeGraph.Mode, str(value))
+        elif name in ("interval", "valence", "shell_offset"):
+            setattr(message, name, value)
+        else:
+            raise TypeError(f"volume_graph: {name}: allowed are mode, interval, valence and shell_offset")

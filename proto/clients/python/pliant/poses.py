@@ -1,0 +1,127 @@
+"""Poses: where handles are.
+
+A pose scales, then turns about the pivot, then moves. Wherever this package takes a pose it takes a :class:`Pose`, a
+dict of its fields, or a 4 by 4 matrix; wherever it takes the poses of several handles it takes a mapping from handle
+ids.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias, Union
+
+import numpy as np
+import numpy.typing as npt
+from typing_extensions import TypedDict
+
+from .v1 import pliant_pb2 as pb
+
+Vector: TypeAlias = Union[Sequence[float], "npt.NDArray[Any]"]
+
+
+class PoseFields(TypedDict, total=False):
+    """The fields of a pose, all optional."""
+
+    translation: Vector
+    rotation: Vector
+    rotation_vector: Vector
+    scale: float | Vector
+    pivot: Vector
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a handle is; absent fields leave it as at rest."""
+
+    #: x, y, z in model units.
+    translation: Vector | None = None
+    #: Unit quaternion x, y, z, w; not together with ``rotation_vector``.
+    rotation: Vector | None = None
+    #: Axis times angle in radians; any number of turns counts.
+    rotation_vector: Vector | None = None
+    #: One number or three, each above 0.
+    scale: float | Vector | None = None
+    #: x, y, z; default: the centroid of the region at rest.
+    pivot: Vector | None = None
+
+    @staticmethod
+    def from_matrix(model_from_rest: npt.ArrayLike) -> Pose:
+        """The pose that a 4 by 4 matrix (column vectors, translation in the last column) describes.
+
+        Raises ValueError when the matrix shears, mirrors or projects: a pose cannot do that.
+        """
+        matrix = np.asarray(model_from_rest, dtype=np.float64)
+        if matrix.shape != (4, 4):
+            raise ValueError(f"a pose's matrix has shape {matrix.shape}, (4, 4) is allowed")
+        if not np.allclose(matrix[3], [0, 0, 0, 1]):
+            raise ValueError(f"the matrix's last row is {matrix[3].tolist()}, only [0, 0, 0, 1] is allowed")
+        linear = matrix[:3, :3]
+        scale = np.linalg.norm(linear, axis=0)
+        if not np.all(scale > 0):
+            raise ValueError("the matrix flattens an axis; scales above 0 are allowed")
+        turn = linear / scale
+        if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-6):
+            raise ValueError("the matrix shears; a pose scales along x, y and z, then turns, then moves")
+        if np.linalg.det(turn) < 0:
+            raise ValueError("the matrix mirrors; scales above 0 are allowed")
+        return Pose(translation=matrix[:3, 3], rotation=_quaternion(turn), scale=scale, pivot=(0.0, 0.0, 0.0))
+
+
+PoseLike: TypeAlias = Union[Pose, PoseFields, "npt.NDArray[Any]", None]
+Poses: TypeAlias = Mapping[str, PoseLike]
+
+
+def _quaternion(turn: npt.NDArray[np.float64]) -> list[float]:
+    """x, y, z, w of a rotation matrix, by way of its largest component."""
+    xx, yy, zz = (float(turn[k, k]) for k in range(3))
+    squares = [1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz]
+    largest = int(np.argmax(squares))
+    twice = float(np.sqrt(squares[largest])) * 2
+    off = {k: float(turn[(k + 2) % 3, (k + 1) % 3] - turn[(k + 1) % 3, (k + 2) % 3]) for k in range(3)}
+    if largest == 3:
+        return [off[0] / twice, off[1] / twice, off[2] / twice, twice / 4]
+    found = [0.0, 0.0, 0.0, off[largest] / twice]
+    for k in range(3):
+        sum_ = float(turn[k, largest] + turn[largest, k])
+        found[k] = twice / 4 if k == largest else sum_ / twice
+    return found
+
+
+def numbers(what: str, value: Any, allowed: tuple[int, ...]) -> list[float]:
+    """A vector as the schema carries it; its values are the server's to judge."""
+    array = np.asarray(value, dtype=np.float64).ravel()
+    if array.size not in allowed:
+        sizes = " or ".join(map(str, allowed))
+        raise ValueError(f"{what}: {array.size} numbers, {sizes} are allowed")
+    return [float(number) for number in array]
+
+
+def to_message(pose: PoseLike) -> pb.HandlePose:
+    """A pose as the schema carries it; None is rest."""
+    if pose is None:
+        return pb.HandlePose()
+    if isinstance(pose, np.ndarray):
+        pose = Pose.from_matrix(pose)
+    if not isinstance(pose, Pose):
+        pose = Pose(**pose)
+    message = pb.HandlePose()
+    for name, allowed in _LENGTHS.items():
+        value = getattr(pose, name)
+        if value is not None:
+            getattr(message, name).extend(numbers(name, value, allowed))
+    return message
+
+
+_LENGTHS = {"translation": (3,), "rotation": (4,), "rotation_vector": (3,), "scale": (1, 3), "pivot": (3,)}
+
+
+def entries(poses: Poses) -> dict[str, pb.HandlePose]:
+    """The poses of several handles as messages."""
+    return {handle: to_message(pose) for handle, pose in poses.items()}
+
+
+def pose_message(by_handle: Mapping[str, pb.HandlePose], seq: int = 0) -> pb.Pose:
+    """One pose of a session."""
+    listed = [pb.Pose.Entry(id=handle, pose=pose) for handle, pose in by_handle.items()]
+    return pb.Pose(seq=seq, handles=listed)

@@ -1,0 +1,44 @@
+"""Progress: told to a callable, or shown as a bar of tqdm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Any, TypeAlias, Union
+
+
+#: Called with what is done and what there is to do in all; the latter is 0 where it is not known.
+Progress: TypeAlias = Callable[[int, int], None]
+ProgressLike: TypeAlias = Union[bool, Progress]
+
+
+class Meter(AbstractContextManager["Meter"]):
+    """What is done, told to whoever wants to know. Calling it tells."""
+
+    def __init__(self, wish: ProgressLike, what: str, *, bytes: bool = False) -> None:
+        self._tell: Progress | None = wish if callable(wish) else None
+        self._bar: Any = None
+        if wish is True:
+            try:
+                from tqdm.auto import tqdm
+            except ImportError:
+                raise ImportError(
+                    "progress=True draws with tqdm: pip install 'pliant[progress]', or give a callable"
+                ) from None
+            kind = {"unit": "B", "unit_scale": True, "unit_divisor": 1024} if bytes else {"unit": "pose"}
+            self._bar = tqdm(desc=what, leave=False, **kind)
+
+    def __call__(self, done: int, total: int) -> None:
+        if self._tell is not None:
+            self._tell(done, total)
+        if self._bar is not None:
+            if total:
+                self._bar.total = total
+            self._bar.update(done - self._bar.n)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.close()

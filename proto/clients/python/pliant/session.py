@@ -1,0 +1,226 @@
+"""A session: one model on a server, its handles, poses and commits."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+from typing_extensions import Unpack
+
+from . import edits, errors, frames, model
+from .books import Commit, Traffic, commits
+from .calls import Calls
+from .declared import CLOSE_SECONDS, CommitWish, Declared, recorded
+from .frames import Floats, Frame
+from .options import SolveFields, options
+from .poses import Poses
+from .progress import Meter, ProgressLike
+from .stream import Stream
+from .v1 import pliant_pb2 as pb
+
+
+class Session(Declared):
+    """One open model. Made by :func:`pliant.open`; a ``with`` block closes it at its end.
+
+    Handles are collected here and go to the server together, before the first call that needs them.
+    """
+
+    def __init__(self, calls: Calls, info: pb.Session, *, keep: bool, at_close: Callable[[], None] | None) -> None:
+        super().__init__(info)
+        self._calls = calls
+        self._keep = keep
+        self._at_close = at_close
+
+    def apply(self) -> pb.Session:
+        """Sends the handles now, if they are not on the server yet; answers the session with the handles in force."""
+        request = self._books.to_send()
+        if request is not None:
+            self._books.sent(self._calls.one("SetHandles", request, keyed=True))
+        return self._books.info
+
+    def solve(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Floats:
+        """Solves one pose to the tolerance, records it, and answers the positions, (render vertices, 3).
+
+        Handles that are not named keep their last pose.
+        """
+        return self.solve_frame(poses, **how).positions
+
+    def solve_frame(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Frame:
+        """As :meth:`solve`, with normals, errors, times and quality."""
+        self.apply()
+        return self._solve(poses, options(how))
+
+    def _solve(self, poses: Any, how: pb.Options) -> Frame:
+        request = self._books.solve_request(poses, how)
+        parts = self._calls.many("Solve", request, keyed=True)
+        frame = frames.whole(parts, self.vertices, changed_only=how.output.HasField("changed_only"))
+        self._books.committed(frame, request)
+        return frame
+
+    def stream(self, **how: Unpack[SolveFields]) -> Stream:
+        """Opens a stream for a drag: poses out, frames in, the newest pose wins."""
+        self.apply()
+        wish = options(how)
+        record = recorded(wish)
+        traffic = Traffic(self.id, self.vertices, wish)
+        return Stream(self._calls, traffic, lambda poses: self._solve(poses, record))
+
+    def drag(
+        self,
+        poses: Iterable[Poses],
+        *,
+        commit: CommitWish = False,
+        latest: bool = False,
+        progress: ProgressLike = False,
+        **how: Unpack[SolveFields],
+    ) -> Iterator[Frame]:
+        """Drags handles along `poses` and yields the frames.
+
+        Every pose is answered before the next one is taken, by one frame, or with ``progressive`` by several of which
+        the last is ``final``. With ``latest`` poses are taken as fast as they come (from an iterator that waits for a
+        mouse, say) and only the newest is solved. ``commit=True`` records every pose, ``commit="last"`` the last one.
+        """
+        poses = poses if latest else list(poses) if progress else poses
+        total = len(poses) if isinstance(poses, Sequence) else 0
+        with Meter(progress, "poses") as tell:
+            finals = 0
+            for frame in self._drag(iter(poses), commit, latest, how):
+                yield frame
+                finals += frame.final
+                tell(finals, total)
+
+    def _drag(self, poses: Iterator[Poses], commit: CommitWish, latest: bool, how: SolveFields) -> Iterator[Frame]:
+        if commit is True:
+            for pose in poses:
+                yield self.solve_frame(pose, **how)
+            return
+        with self.stream(**how) as stream:
+            if latest:
+                yield from _newest(stream, poses)
+            else:
+                yield from _each(stream, poses, last=commit != "last")
+            if commit == "last":
+                yield stream.commit()
+
+    def positions(self) -> Floats:
+        """The current shape, (render vertices, 3): at rest before anything was solved."""
+        values = np.frombuffer(self._calls.get(f"/v1/sessions/{self.id}/positions"), "<f4")
+        return values.reshape(-1, 3).astype(np.float32)
+
+    def export(self, path: str | Path, format: str = "") -> list[Path]:
+        """Writes the model in its current shape; the extension says the format. Answers the paths of the files."""
+        path = Path(path)
+        return model.write(path, self.export_bytes(format or path.suffix.lstrip(".").lower()))
+
+    def export_bytes(self, format: str = "") -> dict[str, bytes]:
+        """The model in its current shape by file: "" is the main one, others are companions by URI."""
+        request = pb.ExportRequest(session_id=self.id, format=format)
+        return model.joined(self._calls.many("Export", request))
+
+    def edit(
+        self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]
+    ) -> edits.EditResult:
+        """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``,
+        ``merge``, ``insert_curve`` and ``weld``.
+
+        Afterwards ``vertices`` and ``info`` are new, and streams have to be opened anew.
+        """
+        request = edits.request(self.id, on, operation)
+        self.apply()
+        done = edits.result(self._calls.one("Edit", request, keyed=True))
+        self._books.edited(self._calls.one("GetSession", self._named()))
+        return done
+
+    def undo(self) -> pb.Session:
+        """Goes back by one commit; positions return to the bit."""
+        return self._travel("Undo")
+
+    def redo(self) -> pb.Session:
+        """Goes forward again by one undone commit."""
+        return self._travel("Redo")
+
+    def _travel(self, call: str) -> pb.Session:
+        info = self._calls.one(call, self._named(), keyed=True)
+        current = self._calls.one("History", self._named()).current
+        self._books.travelled(info, current)
+        return self._books.info
+
+    def history(self) -> list[Commit]:
+        """The commits, oldest first."""
+        return commits(self._calls.one("History", self._named()))
+
+    def refresh(self) -> pb.Session:
+        """Asks the server about the session, which also renews its expiry."""
+        self._books.info = self._calls.one("GetSession", self._named())
+        return self._books.info
+
+    def close(self) -> None:
+        """Deletes the session on the server, unless it was opened to be kept."""
+        try:
+            if not self._keep:
+                self._calls.one("DeleteSession", self._named(), patience=CLOSE_SECONDS)
+        except (errors.NotFound, errors.Unavailable, errors.LocalServerError):
+            pass  # it is gone, or goes when its time is over
+        finally:
+            self._keep = True
+            if self._at_close is not None:
+                self._at_close()
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _each(stream: Stream, poses: Iterator[Poses], *, last: bool) -> Iterator[Frame]:
+    """Sends one pose after the other, each when the one before is answered; the last one only if `last`."""
+    for pose, is_last in with_last(poses):
+        if is_last and not last:
+            stream.absorb(pose)
+            return
+        seq = stream.send(pose)
+        final = False
+        while not final:
+            frame = stream.receive()
+            yield frame
+            final = frame.final and frame.seq == seq
+
+
+def _newest(stream: Stream, poses: Iterator[Poses]) -> Iterator[Frame]:
+    """Sends poses from a thread of their own while frames come."""
+    raised: list[BaseException] = []
+
+    def feed() -> None:
+        try:
+            for pose in poses:
+                stream.send(pose)
+        except BaseException as error:
+            raised.append(error)
+        finally:
+            stream.finish()
+
+    feeder = threading.Thread(target=feed, name="pliant-poses", daemon=True)
+    feeder.start()
+    yield from stream
+    feeder.join()
+    if raised:
+        raise raised[0]
+
+
+def with_last(poses: Iterator[Poses]) -> Iterator[tuple[Poses, bool]]:
+    """Every pose, and whether it is the last one."""
+    try:
+        held = next(poses)
+    except StopIteration:
+        return
+    for pose in poses:
+        yield held, False
+        held = pose
+    yield held, True

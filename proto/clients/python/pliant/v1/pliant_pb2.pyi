@@ -1,0 +1,986 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class CreateSessionRequest(_message.Message):
+    __slots__ = ("options", "chunk", "companion")
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    CHUNK_FIELD_NUMBER: _ClassVar[int]
+    COMPANION_FIELD_NUMBER: _ClassVar[int]
+    options: CreateOptions
+    chunk: bytes
+    companion: Companion
+    def __init__(self, options: _Optional[_Union[CreateOptions, _Mapping]] = ..., chunk: _Optional[bytes] = ..., companion: _Optional[_Union[Companion, _Mapping]] = ...) -> None: ...
+
+class Companion(_message.Message):
+    __slots__ = ("uri",)
+    URI_FIELD_NUMBER: _ClassVar[int]
+    uri: str
+    def __init__(self, uri: _Optional[str] = ...) -> None: ...
+
+class CreateOptions(_message.Message):
+    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators")
+    class Components(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        FOLLOW: _ClassVar[CreateOptions.Components]
+        HOLD: _ClassVar[CreateOptions.Components]
+        FREE: _ClassVar[CreateOptions.Components]
+    FOLLOW: CreateOptions.Components
+    HOLD: CreateOptions.Components
+    FREE: CreateOptions.Components
+    class Weights(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        UNIFORM: _ClassVar[CreateOptions.Weights]
+        COTANGENT: _ClassVar[CreateOptions.Weights]
+    UNIFORM: CreateOptions.Weights
+    COTANGENT: CreateOptions.Weights
+    class Operators(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        FINITE_VOLUME: _ClassVar[CreateOptions.Operators]
+        PAPER: _ClassVar[CreateOptions.Operators]
+    FINITE_VOLUME: CreateOptions.Operators
+    PAPER: CreateOptions.Operators
+    class VolumeGraph(_message.Message):
+        __slots__ = ("mode", "interval", "valence", "shell_offset")
+        class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            AUTO: _ClassVar[CreateOptions.VolumeGraph.Mode]
+            OFF: _ClassVar[CreateOptions.VolumeGraph.Mode]
+            REQUIRED: _ClassVar[CreateOptions.VolumeGraph.Mode]
+        AUTO: CreateOptions.VolumeGraph.Mode
+        OFF: CreateOptions.VolumeGraph.Mode
+        REQUIRED: CreateOptions.VolumeGraph.Mode
+        MODE_FIELD_NUMBER: _ClassVar[int]
+        INTERVAL_FIELD_NUMBER: _ClassVar[int]
+        VALENCE_FIELD_NUMBER: _ClassVar[int]
+        SHELL_OFFSET_FIELD_NUMBER: _ClassVar[int]
+        mode: CreateOptions.VolumeGraph.Mode
+        interval: float
+        valence: int
+        shell_offset: float
+        def __init__(self, mode: _Optional[_Union[CreateOptions.VolumeGraph.Mode, str]] = ..., interval: _Optional[float] = ..., valence: _Optional[int] = ..., shell_offset: _Optional[float] = ...) -> None: ...
+    class Weld(_message.Message):
+        __slots__ = ("tolerance",)
+        TOLERANCE_FIELD_NUMBER: _ClassVar[int]
+        tolerance: float
+        def __init__(self, tolerance: _Optional[float] = ...) -> None: ...
+    FORMAT_FIELD_NUMBER: _ClassVar[int]
+    VOLUME_GRAPH_FIELD_NUMBER: _ClassVar[int]
+    COMPONENTS_FIELD_NUMBER: _ClassVar[int]
+    WEIGHTS_FIELD_NUMBER: _ClassVar[int]
+    LABEL_FIELD_NUMBER: _ClassVar[int]
+    TTL_FIELD_NUMBER: _ClassVar[int]
+    WELD_FIELD_NUMBER: _ClassVar[int]
+    OPERATORS_FIELD_NUMBER: _ClassVar[int]
+    format: str
+    volume_graph: CreateOptions.VolumeGraph
+    components: CreateOptions.Components
+    weights: CreateOptions.Weights
+    label: str
+    ttl: str
+    weld: CreateOptions.Weld
+    operators: CreateOptions.Operators
+    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ...) -> None: ...
+
+class SessionRequest(_message.Message):
+    __slots__ = ("session_id",)
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    def __init__(self, session_id: _Optional[str] = ...) -> None: ...
+
+class ListSessionsRequest(_message.Message):
+    __slots__ = ("page_size", "page_token")
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    page_size: int
+    page_token: str
+    def __init__(self, page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListSessionsResponse(_message.Message):
+    __slots__ = ("sessions", "next_page_token")
+    SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    sessions: _containers.RepeatedCompositeFieldContainer[Session]
+    next_page_token: str
+    def __init__(self, sessions: _Optional[_Iterable[_Union[Session, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class DeleteSessionResponse(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class Primitive(_message.Message):
+    __slots__ = ("node", "mesh", "primitive", "name", "first_vertex", "vertex_count", "index_count", "has_normals", "has_tangents")
+    NODE_FIELD_NUMBER: _ClassVar[int]
+    MESH_FIELD_NUMBER: _ClassVar[int]
+    PRIMITIVE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    FIRST_VERTEX_FIELD_NUMBER: _ClassVar[int]
+    VERTEX_COUNT_FIELD_NUMBER: _ClassVar[int]
+    INDEX_COUNT_FIELD_NUMBER: _ClassVar[int]
+    HAS_NORMALS_FIELD_NUMBER: _ClassVar[int]
+    HAS_TANGENTS_FIELD_NUMBER: _ClassVar[int]
+    node: int
+    mesh: int
+    primitive: int
+    name: str
+    first_vertex: int
+    vertex_count: int
+    index_count: int
+    has_normals: bool
+    has_tangents: bool
+    def __init__(self, node: _Optional[int] = ..., mesh: _Optional[int] = ..., primitive: _Optional[int] = ..., name: _Optional[str] = ..., first_vertex: _Optional[int] = ..., vertex_count: _Optional[int] = ..., index_count: _Optional[int] = ..., has_normals: bool = ..., has_tangents: bool = ...) -> None: ...
+
+class Warning(_message.Message):
+    __slots__ = ("code", "message", "where")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    WHERE_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    message: str
+    where: str
+    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ..., where: _Optional[str] = ...) -> None: ...
+
+class ModelFacts(_message.Message):
+    __slots__ = ("format", "bytes", "sha256", "vertices", "triangles")
+    FORMAT_FIELD_NUMBER: _ClassVar[int]
+    BYTES_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    VERTICES_FIELD_NUMBER: _ClassVar[int]
+    TRIANGLES_FIELD_NUMBER: _ClassVar[int]
+    format: str
+    bytes: int
+    sha256: str
+    vertices: int
+    triangles: int
+    def __init__(self, format: _Optional[str] = ..., bytes: _Optional[int] = ..., sha256: _Optional[str] = ..., vertices: _Optional[int] = ..., triangles: _Optional[int] = ...) -> None: ...
+
+class SolverFacts(_message.Message):
+    __slots__ = ("solver_vertices", "graph_vertices", "graph_edges", "components", "levels", "bytes")
+    class Level(_message.Message):
+        __slots__ = ("vertices", "edges")
+        VERTICES_FIELD_NUMBER: _ClassVar[int]
+        EDGES_FIELD_NUMBER: _ClassVar[int]
+        vertices: int
+        edges: int
+        def __init__(self, vertices: _Optional[int] = ..., edges: _Optional[int] = ...) -> None: ...
+    SOLVER_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    GRAPH_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    GRAPH_EDGES_FIELD_NUMBER: _ClassVar[int]
+    COMPONENTS_FIELD_NUMBER: _ClassVar[int]
+    LEVELS_FIELD_NUMBER: _ClassVar[int]
+    BYTES_FIELD_NUMBER: _ClassVar[int]
+    solver_vertices: int
+    graph_vertices: int
+    graph_edges: int
+    components: int
+    levels: _containers.RepeatedCompositeFieldContainer[SolverFacts.Level]
+    bytes: int
+    def __init__(self, solver_vertices: _Optional[int] = ..., graph_vertices: _Optional[int] = ..., graph_edges: _Optional[int] = ..., components: _Optional[int] = ..., levels: _Optional[_Iterable[_Union[SolverFacts.Level, _Mapping]]] = ..., bytes: _Optional[int] = ...) -> None: ...
+
+class Session(_message.Message):
+    __slots__ = ("id", "revision", "primitives", "warnings", "build_ms", "model", "solver", "expires_at", "label", "handles", "limits")
+    class BuildMsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    ID_FIELD_NUMBER: _ClassVar[int]
+    REVISION_FIELD_NUMBER: _ClassVar[int]
+    PRIMITIVES_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    BUILD_MS_FIELD_NUMBER: _ClassVar[int]
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    SOLVER_FIELD_NUMBER: _ClassVar[int]
+    EXPIRES_AT_FIELD_NUMBER: _ClassVar[int]
+    LABEL_FIELD_NUMBER: _ClassVar[int]
+    HANDLES_FIELD_NUMBER: _ClassVar[int]
+    LIMITS_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    revision: int
+    primitives: _containers.RepeatedCompositeFieldContainer[Primitive]
+    warnings: _containers.RepeatedCompositeFieldContainer[Warning]
+    build_ms: _containers.ScalarMap[str, float]
+    model: ModelFacts
+    solver: SolverFacts
+    expires_at: str
+    label: str
+    handles: _containers.RepeatedCompositeFieldContainer[HandleFacts]
+    limits: Limits
+    def __init__(self, id: _Optional[str] = ..., revision: _Optional[int] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., model: _Optional[_Union[ModelFacts, _Mapping]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., expires_at: _Optional[str] = ..., label: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ...) -> None: ...
+
+class HandleFacts(_message.Message):
+    __slots__ = ("id", "vertices", "centroid")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    VERTICES_FIELD_NUMBER: _ClassVar[int]
+    CENTROID_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    vertices: int
+    centroid: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, id: _Optional[str] = ..., vertices: _Optional[int] = ..., centroid: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Limits(_message.Message):
+    __slots__ = ("upload_bytes", "vertices", "sessions", "memory_bytes", "handles", "message_bytes", "window", "part_bytes", "ttl_seconds", "history", "solve_ms", "streams")
+    UPLOAD_BYTES_FIELD_NUMBER: _ClassVar[int]
+    VERTICES_FIELD_NUMBER: _ClassVar[int]
+    SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
+    HANDLES_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    WINDOW_FIELD_NUMBER: _ClassVar[int]
+    PART_BYTES_FIELD_NUMBER: _ClassVar[int]
+    TTL_SECONDS_FIELD_NUMBER: _ClassVar[int]
+    HISTORY_FIELD_NUMBER: _ClassVar[int]
+    SOLVE_MS_FIELD_NUMBER: _ClassVar[int]
+    STREAMS_FIELD_NUMBER: _ClassVar[int]
+    upload_bytes: int
+    vertices: int
+    sessions: int
+    memory_bytes: int
+    handles: int
+    message_bytes: int
+    window: int
+    part_bytes: int
+    ttl_seconds: float
+    history: int
+    solve_ms: float
+    streams: int
+    def __init__(self, upload_bytes: _Optional[int] = ..., vertices: _Optional[int] = ..., sessions: _Optional[int] = ..., memory_bytes: _Optional[int] = ..., handles: _Optional[int] = ..., message_bytes: _Optional[int] = ..., window: _Optional[int] = ..., part_bytes: _Optional[int] = ..., ttl_seconds: _Optional[float] = ..., history: _Optional[int] = ..., solve_ms: _Optional[float] = ..., streams: _Optional[int] = ...) -> None: ...
+
+class GetLimitsRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class Region(_message.Message):
+    __slots__ = ("vertices", "half_space", "sphere", "box", "capsule", "tube", "component", "primitive", "weights")
+    class Range(_message.Message):
+        __slots__ = ("first", "count")
+        FIRST_FIELD_NUMBER: _ClassVar[int]
+        COUNT_FIELD_NUMBER: _ClassVar[int]
+        first: int
+        count: int
+        def __init__(self, first: _Optional[int] = ..., count: _Optional[int] = ...) -> None: ...
+    class Vertices(_message.Message):
+        __slots__ = ("indices", "ranges")
+        INDICES_FIELD_NUMBER: _ClassVar[int]
+        RANGES_FIELD_NUMBER: _ClassVar[int]
+        indices: _containers.RepeatedScalarFieldContainer[int]
+        ranges: _containers.RepeatedCompositeFieldContainer[Region.Range]
+        def __init__(self, indices: _Optional[_Iterable[int]] = ..., ranges: _Optional[_Iterable[_Union[Region.Range, _Mapping]]] = ...) -> None: ...
+    class HalfSpace(_message.Message):
+        __slots__ = ("normal", "offset")
+        NORMAL_FIELD_NUMBER: _ClassVar[int]
+        OFFSET_FIELD_NUMBER: _ClassVar[int]
+        normal: _containers.RepeatedScalarFieldContainer[float]
+        offset: float
+        def __init__(self, normal: _Optional[_Iterable[float]] = ..., offset: _Optional[float] = ...) -> None: ...
+    class Sphere(_message.Message):
+        __slots__ = ("center", "radius")
+        CENTER_FIELD_NUMBER: _ClassVar[int]
+        RADIUS_FIELD_NUMBER: _ClassVar[int]
+        center: _containers.RepeatedScalarFieldContainer[float]
+        radius: float
+        def __init__(self, center: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ...) -> None: ...
+    class Box(_message.Message):
+        __slots__ = ("min", "max")
+        MIN_FIELD_NUMBER: _ClassVar[int]
+        MAX_FIELD_NUMBER: _ClassVar[int]
+        min: _containers.RepeatedScalarFieldContainer[float]
+        max: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, min: _Optional[_Iterable[float]] = ..., max: _Optional[_Iterable[float]] = ...) -> None: ...
+    class Capsule(_message.Message):
+        __slots__ = ("to", "radius")
+        FROM_FIELD_NUMBER: _ClassVar[int]
+        TO_FIELD_NUMBER: _ClassVar[int]
+        RADIUS_FIELD_NUMBER: _ClassVar[int]
+        to: _containers.RepeatedScalarFieldContainer[float]
+        radius: float
+        def __init__(self, to: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., **kwargs) -> None: ...
+    class Tube(_message.Message):
+        __slots__ = ("points", "radius")
+        POINTS_FIELD_NUMBER: _ClassVar[int]
+        RADIUS_FIELD_NUMBER: _ClassVar[int]
+        points: _containers.RepeatedScalarFieldContainer[float]
+        radius: float
+        def __init__(self, points: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ...) -> None: ...
+    class Part(_message.Message):
+        __slots__ = ("index",)
+        INDEX_FIELD_NUMBER: _ClassVar[int]
+        index: int
+        def __init__(self, index: _Optional[int] = ...) -> None: ...
+    class Weights(_message.Message):
+        __slots__ = ("values",)
+        VALUES_FIELD_NUMBER: _ClassVar[int]
+        values: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, values: _Optional[_Iterable[float]] = ...) -> None: ...
+    VERTICES_FIELD_NUMBER: _ClassVar[int]
+    HALF_SPACE_FIELD_NUMBER: _ClassVar[int]
+    SPHERE_FIELD_NUMBER: _ClassVar[int]
+    BOX_FIELD_NUMBER: _ClassVar[int]
+    CAPSULE_FIELD_NUMBER: _ClassVar[int]
+    TUBE_FIELD_NUMBER: _ClassVar[int]
+    COMPONENT_FIELD_NUMBER: _ClassVar[int]
+    PRIMITIVE_FIELD_NUMBER: _ClassVar[int]
+    WEIGHTS_FIELD_NUMBER: _ClassVar[int]
+    vertices: Region.Vertices
+    half_space: Region.HalfSpace
+    sphere: Region.Sphere
+    box: Region.Box
+    capsule: Region.Capsule
+    tube: Region.Tube
+    component: Region.Part
+    primitive: Region.Part
+    weights: Region.Weights
+    def __init__(self, vertices: _Optional[_Union[Region.Vertices, _Mapping]] = ..., half_space: _Optional[_Union[Region.HalfSpace, _Mapping]] = ..., sphere: _Optional[_Union[Region.Sphere, _Mapping]] = ..., box: _Optional[_Union[Region.Box, _Mapping]] = ..., capsule: _Optional[_Union[Region.Capsule, _Mapping]] = ..., tube: _Optional[_Union[Region.Tube, _Mapping]] = ..., component: _Optional[_Union[Region.Part, _Mapping]] = ..., primitive: _Optional[_Union[Region.Part, _Mapping]] = ..., weights: _Optional[_Union[Region.Weights, _Mapping]] = ...) -> None: ...
+
+class HandlePose(_message.Message):
+    __slots__ = ("translation", "rotation", "rotation_vector", "scale", "pivot")
+    TRANSLATION_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_VECTOR_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    PIVOT_FIELD_NUMBER: _ClassVar[int]
+    translation: _containers.RepeatedScalarFieldContainer[float]
+    rotation: _containers.RepeatedScalarFieldContainer[float]
+    rotation_vector: _containers.RepeatedScalarFieldContainer[float]
+    scale: _containers.RepeatedScalarFieldContainer[float]
+    pivot: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, translation: _Optional[_Iterable[float]] = ..., rotation: _Optional[_Iterable[float]] = ..., rotation_vector: _Optional[_Iterable[float]] = ..., scale: _Optional[_Iterable[float]] = ..., pivot: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Handle(_message.Message):
+    __slots__ = ("id", "region", "constrains", "stiffness", "rigid", "pose", "falloff")
+    class Constrains(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        POSITION: _ClassVar[Handle.Constrains]
+        ROTATION: _ClassVar[Handle.Constrains]
+        SCALE: _ClassVar[Handle.Constrains]
+    POSITION: Handle.Constrains
+    ROTATION: Handle.Constrains
+    SCALE: Handle.Constrains
+    ID_FIELD_NUMBER: _ClassVar[int]
+    REGION_FIELD_NUMBER: _ClassVar[int]
+    CONSTRAINS_FIELD_NUMBER: _ClassVar[int]
+    STIFFNESS_FIELD_NUMBER: _ClassVar[int]
+    RIGID_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    FALLOFF_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    region: Region
+    constrains: _containers.RepeatedScalarFieldContainer[Handle.Constrains]
+    stiffness: float
+    rigid: bool
+    pose: HandlePose
+    falloff: Falloff
+    def __init__(self, id: _Optional[str] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., constrains: _Optional[_Iterable[_Union[Handle.Constrains, str]]] = ..., stiffness: _Optional[float] = ..., rigid: bool = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ..., falloff: _Optional[_Union[Falloff, _Mapping]] = ...) -> None: ...
+
+class Falloff(_message.Message):
+    __slots__ = ("radius", "kind")
+    class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        NONE: _ClassVar[Falloff.Kind]
+        LINEAR: _ClassVar[Falloff.Kind]
+        SMOOTH: _ClassVar[Falloff.Kind]
+    NONE: Falloff.Kind
+    LINEAR: Falloff.Kind
+    SMOOTH: Falloff.Kind
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    radius: float
+    kind: Falloff.Kind
+    def __init__(self, radius: _Optional[float] = ..., kind: _Optional[_Union[Falloff.Kind, str]] = ...) -> None: ...
+
+class Plane(_message.Message):
+    __slots__ = ("normal", "offset")
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_FIELD_NUMBER: _ClassVar[int]
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    offset: float
+    def __init__(self, normal: _Optional[_Iterable[float]] = ..., offset: _Optional[float] = ...) -> None: ...
+
+class SetHandlesRequest(_message.Message):
+    __slots__ = ("session_id", "handles", "symmetry_plane", "region_of_interest")
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    HANDLES_FIELD_NUMBER: _ClassVar[int]
+    SYMMETRY_PLANE_FIELD_NUMBER: _ClassVar[int]
+    REGION_OF_INTEREST_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    handles: _containers.RepeatedCompositeFieldContainer[Handle]
+    symmetry_plane: Plane
+    region_of_interest: Region
+    def __init__(self, session_id: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
+
+class Pose(_message.Message):
+    __slots__ = ("seq", "handles", "commit")
+    class Entry(_message.Message):
+        __slots__ = ("id", "pose")
+        ID_FIELD_NUMBER: _ClassVar[int]
+        POSE_FIELD_NUMBER: _ClassVar[int]
+        id: str
+        pose: HandlePose
+        def __init__(self, id: _Optional[str] = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ...) -> None: ...
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    HANDLES_FIELD_NUMBER: _ClassVar[int]
+    COMMIT_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    handles: _containers.RepeatedCompositeFieldContainer[Pose.Entry]
+    commit: bool
+    def __init__(self, seq: _Optional[int] = ..., handles: _Optional[_Iterable[_Union[Pose.Entry, _Mapping]]] = ..., commit: bool = ...) -> None: ...
+
+class Output(_message.Message):
+    __slots__ = ("normals", "tangents", "changed_only", "encoding", "self_intersections")
+    NORMALS_FIELD_NUMBER: _ClassVar[int]
+    TANGENTS_FIELD_NUMBER: _ClassVar[int]
+    CHANGED_ONLY_FIELD_NUMBER: _ClassVar[int]
+    ENCODING_FIELD_NUMBER: _ClassVar[int]
+    SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
+    normals: bool
+    tangents: bool
+    changed_only: float
+    encoding: Frame.Encoding
+    self_intersections: bool
+    def __init__(self, normals: bool = ..., tangents: bool = ..., changed_only: _Optional[float] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., self_intersections: bool = ...) -> None: ...
+
+class Options(_message.Message):
+    __slots__ = ("tolerance", "max_error", "budget_ms", "progressive", "refine", "first_pass", "method", "rotation_smoothing", "output", "window")
+    class FirstPass(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        HARMONIC: _ClassVar[Options.FirstPass]
+        DIFFUSION: _ClassVar[Options.FirstPass]
+        LINEAR_FRAMES: _ClassVar[Options.FirstPass]
+    HARMONIC: Options.FirstPass
+    DIFFUSION: Options.FirstPass
+    LINEAR_FRAMES: Options.FirstPass
+    class Method(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        GRAPH: _ClassVar[Options.Method]
+        SPATIAL_RBF: _ClassVar[Options.Method]
+    GRAPH: Options.Method
+    SPATIAL_RBF: Options.Method
+    TOLERANCE_FIELD_NUMBER: _ClassVar[int]
+    MAX_ERROR_FIELD_NUMBER: _ClassVar[int]
+    BUDGET_MS_FIELD_NUMBER: _ClassVar[int]
+    PROGRESSIVE_FIELD_NUMBER: _ClassVar[int]
+    REFINE_FIELD_NUMBER: _ClassVar[int]
+    FIRST_PASS_FIELD_NUMBER: _ClassVar[int]
+    METHOD_FIELD_NUMBER: _ClassVar[int]
+    ROTATION_SMOOTHING_FIELD_NUMBER: _ClassVar[int]
+    OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    WINDOW_FIELD_NUMBER: _ClassVar[int]
+    tolerance: float
+    max_error: float
+    budget_ms: float
+    progressive: bool
+    refine: int
+    first_pass: Options.FirstPass
+    method: Options.Method
+    rotation_smoothing: float
+    output: Output
+    window: int
+    def __init__(self, tolerance: _Optional[float] = ..., max_error: _Optional[float] = ..., budget_ms: _Optional[float] = ..., progressive: bool = ..., refine: _Optional[int] = ..., first_pass: _Optional[_Union[Options.FirstPass, str]] = ..., method: _Optional[_Union[Options.Method, str]] = ..., rotation_smoothing: _Optional[float] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ...) -> None: ...
+
+class Ack(_message.Message):
+    __slots__ = ("seq",)
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    def __init__(self, seq: _Optional[int] = ...) -> None: ...
+
+class Ping(_message.Message):
+    __slots__ = ("nonce",)
+    NONCE_FIELD_NUMBER: _ClassVar[int]
+    nonce: int
+    def __init__(self, nonce: _Optional[int] = ...) -> None: ...
+
+class DeformRequest(_message.Message):
+    __slots__ = ("session_id", "options", "pose", "ack", "ping")
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    ACK_FIELD_NUMBER: _ClassVar[int]
+    PING_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    options: Options
+    pose: Pose
+    ack: Ack
+    ping: Ping
+    def __init__(self, session_id: _Optional[str] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
+
+class Frame(_message.Message):
+    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality")
+    class Encoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        F32: _ClassVar[Frame.Encoding]
+        U16: _ClassVar[Frame.Encoding]
+        MESHOPT: _ClassVar[Frame.Encoding]
+    F32: Frame.Encoding
+    U16: Frame.Encoding
+    MESHOPT: Frame.Encoding
+    class Attribute(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        POSITION: _ClassVar[Frame.Attribute]
+        NORMAL: _ClassVar[Frame.Attribute]
+        TANGENT: _ClassVar[Frame.Attribute]
+    POSITION: Frame.Attribute
+    NORMAL: Frame.Attribute
+    TANGENT: Frame.Attribute
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    REVISION_FIELD_NUMBER: _ClassVar[int]
+    PART_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    FIRST_VERTEX_FIELD_NUMBER: _ClassVar[int]
+    ENCODING_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    FINAL_FIELD_NUMBER: _ClassVar[int]
+    RESIDUAL_FIELD_NUMBER: _ClassVar[int]
+    MAX_ERROR_FIELD_NUMBER: _ClassVar[int]
+    SOLVE_MS_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_MS_FIELD_NUMBER: _ClassVar[int]
+    SUPERSEDED_FIELD_NUMBER: _ClassVar[int]
+    ATTRIBUTE_FIELD_NUMBER: _ClassVar[int]
+    VERTEX_COUNT_FIELD_NUMBER: _ClassVar[int]
+    INDICES_FIELD_NUMBER: _ClassVar[int]
+    BOX_MIN_FIELD_NUMBER: _ClassVar[int]
+    BOX_MAX_FIELD_NUMBER: _ClassVar[int]
+    QUALITY_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    revision: int
+    part: int
+    parts: int
+    first_vertex: int
+    encoding: Frame.Encoding
+    data: bytes
+    final: bool
+    residual: float
+    max_error: float
+    solve_ms: float
+    queue_ms: float
+    superseded: int
+    attribute: Frame.Attribute
+    vertex_count: int
+    indices: _containers.RepeatedScalarFieldContainer[int]
+    box_min: _containers.RepeatedScalarFieldContainer[float]
+    box_max: _containers.RepeatedScalarFieldContainer[float]
+    quality: Quality
+    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ...) -> None: ...
+
+class Notice(_message.Message):
+    __slots__ = ("code", "message", "resume_token")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    RESUME_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    message: str
+    resume_token: str
+    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ..., resume_token: _Optional[str] = ...) -> None: ...
+
+class Error(_message.Message):
+    __slots__ = ("code", "message", "seq")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    code: int
+    message: str
+    seq: int
+    def __init__(self, code: _Optional[int] = ..., message: _Optional[str] = ..., seq: _Optional[int] = ...) -> None: ...
+
+class DeformResponse(_message.Message):
+    __slots__ = ("frame", "notice", "error", "pong")
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    NOTICE_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    PONG_FIELD_NUMBER: _ClassVar[int]
+    frame: Frame
+    notice: Notice
+    error: Error
+    pong: Ping
+    def __init__(self, frame: _Optional[_Union[Frame, _Mapping]] = ..., notice: _Optional[_Union[Notice, _Mapping]] = ..., error: _Optional[_Union[Error, _Mapping]] = ..., pong: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
+
+class SolveRequest(_message.Message):
+    __slots__ = ("session_id", "pose", "options")
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    pose: Pose
+    options: Options
+    def __init__(self, session_id: _Optional[str] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., options: _Optional[_Union[Options, _Mapping]] = ...) -> None: ...
+
+class EditRequest(_message.Message):
+    __slots__ = ("session_id", "on", "cut", "subdivide", "decimate", "delete", "fill", "remesh", "merge", "insert_curve", "weld")
+    class On(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        CURRENT: _ClassVar[EditRequest.On]
+        REST: _ClassVar[EditRequest.On]
+    CURRENT: EditRequest.On
+    REST: EditRequest.On
+    class Cut(_message.Message):
+        __slots__ = ("plane", "keep", "fill", "polyline", "path", "closed")
+        class Keep(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            BOTH: _ClassVar[EditRequest.Cut.Keep]
+            ABOVE: _ClassVar[EditRequest.Cut.Keep]
+            BELOW: _ClassVar[EditRequest.Cut.Keep]
+        BOTH: EditRequest.Cut.Keep
+        ABOVE: EditRequest.Cut.Keep
+        BELOW: EditRequest.Cut.Keep
+        PLANE_FIELD_NUMBER: _ClassVar[int]
+        KEEP_FIELD_NUMBER: _ClassVar[int]
+        FILL_FIELD_NUMBER: _ClassVar[int]
+        POLYLINE_FIELD_NUMBER: _ClassVar[int]
+        PATH_FIELD_NUMBER: _ClassVar[int]
+        CLOSED_FIELD_NUMBER: _ClassVar[int]
+        plane: Plane
+        keep: EditRequest.Cut.Keep
+        fill: bool
+        polyline: _containers.RepeatedScalarFieldContainer[float]
+        path: _containers.RepeatedScalarFieldContainer[int]
+        closed: bool
+        def __init__(self, plane: _Optional[_Union[Plane, _Mapping]] = ..., keep: _Optional[_Union[EditRequest.Cut.Keep, str]] = ..., fill: bool = ..., polyline: _Optional[_Iterable[float]] = ..., path: _Optional[_Iterable[int]] = ..., closed: bool = ...) -> None: ...
+    class Subdivide(_message.Message):
+        __slots__ = ("region", "scheme")
+        class Scheme(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            LOOP: _ClassVar[EditRequest.Subdivide.Scheme]
+            MIDPOINT: _ClassVar[EditRequest.Subdivide.Scheme]
+        LOOP: EditRequest.Subdivide.Scheme
+        MIDPOINT: EditRequest.Subdivide.Scheme
+        REGION_FIELD_NUMBER: _ClassVar[int]
+        SCHEME_FIELD_NUMBER: _ClassVar[int]
+        region: Region
+        scheme: EditRequest.Subdivide.Scheme
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., scheme: _Optional[_Union[EditRequest.Subdivide.Scheme, str]] = ...) -> None: ...
+    class Decimate(_message.Message):
+        __slots__ = ("region", "ratio")
+        REGION_FIELD_NUMBER: _ClassVar[int]
+        RATIO_FIELD_NUMBER: _ClassVar[int]
+        region: Region
+        ratio: float
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., ratio: _Optional[float] = ...) -> None: ...
+    class Delete(_message.Message):
+        __slots__ = ("region", "fill")
+        REGION_FIELD_NUMBER: _ClassVar[int]
+        FILL_FIELD_NUMBER: _ClassVar[int]
+        region: Region
+        fill: bool
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., fill: bool = ...) -> None: ...
+    class Fill(_message.Message):
+        __slots__ = ("region",)
+        REGION_FIELD_NUMBER: _ClassVar[int]
+        region: Region
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
+    class Remesh(_message.Message):
+        __slots__ = ("region", "edge_length", "auto")
+        REGION_FIELD_NUMBER: _ClassVar[int]
+        EDGE_LENGTH_FIELD_NUMBER: _ClassVar[int]
+        AUTO_FIELD_NUMBER: _ClassVar[int]
+        region: Region
+        edge_length: float
+        auto: bool
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., edge_length: _Optional[float] = ..., auto: bool = ...) -> None: ...
+    class Merge(_message.Message):
+        __slots__ = ("model", "session", "file", "transform", "how", "tolerance", "format")
+        class How(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            WELD: _ClassVar[EditRequest.Merge.How]
+            STITCH: _ClassVar[EditRequest.Merge.How]
+            LOOSE: _ClassVar[EditRequest.Merge.How]
+        WELD: EditRequest.Merge.How
+        STITCH: EditRequest.Merge.How
+        LOOSE: EditRequest.Merge.How
+        MODEL_FIELD_NUMBER: _ClassVar[int]
+        SESSION_FIELD_NUMBER: _ClassVar[int]
+        FILE_FIELD_NUMBER: _ClassVar[int]
+        TRANSFORM_FIELD_NUMBER: _ClassVar[int]
+        HOW_FIELD_NUMBER: _ClassVar[int]
+        TOLERANCE_FIELD_NUMBER: _ClassVar[int]
+        FORMAT_FIELD_NUMBER: _ClassVar[int]
+        model: bytes
+        session: str
+        file: str
+        transform: _containers.RepeatedScalarFieldContainer[float]
+        how: EditRequest.Merge.How
+        tolerance: float
+        format: str
+        def __init__(self, model: _Optional[bytes] = ..., session: _Optional[str] = ..., file: _Optional[str] = ..., transform: _Optional[_Iterable[float]] = ..., how: _Optional[_Union[EditRequest.Merge.How, str]] = ..., tolerance: _Optional[float] = ..., format: _Optional[str] = ...) -> None: ...
+    class InsertCurve(_message.Message):
+        __slots__ = ("points", "closed")
+        POINTS_FIELD_NUMBER: _ClassVar[int]
+        CLOSED_FIELD_NUMBER: _ClassVar[int]
+        points: _containers.RepeatedScalarFieldContainer[float]
+        closed: bool
+        def __init__(self, points: _Optional[_Iterable[float]] = ..., closed: bool = ...) -> None: ...
+    class Weld(_message.Message):
+        __slots__ = ("tolerance",)
+        TOLERANCE_FIELD_NUMBER: _ClassVar[int]
+        tolerance: float
+        def __init__(self, tolerance: _Optional[float] = ...) -> None: ...
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    ON_FIELD_NUMBER: _ClassVar[int]
+    CUT_FIELD_NUMBER: _ClassVar[int]
+    SUBDIVIDE_FIELD_NUMBER: _ClassVar[int]
+    DECIMATE_FIELD_NUMBER: _ClassVar[int]
+    DELETE_FIELD_NUMBER: _ClassVar[int]
+    FILL_FIELD_NUMBER: _ClassVar[int]
+    REMESH_FIELD_NUMBER: _ClassVar[int]
+    MERGE_FIELD_NUMBER: _ClassVar[int]
+    INSERT_CURVE_FIELD_NUMBER: _ClassVar[int]
+    WELD_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    on: EditRequest.On
+    cut: EditRequest.Cut
+    subdivide: EditRequest.Subdivide
+    decimate: EditRequest.Decimate
+    delete: EditRequest.Delete
+    fill: EditRequest.Fill
+    remesh: EditRequest.Remesh
+    merge: EditRequest.Merge
+    insert_curve: EditRequest.InsertCurve
+    weld: EditRequest.Weld
+    def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ...) -> None: ...
+
+class EditResult(_message.Message):
+    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired")
+    class Counts(_message.Message):
+        __slots__ = ("vertices", "faces")
+        VERTICES_FIELD_NUMBER: _ClassVar[int]
+        FACES_FIELD_NUMBER: _ClassVar[int]
+        vertices: int
+        faces: int
+        def __init__(self, vertices: _Optional[int] = ..., faces: _Optional[int] = ...) -> None: ...
+    class MsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    class Run(_message.Message):
+        __slots__ = ("was", "now", "count")
+        WAS_FIELD_NUMBER: _ClassVar[int]
+        NOW_FIELD_NUMBER: _ClassVar[int]
+        COUNT_FIELD_NUMBER: _ClassVar[int]
+        was: int
+        now: int
+        count: int
+        def __init__(self, was: _Optional[int] = ..., now: _Optional[int] = ..., count: _Optional[int] = ...) -> None: ...
+    REVISION_FIELD_NUMBER: _ClassVar[int]
+    BEFORE_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    HANDLES_KEPT_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    MS_FIELD_NUMBER: _ClassVar[int]
+    KEPT_FIELD_NUMBER: _ClassVar[int]
+    CURVE_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
+    REPAIRED_FIELD_NUMBER: _ClassVar[int]
+    revision: int
+    before: EditResult.Counts
+    after: EditResult.Counts
+    handles_kept: _containers.RepeatedScalarFieldContainer[str]
+    warnings: _containers.RepeatedCompositeFieldContainer[Warning]
+    ms: _containers.ScalarMap[str, float]
+    kept: _containers.RepeatedCompositeFieldContainer[EditResult.Run]
+    curve: _containers.RepeatedScalarFieldContainer[int]
+    digest: str
+    repaired: bool
+    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ...) -> None: ...
+
+class Commit(_message.Message):
+    __slots__ = ("revision", "kind", "digest")
+    REVISION_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
+    revision: int
+    kind: str
+    digest: str
+    def __init__(self, revision: _Optional[int] = ..., kind: _Optional[str] = ..., digest: _Optional[str] = ...) -> None: ...
+
+class HistoryResponse(_message.Message):
+    __slots__ = ("commits", "current")
+    COMMITS_FIELD_NUMBER: _ClassVar[int]
+    CURRENT_FIELD_NUMBER: _ClassVar[int]
+    commits: _containers.RepeatedCompositeFieldContainer[Commit]
+    current: int
+    def __init__(self, commits: _Optional[_Iterable[_Union[Commit, _Mapping]]] = ..., current: _Optional[int] = ...) -> None: ...
+
+class ExportRequest(_message.Message):
+    __slots__ = ("session_id", "format")
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    FORMAT_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    format: str
+    def __init__(self, session_id: _Optional[str] = ..., format: _Optional[str] = ...) -> None: ...
+
+class Chunk(_message.Message):
+    __slots__ = ("data", "uri")
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    URI_FIELD_NUMBER: _ClassVar[int]
+    data: bytes
+    uri: str
+    def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ...) -> None: ...
+
+class Expect(_message.Message):
+    __slots__ = ("max_distance", "mean_distance", "normal_degrees", "flipped_triangles", "volume_change", "digest")
+    MAX_DISTANCE_FIELD_NUMBER: _ClassVar[int]
+    MEAN_DISTANCE_FIELD_NUMBER: _ClassVar[int]
+    NORMAL_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    FLIPPED_TRIANGLES_FIELD_NUMBER: _ClassVar[int]
+    VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
+    max_distance: float
+    mean_distance: float
+    normal_degrees: float
+    flipped_triangles: int
+    volume_change: float
+    digest: str
+    def __init__(self, max_distance: _Optional[float] = ..., mean_distance: _Optional[float] = ..., normal_degrees: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., volume_change: _Optional[float] = ..., digest: _Optional[str] = ...) -> None: ...
+
+class Step(_message.Message):
+    __slots__ = ("pose", "edit")
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    EDIT_FIELD_NUMBER: _ClassVar[int]
+    pose: Pose
+    edit: EditRequest
+    def __init__(self, pose: _Optional[_Union[Pose, _Mapping]] = ..., edit: _Optional[_Union[EditRequest, _Mapping]] = ...) -> None: ...
+
+class Job(_message.Message):
+    __slots__ = ("create", "handles", "steps", "options", "expect", "symmetry_plane", "region_of_interest")
+    CREATE_FIELD_NUMBER: _ClassVar[int]
+    HANDLES_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    EXPECT_FIELD_NUMBER: _ClassVar[int]
+    SYMMETRY_PLANE_FIELD_NUMBER: _ClassVar[int]
+    REGION_OF_INTEREST_FIELD_NUMBER: _ClassVar[int]
+    create: CreateOptions
+    handles: _containers.RepeatedCompositeFieldContainer[Handle]
+    steps: _containers.RepeatedCompositeFieldContainer[Step]
+    options: Options
+    expect: Expect
+    symmetry_plane: Plane
+    region_of_interest: Region
+    def __init__(self, create: _Optional[_Union[CreateOptions, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Step, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., expect: _Optional[_Union[Expect, _Mapping]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
+
+class Report(_message.Message):
+    __slots__ = ("model", "warnings", "steps", "quality", "digest", "solver", "build_ms", "handles", "output")
+    class Step(_message.Message):
+        __slots__ = ("kind", "ms", "cycles", "residual", "max_error", "levels", "bytes", "quality", "digest", "field_cycles", "solver", "edit")
+        class MsEntry(_message.Message):
+            __slots__ = ("key", "value")
+            KEY_FIELD_NUMBER: _ClassVar[int]
+            VALUE_FIELD_NUMBER: _ClassVar[int]
+            key: str
+            value: float
+            def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+        KIND_FIELD_NUMBER: _ClassVar[int]
+        MS_FIELD_NUMBER: _ClassVar[int]
+        CYCLES_FIELD_NUMBER: _ClassVar[int]
+        RESIDUAL_FIELD_NUMBER: _ClassVar[int]
+        MAX_ERROR_FIELD_NUMBER: _ClassVar[int]
+        LEVELS_FIELD_NUMBER: _ClassVar[int]
+        BYTES_FIELD_NUMBER: _ClassVar[int]
+        QUALITY_FIELD_NUMBER: _ClassVar[int]
+        DIGEST_FIELD_NUMBER: _ClassVar[int]
+        FIELD_CYCLES_FIELD_NUMBER: _ClassVar[int]
+        SOLVER_FIELD_NUMBER: _ClassVar[int]
+        EDIT_FIELD_NUMBER: _ClassVar[int]
+        kind: str
+        ms: _containers.ScalarMap[str, float]
+        cycles: int
+        residual: float
+        max_error: float
+        levels: int
+        bytes: int
+        quality: Quality
+        digest: str
+        field_cycles: int
+        solver: str
+        edit: EditResult
+        def __init__(self, kind: _Optional[str] = ..., ms: _Optional[_Mapping[str, float]] = ..., cycles: _Optional[int] = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., levels: _Optional[int] = ..., bytes: _Optional[int] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., field_cycles: _Optional[int] = ..., solver: _Optional[str] = ..., edit: _Optional[_Union[EditResult, _Mapping]] = ...) -> None: ...
+    class BuildMsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    QUALITY_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
+    SOLVER_FIELD_NUMBER: _ClassVar[int]
+    BUILD_MS_FIELD_NUMBER: _ClassVar[int]
+    HANDLES_FIELD_NUMBER: _ClassVar[int]
+    OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    model: ModelFacts
+    warnings: _containers.RepeatedCompositeFieldContainer[Warning]
+    steps: _containers.RepeatedCompositeFieldContainer[Report.Step]
+    quality: Quality
+    digest: str
+    solver: SolverFacts
+    build_ms: _containers.ScalarMap[str, float]
+    handles: _containers.RepeatedCompositeFieldContainer[HandleFacts]
+    output: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class Quality(_message.Message):
+    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections")
+    EDGE_RMS_FIELD_NUMBER: _ClassVar[int]
+    VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
+    AREA_CHANGE_FIELD_NUMBER: _ClassVar[int]
+    FLIPPED_TRIANGLES_FIELD_NUMBER: _ClassVar[int]
+    MAX_STRETCH_FIELD_NUMBER: _ClassVar[int]
+    SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
+    edge_rms: float
+    volume_change: float
+    area_change: float
+    flipped_triangles: int
+    max_stretch: float
+    self_intersections: int
+    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ...) -> None: ...
+
+class Inspection(_message.Message):
+    __slots__ = ("model", "primitives", "solver", "warnings", "components", "boundary_loops", "non_manifold_edges", "non_manifold_vertices", "seam_vertices", "closed", "box_min", "box_max", "area", "volume", "memory_estimate", "degenerate_faces", "duplicate_faces", "unreferenced_vertices")
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    PRIMITIVES_FIELD_NUMBER: _ClassVar[int]
+    SOLVER_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    COMPONENTS_FIELD_NUMBER: _ClassVar[int]
+    BOUNDARY_LOOPS_FIELD_NUMBER: _ClassVar[int]
+    NON_MANIFOLD_EDGES_FIELD_NUMBER: _ClassVar[int]
+    NON_MANIFOLD_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    SEAM_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    CLOSED_FIELD_NUMBER: _ClassVar[int]
+    BOX_MIN_FIELD_NUMBER: _ClassVar[int]
+    BOX_MAX_FIELD_NUMBER: _ClassVar[int]
+    AREA_FIELD_NUMBER: _ClassVar[int]
+    VOLUME_FIELD_NUMBER: _ClassVar[int]
+    MEMORY_ESTIMATE_FIELD_NUMBER: _ClassVar[int]
+    DEGENERATE_FACES_FIELD_NUMBER: _ClassVar[int]
+    DUPLICATE_FACES_FIELD_NUMBER: _ClassVar[int]
+    UNREFERENCED_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    model: ModelFacts
+    primitives: _containers.RepeatedCompositeFieldContainer[Primitive]
+    solver: SolverFacts
+    warnings: _containers.RepeatedCompositeFieldContainer[Warning]
+    components: int
+    boundary_loops: int
+    non_manifold_edges: int
+    non_manifold_vertices: int
+    seam_vertices: int
+    closed: bool
+    box_min: _containers.RepeatedScalarFieldContainer[float]
+    box_max: _containers.RepeatedScalarFieldContainer[float]
+    area: float
+    volume: float
+    memory_estimate: int
+    degenerate_faces: int
+    duplicate_faces: int
+    unreferenced_vertices: int
+    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., components: _Optional[int] = ..., boundary_loops: _Optional[int] = ..., non_manifold_edges: _Optional[int] = ..., non_manifold_vertices: _Optional[int] = ..., seam_vertices: _Optional[int] = ..., closed: bool = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., area: _Optional[float] = ..., volume: _Optional[float] = ..., memory_estimate: _Optional[int] = ..., degenerate_faces: _Optional[int] = ..., duplicate_faces: _Optional[int] = ..., unreferenced_vertices: _Optional[int] = ...) -> None: ...

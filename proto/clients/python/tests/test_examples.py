@@ -1,0 +1,38 @@
+"""Every example runs as its reader would run it, in an empty folder."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pliant
+from conftest import PACKAGE
+
+EXAMPLES = sorted((PACKAGE / "examples").glob("*.py"))
+NEEDS = {"batch": "tqdm", "with_trimesh": "trimesh", "with_pygltflib": "pygltflib"}
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_it_runs(example: Path, server: pliant.LocalServer, tmp_path: Path) -> None:
+    needed = NEEDS.get(example.stem)
+    if needed and importlib.util.find_spec(needed) is None:
+        pytest.skip(f"{needed} is not installed")
+    environment = {**os.environ, "PLIANT_SERVER": server.url}
+    done = subprocess.run([sys.executable, example], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    print(done.stdout)
+    if example.stem == "batch":
+        files = sorted((tmp_path / "poses").iterdir())
+        assert len(files) == 100
+        assert files[0].read_bytes() == pliant.connect(server).sample(), "the first pose is at rest"
+        # The head nods back through the angles it came by, so that about half of the shapes come twice.
+        assert len({path.read_bytes() for path in files}) > 50
+
+
+def test_there_are_examples() -> None:
+    assert {"bend", "batch", "changed", "with_trimesh", "with_pygltflib"} <= {path.stem for path in EXAMPLES}

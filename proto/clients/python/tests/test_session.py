@@ -1,0 +1,230 @@
+"""Sessions against the real server: from a model to its export, handles, commits, and the errors in between."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+from conftest import bar, deform
+
+FEET = {"half_space": ((0, -1, 0), -0.14)}
+HEAD = {"sphere": ((0.76, 1.22, 0), 0.36)}
+TURN = {"head": {"rotation_vector": (0, 0.8, 0)}}
+
+
+@pytest.fixture
+def held(server: pliant.LocalServer, creature: Path):
+    """The creature with feet and head held."""
+    with pliant.open(creature, server=server) as session:
+        session.handle("feet", **FEET)
+        session.handle("head", **HEAD)
+        yield session
+
+
+def test_a_pose_is_solved_exported_and_undone(held: pliant.Session, creature: Path, tmp_path: Path) -> None:
+    rest = held.positions()
+    assert rest.shape == (held.vertices, 3) and rest.dtype == np.float32
+    bent = held.solve(TURN, tolerance=1e-6)
+    assert bent.shape == rest.shape and np.abs(bent - rest).max() > 0.1
+    assert np.array_equal(held.positions(), bent)
+    [written] = held.export(tmp_path / "bent.glb")
+    assert written.read_bytes()[:4] == b"glTF" and written.read_bytes() != creature.read_bytes()
+    held.undo()
+    assert np.array_equal(held.positions(), rest)
+    assert held.export_bytes() == {"": creature.read_bytes()}
+    held.redo()
+    assert np.array_equal(held.positions(), bent)
+    history = held.history()
+    assert [c.kind for c in history] == ["create", "handles", "pose"] and history[-1].current
+    with pytest.raises(pliant.FailedPrecondition):
+        held.redo()
+
+
+def test_handles_say_what_they_hold_and_keep_their_poses_when_another_is_added(held: pliant.Session) -> None:
+    rest = held.positions()
+    facts = held.apply()
+    assert [h.id for h in facts.handles] == ["feet", "head"] and all(h.vertices > 0 for h in facts.handles)
+    bent = held.solve(TURN, refine=0)
+    held.handle("tail", sphere=((-1.0, 1.06, 0), 0.16))
+    again = held.solve(refine=0)
+    head = np.linalg.norm(rest - [0.76, 1.22, 0], axis=1) < 0.36
+    assert np.allclose(again[head], bent[head], atol=1e-6), "the head stays turned"
+    held.undo()
+    held.undo()
+    assert held.handles == ["feet", "head"], "undoing takes the handle away here as well"
+    held.remove_handle("head")
+    assert held.handles == ["feet"]
+    with pytest.raises(pliant.NotFound, match="feet"):
+        held.remove_handle("wing")
+
+
+def test_a_handle_may_be_made_where_it_is_to_go(server: pliant.LocalServer) -> None:
+    vertices, faces = bar()
+    with pliant.open((vertices, faces), server=server, label="bar") as session:
+        assert session.info.label == "bar" and session.vertices == len(vertices)
+        assert np.array_equal(session.positions(), vertices.astype(np.float32)), "vertices keep their order"
+        session.handle("base", vertices=vertices[:, 2] < 0.3)
+        session.handle(
+            "top", vertices=np.flatnonzero(vertices[:, 2] > 3.7), translation=(1, 0, 0), rotation_vector=(0, 0.4, 0)
+        )
+        bent = session.solve()
+        top = vertices[:, 2] > 3.7
+        assert np.allclose(bent[top].mean(axis=0), vertices[top].mean(axis=0) + [1, 0, 0], atol=1e-5)
+        assert np.array_equal(bent[vertices[:, 2] < 0.3], vertices[vertices[:, 2] < 0.3].astype(np.float32))
+
+
+def test_a_matrix_moves_a_handle_as_it_moves_points(server: pliant.LocalServer) -> None:
+    vertices, faces = bar()
+    top = vertices[:, 2] > 3.7
+    matrix = np.array([[0.0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 2], [0, 0, 0, 1]])
+    with pliant.open((vertices, faces), server=server) as session:
+        session.handle("base", half_space=((0, 0, -1), -0.3))
+        session.handle("top", vertices=top)
+        bent = session.solve({"top": matrix})
+        assert np.allclose(bent[top], vertices[top] @ matrix[:3, :3].T + matrix[:3, 3], atol=1e-5)
+
+
+def test_frames_carry_normals_and_quality_when_asked(held: pliant.Session) -> None:
+    frame = held.solve_frame(TURN, normals=True, tangents=True, self_intersections=True)
+    assert frame.normals is not None and np.allclose(np.linalg.norm(frame.normals, axis=1), 1, atol=1e-4)
+    assert frame.quality is not None and frame.quality.HasField("self_intersections")
+    assert frame.final and frame.residual <= 1e-4
+
+
+def test_sixteen_bit_positions_are_as_near_as_they_say(held: pliant.Session) -> None:
+    exact = held.solve(TURN)
+    packed = held.solve(TURN, encoding="u16")
+    step = np.ptp(exact, axis=0).max() / 65535
+    assert 0 < np.abs(packed - exact).max() <= step
+
+
+def test_the_same_job_gives_the_same_bits_as_the_command_line(
+    server: pliant.LocalServer, creature: Path, tmp_path: Path
+) -> None:
+    job = {
+        "handles": [
+            {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}},
+            {"id": "head", "region": {"sphere": {"center": [0.76, 1.22, 0], "radius": 0.36}}},
+        ],
+        "steps": [{"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0.8, 0], "scale": [1.1]}}]}}],
+    }
+    report = deform(creature, job, tmp_path, "out.glb")
+    with pliant.open(creature, server=server) as session:
+        session.handle("feet", **FEET)
+        session.handle("head", **HEAD)
+        session.solve({"head": {"rotation_vector": (0, 0.8, 0), "scale": 1.1}})
+        assert session.history()[-1].digest == report["digest"]
+        assert session.export_bytes()[""] == (tmp_path / "out.glb").read_bytes()
+
+
+def test_the_region_of_interest_keeps_the_rest_to_the_bit(server: pliant.LocalServer) -> None:
+    vertices, faces = bar()
+    with pliant.open((vertices, faces), server=server) as session:
+        session.handle("top", half_space=((0, 0, 1), 3.7))
+        session.region_of_interest(half_space=((0, 0, 1), 2.0))
+        bent = session.solve({"top": {"translation": (0.3, 0, 0)}})
+        below = vertices[:, 2] < 1.99
+        assert np.array_equal(bent[below], vertices[below].astype(np.float32))
+
+
+def test_symmetry_mirrors_handles(server: pliant.LocalServer) -> None:
+    vertices, faces = bar()
+    with pliant.open((vertices, faces), server=server) as session:
+        session.handle("middle", box=((-1, -1, 1.9), (1, 1, 2.1)))
+        session.handle("top", half_space=((0, 0, 1), 3.7))
+        session.symmetry_plane((0, 0, 1), 2.0)
+        bent = session.solve({"top": {"translation": (0.3, 0, 0)}})
+        assert np.allclose(bent[vertices[:, 2] < 0.2, 0], vertices[vertices[:, 2] < 0.2, 0] + 0.3, atol=1e-5)
+
+
+def test_what_the_server_refuses_comes_as_it_said_it(held: pliant.Session, server: pliant.LocalServer) -> None:
+    with pytest.raises(pliant.InvalidArgument) as caught:
+        held.solve({"hed": {}})
+    assert caught.value.field == "pose.handles[0].id" and caught.value.code == "INVALID_ARGUMENT"
+    assert '"hed"' in str(caught.value) and '"feet", "head"' in caught.value.message
+    with pytest.raises(ValueError, match="scale"):
+        held.solve({"head": {"scale": -1}})
+    held.handle("nowhere", sphere=((100, 0, 0), 0.1))
+    with pytest.raises(pliant.InvalidArgument, match="handles"):
+        held.solve()
+    held.remove_handle("nowhere")
+    held.solve(TURN)
+    with pytest.raises(pliant.InvalidArgument):
+        pliant.open(b"not a model", server=server)
+    with pliant.open(bar(), server=server) as bare, pytest.raises(pliant.FailedPrecondition):
+        bare.solve()
+
+
+def test_an_edit_is_done_or_refused_by_name(server: pliant.LocalServer) -> None:
+    vertices, faces = bar()
+    with pliant.open((vertices, faces), server=server) as session:
+        try:
+            done = session.edit(cut={"normal": (0, 0, 1), "offset": 2.0, "keep": "below", "fill": True})
+        except pliant.Unimplemented as refusal:
+            assert "cut" in refusal.message and refusal.code == "UNIMPLEMENTED"
+            assert np.array_equal(session.positions(), vertices.astype(np.float32)), "a refusal changes nothing"
+            pytest.skip(f"this server does not edit: {refusal}")
+        assert done.before == (len(vertices), len(faces)) and done.after != done.before
+        below = session.positions()
+        stayed = done.now_from_before >= 0
+        assert np.array_equal(below[done.now_from_before[stayed]], vertices[stayed].astype(np.float32))
+        assert len(below) == session.vertices == done.after[0]
+        assert below[:, 2].max() == pytest.approx(2.0, abs=1e-5)
+        session.handle("base", half_space=((0, 0, -1), -0.3))
+        session.handle("top", half_space=((0, 0, 1), 1.9))
+        moved = session.solve({"top": {"translation": (0.2, 0, 0)}})
+        assert moved.shape == below.shape
+        session.undo()
+        session.undo()
+        session.undo()
+        assert np.array_equal(session.positions(), vertices.astype(np.float32))
+        assert session.vertices == len(vertices)
+
+
+def test_a_session_can_be_kept_found_and_taken_up(server: pliant.LocalServer, creature: Path) -> None:
+    with pliant.connect(server) as client:
+        with client.open(creature, keep=True, ttl="1m", label="kept") as session:
+            session.handle("head", **HEAD)
+            session.apply()
+        assert session.id in [s.id for s in client.sessions()]
+        again = client.attach(session.id, keep=False)
+        assert again.info.label == "kept" and [h.id for h in again.info.handles] == ["head"]
+        with pytest.raises(pliant.FailedPrecondition, match="clear_handles"):
+            again.handle("feet", **FEET)
+        again.clear_handles()
+        again.handle("feet", **FEET)
+        again.handle("head", **HEAD)
+        again.solve(TURN)
+        again.close()
+        assert session.id not in [s.id for s in client.sessions()]
+        with pytest.raises(pliant.SessionLost, match="no session"):
+            again.refresh()
+
+
+def test_models_come_in_as_files_bytes_streams_and_meshes(server: pliant.LocalServer, creature: Path) -> None:
+    class Mesh:
+        vertices, faces = bar()
+
+    for model in (str(creature), creature.read_bytes(), io.BytesIO(creature.read_bytes()), Mesh()):
+        with pliant.open(model, server=server) as session:
+            assert session.vertices > 0
+    with pytest.raises(FileNotFoundError):
+        pliant.open("no such file.glb", server=server)
+
+
+def test_progress_is_told(server: pliant.LocalServer, creature: Path) -> None:
+    told: list[tuple[int, int]] = []
+    with pliant.open(creature, server=server, progress=lambda done, total: told.append((done, total))) as session:
+        size = creature.stat().st_size
+        assert told[-1] == (size, size)
+        session.handle("feet", **FEET)
+        session.handle("head", **HEAD)
+        told.clear()
+        poses = [TURN, {"head": {}}]
+        frames = list(session.drag(poses, progress=lambda done, total: told.append((done, total))))
+        assert len(frames) == 2 and told == [(1, 2), (2, 2)]
+        assert len(list(session.drag(poses, progress=True))) == 2

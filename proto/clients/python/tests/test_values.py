@@ -1,0 +1,190 @@
+"""What is said before anything is sent: poses, regions, options, models, addresses."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pliant
+from pliant import channel, edits, model, regions
+from pliant.options import create_options, options
+from pliant.poses import to_message
+from pliant.v1 import pliant_pb2 as pb
+
+
+def rotation(axis: list[float], angle: float) -> np.ndarray:
+    x, y, z = np.asarray(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, math.pi / 2, 2.5, math.pi, 3.5, 6.0])
+@pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 2, 3], [-3, 1, 0.1]])
+def test_a_matrix_becomes_the_pose_that_moves_points_alike(axis: list[float], angle: float) -> None:
+    scale = np.array([0.5, 1.0, 2.0])
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation(axis, angle) * scale
+    matrix[:3, 3] = [1, -2, 3]
+    pose = to_message(matrix)
+    x, y, z, w = pose.rotation
+    unit = np.array([w, x, y, z])
+    assert np.linalg.norm(unit) == pytest.approx(1)
+    half = 2 * math.atan2(np.linalg.norm([x, y, z]), w)
+    turn = rotation([x, y, z], half) if half else np.eye(3)
+    assert np.allclose(turn, rotation(axis, angle), atol=1e-9)
+    assert np.allclose(pose.scale, scale) and list(pose.translation) == [1, -2, 3] and list(pose.pivot) == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (np.eye(3), "shape"),
+        (np.diag([1, 1, -1, 1]), "mirrors"),
+        (np.diag([1, 0, 1, 1]), "flattens"),
+        (np.array([[1, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]), "shears"),
+        (np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]), "last row"),
+    ],
+)
+def test_a_matrix_that_no_pose_can_follow_is_refused(damage: np.ndarray, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        to_message(damage)
+
+
+def test_vertices_travel_as_runs_and_single_numbers() -> None:
+    listed = regions.vertices([9, 3, 4, 5, 6, 7, 20, 21, 9])
+    assert [(r.first, r.count) for r in listed.ranges] == [(3, 5)]
+    assert list(listed.indices) == [9, 20, 21]
+    mask = np.zeros(1000, bool)
+    mask[100:900] = True
+    listed = regions.vertices(mask)
+    assert [(r.first, r.count) for r in listed.ranges] == [(100, 800)] and not listed.indices
+    assert not regions.vertices([]).indices
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({}, "nothing is given"),
+        ({"sphere": ((0, 0, 0), 1), "component": 0}, "exactly one"),
+        ({"ball": ((0, 0, 0), 1)}, "exactly one"),
+        ({"sphere": 1.0}, "center, radius"),
+        ({"sphere": ((0, 0), 1)}, "2 numbers, 3 are allowed"),
+        ({"vertices": [0.5]}, "indices or a boolean mask"),
+        ({"vertices": [-1]}, "indices from 0"),
+        ({"tube": ([0, 0, 0], 1)}, "shape"),
+    ],
+)
+def test_a_region_that_makes_no_sense_is_refused_before_it_is_sent(fields: dict[str, object], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        regions.region(fields)
+
+
+def test_every_shape_of_a_region_is_carried() -> None:
+    capsule = regions.region({"capsule": ((0, 0, 0), (0, 0, 1), 0.5)}).capsule
+    assert list(getattr(capsule, "from")) == [0, 0, 0] and list(capsule.to) == [0, 0, 1] and capsule.radius == 0.5
+    assert list(regions.region({"tube": ([[0, 0, 0], [1, 2, 3]], 0.5)}).tube.points) == [0, 0, 0, 1, 2, 3]
+    assert list(regions.region({"box": ((0, 0, 0), (1, 1, 1))}).box.max) == [1, 1, 1]
+    assert regions.region({"half_space": ((0, 1, 0), 2)}).half_space.offset == 2
+    assert regions.region({"component": 3}).component.index == 3
+    assert list(regions.region({"weights": [0, 0.5, 1]}).weights.values) == [0, 0.5, 1]
+
+
+def test_options_know_their_names_and_values() -> None:
+    made = options({"tolerance": 1e-6, "refine": 0, "first_pass": "diffusion", "normals": True, "changed_only": 0.0})
+    assert made.HasField("refine") and made.first_pass == pb.Options.DIFFUSION
+    assert made.output.normals and made.output.HasField("changed_only")
+    with pytest.raises(ValueError, match="harmonic"):
+        options({"first_pass": "magic"})  # type: ignore[typeddict-item]
+    with pytest.raises(TypeError, match="tolerance"):
+        options({"tolerence": 1e-6})  # type: ignore[typeddict-unknown-key]
+    created = create_options({"volume_graph": "off", "weld": 1e-3, "ttl": "1h", "components": "hold"})
+    assert created.volume_graph.mode == pb.CreateOptions.VolumeGraph.OFF and created.weld.tolerance == 1e-3
+    assert create_options({"volume_graph": {"valence": 8}}).volume_graph.valence == 8
+
+
+def test_edits_are_carried_by_name() -> None:
+    cut = edits.request("id", "rest", {"cut": {"normal": (0, 1, 0), "offset": 0.5, "keep": "above", "fill": True}})
+    assert cut.on == pb.EditRequest.REST and cut.cut.keep == pb.EditRequest.Cut.ABOVE and cut.cut.fill
+    assert list(cut.cut.plane.normal) == [0, 1, 0] and cut.cut.plane.offset == 0.5
+    drawn = edits.request("id", "current", {"cut": {"polyline": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "closed": True}})
+    assert len(drawn.cut.polyline) == 9 and drawn.cut.closed and not drawn.cut.HasField("plane")
+    assert list(edits.request("id", "current", {"cut": {"path": np.array([3, 1, 2])}}).cut.path) == [3, 1, 2]
+    merge = edits.request("id", "current", {"merge": {"session": "other", "transform": np.arange(16.0).reshape(4, 4)}})
+    assert merge.merge.session == "other" and list(merge.merge.transform[:4]) == [0, 4, 8, 12]
+    ball = {"region": {"sphere": ((0, 0, 0), 1)}}
+    for name in ("subdivide", "decimate", "delete", "fill", "remesh"):
+        assert edits.request("id", "current", {name: dict(ball)}).WhichOneof("operation") == name
+    assert edits.request("id", "current", {"weld": {}}).WhichOneof("operation") == "weld"
+    curve = edits.request("id", "current", {"insert_curve": {"points": [[0, 0, 0], [1, 1, 1]]}})
+    assert len(curve.insert_curve.points) == 6
+    for wrong in ({}, {"cut": {}, "weld": {}}, {"carve": {}}):
+        with pytest.raises(ValueError, match="exactly one"):
+            edits.request("id", "current", wrong)
+    told = edits.result(
+        pb.EditResult(
+            before=pb.EditResult.Counts(vertices=6),
+            kept=[{"was": 0, "now": 0, "count": 2}, {"was": 4, "now": 2, "count": 2}],
+        )
+    )
+    assert told.now_from_before.tolist() == [0, 1, -1, -1, 2, 3]
+    with pytest.raises(TypeError, match="no such setting"):
+        edits.request("id", "current", {"weld": {"distance": 1}})
+
+
+def test_arrays_become_a_ply_that_keeps_their_precision() -> None:
+    points = np.array([[0, 0, 0], [1 / 3, 0, 0], [0, 1, 0]])
+    data = model.ply(points, [[0, 1, 2]])
+    assert b"property double x" in data and np.float64(1 / 3).tobytes() in data
+    assert b"property float x" in model.ply(points.astype(np.float32), [[0, 1, 2]])
+    for vertices, faces, words in [
+        (points[:, :2], [[0, 1, 2]], "vertices have shape"),
+        (points, [[0.0, 1, 2]], "whole numbers"),
+        (points, [[0, 1, 3]], "name vertices 0 to 3 of 3"),
+        (points, [0, 1, 2], "shape"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            model.ply(vertices, faces)
+
+
+def test_a_gltf_brings_its_buffers_but_nothing_from_outside_its_folder(tmp_path: Path) -> None:
+    inside = tmp_path / "model"
+    inside.mkdir()
+    (tmp_path / "secret.bin").write_bytes(b"secret")
+    (inside / "a b.bin").write_bytes(b"buffer")
+    path = inside / "m.gltf"
+    path.write_text('{"buffers": [{"uri": "a%20b.bin"}, {"uri": "../secret.bin"}, {"uri": "data:,x"}, {}]}')
+    upload = model.read(path)
+    assert upload.companions == {"a b.bin": b"buffer"} and upload.format == "gltf"
+    requests = list(upload.requests(pb.CreateOptions(), 1 << 20, lambda done, total: None))
+    assert [r.WhichOneof("message") for r in requests] == ["options", "chunk", "companion", "chunk"]
+    assert model.read(io.BytesIO(b"OFF")).main == b"OFF"
+
+
+def test_a_companion_is_never_written_outside_the_folder(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="outside"):
+        model.write(tmp_path / "m.gltf", {"": b"{}", "../evil.bin": b""})
+    assert [p.name for p in model.write(tmp_path / "m.gltf", {"": b"{}", "x/m.bin": b"1"})] == ["m.gltf", "m.bin"]
+
+
+def test_an_address_says_whether_it_is_tls() -> None:
+    assert channel.Settings("localhost:9000").url == "http://localhost:9000"
+    assert channel.Settings("https://meshes.example.org").target == "meshes.example.org:443"
+    assert channel.Settings("https://meshes.example.org").secure
+    assert channel.Settings("http://[::1]:7411").target == "[::1]:7411"
+    assert not channel.Settings("http://10.0.0.1:7411").secure
+    assert channel.Settings("h:1", token="t").metadata() == (("authorization", "Bearer t"),)
+    for wrong in ("ftp://x:1", "http://", "http://host:1/path", "", "two words"):
+        with pytest.raises(ValueError, match="HOST:PORT"):
+            channel.Settings(wrong)
+
+
+def test_trying_again_stops_when_patience_ends_and_never_starts_for_what_waiting_cannot_cure() -> None:
+    lost = pliant.Unavailable("gone")
+    assert channel.Attempts(10).again(lost) is not None
+    assert channel.Attempts(0).again(lost) is None
+    assert channel.Attempts(10).again(pliant.InvalidArgument("wrong")) is None
+    assert channel.Attempts(10).again(pliant.ResourceExhausted("full", retry_after=1)) is None

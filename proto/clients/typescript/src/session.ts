@@ -1,0 +1,159 @@
+/** One open session: its handles, committed poses, edits, history and exports, and its stream. */
+
+import type { MessageInitShape } from "@bufbuild/protobuf";
+import type { EditResult, HistoryResponse, Quality, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
+import {
+  EditRequestSchema,
+  EditResultSchema,
+  HandleSchema,
+  HistoryResponseSchema,
+  OptionsSchema,
+  Pose_EntrySchema,
+  SessionSchema,
+  SetHandlesRequestSchema,
+  SolveRequestSchema,
+} from "./gen/pliant/v1/pliant_pb.js";
+import type { StreamEvents } from "./stream.js";
+import { Stream } from "./stream.js";
+import type { CallOptions, Transport } from "./transport.js";
+import { jsonOf } from "./transport.js";
+
+export type Handle = MessageInitShape<typeof HandleSchema>;
+export type SolveOptions = MessageInitShape<typeof OptionsSchema>;
+export type PoseEntry = MessageInitShape<typeof Pose_EntrySchema>;
+export type SetHandles = Omit<MessageInitShape<typeof SetHandlesRequestSchema>, "sessionId" | "$typeName">;
+export type Edit = Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" | "$typeName">;
+
+/** Fields of a handle that can be cleared. */
+export type HandleField = "constrains" | "stiffness" | "rigid" | "pose" | "falloff";
+
+/** Formats that a model can be had in. */
+export type Format = "glb" | "gltf" | "obj" | "ply" | "off" | "stl";
+
+/** A committed pose as a bare buffer. */
+export interface Solved {
+  /** x, y, z per render vertex. */
+  readonly positions: Float32Array<ArrayBuffer>;
+  readonly revision: number;
+  /** Digest of the positions: equal digests are equal bits. */
+  readonly digest: string;
+  readonly residual: number;
+  readonly maxError: number;
+  readonly solveMs: number;
+}
+
+/** A session that is open on the server. Every method asks the server; `facts` is what it said last. */
+export class Session {
+  constructor(
+    private readonly transport: Transport,
+    /** The session as the server described it last. */
+    public facts: Facts,
+  ) {}
+
+  get id(): string {
+    return this.facts.id;
+  }
+
+  /** Asks anew, which also renews the session's expiry. */
+  refresh(call: CallOptions = {}): Promise<Facts> {
+    return this.told(this.transport.message(SessionSchema, "GET", this.path(""), call));
+  }
+
+  /** Replaces all handles. One commit. */
+  setHandles(handles: SetHandles, call: CallOptions = {}): Promise<Facts> {
+    const json = jsonOf(SetHandlesRequestSchema, handles);
+    return this.told(this.transport.message(SessionSchema, "PUT", this.path("/handles"), { ...call, json }));
+  }
+
+  /**
+   * Adds a handle, or replaces the given fields of the one with this id; those in `clear` go back to their default, so
+   * `clear: ["stiffness"]` makes a soft handle hard. One commit.
+   */
+  putHandle(handle: Handle & { id: string }, call: CallOptions & { clear?: readonly HandleField[] } = {}): Promise<Facts> {
+    const cleared = Object.fromEntries((call.clear ?? []).map((field) => [field, null]));
+    const json = { ...(jsonOf(HandleSchema, handle) as object), ...cleared };
+    const path = this.path(`/handles/${encodeURIComponent(handle.id)}`);
+    return this.told(this.transport.message(SessionSchema, "PATCH", path, { ...call, json }));
+  }
+
+  /** Removes a handle. One commit. */
+  removeHandle(id: string, call: CallOptions = {}): Promise<Facts> {
+    const path = this.path(`/handles/${encodeURIComponent(id)}`);
+    return this.told(this.transport.message(SessionSchema, "DELETE", path, call));
+  }
+
+  /** Solves one pose, commits it, and answers the whole buffer. */
+  async solve(handles: PoseEntry[], options: SolveOptions = {}, call: CallOptions = {}): Promise<Solved> {
+    const json = jsonOf(SolveRequestSchema, { pose: { handles }, options });
+    const response = await this.transport.bytes("POST", this.path("/solve"), "application/octet-stream", { ...call, json });
+    const fact = (name: string): string => response.headers.get(`x-pliant-${name}`) ?? "";
+    return {
+      positions: new Float32Array(await response.arrayBuffer()),
+      revision: Number(fact("revision")),
+      digest: fact("digest"),
+      residual: Number(fact("residual")),
+      maxError: Number(fact("max-error")),
+      solveMs: Number(fact("solve-ms")),
+    };
+  }
+
+  /** Goes back by one commit. */
+  undo(call: CallOptions = {}): Promise<Facts> {
+    return this.told(this.transport.message(SessionSchema, "POST", this.path("/undo"), call));
+  }
+
+  /** Goes forward again by one undone commit. */
+  redo(call: CallOptions = {}): Promise<Facts> {
+    return this.told(this.transport.message(SessionSchema, "POST", this.path("/redo"), call));
+  }
+
+  /** The commits, oldest first. */
+  history(call: CallOptions = {}): Promise<HistoryResponse> {
+    return this.transport.message(HistoryResponseSchema, "GET", this.path("/history"), call);
+  }
+
+  /** Changes the topology. One commit. */
+  edit(edit: Edit, call: CallOptions = {}): Promise<EditResult> {
+    const json = jsonOf(EditRequestSchema, edit);
+    return this.transport.message(EditResultSchema, "POST", this.path("/edits"), { ...call, json });
+  }
+
+  /** The current shape: x, y, z per render vertex. */
+  async positions(call: CallOptions = {}): Promise<Float32Array<ArrayBuffer>> {
+    const response = await this.transport.bytes("GET", this.path("/positions"), "application/octet-stream", call);
+    return new Float32Array(await response.arrayBuffer());
+  }
+
+  /** The model in its current shape. Without a format: the one it came in. */
+  async model(format?: Format, call: CallOptions = {}): Promise<Blob> {
+    const path = this.path(format === undefined ? "/model" : `/model?format=${format}`);
+    return (await this.transport.bytes("GET", path, "*/*", call)).blob();
+  }
+
+  /** Opens the stream on which handles are dragged. */
+  stream(options: SolveOptions = {}, events: StreamEvents = {}): Stream {
+    const path = this.path("/stream");
+    const route = {
+      connect: () => this.transport.socket(path),
+      probe: () => this.refresh(),
+      known: () => Number(this.facts.revision),
+    };
+    return new Stream(route, options, events);
+  }
+
+  /** Closes the session and frees what it held. */
+  close(call: CallOptions = {}): Promise<void> {
+    return this.transport.nothing("DELETE", this.path(""), call);
+  }
+
+  private path(rest: string): string {
+    return `/v1/sessions/${encodeURIComponent(this.id)}${rest}`;
+  }
+
+  private async told(answer: Promise<Facts>): Promise<Facts> {
+    this.facts = await answer;
+    return this.facts;
+  }
+}
+
+export type { EditResult, Facts, HistoryResponse, Quality };

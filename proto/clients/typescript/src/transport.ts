@@ -1,0 +1,185 @@
+/** HTTP calls: JSON of the schema's messages in and out, failures as `PliantError`. */
+
+import type { DescMessage, MessageInitShape, MessageShape } from "@bufbuild/protobuf";
+import { create, fromJson, toJson } from "@bufbuild/protobuf";
+import { PliantError, problemOf } from "./errors.js";
+
+/** What a page may set once for all calls. */
+export interface TransportOptions {
+  /** Where the server is, such as `https://mesh.example.org`. Default: where the page came from, else 127.0.0.1:7411. */
+  url?: string;
+  /** Headers of every call, such as an authorization. A browser's WebSocket cannot send them. */
+  headers?: Record<string, string>;
+  /** In place of the global `fetch`. */
+  fetch?: typeof globalThis.fetch;
+  /** In place of the global `WebSocket`. */
+  WebSocket?: typeof globalThis.WebSocket;
+}
+
+/** How a call is made. */
+export interface CallOptions {
+  signal?: AbortSignal;
+  /** Makes a repeat of the call harmless: the server gives the first answer again. */
+  idempotencyKey?: string;
+}
+
+/** The part of an upload that has gone out, 0 to 1. */
+export type Progress = (fraction: number) => void;
+
+/** Talks to one server. */
+export class Transport {
+  readonly url: string;
+  private readonly headers: Record<string, string>;
+  private readonly fetch: typeof globalThis.fetch;
+  private readonly Socket: typeof globalThis.WebSocket | undefined;
+
+  constructor(options: TransportOptions = {}) {
+    const page = typeof location === "object" && location.protocol.startsWith("http") ? location.origin : undefined;
+    this.url = (options.url ?? page ?? "http://127.0.0.1:7411").replace(/\/+$/, "");
+    this.headers = options.headers ?? {};
+    this.fetch = options.fetch ?? globalThis.fetch.bind(globalThis);
+    this.Socket = options.WebSocket ?? globalThis.WebSocket;
+  }
+
+  /** A call whose answer is a message. */
+  async message<D extends DescMessage>(
+    answer: D,
+    method: string,
+    path: string,
+    call: CallOptions & { body?: BodyInit; json?: unknown } = {},
+  ): Promise<MessageShape<D>> {
+    const response = await this.call(method, path, "application/json", call);
+    return parse(answer, await text(response));
+  }
+
+  /** A call whose answer is bytes. */
+  async bytes(method: string, path: string, accept: string, call: CallOptions & { json?: unknown } = {}): Promise<Response> {
+    return this.call(method, path, accept, call);
+  }
+
+  /** A call that answers nothing. */
+  async nothing(method: string, path: string, call: CallOptions = {}): Promise<void> {
+    await this.call(method, path, "application/json", call);
+  }
+
+  /** An upload that tells how far it is, where the platform can tell. */
+  async upload<D extends DescMessage>(
+    answer: D,
+    path: string,
+    body: Blob | FormData,
+    type: string | undefined,
+    call: CallOptions & { onProgress?: Progress },
+  ): Promise<MessageShape<D>> {
+    if (call.onProgress === undefined || typeof XMLHttpRequest === "undefined") {
+      const headers = type === undefined ? {} : { "content-type": type };
+      const response = await this.call("POST", path, "application/json", { ...call, body }, headers);
+      return parse(answer, await text(response));
+    }
+    return parse(answer, await this.uploadWatched(path, body, type, call, call.onProgress));
+  }
+
+  /** Opens a WebSocket on `path`. */
+  socket(path: string): WebSocket {
+    if (this.Socket === undefined) {
+      throw new PliantError("UNIMPLEMENTED", "there is no WebSocket here; give one in the options of the client");
+    }
+    const socket = new this.Socket(this.url.replace(/^http/, "ws") + path, ["pliant.v1"]);
+    socket.binaryType = "arraybuffer";
+    return socket;
+  }
+
+  private async call(
+    method: string,
+    path: string,
+    accept: string,
+    { body, json, signal, idempotencyKey }: CallOptions & { body?: BodyInit; json?: unknown },
+    more: Record<string, string> = {},
+  ): Promise<Response> {
+    const headers: Record<string, string> = { ...this.headers, accept, ...more };
+    const init: RequestInit = { method, headers };
+    if (json !== undefined) {
+      headers["content-type"] = "application/json";
+      init.body = JSON.stringify(json);
+    } else if (body !== undefined) {
+      init.body = body;
+    }
+    if (idempotencyKey !== undefined) {
+      headers["idempotency-key"] = idempotencyKey;
+    }
+    if (signal !== undefined) {
+      init.signal = signal;
+    }
+    let response: Response;
+    try {
+      response = await this.fetch(this.url + path, init);
+    } catch (error) {
+      throw unreachable(this.url, error);
+    }
+    if (!response.ok) {
+      const { status, statusText } = response;
+      throw problemOf(status, statusText, await text(response), response.headers.get("retry-after"));
+    }
+    return response;
+  }
+
+  private uploadWatched(
+    path: string,
+    body: Blob | FormData,
+    type: string | undefined,
+    { signal, idempotencyKey }: CallOptions,
+    onProgress: Progress,
+  ): Promise<string> {
+    return new Promise((resolve, reject) => {
+      const request = new XMLHttpRequest();
+      request.open("POST", this.url + path);
+      request.setRequestHeader("accept", "application/json");
+      for (const [name, value] of Object.entries(this.headers)) {
+        request.setRequestHeader(name, value);
+      }
+      if (type !== undefined) {
+        request.setRequestHeader("content-type", type);
+      }
+      if (idempotencyKey !== undefined) {
+        request.setRequestHeader("idempotency-key", idempotencyKey);
+      }
+      request.upload.onprogress = (event) => event.total > 0 && onProgress(event.loaded / event.total);
+      request.onload = () => {
+        const { status, statusText, responseText } = request;
+        if (status >= 200 && status < 300) {
+          resolve(responseText);
+        } else {
+          reject(problemOf(status, statusText, responseText, request.getResponseHeader("retry-after")));
+        }
+      };
+      request.onerror = () => reject(unreachable(this.url, undefined));
+      request.onabort = () => reject(signal?.reason ?? new DOMException("aborted", "AbortError"));
+      signal?.addEventListener("abort", () => request.abort(), { once: true });
+      request.send(body);
+    });
+  }
+}
+
+/** A message as the JSON that the server reads. */
+export function jsonOf<D extends DescMessage>(schema: D, message: MessageInitShape<D>): unknown {
+  return toJson(schema, create(schema, message));
+}
+
+function parse<D extends DescMessage>(schema: D, body: string): MessageShape<D> {
+  // A newer server may say more than this client knows.
+  return fromJson(schema, JSON.parse(body), { ignoreUnknownFields: true });
+}
+
+async function text(response: Response): Promise<string> {
+  try {
+    return await response.text();
+  } catch (error) {
+    throw unreachable("the server", error);
+  }
+}
+
+function unreachable(what: string, error: unknown): unknown {
+  if (error instanceof Error && error.name === "AbortError") {
+    return error;
+  }
+  return new PliantError("UNREACHABLE", `${what} does not answer`);
+}

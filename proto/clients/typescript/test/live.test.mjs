@@ -1,0 +1,136 @@
+/** The client against a server. */
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { Client, PliantError, regionOf } from "../dist/index.js";
+import { skip, start } from "./server.mjs";
+
+let client;
+let server;
+
+before(async () => {
+  if (skip) return;
+  server = await start();
+  client = new Client({ url: server.url });
+});
+
+after(() => server?.stop());
+
+const FEET = { id: "feet", region: { region: { case: "halfSpace", value: { normal: [0, -1, 0], offset: -0.14 } } } };
+const HEAD = { id: "head", region: { region: { case: "sphere", value: { center: [0.76, 1.22, 0], radius: 0.36 } } } };
+const NOD = [{ id: "head", pose: { rotationVector: [0, 0, -0.4] } }];
+
+test("a drag ends where a solve of the same pose ends, to the bit", { skip }, async () => {
+  const session = await client.sample();
+  const twin = await client.sample();
+  for (const each of [session, twin]) await each.setHandles({ handles: [FEET, HEAD] });
+  const positions = await session.positions();
+  const stream = session.stream({}, { onFrame: () => stream.take(positions) });
+  for (let k = 1; k <= 20; k++) stream.pose([{ id: "head", pose: { rotationVector: [0, 0, -0.02 * k] } }]);
+  const frame = await stream.commit(NOD);
+  assert.ok(frame.final && frame.revision === 3);
+  assert.ok(frame.quality !== undefined && frame.quality.flippedTriangles === 0);
+  const solved = await twin.solve(NOD);
+  assert.deepEqual(positions, solved.positions);
+  assert.deepEqual(await session.positions(), solved.positions);
+
+  await session.undo();
+  assert.notDeepEqual(await session.positions(), solved.positions);
+  await session.redo();
+  const { commits, current } = await session.history();
+  assert.deepEqual(commits.map(({ kind }) => kind), ["create", "handles", "pose"]);
+  assert.equal(commits.at(-1).digest, solved.digest);
+  assert.equal(current, commits.at(-1).revision);
+  stream.close();
+  await Promise.all([session.close(), twin.close()]);
+});
+
+test("frames of 16-bit numbers are the same shape to a step", { skip }, async () => {
+  const session = await client.sample();
+  await session.setHandles({ handles: [FEET, HEAD] });
+  const target = await session.positions();
+  const stream = session.stream({ output: { encoding: 1, normals: true } });
+  await stream.commit(NOD);
+  const normals = new Float32Array(target.length);
+  stream.take(target, normals);
+  const exact = await session.positions();
+  const worst = exact.reduce((most, x, k) => Math.max(most, Math.abs(x - target[k])), 0);
+  assert.ok(worst > 0 && worst < 1e-4, `off by ${worst}`);
+  for (let k = 0; k < normals.length; k += 3) {
+    assert.ok(Math.abs(Math.hypot(normals[k], normals[k + 1], normals[k + 2]) - 1) < 1e-3);
+  }
+  stream.close();
+  await session.close();
+});
+
+test("a model goes up, handles are put and taken, the bent model comes back", { skip }, async () => {
+  const sample = await client.sample();
+  const file = await sample.model("glb");
+  await sample.close();
+  const session = await client.open(file, { create: { label: "live test", volumeGraph: { mode: 1 } } });
+  assert.equal(session.facts.label, "live test");
+  assert.equal(session.facts.solver.graphVertices, session.facts.solver.solverVertices);
+  await session.putHandle({ id: "some", region: regionOf([0, 1, 2, 3, 4, 5, 9]) });
+  assert.equal(session.facts.handles[0].vertices, 7);
+  await session.removeHandle("some");
+  assert.equal(session.facts.handles.length, 0);
+  const bytes = new Uint8Array(await (await session.model()).arrayBuffer());
+  assert.deepEqual(bytes, new Uint8Array(await file.arrayBuffer()), "nothing was bent");
+  assert.ok((await client.sessions()).some(({ id }) => id === session.id));
+  assert.ok((await client.limits()).window >= 2);
+  await session.close();
+});
+
+test("fields of a handle are replaced and cleared one by one", { skip }, async () => {
+  const session = await client.sample();
+  await session.setHandles({ handles: [FEET, HEAD] });
+  const rest = await session.positions();
+  const up = [{ id: "head", pose: { translation: [0, 0.3, 0] } }];
+  // Vertices of the region that are where the pose says.
+  const held = (positions) => rest.reduce((n, x, k) => n + (k % 3 === 1 && Math.abs(positions[k] - x - 0.3) < 1e-6 ? 1 : 0), 0);
+  const count = session.facts.handles[1].vertices;
+  assert.ok(held((await session.solve(up)).positions) >= count);
+  await session.putHandle({ id: "head", stiffness: 0.01 });
+  assert.ok(held((await session.solve(up)).positions) < count / 2, "a soft handle pulls and does not hold");
+  await session.putHandle({ id: "head" }, { clear: ["stiffness"] });
+  assert.ok(held((await session.solve(up)).positions) >= count);
+  await session.close();
+});
+
+test("a model with companion files goes up as a form", { skip }, async () => {
+  const gltf = {
+    asset: { version: "2.0" },
+    buffers: [{ uri: "three points.bin", byteLength: 36 }],
+    bufferViews: [{ buffer: 0, byteLength: 36 }],
+    accessors: [{ bufferView: 0, componentType: 5126, count: 3, type: "VEC3", min: [0, 0, 0], max: [1, 1, 0] }],
+    meshes: [{ primitives: [{ attributes: { POSITION: 0 } }] }],
+    nodes: [{ mesh: 0 }],
+    scenes: [{ nodes: [0] }],
+  };
+  const points = new Blob([Float32Array.from([0, 0, 0, 1, 0, 0, 0, 1, 0])]);
+  const model = new Blob([JSON.stringify(gltf)]);
+  const session = await client.open(model, { create: { format: "gltf" }, companions: new Map([["three points.bin", points]]) });
+  assert.deepEqual([...(await session.positions())], [0, 0, 0, 1, 0, 0, 0, 1, 0]);
+  await session.close();
+});
+
+test("failures carry the server's code and text", { skip }, async () => {
+  await assert.rejects(client.session("0".repeat(32)), (error) => error instanceof PliantError && error.isGone && error.status === 404);
+  await assert.rejects(client.open(new Blob(["no model"]), { create: { format: "glb" } }), (error) => /glb/.test(error.message));
+  const session = await client.sample();
+  await assert.rejects(session.solve(NOD), { code: "FAILED_PRECONDITION" });
+  await session.close();
+  await assert.rejects(new Client({ url: "http://127.0.0.1:9" }).limits(), { code: "UNREACHABLE" });
+});
+
+test("a stream on a session that is closed ends as gone", { skip }, async () => {
+  const session = await client.sample();
+  await session.setHandles({ handles: [FEET, HEAD] });
+  const states = [];
+  const gone = new Promise((resolve) => {
+    const stream = session.stream({}, { onState: (state) => (states.push(state), state === "gone" && resolve(stream)) });
+    stream.commit(NOD).then(() => session.close());
+  });
+  await gone;
+  assert.equal(states[0], "open");
+});

@@ -1,0 +1,251 @@
+//! Fewer triangles: edges collapse into one of their ends, the cheapest first.
+//!
+//! The cost is the distance to the planes of the faces that were there (Garland and Heckbert 1997), so flat places thin
+//! out first. Vertices that remain are old ones with all their attributes; none is made. The rim of the region stays;
+//! boundaries, seams and primitive borders thin out along themselves and keep their corners by planes that stand on
+//! them.
+//!
+//! Every collapse is checked by itself: no edge gets a third face, no face turns over. Simplifiers that work on buffers
+//! tell points apart by position, so they would zip up a cut whose sides lie at one place, and they leave edges with
+//! three faces behind.
+
+mod quadric;
+
+use super::editable::{Editable, triangle};
+use super::{Error, Patch, Surface};
+use crate::mesh::NONE;
+use crate::progress::{Progress, check};
+use glam::DVec3;
+use quadric::Quadric;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// No face turns by more than the angle with this cosine (about 75°) in one collapse.
+const LEAST_COSINE: f64 = 0.25;
+
+/// Worst aspect that a collapse may make, unless there was a worse one before.
+const WORST_ASPECT: f64 = 12.0;
+
+/// How much the length of an edge counts beside its distance to the planes, so that flat places thin out evenly.
+const EVENNESS: f64 = 1e-6;
+
+/// Thins out `faces`, rising triangle numbers, to `ratio` of their number, as far as shape, rim and topology allow;
+/// warns with `decimate-short` when more than a tenth too many are left.
+///
+/// # Errors
+/// [`Error::Invalid`] when `ratio` is not between 0 and 1 or `faces` is no region; [`Error::Cancelled`].
+pub fn decimate(surface: &Surface, faces: &[u32], ratio: f64, progress: &dyn Progress) -> Result<Patch, Error> {
+    if !(ratio > 0.0 && ratio < 1.0) {
+        return Err(Error::Invalid {
+            field: "decimate.ratio".to_owned(),
+            problem: format!("{ratio} is not between 0 and 1, both excluded"),
+        });
+    }
+    let mut mesh = Editable::gather(surface, faces)?;
+    let start = mesh.living().count();
+    let target = ((start as f64 * ratio).round() as usize).max(1);
+    let left = Decimation::new(&mut mesh).run(start, target, progress)?;
+    let mut patch = mesh.into_patch();
+    if left as f64 > 1.1 * target as f64 {
+        patch.warnings.push((
+            "decimate-short".to_owned(),
+            format!("{left} of {start} triangles are left, {target} were asked for: rim, seams or shape hold the rest"),
+            "region".to_owned(),
+        ));
+    }
+    Ok(patch)
+}
+
+/// What may happen to a point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Freedom {
+    /// Anything.
+    Inside,
+    /// It may move to these two neighbours, along a boundary or seam.
+    Along([u32; 2]),
+    Held,
+}
+
+struct Decimation<'a> {
+    mesh: &'a mut Editable,
+    quadrics: Vec<Quadric>,
+    /// How often the surroundings of a point have changed: an entry of the queue with an older count is out of date.
+    stamps: Vec<u32>,
+    /// Points known to be inside; collapses around them do not change that.
+    inside: Vec<bool>,
+    origin: DVec3,
+}
+
+/// Cost as ordered bits, from, to, and the stamp of the first. Each point has its cheapest collapse in the queue.
+type Entry = Reverse<(u64, u32, u32, u32)>;
+
+impl<'a> Decimation<'a> {
+    fn new(mesh: &'a mut Editable) -> Self {
+        let count = mesh.points.len();
+        let origin = mesh.points.iter().map(|p| p.position).sum::<DVec3>() / count.max(1) as f64;
+        let mut quadrics = vec![Quadric::default(); count];
+        for f in 0..mesh.faces.len() as u32 {
+            let corners = mesh.corners_of(f).map(|p| p - origin);
+            let normal = triangle::area_normal(corners);
+            let Some(unit) = normal.try_normalize() else { continue };
+            let points = mesh.points_of(f);
+            for p in points {
+                quadrics[p as usize] += Quadric::plane(unit, corners[0], 0.5 * normal.length());
+            }
+            // A plane that stands on an edge which is to stay where it is.
+            for i in 0..3 {
+                let (a, b) = (points[i], points[(i + 1) % 3]);
+                if mesh.is_inside(mesh.edge(a, b), a, b) {
+                    continue;
+                }
+                let along = corners[(i + 1) % 3] - corners[i];
+                if let Some(across) = along.cross(unit).try_normalize() {
+                    for p in [a, b] {
+                        quadrics[p as usize] += Quadric::plane(across, corners[i], along.length_squared());
+                    }
+                }
+            }
+        }
+        Self {
+            quadrics,
+            stamps: vec![0; count],
+            inside: vec![false; count],
+            mesh,
+            origin,
+        }
+    }
+
+    /// Collapses until `target` faces are left or none can go; says how many are left.
+    fn run(mut self, start: usize, target: usize, progress: &dyn Progress) -> Result<usize, Error> {
+        let mut left = start;
+        // A collapse that topology forbids now may be allowed after others: rounds, while they do something.
+        for _ in 0..8 {
+            let before = left;
+            let mut queue = self.all();
+            let mut steps = 0u32;
+            while left > target {
+                let Some(Reverse((cost, from, to, stamp))) = queue.pop() else {
+                    break;
+                };
+                steps += 1;
+                if steps.is_multiple_of(4096) {
+                    check(progress).map_err(|_| Error::Cancelled)?;
+                    progress.report("edit", (start - left) as f32 / (start - target).max(1) as f32);
+                }
+                if self.stamps[from as usize] == stamp {
+                    match self.collapse(from, to, &mut queue) {
+                        0 => queue.extend(self.cheapest(from, (cost, to))),
+                        gone => left -= gone,
+                    }
+                }
+            }
+            check(progress).map_err(|_| Error::Cancelled)?;
+            if left <= target || left == before {
+                break;
+            }
+        }
+        Ok(left)
+    }
+
+    fn all(&mut self) -> BinaryHeap<Entry> {
+        let mut entries = Vec::new();
+        for p in 0..self.mesh.points.len() as u32 {
+            self.inside[p as usize] = self.freedom(p) == Freedom::Inside;
+            entries.extend(self.cheapest(p, (0, 0)));
+        }
+        entries.into()
+    }
+
+    /// The cheapest collapse of `p` into a neighbour, of those that come after the cost and neighbour given.
+    fn cheapest(&self, p: u32, after: (u64, u32)) -> Option<Entry> {
+        let targets = match self.freedom(p) {
+            Freedom::Held => return None,
+            Freedom::Along(ends) => ends.to_vec(),
+            Freedom::Inside => self.mesh.neighbours(p),
+        };
+        let at = |q: u32| self.mesh.at(q) - self.origin;
+        let faces = self.mesh.points[p as usize].faces.iter();
+        let area: f64 = faces
+            .map(|&f| triangle::area_normal(self.mesh.corners_of(f)).length())
+            .sum();
+        let cost = |q: u32| {
+            let mut sum = self.quadrics[p as usize];
+            sum += self.quadrics[q as usize];
+            // The bits of numbers that are not negative are ordered as they are.
+            (sum.at(at(q)) + EVENNESS * area * at(p).distance_squared(at(q))).to_bits()
+        };
+        let costs = targets.into_iter().map(|q| (cost(q), q));
+        let least = costs.filter(|&c| c > after).min()?;
+        Some(Reverse((least.0, p, least.1, self.stamps[p as usize])))
+    }
+
+    fn freedom(&self, p: u32) -> Freedom {
+        if self.inside[p as usize] {
+            return Freedom::Inside;
+        }
+        if self.mesh.points[p as usize].fixed {
+            return Freedom::Held;
+        }
+        let mut ends = [NONE; 2];
+        let mut open = [false; 2];
+        let mut count = 0;
+        for q in self.mesh.neighbours(p) {
+            let edge = self.mesh.edge(p, q);
+            if self.mesh.is_inside(edge, p, q) {
+                continue;
+            }
+            if count == 2 || self.mesh.is_locked(edge) {
+                return Freedom::Held;
+            }
+            ends[count] = q;
+            open[count] = edge.faces().count() == 1;
+            count += 1;
+        }
+        match count {
+            0 => Freedom::Inside,
+            2 if open[0] == open[1] => Freedom::Along(ends),
+            _ => Freedom::Held,
+        }
+    }
+
+    /// Collapses if it may be; says how many faces went.
+    fn collapse(&mut self, from: u32, to: u32, queue: &mut BinaryHeap<Entry>) -> usize {
+        let allowed = match self.freedom(from) {
+            Freedom::Inside => true,
+            Freedom::Along(ends) => ends.contains(&to),
+            Freedom::Held => false,
+        };
+        if !allowed {
+            return 0;
+        }
+        let Some(collapse) = self.mesh.collapse(from, to) else {
+            return 0;
+        };
+        if self.spoils(&collapse) {
+            return 0;
+        }
+        let gone = self.mesh.edge(from, to).faces().count();
+        self.mesh.apply_collapse(&collapse);
+        let moved = self.quadrics[from as usize];
+        self.quadrics[to as usize] += moved;
+        self.stamps[from as usize] += 1;
+        for p in self.mesh.neighbours(to).into_iter().chain([to]) {
+            self.stamps[p as usize] += 1;
+            queue.extend(self.cheapest(p, (0, 0)));
+        }
+        gone
+    }
+
+    /// Whether the collapse turns a face over or makes a needle worse than any that it touches.
+    fn spoils(&self, collapse: &super::editable::Collapse) -> bool {
+        let (mut old, mut new) = (WORST_ASPECT, 0.0f64);
+        for (_, before, after) in self.mesh.before_and_after(collapse) {
+            old = old.max(triangle::aspect(before));
+            new = new.max(triangle::aspect(after));
+            if !triangle::turns_little(before, after, LEAST_COSINE) {
+                return true;
+            }
+        }
+        new > old
+    }
+}

@@ -1,0 +1,96 @@
+//! How long edges should be, from place to place.
+
+use crate::edit::editable::{Editable, triangle};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// By how much the target length may change over a unit of distance.
+const SLOPE: f64 = 0.5;
+
+/// Target lengths at the points of a mesh: `wanted` where nothing stands against it; at points that hold edges which
+/// cannot change, the length of those; in between no steeper than [`SLOPE`].
+pub(super) fn graded(mesh: &Editable, wanted: &[f64]) -> Vec<f64> {
+    let edges = mesh.edges();
+    let mut held = vec![(0.0, 0u32); mesh.points.len()];
+    let mut rows: Vec<Vec<(u32, f64)>> = vec![Vec::new(); mesh.points.len()];
+    for &(a, b) in &edges {
+        let length = mesh.length(a, b);
+        rows[a as usize].push((b, length));
+        rows[b as usize].push((a, length));
+        if mesh.is_locked(mesh.edge(a, b)) {
+            for p in [a, b] {
+                held[p as usize].0 += length;
+                held[p as usize].1 += 1;
+            }
+        }
+    }
+    let pinned: Vec<Option<f64>> = held
+        .iter()
+        .map(|&(sum, count)| (count > 0).then(|| sum / f64::from(count)))
+        .collect();
+    // No smaller than what held edges of a larger length nearby ask for: its negative, rising from them.
+    let floor = spread(&rows, pinned.iter().map(|p| p.map(|l| -l)).collect());
+    let start = wanted.iter().zip(&pinned).zip(&floor).map(|((&w, pin), floor)| {
+        let least = floor.map_or(0.0, |f| -f);
+        Some(pin.unwrap_or(w.max(least)))
+    });
+    let ceiling = spread(&rows, start.collect());
+    ceiling.iter().zip(wanted).map(|(c, &w)| c.unwrap_or(w)).collect()
+}
+
+/// The least of all `values` after each has risen by [`SLOPE`] with the distance along edges. `None` is no value.
+fn spread(rows: &[Vec<(u32, f64)>], mut values: Vec<Option<f64>>) -> Vec<Option<f64>> {
+    // Order numbers of either sign by their bits.
+    let key = |x: f64| {
+        let bits = x.to_bits() as i64;
+        bits ^ (((bits >> 63) as u64) >> 1) as i64
+    };
+    let mut queue: BinaryHeap<Reverse<(i64, u32)>> = (values.iter().zip(0u32..))
+        .filter_map(|(v, p)| Some(Reverse((key((*v)?), p))))
+        .collect();
+    while let Some(Reverse((order, p))) = queue.pop() {
+        let Some(value) = values[p as usize].filter(|&v| key(v) == order) else {
+            continue;
+        };
+        for &(q, length) in &rows[p as usize] {
+            let risen = value + SLOPE * length;
+            if values[q as usize].is_none_or(|v| risen < v) {
+                values[q as usize] = Some(risen);
+                queue.push(Reverse((key(risen), q)));
+            }
+        }
+    }
+    values
+}
+
+/// How many triangles the region would have with these target lengths, at least.
+pub(super) fn estimate(mesh: &Editable, sizes: &[f64]) -> f64 {
+    let equilateral = 3f64.sqrt() / 4.0;
+    mesh.living()
+        .map(|f| {
+            let area = 0.5 * triangle::area_normal(mesh.corners_of(f)).length();
+            let size: f64 = mesh.points_of(f).iter().map(|&p| sizes[p as usize]).sum::<f64>() / 3.0;
+            area / (equilateral * size * size)
+        })
+        .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_rise_with_distance_from_the_least_source_of_either_sign() {
+        let rows: Vec<Vec<(u32, f64)>> = vec![
+            vec![(1, 2.0)],
+            vec![(0, 2.0), (2, 2.0)],
+            vec![(1, 2.0), (3, 4.0)],
+            vec![(2, 4.0)],
+            vec![],
+        ];
+        let grown = spread(&rows, vec![Some(1.0), None, Some(9.0), Some(1.5), None]);
+        assert_eq!(grown, [Some(1.0), Some(2.0), Some(3.0), Some(1.5), None]);
+        let grown = spread(&rows, vec![Some(-4.0), None, None, Some(-4.5), None]);
+        assert_eq!(grown, [Some(-4.0), Some(-3.0), Some(-2.5), Some(-4.5), None]);
+    }
+}

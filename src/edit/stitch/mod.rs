@@ -1,0 +1,240 @@
+//! A strip of triangles between two boundary loops.
+
+mod loops;
+mod strip;
+
+use super::editable::{Bits, Editable, Touching, proper_points, triangle};
+use super::weld::rim_points;
+use super::{Error, NewTriangle, NewVertex, Patch, Surface};
+use crate::mesh::{Components, NONE};
+use crate::progress::{Progress, check};
+use glam::DVec3;
+use loops::Loop;
+use std::collections::BTreeMap;
+
+/// Which loops to join.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Between {
+    /// The loops that pass these points.
+    Points(u32, u32),
+    /// The two nearest loops of which one has only points below the number given and the other only others: one of the
+    /// model and one of what was appended.
+    Appended(u32),
+    /// The two nearest loops of different parts.
+    Parts,
+}
+
+/// A loop longer than this times the other does not match it, unless both are named.
+const LONGER: f64 = 5.0;
+
+/// Loops further apart than this times the length of the longer one do not match, unless both are named.
+const FURTHER: f64 = 1.0;
+
+/// Joins two boundary loops by triangles whose edges from loop to loop have the least length in all. The strip belongs to
+/// the primitive that most of the first loop's edges (of the model, or of the smaller part number) belong to; where the
+/// other loop is of another primitive, its points get vertices of this one, with the attributes of the nearest vertex
+/// that is. Normals of both parts must face the same side.
+///
+/// # Errors
+/// [`Error::Impossible`] when there are no two such loops, they share a point or touch, they do not match in length or
+/// distance, the parts face opposite ways, or the strip would repeat edges; [`Error::Cancelled`].
+pub fn stitch(surface: &Surface, between: Between, progress: &dyn Progress) -> Result<Patch, Error> {
+    let rim = rim_points(surface);
+    let mut bits = Bits::new(surface.points as usize);
+    rim.iter().for_each(|&p| bits.set(p));
+    let touching = Touching::find(surface, &bits).triangles;
+    let near: Vec<u32> = (touching.into_iter())
+        .filter(|&t| proper_points(surface, t).is_some())
+        .collect();
+    if near.is_empty() {
+        return Err(impossible("the surface has no boundary loop", "the whole surface"));
+    }
+    let mesh = Editable::gather(surface, &near)?;
+    check(progress).map_err(|_| Error::Cancelled)?;
+    let found = loops::find(&mesh);
+    let (a, b) = choose(surface, &mesh, &found, between)?;
+    check_match(&mesh, a, b, matches!(between, Between::Points(..)))?;
+    check(progress).map_err(|_| Error::Cancelled)?;
+    let strip = strip::shortest(&mesh, a, b).ok_or_else(|| {
+        let problem = "no strip between the two loops has only new edges; they are joined by edges already";
+        impossible(problem, &place(&mesh, a, b))
+    })?;
+    let turned: Vec<u32> = b.points.iter().rev().copied().collect();
+    let other_way = strip::shortest(
+        &mesh,
+        a,
+        &Loop {
+            points: turned,
+            ..b.clone()
+        },
+    );
+    if other_way.is_some_and(|o| o.cost * 2.0 < strip.cost) {
+        let problem = "the two parts face opposite ways: turn the triangles of one over, or mirror it";
+        return Err(impossible(problem, &place(&mesh, a, b)));
+    }
+    build(surface, &mesh, a, b, &strip.triangles)
+}
+
+fn impossible(problem: &str, place: &str) -> Error {
+    Error::Impossible {
+        problem: problem.to_owned(),
+        place: place.to_owned(),
+    }
+}
+
+fn place(mesh: &Editable, a: &Loop, b: &Loop) -> String {
+    format!("loops at {} and {}", mesh.at(a.points[0]), mesh.at(b.points[0]))
+}
+
+/// The two loops that are meant.
+fn choose<'a>(
+    surface: &Surface,
+    mesh: &Editable,
+    found: &'a [Loop],
+    between: Between,
+) -> Result<(&'a Loop, &'a Loop), Error> {
+    let old = |l: &Loop| {
+        l.points
+            .iter()
+            .map(|&p| mesh.points[p as usize].old)
+            .min()
+            .unwrap_or(NONE)
+    };
+    let newest = |l: &Loop| l.points.iter().map(|&p| mesh.points[p as usize].old).max().unwrap_or(0);
+    match between {
+        Between::Points(p, q) => {
+            let at = |p: u32| {
+                let passes = |l: &&Loop| l.points.iter().any(|&x| mesh.points[x as usize].old == p);
+                let hint = "is on no closed boundary loop; name a point on a loop";
+                let missing = || impossible(&format!("point {p} {hint}"), &format!("point {p}"));
+                found.iter().find(passes).ok_or_else(missing)
+            };
+            Ok((at(p)?, at(q)?))
+        }
+        Between::Appended(first) => {
+            let (model, appended): (Vec<_>, Vec<_>) = found.iter().partition(|l| newest(l) < first);
+            let appended: Vec<_> = appended.into_iter().filter(|l| old(l) >= first).collect();
+            let pair = loops::nearest(mesh, &model, &appended, |_, _| true);
+            pair.ok_or_else(|| {
+                let (m, n) = (model.len(), appended.len());
+                let problem =
+                    format!("the model has {m} closed boundary loops and the appended one {n}; both need one");
+                impossible(&problem, "both models")
+            })
+        }
+        Between::Parts => {
+            let corners: Vec<[u32; 3]> = (0..surface.triangles.len() as u32)
+                .filter_map(|t| proper_points(surface, t))
+                .collect();
+            let parts = Components::of_triangles(surface.points as usize, &corners);
+            let part = |l: &Loop| parts.of_vertex[old(l) as usize];
+            let all: Vec<&Loop> = found.iter().collect();
+            let pair = loops::nearest(mesh, &all, &all, |a, b| part(a) < part(b));
+            pair.ok_or_else(|| {
+                let problem = format!(
+                    "there are {} closed boundary loops and no two of different parts; to join loops of one part name a point on each",
+                    found.len()
+                );
+                impossible(&problem, "the whole surface")
+            })
+        }
+    }
+}
+
+fn check_match(mesh: &Editable, a: &Loop, b: &Loop, named: bool) -> Result<(), Error> {
+    let place = place(mesh, a, b);
+    if a.points.iter().any(|p| b.points.contains(p)) {
+        let problem = if a == b {
+            "both points are on the same boundary loop; name one on each of two, or fill the hole"
+        } else {
+            "the two loops share a point; weld them or fill the holes"
+        };
+        return Err(impossible(problem, &place));
+    }
+    let distance = loops::distance(mesh, a, b);
+    let (la, lb) = (a.length, b.length);
+    if distance == 0.0 {
+        return Err(impossible("the two loops touch; weld them first", &place));
+    }
+    let matched = la.max(lb) <= LONGER * la.min(lb) && distance <= FURTHER * la.max(lb);
+    if matched || named {
+        return Ok(());
+    }
+    let problem = format!(
+        "the nearest loops do not match: lengths {la} and {lb}, distance {distance}; lengths may differ {LONGER} times, the distance may be the \
+         longer length; move the parts together or name a point on each loop"
+    );
+    Err(impossible(&problem, &place))
+}
+
+/// Makes triangles of points into a patch.
+fn build(surface: &Surface, mesh: &Editable, a: &Loop, b: &Loop, triangles: &[strip::Piece]) -> Result<Patch, Error> {
+    let primitive = a.main_primitive(mesh);
+    let mut vertices = Vertices {
+        surface,
+        mesh,
+        primitive,
+        known: Vec::new(),
+        copies: BTreeMap::new(),
+        patch: Patch::default(),
+    };
+    let points = a.points.iter().chain(&b.points);
+    vertices.known = points.filter_map(|&p| Some((p, vertices.of(p, NONE)?))).collect();
+    for piece in triangles {
+        let corners = piece.points.map(|p| mesh.at(p));
+        if triangle::area_normal(corners).try_normalize().is_none() {
+            let problem = "the strip would have a triangle without area; weld points that touch first";
+            return Err(impossible(problem, &format!("{}", corners[0])));
+        }
+        let corners = piece.points.map(|p| vertices.take(p, piece.beside));
+        vertices.patch.triangles.push(NewTriangle { primitive, corners });
+    }
+    Ok(vertices.patch)
+}
+
+/// The render vertices of a strip.
+struct Vertices<'a> {
+    surface: &'a Surface<'a>,
+    mesh: &'a Editable,
+    primitive: u32,
+    /// Points of both loops that have a vertex of the primitive, with one.
+    known: Vec<(u32, u32)>,
+    copies: BTreeMap<u32, u32>,
+    patch: Patch,
+}
+
+impl Vertices<'_> {
+    /// A vertex of the primitive at point `p`: that of face `beside` when there is one, else the first.
+    fn of(&self, p: u32, beside: u32) -> Option<u32> {
+        let own = |f: u32| {
+            let face = &self.mesh.faces[f as usize];
+            let wedge = self.mesh.wedge_at(f, p).filter(|_| face.primitive == self.primitive)?;
+            Some(self.mesh.wedges[wedge as usize].old)
+        };
+        let there = if beside == NONE { None } else { own(beside) };
+        there.or_else(|| self.mesh.points[p as usize].faces.iter().filter_map(|&f| own(f)).min())
+    }
+
+    fn take(&mut self, p: u32, beside: u32) -> u32 {
+        if let Some(v) = self.of(p, beside) {
+            return v;
+        }
+        if let Some(&v) = self.copies.get(&p) {
+            return v;
+        }
+        let here: DVec3 = self.mesh.at(p);
+        let distance = |k: &(u32, u32)| self.mesh.at(k.0).distance_squared(here);
+        let nearest = self.known.iter().min_by(|x, y| distance(x).total_cmp(&distance(y)));
+        let source = nearest.map_or(0, |k| k.1);
+        let v = self.surface.positions.len() as u32 + self.patch.vertices.len() as u32;
+        self.patch.vertices.push(NewVertex {
+            primitive: self.primitive,
+            point: self.mesh.points[p as usize].old,
+            position: here,
+            of: [source; 3],
+            weights: [1.0, 0.0, 0.0],
+        });
+        self.copies.insert(p, v);
+        v
+    }
+}

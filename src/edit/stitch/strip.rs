@@ -1,0 +1,169 @@
+//! The shortest strip of triangles between two loops.
+
+use super::loops::Loop;
+use crate::edit::editable::Editable;
+use crate::mesh::NONE;
+
+/// Most pairs of points for which all strips are compared; beyond, the shorter of the next two edges is taken each time.
+const MOST_PAIRS: usize = 16 << 20;
+
+/// A triangle of a strip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Piece {
+    pub points: [u32; 3],
+    /// The face that it shares the loop's edge with.
+    pub beside: u32,
+}
+
+/// Triangles and the length of their edges from loop to loop.
+#[derive(Debug, Clone)]
+pub(super) struct Strip {
+    pub triangles: Vec<Piece>,
+    pub cost: f64,
+}
+
+/// The strip of least length that begins at the closest pair of points and has no edge that is there already; `None` when
+/// there is none. Seen along the first loop the second runs backwards, so that the strip's faces turn as both parts' do.
+pub(super) fn shortest(mesh: &Editable, a: &Loop, b: &Loop) -> Option<Strip> {
+    let (n, m) = (a.points.len(), b.points.len());
+    let mut start = (f64::INFINITY, 0, 0);
+    // Long loops begin at a point that is close enough.
+    let (skip_a, skip_b) = (n.div_ceil(4096), m.div_ceil(4096));
+    for i in (0..n).step_by(skip_a) {
+        for j in (0..m).step_by(skip_b) {
+            let length = mesh.length(a.points[i], b.points[j]);
+            if length < start.0 {
+                start = (length, i, j);
+            }
+        }
+    }
+    let at_a = |i: usize| a.points[(start.1 + i) % n];
+    let at_b = |j: usize| b.points[(start.2 + m * 2 - j) % m];
+    let mut others = b.points.clone();
+    others.sort_unstable();
+    let mut joined: Vec<(u32, u32)> = Vec::new();
+    for &p in &a.points {
+        let beside = mesh.neighbours(p).into_iter();
+        joined.extend(beside.filter(|q| others.binary_search(q).is_ok()).map(|q| (p, q)));
+    }
+    joined.sort_unstable();
+    let cost = |i: usize, j: usize| {
+        let (p, q) = (at_a(i), at_b(j));
+        // Once around one loop, but not the other, the strip would be back at its first edge.
+        let again = (i, j) == (n, 0) || (i, j) == (0, m);
+        if again || joined.binary_search(&(p, q)).is_ok() {
+            f64::INFINITY
+        } else {
+            mesh.length(p, q)
+        }
+    };
+    let (steps, total) = if n.saturating_mul(m) <= MOST_PAIRS {
+        best_steps(n, m, cost)?
+    } else {
+        greedy_steps(n, m, cost)?
+    };
+    let (mut i, mut j) = (0, 0);
+    let mut triangles = Vec::with_capacity(n + m);
+    for along_a in steps {
+        if along_a {
+            let (p, q) = (at_a(i), at_a(i + 1));
+            triangles.push(Piece {
+                points: [q, p, at_b(j)],
+                beside: beside(mesh, p, q),
+            });
+            i += 1;
+        } else {
+            let (p, q) = (at_b(j), at_b(j + 1));
+            triangles.push(Piece {
+                points: [p, q, at_a(i)],
+                beside: beside(mesh, q, p),
+            });
+            j += 1;
+        }
+    }
+    Some(Strip { triangles, cost: total })
+}
+
+/// The face at an edge of a loop.
+fn beside(mesh: &Editable, p: u32, q: u32) -> u32 {
+    mesh.edge(p, q).faces().next().unwrap_or(NONE)
+}
+
+/// All ways from (0, 0) to (n, m) by single steps, compared; true is a step along the first loop.
+fn best_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<(Vec<bool>, f64)> {
+    let width = m + 1;
+    let mut from_a = vec![false; (n + 1) * width];
+    let mut row = vec![f64::INFINITY; width];
+    for i in 0..=n {
+        for j in 0..=m {
+            let here = if (i, j) == (n, m) { cost(0, 0) } else { cost(i, j) };
+            let (up, left) = (
+                if i > 0 { row[j] } else { f64::INFINITY },
+                if j > 0 { row[j - 1] } else { f64::INFINITY },
+            );
+            from_a[i * width + j] = up <= left;
+            row[j] = if (i, j) == (0, 0) { here } else { here + up.min(left) };
+        }
+    }
+    let total = row[m];
+    if !total.is_finite() {
+        return None;
+    }
+    let mut steps = Vec::with_capacity(n + m);
+    let (mut i, mut j) = (n, m);
+    while (i, j) != (0, 0) {
+        let along_a = from_a[i * width + j];
+        steps.push(along_a);
+        if along_a {
+            i -= 1;
+        } else {
+            j -= 1;
+        }
+    }
+    steps.reverse();
+    Some((steps, total))
+}
+
+/// The shorter of the two next edges each time.
+fn greedy_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<(Vec<bool>, f64)> {
+    let mut steps = Vec::with_capacity(n + m);
+    let (mut i, mut j, mut total) = (0, 0, cost(0, 0));
+    while (i, j) != (n, m) {
+        let next_a = if i < n { cost(i + 1, j) } else { f64::INFINITY };
+        let next_b = if j < m { cost(i, j + 1) } else { f64::INFINITY };
+        let along_a = i < n && (j == m || next_a <= next_b);
+        steps.push(along_a);
+        total += if along_a { next_a } else { next_b };
+        if along_a {
+            i += 1;
+        } else {
+            j += 1;
+        }
+    }
+    total.is_finite().then_some((steps, total))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_ways_of_choosing_reach_the_end_and_the_full_one_is_no_longer() {
+        let a = [0.0, 0.3, 0.5, 0.9, 1.0f64];
+        let b = [0.0, 0.5, 0.6, 0.7, 0.75, 0.9, 1.0f64];
+        let cost = |i: usize, j: usize| (a[i] - b[j]).abs() + 0.1;
+        let (full, least) = best_steps(4, 6, cost).expect("a way");
+        let (greedy, more) = greedy_steps(4, 6, cost).expect("a way");
+        for steps in [&full, &greedy] {
+            assert_eq!((steps.len(), steps.iter().filter(|s| **s).count()), (10, 4));
+        }
+        assert!(least <= more + 1e-12);
+    }
+
+    #[test]
+    fn forbidden_edges_are_gone_around_or_refused() {
+        let blocked = |i: usize, j: usize| if (i, j) == (1, 1) { f64::INFINITY } else { 1.0 };
+        assert!(best_steps(3, 3, blocked).is_some_and(|(_, total)| total == 7.0));
+        assert!(best_steps(2, 2, |i, j| if i == 1 || j == 1 { f64::INFINITY } else { 1.0 }).is_none());
+    }
+}

@@ -1,0 +1,63 @@
+//! Loop's masks ("Smooth Subdivision Surfaces Based on Triangles", 1987; boundaries after Hoppe et al. 1994).
+
+use crate::edit::editable::Editable;
+use glam::DVec3;
+use std::f64::consts::TAU;
+
+/// The middle of an edge.
+pub(super) fn middle(mesh: &Editable, a: u32, b: u32) -> DVec3 {
+    (mesh.at(a) + mesh.at(b)) * 0.5
+}
+
+/// The new point of an edge: between two faces of the region 3/8 of each end and 1/8 of each tip, else the middle.
+pub(super) fn new_point(mesh: &Editable, a: u32, b: u32) -> DVec3 {
+    let edge = mesh.edge(a, b);
+    let tip = |f| mesh.across(f, a, b).map(|p| mesh.at(p));
+    if mesh.is_locked(edge) || edge.faces().count() != 2 {
+        return middle(mesh, a, b);
+    }
+    match (tip(edge.left), tip(edge.right)) {
+        (Some(c), Some(d)) => (mesh.at(a) + mesh.at(b)) * 0.375 + (c + d) * 0.125,
+        _ => middle(mesh, a, b),
+    }
+}
+
+/// Where an old point goes; `None` for one that stays because the faces around it are not all in the region, or make no
+/// single fan.
+pub(super) fn old_point(mesh: &Editable, p: u32) -> Option<DVec3> {
+    let point = &mesh.points[p as usize];
+    if point.fixed {
+        return None;
+    }
+    let around = mesh.neighbours(p);
+    let rim: Vec<u32> = (around.iter().copied())
+        .filter(|&q| mesh.edge(p, q).faces().count() == 1)
+        .collect();
+    match (rim.as_slice(), around.len()) {
+        ([], n @ 3..) => {
+            let beta = beta(n);
+            let sum: DVec3 = around.iter().map(|&q| mesh.at(q)).sum();
+            Some(point.position * (1.0 - n as f64 * beta) + sum * beta)
+        }
+        (&[a, b], _) => Some(point.position * 0.75 + (mesh.at(a) + mesh.at(b)) * 0.125),
+        _ => None,
+    }
+}
+
+/// The weight of each of `n` neighbours.
+fn beta(n: usize) -> f64 {
+    let n = n as f64;
+    let c = 0.375 + 0.25 * libm::cos(TAU / n);
+    (0.625 - c * c) / n
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_weights_are_those_of_the_paper() {
+        assert!((beta(3) - 3.0 / 16.0).abs() < 1e-15);
+        assert!((beta(6) - 1.0 / 16.0).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,172 @@
+//! Each triangle of a region into four.
+//!
+//! Neighbours of the region that share a divided edge are split to fit (red and green triangles, Bank et al. 1983), so
+//! there is no T-junction; where an edge has several render vertices at an end, each side gets its own middle at the
+//! same point. [`Scheme::Midpoint`] keeps the shape, [`Scheme::Loop`] smooths it.
+
+mod masks;
+
+use super::editable::Editable;
+use super::{Error, NewTriangle, NewVertex, Patch, Surface};
+use crate::mesh::NONE;
+use crate::progress::{Progress, check};
+use glam::DVec3;
+use std::collections::BTreeMap;
+
+/// Where new and old points come to lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scheme {
+    /// New points in the middle of edges; old ones stay.
+    Midpoint,
+    /// The masks of Loop (1987): old points move as well, but for those on the rim of the region. Boundaries follow the
+    /// cubic curve of their own points.
+    Loop,
+}
+
+/// Divides `faces`, rising triangle numbers. Attributes of a new vertex are half and half those at the ends of its edge.
+///
+/// # Errors
+/// [`Error::Invalid`] when `faces` is no region or holds no triangle with three points; [`Error::TooLarge`] beyond what
+/// 32-bit numbers count; [`Error::Cancelled`].
+pub fn subdivide(surface: &Surface, faces: &[u32], scheme: Scheme, progress: &dyn Progress) -> Result<Patch, Error> {
+    let stop = || check(progress).map_err(|_| Error::Cancelled);
+    let mesh = Editable::gather(surface, faces)?;
+    let edges = mesh.edges();
+    // Six list entries a triangle must be countable with 32 bits, see `mesh::Mesh::build`.
+    let limit = u64::from(NONE / 6);
+    let seen = surface.triangles.len() as u64 + 4 * faces.len() as u64;
+    if seen > limit {
+        return Err(Error::TooLarge {
+            what: "triangles",
+            seen,
+            limit,
+        });
+    }
+    if edges.is_empty() {
+        return Err(Error::Invalid {
+            field: "region".to_owned(),
+            problem: "it holds no triangle with three different points".to_owned(),
+        });
+    }
+    stop()?;
+    let middle = |&(a, b): &(u32, u32)| match scheme {
+        Scheme::Midpoint => masks::middle(&mesh, a, b),
+        Scheme::Loop => masks::new_point(&mesh, a, b),
+    };
+    let mut division = Division {
+        surface,
+        mesh: &mesh,
+        middles: edges.iter().map(middle).collect(),
+        edges: &edges,
+        points: vec![NONE; edges.len()],
+        vertices: BTreeMap::new(),
+        patch: Patch::default(),
+        next_point: surface.points,
+    };
+    stop()?;
+    for f in 0..mesh.faces.len() as u32 {
+        if f % 65536 == 0 {
+            stop()?;
+        }
+        division.divide(f);
+    }
+    let mut patch = division.patch;
+    patch.removed.sort_unstable();
+    if scheme == Scheme::Loop {
+        let moved = (0..mesh.points.len() as u32).filter_map(|p| {
+            let to = masks::old_point(&mesh, p)?;
+            (to != mesh.at(p)).then_some((mesh.points[p as usize].old, to))
+        });
+        patch.moved = moved.collect();
+        patch.moved.sort_unstable_by_key(|m| m.0);
+    }
+    Ok(patch)
+}
+
+struct Division<'a> {
+    surface: &'a Surface<'a>,
+    mesh: &'a Editable,
+    /// The divided edges, sorted, and where their new points are.
+    edges: &'a [(u32, u32)],
+    middles: Vec<DVec3>,
+    /// The number of each edge's new point, once it has one.
+    points: Vec<u32>,
+    /// The new vertex between two render vertices, the smaller first.
+    vertices: BTreeMap<(u32, u32), u32>,
+    patch: Patch,
+    next_point: u32,
+}
+
+impl Division<'_> {
+    /// Replaces face `f` when at least one of its edges is divided.
+    fn divide(&mut self, f: u32) {
+        let face = self.mesh.faces[f as usize];
+        let p = face.points;
+        let corners = face.corners.map(|w| self.mesh.wedges[w as usize].old);
+        // The new vertex opposite to each corner.
+        let mut middle = [None; 3];
+        for i in 0..3 {
+            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+            let key = (p[j].min(p[k]), p[j].max(p[k]));
+            if let Ok(edge) = self.edges.binary_search(&key) {
+                middle[i] = Some(self.vertex(edge, corners[j], corners[k], face.primitive));
+            }
+        }
+        if middle == [None; 3] {
+            return;
+        }
+        self.patch.removed.push(face.old);
+        let made = self.pieces(corners, middle);
+        self.patch.triangles.extend(made.into_iter().map(|corners| NewTriangle {
+            primitive: face.primitive,
+            corners,
+        }));
+    }
+
+    /// What a triangle falls into when some sides have a new vertex, named by the corner opposite to them.
+    fn pieces(&self, corners: [u32; 3], middle: [Option<u32>; 3]) -> Vec<[u32; 3]> {
+        if let [Some(x), Some(y), Some(z)] = middle {
+            let [a, b, c] = corners;
+            return vec![[a, z, y], [b, x, z], [c, y, x], [x, y, z]];
+        }
+        // Turned so that the side opposite to the first corner is divided and that opposite to the second is not.
+        let turn = (0..3).find(|&i| middle[i].is_some() && middle[(i + 1) % 3].is_none());
+        let Some(i) = turn else { return Vec::new() };
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        let [a, b, c] = [corners[i], corners[j], corners[k]];
+        match (middle[i], middle[k]) {
+            (Some(x), None) => vec![[a, b, x], [a, x, c]],
+            // A triangle at b, and a quad by its shorter diagonal.
+            (Some(x), Some(z)) => {
+                let at = |v: u32| self.surface.positions[v as usize];
+                let (ax, zc) = ((at(b) + at(c)) * 0.5 - at(a), (at(a) + at(b)) * 0.5 - at(c));
+                if ax.length_squared() <= zc.length_squared() {
+                    vec![[b, x, z], [a, z, x], [a, x, c]]
+                } else {
+                    vec![[b, x, z], [a, z, c], [z, x, c]]
+                }
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    fn vertex(&mut self, edge: usize, v: u32, w: u32, primitive: u32) -> u32 {
+        let old = self.surface.positions.len() as u32;
+        let key = (v.min(w), v.max(w));
+        *self.vertices.entry(key).or_insert_with(|| {
+            let point = &mut self.points[edge];
+            if *point == NONE {
+                *point = self.next_point;
+                self.next_point += 1;
+            }
+            self.patch.vertices.push(NewVertex {
+                primitive,
+                point: *point,
+                position: self.middles[edge],
+                of: [key.0, key.1, key.0],
+                weights: [0.5, 0.5, 0.0],
+            });
+            old + self.patch.vertices.len() as u32 - 1
+        })
+    }
+}

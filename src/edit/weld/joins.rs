@@ -1,0 +1,221 @@
+//! Which points are joined, and whether the faces around them stay a surface.
+
+use crate::edit::Surface;
+use crate::edit::editable::{Bits, Touching, proper_points, triangle};
+use glam::DVec3;
+use std::collections::BTreeSet;
+
+/// No more points become one: nobody wants it, and looking through all of them for each would take long.
+const MOST_MEMBERS: usize = 64;
+
+/// The faces around the points of some pairs, with the joins made so far. A point that another joins joins none.
+pub(super) struct Joins {
+    /// The surface's numbers of the points here, rising.
+    points: Vec<u32>,
+    positions: Vec<DVec3>,
+    /// The surface's numbers of the faces here, and their points.
+    numbers: Vec<u32>,
+    faces: Vec<[u32; 3]>,
+    /// Faces around each point; of points in no pair, only some.
+    around: Vec<Vec<u32>>,
+    /// The point that each has become.
+    now: Vec<u32>,
+    /// Those that have become each point, itself first.
+    members: Vec<Vec<u32>>,
+}
+
+impl Joins {
+    /// Gathers the faces around all points of `pairs`.
+    pub fn new(surface: &Surface, positions: &[DVec3], pairs: &[(u32, u32)]) -> Self {
+        let mut bits = Bits::new(surface.points as usize);
+        for &(p, q) in pairs {
+            bits.set(p);
+            bits.set(q);
+        }
+        let touching = Touching::find(surface, &bits).triangles;
+        let proper = touching.iter().filter_map(|&t| Some((t, proper_points(surface, t)?)));
+        let (numbers, corners): (Vec<u32>, Vec<[u32; 3]>) = proper.unzip();
+        let mut points: Vec<u32> = corners.iter().flatten().copied().collect();
+        points.extend(pairs.iter().flat_map(|&(p, q)| [p, q]));
+        points.sort_unstable();
+        points.dedup();
+        let local = |p: u32| points.binary_search(&p).unwrap_or(0) as u32;
+        let faces: Vec<[u32; 3]> = corners.iter().map(|c| c.map(local)).collect();
+        let mut around = vec![Vec::new(); points.len()];
+        for (f, corners) in faces.iter().enumerate() {
+            corners.iter().for_each(|&p| around[p as usize].push(f as u32));
+        }
+        let count = points.len() as u32;
+        Self {
+            positions: points.iter().map(|&p| positions[p as usize]).collect(),
+            points,
+            numbers,
+            faces,
+            around,
+            now: (0..count).collect(),
+            members: (0..count).map(|p| vec![p]).collect(),
+        }
+    }
+
+    /// Joins the surface's point `p` to `q`, unless edges would get too many faces or a face would turn over.
+    pub fn join(&mut self, p: u32, q: u32) {
+        let (Ok(p), Ok(q)) = (self.points.binary_search(&p), self.points.binary_search(&q)) else {
+            return;
+        };
+        let (p, q) = (p as u32, q as u32);
+        let free = self.now[p as usize] == p && self.now[q as usize] == q && self.members[p as usize].len() == 1;
+        if p == q || !free || self.members[q as usize].len() >= MOST_MEMBERS {
+            return;
+        }
+        self.now[p as usize] = q;
+        self.members[q as usize].push(p);
+        if !self.has_sound_edges(q) || self.turns_a_face(p) {
+            self.part(p, q);
+        }
+    }
+
+    fn part(&mut self, p: u32, q: u32) {
+        self.now[p as usize] = p;
+        self.members[q as usize].retain(|&m| m != p);
+    }
+
+    /// Parts again what makes faces meet at a point only, until nothing does.
+    pub fn settle(&mut self) {
+        let joined = (0..self.points.len() as u32).filter(|&q| self.members[q as usize].len() > 1);
+        let mut open: BTreeSet<u32> = joined.collect();
+        while let Some(q) = open.pop_first() {
+            while let Some(&last) = self.members[q as usize].last()
+                && last != q
+                && !(self.has_sound_edges(q) && self.is_fan(q))
+            {
+                // What lies around loses an edge by it.
+                for m in [last, q] {
+                    let faces = self.around[m as usize].iter();
+                    let beside = faces
+                        .flat_map(|&f| self.faces[f as usize])
+                        .map(|p| self.now[p as usize]);
+                    open.extend(beside.filter(|&p| p != q && self.members[p as usize].len() > 1));
+                }
+                self.part(last, q);
+            }
+        }
+    }
+
+    /// The joins made, as pairs of the surface's points, rising.
+    pub fn joined(&self) -> Vec<(u32, u32)> {
+        let pairs = (0..self.points.len()).filter(|&p| self.now[p] as usize != p);
+        pairs
+            .map(|p| (self.points[p], self.points[self.now[p] as usize]))
+            .collect()
+    }
+
+    /// The surface's triangles that have lost a corner, rising.
+    pub fn collapsed(&self) -> Vec<u32> {
+        let faces = self.faces.iter().zip(&self.numbers);
+        faces
+            .filter(|(f, _)| self.corners(f).is_none())
+            .map(|(_, &n)| n)
+            .collect()
+    }
+
+    /// The corners of a face as they are now; `None` when two are one.
+    fn corners(&self, face: &[u32; 3]) -> Option<[u32; 3]> {
+        let [a, b, c] = face.map(|p| self.now[p as usize]);
+        (a != b && b != c && c != a).then_some([a, b, c])
+    }
+
+    /// For each face at the joined point `q` the corner after and the corner before it.
+    fn links(&self, q: u32) -> Vec<(u32, u32)> {
+        let mut faces: Vec<u32> = Vec::new();
+        for &m in &self.members[q as usize] {
+            faces.extend(&self.around[m as usize]);
+        }
+        faces.sort_unstable();
+        faces.dedup();
+        let link = |&f: &u32| {
+            let c = self.corners(&self.faces[f as usize])?;
+            let i = c.iter().position(|&p| p == q)?;
+            Some((c[(i + 1) % 3], c[(i + 2) % 3]))
+        };
+        faces.iter().filter_map(link).collect()
+    }
+
+    /// The same for one point before any join.
+    fn first_links(&self, m: u32) -> Vec<(u32, u32)> {
+        let link = |&f: &u32| {
+            let c = self.faces[f as usize];
+            let i = c.iter().position(|&p| p == m)?;
+            Some((c[(i + 1) % 3], c[(i + 2) % 3]))
+        };
+        self.around[m as usize].iter().filter_map(link).collect()
+    }
+
+    /// Whether each edge at `q` has at most one face on either side, or was no better before, and no two faces lie on
+    /// one another.
+    fn has_sound_edges(&self, q: u32) -> bool {
+        let links = self.links(q);
+        let crowd = |at: u32, after: bool| {
+            let same = |l: &&(u32, u32)| if after { l.0 == at } else { l.1 == at };
+            links.iter().filter(same).count()
+        };
+        let before = |at: u32, after: bool| {
+            let most = self.members[q as usize].iter().map(|&m| {
+                let links = self.first_links(m);
+                let others = self.members[at as usize].iter();
+                let count = |o: &u32| {
+                    links
+                        .iter()
+                        .filter(|l| if after { l.0 == *o } else { l.1 == *o })
+                        .count()
+                };
+                others.map(count).max().unwrap_or(0)
+            });
+            most.max().unwrap_or(0)
+        };
+        for &(next, last) in &links {
+            for (at, after) in [(next, true), (last, false)] {
+                let count = crowd(at, after);
+                if count > 1 && count > before(at, after) {
+                    return false;
+                }
+            }
+        }
+        let folded = |links: &[(u32, u32)]| links.iter().filter(|l| links.contains(&(l.1, l.0))).count();
+        let before = self.members[q as usize].iter().map(|&m| folded(&self.first_links(m)));
+        folded(&links) <= before.max().unwrap_or(0)
+    }
+
+    /// Whether moving `p` to where it is joined turns over a face that stays.
+    fn turns_a_face(&self, p: u32) -> bool {
+        self.around[p as usize].iter().any(|&f| {
+            let face = self.faces[f as usize];
+            let Some(now) = self.corners(&face) else { return false };
+            let at = |c: [u32; 3]| triangle::area_normal(c.map(|p| self.positions[p as usize]));
+            at(face).dot(at(now)) < 0.0
+        })
+    }
+
+    /// Whether the faces around `q` hang together by edges no worse than those around its worst member did.
+    fn is_fan(&self, q: u32) -> bool {
+        let before = self.members[q as usize].iter().map(|&m| fans(&self.first_links(m)));
+        fans(&self.links(q)) <= before.max().unwrap_or(1).max(1)
+    }
+}
+
+/// Into how many groups faces around a point fall when neighbours share an edge.
+fn fans(links: &[(u32, u32)]) -> usize {
+    let mut group: Vec<usize> = (0..links.len()).collect();
+    for i in 0..links.len() {
+        for j in 0..i {
+            let (a, b) = (links[i], links[j]);
+            let touch = a.0 == b.0 || a.0 == b.1 || a.1 == b.0 || a.1 == b.1;
+            let (x, y) = (group[i], group[j]);
+            if touch && x != y {
+                group.iter_mut().filter(|g| **g == x).for_each(|g| *g = y);
+            }
+        }
+    }
+    group.sort_unstable();
+    group.dedup();
+    group.len()
+}

@@ -1,0 +1,355 @@
+//! Writes the graph after an edit: rows that changed one by one, all others copied in runs with their nodes renumbered.
+
+use super::components::Followed;
+use super::renumber::Renumbered;
+use super::{Change, Link, Numbers, Points, Resampled, components};
+use crate::graph::recipe::Recipe;
+use crate::graph::{Graph, Stats};
+use crate::mesh::NONE;
+use crate::pool::Pool;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Nodes copied in one go.
+pub(super) const BLOCK: usize = 1 << 15;
+
+const GONE: u8 = 1;
+const OUTER: u8 = 2;
+const LATTICE: u8 = 4;
+const UNTIED: u8 = 8;
+
+/// What changes, in numbers as in [`Numbers`].
+pub(super) struct Edit<'a> {
+    pub(super) old: &'a Graph,
+    pub(super) change: &'a Change<'a>,
+    pub(super) points: &'a Points,
+    pub(super) numbers: &'a Numbers,
+    /// Old nodes that are gone, rising.
+    pub(super) gone: Vec<u32>,
+    /// Old vertices and copies that lose all edges to others of them.
+    pub(super) outer: Vec<u32>,
+    /// Old lattice nodes that lose all edges to others.
+    pub(super) lattice: Vec<u32>,
+    /// Old lattice nodes that lose their ties.
+    pub(super) untied: Vec<u32>,
+    /// Edges that come, or come back.
+    pub(super) links: Vec<Link>,
+    /// Places of shell and lattice nodes that are new or moved.
+    pub(super) placed: Vec<(u32, DVec3)>,
+    /// The solver vertex, by new number, of shell and lattice nodes that are new or have another one.
+    pub(super) nearest: Vec<(u32, u32)>,
+}
+
+/// Rows that are written anew, by rising node.
+pub(super) struct Fresh {
+    /// Nodes after the edit.
+    pub(super) nodes: Vec<u32>,
+    offsets: Vec<u32>,
+    neighbours: Vec<u32>,
+    weights: Vec<f32>,
+}
+
+impl Fresh {
+    fn range(&self, index: usize) -> Range<usize> {
+        self.offsets[index] as usize..self.offsets[index + 1] as usize
+    }
+
+    pub(super) fn row(&self, index: usize) -> &[u32] {
+        &self.neighbours[self.range(index)]
+    }
+}
+
+/// Carries out an edit.
+///
+/// Also answers the numbers after it of the nodes in `edit.nearest`, in their order.
+pub(super) fn write(edit: &Edit, mut stats: Stats, recipe: Recipe, pool: &Pool) -> (Resampled, Vec<u32>) {
+    let (old, change) = (edit.old, edit.change);
+    let renumbered = Renumbered::of(edit, pool);
+    let any = |node: u32| renumbered.of_any(edit.numbers, node);
+    let fresh = fresh_rows(edit, &renumbered, pool);
+    let nodes = renumbered.after[2];
+    let (offsets, neighbours, weights) = pool.install(|| copy_rows(old, &renumbered, &fresh));
+
+    let surface = change.positions.len();
+    let from = &renumbered.old_from_new;
+    let place = |node: usize| match from[node] {
+        _ if node < surface => change.positions[node],
+        NONE => DVec3::ZERO,
+        o => old.positions[o as usize],
+    };
+    let vertex = |node: usize| match from[node] {
+        _ if node < surface => node as u32,
+        NONE => NONE,
+        o => edit.points.new_from_old[old.nearest_surface[o as usize] as usize],
+    };
+    let (mut positions, mut nearest_surface): (Vec<DVec3>, Vec<u32>) = pool.install(|| {
+        rayon::join(
+            || (0..nodes).into_par_iter().with_min_len(BLOCK).map(place).collect(),
+            || (0..nodes).into_par_iter().with_min_len(BLOCK).map(vertex).collect(),
+        )
+    });
+    edit.placed.iter().for_each(|&(n, p)| positions[any(n) as usize] = p);
+    edit.nearest
+        .iter()
+        .for_each(|&(n, v)| nearest_surface[any(n) as usize] = v);
+
+    let mut touched = fresh.nodes.clone();
+    let moves = |p: u32| change.positions[p as usize] != old.positions[change.old_from_new[p as usize] as usize];
+    touched.extend(change.moved.iter().filter(|&&p| moves(p)));
+    touched.extend(edit.placed.iter().map(|&(n, _)| any(n)));
+    touched.sort_unstable();
+    touched.dedup();
+
+    let view = components::View {
+        old,
+        from,
+        offsets: &offsets,
+        neighbours: &neighbours,
+        pool,
+    };
+    let Followed { of_node, count } = components::follow(&view, &fresh);
+    stats.shell_nodes = renumbered.after[1] - surface;
+    stats.lattice_nodes = nodes - renumbered.after[1];
+    stats.component_has_volume = vec![false; count];
+    if count == 1 {
+        stats.component_has_volume[0] = nodes > surface;
+    } else {
+        let inner = of_node[surface..].iter();
+        inner.for_each(|&c| stats.component_has_volume[c as usize] = true);
+    }
+    let asked = edit.nearest.iter().map(|&(n, _)| any(n)).collect();
+    let Renumbered {
+        new_from_old,
+        old_from_new,
+        ..
+    } = renumbered;
+    let resampled = Resampled {
+        graph: Graph {
+            offsets,
+            neighbours,
+            weights,
+            positions,
+            surface,
+            nearest_surface,
+            component: of_node,
+            components: count,
+            stats,
+            recipe,
+        },
+        new_from_old,
+        old_from_new,
+        touched,
+    };
+    (resampled, asked)
+}
+
+/// The rows that differ from those of the old graph.
+fn fresh_rows(edit: &Edit, renumbered: &Renumbered, pool: &Pool) -> Fresh {
+    let old = edit.old;
+    let mut flags = vec![0u8; old.nodes()];
+    let flagged = [
+        (&edit.gone, GONE),
+        (&edit.outer, OUTER),
+        (&edit.lattice, LATTICE),
+        (&edit.untied, UNTIED),
+    ];
+    for (nodes, flag) in flagged {
+        nodes.iter().for_each(|&n| flags[n as usize] |= flag);
+    }
+    let first_lattice = renumbered.before[1] as u32;
+    // An edge belongs to the outer nodes, to the lattice, or ties both.
+    let dropped = |a: u32, b: u32| {
+        let both = flags[a as usize] | flags[b as usize];
+        both & GONE != 0
+            || match (a < first_lattice, b < first_lattice) {
+                (true, true) => both & OUTER != 0,
+                (false, false) => both & LATTICE != 0,
+                _ => both & UNTIED != 0,
+            }
+    };
+    let left = |node: u32| flags[node as usize] & GONE == 0;
+    let mut links: Vec<(u32, u32, f32)> = Vec::with_capacity(2 * edit.links.len());
+    let mut dirty: Vec<u32> = Vec::new();
+    for link in &edit.links {
+        let [a, b] = link.ends.map(|n| renumbered.of_any(edit.numbers, n));
+        links.extend([(a, b, link.weight), (b, a, link.weight)]);
+        dirty.extend(link.ends.iter().filter(|&&n| n < edit.numbers.old));
+    }
+    pool.install(|| links.par_sort_unstable_by_key(|l| u64::from(l.0) << 32 | u64::from(l.1)));
+    links.dedup_by_key(|l| (l.0, l.1));
+    for (nodes, _) in flagged {
+        for &n in nodes {
+            let partners = old.row(n).iter().filter(|&&m| left(m) && dropped(n, m));
+            dirty.extend(partners);
+            dirty.extend(Some(n).filter(|&n| left(n)));
+        }
+    }
+    dirty.sort_unstable();
+    dirty.dedup();
+
+    let own_links = |node: u32| {
+        let from = links.partition_point(|l| l.0 < node);
+        links[from..]
+            .iter()
+            .take_while(move |l| l.0 == node)
+            .map(|l| (l.1, l.2))
+    };
+    let weight = |entry: usize| old.weights.as_ref().map_or(1.0, |w| w[entry]);
+    type Row = (u32, Vec<(u32, f32)>);
+    // Old nodes whose rows differ from what they were.
+    let rows: Vec<Row> = pool.install(|| {
+        let rows = dirty.par_iter().with_min_len(64).filter_map(|&o| {
+            let node = renumbered.new_from_old[o as usize];
+            let entries = old.offsets[o as usize] as usize..old.offsets[o as usize + 1] as usize;
+            let kept = entries.clone().filter(|&e| !dropped(o, old.neighbours[e]));
+            let mut row: Vec<(u32, f32)> = own_links(node).collect();
+            row.extend(kept.map(|e| (renumbered.of_old(old.neighbours[e]), weight(e))));
+            row.sort_by_key(|r| r.0);
+            row.dedup_by_key(|r| r.0);
+            let before = |e: usize| (renumbered.new_from_old[old.neighbours[e] as usize], weight(e));
+            (row.len() != entries.len() || row.iter().zip(entries).any(|(&r, e)| r != before(e))).then_some((node, row))
+        });
+        rows.collect()
+    });
+    let born = (0..3).flat_map(|kind| {
+        let first = [0, renumbered.after[0], renumbered.after[1]][kind] + renumbered.left[kind];
+        first as u32..renumbered.after[kind] as u32
+    });
+    let mut rows = rows;
+    rows.extend(born.map(|node| (node, own_links(node).collect())));
+    rows.sort_unstable_by_key(|r: &Row| r.0);
+    let mut fresh = Fresh {
+        nodes: Vec::new(),
+        offsets: vec![0],
+        neighbours: Vec::new(),
+        weights: Vec::new(),
+    };
+    for (node, row) in rows {
+        fresh.nodes.push(node);
+        fresh.neighbours.extend(row.iter().map(|r| r.0));
+        fresh.weights.extend(row.iter().map(|r| r.1));
+        fresh.offsets.push(fresh.neighbours.len() as u32);
+    }
+    fresh
+}
+
+/// Where a run of rows comes from.
+enum Source {
+    /// Old nodes from this one on.
+    Old(usize),
+    /// Fresh rows from this one on.
+    Fresh(usize),
+}
+
+/// A run of rows to be written.
+struct Run<'a> {
+    source: Source,
+    /// Where the first row starts.
+    start: u32,
+    /// Where each row ends.
+    ends: &'a mut [u32],
+    neighbours: &'a mut [u32],
+    weights: &'a mut [f32],
+}
+
+fn copy_rows(old: &Graph, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u32>, Vec<u32>, Option<Vec<f32>>) {
+    let from = &renumbered.old_from_new;
+    let nodes = from.len();
+    // Runs of nodes with the source of their rows: fresh, or one old node after the other.
+    let mut sources: Vec<(Source, usize)> = Vec::new();
+    let (mut node, mut next) = (0, 0);
+    let first_gap = |node: usize, end: usize| {
+        // Old numbers rise along a run without gap, as numbers do.
+        let shift = from[node].wrapping_sub(node as u32);
+        let (mut low, mut high) = (node, end - 1);
+        if from[high].wrapping_sub(high as u32) == shift {
+            return end;
+        }
+        while high - low > 1 {
+            let middle = low.midpoint(high);
+            let same = from[middle].wrapping_sub(middle as u32) == shift;
+            (low, high) = if same { (middle, high) } else { (low, middle) };
+        }
+        high
+    };
+    while node < nodes {
+        if fresh.nodes.get(next).is_some_and(|&f| f as usize == node) {
+            let run = (1..)
+                .take_while(|&k| fresh.nodes.get(next + k) == Some(&((node + k) as u32)))
+                .count()
+                + 1;
+            sources.push((Source::Fresh(next), run));
+            next += run;
+            node += run;
+            continue;
+        }
+        let kind = renumbered.after.partition_point(|&a| a <= node).min(2);
+        let end = fresh
+            .nodes
+            .get(next)
+            .map_or(nodes, |&f| f as usize)
+            .min(renumbered.after[kind]);
+        let end = first_gap(node, end.min(node + BLOCK));
+        sources.push((Source::Old(from[node] as usize), end - node));
+        node = end;
+    }
+    let entries = |source: &Source, run: usize| match *source {
+        Source::Old(o) => (old.offsets[o + run] - old.offsets[o]) as usize,
+        Source::Fresh(f) => (fresh.offsets[f + run] - fresh.offsets[f]) as usize,
+    };
+    let total: usize = sources.iter().map(|(source, run)| entries(source, *run)).sum();
+    let mut offsets = vec![0u32; nodes + 1];
+    let mut neighbours = vec![0u32; total];
+    let mut weights = old.weights.as_ref().map(|_| vec![0f32; total]);
+    let mut runs = Vec::with_capacity(sources.len());
+    let mut start = 0u32;
+    let (mut rest, mut more) = (&mut offsets[1..], neighbours.as_mut_slice());
+    let mut weighed = weights.as_deref_mut().unwrap_or_default();
+    for (source, run) in sources {
+        let count = entries(&source, run);
+        let (ends, after) = std::mem::take(&mut rest).split_at_mut(run);
+        let (own, others) = std::mem::take(&mut more).split_at_mut(count);
+        let weights_here = count.min(weighed.len());
+        let (own_weights, lighter) = std::mem::take(&mut weighed).split_at_mut(weights_here);
+        (rest, more, weighed) = (after, others, lighter);
+        runs.push(Run {
+            source,
+            start,
+            ends,
+            neighbours: own,
+            weights: own_weights,
+        });
+        start += count as u32;
+    }
+    runs.into_par_iter().for_each(|run| {
+        let (lengths, numbers, before) = match run.source {
+            Source::Old(o) => {
+                let entries = old.offsets[o] as usize..old.offsets[o + run.ends.len()] as usize;
+                let weights = old.weights.as_ref().map(|w| &w[entries.clone()]);
+                (
+                    &old.offsets[o..=o + run.ends.len()],
+                    Some(&old.neighbours[entries]),
+                    weights,
+                )
+            }
+            Source::Fresh(f) => {
+                let entries = fresh.offsets[f] as usize..fresh.offsets[f + run.ends.len()] as usize;
+                run.neighbours.copy_from_slice(&fresh.neighbours[entries.clone()]);
+                let weights = old.weights.as_ref().map(|_| &fresh.weights[entries]);
+                (&fresh.offsets[f..=f + run.ends.len()], None, weights)
+            }
+        };
+        let shift = run.start.wrapping_sub(lengths[0]);
+        let ends = run.ends.iter_mut().zip(&lengths[1..]);
+        ends.for_each(|(end, &before)| *end = before.wrapping_add(shift));
+        if let Some(numbers) = numbers {
+            let entries = run.neighbours.iter_mut().zip(numbers);
+            entries.for_each(|(entry, &o)| *entry = renumbered.of_old(o));
+        }
+        if let Some(before) = before {
+            run.weights.copy_from_slice(before);
+        }
+    });
+    (offsets, neighbours, weights)
+}

@@ -1,0 +1,308 @@
+//! Edits of the topology on a bench: the operation on the surface, then everything that follows from it.
+//!
+//! An edit works on the current shape or on the rest shape. On the current shape what the user sees becomes the rest shape,
+//! and all handles are at rest; on the rest shape poses stay, and the result is solved with them. The bench changes only
+//! when everything has succeeded.
+
+use super::carry::{Carried, carry, runs};
+use super::check::enumerated;
+use super::foundation::Sheet;
+use super::operation::{Scene, plan};
+use super::region::{self, Resolved};
+use super::{Error, Mode, Poses, Settings, Workbench, pb};
+use crate::asset::FileSet;
+use crate::edit::{Applied, apply};
+use crate::graph::{Graph, Recipe, Stats};
+use crate::pool::Pool;
+use crate::progress::{Progress, check};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// An edit, and the state that it is to change.
+pub struct EditOrder<'a> {
+    /// What is to be done.
+    pub request: &'a pb::EditRequest,
+    /// The current shape, one position per render vertex.
+    pub shape: &'a [DVec3],
+    /// The poses in force.
+    pub poses: &'a Poses,
+    /// For a merge with another session, that session's model in its current shape.
+    pub other: Option<FileSet>,
+}
+
+/// What an edit came to.
+#[derive(Debug, Clone)]
+pub struct EditOutcome {
+    /// What clients are told; revision and times are the caller's.
+    pub result: pb::EditResult,
+    /// The handles in force, in the new numbers; already set.
+    pub handles: pb::SetHandlesRequest,
+    /// Their poses.
+    pub poses: Poses,
+    /// How the shape was solved, when it is not the rest shape.
+    pub solved: Option<Settings>,
+    /// The shape after the edit.
+    pub positions: Arc<Vec<DVec3>>,
+}
+
+/// The state of a bench but for its handles, to go back to.
+#[derive(Debug, Clone)]
+pub struct Trail(pub(super) Arc<super::foundation::Foundation>);
+
+impl Trail {
+    /// Whether two are the same state.
+    pub fn same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+
+    /// Bytes that only this state holds, about.
+    pub fn bytes(&self) -> u64 {
+        self.0.edited.as_ref().map_or(0, |_| self.0.bytes())
+    }
+}
+
+impl Workbench {
+    /// Carries out an edit. On an error nothing has changed.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the field; [`Error::Precondition`] when the surface does not allow what is asked for;
+    /// [`Error::TooLarge`], [`Error::Cancelled`].
+    pub fn edit(&mut self, order: &EditOrder<'_>, pool: &Pool, progress: &dyn Progress) -> Result<EditOutcome, Error> {
+        progress.report("edit", 0.0);
+        let request = order.request;
+        let at_rest = match enumerated(request.on, "on")? {
+            pb::edit_request::On::Current => false,
+            pb::edit_request::On::Rest => true,
+        };
+        if order.shape.len() != self.rest().len() {
+            return Err(Error::Internal("the shape of another model".into()));
+        }
+        let rest = Arc::clone(self.rest());
+        let shape: &[DVec3] = if at_rest { &rest } else { order.shape };
+        let mut sheet = self.sheet(shape);
+        let mut origins = self.foundation.origins(&self.mesh);
+        let before = (sheet.positions.len(), self.geometry().triangles.len());
+        let planned = plan(
+            &mut Scene {
+                bench: self,
+                sheet: &mut sheet,
+                origins: &mut origins,
+                shape,
+                other: order.other.as_ref(),
+            },
+            request,
+            progress,
+        )?;
+        check(progress)?;
+        let patch = &planned.patch;
+        let applied = apply(&sheet.surface(), patch, &sheet.first_vertices()).map_err(refused)?;
+        self.admit_size(&applied)?;
+        let carried = self.carried(&applied, &planned, at_rest.then_some(order.poses))?;
+        let mut result = pb::EditResult {
+            before: Some(counts(before.0, before.1)),
+            after: Some(counts(applied.positions.len(), applied.triangles.len())),
+            handles_kept: carried.kept.clone(),
+            warnings: carried.warnings.clone(),
+            kept: runs(&applied, before.0),
+            curve: planned.curve(&applied, sheet.positions.len()),
+            ..Default::default()
+        };
+        result.warnings.extend(patch.warnings.iter().map(warning));
+        if self.mesh.collapsed_triangles.len() + self.mesh.duplicate_triangles.len() > 0 {
+            let (collapsed, duplicate) = (&self.mesh.collapsed_triangles, &self.mesh.duplicate_triangles);
+            let message = format!(
+                "{} triangles without area and {} that repeat another are left out from now on",
+                collapsed.len(),
+                duplicate.len()
+            );
+            result
+                .warnings
+                .push(warning(&("triangles-dropped".into(), message, String::new())));
+        }
+        let foundation = Arc::new(self.foundation.edited(&sheet, &origins, applied, patch));
+        drop(sheet);
+        check(progress)?;
+        let mut next = Workbench::on(foundation, self.choices.clone(), &self.limits, pool, progress)?;
+        next.set_handles(&carried.request, pool, progress)?;
+        let outcome = next.after_edit(carried, result, at_rest, pool, progress)?;
+        *self = next;
+        Ok(outcome)
+    }
+
+    /// The shape after an edit, and all that is told of it.
+    fn after_edit(
+        &mut self,
+        carried: Carried,
+        mut result: pb::EditResult,
+        at_rest: bool,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<EditOutcome, Error> {
+        let poses = self.initial_poses();
+        let posed = at_rest && poses.0.iter().any(|p| *p != pb::HandlePose::default());
+        let (positions, solved) = if posed {
+            progress.report("solve", 0.0);
+            let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+            let solved = self.solve(&poses, &settings, Mode::Commit, pool, progress, &mut |_| true)?;
+            (solved.positions, Some(settings))
+        } else {
+            (Arc::clone(self.rest()), None)
+        };
+        result.digest = super::frames::digest(&positions);
+        Ok(EditOutcome {
+            result,
+            handles: carried.request,
+            poses,
+            solved,
+            positions,
+        })
+    }
+
+    /// The state but for its handles.
+    pub fn trail(&self) -> Trail {
+        Trail(Arc::clone(&self.foundation))
+    }
+
+    /// Goes to another state, without handles. On an error nothing has changed.
+    ///
+    /// # Errors
+    /// [`Error::TooLarge`], [`Error::Cancelled`].
+    pub fn retrace(&mut self, trail: &Trail, pool: &Pool, progress: &dyn Progress) -> Result<(), Error> {
+        if !Arc::ptr_eq(&self.foundation, &trail.0) {
+            *self = Workbench::on(Arc::clone(&trail.0), self.choices.clone(), &self.limits, pool, progress)?;
+        }
+        Ok(())
+    }
+
+    /// The surface in a shape, as an operation reads it.
+    fn sheet(&self, shape: &[DVec3]) -> Sheet {
+        let geometry = self.geometry();
+        let shading = match geometry.normals.is_empty() {
+            true => Default::default(),
+            false => super::frames::shading(geometry, self.rest(), shape),
+        };
+        let tangents = if geometry.tangents.is_empty() {
+            Vec::new()
+        } else {
+            shading.tangents
+        };
+        Sheet::new(&self.mesh, geometry, shape, shading.normals, tangents)
+    }
+
+    fn admit_size(&self, applied: &Applied) -> Result<(), Error> {
+        let limits = &self.limits.model;
+        let sizes = [
+            (
+                "the number of vertices after the edit",
+                applied.positions.len(),
+                limits.vertices,
+            ),
+            (
+                "the number of triangles after the edit",
+                applied.triangles.len(),
+                limits.triangles,
+            ),
+        ];
+        match sizes.into_iter().find(|(_, seen, limit)| *seen as u64 > *limit) {
+            Some((what, seen, limit)) => Err(Error::TooLarge {
+                what,
+                seen: seen as u64,
+                limit,
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// What the handles in force hold after an edit.
+    fn carried(
+        &self,
+        applied: &Applied,
+        planned: &super::operation::Planned,
+        poses: Option<&Poses>,
+    ) -> Result<Carried, Error> {
+        let old = self.handles();
+        let ground = self.ground();
+        let mut held: Vec<Resolved> = Vec::new();
+        for (k, handle) in old.handles.iter().enumerate() {
+            let field = format!("handles[{k}].region");
+            held.push(region::resolve(&ground, handle.region.as_ref(), None, &field)?);
+        }
+        if let Some(region) = &old.region_of_interest {
+            held.push(region::resolve(&ground, Some(region), None, "regionOfInterest")?);
+        }
+        let poses = poses.map(|p| p.0.as_slice());
+        Ok(carry(old, &held, self.centroids(), poses, applied, &planned.patch))
+    }
+
+    /// The triangles of a region in the shape that is edited, rising: those with at least `corners` corners inside. All of
+    /// them without a region.
+    pub(super) fn faces(
+        &self,
+        sheet: &Sheet,
+        shape: &[DVec3],
+        region: Option<&pb::Region>,
+        corners: usize,
+        field: &str,
+    ) -> Result<Vec<u32>, Error> {
+        if region.is_none() {
+            return Ok((0..sheet.triangles.len() as u32).collect());
+        }
+        let blank = Graph {
+            offsets: vec![0],
+            neighbours: Vec::new(),
+            weights: None,
+            positions: Vec::new(),
+            surface: self.mesh.positions.len(),
+            nearest_surface: Vec::new(),
+            component: Vec::new(),
+            components: 0,
+            stats: Stats::default(),
+            recipe: Recipe::default(),
+        };
+        let ground = region::Ground {
+            positions: shape,
+            graph: &blank,
+            ..self.ground()
+        };
+        let marks = region::resolve(&ground, region, None, field)?.render;
+        let faces: Vec<u32> = (0u32..)
+            .zip(&sheet.triangles)
+            .filter(|(_, t)| t.iter().filter(|&&v| marks[v as usize]).count() >= corners)
+            .map(|(t, _)| t)
+            .collect();
+        if faces.is_empty() {
+            return Err(Error::invalid(
+                field,
+                "holds no triangle; a triangle is inside when its three corners are",
+            ));
+        }
+        Ok(faces)
+    }
+}
+
+fn counts(vertices: usize, faces: usize) -> pb::edit_result::Counts {
+    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    pb::edit_result::Counts {
+        vertices: count(vertices),
+        faces: count(faces),
+    }
+}
+
+fn warning((code, message, place): &(String, String, String)) -> pb::Warning {
+    pb::Warning {
+        code: code.clone(),
+        message: message.clone(),
+        r#where: place.clone(),
+    }
+}
+
+/// What the refusal of an operation means to its caller.
+pub(super) fn refused(e: crate::edit::Error) -> Error {
+    use crate::edit::Error as Edit;
+    match e {
+        Edit::Invalid { field, problem } => Error::Invalid { field, problem },
+        Edit::Impossible { .. } => Error::Precondition(e.to_string()),
+        Edit::TooLarge { what, seen, limit } => Error::TooLarge { what, seen, limit },
+        Edit::Cancelled => Error::Cancelled,
+    }
+}

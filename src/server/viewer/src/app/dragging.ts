@@ -1,0 +1,176 @@
+/** The live drag: poses to the stream, frames into the surface, and what they tell into the meters. */
+
+import { type FrameFacts, type PoseEntry, type Session, type SolveOptions, type Stream, schema } from "pliant-client";
+import { type HandlePose, entryOf } from "../model/handles.ts";
+import { repaint } from "./painting.ts";
+import { refreshHistory, remember } from "./past.ts";
+import * as s from "./signals.ts";
+import { view } from "./view.ts";
+
+/** Above this many vertices frames come as 16-bit numbers unless the user wants otherwise. */
+const MANY_VERTICES = 100_000;
+/** What the server does by itself when `refine` is absent. */
+const USUAL_REFINE = { dragging: 0, commit: 4 };
+
+/** Milliseconds of a painted frame that stretch colours may take while dragging, on average. */
+const COLOURING_MS = 5;
+/** How often an open session is asked for, so that it stays. */
+const RENEW_MS = 60_000;
+
+let stream: Stream | undefined;
+let alive: ReturnType<typeof setInterval> | undefined;
+let pending: PoseEntry[] | undefined;
+/** Shapes painted so far, and what decoding and shading them took. */
+const sums = { painted: 0, takenMs: 0 };
+/** What bringing the stretch colours up to date took, and frames since. */
+const colouring = { tookMs: 0, waited: 0 };
+/** When shapes were painted in the last second. */
+let painted: number[] = [];
+
+/** How the stream solves, by the settings. */
+function solveOptions(refine: number | undefined): SolveOptions {
+  const { tolerance, maxError, progressive, encoding, window, firstPass, method } = s.settings.peek();
+  const vertices = (s.doc.peek()?.rest.length ?? 0) / 3;
+  const chosen = encoding === "AUTO" ? (vertices > MANY_VERTICES ? "U16" : "F32") : encoding;
+  return {
+    ...(maxError > 0 ? { maxError } : { tolerance }),
+    progressive,
+    window,
+    firstPass: schema.Options_FirstPass[firstPass],
+    method: schema.Options_Method[method],
+    output: { encoding: schema.Frame_Encoding[chosen] },
+    ...(refine === undefined ? {} : { refine }),
+  };
+}
+
+function draggingOptions(): SolveOptions {
+  const { refineDragging, refineCommit } = s.settings.peek();
+  const usual = refineDragging === USUAL_REFINE.dragging && refineCommit === USUAL_REFINE.commit;
+  return solveOptions(usual ? undefined : refineDragging);
+}
+
+export function startStream(session: Session): void {
+  stopStream();
+  const { stage } = view();
+  const mine: Stream = session.stream(draggingOptions(), {
+    onState: (state, reason) => {
+      // A stream that was replaced has nothing more to say about the page.
+      if (stream !== undefined && stream !== mine) return;
+      s.link.value = { state, ...(reason === undefined ? {} : { reason }) };
+    },
+    onFrame: () => stage.request(),
+    onPoseError: (error) => s.fail("The pose was refused", error),
+    onNotice: (code, message) => code !== "going-away" && s.note("info", message),
+  });
+  stream = mine;
+  s.link.value = { state: mine.state };
+  // A session that nobody calls expires, even while its model is being looked at.
+  alive = setInterval(() => void session.refresh().catch(() => undefined), RENEW_MS);
+}
+
+export function stopStream(): void {
+  const old = stream;
+  stream = undefined;
+  pending = undefined;
+  clearInterval(alive);
+  old?.close();
+}
+
+/** Tries to reach the server at once. */
+export function retryNow(): void {
+  stream?.retry();
+}
+
+/** The options changed: they hold from the next pose on. */
+export function applyOptions(): void {
+  stream?.setOptions(draggingOptions());
+}
+
+/** Shows a handle at a pose; the newest wins. */
+export function dragTo(id: string, pose: HandlePose): void {
+  setPose(id, pose);
+  pending = [entryOf({ id, pose })];
+  view().stage.request();
+}
+
+/** Records the poses of these handles, as they are now. */
+export async function commitPoses(ids: readonly string[]): Promise<void> {
+  const current = stream;
+  if (current === undefined) return;
+  pending = undefined;
+  // What the commit makes of the handles is what they are now, whatever is dragged before its answer comes.
+  const recordedHandles = s.handles.peek();
+  const poses = recordedHandles.filter(({ id }) => ids.includes(id));
+  const { refineDragging, refineCommit } = s.settings.peek();
+  const differs = refineDragging !== refineCommit && draggingOptions().refine !== undefined;
+  if (differs) current.setOptions(solveOptions(refineCommit));
+  const recorded = current.commit(poses.map(entryOf));
+  if (differs) current.setOptions(draggingOptions());
+  s.recording.value += 1;
+  try {
+    const frame = await recorded;
+    if (stream !== current) return;
+    if (frame.quality !== undefined) s.quality.value = frame.quality;
+    remember(BigInt(frame.revision), recordedHandles);
+    await refreshHistory();
+  } catch (error) {
+    if (stream === current) s.fail("The pose was not recorded", error);
+  } finally {
+    s.recording.value -= 1;
+  }
+}
+
+function setPose(id: string, pose: HandlePose): void {
+  s.handles.value = s.handles.peek().map((handle) => (handle.id === id ? { ...handle, pose } : handle));
+}
+
+/** Frames that wait belong to a shape that is no longer shown. */
+export function dropFrames(): void {
+  stream?.drop();
+}
+
+/** Before each painted frame: the newest pose goes out, the newest shape comes in. */
+export function turn(now: number): void {
+  const { stage } = view();
+  const { surface } = stage;
+  if (stream === undefined || surface === undefined) return;
+  if (pending !== undefined) {
+    stream.pose(pending);
+    pending = undefined;
+  }
+  const begun = performance.now();
+  const frame = stream.take(surface.positions);
+  if (frame === undefined) {
+    if (!s.dragging.peek()) surface.settle();
+    return;
+  }
+  surface.moved(s.dragging.peek());
+  if (s.settings.peek().colouring === "stretch") colour();
+  sums.painted += 1;
+  sums.takenMs += performance.now() - begun;
+  measure(frame, now);
+}
+
+/** Brings stretch colours up to date; while dragging only as often as leaves time to paint. */
+function colour(): void {
+  colouring.waited += 1;
+  if (s.dragging.peek() && colouring.waited * COLOURING_MS < colouring.tookMs) return;
+  const begun = performance.now();
+  repaint();
+  colouring.tookMs = performance.now() - begun;
+  colouring.waited = 0;
+}
+
+/** For measurements: shapes painted since the page was loaded. */
+export function paintedSoFar(): Readonly<typeof sums> {
+  return { ...sums };
+}
+
+function measure(frame: FrameFacts, now: number): void {
+  painted = [...painted.filter((at) => now - at < 1000), now];
+  const first = painted[0] as number;
+  const fps = painted.length > 1 ? ((painted.length - 1) * 1000) / Math.max(1, now - first) : 0;
+  const { solveMs, queueMs, maxError, residual, bytes, final } = frame;
+  s.meters.value = { solveMs, queueMs, maxError, residual, bytes, fps, final };
+  s.superseded.value = stream?.totals.superseded ?? 0;
+}

@@ -1,0 +1,78 @@
+/** Operations that change the topology, where the server has them. */
+
+import { type Edit, PliantError, regionOf, schema } from "pliant-client";
+import { carried } from "../model/handles.ts";
+import { adoptHandles } from "./handling.ts";
+import { holdBeforeEdits, keepDocument, reload } from "./opening.ts";
+import { refreshHistory, remember } from "./past.ts";
+import { repaint } from "./painting.ts";
+import * as s from "./signals.ts";
+
+export interface CutChoice {
+  readonly keep: "BOTH" | "ABOVE" | "BELOW";
+  readonly fill: boolean;
+}
+
+/** Cuts along the plane that is shown. */
+export async function cut({ keep, fill }: CutChoice): Promise<void> {
+  const plane = s.cutPlane.peek();
+  if (plane === undefined) return;
+  await edit("Cutting", {
+    operation: { case: "cut", value: { plane, keep: schema.EditRequest_Cut_Keep[keep], fill } },
+  });
+  s.cutPlane.value = undefined;
+}
+
+/** Splits triangles of the selection, or of everything. */
+export async function subdivide(scheme: "LOOP" | "MIDPOINT"): Promise<void> {
+  await edit("Subdividing", {
+    operation: { case: "subdivide", value: { ...region(), scheme: schema.EditRequest_Subdivide_Scheme[scheme] } },
+  });
+}
+
+/** Evens out triangles of the selection, to a length of edges or where stretch asks for it. */
+export async function remesh(edgeLength: number | undefined): Promise<void> {
+  await edit("Remeshing", {
+    operation: {
+      case: "remesh",
+      value: { ...region(), ...(edgeLength === undefined ? { auto: true } : { edgeLength }) },
+    },
+  });
+}
+
+/** The selection as a region; without one there is none, which means the whole model. */
+function region(): { region?: ReturnType<typeof regionOf> } {
+  const marks = s.selection.peek();
+  const found: number[] = [];
+  for (let v = 0; v < marks.length; v++) if (marks[v] === 1) found.push(v);
+  return found.length === 0 ? {} : { region: regionOf(found) };
+}
+
+async function edit(what: string, operation: Edit): Promise<void> {
+  const open = s.doc.peek();
+  if (open === undefined) return;
+  s.busy.value = { title: what };
+  try {
+    const result = await open.session.edit(operation);
+    holdBeforeEdits();
+    const facts = await open.session.refresh();
+    const known = s.handles.peek().map((handle) => ({
+      ...handle,
+      vertices: handle.vertices === undefined ? undefined : carried(handle.vertices, result.kept),
+    }));
+    await reload(open.session, open.name);
+    adoptHandles(facts, known);
+    remember(result.revision, s.handles.peek());
+    await refreshHistory();
+    repaint();
+    void keepDocument();
+    const { before, after } = result;
+    s.note("info", `${what}: done`, `${before?.faces.toLocaleString()} → ${after?.faces.toLocaleString()} triangles`);
+    for (const warning of result.warnings) s.note("info", warning.message, warning.where);
+  } catch (error) {
+    if (error instanceof PliantError && error.isUnimplemented) s.editsRefused.value = error.message;
+    else s.fail(`${what} failed`, error);
+  } finally {
+    s.busy.value = undefined;
+  }
+}

@@ -1,0 +1,182 @@
+/** Making, changing and removing handles. */
+
+import { batch } from "@preact/signals";
+import type { schema } from "pliant-client";
+import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf } from "../model/handles.ts";
+import { commitPoses } from "./dragging.ts";
+import { refreshHistory, remember } from "./past.ts";
+import * as s from "./signals.ts";
+
+type Facts = schema.Session;
+
+/** Fields of a handle whose absence means something. */
+const CLEARABLE = ["constrains", "stiffness", "rigid", "pose", "falloff"] as const;
+
+/** Makes a handle of the selection. */
+export async function makeHandle(hold: Hold): Promise<void> {
+  const open = s.doc.peek();
+  const vertices = selectedVertices();
+  const selectedWith = s.tool.peek();
+  if (open === undefined) return;
+  if (vertices.length === 0) {
+    s.note("info", "Nothing is selected", "Paint, box, lasso or click a part first.");
+    return;
+  }
+  const taken = new Set(s.handles.peek().map(({ id }) => id));
+  let number = s.handles.peek().length + 1;
+  while (taken.has(`handle-${number}`)) number += 1;
+  const hues = s.handles.peek().filter(({ hold: its }) => its !== "pin").map(({ hue }) => hue);
+  const hue = PALETTE.findIndex((_, k) => !hues.includes(k));
+  const handle: HandleState = {
+    id: `handle-${number}`,
+    name: `${hold === "pin" ? "Pin" : hold === "soft" ? "Soft" : "Grip"} ${number}`,
+    hue: hue < 0 ? number % PALETTE.length : hue,
+    hold,
+    vertices,
+    count: vertices.length,
+    centroid: [0, 0, 0],
+    stiffness: 1,
+    falloff: { radius: open.report.diagonal * 0.05, kind: "NONE" },
+    constrains: { position: true, rotation: true, scale: true },
+    rigid: false,
+    pose: AT_REST,
+  };
+  await changing("The handle was not made", async () => {
+    const told = await open.session.putHandle(messageOf(handle));
+    batch(() => {
+      merge(told, [...s.handles.peek(), handle]);
+      s.selection.value = new Uint8Array(s.selection.peek().length);
+      s.activeId.value = handle.id;
+      // What is gripped is dragged next, unless the user has chosen another tool meanwhile.
+      if (hold !== "pin" && s.tool.peek() === selectedWith) s.tool.value = "move";
+    });
+  });
+}
+
+/** Changes a handle; when something is bent, the shape follows. */
+export async function changeHandle(id: string, change: Partial<HandleState>): Promise<void> {
+  const open = s.doc.peek();
+  const before = s.handles.peek().find((handle) => handle.id === id);
+  if (open === undefined || before === undefined) return;
+  const handle = { ...before, ...change };
+  if (Object.keys(change).every((key) => key === "name" || key === "hue")) {
+    s.handles.value = s.handles.peek().map((h) => (h.id === id ? handle : h));
+    remember(s.currentRevision.peek(), s.handles.peek());
+    return;
+  }
+  const done = await changing("The handle was not changed", async () => {
+    // The region stays as it is; of the rest, what the message leaves out is at its default.
+    const { region: _, ...message } = messageOf(handle);
+    const clear = CLEARABLE.filter((field) => message[field] === undefined || message[field] === false);
+    const told = await open.session.putHandle(message, { clear });
+    merge(told, s.handles.peek().map((h) => (h.id === id ? handle : h)));
+  });
+  if (done && s.handles.peek().some((h) => !isAtRest(h.pose))) await commitPoses(s.handles.peek().map((h) => h.id));
+}
+
+export async function removeHandle(id: string): Promise<void> {
+  const open = s.doc.peek();
+  if (open === undefined) return;
+  await changing("The handle was not removed", async () => {
+    const told = await open.session.removeHandle(id);
+    batch(() => {
+      if (s.activeId.peek() === id) s.activeId.value = undefined;
+      merge(told, s.handles.peek().filter((handle) => handle.id !== id));
+    });
+  });
+}
+
+/** Puts handles and their poses on a model that has none, and solves. */
+export async function setAllHandles(wanted: readonly HandleState[]): Promise<void> {
+  const open = s.doc.peek();
+  if (open === undefined) return;
+  const known = wanted.filter((handle) => handle.vertices !== undefined);
+  const done = await changing("The handles were not set", async () => {
+    merge(await open.session.setHandles({ handles: known.map(messageOf) }), known);
+  });
+  s.activeId.value = known.findLast(({ hold }) => hold !== "pin")?.id;
+  if (done && known.some(({ pose }) => !isAtRest(pose))) await commitPoses(known.map(({ id }) => id));
+}
+
+/** Sets the pose of a handle from numbers rather than from the gizmo. */
+export async function poseHandle(id: string, pose: HandleState["pose"]): Promise<void> {
+  s.handles.value = s.handles.peek().map((handle) => (handle.id === id ? { ...handle, pose } : handle));
+  await commitPoses([id]);
+}
+
+/** Takes the handles that the server tells of; what the page knows of them is kept. */
+export function adoptHandles(facts: Facts, known: readonly HandleState[] = []): void {
+  merge(facts, known);
+  const active = s.activeId.peek();
+  if (!s.handles.peek().some(({ id }) => id === active)) {
+    s.activeId.value = s.handles.peek().find(({ hold }) => hold !== "pin")?.id;
+  }
+}
+
+/** The creature's feet and head, as the built-in session has them. */
+export function sampleHandles(open: s.Document | undefined): HandleState[] {
+  if (open === undefined) return [];
+  const { positions } = open.topology;
+  const where = (test: (x: number, y: number, z: number) => boolean): Uint32Array => {
+    const found: number[] = [];
+    for (let k = 0; k < positions.length; k += 3) {
+      if (test(positions[k] as number, positions[k + 1] as number, positions[k + 2] as number)) found.push(k / 3);
+    }
+    return Uint32Array.from(found);
+  };
+  const feet = where((_, y) => y <= 0.14);
+  const head = where((x, y, z) => Math.hypot(x - 0.76, y - 1.22, z) <= 0.36);
+  return [
+    { ...adopted("feet", 0), name: "Feet", hold: "pin", vertices: feet },
+    { ...adopted("head", 0), name: "Head", vertices: head },
+  ];
+}
+
+/** Selected render vertices, ascending. */
+function selectedVertices(): Uint32Array {
+  const marks = s.selection.peek();
+  const found: number[] = [];
+  for (let v = 0; v < marks.length; v++) if (marks[v] === 1) found.push(v);
+  return Uint32Array.from(found);
+}
+
+/** Runs a change of handles and notes where it led. */
+async function changing(what: string, change: () => Promise<void>): Promise<boolean> {
+  try {
+    await change();
+    const revision = s.facts.peek()?.revision ?? 0n;
+    remember(revision, s.handles.peek());
+    await refreshHistory();
+    return true;
+  } catch (error) {
+    s.fail(what, error);
+    return false;
+  }
+}
+
+/** The server's list of handles, with what `known` says about each. */
+function merge(facts: Facts, known: readonly HandleState[]): void {
+  s.facts.value = facts;
+  s.handles.value = facts.handles.map(({ id, vertices, centroid }, k) => ({
+    ...(known.find((handle) => handle.id === id) ?? adopted(id, k)),
+    count: vertices,
+    centroid: [centroid[0] ?? 0, centroid[1] ?? 0, centroid[2] ?? 0],
+  }));
+}
+
+function adopted(id: string, hue: number): HandleState {
+  return {
+    id,
+    name: id,
+    hue,
+    hold: "grip",
+    vertices: undefined,
+    count: 0,
+    centroid: [0, 0, 0],
+    stiffness: 1,
+    falloff: { radius: 0, kind: "NONE" },
+    constrains: { position: true, rotation: true, scale: true },
+    rigid: false,
+    pose: AT_REST,
+  };
+}

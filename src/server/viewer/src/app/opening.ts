@@ -1,0 +1,234 @@
+/** Opening models: files, the sample, open sessions, and the same model again after the server forgot it. */
+
+import { Client, type CreateOptions, PliantError, type Session, schema } from "pliant-client";
+import { batch } from "@preact/signals";
+import type { HandleState } from "../model/handles.ts";
+import { reportOf } from "../model/report.ts";
+import { type Topology, loadTopology } from "../model/topology.ts";
+import { Surface } from "../scene/surface.ts";
+import { startStream, stopStream } from "./dragging.ts";
+import { adoptHandles, sampleHandles, setAllHandles } from "./handling.ts";
+import { type Kept, forget, keep, kept } from "./keeping.ts";
+import { forgetPast, pastSnapshots, refreshHistory, remember } from "./past.ts";
+import * as s from "./signals.ts";
+import { recall, store } from "./storage.ts";
+import { view } from "./view.ts";
+
+export const client = new Client();
+
+/** Extensions that name a model; other files dropped with it are its companions. */
+export const EXTENSIONS = ["glb", "gltf", "obj", "ply", "off", "stl"] as const;
+
+/** Where the open model came from. */
+type Source = Pick<Kept, "name" | "model" | "companions" | "sample">;
+
+let source: Source | undefined;
+let create: CreateOptions = {};
+let beforeEdits: readonly HandleState[] | undefined;
+const THIS_TAB = "pliant.session";
+
+/** How the session is to be built, by the settings. */
+export function createOptions(name: string): CreateOptions {
+  const { volumeMode, volumeInterval, components } = s.settings.peek();
+  return {
+    label: name.slice(0, 80),
+    volumeGraph: { mode: schema.CreateOptions_VolumeGraph_Mode[volumeMode], interval: volumeInterval },
+    components: schema.CreateOptions_Components[components],
+  };
+}
+
+/** Opens what was dropped or picked: one model, and the files it refers to. */
+export async function openFiles(files: readonly File[]): Promise<void> {
+  const kind = (file: File): string => file.name.split(".").at(-1)?.toLowerCase() ?? "";
+  const models = files.filter((file) => (EXTENSIONS as readonly string[]).includes(kind(file)));
+  // A .gltf names its buffers; no other format takes a second model along.
+  const model = models.find((file) => kind(file) === "gltf") ?? models[0];
+  if (model === undefined) {
+    const seen = files.map((file) => file.name).join(", ") || "nothing";
+    s.note("error", "That is no model", `${seen}: the server reads ${EXTENSIONS.join(", ")}.`);
+    return;
+  }
+  const companions = new Map<string, Blob>();
+  if (kind(model) === "gltf") {
+    for (const file of files) if (file !== model) companions.set(file.webkitRelativePath || file.name, file);
+  } else if (models.length > 1) {
+    s.note("info", `Opened ${model.name}`, "Several models were given; a session holds one.");
+  }
+  await open({ name: model.name, model, companions, sample: false });
+}
+
+/** Opens the built-in creature, its feet and head already handles. */
+export async function openSample(): Promise<void> {
+  await open({ name: "creature", model: undefined, companions: new Map(), sample: true });
+}
+
+/** Builds the open model again with the options chosen since; handles stay. */
+export async function rebuild(): Promise<void> {
+  if (source !== undefined) await open(source, beforeEdits ?? s.handles.peek());
+}
+
+/** Whether the open model can be uploaded again. */
+export function canRebuild(): boolean {
+  return source !== undefined && (source.sample || source.model !== undefined);
+}
+
+/** Opens the model that was open before, with its handles and poses. */
+export async function reopen(last: Kept): Promise<void> {
+  await open(last, last.beforeEdits ?? last.handles);
+}
+
+/** Takes up a session that is open on the server. */
+export async function resume(id: string): Promise<boolean> {
+  const last = await kept();
+  const known = last?.session === id ? last : undefined;
+  let found = false;
+  await busily("Taking up the session", async (signal) => {
+    const session = await client.session(id, { signal }).catch((error: unknown) => {
+      // Gone is no failure: the start page offers to open the same model again.
+      if (error instanceof PliantError && error.isGone) return undefined;
+      throw error;
+    });
+    if (session === undefined) {
+      leave();
+      return;
+    }
+    found = true;
+    source = known ?? { name: session.facts.label || "model", model: undefined, companions: new Map(), sample: false };
+    create = known?.create ?? {};
+    beforeEdits = known?.beforeEdits;
+    forgetPast(known?.past);
+    await show(session, source.name, known?.rest);
+    adoptHandles(session.facts, known?.handles);
+    await refreshHistory();
+    s.tool.value = s.handles.peek().length > 0 ? "move" : "brush";
+  });
+  return found;
+}
+
+/** Closes the model; the session goes with it. */
+export async function closeModel(): Promise<void> {
+  const open = s.doc.peek();
+  leave();
+  void forget();
+  if (open !== undefined) await open.session.close().catch(() => undefined);
+}
+
+/** Writes down what a reload or a restart of the server needs. */
+export async function keepDocument(): Promise<void> {
+  const open = s.doc.peek();
+  if (open === undefined || source === undefined) return;
+  const { name, model, companions, sample } = source;
+  const past = pastSnapshots();
+  const handles = s.handles.peek();
+  await keep({ session: open.session.id, name, model, companions, sample, create, rest: open.rest, handles, past, beforeEdits });
+}
+
+/** An edit is about to change the topology: handles as they are now are the last that fit the uploaded file. */
+export function holdBeforeEdits(): void {
+  beforeEdits ??= s.handles.peek();
+}
+
+/** Draws the session's shape as it is now, after its topology changed. */
+export async function reload(session: Session, name: string): Promise<void> {
+  const rest = s.doc.peek()?.rest;
+  await show(session, name, rest, false);
+}
+
+async function open(from: Source, restored?: readonly HandleState[]): Promise<void> {
+  await busily(from.sample ? "Opening the creature" : `Opening ${from.name}`, async (signal, tell) => {
+    const options = createOptions(from.name);
+    const previous = s.doc.peek()?.session;
+    let session: Session;
+    if (from.sample) {
+      session = await client.sample({ create: options, signal });
+    } else if (from.model === undefined) {
+      throw new PliantError("NOT_FOUND", "the file is no longer at hand; open it again from where it is");
+    } else {
+      const onProgress = (fraction: number): void =>
+        fraction < 1 ? tell("Uploading", fraction) : tell("The server builds the solver");
+      tell("Uploading", 0);
+      session = await client.open(from.model, { create: options, companions: from.companions, signal, onProgress });
+    }
+    tell("Fetching the triangles");
+    source = from;
+    create = options;
+    beforeEdits = undefined;
+    forgetPast();
+    await show(session, from.name, undefined, restored === undefined);
+    if (previous !== undefined) void previous.close().catch(() => undefined);
+    remember(session.facts.revision, []);
+    const wanted = restored ?? (from.sample ? sampleHandles(s.doc.peek()) : []);
+    if (wanted.length > 0) await setAllHandles(wanted);
+    await refreshHistory();
+    s.tool.value = wanted.length > 0 ? "move" : "brush";
+  });
+}
+
+async function show(session: Session, name: string, rest?: Float32Array<ArrayBuffer>, frame = true): Promise<void> {
+  const topology: Topology = await loadTopology(session);
+  const report = reportOf(topology);
+  const fits = rest !== undefined && rest.length === topology.positions.length;
+  const atRest = fits ? rest : topology.positions;
+  const { stage, gizmo } = view();
+  stopStream();
+  gizmo.attach(undefined, undefined);
+  // Before the signals: what watches them finds the new surface.
+  stage.show(new Surface(topology, report, atRest), frame);
+  batch(() => {
+    s.doc.value = { name, session, topology, report, rest: atRest };
+    s.facts.value = session.facts;
+    s.handles.value = [];
+    s.activeId.value = undefined;
+    s.selection.value = new Uint8Array(topology.positions.length / 3);
+    s.meters.value = undefined;
+    s.quality.value = undefined;
+    s.superseded.value = 0;
+    s.cutPlane.value = undefined;
+  });
+  startStream(session);
+  store("sessionStorage", THIS_TAB, session.id);
+  void keepDocument();
+}
+
+/** The session that this tab had open before it was reloaded. */
+export function sessionOfThisTab(): string | undefined {
+  return new URLSearchParams(location.search).get("session") ?? recall("sessionStorage", THIS_TAB);
+}
+
+/** Goes back to the start page without touching the server. */
+export function leave(): void {
+  stopStream();
+  source = undefined;
+  const { stage, gizmo, markers } = view();
+  gizmo.attach(undefined, undefined);
+  markers.show([]);
+  batch(() => {
+    s.doc.value = undefined;
+    s.facts.value = undefined;
+    s.handles.value = [];
+    s.activeId.value = undefined;
+    s.selection.value = new Uint8Array();
+    s.commits.value = [];
+    s.link.value = { state: "none" };
+  });
+  stage.show(undefined, false);
+  store("sessionStorage", THIS_TAB, undefined);
+}
+
+type Tell = (detail: string, fraction?: number) => void;
+
+/** Runs something under the busy sign; failures are told. */
+async function busily(title: string, work: (signal: AbortSignal, tell: Tell) => Promise<void>): Promise<void> {
+  const abort = new AbortController();
+  const cancel = (): void => abort.abort();
+  s.busy.value = { title, cancel };
+  try {
+    await work(abort.signal, (detail, fraction) => {
+      s.busy.value = { title, detail, cancel, ...(fraction === undefined ? {} : { fraction }) };
+    });
+  } catch (error) {
+    s.fail(`${title} failed`, error);
+  } finally {
+    s.busy.value = undefined;
+  }
+}

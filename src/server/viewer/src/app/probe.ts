@@ -1,0 +1,69 @@
+/** A window into the page for tests and for the console: `pliantViewer.positions()`. Reads, never writes. */
+
+import { Vector3 } from "three";
+import { paintedSoFar } from "./dragging.ts";
+import * as s from "./signals.ts";
+import { view } from "./view.ts";
+
+export interface Probe {
+  session(): string | undefined;
+  /** x, y, z of what is drawn. */
+  positions(): Float32Array;
+  handles(): { id: string; name: string; vertices: number[]; pose: unknown; at: { x: number; y: number } | undefined }[];
+  /** A vertex on the page, in CSS pixels. */
+  place(vertex: number): { x: number; y: number } | undefined;
+  state(): {
+    link: string;
+    busy: boolean;
+    selected: number;
+    superseded: number;
+    solveMs: number;
+    vertices: number;
+    revision: string;
+    /** Shapes painted since the page was loaded, and the milliseconds that decoding and shading them took. */
+    painted: number;
+    takenMs: number;
+    /** The part of the gizmo under the pointer. */
+    gizmoPart: string | null;
+  };
+}
+
+declare global {
+  interface Window {
+    pliantViewer?: Probe;
+  }
+}
+
+export function installProbe(): void {
+  const shown = (): Float32Array => view().stage.surface?.positions ?? new Float32Array();
+  const place = (point: Vector3): { x: number; y: number } | undefined => {
+    const { stage } = view();
+    const box = stage.canvas.getBoundingClientRect();
+    const p = stage.project(point);
+    return p && { x: p.x + box.left, y: p.y + box.top };
+  };
+  window.pliantViewer = {
+    session: () => s.doc.peek()?.session.id,
+    positions: shown,
+    handles: () =>
+      s.handles.peek().map(({ id, name, vertices, pose, centroid }) => ({
+        id,
+        name,
+        vertices: [...(vertices ?? [])],
+        pose,
+        at: place(new Vector3(...centroid).add(new Vector3(...pose.translation))),
+      })),
+    place: (vertex) => place(new Vector3().fromArray(shown(), vertex * 3)),
+    state: () => ({
+      link: s.link.peek().state,
+      busy: s.busy.peek() !== undefined,
+      selected: s.selectedCount.peek(),
+      superseded: s.superseded.peek(),
+      solveMs: s.meters.peek()?.solveMs ?? 0,
+      vertices: shown().length / 3,
+      revision: String(s.currentRevision.peek()),
+      ...paintedSoFar(),
+      gizmoPart: view().gizmo.hotPart,
+    }),
+  };
+}

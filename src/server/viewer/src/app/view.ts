@@ -1,0 +1,25 @@
+/** The scene and its objects, once the canvas is there. Actions and tools reach them here. */
+
+import type { Gizmo } from "../scene/gizmo.ts";
+import type { Markers } from "../scene/markers.ts";
+import type { Overlay } from "../scene/overlay.ts";
+import type { Stage } from "../scene/stage.ts";
+
+export interface View {
+  readonly stage: Stage;
+  readonly gizmo: Gizmo;
+  readonly markers: Markers;
+  readonly overlay: Overlay;
+}
+
+let current: View | undefined;
+
+export function setView(view: View): void {
+  current = view;
+}
+
+/** The view; it exists before anything can be opened. */
+export function view(): View {
+  if (current === undefined) throw new Error("the canvas is not there yet");
+  return current;
+}

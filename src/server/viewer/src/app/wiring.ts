@@ -1,0 +1,101 @@
+/** Connects signals and scene: made once, when the canvas is there. */
+
+import { computed, effect, untracked } from "@preact/signals";
+import { CuttingPlane } from "../scene/cutting.ts";
+import { Gizmo, type GizmoMode } from "../scene/gizmo.ts";
+import { Markers, placeOf } from "../scene/markers.ts";
+import { Overlay } from "../scene/overlay.ts";
+import { Stage } from "../scene/stage.ts";
+import { applyOptions, commitPoses, dragTo, turn } from "./dragging.ts";
+import { resume, sessionOfThisTab } from "./opening.ts";
+import { repaint } from "./painting.ts";
+import * as s from "./signals.ts";
+import { armTool, installTools } from "./tools.ts";
+import { setView, view } from "./view.ts";
+
+const MODES: Partial<Record<s.Tool, GizmoMode>> = { move: "translate", rotate: "rotate", scale: "scale" };
+
+/** Builds the scene inside `host`. */
+export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
+  const stage = new Stage(host);
+  const gizmo: Gizmo = new Gizmo(stage, {
+    begin: () => {
+      s.dragging.value = true;
+    },
+    change: (pose) => {
+      const id = s.activeId.peek();
+      if (id !== undefined) dragTo(id, pose);
+    },
+    end: (pose) => {
+      const id = s.activeId.peek();
+      s.dragging.value = false;
+      if (id !== undefined) {
+        dragTo(id, pose);
+        void commitPoses([id]);
+      }
+    },
+  });
+  const plane = new CuttingPlane(stage);
+  setView({ stage, gizmo, markers: new Markers(stage), overlay: new Overlay(host) });
+  installTools();
+  stage.beforePaint(turn);
+  stage.beforePaint(() => followGizmo(gizmoLabel));
+
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const applyTheme = (): void => {
+    const { theme } = s.settings.value;
+    const look = theme === "auto" ? (dark.matches ? "dark" : "light") : theme;
+    document.documentElement.dataset["theme"] = look;
+    untracked(() => stage.setLook(look));
+  };
+  effect(applyTheme);
+  dark.addEventListener("change", applyTheme);
+  effect(() => armTool(s.tool.value));
+  effect(() => {
+    const { tolerance, maxError, progressive, encoding, window, firstPass, method, refineDragging, refineCommit } = s.settings.value;
+    void [tolerance, maxError, progressive, encoding, window, firstPass, method, refineDragging, refineCommit];
+    untracked(applyOptions);
+  });
+  effect(() => {
+    // Read first: a signal that is not read is not watched.
+    const { wire } = s.settings.value;
+    if (s.doc.value !== undefined) stage.surface?.setWire(wire);
+    stage.request();
+  });
+  effect(() => {
+    void [s.settings.value.colouring, s.selection.value, regions.value, s.activeId.value, s.doc.value];
+    untracked(repaint);
+  });
+  effect(() => {
+    const handle = s.activeHandle.value;
+    const mode = MODES[s.tool.value];
+    const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined;
+    if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
+    gizmo.attach(holds ? handle.centroid : undefined, holds ? handle.pose : undefined);
+  });
+  effect(() => view().markers.show(s.handles.value));
+  effect(() => plane.show(s.cutPlane.value));
+  void resumeThisTab();
+}
+
+/** What the regions look like; the same as before while only poses change. */
+const regions = computed<readonly unknown[]>(() => {
+  const now = s.handles.value.flatMap(({ id, vertices, hold, hue }) => [id, vertices, hold, hue]);
+  const same = now.length === lastRegions.length && now.every((x, k) => x === lastRegions[k]);
+  if (!same) lastRegions = now;
+  return lastRegions;
+});
+let lastRegions: readonly unknown[] = [];
+
+async function resumeThisTab(): Promise<void> {
+  const id = sessionOfThisTab();
+  if (id !== undefined) await resume(id);
+}
+
+/** Keeps the label with the turn counter beside the gizmo. */
+function followGizmo(label: HTMLElement): void {
+  const { stage } = view();
+  const handle = s.activeHandle.peek();
+  const at = handle === undefined ? undefined : stage.project(placeOf(handle));
+  if (at !== undefined) label.style.transform = `translate(${Math.round(at.x + 22)}px, ${Math.round(at.y + 22)}px)`;
+}

@@ -1,0 +1,115 @@
+/**
+ * The gizmo: a handle's pose as something to take hold of. It sits at the handle's centroid, moved by its translation;
+ * rotation counts turns, so that a handle can be wound past 180°.
+ */
+
+import { type Vector, nearestRotationVector, quaternionOf } from "pliant-client";
+import * as THREE from "three";
+import { TransformControls } from "three/addons/controls/TransformControls.js";
+import type { HandlePose } from "../model/handles.ts";
+import type { Stage } from "./stage.ts";
+
+/** Scales below this would turn a region into nothing, or inside out. */
+const LEAST_SCALE = 0.02;
+
+export interface GizmoEvents {
+  /** The user took hold. */
+  begin: () => void;
+  /** The pose changed under the pointer. */
+  change: (pose: HandlePose) => void;
+  /** The user let go. */
+  end: (pose: HandlePose) => void;
+}
+
+export type GizmoMode = "translate" | "rotate" | "scale";
+
+export class Gizmo {
+  private readonly controls: TransformControls;
+  private readonly grip = new THREE.Object3D();
+  private pivot: Vector = [0, 0, 0];
+  private rotation: Vector = [0, 0, 0];
+  private attached = false;
+
+  constructor(
+    private readonly stage: Stage,
+    events: GizmoEvents,
+  ) {
+    this.controls = new TransformControls(stage.camera, stage.canvas);
+    this.controls.setSize(0.85);
+    this.controls.setColors(0xf0625d, 0x5fbf6a, 0x4f94ff, 0xffc14d);
+    stage.scene.add(this.grip, this.controls.getHelper());
+    this.controls.addEventListener("change", () => stage.request());
+    this.controls.addEventListener("objectChange", () => {
+      this.follow();
+      events.change(this.pose());
+    });
+    this.controls.addEventListener("dragging-changed", (event) => {
+      stage.orbit.enabled = event.value !== true;
+      if (event.value === true) events.begin();
+      else events.end(this.pose());
+    });
+  }
+
+  /** Whether the pointer is over one of its parts, or holds one. */
+  get isHot(): boolean {
+    return this.attached && (this.controls.axis !== null || this.controls.dragging);
+  }
+
+  /** The part under the pointer, such as X, XY or E (the ring that faces the eye). */
+  get hotPart(): string | null {
+    return this.controls.axis;
+  }
+
+  /** Places it on a handle; without one it hides. */
+  attach(centroid: Vector | undefined, pose: HandlePose | undefined): void {
+    this.attached = centroid !== undefined && pose !== undefined;
+    if (centroid === undefined || pose === undefined) {
+      this.controls.detach();
+    } else if (!this.controls.dragging) {
+      this.pivot = centroid;
+      this.rotation = pose.rotation;
+      this.grip.position.set(...add(centroid, pose.translation));
+      this.grip.quaternion.set(...(quaternionOf(pose.rotation) as [number, number, number, number]));
+      this.grip.scale.set(...(pose.scale as [number, number, number]));
+      this.controls.attach(this.grip);
+    }
+    this.stage.request();
+  }
+
+  setMode(mode: GizmoMode, localAxes: boolean, snap: boolean): void {
+    this.controls.setMode(mode);
+    this.controls.setSpace(localAxes ? "local" : "world");
+    this.controls.setRotationSnap(snap ? Math.PI / 12 : null);
+    this.controls.setScaleSnap(snap ? 0.1 : null);
+    this.stage.request();
+  }
+
+  /** Where the gizmo is. */
+  get position(): THREE.Vector3 {
+    return this.grip.position;
+  }
+
+  dispose(): void {
+    this.controls.dispose();
+  }
+
+  private follow(): void {
+    const { x, y, z, w } = this.grip.quaternion;
+    this.rotation = nearestRotationVector([x, y, z, w], this.rotation);
+    this.grip.scale.clampScalar(LEAST_SCALE, 1 / LEAST_SCALE);
+  }
+
+  private pose(): HandlePose {
+    const { x, y, z } = this.grip.position;
+    const scale = this.grip.scale;
+    return {
+      translation: [x - this.pivot[0], y - this.pivot[1], z - this.pivot[2]],
+      rotation: this.rotation,
+      scale: [scale.x, scale.y, scale.z],
+    };
+  }
+}
+
+function add(a: Vector, b: Vector): [number, number, number] {
+  return [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+}

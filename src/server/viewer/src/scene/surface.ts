@@ -1,0 +1,175 @@
+/**
+ * The drawn surface: one geometry over all render vertices, whose position array is the one that frames are decoded
+ * into. Normals and stretch follow at a pace that leaves time to paint.
+ */
+
+import * as THREE from "three";
+import { type Smoothing, smoothingOf, updateNormals } from "../model/normals.ts";
+import type { SurfaceReport } from "../model/report.ts";
+import { StretchMeter } from "../model/stretch.ts";
+import type { Topology } from "../model/topology.ts";
+
+/** Milliseconds of a painted frame that shading may take while dragging. */
+const SHADING_MS = 5;
+/** Below this a model without normals is drawn with flat triangles, as a modeller would expect of a box. */
+const FEW_TRIANGLES = 2000;
+
+export class Surface {
+  readonly object = new THREE.Group();
+  readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.MeshLambertMaterial>;
+  /** x, y, z per render vertex; frames are decoded into it. */
+  readonly positions: Float32Array<ArrayBuffer>;
+  readonly stretch: Float32Array<ArrayBuffer>;
+  private readonly normals: THREE.BufferAttribute;
+  private readonly paint: THREE.BufferAttribute;
+  private readonly smoothing: Smoothing;
+  private readonly wire: THREE.LineSegments<THREE.BufferGeometry, THREE.LineBasicMaterial>;
+  private meter: StretchMeter | undefined;
+  private shadingMs = 0;
+  private waited = 0;
+  /** Whether normals lag behind positions. */
+  private stale = false;
+
+  constructor(
+    readonly topology: Topology,
+    readonly report: SurfaceReport,
+    private readonly rest: Float32Array,
+  ) {
+    const vertices = topology.positions.length / 3;
+    this.positions = topology.positions.slice();
+    this.stretch = new Float32Array(vertices);
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", dynamic(new THREE.BufferAttribute(this.positions, 3)));
+    this.normals = dynamic(new THREE.BufferAttribute(topology.normals?.slice() ?? new Float32Array(vertices * 3), 3));
+    geometry.setAttribute("normal", this.normals);
+    this.paint = dynamic(new THREE.BufferAttribute(new Uint8Array(vertices * 4), 4, true));
+    geometry.setAttribute("paint", this.paint);
+    geometry.setIndex(new THREE.BufferAttribute(topology.indices, 1));
+    this.smoothing = smoothingOf(topology, report);
+    const flat = topology.normals === undefined && topology.indices.length < FEW_TRIANGLES * 3;
+    this.mesh = new THREE.Mesh(geometry, clay(flat));
+    // Its box changes with every frame; testing it against the view would cost more than drawing.
+    this.mesh.frustumCulled = false;
+    this.wire = new THREE.LineSegments(
+      new THREE.BufferGeometry(),
+      new THREE.LineBasicMaterial({ transparent: true, opacity: 0.35, depthWrite: false }),
+    );
+    this.wire.frustumCulled = false;
+    this.wire.visible = false;
+    this.object.add(this.mesh, this.wire);
+    if (topology.normals === undefined) this.shade(true);
+  }
+
+  /** The colours that paint is mixed over. */
+  setTheme(clayColour: number, wireColour: number): void {
+    this.mesh.material.color.setHex(clayColour);
+    this.wire.material.color.setHex(wireColour);
+  }
+
+  setWire(visible: boolean): void {
+    if (visible && this.wire.geometry.index === null) {
+      this.wire.geometry.setAttribute("position", this.mesh.geometry.getAttribute("position"));
+      this.wire.geometry.setIndex(new THREE.BufferAttribute(edges(this.topology.indices), 1));
+    }
+    this.wire.visible = visible;
+  }
+
+  /** The positions changed. While `moving`, shading may lag. */
+  moved(moving: boolean): void {
+    this.mesh.geometry.getAttribute("position").needsUpdate = true;
+    this.waited += 1;
+    // On average shading may take its share of a frame, no more.
+    if (!moving || this.waited * SHADING_MS >= this.shadingMs) this.shade(false);
+    else this.stale = true;
+  }
+
+  /** Brings shading up to date. */
+  settle(): void {
+    if (this.stale) this.shade(false);
+  }
+
+  /** Measures the change of edge lengths into `stretch`. */
+  measureStretch(): void {
+    this.meter ??= new StretchMeter(this.rest, this.topology.indices, this.report);
+    this.meter.measure(this.positions, this.stretch);
+  }
+
+  /** Lets `write` fill red, green, blue and strength of every render vertex. */
+  repaint(write: (colours: Uint8Array) => void): void {
+    write(this.paint.array as Uint8Array);
+    this.paint.needsUpdate = true;
+  }
+
+  /** The ball around the current shape. */
+  bounds(): THREE.Sphere {
+    const box = new THREE.Box3().setFromArray(this.positions);
+    return box.getBoundingSphere(new THREE.Sphere());
+  }
+
+  dispose(): void {
+    this.mesh.geometry.dispose();
+    this.mesh.material.dispose();
+    this.wire.geometry.dispose();
+    this.wire.material.dispose();
+  }
+
+  private shade(first: boolean): void {
+    const begun = performance.now();
+    updateNormals(this.positions, this.topology.indices, this.smoothing, this.normals.array as Float32Array);
+    this.normals.needsUpdate = true;
+    this.stale = false;
+    this.waited = 0;
+    const took = performance.now() - begun;
+    this.shadingMs = first ? took : this.shadingMs * 0.7 + took * 0.3;
+  }
+}
+
+function dynamic(attribute: THREE.BufferAttribute): THREE.BufferAttribute {
+  attribute.setUsage(THREE.DynamicDrawUsage);
+  return attribute;
+}
+
+/** Matt clay, cheap enough for weak graphics, that takes paint by vertex: `paint.a` says how much of the clay it covers. */
+function clay(flatShading: boolean): THREE.MeshLambertMaterial {
+  const material = new THREE.MeshLambertMaterial({
+    side: THREE.DoubleSide,
+    flatShading,
+    // Behind the wire, which lies on the same triangles.
+    polygonOffset: true,
+    polygonOffsetFactor: 1,
+    polygonOffsetUnits: 1,
+  });
+  material.onBeforeCompile = (shader) => {
+    shader.vertexShader = shader.vertexShader
+      .replace("#include <common>", "#include <common>\nattribute vec4 paint;\nvarying vec4 vPaint;")
+      .replace("#include <begin_vertex>", "#include <begin_vertex>\nvPaint = paint;");
+    shader.fragmentShader = shader.fragmentShader
+      .replace("#include <common>", "#include <common>\nvarying vec4 vPaint;")
+      .replace(
+        "#include <color_fragment>",
+        // Paint is given as it shall look; lighting wants it linear.
+        "#include <color_fragment>\ndiffuseColor.rgb = mix(diffuseColor.rgb, pow(vPaint.rgb, vec3(2.2)), vPaint.a);",
+      );
+  };
+  return material;
+}
+
+/** Each edge of the triangles once, as pairs of vertices. */
+function edges(indices: Uint32Array): Uint32Array<ArrayBuffer> {
+  const keys = new Float64Array(indices.length);
+  for (let k = 0; k < indices.length; k++) {
+    const a = indices[k] as number;
+    const b = indices[k % 3 === 2 ? k - 2 : k + 1] as number;
+    keys[k] = Math.min(a, b) * 2 ** 26 + Math.max(a, b);
+  }
+  keys.sort();
+  const out = new Uint32Array(indices.length * 2);
+  let n = 0;
+  for (let k = 0; k < keys.length; k++) {
+    const key = keys[k] as number;
+    if (k > 0 && keys[k - 1] === key) continue;
+    out[n++] = Math.floor(key / 2 ** 26);
+    out[n++] = key % 2 ** 26;
+  }
+  return out.slice(0, n);
+}

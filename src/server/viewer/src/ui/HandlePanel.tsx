@@ -1,0 +1,152 @@
+/** The handles, and the one that is active in full. */
+
+import type { Vector } from "pliant-client";
+import type { JSX } from "preact";
+import { changeHandle, poseHandle, removeHandle } from "../app/handling.ts";
+import * as s from "../app/signals.ts";
+import { AT_REST, type HandleState, colourOf, isAtRest } from "../model/handles.ts";
+import { TurnCount } from "./GizmoLabel.tsx";
+import { Icon } from "./icons.tsx";
+import { Button, Check, Choice, Field, NumberInput, Section, count } from "./parts.tsx";
+
+export function HandlePanel(): JSX.Element {
+  const list = s.handles.value;
+  const active = s.activeHandle.value;
+  return (
+    <Section title="Handles" note={list.length === 0 ? "none" : String(list.length)}>
+      {list.length === 0 && <p class="hint">A model bends between handles: pin what stays, grip what moves.</p>}
+      {list.length === 1 && <p class="hint">With one handle the whole model follows it. Pin a second place.</p>}
+      <ul class="handles">
+        {list.map((handle) => (
+          <HandleRow key={handle.id} handle={handle} active={handle === active} />
+        ))}
+      </ul>
+      {active && <Details handle={active} />}
+    </Section>
+  );
+}
+
+function HandleRow({ handle, active }: { handle: HandleState; active: boolean }): JSX.Element {
+  const { id, name, hold } = handle;
+  const [r, g, b] = colourOf(handle);
+  return (
+    <li class={active ? "active" : ""}>
+      <button type="button" aria-pressed={active} onClick={() => (s.activeId.value = id)}>
+        <span class="swatch" ref={(element) => element?.style.setProperty("background", `rgb(${r} ${g} ${b})`)} />
+        <span class="name">{name}</span>
+        {hold === "pin" && <Icon name="pin" />}
+        <span class="count">{count(handle.count)}</span>
+      </button>
+      <Button bare icon="trash" label={`Remove ${name}`} onClick={() => void removeHandle(id)} />
+    </li>
+  );
+}
+
+function Details({ handle }: { handle: HandleState }): JSX.Element {
+  const { id, hold, stiffness, falloff, constrains, rigid } = handle;
+  const change = (part: Partial<HandleState>): void => void changeHandle(id, part);
+  const foreign = handle.vertices === undefined;
+  return (
+    <div class="details">
+      <Field label="Name">
+        <input type="text" value={handle.name} maxLength={40} onChange={(event) => change({ name: event.currentTarget.value || id })} />
+      </Field>
+      <Choice
+        label="How it holds"
+        value={hold}
+        options={[
+          ["grip", "Grip"],
+          ["pin", "Pin"],
+          ["soft", "Soft"],
+        ]}
+        onValue={(value) => change(value === "pin" ? { hold: value, pose: AT_REST } : { hold: value })}
+      />
+      {foreign && <p class="hint">Set elsewhere: its region is not known to this page, its pose is.</p>}
+      {hold === "soft" && (
+        <>
+          <Field label="Stiffness" hint="How strongly it pulls, in units of edge weights">
+            <NumberInput label="Stiffness" value={stiffness} min={1e-6} step={0.5} onValue={(value) => change({ stiffness: value })} />
+          </Field>
+          <Field label="Fades" hint="How its pull falls around the region">
+            <select
+              aria-label="Falloff"
+              value={falloff.kind}
+              onChange={(event) => change({ falloff: { ...falloff, kind: event.currentTarget.value as HandleState["falloff"]["kind"] } })}
+            >
+              <option value="NONE">not at all</option>
+              <option value="LINEAR">linearly</option>
+              <option value="SMOOTH">smoothly</option>
+            </select>
+            {falloff.kind !== "NONE" && (
+              <NumberInput
+                label="Falloff radius in model units"
+                value={falloff.radius}
+                min={1e-9}
+                digits={4}
+                step={falloff.radius / 10 || 0.1}
+                onValue={(radius) => change({ falloff: { ...falloff, radius } })}
+              />
+            )}
+          </Field>
+        </>
+      )}
+      <fieldset class="row">
+        <legend>Holds</legend>
+        {(["position", "rotation", "scale"] as const).map((what) => (
+          <Check
+            label={what}
+            checked={constrains[what]}
+            // Something must be held.
+            disabled={constrains[what] && Object.values(constrains).filter(Boolean).length === 1}
+            onValue={(value) => change({ constrains: { ...constrains, [what]: value } })}
+          />
+        ))}
+        <Check label="rigid" checked={rigid} onValue={(value) => change({ rigid: value })} />
+      </fieldset>
+      {hold !== "pin" && <Pose handle={handle} />}
+    </div>
+  );
+}
+
+const AXES = ["X", "Y", "Z"] as const;
+const DEGREES = 180 / Math.PI;
+
+function Pose({ handle: { id, pose } }: { handle: HandleState }): JSX.Element {
+  const set = (part: Partial<HandleState["pose"]>): void => void poseHandle(id, { ...pose, ...part });
+  const row = (name: string, values: Vector, step: number, digits: number, min: number | undefined, onVector: (next: Vector) => void): JSX.Element => (
+    <div class="vector" role="group" aria-label={name}>
+      <span>{name}</span>
+      {AXES.map((axis, k) => (
+        <NumberInput
+          label={`${name} ${axis}`}
+          value={values[k] ?? 0}
+          step={step}
+          digits={digits}
+          {...(min === undefined ? {} : { min })}
+          onValue={(value) => {
+            const next: [number, number, number] = [...values];
+            next[k] = value;
+            onVector(next);
+          }}
+        />
+      ))}
+    </div>
+  );
+  const scaled = (v: Vector, by: number): Vector => [v[0] * by, v[1] * by, v[2] * by];
+  const size = s.doc.value?.report.diagonal ?? 1;
+  const angle = Math.hypot(...pose.rotation);
+  return (
+    <>
+      {row("Move", pose.translation, Number((size / 100).toPrecision(1)), 4, undefined, (translation) => set({ translation }))}
+      {row("Turn °", scaled(pose.rotation, DEGREES), 5, 1, undefined, (degrees) => set({ rotation: scaled(degrees, 1 / DEGREES) }))}
+      {row("Scale", pose.scale, 0.05, 3, 0.01, (scale) => set({ scale }))}
+      <div class="row">
+        <span class="hint">
+          {Math.round(angle * DEGREES)}° in all <TurnCount angle={angle} />
+        </span>
+        <span class="gap" />
+        <Button icon="reset" label="To rest" disabled={isAtRest(pose)} onClick={() => set(AT_REST)} />
+      </div>
+    </>
+  );
+}

@@ -1,0 +1,63 @@
+/** The help sheet: how work goes, and every shortcut. */
+
+import type { JSX } from "preact";
+import { useEffect, useRef } from "preact/hooks";
+import * as s from "../app/signals.ts";
+import { SHORTCUTS } from "./keys.ts";
+import { Button } from "./parts.tsx";
+
+const CAPS: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc", Delete: "Del" };
+
+export function Help(): JSX.Element {
+  const sheet = useRef<HTMLDialogElement>(null);
+  const open = s.helpOpen.value;
+  useEffect(() => {
+    if (open) sheet.current?.showModal();
+    else sheet.current?.close();
+  }, [open]);
+  return (
+    <dialog class="help" ref={sheet} aria-labelledby="help-title" onClose={() => (s.helpOpen.value = false)}>
+      <header>
+        <h1 id="help-title">How it works</h1>
+        <Button bare icon="close" label="Close" onClick={() => (s.helpOpen.value = false)} />
+      </header>
+      <ol class="steps">
+        <li>
+          <b>Open</b> a model, or the sample creature.
+        </li>
+        <li>
+          <b>Select</b> places with the brush, box, lasso or a click on a part. Shift adds, Alt takes away; the right button looks
+          around, the wheel zooms.
+        </li>
+        <li>
+          <b>Pin</b> what stays, <b>grip</b> what moves. A <b>soft</b> handle pulls instead of holding.
+        </li>
+        <li>
+          <b>Drag</b> the gizmo. The newest pose always wins; letting go records it, and undo goes back to the bit.
+        </li>
+        <li>
+          <b>Export</b> the model: everything but positions, normals and tangents is as it came.
+        </li>
+      </ol>
+      <div class="shortcuts">
+        {SHORTCUTS.map(({ title, list }) => (
+          <section>
+            <h2>{title}</h2>
+            <dl>
+              {list.map(({ keys, what }) => (
+                <div>
+                  <dt>
+                    {(keys.length > 1 ? keys.split("+") : [keys]).map((key) => (
+                      <kbd>{CAPS[key] ?? key}</kbd>
+                    ))}
+                  </dt>
+                  <dd>{what}</dd>
+                </div>
+              ))}
+            </dl>
+          </section>
+        ))}
+      </div>
+    </dialog>
+  );
+}

@@ -1,0 +1,42 @@
+/** What was opened, and what the server and the page noticed about it. */
+
+import type { JSX } from "preact";
+import * as s from "../app/signals.ts";
+import { Facts, Section, bytes, count, things } from "./parts.tsx";
+
+export function ModelPanel(): JSX.Element | null {
+  const open = s.doc.value;
+  const facts = s.facts.value;
+  if (open === undefined || facts === undefined) return null;
+  const { report } = open;
+  const { model, solver } = facts;
+  const inner = (solver?.graphVertices ?? 0) - (solver?.solverVertices ?? 0);
+  const built = Object.values(facts.buildMs).reduce((sum, ms) => sum + ms, 0);
+  return (
+    <Section title="Model" note={facts.warnings.length > 0 ? things(facts.warnings.length, "warning") : (model?.format ?? "")}>
+      {facts.warnings.map(({ code, message, where }) => (
+        <p class="warning" title={code}>
+          {message}
+          {where && <small>{where}</small>}
+        </p>
+      ))}
+      <Facts
+        rows={[
+          ["Vertices", count(model?.vertices), "Render vertices: those of the file"],
+          ["Triangles", count(model?.triangles)],
+          ["Primitives", count(facts.primitives.length)],
+          ["Seam vertices", count(report.seamVertices), "Vertices that share their place with another; they are solved as one"],
+          ["Parts", count(report.parts.length), "Connected pieces"],
+          ["Holes", count(report.holes), "Loops of edges with one triangle"],
+          ["Crowded edges", count(report.crowdedEdges), "Edges with more than two triangles"],
+          ["Inner nodes", inner > 0 ? count(inner) : "none", "Nodes inside that keep the volume"],
+          ["Graph", `${count(solver?.graphVertices)} · ${count(solver?.graphEdges)}`, "Vertices and edges that are solved for"],
+          ["Levels", (solver?.levels ?? []).map(({ vertices }) => count(vertices)).join(" › "), "The multigrid hierarchy"],
+          ["Memory", bytes(solver?.bytes), "Held on the server for this session"],
+          ["File", bytes(model?.bytes)],
+          ["Build", `${built.toFixed(0)} ms`, Object.entries(facts.buildMs).map(([stage, ms]) => `${stage} ${ms.toFixed(1)} ms`).join(", ")],
+        ]}
+      />
+    </Section>
+  );
+}

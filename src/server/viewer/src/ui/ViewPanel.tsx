@@ -1,0 +1,63 @@
+/** How the model is shown, and what the last commit did to it. */
+
+import type { JSX } from "preact";
+import * as s from "../app/signals.ts";
+import { view } from "../app/view.ts";
+import { FULL_STRETCH } from "../model/stretch.ts";
+import { Button, Check, Choice, Facts, Field, Section } from "./parts.tsx";
+
+export function ViewPanel(): JSX.Element {
+  const { colouring, wire, localAxes } = s.settings.value;
+  const quality = s.quality.value;
+  return (
+    <Section title="View">
+      <Field label="Colours">
+        <Choice
+          label="Colours"
+          value={colouring}
+          options={[
+            ["handles", "handles"],
+            ["stretch", "stretch"],
+            ["plain", "plain"],
+          ]}
+          onValue={(value) => s.choose({ colouring: value })}
+        />
+      </Field>
+      {colouring === "stretch" && (
+        <div class="legend" aria-label="Blue: edges are shorter than at rest; orange: longer">
+          <span class="ramp" />
+          <div>
+            <span>÷ {FULL_STRETCH}</span>
+            <span>as at rest</span>
+            <span>× {FULL_STRETCH}</span>
+          </div>
+        </div>
+      )}
+      <div class="row">
+        <Check label="Wire (W)" checked={wire} onValue={(value) => s.choose({ wire: value })} />
+        <Check label="Own axes (A)" checked={localAxes} onValue={(value) => s.choose({ localAxes: value })} />
+        <span class="gap" />
+        <Button icon="frame" label="Frame" keys="F" onClick={() => view().stage.frame()} />
+      </div>
+      {quality && (
+        <Facts
+          rows={[
+            ["Edge change", percent(quality.edgeRms), "Root of the mean square of relative edge length change"],
+            ["Volume", signed(quality.volumeChange)],
+            ["Area", signed(quality.areaChange)],
+            ["Largest stretch", `× ${quality.maxStretch.toFixed(2)}`],
+            ["Flipped triangles", String(quality.flippedTriangles)],
+          ]}
+        />
+      )}
+    </Section>
+  );
+}
+
+function percent(x: number): string {
+  return `${(x * 100).toFixed(2)} %`;
+}
+
+function signed(x: number): string {
+  return `${x > 0 ? "+" : x < 0 ? "−" : ""}${percent(Math.abs(x))}`;
+}

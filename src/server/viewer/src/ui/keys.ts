@@ -1,0 +1,128 @@
+/** Keyboard shortcuts. The help sheet shows this list, so that it cannot tell of others. */
+
+import { makeHandle, removeHandle } from "../app/handling.ts";
+import { redo, undo } from "../app/past.ts";
+import * as s from "../app/signals.ts";
+import { clearSelection, invertSelection } from "../app/tools.ts";
+import { view } from "../app/view.ts";
+import { exportModel, pickFiles } from "./files.ts";
+import { nextTheme } from "./TopBar.tsx";
+import { TOOLS } from "./ToolRail.tsx";
+
+export interface Shortcut {
+  /** As shown; `Ctrl` also stands for the Command key. */
+  readonly keys: string;
+  readonly what: string;
+  readonly act: () => void;
+  /** Whether it works without a model. */
+  readonly always?: boolean;
+}
+
+/** Radians and factor that one press of a key looks around by. */
+const AROUND = Math.PI / 18;
+const NEARER = 1.15;
+
+const removeActive = (): void => {
+  const id = s.activeId.peek();
+  if (id !== undefined) void removeHandle(id);
+};
+
+const wider = (factor: number) => (): void => {
+  const { brushPixels } = s.settings.peek();
+  s.choose({ brushPixels: Math.round(Math.min(200, Math.max(4, brushPixels * factor))) });
+};
+
+const escape = (): void => {
+  if (s.helpOpen.peek()) s.helpOpen.value = false;
+  else if (s.cutPlane.peek() !== undefined) s.cutPlane.value = undefined;
+  else clearSelection();
+};
+
+/** Makes the next or the previous handle the active one. */
+const step = (by: number) => (): void => {
+  const list = s.handles.peek().filter(({ hold }) => hold !== "pin");
+  const at = list.findIndex(({ id }) => id === s.activeId.peek());
+  s.activeId.value = list.at((at + by) % Math.max(1, list.length))?.id;
+};
+
+export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] = [
+  {
+    title: "Tools",
+    list: TOOLS.map(({ tool, name, key }) => ({
+      keys: key,
+      what: name,
+      act: () => {
+        s.tool.value = tool;
+      },
+    })),
+  },
+  {
+    title: "Selection and handles",
+    list: [
+      { keys: "Enter", what: "Make a grip of the selection", act: () => void makeHandle("grip") },
+      { keys: "P", what: "Pin the selection", act: () => void makeHandle("pin") },
+      { keys: "O", what: "Make a soft handle of the selection", act: () => void makeHandle("soft") },
+      { keys: "I", what: "Invert the selection", act: invertSelection },
+      { keys: "[", what: "Smaller brush", act: wider(1 / 1.2) },
+      { keys: "]", what: "Larger brush", act: wider(1.2) },
+      { keys: "T", what: "Select through the model", act: () => s.choose({ throughSelect: !s.settings.peek().throughSelect }) },
+      { keys: "N", what: "Next handle", act: step(1) },
+      { keys: "Delete", what: "Remove the active handle", act: removeActive },
+      { keys: "Escape", what: "Clear the selection, close the sheet", act: escape, always: true },
+    ],
+  },
+  {
+    title: "Model",
+    list: [
+      { keys: "Ctrl+O", what: "Open a model", act: pickFiles, always: true },
+      { keys: "Ctrl+S", what: "Export GLB", act: () => void exportModel("glb") },
+      { keys: "Ctrl+Z", what: "Undo", act: () => void undo() },
+      { keys: "Ctrl+Y", what: "Redo (also Ctrl+Shift+Z)", act: () => void redo() },
+    ],
+  },
+  {
+    title: "View",
+    list: [
+      { keys: "ArrowLeft", what: "Look from further left", act: () => view().stage.circle(-AROUND, 0, 1) },
+      { keys: "ArrowRight", what: "Look from further right", act: () => view().stage.circle(AROUND, 0, 1) },
+      { keys: "ArrowUp", what: "Look from further above", act: () => view().stage.circle(0, -AROUND, 1) },
+      { keys: "ArrowDown", what: "Look from further below", act: () => view().stage.circle(0, AROUND, 1) },
+      { keys: "+", what: "Nearer", act: () => view().stage.circle(0, 0, 1 / NEARER) },
+      { keys: "-", what: "Further away", act: () => view().stage.circle(0, 0, NEARER) },
+      { keys: "F", what: "Frame the model", act: () => view().stage.frame() },
+      { keys: "W", what: "Wire on or off", act: () => s.choose({ wire: !s.settings.peek().wire }) },
+      {
+        keys: "K",
+        what: "Stretch colours on or off",
+        act: () => s.choose({ colouring: s.settings.peek().colouring === "stretch" ? "handles" : "stretch" }),
+      },
+      { keys: "A", what: "Gizmo along the handle's own axes", act: () => s.choose({ localAxes: !s.settings.peek().localAxes }) },
+      { keys: "D", what: "Dark, light or as the system", act: nextTheme, always: true },
+      { keys: "?", what: "This sheet", act: () => (s.helpOpen.value = !s.helpOpen.peek()), always: true },
+    ],
+  },
+];
+
+/** Listens on the page. */
+export function installKeys(): void {
+  const byKey = new Map(SHORTCUTS.flatMap(({ list }) => list).map((shortcut) => [shortcut.keys.toLowerCase(), shortcut]));
+  addEventListener("keydown", (event) => {
+    const target = event.target as HTMLElement;
+    const typing = target.matches("input:not([type=checkbox]):not([type=range]), select, textarea");
+    // Arrows belong to what they move: a list of options, the choice among a few.
+    const choosing = event.key.startsWith("Arrow") && target.matches("input, [role=radio]");
+    const pressing = target.matches("button, summary, a") && (event.key === "Enter" || event.key === " ");
+    const escaping = event.key === "Escape";
+    if ((typing && !escaping) || pressing || choosing || s.busy.peek() !== undefined) return;
+    const control = event.ctrlKey || event.metaKey;
+    if (event.altKey) return;
+    let name = `${control ? "ctrl+" : ""}${event.key.toLowerCase()}`;
+    if (name === "ctrl+z" && event.shiftKey) name = "ctrl+y";
+    if (name === "backspace") name = "delete";
+    const shortcut = byKey.get(name);
+    if (shortcut === undefined || (shortcut.always !== true && s.doc.peek() === undefined)) return;
+    event.preventDefault();
+    if (typing) target.blur();
+    shortcut.act();
+  });
+}

@@ -1,0 +1,64 @@
+/** Two handles by mouse on whatever model is open: its lower end pinned, its upper end gripped. */
+
+/** Box-selects the lowest and the highest part of the model as the user would; answers the grip. */
+export async function holdBothEnds(sheet, share = 0.2) {
+  const { left, right, top, bottom } = await sheet.outline();
+  const height = bottom - top;
+  await sheet.key("x");
+  await sheet.key("t");
+  await sheet.drag([
+    { x: left - 10, y: bottom + 10 },
+    { x: right + 10, y: bottom - height * share },
+  ]);
+  await sheet.until("the box selects", ({ selected }) => selected > 0);
+  await sheet.key("p");
+  await sheet.page.waitForFunction(() => window.pliantViewer.handles().length === 1);
+  await sheet.drag([
+    { x: left - 10, y: top - 10 },
+    { x: right + 10, y: top + height * share },
+  ]);
+  await sheet.until("the box selects", ({ selected }) => selected > 0);
+  await sheet.key("Enter");
+  await sheet.page.waitForFunction(() => window.pliantViewer.handles().length === 2);
+  await sheet.key("t");
+  const handles = await sheet.ask("handles");
+  return handles[1];
+}
+
+/** Takes the gizmo's centre and leads it along; answers the state after the release was recorded. */
+export async function dragGrip(sheet, grip, by, { steps = 30, pause = 16 } = {}) {
+  const { revision } = await sheet.ask("state");
+  await sheet.page.mouse.move(grip.at.x - 40, grip.at.y - 40);
+  const places = [grip.at, ...by.map(({ x, y }) => ({ x: grip.at.x + x, y: grip.at.y + y }))];
+  await sheet.drag(places, { steps, pause });
+  return sheet.until("the release is recorded", (state) => state.revision !== revision);
+}
+
+/** What the page's handles are in the words of the HTTP calls. */
+export function asHandles(handles, poses = false) {
+  return handles.map(({ id, vertices, pose }) => ({
+    id,
+    region: { vertices: { indices: vertices } },
+    ...(poses ? { pose: asPose(pose) } : {}),
+  }));
+}
+
+export function asPose({ translation, rotation, scale }) {
+  return { translation, rotationVector: rotation, scale };
+}
+
+/** The largest distance between two buffers, and the diagonal of the second one's box. */
+export function compare(a, b) {
+  if (a.length !== b.length) throw new Error(`buffers of ${a.length / 3} and ${b.length / 3} vertices`);
+  let worst = 0;
+  const low = [Infinity, Infinity, Infinity];
+  const high = [-Infinity, -Infinity, -Infinity];
+  for (let k = 0; k < a.length; k += 3) {
+    worst = Math.max(worst, Math.hypot(a[k] - b[k], a[k + 1] - b[k + 1], a[k + 2] - b[k + 2]));
+    for (let c = 0; c < 3; c++) {
+      low[c] = Math.min(low[c], b[k + c]);
+      high[c] = Math.max(high[c], b[k + c]);
+    }
+  }
+  return { worst, diagonal: Math.hypot(...high.map((x, c) => x - low[c])) };
+}

@@ -1,0 +1,69 @@
+/** A lost socket costs nothing; a restarted server costs one click. */
+
+import assert from "node:assert/strict";
+import { Sheet } from "../browser.mjs";
+import { serve } from "../proxy.mjs";
+import { asHandles, asPose, compare, dragGrip } from "./hold.mjs";
+import { openSample } from "./sample.mjs";
+
+export const title = "a socket is lost in mid-drag, the page is reloaded, the server is restarted";
+
+export async function play({ browser, server, folder, log }) {
+  const proxy = await serve(folder, () => server.url);
+  try {
+    const sheet = await Sheet.open(browser, proxy.url);
+    await openSample(sheet);
+    const [, head] = await sheet.ask("handles");
+
+    // The socket goes while the mouse holds the gizmo.
+    const { mouse } = sheet.page;
+    const { revision } = await sheet.ask("state");
+    await mouse.move(head.at.x, head.at.y);
+    await mouse.down();
+    for (let k = 1; k <= 10; k++) await mouse.move(head.at.x + 5 * k, head.at.y - 2 * k);
+    proxy.cut();
+    for (let k = 1; k <= 10; k++) await mouse.move(head.at.x + 50 + 3 * k, head.at.y - 20 - 2 * k);
+    await mouse.up();
+    await sheet.until("the release is recorded after the socket came back", (state) => state.revision !== revision);
+    const [feet, dragged] = await sheet.ask("handles");
+    const session = await server.json("POST", "/v1/sessions?sample=creature");
+    await server.json("PUT", `/v1/sessions/${session.id}/handles`, { handles: asHandles([feet, dragged]) });
+    const solved = await server.floats("POST", `/v1/sessions/${session.id}/solve`, {
+      pose: { handles: [{ id: dragged.id, pose: asPose(dragged.pose) }] },
+    });
+    assert.equal(compare(await sheet.positions(), solved).worst, 0, "the shape is the one that was dragged to");
+    const id = await sheet.ask("session");
+
+    await sheet.page.reload();
+    await sheet.ready();
+    await sheet.until("the page takes its session up again", ({ link, busy }) => link === "open" && !busy);
+    assert.equal(await sheet.ask("session"), id, "the session is the same");
+    assert.equal(compare(await sheet.positions(), solved).worst, 0, "so is the shape");
+    const [, resumed] = await sheet.ask("handles");
+    assert.deepEqual(resumed.pose, dragged.pose, "and the pose");
+    await dragGrip(sheet, resumed, [{ x: 20, y: 30 }]);
+    const before = await sheet.positions();
+    const [, last] = await sheet.ask("handles");
+    assert.deepEqual(sheet.complaints.filter((text) => !/WebSocket|ERR_/.test(text)), []);
+
+    await server.kill();
+    await sheet.page.locator(".banner").waitFor();
+    await sheet.picture("lost");
+    await server.start();
+    await sheet.page.getByRole("alertdialog").waitFor({ timeout: 20_000 });
+    await sheet.picture("gone");
+    await sheet.page.getByRole("button", { name: "Open it again" }).click();
+    await sheet.until("the model opens again", ({ link, busy }) => link === "open" && !busy);
+    await sheet.page.waitForFunction(() => window.pliantViewer.handles().length === 2);
+    await sheet.until("its pose is solved", ({ revision: now }) => now === "3");
+    assert.notEqual(await sheet.ask("session"), id, "the session is another");
+    const [, again] = await sheet.ask("handles");
+    assert.deepEqual(again.pose, last.pose);
+    const { worst, diagonal } = compare(await sheet.positions(), before);
+    log(`after the restart the shape differs by ${(worst / diagonal).toExponential(1)} of the box`);
+    assert.ok(worst <= 1e-6 * diagonal, `the shape is as it was before the restart, but for ${worst}`);
+    await sheet.close();
+  } finally {
+    proxy.stop();
+  }
+}

@@ -1,0 +1,136 @@
+//! Edits of a model made by hand: which vertices are made of which, without the edit operations.
+
+use glam::{DAffine3, DVec3};
+use pliant::asset::{Base, Error, FileSet, Format, Limits, Model, Recipes, Remade, Run, Written, write_remade};
+use std::collections::BTreeMap;
+
+/// The parts of a [`Remade`] of one base.
+pub struct Edited {
+    pub runs: Vec<Run>,
+    pub recipes: Recipes,
+    pub triangles: Vec<[u32; 3]>,
+    pub positions: Vec<DVec3>,
+}
+
+impl Edited {
+    /// Every triangle cut into four at the middles of its edges where `subdivide`; else the first triangle of every
+    /// primitive put last, which changes nothing but makes everything be written anew.
+    pub fn of(model: &Model, subdivide: bool) -> Self {
+        let mut edited = Self {
+            runs: Vec::new(),
+            recipes: Recipes::default(),
+            triangles: Vec::new(),
+            positions: Vec::new(),
+        };
+        let mut rest = &model.triangles[..];
+        for (i, primitive) in model.primitives.iter().enumerate() {
+            let (own, after) = rest.split_at(primitive.index_count as usize / 3);
+            rest = after;
+            let first_vertex = edited.positions.len() as u32;
+            let first_triangle = edited.triangles.len() as u32;
+            let shift = |v: u32| v - primitive.first_vertex + first_vertex;
+            for v in primitive.first_vertex..primitive.first_vertex + primitive.vertex_count {
+                edited.recipes.push_vertex(v);
+                edited.positions.push(model.positions[v as usize]);
+            }
+            if subdivide {
+                let mut middles = BTreeMap::new();
+                for &t in own {
+                    let mut middle = |a: u32, b: u32| {
+                        *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+                            edited.recipes.push_blend(&[(a, 0.5), (b, 0.5)]);
+                            edited
+                                .positions
+                                .push((model.positions[a as usize] + model.positions[b as usize]) * 0.5);
+                            edited.positions.len() as u32 - 1
+                        })
+                    };
+                    let [a, b, c] = t;
+                    let [ab, bc, ca] = [middle(a, b), middle(b, c), middle(c, a)];
+                    let [a, b, c] = t.map(shift);
+                    edited
+                        .triangles
+                        .extend([[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]);
+                }
+            } else {
+                edited
+                    .triangles
+                    .extend(own[1..].iter().chain(&own[..1]).map(|t| t.map(shift)));
+            }
+            edited.runs.push(Run {
+                base: 0,
+                primitive: i as u32,
+                first_vertex,
+                vertex_count: edited.positions.len() as u32 - first_vertex,
+                first_triangle,
+                triangle_count: edited.triangles.len() as u32 - first_triangle,
+            });
+        }
+        edited
+    }
+
+    /// Adds another edited model behind this one, as its next base.
+    pub fn merge(&mut self, other: &Self) {
+        let base = self.runs.iter().map(|r| r.base + 1).max().unwrap_or(0);
+        let (vertices, triangles) = (self.positions.len() as u32, self.triangles.len() as u32);
+        self.runs.extend(other.runs.iter().map(|run| Run {
+            base,
+            first_vertex: run.first_vertex + vertices,
+            first_triangle: run.first_triangle + triangles,
+            ..*run
+        }));
+        for v in 0..other.positions.len() {
+            self.recipes.push_composed(&other.recipes, &[(v as u32, 1.0)]);
+        }
+        self.triangles
+            .extend(other.triangles.iter().map(|t| t.map(|v| v + vertices)));
+        self.positions.extend(&other.positions);
+    }
+
+    /// The description over these models.
+    pub fn remade<'a>(&'a self, bases: &'a [Base<'a>]) -> Remade<'a> {
+        Remade {
+            bases,
+            runs: &self.runs,
+            recipes: &self.recipes,
+            triangles: &self.triangles,
+            origins: &[],
+            bare: &[],
+        }
+    }
+
+    pub fn write(&self, model: &Model, format: Format) -> Result<Written, Error> {
+        let bases = [at_rest(model)];
+        write_remade(&self.remade(&bases), &self.positions, format)
+    }
+}
+
+/// A base where it was uploaded.
+pub fn at_rest(model: &Model) -> Base<'_> {
+    Base {
+        model,
+        world_from_model: DAffine3::IDENTITY,
+    }
+}
+
+/// What was written, read again.
+pub fn read_back(written: &Written, format: Format) -> Model {
+    let companions = written
+        .companions
+        .iter()
+        .map(|(name, b)| (name.clone(), b.clone().into()))
+        .collect();
+    let files = FileSet {
+        name: "written".into(),
+        main: written.main.clone().into(),
+        companions,
+    };
+    Model::read(files, Some(format), &Limits::default()).expect("what was written is read again")
+}
+
+/// The largest extent of points.
+pub fn size(points: &[DVec3]) -> f64 {
+    let low = points.iter().fold(DVec3::INFINITY, |a, &p| a.min(p));
+    let high = points.iter().fold(DVec3::NEG_INFINITY, |a, &p| a.max(p));
+    (high - low).max_element().max(low.abs().max(high.abs()).max_element())
+}
