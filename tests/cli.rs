@@ -40,7 +40,7 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
     let job = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
     job("job.json", JOB);
     job("unknown.json", r#"{"handles": [{"id": "a", "regoin": {}}]}"#);
-    job("edit.json", r#"{"steps": [{"edit": {"subdivide": {}}}]}"#);
+    job("edit.json", r#"{"steps": [{"edit": {"weld": {}}}]}"#);
     job("refine.json", r#"{"options": {"refine": 1001}}"#);
     job(
         "empty.json",
@@ -69,7 +69,7 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
         ),
         (
             &["deform", "creature.glb", "--job", "edit.json", "-o", "out.glb"],
-            "subdivide",
+            "steps[0].weld.tolerance",
         ),
         (
             &["deform", "creature.glb", "--job", "refine.json", "-o", "out.glb"],

@@ -125,8 +125,8 @@ fn a_cut_that_keeps_both_sides_leaves_two_parts_that_move_apart() {
     for (p, q) in rest.iter().zip(moved.positions.iter()) {
         let by = (*q - *p).length();
         match by < 0.5 {
-            true => low += usize::from(by < 1e-9),
-            false => high += usize::from((by - 1.0).abs() < 1e-3),
+            true => low += usize::from(by < 1e-5),
+            false => high += usize::from((by - 1.0).abs() < 1e-5),
         }
     }
     assert_eq!(low + high, rest.len(), "each half moves as one");

@@ -200,15 +200,15 @@ async fn failures_carry_code_and_details() {
     assert!(full.get_error_details().retry_info().is_some(), "{full}");
     assert!(full.metadata().contains_key("retry-after"));
 
-    let operation = pb::edit_request::Operation::Weld(pb::edit_request::Weld { tolerance: 0.1 });
+    let operation = pb::edit_request::Operation::Weld(pb::edit_request::Weld { tolerance: -0.1 });
     let edit = pb::EditRequest {
         session_id: id.clone(),
         operation: Some(operation),
         ..pb::EditRequest::default()
     };
     let edit = client.edit(edit).await.unwrap_err();
-    assert_eq!(edit.code(), Code::Unimplemented);
-    assert!(edit.message().contains("weld"), "{edit}");
+    assert_eq!(edit.code(), Code::InvalidArgument);
+    assert!(edit.message().contains("weld.tolerance"), "{edit}");
 
     let format = export(&mut client, &id, "doc").await.unwrap_err();
     assert_eq!(

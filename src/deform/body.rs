@@ -33,6 +33,8 @@ pub struct BodyOptions {
     pub graph: graph::VolumeOptions,
     /// Operators of the hierarchy.
     pub operators: Operators,
+    /// Whether parts that touch have nothing to do with each other, as after a cut.
+    pub apart: bool,
 }
 
 /// The graph of a mesh, its hierarchy, and the rest pose in the coordinates that solving uses.
@@ -68,6 +70,7 @@ impl Body {
         progress.report("graph", 0.0);
         let built = match options.volume {
             VolumeMode::Off => Ok(None),
+            _ if options.apart => graph::volume_apart(mesh, &options.graph, pool, progress),
             _ => graph::volume(mesh, &options.graph, pool, progress),
         };
         let (volume, too_large) = match built {

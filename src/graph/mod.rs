@@ -7,6 +7,7 @@
 //! A volume graph has three kinds of nodes, in this order: the solver vertices of the mesh; the *shell*, a copy of each
 //! vertex moved inwards; and the *lattice*, a body-centred cubic grid further inside.
 
+mod apart;
 mod assemble;
 mod caps;
 mod columns;
@@ -26,6 +27,7 @@ mod volume;
 mod weights;
 pub mod winding;
 
+pub use apart::volume_apart;
 pub use error::Error;
 pub use recipe::Recipe;
 pub use resample::{Change, Resampled, resample};

@@ -81,6 +81,7 @@ impl Choices {
                 volume: mode,
                 graph,
                 operators,
+                apart: false,
             },
         })
     }

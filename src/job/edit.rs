@@ -119,7 +119,7 @@ impl Workbench {
                 .warnings
                 .push(warning(&("triangles-dropped".into(), message, String::new())));
         }
-        let foundation = Arc::new(self.foundation.edited(&sheet, &origins, applied, patch));
+        let foundation = Arc::new(self.foundation.edited(&sheet, &origins, applied, patch, planned.parts));
         drop(sheet);
         check(progress)?;
         let mut next = Workbench::on(foundation, self.choices.clone(), &self.limits, pool, progress)?;

@@ -33,6 +33,8 @@ pub(super) struct Edited {
     pub point_of: Vec<u32>,
     /// How many there are.
     pub points: u32,
+    /// Whether a cut has made parts that touch and do not belong together.
+    pub apart: bool,
 }
 
 impl Foundation {
@@ -100,8 +102,8 @@ impl Foundation {
     }
 
     /// The foundation after an edit of `before`, whose vertices are made of `origins` and shaded as `normals` and `tangents`
-    /// say.
-    pub fn edited(&self, before: &Sheet, origins: &Origins, applied: Applied, patch: &Patch) -> Self {
+    /// say. `parts` tells that it may have made parts that touch.
+    pub fn edited(&self, before: &Sheet, origins: &Origins, applied: Applied, patch: &Patch, parts: bool) -> Self {
         let normals = normals(before, &applied);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
         let origins = origins.after(&applied, patch, own);
@@ -122,8 +124,14 @@ impl Foundation {
                 origins,
                 point_of: applied.point_of,
                 points: applied.points,
+                apart: parts || self.is_apart(),
             }),
         }
+    }
+
+    /// Whether a cut has made parts that touch and do not belong together.
+    pub fn is_apart(&self) -> bool {
+        self.edited.as_ref().is_some_and(|e| e.apart)
     }
 }
 

@@ -38,6 +38,8 @@ pub(super) struct Planned {
     pub curve: Vec<u32>,
     /// Old points.
     pub points: u32,
+    /// Whether it may leave parts that touch and do not belong together.
+    pub parts: bool,
 }
 
 impl Planned {
@@ -78,6 +80,7 @@ pub(super) fn plan(
         patch,
         curve: Vec::new(),
         points,
+        parts: false,
     };
     match &request.operation {
         None => {
@@ -87,7 +90,10 @@ pub(super) fn plan(
                 format!("is missing, allowed is one of {allowed}"),
             ))
         }
-        Some(Operation::Cut(cut)) => self::cut(scene, cut, progress).map(simple),
+        Some(Operation::Cut(cut)) => Ok(Planned {
+            parts: true,
+            ..simple(self::cut(scene, cut, progress)?)
+        }),
         Some(Operation::Subdivide(subdivide)) => {
             let faces = scene.faces(subdivide.region.as_ref(), "subdivide.region")?;
             let scheme = match enumerated(subdivide.scheme, "subdivide.scheme")? {
@@ -130,7 +136,12 @@ pub(super) fn plan(
             let (patch, curve) =
                 edit::insert_curve(&scene.sheet.surface(), &Curve::Drawn(&line), curve.closed, progress)
                     .map_err(refused)?;
-            Ok(Planned { patch, curve, points })
+            Ok(Planned {
+                patch,
+                curve,
+                points,
+                parts: false,
+            })
         }
         Some(Operation::Weld(weld)) => {
             let tolerance = positive(weld.tolerance, "weld.tolerance")?;
@@ -319,6 +330,7 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
         patch,
         curve: Vec::new(),
         points: surface.points,
+        parts: false,
     })
 }
 

@@ -148,6 +148,7 @@ impl Workbench {
         admit(estimate(vertices, nodes as u64) + files, limits)?;
         let beside = vertices * BYTES_PER_VERTEX + files;
         let mut options = choices.body.clone();
+        options.apart = foundation.is_apart();
         interior::fit(&mut options, beside, limits);
         let body = Body::build(&mesh, &options, pool, progress)?;
         let mut warnings = warnings_of(&foundation.model, &report);

@@ -26,7 +26,7 @@ fn the_ratio_is_reached_within_a_tenth_and_the_shape_is_kept() {
             let kept = volume(&now.surface()) / volume(&model.surface());
             assert!((kept - 1.0).abs() < 0.004 / ratio, "{name} {ratio}: {kept}");
             assert!(
-                deviation(&model, &now) < 0.05,
+                deviation(&model, &now) < 0.055,
                 "{name} {ratio}: {}",
                 deviation(&model, &now)
             );

@@ -30,7 +30,8 @@ POST /v1/sessions/{id}/solve   | application/json | {"pose": {"handles": [{"id":
 POST /v1/sessions/{id}/solve   | application/json | {large} | 413 RESOURCE_EXHAUSTED | -         | 65536
 POST /v1/sessions/{bare}/solve | application/json | {}     | 409 FAILED_PRECONDITION | -         | handles
 POST /v1/sessions/{id}/redo    | -                | -      | 409 FAILED_PRECONDITION | -         | redo
-POST /v1/sessions/{id}/edits   | application/json | {"cut": {"plane": {"normal": [0, 0, 1]}}} | 501 UNIMPLEMENTED | - | cut
+POST /v1/sessions/{id}/edits   | application/json | {"cut": {"keep": "ABOVE"}} | 422 INVALID_ARGUMENT | cut | polyline
+POST /v1/sessions/{id}/edits   | application/json | {"cut": {"plane": {"normal": [0, 0, 1], "offset": 1e6}}} | 409 FAILED_PRECONDITION | - | plane
 POST /v1/sessions/{id}/edits   | application/json | {}     | 422 INVALID_ARGUMENT    | operation | cut
 POST /v1/sessions/{id}/animations | -             | -      | 501 UNIMPLEMENTED       | -         | animations
 POST /v1/sessions/{id}/solve   | application/json | {"options": {"method": 7}} | 422 INVALID_ARGUMENT | options.method | 7

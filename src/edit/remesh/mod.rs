@@ -56,7 +56,8 @@ const MENDING: usize = 6;
 
 /// Remeshes `faces`, rising triangle numbers. With [`Target::Auto`] nothing changes where nothing is stretched; a patch
 /// that changes nothing comes with the warning `remesh-nothing`. Faces that stay worse than [`MENDED`] are counted in the
-/// warning `remesh-aspect`.
+/// warning `remesh-aspect`, those that stand against the surface beside them, because it is thinner there than the target
+/// length, in `remesh-thin`.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a length that is not positive, a rest shape of another size, or no region;
@@ -127,25 +128,37 @@ pub fn remesh(surface: &Surface, faces: &[u32], target: Target, progress: &dyn P
         passes::flip(&mut state, progress)?;
         passes::smooth(&mut state, progress)?;
     }
-    let bad = state
-        .mesh
-        .living()
-        .filter(|&f| triangle::aspect(state.mesh.corners_of(f)) > MENDED);
-    let (bad, place) = bad.fold((0usize, None), |(n, place), f| {
-        (n + 1, place.or(Some(state.mesh.corners_of(f)[0])))
-    });
+    state.refresh_sources();
+    let warnings: Vec<_> = [
+        warning(&state, "remesh-aspect", |state, f| {
+            triangle::aspect(state.mesh.corners_of(f)) > MENDED
+        }),
+        warning(&state, "remesh-thin", State::stands_against),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
     let mut patch = state.mesh.into_patch();
-    if let Some(place) = place {
-        patch.warnings.push((
-            "remesh-aspect".to_owned(),
-            format!("{bad} triangles stay further than {MENDED} from equilateral: the rim of the region, seams, boundaries or sharp edges hold them"),
-            format!("{place}"),
-        ));
-    }
+    patch.warnings = warnings;
     if patch.removed.is_empty() && patch.triangles.is_empty() {
         patch.warnings.extend(nothing().warnings);
     }
     Ok(patch)
+}
+
+/// Counts faces of which `holds` is true and says where the first one is.
+fn warning(state: &State, code: &str, holds: impl Fn(&State, u32) -> bool) -> Option<(String, String, String)> {
+    let mut found = state.mesh.living().filter(|&f| holds(state, f));
+    let place = state.mesh.corners_of(found.next()?)[0];
+    let count = 1 + found.count();
+    let message = if code == "remesh-thin" {
+        format!("{count} triangles cut across parts of the surface that are thinner than the target length")
+    } else {
+        format!(
+            "{count} triangles stay further than {MENDED} from equilateral: the rim of the region, seams, boundaries or sharp edges hold them"
+        )
+    };
+    Some((code.to_owned(), message, format!("{place}")))
 }
 
 fn nothing() -> Patch {

@@ -155,6 +155,9 @@ pub(super) fn try_flip(state: &mut State, a: u32, b: u32, accept: impl Fn(f64, f
     if !flat || !faithful || !accept(worst(before), worst(after)) {
         return false;
     }
+    if !after.iter().all(|&t| state.agrees(edge.left, t)) {
+        return false;
+    }
     state.mesh.flip(edge, a, b);
     true
 }
@@ -202,25 +205,38 @@ pub(super) fn smooth(state: &mut State, progress: &dyn Progress) -> Result<(), E
     Ok(())
 }
 
-/// Mends faces worse than `bound`, the worst first: by turning their longest edge, else by collapsing their shortest.
-/// Says how many it mended.
+/// Mends faces worse than `bound` by turning their longest edge, else by collapsing their shortest, and faces that stand
+/// against the surface beside them by turning an edge. The worst come first. Says how many it mended.
 pub(super) fn mend(state: &mut State, bound: f64, progress: &dyn Progress) -> Result<usize, Error> {
     stop(progress)?;
     let mut bad: Vec<(u64, u32)> = Vec::new();
     for f in state.mesh.living() {
         let aspect = triangle::aspect(state.mesh.corners_of(f));
-        if aspect > bound {
+        if aspect > bound || state.stands_against(f) {
             bad.push((aspect.to_bits(), f));
         }
     }
     bad.sort_unstable_by_key(|&(bits, f)| (std::cmp::Reverse(bits), f));
     let mut count = 0;
     for (_, f) in bad {
-        if state.mesh.faces[f as usize].alive && triangle::aspect(state.mesh.corners_of(f)) > bound {
+        if !state.mesh.faces[f as usize].alive {
+            continue;
+        }
+        if triangle::aspect(state.mesh.corners_of(f)) > bound {
             count += usize::from(mend_face(state, f));
+        } else if state.stands_against(f) {
+            count += usize::from(mend_against(state, f, bound));
         }
     }
     Ok(count)
+}
+
+/// A face that cuts off a thin part of the surface: other edges may follow it.
+fn mend_against(state: &mut State, f: u32, bound: f64) -> bool {
+    let p = state.mesh.points_of(f);
+    let mut sides = [0, 1, 2].map(|i| (p[i], p[(i + 1) % 3]));
+    sides.sort_by(|x, y| state.mesh.length(y.0, y.1).total_cmp(&state.mesh.length(x.0, x.1)));
+    (sides.into_iter()).any(|(a, b)| try_flip(state, a, b, |before, after| after <= before.max(bound)))
 }
 
 fn mend_face(state: &mut State, f: u32) -> bool {

@@ -69,6 +69,32 @@ impl State {
         triangle::cosine(triangle::area_normal(corners), there).is_none_or(|c| c >= FAITHFUL)
     }
 
+    /// Whether a changed face stands against the original one that it lies beside.
+    pub fn stands_against(&self, f: u32) -> bool {
+        self.mesh.faces[f as usize].old == NONE && !self.is_faithful(f, self.mesh.corners_of(f))
+    }
+
+    /// The same as [`is_faithful`](Self::is_faithful), beside the original face that is nearest to the middle of these corners, looked for around face `f`. It
+    /// notices when a face would cut off a thin part of the surface.
+    pub fn agrees(&mut self, f: u32, corners: [DVec3; 3]) -> bool {
+        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let spot = self.original.nearest(middle, &self.seeds_of_face(f));
+        let there = self.original.normal(spot.face);
+        triangle::cosine(triangle::area_normal(corners), there).is_none_or(|c| c >= FAITHFUL)
+    }
+
+    fn seeds_of_face(&self, f: u32) -> Vec<u32> {
+        let inside = |p: u32| match self.places[p as usize] {
+            Place::Inside(spot) => Some(spot.face),
+            _ => None,
+        };
+        let points = self.mesh.points_of(f).into_iter();
+        points
+            .filter_map(inside)
+            .chain([self.mesh.faces[f as usize].source])
+            .collect()
+    }
+
     /// Faces of the original surface from which to look for a place near point `p`, on one side of all lines.
     pub fn seeds(&self, p: u32) -> Vec<u32> {
         let around = self.mesh.points[p as usize].faces.iter();
@@ -205,6 +231,9 @@ impl State {
         if !accept(self, &after) {
             return false;
         }
+        if !(collapse.kept.iter().zip(&after)).all(|(&f, &corners)| self.agrees(f, corners)) {
+            return false;
+        }
         if let Place::On(on) = self.places[from as usize]
             && !self.shorten(from, to, on)
         {
@@ -305,12 +334,7 @@ impl State {
             .collect();
         for f in changed {
             let middle = self.mesh.corners_of(f).iter().sum::<DVec3>() / 3.0;
-            let mut seeds = vec![self.mesh.faces[f as usize].source];
-            for p in self.mesh.points_of(f) {
-                if let Place::Inside(spot) = self.places[p as usize] {
-                    seeds.push(spot.face);
-                }
-            }
+            let seeds = self.seeds_of_face(f);
             self.mesh.faces[f as usize].source = self.original.nearest(middle, &seeds).face;
         }
     }

@@ -47,21 +47,30 @@ pub(super) fn shortest(mesh: &Editable, a: &Loop, b: &Loop) -> Option<Strip> {
         joined.extend(beside.filter(|q| others.binary_search(q).is_ok()).map(|q| (p, q)));
     }
     joined.sort_unstable();
-    let cost = |i: usize, j: usize| {
-        let (p, q) = (at_a(i), at_b(j));
-        // Once around one loop, but not the other, the strip would be back at its first edge.
-        let again = (i, j) == (n, 0) || (i, j) == (0, m);
-        if again || joined.binary_search(&(p, q)).is_ok() {
-            f64::INFINITY
+    // No triangle may go all the way around one loop, or its sides would be one edge. Beginning along one loop and ending
+    // along the other makes sure of that: both ways are tried.
+    let try_from = |first_a: bool| {
+        let forbidden = if first_a {
+            [(n, 0), (0, m), (0, 1), (n - 1, m)]
         } else {
-            mesh.length(p, q)
+            [(n, 0), (0, m), (1, 0), (n, m - 1)]
+        };
+        let cost = |i: usize, j: usize| {
+            let (p, q) = (at_a(i), at_b(j));
+            if forbidden.contains(&(i, j)) || joined.binary_search(&(p, q)).is_ok() {
+                f64::INFINITY
+            } else {
+                mesh.length(p, q)
+            }
+        };
+        if n.saturating_mul(m) <= MOST_PAIRS {
+            best_steps(n, m, cost)
+        } else {
+            greedy_steps(n, m, cost)
         }
     };
-    let (steps, total) = if n.saturating_mul(m) <= MOST_PAIRS {
-        best_steps(n, m, cost)?
-    } else {
-        greedy_steps(n, m, cost)?
-    };
+    let ways = [try_from(true), try_from(false)].into_iter().flatten();
+    let (steps, total) = ways.min_by(|x, y| x.1.total_cmp(&y.1))?;
     let (mut i, mut j) = (0, 0);
     let mut triangles = Vec::with_capacity(n + m);
     for along_a in steps {
