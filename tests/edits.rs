@@ -4,6 +4,8 @@
 mod bench;
 #[path = "edits/handles.rs"]
 mod handles;
+#[path = "edits/operations.rs"]
+mod operations;
 
 use bench::*;
 use glam::DVec3;
