@@ -104,7 +104,7 @@ impl Workbench {
             handles_kept: carried.kept.clone(),
             warnings: carried.warnings.clone(),
             kept: runs(&applied, before.0),
-            curve: planned.curve(&applied, sheet.positions.len()),
+            curve: planned.curve(&applied),
             ..Default::default()
         };
         result.warnings.extend(patch.warnings.iter().map(warning));

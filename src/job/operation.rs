@@ -34,38 +34,26 @@ pub(super) struct Scene<'a> {
 pub(super) struct Planned {
     /// What it changes.
     pub patch: Patch,
-    /// Points along an inserted curve; new points are counted on from the old ones.
+    /// Points along an inserted curve, in the numbers after the edit.
     pub curve: Vec<u32>,
-    /// Old points.
-    pub points: u32,
     /// Whether it may leave parts that touch and do not belong together.
     pub parts: bool,
 }
 
 impl Planned {
-    /// One render vertex for each point of the curve, in the numbers after the edit.
-    pub fn curve(&self, applied: &Applied, old: usize) -> Vec<u32> {
+    /// One render vertex for each point of the curve.
+    pub fn curve(&self, applied: &Applied) -> Vec<u32> {
         if self.curve.is_empty() {
             return Vec::new();
         }
-        // New points keep their order, after the old ones that are left.
-        let fresh = |p: u32| self.patch.vertices.iter().position(|v| v.point == p);
-        let mut vertex_of = std::collections::BTreeMap::new();
-        for (now, &was) in (0u32..).zip(&applied.old_from_vertex) {
-            vertex_of.entry(was).or_insert(now);
-        }
-        let mut of_point = std::collections::BTreeMap::new();
-        for (now, &p) in (0u32..).zip(&applied.point_of) {
+        let mut vertex_of = vec![NONE; applied.points as usize];
+        // From the last to the first, so that the first vertex of each point stays.
+        for (vertex, &p) in applied.point_of.iter().enumerate().rev() {
             if p != NONE {
-                of_point.entry(p).or_insert(now);
+                vertex_of[p as usize] = vertex as u32;
             }
         }
-        (self.curve.iter())
-            .filter_map(|&p| match p.checked_sub(self.points) {
-                None => of_point.get(&applied.point_from_old[p as usize]).copied(),
-                Some(_) => vertex_of.get(&((old + fresh(p)?) as u32)).copied(),
-            })
-            .collect()
+        self.curve.iter().map(|&p| vertex_of[p as usize]).collect()
     }
 }
 
@@ -75,11 +63,9 @@ pub(super) fn plan(
     request: &pb::EditRequest,
     progress: &dyn Progress,
 ) -> Result<Planned, Error> {
-    let points = scene.sheet.points;
     let simple = |patch: Patch| Planned {
         patch,
         curve: Vec::new(),
-        points,
         parts: false,
     };
     match &request.operation {
@@ -139,7 +125,6 @@ pub(super) fn plan(
             Ok(Planned {
                 patch,
                 curve,
-                points,
                 parts: false,
             })
         }
@@ -329,7 +314,6 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
     Ok(Planned {
         patch,
         curve: Vec::new(),
-        points: surface.points,
         parts: false,
     })
 }

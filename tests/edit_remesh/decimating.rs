@@ -3,7 +3,7 @@
 use super::edit_support::*;
 use super::measures::*;
 use pliant::edit::Error;
-use pliant::edit::decimate::decimate;
+use pliant::edit::decimate;
 use pliant::progress::Silent;
 
 #[test]
@@ -26,7 +26,7 @@ fn the_ratio_is_reached_within_a_tenth_and_the_shape_is_kept() {
             let kept = volume(&now.surface()) / volume(&model.surface());
             assert!((kept - 1.0).abs() < 0.004 / ratio, "{name} {ratio}: {kept}");
             assert!(
-                deviation(&model, &now) < 0.055,
+                deviation(&model, &now) < 0.05,
                 "{name} {ratio}: {}",
                 deviation(&model, &now)
             );
@@ -117,23 +117,7 @@ fn data_meshes_of_any_kind_keep_their_topology() {
             let patch = decimate(&model.surface(), &all(&model), ratio, &Silent).expect("thins out");
             let now = after(&model, &patch);
             let t = topology(&now);
-            assert_eq!(
-                (
-                    t.euler,
-                    t.components,
-                    t.crowded_edges,
-                    t.twisted_edges,
-                    t.pinched_points
-                ),
-                (
-                    before.euler,
-                    before.components,
-                    before.crowded_edges,
-                    before.twisted_edges,
-                    before.pinched_points
-                ),
-                "{name}"
-            );
+            assert_eq!(kind(&t), kind(&before), "{name}");
             let reached = now.triangles.len() as f64 / model.triangles.len() as f64;
             assert!(
                 reached < 1.1 * ratio || !patch.warnings.is_empty(),

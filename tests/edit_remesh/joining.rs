@@ -4,8 +4,8 @@ use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
 use pliant::edit::Error;
-use pliant::edit::stitch::{Between, stitch};
-use pliant::edit::weld::{weld, weld_boundaries};
+use pliant::edit::{Between, stitch};
+use pliant::edit::{weld, weld_boundaries};
 use pliant::progress::Silent;
 
 /// Two models in one list, each point of its own, the second in a primitive of its own if asked.

@@ -153,6 +153,14 @@ pub fn topology(model: &Model) -> Topology {
     Topology::of(&model.surface())
 }
 
+/// What no operation may change that keeps the topology: Euler characteristic, parts, and edges and points that are not
+/// manifold.
+pub fn kind(t: &Topology) -> [i64; 5] {
+    let counts = [t.components, t.crowded_edges, t.twisted_edges, t.pinched_points];
+    let [parts, crowded, twisted, pinched] = counts.map(|n| i64::try_from(n).expect("a count"));
+    [t.euler, parts, crowded, twisted, pinched]
+}
+
 /// Mean edge length.
 pub fn mean_length(model: &Model) -> f64 {
     let length = |t: u32| {

@@ -3,11 +3,11 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::decimate::decimate;
-use pliant::edit::remesh::{Target, remesh};
-use pliant::edit::subdivide::{Scheme, subdivide};
-use pliant::edit::weld::weld;
+use pliant::edit::decimate;
+use pliant::edit::weld;
 use pliant::edit::{Error, Patch};
+use pliant::edit::{Scheme, subdivide};
+use pliant::edit::{Target, remesh};
 use pliant::progress::Silent;
 use proptest::prelude::*;
 

@@ -3,7 +3,7 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::subdivide::{Scheme, subdivide};
+use pliant::edit::{Scheme, subdivide};
 use pliant::progress::Silent;
 
 fn divided(model: &Model, faces: &[u32], scheme: Scheme) -> Model {

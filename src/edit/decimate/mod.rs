@@ -27,7 +27,7 @@ const LEAST_COSINE: f64 = 0.25;
 const WORST_ASPECT: f64 = 12.0;
 
 /// How much the length of an edge counts beside its distance to the planes, so that flat places thin out evenly.
-const EVENNESS: f64 = 1e-6;
+const EVENNESS: f64 = 1e-5;
 
 /// Thins out `faces`, rising triangle numbers, to `ratio` of their number, as far as shape, rim and topology allow;
 /// warns with `decimate-short` when more than a tenth too many are left.
