@@ -2,6 +2,8 @@
 
 #[path = "paper/bench.rs"]
 mod bench;
+#[path = "edits/following.rs"]
+mod following;
 #[path = "edits/handles.rs"]
 mod handles;
 #[path = "edits/operations.rs"]
@@ -47,7 +49,7 @@ fn midpoint(region: Option<pb::Region>) -> pb::EditRequest {
 }
 
 /// Edits the shape that `shape` is, with the handles' own poses in force.
-fn edit(bench: &mut Workbench, request: &pb::EditRequest, shape: &[DVec3]) -> Result<EditOutcome, Error> {
+fn edit(bench: &mut Workbench, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> Result<EditOutcome, Error> {
     let poses = bench.initial_poses();
     let order = EditOrder {
         request,

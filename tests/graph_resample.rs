@@ -244,7 +244,7 @@ fn wide_openings_and_large_edits_are_left_to_a_new_graph() {
     let graph = volume_of(&ball);
     let ask = |plan: Plan| {
         let edited = ball.apply(&plan);
-        resample(&graph, &edited.change(), &pool(2), &Silent)
+        resample(&graph, &graph.positions, &edited.change(), &pool(2), &Silent)
             .expect("not cancelled")
             .is_none()
     };
@@ -410,11 +410,12 @@ fn two_hundred_edits_in_sequence_keep_what_a_graph_promises() {
         {
             continue;
         }
-        match resample(&graph, &edited.change(), &pool(1), &Silent).expect("not cancelled") {
+        match resample(&graph, &graph.positions, &edited.change(), &pool(1), &Silent).expect("not cancelled") {
             Some(after) => {
                 check(&graph, &edited, &after);
                 if step % 20 == 0 {
-                    let three = resample(&graph, &edited.change(), &pool(3), &Silent).expect("not cancelled");
+                    let three =
+                        resample(&graph, &graph.positions, &edited.change(), &pool(3), &Silent).expect("not cancelled");
                     assert!(
                         three.as_ref() == Some(&after),
                         "step {step}: the same bits for any number of threads"

@@ -7,6 +7,8 @@ mod commits;
 mod edits;
 #[path = "session/fake.rs"]
 mod fake;
+#[path = "session/following.rs"]
+mod following;
 #[path = "session/life.rs"]
 mod life;
 #[path = "session/limits.rs"]

@@ -39,6 +39,8 @@ enum Command {
     Solver(bench::solver::SolverArgs),
     /// Time every stage from a model's file to the first frame
     Pipeline(bench::pipeline::PipelineArgs),
+    /// Edit a region of a model and time everything up to the next frame, repaired and built anew
+    Edits(bench::edits::EditsArgs),
     /// Deform every model of a folder and draw them all on one picture
     Sheet(sheet::SheetArgs),
     /// Make the paper's figures 2 and 3: every first pass, and the deformation of space, side by side
@@ -112,6 +114,7 @@ fn main() -> ExitCode {
         Command::ExportSystem(args) => bench::export::run(args),
         Command::Solver(args) => bench::solver::run(args),
         Command::Pipeline(args) => bench::pipeline::run(args),
+        Command::Edits(args) => bench::edits::run(args),
         Command::Sheet(args) => sheet::run(args),
         Command::Figures(args) => figures::run(args),
     };

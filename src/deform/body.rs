@@ -99,11 +99,7 @@ impl Body {
         };
         let unit = power_of_two_near(diagonal);
         let origin = bounds.min + (bounds.max - bounds.min) * 0.5;
-        let rest: Vec<[f64; 3]> = graph
-            .positions
-            .iter()
-            .map(|&p| ((p - origin) / unit).to_array())
-            .collect();
+        let rest = pool.install(|| place(&graph.positions, origin, unit));
 
         progress.report("hierarchy", 0.0);
         let view = solver::Graph {
@@ -177,17 +173,27 @@ fn power_of_two_near(length: f64) -> f64 {
     libm::exp2(libm::floor(libm::log2(length)).clamp(-900.0, 900.0))
 }
 
-fn laplacian(graph: &Graph, rest: &[[f64; 3]]) -> Vec<[f64; 3]> {
+/// Model space to solving coordinates.
+pub(super) fn place(positions: &[DVec3], origin: DVec3, unit: f64) -> Vec<[f64; 3]> {
+    let to_solving = |p: &DVec3| ((*p - origin) / unit).to_array();
+    positions.par_iter().map(to_solving).collect()
+}
+
+/// Σ w (p_i − p_j) over the neighbours of every node.
+pub(super) fn laplacian(graph: &Graph, rest: &[[f64; 3]]) -> Vec<[f64; 3]> {
     (0..rest.len())
         .into_par_iter()
-        .map(|i| {
-            let p = DVec3::from_array(rest[i]);
-            let mut sum = DVec3::ZERO;
-            for e in graph.offsets[i] as usize..graph.offsets[i + 1] as usize {
-                let w = graph.weights.as_ref().map_or(1.0, |w| f64::from(w[e]));
-                sum += w * (p - DVec3::from_array(rest[graph.neighbours[e] as usize]));
-            }
-            sum.to_array()
-        })
+        .map(|i| differential(graph, rest, i))
         .collect()
+}
+
+/// Σ w (p_i − p_j) over the neighbours of one node.
+pub(super) fn differential(graph: &Graph, rest: &[[f64; 3]], i: usize) -> [f64; 3] {
+    let p = DVec3::from_array(rest[i]);
+    let mut sum = DVec3::ZERO;
+    for e in graph.offsets[i] as usize..graph.offsets[i + 1] as usize {
+        let w = graph.weights.as_ref().map_or(1.0, |w| f64::from(w[e]));
+        sum += w * (p - DVec3::from_array(rest[graph.neighbours[e] as usize]));
+    }
+    sum.to_array()
 }

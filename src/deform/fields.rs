@@ -4,10 +4,10 @@
 //! them need not be solved for. Soft handles enter as a pull towards 1, which keeps both properties.
 
 use super::rig::{NOBODY, Ownership};
-use super::{Body, Error};
+use super::{Body, Error, Restart};
 use crate::pool::Pool;
 use crate::progress::Progress;
-use crate::solver::{Constraints, Control, SolveOptions, Start, Workspace};
+use crate::solver::{Constraints, Control, SolveOptions, Start, System, Workspace};
 use rayon::prelude::*;
 
 /// Relative residual to which fields are solved. Blending needs no more, and bends show no difference below it.
@@ -124,14 +124,16 @@ impl Fields {
     }
 }
 
-/// Solves the fields of all holds in one go, all columns together.
+/// Solves the fields of all holds in one go, all columns together: from nothing, or from those before an edit. Also answers
+/// the system, if there was anything to solve.
 pub(super) fn solve(
     body: &Body,
     ownership: &Ownership,
     holds: usize,
+    restart: Option<(&Restart<'_>, &Fields)>,
     pool: &Pool,
     progress: &dyn Progress,
-) -> Result<Fields, Error> {
+) -> Result<(Fields, Option<System>), Error> {
     let nodes = body.nodes();
     let covered = ownership.covered(body);
     let active: Vec<usize> = (0..=holds)
@@ -141,15 +143,17 @@ pub(super) fn solve(
         .collect();
     let mut fields = vec![Vec::new(); holds + 1];
     let Some((&first, others)) = active.split_first() else {
-        return Ok(Fields {
+        let none = Fields {
             fields,
             covered,
             iterations: 0,
-        });
+        };
+        return Ok((none, None));
     };
     let in_cover = |i: usize| covered[body.graph.component[i] as usize];
     let columns = others.len();
     let mut iterations = 0;
+    let mut solved = None;
     let mut x = vec![0.0; nodes * columns];
     if columns > 0 {
         let mut column_of = vec![usize::MAX; holds + 1];
@@ -174,11 +178,14 @@ pub(super) fn solve(
             stiffness: stiffness.as_deref(),
         };
         let system = body.hierarchy.constrain(&constraints, pool)?;
+        let guessed =
+            restart.is_some_and(|(restart, before)| restart.guess(body, before, others, &fixed, &mut x, pool));
+        let from_nothing = Start::FullMultigrid {
+            frames: None,
+            rest: None,
+        };
         let options = SolveOptions {
-            start: Start::FullMultigrid {
-                frames: None,
-                rest: None,
-            },
+            start: if guessed { Start::Given } else { from_nothing },
             tolerance: Some(FIELD_TOLERANCE),
             ..Default::default()
         };
@@ -195,6 +202,7 @@ pub(super) fn solve(
             &mut |_| Control::Continue,
         )?;
         iterations = stats.iterations;
+        solved = Some(system);
     }
     pool.install(|| {
         // The solver stops short of the exact solution, so bounds and sum are restored to the last bit that matters.
@@ -216,11 +224,12 @@ pub(super) fn solve(
             })
             .collect();
     });
-    Ok(Fields {
+    let fields = Fields {
         fields,
         covered,
         iterations,
-    })
+    };
+    Ok((fields, solved))
 }
 
 #[cfg(test)]

@@ -258,7 +258,7 @@ struct Scales<'a> {
 
 impl<'a> Scales<'a> {
     fn new(rig: &'a Rig, transforms: &[Transform]) -> Self {
-        let fields = rig.scale_fields.as_ref().unwrap_or(&rig.rotation_fields);
+        let fields = rig.scale_fields.as_deref().unwrap_or(&rig.rotation_fields);
         let terms = transforms
             .iter()
             .enumerate()

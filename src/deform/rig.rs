@@ -2,10 +2,11 @@
 
 use super::fields::{self, Fields};
 use super::parts::{Parts, Policy};
-use super::{Body, Error};
+use super::{Body, Error, KeptFields, Restart};
 use crate::pool::Pool;
 use crate::progress::Progress;
 use crate::solver::{Constraints, System};
+use std::sync::Arc;
 
 /// In an owner list: nobody holds the node.
 pub(super) const NOBODY: u32 = u32::MAX;
@@ -137,15 +138,15 @@ pub(super) struct Constrained {
 
 /// Handles on a body, ready for any number of poses.
 pub struct Rig {
-    pub(super) rigging: Rigging,
+    pub(super) rigging: Arc<Rigging>,
     pub(super) position: Ownership,
     pub(super) rotation: Ownership,
     /// Fields of the handles that constrain rotation.
-    pub(super) rotation_fields: Fields,
+    pub(super) rotation_fields: Arc<Fields>,
     /// What rotations are blended with instead, when a handle is small.
     pub(super) blending_fields: Option<Fields>,
     /// Fields of those that constrain scale; `None` when they are the same as for rotation.
-    pub(super) scale_fields: Option<Fields>,
+    pub(super) scale_fields: Option<Arc<Fields>>,
     pub(super) positions: Constrained,
     /// With rigid regions that nothing holds hard: the system in which they are given too.
     pub(super) rigid: Option<Constrained>,
@@ -161,6 +162,20 @@ impl Rig {
     /// # Errors
     /// [`Error::NoPosition`], [`Error::FreePart`], [`Error::Solver`], [`Error::Cancelled`].
     pub fn build(body: &Body, rigging: Rigging, pool: &Pool, progress: &dyn Progress) -> Result<Self, Error> {
+        Self::restart(body, rigging, None, pool, progress)
+    }
+
+    /// As [`Rig::build`], with fields that begin from those of the same holds before an edit.
+    ///
+    /// # Errors
+    /// As [`Rig::build`].
+    pub fn restart(
+        body: &Body,
+        rigging: Rigging,
+        restart: Option<&Restart<'_>>,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
         progress.report("fields", 0.0);
         let nodes = body.nodes();
         let position = Ownership::settle(&rigging, nodes, |h| h.position);
@@ -172,12 +187,17 @@ impl Rig {
         }
         let parts = Parts::settle(body, &covered, rigging.policy)?;
 
-        let rotation_fields = fields::solve(body, &rotation, rigging.holds.len(), pool, progress)?;
+        let holds = rigging.holds.len();
+        let begin = restart.map(|r| (r, r.before.rotation.as_ref()));
+        let (rotation_fields, system) = fields::solve(body, &rotation, holds, begin, pool, progress)?;
         let blending_fields = rotation_fields.around_small(body, &rotation, pool);
         let shared = scale.same_as(&rotation);
         let scale_fields = match shared {
             true => None,
-            false => Some(fields::solve(body, &scale, rigging.holds.len(), pool, progress)?),
+            false => {
+                let begin = restart.and_then(|r| Some((r, r.before.scale.as_deref()?)));
+                Some(fields::solve(body, &scale, holds, begin, pool, progress)?.0)
+            }
         };
         let field_iterations = rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);
 
@@ -186,7 +206,11 @@ impl Rig {
             .map(|i| position.hard[i] != NOBODY || !covered[body.graph.component[i] as usize])
             .collect();
         let stiffness = position.stiffness();
-        let positions = constrained(body, fixed, stiffness.as_deref(), pool)?;
+        // What holds rotations mostly holds positions too, and then both have one system.
+        let positions = match system.filter(|_| position.same_as(&rotation)) {
+            Some(system) => Constrained { fixed, system },
+            None => constrained(body, fixed, stiffness.as_deref(), pool)?,
+        };
         let loose: Vec<&Hold> = rigging
             .holds
             .iter()
@@ -203,12 +227,12 @@ impl Rig {
             Some(constrained(body, fixed, stiffness.as_deref(), pool)?)
         };
         Ok(Self {
-            rigging,
+            rigging: Arc::new(rigging),
             position,
             rotation,
-            rotation_fields,
+            rotation_fields: Arc::new(rotation_fields),
             blending_fields,
-            scale_fields,
+            scale_fields: scale_fields.map(Arc::new),
             positions,
             rigid,
             parts,
@@ -229,6 +253,15 @@ impl Rig {
     /// The fields of the handles that constrain rotation.
     pub fn rotation_fields(&self) -> &Fields {
         &self.rotation_fields
+    }
+
+    /// Its fields, to begin those after an edit from.
+    pub fn keep_fields(&self) -> KeptFields {
+        KeptFields {
+            rotation: Arc::clone(&self.rotation_fields),
+            scale: self.scale_fields.clone(),
+            rigging: Arc::clone(&self.rigging),
+        }
     }
 
     /// By node: whether its position is given (held hard, frozen, or in a part that is placed by policy).
@@ -268,7 +301,7 @@ impl Rig {
         holds
             + self.rotation_fields.bytes()
             + self.blending_fields.as_ref().map_or(0, Fields::bytes)
-            + self.scale_fields.as_ref().map_or(0, Fields::bytes)
+            + self.scale_fields.as_ref().map_or(0, |f| f.bytes())
             + self.position.bytes()
             + self.rotation.bytes()
             + self.positions.fixed.capacity()

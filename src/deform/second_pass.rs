@@ -36,6 +36,16 @@ impl State {
             + self.space.as_ref().map_or(0, |space| space.bytes())
     }
 
+    /// Where there is no last solution the rest shape is one, with all handles at rest.
+    fn begin(&mut self, body: &Body, holds: usize) {
+        if self.x.len() != body.nodes() * 3 {
+            self.x.clear();
+            self.x.extend_from_slice(body.rest.as_flattened());
+            self.extra.clear();
+            self.transforms = vec![Transform::IDENTITY; holds];
+        }
+    }
+
     /// Lets go of the last solution.
     pub(super) fn forget(&mut self) {
         self.x.clear();
@@ -48,7 +58,7 @@ impl State {
 pub enum Start {
     /// Full multigrid: the result depends on nothing but the request.
     Fresh,
-    /// The last solution of the [`State`], or fresh when there is none.
+    /// The last solution of the [`State`], or the rest shape when there is none, carried along with the handles.
     Warm,
 }
 
@@ -209,8 +219,9 @@ impl Pose<'_> {
             ..
         } = *self;
         let Refinement { steps, smoothing } = request.refinement;
-        let warm = request.start == Start::Warm && state.x.len() == body.nodes() * 3;
+        let warm = request.start == Start::Warm;
         if warm {
+            state.begin(body, request.transforms.len());
             rig.carry(body, &state.transforms, request.transforms, &mut state.x, pool);
         }
         state.transforms.clear();

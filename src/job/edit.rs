@@ -4,11 +4,13 @@
 //! and all handles are at rest; on the rest shape poses stay, and the result is solved with them. The bench changes only
 //! when everything has succeeded.
 
-use super::carry::{Carried, carry, runs};
+use super::carry::{self as handles, Carried, carry, runs};
 use super::check::enumerated;
+use super::derived::{Change, Derived};
 use super::foundation::Sheet;
 use super::operation::{Scene, plan};
 use super::region::{self, Resolved};
+use super::trail::{self, Trail};
 use super::{Error, Mode, Poses, Settings, Workbench, pb};
 use crate::asset::FileSet;
 use crate::edit::{Applied, apply};
@@ -22,8 +24,9 @@ use std::sync::Arc;
 pub struct EditOrder<'a> {
     /// What is to be done.
     pub request: &'a pb::EditRequest,
-    /// The current shape, one position per render vertex.
-    pub shape: &'a [DVec3],
+    /// The current shape, one position per render vertex. Where [`Workbench::remembers`] it, graph and hierarchy can follow
+    /// the edit; else they are built from nothing.
+    pub shape: &'a Arc<Vec<DVec3>>,
     /// The poses in force.
     pub poses: &'a Poses,
     /// For a merge with another session, that session's model in its current shape.
@@ -45,22 +48,6 @@ pub struct EditOutcome {
     pub positions: Arc<Vec<DVec3>>,
 }
 
-/// The state of a bench but for its handles, to go back to.
-#[derive(Debug, Clone)]
-pub struct Trail(pub(super) Arc<super::foundation::Foundation>);
-
-impl Trail {
-    /// Whether two are the same state.
-    pub fn same(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.0, &other.0)
-    }
-
-    /// Bytes that only this state holds, about.
-    pub fn bytes(&self) -> u64 {
-        self.0.edited.as_ref().map_or(0, |_| self.0.bytes())
-    }
-}
-
 impl Workbench {
     /// Carries out an edit. On an error nothing has changed.
     ///
@@ -78,9 +65,11 @@ impl Workbench {
             return Err(Error::Internal("the shape of another model".into()));
         }
         let rest = Arc::clone(self.rest());
-        let shape: &[DVec3] = if at_rest { &rest } else { order.shape };
+        let shape = if at_rest { &rest } else { order.shape };
         let mut sheet = self.sheet(shape);
-        let mut origins = self.foundation.origins(&self.mesh);
+        let points = (!Arc::ptr_eq(shape, &rest)).then(|| sheet.point_positions());
+        let mesh = &self.derived.mesh;
+        let mut origins = self.derived.foundation().origins(mesh);
         let before = (sheet.positions.len(), self.geometry().triangles.len());
         let planned = plan(
             &mut Scene {
@@ -108,8 +97,8 @@ impl Workbench {
             ..Default::default()
         };
         result.warnings.extend(patch.warnings.iter().map(warning));
-        if self.mesh.collapsed_triangles.len() + self.mesh.duplicate_triangles.len() > 0 {
-            let (collapsed, duplicate) = (&self.mesh.collapsed_triangles, &self.mesh.duplicate_triangles);
+        if mesh.collapsed_triangles.len() + mesh.duplicate_triangles.len() > 0 {
+            let (collapsed, duplicate) = (&mesh.collapsed_triangles, &mesh.duplicate_triangles);
             let message = format!(
                 "{} triangles without area and {} that repeat another are left out from now on",
                 collapsed.len(),
@@ -119,14 +108,37 @@ impl Workbench {
                 .warnings
                 .push(warning(&("triangles-dropped".into(), message, String::new())));
         }
-        let foundation = Arc::new(self.foundation.edited(&sheet, &origins, applied, patch, planned.parts));
-        drop(sheet);
+        let (foundation, applied) = (self.derived.foundation()).edited(&sheet, &origins, applied, patch, planned.parts);
+        drop((sheet, origins));
         check(progress)?;
-        let mut next = Workbench::on(foundation, self.choices.clone(), &self.limits, pool, progress)?;
+        let nodes = match points {
+            None => Some(None),
+            Some(points) => self.nodes_of(shape).map(|nodes| Some(with_points(nodes, &points))),
+        };
+        let change = Change {
+            foundation: Arc::new(foundation),
+            applied: &applied,
+            follow: nodes.is_some() && applied.old_from_point.len() == applied.points as usize,
+            nodes: nodes.flatten(),
+            carried: self.restart(&carried),
+        };
+        let derived = (self.derived).edited(change, &self.choices, &self.limits, pool, progress)?;
+        result.repaired = derived.is_followed();
+        let mut next = self.on(Arc::new(derived));
         next.set_handles(&carried.request, pool, progress)?;
         let outcome = next.after_edit(carried, result, at_rest, pool, progress)?;
         *self = next;
         Ok(outcome)
+    }
+
+    /// What the fields of carried handles begin from: those that they have, if none was lost.
+    fn restart(&self, carried: &handles::Carried) -> Option<trail::Carried> {
+        let all = carried.kept.len() == self.handles().handles.len();
+        let rig = self.rig().filter(|_| all)?;
+        Some(trail::Carried {
+            request: carried.request.clone(),
+            fields: rig.keep_fields(),
+        })
     }
 
     /// The shape after an edit, and all that is told of it.
@@ -160,7 +172,7 @@ impl Workbench {
 
     /// The state but for its handles.
     pub fn trail(&self) -> Trail {
-        Trail(Arc::clone(&self.foundation))
+        Trail(Arc::clone(&self.derived.path))
     }
 
     /// Goes to another state, without handles. On an error nothing has changed.
@@ -168,9 +180,14 @@ impl Workbench {
     /// # Errors
     /// [`Error::TooLarge`], [`Error::Cancelled`].
     pub fn retrace(&mut self, trail: &Trail, pool: &Pool, progress: &dyn Progress) -> Result<(), Error> {
-        if !Arc::ptr_eq(&self.foundation, &trail.0) {
-            *self = Workbench::on(Arc::clone(&trail.0), self.choices.clone(), &self.limits, pool, progress)?;
+        if Arc::ptr_eq(&self.derived.path, &trail.0) {
+            return Ok(());
         }
+        let derived = match self.kept(&trail.0) {
+            Some(derived) => derived,
+            None => Arc::new(Derived::retrace(trail, &self.choices, &self.limits, pool, progress)?),
+        };
+        *self = self.on(derived);
         Ok(())
     }
 
@@ -186,7 +203,7 @@ impl Workbench {
         } else {
             shading.tangents
         };
-        Sheet::new(&self.mesh, geometry, shape, shading.normals, tangents)
+        Sheet::new(&self.derived.mesh, geometry, shape, shading.normals, tangents)
     }
 
     fn admit_size(&self, applied: &Applied) -> Result<(), Error> {
@@ -252,7 +269,7 @@ impl Workbench {
             neighbours: Vec::new(),
             weights: None,
             positions: Vec::new(),
-            surface: self.mesh.positions.len(),
+            surface: self.derived.mesh.positions.len(),
             nearest_surface: Vec::new(),
             component: Vec::new(),
             components: 0,
@@ -278,6 +295,16 @@ impl Workbench {
         }
         Ok(faces)
     }
+}
+
+/// Nodes with those of the surface where an edit takes them to be.
+fn with_points(nodes: &Arc<Vec<DVec3>>, points: &[DVec3]) -> Arc<Vec<DVec3>> {
+    if nodes[..points.len()] == *points {
+        return Arc::clone(nodes);
+    }
+    let mut nodes = nodes.as_ref().clone();
+    nodes[..points.len()].copy_from_slice(points);
+    Arc::new(nodes)
 }
 
 fn counts(vertices: usize, faces: usize) -> pb::edit_result::Counts {

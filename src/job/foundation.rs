@@ -7,6 +7,7 @@ use crate::edit::{Applied, Patch, Surface};
 use crate::mesh::{Mesh, NONE, Weld};
 use glam::{DVec3, Vec3, Vec4};
 use sha2::{Digest, Sha256};
+use std::mem::take;
 use std::sync::Arc;
 
 /// A model and what edits have made of it. Never changes; an edit makes another one.
@@ -101,9 +102,16 @@ impl Foundation {
         self.model.geometry.bytes_held() + edited + (self.rest.capacity() * 24) as u64
     }
 
-    /// The foundation after an edit of `before`, whose vertices are made of `origins` and shaded as `normals` and `tangents`
-    /// say. `parts` tells that it may have made parts that touch.
-    pub fn edited(&self, before: &Sheet, origins: &Origins, applied: Applied, patch: &Patch, parts: bool) -> Self {
+    /// The foundation after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
+    /// `applied`. `parts` tells that it may have made parts that touch.
+    pub fn edited(
+        &self,
+        before: &Sheet,
+        origins: &Origins,
+        mut applied: Applied,
+        patch: &Patch,
+        parts: bool,
+    ) -> (Self, Applied) {
         let normals = normals(before, &applied);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
         let origins = origins.after(&applied, patch, own);
@@ -113,20 +121,21 @@ impl Foundation {
             tangents: tangents(before, &applied, patch),
             primitives: primitives(before, &applied),
             warnings: self.model.warnings.clone(),
-            triangles: applied.triangles,
+            triangles: take(&mut applied.triangles),
         };
-        Self {
+        let foundation = Self {
             model: Arc::clone(&self.model),
             sha256: Arc::clone(&self.sha256),
-            rest: Arc::new(applied.positions),
+            rest: Arc::new(take(&mut applied.positions)),
             edited: Some(Edited {
                 geometry,
                 origins,
-                point_of: applied.point_of,
+                point_of: take(&mut applied.point_of),
                 points: applied.points,
                 apart: parts || self.is_apart(),
             }),
-        }
+        };
+        (foundation, applied)
     }
 
     /// Whether a cut has made parts that touch and do not belong together.
@@ -191,6 +200,15 @@ impl Sheet {
             point_of: &self.point_of,
             points: self.points,
         }
+    }
+
+    /// Where each point is.
+    pub fn point_positions(&self) -> Vec<DVec3> {
+        let mut positions = vec![DVec3::ZERO; self.points as usize];
+        for (&p, &position) in self.point_of.iter().zip(&self.positions).filter(|p| *p.0 != NONE) {
+            positions[p as usize] = position;
+        }
+        positions
     }
 
     /// The first render vertex of each primitive.

@@ -26,12 +26,34 @@ pub(super) struct HandleSet {
     pub warnings: Vec<pb::Warning>,
 }
 
-/// Checks a request and resolves it. `most` bounds the number of handles.
+/// What handles held before an edit that carried them over.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Before<'a> {
+    pub rigging: &'a Rigging,
+    /// For each node its number before the edit, or [`NONE`].
+    pub old_from_new: &'a [u32],
+}
+
+impl Before<'_> {
+    /// For each node before the edit its number now.
+    fn new_from_old(&self) -> Vec<u32> {
+        let most = self.old_from_new.iter().filter(|o| **o != NONE).max();
+        let mut new = vec![NONE; most.map_or(0, |&m| m as usize + 1)];
+        for (n, &old) in (0u32..).zip(self.old_from_new).filter(|n| *n.1 != NONE) {
+            new[old as usize] = n;
+        }
+        new
+    }
+}
+
+/// Checks a request and resolves it. `most` bounds the number of handles. With `before` handles go on to hold the nodes
+/// inside that they held: a list of vertices, as which they come back, does not tell them.
 pub(super) fn resolve_handles(
     ground: &Ground<'_>,
     body: &Body,
     request: &pb::SetHandlesRequest,
     policy: Policy,
+    before: Option<Before<'_>>,
     most: usize,
 ) -> Result<(HandleSet, Rigging), Error> {
     if request.handles.len() > most {
@@ -46,6 +68,9 @@ pub(super) fn resolve_handles(
         .as_ref()
         .map(|p| plane(p, "symmetryPlane"))
         .transpose()?;
+    // Mirror images are found from what handles hold, so those stay as they are listed.
+    let before = before.filter(|b| mirror.is_none() && b.rigging.holds.len() == request.handles.len());
+    let numbers = before.map(|b| b.new_from_old()).unwrap_or_default();
     let mut ids = BTreeSet::new();
     let mut set = HandleSet {
         request: request.clone(),
@@ -68,7 +93,16 @@ pub(super) fn resolve_handles(
             ));
         }
         let region_field = format!("{field}.region");
-        let region = resolve(ground, handle.region.as_ref(), None, &region_field)?;
+        let mut region = resolve(ground, handle.region.as_ref(), None, &region_field)?;
+        if let Some(before) = before.filter(|_| region.weights.is_none()) {
+            let surface = ground.graph.surface as u32;
+            let is_new = |n: &u32| before.old_from_new.get(*n as usize).is_none_or(|o| *o == NONE);
+            region.nodes.retain(|n| *n < surface || is_new(n));
+            let held = before.rigging.holds[k].nodes.iter();
+            let still = held.filter_map(|&old| numbers.get(old as usize).copied());
+            region.nodes.extend(still.filter(|&n| n != NONE && n >= surface));
+            region.nodes.sort_unstable();
+        }
         let centroid = region.centroid(ground);
         if let Some(pose) = &handle.pose {
             transform(pose, centroid, &format!("{field}.pose"))?;

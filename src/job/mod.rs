@@ -6,6 +6,8 @@
 mod carry;
 mod check;
 mod create;
+mod delta;
+mod derived;
 mod edit;
 mod error;
 mod foundation;
@@ -16,13 +18,17 @@ pub mod json;
 mod operation;
 mod origins;
 pub mod pb;
+mod posing;
 mod quality;
 mod region;
 mod run;
+mod trail;
 mod workbench;
 
 pub use check::Settings;
-pub use edit::{EditOrder, EditOutcome, Trail};
+pub use edit::{EditOrder, EditOutcome};
 pub use error::Error;
+pub use posing::{Mode, Solved, Watch};
 pub use run::{Outcome, Stage, edit_name, inspect, pose_steps, run};
-pub use workbench::{Limits, Mode, Poses, Solved, Watch, Workbench};
+pub use trail::Trail;
+pub use workbench::{Limits, Poses, Workbench};

@@ -144,15 +144,17 @@ impl History {
 
     /// A shape's positions, or how to solve them again.
     pub fn shape(&self, id: ShapeId) -> Result<Arc<Vec<DVec3>>, Recipe> {
+        let snapshot = self.shapes.get(&id).and_then(|s| s.snapshot.as_ref());
+        snapshot.map(Arc::clone).ok_or_else(|| self.recipe(id))
+    }
+
+    /// How to make a shape again.
+    pub fn recipe(&self, id: ShapeId) -> Recipe {
         match self.shapes.get(&id) {
-            Some(Shape {
-                snapshot: Some(positions),
-                ..
-            }) => Ok(Arc::clone(positions)),
-            Some(Shape { recipe, .. }) => Err(recipe.clone()),
-            None => Err(Recipe::Rest {
+            Some(shape) => shape.recipe.clone(),
+            None => Recipe::Rest {
                 trail: self.current().trail.clone(),
-            }),
+            },
         }
     }
 

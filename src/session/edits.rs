@@ -69,16 +69,19 @@ impl Manager {
 impl Actor {
     pub(super) async fn edit(&mut self, edit: Edit, call: &Call<pb::EditResult>) -> Result<pb::EditResult, Error> {
         let state = self.history.current().clone();
-        let shape = self.history.shape(state.shape);
+        let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
         let limit = self.shared.config.build;
         let (done, stop) = self
             .compute(
                 &call.cancel,
                 limit,
                 move |bench, pool, stop, _| -> Result<_, job::Error> {
+                    bench.load(state.trail.as_ref(), &state.handles, pool, stop)?;
+                    // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine
+                    // happens to remember.
                     let shape = match shape {
-                        Ok(shape) => shape,
-                        Err(recipe) => bench.replay(&recipe, pool, stop)?,
+                        Ok(shape) if bench.engine.remembers(&shape) => shape,
+                        _ => bench.replay(&recipe, pool, stop)?,
                     };
                     let order = EditOrder {
                         request: &edit.request,

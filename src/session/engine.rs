@@ -66,6 +66,10 @@ pub trait Engine: Send + 'static {
     fn retrace(&mut self, _trail: &Trail, _pool: &Pool, _progress: &dyn Progress) -> Result<(), job::Error> {
         Ok(())
     }
+    /// Whether all is known of a shape that an edit needs; if not, a commit that makes it again tells.
+    fn remembers(&self, _shape: &Arc<Vec<DVec3>>) -> bool {
+        true
+    }
     /// Carries out an edit and sets the handles that are left.
     fn edit(
         &mut self,
@@ -180,6 +184,10 @@ impl Engine for Workbench {
 
     fn retrace(&mut self, trail: &Trail, pool: &Pool, progress: &dyn Progress) -> Result<(), job::Error> {
         Self::retrace(self, trail, pool, progress)
+    }
+
+    fn remembers(&self, shape: &Arc<Vec<DVec3>>) -> bool {
+        Self::remembers(self, shape)
     }
 
     fn edit(&mut self, order: &EditOrder<'_>, pool: &Pool, progress: &dyn Progress) -> Result<EditOutcome, job::Error> {

@@ -127,6 +127,11 @@ impl Hierarchy {
         })
     }
 
+    /// What it was built with.
+    pub fn options(&self) -> &BuildOptions {
+        &self.options
+    }
+
     /// Number of vertices of the graph.
     pub fn vertices(&self) -> usize {
         self.levels[0].occupied()

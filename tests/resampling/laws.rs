@@ -26,7 +26,7 @@ pub fn volume_of(surface: &Surface) -> Graph {
 }
 
 pub fn follow(graph: &Graph, edited: &Edited) -> Resampled {
-    resample(graph, &edited.change(), &pool(2), &Silent)
+    resample(graph, &graph.positions, &edited.change(), &pool(2), &Silent)
         .expect("not cancelled")
         .expect("can be followed")
 }

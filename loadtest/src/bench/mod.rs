@@ -5,6 +5,7 @@
 mod clock;
 mod companion;
 mod cycles;
+pub(crate) mod edits;
 pub(crate) mod export;
 mod figures;
 mod files;

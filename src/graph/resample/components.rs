@@ -1,7 +1,7 @@
 //! Connected components after an edit: from the old ones, and from a search where something may have been cut loose.
 
+use super::Before;
 use super::rows::Fresh;
-use crate::graph::Graph;
 use crate::mesh::{Components, NONE};
 use crate::pool::Pool;
 use rayon::prelude::*;
@@ -11,7 +11,7 @@ const TURN: usize = 256;
 
 /// What is looked at.
 pub(super) struct View<'a> {
-    pub(super) old: &'a Graph,
+    pub(super) old: &'a Before<'a>,
     /// Old numbers of all nodes.
     pub(super) from: &'a [u32],
     pub(super) offsets: &'a [u32],

@@ -1,9 +1,9 @@
 //! Edges of the lattice around an edit.
 
+use super::Before;
 use super::Link;
 use super::grid::{Grid, Node, Table};
 use super::local::Local;
-use crate::graph::Graph;
 use crate::graph::lattice::CERTAIN;
 use crate::graph::neighbours::{Key, directions, toward};
 use crate::graph::recipe::Inside;
@@ -27,7 +27,7 @@ pub(super) struct Edges {
 
 /// Finds edges of nodes near an edit.
 pub(super) struct Finder<'a> {
-    pub(super) old: &'a Graph,
+    pub(super) old: &'a Before<'a>,
     pub(super) inside: &'a Inside,
     /// The first old lattice node.
     pub(super) first: usize,

@@ -1,8 +1,8 @@
 //! What an edit does to the parts that enclose space: which new points belong to them, and which passages along edges
 //! they lack to be closed.
 
+use super::Before;
 use super::{Change, Points};
-use crate::graph::Graph;
 use crate::graph::caps::{missing_of, rings};
 use crate::graph::recipe::Inside;
 use crate::graph::solid::{OPEN, SOUP, sample};
@@ -41,7 +41,7 @@ pub(super) fn fan(ring: &[u32], at: impl Fn(u32) -> DVec3) -> (DVec3, impl Itera
 }
 
 /// Follows an edit. `None` when only the whole surface tells what it encloses now.
-pub(super) fn follow(old: &Graph, inside: &Inside, change: &Change, points: &Points, pool: &Pool) -> Option<Hull> {
+pub(super) fn follow(old: &Before<'_>, inside: &Inside, change: &Change, points: &Points, pool: &Pool) -> Option<Hull> {
     let (assigned, fresh) = assign(inside, change, points)?;
     let mut reach: Vec<f32> = pool.install(|| {
         let of = |&o: &u32| if o == NONE { 0.0 } else { inside.reach[o as usize] };
@@ -241,7 +241,7 @@ fn loops(open: &[[u32; 2]]) -> Vec<Vec<u32>> {
 }
 
 /// Whether holes grew by much against the surface that they are in.
-fn too_open(old: &Graph, change: &Change, hull: &Hull) -> bool {
+fn too_open(old: &Before<'_>, change: &Change, hull: &Hull) -> bool {
     let now = |v: u32| change.positions[v as usize];
     let before = |v: u32| old.positions[v as usize];
     let mut caps: Vec<(u32, f64)> = Vec::new();

@@ -1,5 +1,6 @@
 //! Lattice nodes around an edit: which stay, which places get new ones, and the edges of both.
 
+use super::Before;
 use super::edges::{Finder, TAKEN};
 use super::grid::{Grid, Node, Table};
 use super::local::Local;
@@ -41,7 +42,7 @@ pub(super) struct Interior {
 /// Follows an edit. `None` when no vertex is left to tie nodes to, or there is too much to look at.
 pub(super) fn follow(
     site: &Site,
-    old: &Graph,
+    old: &Before<'_>,
     inside: &Inside,
     change: &Change,
     points: &Points,

@@ -1,9 +1,9 @@
 //! The faces around an edit, as a small mesh of their own, and those that tell what lies inside there.
 
+use super::Before;
 use super::hull::{Hull, fan};
 use super::zone::{RIM, Zone};
 use super::{Change, Points};
-use crate::graph::Graph;
 use crate::graph::columns::Columns;
 use crate::mesh::{Adjacency, Bounds, NONE};
 use crate::pool::Pool;
@@ -166,7 +166,7 @@ impl Faces {
 
     /// What the edit added to the enclosing faces, and what it took from them, turned round: together they are closed, and
     /// enclose what became inside or outside.
-    pub(super) fn between(old: &Graph, change: &Change, points: &Points, hull: &Hull, found: &Found) -> Self {
+    pub(super) fn between(old: &Before<'_>, change: &Change, points: &Points, hull: &Hull, found: &Found) -> Self {
         let reach = old.recipe.inside.as_ref().map_or(&[][..], |inside| &inside.reach);
         let (new, before) = (change.positions.len() as u64, old.surface as u64);
         // Old points that stay where they were have the names of new ones.

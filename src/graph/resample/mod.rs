@@ -64,6 +64,22 @@ pub struct Resampled {
     pub touched: Vec<u32>,
 }
 
+/// The graph before an edit, with its nodes where they are by now.
+#[derive(Clone, Copy)]
+struct Before<'a> {
+    graph: &'a Graph,
+    /// Hides those of the graph.
+    positions: &'a [DVec3],
+}
+
+impl std::ops::Deref for Before<'_> {
+    type Target = Graph;
+
+    fn deref(&self) -> &Graph {
+        self.graph
+    }
+}
+
 /// An edit that changes more points than this part of them is for a new graph.
 const MOST_CHANGED: f64 = 0.25;
 
@@ -123,26 +139,31 @@ impl Link {
 /// quarter of the points, opens a part widely, joins what encloses space with what does not, or touches a mesh so torn
 /// that all of it is needed to tell what lies inside.
 ///
-/// Parts that were surfaces only stay so. Positions of old nodes are taken from `old`, which may have been moved since it
-/// was built; points that `change` does not name must lie where they are in `old`. Flat passes over all nodes, edges and
-/// triangles, and work in proportion to the edit.
+/// Parts that were surfaces only stay so. `positions` has all nodes of `old` where they are by now: at rest as it was built, or
+/// as a deformation left them; points that `change` does not name must lie there. Edges keep their weights but where faces
+/// changed. Flat passes over all nodes, edges and triangles, and work in proportion to the edit.
 ///
 /// # Errors
 /// [`Error::Cancelled`].
 ///
 /// # Panics
-/// When numbers in `change` are out of range.
+/// When numbers in `change` are out of range, or `positions` is not as long as the graph.
 pub fn resample(
     old: &Graph,
+    positions: &[DVec3],
     change: &Change,
     pool: &Pool,
     progress: &dyn Progress,
 ) -> Result<Option<Resampled>, Error> {
     check(progress)?;
+    assert_eq!(positions.len(), old.nodes(), "a position for every node");
+    let old = &Before { graph: old, positions };
     let Some(points) = Points::of(old, change) else {
         return Ok(None);
     };
     match &old.recipe.inside {
+        // The graph of parts that are told apart does not know how each was made.
+        None if old.surface < old.nodes() => Ok(None),
         None => surface(old, change, &points, pool).map(Some),
         Some(inside) if inside.soups => Ok(None),
         Some(inside) => volume(old, inside, change, &points, pool, progress),
@@ -151,7 +172,7 @@ pub fn resample(
 
 impl Points {
     /// `None` when the numbers do not fit together, or too much changed.
-    fn of(old: &Graph, change: &Change) -> Option<Self> {
+    fn of(old: &Before<'_>, change: &Change) -> Option<Self> {
         let kept = change.old_from_new.partition_point(|&o| o != NONE);
         let mut new_from_old = vec![NONE; old.surface];
         for (new, &o) in (0u32..).zip(&change.old_from_new[..kept]) {
@@ -196,7 +217,7 @@ impl Points {
 }
 
 /// Follows an edit of a mesh without interior nodes.
-fn surface(old: &Graph, change: &Change, points: &Points, pool: &Pool) -> Result<Resampled, Error> {
+fn surface(old: &Before<'_>, change: &Change, points: &Points, pool: &Pool) -> Result<Resampled, Error> {
     let found = local::find(change, points, None, pool);
     let local = Local::gather(change, points, &found, None, pool);
     let numbers = Numbers::of(old, change, points);
@@ -225,7 +246,7 @@ fn surface(old: &Graph, change: &Change, points: &Points, pool: &Pool) -> Result
 }
 
 impl Numbers {
-    fn of(old: &Graph, change: &Change, points: &Points) -> Self {
+    fn of(old: &Before<'_>, change: &Change, points: &Points) -> Self {
         Self {
             old: old.nodes() as u32,
             points: (change.positions.len() - points.kept) as u32,
@@ -245,7 +266,7 @@ impl Numbers {
 
 /// Follows an edit of a mesh with interior nodes.
 fn volume(
-    old: &Graph,
+    old: &Before<'_>,
     inside: &Inside,
     change: &Change,
     points: &Points,
@@ -318,7 +339,7 @@ fn volume(
 }
 
 /// Where the surface changed: faces that came and went, and boxes around those whose points moved.
-fn changed_places(old: &Graph, change: &Change, points: &Points, hull: &Hull) -> (Vec<[DVec3; 3]>, Vec<Bounds>) {
+fn changed_places(old: &Before<'_>, change: &Change, points: &Points, hull: &Hull) -> (Vec<[DVec3; 3]>, Vec<Bounds>) {
     let (now, before) = (
         |v: u32| change.positions[v as usize],
         |v: u32| old.positions[v as usize],
@@ -348,10 +369,13 @@ fn changed_places(old: &Graph, change: &Change, points: &Points, hull: &Hull) ->
 }
 
 /// The graph itself.
-fn unchanged(old: &Graph) -> Resampled {
+fn unchanged(old: &Before<'_>) -> Resampled {
     let all: Vec<u32> = (0..old.nodes() as u32).collect();
     Resampled {
-        graph: old.clone(),
+        graph: Graph {
+            positions: old.positions.to_vec(),
+            ..old.graph.clone()
+        },
         new_from_old: all.clone(),
         old_from_new: all,
         touched: Vec::new(),
@@ -370,7 +394,7 @@ fn gained(between: &Faces, inside: &Inside) -> f64 {
 
 /// Collects what changes.
 fn edit<'a>(
-    old: &'a Graph,
+    old: &'a Before<'a>,
     change: &'a Change<'a>,
     points: &'a Points,
     numbers: &'a Numbers,

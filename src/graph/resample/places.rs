@@ -2,6 +2,7 @@
 
 use super::local::Local;
 use super::zone::{NEAR, Zone};
+use super::{Before, hull};
 use super::{Change, Link, Numbers};
 use crate::graph::Error;
 use crate::graph::columns::Columns;
@@ -10,7 +11,6 @@ use crate::graph::shell::{copy, has_room};
 use crate::graph::solid::{normal, sample, turn};
 use crate::graph::weights::cotangent_of;
 use crate::graph::winding::WindingTree;
-use crate::graph::{Graph, resample::hull};
 use crate::mesh::NONE;
 use crate::pool::Pool;
 use crate::progress::Progress;
@@ -66,7 +66,7 @@ pub(super) fn sides(site: &Site, parts: &[Vec<u32>], reach: &mut [f32]) {
 /// Keeps copies that the edit leaves room, places the others anew.
 pub(super) fn place(
     site: &Site,
-    old: &Graph,
+    old: &Before<'_>,
     change: &Change,
     reach: &[f32],
     old_shell: &[u32],

@@ -1,5 +1,6 @@
 //! Writes the graph after an edit: rows that changed one by one, all others copied in runs with their nodes renumbered.
 
+use super::Before;
 use super::components::Followed;
 use super::renumber::Renumbered;
 use super::{Change, Link, Numbers, Points, Resampled, components};
@@ -21,7 +22,7 @@ const UNTIED: u8 = 8;
 
 /// What changes, in numbers as in [`Numbers`].
 pub(super) struct Edit<'a> {
-    pub(super) old: &'a Graph,
+    pub(super) old: &'a Before<'a>,
     pub(super) change: &'a Change<'a>,
     pub(super) points: &'a Points,
     pub(super) numbers: &'a Numbers,
@@ -253,7 +254,7 @@ struct Run<'a> {
     weights: &'a mut [f32],
 }
 
-fn copy_rows(old: &Graph, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u32>, Vec<u32>, Option<Vec<f32>>) {
+fn copy_rows(old: &Before<'_>, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u32>, Vec<u32>, Option<Vec<f32>>) {
     let from = &renumbered.old_from_new;
     let nodes = from.len();
     // Runs of nodes with the source of their rows: fresh, or one old node after the other.

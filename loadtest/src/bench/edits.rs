@@ -1,0 +1,309 @@
+//! `loadtest edits`: from an edit of a few hundred vertices to the first frame after it, where graph and hierarchy follow
+//! the edit, and where they are built anew.
+
+use super::figures::Figures;
+use super::{clock, files, subdivide};
+use crate::{Failure, scene};
+use pliant::asset::FileSet;
+use pliant::job::frames::{FrameRequest, encode};
+use pliant::job::pb::edit_request::{Delete, Operation, Remesh};
+use pliant::job::{EditOrder, Error, Limits, Mode, Poses, Settings, Stage, Trail, Workbench, pb};
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// The stages in the order in which they run, and what they are.
+const STAGES: [(&str, &str); 8] = [
+    ("edit", "the operation, and the model with its attributes after it"),
+    ("mesh", "what the solver sees of it"),
+    ("graph", "interior nodes and edges"),
+    ("hierarchy", "levels, without constraints"),
+    ("fields", "handles to nodes, and the first pass's harmonic fields"),
+    ("constrain", "the second pass's constraints"),
+    ("solve", "the first frame of a drag"),
+    ("encode", "the frame's bytes, 32-bit positions"),
+];
+
+/// Arguments of `loadtest edits`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct EditsArgs {
+    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    model: PathBuf,
+    /// Cut every triangle into four this many times first, which is not timed
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(subdivide::MOST)))]
+    subdivide: u8,
+    /// Vertices of the region that is edited, about
+    #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]
+    region: u32,
+    /// What is done to the region
+    #[arg(long, value_enum, default_value = "delete-fill")]
+    operation: Wanted,
+    /// Edit the shape at rest, not a committed pose
+    #[arg(long)]
+    at_rest: bool,
+    /// Threads; 0 means one for each core
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
+    threads: u16,
+    /// Most runs of each; the one with the least total is told
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
+    repeat: u32,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is done to a region.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Wanted {
+    /// Delete it and fill the hole
+    DeleteFill,
+    /// Remesh it to its own mean edge length
+    Remesh,
+}
+
+/// A bench in the state that is edited, again and again.
+struct Stand<'a> {
+    bench: Workbench,
+    trail: Trail,
+    handles: pb::SetHandlesRequest,
+    poses: Poses,
+    shape: Arc<Vec<glam::DVec3>>,
+    request: pb::EditRequest,
+    pull: pb::Pose,
+    pool: &'a Pool,
+}
+
+/// One edit: milliseconds by stage, and facts.
+#[derive(Clone)]
+struct Run {
+    ms: BTreeMap<String, f64>,
+    repaired: bool,
+    cycles: u32,
+    field_cycles: usize,
+    nodes: usize,
+    levels: usize,
+}
+
+impl Run {
+    fn total(&self) -> f64 {
+        self.ms.values().sum()
+    }
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &EditsArgs) -> Result<(), Failure> {
+    let pool = Pool::new(usize::from(args.threads)).map_err(|e| Failure::Server(e.to_string()))?;
+    let files = match args.subdivide {
+        0 => files::model(&args.model)?,
+        times => subdivide::subdivided(files::model(&args.model)?, times)?,
+    };
+    let scene = scene::Scene::load(Some(&args.model))?;
+    let refuse = |e: Error| Failure::Usage(format!("{}: {e}", args.model.display()));
+    let (mut stand, region) = prepare(args, files, &scene, &pool).map_err(refuse)?;
+    let (mut repaired, mut rebuilt): (Option<Run>, Option<Run>) = (None, None);
+    let mut times = clock::Times::one(0.0);
+    for _ in 0..args.repeat {
+        for (follow, best) in [(true, &mut repaired), (false, &mut rebuilt)] {
+            let now = stand.once(follow).map_err(refuse)?;
+            times.add(now.total() / 1e3);
+            if best.as_ref().is_none_or(|best| now.total() < best.total()) {
+                *best = Some(now);
+            }
+        }
+        if !times.may_repeat() {
+            break;
+        }
+    }
+    let (Some(repaired), Some(rebuilt)) = (repaired, rebuilt) else {
+        return Err(Failure::Usage("nothing was run".into()));
+    };
+    if !repaired.repaired {
+        eprintln!("the edit could not be followed: both columns were built from nothing");
+    }
+    let vertices = stand.shape.len();
+    let solver_vertices = stand.bench.facts().solver.map_or(0, |s| s.solver_vertices);
+    if args.json {
+        let mut figures = Figures::default();
+        let name = args.model.file_name().unwrap_or_default();
+        figures.set("model", name.to_string_lossy().as_ref());
+        figures.set("threads", pool.threads());
+        figures.set("vertices", vertices);
+        figures.set("solver_vertices", solver_vertices);
+        figures.set("region", region);
+        figures.set("nodes", repaired.nodes);
+        figures.set("repaired", repaired.repaired);
+        for (name, run) in [("repaired", &repaired), ("rebuilt", &rebuilt)] {
+            for (stage, _) in STAGES {
+                let ms = run.ms.get(stage).copied().unwrap_or(0.0);
+                figures.measured(&format!("{name}_{stage}_ms"), ms);
+            }
+            figures.measured(&format!("{name}_total_ms"), run.total());
+            figures.set(&format!("{name}_cycles"), run.cycles);
+            figures.set(&format!("{name}_field_cycles"), run.field_cycles);
+        }
+        println!("{}", figures.json());
+        return Ok(());
+    }
+    println!(
+        "{}: {vertices} vertices ({solver_vertices} of the solver), a region of {region}, {} threads",
+        args.model.display(),
+        pool.threads()
+    );
+    println!("{:<10} {:>11} {:>11}", "stage", "repaired", "rebuilt");
+    for (stage, what) in STAGES {
+        let ms = |run: &Run| run.ms.get(stage).copied().unwrap_or(0.0);
+        println!("{stage:<10} {:>8.1} ms {:>8.1} ms  {what}", ms(&repaired), ms(&rebuilt));
+    }
+    println!(
+        "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times",
+        "total",
+        repaired.total(),
+        rebuilt.total(),
+        rebuilt.total() / repaired.total()
+    );
+    let follows = ["edit", "mesh", "graph", "hierarchy", "fields", "constrain"];
+    let part = |run: &Run| follows.iter().filter_map(|s| run.ms.get(*s)).sum::<f64>();
+    println!(
+        "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times, without the frame itself",
+        "follow",
+        part(&repaired),
+        part(&rebuilt),
+        part(&rebuilt) / part(&repaired)
+    );
+    println!(
+        "{} graph nodes on {} levels; cycles of the fields {} and {}, of the first frame {} and {}",
+        repaired.nodes, repaired.levels, repaired.field_cycles, rebuilt.field_cycles, repaired.cycles, rebuilt.cycles
+    );
+    Ok(())
+}
+
+/// Opens the model, commits a pose, and chooses the region. Also answers how many vertices that has.
+fn prepare<'a>(
+    args: &EditsArgs,
+    files: FileSet,
+    scene: &scene::Scene,
+    pool: &'a Pool,
+) -> Result<(Stand<'a>, usize), Error> {
+    let mut bench = Workbench::open(files, &pb::CreateOptions::default(), &Limits::default(), pool, &Silent)?;
+    let handles = pb::SetHandlesRequest {
+        handles: scene.handles(),
+        ..Default::default()
+    };
+    bench.set_handles(&handles, pool, &Silent)?;
+    let mut poses = bench.initial_poses();
+    let mut shape = Arc::clone(bench.rest());
+    if !args.at_rest {
+        poses = bench.posed(&poses, &scene.pose(scene::FARTHEST / 2))?;
+        let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+        let solved = bench.solve(&poses, &settings, Mode::Commit, pool, &Silent, &mut |_| true)?;
+        shape = solved.positions;
+    }
+    let (sphere, region) = around_the_middle(&shape, args.region as usize);
+    let region_of = || {
+        Some(pb::Region {
+            region: Some(pb::region::Region::Sphere(sphere.clone())),
+        })
+    };
+    let operation = match args.operation {
+        Wanted::DeleteFill => Operation::Delete(Delete {
+            region: region_of(),
+            fill: true,
+        }),
+        Wanted::Remesh => Operation::Remesh(Remesh {
+            region: region_of(),
+            // About the mean edge of the region: its area is shared by twice as many triangles as vertices.
+            edge_length: sphere.radius * (std::f64::consts::PI / (0.433 * 2.0 * region as f64)).sqrt(),
+            auto: false,
+        }),
+    };
+    let stand = Stand {
+        trail: bench.trail(),
+        handles,
+        poses,
+        shape,
+        request: pb::EditRequest {
+            operation: Some(operation),
+            ..Default::default()
+        },
+        pull: scene.pose(scene::FARTHEST / 2),
+        bench,
+        pool,
+    };
+    Ok((stand, region))
+}
+
+/// A sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
+fn around_the_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere, usize) {
+    let (low, high) = shape
+        .iter()
+        .fold((shape[0], shape[0]), |(low, high), p| (low.min(*p), high.max(*p)));
+    let middle = (low + high) * 0.5;
+    let nearest = shape.iter().copied().min_by(|a, b| {
+        let distance = |p: &glam::DVec3| p.distance_squared(middle);
+        distance(a).total_cmp(&distance(b))
+    });
+    let center = nearest.unwrap_or(middle);
+    let mut distances: Vec<f64> = shape.iter().map(|p| p.distance(center)).collect();
+    distances.sort_unstable_by(f64::total_cmp);
+    let count = count.min(distances.len() - 1);
+    let sphere = pb::region::Sphere {
+        center: center.to_array().to_vec(),
+        radius: distances[count],
+    };
+    (sphere, count)
+}
+
+impl Stand<'_> {
+    /// Goes to the state before, edits, and takes the first frame of a drag.
+    fn once(&mut self, follow: bool) -> Result<Run, Error> {
+        let (pool, bench) = (self.pool, &mut self.bench);
+        bench.retrace(&self.trail, pool, &Silent)?;
+        bench.set_handles(&self.handles, pool, &Silent)?;
+        if !Arc::ptr_eq(&self.shape, bench.rest()) {
+            let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+            self.shape = (bench.solve(&self.poses, &settings, Mode::Commit, pool, &Silent, &mut |_| true)?).positions;
+        }
+        // A shape that the bench knows nothing of but the vertices is built on anew.
+        let shape = match follow {
+            true => Arc::clone(&self.shape),
+            false => Arc::new(self.shape.as_ref().clone()),
+        };
+        let order = EditOrder {
+            request: &self.request,
+            shape: &shape,
+            poses: &self.poses,
+            other: None,
+        };
+        let start = Instant::now();
+        let millis = || start.elapsed().as_secs_f64() * 1e3;
+        let stages = Stage::new(&millis, &Silent);
+        stages.begin("edit");
+        let outcome = bench.edit(&order, pool, &stages)?;
+        stages.begin("solve");
+        let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+        let poses = bench.posed(&outcome.poses, &self.pull)?;
+        let solved = bench.solve(&poses, &settings, Mode::Drag, pool, &Silent, &mut |_| true)?;
+        stages.begin("encode");
+        let parts = encode(FrameRequest {
+            header: pb::Frame::default(),
+            positions: solved.positions,
+            shading: None,
+            output: pb::Output::default(),
+            baselines: Vec::new(),
+            diagonal: bench.diagonal(),
+            part_bytes: 256 << 10,
+        });
+        std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());
+        Ok(Run {
+            ms: stages.take(),
+            repaired: outcome.result.repaired,
+            cycles: solved.cycles,
+            field_cycles: bench.rig().map_or(0, |rig| rig.field_iterations),
+            nodes: bench.body().nodes(),
+            levels: bench.body().hierarchy.levels().len(),
+        })
+    }
+}

@@ -1,0 +1,262 @@
+//! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
+
+use super::create::Choices;
+use super::delta::Delta;
+use super::foundation::Foundation;
+use super::interior::{self, BYTES_PER_NODE};
+use super::trail::{Carried, Past, Path, Trail};
+use super::workbench::Limits;
+use super::{Error, pb};
+use crate::asset::Model;
+use crate::deform::{Body, BodyOptions, Followed, VolumeMode};
+use crate::edit::Applied;
+use crate::graph::estimate_nodes;
+use crate::mesh::{Adjacency, Components, Mesh, Report, inspect};
+use crate::pool::Pool;
+use crate::progress::{Progress, check};
+use glam::DVec3;
+use std::sync::{Arc, OnceLock};
+
+/// Bytes that a render vertex with its triangles costs beside the graph.
+const BYTES_PER_VERTEX: u64 = 500;
+
+/// A model with its graph and hierarchy. Never changes.
+pub(super) struct Derived {
+    pub path: Arc<Path>,
+    pub mesh: Mesh,
+    pub parts: Components,
+    pub body: Body,
+    /// How the nodes of the graph came about when the body has followed an edit.
+    pub followed: Nodes,
+    volume: VolumeMode,
+    report: OnceLock<Report>,
+}
+
+/// How the nodes of a graph that has followed an edit came about; empty when it was built.
+#[derive(Debug, Default)]
+pub(super) struct Nodes {
+    /// For each node its number before.
+    pub old_from_new: Vec<u32>,
+    /// Nodes that changed, rising.
+    pub touched: Vec<u32>,
+}
+
+/// What an edit made of a model.
+pub(super) struct Change<'a> {
+    pub foundation: Arc<Foundation>,
+    pub applied: &'a Applied,
+    /// All nodes of the graph before, in the shape that was edited; `None` when that was the rest shape.
+    pub nodes: Option<Arc<Vec<DVec3>>>,
+    /// Whether the body may follow, or has to be built.
+    pub follow: bool,
+    /// The handles that the edit carries over, with their fields before it.
+    pub carried: Option<Carried>,
+}
+
+impl Derived {
+    /// Builds everything from nothing.
+    pub fn build(
+        foundation: Arc<Foundation>,
+        choices: &Choices,
+        limits: &Limits,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
+        progress.report("mesh", 0.0);
+        let vertices = foundation.rest.len() as u64;
+        let files = foundation.model.files.total_bytes();
+        admit(vertices * BYTES_PER_VERTEX + files, limits)?;
+        let mesh = foundation.mesh(choices.weld)?;
+        check(progress)?;
+
+        // Without a wish for interior nodes they are what may be left out to stay within the limits.
+        let nodes = if choices.body.volume == VolumeMode::Required {
+            estimate_nodes(&mesh)
+        } else {
+            mesh.positions.len()
+        };
+        admit(estimate(vertices, nodes as u64) + files, limits)?;
+        let body = Body::build(&mesh, &options(&foundation, choices, limits), pool, progress)?;
+        Ok(Self::new(
+            Path::built(foundation),
+            mesh,
+            body,
+            Nodes::default(),
+            choices,
+        ))
+    }
+
+    /// Everything after an edit: followed where it can be, else built from nothing.
+    pub fn edited(
+        &self,
+        change: Change<'_>,
+        choices: &Choices,
+        limits: &Limits,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
+        if change.follow && !change.foundation.is_apart() {
+            progress.report("mesh", 0.0);
+            let mesh = change.foundation.mesh(choices.weld)?;
+            let at = change.nodes.as_deref().unwrap_or(&self.body.graph.positions);
+            let at = &at[..self.mesh.positions.len()];
+            let delta = Delta::between(&self.mesh.triangles, at, &mesh, change.applied);
+            let lists = delta.lists(&self.mesh.triangles);
+            let moved = change.nodes.clone();
+            // What there is to go back along costs no more than what it leads to.
+            let step = self.path.past.then(delta, moved, self.body.bytes() as u64);
+            let followed = match step {
+                None => None,
+                Some(step) => {
+                    let graph_change = lists.change(&mesh.positions, &mesh.triangles);
+                    let nodes = change.nodes.as_ref().map(|n| n.as_slice());
+                    let followed = self.body.follow(&graph_change, nodes, pool, progress)?;
+                    followed.map(|followed| (step, followed))
+                }
+            };
+            if let Some((step, followed)) = followed {
+                let Followed {
+                    body,
+                    old_from_new,
+                    touched,
+                } = followed;
+                let nodes = Nodes { old_from_new, touched };
+                let vertices = change.foundation.rest.len() as u64;
+                let files = change.foundation.model.files.total_bytes();
+                admit(estimate(vertices, body.nodes() as u64) + files, limits)?;
+                let path = Path {
+                    foundation: change.foundation,
+                    past: Past::Edited(step),
+                    restart: change.carried,
+                };
+                return Ok(Self::new(path, mesh, body, nodes, choices));
+            }
+        }
+        Self::build(change.foundation, choices, limits, pool, progress)
+    }
+
+    /// What `trail` leads to, again.
+    pub fn retrace(
+        trail: &Trail,
+        choices: &Choices,
+        limits: &Limits,
+        pool: &Pool,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
+        let path = &trail.0;
+        if let Past::Edited(_) = path.past {
+            let fit = |foundation: &Foundation| options(foundation, choices, limits);
+            let remade = path.past.retrace(choices, &fit, pool, progress)?;
+            let remade = remade.ok_or_else(|| Error::Internal("an edit cannot be followed again".into()))?;
+            let mesh = path.foundation.mesh(choices.weld)?;
+            return Ok(Self {
+                path: Arc::clone(path),
+                ..Self::new(
+                    Path::built(Arc::clone(&path.foundation)),
+                    mesh,
+                    remade.body,
+                    remade.nodes,
+                    choices,
+                )
+            });
+        }
+        Ok(Self {
+            path: Arc::clone(path),
+            ..Self::build(Arc::clone(&path.foundation), choices, limits, pool, progress)?
+        })
+    }
+
+    fn new(path: Path, mesh: Mesh, body: Body, followed: Nodes, choices: &Choices) -> Self {
+        Self {
+            path: Arc::new(path),
+            parts: Components::of_triangles(mesh.positions.len(), &mesh.triangles),
+            mesh,
+            body,
+            followed,
+            volume: choices.body.volume,
+            report: OnceLock::new(),
+        }
+    }
+
+    pub fn foundation(&self) -> &Arc<Foundation> {
+        &self.path.foundation
+    }
+
+    /// Whether graph and hierarchy have followed an edit, and were not built from nothing.
+    pub fn is_followed(&self) -> bool {
+        matches!(self.path.past, Past::Edited(_))
+    }
+
+    /// What is to be said about the mesh; looked for when first asked.
+    pub fn report(&self) -> &Report {
+        self.report.get_or_init(|| {
+            let adjacency = Adjacency::build(self.mesh.positions.len(), &self.mesh.triangles);
+            inspect(&self.mesh, &adjacency)
+        })
+    }
+
+    /// What the user should know about model, mesh and graph.
+    pub fn warnings(&self) -> Vec<pb::Warning> {
+        let mut warnings = warnings_of(&self.foundation().model, self.report());
+        warnings.extend(interior::warnings(&self.body, self.volume));
+        warnings
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> u64 {
+        let model = self.foundation().model.files.total_bytes() + self.foundation().bytes();
+        let past = match &self.path.past {
+            Past::Built(_) => 0,
+            Past::Edited(step) => step.bytes(),
+        };
+        let parts = self.mesh.bytes()
+            + self.parts.of_vertex.capacity() * 4
+            + (self.followed.old_from_new.capacity() + self.followed.touched.capacity()) * 4
+            + self.body.bytes();
+        model + past + parts as u64
+    }
+
+    /// Bytes that a bench for this model is expected to hold at most.
+    pub fn estimate(&self) -> u64 {
+        let foundation = self.foundation();
+        estimate(foundation.rest.len() as u64, self.body.nodes() as u64) + foundation.model.files.total_bytes()
+    }
+}
+
+/// How the body of a model is built within `limits`.
+fn options(foundation: &Foundation, choices: &Choices, limits: &Limits) -> BodyOptions {
+    let beside = foundation.rest.len() as u64 * BYTES_PER_VERTEX + foundation.model.files.total_bytes();
+    let mut options = choices.body.clone();
+    options.apart = foundation.is_apart();
+    interior::fit(&mut options, beside, limits);
+    options
+}
+
+fn estimate(vertices: u64, nodes: u64) -> u64 {
+    vertices * BYTES_PER_VERTEX + nodes * BYTES_PER_NODE
+}
+
+pub(super) fn admit(bytes: u64, limits: &Limits) -> Result<(), Error> {
+    if bytes <= limits.memory_bytes {
+        return Ok(());
+    }
+    Err(Error::TooLarge {
+        what: "the estimated memory of the session in bytes",
+        seen: bytes,
+        limit: limits.memory_bytes,
+    })
+}
+
+fn warnings_of(model: &Model, report: &Report) -> Vec<pb::Warning> {
+    let read = model.warnings.iter().map(|(code, message, place)| pb::Warning {
+        code: code.clone(),
+        message: message.clone(),
+        r#where: place.clone(),
+    });
+    let found = report.warnings.iter().map(|w| pb::Warning {
+        code: w.code.into(),
+        message: w.message.clone(),
+        r#where: w.place.clone(),
+    });
+    read.chain(found).collect()
+}
