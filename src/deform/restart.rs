@@ -38,9 +38,9 @@ pub struct Restart<'a> {
 }
 
 /// So many rings of nodes around those that changed are relaxed together with them,
-const RINGS: usize = 3;
+const RINGS: usize = 6;
 /// in so many rounds of successive over-relaxation,
-const ROUNDS: usize = 32;
+const ROUNDS: usize = 48;
 /// with this factor: what is best for a lump of some ten nodes across.
 const OVER: f64 = 1.6;
 

@@ -76,6 +76,29 @@ fn edits_are_followed_and_the_next_pose_is_that_of_a_model_opened_anew() {
 }
 
 #[test]
+fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
+    let shaped = || {
+        let mut bench = bench(&fine_bar());
+        set(&mut bench, handles());
+        let shape = solve(&mut bench, &bend(), 1e-6).positions;
+        (bench, shape)
+    };
+    let next = |bench: &mut Workbench, shape: &Arc<Vec<DVec3>>| {
+        let region = ball(shape[shape.len() / 2].to_array(), 0.2);
+        let outcome = edit(bench, &delete(region, true), shape).expect("the edit can be done");
+        (outcome.result.repaired, solve(bench, &bend(), 1e-6))
+    };
+    let (mut here, shape) = shaped();
+    let followed = next(&mut here, &shape);
+    let (mut there, shape) = shaped();
+    let anew = next(&mut there, &Arc::new(shape.to_vec()));
+    assert_eq!((followed.0, anew.0), (true, false));
+    let apart = largest_distance(&followed.1.positions, &anew.1.positions) / here.diagonal();
+    assert!(apart < 0.01, "{apart} of the diagonal apart");
+    assert!(followed.1.cycles <= anew.1.cycles + 1);
+}
+
+#[test]
 fn fields_begin_where_they_ended_and_come_to_the_same() {
     let mut bench = bench(&fine_bar());
     set(&mut bench, handles());
