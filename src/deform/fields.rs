@@ -184,28 +184,35 @@ pub(super) fn solve(
         let system = body.hierarchy.constrain(&constraints, pool)?;
         let guessed =
             restart.is_some_and(|(restart, before)| restart.guess(body, before, others, &fixed, &mut x, pool));
-        let from_nothing = Start::FullMultigrid {
-            frames: None,
-            rest: None,
+        let is_solved = guessed && {
+            let residuals = system.residual(&body.hierarchy, columns, &rhs, &x, None, pool)?;
+            residuals.iter().all(|r| *r <= RESTARTED_TOLERANCE)
         };
-        let options = SolveOptions {
-            start: if guessed { Start::Given } else { from_nothing },
-            tolerance: Some(if guessed { RESTARTED_TOLERANCE } else { FIELD_TOLERANCE }),
-            ..Default::default()
-        };
-        let mut workspace = Workspace::default();
-        let stats = system.solve(
-            &body.hierarchy,
-            columns,
-            &rhs,
-            &mut x,
-            &options,
-            &mut workspace,
-            pool,
-            progress,
-            &mut |_| Control::Continue,
-        )?;
-        iterations = stats.iterations;
+        if !is_solved {
+            let from_nothing = Start::FullMultigrid {
+                frames: None,
+                rest: None,
+            };
+            let options = SolveOptions {
+                start: if guessed { Start::Given } else { from_nothing },
+                tolerance: Some(if guessed { RESTARTED_TOLERANCE } else { FIELD_TOLERANCE }),
+                ..Default::default()
+            };
+            let mut workspace = Workspace::default();
+            iterations = system
+                .solve(
+                    &body.hierarchy,
+                    columns,
+                    &rhs,
+                    &mut x,
+                    &options,
+                    &mut workspace,
+                    pool,
+                    progress,
+                    &mut |_| Control::Continue,
+                )?
+                .iterations;
+        }
         solved = Some(system);
     }
     pool.install(|| {
