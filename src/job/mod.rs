@@ -24,5 +24,5 @@ mod workbench;
 pub use check::Settings;
 pub use edit::{EditOrder, EditOutcome, Trail};
 pub use error::Error;
-pub use run::{Outcome, Stage, edit_name, inspect, pose_steps, run};
+pub use run::{Outcome, Stage, edit_name, expectations, inspect, pose_steps, run};
 pub use workbench::{Limits, Mode, Poses, Solved, Watch, Workbench};
