@@ -8,7 +8,7 @@
 //! | floor | modules | what |
 //! |---|---|---|
 //! | 5 | [`cli`], [`server`] | people at a terminal; gRPC, HTTP and WebSocket |
-//! | 4 | [`session`] | sessions: state, commits, undo, the deform stream |
+//! | 4 | [`session`], [`check`] | sessions: state, commits, undo, the deform stream; results beside goldens |
 //! | 3 | [`job`] | the declarative request, its JSON, and a bench that runs it |
 //! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
@@ -17,6 +17,7 @@
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod asset;
+pub mod check;
 pub mod cli;
 pub mod deform;
 pub mod edit;

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in README.md.
-const FLOORS: [(&str, u8); 13] = [
+const FLOORS: [(&str, u8); 14] = [
     ("mesh", 0),
     ("asset", 0),
     ("pool", 0),
@@ -20,6 +20,7 @@ const FLOORS: [(&str, u8); 13] = [
     ("edit", 2),
     ("job", 3),
     ("session", 4),
+    ("check", 4),
     ("server", 5),
     ("cli", 5),
 ];

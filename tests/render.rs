@@ -238,6 +238,65 @@ fn differences_and_wires_show_where_they_are() {
 }
 
 #[test]
+fn wires_lie_over_colours_and_a_range_makes_pictures_comparable() {
+    let folder = workplace();
+    let draw = |name: &str, more: &[&str]| {
+        let arguments = [
+            &["moved.obj", "--before", "rest.obj", "--color", "difference", "-o", name],
+            &["--size", "240x160", "--view", "0,0"][..],
+            more,
+        ]
+        .concat();
+        let (code, _, last) = render(folder.path(), &arguments);
+        assert_eq!(code, Some(0), "{last}");
+        Seen::open(&folder.path().join(name))
+    };
+    let plain = draw("plain.png", &[]);
+    let wired = draw("wired.png", &["--wire"]);
+    let row = |seen: &Seen| -> Vec<[u8; 3]> {
+        (240..480)
+            .filter(|&x| seen.drawn(x, 75))
+            .map(|x| seen.at(x, 75))
+            .collect()
+    };
+    let dark = |row: &[[u8; 3]]| row.iter().filter(|p| p.iter().all(|&c| c < 110)).count();
+    assert!(dark(&row(&wired)) > dark(&row(&plain)) + 10);
+    assert!(row(&wired).iter().any(|&p| red(p)), "the colours are still there");
+    // A quarter of a unit is the most; on a scale of ten units it is nearly nothing.
+    let wide = draw("wide.png", &["--range", "10"]);
+    assert!(row(&plain).iter().any(|&p| red(p)) && !row(&wide).iter().any(|&p| red(p)));
+}
+
+#[test]
+fn marks_are_rings_around_what_differs_most() {
+    let folder = workplace();
+    let draw = |name: &str, marks: &str| {
+        let arguments = [
+            &["moved.obj", "--before", "rest.obj", "--color", "difference", "-o", name],
+            &["--size", "240x160", "--view", "0,0", "--marks", marks][..],
+        ]
+        .concat();
+        let (code, _, last) = render(folder.path(), &arguments);
+        assert_eq!(code, Some(0), "{last}");
+        Seen::open(&folder.path().join(name))
+    };
+    let (none, some) = (draw("none.png", "0"), draw("some.png", "2"));
+    let changed: Vec<usize> = (0..some.pixels.len())
+        .filter(|&k| some.pixels[k] != none.pixels[k])
+        .collect();
+    assert!(changed.len() > 100, "{}", changed.len());
+    // The strip's far end moved, which is on the right of the picture on the right.
+    assert!(
+        changed.iter().all(|k| k % some.width > 400),
+        "{:?}",
+        changed.iter().map(|k| k % some.width).min()
+    );
+    let nothing = ["rest.obj", "--marks", "2", "-o", "no.png"];
+    let (code, _, last) = render(folder.path(), &nothing);
+    assert!(code == Some(2) && last.contains("--marks"), "{last}");
+}
+
+#[test]
 fn a_turntable_is_a_strip_once_around() {
     let folder = workplace();
     let arguments = [
@@ -309,7 +368,7 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_picture() {
     write("flat.obj", "v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n");
     write("empty.obj", "");
     write("other.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
-    let cases: [(&[&str], &str); 16] = [
+    let cases: [(&[&str], &str); 19] = [
         (&["none.obj"], "none.obj"),
         (&["nan.obj"], "line 1"),
         (&["points.obj"], "no triangle"),
@@ -329,6 +388,9 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_picture() {
             "85 vertices",
         ),
         (&["rest.obj", "--threads", "5000"], "0 to 1024"),
+        (&["rest.obj", "--range", "0"], "above 0"),
+        (&["rest.obj", "--before", "moved.obj", "--range", "0.5"], "above 1"),
+        (&["rest.obj", "--before", "moved.obj", "--marks", "10"], "--marks"),
     ];
     for (arguments, reason) in cases {
         let arguments = [arguments, &["-o", "out.png"]].concat();

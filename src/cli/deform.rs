@@ -1,12 +1,12 @@
 //! `pliant deform`: the engine in process, without a server.
 
-use super::files::{output_format, read, read_model, write_model};
+use super::files::{output_format, read_model, write_model};
+use super::job::read_job;
 use super::progress::Bar;
 use super::{Failure, Threads, print_json};
-use crate::asset::Format;
 use crate::job::{self, Limits, pb};
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// Arguments of `pliant deform`.
@@ -30,12 +30,7 @@ pub struct DeformArgs {
 /// Runs the command.
 pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
     let format = output_format(&args.output)?;
-    let in_job = |e: job::Error| match Failure::from(e) {
-        Failure::Input(text) => Failure::Input(format!("{}: {text}", args.job.display())),
-        other => other,
-    };
-    let mut job: pb::Job = job::json::from_json(&read(&args.job)?).map_err(in_job)?;
-    read_merged(&mut job, &args.job)?;
+    let job = read_job(&args.job)?;
     let pool = args.threads.pool()?;
     let files = read_model(&args.model)?;
     let bar = Bar::new(args.json);
@@ -59,28 +54,6 @@ pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
         true => Ok(()),
         false => Err(Failure::Check(outcome.unmet.join("; "))),
     }
-}
-
-/// Puts the models in that a job names by file.
-fn read_merged(job: &mut pb::Job, beside: &Path) -> Result<(), Failure> {
-    use pb::edit_request::{Operation, merge::Source};
-    for step in &mut job.steps {
-        let Some(pb::step::Step::Edit(edit)) = &mut step.step else {
-            continue;
-        };
-        let Some(Operation::Merge(merge)) = &mut edit.operation else {
-            continue;
-        };
-        if let Some(Source::File(name)) = &merge.source {
-            let path = beside.with_file_name(name);
-            if merge.format.is_empty() {
-                let told = Format::from_file_name(name);
-                merge.format = told.map_or_else(String::new, |f| f.name().to_owned());
-            }
-            merge.source = Some(Source::Model(read(&path)?.into()));
-        }
-    }
-    Ok(())
 }
 
 fn summarise(report: &pb::Report, millis: f64) {

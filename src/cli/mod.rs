@@ -3,14 +3,16 @@
 //! Exit codes: 0 done, 1 a check failed, 2 bad input or usage, 3 internal. The last line of stderr says why. With
 //! `--json` stdout carries exactly one JSON document.
 
+mod check;
 mod deform;
 mod files;
 mod inspect;
+mod job;
 mod progress;
 mod render;
 pub mod serve;
 
-use crate::job;
+use crate::job::{Error as JobError, json};
 use crate::pool::Pool;
 use clap::{Args, Parser, Subcommand};
 use std::process::ExitCode;
@@ -31,6 +33,8 @@ enum Command {
     Deform(deform::DeformArgs),
     /// Tell what the solver sees in a model
     Inspect(inspect::InspectArgs),
+    /// Run a suite of jobs and compare each result with the one that was stored
+    Check(check::CheckArgs),
     /// Draw a model, maybe beside what it was, as a png
     Render(render::RenderArgs),
 }
@@ -81,17 +85,17 @@ impl Failure {
         ExitCode::from(self.code())
     }
 
-    fn text(&self) -> &str {
+    pub(crate) fn text(&self) -> &str {
         match self {
             Self::Check(text) | Self::Input(text) | Self::Internal(text) => text,
         }
     }
 }
 
-impl From<job::Error> for Failure {
-    fn from(e: job::Error) -> Self {
+impl From<JobError> for Failure {
+    fn from(e: JobError) -> Self {
         match e {
-            job::Error::Internal(_) | job::Error::Cancelled => Self::Internal(e.to_string()),
+            JobError::Internal(_) | JobError::Cancelled => Self::Internal(e.to_string()),
             other => Self::Input(other.to_string()),
         }
     }
@@ -114,6 +118,7 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::main(args),
         Command::Deform(args) => deform::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Check(args) => check::run(&args),
         Command::Render(args) => render::run(&args),
     };
     match result {
@@ -135,7 +140,7 @@ fn usage_reason(message: &str) -> String {
 /// Prints one JSON document on stdout. A reader that went away is no failure of ours to report twice.
 fn print_json<M: prost::Message + prost::Name>(message: &M) -> Result<(), Failure> {
     use std::io::Write as _;
-    let value = job::json::to_json(message)?;
+    let value = json::to_json(message)?;
     let text = serde_json::to_string_pretty(&value).map_err(|e| Failure::Internal(e.to_string()))?;
     writeln!(std::io::stdout(), "{text}").map_err(|e| Failure::Internal(format!("cannot write to stdout: {e}")))
 }

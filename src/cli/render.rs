@@ -3,10 +3,16 @@
 use super::files::{read_model, write_file};
 use super::{Failure, Threads};
 use crate::asset::{Limits, Model};
+use crate::mesh::Bounds;
 use crate::pool::Pool;
-use crate::render::{self, Key, Plate, Ramp, Size, Surface, Up, View, displacements, edge_stretch};
+use crate::render::{
+    self, Key, Mark, Plate, Ramp, STRETCH_RANGE, Size, Surface, Up, View, displacements, edge_stretch,
+};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
+
+/// Marked places are at least this share of the diagonal apart.
+const APART: f64 = 0.06;
 
 /// Arguments of `pliant render`.
 #[derive(Debug, Args)]
@@ -35,6 +41,16 @@ pub struct RenderArgs {
     /// A strip of N views, once around the up axis
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=64))]
     turntable: Option<u32>,
+    /// Draw the edges of the triangles too, over any colours
+    #[arg(long)]
+    wire: bool,
+    /// The distance (difference) or factor (distortion) at the end of the colours, so that pictures can be compared
+    /// [default: the largest distance; 1.5]
+    #[arg(long, value_name = "NUMBER", value_parser = above_zero)]
+    range: Option<f64>,
+    /// Rings around the N places that differ most
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=9))]
+    marks: u32,
     #[command(flatten)]
     threads: Threads,
 }
@@ -66,6 +82,11 @@ fn size(text: &str) -> Result<Size, String> {
         Some((w, h)) => Size::new(w, h).map_err(|e| e.to_string()),
         None => Err("two whole numbers with an x between them are needed, such as 800x600".into()),
     }
+}
+
+fn above_zero(text: &str) -> Result<f64, String> {
+    let number = text.trim().parse::<f64>().ok().filter(|x| x.is_finite() && *x > 0.0);
+    number.ok_or_else(|| "a finite number above 0 is needed".into())
 }
 
 fn angles(text: &str) -> Result<[f64; 2], String> {
@@ -113,12 +134,25 @@ pub(super) fn run(args: &RenderArgs) -> Result<(), Failure> {
     let model = Read::open(&args.model)?;
     let before = args.before.as_deref().map(Read::open).transpose()?;
     let colour = choose(args.color, &model, before.as_ref())?;
-    let (shape, key) = coloured(&model, before.as_ref(), colour, &pool)?;
-    let before = match &before {
-        Some(before) if colour == Color::Wire => Some(before.surface(&pool)?.with_wires()),
-        Some(before) => Some(before.surface(&pool)?),
-        None => None,
+    let Coloured { mut shape, key, values } = coloured(&model, before.as_ref(), colour, args.range, &pool)?;
+    let marks = match args.marks {
+        0 => Vec::new(),
+        _ if values.is_empty() => {
+            let problem = "--marks points at where two shapes differ; ask for --color difference or distortion";
+            return Err(Failure::Input(problem.into()));
+        }
+        count => {
+            let positions = &model.model.positions;
+            let apart = APART * Bounds::of(positions).diagonal();
+            let sizes: Vec<f64> = values.iter().map(|x| x.abs()).collect();
+            Mark::largest(positions, &sizes, count as usize, apart)
+        }
     };
+    let mut before = before.as_ref().map(|b| b.surface(&pool)).transpose()?;
+    if args.wire || colour == Color::Wire {
+        shape = shape.with_wires();
+        before = before.map(Surface::with_wires);
+    }
     let up = match args.up {
         Axis::Y => Up::Y,
         Axis::Z => Up::Z,
@@ -134,6 +168,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<(), Failure> {
         views: &views,
         size: args.size,
         key,
+        marks,
     };
     let picture = plate.draw(&pool)?;
     write_file(&args.output, &picture.png()?)?;
@@ -175,32 +210,55 @@ fn choose(asked: Option<Color>, model: &Read<'_>, before: Option<&Read<'_>>) -> 
     }
 }
 
+/// A shape in its colours.
+struct Coloured {
+    shape: Surface,
+    key: Option<Key>,
+    /// What the colours say, one for each vertex; empty without colours.
+    values: Vec<f64>,
+}
+
 fn coloured(
     model: &Read<'_>,
     before: Option<&Read<'_>>,
     colour: Color,
+    range: Option<f64>,
     pool: &Pool,
-) -> Result<(Surface, Option<Key>), Failure> {
-    let surface = model.surface(pool)?;
+) -> Result<Coloured, Failure> {
+    let shape = model.surface(pool)?;
     let (now, triangles) = (&model.model.positions, &model.model.triangles);
-    let paint = |values: Vec<f64>, ramp: Ramp, unit: f64| {
-        let colours: Vec<_> = values.into_iter().map(|x| ramp.light(x / unit)).collect();
-        surface.clone().coloured(&colours)
-    };
-    match (colour, before) {
+    let (values, ramp, unit, key) = match (colour, before) {
         (Color::Distortion, Some(before)) => {
+            let factor = range.unwrap_or(STRETCH_RANGE);
+            if factor <= 1.0 {
+                let problem = "of distortion it is a factor, which must be above 1";
+                return Err(Failure::Input(format!("--range is {factor}; {problem}")));
+            }
             let values = edge_stretch(&before.model.positions, now, triangles)?;
-            Ok((paint(values, Ramp::Stretch, 1.0)?, Some(Key::stretch())))
+            // Values are logarithms to the base of STRETCH_RANGE.
+            let unit = libm::log(factor) / libm::log(STRETCH_RANGE);
+            (values, Ramp::Stretch, unit, Key::stretch(factor))
         }
         (Color::Difference, Some(before)) => {
             let values = displacements(&before.model.positions, now)?;
-            let most = values.iter().copied().fold(0.0, f64::max);
+            let most = range.unwrap_or_else(|| values.iter().copied().fold(0.0, f64::max));
             let unit = if most > 0.0 { most } else { 1.0 };
-            Ok((paint(values, Ramp::Amount, unit)?, Some(Key::distance(most))))
+            (values, Ramp::Amount, unit, Key::distance(most))
         }
-        (Color::Wire, _) => Ok((surface.with_wires(), None)),
-        _ => Ok((surface, None)),
-    }
+        _ => {
+            return Ok(Coloured {
+                shape,
+                key: None,
+                values: Vec::new(),
+            });
+        }
+    };
+    let colours: Vec<_> = values.iter().map(|x| ramp.light(x / unit)).collect();
+    Ok(Coloured {
+        shape: shape.coloured(&colours)?,
+        key: Some(key),
+        values,
+    })
 }
 
 impl From<render::Error> for Failure {

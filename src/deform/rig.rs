@@ -2,10 +2,11 @@
 
 use super::fields::{self, Fields};
 use super::parts::{Parts, Policy};
-use super::{Body, Error, KeptFields, Restart};
+use super::{Body, Error, KeptFields, Restart, Transform};
 use crate::pool::Pool;
 use crate::progress::Progress;
 use crate::solver::{Constraints, System};
+use glam::DVec3;
 use std::sync::Arc;
 
 /// In an owner list: nobody holds the node.
@@ -288,6 +289,22 @@ impl Rig {
             .for_each(|s| count[s.1 as usize] += 1);
         count.truncate(self.holds());
         count
+    }
+
+    /// Largest distance of a surface node that is held hard from where its handle puts it (or from rest, where nothing may
+    /// move). `now` tells where a surface node is; `transforms` has one for each hold.
+    pub fn misplaced(&self, body: &Body, transforms: &[Transform], now: impl Fn(usize) -> DVec3) -> f64 {
+        let maps: Vec<_> = transforms
+            .iter()
+            .chain([&Transform::IDENTITY])
+            .map(Transform::map)
+            .collect();
+        let held = self.position.hard[..body.graph.surface].iter().enumerate();
+        let distances = held.filter_map(|(node, &holder)| {
+            let place = maps.get(holder as usize)?(body.graph.positions[node]);
+            Some(place.distance(now(node)))
+        });
+        distances.fold(0.0, f64::max)
     }
 
     /// Bytes held on the heap.

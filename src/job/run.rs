@@ -17,6 +17,11 @@ pub struct Outcome {
     pub report: pb::Report,
     /// Final positions, one per render vertex.
     pub positions: Arc<Vec<DVec3>>,
+    /// Triangles over them.
+    pub triangles: Vec<[u32; 3]>,
+    /// Largest distance of a vertex that a hard handle holds from where the handle puts it, as a fraction of the bounding
+    /// box's diagonal.
+    pub constraint_error: f64,
     /// The model in its final shape, in the format asked for.
     pub written: Written,
     /// Expectations of the job that do not hold, one sentence each.
@@ -192,6 +197,8 @@ pub fn run(
     let (unmet, unchecked) = expectations(job.expect.as_ref(), &report);
     Ok(Outcome {
         report,
+        triangles: bench.geometry().triangles.clone(),
+        constraint_error: bench.constraint_error(&positions, &in_force)?,
         positions,
         written,
         unmet,
@@ -272,8 +279,9 @@ fn at_step(e: Error, k: usize) -> Error {
     }
 }
 
-/// What of the expectations does not hold, and what only a stored result can tell.
-fn expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String>, Vec<&'static str>) {
+/// What of the expectations does not hold for a report's quality and digest, one sentence each, and what only a stored
+/// result can tell.
+pub fn expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String>, Vec<&'static str>) {
     let Some(expect) = expect else {
         return Default::default();
     };

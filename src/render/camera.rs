@@ -79,6 +79,23 @@ impl View {
         }
     }
 
+    /// From where `direction` looks at the eye, as nearly as an elevation of at most 70° allows, so that up stays up;
+    /// straight ahead when there is no direction.
+    #[must_use]
+    pub fn facing(direction: DVec3, up: Up) -> Self {
+        let d = match up {
+            Up::Y => direction,
+            Up::Z => DVec3::new(direction.x, direction.z, -direction.y),
+        };
+        let finite = |angle: f64| if angle.is_finite() { angle } else { 0.0 };
+        let level = (d.x * d.x + d.z * d.z).sqrt();
+        Self {
+            azimuth: finite(libm::atan2(d.x, d.z).to_degrees()),
+            elevation: finite(libm::atan2(d.y, level).to_degrees()).clamp(-70.0, 70.0),
+            up,
+        }
+    }
+
     /// The same view after `degrees` more around the up axis.
     #[must_use]
     pub fn turned(self, degrees: f64) -> Self {
@@ -162,6 +179,19 @@ impl Camera {
             .collect()
     }
 
+    /// The same view with `at` in the middle and `radius` around it filling the picture.
+    #[must_use]
+    pub fn close_up(&self, at: DVec3, radius: f64) -> Self {
+        let side = f64::from(self.size.width.min(self.size.height));
+        let scale = 0.5 * side / radius;
+        let usable = scale.is_finite() && scale > 0.0;
+        Self {
+            center: at,
+            scale: if usable { scale } else { self.scale },
+            ..self.clone()
+        }
+    }
+
     /// Pixels of the picture.
     pub fn size(&self) -> Size {
         self.size
@@ -200,6 +230,28 @@ mod tests {
             assert!(near(right.cross(above), towards));
         }
         assert!(near(axes(10.0, 90.0, Up::Y)[2], DVec3::Y), "straight from above");
+    }
+
+    #[test]
+    fn a_view_can_face_a_direction_and_a_camera_go_near() {
+        for up in [Up::Y, Up::Z] {
+            for d in [DVec3::new(1.0, 0.4, -0.7), DVec3::new(-0.2, -0.5, 0.9), DVec3::X] {
+                let [_, _, towards] = View::facing(d, up).axes();
+                assert!(towards.distance(d.normalize()) < 1e-12, "{up:?} {d}");
+            }
+            let steep = if up == Up::Y { DVec3::Y } else { DVec3::Z };
+            let [_, above, towards] = View::facing(steep, up).axes();
+            assert!(towards.dot(steep) > 0.9 && above.dot(steep) > 0.3);
+            assert!(View::facing(DVec3::ZERO, up).axes()[2].is_finite());
+        }
+        let size = Size::new(100, 60).expect("in range");
+        let view = View::new(0.0, 0.0, Up::Y).expect("in range");
+        let near = Camera::around(&[], &[view], size)[0].close_up(DVec3::new(3.0, 2.0, 1.0), 0.5);
+        assert_eq!(
+            near.project(DVec3::new(3.0, 2.0, 1.0)).truncate(),
+            glam::DVec2::new(50.0, 30.0)
+        );
+        assert_eq!(near.project(DVec3::new(3.0, 2.5, 1.0)).y, 0.0);
     }
 
     #[test]

@@ -64,6 +64,17 @@ impl Picture {
         }
     }
 
+    /// Mixes a share (0 to 1) of a colour into a pixel; outside the picture nothing happens.
+    pub(super) fn mix(&mut self, x: u32, y: u32, colour: Rgb, share: f64) {
+        if x < self.width && y < self.height && share > 0.0 {
+            let pixel = &mut self.pixels[y as usize * self.width as usize + x as usize];
+            for (old, new) in pixel.iter_mut().zip(colour) {
+                let mixed = f64::from(*old) + (f64::from(new) - f64::from(*old)) * share;
+                *old = mixed.round() as u8;
+            }
+        }
+    }
+
     /// Puts another picture on this one; what lies outside is left out.
     pub fn paste(&mut self, other: &Self, x: u32, y: u32) {
         let columns = other.width.min(self.width.saturating_sub(x)) as usize;

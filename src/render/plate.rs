@@ -2,7 +2,7 @@
 
 use super::colour::{Rgb, Screen, light};
 use super::raster::ground;
-use super::{Camera, Error, Picture, Ramp, STRETCH_RANGE, Size, Surface, View, draw, font};
+use super::{Camera, Error, Mark, Picture, Ramp, Size, Surface, View, draw, font};
 use crate::pool::Pool;
 
 /// Views smaller than this have no key and no words.
@@ -19,13 +19,13 @@ pub struct Key {
 }
 
 impl Key {
-    /// Of [`super::edge_stretch`].
-    pub fn stretch() -> Self {
+    /// Of [`super::edge_stretch`], with a factor at the end of the colours.
+    pub fn stretch(factor: f64) -> Self {
         Self {
             ramp: Ramp::Stretch,
             title: "edge length".into(),
-            least: format!("x{}", number(1.0 / STRETCH_RANGE)),
-            most: format!("x{}", number(STRETCH_RANGE)),
+            least: format!("x{}", number(1.0 / factor)),
+            most: format!("x{}", number(factor)),
         }
     }
 
@@ -113,6 +113,8 @@ pub struct Plate<'a> {
     pub size: Size,
     /// What the colours mean, told below the views where there is room.
     pub key: Option<Key>,
+    /// Places to point at, on every view of the shape.
+    pub marks: Vec<Mark>,
 }
 
 impl Plate<'_> {
@@ -143,6 +145,9 @@ impl Plate<'_> {
                 let (column, row) = if rows > 1 || cameras.len() > 1 { (v, k) } else { (k, v) };
                 let (x, y) = (count(column) * width, count(row) * view_height);
                 picture.paste(&draw(surface, camera, pool), x, y);
+                if k + 1 == surfaces.len() {
+                    self.marks.iter().for_each(|m| m.draw(&mut picture, camera, x, y));
+                }
                 if words && surfaces.len() > 1 && v == 0 {
                     let word = ["before", "after"][k.min(1)];
                     picture.write(x + 4 * dot, y + 4 * dot, dot, word, INK);
@@ -159,7 +164,7 @@ impl Plate<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Up;
+    use super::super::{STRETCH_RANGE, Up};
     use super::*;
     use glam::DVec3;
 
@@ -194,6 +199,7 @@ mod tests {
             views: &views,
             size: Size::new(64, 64).expect("in range"),
             key: None,
+            marks: Vec::new(),
         };
         let picture = plate.draw(&pool()).expect("small");
         assert_eq!((picture.width(), picture.height()), (128, 64));
@@ -214,6 +220,7 @@ mod tests {
             views: &views,
             size,
             key: None,
+            marks: Vec::new(),
         };
         let strip = plate.draw(&pool()).expect("small");
         assert_eq!((strip.width(), strip.height()), (200, 40));
@@ -242,7 +249,8 @@ mod tests {
                 shape: &shape,
                 views: &views,
                 size: Size::new(side, side).expect("in range"),
-                key: Some(Key::stretch()),
+                key: Some(Key::stretch(STRETCH_RANGE)),
+                marks: Vec::new(),
             };
             let picture = plate.draw(&pool()).expect("small");
             assert_eq!((picture.width(), picture.height()), (side, side));

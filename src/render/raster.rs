@@ -25,7 +25,7 @@ const CLAY: u32 = 0xe6_df_d4;
 const SKY: [u32; 2] = [0xfa_fb_fc, 0xdc_e1_e7];
 
 /// The colour of the background's lower end.
-pub(super) fn ground() -> Rgb {
+pub fn ground() -> Rgb {
     Screen::new().rgb(light(SKY[1]))
 }
 

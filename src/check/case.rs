@@ -1,0 +1,299 @@
+//! One case of a suite: a model, a job, and how far the result may be from its golden.
+
+use super::tolerances::{Tolerances, Written};
+use crate::job::{self, pb};
+use crate::render::{Up, View};
+use prost::Message as _;
+use serde::Deserialize;
+use serde_json::value::RawValue;
+use sha2::{Digest as _, Sha256};
+
+/// What ends the name of a case's file.
+pub const CASE_SUFFIX: &str = ".case.json";
+/// What ends the name of its golden, which lies beside it.
+pub const GOLDEN_SUFFIX: &str = ".golden.json";
+/// The built-in model.
+const SAMPLE: &str = "creature";
+
+/// A case as its file says it.
+#[derive(Debug, Clone)]
+pub struct Case {
+    /// From the name of its file.
+    pub name: String,
+    /// What it shows, for people; maybe empty.
+    pub title: String,
+    /// Its model.
+    pub model: Source,
+    /// Its job, or where that is.
+    pub job: JobSource,
+    /// How far its result may be from the golden.
+    pub tolerances: Tolerances,
+    /// From where its pictures are taken; `None` = chosen.
+    pub view: Option<View>,
+    /// The axis that points up in its pictures.
+    pub up: Up,
+}
+
+/// Where a model comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Source {
+    /// The built-in creature.
+    Sample,
+    /// A file below the suite's folder.
+    Suite(String),
+    /// A file below the folder of shared data, which not every machine has.
+    Data(String),
+}
+
+/// Where a job comes from.
+#[derive(Debug, Clone)]
+pub enum JobSource {
+    /// The case itself.
+    Inline(Box<pb::Job>),
+    /// A file below the suite's folder.
+    File(String),
+}
+
+/// What a suite says that it must not.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{file}: {problem}")]
+pub struct SuiteError {
+    /// The file, from the suite's folder.
+    pub file: String,
+    /// What is wrong, where in the file, and what is allowed.
+    pub problem: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File<'a> {
+    #[serde(default)]
+    title: String,
+    model: String,
+    #[serde(borrow)]
+    job: &'a RawValue,
+    #[serde(default)]
+    tolerances: Vec<Written>,
+    view: Option<Angles>,
+    up: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Angles {
+    azimuth: f64,
+    elevation: f64,
+}
+
+impl Case {
+    /// Reads the file of a case. `file` is its name in the suite's folder.
+    ///
+    /// # Errors
+    /// What is wrong with it and where.
+    pub fn read(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
+        let refuse = |place: &str, problem: String| SuiteError {
+            file: file.to_owned(),
+            problem: format!("{place}: {problem}"),
+        };
+        let name = file.strip_suffix(CASE_SUFFIX).unwrap_or_default();
+        let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+        if name.is_empty() || name.starts_with('.') || name.len() > 100 || !name.chars().all(plain) {
+            let problem =
+                "is no name of a case; letters, digits, \".\", \"_\" and \"-\" are allowed, 100 of them at most";
+            return Err(refuse("its name", format!("\"{name}\" {problem}")));
+        }
+        let mut json = serde_json::Deserializer::from_slice(text);
+        let read: File<'_> = serde_path_to_error::deserialize(&mut json).map_err(|e| {
+            let path = e.path().to_string();
+            refuse(if path == "." { "body" } else { &path }, e.inner().to_string())
+        })?;
+        json.end().map_err(|e| refuse("body", e.to_string()))?;
+        let model = Source::read(&read.model).map_err(|problem| refuse("model", problem))?;
+        let job = JobSource::read(read.job).map_err(|(place, problem)| refuse(&place, problem))?;
+        let tolerances = Tolerances::check(&read.tolerances).map_err(|(place, problem)| refuse(&place, problem))?;
+        let up = match read.up.as_deref() {
+            None | Some("y") => Up::Y,
+            Some("z") => Up::Z,
+            Some(other) => return Err(refuse("up", format!("\"{other}\" is no axis, allowed are y and z"))),
+        };
+        let view = read.view.map(|v| View::new(v.azimuth, v.elevation, up));
+        Ok(Self {
+            name: name.to_owned(),
+            title: read.title,
+            model,
+            job,
+            tolerances,
+            view: view.transpose().map_err(|e| refuse("view", e.to_string()))?,
+            up,
+        })
+    }
+
+    /// The name of its golden.
+    pub fn golden_file(&self) -> String {
+        format!("{}{GOLDEN_SUFFIX}", self.name)
+    }
+}
+
+impl Source {
+    fn read(text: &str) -> Result<Self, String> {
+        let allowed = "allowed are a path below the suite's folder, \"data:\" and a path below the folder of PLIANT_DATA, and \"sample:creature\"";
+        if let Some(name) = text.strip_prefix("sample:") {
+            return match name {
+                SAMPLE => Ok(Self::Sample),
+                _ => Err(format!("\"{text}\" is not built in; {allowed}")),
+            };
+        }
+        let (source, path): (fn(String) -> Self, &str) = match text.strip_prefix("data:") {
+            Some(path) => (Self::Data, path),
+            None => (Self::Suite, text),
+        };
+        match stays_below(path) {
+            true => Ok(source(path.to_owned())),
+            false => Err(format!("\"{text}\" is no path that stays below its folder; {allowed}")),
+        }
+    }
+}
+
+impl std::fmt::Display for Source {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Sample => write!(f, "sample:{SAMPLE}"),
+            Self::Suite(path) => f.write_str(path),
+            Self::Data(path) => write!(f, "data:{path}"),
+        }
+    }
+}
+
+impl JobSource {
+    fn read(raw: &RawValue) -> Result<Self, (String, String)> {
+        let text = raw.get();
+        if text.starts_with('"') {
+            let path: String = serde_json::from_str(text).map_err(|e| ("job".into(), e.to_string()))?;
+            return match stays_below(&path) {
+                true => Ok(Self::File(path)),
+                false => Err((
+                    "job".into(),
+                    format!("\"{path}\" is no path that stays below the suite's folder"),
+                )),
+            };
+        }
+        match job::json::from_json(text.as_bytes()) {
+            Ok(job) => Ok(Self::Inline(Box::new(job))),
+            Err(job::Error::Json { place, problem }) if place == "body" => Err(("job".into(), problem)),
+            Err(job::Error::Json { place, problem }) => Err((format!("job.{place}"), problem)),
+            Err(other) => Err(("job".into(), other.to_string())),
+        }
+    }
+}
+
+/// A relative path of plain names, with "/" between them.
+fn stays_below(path: &str) -> bool {
+    let plain = |part: &str| !part.is_empty() && part != "." && part != "..";
+    !path.contains(['\\', ':', '\0']) && path.split('/').all(plain)
+}
+
+/// SHA-256 of a job in lower-case hexadecimal, without what it expects, which changes no result. Models to merge must be
+/// in it.
+pub fn job_hash(job: &pb::Job) -> String {
+    let bare = pb::Job {
+        expect: None,
+        ..job.clone()
+    };
+    hex(&Sha256::digest(bare.encode_to_vec()))
+}
+
+/// SHA-256 of a model in lower-case hexadecimal: of its file; with companions also of their names and bytes.
+pub fn model_hash(files: &crate::asset::FileSet) -> String {
+    let mut hash = Sha256::new();
+    hash.update(&files.main);
+    for (name, bytes) in &files.companions {
+        for part in [name.as_bytes(), bytes.as_ref()] {
+            hash.update((part.len() as u64).to_le_bytes());
+            hash.update(part);
+        }
+    }
+    hex(&hash.finalize())
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(text: &str) -> String {
+        Case::read("bend.case.json", text.as_bytes())
+            .expect_err(text)
+            .to_string()
+    }
+
+    #[test]
+    fn a_case_says_model_job_and_what_may_differ() {
+        let text = r#"{"title": "A bend", "model": "models/bar.obj", "job": {"handles": []}, "view": {"azimuth": 0, "elevation": 10},
+            "up": "z", "tolerances": [{"metrics": ["bytes"], "most": 100, "reason": "padding"}]}"#;
+        let case = Case::read("bend.case.json", text.as_bytes()).expect("a case");
+        assert_eq!(
+            (case.name.as_str(), case.golden_file().as_str()),
+            ("bend", "bend.golden.json")
+        );
+        assert_eq!(case.model, Source::Suite("models/bar.obj".into()));
+        assert!(matches!(case.job, JobSource::Inline(_)) && case.up == Up::Z && case.view.is_some());
+        for (text, source) in [
+            ("sample:creature", Source::Sample),
+            ("data:meshes/arm.off", Source::Data("meshes/arm.off".into())),
+        ] {
+            let read = Source::read(text).expect("a source");
+            assert_eq!((read.to_string().as_str(), read), (text, source));
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_told_with_file_and_place() {
+        let job = r#""job": {}"#;
+        let told = refused(&format!(r#"{{"model": "a.obj", {job}, "tolerance": 1}}"#));
+        assert!(
+            told.starts_with("bend.case.json: ") && told.contains("tolerance") && told.contains("tolerances"),
+            "{told}"
+        );
+        assert!(refused(&format!(r#"{{{job}}}"#)).contains("missing field `model`"));
+        assert!(refused(r#"{"model": "a.obj", "job": {"handels": []}}"#).contains("job.handels"));
+        assert!(refused(r#"{"model": "a.obj", "job": 3}"#).contains("job: "));
+        assert!(refused(r#"{"model": "a.obj", "job": "../job.json"}"#).contains("below"));
+        for model in [
+            "../a.obj",
+            "/etc/passwd",
+            "a/../../b",
+            "",
+            "sample:dog",
+            "http://x/y",
+            "a\\\\b",
+        ] {
+            let told = refused(&format!(r#"{{"model": "{model}", {job}}}"#));
+            assert!(told.contains("model: ") && told.contains("PLIANT_DATA"), "{told}");
+        }
+        assert!(refused(&format!(r#"{{"model": "a.obj", {job}, "up": "x"}}"#)).contains("allowed are y and z"));
+        let steep = r#""view": {"azimuth": 0, "elevation": 100}"#;
+        assert!(refused(&format!(r#"{{"model": "a.obj", {job}, {steep}}}"#)).contains("-90 to 90"));
+        let loose = r#""tolerances": [{"metrics": ["bytes"], "most": 1}]"#;
+        assert!(refused(&format!(r#"{{"model": "a.obj", {job}, {loose}}}"#)).contains("tolerances[0].reason"));
+        assert!(
+            Case::read("a b.case.json", b"{}")
+                .expect_err("a space")
+                .to_string()
+                .contains("no name of a case")
+        );
+    }
+
+    #[test]
+    fn what_is_expected_is_no_input() {
+        let job = |text: &str| job::json::from_json::<pb::Job>(text.as_bytes()).expect("a job");
+        let plain = job(r#"{"handles": [{"id": "a"}]}"#);
+        assert_eq!(
+            job_hash(&plain),
+            job_hash(&job(r#"{"handles": [{"id": "a"}], "expect": {"flippedTriangles": 0}}"#))
+        );
+        assert_ne!(job_hash(&plain), job_hash(&job(r#"{"handles": [{"id": "b"}]}"#)));
+    }
+}

@@ -1,0 +1,204 @@
+//! Goldens: what is kept of a result that people have looked at and found right.
+
+use super::found::{Found, Topology};
+use super::packed::{Places, PlacesText, read_triangles, triangles_text};
+use super::{Metric, SuiteError};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The version of the file's layout.
+const LAYOUT: u32 = 1;
+/// Most vertices and triangles that a golden may speak of.
+const MOST: usize = 40_000_000;
+
+/// A stored result.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Golden {
+    /// What it was made from.
+    pub inputs: Inputs,
+    /// Digest of its positions.
+    pub digest: String,
+    /// Its counts and connections.
+    pub topology: Topology,
+    /// What the engine told of it.
+    pub numbers: BTreeMap<Metric, f64>,
+    /// Its positions, up to the cells of a grid.
+    pub places: Places,
+    /// Its triangles, where they are not the model's.
+    pub triangles: Option<Vec<[u32; 3]>>,
+}
+
+/// What a result depends on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Inputs {
+    /// See [`super::model_hash`].
+    pub model: String,
+    /// See [`super::job_hash`].
+    pub job: String,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    layout: u32,
+    inputs: Inputs,
+    digest: String,
+    topology: Topology,
+    metrics: BTreeMap<String, f64>,
+    positions: PlacesText,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    triangles: Option<Vec<String>>,
+}
+
+impl Golden {
+    /// Of a result whose numbers are all finite.
+    pub fn of(found: &Found, inputs: Inputs) -> Self {
+        Self {
+            inputs,
+            digest: found.digest.clone(),
+            topology: Topology::of(found.positions.len(), &found.triangles),
+            numbers: found.numbers.clone(),
+            places: Places::of(&found.positions),
+            triangles: (found.triangles != found.before.1).then(|| found.triangles.clone()),
+        }
+    }
+
+    /// The file's text.
+    ///
+    /// # Errors
+    /// In words; never for finite numbers.
+    pub fn text(&self) -> Result<String, String> {
+        let file = File {
+            layout: LAYOUT,
+            inputs: self.inputs.clone(),
+            digest: self.digest.clone(),
+            topology: self.topology.clone(),
+            metrics: self.numbers.iter().map(|(m, x)| (m.name().to_owned(), *x)).collect(),
+            positions: self.places.text(),
+            triangles: self.triangles.as_deref().map(triangles_text),
+        };
+        let text = serde_json::to_string_pretty(&file).map_err(|e| e.to_string())?;
+        Ok(text + "\n")
+    }
+
+    /// Reads a golden. `file` names it in texts.
+    ///
+    /// # Errors
+    /// What is wrong with it and where.
+    pub fn read(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
+        let refuse = |place: &str, problem: String| SuiteError {
+            file: file.to_owned(),
+            problem: format!("{place}: {problem}"),
+        };
+        let mut json = serde_json::Deserializer::from_slice(text);
+        let read: File = serde_path_to_error::deserialize(&mut json).map_err(|e| {
+            let path = e.path().to_string();
+            refuse(if path == "." { "body" } else { &path }, e.inner().to_string())
+        })?;
+        json.end().map_err(|e| refuse("body", e.to_string()))?;
+        if read.layout != LAYOUT {
+            let problem = format!("is {}, this version reads {LAYOUT}; bless the suite again", read.layout);
+            return Err(refuse("layout", problem));
+        }
+        let (vertices, triangles) = (read.topology.vertices, read.topology.triangles);
+        if vertices.max(triangles) > MOST {
+            let problem = format!("{vertices} vertices and {triangles} triangles, at most {MOST} are allowed");
+            return Err(refuse("topology", problem));
+        }
+        let mut numbers = BTreeMap::new();
+        for (name, value) in read.metrics {
+            let Some(metric) = Metric::from_name(&name) else {
+                return Err(refuse("metrics", format!("\"{name}\" is no metric of this version")));
+            };
+            numbers.insert(metric, value);
+        }
+        let places = Places::read(&read.positions, vertices).map_err(|e| refuse("positions", e))?;
+        let triangles = read.triangles.map(|text| read_triangles(&text, triangles, vertices));
+        Ok(Self {
+            inputs: read.inputs,
+            digest: read.digest,
+            topology: read.topology,
+            numbers,
+            places,
+            triangles: triangles.transpose().map_err(|e| refuse("triangles", e))?,
+        })
+    }
+
+    /// Why it is of another case than this one, in words; `None` when it is of this one.
+    pub fn stale(&self, inputs: &Inputs) -> Option<String> {
+        let changed: Vec<&str> = [
+            ("model", self.inputs.model != inputs.model),
+            ("job", self.inputs.job != inputs.job),
+        ]
+        .into_iter()
+        .filter_map(|(name, changed)| changed.then_some(name))
+        .collect();
+        let problem = "has changed since the golden was stored; look at the result and bless it";
+        (!changed.is_empty()).then(|| {
+            format!(
+                "the golden is stale: the case's {} {problem}",
+                changed.join(" and its ")
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn golden() -> Golden {
+        let found = Found {
+            positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            digest: "xxh3:0011223344556677".into(),
+            numbers: [(Metric::EdgeRms, 0.1 + 0.2), (Metric::Cycles, 7.0)].into(),
+            ..Default::default()
+        };
+        let inputs = Inputs {
+            model: "a".into(),
+            job: "b".into(),
+        };
+        Golden::of(&found, inputs)
+    }
+
+    #[test]
+    fn a_golden_comes_back_to_the_bit() {
+        let golden = golden();
+        let text = golden.text().expect("finite");
+        assert_eq!(Golden::read("x.golden.json", text.as_bytes()), Ok(golden));
+    }
+
+    #[test]
+    fn a_broken_one_says_where() {
+        let text = golden().text().expect("finite");
+        let refused = |from: &str, to: &str, words: &str| {
+            let broken = text.replacen(from, to, 1);
+            assert_ne!(broken, text, "{from}");
+            let told = Golden::read("x.golden.json", broken.as_bytes())
+                .expect_err(from)
+                .to_string();
+            assert!(told.starts_with("x.golden.json: ") && told.contains(words), "{told}");
+        };
+        refused("\"layout\": 1", "\"layout\": 2", "layout");
+        refused("\"vertices\": 4", "\"vertices\": 5", "positions");
+        refused("\"vertices\": 4", "\"vertices\": 99999999999", "at most");
+        refused("\"cycles\"", "\"turns\"", "turns");
+        refused("\"digest\"", "\"digset\"", "digset");
+        refused("{", "[", "body");
+    }
+
+    #[test]
+    fn a_stale_one_says_what_has_changed() {
+        let golden = golden();
+        assert_eq!(golden.stale(&golden.inputs), None);
+        let other = Inputs {
+            model: "c".into(),
+            job: "d".into(),
+        };
+        let told = golden.stale(&other).expect("stale");
+        assert!(told.contains("stale") && told.contains("model and its job"), "{told}");
+    }
+}

@@ -1,0 +1,191 @@
+//! What is measured of a result, under the names that suites, goldens and reports use.
+
+/// One number that tells how far a result is from its golden.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Metric {
+    /// Largest distance of a vertex from its stored place.
+    MaxDisplacement,
+    /// Mean of these distances.
+    MeanDisplacement,
+    /// Root of their mean square.
+    RmsDisplacement,
+    /// Largest distance of a point of one surface from the nearest point of the other, both ways.
+    Hausdorff,
+    /// 95th percentile of the angles between the normals of triangles and the stored ones.
+    NormalDegrees,
+    /// Triangles whose normal opposes the stored one.
+    FlippedTriangles,
+    /// Largest relative change of an edge's length against the stored one.
+    EdgeStretch,
+    /// Root mean square of relative edge changes against the rest shape.
+    EdgeRms,
+    /// Largest stretch of a triangle against the rest shape.
+    MaxStretch,
+    /// Relative change of the volume against the rest shape.
+    VolumeChange,
+    /// Relative change of the area against the rest shape.
+    AreaChange,
+    /// Triangles that turned over against the rest shape.
+    FoldedTriangles,
+    /// Largest distance of a vertex that a hard handle holds from where the handle puts it.
+    ConstraintError,
+    /// Relative residual that the solver reached.
+    Residual,
+    /// Cycles of the solver, all steps together.
+    Cycles,
+    /// Bytes that the solver held at the end.
+    Bytes,
+}
+
+/// What a metric's number counts in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// Shares of the diagonal of the stored shape's bounding box.
+    Diagonal,
+    /// Degrees.
+    Degrees,
+    /// A share, or a factor.
+    Ratio,
+    /// Whole things.
+    Count,
+}
+
+/// How a metric is compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Against the stored positions: the number is the difference.
+    Shape,
+    /// Against the stored number, either way.
+    Change,
+    /// Against the stored number; only more is worse.
+    Growth,
+}
+
+impl Metric {
+    /// All, in the order in which they are told.
+    pub const ALL: [Self; 16] = [
+        Self::MaxDisplacement,
+        Self::MeanDisplacement,
+        Self::RmsDisplacement,
+        Self::Hausdorff,
+        Self::NormalDegrees,
+        Self::FlippedTriangles,
+        Self::EdgeStretch,
+        Self::EdgeRms,
+        Self::MaxStretch,
+        Self::VolumeChange,
+        Self::AreaChange,
+        Self::FoldedTriangles,
+        Self::ConstraintError,
+        Self::Residual,
+        Self::Cycles,
+        Self::Bytes,
+    ];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::MaxDisplacement => "maxDisplacement",
+            Self::MeanDisplacement => "meanDisplacement",
+            Self::RmsDisplacement => "rmsDisplacement",
+            Self::Hausdorff => "hausdorff",
+            Self::NormalDegrees => "normalDegrees",
+            Self::FlippedTriangles => "flippedTriangles",
+            Self::EdgeStretch => "edgeStretch",
+            Self::EdgeRms => "edgeRms",
+            Self::MaxStretch => "maxStretch",
+            Self::VolumeChange => "volumeChange",
+            Self::AreaChange => "areaChange",
+            Self::FoldedTriangles => "foldedTriangles",
+            Self::ConstraintError => "constraintError",
+            Self::Residual => "residual",
+            Self::Cycles => "cycles",
+            Self::Bytes => "bytes",
+        }
+    }
+
+    /// The metric of a name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|m| m.name() == name)
+    }
+
+    /// What its number counts in.
+    pub fn unit(self) -> Unit {
+        match self {
+            Self::MaxDisplacement
+            | Self::MeanDisplacement
+            | Self::RmsDisplacement
+            | Self::Hausdorff
+            | Self::ConstraintError => Unit::Diagonal,
+            Self::NormalDegrees => Unit::Degrees,
+            Self::EdgeStretch
+            | Self::EdgeRms
+            | Self::MaxStretch
+            | Self::VolumeChange
+            | Self::AreaChange
+            | Self::Residual => Unit::Ratio,
+            Self::FlippedTriangles | Self::FoldedTriangles | Self::Cycles | Self::Bytes => Unit::Count,
+        }
+    }
+
+    /// How it is compared.
+    pub fn kind(self) -> Kind {
+        match self {
+            Self::MaxDisplacement
+            | Self::MeanDisplacement
+            | Self::RmsDisplacement
+            | Self::Hausdorff
+            | Self::NormalDegrees
+            | Self::FlippedTriangles
+            | Self::EdgeStretch => Kind::Shape,
+            Self::EdgeRms | Self::MaxStretch | Self::VolumeChange | Self::AreaChange => Kind::Change,
+            Self::FoldedTriangles | Self::ConstraintError | Self::Residual | Self::Cycles | Self::Bytes => Kind::Growth,
+        }
+    }
+
+    /// A number of this metric for people: about three digits, counts whole.
+    pub fn show(self, value: f64) -> String {
+        let number = short(value);
+        match self.unit() {
+            Unit::Degrees => format!("{number}°"),
+            Unit::Count => format!("{value:.0}"),
+            Unit::Diagonal | Unit::Ratio => number,
+        }
+    }
+}
+
+/// A number in about three digits.
+pub(super) fn short(value: f64) -> String {
+    let size = value.abs();
+    if size == 0.0 {
+        "0".into()
+    } else if (1e-3..1e5).contains(&size) {
+        let text = format!("{value:.4}");
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        format!("{value:.2e}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_is_its_own_and_found_again() {
+        for metric in Metric::ALL {
+            assert_eq!(Metric::from_name(metric.name()), Some(metric));
+        }
+        assert_eq!(Metric::from_name("MaxDisplacement"), None);
+    }
+
+    #[test]
+    fn numbers_are_short_and_never_hide_a_difference_as_zero() {
+        assert_eq!(Metric::NormalDegrees.show(0.5), "0.5°");
+        assert_eq!(Metric::Cycles.show(12.0), "12");
+        assert_eq!(Metric::Bytes.show(123_456_789.0), "123456789");
+        assert_eq!(Metric::Hausdorff.show(1.234_56e-7), "1.23e-7");
+        assert_eq!(Metric::Hausdorff.show(0.0), "0");
+        assert_eq!(Metric::VolumeChange.show(-0.25), "-0.25");
+    }
+}

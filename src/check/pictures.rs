@@ -1,0 +1,151 @@
+//! Pictures of a case: before, after, expected, and where the two differ.
+
+use super::{Comparison, Found};
+use crate::mesh::Bounds;
+use crate::pool::Pool;
+use crate::render::{Camera, Error, Key, Mark, Picture, Ramp, Size, Surface, Up, View, displacements, draw, ground};
+use glam::{DVec3, Vec3};
+
+/// Rows below a picture for the key to its colours.
+const KEY_ROWS: u32 = 30;
+/// A close-up shows this share of the diagonal around its place.
+const NEAR: f64 = 0.045;
+
+/// A picture with what it shows.
+#[derive(Debug, Clone)]
+pub struct Plate {
+    /// A word or two.
+    pub caption: &'static str,
+    /// What it shows, for those who cannot see it.
+    pub description: String,
+    /// Pixels across and down.
+    pub size: [u32; 2],
+    /// A PNG file.
+    pub png: Vec<u8>,
+}
+
+/// From where a case is looked at.
+#[derive(Debug, Clone, Copy)]
+pub struct Eye {
+    /// What the case asks for; `None` = towards the worst place, else from the front.
+    pub view: Option<View>,
+    /// The axis that points up.
+    pub up: Up,
+}
+
+/// Draws a finite result. Without a comparison, or where nothing differs, there are the shapes before and after only.
+///
+/// # Errors
+/// What cannot be drawn, such as a result without any triangle.
+pub fn draw_case(found: &Found, comparison: Option<&Comparison>, eye: Eye, pool: &Pool) -> Result<Vec<Plate>, Error> {
+    let after = Surface::new(&found.positions, &found.triangles, pool)?;
+    let before = Surface::new(&found.before.0, &found.before.1, pool)?;
+    let differing = comparison.filter(|c| c.stored != found.positions);
+    let expected = match differing {
+        Some(Comparison {
+            stored,
+            triangles: Some(triangles),
+            ..
+        }) => Some(Surface::new(stored, triangles, pool)?),
+        _ => None,
+    };
+    let worst: Vec<u32> = differing.map(|c| c.worst.clone()).unwrap_or_default();
+    let view = eye.view.unwrap_or_else(|| match worst.first() {
+        Some(&v) => View::facing(normal_at(found, v), eye.up),
+        None => View::facing(DVec3::new(0.47, 0.34, 0.81), eye.up),
+    });
+    let shapes: Vec<&Surface> = [Some(&before), Some(&after), expected.as_ref()]
+        .into_iter()
+        .flatten()
+        .collect();
+    let Some(camera) = Camera::around(&shapes, &[view], Size::new(480, 360)?)
+        .into_iter()
+        .next()
+    else {
+        return Ok(Vec::new());
+    };
+    let mut plates = vec![
+        plate("before", "the model at rest".into(), draw(&before, &camera, pool))?,
+        plate("after", "the result".into(), draw(&after, &camera, pool))?,
+    ];
+    if let Some(expected) = &expected {
+        let text = "the result that the golden stores".into();
+        plates.push(plate("expected", text, draw(expected, &camera, pool))?);
+    }
+    if let Some(comparison) = differing.filter(|c| c.stored.len() == found.positions.len()) {
+        plates.extend(differences(found, comparison, after, &worst, &camera, pool)?);
+    }
+    Ok(plates)
+}
+
+/// The result in colours that say how far each vertex is from its stored place, as a whole and near the worst place.
+fn differences(
+    found: &Found,
+    comparison: &Comparison,
+    after: Surface,
+    worst: &[u32],
+    camera: &Camera,
+    pool: &Pool,
+) -> Result<Vec<Plate>, Error> {
+    let far = displacements(&comparison.stored, &found.positions)?;
+    let most = far.iter().copied().fold(0.0, f64::max);
+    let unit = if most > 0.0 { most } else { 1.0 };
+    let colours: Vec<Vec3> = far.iter().map(|d| Ramp::Amount.light(d / unit)).collect();
+    let coloured = after.coloured(&colours)?;
+    let marks: Vec<Mark> = worst
+        .iter()
+        .zip(1..)
+        .map(|(&v, k)| Mark {
+            at: found.positions[v as usize],
+            label: k.to_string(),
+        })
+        .collect();
+    let with_key = |surface: &Surface, camera: &Camera, marks: &[Mark]| -> Result<Picture, Error> {
+        let (width, height) = (camera.size().width(), camera.size().height());
+        let mut picture = Picture::new(u64::from(width), u64::from(height + KEY_ROWS), ground())?;
+        picture.paste(&draw(surface, camera, pool), 0, 0);
+        marks.iter().for_each(|m| m.draw(&mut picture, camera, 0, 0));
+        Key::distance(most).draw(&mut picture, height, KEY_ROWS);
+        Ok(picture)
+    };
+    let places: Vec<String> = worst
+        .iter()
+        .zip(1..)
+        .map(|(v, k)| format!("{k} is vertex {v}"))
+        .collect();
+    let text = format!(
+        "distances from the expected shape as colours; marked: {}",
+        places.join(", ")
+    );
+    let mut plates = vec![plate("difference", text, with_key(&coloured, camera, &marks)?)?];
+    if let (Some(&v), Some(mark)) = (worst.first(), marks.first()) {
+        let radius = NEAR * Bounds::of(&found.positions).diagonal();
+        let near = camera.close_up(mark.at, radius);
+        let text = format!("the same with its triangles, near vertex {v}");
+        let picture = with_key(&coloured.with_wires(), &near, &marks)?;
+        plates.push(plate("worst place", text, picture)?);
+    }
+    Ok(plates)
+}
+
+fn plate(caption: &'static str, description: String, picture: Picture) -> Result<Plate, Error> {
+    Ok(Plate {
+        caption,
+        description,
+        size: [picture.width(), picture.height()],
+        png: picture.png()?,
+    })
+}
+
+/// The normal of the surface at a vertex, as long as the area around it.
+fn normal_at(found: &Found, vertex: u32) -> DVec3 {
+    let place = found.positions[vertex as usize];
+    let around = |t: &&[u32; 3]| t.iter().any(|&v| found.positions[v as usize] == place);
+    let triangles = found.triangles.iter().filter(around);
+    triangles
+        .map(|t| {
+            let [a, b, c] = t.map(|v| found.positions[v as usize]);
+            (b - a).cross(c - a)
+        })
+        .sum()
+}

@@ -1,0 +1,161 @@
+//! The report as one page that needs nothing else: no script, no file, no network.
+
+use super::super::{Kind, Measure, Status};
+use super::page::page;
+use super::{CaseReport, SuiteReport, printable, text};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use quick_xml::escape::escape;
+use std::fmt::Write as _;
+
+/// The page.
+pub fn html(report: &SuiteReport) -> String {
+    let mut body = String::new();
+    let suite = safe(&report.suite);
+    let _ = writeln!(
+        body,
+        "<h1>{suite}</h1>\n<p class=\"soft\">pliant check, {}</p>",
+        safe(&report.how)
+    );
+    body += "<p class=\"counts\">";
+    for status in [Status::Failed, Status::Passed, Status::Skipped, Status::Blessed] {
+        let count = report.count(status);
+        if count > 0 {
+            let name = status.name();
+            let _ = write!(body, "<span class=\"{name}\">{count} {name}</span>");
+        }
+    }
+    body += "</p>\n<table>\n<thead><tr><th>case</th><th>result</th><th></th></tr></thead>\n<tbody>\n";
+    for case in &report.cases {
+        let (name, status) = (safe(&case.name), case.verdict.status.name());
+        let _ = writeln!(
+            body,
+            "<tr><td><a href=\"#{name}\">{name}</a></td><td class=\"{status}\">{status}</td><td>{}</td></tr>",
+            safe(&text::said(&case.verdict))
+        );
+    }
+    body += "</tbody>\n</table>\n";
+    // What failed is what people came for.
+    let (failed, rest): (Vec<_>, Vec<_>) = report.cases.iter().partition(|c| c.verdict.status == Status::Failed);
+    failed.into_iter().chain(rest).for_each(|c| case(&mut body, c));
+    page(&format!("{suite}: {} failed", report.count(Status::Failed)), &body)
+}
+
+fn case(body: &mut String, case: &CaseReport) {
+    let (name, status) = (safe(&case.name), case.verdict.status.name());
+    let _ = write!(
+        body,
+        "<section id=\"{name}\" class=\"{status}\">\n<header><h2>{name}</h2><span class=\"word {status}\">{status}</span></header>\n"
+    );
+    if !case.title.is_empty() {
+        let _ = writeln!(body, "<p>{}</p>", safe(&case.title));
+    }
+    let verdict = &case.verdict;
+    if verdict.reasons.is_empty() {
+        let _ = writeln!(body, "<p>{}</p>", safe(&text::said(verdict)));
+    } else {
+        *body += "<ul class=\"reasons\">\n";
+        for r in &verdict.reasons {
+            let _ = writeln!(body, "<li><code>{}</code> {}</li>", r.code, safe(&r.text));
+        }
+        *body += "</ul>\n";
+    }
+    for note in &case.notes {
+        let _ = writeln!(body, "<p class=\"soft\">{}</p>", safe(note));
+    }
+    if !case.plates.is_empty() {
+        *body += "<div class=\"pictures\">\n";
+        for plate in &case.plates {
+            let _ = writeln!(
+                body,
+                "<figure><img width=\"{}\" height=\"{}\" alt=\"{}: {}\" src=\"data:image/png;base64,{}\"><figcaption><b>{}</b>, {}</figcaption></figure>",
+                plate.size[0],
+                plate.size[1],
+                plate.caption,
+                safe(&plate.description),
+                STANDARD.encode(&plate.png),
+                plate.caption,
+                safe(&plate.description)
+            );
+        }
+        *body += "</div>\n";
+    }
+    facts(body, case);
+    *body += "</section>\n";
+}
+
+/// The numbers and digests, open where something is wrong.
+fn facts(body: &mut String, case: &CaseReport) {
+    let open = if case.verdict.status == Status::Failed {
+        " open"
+    } else {
+        ""
+    };
+    let _ = writeln!(body, "<details{open}><summary>numbers</summary>");
+    let _ = writeln!(body, "<p class=\"soft\">model <code>{}</code></p>", safe(&case.model));
+    for (what, digest) in [("digest", &case.digest), ("stored digest", &case.stored_digest)] {
+        if !digest.is_empty() {
+            let _ = writeln!(body, "<p class=\"soft\">{what} <code>{}</code></p>", safe(digest));
+        }
+    }
+    if !case.verdict.measures.is_empty() {
+        *body += "<table>\n<thead><tr><th>metric</th><th>difference</th><th>allowed</th><th>stored</th><th>now</th><th>where, why allowed</th></tr></thead>\n<tbody>\n";
+        case.verdict.measures.iter().for_each(|m| row(body, m));
+        *body += "</tbody>\n</table>\n";
+    }
+    *body += "</details>\n";
+}
+
+fn row(body: &mut String, m: &Measure) {
+    let number = |x: Option<f64>| x.map_or("not told".into(), |x| m.metric.show(x));
+    let (stored, now) = match m.metric.kind() {
+        Kind::Shape => (String::new(), String::new()),
+        _ => (number(m.stored), number(m.value)),
+    };
+    let words: Vec<&str> = [m.place.as_str(), m.reason.as_str()]
+        .into_iter()
+        .filter(|t| !t.is_empty())
+        .collect();
+    let _ = writeln!(
+        body,
+        "<tr{}><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td class=\"number\">{stored}</td><td class=\"number\">{now}</td><td>{}</td></tr>",
+        if m.holds() { "" } else { " class=\"over\"" },
+        m.metric.name(),
+        number(m.difference),
+        m.metric.show(m.allowed),
+        safe(&words.join("; "))
+    );
+}
+
+/// A text that is nothing but text, in an element or an attribute.
+fn safe(text: &str) -> String {
+    escape(printable(text).as_str()).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::samples;
+
+    #[test]
+    fn the_page_is_whole_and_texts_stay_texts() {
+        let page = super::html(&samples::suite());
+        assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
+        assert!(
+            !page.contains("<script") && !page.contains("<i>") && !page.contains("<note>") && !page.contains("<b> &")
+        );
+        assert!(page.contains("&lt;script&gt;") && page.contains("data:image/png;base64,AQID"));
+        assert!(
+            !page.contains("http://") && !page.contains("https://"),
+            "it names no other file"
+        );
+        assert!(page.contains("prefers-color-scheme: dark"));
+        // Failed cases come first, then the others in their order.
+        let at = |name: &str| page.find(&format!("<section id=\"{name}\"")).expect(name);
+        assert!(at("d-failed") < at("e-broken") && at("e-broken") < at("a-passed") && at("a-passed") < at("c-skipped"));
+        for tag in ["section", "table", "figure", "details", "ul", "tr"] {
+            let count = |text: &str| page.matches(text).count();
+            let opened = count(&format!("<{tag}>")) + count(&format!("<{tag} "));
+            assert_eq!(opened, count(&format!("</{tag}>")), "{tag}");
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! The report as JUnit XML, which CI systems read: a test case for each case, a property for each metric.
+
+use super::super::{Reason, Status};
+use super::{CaseReport, SuiteReport, printable};
+use quick_xml::events::{BytesDecl, BytesText, Event};
+use quick_xml::writer::Writer;
+use std::io;
+
+type Xml = Writer<Vec<u8>>;
+
+/// The document, in UTF-8.
+///
+/// # Errors
+/// In words; never for texts in memory.
+pub fn junit(report: &SuiteReport) -> Result<Vec<u8>, String> {
+    let mut xml = Writer::new_with_indent(Vec::new(), b' ', 2);
+    write(report, &mut xml).map_err(|e| e.to_string())?;
+    let mut bytes = xml.into_inner();
+    bytes.push(b'\n');
+    Ok(bytes)
+}
+
+fn write(report: &SuiteReport, xml: &mut Xml) -> io::Result<()> {
+    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
+    let broken = report.cases.iter().filter(|c| is_error(c)).count();
+    let counts = [
+        ("tests", report.cases.len()),
+        ("failures", report.count(Status::Failed) - broken),
+        ("errors", broken),
+        ("skipped", report.count(Status::Skipped)),
+    ];
+    let counts: Vec<(&str, String)> = counts.map(|(name, n)| (name, n.to_string())).into();
+    let counts = || counts.iter().map(|(name, n)| (*name, n.as_str()));
+    let suite = printable(&report.suite);
+    let all = xml.create_element("testsuites").with_attributes(counts());
+    all.write_inner_content(|xml| {
+        let element = xml.create_element("testsuite").with_attribute(("name", suite.as_str()));
+        element.with_attributes(counts()).write_inner_content(|xml| {
+            properties(xml, &[("how".into(), report.how.clone())])?;
+            report.cases.iter().try_for_each(|c| case(xml, &suite, c))
+        })?;
+        Ok(())
+    })?;
+    Ok(())
+}
+
+/// A case that could not be run, other than one whose result is wrong.
+fn is_error(case: &CaseReport) -> bool {
+    case.verdict.status == Status::Failed && case.verdict.reasons.first().is_some_and(|r| r.code == "not-run")
+}
+
+fn case(xml: &mut Xml, suite: &str, case: &CaseReport) -> io::Result<()> {
+    let class = format!("pliant.check.{suite}");
+    let element = xml.create_element("testcase");
+    let element = element.with_attributes([("classname", class.as_str()), ("name", case.name.as_str())]);
+    element.write_inner_content(|xml| {
+        properties(xml, &facts(case))?;
+        let reasons = &case.verdict.reasons;
+        let Some(first) = reasons.first() else { return Ok(()) };
+        let name = match case.verdict.status {
+            Status::Failed if is_error(case) => "error",
+            Status::Failed => "failure",
+            Status::Skipped => "skipped",
+            Status::Passed | Status::Blessed => return Ok(()),
+        };
+        let message = printable(&first.text);
+        let element = xml.create_element(name).with_attribute(("message", message.as_str()));
+        if name == "skipped" {
+            element.write_empty()?;
+            return Ok(());
+        }
+        let tell = |r: &Reason| format!("{}: {}", r.code, printable(&r.text));
+        let text: Vec<String> = reasons.iter().map(tell).collect();
+        let element = element.with_attribute(("type", first.code));
+        element.write_text_content(BytesText::new(&text.join("\n")))?;
+        Ok(())
+    })?;
+    Ok(())
+}
+
+/// What is known of a case: for each metric what is compared, and what is allowed where that is not 0.
+fn facts(case: &CaseReport) -> Vec<(String, String)> {
+    let mut facts = vec![
+        ("title".to_owned(), printable(&case.title)),
+        ("model".to_owned(), printable(&case.model)),
+        ("digest".to_owned(), case.digest.clone()),
+        ("storedDigest".to_owned(), case.stored_digest.clone()),
+    ];
+    facts.retain(|(_, text)| !text.is_empty());
+    for m in &case.verdict.measures {
+        let name = m.metric.name();
+        let Some(difference) = m.difference else {
+            facts.push((name.into(), "not told".into()));
+            continue;
+        };
+        facts.push((name.into(), difference.to_string()));
+        if m.allowed > 0.0 {
+            facts.push((format!("{name}.allowed"), m.allowed.to_string()));
+            facts.push((format!("{name}.reason"), printable(&m.reason)));
+        }
+    }
+    facts
+}
+
+fn properties(xml: &mut Xml, facts: &[(String, String)]) -> io::Result<()> {
+    if facts.is_empty() {
+        return Ok(());
+    }
+    xml.create_element("properties").write_inner_content(|xml| {
+        facts.iter().try_for_each(|(name, value)| {
+            let element = xml.create_element("property");
+            element
+                .with_attributes([("name", name.as_str()), ("value", value.as_str())])
+                .write_empty()?;
+            Ok(())
+        })
+    })?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::samples;
+    use quick_xml::events::Event;
+    use quick_xml::reader::Reader;
+
+    #[test]
+    fn the_document_is_well_formed_and_escaped() {
+        let bytes = super::junit(&samples::suite()).expect("written");
+        let text = String::from_utf8(bytes).expect("UTF-8");
+        let mut reader = Reader::from_str(&text);
+        reader.config_mut().check_end_names = true;
+        let (mut elements, mut depth) = (Vec::new(), 0);
+        loop {
+            match reader.read_event().expect("well-formed") {
+                Event::Eof => break,
+                Event::Start(e) => {
+                    depth += 1;
+                    elements.push(String::from_utf8_lossy(e.name().as_ref()).into_owned());
+                    assert!(e.attributes().all(|a| a.is_ok()));
+                }
+                Event::Empty(e) => {
+                    elements.push(String::from_utf8_lossy(e.name().as_ref()).into_owned());
+                    assert!(e.attributes().all(|a| a.is_ok()));
+                }
+                Event::End(_) => depth -= 1,
+                _ => {}
+            }
+        }
+        assert_eq!(depth, 0);
+        let count = |name: &str| elements.iter().filter(|e| *e == name).count();
+        assert_eq!(
+            (count("testcase"), count("failure"), count("error"), count("skipped")),
+            (5, 1, 1, 1)
+        );
+        assert!(
+            !text.contains("<script>") && !text.contains('\u{1}') && !text.contains("]]>"),
+            "{text}"
+        );
+        assert!(text.contains("su&lt;i&gt;te"));
+        assert!(
+            text.contains(r#"tests="5" failures="1" errors="1" skipped="1""#),
+            "{text}"
+        );
+        assert!(
+            text.contains(r#"<property name="flippedTriangles" value="2"/>"#),
+            "{text}"
+        );
+        assert!(
+            text.contains(r#"name="maxDisplacement.allowed" value="0.000001""#),
+            "{text}"
+        );
+    }
+}

@@ -1,0 +1,153 @@
+//! One line a case, for people at a terminal.
+
+use super::super::{Golden, Kind, Measure, Metric, Reason, Status, Verdict};
+use super::{CaseReport, SuiteReport, printable};
+
+/// The line of a case; `width` is that of the longest name.
+pub fn line(case: &CaseReport, width: usize) -> String {
+    let word = match case.verdict.status {
+        Status::Failed => "FAILED",
+        other => other.name(),
+    };
+    let text = printable(&said(&case.verdict)).replace(['\n', '\r', '\t'], " ");
+    format!("{word:<8} {:<width$}  {text}", case.name)
+}
+
+/// What matters most of a verdict: what is wrong, or the number that is nearest to its bound.
+pub(super) fn said(verdict: &Verdict) -> String {
+    let reasons = &verdict.reasons;
+    let Some(first) = reasons.first() else {
+        return match verdict.worst() {
+            _ if verdict.identical => "identical".into(),
+            Some(worst) => format!("within tolerance: {}", worst.show()),
+            None => "within tolerance".into(),
+        };
+    };
+    let by_numbers = |r: &&Reason| matches!(r.code, "metric" | "digest");
+    let over: Vec<&Measure> = verdict.measures.iter().filter(|m| !m.holds()).collect();
+    let worst = worst_first(&over);
+    match (reasons.iter().find(|r| !by_numbers(r)), worst) {
+        // What is wrong before numbers count.
+        (Some(other), None) => format!("{}: {}", other.code, other.text),
+        (Some(other), Some(_)) if other.code != "expectation" => format!("{}: {}", other.code, other.text),
+        (other, Some(worst)) => {
+            let mut text = worst.show();
+            let more: Vec<&str> = over
+                .iter()
+                .filter(|m| m.metric != worst.metric)
+                .map(|m| m.metric.name())
+                .collect();
+            if !more.is_empty() {
+                text += &format!("; also {}", more.join(", "));
+            }
+            if let Some(other) = other {
+                text += &format!("; {}: {}", other.code, other.text);
+            }
+            text
+        }
+        (None, None) => format!("{}: {}", first.code, first.text),
+    }
+}
+
+/// Of numbers that are over their bounds the one to tell: what turned over, before how far it is over.
+fn worst_first<'a>(over: &[&'a Measure]) -> Option<&'a Measure> {
+    let turned = |m: &&&Measure| matches!(m.metric, Metric::FlippedTriangles | Metric::FoldedTriangles);
+    if let Some(m) = over.iter().find(turned) {
+        return Some(m);
+    }
+    let mut worst: Option<&Measure> = None;
+    for m in over {
+        if worst.is_none_or(|w| m.share() > w.share()) {
+            worst = Some(m);
+        }
+    }
+    worst
+}
+
+/// The last line: how many cases ended how.
+pub fn summary(report: &SuiteReport) -> String {
+    let counts: Vec<String> = [Status::Passed, Status::Failed, Status::Skipped, Status::Blessed]
+        .into_iter()
+        .map(|status| (report.count(status), status.name()))
+        .filter(|(n, _)| *n > 0)
+        .map(|(n, name)| format!("{n} {name}"))
+        .collect();
+    format!("{} cases {}: {}", report.cases.len(), report.how, counts.join(", "))
+}
+
+/// What a new golden changes, metric by metric; empty when it says the same. `measures` compare the new result with the
+/// old golden.
+pub fn changes(old: Option<&Golden>, new: &Golden, measures: &[Measure]) -> Vec<String> {
+    let Some(old) = old else {
+        let mut lines = vec![format!(
+            "new: {} vertices, {} triangles, digest {}",
+            new.topology.vertices, new.topology.triangles, new.digest
+        )];
+        lines.extend(new.numbers.iter().map(|(m, x)| format!("{} {}", m.name(), m.show(*x))));
+        return lines;
+    };
+    let mut lines = Vec::new();
+    let mut changed = |name: &str, old: &str, new: &str| {
+        if old != new {
+            lines.push(format!("{name} {old} -> {new}"));
+        }
+    };
+    changed("model", &old.inputs.model, &new.inputs.model);
+    changed("job", &old.inputs.job, &new.inputs.job);
+    changed("digest", &old.digest, &new.digest);
+    let count = |n: usize| n.to_string();
+    changed("vertices", &count(old.topology.vertices), &count(new.topology.vertices));
+    changed(
+        "triangles",
+        &count(old.topology.triangles),
+        &count(new.topology.triangles),
+    );
+    changed("topology", &old.topology.digest, &new.topology.digest);
+    for m in measures.iter().filter(|m| m.metric.kind() == Kind::Shape) {
+        if m.difference.is_some_and(|d| d > 0.0) {
+            lines.push(format!(
+                "{} from the old golden {}",
+                m.metric.name(),
+                m.metric.show(m.difference.unwrap_or_default())
+            ));
+        }
+    }
+    for metric in Metric::ALL {
+        match (old.numbers.get(&metric), new.numbers.get(&metric)) {
+            (a, b) if a == b => {}
+            (a, b) => {
+                let show = |x: Option<&f64>| x.map_or("none".into(), |x| metric.show(*x));
+                lines.push(format!("{} {} -> {}", metric.name(), show(a), show(b)));
+            }
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::samples;
+    use super::*;
+
+    #[test]
+    fn each_case_is_one_line_with_what_matters() {
+        let suite = samples::suite();
+        let lines: Vec<String> = suite.cases.iter().map(|c| line(c, 10)).collect();
+        assert_eq!(lines[0], "passed   a-passed    identical");
+        assert!(
+            lines[1].contains("within tolerance: maxDisplacement 5.00e-7 of 1.00e-6 allowed"),
+            "{}",
+            lines[1]
+        );
+        assert!(lines[2].starts_with("skipped  c-skipped") && lines[2].contains("data:arm.off"));
+        assert!(
+            lines[3].starts_with("FAILED   d-failed    flippedTriangles 2 of 0 allowed"),
+            "{}",
+            lines[3]
+        );
+        assert!(lines[3].ends_with("also maxDisplacement"));
+        assert!(lines[4].contains("not-run: a <b> & \"c\" \u{fffd}"));
+        assert!(lines.iter().all(|l| !l.contains('\n')));
+        assert_eq!(summary(&suite), "5 cases in process: 2 passed, 2 failed, 1 skipped");
+    }
+}

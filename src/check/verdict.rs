@@ -1,0 +1,445 @@
+//! Whether a result passes, and if not, why: in a fixed order, each reason with a word of its own.
+
+use super::found::{Found, Topology};
+use super::golden::{Golden, Inputs};
+use super::measure::{Comparison, compare};
+use super::metric::{Kind, short};
+use super::{Metric, Tolerances};
+use crate::job::pb;
+use crate::pool::Pool;
+
+/// How a case ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// It is the stored result to the bit, or within its tolerances.
+    Passed,
+    /// It is not.
+    Failed,
+    /// It could not be run here.
+    Skipped,
+    /// Its golden was stored.
+    Blessed,
+}
+
+/// One thing that is wrong.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reason {
+    /// A stable kebab-case word: `not-finite`, `missing-golden`, `broken-golden`, `stale-golden`, `not-run`, `skipped`,
+    /// `topology`, `winding`, `digest`, `expectation`, or `metric`.
+    pub code: &'static str,
+    /// What, in a sentence.
+    pub text: String,
+}
+
+/// One number beside its golden.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measure {
+    /// What it is.
+    pub metric: Metric,
+    /// Now; `None` when it could not be told.
+    pub value: Option<f64>,
+    /// In the golden; `None` for what is measured against the stored positions.
+    pub stored: Option<f64>,
+    /// What is compared with `allowed`; `None` when there is nothing to compare.
+    pub difference: Option<f64>,
+    /// The largest difference that passes.
+    pub allowed: f64,
+    /// Why that is not 0.
+    pub reason: String,
+    /// Where it is worst; maybe empty.
+    pub place: String,
+}
+
+impl Measure {
+    /// Whether it is within what is allowed.
+    pub fn holds(&self) -> bool {
+        self.difference.is_none_or(|d| d <= self.allowed)
+    }
+
+    /// The difference in units of what is allowed.
+    pub fn share(&self) -> f64 {
+        match self.difference {
+            Some(d) if d > 0.0 => d / self.allowed,
+            _ => 0.0,
+        }
+    }
+
+    /// The difference and what is allowed, for people.
+    pub fn show(&self) -> String {
+        let name = self.metric.name();
+        let Some(difference) = self.difference else {
+            return format!("{name} not told");
+        };
+        let more = match (self.metric.kind(), self.value, self.stored) {
+            (Kind::Shape, ..) => String::new(),
+            (_, Some(value), Some(stored)) => format!(" ({} -> {})", self.metric.show(stored), self.metric.show(value)),
+            _ => String::new(),
+        };
+        let place = if self.place.is_empty() {
+            String::new()
+        } else {
+            format!(", {}", self.place)
+        };
+        format!(
+            "{name} {} of {} allowed{more}{place}",
+            self.metric.show(difference),
+            self.metric.show(self.allowed)
+        )
+    }
+}
+
+/// What is said of a case.
+#[derive(Debug, Clone)]
+pub struct Verdict {
+    /// How it ended.
+    pub status: Status,
+    /// What is wrong, most basic first; for a skipped case, why.
+    pub reasons: Vec<Reason>,
+    /// Whether the positions are the stored ones to the bit.
+    pub identical: bool,
+    /// All numbers; empty when there was nothing to compare.
+    pub measures: Vec<Measure>,
+}
+
+impl Verdict {
+    /// Of a case that has no result.
+    pub fn without_result(status: Status, code: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            status,
+            reasons: vec![Reason {
+                code,
+                text: text.into(),
+            }],
+            identical: false,
+            measures: Vec::new(),
+        }
+    }
+
+    /// The number that is nearest to its bound, or farthest beyond it; `None` when none differs.
+    pub fn worst(&self) -> Option<&Measure> {
+        let mut worst: Option<&Measure> = None;
+        for m in self.measures.iter().filter(|m| m.share() > 0.0) {
+            if worst.is_none_or(|w| m.share() > w.share()) {
+                worst = Some(m);
+            }
+        }
+        worst
+    }
+}
+
+/// Judges a result. `golden` is what the golden's file holds, or the reason why it cannot be read.
+pub fn judge(
+    found: &Found,
+    golden: Option<Result<Golden, String>>,
+    inputs: &Inputs,
+    tolerances: &Tolerances,
+    expect: Option<&pb::Expect>,
+    pool: &Pool,
+) -> (Verdict, Option<Comparison>) {
+    let failed = |code, text: String| (Verdict::without_result(Status::Failed, code, text), None);
+    if let Some(text) = found.not_finite() {
+        return failed("not-finite", text);
+    }
+    let golden = match golden {
+        None => {
+            return failed(
+                "missing-golden",
+                "there is no golden; look at the result and bless it".into(),
+            );
+        }
+        Some(Err(text)) => return failed("broken-golden", text),
+        Some(Ok(golden)) => golden,
+    };
+    if let Some(text) = golden.stale(inputs) {
+        return failed("stale-golden", text);
+    }
+    let comparison = compare(found, &golden, pool);
+    let same_digest = found.digest == golden.digest;
+    let mut reasons = topology_reasons(found, &golden);
+    let measures = measures(found, &golden, &comparison, tolerances);
+    // Of a server only the digest of what it has is known, so what it sent must be the stored shape too.
+    let sent = comparison.numbers.get(&Metric::MaxDisplacement).copied();
+    let identical = reasons.is_empty() && same_digest && sent == Some(0.0);
+    if reasons.is_empty() && !identical {
+        let over = measures.iter().filter(|m| !m.holds());
+        reasons.extend(over.map(|m| Reason {
+            code: "metric",
+            text: m.show(),
+        }));
+        if same_digest {
+            let text = "the digest is the stored one, the positions that came with it are not".into();
+            reasons.insert(0, Reason { code: "digest", text });
+        } else if !tolerances.allow_any() {
+            reasons.insert(0, digest_reason(found, &golden, sent == Some(0.0)));
+        }
+    }
+    let expectations = found.unmet.iter().cloned().chain(unmet(expect, &comparison, &golden));
+    reasons.extend(expectations.map(|text| Reason {
+        code: "expectation",
+        text,
+    }));
+    let verdict = Verdict {
+        status: if reasons.is_empty() {
+            Status::Passed
+        } else {
+            Status::Failed
+        },
+        reasons,
+        identical,
+        measures,
+    };
+    (verdict, Some(comparison))
+}
+
+fn digest_reason(found: &Found, golden: &Golden, too_small: bool) -> Reason {
+    let mut text = format!(
+        "the digest is {}, stored is {}, and no tolerance allows a difference",
+        found.digest, golden.digest
+    );
+    if too_small {
+        let resolution = short(golden.places.resolution());
+        text += &format!("; no vertex has moved by more than the golden can tell, {resolution} of the diagonal");
+    }
+    Reason { code: "digest", text }
+}
+
+fn topology_reasons(found: &Found, golden: &Golden) -> Vec<Reason> {
+    let now = Topology::of(found.positions.len(), &found.triangles);
+    let stored = &golden.topology;
+    let (code, text) = if (now.vertices, now.triangles) != (stored.vertices, stored.triangles) {
+        let text = format!(
+            "the topology is another: {} -> {} vertices, {} -> {} triangles",
+            stored.vertices, now.vertices, stored.triangles, now.triangles
+        );
+        ("topology", text)
+    } else if now.digest == stored.digest {
+        return Vec::new();
+    } else if now.unwound == stored.unwound {
+        let flips = golden
+            .triangles
+            .as_ref()
+            .map(|t| t.iter().zip(&found.triangles).filter(|(a, b)| a != b).count());
+        let many = flips.map_or("some".into(), |n| n.to_string());
+        (
+            "winding",
+            format!("the topology is another: {many} triangles are wound differently"),
+        )
+    } else {
+        let text = format!(
+            "the topology is another: {} vertices and {} triangles as stored, but joined differently",
+            now.vertices, now.triangles
+        );
+        ("topology", text)
+    };
+    vec![Reason { code, text }]
+}
+
+fn measures(found: &Found, golden: &Golden, comparison: &Comparison, tolerances: &Tolerances) -> Vec<Measure> {
+    let of = |metric: Metric| {
+        let tolerance = tolerances.of(metric);
+        let (value, stored, difference) = match metric.kind() {
+            Kind::Shape => {
+                let value = comparison.numbers.get(&metric).copied();
+                (value, None, value)
+            }
+            kind => {
+                let (value, stored) = (
+                    found.numbers.get(&metric).copied(),
+                    golden.numbers.get(&metric).copied(),
+                );
+                let difference = value.zip(stored).map(|(now, stored)| match kind {
+                    Kind::Growth => (now - stored).max(0.0),
+                    _ => (now - stored).abs(),
+                });
+                (value, stored, difference)
+            }
+        };
+        Measure {
+            metric,
+            value,
+            stored,
+            difference,
+            allowed: tolerance.most,
+            reason: tolerance.reason,
+            place: comparison.places.get(&metric).cloned().unwrap_or_default(),
+        }
+    };
+    Metric::ALL.into_iter().map(of).collect()
+}
+
+/// What the job expects of the stored result and does not find. Lengths are model units there.
+fn unmet(expect: Option<&pb::Expect>, comparison: &Comparison, golden: &Golden) -> Vec<String> {
+    let Some(expect) = expect else { return Vec::new() };
+    let length = |metric: Metric| {
+        comparison
+            .numbers
+            .get(&metric)
+            .map(|share| share * golden.places.diagonal())
+    };
+    let angle = length(Metric::MaxDisplacement).map(|_| comparison.largest_angle);
+    let bounds = [
+        ("maxDistance", length(Metric::MaxDisplacement), expect.max_distance),
+        ("meanDistance", length(Metric::MeanDisplacement), expect.mean_distance),
+        ("normalDegrees", angle, expect.normal_degrees),
+    ];
+    let over = bounds
+        .into_iter()
+        .filter_map(|(name, value, most)| Some((name, value?, most?)));
+    over.filter(|(_, value, most)| value > most)
+        .map(|(name, value, most)| format!("{name} is {}, at most {} expected", short(value), short(most)))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::shapes;
+    use crate::job::frames::digest;
+    use glam::DVec3;
+
+    fn inputs() -> Inputs {
+        Inputs {
+            model: "m".into(),
+            job: "j".into(),
+        }
+    }
+
+    fn found() -> Found {
+        let (positions, triangles) = shapes::icosphere(1.0, 3);
+        Found {
+            digest: digest(&positions),
+            before: (positions.clone(), triangles.clone()),
+            positions,
+            triangles,
+            numbers: [(Metric::Cycles, 5.0), (Metric::VolumeChange, -0.01)].into(),
+            ..Default::default()
+        }
+    }
+
+    fn moved(by: f64) -> Found {
+        let mut found = found();
+        found.positions[7] += DVec3::X * by;
+        found.digest = digest(&found.positions);
+        found
+    }
+
+    fn tolerances(text: &str) -> Tolerances {
+        let list: Vec<crate::check::tolerances::Written> = serde_json::from_str(text).expect("a list");
+        Tolerances::check(&list).expect("nothing is wrong")
+    }
+
+    fn judged(now: &Found, tolerances: &Tolerances, expect: Option<&pb::Expect>) -> Verdict {
+        let golden = Golden::of(&found(), inputs());
+        let pool = Pool::new(1).expect("a thread");
+        judge(now, Some(Ok(golden)), &inputs(), tolerances, expect, &pool).0
+    }
+
+    fn codes(verdict: &Verdict) -> Vec<&str> {
+        verdict.reasons.iter().map(|r| r.code).collect()
+    }
+
+    #[test]
+    fn the_same_bits_pass_whatever_else_is_counted() {
+        let verdict = judged(&found(), &Tolerances::default(), None);
+        assert!(verdict.identical && verdict.status == Status::Passed && verdict.worst().is_none());
+        let mut slower = found();
+        slower.numbers.insert(Metric::Cycles, 9.0);
+        assert_eq!(judged(&slower, &Tolerances::default(), None).status, Status::Passed);
+    }
+
+    #[test]
+    fn without_a_tolerance_the_smallest_difference_fails() {
+        let tiny = judged(&moved(1e-13), &Tolerances::default(), None);
+        assert_eq!(codes(&tiny), ["digest"]);
+        assert!(
+            tiny.reasons[0].text.contains("more than the golden can tell"),
+            "{}",
+            tiny.reasons[0].text
+        );
+        let small = judged(&moved(1e-3), &Tolerances::default(), None);
+        assert_eq!(codes(&small)[..2], ["digest", "metric"]);
+        assert!(
+            small
+                .reasons
+                .iter()
+                .any(|r| r.text.contains("maxDisplacement") && r.text.contains("vertex 7"))
+        );
+        assert_eq!(small.worst().map(|m| m.metric), Some(Metric::MaxDisplacement));
+    }
+
+    #[test]
+    fn only_what_is_over_its_own_bound_fails() {
+        let most = |metrics: &str, most: f64| {
+            tolerances(&format!(
+                r#"[{{"metrics": [{metrics}], "most": {most}, "reason": "a test"}}]"#
+            ))
+        };
+        let shape = r#""maxDisplacement", "normalDegrees", "edgeStretch""#;
+        assert_eq!(judged(&moved(1e-3), &most(shape, 0.1), None).status, Status::Passed);
+        let tight = judged(&moved(1e-3), &most(shape, 1e-5), None);
+        assert!(codes(&tight).iter().all(|c| *c == "metric") && tight.status == Status::Failed);
+        // More cycles are worse, fewer are not; volume counts either way.
+        let mut other = moved(1e-13);
+        other
+            .numbers
+            .extend([(Metric::Cycles, 4.0), (Metric::VolumeChange, -0.01)]);
+        assert_eq!(judged(&other, &most(shape, 1e-5), None).status, Status::Passed);
+        other.numbers.insert(Metric::Cycles, 6.0);
+        let more = judged(&other, &most(shape, 1e-5), None);
+        assert!(more.reasons.len() == 1 && more.reasons[0].text.starts_with("cycles 1 of 0 allowed (5 -> 6)"));
+        other
+            .numbers
+            .extend([(Metric::Cycles, 5.0), (Metric::VolumeChange, -0.02)]);
+        assert!(
+            judged(&other, &most(shape, 1e-5), None).reasons[0]
+                .text
+                .starts_with("volumeChange")
+        );
+    }
+
+    #[test]
+    fn what_is_basic_is_told_before_what_is_measured() {
+        let pool = Pool::new(1).expect("a thread");
+        let golden = || Some(Ok(Golden::of(&found(), inputs())));
+        let code = |found: &Found, golden, inputs: &Inputs| {
+            let verdict = judge(found, golden, inputs, &Tolerances::default(), None, &pool).0;
+            assert_eq!(verdict.status, Status::Failed);
+            verdict.reasons[0].code
+        };
+        let mut broken = moved(0.5);
+        broken.positions[0].y = f64::NAN;
+        assert_eq!(code(&broken, None, &inputs()), "not-finite");
+        assert_eq!(code(&found(), None, &inputs()), "missing-golden");
+        assert_eq!(code(&found(), Some(Err("cut off".into())), &inputs()), "broken-golden");
+        let other = Inputs {
+            job: "k".into(),
+            ..inputs()
+        };
+        assert_eq!(code(&moved(0.5), golden(), &other), "stale-golden");
+        let mut wound = moved(0.5);
+        wound.triangles[3].swap(0, 1);
+        assert_eq!(code(&wound, golden(), &inputs()), "winding");
+        wound.triangles.pop();
+        assert_eq!(code(&wound, golden(), &inputs()), "topology");
+    }
+
+    #[test]
+    fn a_job_can_expect_more_than_its_tolerances() {
+        let loose = tolerances(
+            r#"[{"metrics": ["maxDisplacement", "normalDegrees", "edgeStretch"], "most": 10, "reason": "a test"}]"#,
+        );
+        let expect = |text: &str| crate::job::json::from_json::<pb::Expect>(text.as_bytes()).expect("an expectation");
+        let passes = |text: &str| judged(&moved(1e-3), &loose, Some(&expect(text))).status == Status::Passed;
+        assert!(passes(
+            r#"{"maxDistance": 2e-3, "meanDistance": 1e-4, "normalDegrees": 5}"#
+        ));
+        for text in [
+            r#"{"maxDistance": 5e-4}"#,
+            r#"{"meanDistance": 1e-8}"#,
+            r#"{"normalDegrees": 1e-3}"#,
+        ] {
+            let verdict = judged(&moved(1e-3), &loose, Some(&expect(text)));
+            assert_eq!(codes(&verdict), ["expectation"], "{text}");
+        }
+    }
+}

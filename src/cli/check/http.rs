@@ -1,0 +1,215 @@
+//! A small HTTP client: one server, one call at a time, whole bodies.
+
+use bytes::Bytes;
+use http::{HeaderMap, Method, Request, StatusCode, Uri, header};
+use http_body_util::{BodyExt as _, Full, Limited};
+use hyper_util::client::legacy::Client as Connections;
+use hyper_util::client::legacy::connect::HttpConnector;
+use hyper_util::rt::TokioExecutor;
+use std::time::Duration;
+
+/// Largest answer that is read, bytes.
+const LARGEST: usize = 4 << 30;
+/// Longest time that one call may take.
+const PATIENCE: Duration = Duration::from_secs(900);
+/// How often a call is repeated that a busy server turned away.
+const TRIES: u32 = 20;
+/// Longest wait before it is repeated.
+const LONGEST_WAIT: u64 = 10;
+
+/// Where a server is, and who asks.
+#[derive(Debug, Clone)]
+pub(super) struct Address {
+    base: String,
+    token: Option<String>,
+}
+
+impl Address {
+    /// Checks a URL such as `http://127.0.0.1:7411`, maybe with a path before the calls' own.
+    pub fn new(url: &str, token: Option<&str>) -> Result<Self, String> {
+        let wrong = |problem: &str| {
+            Err(format!(
+                "--server is \"{url}\": {problem}, such as http://127.0.0.1:7411"
+            ))
+        };
+        let Ok(uri) = url.parse::<Uri>() else {
+            return wrong("is no URL; it must be one");
+        };
+        match uri.scheme_str() {
+            Some("http") => {}
+            Some("https") => {
+                return wrong(
+                    "this program speaks no TLS; give the address behind the proxy that does, or a tunnel to it",
+                );
+            }
+            _ => return wrong("it must begin with http://"),
+        }
+        if uri.query().is_some() || uri.authority().is_none_or(|a| a.as_str().contains('@')) {
+            return wrong("it must be host, port and maybe a path");
+        }
+        if token.is_some_and(|t| t.is_empty() || !t.chars().all(|c| c.is_ascii_graphic())) {
+            return Err("--token must be printable ASCII without spaces".into());
+        }
+        Ok(Self {
+            base: url.trim_end_matches('/').to_owned(),
+            token: token.map(str::to_owned),
+        })
+    }
+}
+
+/// What a server answered.
+pub(super) struct Answer {
+    pub headers: HeaderMap,
+    pub body: Bytes,
+}
+
+/// What is sent.
+pub(super) struct Call<'a> {
+    pub method: Method,
+    /// Below the server's address, percent-encoded.
+    pub path: &'a str,
+    /// What the call is named in texts, without anything random.
+    pub name: &'a str,
+    pub content_type: &'a str,
+    pub accept: &'a str,
+    pub body: Bytes,
+}
+
+/// Calls one server. Owned by one thread.
+pub(super) struct Client {
+    address: Address,
+    connections: Connections<HttpConnector, Full<Bytes>>,
+    runtime: tokio::runtime::Runtime,
+}
+
+impl Client {
+    /// Makes a client; nothing is sent yet.
+    pub fn new(address: &Address) -> Result<Self, String> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        Ok(Self {
+            address: address.clone(),
+            connections: Connections::builder(TokioExecutor::new()).build_http(),
+            runtime: runtime.map_err(|e| format!("cannot start a runtime: {e}"))?,
+        })
+    }
+
+    /// Sends a call and waits for its answer. A server that is busy is asked again after the time that it names.
+    ///
+    /// # Errors
+    /// What went wrong, with the server's own words where it gave some.
+    pub fn call(&self, call: &Call<'_>) -> Result<Answer, String> {
+        let named = |problem: String| format!("{} {}: {problem}", call.method, call.name);
+        for _ in 1..TRIES {
+            let (status, answer) = self.once(call).map_err(named)?;
+            let busy = matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE);
+            let again = answer
+                .headers
+                .get(header::RETRY_AFTER)
+                .and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
+            match again {
+                Some(seconds) if busy => {
+                    let wait = Duration::from_secs(seconds.clamp(1, LONGEST_WAIT));
+                    self.runtime.block_on(tokio::time::sleep(wait));
+                }
+                _ if status.is_success() => return Ok(answer),
+                _ => return Err(named(problem(status, &answer.body))),
+            }
+        }
+        let (status, answer) = self.once(call).map_err(named)?;
+        match status.is_success() {
+            true => Ok(answer),
+            false => Err(named(problem(status, &answer.body))),
+        }
+    }
+
+    fn once(&self, call: &Call<'_>) -> Result<(StatusCode, Answer), String> {
+        let uri = format!("{}{}", self.address.base, call.path);
+        let mut request = Request::builder().method(call.method.clone()).uri(uri);
+        if !call.content_type.is_empty() {
+            request = request.header(header::CONTENT_TYPE, call.content_type);
+        }
+        if !call.accept.is_empty() {
+            request = request.header(header::ACCEPT, call.accept);
+        }
+        if let Some(token) = &self.address.token {
+            request = request.header(header::AUTHORIZATION, format!("Bearer {token}"));
+        }
+        let request = request.body(Full::new(call.body.clone())).map_err(|e| e.to_string())?;
+        let answered = async {
+            let response = self.connections.request(request).await.map_err(|e| chain(&e))?;
+            let (parts, body) = response.into_parts();
+            let body = Limited::new(body, LARGEST).collect().await;
+            let body = body.map_err(|e| format!("the answer broke off: {e}"))?.to_bytes();
+            let answer = Answer {
+                headers: parts.headers,
+                body,
+            };
+            Ok((parts.status, answer))
+        };
+        self.runtime.block_on(async {
+            let patient = tokio::time::timeout(PATIENCE, answered).await;
+            patient.unwrap_or_else(|_| Err(format!("no answer within {} s", PATIENCE.as_secs())))
+        })
+    }
+}
+
+/// An error with what caused it.
+fn chain(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut next = error.source();
+    while let Some(cause) = next {
+        let more = cause.to_string();
+        if !text.contains(&more) {
+            text += &format!(": {more}");
+        }
+        next = cause.source();
+    }
+    text
+}
+
+/// What a server says is wrong: the detail of its problem document, or its first words.
+fn problem(status: StatusCode, body: &[u8]) -> String {
+    let document = serde_json::from_slice::<serde_json::Value>(body).ok();
+    let detail = document.as_ref().and_then(|d| d.get("detail")?.as_str());
+    let words: String = match detail {
+        Some(detail) => detail.to_owned(),
+        None => String::from_utf8_lossy(body).chars().take(200).collect(),
+    };
+    format!("{}: {words}", status.as_u16())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_plain_http() {
+        let refused = |url: &str, words: &str| {
+            let told = Address::new(url, None).expect_err(url);
+            assert!(told.contains(words) && told.contains("--server"), "{told}");
+        };
+        assert_eq!(
+            Address::new("http://[::1]:80/pliant/", None).map(|a| a.base),
+            Ok("http://[::1]:80/pliant".into())
+        );
+        refused("https://example.org", "TLS");
+        refused("127.0.0.1:7411", "http://");
+        refused("http://me:secret@host", "host, port");
+        refused("http://a b", "no URL");
+        assert!(
+            Address::new("http://host", Some("a b"))
+                .expect_err("a space")
+                .contains("--token")
+        );
+    }
+
+    #[test]
+    fn what_a_server_says_is_told() {
+        let told = problem(
+            StatusCode::UNPROCESSABLE_ENTITY,
+            br#"{"detail": "handles[0].id: is empty"}"#,
+        );
+        assert_eq!(told, "422: handles[0].id: is empty");
+        assert_eq!(problem(StatusCode::BAD_GATEWAY, b"upstream"), "502: upstream");
+    }
+}

@@ -1,0 +1,33 @@
+//! A case in process.
+
+use crate::asset::FileSet;
+use crate::check::{Found, Metric};
+use crate::job::{self, Limits, pb};
+use crate::pool::Pool;
+use crate::progress::Silent;
+
+/// Runs a job on a model. The shape before is the caller's to add.
+///
+/// # Errors
+/// Why it cannot be run.
+pub(super) fn run(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Found, String> {
+    let no_clock = || 0.0;
+    let done = job::run(files, job, None, &Limits::default(), pool, &Silent, &no_clock).map_err(|e| e.to_string())?;
+    let poses: Vec<&pb::report::Step> = done.report.steps.iter().filter(|s| s.kind == "pose").collect();
+    let mut found = Found {
+        positions: done.positions.to_vec(),
+        triangles: done.triangles,
+        digest: done.report.digest,
+        unmet: done.unmet,
+        ..Default::default()
+    };
+    found.take_quality(&done.report.quality.unwrap_or_default());
+    let bytes = done.report.solver.unwrap_or_default().bytes;
+    found.numbers.extend([
+        (Metric::ConstraintError, done.constraint_error),
+        (Metric::Residual, poses.iter().map(|s| s.residual).fold(0.0, f64::max)),
+        (Metric::Cycles, poses.iter().map(|s| f64::from(s.cycles)).sum()),
+        (Metric::Bytes, bytes as f64),
+    ]);
+    Ok(found)
+}

@@ -1,0 +1,129 @@
+//! `pliant check`: runs a suite of jobs and compares each result with the one that was stored.
+
+mod http;
+mod local;
+mod remote;
+mod run;
+mod suite;
+
+use super::files::write_file;
+use super::progress::Bar;
+use super::{Failure, Threads};
+use crate::check::Status;
+use crate::check::report::{self, SuiteReport};
+use clap::Args;
+use http::{Address, Client};
+use run::{Plan, run_all};
+use std::io::Write as _;
+use std::path::PathBuf;
+
+/// Arguments of `pliant check`.
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// The suite: a folder of *.case.json files
+    suite: PathBuf,
+    /// Store the results as goldens instead of comparing with them, and print what that changes
+    #[arg(long, conflicts_with = "server")]
+    bless: bool,
+    /// Run the cases on this server instead of in process, such as http://127.0.0.1:7411
+    #[arg(long, value_name = "URL")]
+    server: Option<String>,
+    /// Sent to the server as a bearer token
+    #[arg(long, value_name = "TOKEN", env = "PLIANT_TOKEN", hide_env_values = true)]
+    token: Option<String>,
+    /// A case whose data is absent fails instead of being skipped
+    #[arg(long)]
+    no_skip: bool,
+    /// The folder of the models that cases name as data:
+    #[arg(long, value_name = "FOLDER", env = "PLIANT_DATA")]
+    data: Option<PathBuf>,
+    /// Print the report as JSON on stdout
+    #[arg(long)]
+    json: bool,
+    /// Write the report as JUnit XML
+    #[arg(long, value_name = "FILE")]
+    junit: Option<PathBuf>,
+    /// Write the report as a page with pictures
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    #[command(flatten)]
+    threads: Threads,
+}
+
+/// Runs the command.
+pub(super) fn run(args: &CheckArgs) -> Result<(), Failure> {
+    let threads = args.threads.pool()?.threads();
+    let server = args
+        .server
+        .as_deref()
+        .map(|url| Address::new(url, args.token.as_deref()));
+    let server = server.transpose().map_err(Failure::Input)?;
+    let cases = suite::load(&args.suite, args.data.as_deref().filter(|d| !d.as_os_str().is_empty()))?;
+    if let Some(address) = &server {
+        let client = Client::new(address).map_err(Failure::Internal)?;
+        remote::greet(&client).map_err(|e| Failure::Input(format!("the server cannot be used: {e}")))?;
+    }
+    let plan = Plan {
+        server: server.as_ref(),
+        bless: args.bless,
+        skip_fails: args.no_skip,
+        pictures: args.html.is_some(),
+    };
+    let bar = Bar::new(args.json);
+    let done = run_all(&cases, &plan, threads, &bar)?;
+    bar.done();
+
+    let name = args.suite.canonicalize().ok();
+    let name = name
+        .as_deref()
+        .and_then(|p| p.file_name())
+        .unwrap_or(args.suite.as_os_str());
+    let report = SuiteReport {
+        suite: name.to_string_lossy().into_owned(),
+        how: if server.is_some() {
+            "on a server".into()
+        } else {
+            "in process".into()
+        },
+        cases: done.iter().map(|d| d.report.clone()).collect(),
+    };
+    let width = report.cases.iter().map(|c| c.name.len()).max().unwrap_or_default();
+    for done in &done {
+        eprintln!("{}", report::line(&done.report, width));
+        done.changes.iter().for_each(|change| eprintln!("         {change}"));
+        done.report
+            .notes
+            .iter()
+            .for_each(|note| eprintln!("         note: {note}"));
+    }
+    eprintln!("{}", report::summary(&report));
+    for (case, done) in cases.iter().zip(&done) {
+        if let Some(golden) = &done.golden {
+            write_file(&case.golden_path, golden.as_bytes())?;
+        }
+    }
+    if let Some(path) = &args.junit {
+        write_file(path, &report::junit(&report).map_err(Failure::Internal)?)?;
+    }
+    if let Some(path) = &args.html {
+        write_file(path, report::html(&report).as_bytes())?;
+    }
+    if args.json {
+        let text =
+            serde_json::to_string_pretty(&report::json(&report)).map_err(|e| Failure::Internal(e.to_string()))?;
+        writeln!(std::io::stdout(), "{text}").map_err(|e| Failure::Internal(format!("cannot write to stdout: {e}")))?;
+    }
+    let failed: Vec<&str> = (report.cases.iter())
+        .filter(|c| c.verdict.status == Status::Failed)
+        .map(|c| c.name.as_str())
+        .collect();
+    match failed.as_slice() {
+        [] => Ok(()),
+        names => {
+            let some = names.iter().take(10).copied().collect::<Vec<_>>().join(", ");
+            let more = if names.len() > 10 { ", …" } else { "" };
+            let text = format!("{} of {} cases failed: {some}{more}", names.len(), report.cases.len());
+            Err(Failure::Check(text))
+        }
+    }
+}

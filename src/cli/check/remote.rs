@@ -1,0 +1,272 @@
+//! A case on a server, through its HTTP API: open a session, set handles, do every step, fetch the shape.
+
+use super::http::{Answer, Call, Client};
+use crate::asset::{self, FileSet, Model};
+use crate::check::{Found, Metric};
+use crate::job::{self, pb};
+use bytes::Bytes;
+use glam::DVec3;
+use http::{HeaderMap, Method};
+use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
+use serde_json::Value;
+
+const JSON: &str = "application/json";
+const BUFFER: &str = "application/octet-stream";
+
+/// Asks whether the server answers at all.
+///
+/// # Errors
+/// Why not.
+pub(super) fn greet(client: &Client) -> Result<(), String> {
+    get(client, "/v1/limits", "/v1/limits", JSON).map(drop)
+}
+
+/// Runs a job on a model. The shape before, and the triangles where no step edits, are the caller's to add. What a
+/// server does not tell, cycles, bytes and constraints, is not among the numbers.
+///
+/// # Errors
+/// Why it cannot be run, with the server's words.
+pub(super) fn run(client: &Client, files: &FileSet, job: &pb::Job) -> Result<Found, String> {
+    let create = job::json::to_json(&job.create.clone().unwrap_or_default()).map_err(|e| e.to_string())?;
+    let options = utf8_percent_encode(&create.to_string(), NON_ALPHANUMERIC).to_string();
+    let (content_type, body) = upload(files);
+    let session = client.call(&Call {
+        method: Method::POST,
+        path: &format!("/v1/sessions?options={options}"),
+        name: "/v1/sessions",
+        content_type: &content_type,
+        accept: JSON,
+        body,
+    })?;
+    let id = document(&session)?["id"].as_str().unwrap_or_default().to_owned();
+    if id.is_empty() || !id.bytes().all(|b| b.is_ascii_alphanumeric()) {
+        return Err("POST /v1/sessions: the answer names no session".into());
+    }
+    let session = Session { client, id: &id };
+    let found = session.deform(job);
+    // Also after a failure: a session that nobody closes would only wait for its expiry.
+    let closed = session.send(Method::DELETE, "", JSON, Bytes::new()).map(drop);
+    let found = found?;
+    closed.map(|()| found)
+}
+
+struct Session<'a> {
+    client: &'a Client,
+    id: &'a str,
+}
+
+impl Session<'_> {
+    fn send(&self, method: Method, below: &str, accept: &str, body: Bytes) -> Result<Answer, String> {
+        self.client.call(&Call {
+            method,
+            path: &format!("/v1/sessions/{}{below}", self.id),
+            name: &format!("/v1/sessions/{{id}}{below}"),
+            content_type: if body.is_empty() { "" } else { JSON },
+            accept,
+            body,
+        })
+    }
+
+    fn post<M: prost::Message + prost::Name>(
+        &self,
+        method: Method,
+        below: &str,
+        accept: &str,
+        message: &M,
+    ) -> Result<Answer, String> {
+        let body = job::json::to_json(message).map_err(|e| e.to_string())?;
+        self.send(method, below, accept, body.to_string().into())
+    }
+
+    fn deform(&self, job: &pb::Job) -> Result<Found, String> {
+        if !job.handles.is_empty() {
+            let request = pb::SetHandlesRequest {
+                session_id: String::new(),
+                handles: job.handles.clone(),
+                symmetry_plane: job.symmetry_plane.clone(),
+                region_of_interest: job.region_of_interest.clone(),
+            };
+            self.post(Method::PUT, "/handles", JSON, &request)?;
+        }
+        let mut found = Found {
+            rounded: true,
+            ..Default::default()
+        };
+        let mut quality = None;
+        let mut edited = false;
+        for (k, step) in steps(job).iter().enumerate() {
+            let at_step = |e: String| format!("steps[{k}]: {e}");
+            quality = None;
+            match step {
+                Todo::Pose(pose) => {
+                    let request = pb::SolveRequest {
+                        session_id: String::new(),
+                        pose: Some(pose.clone()),
+                        options: Some(plain(job.options.unwrap_or_default())),
+                    };
+                    let answer = self.post(Method::POST, "/solve", BUFFER, &request).map_err(at_step)?;
+                    quality = quality_of(&answer.headers);
+                    let residual = number(&answer.headers, "x-pliant-residual").unwrap_or_default();
+                    let most = found.numbers.entry(Metric::Residual).or_insert(0.0);
+                    *most = most.max(residual);
+                }
+                Todo::Edit(edit) => {
+                    self.post(Method::POST, "/edits", JSON, edit).map_err(at_step)?;
+                    edited = true;
+                }
+            }
+        }
+        found.digest = self.digest()?;
+        found.positions = floats(&self.send(Method::GET, "/positions", BUFFER, Bytes::new())?.body)?;
+        if edited {
+            let model = self.send(Method::GET, "/model?format=ply", "", Bytes::new())?;
+            let model = Model::read(
+                FileSet::single("model.ply", model.body),
+                None,
+                &asset::Limits::default(),
+            );
+            found.triangles = model
+                .map_err(|e| format!("the model that came back: {e}"))?
+                .geometry
+                .triangles;
+            if found
+                .triangles
+                .as_flattened()
+                .iter()
+                .any(|&v| v as usize >= found.positions.len())
+            {
+                return Err("the model and the positions that came back have other vertices".into());
+            }
+        }
+        if let Some(quality) = &quality {
+            found.take_quality(quality);
+        }
+        let report = pb::Report {
+            quality,
+            digest: found.digest.clone(),
+            ..Default::default()
+        };
+        found.unmet = job::expectations(job.expect.as_ref(), &report).0;
+        Ok(found)
+    }
+
+    /// Digest of the newest commit.
+    fn digest(&self) -> Result<String, String> {
+        let history = document(&self.send(Method::GET, "/history", JSON, Bytes::new())?)?;
+        let commits = history["commits"].as_array();
+        let current = commits.and_then(|all| all.iter().find(|c| c["revision"] == history["current"]));
+        let digest = current.and_then(|c| c["digest"].as_str());
+        digest
+            .map(str::to_owned)
+            .ok_or_else(|| "GET /v1/sessions/{id}/history: the answer names no digest".into())
+    }
+}
+
+enum Todo {
+    Pose(pb::Pose),
+    Edit(pb::EditRequest),
+}
+
+/// As [`job::run`] does them: without steps the poses that the handles come with are one.
+fn steps(job: &pb::Job) -> Vec<Todo> {
+    if job.steps.is_empty() && job.handles.iter().any(|h| h.pose.is_some()) {
+        return vec![Todo::Pose(pb::Pose::default())];
+    }
+    let steps = job.steps.iter().filter_map(|s| s.step.as_ref());
+    steps
+        .map(|step| match step {
+            pb::step::Step::Pose(pose) => Todo::Pose(pose.clone()),
+            pb::step::Step::Edit(edit) => Todo::Edit(edit.clone()),
+        })
+        .collect()
+}
+
+/// Options of which the answer is a whole buffer of plain floats.
+fn plain(options: pb::Options) -> pb::Options {
+    let asked = options.output.unwrap_or_default();
+    pb::Options {
+        progressive: false,
+        window: 0,
+        output: Some(pb::Output {
+            self_intersections: asked.self_intersections,
+            ..Default::default()
+        }),
+        ..options
+    }
+}
+
+/// The body that opens a session: the model, with companions as a form.
+fn upload(files: &FileSet) -> (String, Bytes) {
+    if files.companions.is_empty() {
+        return (BUFFER.into(), files.main.clone());
+    }
+    // A line that is in no part.
+    let parts = || files.companions.values().chain([&files.main]);
+    let within = |text: &str| parts().any(|p| p.windows(text.len()).any(|w| w == text.as_bytes()));
+    let mut boundary = "pliant-check-part".to_owned();
+    while within(&boundary) {
+        boundary.push('x');
+    }
+    let quoted = |name: &str| name.replace('"', "%22").replace(['\r', '\n'], " ");
+    let mut body = Vec::new();
+    let mut part = |field: &str, name: &str, bytes: &[u8]| {
+        let head = format!(
+            "--{boundary}\r\ncontent-disposition: form-data; name=\"{field}\"; filename=\"{}\"\r\ncontent-type: {BUFFER}\r\n\r\n",
+            quoted(name)
+        );
+        body.extend_from_slice(head.as_bytes());
+        body.extend_from_slice(bytes);
+        body.extend_from_slice(b"\r\n");
+    };
+    part("model", &files.name, &files.main);
+    files
+        .companions
+        .iter()
+        .for_each(|(name, bytes)| part("companion", name, bytes));
+    body.extend_from_slice(format!("--{boundary}--\r\n").as_bytes());
+    (format!("multipart/form-data; boundary={boundary}"), body.into())
+}
+
+fn get(client: &Client, path: &str, name: &str, accept: &str) -> Result<Answer, String> {
+    client.call(&Call {
+        method: Method::GET,
+        path,
+        name,
+        content_type: "",
+        accept,
+        body: Bytes::new(),
+    })
+}
+
+fn document(answer: &Answer) -> Result<Value, String> {
+    serde_json::from_slice(&answer.body).map_err(|e| format!("the answer is no JSON: {e}"))
+}
+
+fn number(headers: &HeaderMap, name: &str) -> Option<f64> {
+    headers.get(name)?.to_str().ok()?.parse().ok()
+}
+
+fn quality_of(headers: &HeaderMap) -> Option<pb::Quality> {
+    Some(pb::Quality {
+        edge_rms: number(headers, "x-pliant-edge-rms")?,
+        volume_change: number(headers, "x-pliant-volume-change")?,
+        area_change: number(headers, "x-pliant-area-change")?,
+        flipped_triangles: number(headers, "x-pliant-flipped-triangles")? as u32,
+        max_stretch: number(headers, "x-pliant-max-stretch")?,
+        self_intersections: number(headers, "x-pliant-self-intersections").map(|n| n as u32),
+    })
+}
+
+/// Positions from little-endian 32-bit floats.
+fn floats(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
+    let (vertices, rest) = bytes.as_chunks::<12>();
+    if !rest.is_empty() {
+        return Err(format!(
+            "{} bytes of positions are no whole number of vertices",
+            bytes.len()
+        ));
+    }
+    let float = |b: &[u8]| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+    let vertex = |v: &[u8; 12]| DVec3::new(float(&v[0..4]), float(&v[4..8]), float(&v[8..12]));
+    Ok(vertices.iter().map(vertex).collect())
+}
