@@ -53,7 +53,7 @@ export async function play({ browser, url, server, log }) {
   const [, head] = await sheet.ask("handles");
   const held = (await told()).handles.find(({ id }) => id === head.id);
   assert.equal(held.vertices, head.vertices.length, "page and server agree on what the handle holds");
-  const { revision } = await dragGrip(sheet, head, [{ x: 40, y: -30 }]);
+  const { revision } = await dragGrip(sheet, head, [{ x: 40, y: -30 }], { steps: 6 });
   const dragged = await agrees("dragged after the edit");
   const solveHandles = await told();
   assert.equal(solveHandles.revision, revision);

@@ -67,7 +67,7 @@ export function compare(a, b) {
  * Waits until the page shows these positions, to within `slack` model units: what was recorded is painted with the next
  * picture, and this browser paints slowly. Answers how far it is from them in the end.
  */
-export async function shows(sheet, wanted, slack = 0, timeout = 30_000) {
+export async function shows(sheet, wanted, slack = 0, timeout = 120_000) {
   const deadline = Date.now() + timeout;
   for (;;) {
     const positions = await sheet.positions();

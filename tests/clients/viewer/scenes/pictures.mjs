@@ -27,7 +27,7 @@ export async function play({ browser, url }) {
     await sheet.pick(finger(scheme === "dark" ? 120_000 : 60_000));
     await sheet.page.locator(".card.busy").waitFor();
     await sheet.picture(`busy-${scheme}`);
-    await sheet.until("the model opens", ({ link, busy }) => link === "open" && !busy, 120_000);
+    await sheet.until("the model opens", ({ link, busy }) => link === "open" && !busy);
     await sheet.page.getByRole("button", { name: "Close the model" }).click();
 
     await openSample(sheet);

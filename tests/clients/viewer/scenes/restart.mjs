@@ -50,7 +50,7 @@ export async function play({ browser, server, folder, log }) {
     await sheet.page.locator(".banner").waitFor();
     await sheet.picture("lost");
     await server.start();
-    await sheet.page.getByRole("alertdialog").waitFor({ timeout: 20_000 });
+    await sheet.page.getByRole("alertdialog").waitFor();
     await sheet.picture("gone");
     await sheet.page.getByRole("button", { name: "Open it again" }).click();
     await sheet.until("the model opens again", ({ link, busy }) => link === "open" && !busy);
