@@ -26,7 +26,7 @@ export async function play({ browser, url, server, log }) {
     return agrees(what);
   };
   const opened = await agrees("opened");
-  await sheet.page.getByText("Edit", { exact: true }).click();
+  await sheet.page.locator("summary").getByText("Edit", { exact: true }).click();
 
   // Triangles of the head alone, by a stroke of the remesh brush. The length is below the creature's own.
   await sheet.page.getByLabel("Edge length").fill("0.02");

@@ -44,7 +44,7 @@ export async function play({ browser, url }) {
     assert.ok(!plain.equals(wired), "the wire is drawn");
     await sheet.key("w");
 
-    await sheet.page.getByText("Edit", { exact: true }).click();
+    await sheet.page.locator("summary").getByText("Edit", { exact: true }).click();
     await sheet.page.getByRole("radio", { name: "Y", exact: true }).click();
     await sheet.page.getByRole("button", { name: "Cut", exact: true }).scrollIntoViewIfNeeded();
     await sheet.picture(`edit-${scheme}`);
