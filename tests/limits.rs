@@ -23,7 +23,11 @@ fn page() -> String {
 fn keys_and_defaults_are_those_of_the_program() {
     let rows = book::table(&page(), "| key | default |");
     let told: BTreeSet<&str> = rows.iter().map(|row| row[0].as_str()).collect();
-    assert_eq!(told, KEYS.into_iter().collect(), "every key of the configuration, and no other");
+    assert_eq!(
+        told,
+        KEYS.into_iter().collect(),
+        "every key of the configuration, and no other"
+    );
     let mut flags = Vec::new();
     for row in &rows {
         // "none" stands for an empty list.
@@ -46,7 +50,9 @@ fn keys_and_defaults_are_those_of_the_program() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_tells_them_by_these_names() {
     let server = Server::start().await;
-    let answer = within("limits", http().get(server.url("/v1/limits")).send()).await.expect("an answer");
+    let answer = within("limits", http().get(server.url("/v1/limits")).send())
+        .await
+        .expect("an answer");
     let answer: BTreeMap<String, Value> = answer.json().await.expect("JSON");
     let rows = book::table(&page(), "| key | default |");
     let named: BTreeMap<&str, &str> = rows.iter().map(|row| (row[2].as_str(), row[1].as_str())).collect();
@@ -55,7 +61,9 @@ async fn a_server_tells_them_by_these_names() {
             assert!(page().contains("`partBytes`"));
             continue;
         }
-        let told = named.get(name.as_str()).unwrap_or_else(|| panic!("{name} is told and not on the page"));
+        let told = named
+            .get(name.as_str())
+            .unwrap_or_else(|| panic!("{name} is told and not on the page"));
         let seen = match value {
             Value::String(text) => text.parse().expect("a number"),
             number => number.as_f64().expect("a number"),
@@ -69,7 +77,11 @@ async fn a_server_tells_them_by_these_names() {
 
 /// Bytes, seconds or a count.
 fn number(text: &str) -> f64 {
-    let units = [("GiB", (1u64 << 30) as f64), ("MiB", (1u64 << 20) as f64), ("24h", 86_400.0)];
+    let units = [
+        ("GiB", (1u64 << 30) as f64),
+        ("MiB", (1u64 << 20) as f64),
+        ("24h", 86_400.0),
+    ];
     for (unit, factor) in units {
         if let Some(count) = text.strip_suffix(unit) {
             return factor * count.parse().unwrap_or(1.0);
@@ -110,7 +122,11 @@ fn limits_without_a_key_are_those_of_the_program() {
         idempotency_keys,
         drain: _,
     } = session::Config::default();
-    assert_eq!(triangles, 2 * session::Config::default().vertices, "twice as many triangles are allowed");
+    assert_eq!(
+        triangles,
+        2 * session::Config::default().vertices,
+        "twice as many triangles are allowed"
+    );
     let wanted = [
         ("bytes that decoding one model may take", size(decoded_bytes)),
         ("data of one frame part (partBytes)", size(part_bytes as u64)),
@@ -122,15 +138,24 @@ fn limits_without_a_key_are_those_of_the_program() {
         ("waiting for a compute slot", time(compute_wait)),
         ("answers to idempotency keys, kept for", time(idempotency_age)),
         ("idempotency keys of one caller", idempotency_keys.to_string()),
-        ("share of memory_bytes from which /readyz says 503", high_water.to_string()),
-        ("triangles of a remeshed region", pliant::edit::MOST_TRIANGLES.to_string()),
+        (
+            "share of memory_bytes from which /readyz says 503",
+            high_water.to_string(),
+        ),
+        (
+            "triangles of a remeshed region",
+            pliant::edit::MOST_TRIANGLES.to_string(),
+        ),
         ("shortest time to live that a session may name", time(MIN_TTL)),
     ];
     let told: Vec<(String, String)> = book::table(&page(), "| limit | value |")
         .into_iter()
         .map(|row| (row[0].clone(), row[1].clone()))
         .collect();
-    let wanted: Vec<(String, String)> = wanted.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    let wanted: Vec<(String, String)> = wanted
+        .into_iter()
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect();
     assert_eq!(told, wanted);
 }
 
@@ -167,7 +192,11 @@ async fn ranges_of_requests_are_kept() {
     let tried = [
         ("label of a session", create(256), create(257)),
         ("pageSize of a list", list(1000), list(1001)),
-        ("refine of a solve", solve(json!({"refine": 0})), solve(json!({"refine": 1001}))),
+        (
+            "refine of a solve",
+            solve(json!({"refine": 0})),
+            solve(json!({"refine": 1001})),
+        ),
     ];
     assert_eq!(fields[..3], tried.each_ref().map(|(name, _, _)| *name));
     assert_eq!(fields[3..], ["window of a stream"]);
@@ -178,12 +207,17 @@ async fn ranges_of_requests_are_kept() {
         assert_eq!(bad.status(), 422, "{name}");
     }
     for (window, refused) in [(8, false), (9, true), (1, true)] {
-        let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.expect("a socket");
+        let mut socket = server
+            .socket(&format!("/v1/sessions/{id}/stream"))
+            .await
+            .expect("a socket");
         let options = pliant::job::pb::Options {
             window,
             ..Default::default()
         };
-        socket.send(pliant::job::pb::deform_request::Message::Options(options)).await;
+        socket
+            .send(pliant::job::pb::deform_request::Message::Options(options))
+            .await;
         socket
             .send(pliant::job::pb::deform_request::Message::Pose(turned(1, 0.1, false)))
             .await;

@@ -41,7 +41,10 @@ fn lacks_node() -> Option<String> {
     let Ok(version) = asked.map(|output| said(&output).trim().to_owned()) else {
         return Some("node is not installed".to_owned());
     };
-    let mut numbers = version.trim_start_matches('v').split('.').map_while(|n| n.parse::<u32>().ok());
+    let mut numbers = version
+        .trim_start_matches('v')
+        .split('.')
+        .map_while(|n| n.parse::<u32>().ok());
     let seen = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
     if seen < NODE {
         return Some(format!("node {version} is older than {}.{}", NODE.0, NODE.1));
@@ -52,9 +55,16 @@ fn lacks_node() -> Option<String> {
 
 /// Whether npm failed because it reached no registry.
 fn is_offline(said: &str) -> bool {
-    ["ENOTFOUND", "EAI_AGAIN", "ECONNREFUSED", "ETIMEDOUT", "ENOTCACHED", "ECONNRESET"]
-        .iter()
-        .any(|sign| said.contains(sign))
+    [
+        "ENOTFOUND",
+        "EAI_AGAIN",
+        "ECONNREFUSED",
+        "ETIMEDOUT",
+        "ENOTCACHED",
+        "ECONNRESET",
+    ]
+    .iter()
+    .any(|sign| said.contains(sign))
 }
 
 /// Fetches what a package's lock file names, unless it is there; why it cannot be had, if so.
@@ -69,7 +79,8 @@ fn install(package: &str) -> Result<(), String> {
         return Ok(());
     }
     let mut npm = Command::new("npm");
-    npm.args(["ci", "--no-audit", "--no-fund", "--prefer-offline"]).current_dir(&at);
+    npm.args(["ci", "--no-audit", "--no-fund", "--prefer-offline"])
+        .current_dir(&at);
     let done = npm.output().expect("npm runs");
     if done.status.success() {
         return Ok(());
@@ -88,7 +99,11 @@ fn npm(package: &str, script: &str) -> String {
         .env_remove("PLIANT_SERVER");
     let done = npm.output().expect("npm runs");
     let told = said(&done);
-    assert!(done.status.success(), "npm run {script} in {package} ended with {}:\n{told}", done.status);
+    assert!(
+        done.status.success(),
+        "npm run {script} in {package} ended with {}:\n{told}",
+        done.status
+    );
     told
 }
 
@@ -102,7 +117,9 @@ fn the_typescript_client_keeps_its_types_and_tests() {
     npm(package, "check");
     let told = npm(package, "test");
     let figure = |name: &str| {
-        let line = told.lines().find_map(|line| line.trim_start_matches(['#', 'ℹ', ' ']).strip_prefix(name));
+        let line = told
+            .lines()
+            .find_map(|line| line.trim_start_matches(['#', 'ℹ', ' ']).strip_prefix(name));
         line.and_then(|n| n.trim().parse::<u32>().ok())
     };
     assert!(figure("pass").is_some_and(|n| n > 20), "too few tests ran:\n{told}");

@@ -46,7 +46,11 @@ fn play(page: &str) -> Checkout {
     for block in book::blocks(&read(page)) {
         block.check(page);
         if let Some(file) = block.word("is") {
-            assert!(read(file).trim_end() == block.text.trim_end(), "{page}:{}: this is not {file}", block.line);
+            assert!(
+                read(file).trim_end() == block.text.trim_end(),
+                "{page}:{}: this is not {file}",
+                block.line
+            );
             continue;
         }
         if let Some(test) = block.word("by") {
@@ -102,14 +106,17 @@ fn cookbook_for_the_web() {
     }
     if !packages.is_dir() {
         let mut npm = Command::new("npm");
-        npm.args(["ci", "--no-audit", "--no-fund", "--silent"]).current_dir(root().join("tests/clients/viewer"));
+        npm.args(["ci", "--no-audit", "--no-fund", "--silent"])
+            .current_dir(root().join("tests/clients/viewer"));
         if !npm.status().is_ok_and(|status| status.success()) {
             return tell("SKIPPED: the cookbook's page in a browser: playwright-core cannot be fetched");
         }
     }
     let driver = root().join("tests/clients/viewer/page.mjs");
     let done = Command::new("node").arg(driver).arg(&page).output().expect("node runs");
-    let said = [done.stdout, done.stderr].map(|b| String::from_utf8_lossy(&b).into_owned()).concat();
+    let said = [done.stdout, done.stderr]
+        .map(|b| String::from_utf8_lossy(&b).into_owned())
+        .concat();
     assert!(done.status.success(), "{said}");
     tell(said.trim());
 }
@@ -139,7 +146,12 @@ fn every_place_they_name_exists() {
         let (links, quoted) = book::places(&read(page));
         let beside = root().join(page);
         let beside = beside.parent().expect("a folder");
-        missing.extend(links.into_iter().filter(|l| !beside.join(l).exists()).map(|l| (page, l)));
+        missing.extend(
+            links
+                .into_iter()
+                .filter(|l| !beside.join(l).exists())
+                .map(|l| (page, l)),
+        );
         let files = quoted
             .into_iter()
             .filter(|q| tops.iter().any(|top| q.starts_with(top)) && !q.contains(char::is_whitespace));

@@ -267,12 +267,18 @@ fn the_python_package_passes_its_own_tests() {
         return tell(said.trim()).unwrap_or(());
     }
     assert!(done.status.success(), "{said}");
-    for line in said.lines().filter(|l| l.starts_with("SKIPPED") || l.contains(" passed")) {
+    for line in said
+        .lines()
+        .filter(|l| l.starts_with("SKIPPED") || l.contains(" passed"))
+    {
         tell(line).unwrap_or(());
     }
     let data = root().join("../shared/data");
     let data = std::env::var_os("PLIANT_DATA").map_or(data, PathBuf::from);
     let armadillo = data.join("meshes/armadillo.obj").is_file();
     let skipped = said.contains("there is no folder of test models") || said.contains("armadillo.obj");
-    assert!(!armadillo || !skipped, "the armadillo is there and was not bent:\n{said}");
+    assert!(
+        !armadillo || !skipped,
+        "the armadillo is there and was not bent:\n{said}"
+    );
 }

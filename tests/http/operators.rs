@@ -70,7 +70,10 @@ async fn the_reference_is_a_page_that_loads_nothing() {
     assert_eq!(answer.status(), 200);
     assert_eq!(answer.headers()[header::CONTENT_TYPE], "text/html; charset=utf-8");
     let policy = answer.headers()["content-security-policy"].to_str().unwrap().to_owned();
-    assert!(policy.starts_with("default-src 'none'") && !policy.contains("script-src"), "{policy}");
+    assert!(
+        policy.starts_with("default-src 'none'") && !policy.contains("script-src"),
+        "{policy}"
+    );
     let page = answer.text().await.unwrap();
     for part in ["/v1/sessions/{id}/solve", "message-SetHandlesRequest", "Absent = hard"] {
         assert!(page.contains(part), "{part} is not in the page");

@@ -63,7 +63,11 @@ pub fn blocks(page: &str) -> Vec<Block> {
 /// The rows of the table whose head begins with `head`: cells without backticks, `\|` as `|`.
 pub fn table(page: &str, head: &str) -> Vec<Vec<String>> {
     let cells = |line: &str| {
-        let line = line.trim().trim_start_matches('|').trim_end_matches('|').replace("\\|", "\u{1}");
+        let line = line
+            .trim()
+            .trim_start_matches('|')
+            .trim_end_matches('|')
+            .replace("\\|", "\u{1}");
         line.split('|')
             .map(|cell| cell.trim().replace('`', "").replace('\u{1}', "|"))
             .collect::<Vec<_>>()
@@ -98,6 +102,27 @@ pub fn places(page: &str) -> (Vec<String>, Vec<String>) {
     (links, quoted)
 }
 
+/// Whether a line is like a pattern in which `…` stands for anything.
+pub fn is_like(line: &str, pattern: &str) -> bool {
+    let mut rest = line.trim();
+    let mut pieces = pattern.trim().split('…').peekable();
+    let mut first = true;
+    while let Some(piece) = pieces.next() {
+        let at = match (first, pieces.peek()) {
+            (true, _) => rest.starts_with(piece).then_some(0),
+            (false, None) => rest
+                .len()
+                .checked_sub(piece.len())
+                .filter(|at| rest.is_char_boundary(*at) && rest.ends_with(piece)),
+            (false, Some(_)) => rest.find(piece),
+        };
+        let Some(at) = at else { return false };
+        rest = &rest[at + piece.len()..];
+        first = false;
+    }
+    rest.is_empty()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -106,10 +131,25 @@ mod tests {
     fn blocks_tables_and_places_are_found() {
         let page = "a `src/x.rs` and [that](b/c.md#d)\n```sh needs=a,b\nrun | it\n```\n| h | i |\n|---|---|\n| `a\\|b` | c |\n\n```json\n{}\n```\n";
         let found = blocks(page);
-        assert_eq!((found[0].language.as_str(), found[0].word("needs")), ("sh", Some("a,b")));
+        assert_eq!(
+            (found[0].language.as_str(), found[0].word("needs")),
+            ("sh", Some("a,b"))
+        );
         assert_eq!((found[0].text.as_str(), found[0].line), ("run | it\n", 2));
         assert_eq!(found.len(), 2);
         assert_eq!(table(page, "| h |"), [["a|b", "c"]]);
-        assert_eq!(places(page), (vec!["b/c.md".to_owned()], vec!["src/x.rs".to_owned(), "a\\|b".to_owned()]));
+        assert_eq!(
+            places(page),
+            (
+                vec!["b/c.md".to_owned()],
+                vec!["src/x.rs".to_owned(), "a\\|b".to_owned()]
+            )
+        );
+    }
+
+    #[test]
+    fn patterns_hold_what_is_between_them() {
+        assert!(is_like("a 12 b", "a … b") && is_like("a", "a") && is_like("xyz", "…"));
+        assert!(!is_like("a 12 c", "a … b") && !is_like("ab", "a") && !is_like("b a", "a…"));
     }
 }

@@ -32,7 +32,10 @@ pub fn provoke() -> Vec<Said> {
     write("notes.txt", "no model");
     write("held.json", HELD);
     write("slip.json", r#"{"handles": [{"id": "head", "regoin": {}}]}"#);
-    write("away.json", r#"{"handles": [{"id": "head", "region": {"sphere": {"center": [9, 9, 9], "radius": 1}}}]}"#);
+    write(
+        "away.json",
+        r#"{"handles": [{"id": "head", "region": {"sphere": {"center": [9, 9, 9], "radius": 1}}}]}"#,
+    );
     write("slip.toml", "sessons = 4\n");
     write("time.toml", "ttl = \"15\"\n");
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
@@ -47,10 +50,22 @@ pub fn provoke() -> Vec<Said> {
         ("no such file", &["inspect", "bunny.glb"]),
         ("no model", &["inspect", "notes.txt"]),
         ("points alone", &["inspect", "points.obj"]),
-        ("an extension that is none", &["deform", "square.obj", "--job", "held.json", "-o", "out.fbx"]),
-        ("a field that is none", &["deform", "creature.glb", "--job", "slip.json", "-o", "out.glb"]),
-        ("a region beside the model", &["deform", "creature.glb", "--job", "away.json", "-o", "out.glb"]),
-        ("another digest", &["deform", "creature.glb", "--job", "held.json", "-o", "out.glb"]),
+        (
+            "an extension that is none",
+            &["deform", "square.obj", "--job", "held.json", "-o", "out.fbx"],
+        ),
+        (
+            "a field that is none",
+            &["deform", "creature.glb", "--job", "slip.json", "-o", "out.glb"],
+        ),
+        (
+            "a region beside the model",
+            &["deform", "creature.glb", "--job", "away.json", "-o", "out.glb"],
+        ),
+        (
+            "another digest",
+            &["deform", "creature.glb", "--job", "held.json", "-o", "out.glb"],
+        ),
     ];
     let said = cases.into_iter().map(|(by, arguments)| Said {
         by,

@@ -64,12 +64,17 @@ pub async fn provoke() -> Vec<Said> {
         "{large upload}" => " ".repeat(300 << 10),
         "{large message}" => " ".repeat(65 << 10),
         "{many handles}" => json!({"handles": many}).to_string(),
-        cell => cell.replace("{id}", &id).replace("{bare}", &bare).replace("{nobody}", NOBODY),
+        cell => cell
+            .replace("{id}", &id)
+            .replace("{bare}", &bare)
+            .replace("{nobody}", NOBODY),
     };
     let mut said = Vec::new();
     for case in CALLS.lines().filter(|line| !line.is_empty()) {
         let cells: Vec<&'static str> = case.split(" | ").map(str::trim).collect();
-        let [by, call, kind, body] = cells[..] else { panic!("not four cells: {case}") };
+        let [by, call, kind, body] = cells[..] else {
+            panic!("not four cells: {case}")
+        };
         let (method, path) = call.split_once(' ').expect("method and path");
         let mut request = http()
             .request(method.parse().expect("a method"), server.url(&fill(path)))
@@ -91,7 +96,10 @@ pub async fn provoke() -> Vec<Said> {
 async fn of_streams(server: &Server, id: &str) -> Vec<Said> {
     let mut said = Vec::new();
     let mut refused = async |by: &'static str, message: deform_request::Message| {
-        let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.expect("a socket");
+        let mut socket = server
+            .socket(&format!("/v1/sessions/{id}/stream"))
+            .await
+            .expect("a socket");
         socket.send(message).await;
         let text = loop {
             match socket.next().await {
@@ -141,22 +149,30 @@ async fn of_origins_and_room(server: &Server) -> Vec<Said> {
 async fn of_warnings() -> Vec<Said> {
     let server = Server::start().await;
     let sheet = server.open(OPEN_SHEET.to_owned()).await;
-    let warning = |of: &Value, by| {
-        let found = of["warnings"].as_array().and_then(|all| all.first()).cloned().unwrap_or_default();
+    let warning = |of: &Value, by, code: &str| {
+        let all = of["warnings"].as_array().cloned().unwrap_or_default();
+        let found = all.into_iter().find(|w| w["code"] == code).unwrap_or_default();
         Said {
             by,
-            text: format!("{}: {}", text(&found["code"]), text(&found["message"])),
+            text: format!("{code}: {}", text(&found["message"])),
         }
     };
-    let without = warning(&sheet, "a surface without an inside");
+    let without = warning(&sheet, "a surface without an inside", "no-volume-graph");
     let id = server.bar_session().await;
     let over = json!({"handles": [
         {"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -2}}},
         {"id": "top", "region": {"halfSpace": {"normal": [0, 0, 1], "offset": 1}}},
     ]});
-    let set = http().put(server.url(&format!("/v1/sessions/{id}/handles"))).json(&over);
-    let set: Value = within("handles", set.send()).await.expect("an answer").json().await.expect("JSON");
-    vec![without, warning(&set, "handles that overlap")]
+    let set = http()
+        .put(server.url(&format!("/v1/sessions/{id}/handles")))
+        .json(&over);
+    let set: Value = within("handles", set.send())
+        .await
+        .expect("an answer")
+        .json()
+        .await
+        .expect("JSON");
+    vec![without, warning(&set, "handles that overlap", "overlapping-handles")]
 }
 
 /// A server that was asked to stop while a stream is open.
@@ -167,7 +183,10 @@ async fn of_leaving() -> Said {
     // A connection that is open already is still answered.
     let first = client.get(server.url("/healthz")).send().await.expect("an answer");
     first.bytes().await.expect("a body");
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.expect("a socket");
+    let mut socket = server
+        .socket(&format!("/v1/sessions/{id}/stream"))
+        .await
+        .expect("a socket");
     let pose = deform_request::Message::Pose(turned(1, 0.1, false));
     socket.send(pose).await;
     socket.next().await;
@@ -176,7 +195,11 @@ async fn of_leaving() -> Said {
     eventually("a refusal", async || {
         let asked = client.post(server.url("/v1/sessions")).body(bar_obj(4)).send().await;
         let Ok(answer) = asked else { return false };
-        text = answer.json::<Value>().await.map(|p| p["detail"].as_str().unwrap_or_default().to_owned()).unwrap_or_default();
+        text = answer
+            .json::<Value>()
+            .await
+            .map(|p| p["detail"].as_str().unwrap_or_default().to_owned())
+            .unwrap_or_default();
         !text.is_empty()
     })
     .await;

@@ -259,11 +259,18 @@ mod tests {
     #[test]
     fn nothing_is_loaded_and_nothing_runs() {
         let page = PAGE.as_ref().unwrap();
-        for part in ["<script", "<link", "<img", "@import", "url(", "src=", " onclick", " onload"] {
+        for part in [
+            "<script", "<link", "<img", "@import", "url(", "src=", " onclick", " onload",
+        ] {
             assert!(!page.contains(part), "{part} is in the page");
         }
         let place = page.find("://");
-        assert_eq!(place, None, "an address of elsewhere: {:?}", place.map(|at| &page[at - 20..at + 20]));
+        assert_eq!(
+            place,
+            None,
+            "an address of elsewhere: {:?}",
+            place.map(|at| &page[at - 20..at + 20])
+        );
     }
 
     #[test]

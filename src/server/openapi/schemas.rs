@@ -91,8 +91,7 @@ impl<'a> Schemas<'a> {
             .values()
             .filter_map(|v| Some((v.name().to_owned(), self.comment(v.path())?.into())))
             .collect();
-        let schema =
-            json!({"type": "string", "enum": values, "$comment": said.join(" "), "x-enumDescriptions": each});
+        let schema = json!({"type": "string", "enum": values, "$comment": said.join(" "), "x-enumDescriptions": each});
         self.describe(schema, kind.path())
     }
 
@@ -166,7 +165,10 @@ mod tests {
                 look(method.path(), method.full_name().to_owned());
             }
         }
-        for message in pool.all_messages().filter(|m| m.package_name() == PACKAGE && !m.is_map_entry()) {
+        for message in pool
+            .all_messages()
+            .filter(|m| m.package_name() == PACKAGE && !m.is_map_entry())
+        {
             look(message.path(), message.full_name().to_owned());
             for field in message.fields() {
                 look(field.path(), field.full_name().to_owned());
