@@ -6,7 +6,7 @@ import { finger } from "../models.mjs";
 import { asHandles, asPose, compare, holdBothEnds, shows } from "./hold.mjs";
 
 /** How long each model is dragged. */
-const DRAG_SECONDS = 6;
+const DRAG_SECONDS = 4;
 
 export const title = "50 K and 300 K vertices are dragged live";
 
