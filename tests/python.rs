@@ -1,12 +1,12 @@
-//! Clients as their authors write them, against the real server: the README's tour with curl and Python, and a pipeline
-//! script that checks every answer.
+//! Clients as their authors write them, against the real server: the tours of README.md and `deploy/docs` with curl and
+//! Python, a pipeline script that checks every answer, and the tests of the Python package.
 //!
-//! The Python packages go into `target/clients` by the commands that README.md shows. What this machine lacks (bash, curl,
+//! The Python packages go into `target/clients` by the commands that `deploy/docs/other-languages.md` shows. What this machine lacks (bash, curl,
 //! python3, a network to fetch packages) is said and skipped; everything else must hold.
 
 use pliant::asset::{FileSet, Limits, Model};
 use std::fs;
-use std::io::{BufRead as _, BufReader};
+use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Output, Stdio};
 use std::sync::OnceLock;
@@ -67,22 +67,25 @@ fn has(program: &str) -> bool {
     asked.is_ok_and(|status| status.success())
 }
 
-/// The one code block of README.md with that first line.
+/// The page that shows how stubs are made.
+const PAGE: &str = "deploy/docs/other-languages.md";
+
+/// The one code block of that page with that first line.
 fn block(first_line: &str) -> String {
-    let readme = fs::read_to_string(root().join("README.md")).expect("README.md can be read");
-    let mut blocks = readme
+    let page = fs::read_to_string(root().join(PAGE)).expect("the page can be read");
+    let mut blocks = page
         .split("\n```")
         .skip(1)
         .step_by(2)
         .filter_map(|b| b.split_once('\n'));
     let found = blocks.find(|(_, text)| text.starts_with(first_line));
     found
-        .unwrap_or_else(|| panic!("README.md has no code block that begins with {first_line:?}"))
+        .unwrap_or_else(|| panic!("{PAGE} has no code block that begins with {first_line:?}"))
         .1
         .to_owned()
 }
 
-/// The Python of `target/clients` with grpcio and the stubs, made by README's commands; or why there is none.
+/// The Python of `target/clients` with grpcio and the stubs, made by the page's commands; or why there is none.
 fn python() -> Result<&'static Path, &'static str> {
     static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     PYTHON
@@ -122,7 +125,7 @@ fn prepare() -> Result<PathBuf, String> {
         }
         let said = said(&done);
         let missing = line.contains("-m venv") || (line.contains("/pip ") && is_offline(&said));
-        assert!(missing, "README's `{line}` failed:\n{said}");
+        assert!(missing, "`{line}` of {PAGE} failed:\n{said}");
         return Err(format!("`{line}` needs something that this machine lacks:\n{said}"));
     }
     fs::write(home.join("stamp"), stamp).expect("target can be written");
@@ -245,5 +248,37 @@ fn a_pipeline_script_over_grpc() {
     assert!(
         told.contains("50 poses sent") && told.contains("the session is deleted"),
         "{told}"
+    );
+}
+
+/// Its own virtual environment, types, every test and example; two hundred poses of the armadillo beside the command line.
+#[test]
+fn the_python_package_passes_its_own_tests() {
+    let mut tests = Command::new("sh");
+    tests
+        .arg(root().join("proto/clients/python/run-tests"))
+        .env("PLIANT_BIN", env!("CARGO_BIN_EXE_pliant"))
+        .env_remove("PLIANT_SERVER");
+    let done = tests.output().expect("sh runs");
+    let said = said(&done);
+    // Seen also when the test passes: what was skipped, and why.
+    let tell = |text: &str| writeln!(std::io::stderr(), "proto/clients/python: {text}");
+    if done.status.code() == Some(77) {
+        return tell(said.trim()).unwrap_or(());
+    }
+    assert!(done.status.success(), "{said}");
+    for line in said
+        .lines()
+        .filter(|l| l.starts_with("SKIPPED") || l.contains(" passed"))
+    {
+        tell(line).unwrap_or(());
+    }
+    let data = root().join("../shared/data");
+    let data = std::env::var_os("PLIANT_DATA").map_or(data, PathBuf::from);
+    let armadillo = data.join("meshes/armadillo.obj").is_file();
+    let skipped = said.contains("there is no folder of test models") || said.contains("armadillo.obj");
+    assert!(
+        !armadillo || !skipped,
+        "the armadillo is there and was not bent:\n{said}"
     );
 }

@@ -64,6 +64,23 @@ async fn operators_find_health_counts_and_description() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_reference_is_a_page_that_loads_nothing() {
+    let server = Server::start().await;
+    let answer = get(&server, "/docs").await;
+    assert_eq!(answer.status(), 200);
+    assert_eq!(answer.headers()[header::CONTENT_TYPE], "text/html; charset=utf-8");
+    let policy = answer.headers()["content-security-policy"].to_str().unwrap().to_owned();
+    assert!(
+        policy.starts_with("default-src 'none'") && !policy.contains("script-src"),
+        "{policy}"
+    );
+    let page = answer.text().await.unwrap();
+    for part in ["/v1/sessions/{id}/solve", "message-SetHandlesRequest", "Absent = hard"] {
+        assert!(page.contains(part), "{part} is not in the page");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn json_is_compressed_on_request_and_nothing_else() {
     let server = Server::start().await;
     let id = server.bar_session().await;

@@ -5,6 +5,7 @@
 
 mod body;
 mod create;
+mod docs;
 mod download;
 mod edits;
 mod handles;

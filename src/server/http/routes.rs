@@ -1,6 +1,6 @@
 //! Which path leads where, once for the router and once for the API description; a test holds them together.
 
-use super::{create, edits, handles, models, pages, sessions, solve, viewer};
+use super::{create, docs, edits, handles, models, pages, sessions, solve, viewer};
 use crate::server::socket;
 use crate::server::state::State;
 use axum::Router;
@@ -34,6 +34,7 @@ pub(super) fn all() -> Router<State> {
         .route("/readyz", get(pages::ready))
         .route("/metrics", get(pages::metrics))
         .route("/openapi.json", get(pages::openapi))
+        .route("/docs", get(docs::page))
         .route("/", get(viewer::page))
         .route("/icon.svg", get(viewer::icon))
         .route("/assets/{name}", get(viewer::asset))
@@ -167,7 +168,7 @@ pub(in crate::server) const ROUTES: [Route; 22] = [
         method: "post",
         path: "/v1/sessions/{id}/edits",
         rpc: Some("Edit"),
-        summary: "Change the topology. Not implemented by this version: answers 501 by name.",
+        summary: "Change the topology: cut, delete, fill, subdivide, remesh, decimate, merge, insert a curve or weld.",
         takes: Some("EditRequest"),
         gives: Some("EditResult"),
         keyed: true,
@@ -252,7 +253,7 @@ pub(in crate::server) const ROUTES: [Route; 22] = [
     },
     Route {
         path: "/openapi.json",
-        summary: "This description.",
+        summary: "This description; /docs shows it to people.",
         ..PLAIN
     },
 ];

@@ -99,7 +99,8 @@ fn respond(file: &File, request: &HeaderMap) -> Response {
     guarded(response, media_type(file.path), POLICY)
 }
 
-fn guarded(mut response: Response, media_type: &'static str, policy: &'static str) -> Response {
+/// Adds what every page for people carries: its type, its policy, and that neither is to be guessed or told.
+pub(super) fn guarded(mut response: Response, media_type: &'static str, policy: &'static str) -> Response {
     let headers = response.headers_mut();
     let mut set = |name: HeaderName, value: &'static str| headers.insert(name, HeaderValue::from_static(value));
     set(header::CONTENT_TYPE, media_type);

@@ -87,7 +87,11 @@ impl<'a> Schemas<'a> {
             .values()
             .filter_map(|v| Some(format!("{}: {}", v.name(), self.comment(v.path())?)))
             .collect();
-        let schema = json!({"type": "string", "enum": values, "$comment": said.join(" ")});
+        let each: Map<String, Value> = kind
+            .values()
+            .filter_map(|v| Some((v.name().to_owned(), self.comment(v.path())?.into())))
+            .collect();
+        let schema = json!({"type": "string", "enum": values, "$comment": said.join(" "), "x-enumDescriptions": each});
         self.describe(schema, kind.path())
     }
 
@@ -139,4 +143,43 @@ fn comments(file: &FileDescriptorProto) -> BTreeMap<Vec<i32>, String> {
             (!words.is_empty()).then(|| (location.path.clone(), words.join(" ")))
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_in_the_schema_is_explained() {
+        let pool = crate::job::json::descriptors().unwrap();
+        let schemas = Schemas::new(pool);
+        let mut bare = Vec::new();
+        let mut look = |path: &[i32], what: String| {
+            if schemas.comment(path).is_none() {
+                bare.push(what);
+            }
+        };
+        for service in pool.services().filter(|s| s.package_name() == PACKAGE) {
+            look(service.path(), service.full_name().to_owned());
+            for method in service.methods() {
+                look(method.path(), method.full_name().to_owned());
+            }
+        }
+        for message in pool
+            .all_messages()
+            .filter(|m| m.package_name() == PACKAGE && !m.is_map_entry())
+        {
+            look(message.path(), message.full_name().to_owned());
+            for field in message.fields() {
+                look(field.path(), field.full_name().to_owned());
+            }
+        }
+        for kind in pool.all_enums().filter(|e| e.package_name() == PACKAGE) {
+            look(kind.path(), kind.full_name().to_owned());
+            for value in kind.values() {
+                look(value.path(), value.full_name().to_owned());
+            }
+        }
+        assert!(bare.is_empty(), "without a comment in the schema: {bare:?}");
+    }
 }

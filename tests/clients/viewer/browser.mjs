@@ -8,6 +8,9 @@ const CANDIDATES = [process.env.CHROMIUM, "/usr/bin/chromium", "/usr/bin/chromiu
 /** The browser that is installed, if one is. */
 export const BROWSER = CANDIDATES.find((path) => path !== undefined && existsSync(path));
 
+/** No step takes this long on a machine that is not stuck: a busy one must not fail. */
+const PATIENCE_MS = 180_000;
+
 const PICTURES = new URL("../../../target/viewer/", import.meta.url).pathname;
 
 /** Starts the browser. Software rendering makes pictures the same everywhere, and slow. */
@@ -25,6 +28,10 @@ export class Sheet {
     this.page = page;
     /** Errors and warnings of the console, uncaught failures, refused policies. */
     this.complaints = [];
+    /** Who waits for the dialog that chooses files. Listened for from the start: asked for only when a key is pressed, it may come late. */
+    this.choosing = [];
+    page.setDefaultTimeout(PATIENCE_MS);
+    page.on("filechooser", (chooser) => this.choosing.shift()?.(chooser));
     page.on("console", (message) => {
       if (["error", "warning"].includes(message.type())) this.complaints.push(message.text());
     });
@@ -60,7 +67,7 @@ export class Sheet {
   }
 
   /** Waits until the page's state says so. */
-  async until(what, test, timeout = 60_000) {
+  async until(what, test, timeout = PATIENCE_MS) {
     const deadline = Date.now() + timeout;
     for (;;) {
       const state = await this.ask("state");
@@ -72,9 +79,9 @@ export class Sheet {
 
   /** Gives the page a file as if it had been picked. */
   async pick(...files) {
-    const chooser = this.page.waitForEvent("filechooser");
+    const chooser = new Promise((resolve) => this.choosing.push(resolve));
     await this.page.keyboard.press("Control+o");
-    await (await chooser).setFiles(files);
+    await (await chooser).setFiles(files.flat());
   }
 
   /** Drops a file onto the page. */

@@ -81,8 +81,11 @@ class Calls:
 
     def fault(self, error: grpc.RpcError) -> errors.PliantError:
         """What a failed call means here."""
-        ended = self._server.ended if self._server is not None else None
-        return ended or channel.of_session(errors.of_rpc(error))
+        return self.reason(channel.of_session(errors.of_rpc(error)))
+
+    def reason(self, error: errors.PliantError) -> errors.PliantError:
+        """The end of a server of one's own, where that lies behind a failure; it may show only after it."""
+        return (self._server.ended if self._server is not None else None) or error
 
     def found(self, pause: float, patience: float, given_up: Callable[[], bool] = lambda: False) -> bool:
         """Waits for `pause` seconds and then until there is a connection; whether there is one."""
@@ -108,7 +111,7 @@ class Calls:
             except grpc.RpcError as failed:
                 error = self.fault(failed)
             except errors.PliantError as failed:
-                error = (self._server.ended if self._server is not None else None) or failed
+                error = self.reason(failed)
             pause = attempts.again(error)
             if pause is None or not self.found(pause, attempts.left):
-                raise (self._server.ended if self._server is not None else None) or error
+                raise self.reason(error)

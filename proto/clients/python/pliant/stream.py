@@ -183,7 +183,7 @@ class Stream:
                 self._call = None
             if pause is None or not self._calls.found(pause, attempts.left, lambda: self._closed):
                 with self._news:
-                    self._failure = error
+                    self._failure = self._calls.reason(error)
                     self._news.notify_all()
                 return
             self.reconnects += 1

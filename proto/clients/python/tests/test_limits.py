@@ -61,7 +61,7 @@ def test_a_message_that_is_too_large_is_refused_with_the_limit() -> None:
 
 def test_a_client_can_be_narrower_than_the_server(server: pliant.LocalServer, creature: Path) -> None:
     with pytest.raises(pliant.ResourceExhausted, match="larger than max"):
-        with pliant.open(creature, server=server, way={"message_bytes": 10_000}) as session:
+        with pliant.open(creature, server=server, way={"message_bytes": 10_000, "patience": 0.5}) as session:
             session.handle("head", sphere=((0.76, 1.22, 0), 0.36))
             session.solve()
 

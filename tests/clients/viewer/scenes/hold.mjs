@@ -62,3 +62,17 @@ export function compare(a, b) {
   }
   return { worst, diagonal: Math.hypot(...high.map((x, c) => x - low[c])) };
 }
+
+/**
+ * Waits until the page shows these positions, to within `slack` model units: what was recorded is painted with the next
+ * picture, and this browser paints slowly. Answers how far it is from them in the end.
+ */
+export async function shows(sheet, wanted, slack = 0, timeout = 120_000) {
+  const deadline = Date.now() + timeout;
+  for (;;) {
+    const positions = await sheet.positions();
+    const seen = positions.length === wanted.length ? compare(positions, wanted) : { worst: Infinity, diagonal: 1 };
+    if (seen.worst <= slack || Date.now() > deadline) return seen;
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+}

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { Sheet } from "../browser.mjs";
 import { serve } from "../proxy.mjs";
-import { asHandles, asPose, compare, dragGrip } from "./hold.mjs";
+import { asHandles, asPose, compare, dragGrip, shows } from "./hold.mjs";
 import { openSample } from "./sample.mjs";
 
 export const title = "a socket is lost in mid-drag, the page is reloaded, the server is restarted";
@@ -31,18 +31,18 @@ export async function play({ browser, server, folder, log }) {
     const solved = await server.floats("POST", `/v1/sessions/${session.id}/solve`, {
       pose: { handles: [{ id: dragged.id, pose: asPose(dragged.pose) }] },
     });
-    assert.equal(compare(await sheet.positions(), solved).worst, 0, "the shape is the one that was dragged to");
+    assert.equal((await shows(sheet, solved)).worst, 0, "the shape is the one that was dragged to");
     const id = await sheet.ask("session");
 
     await sheet.page.reload();
     await sheet.ready();
     await sheet.until("the page takes its session up again", ({ link, busy }) => link === "open" && !busy);
     assert.equal(await sheet.ask("session"), id, "the session is the same");
-    assert.equal(compare(await sheet.positions(), solved).worst, 0, "so is the shape");
+    assert.equal((await shows(sheet, solved)).worst, 0, "so is the shape");
     const [, resumed] = await sheet.ask("handles");
     assert.deepEqual(resumed.pose, dragged.pose, "and the pose");
     await dragGrip(sheet, resumed, [{ x: 20, y: 30 }]);
-    const before = await sheet.positions();
+    const before = await server.floats("GET", `/v1/sessions/${id}/positions`);
     const [, last] = await sheet.ask("handles");
     assert.deepEqual(sheet.complaints.filter((text) => !/WebSocket|ERR_/.test(text)), []);
 
@@ -50,7 +50,7 @@ export async function play({ browser, server, folder, log }) {
     await sheet.page.locator(".banner").waitFor();
     await sheet.picture("lost");
     await server.start();
-    await sheet.page.getByRole("alertdialog").waitFor({ timeout: 20_000 });
+    await sheet.page.getByRole("alertdialog").waitFor();
     await sheet.picture("gone");
     await sheet.page.getByRole("button", { name: "Open it again" }).click();
     await sheet.until("the model opens again", ({ link, busy }) => link === "open" && !busy);
@@ -59,7 +59,7 @@ export async function play({ browser, server, folder, log }) {
     assert.notEqual(await sheet.ask("session"), id, "the session is another");
     const [, again] = await sheet.ask("handles");
     assert.deepEqual(again.pose, last.pose);
-    const { worst, diagonal } = compare(await sheet.positions(), before);
+    const { worst, diagonal } = await shows(sheet, before, 1e-6 * compare(before, before).diagonal);
     log(`after the restart the shape differs by ${(worst / diagonal).toExponential(1)} of the box`);
     assert.ok(worst <= 1e-6 * diagonal, `the shape is as it was before the restart, but for ${worst}`);
     await sheet.close();

@@ -71,7 +71,7 @@ export async function play({ browser, url, server, log }) {
   await sheet.key("Enter");
   await sheet.page.getByLabel("Stiffness").fill("3");
   await sheet.key("Enter");
-  await sheet.page.waitForTimeout(300);
+  await sheet.until("the last change is recorded", ({ revision }) => revision === "5");
   const { commits } = await server.json("GET", `/v1/sessions/${session}/history`);
   assert.equal(commits.length, 5, `opened, handle, falloff, radius, stiffness: ${JSON.stringify(commits.map((c) => c.kind))}`);
 

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { Sheet } from "../browser.mjs";
-import { asHandles, asPose, compare, dragGrip } from "./hold.mjs";
+import { asHandles, asPose, dragGrip, shows } from "./hold.mjs";
 import { openSample } from "./sample.mjs";
 
 export const title = "a handle is rotated by more than a turn";
@@ -37,7 +37,7 @@ export async function play({ browser, url, server, log }) {
   const solved = await server.floats("POST", `/v1/sessions/${session.id}/solve`, {
     pose: { handles: [{ id: turned.id, pose: asPose(turned.pose) }] },
   });
-  const { worst, diagonal } = compare(await sheet.positions(), solved);
+  const { worst, diagonal } = await shows(sheet, solved);
   assert.ok(worst <= 1e-6 * diagonal, `shown and solved differ by ${worst}`);
 
   // The same by numbers, for those without a mouse; and the other two modes of the gizmo.

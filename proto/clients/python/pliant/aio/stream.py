@@ -151,7 +151,7 @@ class Stream:
                 outgoing.put_nowait(None)
             pause = attempts.again(error)
             if pause is None or not await self._calls.found(pause, attempts.left):
-                self._failure = error
+                self._failure = self._calls.reason(error)
                 self._news.set()
                 return
             self.reconnects += 1

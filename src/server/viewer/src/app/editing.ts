@@ -1,9 +1,9 @@
 /** Operations that change the topology, where the server has them. */
 
 import { type Edit, PliantError, regionOf, schema } from "pliant-client";
-import { carried } from "../model/handles.ts";
+import { AT_REST, heldAfter } from "../model/handles.ts";
 import { adoptHandles } from "./handling.ts";
-import { holdBeforeEdits, keepDocument, reload } from "./opening.ts";
+import { holdBeforeEdits, holdRest, keepDocument, reload } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
 import { repaint } from "./painting.ts";
 import * as s from "./signals.ts";
@@ -30,12 +30,13 @@ export async function subdivide(scheme: "LOOP" | "MIDPOINT"): Promise<void> {
   });
 }
 
-/** Evens out triangles of the selection, to a length of edges or where stretch asks for it. */
-export async function remesh(edgeLength: number | undefined): Promise<void> {
+/** Evens out triangles of the selection, to the chosen length of edges or where stretch asks for it. */
+export async function remesh(): Promise<void> {
+  const { remeshLength: edgeLength } = s.settings.peek();
   await edit("Remeshing", {
     operation: {
       case: "remesh",
-      value: { ...region(), ...(edgeLength === undefined ? { auto: true } : { edgeLength }) },
+      value: { ...region(), ...(edgeLength > 0 ? { edgeLength } : { auto: true }) },
     },
   });
 }
@@ -55,15 +56,21 @@ async function edit(what: string, operation: Edit): Promise<void> {
   try {
     const result = await open.session.edit(operation);
     holdBeforeEdits();
+    holdRest();
     const facts = await open.session.refresh();
-    const known = s.handles.peek().map((handle) => ({
-      ...handle,
-      vertices: handle.vertices === undefined ? undefined : carried(handle.vertices, result.kept),
-    }));
+    const former = s.handles.peek();
+    await refreshHistory();
     await reload(open.session, open.name);
+    const indices = s.doc.peek()?.topology.indices ?? new Uint32Array();
+    const count = (s.doc.peek()?.topology.positions.length ?? 0) / 3;
+    // What you see has become the rest shape, and handles are at rest again.
+    const known = former.map((handle) => ({
+      ...handle,
+      pose: AT_REST,
+      vertices: handle.vertices === undefined ? undefined : heldAfter(handle.vertices, result.kept, indices, count),
+    }));
     adoptHandles(facts, known);
     remember(result.revision, s.handles.peek());
-    await refreshHistory();
     repaint();
     void keepDocument();
     const { before, after } = result;

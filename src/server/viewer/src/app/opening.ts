@@ -25,6 +25,8 @@ type Source = Pick<Kept, "name" | "model" | "companions" | "sample">;
 let source: Source | undefined;
 let create: CreateOptions = {};
 let beforeEdits: readonly HandleState[] | undefined;
+/** Rest shapes by the commit that made their topology, so that undo across an edit finds the one before. */
+const rests = new Map<bigint, Float32Array<ArrayBuffer>>();
 const THIS_TAB = "pliant.session";
 
 /** How the session is to be built, by the settings. */
@@ -96,6 +98,7 @@ export async function resume(id: string): Promise<boolean> {
     source = known ?? { name: session.facts.label || "model", model: undefined, companions: new Map(), sample: false };
     create = known?.create ?? {};
     beforeEdits = known?.beforeEdits;
+    rests.clear();
     forgetPast(known?.past);
     await show(session, source.name, known?.rest);
     adoptHandles(session.facts, known?.handles);
@@ -128,10 +131,15 @@ export function holdBeforeEdits(): void {
   beforeEdits ??= s.handles.peek();
 }
 
-/** Draws the session's shape as it is now, after its topology changed. */
+/** The topology is about to be another: its rest shape is needed when undo or redo come back to it. */
+export function holdRest(): void {
+  const open = s.doc.peek();
+  if (open !== undefined) rests.set(s.topologyRevision.peek(), open.rest);
+}
+
+/** Draws the session's shape as it is now, after its topology changed and the history was asked for. */
 export async function reload(session: Session, name: string): Promise<void> {
-  const rest = s.doc.peek()?.rest;
-  await show(session, name, rest, false);
+  await show(session, name, rests.get(s.topologyRevision.peek()), false);
 }
 
 async function open(from: Source, restored?: readonly HandleState[]): Promise<void> {
@@ -153,6 +161,7 @@ async function open(from: Source, restored?: readonly HandleState[]): Promise<vo
     source = from;
     create = options;
     beforeEdits = undefined;
+    rests.clear();
     forgetPast();
     await show(session, from.name, undefined, restored === undefined);
     if (previous !== undefined) void previous.close().catch(() => undefined);

@@ -4,7 +4,7 @@ import { batch } from "@preact/signals";
 import type { HandleState } from "../model/handles.ts";
 import { dropFrames } from "./dragging.ts";
 import { adoptHandles } from "./handling.ts";
-import { keepDocument, reload } from "./opening.ts";
+import { holdRest, keepDocument, reload } from "./opening.ts";
 import { repaint } from "./painting.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
@@ -83,11 +83,10 @@ export async function arrive(): Promise<void> {
   const open = s.doc.peek();
   if (open === undefined) return;
   const { session, name } = open;
+  const before = s.topologyRevision.peek();
+  holdRest();
   await refreshHistory();
-  const model = session.facts.model;
-  const crossedEdit =
-    model?.vertices !== open.topology.positions.length / 3 || model?.triangles !== open.topology.indices.length / 3;
-  if (crossedEdit) {
+  if (s.topologyRevision.peek() !== before) {
     await reload(session, name);
   } else {
     const positions = await session.positions();

@@ -34,7 +34,7 @@ export interface Note {
   readonly detail?: string;
 }
 
-export type Tool = "orbit" | "brush" | "box" | "lasso" | "part" | "move" | "rotate" | "scale";
+export type Tool = "orbit" | "brush" | "box" | "lasso" | "part" | "move" | "rotate" | "scale" | "remesh";
 export type Theme = "auto" | "dark" | "light";
 export type Colouring = "handles" | "stretch" | "plain";
 
@@ -57,6 +57,8 @@ export interface Settings {
   readonly wire: boolean;
   readonly brushPixels: number;
   readonly throughSelect: boolean;
+  /** Edge length that remeshing aims for, in model units; 0 = evens out only where stretch asks for it. */
+  readonly remeshLength: number;
   readonly localAxes: boolean;
   readonly refineDragging: number;
   readonly refineCommit: number;
@@ -78,6 +80,7 @@ export const DEFAULTS: Settings = {
   wire: false,
   brushPixels: 28,
   throughSelect: false,
+  remeshLength: 0,
   localAxes: false,
   refineDragging: 0,
   refineCommit: 4,
@@ -138,6 +141,12 @@ export const dragging = signal(false);
 export const cutPlane = signal<{ normal: [number, number, number]; offset: number } | undefined>(undefined);
 /** Whether this server edits; unknown until it was asked. */
 export const editsRefused = signal<string | undefined>(undefined);
+
+/** The commit that the current topology comes from: the last edit, or the opening. */
+export const topologyRevision = computed(() => {
+  const past = commits.value.filter(({ revision }) => revision <= currentRevision.value);
+  return past.findLast(({ kind }) => kind === "edit")?.revision ?? past[0]?.revision ?? 0n;
+});
 
 export const canUndo = computed(() => {
   const list = commits.value;

@@ -3,11 +3,14 @@
 import { MOUSE, TOUCH } from "three";
 import { pick } from "../scene/picking.ts";
 import { ScreenView } from "../scene/screen.ts";
+import { remesh } from "./editing.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
 
-/** Tools whose stroke selects. */
-const SELECTING: readonly s.Tool[] = ["brush", "box", "lasso", "part"];
+/** Tools whose stroke selects; what the remesh brush selects is remeshed when it is lifted. */
+const SELECTING: readonly s.Tool[] = ["brush", "box", "lasso", "part", "remesh"];
+/** Tools that paint with a round brush. */
+const PAINTING: readonly s.Tool[] = ["brush", "remesh"];
 /** A press that moves less than this is a click. */
 const CLICK_PIXELS = 4;
 
@@ -70,22 +73,22 @@ function press(event: PointerEvent): void {
     return;
   }
   stage.canvas.setPointerCapture(event.pointerId);
-  const erase = event.altKey;
-  const keeps = event.shiftKey || erase || tool === "brush";
+  const erase = event.altKey && tool !== "remesh";
+  const keeps = tool !== "remesh" && (event.shiftKey || erase || tool === "brush");
   const marks = keeps ? new Uint8Array(s.selection.peek()) : new Uint8Array(s.selection.peek().length);
   const seen = tool === "part" ? undefined : new ScreenView(stage, surface);
   stroke = { tool, seen, erase, from: at, path: [at.x, at.y], marks };
-  if (tool === "brush") dab(at.x, at.y);
+  if (PAINTING.includes(tool)) dab(at.x, at.y);
 }
 
 function move(event: PointerEvent): void {
   const { overlay } = view();
   const at = place(event);
-  if (s.tool.peek() === "brush" && s.doc.peek() !== undefined) {
+  if (PAINTING.includes(s.tool.peek()) && s.doc.peek() !== undefined) {
     overlay.brush(at.x, at.y, s.settings.peek().brushPixels, event.altKey);
   }
   if (stroke === undefined) return;
-  if (stroke.tool === "brush") {
+  if (PAINTING.includes(stroke.tool)) {
     dabsTo(at.x, at.y);
   } else if (stroke.tool === "box") {
     overlay.outline(boxBetween(stroke.from, at), stroke.erase);
@@ -115,6 +118,7 @@ function release(event: PointerEvent): void {
     view().overlay.outline([], false);
   }
   s.selection.value = new Uint8Array(done.marks);
+  if (done.tool === "remesh" && s.selectedCount.peek() > 0) void remesh();
 }
 
 function cancelStroke(): void {

@@ -96,7 +96,7 @@ function poseMessage({ translation, rotation, scale }: HandlePose): NonNullable<
 }
 
 /** Vertices under their numbers after an edit; those that are gone are left out. */
-export function carried(vertices: Uint32Array, runs: readonly schema.EditResult_Run[]): Uint32Array {
+function carried(vertices: Uint32Array, runs: readonly schema.EditResult_Run[]): Uint32Array {
   const found: number[] = [];
   let at = 0;
   for (const vertex of vertices) {
@@ -106,6 +106,35 @@ export function carried(vertices: Uint32Array, runs: readonly schema.EditResult_
     if (run !== undefined && run.was <= vertex) found.push(vertex - run.was + run.now);
   }
   return Uint32Array.from(found).sort();
+}
+
+/**
+ * What a handle holds after an edit: the vertices that are left of it, and the new ones between them. A new vertex takes
+ * after its neighbours: it is held where none of those that are decided is free. This is what is painted; what counts is
+ * the server's own list, which it does not tell.
+ */
+export function heldAfter(vertices: Uint32Array, runs: readonly schema.EditResult_Run[], indices: Uint32Array, count: number): Uint32Array {
+  const [UNKNOWN, FREE, HELD] = [0, 1, 2];
+  const state = new Uint8Array(count);
+  for (const { now, count: length } of runs) state.fill(FREE, now, now + length);
+  for (const v of carried(vertices, runs)) state[v] = HELD;
+  for (;;) {
+    const next = new Map<number, number>();
+    for (let k = 0; k < indices.length; k += 3) {
+      for (let c = 0; c < 3; c++) {
+        const v = indices[k + c] as number;
+        if (state[v] !== UNKNOWN) continue;
+        for (const other of [indices[k + ((c + 1) % 3)] as number, indices[k + ((c + 2) % 3)] as number]) {
+          if (state[other] !== UNKNOWN && next.get(v) !== FREE) next.set(v, state[other] as number);
+        }
+      }
+    }
+    if (next.size === 0) break;
+    for (const [v, decided] of next) state[v] = decided;
+  }
+  const found: number[] = [];
+  for (let v = 0; v < count; v++) if (state[v] === HELD) found.push(v);
+  return Uint32Array.from(found);
 }
 
 /** Whether a pose is none. */

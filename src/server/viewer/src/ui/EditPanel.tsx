@@ -133,16 +133,18 @@ function Subdivide({ disabled }: { disabled: boolean }): JSX.Element {
 }
 
 function Remesh({ disabled }: { disabled: boolean }): JSX.Element {
-  const [length, setLength] = useState(0);
+  const { remeshLength } = s.settings.value;
+  const brushing = s.tool.value === "remesh";
   return (
     <fieldset disabled={disabled}>
       <legend>Remesh</legend>
       <div class="row">
         <Field label="Edge length" hint="In model units; 0 evens out only where stretch asks for it">
-          <NumberInput label="Edge length" value={length} min={0} digits={5} step={0.01} onValue={setLength} />
+          <NumberInput label="Edge length" value={remeshLength} min={0} digits={5} step={0.01} onValue={(length) => s.choose({ remeshLength: length })} />
         </Field>
         <span class="gap" />
-        <Button label="Remesh" onClick={() => void remesh(length > 0 ? length : undefined)} />
+        <Button label="Brush" pressed={brushing} onClick={() => (s.tool.value = brushing ? "orbit" : "remesh")} />
+        <Button label="Remesh" onClick={() => void remesh()} />
       </div>
     </fieldset>
   );

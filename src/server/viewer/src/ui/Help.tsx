@@ -36,7 +36,13 @@ export function Help(): JSX.Element {
           <b>Drag</b> the gizmo. The newest pose always wins; letting go records it, and undo goes back to the bit.
         </li>
         <li>
-          <b>Export</b> the model: everything but positions, normals and tangents is as it came.
+          <b>Edit</b> the triangles: cut by a plane, subdivide, or remesh what the remesh brush paints. Undo crosses that, too.
+        </li>
+        <li>
+          <b>Export</b> the model: unless it was edited, everything but positions, normals and tangents is as it came.
+        </li>
+        <li>
+          <b>Write</b> the same as a script: <a href="/docs">every call of this server</a>.
         </li>
       </ol>
       <div class="shortcuts">

@@ -21,7 +21,7 @@ export function SelectionPanel(): JSX.Element {
         <Button label="Invert" keys="I" onClick={invertSelection} />
         <Button label="Clear" keys="Escape" disabled={none} onClick={clearSelection} />
       </div>
-      {s.tool.value === "brush" && (
+      {(s.tool.value === "brush" || s.tool.value === "remesh") && (
         <Field label="Brush" hint="Radius in pixels; [ and ] change it">
           <input
             type="range"

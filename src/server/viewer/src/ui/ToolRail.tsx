@@ -15,6 +15,7 @@ export const TOOLS: readonly { tool: s.Tool & IconName; name: string; key: strin
   { tool: "move", name: "Move the handle", key: "G" },
   { tool: "rotate", name: "Rotate the handle", key: "R" },
   { tool: "scale", name: "Scale the handle", key: "S" },
+  { tool: "remesh", name: "Remesh brush", key: "M" },
 ];
 
 export function ToolRail(): JSX.Element {
@@ -23,13 +24,13 @@ export function ToolRail(): JSX.Element {
     <nav class="rail" aria-label="Tools">
       {TOOLS.map(({ tool, name, key }) => (
         <>
-          {(tool === "brush" || tool === "move") && <span class="rule" />}
+          {(tool === "brush" || tool === "move" || tool === "remesh") && <span class="rule" />}
           <Button
             bare
             icon={tool}
             label={name}
             keys={key}
-            disabled={idle}
+            disabled={idle || (tool === "remesh" && s.editsRefused.value !== undefined)}
             pressed={!idle && s.tool.value === tool}
             onClick={() => (s.tool.value = tool)}
           />

@@ -2675,7 +2675,7 @@ export type EditRequest_Merge = Message<"pliant.v1.EditRequest.Merge"> & {
   how: EditRequest_Merge_How;
 
   /**
-   * Largest distance of boundary vertices that are welded, in model units; 0 means half the mean boundary edge.
+   * Largest distance of boundary vertices that are welded, in model units; 0 means half the mean edge of the model that comes.
    *
    * @generated from field: double tolerance = 5;
    */

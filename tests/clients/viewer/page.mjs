@@ -1,0 +1,57 @@
+/**
+ * The cookbook's page in a browser: page.mjs FOLDER. Serves the built page, drags over its picture, and says what the page
+ * says. The server that it talks to is written in it.
+ */
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import http from "node:http";
+import path from "node:path";
+import { BROWSER, launch } from "./browser.mjs";
+
+const [folder] = process.argv.slice(2);
+const TYPES = { ".html": "text/html", ".js": "text/javascript" };
+/** No step takes this long unless something hangs. */
+const PATIENCE_MS = 180_000;
+
+if (BROWSER === undefined) {
+  console.log("SKIPPED: Chromium is not installed; the page was not opened");
+  process.exit(0);
+}
+
+const files = http.createServer(async (request, response) => {
+  const { pathname } = new URL(request.url, "http://page");
+  const name = pathname === "/" ? "/index.html" : path.normalize(pathname);
+  const body = await readFile(path.join(folder, name)).catch(() => undefined);
+  response.writeHead(body === undefined ? 404 : 200, { "content-type": TYPES[path.extname(name)] ?? "application/octet-stream" });
+  response.end(body);
+});
+await new Promise((resolve) => files.listen(0, "127.0.0.1", resolve));
+
+const browser = await launch();
+try {
+  const page = await browser.newPage();
+  page.setDefaultTimeout(PATIENCE_MS);
+  const complaints = [];
+  page.on("pageerror", (error) => complaints.push(String(error)));
+  await page.goto(`http://127.0.0.1:${files.address().port}/`);
+  await page.waitForFunction(() => {
+    const canvas = document.querySelector("canvas");
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    return data.some((x) => x > 0);
+  });
+  const picture = () => page.locator("canvas").evaluate((canvas) => canvas.toDataURL());
+  const before = await picture();
+  const { x, y } = await page.locator("canvas").boundingBox();
+  await page.mouse.move(x + 457, y + 132);
+  await page.mouse.down();
+  for (let k = 1; k <= 20; k++) await page.mouse.move(x + 457 + 2 * k, y + 132 - 2 * k);
+  await page.mouse.up();
+  await page.waitForFunction(() => document.title === "Revision 3");
+  await page.waitForFunction((was) => document.querySelector("canvas").toDataURL() !== was, before);
+  assert.deepEqual(complaints, []);
+  console.log(`dragged; the page says: ${await page.locator("p").innerText()}`);
+} finally {
+  await browser.close();
+  files.close();
+}

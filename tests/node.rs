@@ -1,0 +1,156 @@
+//! The clients for browsers as their own tests check them, against the real server: the TypeScript package, the viewer's
+//! types, and the viewer in Chromium.
+//!
+//! What this machine lacks (node, npm, a network for packages, Chromium) is said and skipped; everything else must hold.
+//! What the browser measured goes to stderr, so that a log has it also when the test passes.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// The oldest node that the clients run on.
+const NODE: (u32, u32) = (20, 19);
+
+/// One at a time: a browser that paints without a graphics card needs the whole machine.
+static TURN: Mutex<()> = Mutex::new(());
+
+fn turn() -> MutexGuard<'static, ()> {
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn folder(name: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// Says something that is seen also when the test passes.
+fn tell(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+fn said(output: &Output) -> String {
+    [&output.stdout[..], &output.stderr[..]]
+        .map(|text| String::from_utf8_lossy(text).into_owned())
+        .concat()
+}
+
+/// Why nothing of node can run here, if so.
+fn lacks_node() -> Option<String> {
+    let asked = Command::new("node").arg("--version").output();
+    let Ok(version) = asked.map(|output| said(&output).trim().to_owned()) else {
+        return Some("node is not installed".to_owned());
+    };
+    let mut numbers = version
+        .trim_start_matches('v')
+        .split('.')
+        .map_while(|n| n.parse::<u32>().ok());
+    let seen = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
+    if seen < NODE {
+        return Some(format!("node {version} is older than {}.{}", NODE.0, NODE.1));
+    }
+    let npm = Command::new("npm").arg("--version").output();
+    (!npm.is_ok_and(|output| output.status.success())).then(|| "npm is not installed".to_owned())
+}
+
+/// Whether npm failed because it reached no registry.
+fn is_offline(said: &str) -> bool {
+    [
+        "ENOTFOUND",
+        "EAI_AGAIN",
+        "ECONNREFUSED",
+        "ETIMEDOUT",
+        "ENOTCACHED",
+        "ECONNRESET",
+    ]
+    .iter()
+    .any(|sign| said.contains(sign))
+}
+
+/// Fetches what a package's lock file names, unless it is there; why it cannot be had, if so.
+fn install(package: &str) -> Result<(), String> {
+    if let Some(reason) = lacks_node() {
+        return Err(reason);
+    }
+    let at = folder(package);
+    let changed = |name: &str| fs::metadata(at.join(name)).and_then(|facts| facts.modified());
+    let locked = changed("package-lock.json").expect("a lock file");
+    if changed("node_modules/.package-lock.json").is_ok_and(|installed| installed >= locked) {
+        return Ok(());
+    }
+    let mut npm = Command::new("npm");
+    npm.args(["ci", "--no-audit", "--no-fund", "--prefer-offline"])
+        .current_dir(&at);
+    let done = npm.output().expect("npm runs");
+    if done.status.success() {
+        return Ok(());
+    }
+    let told = said(&done);
+    assert!(is_offline(&told), "npm ci in {package} failed:\n{told}");
+    Err(format!("the packages of {package} cannot be fetched"))
+}
+
+/// Runs a script of a package to its end.
+fn npm(package: &str, script: &str) -> String {
+    let mut npm = Command::new("npm");
+    npm.args(["run", "--silent", script])
+        .current_dir(folder(package))
+        .env("PLIANT_BIN", env!("CARGO_BIN_EXE_pliant"))
+        .env_remove("PLIANT_SERVER");
+    let done = npm.output().expect("npm runs");
+    let told = said(&done);
+    assert!(
+        done.status.success(),
+        "npm run {script} in {package} ended with {}:\n{told}",
+        done.status
+    );
+    told
+}
+
+#[test]
+fn the_typescript_client_keeps_its_types_and_tests() {
+    let _turn = turn();
+    let package = "proto/clients/typescript";
+    if let Err(reason) = install(package) {
+        return tell(&format!("SKIPPED: {package}: {reason}"));
+    }
+    npm(package, "check");
+    let told = npm(package, "test");
+    let figure = |name: &str| {
+        let line = told
+            .lines()
+            .find_map(|line| line.trim_start_matches(['#', 'ℹ', ' ']).strip_prefix(name));
+        line.and_then(|n| n.trim().parse::<u32>().ok())
+    };
+    assert!(figure("pass").is_some_and(|n| n > 20), "too few tests ran:\n{told}");
+    for line in told.lines().filter(|line| line.contains("# SKIP")) {
+        tell(&format!("SKIPPED: {package}: {line}"));
+    }
+}
+
+#[test]
+fn the_viewer_keeps_its_types() {
+    let _turn = turn();
+    let package = "src/server/viewer";
+    if let Err(reason) = install(package) {
+        return tell(&format!("SKIPPED: {package}: {reason}"));
+    }
+    npm(package, "check");
+}
+
+#[test]
+fn the_viewer_in_a_browser() {
+    let _turn = turn();
+    let driver = "tests/clients/viewer";
+    if let Err(reason) = install(driver) {
+        return tell(&format!("SKIPPED: the viewer in a browser: {reason}"));
+    }
+    let mut browser = Command::new(folder(driver).join("run"));
+    browser
+        .env("PLIANT_BIN", env!("CARGO_BIN_EXE_pliant"))
+        .env_remove("PLIANT_VIEWER_PAGE");
+    let done = browser.output().expect("bash runs");
+    let told = said(&done);
+    assert!(done.status.success(), "{told}");
+    tell(told.trim_end());
+}

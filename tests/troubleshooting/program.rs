@@ -1,0 +1,75 @@
+//! What the program says on its last line of stderr.
+
+use super::Said;
+use pliant::asset::sample;
+use std::fs;
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::Command;
+
+const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n";
+
+const HELD: &str = r#"{"handles": [{"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}}], "expect": {"digest": "xxh3:0000000000000000"}}"#;
+
+/// The last line of stderr; fails when there was no failure.
+fn last_line(folder: &Path, arguments: &[&str]) -> String {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_pliant"));
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("PLIANT_")) {
+        program.env_remove(name);
+    }
+    let done = program.args(arguments).current_dir(folder).output().expect("it runs");
+    assert!(!done.status.success(), "{arguments:?} did not fail");
+    let said = String::from_utf8_lossy(&done.stderr).trim_end().to_owned();
+    said.lines().last().unwrap_or_default().to_owned()
+}
+
+pub fn provoke() -> Vec<Said> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
+    fs::write(folder.path().join("creature.glb"), sample::creature_glb()).expect("written");
+    write("square.obj", SQUARE);
+    write("points.obj", "v 0 0 0\nv 1 0 0\n");
+    write("notes.txt", "no model");
+    write("held.json", HELD);
+    write("slip.json", r#"{"handles": [{"id": "head", "regoin": {}}]}"#);
+    write(
+        "away.json",
+        r#"{"handles": [{"id": "head", "region": {"sphere": {"center": [9, 9, 9], "radius": 1}}}]}"#,
+    );
+    write("slip.toml", "sessons = 4\n");
+    write("time.toml", "ttl = \"15\"\n");
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = taken.local_addr().expect("an address").port().to_string();
+    let here = format!("127.0.0.1:{port}");
+
+    let cases: [(&'static str, &[&str]); 11] = [
+        ("a port that is taken", &["serve", "--listen", &here]),
+        ("an unknown key", &["serve", "--config", "slip.toml"]),
+        ("a time without a unit", &["serve", "--config", "time.toml"]),
+        ("an unknown flag", &["serve", "--port", "80"]),
+        ("no such file", &["inspect", "bunny.glb"]),
+        ("no model", &["inspect", "notes.txt"]),
+        ("points alone", &["inspect", "points.obj"]),
+        (
+            "an extension that is none",
+            &["deform", "square.obj", "--job", "held.json", "-o", "out.fbx"],
+        ),
+        (
+            "a field that is none",
+            &["deform", "creature.glb", "--job", "slip.json", "-o", "out.glb"],
+        ),
+        (
+            "a region beside the model",
+            &["deform", "creature.glb", "--job", "away.json", "-o", "out.glb"],
+        ),
+        (
+            "another digest",
+            &["deform", "creature.glb", "--job", "held.json", "-o", "out.glb"],
+        ),
+    ];
+    let said = cases.into_iter().map(|(by, arguments)| Said {
+        by,
+        text: last_line(folder.path(), arguments).replace(&port, "7411"),
+    });
+    said.collect()
+}
