@@ -82,7 +82,7 @@ impl Workbench {
         let mut sheet = self.sheet(shape);
         let mut origins = self.foundation.origins(&self.mesh);
         let before = (sheet.positions.len(), self.geometry().triangles.len());
-        let planned = plan(
+        let mut planned = plan(
             &mut Scene {
                 bench: self,
                 sheet: &mut sheet,
@@ -94,6 +94,7 @@ impl Workbench {
             progress,
         )?;
         check(progress)?;
+        planned.patch.idle = std::mem::take(&mut sheet.idle);
         let patch = &planned.patch;
         let applied = apply(&sheet.surface(), patch, &sheet.first_vertices()).map_err(refused)?;
         self.admit_size(&applied)?;
