@@ -84,7 +84,9 @@ impl Run {
         let handles = self.next(|seen, draw| seen.handles(draw));
         let request = message::<pb::SetHandlesRequest>(&serde_json::json!({"handles": handles}));
         // A direction may be across the model such that one handle holds nothing but strays; others will do.
-        self.bench.set_handles(&request, &self.pool, &Silent).expect("the handles fit");
+        self.bench
+            .set_handles(&request, &self.pool, &Silent)
+            .expect("the handles fit");
         self.poses = self.bench.initial_poses();
         self.shape = Arc::clone(self.bench.rest());
         self.posed = false;
@@ -122,7 +124,11 @@ impl Run {
         let edit = self.next(|seen, draw| seen.edit(draw));
         let request: pb::EditRequest = message(&edit);
         let at_rest = edit["on"] == "REST";
-        let shape = if at_rest { Arc::clone(self.bench.rest()) } else { Arc::clone(&self.shape) };
+        let shape = if at_rest {
+            Arc::clone(self.bench.rest())
+        } else {
+            Arc::clone(&self.shape)
+        };
         let before = Before::of(&self.bench, &shape);
         let order = EditOrder {
             request: &request,
@@ -146,7 +152,11 @@ impl Run {
                 self.counts[1] += 1;
                 if self.posed {
                     let again = digest(&self.solved());
-                    assert_eq!(again, digest(&self.shape), "the same pose gives the same bits after {error}");
+                    assert_eq!(
+                        again,
+                        digest(&self.shape),
+                        "the same pose gives the same bits after {error}"
+                    );
                 }
             }
         }
@@ -173,29 +183,36 @@ fn message<M: prost::Message + Default + prost::Name>(value: &Value) -> M {
 
 fn obj((points, faces): &shapes::Shape) -> FileSet {
     let mut text = String::new();
-    points.iter().for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-    faces.iter().for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+    points
+        .iter()
+        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
+    faces
+        .iter()
+        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
     FileSet::single("shape.obj", text)
 }
 
 /// The same run on one thread and on two, and back to the beginning.
 fn marathon(name: &str, files: &FileSet, seed: u64, most: usize) {
     let [one, two] = std::thread::scope(|scope| {
-        [1, 2].map(|threads| {
-            scope.spawn(move || {
-                let mut run = Run::new(files.clone(), seed, threads, most);
-                let start = (digest(run.bench.rest()), run.bench.trail());
-                run.bench.set_handles(&Default::default(), &run.pool, &Silent).expect("none");
-                let base = run.bench.bytes();
-                run.hold();
-                run.go(EDITS);
-                run.bench.retrace(&start.1, &run.pool, &Silent).expect("the way back");
-                assert_eq!(digest(run.bench.rest()), start.0);
-                assert_eq!(run.bench.bytes(), base, "memory is that of the beginning");
-                (run.digests, run.counts)
+        [1, 2]
+            .map(|threads| {
+                scope.spawn(move || {
+                    let mut run = Run::new(files.clone(), seed, threads, most);
+                    let start = (digest(run.bench.rest()), run.bench.trail());
+                    run.bench
+                        .set_handles(&Default::default(), &run.pool, &Silent)
+                        .expect("none");
+                    let base = run.bench.bytes();
+                    run.hold();
+                    run.go(EDITS);
+                    run.bench.retrace(&start.1, &run.pool, &Silent).expect("the way back");
+                    assert_eq!(digest(run.bench.rest()), start.0);
+                    assert_eq!(run.bench.bytes(), base, "memory is that of the beginning");
+                    (run.digests, run.counts)
+                })
             })
-        })
-        .map(|thread| thread.join().expect("no panic"))
+            .map(|thread| thread.join().expect("no panic"))
     });
     assert_eq!(one, two, "{name}: the same bits on one thread and on two");
     let [done, refused] = one.1;
@@ -205,7 +222,12 @@ fn marathon(name: &str, files: &FileSet, seed: u64, most: usize) {
 
 #[test]
 fn a_box() {
-    marathon("box", &obj(&shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [6, 6, 18])), 1, 2500);
+    marathon(
+        "box",
+        &obj(&shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [6, 6, 18])),
+        1,
+        2500,
+    );
 }
 
 #[test]

@@ -61,10 +61,22 @@ fn edits(bench: &Workbench, k: usize) -> Vec<(&'static str, Value)> {
     let plane = json!({"normal": [0.0, 1.0, 0.01], "offset": heights[heights.len() * 4 / 5] + 1e-4 * edge});
     let all = vec![
         ("subdivide", json!({"subdivide": {"region": about(0.1, 0.06)}})),
-        ("decimate", json!({"decimate": {"region": about(0.4, 0.12), "ratio": 0.5}})),
-        ("remesh", json!({"remesh": {"region": about(0.6, 0.08), "edgeLength": 0.8 * edge}})),
-        ("delete+fill", json!({"delete": {"region": about(0.8, 0.04), "fill": true}})),
-        ("cut+fill", json!({"cut": {"plane": plane, "keep": "BELOW", "fill": true}})),
+        (
+            "decimate",
+            json!({"decimate": {"region": about(0.4, 0.12), "ratio": 0.5}}),
+        ),
+        (
+            "remesh",
+            json!({"remesh": {"region": about(0.6, 0.08), "edgeLength": 0.8 * edge}}),
+        ),
+        (
+            "delete+fill",
+            json!({"delete": {"region": about(0.8, 0.04), "fill": true}}),
+        ),
+        (
+            "cut+fill",
+            json!({"cut": {"plane": plane, "keep": "BELOW", "fill": true}}),
+        ),
         ("auto", json!({"remesh": {"auto": true, "region": about(0.3, 0.1)}})),
     ];
     match rest.len() > LARGE {
@@ -98,7 +110,10 @@ fn one(bench: &mut Workbench, shape: &mut Vec<DVec3>, edit: &Value, pool: &Pool)
     };
     match bench.edit(&order, pool, &Silent) {
         Ok(outcome) => {
-            let (before, after) = (outcome.result.before.unwrap_or_default(), outcome.result.after.unwrap_or_default());
+            let (before, after) = (
+                outcome.result.before.unwrap_or_default(),
+                outcome.result.after.unwrap_or_default(),
+            );
             let agree = after.vertices as usize == bench.rest().len()
                 && after.faces as usize == bench.geometry().triangles.len()
                 && outcome.result.digest == digest(&outcome.positions);
@@ -161,7 +176,11 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
     match bench.write(&shape, format) {
         Err(e) => line += &format!(" | not written as {format}: {e}"),
         Ok(written) => {
-            let companions = written.companions.into_iter().map(|(name, bytes)| (name, bytes.into())).collect();
+            let companions = written
+                .companions
+                .into_iter()
+                .map(|(name, bytes)| (name, bytes.into()))
+                .collect();
             let files = FileSet {
                 name: "written".into(),
                 main: written.main.into(),

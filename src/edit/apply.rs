@@ -53,7 +53,7 @@ impl Applied {
 /// Applies `patch` to `surface`, whose render vertices stand in one run per primitive: run `p` starts at
 /// `first_vertex[p]`.
 ///
-/// Vertices that no triangle used before stay. Linear in the surface, single-threaded.
+/// Vertices that no triangle used before stay, but for those that the patch names. Linear in the surface, single-threaded.
 ///
 /// # Errors
 /// [`Error::Invalid`] when surface or patch break what their fields promise, [`Error::Impossible`] when no triangle
@@ -138,13 +138,19 @@ pub fn apply(surface: &Surface<'_>, patch: &Patch, first_vertex: &[u32]) -> Resu
     Ok(applied)
 }
 
-/// The old vertices that were corners of removed triangles and are in no triangle now, rising. Checks that all new
-/// vertices are in one.
+/// The old vertices that were corners of removed triangles, or idle, and are in no triangle now, rising. Checks that all
+/// new vertices are in one.
 fn lost_vertices(surface: &Surface<'_>, patch: &Patch, triangles: &[[u32; 3]]) -> Result<Vec<u32>, Error> {
     let old = surface.positions.len();
     let mut missing = vec![false; old + patch.vertices.len()];
     for v in patch.removed.iter().flat_map(|&t| surface.triangles[t as usize]) {
         missing[v as usize] = surface.point_of[v as usize] != NONE;
+    }
+    for &v in &patch.idle {
+        match missing[..old].get_mut(v as usize) {
+            Some(missing) => *missing = true,
+            None => return Err(invalid("patch.idle", format!("names vertex {v}, there are {old}"))),
+        }
     }
     missing[old..].fill(true);
     for t in triangles {
@@ -271,6 +277,28 @@ mod tests {
             (DVec3::Z, DVec3::Z, DVec3::X)
         );
         assert_eq!((a.points, a.point_from_old.as_slice()), (3, &[0, 1, 2, 1][..]));
+    }
+
+    #[test]
+    fn idle_vertices_go_when_they_are_named() {
+        let patch = Patch {
+            idle: vec![3],
+            ..Patch::default()
+        };
+        let a = apply(&square(), &patch, &[0, 4]).expect("applies");
+        assert_eq!(a.old_from_vertex, [0, 1, 2, 4, 5, 6]);
+        assert_eq!((a.triangles.as_slice(), a.points), (&[[0, 1, 2], [3, 4, 5]][..], 4));
+        // One that a triangle uses is not idle, whatever is said.
+        let patch = Patch {
+            idle: vec![2],
+            ..Patch::default()
+        };
+        assert_eq!(apply(&square(), &patch, &[0, 4]).expect("applies").positions.len(), 7);
+        let patch = Patch {
+            idle: vec![7],
+            ..Patch::default()
+        };
+        assert!(apply(&square(), &patch, &[0, 4]).is_err());
     }
 
     #[test]

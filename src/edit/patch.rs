@@ -59,6 +59,8 @@ pub struct Patch {
     /// Old points that become one with another: point and the old point that it joins, which joins no other; rising,
     /// each once. The joined vertices take the position of the point that stays.
     pub joined: Vec<(u32, u32)>,
+    /// Old vertices that no triangle of the surface uses and that go as well, rising: others of that kind stay.
+    pub idle: Vec<u32>,
     /// What the user should know: code, message, place.
     pub warnings: Vec<(String, String, String)>,
 }

@@ -71,7 +71,7 @@ impl Workbench {
         let mesh = &self.derived.mesh;
         let mut origins = self.derived.foundation().origins(mesh);
         let before = (sheet.positions.len(), self.geometry().triangles.len());
-        let planned = plan(
+        let mut planned = plan(
             &mut Scene {
                 bench: self,
                 sheet: &mut sheet,
@@ -83,6 +83,7 @@ impl Workbench {
             progress,
         )?;
         check(progress)?;
+        planned.patch.idle = std::mem::take(&mut sheet.idle);
         let patch = &planned.patch;
         let applied = apply(&sheet.surface(), patch, &sheet.first_vertices()).map_err(refused)?;
         self.admit_size(&applied)?;

@@ -163,6 +163,8 @@ pub(super) struct Sheet {
     pub tangents: Vec<Vec4>,
     /// The runs of render vertices.
     pub primitives: Vec<Primitive>,
+    /// Vertices that only triangles use which the solver does not see, rising: the first edit leaves both out.
+    pub idle: Vec<u32>,
 }
 
 impl Sheet {
@@ -188,6 +190,7 @@ impl Sheet {
             normals,
             tangents,
             primitives: geometry.primitives.clone(),
+            idle: idle(mesh, geometry),
         }
     }
 
@@ -241,11 +244,31 @@ impl Sheet {
         let point = |p: &u32| if *p == NONE { NONE } else { p + points };
         self.point_of.extend(other.point_of.iter().map(point));
         self.points += other.points;
+        self.idle.extend(other.idle.iter().map(|v| v + vertices));
         self.primitives.extend(other.primitives.iter().map(|p| Primitive {
             first_vertex: p.first_vertex + vertices,
             ..p.clone()
         }));
     }
+}
+
+/// The vertices of triangles that the mesh left out which are in no other, rising.
+fn idle(mesh: &Mesh, geometry: &Geometry) -> Vec<u32> {
+    let left_out = mesh.collapsed_triangles.iter().chain(&mesh.duplicate_triangles);
+    let mut found: Vec<u32> = left_out.flat_map(|&t| geometry.triangles[t as usize]).collect();
+    if found.is_empty() {
+        return found;
+    }
+    let mut used = vec![false; mesh.solver_from_render.len()];
+    for &t in &mesh.source_triangle {
+        geometry.triangles[t as usize]
+            .iter()
+            .for_each(|&v| used[v as usize] = true);
+    }
+    found.retain(|&v| !used[v as usize]);
+    found.sort_unstable();
+    found.dedup();
+    found
 }
 
 /// The primitive of each of `count` triangles.

@@ -51,7 +51,10 @@ impl Before {
     /// A refusal changes nothing and is one that a client can understand.
     pub fn refused(&self, bench: &Workbench, error: &Error) {
         assert!(
-            matches!(error, Error::Invalid { .. } | Error::Precondition(_) | Error::TooLarge { .. } | Error::Asset(_)),
+            matches!(
+                error,
+                Error::Invalid { .. } | Error::Precondition(_) | Error::TooLarge { .. } | Error::Asset(_)
+            ),
             "{error:?}"
         );
         let said = error.to_string();
@@ -68,8 +71,14 @@ impl Before {
         let result = &outcome.result;
         let (before, after) = (result.before.expect("counts"), result.after.expect("counts"));
         let (rest, triangles) = (bench.rest(), &bench.geometry().triangles);
-        assert_eq!((before.vertices as usize, before.faces as usize), (self.shape.len(), self.triangles.len()));
-        assert_eq!((after.vertices as usize, after.faces as usize), (rest.len(), triangles.len()));
+        assert_eq!(
+            (before.vertices as usize, before.faces as usize),
+            (self.shape.len(), self.triangles.len())
+        );
+        assert_eq!(
+            (after.vertices as usize, after.faces as usize),
+            (rest.len(), triangles.len())
+        );
         assert_eq!(outcome.positions.len(), rest.len());
         assert_eq!(result.digest, digest(&outcome.positions));
         assert!(rest.iter().chain(outcome.positions.iter()).all(|p| p.is_finite()));
@@ -94,10 +103,17 @@ impl Before {
     }
 
     fn topology(&self, bench: &Workbench, edit: &Value) {
-        assert!(unreferenced(bench) <= self.unreferenced, "an edit leaves no vertex behind: {edit}");
+        assert!(
+            unreferenced(bench) <= self.unreferenced,
+            "an edit leaves no vertex behind: {edit}"
+        );
         if self.manifold {
             let report = bench.report();
-            let counts = [report.non_manifold_edges, report.non_manifold_vertices, report.winding_conflicts];
+            let counts = [
+                report.non_manifold_edges,
+                report.non_manifold_vertices,
+                report.winding_conflicts,
+            ];
             assert!(is_manifold(bench), "manifold stays manifold: {counts:?} after {edit}");
         }
         let opens = edit["cut"].is_object() || edit["delete"].is_object();
@@ -108,12 +124,18 @@ impl Before {
 
     /// Runs rise, lie within both models, and what lies outside the region keeps its bits.
     fn kept(&self, bench: &Workbench, edit: &Value, outcome: &EditOutcome) {
-        let region = ["subdivide", "decimate", "remesh", "delete"].iter().find_map(|op| edit[op]["region"].as_object());
+        let region = ["subdivide", "decimate", "remesh", "delete"]
+            .iter()
+            .find_map(|op| edit[op]["region"].as_object());
         let ball = region.map(|r| {
             let center: Vec<f64> = serde_json::from_value(r["sphere"]["center"].clone()).expect("a place");
-            (DVec3::from_slice(&center), r["sphere"]["radius"].as_f64().expect("a radius"))
+            (
+                DVec3::from_slice(&center),
+                r["sphere"]["radius"].as_f64().expect("a radius"),
+            )
         });
-        let still = ball.is_some() || edit["insertCurve"].is_object() || edit["cut"].is_object() || edit["fill"].is_object();
+        let still =
+            ball.is_some() || edit["insertCurve"].is_object() || edit["cut"].is_object() || edit["fill"].is_object();
         let mut next = 0;
         let mut used = BTreeSet::new();
         for run in &outcome.result.kept {
@@ -121,13 +143,25 @@ impl Before {
             next = run.was + run.count;
             assert!(next as usize <= self.shape.len() && (run.now + run.count) as usize <= bench.rest().len());
             for k in 0..run.count {
-                assert!(used.insert(run.now + k), "two old vertices are vertex {} now", run.now + k);
+                assert!(
+                    used.insert(run.now + k),
+                    "two old vertices are vertex {} now",
+                    run.now + k
+                );
                 let (was, now) = (self.shape[(run.was + k) as usize], bench.rest()[(run.now + k) as usize]);
                 let outside = ball.is_none_or(|(center, radius)| was.distance(center) > radius);
                 // A cut takes vertices that almost touch its plane for its own.
-                let slack = if edit["cut"].is_object() { 1e-4 * bench.diagonal() } else { 0.0 };
+                let slack = if edit["cut"].is_object() {
+                    1e-4 * bench.diagonal()
+                } else {
+                    0.0
+                };
                 let moved = was.distance(now);
-                assert!(!(still && outside) || moved <= slack, "vertex {} moved by {moved}: {edit}", run.was + k);
+                assert!(
+                    !(still && outside) || moved <= slack,
+                    "vertex {} moved by {moved}: {edit}",
+                    run.was + k
+                );
             }
         }
     }
@@ -171,7 +205,9 @@ fn finite(glb: &[u8]) {
     let bin = glb.bin.unwrap_or_default();
     let number = |v: &Value| v.as_u64().unwrap_or(0) as usize;
     for accessor in json["accessors"].as_array().into_iter().flatten() {
-        let Some(view) = accessor["bufferView"].as_u64() else { continue };
+        let Some(view) = accessor["bufferView"].as_u64() else {
+            continue;
+        };
         let view = &json["bufferViews"][view as usize];
         if accessor["componentType"] != 5126 || number(&view["buffer"]) != 0 {
             continue;

@@ -44,14 +44,19 @@ fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
         let mut fresh =
             Workbench::open(files, &Default::default(), &Limits::default(), &run.pool, &Silent).expect("opens");
         assert_eq!(fresh.rest().len(), run.bench.rest().len());
-        fresh.set_handles(run.bench.handles(), &run.pool, &Silent).expect("the same handles");
+        fresh
+            .set_handles(run.bench.handles(), &run.pool, &Silent)
+            .expect("the same handles");
         let diagonal = fresh.diagonal();
         let new = cycles(&mut fresh, diagonal, &run);
         let mut bench = std::mem::replace(&mut run.bench, fresh);
         let old = cycles(&mut bench, diagonal, &run);
         run.bench = bench;
         let worse = old.iter().zip(&new).any(|(old, new)| *old > new + 1);
-        assert!(!worse, "{name}, round {round}: cycles after edits {old:?}, on a fresh bench {new:?}");
+        assert!(
+            !worse,
+            "{name}, round {round}: cycles after edits {old:?}, on a fresh bench {new:?}"
+        );
         seen.push((old, new));
     }
     println!("{name}, {:?} edits: cycles after edits and fresh: {seen:?}", run.counts);
@@ -60,5 +65,10 @@ fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
 
 #[test]
 fn a_solve_after_hundreds_of_edits_needs_the_cycles_of_a_fresh_one() {
-    as_fresh("box", &shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [8, 8, 24]), 11, 200);
+    as_fresh(
+        "box",
+        &shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [8, 8, 24]),
+        11,
+        200,
+    );
 }

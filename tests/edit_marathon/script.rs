@@ -118,8 +118,12 @@ impl Seen<'_> {
         use base64::Engine as _;
         let (points, faces) = pliant::asset::shapes::box_with_cells(DVec3::ONE, [2, 2, 2]);
         let mut text = String::new();
-        points.iter().for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-        faces.iter().for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+        points
+            .iter()
+            .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
+        faces
+            .iter()
+            .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
         let at = self.place(draw) + draw.direction() * self.edge;
         let size = self.edge * draw.within(1.0, 3.0);
         let how = ["LOOSE", "LOOSE", "WELD", "STITCH"][draw.below(4)];

@@ -16,7 +16,9 @@ impl Talk {
 
     /// Status and answer of a call.
     async fn post(&self, rest: &str, body: &Value) -> (u16, Value) {
-        let answer = within(rest, http().post(self.path(rest)).json(body).send()).await.expect("an answer");
+        let answer = within(rest, http().post(self.path(rest)).json(body).send())
+            .await
+            .expect("an answer");
         let status = answer.status().as_u16();
         (status, answer.json().await.expect("JSON"))
     }
@@ -29,21 +31,29 @@ impl Talk {
         };
         let history = get(self.path("history")).await;
         let commits = history["commits"].as_array().expect("commits");
-        let current = commits.iter().find(|c| c["revision"] == history["current"]).expect("listed");
+        let current = commits
+            .iter()
+            .find(|c| c["revision"] == history["current"])
+            .expect("listed");
         let session = get(self.server.url(&format!("/v1/sessions/{}", self.id))).await;
         let vertices = session["model"]["vertices"].as_u64().expect("a count");
         (text(&current["digest"]), vertices)
     }
 
     async fn bytes(&self) -> Vec<u8> {
-        let answer = within("positions", http().get(self.path("positions")).send()).await.expect("an answer");
+        let answer = within("positions", http().get(self.path("positions")).send())
+            .await
+            .expect("an answer");
         assert_eq!(answer.status(), 200);
         answer.bytes().await.expect("bytes").to_vec()
     }
 
     async fn positions(&self) -> Vec<DVec3> {
         let numbers = floats(&self.bytes().await);
-        (numbers.chunks_exact(3).map(|c| DVec3::new(c[0].into(), c[1].into(), c[2].into()))).collect()
+        (numbers
+            .chunks_exact(3)
+            .map(|c| DVec3::new(c[0].into(), c[1].into(), c[2].into())))
+        .collect()
     }
 }
 
@@ -72,7 +82,9 @@ async fn steps(talk: &Talk, seed: u64, count: usize) -> (Vec<(String, u64)>, [us
     let mut done = 0;
     while done < count {
         let positions = talk.positions().await;
-        let (low, high) = (positions.iter()).fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
+        let (low, high) = (positions.iter()).fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), p| {
+            (l.min(*p), h.max(*p))
+        });
         let diagonal = low.distance(high);
         let seen = Seen {
             positions: &positions,
@@ -115,7 +127,11 @@ async fn steps(talk: &Talk, seed: u64, count: usize) -> (Vec<(String, u64)>, [us
                 }
             }
             way => {
-                let (word, to) = if way == 9 { ("redo", line.at + 1) } else { ("undo", line.at.wrapping_sub(1)) };
+                let (word, to) = if way == 9 {
+                    ("redo", line.at + 1)
+                } else {
+                    ("undo", line.at.wrapping_sub(1))
+                };
                 let (status, answer) = talk.post(word, &json!({})).await;
                 match line.states.get(to) {
                     Some(state) => {
@@ -160,7 +176,9 @@ async fn a_session_with_undo_and_redo() {
         let held = talk.server.manager.metrics().bytes.get();
         assert!(held > base);
         runs.push(steps(&talk, 21, 80).await);
-        let gone = http().delete(talk.server.url(&format!("/v1/sessions/{}", talk.id))).send();
+        let gone = http()
+            .delete(talk.server.url(&format!("/v1/sessions/{}", talk.id)))
+            .send();
         assert_eq!(within("delete", gone).await.expect("an answer").status(), 204);
         let metrics = talk.server.manager.metrics();
         eventually("memory back at base", async || metrics.bytes.get() == base).await;

@@ -69,7 +69,7 @@ pub fn stitch(surface: &Surface, between: Between, progress: &dyn Progress) -> R
         },
     );
     if other_way.is_some_and(|o| o.cost * 2.0 < strip.cost) {
-        let problem = "the two parts face opposite ways: turn the triangles of one over, or mirror it";
+        let problem = "the two parts face opposite ways: one of them is inside out, turn its triangles over";
         return Err(impossible(problem, &place(&mesh, a, b)));
     }
     build(surface, &mesh, a, b, &strip.triangles)

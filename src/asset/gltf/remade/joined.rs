@@ -2,6 +2,8 @@
 //!
 //! A glTF base comes with its meshes under one new node, and with the materials, textures, samplers and images that its
 //! remade primitives use. Its hierarchy is flattened: every node that draws a mesh becomes a child of the new node.
+//! Where it has grown together with another base its vertices are written as they stand in the world, since those of two
+//! nodes would round apart and tear the joint.
 //! Skeletons, animations, cameras, lights and extensions that are not about materials stay behind. A base of another
 //! format comes as plain geometry.
 
@@ -22,7 +24,7 @@ use crate::asset::plain::{self, Plain};
 use crate::asset::remade::{Remade, Run};
 use crate::asset::{Error, FileSet};
 use glam::{DAffine3, DVec3};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 
 /// What joins the document. Accessors are numbered virtually, as in the frame.
 #[derive(Default)]
@@ -125,7 +127,9 @@ impl<'a> Joiner<'_, 'a> {
             let row = &source.rows[run.primitive as usize];
             runs_of.entry((row.node, row.primitive)).or_default().push(run);
         }
-        let placed = Placing::of(&placing);
+        let grown = self.has_grown(base) && !source.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
+        let node_for = |transform: &DAffine3| if grown { None } else { Placing::of(transform) };
+        let placed = node_for(&placing);
         let root = self.add_root(&name_of(&model.files, base), placed.as_ref());
         let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
         let mut palette = Palette::new(&doc, &model.files, first, base);
@@ -137,7 +141,7 @@ impl<'a> Joiner<'_, 'a> {
                 Some(_) => placement.world_from_mesh,
                 None => placing * placement.world_from_mesh,
             };
-            let here = Placing::of(&root_from_mesh);
+            let here = node_for(&root_from_mesh);
             let root_from_mesh = here.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
             let mut primitives = Vec::new();
             let stored = value_of(mesh, "primitives")
@@ -170,7 +174,7 @@ impl<'a> Joiner<'_, 'a> {
                 continue;
             }
             let mut text = format!("{{\"primitives\":{}}}", places::list(&primitives));
-            let keys = if here.is_some() {
+            let keys = if here.is_some() || grown {
                 &["name", "weights", "extras"][..]
             } else {
                 &["name"]
@@ -192,6 +196,18 @@ impl<'a> Joiner<'_, 'a> {
         }
         self.set_children(root, &children);
         Ok(())
+    }
+
+    /// Whether a vertex of the base stands where one of another base does.
+    fn has_grown(&self, base: usize) -> bool {
+        let place = |v: usize| Some((*self.positions.get(v)? + DVec3::ZERO).to_array().map(f64::to_bits));
+        let of = |own: bool| {
+            let runs = self.remade.runs.iter();
+            let runs = runs.filter(move |run| (run.base as usize == base) == own);
+            runs.flat_map(|run| run.first_vertex as usize..(run.first_vertex + run.vertex_count) as usize)
+        };
+        let own: HashSet<[u64; 3]> = of(true).filter_map(place).collect();
+        of(false).filter_map(place).any(|place| own.contains(&place))
     }
 
     /// A base of another format, one mesh for each of its parts.
@@ -306,6 +322,15 @@ impl<'a> Joiner<'_, 'a> {
             *text = places::with(text, "children", &places::list(children));
         }
     }
+}
+
+/// Whether a node's primitive has morph targets.
+fn has_targets(doc: &Document<'_>, node: usize, primitive: usize) -> bool {
+    let mesh = doc.nodes.values.get(node).and_then(|n| n.mesh.as_ref());
+    let text = mesh.and_then(|m| doc.meshes.items.get(m.index()));
+    let stored = text.and_then(|text| value_of(text, "primitives"));
+    let stored = stored.and_then(|p| items(p).ok()).unwrap_or_default();
+    stored.get(primitive).is_some_and(|p| value_of(p, "targets").is_some())
 }
 
 fn name_of(files: &FileSet, base: usize) -> String {
