@@ -9,18 +9,13 @@ use serde_json::json;
 use std::sync::Arc;
 
 /// Longest side over shortest height of the worst triangle that was pulled, 1.15 at best.
-const WORST: f64 = 20.0;
+const WORST: f64 = 25.0;
 
 /// The same for ninety-nine of a hundred.
 const MOST: f64 = 6.0;
 
-/// Largest singular value of a triangle's Jacobian in the last step, which pulls everything to 1.48 times its length in
-/// the mean.
-const STRETCH: f64 = 4.0;
-
-/// How often and by how much the tail is pulled: 4.8 times in all.
-const STEPS: usize = 4;
-const FACTOR: f64 = 1.48;
+/// Largest singular value of a triangle's Jacobian in any step.
+const STRETCH: f64 = 3.0;
 
 /// What is pulled.
 struct Tail {
@@ -30,6 +25,8 @@ struct Tail {
     /// Below this everything is held, above `tip` as well.
     root: f64,
     tip: f64,
+    /// How often it is pulled, and to how many times its length each time.
+    steps: (usize, f64),
 }
 
 /// The tail of the dinosaur of the data folder; without it, a ridged horn on a block.
@@ -43,6 +40,7 @@ fn tail() -> (Tail, &'static str) {
             along: DVec3::new(0.9, -0.05, 0.43),
             root: 0.2,
             tip: 0.55,
+            steps: (8, 1.22),
         };
         return (tail, "the dinosaur's tail");
     }
@@ -50,7 +48,7 @@ fn tail() -> (Tail, &'static str) {
         "skipped the dinosaur: {} cannot be read; a generated horn instead",
         path.display()
     );
-    (horn(), "a horn")
+    (horn(), HORN)
 }
 
 /// A ridged horn along x from 0 to 0.6.
@@ -70,6 +68,7 @@ fn horn() -> Tail {
         along: DVec3::X,
         root: 0.18,
         tip: 0.55,
+        steps: (4, 1.48),
     }
 }
 
@@ -77,6 +76,8 @@ fn horn() -> Tail {
 struct Pulled {
     positions: Arc<Vec<DVec3>>,
     quality: pb::Quality,
+    /// The largest of any step after which it was remeshed.
+    stretch: f64,
     aspects: Vec<f64>,
     triangles: usize,
 }
@@ -124,9 +125,11 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
     let settings = Settings::check(&options, "options", 8).expect("valid");
     let start = (tail.tip - tail.root) / tail.along.x;
     let (mut length, mut poses): (f64, Poses) = (start, bench.initial_poses());
+    let mut stretch = 0.0f64;
     let (mut shape, mut quality) = (Arc::clone(bench.rest()), pb::Quality::default());
-    for step in 0..STEPS {
-        let by = length * (FACTOR - 1.0);
+    let (steps, factor) = tail.steps;
+    for step in 0..steps {
+        let by = length * (factor - 1.0);
         length += by;
         // After an edit what is seen is the rest shape.
         let shift = tail.along * if remesh { by } else { length - start };
@@ -139,6 +142,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
             continue;
         }
         assert_eq!(quality.flipped_triangles, 0, "step {step}");
+        stretch = stretch.max(quality.max_stretch);
         let request: pb::EditRequest = message(json!({"remesh": {"auto": true}}));
         let order = EditOrder {
             request: &request,
@@ -153,6 +157,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         aspects: aspects(&bench, &shape, tail.root + 0.05),
         triangles: bench.geometry().triangles.len(),
         positions: shape,
+        stretch,
         quality,
     }
 }
@@ -160,18 +165,29 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
 #[test]
 fn a_tail_pulled_to_more_than_four_times_its_length_stays_well_shaped() {
     let (tail, what) = tail();
-    check(&tail, what);
+    let [with, without] = check(&tail, what);
+    if what != HORN {
+        // A horn's ends are fans of thin triangles, pulled or not; a tail has none.
+        assert!(at(&without.aspects, 1.0) > 2.0 * at(&with.aspects, 1.0));
+        assert!(at(&without.aspects, 0.99) > 1.5 * at(&with.aspects, 0.99));
+    }
 }
 
 #[test]
 fn so_does_a_generated_horn() {
-    check(&horn(), "a horn");
+    check(&horn(), HORN);
 }
 
-fn check(tail: &Tail, what: &str) {
+const HORN: &str = "a horn";
+
+/// The value below which `part` of all lie.
+fn at(all: &[f64], part: f64) -> f64 {
+    all[((all.len() - 1) as f64 * part) as usize]
+}
+
+fn check(tail: &Tail, what: &str) -> [Pulled; 2] {
     let with = pull(tail, true);
     let without = pull(tail, false);
-    let at = |all: &[f64], part: f64| all[((all.len() - 1) as f64 * part) as usize];
     for (how, p) in [("with", &with), ("without", &without)] {
         println!(
             "{what} {how} remeshing: {} triangles, {} of them pulled; longest side over height: median {:.2}, 99 of 100 {:.2}, \
@@ -190,9 +206,9 @@ fn check(tail: &Tail, what: &str) {
     assert!(grown > 4.0, "{grown} times as long");
     assert!((extent(&with) - extent(&without)).abs() < 1e-6 * extent(&with));
     assert!(at(&with.aspects, 1.0) < WORST && at(&with.aspects, 0.99) < MOST);
-    assert!(with.quality.max_stretch < STRETCH);
-    // The ends of a generated horn are fans of thin triangles, pulled or not.
+    assert!(with.stretch < STRETCH, "{}", with.stretch);
     assert!(at(&without.aspects, 1.0) >= at(&with.aspects, 1.0));
     assert!(at(&without.aspects, 0.5) > 1.4 * at(&with.aspects, 0.5));
     assert!(without.quality.max_stretch > 2.0 * with.quality.max_stretch);
+    [with, without]
 }

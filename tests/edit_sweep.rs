@@ -8,7 +8,7 @@ use pliant::progress::Silent;
 use serde_json::{Value, json};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 /// Models with fewer triangles have no region worth the name: they are edited as a whole.
 const SMALL: usize = 60;
@@ -98,7 +98,7 @@ fn broken(bench: &Workbench) -> usize {
 }
 
 /// One edit: what the table says, or what went wrong.
-fn one(bench: &mut Workbench, shape: &mut Vec<DVec3>, edit: &Value, pool: &Pool) -> Result<String, String> {
+fn one(bench: &mut Workbench, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &Pool) -> Result<String, String> {
     let request: pb::EditRequest = json::from_json(edit.to_string().as_bytes()).map_err(|e| e.to_string())?;
     let poses = bench.initial_poses();
     let (idle, defects, was) = (unreferenced(bench), broken(bench), digest(bench.rest()));
@@ -129,7 +129,7 @@ fn one(bench: &mut Workbench, shape: &mut Vec<DVec3>, edit: &Value, pool: &Pool)
             if defects == 0 && broken(bench) > 0 {
                 return Err(format!("{} places are not manifold any more", broken(bench)));
             }
-            *shape = outcome.positions.to_vec();
+            *shape = outcome.positions;
             Ok(format!("{}→{}", before.faces, after.faces))
         }
         Err(Error::Internal(problem)) => Err(problem),
@@ -165,7 +165,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
         }
     };
     let mut line = format!("{:>6} vertices", bench.rest().len());
-    let mut shape = bench.rest().to_vec();
+    let mut shape = Arc::clone(bench.rest());
     for (name, edit) in edits(&bench, k) {
         match one(&mut bench, &mut shape, &edit, &pool) {
             Ok(said) => line += &format!(" | {name} {said}"),

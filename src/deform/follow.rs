@@ -28,9 +28,9 @@ const LENGTHS: RangeInclusive<f64> = 0.125..=8.0;
 const FARTHEST: f64 = 8.0;
 
 /// Lattice edges that a deformation has stretched or squeezed beyond this share of their length at rest are strained.
-const STRAIN: RangeInclusive<f64> = 0.4..=2.5;
+const STRAIN: RangeInclusive<f64> = 0.6..=1.6;
 /// A lattice with more than this part of its edges strained is not worth keeping.
-const MOST_STRAINED: f64 = 0.25;
+const MOST_STRAINED: f64 = 0.05;
 /// Every so manieth lattice node is asked.
 const SAMPLE: usize = 8;
 

@@ -24,7 +24,7 @@ use crate::asset::plain::{self, Plain};
 use crate::asset::remade::{Remade, Run};
 use crate::asset::{Error, FileSet};
 use glam::{DAffine3, DVec3};
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 
 /// What joins the document. Accessors are numbered virtually, as in the frame.
 #[derive(Default)]
@@ -206,8 +206,11 @@ impl<'a> Joiner<'_, 'a> {
             let runs = runs.filter(move |run| (run.base as usize == base) == own);
             runs.flat_map(|run| run.first_vertex as usize..(run.first_vertex + run.vertex_count) as usize)
         };
-        let own: HashSet<[u64; 3]> = of(true).filter_map(place).collect();
-        of(false).filter_map(place).any(|place| own.contains(&place))
+        let mut own: Vec<[u64; 3]> = of(true).filter_map(place).collect();
+        own.sort_unstable();
+        of(false)
+            .filter_map(place)
+            .any(|place| own.binary_search(&place).is_ok())
     }
 
     /// A base of another format, one mesh for each of its parts.
