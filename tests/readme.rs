@@ -159,6 +159,8 @@ fn the_job_runs() {
     let at = |name: &str| folder.path().join(name);
     fs::write(at("creature.glb"), pliant::asset::sample::creature_glb()).expect("written");
     fs::write(at("job.json"), job).expect("written");
+    // Commands that are run from the root of the repository find its suite, and write beside it.
+    std::os::unix::fs::symlink(root().join("deploy"), at("deploy")).expect("a link");
     let commands = blocks.iter().flat_map(|(_, text)| text.lines());
     let commands: Vec<&str> = commands
         .filter_map(|line| line.strip_prefix("target/release/pliant "))
@@ -179,6 +181,7 @@ fn the_job_runs() {
         );
         println!("{command}\n{}{said}", String::from_utf8_lossy(&done.stdout));
     }
+    assert!(at("target/report.html").exists() && at("target/junit.xml").exists());
     assert!(
         at("turned.glb").metadata().is_ok_and(|m| m.len() > 1000),
         "the job writes turned.glb"
