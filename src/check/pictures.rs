@@ -51,7 +51,7 @@ pub fn draw_case(found: &Found, comparison: Option<&Comparison>, eye: Eye, pool:
     };
     let worst: Vec<u32> = differing.map(|c| c.worst.clone()).unwrap_or_default();
     let view = eye.view.unwrap_or_else(|| match worst.first() {
-        Some(&v) => View::facing(normal_at(found, v), eye.up),
+        Some(&v) => from_beside(normal_at(found, v), eye.up),
         None => View::facing(DVec3::new(0.47, 0.34, 0.81), eye.up),
     });
     let shapes: Vec<&Surface> = [Some(&before), Some(&after), expected.as_ref()]
@@ -135,6 +135,15 @@ fn plate(caption: &'static str, description: String, picture: Picture) -> Result
         size: [picture.width(), picture.height()],
         png: picture.png()?,
     })
+}
+
+/// Looks at a place with this normal from a little above and beside it, so that the shape around it is seen as well.
+fn from_beside(normal: DVec3, up: Up) -> View {
+    let above = match up {
+        Up::Y => DVec3::Y,
+        Up::Z => DVec3::Z,
+    };
+    View::facing(normal.normalize_or_zero() + above * 0.4, up).turned(25.0)
 }
 
 /// The normal of the surface at a vertex, as long as the area around it.
