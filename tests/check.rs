@@ -5,6 +5,8 @@
 mod damage;
 #[path = "check/folder.rs"]
 mod folder;
+#[path = "check/pages.rs"]
+mod pages;
 #[path = "check/proxy.rs"]
 mod proxy;
 #[path = "check/refusals.rs"]

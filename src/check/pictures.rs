@@ -1,6 +1,7 @@
 //! Pictures of a case: before, after, expected, and where the two differ.
 
 use super::{Comparison, Found};
+use crate::graph::WindingTree;
 use crate::mesh::Bounds;
 use crate::pool::Pool;
 use crate::render::{Camera, Error, Key, Mark, Picture, Ramp, Size, Surface, Up, View, displacements, draw, ground};
@@ -51,7 +52,7 @@ pub fn draw_case(found: &Found, comparison: Option<&Comparison>, eye: Eye, pool:
     };
     let worst: Vec<u32> = differing.map(|c| c.worst.clone()).unwrap_or_default();
     let view = eye.view.unwrap_or_else(|| match worst.first() {
-        Some(&v) => View::facing(normal_at(found, v), eye.up),
+        Some(&v) => from_beside(normal_at(found, v), eye.up),
         None => View::facing(DVec3::new(0.47, 0.34, 0.81), eye.up),
     });
     let shapes: Vec<&Surface> = [Some(&before), Some(&after), expected.as_ref()]
@@ -73,7 +74,7 @@ pub fn draw_case(found: &Found, comparison: Option<&Comparison>, eye: Eye, pool:
         plates.push(plate("expected", text, draw(expected, &camera, pool))?);
     }
     if let Some(comparison) = differing.filter(|c| c.stored.len() == found.positions.len()) {
-        plates.extend(differences(found, comparison, after, &worst, &camera, pool)?);
+        plates.extend(differences(found, comparison, after, &worst, (&camera, eye.up), pool)?);
     }
     Ok(plates)
 }
@@ -84,7 +85,7 @@ fn differences(
     comparison: &Comparison,
     after: Surface,
     worst: &[u32],
-    camera: &Camera,
+    (camera, up): (&Camera, Up),
     pool: &Pool,
 ) -> Result<Vec<Plate>, Error> {
     let far = displacements(&comparison.stored, &found.positions)?;
@@ -92,14 +93,18 @@ fn differences(
     let unit = if most > 0.0 { most } else { 1.0 };
     let colours: Vec<Vec3> = far.iter().map(|d| Ramp::Amount.light(d / unit)).collect();
     let coloured = after.coloured(&colours)?;
-    let marks: Vec<Mark> = worst
-        .iter()
-        .zip(1..)
-        .map(|(&v, k)| Mark {
-            at: found.positions[v as usize],
+    let tree = WindingTree::build(&found.positions, &found.triangles, pool);
+    let diagonal = Bounds::of(&found.positions).diagonal();
+    let mark = |(&v, k): (&u32, u32)| {
+        let at = found.positions[v as usize];
+        let way = camera.towards() * diagonal;
+        Mark {
+            at,
             label: k.to_string(),
-        })
-        .collect();
+            hidden: tree.first_hit(at + way * 2e-3, at + way * 2.0, Some(v)).is_some(),
+        }
+    };
+    let marks: Vec<Mark> = worst.iter().zip(1..).map(mark).collect();
     let with_key = |surface: &Surface, camera: &Camera, marks: &[Mark]| -> Result<Picture, Error> {
         let (width, height) = (camera.size().width(), camera.size().height());
         let mut picture = Picture::new(u64::from(width), u64::from(height + KEY_ROWS), ground())?;
@@ -119,10 +124,17 @@ fn differences(
     );
     let mut plates = vec![plate("difference", text, with_key(&coloured, camera, &marks)?)?];
     if let (Some(&v), Some(mark)) = (worst.first(), marks.first()) {
-        let radius = NEAR * Bounds::of(&found.positions).diagonal();
-        let near = camera.close_up(mark.at, radius);
+        // From its own side, wherever the others are taken from.
+        let view = from_beside(normal_at(found, v), up);
         let text = format!("the same with its triangles, near vertex {v}");
-        let picture = with_key(&coloured.with_wires(), &near, &marks)?;
+        let wired = coloured.with_wires();
+        let near = Camera::around(&[&wired], &[view], camera.size());
+        let near = near.first().unwrap_or(camera).close_up(mark.at, NEAR * diagonal);
+        let shown = Mark {
+            hidden: false,
+            ..mark.clone()
+        };
+        let picture = with_key(&wired, &near, &[shown])?;
         plates.push(plate("worst place", text, picture)?);
     }
     Ok(plates)
@@ -135,6 +147,15 @@ fn plate(caption: &'static str, description: String, picture: Picture) -> Result
         size: [picture.width(), picture.height()],
         png: picture.png()?,
     })
+}
+
+/// Looks at a place with this normal from a little above and beside it, so that the shape around it is seen as well.
+fn from_beside(normal: DVec3, up: Up) -> View {
+    let above = match up {
+        Up::Y => DVec3::Y,
+        Up::Z => DVec3::Z,
+    };
+    View::facing(normal.normalize_or_zero() + above * 0.4, up).turned(25.0)
 }
 
 /// The normal of the surface at a vertex, as long as the area around it.

@@ -208,6 +208,11 @@ impl Camera {
         )
     }
 
+    /// Unit vector in model space towards the eye.
+    pub fn towards(&self) -> DVec3 {
+        self.axes[2]
+    }
+
     /// Unit vectors in model space: right, up and towards the eye.
     pub(super) fn axes(&self) -> [DVec3; 3] {
         self.axes

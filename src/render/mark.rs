@@ -15,7 +15,12 @@ pub struct Mark {
     pub at: DVec3,
     /// What stands beside it, a character or two.
     pub label: String,
+    /// Something lies before it: the ring is dashed.
+    pub hidden: bool,
 }
+
+/// Dashes of a ring.
+const DASHES: f64 = 10.0;
 
 impl Mark {
     /// Marks the most: the vertices with the largest of `values`, at most `count`, none closer to another than `apart`.
@@ -33,7 +38,8 @@ impl Mark {
             let at = positions[v];
             if marks.iter().all(|m| m.at.distance(at) > apart) {
                 let label = (marks.len() + 1).to_string();
-                marks.push(Self { at, label });
+                let hidden = false;
+                marks.push(Self { at, label, hidden });
             }
         }
         marks
@@ -60,6 +66,10 @@ impl Mark {
             for x in low.x as u32..high.x as u32 {
                 let here = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
                 let off = (here.distance(center) - radius).abs();
+                let turn = libm::atan2(here.y - center.y, here.x - center.x) / std::f64::consts::TAU;
+                if self.hidden && (turn + 1.0) * DASHES % 1.0 > 0.5 {
+                    continue;
+                }
                 // Covered shares of the pixel: the rim is wider and lies below.
                 picture.mix(x, y, RIM, (1.2 * width + 0.5 - off).clamp(0.0, 1.0));
                 picture.mix(x, y, RING, (0.5 * width + 0.5 - off).clamp(0.0, 1.0));
@@ -114,6 +124,7 @@ mod tests {
             let mark = Mark {
                 at,
                 label: label.into(),
+                hidden: false,
             };
             mark.draw(&mut picture, camera, 20, 10);
         }
@@ -129,5 +140,20 @@ mod tests {
             "{dark:?} around {seen}"
         );
         assert_eq!(picture.pixel(0, 0), Some(white));
+        // What is hidden has a part of the ring.
+        let mut dashed = Picture::new(140, 100, white).expect("small");
+        let hidden = Mark {
+            at: DVec3::X,
+            label: String::new(),
+            hidden: true,
+        };
+        hidden.draw(&mut dashed, camera, 20, 10);
+        let inked = dashed.pixels().iter().filter(|p| p[0] < 60).count();
+        let touched = dashed.pixels().iter().filter(|p| **p != white).count();
+        assert!(
+            inked < dark.len() && touched > 10,
+            "{inked} and {touched} of {}",
+            dark.len()
+        );
     }
 }

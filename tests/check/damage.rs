@@ -62,7 +62,7 @@ fn junit<'a>(report: &'a str, name: &str) -> &'a str {
 #[test]
 fn each_kind_of_damage_is_caught_by_its_own_case() {
     let folder = Suite::new();
-    // An inner vertex of the end that stays at rest: the result is off by what it is off, and nothing else.
+    // Their result is the model itself: it is off by what that is off, and nothing else.
     let inner = place_of(|p| p.z == 0.0 && p.x.abs() < 0.2 && p.y.abs() < 0.2);
     let moved = bar(|v, p| if v == inner { p + DVec3::X * 1e-3 } else { p }, keep);
     let flipped = bar(|v, p| if v == inner { p + DVec3::X * 0.5 } else { p }, keep);
@@ -79,7 +79,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     ];
     for (name, model) in &damaged {
         let file = format!("{name}.obj");
-        folder.case(name, &file);
+        folder.still(name, &file);
         folder.write(&file, model);
     }
     for name in ["good", "missing", "stale-model", "stale-job", "broken", "refused"] {

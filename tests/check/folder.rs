@@ -36,7 +36,7 @@ pub fn check(suite: &Path, arguments: &[&str]) -> Ran {
         .arg("check")
         .arg(suite)
         .args(arguments)
-        .current_dir(suite.parent().unwrap_or(suite))
+        .current_dir(suite.parent().filter(|p| p.is_dir()).unwrap_or(Path::new("/")))
         .env_remove("PLIANT_DATA")
         .env_remove("PLIANT_TOKEN")
         .output()
@@ -102,6 +102,14 @@ impl Suite {
                 "steps": [{{"pose": {{"handles": [{{"id": "top", "pose": {{"rotationVector": [0, {angle}, 0]}}}}]}}}}],
                 "options": {{"tolerance": 1e-8}}}}}}"#
         );
+        self.write(&format!("{name}.case.json"), &text);
+    }
+
+    /// A case whose result is its model, with the model.
+    pub fn still(&self, name: &str, model: &str) {
+        self.write(model, &super::support::bar_obj(20));
+        let handles = super::support::ends();
+        let text = format!(r#"{{"model": "{model}", "job": {{"handles": {handles}}}}}"#);
         self.write(&format!("{name}.case.json"), &text);
     }
 

@@ -25,7 +25,7 @@ pub fn html(report: &SuiteReport) -> String {
             let _ = write!(body, "<span class=\"{name}\">{count} {name}</span>");
         }
     }
-    body += "</p>\n<table>\n<thead><tr><th>case</th><th>result</th><th></th></tr></thead>\n<tbody>\n";
+    body += "</p>\n<table class=\"cases\">\n<thead><tr><th>case</th><th>result</th><th></th></tr></thead>\n<tbody>\n";
     for case in &report.cases {
         let (name, status) = (safe(&case.name), case.verdict.status.name());
         let _ = writeln!(

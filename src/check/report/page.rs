@@ -21,7 +21,7 @@ table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nu
 th, td { text-align: left; padding: .3rem .75rem .3rem 0; border-bottom: 1px solid var(--line); vertical-align: top;
   overflow-wrap: anywhere; }
 th { color: var(--soft); font-weight: 500; }
-td.number { white-space: nowrap; }
+td.number, .cases td:nth-child(-n+2), .cases th { white-space: nowrap; }
 section { border: 1px solid var(--line); border-left: 4px solid currentColor; border-radius: 6px; margin: 1.25rem 0;
   padding: 1rem 1.25rem; }
 section > * { color: var(--ink); }

@@ -18,6 +18,8 @@ pub(super) fn said(verdict: &Verdict) -> String {
     let reasons = &verdict.reasons;
     let Some(first) = reasons.first() else {
         return match verdict.worst() {
+            _ if verdict.status == Status::Blessed && verdict.identical => "as it was".into(),
+            _ if verdict.status == Status::Blessed => "stored".into(),
             _ if verdict.identical => "identical".into(),
             Some(worst) => format!("within tolerance: {}", worst.show()),
             None => "within tolerance".into(),
