@@ -16,7 +16,9 @@ use std::path::Path;
 
 /// What is said, and where it came from, for a failure of this test.
 pub struct Said {
+    /// What provoked it.
     pub by: &'static str,
+    /// The words.
     pub text: String,
 }
 

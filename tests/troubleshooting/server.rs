@@ -137,12 +137,28 @@ async fn of_origins_and_room(server: &Server) -> Vec<Said> {
         by: "no room for another session",
         text: detail(http().post(server.url("/v1/sessions")).body(bar_obj(4))).await,
     };
+    let open = |server: &Server| http().post(server.url("/v1/sessions")).body(bar_obj(2000));
     let small = Server::with(|sessions, _| sessions.memory_bytes = 2 << 20).await;
-    let memory = Said {
-        by: "no memory for another session",
-        text: detail(http().post(small.url("/v1/sessions")).body(bar_obj(2000))).await,
+    let alone = Said {
+        by: "a model that needs more memory than there is",
+        text: detail(open(&small)).await,
     };
-    vec![foreign, full, memory]
+    // The least room in which one such model can be opened has none for two.
+    let mut room = 14 << 20;
+    let one = loop {
+        let server = Server::with(|sessions, _| sessions.memory_bytes = room).await;
+        let answer = within("a session", open(&server).send()).await.expect("an answer");
+        if answer.status() == 201 {
+            break server;
+        }
+        assert!(room < 128 << 20, "{}", answer.text().await.unwrap_or_default());
+        room += 2 << 20;
+    };
+    let both = Said {
+        by: "no memory for another session",
+        text: detail(open(&one)).await,
+    };
+    vec![foreign, full, alone, both]
 }
 
 /// What was noticed in a model that opened all the same.
