@@ -11,7 +11,7 @@ use pliant::job::{self, pb};
 use pliant::mesh::{Bounds, Mesh, Weld, self_intersections};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::render::{Camera, Key, Picture, Ramp, Rgb, Size, Surface, Up, View, draw, edge_stretch};
+use pliant::render::{Camera, Key, Picture, Ramp, Rgb, STRETCH_RANGE, Size, Surface, Up, View, draw, edge_stretch};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -276,7 +276,7 @@ fn sheet(entries: &[Entry], args: &SheetArgs) -> Result<Picture, Failure> {
             Err(reason) => write_wrapped(&mut picture, x, y + 11, 3 * tile, reason),
         }
     }
-    Key::stretch().draw(&mut picture, rows * height, LABEL);
+    Key::stretch(STRETCH_RANGE).draw(&mut picture, rows * height, LABEL);
     Ok(picture)
 }
 

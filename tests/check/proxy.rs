@@ -9,6 +9,9 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::net::TcpListener;
 
+/// What is done to the coordinates of a vertex buffer.
+type Damage = Arc<dyn Fn(&mut [f32]) + Send + Sync>;
+
 /// Runs until it is dropped.
 pub struct Proxy {
     pub address: SocketAddr,
@@ -18,7 +21,7 @@ pub struct Proxy {
 impl Proxy {
     /// Stands before the server at `behind`; `damage` changes the coordinates of every vertex buffer.
     pub async fn start(behind: SocketAddr, damage: impl Fn(&mut [f32]) + Send + Sync + 'static) -> Self {
-        let damage: Arc<dyn Fn(&mut [f32]) + Send + Sync> = Arc::new(damage);
+        let damage: Damage = Arc::new(damage);
         let pass = move |request: Request| pass(behind, Arc::clone(&damage), request);
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("an address");
@@ -36,7 +39,7 @@ impl Drop for Proxy {
     }
 }
 
-async fn pass(behind: SocketAddr, damage: Arc<dyn Fn(&mut [f32]) + Send + Sync>, request: Request) -> Response {
+async fn pass(behind: SocketAddr, damage: Damage, request: Request) -> Response {
     let (parts, body) = request.into_parts();
     let body = axum::body::to_bytes(body, 1 << 26).await.expect("a body");
     let path = parts.uri.path_and_query().map_or("/", |p| p.as_str());

@@ -55,9 +55,9 @@ pub(super) fn run_all(cases: &[Loaded], plan: &Plan<'_>, threads: usize, bar: &B
     };
     std::thread::scope(|scope| {
         let workers: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
-        let ended = workers.into_iter().map(|w| w.join());
+        let mut ended = workers.into_iter().map(|w| w.join());
         let broken = |_| Err(Failure::Internal("a case ended in a defect of the program".into()));
-        ended.map(|e| e.unwrap_or_else(broken)).collect::<Result<(), _>>()
+        ended.try_for_each(|e| e.unwrap_or_else(broken))
     })?;
     let mut done = done.into_inner().unwrap_or_else(|e| e.into_inner());
     done.sort_by_key(|(k, _)| *k);
