@@ -77,7 +77,7 @@ impl Body {
         let hierarchy = if self.hierarchy.is_worn() {
             Hierarchy::build(&view, self.hierarchy.options(), pool, progress)?
         } else {
-            let mut hierarchy = self.hierarchy.clone();
+            let mut hierarchy = self.hierarchy.duplicate(pool);
             let change = solver::Change {
                 new_from_old: &resampled.new_from_old,
                 touched: &resampled.touched,

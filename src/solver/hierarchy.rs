@@ -127,6 +127,19 @@ impl Hierarchy {
         })
     }
 
+    /// A copy, made by all threads of the pool.
+    pub fn duplicate(&self, pool: &Pool) -> Self {
+        let levels = pool.install(|| self.levels.iter().map(Level::duplicate).collect());
+        Self {
+            levels,
+            order: self.order.clone(),
+            options: self.options.clone(),
+            token: Arc::clone(&self.token),
+            paper: self.paper.clone(),
+            ..*self
+        }
+    }
+
     /// What it was built with.
     pub fn options(&self) -> &BuildOptions {
         &self.options

@@ -3,6 +3,7 @@
 use super::coarsen::{Grouping, Groups};
 use super::lanes::{Lanes, Shared};
 use super::threads::{Threads, piece, pieces};
+use rayon::prelude::*;
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
@@ -67,6 +68,26 @@ pub(crate) struct Bundle {
 }
 
 impl Level {
+    /// A copy, made by all threads: most of what it costs is memory that is touched for the first time.
+    pub(crate) fn duplicate(&self) -> Self {
+        fn all<T: Copy + Send + Sync>(of: &[T]) -> Vec<T> {
+            of.par_iter().with_min_len(1 << 15).copied().collect()
+        }
+        Self {
+            bundles: all(&self.bundles),
+            neighbours: all(&self.neighbours),
+            weights: self.weights.as_deref().map(all),
+            diagonal: all(&self.diagonal),
+            positions: all(&self.positions),
+            aggregates: all(&self.aggregates),
+            ranges: all(&self.ranges),
+            members: all(&self.members),
+            blocks: self.blocks.clone(),
+            colours: self.colours.clone(),
+            ..*self
+        }
+    }
+
     /// Rows, those of filling included.
     pub(crate) fn rows(&self) -> usize {
         self.diagonal.len()
