@@ -14,7 +14,7 @@ use super::threads::{Threads, piece, pieces};
 const PIECE: usize = 4096;
 
 /// One part in this many of a vector is kept as room for more.
-const SLACK: usize = 16;
+pub(crate) const SLACK: usize = 16;
 
 /// Brings `draft` into sweep order. Returns the level, without aggregates, and the row that each row of the draft has
 /// become.

@@ -2,6 +2,7 @@
 
 use super::coarsen::{Grouping, Groups};
 use super::lanes::{Lanes, Shared};
+use super::layout::SLACK;
 use super::threads::{Threads, piece, pieces};
 use rayon::prelude::*;
 
@@ -68,10 +69,12 @@ pub(crate) struct Bundle {
 }
 
 impl Level {
-    /// A copy, made by all threads: most of what it costs is memory that is touched for the first time.
+    /// A copy with room to grow, made by all threads: most of what it costs is memory that is touched for the first time.
     pub(crate) fn duplicate(&self) -> Self {
         fn all<T: Copy + Send + Sync>(of: &[T]) -> Vec<T> {
-            of.par_iter().with_min_len(1 << 15).copied().collect()
+            let mut copy = Vec::with_capacity(of.len() + of.len() / SLACK);
+            copy.par_extend(of.par_iter().with_min_len(1 << 15).copied());
+            copy
         }
         Self {
             bundles: all(&self.bundles),
