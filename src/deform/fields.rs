@@ -9,13 +9,13 @@ use crate::pool::Pool;
 use crate::progress::Progress;
 use crate::solver::{Constraints, Control, SolveOptions, Start, System, Workspace};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Relative residual to which fields are solved. Blending needs no more, and bends show no difference below it.
 const FIELD_TOLERANCE: f64 = 1e-5;
-/// The same for fields that begin from those before an edit: mostly what was relaxed around the edit reaches it at once. Twice
-/// as much moves no value by more than a few parts in 100,000, and does not add up: what an edit leaves, the next one's
-/// solve takes away.
-const RESTARTED_TOLERANCE: f64 = 2e-5;
+/// The same for fields that begin from those before an edit: what was relaxed around the edit mostly reaches it at once, for
+/// several edits in turn. What they leave adds up until it is reached, and a solve takes it away.
+const RESTARTED_TOLERANCE: f64 = 3e-5;
 
 /// The fields of the handles that constrain one kind of quantity.
 #[derive(Debug, Clone, Default)]
@@ -26,6 +26,10 @@ pub struct Fields {
     pub(super) covered: Vec<bool>,
     /// Solver iterations.
     pub(super) iterations: usize,
+    /// By hold: norm of the residual of its equations, in units of edge weights; infinite where nothing was solved.
+    pub(super) residuals: Vec<f64>,
+    /// By node: who holds it hard.
+    pub(super) hard: Arc<Vec<u32>>,
 }
 
 impl Fields {
@@ -36,7 +40,9 @@ impl Fields {
 
     /// Bytes held on the heap.
     pub fn bytes(&self) -> usize {
-        self.fields.iter().map(|f| f.capacity() * 4).sum::<usize>() + self.covered.capacity()
+        self.fields.iter().map(|f| f.capacity() * 4).sum::<usize>()
+            + self.covered.capacity()
+            + self.residuals.capacity() * 8
     }
 }
 
@@ -150,13 +156,14 @@ pub(super) fn solve(
         let none = Fields {
             fields,
             covered,
-            iterations: 0,
+            ..Fields::default()
         };
         return Ok((none, None));
     };
     let in_cover = |i: usize| covered[body.graph.component[i] as usize];
     let columns = others.len();
     let mut iterations = 0;
+    let mut residuals = vec![f64::INFINITY; holds + 1];
     let mut solved = None;
     let mut x = vec![0.0; nodes * columns];
     if columns > 0 {
@@ -182,36 +189,51 @@ pub(super) fn solve(
             stiffness: stiffness.as_deref(),
         };
         let system = body.hierarchy.constrain(&constraints, pool)?;
-        let guessed =
-            restart.is_some_and(|(restart, before)| restart.guess(body, before, others, &fixed, &mut x, pool));
-        let is_solved = guessed && {
-            let residuals = system.residual(&body.hierarchy, columns, &rhs, &x, None, pool)?;
-            residuals.iter().all(|r| *r <= RESTARTED_TOLERANCE)
+        let references = pool.install(|| references(body, columns, &fixed, &rhs, &x));
+        let equations = Equations {
+            body,
+            columns: others,
+            fixed: &fixed,
+            hard: &ownership.hard,
+            is_soft: stiffness.is_some(),
+            references: &references,
         };
-        if !is_solved {
+        let guess = restart.and_then(|(restart, before)| restart.guess(&equations, before, &mut x, pool));
+        let mut reached = match &guess {
+            Some(residuals) => residuals.clone(),
+            None => vec![f64::INFINITY; columns],
+        };
+        if reached.iter().any(|r| *r > RESTARTED_TOLERANCE) {
             let from_nothing = Start::FullMultigrid {
                 frames: None,
                 rest: None,
             };
+            let (start, tolerance) = match guess {
+                Some(_) => (Start::Given, RESTARTED_TOLERANCE),
+                None => (from_nothing, FIELD_TOLERANCE),
+            };
             let options = SolveOptions {
-                start: if guessed { Start::Given } else { from_nothing },
-                tolerance: Some(if guessed { RESTARTED_TOLERANCE } else { FIELD_TOLERANCE }),
+                start,
+                tolerance: Some(tolerance),
                 ..Default::default()
             };
             let mut workspace = Workspace::default();
-            iterations = system
-                .solve(
-                    &body.hierarchy,
-                    columns,
-                    &rhs,
-                    &mut x,
-                    &options,
-                    &mut workspace,
-                    pool,
-                    progress,
-                    &mut |_| Control::Continue,
-                )?
-                .iterations;
+            let stats = system.solve(
+                &body.hierarchy,
+                columns,
+                &rhs,
+                &mut x,
+                &options,
+                &mut workspace,
+                pool,
+                progress,
+                &mut |_| Control::Continue,
+            )?;
+            iterations = stats.iterations;
+            reached = stats.residuals;
+        }
+        for ((&k, &reference), relative) in others.iter().zip(&references).zip(reached) {
+            residuals[k] = relative * reference;
         }
         solved = Some(system);
     }
@@ -239,8 +261,59 @@ pub(super) fn solve(
         fields,
         covered,
         iterations,
+        residuals,
+        hard: Arc::clone(&ownership.hard),
     };
     Ok((fields, solved))
+}
+
+/// The equations of all fields but one, a column for each.
+pub(super) struct Equations<'a> {
+    pub body: &'a Body,
+    /// The hold of each column.
+    pub columns: &'a [usize],
+    /// By node: whether its value is given.
+    pub fixed: &'a [bool],
+    /// By node: who holds it hard.
+    pub hard: &'a [u32],
+    /// Whether any handle pulls.
+    pub is_soft: bool,
+    /// By column: the norm of the right-hand side with what given values bring in.
+    pub references: &'a [f64],
+}
+
+/// The norm of each column's right-hand side once given values are moved there. Looks at given nodes and their neighbours
+/// alone.
+fn references(body: &Body, columns: usize, fixed: &[bool], rhs: &[f64], x: &[f64]) -> Vec<f64> {
+    const BLOCK: usize = 1 << 14;
+    // Border nodes are few, and so are those with a pull.
+    let found = fixed.par_chunks(BLOCK).enumerate().map(|(block, flags)| {
+        let first = block * BLOCK;
+        let mut near: Vec<u32> = Vec::new();
+        for (i, &is_fixed) in (first..).zip(flags) {
+            if is_fixed {
+                near.extend(body.graph.row(i as u32).iter().filter(|&&j| !fixed[j as usize]));
+            } else if rhs[i * columns..(i + 1) * columns].iter().any(|b| *b != 0.0) {
+                near.push(i as u32);
+            }
+        }
+        near
+    });
+    let mut border: Vec<u32> = found.flatten_iter().collect();
+    border.sort_unstable();
+    border.dedup();
+    let mut squares = vec![0.0; columns];
+    let mut row = vec![0.0; columns];
+    for i in border {
+        let i = i as usize;
+        row.copy_from_slice(&rhs[i * columns..(i + 1) * columns]);
+        for (j, w) in body.edges(i).filter(|&(j, _)| fixed[j]) {
+            let given = &x[j * columns..(j + 1) * columns];
+            row.iter_mut().zip(given).for_each(|(b, v)| *b += w * v);
+        }
+        squares.iter_mut().zip(&row).for_each(|(sum, b)| *sum += b * b);
+    }
+    squares.into_iter().map(f64::sqrt).collect()
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! First-pass fields after an edit begin where those before it ended.
 
+use super::fields::Equations;
 use super::{Body, Fields, Rigging};
 use crate::mesh::NONE;
 use crate::pool::Pool;
@@ -37,29 +38,35 @@ pub struct Restart<'a> {
     pub touched: &'a [u32],
 }
 
-/// So many rings of nodes around those that changed are relaxed together with them,
-const RINGS: usize = 6;
-/// in so many rounds of successive over-relaxation,
-const ROUNDS: usize = 48;
-/// with this factor: what is best for a lump of some ten nodes across.
-const OVER: f64 = 1.6;
+/// So many rings of nodes around those that changed are relaxed together with them: the equations of the ring after them
+/// keep what is left, which falls with every ring.
+const RINGS: usize = 8;
+/// At most so many rounds of successive over-relaxation,
+const ROUNDS: usize = 64;
+/// whose factor rises from 1 to what is best where point-Jacobi rounds take away this part of the error's square: a lump some
+/// thirty nodes across. It begins low because the first rounds would make the error of new nodes larger.
+const RADIUS: f64 = 0.988;
+/// Every so many rounds somebody asks whether that is enough:
+const ASK: usize = 8;
+/// the lump's part of the residual is below this share of the right-hand side.
+const ENOUGH: f64 = 6e-6;
 
 impl Restart<'_> {
-    /// Fills free rows of `x`, one column for each of the holds `columns`, from the fields before; what changed is relaxed
-    /// with its surroundings. False when the fields before do not fit.
+    /// Fills free rows of `x` from the fields before; what changed is relaxed with its surroundings. Answers the residual
+    /// of each column over the norm of its right-hand side: what the old fields left, and what is left around the change.
+    /// `None` when the fields before do not fit; `x` is then as it was.
     pub(super) fn guess(
         &self,
-        body: &Body,
+        equations: &Equations<'_>,
         before: &Fields,
-        columns: &[usize],
-        fixed: &[bool],
         x: &mut [f64],
         pool: &Pool,
-    ) -> bool {
+    ) -> Option<Vec<f64>> {
+        let Equations { columns, fixed, .. } = *equations;
         let old: Vec<&[f32]> = columns.iter().map(|&k| before.of(k)).collect();
         let nodes = self.old_from_new.len();
-        if nodes != body.nodes() || old.iter().any(|f| f.is_empty()) {
-            return false;
+        if nodes != equations.body.nodes() || old.iter().any(|f| f.is_empty()) {
+            return None;
         }
         pool.install(|| {
             x.par_chunks_mut(columns.len())
@@ -72,51 +79,216 @@ impl Restart<'_> {
                     }
                 });
         });
-        let mut known: Vec<bool> = self
-            .old_from_new
-            .iter()
-            .zip(fixed)
-            .map(|(&o, &f)| o != NONE || f)
-            .collect();
-        let lump = self.lump(body, fixed);
-        let width = columns.len();
-        let mut mean = vec![0.0; width];
-        for _ in 0..ROUNDS {
-            for &i in &lump {
-                let i = i as usize;
-                mean.fill(0.0);
-                let mut weight = 0.0;
-                for (j, w) in body.edges(i).filter(|&(j, _)| known[j]) {
-                    let row = &x[j * width..(j + 1) * width];
-                    mean.iter_mut().zip(row).for_each(|(m, v)| *m += w * v);
-                    weight += w;
+        // Falloff follows the shape, so pulls may have changed anywhere.
+        if equations.is_soft {
+            return Some(vec![f64::INFINITY; columns.len()]);
+        }
+        let left = Lump::new(equations, self, self.seeds(equations, before, pool), x).relax(x);
+        let relative = |(c, left): (usize, f64)| {
+            let before = before.residuals[columns[c]];
+            (before * before + left * left).sqrt() / equations.references[c]
+        };
+        // Without anything to go by the solver has the word.
+        let judged = |r: f64| if r.is_finite() { r } else { f64::INFINITY };
+        Some(left.into_iter().enumerate().map(relative).map(judged).collect())
+    }
+
+    /// Free nodes whose equations changed, rising.
+    fn seeds(&self, equations: &Equations<'_>, before: &Fields, pool: &Pool) -> Vec<u32> {
+        let Equations { body, fixed, hard, .. } = *equations;
+        // A node that another handle holds than before, or none, has a say in the equations around it.
+        let is_other = |(n, (&was, held)): (usize, (&u32, &u32))| {
+            let differs = was != NONE && before.hard.get(was as usize) != Some(held);
+            differs.then_some(n as u32)
+        };
+        let nodes = self.old_from_new.par_iter().zip(hard).enumerate();
+        let other: Vec<u32> = pool.install(|| nodes.filter_map(is_other).collect());
+        let mut seeds: Vec<u32> = self.touched.to_vec();
+        for n in other {
+            seeds.push(n);
+            seeds.extend(body.graph.row(n));
+        }
+        seeds.retain(|&n| !fixed[n as usize]);
+        seeds.sort_unstable();
+        seeds.dedup();
+        seeds
+    }
+}
+
+/// The equations of nodes that changed and of those around them, beside each other in memory.
+struct Lump<'a> {
+    references: &'a [f64],
+    /// Nodes that are relaxed, then those around them, whose residual changes too, then those around these.
+    nodes: Vec<u32>,
+    relaxed: usize,
+    judged: usize,
+    /// Edges of relaxed and judged nodes, as numbers in `nodes`.
+    offsets: Vec<u32>,
+    neighbours: Vec<u32>,
+    weights: Vec<f64>,
+    /// By relaxed or judged node: the weights of its edges.
+    diagonal: Vec<f64>,
+    /// By node: its values.
+    values: Vec<f64>,
+    /// By node: whether it has values already.
+    known: Vec<bool>,
+}
+
+impl<'a> Lump<'a> {
+    fn new(equations: &Equations<'a>, restart: &Restart<'_>, seeds: Vec<u32>, x: &[f64]) -> Self {
+        let Equations { body, fixed, .. } = *equations;
+        let width = equations.columns.len();
+        // Numbers in `nodes`.
+        let mut numbers = vec![NONE; fixed.len()];
+        let mut nodes = seeds;
+        number(&mut numbers, &nodes);
+        let mut begin = 0;
+        for _ in 0..RINGS {
+            begin = grow(body, &mut nodes, &mut numbers, begin, |n| !fixed[n]);
+        }
+        let relaxed = nodes.len();
+        // Sweeps go through memory as the graph does.
+        nodes.sort_unstable();
+        number(&mut numbers, &nodes);
+        grow(body, &mut nodes, &mut numbers, 0, |n| !fixed[n]);
+        let judged = nodes.len();
+        grow(body, &mut nodes, &mut numbers, 0, |_| true);
+
+        let mut lump = Self {
+            references: equations.references,
+            relaxed,
+            judged,
+            offsets: vec![0],
+            neighbours: Vec::new(),
+            weights: Vec::new(),
+            diagonal: Vec::with_capacity(judged),
+            values: nodes
+                .iter()
+                .flat_map(|&n| &x[n as usize * width..(n as usize + 1) * width])
+                .copied()
+                .collect(),
+            known: nodes
+                .iter()
+                .map(|&n| restart.old_from_new[n as usize] != NONE || fixed[n as usize])
+                .collect(),
+            nodes,
+        };
+        for &n in &lump.nodes[..judged] {
+            let i = n as usize;
+            let mut sum = 0.0;
+            for (j, w) in body.edges(i) {
+                lump.neighbours.push(numbers[j]);
+                lump.weights.push(w);
+                sum += w;
+            }
+            lump.offsets.push(lump.neighbours.len() as u32);
+            lump.diagonal.push(sum);
+        }
+        lump
+    }
+
+    fn edges(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
+        let entries = self.offsets[i] as usize..self.offsets[i + 1] as usize;
+        let neighbours = self.neighbours[entries.clone()].iter().map(|&j| j as usize);
+        neighbours.zip(self.weights[entries].iter().copied())
+    }
+
+    /// Relaxes, writes the values to `x`, and answers the norm of each column's residual.
+    fn relax(mut self, x: &mut [f64]) -> Vec<f64> {
+        let width = self.references.len();
+        let mut sum = vec![0.0; width];
+        self.guess_new(&mut sum);
+        let mut left = self.residuals();
+        let mut over = 1.0;
+        for round in 1..=ROUNDS {
+            for i in 0..self.relaxed {
+                if self.diagonal[i] <= 0.0 {
+                    continue;
                 }
-                if weight > 0.0 {
-                    // The first value of a new node is no less than the mean itself.
-                    let over = if known[i] { OVER } else { 1.0 };
-                    let row = &mut x[i * width..(i + 1) * width];
-                    row.iter_mut()
-                        .zip(&mean)
-                        .for_each(|(v, m)| *v += over * (m / weight - *v));
-                    known[i] = true;
+                sum.fill(0.0);
+                for (j, w) in self.edges(i) {
+                    let row = &self.values[j * width..(j + 1) * width];
+                    sum.iter_mut().zip(row).for_each(|(s, v)| *s += w * v);
+                }
+                let row = &mut self.values[i * width..(i + 1) * width];
+                let diagonal = self.diagonal[i];
+                row.iter_mut()
+                    .zip(&sum)
+                    .for_each(|(v, s)| *v += over * (s / diagonal - *v));
+            }
+            // Chebyshev's factors (Golub and Varga 1961).
+            over = match round {
+                1 => 1.0 / (1.0 - RADIUS / 2.0),
+                _ => 1.0 / (1.0 - RADIUS * over / 4.0),
+            };
+            if round % ASK == 0 {
+                left = self.residuals();
+                let is_enough = |(r, reference): (&f64, &f64)| *r <= ENOUGH * reference;
+                if left.iter().zip(self.references).all(is_enough) {
+                    break;
                 }
             }
         }
-        true
+        for (&n, row) in self.nodes[..self.relaxed].iter().zip(self.values.chunks(width)) {
+            x[n as usize * width..(n as usize + 1) * width].copy_from_slice(row);
+        }
+        left
     }
 
-    /// Free nodes that changed, and those around them; rising.
-    fn lump(&self, body: &Body, fixed: &[bool]) -> Vec<u32> {
-        let mut inside = vec![false; fixed.len()];
-        let mut lump: Vec<u32> = Vec::new();
-        let mut ring: Vec<u32> = self.touched.to_vec();
-        for _ in 0..=RINGS {
-            ring.retain(|&n| !fixed[n as usize] && !std::mem::replace(&mut inside[n as usize], true));
-            lump.extend(&ring);
-            let around = ring.iter().flat_map(|&n| body.graph.row(n).iter().copied());
-            ring = around.filter(|&j| !inside[j as usize]).collect();
+    /// Gives new nodes the mean of those around that have values; from the old ones inwards.
+    fn guess_new(&mut self, sum: &mut [f64]) {
+        let width = sum.len();
+        for i in 0..self.relaxed {
+            if self.known[i] {
+                continue;
+            }
+            sum.fill(0.0);
+            let mut weight = 0.0;
+            for (j, w) in self.edges(i).filter(|&(j, _)| self.known[j]) {
+                let row = &self.values[j * width..(j + 1) * width];
+                sum.iter_mut().zip(row).for_each(|(s, v)| *s += w * v);
+                weight += w;
+            }
+            if weight > 0.0 {
+                let row = &mut self.values[i * width..(i + 1) * width];
+                row.iter_mut().zip(&*sum).for_each(|(v, s)| *v = s / weight);
+                self.known[i] = true;
+            }
         }
-        lump.sort_unstable();
-        lump
+    }
+
+    /// The norm of each column's residual.
+    fn residuals(&self) -> Vec<f64> {
+        let width = self.references.len();
+        let mut squares = vec![0.0; width];
+        for i in 0..self.judged {
+            for (c, square) in squares.iter_mut().enumerate() {
+                let flow: f64 = self.edges(i).map(|(j, w)| w * self.values[j * width + c]).sum();
+                let r = flow - self.diagonal[i] * self.values[i * width + c];
+                *square += r * r;
+            }
+        }
+        squares.into_iter().map(f64::sqrt).collect()
+    }
+}
+
+/// Adds neighbours of `nodes[begin..]` that `wanted` lets in and have no number; answers where they begin.
+fn grow(body: &Body, nodes: &mut Vec<u32>, numbers: &mut [u32], begin: usize, wanted: impl Fn(usize) -> bool) -> usize {
+    let end = nodes.len();
+    for k in begin..end {
+        for &j in body.graph.row(nodes[k]) {
+            if numbers[j as usize] == NONE && wanted(j as usize) {
+                numbers[j as usize] = nodes.len() as u32;
+                nodes.push(j);
+            }
+        }
+    }
+    end
+}
+
+/// Notes where nodes are.
+fn number(numbers: &mut [u32], nodes: &[u32]) {
+    for (k, &n) in (0u32..).zip(nodes) {
+        numbers[n as usize] = k;
     }
 }

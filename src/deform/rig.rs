@@ -47,7 +47,7 @@ pub struct Rigging {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Ownership {
     /// By node: the hard holder, or [`NOBODY`].
-    pub hard: Vec<u32>,
+    pub hard: Arc<Vec<u32>>,
     /// Soft pulls (node, hold, stiffness) on nodes without a hard holder, by node then hold.
     pub soft: Vec<(u32, u32, f64)>,
 }
@@ -86,7 +86,10 @@ impl Ownership {
             .into_iter()
             .map(|k| if k != NOBODY && is_hard(k) { k } else { NOBODY })
             .collect();
-        Self { hard, soft }
+        Self {
+            hard: Arc::new(hard),
+            soft,
+        }
     }
 
     /// Which holds constrain any node; the frozen surroundings come last.
@@ -180,8 +183,17 @@ impl Rig {
         progress.report("fields", 0.0);
         let nodes = body.nodes();
         let position = Ownership::settle(&rigging, nodes, |h| h.position);
-        let rotation = Ownership::settle(&rigging, nodes, |h| h.rotation);
-        let scale = Ownership::settle(&rigging, nodes, |h| h.scale);
+        // Mostly all of them constrain the same handles.
+        let like = |a: &Ownership, same: &dyn Fn(&Hold) -> bool, constrains: fn(&Hold) -> bool| match rigging
+            .holds
+            .iter()
+            .all(same)
+        {
+            true => a.clone(),
+            false => Ownership::settle(&rigging, nodes, constrains),
+        };
+        let rotation = like(&position, &|h| h.rotation == h.position, |h| h.rotation);
+        let scale = like(&rotation, &|h| h.scale == h.rotation, |h| h.scale);
         let covered = position.covered(body);
         if !covered.contains(&true) {
             return Err(Error::NoPosition);

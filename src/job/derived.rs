@@ -77,9 +77,11 @@ impl Derived {
         };
         admit(estimate(vertices, nodes as u64) + files, limits)?;
         let body = Body::build(&mesh, &options(&foundation, choices, limits), pool, progress)?;
+        let parts = parts_of(&mesh);
         Ok(Self::new(
             Path::built(foundation),
             mesh,
+            parts,
             body,
             Nodes::default(),
             choices,
@@ -110,11 +112,17 @@ impl Derived {
                 Some(step) => {
                     let graph_change = lists.change(&mesh.positions, &mesh.triangles);
                     let nodes = change.nodes.as_ref().map(|n| n.as_slice());
-                    let followed = self.body.follow(&graph_change, nodes, pool, progress)?;
-                    followed.map(|followed| (step, followed))
+                    // Finding the parts takes one thread; what follows has work for the others.
+                    let (parts, followed) = pool.install(|| {
+                        rayon::join(
+                            || parts_of(&mesh),
+                            || self.body.follow(&graph_change, nodes, pool, progress),
+                        )
+                    });
+                    followed?.map(|followed| (step, followed, parts))
                 }
             };
-            if let Some((step, followed)) = followed {
+            if let Some((step, followed, parts)) = followed {
                 let Followed {
                     body,
                     old_from_new,
@@ -129,7 +137,7 @@ impl Derived {
                     past: Past::Edited(step),
                     restart: change.carried,
                 };
-                return Ok(Self::new(path, mesh, body, nodes, choices));
+                return Ok(Self::new(path, mesh, parts, body, nodes, choices));
             }
         }
         Self::build(change.foundation, choices, limits, pool, progress)
@@ -149,11 +157,13 @@ impl Derived {
             let remade = path.past.retrace(choices, &fit, pool, progress)?;
             let remade = remade.ok_or_else(|| Error::Internal("an edit cannot be followed again".into()))?;
             let mesh = path.foundation.mesh(choices.weld)?;
+            let parts = parts_of(&mesh);
             return Ok(Self {
                 path: Arc::clone(path),
                 ..Self::new(
                     Path::built(Arc::clone(&path.foundation)),
                     mesh,
+                    parts,
                     remade.body,
                     remade.nodes,
                     choices,
@@ -166,10 +176,10 @@ impl Derived {
         })
     }
 
-    fn new(path: Path, mesh: Mesh, body: Body, followed: Nodes, choices: &Choices) -> Self {
+    fn new(path: Path, mesh: Mesh, parts: Components, body: Body, followed: Nodes, choices: &Choices) -> Self {
         Self {
             path: Arc::new(path),
-            parts: Components::of_triangles(mesh.positions.len(), &mesh.triangles),
+            parts,
             mesh,
             body,
             followed,
@@ -221,6 +231,10 @@ impl Derived {
         let foundation = self.foundation();
         estimate(foundation.rest.len() as u64, self.body.nodes() as u64) + foundation.model.files.total_bytes()
     }
+}
+
+fn parts_of(mesh: &Mesh) -> Components {
+    Components::of_triangles(mesh.positions.len(), &mesh.triangles)
 }
 
 /// How the body of a model is built within `limits`.

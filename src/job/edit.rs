@@ -239,7 +239,12 @@ impl Workbench {
         poses: Option<&Poses>,
     ) -> Result<Carried, Error> {
         let old = self.handles();
-        let ground = self.ground();
+        // Only render vertices are asked for.
+        let blank = self.without_nodes();
+        let ground = region::Ground {
+            graph: &blank,
+            ..self.ground()
+        };
         let mut held: Vec<Resolved> = Vec::new();
         for (k, handle) in old.handles.iter().enumerate() {
             let field = format!("handles[{k}].region");
@@ -250,6 +255,22 @@ impl Workbench {
         }
         let poses = poses.map(|p| p.0.as_slice());
         Ok(carry(old, &held, self.centroids(), poses, applied, &planned.patch))
+    }
+
+    /// A graph of which regions hold no node.
+    fn without_nodes(&self) -> Graph {
+        Graph {
+            offsets: vec![0],
+            neighbours: Vec::new(),
+            weights: None,
+            positions: Vec::new(),
+            surface: self.derived.mesh.positions.len(),
+            nearest_surface: Vec::new(),
+            component: Vec::new(),
+            components: 0,
+            stats: Stats::default(),
+            recipe: Recipe::default(),
+        }
     }
 
     /// The triangles of a region in the shape that is edited, rising: those with at least `corners` corners inside. All of
@@ -265,18 +286,7 @@ impl Workbench {
         if region.is_none() {
             return Ok((0..sheet.triangles.len() as u32).collect());
         }
-        let blank = Graph {
-            offsets: vec![0],
-            neighbours: Vec::new(),
-            weights: None,
-            positions: Vec::new(),
-            surface: self.derived.mesh.positions.len(),
-            nearest_surface: Vec::new(),
-            component: Vec::new(),
-            components: 0,
-            stats: Stats::default(),
-            recipe: Recipe::default(),
-        };
+        let blank = self.without_nodes();
         let ground = region::Ground {
             positions: shape,
             graph: &blank,

@@ -1,6 +1,7 @@
 //! Constraints on a hierarchy: which rows of each level are solved for, and with which diagonal.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::dense::Inverse;
 use super::floating::Floating;
@@ -48,16 +49,23 @@ impl Mask {
     }
 
     /// Fills in what follows from `inverses`.
-    fn list_active(&mut self, level: &Level) {
-        self.colours.push(0);
-        for c in 0..level.colours.len() - 1 {
-            for b in level.colours[c]..level.colours[c + 1] {
-                if level.block(b as usize).any(|i| self.free(i)) {
-                    self.active.push(b);
-                }
-            }
-            self.colours.push(self.active.len() as u32);
-        }
+    fn list_active(&mut self, level: &Level, threads: Threads) {
+        const BLOCKS: usize = 256;
+        let count = level.colours.last().map_or(0, |&end| end as usize);
+        let is_active = |b: &u32| level.block(*b as usize).any(|i| self.free(i));
+        let lists = threads.for_rows(level.rows()).map(
+            0..pieces(count, BLOCKS),
+            || (),
+            |(), k| {
+                let blocks = piece(k, count, BLOCKS);
+                (blocks.start as u32..blocks.end as u32)
+                    .filter(is_active)
+                    .collect::<Vec<u32>>()
+            },
+        );
+        self.active = lists.concat();
+        let before = |&end: &u32| self.active.partition_point(|b| *b < end) as u32;
+        self.colours = level.colours.iter().map(before).collect();
     }
 
     #[inline(always)]
@@ -66,20 +74,25 @@ impl Mask {
     }
 
     /// Fills in `border`, from whichever side has fewer rows. Filling counts as neither.
-    fn find_border(&mut self, level: &Level) {
+    fn find_border(&mut self, level: &Level, threads: Threads) {
         let n = level.rows();
-        let free = (0..n).filter(|&i| self.free(i)).count();
+        let threads = threads.for_rows(n);
+        let count = |k| piece(k, n, PIECE).filter(|&i| self.free(i)).count();
+        let free: usize = threads.map(0..pieces(n, PIECE), || (), |(), k| count(k)).iter().sum();
         let from_free = free < level.occupied() / 2;
-        let mut border = vec![0u64; n.div_ceil(64)];
-        for i in (0..n).filter(|&i| self.free(i) == from_free && level.connected(i)) {
-            for (j, _) in level.row(i) {
-                if self.free(j) != from_free {
-                    let row = if from_free { i } else { j };
-                    border[row >> 6] |= 1 << (row & 63);
+        let border: Vec<AtomicU64> = (0..n.div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
+        threads.each(0..pieces(n, PIECE), |k| {
+            for i in piece(k, n, PIECE).filter(|&i| self.free(i) == from_free && level.connected(i)) {
+                for (j, _) in level.row(i) {
+                    if self.free(j) != from_free {
+                        let row = if from_free { i } else { j };
+                        // Bits are only ever set, so the order makes no difference.
+                        border[row >> 6].fetch_or(1 << (row & 63), Ordering::Relaxed);
+                    }
                 }
             }
-        }
-        self.border = border;
+        });
+        self.border = border.into_iter().map(AtomicU64::into_inner).collect();
     }
 
     fn bytes(&self) -> usize {
@@ -230,9 +243,8 @@ impl System {
                 }
             }
         });
-        mask.list_active(level);
-
-        mask.find_border(level);
+        mask.list_active(level, threads);
+        mask.find_border(level, threads);
         self.masks.push(mask);
     }
 
@@ -347,8 +359,8 @@ fn coarser(fine: &Level, coarse: &Level, fine_mask: &Mask, threads: Threads) -> 
         let diagonal = coarse.diagonal[row] + mask.alphas[row];
         *inverse = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
     }
-    mask.list_active(coarse);
-    mask.find_border(coarse);
+    mask.list_active(coarse, threads);
+    mask.find_border(coarse, threads);
     mask
 }
 
