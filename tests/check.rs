@@ -190,6 +190,34 @@ fn blessing_says_what_it_changes_and_leaves_what_is_the_same() {
 }
 
 #[test]
+fn another_digest_is_told_before_the_numbers_and_a_huge_number_in_few_digits() {
+    let folder = folder::Suite::new();
+    folder.case("bar", "bar.obj");
+    assert_eq!(folder.check(&["--bless"]).code, Some(0));
+    let mut golden: Value = serde_json::from_str(&folder.read("bar.golden.json")).expect("a golden");
+    golden["digest"] = "xxh3:0011223344556677".into();
+    golden["metrics"]["bytes"] = 1.into();
+    folder.write("bar.golden.json", &golden.to_string());
+    let ran = folder.check(&["--html", "r.html", "--junit", "r.xml"]);
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    let line = ran.err.lines().next().unwrap_or_default();
+    assert!(
+        line.starts_with("FAILED   bar  digest: the digest is xxh3:") && line.contains("; bytes "),
+        "{line}"
+    );
+    assert!(folder.read("r.html").contains("<td>digest: the digest is xxh3:"));
+    assert!(folder.read("r.xml").contains("<failure message=\"the digest is xxh3:"));
+    // Any number is a tolerance; its digits do not fill the screen.
+    let loose = r#""tolerances": [{"metrics": ["bytes"], "most": 1e300, "reason": "a test"}], "job": {"#;
+    let text = folder.read("bar.case.json").replacen("\"job\": {", loose, 1);
+    folder.write("bar.case.json", &text);
+    let ran = folder.check(&["--junit", "r.xml"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(ran.err.contains(" of 1.00e300 allowed"), "{}", ran.err);
+    assert!(folder.read("r.xml").contains("name=\"bytes.allowed\" value=\"1e300\""));
+}
+
+#[test]
 fn a_small_difference_passes_within_a_tolerance_that_has_a_reason() {
     let folder = folder::Suite::new();
     folder.case("bar", "bar.obj");

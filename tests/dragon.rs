@@ -148,6 +148,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
             request: &request,
             shape: &shape,
             poses: &poses,
+            settings: None,
             other: None,
         };
         let outcome = bench.edit(&order, &pool, &Silent).expect("remeshed");

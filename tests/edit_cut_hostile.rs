@@ -123,7 +123,7 @@ fn deleting_corner_to_corner_leaves_no_pinched_point() {
     // At the rim there is nothing to close.
     let corner = delete(&whole.surface(), &[0, 1], true, &Silent).expect("deletes");
     assert!(
-        corner.triangles.is_empty() && corner.warnings[0].0 == "open_rim",
+        corner.triangles.is_empty() && corner.warnings[0].0 == "open-rim",
         "{:?}",
         corner.warnings
     );

@@ -134,6 +134,7 @@ impl Run {
             request: &request,
             shape: &self.shape,
             poses: &self.poses,
+            settings: None,
             other: None,
         };
         match self.bench.edit(&order, &self.pool, &Silent) {

@@ -106,6 +106,7 @@ fn one(bench: &mut Workbench, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &
         request: &request,
         shape,
         poses: &poses,
+        settings: None,
         other: None,
     };
     match bench.edit(&order, pool, &Silent) {

@@ -8,6 +8,8 @@ mod following;
 mod handles;
 #[path = "edits/operations.rs"]
 mod operations;
+#[path = "edits/refusals.rs"]
+mod refusals;
 
 use bench::*;
 use glam::DVec3;
@@ -55,6 +57,7 @@ fn edit(bench: &mut Workbench, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>
         request,
         shape,
         poses: &poses,
+        settings: None,
         other: None,
     };
     bench.edit(&order, &pool(2), &Silent)
@@ -180,6 +183,7 @@ fn on_the_rest_shape_poses_stay() {
         request: &request,
         shape: &shape,
         poses: &poses,
+        settings: None,
         other: None,
     };
     let outcome = bench.edit(&order, &pool(2), &Silent).expect("subdivided at rest");
@@ -266,6 +270,7 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
                 request,
                 shape: &shape,
                 poses: &poses,
+                settings: None,
                 other: None,
             };
             let outcome = bench.edit(&order, &pool, &Silent).expect("each can be done");

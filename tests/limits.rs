@@ -146,6 +146,10 @@ fn limits_without_a_key_are_those_of_the_program() {
             "triangles of a remeshed region",
             pliant::edit::MOST_TRIANGLES.to_string(),
         ),
+        (
+            "points of a curve that cuts or is inserted",
+            pliant::edit::MOST_POINTS.to_string(),
+        ),
         ("shortest time to live that a session may name", time(MIN_TTL)),
     ];
     let told: Vec<(String, String)> = book::table(&page(), "| limit | value |")

@@ -1,5 +1,6 @@
 //! One case of a suite: a model, a job, and how far the result may be from its golden.
 
+use super::document::{self, Object};
 use super::tolerances::{Tolerances, Written};
 use crate::job::{self, pb};
 use crate::render::{Up, View};
@@ -73,8 +74,8 @@ struct File<'a> {
     #[serde(borrow)]
     job: &'a RawValue,
     #[serde(default)]
-    tolerances: Vec<Written>,
-    view: Option<Angles>,
+    tolerances: Vec<Object<Written>>,
+    view: Option<Object<Angles>>,
     up: Option<String>,
 }
 
@@ -91,10 +92,7 @@ impl Case {
     /// # Errors
     /// What is wrong with it and where.
     pub fn read(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
-        let refuse = |place: &str, problem: String| SuiteError {
-            file: file.to_owned(),
-            problem: format!("{place}: {problem}"),
-        };
+        let refuse = |place: &str, problem: String| document::refuse(file, place, problem);
         let name = file.strip_suffix(CASE_SUFFIX).unwrap_or_default();
         let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if name.is_empty() || name.starts_with('.') || name.len() > 100 || !name.chars().all(plain) {
@@ -102,21 +100,17 @@ impl Case {
                 "is no name of a case; letters, digits, \".\", \"_\" and \"-\" are allowed, 100 of them at most";
             return Err(refuse("its name", format!("\"{name}\" {problem}")));
         }
-        let mut json = serde_json::Deserializer::from_slice(text);
-        let read: File<'_> = serde_path_to_error::deserialize(&mut json).map_err(|e| {
-            let path = e.path().to_string();
-            refuse(if path == "." { "body" } else { &path }, e.inner().to_string())
-        })?;
-        json.end().map_err(|e| refuse("body", e.to_string()))?;
+        let read: File<'_> = document::read(file, text)?;
         let model = Source::read(&read.model).map_err(|problem| refuse("model", problem))?;
         let job = JobSource::read(read.job).map_err(|(place, problem)| refuse(&place, problem))?;
-        let tolerances = Tolerances::check(&read.tolerances).map_err(|(place, problem)| refuse(&place, problem))?;
+        let tolerances: Vec<Written> = read.tolerances.into_iter().map(|t| t.0).collect();
+        let tolerances = Tolerances::check(&tolerances).map_err(|(place, problem)| refuse(&place, problem))?;
         let up = match read.up.as_deref() {
             None | Some("y") => Up::Y,
             Some("z") => Up::Z,
             Some(other) => return Err(refuse("up", format!("\"{other}\" is no axis, allowed are y and z"))),
         };
-        let view = read.view.map(|v| View::new(v.azimuth, v.elevation, up));
+        let view = read.view.map(|Object(v)| View::new(v.azimuth, v.elevation, up));
         Ok(Self {
             name: name.to_owned(),
             title: read.title,
@@ -177,10 +171,16 @@ impl JobSource {
                 )),
             };
         }
-        match job::json::from_json(text.as_bytes()) {
+        let read = job::json::from_json(text.as_bytes()).and_then(|job: pb::Job| {
+            job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
+            Ok(job)
+        });
+        match read {
             Ok(job) => Ok(Self::Inline(Box::new(job))),
             Err(job::Error::Json { place, problem }) if place == "body" => Err(("job".into(), problem)),
-            Err(job::Error::Json { place, problem }) => Err((format!("job.{place}"), problem)),
+            Err(job::Error::Json { place, problem } | job::Error::Invalid { field: place, problem }) => {
+                Err((format!("job.{place}"), problem))
+            }
             Err(other) => Err(("job".into(), other.to_string())),
         }
     }
@@ -278,12 +278,35 @@ mod tests {
         assert!(refused(&format!(r#"{{"model": "a.obj", {job}, {steep}}}"#)).contains("-90 to 90"));
         let loose = r#""tolerances": [{"metrics": ["bytes"], "most": 1}]"#;
         assert!(refused(&format!(r#"{{"model": "a.obj", {job}, {loose}}}"#)).contains("tolerances[0].reason"));
+        for bound in [r#""maxDistance": "NaN""#, r#""volumeChange": -1"#] {
+            let told = refused(&format!(r#"{{"model": "a.obj", "job": {{"expect": {{{bound}}}}}}}"#));
+            assert!(told.contains("job.expect.") && told.contains("at least 0"), "{told}");
+        }
         assert!(
             Case::read("a b.case.json", b"{}")
                 .expect_err("a space")
                 .to_string()
                 .contains("no name of a case")
         );
+    }
+
+    #[test]
+    fn lists_are_no_cases_no_tolerances_and_no_views() {
+        for (text, place) in [
+            (r#"["t", "a.obj", {}, [], null, null]"#, "body"),
+            ("[]", "body"),
+            (
+                r#"{"model": "a.obj", "job": {}, "tolerances": [[["bytes"], 0, ""]]}"#,
+                "tolerances[0]",
+            ),
+            (r#"{"model": "a.obj", "job": {}, "view": [0, 10]}"#, "view"),
+        ] {
+            let told = refused(text);
+            let start = format!("bend.case.json: {place}: invalid type: sequence, expected a JSON object");
+            assert!(told.starts_with(&start), "{told}");
+        }
+        let told = refused(r#"{"model": "a.obj", "job": {"handles": ["#);
+        assert!(told.starts_with("bend.case.json: job: EOF"), "{told}");
     }
 
     #[test]

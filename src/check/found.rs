@@ -1,6 +1,7 @@
 //! What running a case came to, and what golden keeps of it.
 
 use super::Metric;
+use super::measure::place;
 use crate::job::pb;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -84,7 +85,7 @@ impl Found {
             let of = self.positions.len();
             return Some(format!(
                 "{count} of {of} positions are not finite, the first is vertex {first} at {}",
-                self.positions[first]
+                place(self.positions[first])
             ));
         }
         let (metric, value) = self.numbers.iter().find(|(_, value)| !value.is_finite())?;

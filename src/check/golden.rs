@@ -1,5 +1,6 @@
 //! Goldens: what is kept of a result that people have looked at and found right.
 
+use super::document;
 use super::found::{Found, Topology};
 use super::packed::{Places, PlacesText, read_triangles, triangles_text};
 use super::{Metric, SuiteError};
@@ -87,16 +88,8 @@ impl Golden {
     /// # Errors
     /// What is wrong with it and where.
     pub fn read(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
-        let refuse = |place: &str, problem: String| SuiteError {
-            file: file.to_owned(),
-            problem: format!("{place}: {problem}"),
-        };
-        let mut json = serde_json::Deserializer::from_slice(text);
-        let read: File = serde_path_to_error::deserialize(&mut json).map_err(|e| {
-            let path = e.path().to_string();
-            refuse(if path == "." { "body" } else { &path }, e.inner().to_string())
-        })?;
-        json.end().map_err(|e| refuse("body", e.to_string()))?;
+        let refuse = |place: &str, problem: String| document::refuse(file, place, problem);
+        let read: File = document::read(file, text)?;
         if read.layout != LAYOUT {
             let problem = format!("is {}, this version reads {LAYOUT}; bless the suite again", read.layout);
             return Err(refuse("layout", problem));

@@ -180,7 +180,7 @@ impl Comparison {
 }
 
 /// A place for people.
-fn place(p: DVec3) -> String {
+pub(super) fn place(p: DVec3) -> String {
     let [x, y, z] = p.to_array().map(super::metric::short);
     format!("[{x}, {y}, {z}]")
 }

@@ -148,6 +148,8 @@ impl Metric {
         let number = short(value);
         match self.unit() {
             Unit::Degrees => format!("{number}°"),
+            // A tolerance may be any number, of which all digits would help nobody.
+            Unit::Count if value.abs() >= 1e15 => number,
             Unit::Count => format!("{value:.0}"),
             Unit::Diagonal | Unit::Ratio => number,
         }
@@ -164,6 +166,15 @@ pub(super) fn short(value: f64) -> String {
         text.trim_end_matches('0').trim_end_matches('.').to_owned()
     } else {
         format!("{value:.2e}")
+    }
+}
+
+/// A number with all that it is, for programs: as digits where those are few, else with an exponent.
+pub(super) fn exact(value: f64) -> String {
+    if value == 0.0 || (1e-9..1e15).contains(&value.abs()) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
     }
 }
 
@@ -187,5 +198,23 @@ mod tests {
         assert_eq!(Metric::Hausdorff.show(1.234_56e-7), "1.23e-7");
         assert_eq!(Metric::Hausdorff.show(0.0), "0");
         assert_eq!(Metric::VolumeChange.show(-0.25), "-0.25");
+    }
+
+    #[test]
+    fn no_number_has_hundreds_of_digits() {
+        for metric in Metric::ALL {
+            assert!(metric.show(1e300).len() < 12 && metric.show(1e-300).len() < 12);
+        }
+        assert_eq!(Metric::Bytes.show(1e300), "1.00e300");
+        for (value, text) in [
+            (0.0, "0"),
+            (1e-6, "0.000001"),
+            (123_456_789.0, "123456789"),
+            (1e300, "1e300"),
+            (-1.25e-30, "-1.25e-30"),
+        ] {
+            assert_eq!(exact(value), text);
+            assert_eq!(text.parse(), Ok(value));
+        }
     }
 }

@@ -5,6 +5,7 @@
 
 mod case;
 mod distance;
+mod document;
 mod found;
 mod golden;
 mod measure;

@@ -1,6 +1,7 @@
 //! How far a result may be from its golden: nothing, unless the case says more and why.
 
 use super::Metric;
+use super::metric::short;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
@@ -36,7 +37,7 @@ impl Tolerances {
         for (k, entry) in list.iter().enumerate() {
             let place = |name: &str| format!("tolerances[{k}].{name}");
             if !(entry.most.is_finite() && entry.most >= 0.0) {
-                let problem = format!("is {}, a finite number of at least 0 is needed", entry.most);
+                let problem = format!("is {}, a finite number of at least 0 is needed", short(entry.most));
                 return Err((place("most"), problem));
             }
             if entry.most > 0.0 && entry.reason.trim().is_empty() {

@@ -188,7 +188,6 @@ pub(super) fn solve(
             fixed: &fixed,
             stiffness: stiffness.as_deref(),
         };
-        let system = body.hierarchy.constrain(&constraints, pool)?;
         let references = pool.install(|| references(body, columns, &fixed, &rhs, &x));
         let equations = Equations {
             body,
@@ -198,7 +197,14 @@ pub(super) fn solve(
             is_soft: stiffness.is_some(),
             references: &references,
         };
-        let guess = restart.and_then(|(restart, before)| restart.guess(&equations, before, &mut x, pool));
+        // Relaxing takes one thread; constraints have work for the others.
+        let (guess, system) = pool.install(|| {
+            rayon::join(
+                || restart.and_then(|(restart, before)| restart.guess(&equations, before, &mut x, pool)),
+                || body.hierarchy.constrain(&constraints, pool),
+            )
+        });
+        let system = system?;
         let mut reached = match &guess {
             Some(residuals) => residuals.clone(),
             None => vec![f64::INFINITY; columns],

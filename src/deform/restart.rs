@@ -292,3 +292,108 @@ fn number(numbers: &mut [u32], nodes: &[u32]) {
         numbers[n as usize] = k;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Body, BodyOptions, Hold, Rig, Rigging};
+    use super::*;
+    use crate::asset::shapes;
+    use crate::mesh::{Mesh, Weld};
+    use crate::progress::Silent;
+
+    #[test]
+    fn what_is_told_of_relaxed_fields_is_true() {
+        let pool = Pool::new(2).expect("threads start");
+        let (positions, triangles) = shapes::icosphere(1.0, 5);
+        let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
+        let body = Body::build(&mesh, &BodyOptions::default(), &pool, &Silent).expect("a body");
+        let cap = |keep: &dyn Fn(&glam::DVec3) -> bool| Hold {
+            nodes: (0u32..)
+                .zip(&body.graph.positions)
+                .filter(|(_, p)| keep(p))
+                .map(|(n, _)| n)
+                .collect(),
+            position: true,
+            rotation: true,
+            scale: true,
+            ..Default::default()
+        };
+        let rigging = Rigging {
+            holds: vec![cap(&|p| p.z < -0.7), cap(&|p| p.z > 0.7), cap(&|p| p.x > 0.8)],
+            ..Default::default()
+        };
+        let rig = Rig::build(&body, rigging.clone(), &pool, &Silent).expect("a rig");
+        let kept = rig.keep_fields();
+
+        // A patch on the side is new, and nobody knows its values.
+        let middle = glam::DVec3::new(-1.0, 0.0, 0.0);
+        let is_new = |n: u32| body.graph.positions[n as usize].distance(middle) < 0.15;
+        let nodes = body.nodes() as u32;
+        let old_from_new: Vec<u32> = (0..nodes).map(|n| if is_new(n) { NONE } else { n }).collect();
+        let is_touched = |n: &u32| is_new(*n) || body.graph.row(*n).iter().any(|&j| is_new(j));
+        let touched: Vec<u32> = (0..nodes).filter(is_touched).collect();
+        assert!(touched.len() > 100, "{} nodes", touched.len());
+        let restart = Restart {
+            before: &kept,
+            old_from_new: &old_from_new,
+            touched: &touched,
+        };
+        let again = Rig::restart(&body, rigging, Some(&restart), &pool, &Silent).expect("a rig");
+        assert_eq!(again.field_iterations, 0, "relaxing is enough");
+
+        let (before, now) = (rig.rotation_fields(), again.rotation_fields());
+        for k in 1..3 {
+            let (u, was) = (now.of(k), before.of(k));
+            let farthest = u.iter().zip(was).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(farthest < 2e-4, "hold {k} moved by {farthest}");
+            let free = (0..body.nodes()).filter(|&i| now.hard[i] == u32::MAX);
+            let residual = |i: usize| -> f64 {
+                let flow = body.edges(i).map(|(j, w)| w * (f64::from(u[j]) - f64::from(u[i])));
+                flow.sum()
+            };
+            let truth = free.map(|i| residual(i) * residual(i)).sum::<f64>().sqrt();
+            let told = now.residuals[k];
+            assert!(
+                truth <= 1.1 * told && told <= 2.0 * truth,
+                "hold {k}: {truth} in truth, told {told}"
+            );
+            assert!(told > before.residuals[k], "an edit leaves something");
+        }
+    }
+
+    #[test]
+    fn a_handle_that_lost_nodes_is_noticed() {
+        let pool = Pool::new(1).expect("threads start");
+        let (positions, triangles) = shapes::icosphere(1.0, 4);
+        let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
+        let body = Body::build(&mesh, &BodyOptions::default(), &pool, &Silent).expect("a body");
+        let above = |z: f64| Hold {
+            nodes: (0u32..)
+                .zip(&body.graph.positions)
+                .filter(|(_, p)| if z < 0.0 { p.z < z } else { p.z > z })
+                .map(|(n, _)| n)
+                .collect(),
+            position: true,
+            rotation: true,
+            scale: true,
+            ..Default::default()
+        };
+        let with = |top: f64| Rigging {
+            holds: vec![above(-0.7), above(top)],
+            ..Default::default()
+        };
+        let rig = Rig::build(&body, with(0.6), &pool, &Silent).expect("a rig");
+        let kept = rig.keep_fields();
+        let old_from_new: Vec<u32> = (0..body.nodes() as u32).collect();
+        let restart = Restart {
+            before: &kept,
+            old_from_new: &old_from_new,
+            touched: &[],
+        };
+        let again = Rig::restart(&body, with(0.8), Some(&restart), &pool, &Silent).expect("a rig");
+        let fresh = Rig::build(&body, with(0.8), &pool, &Silent).expect("a rig");
+        let (a, b) = (again.rotation_fields().of(1), fresh.rotation_fields().of(1));
+        let farthest = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(farthest < 2e-4, "off by {farthest}");
+    }
+}

@@ -26,7 +26,7 @@ pub(super) fn cap_plane(
     for trail in open {
         let ends = [trail[0], trail[trail.len() - 1]].map(|p| draft.positions[p as usize]);
         draft.warnings.push((
-            "open_section".to_owned(),
+            "open-section".to_owned(),
             format!(
                 "the cut runs from rim to rim over {} edges and encloses nothing to fill",
                 trail.len() - 1
@@ -37,7 +37,7 @@ pub(super) fn cap_plane(
     closed.retain(|ring| {
         if ring.len() < 3 {
             draft.warnings.push((
-                "open_section".to_owned(),
+                "open-section".to_owned(),
                 "a section of two edges is not filled".to_owned(),
                 format!("{}", draft.positions[ring[0] as usize]),
             ));

@@ -29,7 +29,7 @@ impl Curve<'_> {
 }
 
 /// The most points that a curve may be given by.
-const MOST: usize = 4096;
+pub const MOST_POINTS: usize = 4096;
 
 /// How far around each stretch of the curve faces are taken, in stretches; the last: all faces.
 const REACH: [f64; 4] = [0.25, 1.5, 6.0, f64::INFINITY];
@@ -76,9 +76,9 @@ pub(super) fn draw<'a>(
         field: field.to_owned(),
         problem,
     };
-    if !(least..=MOST).contains(&curve.len()) {
+    if !(least..=MOST_POINTS).contains(&curve.len()) {
         return Err(invalid(format!(
-            "{} points; between {least} and {MOST} are allowed",
+            "{} points; between {least} and {MOST_POINTS} are allowed",
             curve.len()
         )));
     }
@@ -119,6 +119,12 @@ pub(super) fn draw<'a>(
                 places.push(place.ok_or_else(|| invalid(format!("point {p} is in no face")))?);
             }
         }
+    }
+    if places.iter().all(|p| p.position == places[0].position) {
+        return Err(invalid(format!(
+            "all points lie at one place of the surface, {}; a curve has a length",
+            places[0].position
+        )));
     }
     let mut stuck = 0;
     for (round, reach) in REACH.into_iter().enumerate() {

@@ -53,7 +53,7 @@ pub fn delete(surface: &Surface<'_>, faces: &[u32], fill: bool, progress: &dyn P
         let (closed, loose) = trails(&edges);
         for trail in loose {
             draft.warnings.push((
-                "open_rim".to_owned(),
+                "open-rim".to_owned(),
                 format!(
                     "the hole runs into the surface's rim over {} edges and is not filled",
                     trail.len() - 1

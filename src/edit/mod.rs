@@ -39,7 +39,7 @@ mod weld;
 
 pub use apply::{Applied, apply};
 pub use check::{Topology, check};
-pub use curve::{Curve, insert_curve};
+pub use curve::{Curve, MOST_POINTS, insert_curve};
 pub use decimate::decimate;
 pub use fill::{delete, fill};
 pub use local::{Local, Side};

@@ -118,7 +118,7 @@ pub fn cut_path(
         let (rings, loose) = trails(&edges);
         for trail in loose {
             draft.warnings.push((
-                "open_section".to_owned(),
+                "open-section".to_owned(),
                 format!(
                     "the cut runs from rim to rim over {} edges and encloses nothing to fill",
                     trail.len() - 1

@@ -67,6 +67,15 @@ pub(super) fn carry(
     if old.region_of_interest.is_some() {
         let region = held.get(old.handles.len());
         let region = region.and_then(|held| listed(&held.render, applied, patch, false));
+        if region.is_none() {
+            carried.warnings.push(pb::Warning {
+                code: "region-of-interest-lost".into(),
+                message:
+                    "the region of interest has no vertex left and is gone; what was outside of it can move from now on"
+                        .into(),
+                r#where: "regionOfInterest".into(),
+            });
+        }
         carried.request.region_of_interest = region.map(|region| pb::Region { region: Some(region) });
     }
     carried

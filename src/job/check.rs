@@ -28,7 +28,7 @@ pub(super) fn number(value: f64, field: &str) -> Result<f64, Error> {
     } else {
         Err(Error::invalid(
             field,
-            format!("is {value}, allowed are finite numbers up to {LARGEST:e}"),
+            format!("is {value:?}, allowed are finite numbers up to {LARGEST:e}"),
         ))
     }
 }

@@ -29,6 +29,8 @@ pub struct EditOrder<'a> {
     pub shape: &'a Arc<Vec<DVec3>>,
     /// The poses in force.
     pub poses: &'a Poses,
+    /// How the current shape was solved; `None` when it is the rest shape. An edit on the rest shape solves it again like this.
+    pub settings: Option<&'a Settings>,
     /// For a merge with another session, that session's model in its current shape.
     pub other: Option<FileSet>,
 }
@@ -127,7 +129,11 @@ impl Workbench {
         result.repaired = derived.is_followed();
         let mut next = self.on(Arc::new(derived));
         next.set_handles(&carried.request, pool, progress)?;
-        let outcome = next.after_edit(carried, result, at_rest, pool, progress)?;
+        let settings = match order.settings {
+            Some(settings) => settings.clone(),
+            None => Settings::check(&pb::Options::default(), "options", u32::MAX)?,
+        };
+        let outcome = next.after_edit(carried, result, at_rest.then_some(settings), pool, progress)?;
         *self = next;
         Ok(outcome)
     }
@@ -142,20 +148,19 @@ impl Workbench {
         })
     }
 
-    /// The shape after an edit, and all that is told of it.
+    /// The shape after an edit, and all that is told of it; with `settings` the poses are solved for.
     fn after_edit(
         &mut self,
         carried: Carried,
         mut result: pb::EditResult,
-        at_rest: bool,
+        settings: Option<Settings>,
         pool: &Pool,
         progress: &dyn Progress,
     ) -> Result<EditOutcome, Error> {
         let poses = self.initial_poses();
-        let posed = at_rest && poses.0.iter().any(|p| *p != pb::HandlePose::default());
-        let (positions, solved) = if posed {
+        let posed = poses.0.iter().any(is_posed);
+        let (positions, solved) = if let Some(settings) = settings.filter(|_| posed) {
             progress.report("solve", 0.0);
-            let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
             let solved = self.solve(&poses, &settings, Mode::Commit, pool, progress, &mut |_| true)?;
             (solved.positions, Some(settings))
         } else {
@@ -221,14 +226,21 @@ impl Workbench {
                 limits.triangles,
             ),
         ];
-        match sizes.into_iter().find(|(_, seen, limit)| *seen as u64 > *limit) {
-            Some((what, seen, limit)) => Err(Error::TooLarge {
-                what,
-                seen: seen as u64,
-                limit,
-            }),
-            None => Ok(()),
+        if let Some((what, seen, limit)) = sizes.into_iter().find(|(_, seen, limit)| *seen as u64 > *limit) {
+            let seen = seen as u64;
+            return Err(Error::TooLarge { what, seen, limit });
         }
+        // What grows is expected to need as much for each vertex as what there is.
+        let (before, after) = (self.rest().len().max(1) as u64, applied.positions.len() as u64);
+        let seen = self.derived.estimate() / before * after;
+        if after > before && seen > self.room {
+            return Err(Error::TooLarge {
+                what: "the estimated memory of the session in bytes",
+                seen,
+                limit: self.room,
+            });
+        }
+        Ok(())
     }
 
     /// What the handles in force hold after an edit.
@@ -287,7 +299,9 @@ impl Workbench {
             return Ok((0..sheet.triangles.len() as u32).collect());
         }
         let blank = self.without_nodes();
+        let current = !std::ptr::eq(shape.as_ptr(), self.rest().as_ptr());
         let ground = region::Ground {
+            pose: if current { "the current shape" } else { "the rest pose" },
             positions: shape,
             graph: &blank,
             ..self.ground()
@@ -306,6 +320,12 @@ impl Workbench {
         }
         Ok(faces)
     }
+}
+
+/// Whether a pose may move anything. A pivot alone does not.
+fn is_posed(pose: &pb::HandlePose) -> bool {
+    let pivot = Vec::new();
+    pb::HandlePose { pivot, ..pose.clone() } != pb::HandlePose::default()
 }
 
 /// Nodes with those of the surface where an edit takes them to be.

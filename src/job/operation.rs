@@ -1,20 +1,20 @@
 //! Edit requests to operations on a surface: every number checked, regions turned into triangles.
 
-use super::check::{enumerated, number, plane, positive, vector};
+use super::check::{enumerated, number, plane, positive};
 use super::edit::refused;
 use super::foundation::{Foundation, Sheet};
 use super::origins::Origins;
 use super::{Error, Workbench, pb};
-use crate::asset::{FileSet, Format, Model};
-use crate::edit::{self, Applied, Between, Curve, Keep, Patch, Plane, Scheme, Target};
-use crate::mesh::{Adjacency, NONE, Weld, mean_edge_length};
+use crate::asset::{self, FileSet, Format, Model};
+use crate::edit::{self, Applied, Between, Curve, Keep, MOST_POINTS, Patch, Plane, Scheme, Target};
+use crate::mesh::{Adjacency, Bounds, NONE, Weld, mean_edge_length};
 use crate::progress::Progress;
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use pb::edit_request::{self as wire, Operation};
 use std::sync::Arc;
 
-/// Points of a drawn line, at most.
-const MOST_POINTS: usize = 10_000;
+/// How many times as large as the smaller of two merged models both together may be: 32-bit positions tell 1e7 apart.
+const LARGEST: f64 = 1e6;
 
 /// What an operation is planned on. A merge appends to sheet and origins.
 pub(super) struct Scene<'a> {
@@ -215,9 +215,10 @@ fn line(values: &[f64], field: &str, closed: bool) -> Result<Vec<DVec3>, Error> 
         let problem = format!("has {seen} numbers, allowed are three for each of {least} to {MOST_POINTS} points");
         return Err(Error::invalid(field, problem));
     }
-    (values.chunks_exact(3).enumerate())
-        .map(|(k, p)| vector(p, &format!("{field}[{}]", 3 * k)))
-        .collect()
+    for (k, v) in values.iter().enumerate() {
+        number(*v, &format!("{field}[{k}]"))?;
+    }
+    Ok(values.chunks_exact(3).map(DVec3::from_slice).collect())
 }
 
 fn remesh(scene: &Scene<'_>, remesh: &wire::Remesh, progress: &dyn Progress) -> Result<Patch, Error> {
@@ -247,8 +248,8 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
     let files = match (&merge.source, scene.other) {
         (None, _) => {
             return Err(Error::invalid(
-                "merge.source",
-                "is missing, allowed is one of model or session",
+                "merge",
+                "names no other model, allowed is one of model, session or, in a job, file",
             ));
         }
         (Some(wire::merge::Source::Model(bytes)), _) => FileSet::single("", bytes.clone()),
@@ -271,11 +272,21 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
             Error::invalid("merge.format", problem)
         })?),
     };
-    let model = Arc::new(Model::read(files, format, &scene.bench.limits.model)?);
+    let source = match merge.source {
+        Some(wire::merge::Source::Session(_)) => "merge.session",
+        _ => "merge.model",
+    };
+    let unfit = |e: Error| match e {
+        Error::Asset(asset::Error::TooLarge { .. }) | Error::TooLarge { .. } | Error::Cancelled => e,
+        other => Error::invalid(source, format!("cannot be taken: {other}")),
+    };
+    let model = Model::read(files, format, &scene.bench.limits.model).map_err(|e| unfit(e.into()))?;
+    let model = Arc::new(model);
     let other = Foundation::of(Arc::clone(&model));
-    let mesh = other.mesh(Weld::Exact)?;
+    let mesh = other.mesh(Weld::Exact).map_err(unfit)?;
     let place = |p: &DVec3| placement.transform_point3(*p);
     let positions: Vec<DVec3> = other.rest.iter().map(place).collect();
+    check_sizes(scene.shape, &positions)?;
     let normals_to = DMat3::from_mat4(placement).inverse().transpose();
     let turned: Vec<Vec3> = (model.normals.iter())
         .map(|n| (normals_to * n.as_dvec3()).normalize_or_zero().as_vec3())
@@ -316,6 +327,22 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
         curve: Vec::new(),
         parts: false,
     })
+}
+
+/// Refuses a model that is so much larger than the other, or so far off, that the smaller one would be lost in rounding.
+fn check_sizes(own: &[DVec3], placed: &[DVec3]) -> Result<(), Error> {
+    let (own, placed) = (Bounds::of(own), Bounds::of(placed));
+    let size = |b: &Bounds| (b.max - b.min).length();
+    let both = (own.max.max(placed.max) - own.min.min(placed.min)).length();
+    let least = size(&own).min(size(&placed));
+    if least > 0.0 && both <= LARGEST * least {
+        return Ok(());
+    }
+    let problem = format!(
+        "makes both together {:.3e} times as large as the smaller one, allowed is {LARGEST:e}",
+        both / least
+    );
+    Err(Error::invalid("merge.transform", problem))
 }
 
 /// Sixteen numbers, column by column; none is the identity.

@@ -8,8 +8,10 @@ use crate::graph::Graph;
 use crate::mesh::{Components, Mesh, NONE};
 use glam::DVec3;
 
-/// What regions are resolved against; all in the rest pose.
+/// What regions are resolved against; all in the rest pose, or in the shape that is edited.
 pub(super) struct Ground<'a> {
+    /// Which of these, in words.
+    pub pose: &'static str,
     pub positions: &'a [DVec3],
     pub primitives: &'a [Primitive],
     pub mesh: &'a Mesh,
@@ -141,7 +143,10 @@ pub(super) fn resolve(
     if mirror.is_none() && !resolved.render.contains(&true) {
         return Err(Error::invalid(
             field,
-            "holds no vertex; regions are taken in the rest pose and in model space",
+            format!(
+                "holds no vertex; regions are taken in {} and in model space",
+                ground.pose
+            ),
         ));
     }
     Ok(resolved)

@@ -107,6 +107,7 @@ pub fn run(
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<Outcome, Error> {
     let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+    job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
     let stages = Stage::new(millis, progress);
     let mut bench = Workbench::open(files, &job.create.clone().unwrap_or_default(), limits, pool, &stages)?;
@@ -121,10 +122,14 @@ pub fn run(
 
     let mut in_force = bench.initial_poses();
     let mut positions = bench.rest().clone();
+    // How these came about, and what edits warned of.
+    let mut solved_with: Option<&Settings> = None;
+    let mut warned: Vec<String> = Vec::new();
     let mut steps = Vec::new();
     for (k, todo_now) in todo.iter().enumerate() {
         let fraction = k as f32 / todo.len() as f32;
-        let step = |e| at_step(e, k);
+        let before = warned.clone();
+        let step = |e| at_step(e, k, &before);
         let mut done = match todo_now {
             Todo::Pose(pose) => {
                 stages.report("solve", fraction);
@@ -135,6 +140,7 @@ pub fn run(
                 stages.report("quality", 0.0);
                 let quality = bench.measure(&solved.positions, &settings.output, pool, &stages)?;
                 positions = solved.positions;
+                solved_with = Some(&settings);
                 pb::report::Step {
                     kind: "pose".into(),
                     cycles: solved.cycles,
@@ -151,9 +157,17 @@ pub fn run(
                     request,
                     shape: &positions,
                     poses: &in_force,
+                    settings: solved_with,
                     other: None,
                 };
+                if !request.session_id.is_empty() {
+                    let problem = "names a session, but a job edits its own model; leave it out";
+                    return Err(step(Error::invalid("edit.sessionId", problem)));
+                }
                 let outcome = bench.edit(&order, pool, &stages).map_err(step)?;
+                solved_with = solved_with.filter(|_| outcome.solved.is_some());
+                let told = outcome.result.warnings.iter();
+                warned.extend(told.map(|w| format!("steps[{k}]: {}: {}", w.code, w.message)));
                 in_force = outcome.poses;
                 positions = outcome.positions;
                 pb::report::Step {
@@ -268,14 +282,41 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
     }
 }
 
-fn at_step(e: Error, k: usize) -> Error {
+/// The error of a step, with what edits before it warned of: mostly that is the reason.
+fn at_step(e: Error, k: usize, warned: &[String]) -> Error {
+    let mut before = String::new();
+    if !warned.is_empty() {
+        before = format!(" (before it: {})", warned.join("; "));
+    }
     match e {
         Error::Invalid { field, problem } => Error::Invalid {
             field: format!("steps[{k}].{field}"),
-            problem,
+            problem: problem + &before,
         },
-        Error::Precondition(text) => Error::Precondition(format!("steps[{k}]: {text}")),
+        Error::Precondition(text) => Error::Precondition(format!("steps[{k}]: {text}{before}")),
         other => other,
+    }
+}
+
+impl pb::Expect {
+    /// Refuses bounds that nothing could exceed, or everything. `place` is where the expectations stand.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the bound's path.
+    pub fn check(&self, place: &str) -> Result<(), Error> {
+        let bounds = [
+            ("maxDistance", self.max_distance),
+            ("meanDistance", self.mean_distance),
+            ("normalDegrees", self.normal_degrees),
+            ("volumeChange", self.volume_change),
+        ];
+        for (name, most) in bounds.into_iter().filter_map(|(name, most)| Some((name, most?))) {
+            if !(most.is_finite() && most >= 0.0) {
+                let problem = format!("is {most:?}, a finite number of at least 0 is needed");
+                return Err(Error::invalid(format!("{place}.{name}"), problem));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -297,14 +338,11 @@ pub fn expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<St
             quality.flipped_triangles
         ));
     }
-    if let Some(most) = expect
-        .volume_change
-        .filter(|most| quality.volume_change.abs() > most.abs())
-    {
+    if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > *most) {
+        // As `{:?}`: what is huge or tiny comes with an exponent.
         unmet.push(format!(
-            "volumeChange is {}, at most {} either way expected",
-            quality.volume_change,
-            most.abs()
+            "volumeChange is {:?}, at most {most:?} either way expected",
+            quality.volume_change
         ));
     }
     if !expect.digest.is_empty() && expect.digest != report.digest {
@@ -361,4 +399,55 @@ pub fn inspect(
         solver: facts.solver,
         warnings: facts.warnings,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn expect(text: &str) -> pb::Expect {
+        crate::job::json::from_json(text.as_bytes()).expect("an expectation")
+    }
+
+    #[test]
+    fn a_bound_that_can_never_fail_or_hold_is_refused() {
+        for name in ["maxDistance", "meanDistance", "normalDegrees", "volumeChange"] {
+            for bound in ["\"NaN\"", "\"Infinity\"", "\"-Infinity\"", "-1", "-1e-300"] {
+                let told = expect(&format!("{{\"{name}\": {bound}}}")).check("expect");
+                let told = told.expect_err(bound).to_string();
+                assert!(
+                    told.starts_with(&format!("expect.{name}: is ")) && told.contains("at least 0"),
+                    "{told}"
+                );
+            }
+            for bound in ["0", "1e-3", "1e300"] {
+                assert_eq!(expect(&format!("{{\"{name}\": {bound}}}")).check("expect"), Ok(()));
+            }
+        }
+        assert_eq!(pb::Expect::default().check("expect"), Ok(()));
+    }
+
+    #[test]
+    fn the_volume_counts_either_way() {
+        let report = |volume_change: f64| pb::Report {
+            quality: Some(pb::Quality {
+                volume_change,
+                ..Default::default()
+            }),
+            ..Default::default()
+        };
+        let unmet = |most: &str, is: f64| {
+            let text = format!("{{\"volumeChange\": {most}}}");
+            expectations(Some(&expect(&text)), &report(is)).0
+        };
+        assert!(unmet("0.1", 0.1).is_empty() && unmet("0.1", -0.1).is_empty() && unmet("0", 0.0).is_empty());
+        assert_eq!(
+            unmet("0.1", -0.2),
+            ["volumeChange is -0.2, at most 0.1 either way expected"]
+        );
+        assert_eq!(
+            unmet("1e-9", 1e300),
+            ["volumeChange is 1e300, at most 1e-9 either way expected"]
+        );
+    }
 }

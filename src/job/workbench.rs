@@ -45,6 +45,8 @@ pub struct Workbench {
     pub(super) derived: Arc<Derived>,
     pub(super) choices: Choices,
     pub(super) limits: Limits,
+    /// Bytes that it may hold after an edit. How a graph is built depends on `limits` alone, which never change.
+    pub(super) room: u64,
     pub(super) handles: HandleSet,
     pub(super) rig: Option<Rig>,
     pub(super) state: State,
@@ -87,6 +89,7 @@ impl Workbench {
             derived: Arc::new(derived),
             choices,
             limits: *limits,
+            room: limits.memory_bytes,
             handles: HandleSet::default(),
             rig: None,
             state: State::default(),
@@ -101,7 +104,7 @@ impl Workbench {
         let mut past: Vec<Arc<Derived>> = self.past.clone();
         past.push(Arc::clone(&self.derived));
         past.retain(|d| !Arc::ptr_eq(&d.path, &derived.path));
-        let mut room = self.limits.memory_bytes.saturating_sub(derived.bytes()) / 2;
+        let mut room = self.room.saturating_sub(derived.bytes()) / 2;
         // From the last one on, as many as there is room for.
         let kept = (past.iter().rev().take(KEPT))
             .take_while(|d| {
@@ -115,12 +118,18 @@ impl Workbench {
             derived,
             choices: self.choices.clone(),
             limits: self.limits,
+            room: self.room,
             handles: HandleSet::default(),
             rig: None,
             state: State::default(),
             committed: None,
             past,
         }
+    }
+
+    /// Says how many bytes the bench may hold after its next edit, at most those of its limits.
+    pub fn limit_memory(&mut self, bytes: u64) {
+        self.room = bytes.min(self.limits.memory_bytes);
     }
 
     /// A state that was left a short while ago.
@@ -252,6 +261,7 @@ impl Workbench {
                 id: h.id.clone(),
                 vertices,
                 centroid: c.to_array().to_vec(),
+                pose: None,
             })
             .collect()
     }
@@ -304,6 +314,7 @@ impl Workbench {
     /// What regions are resolved against.
     pub(super) fn ground(&self) -> Ground<'_> {
         Ground {
+            pose: "the rest pose",
             positions: self.rest(),
             primitives: &self.geometry().primitives,
             mesh: &self.derived.mesh,

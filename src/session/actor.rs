@@ -183,6 +183,7 @@ impl Actor {
         let view = View {
             revision: self.history.revision(),
             facts: Arc::clone(&state.facts),
+            poses: state.poses.clone(),
             build_ms: self.build_ms.clone(),
             positions,
             digest: state.digest.clone(),

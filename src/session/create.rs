@@ -127,6 +127,7 @@ pub(super) async fn create(
         view: RwLock::new(Arc::new(View {
             revision: history.revision(),
             facts: Arc::new(facts),
+            poses: history.current().poses.clone(),
             build_ms: build_ms.clone(),
             positions,
             digest: history.current().digest.clone(),

@@ -1,9 +1,10 @@
 //! Edits of the topology: the call of a manager, and what a session's task does for it.
 
 use super::actor::Actor;
-use super::commits::State;
+use super::commits::{Recipe, State};
 use super::idempotency::Claimed;
 use super::requests::{Call, Command, Edit, Stored};
+use super::stop::Stop;
 use super::{Code, Error, Manager, Tenant};
 use crate::asset::FileSet;
 use crate::job::{self, EditOrder, pb};
@@ -67,26 +68,48 @@ impl Manager {
 }
 
 impl Actor {
+    /// Of an edit that takes more memory than is free now, but not more than the server has, that it may fit later.
+    fn too_large(&self, error: job::Error, room: u64, stop: &Stop) -> Error {
+        match error {
+            job::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.budget.total() => {
+                self.shared.metrics.refused.up();
+                Error::exhausted(
+                    format!("the session would need {seen} bytes of memory after the edit, {room} are free"),
+                    5,
+                )
+            }
+            error => self.failure(error, stop),
+        }
+    }
+
     pub(super) async fn edit(&mut self, edit: Edit, call: &Call<pb::EditResult>) -> Result<pb::EditResult, Error> {
         let state = self.history.current().clone();
         let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
         let limit = self.shared.config.build;
+        // What the other sessions leave, now: the engine was opened when there was more or less.
+        let room = self.memory.room();
         let (done, stop) = self
             .compute(
                 &call.cancel,
                 limit,
                 move |bench, pool, stop, _| -> Result<_, job::Error> {
                     bench.load(state.trail.as_ref(), &state.handles, pool, stop)?;
+                    bench.engine.limit_memory(room);
                     // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine
                     // happens to remember.
                     let shape = match shape {
                         Ok(shape) if bench.engine.remembers(&shape) => shape,
                         _ => bench.replay(&recipe, pool, stop)?,
                     };
+                    let settings = match &recipe {
+                        Recipe::Solved { settings, .. } => Some(settings),
+                        Recipe::Rest { .. } => None,
+                    };
                     let order = EditOrder {
                         request: &edit.request,
                         shape: &shape,
                         poses: &state.poses,
+                        settings,
                         other: edit.other,
                     };
                     let trail = state.trail.as_ref();
@@ -96,7 +119,7 @@ impl Actor {
                 },
             )
             .await?;
-        let (outcome, facts, trail, diagonal) = done.map_err(|e| self.failure(e, &stop))?;
+        let (outcome, facts, trail, diagonal) = done.map_err(|e| self.too_large(e, room, &stop))?;
         let stages = stop.stage_ms();
         let mut result = outcome.result;
         let state = State {

@@ -24,6 +24,8 @@ pub trait Engine: Send + 'static {
     fn diagonal(&self) -> f64;
     /// Bytes held.
     fn bytes(&self) -> u64;
+    /// Bytes that the engine may hold after what is asked of it next.
+    fn limit_memory(&mut self, _bytes: u64) {}
     /// Format of the model's files.
     fn format(&self) -> Format;
     /// Replaces the handles.
@@ -133,6 +135,10 @@ impl Engine for Workbench {
 
     fn bytes(&self) -> u64 {
         Self::bytes(self)
+    }
+
+    fn limit_memory(&mut self, bytes: u64) {
+        Self::limit_memory(self, bytes);
     }
 
     fn format(&self) -> Format {

@@ -7,7 +7,7 @@ use super::mailbox::Mailbox;
 use super::requests::Command;
 use super::{Code, Config, Error, Tenant};
 use crate::asset::Format;
-use crate::job::pb;
+use crate::job::{Poses, pb};
 use crate::progress::CancelFlag;
 use dashmap::DashMap;
 use glam::DVec3;
@@ -21,6 +21,7 @@ use tokio_util::sync::CancellationToken;
 pub(super) struct View {
     pub revision: u64,
     pub facts: Arc<pb::Session>,
+    pub poses: Poses,
     pub build_ms: BTreeMap<String, f64>,
     pub positions: Arc<Vec<DVec3>>,
     pub digest: String,
@@ -66,7 +67,12 @@ impl Session {
     /// The session as its owner sees it.
     pub fn describe(&self) -> pb::Session {
         let view = self.view();
+        let mut handles = view.facts.handles.clone();
+        for (handle, pose) in handles.iter_mut().zip(view.poses.0.iter()) {
+            handle.pose = (*pose != pb::HandlePose::default()).then(|| pose.clone());
+        }
         pb::Session {
+            handles,
             id: self.id.clone(),
             revision: view.revision,
             build_ms: view.build_ms.clone(),

@@ -1,6 +1,8 @@
 //! Suites and arguments that are wrong: exit 2, the reason in the last line, nothing written.
 
 use super::folder::{Suite, check};
+use std::fs;
+use std::process::Command;
 
 #[test]
 fn a_malformed_suite_is_exit_2_with_what_where_and_what_is_allowed() {
@@ -62,6 +64,119 @@ fn a_malformed_suite_is_exit_2_with_what_where_and_what_is_allowed() {
         &["lost.golden.json", "without a case"],
     );
     refused(&|f| f.write("a b.case.json", "{}"), &["a b", "letters, digits"]);
+    refused(
+        &|f| f.write("soft.CASE.JSON", "{}"),
+        &["soft.CASE.JSON", "ends with .case.json"],
+    );
+    refused(
+        &|f| f.write("bar.case.json", r#"{"model": "bar.obj", "job": {"#),
+        &["bar.case.json: job: EOF"],
+    );
+    refused(
+        &|f| f.write("bar.case.json", r#"["t", "bar.obj", {}, [], null, null]"#),
+        &["bar.case.json: body: ", "a JSON object"],
+    );
+    refused(
+        &|f| f.write("bar.case.json", "\u{feff}{\"model\": \"bar.obj\", \"job\": {}}"),
+        &["bar.case.json: body: ", "byte order mark"],
+    );
+}
+
+#[test]
+fn a_bound_that_can_never_fail_is_exit_2_wherever_the_job_is() {
+    for bound in [
+        r#""volumeChange": "NaN""#,
+        r#""volumeChange": -1"#,
+        r#""maxDistance": "NaN""#,
+        r#""meanDistance": "Infinity""#,
+        r#""normalDegrees": "Infinity""#,
+    ] {
+        let job = format!(r#"{{"expect": {{{bound}}}}}"#);
+        for inside in [true, false] {
+            let folder = Suite::new();
+            folder.case("bar", "bar.obj");
+            folder.write("job.json", &job);
+            let said = if inside { &job } else { "\"job.json\"" };
+            folder.write("bar.case.json", &format!(r#"{{"model": "bar.obj", "job": {said}}}"#));
+            let ran = folder.check(&[]);
+            assert_eq!(ran.code, Some(2), "{bound}: {}", ran.err);
+            let last = ran.last();
+            assert!(
+                last.contains("bar.case.json: ") && last.contains("at least 0"),
+                "{last}"
+            );
+            assert!(last.contains("expect."), "{last}");
+        }
+    }
+}
+
+#[test]
+fn what_is_no_file_is_refused_and_never_waited_for() {
+    let refused = |put: &dyn Fn(&Suite), arguments: &[&str], words: &[&str]| {
+        let folder = Suite::new();
+        folder.case("bar", "bar.obj");
+        put(&folder);
+        let ran = folder.check(arguments);
+        assert_eq!(ran.code, Some(2), "{words:?}: {}", ran.err);
+        assert!(
+            words.iter().all(|w| ran.last().contains(w)),
+            "{words:?}: {}",
+            ran.last()
+        );
+        assert!(!ran.err.contains("stored"), "{}", ran.err);
+    };
+    let pipe = |folder: &Suite, name: &str| {
+        let made = Command::new("mkfifo").arg(folder.path().join(name)).status();
+        assert!(made.expect("mkfifo runs").success(), "{name}");
+    };
+    refused(
+        &|f| pipe(f, "f.case.json"),
+        &[],
+        &["f.case.json is no regular file", "a file is needed"],
+    );
+    refused(
+        &|f| pipe(f, "bar.golden.json"),
+        &["--bless"],
+        &["bar.golden.json is no regular file"],
+    );
+    let folder_there = |f: &Suite| fs::create_dir(f.path().join("bar.golden.json")).expect("a folder");
+    for arguments in [&[][..], &["--bless"]] {
+        refused(
+            &folder_there,
+            arguments,
+            &["bar.golden.json is a folder, a file is needed"],
+        );
+    }
+    let shared = |f: &Suite| {
+        f.write("arm.case.json", r#"{"model": "data:meshes", "job": {}}"#);
+        fs::create_dir_all(f.path().join("../data/meshes")).expect("a folder");
+    };
+    refused(
+        &shared,
+        &["--data", "data"],
+        &["arm.case.json: model: ", "meshes is a folder"],
+    );
+    refused(
+        &shared,
+        &["--data", "nowhere"],
+        &["arm.case.json: model: ", "nowhere, which is no folder"],
+    );
+}
+
+#[test]
+fn cases_below_the_suites_folder_are_noted() {
+    let folder = Suite::new();
+    folder.still("bar", "bar.obj");
+    fs::create_dir(folder.path().join("more")).expect("a folder");
+    folder.write("more/b.case.json", "{}");
+    folder.write("more/a.case.json", "{}");
+    let ran = folder.check(&["--bless"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(
+        ran.err.contains("note: cases in folders") && ran.err.contains("2 are there, the first is more/a.case.json"),
+        "{}",
+        ran.err
+    );
 }
 
 #[test]

@@ -167,6 +167,7 @@ fn story(bench: &mut Workbench, threads: usize) -> Vec<String> {
             request: &request,
             shape: &shape,
             poses: &poses,
+            settings: None,
             other: None,
         };
         let outcome = bench.edit(&order, &pool, &Silent).expect("each can be done");

@@ -66,6 +66,7 @@ async fn operators_find_health_counts_and_description() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_reference_is_a_page_that_loads_nothing() {
     let server = Server::start().await;
+    assert_eq!(get(&server, "/docs/").await.status(), 200);
     let answer = get(&server, "/docs").await;
     assert_eq!(answer.status(), 200);
     assert_eq!(answer.headers()[header::CONTENT_TYPE], "text/html; charset=utf-8");

@@ -89,3 +89,94 @@ async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
         }
     }
 }
+
+/// An edit on the rest shape that changes nothing.
+fn idle(id: &str) -> pb::EditRequest {
+    let weld = pb::edit_request::Weld { tolerance: 1e-6 };
+    pb::EditRequest {
+        session_id: id.into(),
+        on: pb::edit_request::On::Rest.into(),
+        operation: Some(pb::edit_request::Operation::Weld(weld)),
+    }
+}
+
+#[tokio::test]
+async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
+    let manager = Manager::new(small()).expect("valid");
+    let id = bar(&manager).await;
+    let untouched = manager.edit(tenant(), idle(&id), None).await.expect("an edit");
+    assert!(
+        !untouched.ms.contains_key("solve"),
+        "nothing is posed: {:?}",
+        untouched.ms
+    );
+    for refine in [0, 3] {
+        let options = pb::Options {
+            refine: Some(refine),
+            ..Default::default()
+        };
+        let pose = pb::SolveRequest {
+            options: Some(options),
+            ..turned(&id, 0.9)
+        };
+        let bent = manager.solve(tenant(), pose, None).await.expect("solved");
+        let edit = manager.edit(tenant(), idle(&id), None).await.expect("an edit");
+        assert_eq!(edit.digest, bent.digest, "refine {refine}");
+    }
+}
+
+#[tokio::test]
+async fn a_session_tells_the_poses_in_force() {
+    let manager = Manager::new(small()).expect("valid");
+    let id = bar(&manager).await;
+    let pose = |session: &pb::Session, k: usize| session.handles[k].pose.clone();
+    let session = manager.get(tenant(), &id).await.expect("it is there");
+    assert_eq!((pose(&session, 0), pose(&session, 1)), (None, None));
+    manager.solve(tenant(), turned(&id, 0.2), None).await.expect("solved");
+    let session = manager.get(tenant(), &id).await.expect("it is there");
+    let turned = pose(&session, 1).expect("the top is turned");
+    assert_eq!((pose(&session, 0), turned.rotation_vector), (None, vec![0.2, 0.0, 0.0]));
+    manager.undo(tenant(), &id, None).await.expect("undone");
+    let session = manager.get(tenant(), &id).await.expect("it is there");
+    assert_eq!(pose(&session, 1), None);
+}
+
+#[tokio::test]
+async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
+    let open = Manager::new(small()).expect("valid");
+    let id = bar(&open).await;
+    let one = open.metrics().bytes.get() as u64;
+    let twice = |id: &str| pb::EditRequest {
+        session_id: id.into(),
+        operation: Some(pb::edit_request::Operation::Subdivide(Default::default())),
+        ..Default::default()
+    };
+    open.edit(tenant(), twice(&id), None).await.expect("there is room");
+
+    let manager = Manager::new(Config {
+        memory_bytes: 12 * one,
+        ..small()
+    })
+    .expect("valid");
+    let (mut ids, mut refused) = (Vec::new(), None);
+    for _ in 0..3 {
+        ids.push(bar(&manager).await);
+    }
+    for id in ids.iter().cycle().take(9) {
+        if let Err(e) = manager.edit(tenant(), twice(id), None).await {
+            refused = Some((id, e));
+            break;
+        }
+        let held = manager.metrics().bytes.get() as u64;
+        assert!(held <= 12 * one, "{held} bytes are held, {one} by a bar");
+    }
+    let (id, error) = refused.expect("at some time there is no room");
+    assert!(
+        [413, 429].contains(&error.http_status()) && error.message.contains("memory"),
+        "{error:?}"
+    );
+    manager
+        .solve(tenant(), turned(id, 0.1), None)
+        .await
+        .expect("the session goes on");
+}

@@ -275,6 +275,7 @@ impl Stand<'_> {
             request: &self.request,
             shape: &shape,
             poses: &self.poses,
+            settings: None,
             other: None,
         };
         let start = Instant::now();

@@ -1,5 +1,6 @@
 //! The report as JUnit XML, which CI systems read: a test case for each case, a property for each metric.
 
+use super::super::metric::exact;
 use super::super::{Reason, Status};
 use super::{CaseReport, SuiteReport, printable};
 use quick_xml::events::{BytesDecl, BytesText, Event};
@@ -78,7 +79,8 @@ fn case(xml: &mut Xml, suite: &str, case: &CaseReport) -> io::Result<()> {
     Ok(())
 }
 
-/// What is known of a case: for each metric what is compared, and what is allowed where that is not 0.
+/// What is known of a case: for each metric the difference from the golden, which is what is compared and not the
+/// metric's own value, and what is allowed where that is not 0.
 fn facts(case: &CaseReport) -> Vec<(String, String)> {
     let mut facts = vec![
         ("title".to_owned(), printable(&case.title)),
@@ -93,9 +95,9 @@ fn facts(case: &CaseReport) -> Vec<(String, String)> {
             facts.push((name.into(), "not told".into()));
             continue;
         };
-        facts.push((name.into(), difference.to_string()));
+        facts.push((name.into(), exact(difference)));
         if m.allowed > 0.0 {
-            facts.push((format!("{name}.allowed"), m.allowed.to_string()));
+            facts.push((format!("{name}.allowed"), exact(m.allowed)));
             facts.push((format!("{name}.reason"), printable(&m.reason)));
         }
     }

@@ -25,30 +25,24 @@ pub(super) fn said(verdict: &Verdict) -> String {
             None => "within tolerance".into(),
         };
     };
-    let by_numbers = |r: &&Reason| matches!(r.code, "metric" | "digest");
-    let over: Vec<&Measure> = verdict.measures.iter().filter(|m| !m.holds()).collect();
-    let worst = worst_first(&over);
-    match (reasons.iter().find(|r| !by_numbers(r)), worst) {
-        // What is wrong before numbers count.
-        (Some(other), None) => format!("{}: {}", other.code, other.text),
-        (Some(other), Some(_)) if other.code != "expectation" => format!("{}: {}", other.code, other.text),
-        (other, Some(worst)) => {
-            let mut text = worst.show();
-            let more: Vec<&str> = over
-                .iter()
-                .filter(|m| m.metric != worst.metric)
-                .map(|m| m.metric.name())
-                .collect();
-            if !more.is_empty() {
-                text += &format!("; also {}", more.join(", "));
-            }
-            if let Some(other) = other {
-                text += &format!("; {}: {}", other.code, other.text);
-            }
-            text
-        }
-        (None, None) => format!("{}: {}", first.code, first.text),
+    let has = |code: &str| reasons.iter().any(|r| r.code == code);
+    let tell = |r: &Reason| format!("{}: {}", r.code, r.text);
+    let mut parts = Vec::new();
+    // What is more basic than numbers comes before them, as in the list of reasons.
+    if !matches!(first.code, "metric" | "expectation") {
+        parts.push(tell(first));
     }
+    let over: Vec<&Measure> = verdict.measures.iter().filter(|m| !m.holds()).collect();
+    if let Some(worst) = worst_first(&over).filter(|_| has("metric")) {
+        parts.push(worst.show());
+        let more = over.iter().filter(|m| m.metric != worst.metric);
+        let more: Vec<&str> = more.map(|m| m.metric.name()).collect();
+        if !more.is_empty() {
+            parts.push(format!("also {}", more.join(", ")));
+        }
+    }
+    parts.extend(reasons.iter().find(|r| r.code == "expectation").map(tell));
+    parts.join("; ")
 }
 
 /// Of numbers that are over their bounds the one to tell: what turned over, before how far it is over.
@@ -150,6 +144,28 @@ mod tests {
         assert!(lines[3].ends_with("also maxDisplacement"));
         assert!(lines[4].contains("not-run: a <b> & \"c\" \u{fffd}"));
         assert!(lines.iter().all(|l| !l.contains('\n')));
+        let mut other = suite.cases[3].clone();
+        let text = "the digest is xxh3:1, stored is xxh3:2".into();
+        other.verdict.reasons.insert(0, Reason { code: "digest", text });
+        let text = "flippedTriangles is 2, at most 0 expected".into();
+        other.verdict.reasons.push(Reason {
+            code: "expectation",
+            text,
+        });
+        let told = line(&other, 10);
+        assert!(
+            told.starts_with(
+                "FAILED   d-failed    digest: the digest is xxh3:1, stored is xxh3:2; flippedTriangles 2 of 0"
+            ),
+            "what is told first is the first reason: {told}"
+        );
+        assert!(told.ends_with("; also maxDisplacement; expectation: flippedTriangles is 2, at most 0 expected"));
+        other.verdict.reasons.retain(|r| r.code == "expectation");
+        assert_eq!(
+            said(&other.verdict),
+            "expectation: flippedTriangles is 2, at most 0 expected",
+            "numbers that are no reason are not told"
+        );
         assert_eq!(summary(&suite), "5 cases in process: 2 passed, 2 failed, 1 skipped");
     }
 }

@@ -58,7 +58,8 @@ pub(super) fn run(args: &CheckArgs) -> Result<(), Failure> {
         .as_deref()
         .map(|url| Address::new(url, args.token.as_deref()));
     let server = server.transpose().map_err(Failure::Input)?;
-    let cases = suite::load(&args.suite, args.data.as_deref().filter(|d| !d.as_os_str().is_empty()))?;
+    let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
+    let suite::Suite { cases, notes } = suite::load(&args.suite, data)?;
     if let Some(address) = &server {
         let client = Client::new(address).map_err(Failure::Internal)?;
         remote::greet(&client).map_err(|e| Failure::Input(format!("the server cannot be used: {e}")))?;
@@ -88,7 +89,12 @@ pub(super) fn run(args: &CheckArgs) -> Result<(), Failure> {
         cases: done.iter().map(|d| d.report.clone()).collect(),
     };
     let width = report.cases.iter().map(|c| c.name.len()).max().unwrap_or_default();
-    for done in &done {
+    notes.iter().for_each(|note| eprintln!("note: {note}"));
+    for (case, done) in cases.iter().zip(&done) {
+        // Written first: what is told as stored is stored.
+        if let Some(golden) = &done.golden {
+            write_file(&case.golden_path, golden.as_bytes())?;
+        }
         eprintln!("{}", report::line(&done.report, width));
         done.changes.iter().for_each(|change| eprintln!("         {change}"));
         done.report
@@ -97,11 +103,6 @@ pub(super) fn run(args: &CheckArgs) -> Result<(), Failure> {
             .for_each(|note| eprintln!("         note: {note}"));
     }
     eprintln!("{}", report::summary(&report));
-    for (case, done) in cases.iter().zip(&done) {
-        if let Some(golden) = &done.golden {
-            write_file(&case.golden_path, golden.as_bytes())?;
-        }
-    }
     if let Some(path) = &args.junit {
         write_file(path, &report::junit(&report).map_err(Failure::Internal)?)?;
     }

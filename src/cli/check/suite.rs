@@ -23,6 +23,14 @@ pub(super) struct Loaded {
     model: Model,
 }
 
+/// A suite ready to be run.
+pub(super) struct Suite {
+    /// In the order of their names.
+    pub cases: Vec<Loaded>,
+    /// What someone should know of its folder.
+    pub notes: Vec<String>,
+}
+
 enum Model {
     Sample,
     File(PathBuf),
@@ -30,20 +38,28 @@ enum Model {
     Absent(String),
 }
 
-/// Reads a suite. `data` is the folder of shared data. Cases come in the order of their names.
+/// Reads a suite. `data` is the folder of shared data.
 ///
 /// # Errors
 /// What is wrong with the suite, where, and what is allowed.
-pub(super) fn load(suite: &Path, data: Option<&Path>) -> Result<Vec<Loaded>, Failure> {
+pub(super) fn load(suite: &Path, data: Option<&Path>) -> Result<Suite, Failure> {
     let unreadable = |e: std::io::Error| Failure::Input(format!("cannot read the suite {}: {e}", suite.display()));
     let mut cases = BTreeSet::new();
     let mut goldens = BTreeSet::new();
+    let mut deeper = BTreeSet::new();
     for entry in fs::read_dir(suite).map_err(unreadable)? {
-        let name = entry.map_err(unreadable)?.file_name().to_string_lossy().into_owned();
+        let entry = entry.map_err(unreadable)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
         if name.ends_with(CASE_SUFFIX) {
             cases.insert(name);
+        } else if name.to_ascii_lowercase().ends_with(CASE_SUFFIX) {
+            let path = entry.path();
+            let problem = format!("is no name of a case; one ends with {CASE_SUFFIX}, in small letters");
+            return Err(Failure::Input(format!("{} {problem}", path.display())));
         } else if let Some(of) = name.strip_suffix(GOLDEN_SUFFIX) {
             goldens.insert(of.to_owned());
+        } else if entry.file_type().is_ok_and(|t| t.is_dir()) {
+            deeper.extend(cases_in(&entry.path()).into_iter().map(|case| format!("{name}/{case}")));
         }
     }
     if cases.is_empty() {
@@ -57,7 +73,36 @@ pub(super) fn load(suite: &Path, data: Option<&Path>) -> Result<Vec<Loaded>, Fai
         let problem = "is a golden without a case; delete it, or bring back its case";
         return Err(Failure::Input(format!("{} {problem}", path.display())));
     }
-    Ok(loaded)
+    let notes = deeper.first().map(|first| {
+        let many = deeper.len();
+        format!("cases in folders of the suite are not run, {many} are there, the first is {first}")
+    });
+    Ok(Suite {
+        cases: loaded,
+        notes: notes.into_iter().collect(),
+    })
+}
+
+/// Names of cases in a folder; none in one that cannot be read.
+fn cases_in(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
+    names.filter(|name| name.ends_with(CASE_SUFFIX)).collect()
+}
+
+/// Refuses what is there and is neither a file nor a link to one: reading a pipe may never end.
+fn need_file(path: &Path) -> Result<(), Failure> {
+    match fs::metadata(path) {
+        Ok(facts) if !facts.is_file() => {
+            let what = if facts.is_dir() { "a folder" } else { "no regular file" };
+            Err(Failure::Input(format!(
+                "{} is {what}, a file is needed",
+                path.display()
+            )))
+        }
+        // What cannot be opened is told by who reads it.
+        _ => Ok(()),
+    }
 }
 
 fn load_case(suite: &Path, file: &str, data: Option<&Path>) -> Result<Loaded, Failure> {
@@ -67,6 +112,11 @@ fn load_case(suite: &Path, file: &str, data: Option<&Path>) -> Result<Loaded, Fa
         Failure::Input(text) => Failure::Input(format!("{}: {text}", path.display())),
         other => other,
     };
+    let in_model = |e: Failure| match e {
+        Failure::Input(text) => in_case(Failure::Input(format!("model: {text}"))),
+        other => other,
+    };
+    need_file(&path)?;
     let case = Case::read(file, &read(&path)?).map_err(in_suite)?;
     let job = match &case.job {
         JobSource::Inline(job) => {
@@ -74,25 +124,47 @@ fn load_case(suite: &Path, file: &str, data: Option<&Path>) -> Result<Loaded, Fa
             read_merged(&mut job, &path).map_err(in_case)?;
             job
         }
-        JobSource::File(name) => read_job(&suite.join(name)).map_err(in_case)?,
+        JobSource::File(name) => {
+            let file = suite.join(name);
+            need_file(&file).map_err(in_case)?;
+            let job = read_job(&file).map_err(in_case)?;
+            let checked = job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"));
+            checked.map_err(|e| in_case(Failure::Input(format!("{}: {e}", file.display()))))?;
+            job
+        }
     };
     let model = match &case.model {
         Source::Sample => Model::Sample,
         Source::Suite(name) => {
             let model = suite.join(name);
+            need_file(&model).map_err(in_model)?;
             if !model.is_file() {
-                let problem = format!("{}: model: there is no file {}", path.display(), model.display());
-                return Err(Failure::Input(problem));
+                return Err(in_model(Failure::Input(format!(
+                    "there is no file {}",
+                    model.display()
+                ))));
             }
             Model::File(model)
         }
-        Source::Data(name) => match data.map(|d| d.join(name)) {
+        Source::Data(name) => match data {
             None => Model::Absent(format!("data:{name} is absent: PLIANT_DATA names no folder")),
-            Some(path) if path.is_file() => Model::File(path),
-            Some(_) => Model::Absent(format!("data:{name} is absent from the folder of PLIANT_DATA")),
+            // A folder that was named and is not there is a slip, not data that this machine does not have.
+            Some(data) if !data.is_dir() => {
+                let problem = format!("--data (or PLIANT_DATA) is {}, which is no folder", data.display());
+                return Err(in_model(Failure::Input(problem)));
+            }
+            Some(data) => {
+                let model = data.join(name);
+                need_file(&model).map_err(in_model)?;
+                match model.is_file() {
+                    true => Model::File(model),
+                    false => Model::Absent(format!("data:{name} is absent from the folder of PLIANT_DATA")),
+                }
+            }
         },
     };
     let golden_path = suite.join(case.golden_file());
+    need_file(&golden_path)?;
     let golden = match golden_path.is_file() {
         true => {
             let read = Golden::read(&case.golden_file(), &read(&golden_path)?);

@@ -180,11 +180,47 @@ impl Provider for NamedToml {
 
 /// Environment variables that look like keys and are none.
 pub(super) fn strangers() -> Vec<String> {
-    // Read by tests and tools of this repository, not by the server.
-    const OTHERS: [&str; 2] = ["PLIANT_DATA", "PLIANT_CONFIG"];
     std::env::vars_os()
         .filter_map(|(name, _)| name.into_string().ok())
-        .filter(|name| name.starts_with("PLIANT_") && !OTHERS.contains(&name.as_str()))
-        .filter(|name| !KEYS.contains(&name["PLIANT_".len()..].to_lowercase().as_str()))
+        .filter(|name| is_stranger(name))
         .collect()
+}
+
+fn is_stranger(name: &str) -> bool {
+    // Read by the other commands, the Python package, the build, the tests and the workflows, not by the server.
+    const OTHERS: [&str; 8] = [
+        "PLIANT_BIN",
+        "PLIANT_CONFIG",
+        "PLIANT_DATA",
+        "PLIANT_REPOSITORY",
+        "PLIANT_SERVER",
+        "PLIANT_TOKEN",
+        "PLIANT_VIEWER",
+        "PLIANT_VIEWER_PAGE",
+    ];
+    let key = name.strip_prefix("PLIANT_").map(str::to_lowercase);
+    key.is_some_and(|key| !OTHERS.contains(&name) && !KEYS.contains(&key.as_str()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_stranger;
+
+    #[test]
+    fn only_what_nothing_reads_is_a_stranger() {
+        for known in [
+            "PATH",
+            "PLIANT_LISTEN",
+            "PLIANT_MAX_TTL",
+            "PLIANT_BIN",
+            "PLIANT_SERVER",
+            "PLIANT_TOKEN",
+            "PLIANT_VIEWER_PAGE",
+        ] {
+            assert!(!is_stranger(known), "{known}");
+        }
+        for stranger in ["PLIANT_LISTENS", "PLIANT_", "PLIANT_BINS"] {
+            assert!(is_stranger(stranger), "{stranger}");
+        }
+    }
 }

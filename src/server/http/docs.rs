@@ -20,7 +20,7 @@ body { font: 16px/1.5 system-ui, sans-serif; margin: 0; display: grid; grid-temp
 nav { position: sticky; top: 0; height: 100vh; overflow-y: auto; padding: 1.5rem 1rem; box-sizing: border-box; font-size: .875rem; border-right: 1px solid var(--line) }
 nav ul { list-style: none; margin: 0 0 1rem; padding: 0 }
 nav a { text-decoration: none; overflow-wrap: anywhere }
-main { padding: 1.5rem 2rem; max-width: 60rem; box-sizing: border-box }
+main { padding: 1.5rem 2rem; max-width: 60rem; min-width: 0; box-sizing: border-box; overflow-wrap: break-word }
 h2 { margin-top: 2.5rem; border-bottom: 1px solid var(--line) }
 h3 { margin: 2rem 0 .25rem; font-size: 1.05rem; overflow-wrap: anywhere }
 code { font-size: .9em; background: var(--quiet); padding: .1em .3em; border-radius: .25em; overflow-wrap: anywhere }
@@ -28,7 +28,14 @@ table { border-collapse: collapse; width: 100%; font-size: .9rem }
 th, td { text-align: left; vertical-align: top; padding: .3rem .75rem .3rem 0; border-bottom: 1px solid var(--line) }
 td:first-child { width: 26%; overflow-wrap: anywhere }
 .method { display: inline-block; min-width: 4.5rem; font-weight: 700 }
-@media (max-width: 50rem) { body { display: block } nav { position: static; height: auto; border-right: 0 } main { padding: 1rem } }
+@media (max-width: 50rem) {
+  body { display: block }
+  nav { position: static; height: auto; max-height: 9rem; padding: .5rem 1rem; border-right: 0; border-bottom: 1px solid var(--line) }
+  main { padding: 1rem }
+  table, tbody, tr, td, td:first-child { display: block; width: auto }
+  td { padding: 0; border: 0; overflow-wrap: anywhere }
+  tr { padding: .4rem 0; border-bottom: 1px solid var(--line) }
+}
 ";
 
 static PAGE: LazyLock<Result<String, Error>> = LazyLock::new(|| {

@@ -35,6 +35,7 @@ pub(super) fn all() -> Router<State> {
         .route("/metrics", get(pages::metrics))
         .route("/openapi.json", get(pages::openapi))
         .route("/docs", get(docs::page))
+        .route("/docs/", get(docs::page))
         .route("/", get(viewer::page))
         .route("/icon.svg", get(viewer::icon))
         .route("/assets/{name}", get(viewer::asset))

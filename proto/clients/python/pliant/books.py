@@ -151,10 +151,7 @@ class Books:
 
 def as_entries(poses: Poses | Mapping[str, pb.HandlePose] | None) -> dict[str, pb.HandlePose]:
     """Poses as messages, whichever form they have."""
-    found: dict[str, pb.HandlePose] = {}
-    for id, pose in (poses or {}).items():
-        found.update({id: pose} if isinstance(pose, pb.HandlePose) else entries({id: pose}))
-    return found
+    return {} if poses is None else entries(poses)
 
 
 class Traffic:

@@ -27,6 +27,7 @@ class Calls:
     def __init__(self, settings: channel.Settings, server: LocalServer | None = None) -> None:
         self.settings = settings
         self._server = server
+        self._closed = False
         options = settings.options()
         if settings.secure:
             self._channel = grpc.secure_channel(settings.target, settings.credentials(), options=options)
@@ -37,7 +38,13 @@ class Calls:
 
     def close(self) -> None:
         """Closes the connection; calls under way are cancelled."""
+        self._closed = True
         self._channel.close()
+
+    def check_open(self) -> None:
+        """Raises when this connection was closed."""
+        if self._closed:
+            raise errors.FailedPrecondition(channel.CLOSED)
 
     def one(self, name: str, request: Any, *, keyed: bool = False, patience: float | None = None) -> Any:
         """A call with one request and one answer. `keyed` calls happen once however often they are sent."""
@@ -66,6 +73,7 @@ class Calls:
 
     def deform(self, requests: Iterator[pb.DeformRequest]) -> Any:
         """Opens a stream; nothing is repeated here."""
+        self.check_open()
         return self._stub.Deform(requests, metadata=self.settings.metadata())
 
     def get(self, path: str) -> bytes:
@@ -90,6 +98,8 @@ class Calls:
     def found(self, pause: float, patience: float, given_up: Callable[[], bool] = lambda: False) -> bool:
         """Waits for `pause` seconds and then until there is a connection; whether there is one."""
         time.sleep(pause)
+        if self._closed:
+            return False
         # gRPC connects only while somebody waits for it, and calls that fail at once do not wait.
         ready = grpc.channel_ready_future(self._channel)
         end = time.monotonic() + patience
@@ -106,6 +116,7 @@ class Calls:
     def _repeat(self, attempt: Callable[[], _T], patience: float | None = None) -> _T:
         attempts = channel.Attempts(self.settings.patience if patience is None else patience)
         while True:
+            self.check_open()
             try:
                 return attempt()
             except grpc.RpcError as failed:

@@ -124,6 +124,9 @@ def key() -> str:
 #: What gRPC says, beside UNAVAILABLE, when a connection goes in the middle of a call.
 _LOST = ("RST_STREAM", "Stream removed", "Internal error from Core")
 
+#: What is said of a call on a connection that its owner closed.
+CLOSED = "the connection is closed: close() was called on its client, or on the session that pliant.open() made"
+
 
 class Attempts:
     """When a call that failed is worth another try."""

@@ -16,6 +16,7 @@ from .model import Model, read
 from .options import CreateFields, create_options
 from .progress import Meter, ProgressLike
 from .session import Session
+from .values import text
 from .v1 import pliant_pb2 as pb
 
 
@@ -76,6 +77,7 @@ class Client:
 
     def attach(self, session_id: str, *, keep: bool = True) -> Session:
         """Takes up an open session."""
+        text("session_id", session_id)
         info = self._calls.one("GetSession", pb.SessionRequest(session_id=session_id))
         return Session(self._calls, info, keep=keep, at_close=None)
 

@@ -5,15 +5,16 @@ The part that the synchronous and the asyncio session have in common.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal, Union
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal, Union
 
 from typing_extensions import Unpack
 
-from . import regions
+from . import errors, regions
 from .books import Books
 from .poses import Pose, Vector, to_message
 from .regions import RegionFields
+from .values import about, seen, text
 from .v1 import pliant_pb2 as pb
 
 #: Which poses of a drag are recorded: none, every one, or the last.
@@ -22,12 +23,17 @@ CommitWish = Union[bool, Literal["last"]]
 #: Seconds for which a lost connection is looked for to close a session, which expires by itself otherwise.
 CLOSE_SECONDS = 2.0
 
+#: What closing a session may meet in peace: it is gone, or goes when its time is over. The client was closed before it
+#: where the precondition fails.
+GONE = (errors.NotFound, errors.Unavailable, errors.LocalServerError, errors.FailedPrecondition)
+
 
 class Declared:
     """A session's facts and the handles that are to hold in it."""
 
     def __init__(self, info: pb.Session) -> None:
         self._books = Books(info)
+        self._closed = False
 
     @property
     def id(self) -> str:
@@ -70,16 +76,17 @@ class Declared:
         ``primitive`` and ``weights``. Without a pose the handle is an anchor at rest. Where regions overlap, the handle
         that was added later wins.
         """
-        pose = Pose(translation, rotation, rotation_vector, scale, pivot)
-        handle = regions.handle(
-            id,
-            pose=to_message(pose),
-            constrains=constrains,
-            stiffness=stiffness,
-            rigid=rigid,
-            falloff=falloff,
-            fields=region,
-        )
+        with about(f"handle {text('handle', id, 'an id, which is text,')!r}"):
+            handle = regions.handle(
+                id,
+                pose=to_message(Pose(translation, rotation, rotation_vector, scale, pivot)),
+                constrains=constrains,
+                stiffness=stiffness,
+                rigid=rigid,
+                falloff=falloff,
+                fields=region,
+                count=self.vertices,
+            )
         self._books.put(handle)
 
     def remove_handle(self, id: str) -> None:
@@ -96,10 +103,22 @@ class Declared:
 
     def region_of_interest(self, **region: Unpack[RegionFields]) -> None:
         """Keeps everything outside the region fixed to the bit."""
-        self._books.limit(region_of_interest=regions.region(region))
+        self._books.limit(region_of_interest=regions.region(region, self.vertices))
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise errors.SessionLost(f'session "{self.id}" was closed by close(); open the model again')
 
     def _named(self) -> pb.SessionRequest:
         return pb.SessionRequest(session_id=self.id)
+
+
+def to_drag(poses: Any, commit: Any, kinds: tuple[type, ...] = (Iterable,)) -> None:
+    """Refuses what no drag can follow."""
+    if isinstance(poses, (Mapping, str)) or not isinstance(poses, kinds):
+        raise TypeError(f"poses: {seen(poses)}, a list or an iterator of dicts from handle ids to poses is allowed")
+    if not isinstance(commit, bool) and commit != "last":
+        raise ValueError(f'commit: {seen(commit)}, True, False or "last" is allowed')
 
 
 def recorded(wish: pb.Options) -> pb.Options:

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from typing_extensions import TypedDict
 
 from .poses import Vector
-from .regions import RegionLike, enum, plane, region
+from .regions import RegionLike, enum, indices, plane, region
+from .values import about, array, mapping, put
 from .v1 import pliant_pb2 as pb
 
 
@@ -145,44 +146,46 @@ class EditResult:
 OPERATIONS = tuple(EditFields.__annotations__)
 
 
-def request(session_id: str, on: str, fields: Mapping[str, Any]) -> pb.EditRequest:
-    """An edit as the schema carries it."""
+def request(session_id: str, on: str, fields: Mapping[str, Any], count: int | None = None) -> pb.EditRequest:
+    """An edit of a model with `count` render vertices as the schema carries it."""
     if len(fields) != 1 or next(iter(fields)) not in OPERATIONS:
         seen = ", ".join(fields) or "nothing"
         raise ValueError(f"edit: {seen} is given, exactly one of {', '.join(OPERATIONS)} is allowed")
     name, given = next(iter(fields.items()))
     message = pb.EditRequest(session_id=session_id, on=enum("on", pb.EditRequest.On, on))
-    _fill(name, getattr(message, name), dict(given))
+    settings = dict(mapping(name, given, "a dict of its settings"))
+    with about(name):
+        _fill(name, getattr(message, name), settings, count)
     getattr(message, name).SetInParent()
     return message
 
 
-def _fill(name: str, operation: Any, given: dict[str, Any]) -> None:
+def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -> None:
     if name == "cut" and ("normal" in given or "offset" in given):
         operation.plane.CopyFrom(plane((given.pop("normal", ()), given.pop("offset", 0.0))))
     for key, value in given.items():
         if key == "region":
-            operation.region.CopyFrom(region(value))
+            operation.region.CopyFrom(region(value, count))
         elif key in ("keep", "scheme", "how"):
             setattr(operation, key, enum(key, _ENUMS[key], value))
         elif key == "transform":
-            matrix = np.asarray(value, dtype=np.float64)
+            matrix = array(key, value).astype(np.float64)
             if matrix.shape != (4, 4):
-                raise ValueError(f"merge: a transform of shape {matrix.shape}, (4, 4) is allowed")
+                raise ValueError(f"a transform of shape {matrix.shape}, (4, 4) is allowed")
             operation.transform.extend(matrix.T.ravel().tolist())
         elif key in ("points", "polyline"):
-            points = np.asarray(value, dtype=np.float64)
+            points = array(key, value).astype(np.float64)
             if points.ndim != 2 or points.shape[1] != 3:
-                raise ValueError(f"{name}: {key} of shape {points.shape}, (points, 3) is allowed")
+                raise ValueError(f"{key} of shape {points.shape}, (points, 3) is allowed")
             getattr(operation, key).extend(points.ravel().tolist())
         elif key == "path":
-            operation.path.extend(int(vertex) for vertex in value)
+            operation.path.extend(indices(key, value).tolist())
         elif key == "model" and name == "merge":
             operation.model = value if isinstance(value, bytes) else Path(value).read_bytes()
         elif key in operation.DESCRIPTOR.fields_by_name and key not in ("plane", "file"):
-            setattr(operation, key, value)
+            put(operation, key, value)
         else:
-            raise TypeError(f"{name}: no such setting as {key}")
+            raise TypeError(f"no such setting as {key}")
 
 
 _ENUMS: dict[str, Any] = {

@@ -52,7 +52,7 @@ class NotFound(PliantError, LookupError):
 
 
 class SessionLost(NotFound):
-    """The session that this object stands for is no more: it expired, was deleted, or its server restarted."""
+    """The session that this object stands for is no more: it expired, was deleted, closed, or its server restarted."""
 
 
 class AlreadyExists(PliantError):

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .progress import Progress
+from .values import array, seen
 from .v1 import pliant_pb2 as pb
 
 #: Bytes of one piece of an upload, where the server takes messages of that size.
@@ -86,11 +87,22 @@ def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
         upload = Upload(ply(*model), format="ply")
     elif isinstance(model, MeshLike):
         upload = Upload(ply(model.vertices, model.faces), format="ply")
+    elif callable(getattr(model, "read", None)):
+        upload = Upload(_content(model.read()))
     else:
-        upload = Upload(model.read())
+        raise TypeError(
+            f"model: {seen(model)}; a path, the bytes of a file, a file open for reading, (vertices, faces), "
+            "or a mesh with these attributes is allowed"
+        )
     if companions is not None:
         upload.companions = dict(companions)
     return upload
+
+
+def _content(data: Any) -> bytes:
+    if not isinstance(data, bytes):
+        raise TypeError(f"model: the open file gives {type(data).__name__}, bytes are allowed: open it with 'rb'")
+    return data
 
 
 def _beside(path: Path, main: bytes) -> Iterator[tuple[str, bytes]]:
@@ -110,7 +122,7 @@ def _beside(path: Path, main: bytes) -> Iterator[tuple[str, bytes]]:
 
 def ply(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> bytes:
     """A binary PLY of (n, 3) vertices and (m, corners) faces; numbers keep their precision."""
-    points = np.asarray(vertices)
+    points = array("vertices", vertices)
     corners = np.asarray(faces)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"vertices have shape {points.shape}, (vertices, 3) is allowed")

@@ -7,6 +7,7 @@ from typing import Literal, Union
 from typing_extensions import TypedDict
 
 from .regions import enum
+from .values import mapping, number, put, seen
 from .v1 import pliant_pb2 as pb
 
 
@@ -52,17 +53,17 @@ def options(fields: SolveFields) -> pb.Options:
     message = pb.Options()
     for name, value in fields.items():
         if name in _PLAIN:
-            setattr(message, name, value)
+            put(message, name, value)
         elif name in _OUTPUT:
-            setattr(message.output, name, value)
+            put(message.output, name, value)
         elif name == "encoding":
             if value not in ("f32", "u16"):
-                raise ValueError(f"encoding: {value!r}, f32 or u16 is allowed")
-            message.output.encoding = enum(name, pb.Frame.Encoding, str(value))
+                raise ValueError(f"encoding: {seen(value)}, f32 or u16 is allowed")
+            message.output.encoding = enum(name, pb.Frame.Encoding, value)
         elif name == "first_pass":
-            message.first_pass = enum(name, pb.Options.FirstPass, str(value))
+            message.first_pass = enum(name, pb.Options.FirstPass, value)
         elif name == "method":
-            message.method = enum(name, pb.Options.Method, str(value))
+            message.method = enum(name, pb.Options.Method, value)
         else:
             allowed = ", ".join(SolveFields.__annotations__)
             raise TypeError(f"{name}: no such option; allowed are {allowed}")
@@ -107,15 +108,15 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
     message = pb.CreateOptions()
     for name, value in fields.items():
         if name in ("format", "label", "ttl"):
-            setattr(message, name, value)
+            put(message, name, value)
         elif name == "weld":
-            message.weld.tolerance = fields["weld"]
+            message.weld.tolerance = number(name, value)
         elif name == "components":
-            message.components = enum(name, pb.CreateOptions.Components, str(value))
+            message.components = enum(name, pb.CreateOptions.Components, value)
         elif name == "weights":
-            message.weights = enum(name, pb.CreateOptions.Weights, str(value))
+            message.weights = enum(name, pb.CreateOptions.Weights, value)
         elif name == "operators":
-            message.operators = enum(name, pb.CreateOptions.Operators, str(value))
+            message.operators = enum(name, pb.CreateOptions.Operators, value)
         elif name == "volume_graph":
             graph = fields["volume_graph"]
             _volume_graph({"mode": graph} if isinstance(graph, str) else graph, message.volume_graph)
@@ -126,10 +127,10 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
 
 
 def _volume_graph(fields: VolumeGraph, message: pb.CreateOptions.VolumeGraph) -> None:
-    for name, value in fields.items():
+    for name, value in mapping("volume_graph", fields, "auto, off, required or a dict").items():
         if name == "mode":
-            message.mode = enum(name, pb.CreateOptions.VolumeGraph.Mode, str(value))
+            message.mode = enum(name, pb.CreateOptions.VolumeGraph.Mode, value)
         elif name in ("interval", "valence", "shell_offset"):
-            setattr(message, name, value)
+            put(message, name, value)
         else:
             raise TypeError(f"volume_graph: {name}: allowed are mode, interval, valence and shell_offset")

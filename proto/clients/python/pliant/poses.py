@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import TypedDict
 
+from .values import about, array, mapping, seen, text
 from .v1 import pliant_pb2 as pb
 
 Vector: TypeAlias = Union[Sequence[float], "npt.NDArray[Any]"]
@@ -51,7 +52,7 @@ class Pose:
 
         Raises ValueError when the matrix shears, mirrors or projects: a pose cannot do that.
         """
-        matrix = np.asarray(model_from_rest, dtype=np.float64)
+        matrix = array("a pose's matrix", model_from_rest).astype(np.float64)
         if matrix.shape != (4, 4):
             raise ValueError(f"a pose's matrix has shape {matrix.shape}, (4, 4) is allowed")
         if not np.allclose(matrix[3], [0, 0, 0, 1]):
@@ -90,11 +91,11 @@ def _quaternion(turn: npt.NDArray[np.float64]) -> list[float]:
 
 def numbers(what: str, value: Any, allowed: tuple[int, ...]) -> list[float]:
     """A vector as the schema carries it; its values are the server's to judge."""
-    array = np.asarray(value, dtype=np.float64).ravel()
-    if array.size not in allowed:
+    found = array(what, value).ravel()
+    if found.size not in allowed:
         sizes = " or ".join(map(str, allowed))
-        raise ValueError(f"{what}: {array.size} numbers, {sizes} are allowed")
-    return [float(number) for number in array]
+        raise ValueError(f"{what}: {found.size} numbers, {sizes} are allowed")
+    return [float(number) for number in found]
 
 
 def to_message(pose: PoseLike) -> pb.HandlePose:
@@ -104,7 +105,11 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
     if isinstance(pose, np.ndarray):
         pose = Pose.from_matrix(pose)
     if not isinstance(pose, Pose):
-        pose = Pose(**pose)
+        fields = mapping("pose", pose, "a pliant.Pose, a dict of its fields, or an array of shape (4, 4)")
+        for name in fields:
+            if name not in _LENGTHS:
+                raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_LENGTHS)}")
+        pose = Pose(**fields)
     message = pb.HandlePose()
     for name, allowed in _LENGTHS.items():
         value = getattr(pose, name)
@@ -116,9 +121,14 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
 _LENGTHS = {"translation": (3,), "rotation": (4,), "rotation_vector": (3,), "scale": (1, 3), "pivot": (3,)}
 
 
-def entries(poses: Poses) -> dict[str, pb.HandlePose]:
+def entries(poses: Poses | Mapping[str, pb.HandlePose]) -> dict[str, pb.HandlePose]:
     """The poses of several handles as messages."""
-    return {handle: to_message(pose) for handle, pose in poses.items()}
+    found = {}
+    for handle, pose in mapping("poses", poses, "a dict from handle ids to poses").items():
+        text("poses", handle, "a handle's id, which is text,")
+        with about(f"pose of {handle!r}"):
+            found[handle] = pose if isinstance(pose, pb.HandlePose) else to_message(pose)
+    return found
 
 
 def pose_message(by_handle: Mapping[str, pb.HandlePose], seq: int = 0) -> pb.Pose:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from typing_extensions import TypedDict
 
 from .poses import Vector, numbers
+from .values import about, array, mapping, number, put, seen, text, whole
 from .v1 import pliant_pb2 as pb
 
 #: Runs of vertices of at least this length travel as first and count.
@@ -43,48 +44,49 @@ RegionLike: TypeAlias = Union[RegionFields, pb.Region]
 REGIONS = ("vertices", "half_space", "sphere", "box", "capsule", "tube", "component", "primitive", "weights")
 
 
-def region(fields: RegionLike | Mapping[str, Any]) -> pb.Region:
-    """A region as the schema carries it."""
+def region(fields: RegionLike | Mapping[str, Any], count: int | None = None) -> pb.Region:
+    """A region of a model with `count` render vertices, where that is known, as the schema carries it."""
     if isinstance(fields, pb.Region):
         return fields
-    given: dict[str, Any] = {name: value for name, value in fields.items() if value is not None}
+    named = mapping("region", fields, f"a dict of one of {', '.join(REGIONS)}")
+    given: dict[str, Any] = {name: value for name, value in named.items() if value is not None}
     if len(given) != 1 or not set(given) <= set(REGIONS):
         seen = ", ".join(given) or "nothing"
         raise ValueError(f"region: {seen} is given, exactly one of {', '.join(REGIONS)} is allowed")
     name, value = next(iter(given.items()))
     if name == "vertices":
-        return pb.Region(vertices=vertices(value))
+        return pb.Region(vertices=vertices(value, count))
     if name == "component":
-        return pb.Region(component=pb.Region.Part(index=int(value)))
+        return pb.Region(component=pb.Region.Part(index=whole(name, value)))
     if name == "primitive":
-        return pb.Region(primitive=pb.Region.Part(index=int(value)))
+        return pb.Region(primitive=pb.Region.Part(index=whole(name, value)))
     if name == "weights":
-        values = np.asarray(value, dtype=np.float32).ravel()
-        return pb.Region(weights=pb.Region.Weights(values=values))
+        values = line(name, array(name, value))
+        return pb.Region(weights=pb.Region.Weights(values=values.astype(np.float32)))
     return _shape(name, value)
 
 
 def _shape(name: str, value: Any) -> pb.Region:
     parts = {"half_space": 2, "sphere": 2, "box": 2, "capsule": 3, "tube": 2}[name]
     if not isinstance(value, (tuple, list)) or len(value) != parts:
-        raise ValueError(f"{name}: {_FORMS[name]} is allowed, not {value!r}")
+        raise ValueError(f"{name}: {_FORMS[name]} is allowed, not {seen(value)}")
     if name == "half_space":
         normal = numbers("half_space's normal", value[0], (3,))
-        return pb.Region(half_space=pb.Region.HalfSpace(normal=normal, offset=float(value[1])))
+        return pb.Region(half_space=pb.Region.HalfSpace(normal=normal, offset=number("half_space's offset", value[1])))
     if name == "sphere":
         center = numbers("sphere's center", value[0], (3,))
-        return pb.Region(sphere=pb.Region.Sphere(center=center, radius=float(value[1])))
+        return pb.Region(sphere=pb.Region.Sphere(center=center, radius=number("sphere's radius", value[1])))
     if name == "box":
         low, high = (numbers("box's corner", corner, (3,)) for corner in value)
         return pb.Region(box=pb.Region.Box(min=low, max=high))
     if name == "capsule":
         ends = {"from": numbers("capsule's end", value[0], (3,)), "to": numbers("capsule's end", value[1], (3,))}
-        capsule: Any = {**ends, "radius": float(value[2])}  # `from` is a word of Python
+        capsule: Any = {**ends, "radius": number("capsule's radius", value[2])}  # `from` is a word of Python
         return pb.Region(capsule=pb.Region.Capsule(**capsule))
-    points = np.asarray(value[0], dtype=np.float64)
+    points = array("tube's points", value[0]).astype(np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"tube's points have shape {points.shape}, (points, 3) is allowed")
-    return pb.Region(tube=pb.Region.Tube(points=points.ravel().tolist(), radius=float(value[1])))
+    return pb.Region(tube=pb.Region.Tube(points=points.ravel().tolist(), radius=number("tube's radius", value[1])))
 
 
 _FORMS = {
@@ -96,16 +98,36 @@ _FORMS = {
 }
 
 
-def vertices(chosen: Sequence[int] | npt.NDArray[Any]) -> pb.Region.Vertices:
-    """Vertices as single indices and runs; a boolean array is a mask."""
-    array = np.asarray(chosen)
-    if array.dtype == np.bool_:
-        array = np.flatnonzero(array)
-    if array.size and not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"vertices: numbers of type {array.dtype}, indices or a boolean mask are allowed")
-    if array.size and int(array.min()) < 0:
-        raise ValueError(f"vertices: {int(array.min())}, indices from 0 are allowed")
-    rising = np.unique(array.ravel()).astype(np.int64)
+def line(what: str, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """An array of one dimension: what has more is meant otherwise than it would be taken."""
+    if values.ndim != 1:
+        raise ValueError(f"{what}: an array of shape {values.shape}, one dimension is allowed")
+    return values
+
+
+def indices(what: str, chosen: Any) -> npt.NDArray[Any]:
+    """Vertices by number, in their order."""
+    with about(what):
+        found = np.asarray(chosen)
+    if found.size and not np.issubdtype(found.dtype, np.integer):
+        raise ValueError(f"{what}: values of type {found.dtype}, indices are allowed")
+    for extreme in (int(found.min()), int(found.max())) if found.size else ():
+        if not 0 <= extreme < 1 << 32:
+            raise ValueError(f"{what}: {extreme}, indices from 0 are allowed")
+    return line(what, found)
+
+
+def vertices(chosen: Sequence[int] | npt.NDArray[Any], count: int | None = None) -> pb.Region.Vertices:
+    """Vertices as single indices and runs; a boolean array is a mask over all `count` of them."""
+    with about("vertices"):
+        given = np.asarray(chosen)
+    if given.dtype == np.bool_:
+        if count is not None and line("vertices", given).size != count:
+            raise ValueError(f"vertices: a mask of {given.size} values, the model's {count} are allowed")
+        given = np.flatnonzero(line("vertices", given))
+    elif given.size and not np.issubdtype(given.dtype, np.integer):
+        raise ValueError(f"vertices: values of type {given.dtype}, indices or a boolean mask are allowed")
+    rising = np.unique(indices("vertices", given)).astype(np.int64)
     starts = np.flatnonzero(np.diff(rising, prepend=-2) != 1)
     counts = np.diff(starts, append=rising.size)
     long = counts >= _RUN
@@ -125,29 +147,35 @@ def handle(
     rigid: bool,
     falloff: tuple[float, str] | None,
     fields: RegionLike | Mapping[str, Any],
+    count: int | None = None,
 ) -> pb.Handle:
-    """A handle as the schema carries it."""
-    message = pb.Handle(id=id, region=region(fields), rigid=rigid, pose=pose)
+    """A handle on a model with `count` render vertices as the schema carries it."""
+    message = pb.Handle(id=id, region=region(fields, count), pose=pose)
+    put(message, "rigid", rigid)
+    if isinstance(constrains, str):
+        raise TypeError(f"constrains: {constrains!r}, a list of names is allowed")
     for name in constrains or ():
         message.constrains.append(enum("constrains", pb.Handle.Constrains, name))
     if stiffness is not None:
-        message.stiffness = stiffness
+        put(message, "stiffness", stiffness)
     if falloff is not None:
-        message.falloff.CopyFrom(
-            pb.Falloff(radius=falloff[0], kind=enum("falloff", pb.Falloff.Kind, falloff[1])),
-        )
+        if not isinstance(falloff, (tuple, list)) or len(falloff) != 2:
+            raise TypeError(f"falloff: {seen(falloff)}, (radius, kind) is allowed")
+        radius, kind = number("falloff's radius", falloff[0]), enum("falloff", pb.Falloff.Kind, falloff[1])
+        message.falloff.CopyFrom(pb.Falloff(radius=radius, kind=kind))
     return message
 
 
-def enum(what: str, kind: Any, name: str) -> Any:
+def enum(what: str, kind: Any, name: object) -> Any:
     """The value of an enum of the schema by its name in any case."""
     try:
-        return kind.Value(name.upper().replace("-", "_"))
-    except ValueError:
+        return kind.Value(text(what, name).upper().replace("-", "_"))
+    except (TypeError, ValueError) as wrong:
         allowed = ", ".join(known.lower() for known in kind.keys())
-        raise ValueError(f"{what}: {name!r}, one of {allowed} is allowed") from None
+        refusal = TypeError if isinstance(wrong, TypeError) else ValueError
+        raise refusal(f"{what}: {seen(name)}, one of {allowed} is allowed") from None
 
 
 def plane(value: tuple[Vector, float]) -> pb.Plane:
     """(normal, offset): points with normal . x = offset."""
-    return pb.Plane(normal=numbers("plane's normal", value[0], (3,)), offset=float(value[1]))
+    return pb.Plane(normal=numbers("plane's normal", value[0], (3,)), offset=number("plane's offset", value[1]))

@@ -94,14 +94,16 @@ class LocalServer:
         return line.removeprefix("listening on ")
 
     def _words(self) -> str:
-        """The last of what the server wrote."""
+        """Why the server ended, or where it does not tell, the last of what it wrote."""
         try:
             self._process.wait(timeout=5)
         except subprocess.TimeoutExpired:
             pass
         self._log.seek(0)
-        lines = self._log.read().decode(errors="replace").strip().splitlines()
-        return " / ".join(lines[-3:]) or "it said nothing"
+        lines = [line.strip() for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
+        # The program's own last word begins with its name; hints on how it is used stand around it.
+        reasons = [line for line in lines if line.startswith("pliant: ")]
+        return " / ".join(reasons[-1:] or lines[-3:]) or "it said nothing"
 
     @property
     def ended(self) -> LocalServerError | None:

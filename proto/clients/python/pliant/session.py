@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -11,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 from typing_extensions import Unpack
 
-from . import edits, errors, frames, model
+from . import edits, frames, model
 from .books import Commit, Traffic, commits
 from .calls import Calls
-from .declared import CLOSE_SECONDS, CommitWish, Declared, recorded
+from .declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
 from .frames import Floats, Frame
 from .options import SolveFields, options
 from .poses import Poses
@@ -31,9 +32,14 @@ class Session(Declared):
 
     def __init__(self, calls: Calls, info: pb.Session, *, keep: bool, at_close: Callable[[], None] | None) -> None:
         super().__init__(info)
-        self._calls = calls
+        self._connection = calls
         self._keep = keep
         self._at_close = at_close
+
+    @property
+    def _calls(self) -> Calls:
+        self._check_open()
+        return self._connection
 
     def apply(self) -> pb.Session:
         """Sends the handles now, if they are not on the server yet; answers the session with the handles in force."""
@@ -84,6 +90,7 @@ class Session(Declared):
         the last is ``final``. With ``latest`` poses are taken as fast as they come (from an iterator that waits for a
         mouse, say) and only the newest is solved. ``commit=True`` records every pose, ``commit="last"`` the last one.
         """
+        to_drag(poses, commit)
         poses = poses if latest else list(poses) if progress else poses
         total = len(poses) if isinstance(poses, Sequence) else 0
         with Meter(progress, "poses") as tell:
@@ -129,7 +136,7 @@ class Session(Declared):
 
         Afterwards ``vertices`` and ``info`` are new, and streams have to be opened anew.
         """
-        request = edits.request(self.id, on, operation)
+        request = edits.request(self.id, on, operation, self.vertices)
         self.apply()
         done = edits.result(self._calls.one("Edit", request, keyed=True))
         self._books.edited(self._calls.one("GetSession", self._named()))
@@ -162,9 +169,9 @@ class Session(Declared):
         """Deletes the session on the server, unless it was opened to be kept."""
         try:
             if not self._keep:
-                self._calls.one("DeleteSession", self._named(), patience=CLOSE_SECONDS)
-        except (errors.NotFound, errors.Unavailable, errors.LocalServerError):
-            pass  # it is gone, or goes when its time is over
+                with suppress(*GONE):
+                    self._calls.one("DeleteSession", self._named(), patience=CLOSE_SECONDS)
+                self._closed = True
         finally:
             self._keep = True
             if self._at_close is not None:

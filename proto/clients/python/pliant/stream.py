@@ -159,23 +159,25 @@ class Stream:
         """Reads one connection after the other until the stream is closed or cannot go on."""
         attempts = channel.Attempts(self._calls.settings.patience)
         while True:
-            with self._news:
-                if self._closed:
-                    return
-                outgoing: _Outgoing = SimpleQueue()
-                self._outgoing = outgoing
-                for message in self._traffic.opening():
-                    outgoing.put(message)
-                self._call = call = self._calls.deform(iter(outgoing.get, None))
+            outgoing: _Outgoing = SimpleQueue()
             error: errors.PliantError = errors.Unavailable("the server ended the stream")
+            call = None
             try:
+                with self._news:
+                    if self._closed:
+                        return
+                    self._outgoing = outgoing
+                    for message in self._traffic.opening():
+                        outgoing.put(message)
+                    self._call = call = self._calls.deform(iter(outgoing.get, None))
                 for response in call:
                     attempts = channel.Attempts(self._calls.settings.patience)
                     self._put(response)
             except grpc.RpcError as failed:
                 error = self._calls.fault(failed)
             except errors.PliantError as broken:
-                call.cancel()
+                if call is not None:
+                    call.cancel()
                 error = broken
             outgoing.put(None)
             with self._news:

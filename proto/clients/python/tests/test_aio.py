@@ -164,5 +164,17 @@ def test_limits_and_lists(server: pliant.LocalServer, creature: Path) -> None:
             await (await client.attach(s.id, keep=False)).close()
             with pytest.raises(pliant.NotFound):
                 await client.attach(s.id)
+            gone = await client.open(creature)
+            await gone.close()
+            for call in (gone.refresh, gone.positions, gone.stream):
+                with pytest.raises(pliant.SessionLost, match=r"was closed by close\(\)"):
+                    await call()
+            left = await client.open(creature)
+            with pytest.raises(ValueError, match="commit: 'first'"):
+                _ = [f async for f in left.drag([TURN], commit="first")]  # type: ignore[arg-type]
+        for call in (client.limits, left.refresh, left.positions, (await left.stream()).receive):
+            with pytest.raises(pliant.FailedPrecondition, match="the connection is closed"):
+                await call()
+        await left.close()
 
     run(work())

@@ -159,6 +159,26 @@ def test_what_the_server_refuses_comes_as_it_said_it(held: pliant.Session, serve
         bare.solve()
 
 
+def test_a_handle_that_makes_no_sense_is_refused_by_name(held: pliant.Session) -> None:
+    for region in ({"vertices": np.ones(5, bool)}, {"sphere": ((0, 0), 1)}, {"component": 0.5}):
+        with pytest.raises(ValueError, match=f"handle 'tail': {next(iter(region))}"):
+            held.handle("tail", **region)
+    with pytest.raises(ValueError, match=f"mask of {held.vertices + 1} values, the model's {held.vertices} are"):
+        held.region_of_interest(vertices=np.ones(held.vertices + 1, bool))
+    with pytest.raises(ValueError, match="delete: vertices: a mask of 5 values"):
+        held.edit(delete={"region": {"vertices": np.ones(5, bool)}})
+    for other in ({"falloff": 0.2}, {"stiffness": "5"}, {"rigid": "no"}, {"constrains": "position"}):
+        with pytest.raises(TypeError, match=f"handle 'tail': {next(iter(other))}"):
+            held.handle("tail", **HEAD, **other)
+    with pytest.raises(TypeError, match="handle: 5, an id"):
+        held.handle(5, **HEAD)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="poses: "):
+        held.solve([1])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="commit: 'first'"):
+        list(held.drag([TURN], commit="first"))  # type: ignore[arg-type]
+    assert held.handles == ["feet", "head"] and len(held.history()) == 2, "nothing came of it"
+
+
 def test_an_edit_is_done_or_refused_by_name(server: pliant.LocalServer) -> None:
     vertices, faces = bar()
     with pliant.open((vertices, faces), server=server) as session:
@@ -201,8 +221,17 @@ def test_a_session_can_be_kept_found_and_taken_up(server: pliant.LocalServer, cr
         again.solve(TURN)
         again.close()
         assert session.id not in [s.id for s in client.sessions()]
-        with pytest.raises(pliant.SessionLost, match="no session"):
-            again.refresh()
+        for call in (again.refresh, again.positions, again.solve, again.undo, again.stream):
+            with pytest.raises(pliant.SessionLost, match=r"was closed by close\(\)"):
+                call()
+        again.close()
+        with pytest.raises(TypeError, match="session_id: 5, text"):
+            client.attach(5)  # type: ignore[arg-type]
+        left = client.open(creature)
+    for call in (client.limits, left.refresh, left.positions, left.stream().receive):
+        with pytest.raises(pliant.FailedPrecondition, match="the connection is closed"):
+            call()
+    left.close()
 
 
 def test_models_come_in_as_files_bytes_streams_and_meshes(server: pliant.LocalServer, creature: Path) -> None:

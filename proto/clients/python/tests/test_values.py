@@ -11,6 +11,8 @@ import pytest
 
 import pliant
 from pliant import channel, edits, model, regions
+from pliant.books import as_entries
+from pliant.declared import to_drag
 from pliant.options import create_options, options
 from pliant.poses import to_message
 from pliant.v1 import pliant_pb2 as pb
@@ -75,12 +77,72 @@ def test_vertices_travel_as_runs_and_single_numbers() -> None:
         ({"sphere": ((0, 0), 1)}, "2 numbers, 3 are allowed"),
         ({"vertices": [0.5]}, "indices or a boolean mask"),
         ({"vertices": [-1]}, "indices from 0"),
+        ({"vertices": [1 << 40]}, "indices from 0"),
+        ({"vertices": [[1, 2], [3, 4]]}, r"shape \(2, 2\), one dimension"),
+        ({"vertices": np.ones(5, bool)}, "a mask of 5 values, the model's 9 are allowed"),
+        ({"vertices": np.ones((3, 3), bool)}, r"shape \(3, 3\), one dimension"),
+        ({"component": 0.5}, "component: 0.5, a whole number from 0"),
+        ({"primitive": -1}, "primitive: -1, a whole number from 0"),
+        ({"weights": np.ones((3, 3))}, "one dimension"),
+        ({"sphere": (("0", "0", "0"), 1)}, "real numbers"),
         ({"tube": ([0, 0, 0], 1)}, "shape"),
     ],
 )
 def test_a_region_that_makes_no_sense_is_refused_before_it_is_sent(fields: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        regions.region(fields)
+        regions.region(fields, 9)
+    assert not list(regions.region({"vertices": np.zeros(9, bool)}, 9).vertices.indices)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        (5, "region: 5, a dict"),
+        ({"component": True}, "component: True, a number"),
+        ({"component": "0"}, "component: '0', a number"),
+        ({"sphere": ((0, 0, 0), "1")}, "radius: '1', a number"),
+    ],
+)
+def test_a_region_of_another_type_is_refused_before_it_is_sent(fields: object, words: str) -> None:
+    with pytest.raises(TypeError, match=words):
+        regions.region(fields)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("poses", "words"),
+    [
+        ([1], r"poses: \[1\], a dict from handle ids"),
+        ([], "a dict from handle ids"),
+        ({5: {}}, "poses: 5, a handle's id"),
+        ({"head": {"turn": 1}}, "pose of 'head': 'turn': no such field of a pose; allowed are translation"),
+        ({"head": [0, 1, 0]}, "pose of 'head': .*shape"),
+        ({"head": {"translation": (1, 2)}}, "pose of 'head': translation: 2 numbers, 3"),
+        ({"head": {"translation": (1j, 0, 0)}}, "pose of 'head': translation: .*complex128"),
+        ({"head": {"pivot": (None, 0, 0)}}, "pose of 'head': pivot: .*object"),
+        ({"head": np.eye(4) * 1j}, "pose of 'head': .*complex128"),
+    ],
+)
+def test_poses_that_make_no_sense_name_their_handle(poses: object, words: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=words):
+        as_entries(poses)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("commit", ["first", "", 2, None])
+def test_a_drag_records_all_poses_the_last_or_none(commit: object) -> None:
+    with pytest.raises(ValueError, match=f'commit: {commit!r}, True, False or "last"'):
+        to_drag([], commit)
+
+
+@pytest.mark.parametrize("poses", [{"head": {}}, "head", 5])
+def test_a_drag_takes_several_poses(poses: object) -> None:
+    with pytest.raises(TypeError, match="poses: .* a list or an iterator"):
+        to_drag(poses, False)
+
+
+@pytest.mark.parametrize("what", [None, 5, [[0, 0, 0]], io.StringIO("OFF")])
+def test_what_is_no_model_is_refused_before_it_is_sent(what: object) -> None:
+    with pytest.raises(TypeError, match="^model: "):
+        model.read(what)  # type: ignore[arg-type]
 
 
 def test_every_shape_of_a_region_is_carried() -> None:
@@ -101,6 +163,17 @@ def test_options_know_their_names_and_values() -> None:
         options({"first_pass": "magic"})  # type: ignore[typeddict-item]
     with pytest.raises(TypeError, match="tolerance"):
         options({"tolerence": 1e-6})  # type: ignore[typeddict-unknown-key]
+    for fields, words in [
+        ({"refine": 0.5}, "refine: 0.5, a whole number"),
+        ({"tolerance": "1"}, "tolerance: '1', a number"),
+        ({"normals": "no"}, "normals: 'no', True or False"),
+        ({"method": 5}, "method: 5, one of"),
+    ]:
+        with pytest.raises((TypeError, ValueError), match=words):
+            options(fields)  # type: ignore[arg-type]
+    for fields, words in [({"ttl": 0}, "ttl: 0, text is"), ({"label": b"x"}, "label: "), ({"volume_graph": 5}, "auto")]:
+        with pytest.raises(TypeError, match=words):
+            create_options(fields)  # type: ignore[arg-type]
     created = create_options({"volume_graph": "off", "weld": 1e-3, "ttl": "1h", "components": "hold"})
     assert created.volume_graph.mode == pb.CreateOptions.VolumeGraph.OFF and created.weld.tolerance == 1e-3
     assert create_options({"volume_graph": {"valence": 8}}).volume_graph.valence == 8
@@ -133,6 +206,15 @@ def test_edits_are_carried_by_name() -> None:
     assert told.now_from_before.tolist() == [0, 1, -1, -1, 2, 3]
     with pytest.raises(TypeError, match="no such setting"):
         edits.request("id", "current", {"weld": {"distance": 1}})
+    for fields, words in [
+        ({"cut": 5}, "cut: 5, a dict"),
+        ({"cut": {"path": [0.5, 1]}}, "cut: path: values of type float64, indices"),
+        ({"delete": {"region": {"vertices": [True]}}}, "delete: vertices: a mask of 1 values"),
+        ({"delete": {"region": ball["region"], "fill": "no"}}, "delete: fill: 'no', True or False"),
+        ({"weld": {"tolerance": "1"}}, "weld: tolerance: '1', a number"),
+    ]:
+        with pytest.raises((TypeError, ValueError), match=words):
+            edits.request("id", "current", fields, 9)
 
 
 def test_arrays_become_a_ply_that_keeps_their_precision() -> None:
@@ -145,6 +227,8 @@ def test_arrays_become_a_ply_that_keeps_their_precision() -> None:
         (points, [[0.0, 1, 2]], "whole numbers"),
         (points, [[0, 1, 3]], "name vertices 0 to 3 of 3"),
         (points, [0, 1, 2], "shape"),
+        (points.astype(str), [[0, 1, 2]], "vertices: values of type .*, real numbers"),
+        (points + 0j, [[0, 1, 2]], "vertices: values of type complex128, real numbers"),
     ]:
         with pytest.raises(ValueError, match=words):
             model.ply(vertices, faces)

@@ -19,6 +19,7 @@ export async function play({ browser, url }) {
     await sheet.pick({ name: "broken.glb", mimeType: "model/gltf-binary", buffer: Buffer.from("glTF, but not really") });
     await sheet.page.getByText("Opening broken.glb failed").waitFor();
     await sheet.picture(`error-${scheme}`);
+    assert.equal(await sheet.page.locator(".notice").count(), 1, "an attempt takes away what the one before it said");
     const dismiss = sheet.page.getByRole("button", { name: "Dismiss" });
     while ((await dismiss.count()) > 0) await dismiss.first().click();
     // The browser itself writes refused calls to its console.

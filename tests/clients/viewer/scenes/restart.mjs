@@ -62,6 +62,27 @@ export async function play({ browser, server, folder, log }) {
     const { worst, diagonal } = await shows(sheet, before, 1e-6 * compare(before, before).diagonal);
     log(`after the restart the shape differs by ${(worst / diagonal).toExponential(1)} of the box`);
     assert.ok(worst <= 1e-6 * diagonal, `the shape is as it was before the restart, but for ${worst}`);
+
+    // The server ends while the mouse holds the gizmo: the pose that it was never told of is not lost either.
+    await mouse.move(again.at.x, again.at.y);
+    await mouse.down();
+    for (let k = 1; k <= 10; k++) await mouse.move(again.at.x - 4 * k, again.at.y - 3 * k);
+    await server.kill();
+    for (let k = 1; k <= 10; k++) await mouse.move(again.at.x - 40 - 2 * k, again.at.y - 30 - k);
+    await mouse.up();
+    await sheet.page.locator(".banner").waitFor();
+    const [, untold] = await sheet.ask("handles");
+    assert.notDeepEqual(untold.pose, again.pose, "the handle was dragged");
+    await server.start();
+    await sheet.page.getByRole("alertdialog").waitFor();
+    assert.equal(await sheet.page.locator(".notice.error").count(), 0, "no failure lies over the dialog");
+    await sheet.page.getByRole("button", { name: "Open it again" }).click();
+    await sheet.until("the model opens once more", ({ link, busy, revision: now }) => link === "open" && !busy && now === "3");
+    const [, saved] = await sheet.ask("handles");
+    assert.deepEqual(saved.pose, untold.pose, "the pose of the drag is there");
+    const held = await server.floats("GET", `/v1/sessions/${await sheet.ask("session")}/positions`);
+    assert.equal((await shows(sheet, held)).worst, 0, "and so is the shape");
+    assert.ok(compare(held, before).worst > 0.01 * compare(held, before).diagonal, "which is another than before the drag");
     await sheet.close();
   } finally {
     proxy.stop();

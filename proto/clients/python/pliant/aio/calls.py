@@ -29,6 +29,7 @@ class Calls:
     def __init__(self, settings: channel.Settings, server: LocalServer | None = None) -> None:
         self.settings = settings
         self._server = server
+        self._closed = False
         options = settings.options()
         if settings.secure:
             self._channel = grpc.aio.secure_channel(settings.target, settings.credentials(), options=options)
@@ -39,7 +40,13 @@ class Calls:
 
     async def close(self) -> None:
         """Closes the connection; calls under way are cancelled."""
+        self._closed = True
         await self._channel.close()
+
+    def check_open(self) -> None:
+        """Raises when this connection was closed."""
+        if self._closed:
+            raise errors.FailedPrecondition(channel.CLOSED)
 
     async def one(self, name: str, request: Any, *, keyed: bool = False, patience: float | None = None) -> Any:
         """A call with one request and one answer. `keyed` calls happen once however often they are sent."""
@@ -75,6 +82,7 @@ class Calls:
 
     def deform(self, requests: AsyncIterator[pb.DeformRequest]) -> Any:
         """Opens a stream; nothing is repeated here."""
+        self.check_open()
         return self._stub.Deform(requests, metadata=self.settings.metadata())
 
     async def get(self, path: str) -> bytes:
@@ -99,6 +107,8 @@ class Calls:
     async def found(self, pause: float, patience: float) -> bool:
         """Waits for `pause` seconds and then until there is a connection; whether there is one."""
         await asyncio.sleep(pause)
+        if self._closed:
+            return False
         end = time.monotonic() + patience
         while True:
             try:
@@ -111,6 +121,7 @@ class Calls:
     async def _repeat(self, attempt: Callable[[], Awaitable[_T]], patience: float | None = None) -> _T:
         attempts = channel.Attempts(self.settings.patience if patience is None else patience)
         while True:
+            self.check_open()
             try:
                 return await attempt()
             except grpc.RpcError as failed:

@@ -14,6 +14,7 @@ from ..model import Model, read
 from ..options import CreateFields, create_options
 from ..progress import Meter, ProgressLike
 from ..server import LocalServer
+from ..values import text
 from ..v1 import pliant_pb2 as pb
 from .calls import Calls
 from .session import Session
@@ -62,6 +63,7 @@ class Client:
 
     async def attach(self, session_id: str, *, keep: bool = True) -> Session:
         """Takes up an open session."""
+        text("session_id", session_id)
         info = await self._calls.one("GetSession", pb.SessionRequest(session_id=session_id))
         return Session(self._calls, info, keep=keep, at_close=None)
 

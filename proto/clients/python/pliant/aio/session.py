@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Union
@@ -11,9 +12,9 @@ from typing import Any, Literal, Union
 import numpy as np
 from typing_extensions import Unpack
 
-from .. import edits, errors, frames, model
+from .. import edits, frames, model
 from ..books import Commit, Traffic, commits
-from ..declared import CLOSE_SECONDS, CommitWish, Declared, recorded
+from ..declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
 from ..frames import Floats, Frame
 from ..options import SolveFields, options
 from ..poses import Poses
@@ -30,9 +31,14 @@ class Session(Declared):
         self, calls: Calls, info: pb.Session, *, keep: bool, at_close: Callable[[], Awaitable[None]] | None
     ) -> None:
         super().__init__(info)
-        self._calls = calls
+        self._connection = calls
         self._keep = keep
         self._at_close = at_close
+
+    @property
+    def _calls(self) -> Calls:
+        self._check_open()
+        return self._connection
 
     async def apply(self) -> pb.Session:
         """Sends the handles now, if they are not on the server yet; answers the session with the handles in force."""
@@ -75,6 +81,7 @@ class Session(Declared):
         **how: Unpack[SolveFields],
     ) -> AsyncIterator[Frame]:
         """Drags handles along `poses`, which may come asynchronously; see :meth:`pliant.Session.drag`."""
+        to_drag(poses, commit, (Iterable, AsyncIterable))
         total = len(poses) if isinstance(poses, (list, tuple)) else 0
         with Meter(progress, "poses") as tell:
             finals = 0
@@ -117,7 +124,7 @@ class Session(Declared):
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]
     ) -> edits.EditResult:
         """Changes the topology; see :meth:`pliant.Session.edit`."""
-        request = edits.request(self.id, on, operation)
+        request = edits.request(self.id, on, operation, self.vertices)
         await self.apply()
         done = edits.result(await self._calls.one("Edit", request, keyed=True))
         self._books.edited(await self._calls.one("GetSession", self._named()))
@@ -150,9 +157,9 @@ class Session(Declared):
         """Deletes the session on the server, unless it was opened to be kept."""
         try:
             if not self._keep:
-                await self._calls.one("DeleteSession", self._named(), patience=CLOSE_SECONDS)
-        except (errors.NotFound, errors.Unavailable, errors.LocalServerError):
-            pass  # it is gone, or goes when its time is over
+                with suppress(*GONE):
+                    await self._calls.one("DeleteSession", self._named(), patience=CLOSE_SECONDS)
+                self._closed = True
         finally:
             self._keep = True
             if self._at_close is not None:

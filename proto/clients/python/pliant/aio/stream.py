@@ -136,9 +136,10 @@ class Stream:
             self._outgoing = outgoing
             for message in self._traffic.opening():
                 outgoing.put_nowait(message)
-            call = self._calls.deform(_until_none(outgoing))
             error: errors.PliantError = errors.Unavailable("the server ended the stream")
+            call = None
             try:
+                call = self._calls.deform(_until_none(outgoing))
                 async for response in call:
                     attempts = channel.Attempts(self._calls.settings.patience)
                     self._put(response)
@@ -147,7 +148,8 @@ class Stream:
             except errors.PliantError as broken:
                 error = broken
             finally:
-                call.cancel()
+                if call is not None:
+                    call.cancel()
                 outgoing.put_nowait(None)
             pause = attempts.again(error)
             if pause is None or not await self._calls.found(pause, attempts.left):

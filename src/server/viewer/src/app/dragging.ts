@@ -3,6 +3,7 @@
 import { type FrameFacts, type PoseEntry, type Session, type SolveOptions, type Stream, schema } from "pliant-client";
 import { type HandlePose, entryOf } from "../model/handles.ts";
 import { repaint } from "./painting.ts";
+import { keepDocument } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
@@ -57,6 +58,8 @@ export function startStream(session: Session): void {
       // A stream that was replaced has nothing more to say about the page.
       if (stream !== undefined && stream !== mine) return;
       s.link.value = { state, ...(reason === undefined ? {} : { reason }) };
+      // What failed before means nothing to a session that is no more.
+      if (state === "gone") s.dismissErrors();
     },
     onFrame: () => stage.request(),
     onPoseError: (error) => s.fail("The pose was refused", error),
@@ -107,6 +110,8 @@ export async function commitPoses(ids: readonly string[]): Promise<void> {
   const recorded = current.commit(poses.map(entryOf));
   if (differs) current.setOptions(draggingOptions());
   s.recording.value += 1;
+  // Before the answer, which a server that ends now does not give.
+  void keepDocument();
   try {
     const frame = await recorded;
     if (stream !== current) return;
@@ -114,7 +119,8 @@ export async function commitPoses(ids: readonly string[]): Promise<void> {
     remember(BigInt(frame.revision), recordedHandles);
     await refreshHistory();
   } catch (error) {
-    if (stream === current) s.fail("The pose was not recorded", error);
+    // Of a session that is gone the dialog tells, and offers to open the model with this pose.
+    if (stream === current && current.state !== "gone") s.fail("The pose was not recorded", error);
   } finally {
     s.recording.value -= 1;
   }

@@ -2,6 +2,7 @@
 
 import { type Edit, PliantError, regionOf, schema } from "pliant-client";
 import { AT_REST, heldAfter } from "../model/handles.ts";
+import { otherPlaces } from "../model/warnings.ts";
 import { adoptHandles } from "./handling.ts";
 import { holdBeforeEdits, holdRest, keepDocument, reload } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
@@ -75,7 +76,7 @@ async function edit(what: string, operation: Edit): Promise<void> {
     void keepDocument();
     const { before, after } = result;
     s.note("info", `${what}: done`, `${before?.faces.toLocaleString()} → ${after?.faces.toLocaleString()} triangles`);
-    for (const warning of result.warnings) s.note("info", warning.message, warning.where);
+    for (const warning of result.warnings) s.note("info", warning.message, otherPlaces(warning));
   } catch (error) {
     if (error instanceof PliantError && error.isUnimplemented) s.editsRefused.value = error.message;
     else s.fail(`${what} failed`, error);

@@ -1,13 +1,17 @@
 /** Making, changing and removing handles. */
 
 import { batch } from "@preact/signals";
-import type { schema } from "pliant-client";
-import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf } from "../model/handles.ts";
+import { type Vector, schema } from "pliant-client";
+import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf, poseOf } from "../model/handles.ts";
 import { commitPoses } from "./dragging.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
 
 type Facts = schema.Session;
+type HandleFacts = schema.HandleFacts & { readonly pose?: schema.HandlePose | undefined };
+
+/** Whether an absent pose means "at rest": a schema without the field tells nothing. */
+const TELLS_POSES = "pose" in schema.HandleFactsSchema.field;
 
 /** Fields of a handle whose absence means something. */
 const CLEARABLE = ["constrains", "stiffness", "rigid", "pose", "falloff"] as const;
@@ -104,9 +108,13 @@ export async function poseHandle(id: string, pose: HandleState["pose"]): Promise
   await commitPoses([id]);
 }
 
-/** Takes the handles that the server tells of; what the page knows of them is kept. */
+/** Takes the handles and poses that the server tells of; what else the page knows of them is kept. */
 export function adoptHandles(facts: Facts, known: readonly HandleState[] = []): void {
-  merge(facts, known);
+  const told = (handle: HandleState): HandleState => {
+    const its = facts.handles.find(({ id }) => id === handle.id);
+    return its === undefined || !TELLS_POSES ? handle : { ...handle, pose: toldPose(its, handle.pose) };
+  };
+  merge(facts, known.map(told));
   const active = s.activeId.peek();
   if (!s.handles.peek().some(({ id }) => id === active)) {
     s.activeId.value = s.handles.peek().find(({ hold }) => hold !== "pin")?.id;
@@ -127,8 +135,8 @@ export function sampleHandles(open: s.Document | undefined): HandleState[] {
   const feet = where((_, y) => y <= 0.14);
   const head = where((x, y, z) => Math.hypot(x - 0.76, y - 1.22, z) <= 0.36);
   return [
-    { ...adopted("feet", 0), name: "Feet", hold: "pin", vertices: feet },
-    { ...adopted("head", 0), name: "Head", vertices: head },
+    { ...unknown("feet", 0), name: "Feet", hold: "pin", vertices: feet },
+    { ...unknown("head", 0), name: "Head", vertices: head },
   ];
 }
 
@@ -154,17 +162,26 @@ async function changing(what: string, change: () => Promise<void>): Promise<bool
   }
 }
 
-/** The server's list of handles, with what `known` says about each. */
+/** The server's list of handles, with what `known` says about each; poses of the others are as the server tells. */
 function merge(facts: Facts, known: readonly HandleState[]): void {
   s.facts.value = facts;
-  s.handles.value = facts.handles.map(({ id, vertices, centroid }, k) => ({
-    ...(known.find((handle) => handle.id === id) ?? adopted(id, k)),
-    count: vertices,
-    centroid: [centroid[0] ?? 0, centroid[1] ?? 0, centroid[2] ?? 0],
+  s.handles.value = facts.handles.map((told, k) => ({
+    ...(known.find(({ id }) => id === told.id) ?? { ...unknown(told.id, k), pose: toldPose(told) }),
+    count: told.vertices,
+    centroid: centroidOf(told),
   }));
 }
 
-function adopted(id: string, hue: number): HandleState {
+function toldPose(facts: HandleFacts, before?: HandleState["pose"]): HandleState["pose"] {
+  return poseOf(facts.pose, centroidOf(facts), before);
+}
+
+function centroidOf({ centroid: [x, y, z] }: HandleFacts): Vector {
+  return [x ?? 0, y ?? 0, z ?? 0];
+}
+
+/** A handle of which only the name is known. */
+function unknown(id: string, hue: number): HandleState {
   return {
     id,
     name: id,

@@ -1,12 +1,13 @@
 /**
- * What outlives a reload of the page: the last model with its handles, in the browser's own database. Sessions live on
- * the server; this is what is needed to take one up again, or to open the same model anew after the server forgot it.
+ * What outlives a reload of the page: the last models with their handles, in the browser's own database, one record for
+ * each session, so that tabs do not write over each other's. Sessions live on the server; this is what is needed to take
+ * one up again, or to open the same model anew after the server forgot it.
  */
 
 import type { CreateOptions } from "pliant-client";
 import type { HandleState } from "../model/handles.ts";
 
-/** The last model. */
+/** The model of a session. */
 export interface Kept {
   readonly session: string;
   readonly name: string;
@@ -24,8 +25,14 @@ export interface Kept {
   readonly beforeEdits: readonly HandleState[] | undefined;
 }
 
-const STORE = "last";
-const KEY = "model";
+const DATABASE = "pliant-viewer";
+const STORE = "models";
+/** Orders records by when they were written. */
+const BY_TIME = "keptAt";
+/** What the first version of the database had: one record for all tabs. */
+const FORMER = { store: "last", key: "model" } as const;
+/** Records that stay; older ones go. */
+const MOST = 8;
 /** Larger models are not kept: the browser may refuse, and the user would not notice why the page is slow. */
 const LARGEST = 256 << 20;
 
@@ -37,16 +44,34 @@ export function canReopen(kept: Kept): boolean {
 /** Remembers a model. Failing to is no failure of the page. */
 export async function keep(kept: Kept): Promise<void> {
   const tooLarge = (kept.model?.size ?? 0) > LARGEST;
-  await withStore("readwrite", (store) => store.put(tooLarge ? { ...kept, model: undefined } : kept, KEY));
+  const record = { ...kept, [BY_TIME]: Date.now(), ...(tooLarge ? { model: undefined } : {}) };
+  const put = (): Promise<unknown> => withStore("readwrite", (store) => store.put(record));
+  // The newest model matters most: where there is no room for it, the others go.
+  if ((await put()) === undefined) {
+    await trim(0);
+    await put();
+  }
+  await trim(MOST);
 }
 
-/** The model remembered last. */
-export async function kept(): Promise<Kept | undefined> {
-  return (await withStore<Kept | undefined>("readonly", (store) => store.get(KEY))) ?? undefined;
+/** The model of this session, or of the one that was written last. */
+export async function kept(session?: string): Promise<Kept | undefined> {
+  const wanted = session ?? (await sessions()).at(-1);
+  return wanted === undefined ? undefined : withStore<Kept>("readonly", (store) => store.get(wanted));
 }
 
-export async function forget(): Promise<void> {
-  await withStore("readwrite", (store) => store.delete(KEY));
+export async function forget(session: string): Promise<void> {
+  await withStore("readwrite", (store) => store.delete(session));
+}
+
+/** Sessions with a record, the newest last. */
+async function sessions(): Promise<readonly string[]> {
+  return (await withStore<string[]>("readonly", (store) => store.index(BY_TIME).getAllKeys())) ?? [];
+}
+
+async function trim(most: number): Promise<void> {
+  const all = await sessions();
+  for (const session of all.slice(0, Math.max(0, all.length - most))) await forget(session);
 }
 
 async function withStore<T>(
@@ -56,7 +81,14 @@ async function withStore<T>(
   try {
     const database = await request<IDBDatabase>(opened());
     try {
-      return await request<T>(act(database.transaction(STORE, mode).objectStore(STORE)));
+      const transaction = database.transaction(STORE, mode);
+      // A full disk is told by the transaction, after the request succeeded.
+      const stored = new Promise((resolve, reject) => {
+        transaction.oncomplete = resolve;
+        transaction.onabort = () => reject(transaction.error);
+      });
+      const [answer] = await Promise.all([request<T>(act(transaction.objectStore(STORE))), stored]);
+      return answer;
     } finally {
       database.close();
     }
@@ -67,8 +99,19 @@ async function withStore<T>(
 }
 
 function opened(): IDBOpenDBRequest {
-  const opening = indexedDB.open("pliant-viewer", 1);
-  opening.onupgradeneeded = () => opening.result.createObjectStore(STORE);
+  const opening = indexedDB.open(DATABASE, 2);
+  opening.onupgradeneeded = () => {
+    const { result: database, transaction } = opening;
+    const store = database.createObjectStore(STORE, { keyPath: "session" satisfies keyof Kept });
+    store.createIndex(BY_TIME, BY_TIME);
+    if (!database.objectStoreNames.contains(FORMER.store)) return;
+    const former: IDBRequest<Kept | undefined> | undefined = transaction?.objectStore(FORMER.store).get(FORMER.key);
+    if (former === undefined) return;
+    former.onsuccess = () => {
+      if (former.result !== undefined) store.put({ ...former.result, [BY_TIME]: Date.now() });
+      database.deleteObjectStore(FORMER.store);
+    };
+  };
   return opening;
 }
 

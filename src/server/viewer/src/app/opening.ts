@@ -3,7 +3,7 @@
 import { Client, type CreateOptions, PliantError, type Session, schema } from "pliant-client";
 import { batch } from "@preact/signals";
 import type { HandleState } from "../model/handles.ts";
-import { reportOf } from "../model/report.ts";
+import { type SurfaceReport, reportOf } from "../model/report.ts";
 import { type Topology, loadTopology } from "../model/topology.ts";
 import { Surface } from "../scene/surface.ts";
 import { startStream, stopStream } from "./dragging.ts";
@@ -28,6 +28,14 @@ let beforeEdits: readonly HandleState[] | undefined;
 /** Rest shapes by the commit that made their topology, so that undo across an edit finds the one before. */
 const rests = new Map<bigint, Float32Array<ArrayBuffer>>();
 const THIS_TAB = "pliant.session";
+/** Coordinates, in model units, up to which a model is drawn: graphics squares lengths in 32-bit numbers. */
+const LARGEST_DRAWN = 1e16;
+
+/** What a session's shape is drawn from. */
+interface Drawable {
+  readonly topology: Topology;
+  readonly report: SurfaceReport;
+}
 
 /** How the session is to be built, by the settings. */
 export function createOptions(name: string): CreateOptions {
@@ -46,6 +54,7 @@ export async function openFiles(files: readonly File[]): Promise<void> {
   // A .gltf names its buffers; no other format takes a second model along.
   const model = models.find((file) => kind(file) === "gltf") ?? models[0];
   if (model === undefined) {
+    s.dismissErrors();
     const seen = files.map((file) => file.name).join(", ") || "nothing";
     s.note("error", "That is no model", `${seen}: the server reads ${EXTENSIONS.join(", ")}.`);
     return;
@@ -77,12 +86,22 @@ export function canRebuild(): boolean {
 /** Opens the model that was open before, with its handles and poses. */
 export async function reopen(last: Kept): Promise<void> {
   await open(last, last.beforeEdits ?? last.handles);
+  const now = s.doc.peek()?.session.id;
+  if (now !== undefined && now !== last.session) await forget(last.session);
+}
+
+/** Opens the model on the screen anew, as it is now: the server may have gone before it was told of the last pose. */
+export async function reopenShown(): Promise<void> {
+  const shown = documentNow();
+  if (shown === undefined) return;
+  // The file on the disk may have changed since it was opened; the browser's own copy has not.
+  const found = await kept(shown.session);
+  await reopen(found?.model === undefined ? shown : { ...shown, model: found.model, companions: found.companions });
 }
 
 /** Takes up a session that is open on the server. */
 export async function resume(id: string): Promise<boolean> {
-  const last = await kept();
-  const known = last?.session === id ? last : undefined;
+  const known = await kept(id);
   let found = false;
   await busily("Taking up the session", async (signal) => {
     const session = await client.session(id, { signal }).catch((error: unknown) => {
@@ -95,12 +114,13 @@ export async function resume(id: string): Promise<boolean> {
       return;
     }
     found = true;
+    const drawn = await drawable(session);
     source = known ?? { name: session.facts.label || "model", model: undefined, companions: new Map(), sample: false };
     create = known?.create ?? {};
     beforeEdits = known?.beforeEdits;
     rests.clear();
     forgetPast(known?.past);
-    await show(session, source.name, known?.rest);
+    show(session, source.name, drawn, known?.rest);
     adoptHandles(session.facts, known?.handles);
     await refreshHistory();
     s.tool.value = s.handles.peek().length > 0 ? "move" : "brush";
@@ -112,18 +132,25 @@ export async function resume(id: string): Promise<boolean> {
 export async function closeModel(): Promise<void> {
   const open = s.doc.peek();
   leave();
-  void forget();
-  if (open !== undefined) await open.session.close().catch(() => undefined);
+  if (open === undefined) return;
+  void forget(open.session.id);
+  await open.session.close().catch(() => undefined);
 }
 
 /** Writes down what a reload or a restart of the server needs. */
 export async function keepDocument(): Promise<void> {
+  const now = documentNow();
+  if (now !== undefined) await keep(now);
+}
+
+/** The open model as it is now, with what it takes to open it anew. */
+export function documentNow(): Kept | undefined {
   const open = s.doc.peek();
-  if (open === undefined || source === undefined) return;
+  if (open === undefined || source === undefined) return undefined;
   const { name, model, companions, sample } = source;
   const past = pastSnapshots();
   const handles = s.handles.peek();
-  await keep({ session: open.session.id, name, model, companions, sample, create, rest: open.rest, handles, past, beforeEdits });
+  return { session: open.session.id, name, model, companions, sample, create, rest: open.rest, handles, past, beforeEdits };
 }
 
 /** An edit is about to change the topology: handles as they are now are the last that fit the uploaded file. */
@@ -139,7 +166,7 @@ export function holdRest(): void {
 
 /** Draws the session's shape as it is now, after its topology changed and the history was asked for. */
 export async function reload(session: Session, name: string): Promise<void> {
-  await show(session, name, rests.get(s.topologyRevision.peek()), false);
+  show(session, name, await drawable(session), rests.get(s.topologyRevision.peek()), false);
 }
 
 async function open(from: Source, restored?: readonly HandleState[]): Promise<void> {
@@ -158,13 +185,21 @@ async function open(from: Source, restored?: readonly HandleState[]): Promise<vo
       session = await client.open(from.model, { create: options, companions: from.companions, signal, onProgress });
     }
     tell("Fetching the triangles");
+    const drawn = await drawable(session).catch((error: unknown) => {
+      // Nobody would find the session again.
+      void session.close().catch(() => undefined);
+      throw error;
+    });
     source = from;
     create = options;
     beforeEdits = undefined;
     rests.clear();
     forgetPast();
-    await show(session, from.name, undefined, restored === undefined);
-    if (previous !== undefined) void previous.close().catch(() => undefined);
+    show(session, from.name, drawn, undefined, restored === undefined);
+    if (previous !== undefined) {
+      void forget(previous.id);
+      void previous.close().catch(() => undefined);
+    }
     remember(session.facts.revision, []);
     const wanted = restored ?? (from.sample ? sampleHandles(s.doc.peek()) : []);
     if (wanted.length > 0) await setAllHandles(wanted);
@@ -173,9 +208,19 @@ async function open(from: Source, restored?: readonly HandleState[]): Promise<vo
   });
 }
 
-async function show(session: Session, name: string, rest?: Float32Array<ArrayBuffer>, frame = true): Promise<void> {
-  const topology: Topology = await loadTopology(session);
+/** Fetches the triangles; refuses what cannot be drawn. */
+async function drawable(session: Session): Promise<Drawable> {
+  const topology = await loadTopology(session);
   const report = reportOf(topology);
+  const reach = Math.max(...[...report.box.min, ...report.box.max].map(Math.abs));
+  if (reach > LARGEST_DRAWN) {
+    const limit = LARGEST_DRAWN.toExponential();
+    throw new PliantError("OUT_OF_RANGE", `coordinates reach ${reach.toExponential(1)}, this page draws up to ${limit}; scale the model down`);
+  }
+  return { topology, report };
+}
+
+function show(session: Session, name: string, { topology, report }: Drawable, rest?: Float32Array<ArrayBuffer>, frame = true): void {
   const fits = rest !== undefined && rest.length === topology.positions.length;
   const atRest = fits ? rest : topology.positions;
   const { stage, gizmo } = view();
@@ -231,6 +276,8 @@ async function busily(title: string, work: (signal: AbortSignal, tell: Tell) => 
   const abort = new AbortController();
   const cancel = (): void => abort.abort();
   s.busy.value = { title, cancel };
+  // Another attempt makes those before it old.
+  s.dismissErrors();
   try {
     await work(abort.signal, (detail, fraction) => {
       s.busy.value = { title, detail, cancel, ...(fraction === undefined ? {} : { fraction }) };

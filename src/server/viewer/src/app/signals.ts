@@ -156,16 +156,20 @@ export const canRedo = computed(() => commits.value.length > 0 && commits.value.
 
 let notesMade = 0;
 
-/** Tells something; errors stay until dismissed. */
+/** Tells something, for as long as `Notes` shows it. */
 export function note(kind: Note["kind"], title: string, detail?: string): void {
   const id = ++notesMade;
   const told: Note = { id, kind, title, ...(detail === undefined ? {} : { detail }) };
   notes.value = [...notes.peek().filter((n) => n.title !== title || n.detail !== detail), told].slice(-4);
-  if (kind === "info") setTimeout(() => dismiss(id), 5000);
 }
 
 export function dismiss(id: number): void {
   notes.value = notes.peek().filter((n) => n.id !== id);
+}
+
+/** What failed before no longer matters. */
+export function dismissErrors(): void {
+  notes.value = notes.peek().filter(({ kind }) => kind !== "error");
 }
 
 /** Tells why something failed, in the server's words. */

@@ -1,6 +1,6 @@
 /** Handles as the page keeps them, and how the schema says them. */
 
-import { type Handle, type PoseEntry, type Vector, regionOf, schema } from "pliant-client";
+import { type Handle, type PoseEntry, type Quaternion, type Vector, nearestRotationVector, quaternionOf, regionOf, schema } from "pliant-client";
 
 /** How a handle holds: dragged by the gizmo, kept at rest, or pulling with a finite strength. */
 export type Hold = "grip" | "pin" | "soft";
@@ -93,6 +93,43 @@ export function entryOf({ id, pose }: Pick<HandleState, "id" | "pose">): PoseEnt
 
 function poseMessage({ translation, rotation, scale }: HandlePose): NonNullable<PoseEntry["pose"]> {
   return { translation: [...translation], rotationVector: [...rotation], scale: [...scale] };
+}
+
+/**
+ * A pose that the server tells, about the handle's centroid as the page has it. What the server leaves out is at rest. Of
+ * rotations that look alike, it is the one nearest to `before`, so that turns are not forgotten.
+ */
+export function poseOf(told: schema.HandlePose | undefined, centroid: Vector, before: HandlePose = AT_REST): HandlePose {
+  if (told === undefined) return AT_REST;
+  const [x, y, z, w] = told.rotation;
+  const rotation =
+    told.rotation.length === 4
+      ? nearestRotationVector([x ?? 0, y ?? 0, z ?? 0, w ?? 1], before.rotation)
+      : vectorOf(told.rotationVector, AT_REST.rotation);
+  const [size] = told.scale;
+  const scale: Vector = told.scale.length === 1 && size !== undefined ? [size, size, size] : vectorOf(told.scale, AT_REST.scale);
+  const translation = vectorOf(told.translation, AT_REST.translation);
+  const pivot = vectorOf(told.pivot, centroid);
+  const away: Vector = [pivot[0] - centroid[0], pivot[1] - centroid[1], pivot[2] - centroid[2]];
+  const turned = rotated(quaternionOf(rotation), [away[0] * scale[0], away[1] * scale[1], away[2] * scale[2]]);
+  return {
+    translation: [translation[0] + away[0] - turned[0], translation[1] + away[1] - turned[1], translation[2] + away[2] - turned[2]],
+    rotation,
+    scale,
+  };
+}
+
+function vectorOf(numbers: readonly number[], otherwise: Vector): Vector {
+  const [x, y, z] = numbers;
+  return x === undefined || y === undefined || z === undefined ? otherwise : [x, y, z];
+}
+
+/** v + 2w(q × v) + 2q × (q × v). */
+function rotated([x, y, z, w]: Quaternion, v: Vector): Vector {
+  const cross = (b: Vector): Vector => [y * b[2] - z * b[1], z * b[0] - x * b[2], x * b[1] - y * b[0]];
+  const once = cross(v);
+  const twice = cross(once);
+  return [v[0] + 2 * (w * once[0] + twice[0]), v[1] + 2 * (w * once[1] + twice[1]), v[2] + 2 * (w * once[2] + twice[2])];
 }
 
 /** Vertices under their numbers after an edit; those that are gone are left out. */

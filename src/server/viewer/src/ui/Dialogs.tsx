@@ -3,8 +3,8 @@
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { retryNow } from "../app/dragging.ts";
-import { type Kept, canReopen, kept } from "../app/keeping.ts";
-import { leave, reopen } from "../app/opening.ts";
+import { canReopen } from "../app/keeping.ts";
+import { documentNow, leave, reopenShown } from "../app/opening.ts";
 import * as s from "../app/signals.ts";
 import { Button, things } from "./parts.tsx";
 
@@ -43,8 +43,8 @@ function Lost(): JSX.Element {
     <div class="banner" role="status">
       <span class="dot lost" />
       <span>
-        <strong>Reconnecting.</strong> {reason?.message ?? "The connection was lost"}. The session stays; what you drag is sent
-        when the server is back.
+        <strong>Reconnecting.</strong> {reason?.message ?? "The connection was lost"}. What you drag stays on this page and
+        is sent when the server is back.
       </span>
       <Button label="Try now" onClick={retryNow} />
     </div>
@@ -52,26 +52,25 @@ function Lost(): JSX.Element {
 }
 
 function Gone(): JSX.Element {
-  const [last, setLast] = useState<Kept>();
-  const open = s.doc.value;
-  useEffect(() => {
-    void kept().then((found) => found?.session === open?.session.id && setLast(found));
-  }, []);
-  const possible = last !== undefined && canReopen(last);
+  void [s.doc.value, s.handles.value];
+  const shown = documentNow();
+  const possible = shown !== undefined && canReopen(shown);
   return (
     <div class="card" role="alertdialog" aria-labelledby="gone-title">
       <h2 id="gone-title">The server no longer has this session</h2>
       <p>It was restarted, or the session expired. What is on the screen is the last shape that was sent.</p>
       {possible ? (
         <p>
-          This page still has <strong>{last.name}</strong> and its {things(last.handles.length, "handle")} with poses
-          {last.beforeEdits === undefined ? "." : ", as they were before the first edit; edits are not repeated."}
+          This page still has <strong>{shown.name}</strong> and its{" "}
+          {shown.beforeEdits === undefined
+            ? `${things(shown.handles.length, "handle")} with poses, the last one included.`
+            : `${things(shown.beforeEdits.length, "handle")} with poses, as they were before the first edit; edits are not repeated.`}
         </p>
       ) : (
-        <p>The file was not opened from this page, so it must be opened again from where it is.</p>
+        <p>This page does not have the model's file, so it must be opened again from where it is.</p>
       )}
       <div class="row">
-        {possible && <Button kind="main" label="Open it again" onClick={() => void reopen(last)} />}
+        {possible && <Button kind="main" label="Open it again" onClick={() => void reopenShown()} />}
         <Button label="Start page" onClick={leave} />
       </div>
     </div>

@@ -2,6 +2,7 @@
 
 import type { JSX } from "preact";
 import * as s from "../app/signals.ts";
+import { otherPlaces } from "../model/warnings.ts";
 import { Facts, Section, bytes, count, things } from "./parts.tsx";
 
 export function ModelPanel(): JSX.Element | null {
@@ -14,10 +15,10 @@ export function ModelPanel(): JSX.Element | null {
   const built = Object.values(facts.buildMs).reduce((sum, ms) => sum + ms, 0);
   return (
     <Section title="Model" note={facts.warnings.length > 0 ? things(facts.warnings.length, "warning") : (model?.format ?? "")}>
-      {facts.warnings.map(({ code, message, where }) => (
-        <p class="warning" title={code}>
-          {message}
-          {where && <small>{where}</small>}
+      {facts.warnings.map((warning) => (
+        <p class="warning" title={warning.code}>
+          {warning.message}
+          {otherPlaces(warning) && <small>{otherPlaces(warning)}</small>}
         </p>
       ))}
       <Facts

@@ -1,0 +1,49 @@
+/** Small windows: everything is within reach, and nothing lies beside the page. */
+
+import assert from "node:assert/strict";
+import { Sheet } from "../browser.mjs";
+import { openSample } from "./sample.mjs";
+
+/** A telephone, and a desktop's window magnified four times. */
+const SIZES = [
+  [375, 667],
+  [320, 256],
+];
+/** Less is of no use to drag in. */
+const LEAST_CANVAS = 150;
+
+export const title = "nothing is cut off in small windows";
+
+export async function play({ browser, url, log }) {
+  for (const [width, height] of SIZES) {
+    const sheet = await Sheet.open(browser, url(), { viewport: { width, height } });
+    const fits = async (what) => {
+      const seen = await sheet.page.evaluate(() => ({
+        wide: Math.max(document.documentElement.scrollWidth, document.body.scrollWidth),
+        beside: [...document.querySelectorAll(".topbar .button, .topbar select, .rail .button")]
+          .filter((element) => {
+            const { left, right } = element.getBoundingClientRect();
+            return left < 0 || right > innerWidth;
+          })
+          .map((element) => element.title || element.ariaLabel),
+        under: [...document.querySelectorAll(".rail, .topbar")].filter((bar) => bar.scrollHeight > bar.clientHeight + 1).length,
+        canvas: document.querySelector(".canvas").getBoundingClientRect().height,
+      }));
+      assert.ok(seen.wide <= width, `${what} at ${width} × ${height}: the page is ${seen.wide} wide`);
+      assert.deepEqual(seen.beside, [], `${what} at ${width} × ${height}: buttons beside the window`);
+      assert.equal(seen.under, 0, `${what} at ${width} × ${height}: bars with something cut off`);
+      assert.ok(seen.canvas >= LEAST_CANVAS, `${what} at ${width} × ${height}: the canvas is ${seen.canvas} high`);
+      return seen.canvas;
+    };
+    await fits("the start page");
+    await openSample(sheet);
+    log(`${width} × ${height}: the canvas is ${Math.round(await fits("the creature"))} high`);
+    await sheet.page.getByRole("button", { name: "Export GLB" }).waitFor();
+    await sheet.picture(`narrow-${width}`);
+    await sheet.page.getByRole("button", { name: "Help" }).click();
+    await sheet.page.getByRole("heading", { name: "How it works" }).waitFor();
+    await fits("the help");
+    assert.deepEqual(sheet.complaints, []);
+    await sheet.close();
+  }
+}
