@@ -105,7 +105,7 @@ fn a_region_of_interest_that_is_gone_is_told() {
     let mut bench = bench(&bar());
     let handles = pb::SetHandlesRequest {
         handles: vec![handle("base", below(-1.5)), handle("top", above(1.5))],
-        region_of_interest: Some(above(0.5)),
+        region_of_interest: Some(above(0.6)),
         ..Default::default()
     };
     bench.set_handles(&handles, &pool(2), &Silent).expect("the handles fit");
@@ -139,7 +139,10 @@ fn a_step_that_fails_says_what_edits_before_it_warned_of() {
     let files = FileSet::single("bar.obj", text.into_bytes());
     let limits = pliant::job::Limits::default();
     let failed = pliant::job::run(files, &job, None, &limits, &pool(2), &Silent, &|| 0.0);
-    let told = failed.err().expect("the handle is gone").to_string();
+    let Err(error) = failed else {
+        panic!("the handle is gone");
+    };
+    let told = error.to_string();
     assert!(
         told.starts_with("steps[1].pose") && told.contains("steps[0]: handle-lost: handle \"top\""),
         "{told}"
