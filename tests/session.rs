@@ -1,6 +1,8 @@
 //! What clients of a session can rely on, whatever the transport: the deform stream's promises, commits that can be undone
 //! to the bit, limits, expiry, idempotency, draining. Most tests drive an engine whose cycles they control.
 
+#[path = "paper/bench.rs"]
+mod bench;
 #[path = "session/commits.rs"]
 mod commits;
 #[path = "session/edits.rs"]

@@ -301,25 +301,35 @@ mod tests {
     use crate::mesh::{Mesh, Weld};
     use crate::progress::Silent;
 
-    #[test]
-    fn what_is_told_of_relaxed_fields_is_true() {
-        let pool = Pool::new(2).expect("threads start");
-        let (positions, triangles) = shapes::icosphere(1.0, 5);
+    /// A ball with its inside.
+    fn ball(times: u32, pool: &Pool) -> Body {
+        let (positions, triangles) = shapes::icosphere(1.0, times);
         let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
-        let body = Body::build(&mesh, &BodyOptions::default(), &pool, &Silent).expect("a body");
-        let cap = |keep: &dyn Fn(&glam::DVec3) -> bool| Hold {
-            nodes: (0u32..)
-                .zip(&body.graph.positions)
-                .filter(|(_, p)| keep(p))
-                .map(|(n, _)| n)
-                .collect(),
+        Body::build(&mesh, &BodyOptions::default(), pool, &Silent).expect("a body")
+    }
+
+    /// The nodes of which `keep` is true, held in every way.
+    fn hold(body: &Body, keep: impl Fn(&glam::DVec3) -> bool) -> Hold {
+        let nodes = (0u32..).zip(&body.graph.positions);
+        Hold {
+            nodes: nodes.filter(|(_, p)| keep(p)).map(|(n, _)| n).collect(),
             position: true,
             rotation: true,
             scale: true,
             ..Default::default()
-        };
+        }
+    }
+
+    #[test]
+    fn what_is_told_of_relaxed_fields_is_true() {
+        let pool = Pool::new(2).expect("threads start");
+        let body = ball(5, &pool);
         let rigging = Rigging {
-            holds: vec![cap(&|p| p.z < -0.7), cap(&|p| p.z > 0.7), cap(&|p| p.x > 0.8)],
+            holds: vec![
+                hold(&body, |p| p.z < -0.7),
+                hold(&body, |p| p.z > 0.7),
+                hold(&body, |p| p.x > 0.8),
+            ],
             ..Default::default()
         };
         let rig = Rig::build(&body, rigging.clone(), &pool, &Silent).expect("a rig");
@@ -364,22 +374,9 @@ mod tests {
     #[test]
     fn a_handle_that_lost_nodes_is_noticed() {
         let pool = Pool::new(1).expect("threads start");
-        let (positions, triangles) = shapes::icosphere(1.0, 4);
-        let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
-        let body = Body::build(&mesh, &BodyOptions::default(), &pool, &Silent).expect("a body");
-        let above = |z: f64| Hold {
-            nodes: (0u32..)
-                .zip(&body.graph.positions)
-                .filter(|(_, p)| if z < 0.0 { p.z < z } else { p.z > z })
-                .map(|(n, _)| n)
-                .collect(),
-            position: true,
-            rotation: true,
-            scale: true,
-            ..Default::default()
-        };
+        let body = ball(4, &pool);
         let with = |top: f64| Rigging {
-            holds: vec![above(-0.7), above(top)],
+            holds: vec![hold(&body, |p| p.z < -0.7), hold(&body, |p| p.z > top)],
             ..Default::default()
         };
         let rig = Rig::build(&body, with(0.6), &pool, &Silent).expect("a rig");

@@ -128,8 +128,7 @@ pub fn run(
     let mut steps = Vec::new();
     for (k, todo_now) in todo.iter().enumerate() {
         let fraction = k as f32 / todo.len() as f32;
-        let before = warned.clone();
-        let step = |e| at_step(e, k, &before);
+        let step = |e| at_step(e, k, &warned);
         let mut done = match todo_now {
             Todo::Pose(pose) => {
                 stages.report("solve", fraction);

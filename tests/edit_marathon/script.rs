@@ -116,14 +116,7 @@ impl Seen<'_> {
     /// A small box, on the surface or beside it.
     fn merge(&self, draw: &mut Draw) -> Value {
         use base64::Engine as _;
-        let (points, faces) = pliant::asset::shapes::box_with_cells(DVec3::ONE, [2, 2, 2]);
-        let mut text = String::new();
-        points
-            .iter()
-            .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-        faces
-            .iter()
-            .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+        let text = super::obj(&pliant::asset::shapes::box_with_cells(DVec3::ONE, [2, 2, 2])).main;
         let at = self.place(draw) + draw.direction() * self.edge;
         let size = self.edge * draw.within(1.0, 3.0);
         let how = ["LOOSE", "LOOSE", "WELD", "STITCH"][draw.below(4)];

@@ -128,17 +128,8 @@ fn a_step_that_fails_says_what_edits_before_it_warned_of() {
       ]
     }"#;
     let job: pb::Job = pliant::job::json::from_json(job.as_bytes()).expect("a job");
-    let (positions, triangles) = bar();
-    let mut text = String::new();
-    positions
-        .iter()
-        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-    triangles
-        .iter()
-        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
-    let files = FileSet::single("bar.obj", text.into_bytes());
     let limits = pliant::job::Limits::default();
-    let failed = pliant::job::run(files, &job, None, &limits, &pool(2), &Silent, &|| 0.0);
+    let failed = pliant::job::run(obj(&bar()), &job, None, &limits, &pool(2), &Silent, &|| 0.0);
     let Err(error) = failed else {
         panic!("the handle is gone");
     };

@@ -1,23 +1,16 @@
 //! Sessions whose engine follows edits: going back gives the same bits as having stayed.
 
+use super::bench::obj;
 use super::fake::*;
 use super::real::turned;
 use glam::DVec3;
-use pliant::asset::{FileSet, shapes};
+use pliant::asset::shapes;
 use pliant::job::pb;
 use pliant::session::{Config, Manager};
 
 /// A session with a bar of some thousand vertices, held at its ends.
 async fn bar(manager: &Manager) -> String {
-    let (positions, triangles) = shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [12, 12, 36]);
-    let mut text = String::new();
-    positions
-        .iter()
-        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-    triangles
-        .iter()
-        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
-    let files = FileSet::single("bar.obj", text.into_bytes());
+    let files = obj(&shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [12, 12, 36]));
     let made = manager
         .create(tenant(), files, pb::CreateOptions::default(), None)
         .await;

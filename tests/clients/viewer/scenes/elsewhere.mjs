@@ -23,10 +23,7 @@ export async function play({ browser, url, server, log }) {
   const solved = await server.floats("POST", `${path}/solve`, { pose: { handles: [{ id: "head", pose }] } });
   const { handles } = await server.json("GET", path);
   const head = handles.find((handle) => handle.id === "head");
-  if (head.pose === undefined) {
-    log("SKIPPED: this server does not tell poses of handles");
-    return;
-  }
+  if (head.pose === undefined) throw new Error("the server does not tell the pose of a handle that it has moved");
 
   const sheet = await Sheet.open(browser, `${url()}/?session=${id}`);
   await sheet.until("the page takes the session up", ({ link, busy }) => link === "open" && !busy);

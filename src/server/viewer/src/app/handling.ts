@@ -1,17 +1,14 @@
 /** Making, changing and removing handles. */
 
 import { batch } from "@preact/signals";
-import { type Vector, schema } from "pliant-client";
+import type { Vector, schema } from "pliant-client";
 import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf, poseOf } from "../model/handles.ts";
 import { commitPoses } from "./dragging.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
 
 type Facts = schema.Session;
-type HandleFacts = schema.HandleFacts & { readonly pose?: schema.HandlePose | undefined };
-
-/** Whether an absent pose means "at rest": a schema without the field tells nothing. */
-const TELLS_POSES = "pose" in schema.HandleFactsSchema.field;
+type HandleFacts = schema.HandleFacts;
 
 /** Fields of a handle whose absence means something. */
 const CLEARABLE = ["constrains", "stiffness", "rigid", "pose", "falloff"] as const;
@@ -112,7 +109,7 @@ export async function poseHandle(id: string, pose: HandleState["pose"]): Promise
 export function adoptHandles(facts: Facts, known: readonly HandleState[] = []): void {
   const told = (handle: HandleState): HandleState => {
     const its = facts.handles.find(({ id }) => id === handle.id);
-    return its === undefined || !TELLS_POSES ? handle : { ...handle, pose: toldPose(its, handle.pose) };
+    return its === undefined ? handle : { ...handle, pose: toldPose(its, handle.pose) };
   };
   merge(facts, known.map(told));
   const active = s.activeId.peek();
