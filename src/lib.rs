@@ -12,7 +12,7 @@
 //! | 3 | [`job`] | the declarative request, its JSON, and a bench that runs it |
 //! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
-//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`] | triangles; model formats; threads; cancelling |
+//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`] | triangles; model formats; threads; cancelling; both as one |
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
@@ -21,6 +21,7 @@ pub mod check;
 pub mod cli;
 pub mod deform;
 pub mod edit;
+pub mod exec;
 pub mod graph;
 pub mod job;
 pub mod mesh;

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
+use pliant::exec::Exec;
 use pliant::job::{EditOrder, Limits, Mode, Poses, Settings, Workbench, json, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -110,8 +111,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         tail.files.clone(),
         &Default::default(),
         &Limits::default(),
-        &pool,
-        &Silent,
+        &Exec::new(&pool, &Silent),
     )
     .expect("opens");
     let handles = json!({"handles": [
@@ -119,7 +119,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         {"id": "tip", "region": {"halfSpace": {"normal": [1, 0, 0], "offset": tail.tip}}},
     ]});
     bench
-        .set_handles(&message(handles), &pool, &Silent)
+        .set_handles(&message(handles), &Exec::new(&pool, &Silent))
         .expect("the handles fit");
     let options: pb::Options = message(json!({"tolerance": 1e-5}));
     let settings = Settings::check(&options, "options", 8).expect("valid");
@@ -135,7 +135,9 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         let shift = tail.along * if remesh { by } else { length - start };
         let pose = json!({"handles": [{"id": "tip", "pose": {"translation": shift.to_array()}}]});
         poses = bench.posed(&poses, &message(pose)).expect("a pose");
-        let solved = bench.solve(&poses, &settings, Mode::Commit, &pool, &Silent, &mut |_| true);
+        let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(&pool, &Silent), &mut |_| {
+            true
+        });
         shape = solved.expect("solved").positions;
         quality = bench.quality(&shape, &pool);
         if !remesh {
@@ -151,7 +153,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
             settings: None,
             other: None,
         };
-        let outcome = bench.edit(&order, &pool, &Silent).expect("remeshed");
+        let outcome = bench.edit(&order, &Exec::new(&pool, &Silent)).expect("remeshed");
         (poses, shape) = (outcome.poses, outcome.positions);
     }
     Pulled {

@@ -13,6 +13,7 @@ mod support;
 use checks::Before;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
+use pliant::exec::Exec;
 use pliant::job::{EditOrder, Limits, Mode, Poses, Settings, Workbench, frames::digest, json, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -45,7 +46,13 @@ struct Run {
 impl Run {
     fn new(files: FileSet, seed: u64, threads: usize, most: usize) -> Self {
         let pool = Pool::new(threads).expect("threads start");
-        let bench = Workbench::open(files, &Default::default(), &Limits::default(), &pool, &Silent).expect("opens");
+        let bench = Workbench::open(
+            files,
+            &Default::default(),
+            &Limits::default(),
+            &Exec::new(&pool, &Silent),
+        )
+        .expect("opens");
         let options = pb::Options {
             tolerance: 1e-5,
             ..Default::default()
@@ -85,7 +92,7 @@ impl Run {
         let request = message::<pb::SetHandlesRequest>(&serde_json::json!({"handles": handles}));
         // A direction may be across the model such that one handle holds nothing but strays; others will do.
         self.bench
-            .set_handles(&request, &self.pool, &Silent)
+            .set_handles(&request, &Exec::new(&self.pool, &Silent))
             .expect("the handles fit");
         self.poses = self.bench.initial_poses();
         self.shape = Arc::clone(self.bench.rest());
@@ -110,8 +117,7 @@ impl Run {
             &self.poses,
             &self.settings,
             Mode::Commit,
-            &self.pool,
-            &Silent,
+            &Exec::new(&self.pool, &Silent),
             &mut |_| true,
         );
         let solved = solved.expect("solved");
@@ -137,7 +143,7 @@ impl Run {
             settings: None,
             other: None,
         };
-        match self.bench.edit(&order, &self.pool, &Silent) {
+        match self.bench.edit(&order, &Exec::new(&self.pool, &Silent)) {
             Ok(outcome) => {
                 before.done(&self.bench, &edit, &outcome);
                 self.counts[0] += 1;
@@ -202,13 +208,15 @@ fn marathon(name: &str, files: &FileSet, seed: u64, most: usize) {
                     let mut run = Run::new(files.clone(), seed, threads, most);
                     let start = (digest(run.bench.rest()), run.bench.trail());
                     run.bench
-                        .set_handles(&Default::default(), &run.pool, &Silent)
+                        .set_handles(&Default::default(), &Exec::new(&run.pool, &Silent))
                         .expect("none");
                     let base = run.bench.bytes();
                     run.hold();
                     run.go(EDITS);
                     let end = run.bench.estimate();
-                    run.bench.retrace(&start.1, &run.pool, &Silent).expect("the way back");
+                    run.bench
+                        .retrace(&start.1, &Exec::new(&run.pool, &Silent))
+                        .expect("the way back");
                     assert_eq!(digest(run.bench.rest()), start.0);
                     // Two states that were left are kept for the way back, and no more.
                     let kept = run.bench.bytes() - base;

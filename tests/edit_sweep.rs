@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Model};
+use pliant::exec::Exec;
 use pliant::job::{EditOrder, Error, Limits, Workbench, frames::digest, json, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -109,7 +110,7 @@ fn one(bench: &mut Workbench, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &
         settings: None,
         other: None,
     };
-    match bench.edit(&order, pool, &Silent) {
+    match bench.edit(&order, &Exec::new(pool, &Silent)) {
         Ok(outcome) => {
             let (before, after) = (
                 outcome.result.before.unwrap_or_default(),
@@ -157,7 +158,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
     let mode = if files.main.len() > 1_200_000 { "OFF" } else { "AUTO" };
     let create: pb::CreateOptions =
         json::from_json(json!({"volumeGraph": {"mode": mode}}).to_string().as_bytes()).expect("options");
-    let mut bench = match Workbench::open(files, &create, &limits, &pool, &Silent) {
+    let mut bench = match Workbench::open(files, &create, &limits, &Exec::new(&pool, &Silent)) {
         Ok(bench) => bench,
         Err(e) => {
             let said = e.to_string();

@@ -14,6 +14,7 @@ mod refusals;
 use bench::*;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits as ModelLimits, Model, shapes};
+use pliant::exec::Exec;
 use pliant::job::{EditOrder, EditOutcome, Error, Solved, Workbench, frames::digest, pb};
 use pliant::progress::Silent;
 use std::sync::Arc;
@@ -60,7 +61,7 @@ fn edit(bench: &mut Workbench, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>
         settings: None,
         other: None,
     };
-    bench.edit(&order, &pool(2), &Silent)
+    bench.edit(&order, &Exec::new(&pool(2), &Silent))
 }
 
 fn edited(bench: &mut Workbench, request: &pb::EditRequest) -> EditOutcome {
@@ -186,7 +187,9 @@ fn on_the_rest_shape_poses_stay() {
         settings: None,
         other: None,
     };
-    let outcome = bench.edit(&order, &pool(2), &Silent).expect("subdivided at rest");
+    let outcome = bench
+        .edit(&order, &Exec::new(&pool(2), &Silent))
+        .expect("subdivided at rest");
     assert!(outcome.solved.is_some());
     for run in &outcome.result.kept {
         for k in 0..run.count as usize {
@@ -273,7 +276,9 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
                 settings: None,
                 other: None,
             };
-            let outcome = bench.edit(&order, &pool, &Silent).expect("each can be done");
+            let outcome = bench
+                .edit(&order, &Exec::new(&pool, &Silent))
+                .expect("each can be done");
             digests.push(outcome.result.digest);
             let turned = turn(DVec3::new(0.2, 0.1 * k as f64, 0.0), DVec3::ZERO);
             let solved = solved(&mut bench, &[("top", turned)]);

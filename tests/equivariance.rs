@@ -9,6 +9,7 @@ use pliant::deform::{
     Body, BodyOptions, Hold, Refinement, Request, Rig, Rigging, Start, State, Transform, VolumeMode, exp_rotation,
     log_rotation,
 };
+use pliant::exec::Exec;
 use pliant::mesh::Mesh;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -102,7 +103,7 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
         volume,
         ..BodyOptions::default()
     };
-    let body = Body::build(&mesh, &options, &pool, &Silent).expect("a body");
+    let body = Body::build(&mesh, &options, &Exec::new(&pool, &Silent)).expect("a body");
     let interior = body.nodes() > body.graph.surface;
     assert_eq!(interior, volume != VolumeMode::Off, "the shape has an inside");
     let rigging = Rigging {
@@ -113,7 +114,7 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
         rigging.holds.iter().all(|h| !h.nodes.is_empty()),
         "each handle holds something"
     );
-    let rig = Rig::build(&body, rigging, &pool, &Silent).expect("a rig");
+    let rig = Rig::build(&body, rigging, &Exec::new(&pool, &Silent)).expect("a rig");
     let transforms: Vec<Transform> = handles.iter().map(|h| place.transform(&h.transform)).collect();
     let request = Request {
         transforms: &transforms,
@@ -127,7 +128,13 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
         },
     };
     let solution = rig
-        .solve(&body, &request, &mut State::default(), &pool, &Silent, &mut |_| true)
+        .solve(
+            &body,
+            &request,
+            &mut State::default(),
+            &Exec::new(&pool, &Silent),
+            &mut |_| true,
+        )
         .expect("it solves");
     // Of the scene at home: a box around a model that is turned is another box.
     let diagonal = shapes::mesh(shape).bounds().diagonal();

@@ -1,6 +1,7 @@
 //! Graphs of real meshes; needs the data folder.
 
 use glam::DVec3;
+use pliant::exec::Exec;
 use pliant::graph::{VolumeOptions, volume};
 use pliant::mesh::{Adjacency, mean_edge_length};
 use pliant::pool::Pool;
@@ -46,8 +47,7 @@ fn real_meshes_get_the_node_counts_of_the_paper() {
     let graph = volume(
         &mesh,
         &VolumeOptions::default(),
-        &Pool::new(2).expect("threads start"),
-        &Silent,
+        &Exec::new(&Pool::new(2).expect("threads start"), &Silent),
     )
     .expect("valid options")
     .expect("an inside");

@@ -1,6 +1,7 @@
 //! Laws of graphs: symmetry, connectivity, where nodes may lie, and the same bits for any thread count.
 
 use glam::{DQuat, DVec3};
+use pliant::exec::Exec;
 use pliant::graph::{Error, Graph, VolumeOptions, Weights, WindingTree, surface, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::pool::Pool;
@@ -15,7 +16,7 @@ fn pool(threads: usize) -> Pool {
 }
 
 fn volume_with(shape: &Shape, options: &VolumeOptions, threads: usize) -> Option<Graph> {
-    volume(&shapes::mesh(shape), options, &pool(threads), &Silent).expect("valid options")
+    volume(&shapes::mesh(shape), options, &Exec::new(&pool(threads), &Silent)).expect("valid options")
 }
 
 fn volume_of(shape: &Shape) -> Option<Graph> {
@@ -426,7 +427,7 @@ fn the_node_limit_widens_the_lattice_before_anything_large_is_made() {
         max_nodes: surface + 10,
         ..VolumeOptions::default()
     };
-    let refused = volume(&mesh, &tight, &pool(1), &Silent).expect_err("no room for the shell");
+    let refused = volume(&mesh, &tight, &Exec::new(&pool(1), &Silent)).expect_err("no room for the shell");
     assert_eq!(
         refused,
         Error::TooManyNodes {
@@ -442,7 +443,7 @@ fn senseless_options_are_refused_with_the_value_seen() {
     let mesh = shapes::mesh(&shapes::cube(2));
     let base = VolumeOptions::default();
     let refusal = |options: VolumeOptions| {
-        volume(&mesh, &options, &pool(1), &Silent)
+        volume(&mesh, &options, &Exec::new(&pool(1), &Silent))
             .expect_err("refused")
             .to_string()
     };
@@ -475,7 +476,7 @@ fn work_that_nobody_wants_stops() {
     let flag = CancelFlag::default();
     flag.cancel();
     let mesh = shapes::mesh(&shapes::cube(3));
-    let stopped = volume(&mesh, &VolumeOptions::default(), &pool(1), &flag);
+    let stopped = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool(1), &flag));
     assert_eq!(stopped, Err(Error::Cancelled(Cancelled)));
 }
 
@@ -500,7 +501,7 @@ fn extreme_sizes_and_flat_boxes_are_no_trouble() {
             continue;
         };
         shapes::check_graph(&surface(&mesh, Weights::Cotangent), &mesh);
-        let built = volume(&mesh, &VolumeOptions::default(), &pool(2), &Silent).expect("valid options");
+        let built = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool(2), &Silent)).expect("valid options");
         if let Some(graph) = &built {
             shapes::check_graph(graph, &mesh);
             assert!(graph.nodes() < 10 * graph.surface, "shape {i}: {:?}", graph.stats);
@@ -534,7 +535,7 @@ proptest! {
         if let Ok(mesh) = Mesh::build(&points, &faces, Weld::Exact) {
             shapes::check_graph(&surface(&mesh, Weights::Cotangent), &mesh);
             let options = VolumeOptions { valence, interval, max_nodes, weights: Weights::Cotangent, shell_offset: None };
-            if let Ok(Some(graph)) = volume(&mesh, &options, &pool(1), &Silent) {
+            if let Ok(Some(graph)) = volume(&mesh, &options, &Exec::new(&pool(1), &Silent)) {
                 shapes::check_graph(&graph, &mesh);
                 prop_assert!(graph.nodes() <= max_nodes);
             }

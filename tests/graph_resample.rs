@@ -4,6 +4,7 @@
 use glam::DVec3;
 use laws::*;
 use pliant::asset::{FileSet, Limits, Model};
+use pliant::exec::Exec;
 use pliant::graph::{Graph, VolumeOptions, Weights, WindingTree, resample, surface, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::progress::Silent;
@@ -244,9 +245,14 @@ fn wide_openings_and_large_edits_are_left_to_a_new_graph() {
     let graph = volume_of(&ball);
     let ask = |plan: Plan| {
         let edited = ball.apply(&plan);
-        resample(&graph, &graph.positions, &edited.change(), &pool(2), &Silent)
-            .expect("not cancelled")
-            .is_none()
+        resample(
+            &graph,
+            &graph.positions,
+            &edited.change(),
+            &Exec::new(&pool(2), &Silent),
+        )
+        .expect("not cancelled")
+        .is_none()
     };
     let above = |h: f64| ball.faces_in(|v| ball.points[v as usize].z > h);
     assert!(
@@ -269,7 +275,7 @@ fn weights_near_the_edit_are_found_again() {
     };
     let mesh = mesh_of(&ball);
     for graph in [
-        volume(&mesh, &options, &pool(2), &Silent)
+        volume(&mesh, &options, &Exec::new(&pool(2), &Silent))
             .expect("valid")
             .expect("an inside"),
         surface(&mesh, Weights::Cotangent),
@@ -350,7 +356,7 @@ fn a_deformed_lattice_is_filled_up() {
             shell_offset: Some(graph.stats.shell_offset),
             ..VolumeOptions::default()
         };
-        let fresh = volume(&mesh_of(&edited.surface), &same, &pool(2), &Silent)
+        let fresh = volume(&mesh_of(&edited.surface), &same, &Exec::new(&pool(2), &Silent))
             .expect("valid")
             .expect("an inside");
         let within = 3.0 * graph.stats.interval;
@@ -410,12 +416,24 @@ fn two_hundred_edits_in_sequence_keep_what_a_graph_promises() {
         {
             continue;
         }
-        match resample(&graph, &graph.positions, &edited.change(), &pool(1), &Silent).expect("not cancelled") {
+        match resample(
+            &graph,
+            &graph.positions,
+            &edited.change(),
+            &Exec::new(&pool(1), &Silent),
+        )
+        .expect("not cancelled")
+        {
             Some(after) => {
                 check(&graph, &edited, &after);
                 if step % 20 == 0 {
-                    let three =
-                        resample(&graph, &graph.positions, &edited.change(), &pool(3), &Silent).expect("not cancelled");
+                    let three = resample(
+                        &graph,
+                        &graph.positions,
+                        &edited.change(),
+                        &Exec::new(&pool(3), &Silent),
+                    )
+                    .expect("not cancelled");
                     assert!(
                         three.as_ref() == Some(&after),
                         "step {step}: the same bits for any number of threads"
@@ -443,8 +461,7 @@ fn two_hundred_edits_in_sequence_keep_what_a_graph_promises() {
             shell_offset: Some(graph.stats.shell_offset),
             ..VolumeOptions::default()
         },
-        &pool(2),
-        &Silent,
+        &Exec::new(&pool(2), &Silent),
     )
     .expect("valid")
     .expect("an inside");
@@ -497,7 +514,7 @@ fn edits_of_a_real_mesh_are_followed() {
         let edited = model.apply(&plan);
         let after = follow(&graph, &edited);
         check(&graph, &edited, &after);
-        let fresh = volume(&mesh_of(&edited.surface), &same, &pool(2), &Silent)
+        let fresh = volume(&mesh_of(&edited.surface), &same, &Exec::new(&pool(2), &Silent))
             .expect("valid")
             .expect("an inside");
         let tree = WindingTree::build(&edited.surface.points, &edited.surface.faces, &pool(2));

@@ -7,6 +7,7 @@ use bench::*;
 use glam::DVec3;
 use pliant::asset::shapes;
 use pliant::deform::exp_rotation;
+use pliant::exec::Exec;
 use pliant::job::{Error, Workbench, pb};
 use pliant::progress::Silent;
 
@@ -44,7 +45,7 @@ fn a_part_without_a_handle_follows_holds_or_is_refused() {
             handles,
             ..Default::default()
         };
-        bench.set_handles(&request, &pool(2), &Silent)?;
+        bench.set_handles(&request, &Exec::new(&pool(2), &Silent))?;
         try_solve(&mut bench, &pose(&bend), 1e-5, 2)
     };
     let follow = run(Components::Follow).expect("solved").positions;
@@ -74,7 +75,9 @@ fn outside_the_region_of_interest_no_bit_changes() {
         region_of_interest: Some(above(2.0)),
         ..Default::default()
     };
-    bench.set_handles(&request, &pool(2), &Silent).expect("the handles fit");
+    bench
+        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .expect("the handles fit");
     let solved = solve(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 1e-5);
     let mut moved = 0;
     for (now, rest) in solved.positions.iter().zip(&shape.0) {
@@ -111,7 +114,7 @@ fn a_symmetry_plane_does_what_mirrored_handles_would() {
         ..Default::default()
     };
     by_plane
-        .set_handles(&request, &pool(2), &Silent)
+        .set_handles(&request, &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
     let mirrored = solve(&mut by_plane, &[("side", moved.clone())], 1e-8);
 
@@ -263,7 +266,7 @@ fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing()
             handles,
             ..Default::default()
         };
-        match bench.set_handles(&request, &pool(1), &Silent) {
+        match bench.set_handles(&request, &Exec::new(&pool(1), &Silent)) {
             Err(Error::Invalid { field, problem }) => assert_eq!(field, place, "{problem}"),
             other => panic!("{place}: {other:?}"),
         }
@@ -336,7 +339,7 @@ fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing()
         ..Default::default()
     };
     assert!(matches!(
-        bench.set_handles(&request, &pool(1), &Silent),
+        bench.set_handles(&request, &Exec::new(&pool(1), &Silent)),
         Err(Error::Precondition(_))
     ));
     let nobody = pose(&[("nobody", pb::HandlePose::default())]);

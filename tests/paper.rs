@@ -7,6 +7,7 @@ use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
 use pliant::deform::{Body, BodyOptions, Hold, Request, Rig, Rigging, Start, State, Transform, exp_rotation, frames};
+use pliant::exec::Exec;
 use pliant::job::{Error, Mode, frames::digest, pb};
 use pliant::mesh::{Mesh, Weld};
 use pliant::progress::Silent;
@@ -21,7 +22,7 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
         ("sheet", shapes::grid(1.0, 1.0, [24, 24])),
     ] {
         let mesh = Mesh::build(&shape.0, &shape.1, Weld::Exact).expect("a mesh");
-        let body = Body::build(&mesh, &BodyOptions::default(), &pool, &Silent).expect("a body");
+        let body = Body::build(&mesh, &BodyOptions::default(), &Exec::new(&pool, &Silent)).expect("a body");
         let bounds = mesh.bounds();
         let reach = bounds.max.x - 0.15 * (bounds.max.x - bounds.min.x);
         let region = |keep: &dyn Fn(DVec3) -> bool| {
@@ -46,8 +47,7 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
                 holds,
                 ..Default::default()
             },
-            &pool,
-            &Silent,
+            &Exec::new(&pool, &Silent),
         )
         .expect("a rig");
         let moved = Transform {
@@ -67,7 +67,13 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
                 refinement: Default::default(),
             };
             let solution = rig
-                .solve(&body, &request, &mut State::default(), &pool, &Silent, &mut |_| true)
+                .solve(
+                    &body,
+                    &request,
+                    &mut State::default(),
+                    &Exec::new(&pool, &Silent),
+                    &mut |_| true,
+                )
                 .expect("solved");
             let frames = frames(&body, &rig, &transforms, &pool);
             let residual = equation_8_residual(&body, &rig, &frames, &solution.positions);
@@ -336,14 +342,20 @@ fn the_bits_do_not_depend_on_threads_or_on_what_was_dragged_before() {
             ..Default::default()
         };
         bench
-            .set_handles(&request, &pool(threads), &Silent)
+            .set_handles(&request, &Exec::new(&pool(threads), &Silent))
             .expect("the handles fit");
         if threads == 3 {
             let dragged = bench
                 .posed(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
                 .expect("a pose");
             bench
-                .solve(&dragged, &settings(1e-4), Mode::Drag, &pool(3), &Silent, &mut |_| true)
+                .solve(
+                    &dragged,
+                    &settings(1e-4),
+                    Mode::Drag,
+                    &Exec::new(&pool(3), &Silent),
+                    &mut |_| true,
+                )
                 .expect("solved");
         }
         let bent = pose(&[("top", turn(DVec3::new(0.0, 1.4, 0.6), DVec3::ZERO))]);
@@ -364,13 +376,31 @@ fn cancelled_work_leaves_the_bench_usable() {
     let poses = bench
         .posed(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
         .expect("a pose");
-    let cancelled = bench.solve(&poses, &settings(1e-6), Mode::Drag, &pool(2), &flag, &mut |_| true);
+    let cancelled = bench.solve(
+        &poses,
+        &settings(1e-6),
+        Mode::Drag,
+        &Exec::new(&pool(2), &flag),
+        &mut |_| true,
+    );
     assert!(matches!(cancelled, Err(Error::Cancelled)));
     let after = bench
-        .solve(&poses, &settings(1e-6), Mode::Drag, &pool(2), &Silent, &mut |_| true)
+        .solve(
+            &poses,
+            &settings(1e-6),
+            Mode::Drag,
+            &Exec::new(&pool(2), &Silent),
+            &mut |_| true,
+        )
         .expect("solved");
     let fresh = bench
-        .solve(&poses, &settings(1e-6), Mode::Commit, &pool(2), &Silent, &mut |_| true)
+        .solve(
+            &poses,
+            &settings(1e-6),
+            Mode::Commit,
+            &Exec::new(&pool(2), &Silent),
+            &mut |_| true,
+        )
         .expect("solved");
     assert!(largest_distance(&after.positions, &fresh.positions) < 1e-3);
 }

@@ -6,6 +6,7 @@ mod bench;
 use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
+use pliant::exec::Exec;
 use pliant::job::{Mode, Poses, Settings, Solved, Workbench, frames::digest, pb};
 use pliant::progress::Silent;
 
@@ -27,7 +28,7 @@ fn posed(bench: &Workbench, entries: &[(&str, pb::HandlePose)]) -> Poses {
 
 fn run(bench: &mut Workbench, poses: &Poses, settings: &Settings, mode: Mode) -> Solved {
     bench
-        .solve(poses, settings, mode, &pool(2), &Silent, &mut |_| true)
+        .solve(poses, settings, mode, &Exec::new(&pool(2), &Silent), &mut |_| true)
         .expect("the pose solves")
 }
 
@@ -196,8 +197,7 @@ fn refined_commits_repeat_to_the_bit_whatever_was_dragged() {
                 &poses,
                 &settings(4, 0.5),
                 Mode::Commit,
-                &pool(threads),
-                &Silent,
+                &Exec::new(&pool(threads), &Silent),
                 &mut |_| true,
             )
             .expect("the pose solves");
@@ -218,7 +218,13 @@ fn dragging_carries_refinement_on_without_pops() {
         let poses = pose_at(&bench, f64::from(k) / f64::from(frames));
         let mut cut = |now: &pliant::job::Watch<'_>| k % 3 != 0 || now.refined == 0;
         let solved = bench
-            .solve(&poses, &settings(2, 0.0), Mode::Drag, &pool(2), &Silent, &mut cut)
+            .solve(
+                &poses,
+                &settings(2, 0.0),
+                Mode::Drag,
+                &Exec::new(&pool(2), &Silent),
+                &mut cut,
+            )
             .expect("the pose solves");
         if let Some(last) = &last {
             let jump = largest_distance(&solved.positions, last);
@@ -249,7 +255,9 @@ fn parts_and_regions_that_do_not_move_keep_their_bits() {
         region_of_interest: Some(above(2.0)),
         ..Default::default()
     };
-    bench.set_handles(&request, &pool(2), &Silent).expect("the handles fit");
+    bench
+        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .expect("the handles fit");
     let now = refined(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 6);
     let mut still = 0;
     for (now, rest) in now.iter().zip(&shape.0).filter(|(_, rest)| rest.z < 2.0) {

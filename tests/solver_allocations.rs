@@ -6,6 +6,7 @@
 
 use case::{Case, to, twist};
 use graphs::{lattice, surface};
+use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{Control, Iteration, Method, SolveOptions, Start, Stats, Workspace};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -111,8 +112,7 @@ fn third_solve(case: &Case, columns: usize, rhs: &[f64], from: &[f64], options: 
             &mut x,
             options,
             &mut workspace,
-            &case.pool,
-            &Silent,
+            &Exec::new(&case.pool, &Silent),
             &mut watch,
         );
         COUNTING.store(false, SeqCst);

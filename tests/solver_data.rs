@@ -6,6 +6,7 @@
 
 use glam::{DAffine3, DQuat, DVec3};
 use pliant::deform::{Hold, Motion, Rig, Rigging, Transform, carry};
+use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{
@@ -50,7 +51,7 @@ struct Ready<'a> {
 impl Ready<'_> {
     fn new(rung: &Rung, threads: usize) -> Ready<'_> {
         let pool = Pool::new(threads).unwrap();
-        let hierarchy = Hierarchy::build(&rung.graph(), &BuildOptions::default(), &pool, &Silent).unwrap();
+        let hierarchy = Hierarchy::build(&rung.graph(), &BuildOptions::default(), &Exec::new(&pool, &Silent)).unwrap();
         let system = rung.constrain(&hierarchy, &pool);
         Ready {
             rung,
@@ -78,7 +79,16 @@ impl Ready<'_> {
         let (hierarchy, pool) = (&self.hierarchy, &self.pool);
         let stats = self
             .system
-            .solve(hierarchy, 3, rhs, x, options, workspace, pool, &Silent, &mut watch)
+            .solve(
+                hierarchy,
+                3,
+                rhs,
+                x,
+                options,
+                workspace,
+                &Exec::new(pool, &Silent),
+                &mut watch,
+            )
             .unwrap();
         assert!(stats.converged, "{}: {stats:?}", rung.name);
         stats
@@ -293,7 +303,7 @@ fn with_another_handle(rung: &Rung) -> Rig {
         holds,
         ..rung.rig().rigging().clone()
     };
-    Rig::build(body, rigging, &Pool::new(2).unwrap(), &Silent).unwrap()
+    Rig::build(body, rigging, &Exec::new(&Pool::new(2).unwrap(), &Silent)).unwrap()
 }
 
 #[test]
@@ -364,8 +374,7 @@ fn solve_fields(rung: &Rung, rig: &Rig, columns: usize, x: &mut [f64], start: St
             x,
             &options,
             &mut workspace,
-            &pool,
-            &Silent,
+            &Exec::new(&pool, &Silent),
             &mut watch,
         )
         .unwrap();

@@ -7,6 +7,7 @@ mod khronos;
 
 use glam::DVec3;
 use pliant::asset::FileSet;
+use pliant::exec::Exec;
 use pliant::job::{Limits, Mode, Settings, Workbench, json, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -68,7 +69,13 @@ fn deform(folder: &Path, model: &Path, job: &str) -> Value {
 
 fn open(path: &Path, pool: &Pool) -> Workbench {
     let files = FileSet::single("statue.glb", std::fs::read(path).expect("written"));
-    Workbench::open(files, &Default::default(), &Limits::default(), pool, &Silent).expect("opens again")
+    Workbench::open(
+        files,
+        &Default::default(),
+        &Limits::default(),
+        &Exec::new(pool, &Silent),
+    )
+    .expect("opens again")
 }
 
 /// What holds of the statue as a file: two parts, the statue and its plinth, without a rim.
@@ -135,7 +142,9 @@ fn across(bench: &mut Workbench, pool: &Pool) {
         handles: job.handles.clone(),
         ..Default::default()
     };
-    bench.set_handles(&request, pool, &Silent).expect("the handles fit");
+    bench
+        .set_handles(&request, &Exec::new(pool, &Silent))
+        .expect("the handles fit");
     let settings = Settings::check(&job.options.unwrap_or_default(), "options", 8).expect("valid");
     let mut poses = bench.initial_poses();
     let mut last = None;
@@ -146,7 +155,9 @@ fn across(bench: &mut Workbench, pool: &Pool) {
         poses = bench.posed(&poses, pose).expect("a pose");
         last = Some(
             bench
-                .solve(&poses, &settings, Mode::Commit, pool, &Silent, &mut |_| true)
+                .solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
+                    true
+                })
                 .expect("solved"),
         );
     }

@@ -4,6 +4,7 @@
 use crate::Failure;
 use glam::{DQuat, DVec3};
 use pliant::asset::{FileSet, shapes};
+use pliant::exec::Exec;
 use pliant::job::{self, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -91,7 +92,8 @@ fn make(figure: &Figure, folder: &Path, pool: &Pool) -> Result<String, Failure> 
         };
         let files = FileSet::single("shape.obj", obj(&figure.shape.0, &figure.shape.1));
         let limits = job::Limits::default();
-        let outcome = job::run(files, &job, None, &limits, pool, &Silent, &|| 0.0).map_err(|e| failed(&e))?;
+        let outcome =
+            job::run(files, &job, None, &limits, &Exec::new(pool, &Silent), &|| 0.0).map_err(|e| failed(&e))?;
         let quality = outcome.report.quality.unwrap_or_default();
         let judged = (figure.judge)(&outcome.positions);
         let _ = writeln!(

@@ -7,6 +7,7 @@
 use crate::Failure;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
+use pliant::exec::Exec;
 use pliant::job::{self, pb};
 use pliant::mesh::{Bounds, Mesh, Weld, self_intersections};
 use pliant::pool::Pool;
@@ -213,8 +214,17 @@ fn deform(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Shown, String>
     let bounds = mesh.bounds();
     let job = automatic_job(&bounds, args.refine);
     let limits = job::Limits::default();
-    let outcome = job::run(model.files.clone(), &job, None, &limits, pool, &Silent, &|| 0.0).map_err(|e| text(&e))?;
-    let crossed = self_intersections(&mesh.positions, &mesh.triangles, pool, &Silent).map_err(|e| text(&e))?;
+    let outcome = job::run(
+        model.files.clone(),
+        &job,
+        None,
+        &limits,
+        &Exec::new(pool, &Silent),
+        &|| 0.0,
+    )
+    .map_err(|e| text(&e))?;
+    let crossed =
+        self_intersections(&mesh.positions, &mesh.triangles, &Exec::new(pool, &Silent)).map_err(|e| text(&e))?;
     let quality = outcome.report.quality.unwrap_or_default();
     let after = u64::from(quality.self_intersections.unwrap_or_default());
 

@@ -4,6 +4,7 @@ use super::files::{output_format, read_model, write_model};
 use super::job::read_job;
 use super::progress::Bar;
 use super::{Failure, Threads, print_json};
+use crate::exec::Exec;
 use crate::job::{self, Limits, pb};
 use clap::Args;
 use std::path::PathBuf;
@@ -37,7 +38,14 @@ pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
     let limits = Limits::default();
-    let mut outcome = job::run(files.clone(), &job, Some(format), &limits, &pool, &bar, &millis)?;
+    let mut outcome = job::run(
+        files.clone(),
+        &job,
+        Some(format),
+        &limits,
+        &Exec::new(&pool, &bar),
+        &millis,
+    )?;
     bar.done();
 
     let written = write_model(&args.output, &outcome.written, &args.model, &files)?;

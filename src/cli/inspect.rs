@@ -3,6 +3,7 @@
 use super::files::read_model;
 use super::progress::Bar;
 use super::{Failure, Threads, print_json};
+use crate::exec::Exec;
 use crate::job::{self, Limits, pb};
 use clap::Args;
 use std::io::Write as _;
@@ -25,7 +26,12 @@ pub(super) fn run(args: &InspectArgs) -> Result<(), Failure> {
     let pool = args.threads.pool()?;
     let files = read_model(&args.model)?;
     let bar = Bar::new(args.json);
-    let found = job::inspect(files, &pb::CreateOptions::default(), &Limits::default(), &pool, &bar)?;
+    let found = job::inspect(
+        files,
+        &pb::CreateOptions::default(),
+        &Limits::default(),
+        &Exec::new(&pool, &bar),
+    )?;
     bar.done();
     if args.json {
         return print_json(&found);

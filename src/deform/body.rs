@@ -1,10 +1,9 @@
 //! What a deformation works on whatever the handles are: the graph and its hierarchy.
 
 use super::Error;
+use crate::exec::Exec;
 use crate::graph::{self, Graph};
 use crate::mesh::Mesh;
-use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use crate::solver::{self, Hierarchy};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -66,12 +65,12 @@ impl Body {
     /// # Errors
     /// [`Error::NoInside`] in mode [`VolumeMode::Required`]; [`Error::Graph`] for senseless options, and in that mode when
     /// the graph would be too large; [`Error::Cancelled`].
-    pub fn build(mesh: &Mesh, options: &BodyOptions, pool: &Pool, progress: &dyn Progress) -> Result<Self, Error> {
-        progress.report("graph", 0.0);
+    pub fn build(mesh: &Mesh, options: &BodyOptions, exec: &Exec<'_>) -> Result<Self, Error> {
+        exec.progress.report("graph", 0.0);
         let built = match options.volume {
             VolumeMode::Off => Ok(None),
-            _ if options.apart => graph::volume_apart(mesh, &options.graph, pool, progress),
-            _ => graph::volume(mesh, &options.graph, pool, progress),
+            _ if options.apart => graph::volume_apart(mesh, &options.graph, exec),
+            _ => graph::volume(mesh, &options.graph, exec),
         };
         let (volume, too_large) = match built {
             Ok(volume) => (volume, None),
@@ -88,7 +87,7 @@ impl Body {
             None if options.volume == VolumeMode::Required => return Err(Error::NoInside),
             None => graph::surface(mesh, options.graph.weights),
         };
-        check(progress)?;
+        exec.check()?;
 
         let bounds = mesh.bounds();
         let diagonal = (bounds.max - bounds.min).length();
@@ -99,9 +98,9 @@ impl Body {
         };
         let unit = power_of_two_near(diagonal);
         let origin = bounds.min + (bounds.max - bounds.min) * 0.5;
-        let rest = pool.install(|| place(&graph.positions, origin, unit));
+        let rest = exec.pool.install(|| place(&graph.positions, origin, unit));
 
-        progress.report("hierarchy", 0.0);
+        exec.progress.report("hierarchy", 0.0);
         let view = solver::Graph {
             offsets: &graph.offsets,
             neighbours: &graph.neighbours,
@@ -112,8 +111,8 @@ impl Body {
             operators: options.operators,
             ..Default::default()
         };
-        let hierarchy = Hierarchy::build(&view, &build, pool, progress)?;
-        let laplacian = pool.install(|| laplacian(&graph, &rest));
+        let hierarchy = Hierarchy::build(&view, &build, exec)?;
+        let laplacian = exec.pool.install(|| laplacian(&graph, &rest));
         Ok(Self {
             graph,
             hierarchy,

@@ -1,7 +1,7 @@
 //! Cholesky factors of dense symmetric positive definite matrices, by blocks, on any number of threads.
 
-use crate::pool::Pool;
-use crate::progress::{Cancelled, Progress, check};
+use crate::exec::Exec;
+use crate::progress::Cancelled;
 use rayon::prelude::*;
 
 /// Columns that are eliminated together.
@@ -18,16 +18,10 @@ pub(super) struct Cholesky {
 impl Cholesky {
     /// Factors the `size` × `size` matrix, row-major, of which the lower triangle is read. Pivots below `least` are raised
     /// to it, which keeps unknowns near 0 that the matrix does not determine.
-    pub fn new(
-        mut matrix: Vec<f64>,
-        size: usize,
-        least: f64,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<Self, Cancelled> {
+    pub fn new(mut matrix: Vec<f64>, size: usize, least: f64, exec: &Exec<'_>) -> Result<Self, Cancelled> {
         let n = size;
         for from in (0..n).step_by(BLOCK) {
-            check(progress)?;
+            exec.check()?;
             let to = n.min(from + BLOCK);
             let (above, below) = matrix.split_at_mut(to * n);
             let block = &mut above[from * n..];
@@ -41,7 +35,7 @@ impl Cholesky {
                 row[i] = (row[i] - dot(&row[from..i], &row[from..i])).max(least).sqrt();
             }
             let block = &*block;
-            pool.install(|| {
+            exec.pool.install(|| {
                 // The block's columns of every row below it.
                 below.par_chunks_exact_mut(n).for_each(|row| {
                     for j in from..to {
@@ -110,6 +104,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pool::Pool;
     use crate::progress::Silent;
 
     #[test]
@@ -123,7 +118,7 @@ mod tests {
             let b: Vec<[f64; 3]> = (0..n).map(|i| [i as f64, 1.0, -0.5 * (i % 3) as f64]).collect();
             let solutions = [1, 2, 3].map(|threads| {
                 let pool = Pool::new(threads).unwrap();
-                let factor = Cholesky::new(matrix.clone(), n, 0.0, &pool, &Silent).unwrap();
+                let factor = Cholesky::new(matrix.clone(), n, 0.0, &Exec::new(&pool, &Silent)).unwrap();
                 let mut x = b.clone();
                 factor.solve(&mut x);
                 x
@@ -141,7 +136,7 @@ mod tests {
     #[test]
     fn what_the_matrix_does_not_determine_stays_finite() {
         let pool = Pool::new(1).unwrap();
-        let factor = Cholesky::new(vec![1.0, 1.0, 1.0, 1.0], 2, 1e-6, &pool, &Silent).unwrap();
+        let factor = Cholesky::new(vec![1.0, 1.0, 1.0, 1.0], 2, 1e-6, &Exec::new(&pool, &Silent)).unwrap();
         let mut x = [[1.0; 3]; 2];
         factor.solve(&mut x);
         assert!(x.iter().all(|x| x[0].is_finite() && x[0].abs() < 2.0), "{x:?}");

@@ -10,8 +10,8 @@ use super::blending::fade;
 use super::first_pass::{Blend, Turn, turn};
 use super::rig::{Constrained, NOBODY, Rig};
 use super::{Body, Error};
+use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use crate::solver::{Constraints, Control, SolveOptions, Start, Workspace};
 use glam::{DQuat, DVec4};
 use rayon::prelude::*;
@@ -32,23 +32,19 @@ const LONGEST: f64 = 0.5;
 const WINDS: [f64; 2] = [1.5 * PI, TAU];
 
 /// The rotations of all nodes.
-pub(super) fn diffuse(
-    body: &Body,
-    rig: &Rig,
-    blend: &Blend<'_>,
-    pool: &Pool,
-    progress: &dyn Progress,
-) -> Result<Vec<Turn>, Error> {
+pub(super) fn diffuse(body: &Body, rig: &Rig, blend: &Blend<'_>, exec: &Exec<'_>) -> Result<Vec<Turn>, Error> {
     let nodes = body.nodes();
-    let begun: Vec<DVec4> = each(pool, nodes, |i| blend.rotation(i).unwrap_or(DQuat::IDENTITY).into());
+    let begun: Vec<DVec4> = each(exec.pool, nodes, |i| {
+        blend.rotation(i).unwrap_or(DQuat::IDENTITY).into()
+    });
     // Beyond a full turn there is a shorter way round the sphere, and descent would find it.
     let kept = fade(blend.reach(), WINDS);
     if kept == 1.0 {
-        return Ok(each(pool, nodes, |i| turn(DQuat::from_vec4(begun[i]))));
+        return Ok(each(exec.pool, nodes, |i| turn(DQuat::from_vec4(begun[i]))));
     }
     let mut q = begun.clone();
-    relax(body, rig, blend, &mut q, pool, progress)?;
-    Ok(each(pool, nodes, |i| {
+    relax(body, rig, blend, &mut q, exec)?;
+    Ok(each(exec.pool, nodes, |i| {
         let between = begun[i] * kept + q[i] * (1.0 - kept);
         turn(DQuat::from_vec4(between.try_normalize().unwrap_or(begun[i])))
     }))
@@ -58,14 +54,7 @@ fn each<T: Send>(pool: &Pool, nodes: usize, value: impl Fn(usize) -> T + Sync + 
     pool.install(|| (0..nodes).into_par_iter().with_min_len(1024).map(value).collect())
 }
 
-fn relax(
-    body: &Body,
-    rig: &Rig,
-    blend: &Blend<'_>,
-    q: &mut Vec<DVec4>,
-    pool: &Pool,
-    progress: &dyn Progress,
-) -> Result<(), Error> {
+fn relax(body: &Body, rig: &Rig, blend: &Blend<'_>, q: &mut Vec<DVec4>, exec: &Exec<'_>) -> Result<(), Error> {
     let nodes = body.nodes();
     let diffusion = Diffusion::new(body, rig, blend);
     let own;
@@ -79,7 +68,7 @@ fn relax(
                 fixed: &fixed,
                 stiffness: stiffness.as_deref(),
             };
-            let system = body.hierarchy.constrain(&constraints, pool)?;
+            let system = body.hierarchy.constrain(&constraints, exec.pool)?;
             own = Constrained { fixed, system };
             &own.system
         }
@@ -94,10 +83,10 @@ fn relax(
         ..Default::default()
     };
     let mut workspace = Workspace::default();
-    let mut energy = diffusion.energy(q, pool);
+    let mut energy = diffusion.energy(q, exec.pool);
     for _ in 0..STEPS {
-        check(progress)?;
-        let rhs: Vec<f64> = each(pool, nodes, |i| diffusion.residual(i, q).to_array()).into_flattened();
+        exec.check()?;
+        let rhs: Vec<f64> = each(exec.pool, nodes, |i| diffusion.residual(i, q).to_array()).into_flattened();
         let mut step = vec![0.0; nodes * 4];
         system.solve(
             &body.hierarchy,
@@ -106,16 +95,15 @@ fn relax(
             &mut step,
             &options,
             &mut workspace,
-            pool,
-            progress,
+            exec,
             &mut |_| Control::Continue,
         )?;
         let step: &[[f64; 4]] = step.as_chunks().0;
-        let next = each(pool, nodes, |i| match diffusion.is_open(i) {
+        let next = each(exec.pool, nodes, |i| match diffusion.is_open(i) {
             true => (q[i] + DVec4::from_array(step[i]).clamp_length_max(LONGEST)).normalize(),
             false => q[i],
         });
-        let after = diffusion.energy(&next, pool);
+        let after = diffusion.energy(&next, exec.pool);
         let lower = after < energy;
         if !lower {
             break;

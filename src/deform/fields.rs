@@ -5,8 +5,8 @@
 
 use super::rig::{NOBODY, Ownership};
 use super::{Body, Error, Restart};
+use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::progress::Progress;
 use crate::solver::{Constraints, Control, SolveOptions, Start, System, Workspace};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -141,8 +141,7 @@ pub(super) fn solve(
     ownership: &Ownership,
     holds: usize,
     restart: Option<(&Restart<'_>, &Fields)>,
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
 ) -> Result<(Fields, Option<System>), Error> {
     let nodes = body.nodes();
     let covered = ownership.covered(body);
@@ -188,7 +187,7 @@ pub(super) fn solve(
             fixed: &fixed,
             stiffness: stiffness.as_deref(),
         };
-        let references = pool.install(|| references(body, columns, &fixed, &rhs, &x));
+        let references = exec.pool.install(|| references(body, columns, &fixed, &rhs, &x));
         let equations = Equations {
             body,
             columns: others,
@@ -198,10 +197,10 @@ pub(super) fn solve(
             references: &references,
         };
         // Relaxing takes one thread; constraints have work for the others.
-        let (guess, system) = pool.install(|| {
+        let (guess, system) = exec.pool.install(|| {
             rayon::join(
-                || restart.and_then(|(restart, before)| restart.guess(&equations, before, &mut x, pool)),
-                || body.hierarchy.constrain(&constraints, pool),
+                || restart.and_then(|(restart, before)| restart.guess(&equations, before, &mut x, exec.pool)),
+                || body.hierarchy.constrain(&constraints, exec.pool),
             )
         });
         let system = system?;
@@ -231,8 +230,7 @@ pub(super) fn solve(
                 &mut x,
                 &options,
                 &mut workspace,
-                pool,
-                progress,
+                exec,
                 &mut |_| Control::Continue,
             )?;
             iterations = stats.iterations;
@@ -243,7 +241,7 @@ pub(super) fn solve(
         }
         solved = Some(system);
     }
-    pool.install(|| {
+    exec.pool.install(|| {
         // The solver stops short of the exact solution, so bounds and sum are restored to the last bit that matters.
         x.par_chunks_mut(columns.max(1)).for_each(|row| {
             row.iter_mut().for_each(|u| *u = u.clamp(0.0, 1.0));
@@ -341,7 +339,7 @@ mod tests {
             holds: holds.to_vec(),
             ..Default::default()
         };
-        Rig::build(body, rigging, pool, &Silent).expect("a rig")
+        Rig::build(body, rigging, &Exec::new(pool, &Silent)).expect("a rig")
     }
 
     #[test]
@@ -349,7 +347,7 @@ mod tests {
         let pool = Pool::new(2).expect("threads start");
         let (positions, triangles) = shapes::icosphere(1.0, 4);
         let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
-        let body = Body::build(&mesh, &BodyOptions::default(), &pool, &Silent).expect("a body");
+        let body = Body::build(&mesh, &BodyOptions::default(), &Exec::new(&pool, &Silent)).expect("a body");
         let below = |z: f64| {
             let nodes = (0u32..).zip(&body.graph.positions);
             nodes.filter(|(_, p)| p.z < z).map(|(n, _)| n).collect::<Vec<_>>()
@@ -396,7 +394,7 @@ mod tests {
         let pool = Pool::new(1).expect("threads start");
         let (positions, triangles) = shapes::icosphere(1.0, 3);
         let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
-        let body = Body::build(&mesh, &BodyOptions::default(), &pool, &Silent).expect("a body");
+        let body = Body::build(&mesh, &BodyOptions::default(), &Exec::new(&pool, &Silent)).expect("a body");
         let cap = |keep: &dyn Fn(&glam::DVec3) -> bool| {
             let nodes = (0u32..).zip(&body.graph.positions);
             nodes.filter(|(_, p)| keep(p)).map(|(n, _)| n).collect::<Vec<_>>()

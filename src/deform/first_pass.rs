@@ -8,8 +8,8 @@ use super::blending::Blending;
 use super::rig::Rig;
 use super::rotation::{exp_rotation, exp_symmetric, relative_rotation};
 use super::{Body, Error, Transform, diffusion, linear_frames};
+use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::progress::Progress;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
@@ -76,15 +76,14 @@ pub(super) fn instead(
     rig: &Rig,
     transforms: &[Transform],
     how: FirstPass,
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
 ) -> Result<Option<Vec<Turn>>, Error> {
     let blend = Blend::new(body, rig, transforms, None);
     match how {
         FirstPass::Harmonic => Ok(None),
         _ if blend.rotations.are_still() => Ok(None),
-        FirstPass::Diffusion => diffusion::diffuse(body, rig, &blend, pool, progress).map(Some),
-        FirstPass::LinearFrames => Ok(Some(linear_frames::linear_frames(&blend, body.nodes(), pool))),
+        FirstPass::Diffusion => diffusion::diffuse(body, rig, &blend, exec).map(Some),
+        FirstPass::LinearFrames => Ok(Some(linear_frames::linear_frames(&blend, body.nodes(), exec.pool))),
     }
 }
 

@@ -3,10 +3,9 @@
 
 use super::Error;
 use super::body::{Body, differential, laplacian, place};
+use crate::exec::Exec;
 use crate::graph::{self, Change};
 use crate::mesh::Bounds;
-use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use crate::solver::{self, Hierarchy};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -48,11 +47,10 @@ impl Body {
         &self,
         change: &Change<'_>,
         moved: Option<&[DVec3]>,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Option<Followed>, Error> {
-        progress.report("graph", 0.0);
-        let bounds = pool.install(|| bounds(change.positions));
+        exec.progress.report("graph", 0.0);
+        let bounds = exec.pool.install(|| bounds(change.positions));
         let middle = bounds.min + (bounds.max - bounds.min) * 0.5;
         let lost = !LENGTHS.contains(&((bounds.max - bounds.min).length() / self.unit))
             || (middle - self.origin).length() > FARTHEST * self.unit;
@@ -60,14 +58,14 @@ impl Body {
             return Ok(None);
         }
         let at = moved.unwrap_or(&self.graph.positions);
-        let Some(resampled) = graph::resample(&self.graph, at, change, pool, progress)? else {
+        let Some(resampled) = graph::resample(&self.graph, at, change, exec)? else {
             return Ok(None);
         };
         let graph = resampled.graph;
-        let rest = pool.install(|| place(&graph.positions, self.origin, self.unit));
+        let rest = exec.pool.install(|| place(&graph.positions, self.origin, self.unit));
 
-        check(progress)?;
-        progress.report("hierarchy", 0.0);
+        exec.check()?;
+        exec.progress.report("hierarchy", 0.0);
         let view = solver::Graph {
             offsets: &graph.offsets,
             neighbours: &graph.neighbours,
@@ -75,18 +73,18 @@ impl Body {
             positions: Some(&rest),
         };
         let hierarchy = if self.hierarchy.is_worn() {
-            Hierarchy::build(&view, self.hierarchy.options(), pool, progress)?
+            Hierarchy::build(&view, self.hierarchy.options(), exec)?
         } else {
-            let mut hierarchy = self.hierarchy.duplicate(pool);
+            let mut hierarchy = self.hierarchy.duplicate(exec.pool);
             let change = solver::Change {
                 new_from_old: &resampled.new_from_old,
                 touched: &resampled.touched,
             };
-            hierarchy.repair(&view, &change, pool, progress)?;
+            hierarchy.repair(&view, &change, exec)?;
             hierarchy
         };
         let old_from_new = resampled.old_from_new;
-        let laplacian = pool.install(|| match moved {
+        let laplacian = exec.pool.install(|| match moved {
             Some(_) => laplacian(&graph, &rest),
             None => self.carried_laplacian(&graph, &rest, &old_from_new, &resampled.touched),
         });

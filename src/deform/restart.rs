@@ -298,6 +298,7 @@ mod tests {
     use super::super::{Body, BodyOptions, Hold, Rig, Rigging};
     use super::*;
     use crate::asset::shapes;
+    use crate::exec::Exec;
     use crate::mesh::{Mesh, Weld};
     use crate::progress::Silent;
 
@@ -305,7 +306,7 @@ mod tests {
     fn ball(times: u32, pool: &Pool) -> Body {
         let (positions, triangles) = shapes::icosphere(1.0, times);
         let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
-        Body::build(&mesh, &BodyOptions::default(), pool, &Silent).expect("a body")
+        Body::build(&mesh, &BodyOptions::default(), &Exec::new(pool, &Silent)).expect("a body")
     }
 
     /// The nodes of which `keep` is true, held in every way.
@@ -332,7 +333,7 @@ mod tests {
             ],
             ..Default::default()
         };
-        let rig = Rig::build(&body, rigging.clone(), &pool, &Silent).expect("a rig");
+        let rig = Rig::build(&body, rigging.clone(), &Exec::new(&pool, &Silent)).expect("a rig");
         let kept = rig.keep_fields();
 
         // A patch on the side is new, and nobody knows its values.
@@ -348,7 +349,7 @@ mod tests {
             old_from_new: &old_from_new,
             touched: &touched,
         };
-        let again = Rig::restart(&body, rigging, Some(&restart), &pool, &Silent).expect("a rig");
+        let again = Rig::restart(&body, rigging, Some(&restart), &Exec::new(&pool, &Silent)).expect("a rig");
         assert_eq!(again.field_iterations, 0, "relaxing is enough");
 
         let (before, now) = (rig.rotation_fields(), again.rotation_fields());
@@ -379,7 +380,7 @@ mod tests {
             holds: vec![hold(&body, |p| p.z < -0.7), hold(&body, |p| p.z > top)],
             ..Default::default()
         };
-        let rig = Rig::build(&body, with(0.6), &pool, &Silent).expect("a rig");
+        let rig = Rig::build(&body, with(0.6), &Exec::new(&pool, &Silent)).expect("a rig");
         let kept = rig.keep_fields();
         let old_from_new: Vec<u32> = (0..body.nodes() as u32).collect();
         let restart = Restart {
@@ -387,8 +388,8 @@ mod tests {
             old_from_new: &old_from_new,
             touched: &[],
         };
-        let again = Rig::restart(&body, with(0.8), Some(&restart), &pool, &Silent).expect("a rig");
-        let fresh = Rig::build(&body, with(0.8), &pool, &Silent).expect("a rig");
+        let again = Rig::restart(&body, with(0.8), Some(&restart), &Exec::new(&pool, &Silent)).expect("a rig");
+        let fresh = Rig::build(&body, with(0.8), &Exec::new(&pool, &Silent)).expect("a rig");
         let (a, b) = (again.rotation_fields().of(1), fresh.rotation_fields().of(1));
         let farthest = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(farthest < 2e-4, "off by {farthest}");

@@ -3,8 +3,8 @@
 use super::fields::{self, Fields};
 use super::parts::{Parts, Policy};
 use super::{Body, Error, KeptFields, Restart, Transform};
+use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::progress::Progress;
 use crate::solver::{Constraints, System};
 use glam::DVec3;
 use std::sync::Arc;
@@ -165,8 +165,8 @@ impl Rig {
     ///
     /// # Errors
     /// [`Error::NoPosition`], [`Error::FreePart`], [`Error::Solver`], [`Error::Cancelled`].
-    pub fn build(body: &Body, rigging: Rigging, pool: &Pool, progress: &dyn Progress) -> Result<Self, Error> {
-        Self::restart(body, rigging, None, pool, progress)
+    pub fn build(body: &Body, rigging: Rigging, exec: &Exec<'_>) -> Result<Self, Error> {
+        Self::restart(body, rigging, None, exec)
     }
 
     /// As [`Rig::build`], with fields that begin from those of the same holds before an edit.
@@ -177,10 +177,9 @@ impl Rig {
         body: &Body,
         rigging: Rigging,
         restart: Option<&Restart<'_>>,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Self, Error> {
-        progress.report("fields", 0.0);
+        exec.progress.report("fields", 0.0);
         let nodes = body.nodes();
         let position = Ownership::settle(&rigging, nodes, |h| h.position);
         // Mostly all of them constrain the same handles.
@@ -202,19 +201,19 @@ impl Rig {
 
         let holds = rigging.holds.len();
         let begin = restart.map(|r| (r, r.before.rotation.as_ref()));
-        let (rotation_fields, system) = fields::solve(body, &rotation, holds, begin, pool, progress)?;
-        let blending_fields = rotation_fields.around_small(body, &rotation, pool);
+        let (rotation_fields, system) = fields::solve(body, &rotation, holds, begin, exec)?;
+        let blending_fields = rotation_fields.around_small(body, &rotation, exec.pool);
         let shared = scale.same_as(&rotation);
         let scale_fields = match shared {
             true => None,
             false => {
                 let begin = restart.and_then(|r| Some((r, r.before.scale.as_deref()?)));
-                Some(fields::solve(body, &scale, holds, begin, pool, progress)?.0)
+                Some(fields::solve(body, &scale, holds, begin, exec)?.0)
             }
         };
         let field_iterations = rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);
 
-        progress.report("constrain", 0.0);
+        exec.progress.report("constrain", 0.0);
         let fixed: Vec<bool> = (0..nodes)
             .map(|i| position.hard[i] != NOBODY || !covered[body.graph.component[i] as usize])
             .collect();
@@ -222,7 +221,7 @@ impl Rig {
         // What holds rotations mostly holds positions too, and then both have one system.
         let positions = match system.filter(|_| position.same_as(&rotation)) {
             Some(system) => Constrained { fixed, system },
-            None => constrained(body, fixed, stiffness.as_deref(), pool)?,
+            None => constrained(body, fixed, stiffness.as_deref(), exec.pool)?,
         };
         let loose: Vec<&Hold> = rigging
             .holds
@@ -237,7 +236,7 @@ impl Rig {
                 .iter()
                 .flat_map(|h| &h.nodes)
                 .for_each(|&n| fixed[n as usize] = true);
-            Some(constrained(body, fixed, stiffness.as_deref(), pool)?)
+            Some(constrained(body, fixed, stiffness.as_deref(), exec.pool)?)
         };
         Ok(Self {
             rigging: Arc::new(rigging),

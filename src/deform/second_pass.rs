@@ -6,8 +6,9 @@ use super::refine::Fit;
 use super::rig::{Constrained, Rig};
 use super::spatial_rbf::Space;
 use super::{Body, Error, Refinement, Transform};
+use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::progress::{Progress, check};
+use crate::progress::check;
 use crate::solver::{self, Control, SolveOptions, Workspace};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -151,15 +152,14 @@ impl Rig {
         body: &Body,
         request: &Request<'_>,
         state: &mut State,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&Cycle<'_>) -> bool,
     ) -> Result<Solution, Error> {
         let moved_parts = self.moved_parts(body, request.transforms);
         if !moved_parts.contains(&true) {
             return Ok(Solution::at_rest(body));
         }
-        let instead = first_pass::instead(body, self, request.transforms, request.first_pass, pool, progress)?;
+        let instead = first_pass::instead(body, self, request.transforms, request.first_pass, exec)?;
         let instead = instead.as_deref();
         let pose = Pose {
             rig: self,
@@ -167,10 +167,9 @@ impl Rig {
             request,
             instead,
             moved_parts: &moved_parts,
-            pool,
-            progress,
+            exec,
         };
-        let mut posed = self.posed(body, request.transforms, instead, pool);
+        let mut posed = self.posed(body, request.transforms, instead, exec.pool);
         let result = pose.solve(&mut posed, state, watch);
         if result.is_err() {
             // A solution that was interrupted is no start for the next one.
@@ -191,8 +190,7 @@ struct Pose<'a> {
     /// Rotations in place of the blend by harmonic fields.
     instead: Option<&'a [Turn]>,
     moved_parts: &'a [bool],
-    pool: &'a Pool,
-    progress: &'a dyn Progress,
+    exec: &'a Exec<'a>,
 }
 
 /// What the solves of one pose came to so far.
@@ -215,7 +213,7 @@ impl Pose<'_> {
             rig,
             body,
             request,
-            pool,
+            exec: Exec { pool, .. },
             ..
         } = *self;
         let Refinement { steps, smoothing } = request.refinement;
@@ -257,7 +255,7 @@ impl Pose<'_> {
         let mut stats = self.run(&rig.positions, posed.center, first, rough, state, &mut tally, watch)?;
         if let Some(fit) = &fit {
             while tally.refined < steps && !tally.stopped {
-                check(self.progress)?;
+                check(self.exec.progress)?;
                 turns = fit.step(&turns, &state.x, pool);
                 posed.frames = fit.frames(&turns, pool);
                 rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
@@ -325,8 +323,7 @@ impl Pose<'_> {
             x,
             &options,
             workspace,
-            self.pool,
-            self.progress,
+            self.exec,
             &mut |iteration| {
                 let positions = || {
                     let mut now = vec![0.0; body.nodes() * 3];

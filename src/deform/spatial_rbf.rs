@@ -11,8 +11,8 @@ use super::cholesky::Cholesky;
 use super::rig::{NOBODY, Rig};
 use super::second_pass::{Method, Solution, State};
 use super::{Body, Error, Policy, Transform};
+use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -102,13 +102,13 @@ fn farthest(vectors: impl Iterator<Item = DVec3>) -> Option<DVec3> {
 
 impl Space {
     /// Chooses centres and factors.
-    fn new(body: &Body, rig: &Rig, pool: &Pool, progress: &dyn Progress) -> Result<Self, Error> {
-        let (centres, softness) = centres(body, rig, pool, progress)?;
+    fn new(body: &Body, rig: &Rig, exec: &Exec<'_>) -> Result<Self, Error> {
+        let (centres, softness) = centres(body, rig, exec)?;
         let places: Vec<DVec3> = centres.iter().map(|c| at_rest(body, c.node as usize)).collect();
         let linear = Linear::of(&places);
         let (m, r) = (places.len(), linear.axes.len() + 1);
         let mut phi: Vec<f64> = vec![0.0; m * m];
-        pool.install(|| {
+        exec.pool.install(|| {
             phi.par_chunks_exact_mut(m).enumerate().for_each(|(i, row)| {
                 row.iter_mut()
                     .zip(&places)
@@ -134,10 +134,10 @@ impl Space {
             }
             columns.iter_mut().for_each(|c| reflect(&v, c));
             (0..r).for_each(|j| triangle[k * r + j] = columns[j][k]);
-            mirror_both_sides(&v, &mut phi, pool);
+            mirror_both_sides(&v, &mut phi, exec.pool);
             mirrors.push(v);
         }
-        check(progress)?;
+        exec.check()?;
         let coupling = phi[..r.min(m) * m].to_vec();
         let size = m.saturating_sub(r);
         let mut inner = Vec::with_capacity(size * size);
@@ -146,7 +146,7 @@ impl Space {
             .for_each(|row| inner.extend_from_slice(&row[r..]));
         drop(phi);
         let mean = (0..size).map(|i| inner[i * size + i]).sum::<f64>() / size.max(1) as f64;
-        let factor = Cholesky::new(inner, size, LEAST_PIVOT * mean.abs().max(1e-300), pool, progress)?;
+        let factor = Cholesky::new(inner, size, LEAST_PIVOT * mean.abs().max(1e-300), exec)?;
         Ok(Self {
             centres,
             places,
@@ -240,8 +240,7 @@ impl Rig {
         body: &Body,
         transforms: &[Transform],
         state: &mut State,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Solution, Error> {
         if transforms.iter().all(Transform::is_identity) {
             return Ok(Solution::at_rest(body));
@@ -250,7 +249,7 @@ impl Rig {
         state.forget();
         let space = match state.space.take() {
             Some(space) => space,
-            None => Box::new(Space::new(body, self, pool, progress)?),
+            None => Box::new(Space::new(body, self, exec)?),
         };
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
         let wanted = |node: usize, hold: u32| match maps.get(hold as usize) {
@@ -266,9 +265,9 @@ impl Rig {
         let mut moves: Vec<DVec3> = Vec::with_capacity(body.nodes());
         // In pieces, so that nobody waits long for a result that is not wanted any more.
         for from in (0..body.nodes()).step_by(1 << 14) {
-            check(progress)?;
+            exec.check()?;
             let to = body.nodes().min(from + (1 << 14));
-            let piece: Vec<[DVec3; BUNDLE]> = pool.install(|| {
+            let piece: Vec<[DVec3; BUNDLE]> = exec.pool.install(|| {
                 (from..to)
                     .into_par_iter()
                     .step_by(BUNDLE)
@@ -327,7 +326,7 @@ fn kernel(d: DVec3) -> f64 {
 }
 
 /// The centres, and by centre what softness adds to the diagonal.
-fn centres(body: &Body, rig: &Rig, pool: &Pool, progress: &dyn Progress) -> Result<(Vec<Centre>, Vec<f64>), Error> {
+fn centres(body: &Body, rig: &Rig, exec: &Exec<'_>) -> Result<(Vec<Centre>, Vec<f64>), Error> {
     let owners = &rig.position;
     let mut candidates: Vec<u32> = (0u32..)
         .zip(&owners.hard[..body.graph.surface])
@@ -353,10 +352,10 @@ fn centres(body: &Body, rig: &Rig, pool: &Pool, progress: &dyn Progress) -> Resu
     let mut next = (!places.is_empty()).then_some(0);
     while let Some(k) = next.filter(|_| chosen.len() < MOST_CENTRES) {
         if chosen.len() % 64 == 0 {
-            check(progress)?;
+            exec.check()?;
         }
         chosen.push(k);
-        pool.install(|| {
+        exec.pool.install(|| {
             distance
                 .par_iter_mut()
                 .zip(&places)

@@ -3,29 +3,23 @@
 //! A volume graph of touching parts shares one lattice, which ties them. Here every part gets a graph of its own.
 
 use super::{Error, Graph, Recipe, Stats, VolumeOptions, surface, volume};
+use crate::exec::Exec;
 use crate::mesh::{Components, Mesh};
-use crate::pool::Pool;
-use crate::progress::Progress;
 
 /// As [`volume`], with nothing that ties one connected part of the mesh to another. Parts without an inside have the edges of
 /// the mesh; `None` when no part has one.
 ///
 /// # Errors
 /// As [`volume`].
-pub fn volume_apart(
-    mesh: &Mesh,
-    options: &VolumeOptions,
-    pool: &Pool,
-    progress: &dyn Progress,
-) -> Result<Option<Graph>, Error> {
+pub fn volume_apart(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<Option<Graph>, Error> {
     let parts = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
     if parts.count < 2 {
-        return volume(mesh, options, pool, progress);
+        return volume(mesh, options, exec);
     }
     let mut graphs = Vec::with_capacity(parts.count);
     let mut any = false;
     for (points, part) in split(mesh, &parts)? {
-        let inner = volume(&part, options, pool, progress)?;
+        let inner = volume(&part, options, exec)?;
         any |= inner.is_some();
         graphs.push((points, inner.unwrap_or_else(|| surface(&part, options.weights))));
     }
@@ -150,6 +144,7 @@ mod tests {
     use super::*;
     use crate::asset::shapes;
     use crate::mesh::Weld;
+    use crate::pool::Pool;
     use crate::progress::Silent;
     use glam::DVec3;
 
@@ -166,11 +161,13 @@ mod tests {
         let mesh = Mesh::of_points(&both, &faces, own, both.len()).expect("two boxes");
         let pool = Pool::new(2).expect("threads");
         let options = VolumeOptions::default();
-        let graph = volume_apart(&mesh, &options, &pool, &Silent)
+        let graph = volume_apart(&mesh, &options, &Exec::new(&pool, &Silent))
             .expect("fits")
             .expect("inside");
         let alone = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
-        let alone = volume(&alone, &options, &pool, &Silent).expect("fits").expect("inside");
+        let alone = volume(&alone, &options, &Exec::new(&pool, &Silent))
+            .expect("fits")
+            .expect("inside");
         assert_eq!(
             (graph.components, graph.nodes(), graph.edges()),
             (2, 2 * alone.nodes(), 2 * alone.edges())

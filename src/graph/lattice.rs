@@ -132,22 +132,22 @@ pub(super) struct Edges {
 /// Joins neighbours that see each other. Where a lattice edge leads out of the lattice or through the surface, the node
 /// is tied to the vertex nearest to the place where the edge leaves.
 pub(super) fn edges(site: &Site, grid: &Grid, nodes: &Nodes, valence: u32) -> Result<Edges, Error> {
-    let mut rows = neighbours::rows(&nodes.keys, valence, site.pool);
+    let mut rows = neighbours::rows(&nodes.keys, valence, site.exec.pool);
     let at = |i: u32| grid.position(nodes.keys[i as usize]);
     // Edges that triangles may cross, each once.
     let doubtful = |i: u32, j: u32| {
         let clear = nodes.clearance[i as usize] + nodes.clearance[j as usize];
         clear * CERTAIN <= at(i).distance(at(j))
     };
-    let asked: Vec<[u32; 2]> = site.pool.install(|| {
+    let asked: Vec<[u32; 2]> = site.exec.pool.install(|| {
         let from = (0..rows.len() as u32).into_par_iter().with_min_len(1024);
         let edges = from.flat_map_iter(|i| rows[i as usize].into_iter().map(move |j| [i, j]));
         edges.filter(|&[i, j]| j != NONE && i < j && doubtful(i, j)).collect()
     });
-    let blocked = map(&asked, site.pool, site.progress, |&[i, j]| {
+    let blocked = map(&asked, site.exec, |&[i, j]| {
         site.surface.first_hit(at(i), at(j), None).is_some()
     })?;
-    let mut leaving: Vec<(u32, Key)> = site.pool.install(|| {
+    let mut leaving: Vec<(u32, Key)> = site.exec.pool.install(|| {
         let from = (0..rows.len() as u32).into_par_iter().with_min_len(1024);
         let missing = from.flat_map_iter(|i| {
             let row = rows[i as usize];
@@ -166,7 +166,7 @@ pub(super) fn edges(site: &Site, grid: &Grid, nodes: &Nodes, valence: u32) -> Re
         }
     }
     // No triangle reaches into the clear ball around a node, so the way to look at begins where it ends.
-    let crossed = map(&leaving, site.pool, site.progress, |&(i, end)| {
+    let crossed = map(&leaving, site.exec, |&(i, end)| {
         let (p, q) = (at(i), grid.position(end));
         let start = p + (q - p) * (nodes.clearance[i as usize] * CERTAIN / p.distance(q)).min(1.0);
         let hit = site.surface.first_hit(start, q, None)?;
@@ -175,21 +175,16 @@ pub(super) fn edges(site: &Site, grid: &Grid, nodes: &Nodes, valence: u32) -> Re
     // Several edges lead to the same place too near to the surface; its nearest point is looked up once.
     let unmet = leaving.iter().zip(&crossed).filter(|e| e.1.is_none());
     let mut ends: Vec<Key> = unmet.map(|e| e.0.1).collect();
-    site.pool.install(|| ends.par_sort_unstable());
+    site.exec.pool.install(|| ends.par_sort_unstable());
     ends.dedup();
-    let nearest = map_along(
-        &ends,
-        site.pool,
-        site.progress,
-        |&end, before: Option<&Option<Nearest>>| {
-            let p = grid.position(end);
-            let within = before
-                .copied()
-                .flatten()
-                .map_or(f64::INFINITY, |b| b.point.distance(p) * (1.0 + 1e-9));
-            site.surface.closest_within(p, within)
-        },
-    )?;
+    let nearest = map_along(&ends, site.exec, |&end, before: Option<&Option<Nearest>>| {
+        let p = grid.position(end);
+        let within = before
+            .copied()
+            .flatten()
+            .map_or(f64::INFINITY, |b| b.point.distance(p) * (1.0 + 1e-9));
+        site.surface.closest_within(p, within)
+    })?;
     let ends = &ends;
     let vertices = leaving.iter().zip(crossed).map(|(&(_, end), crossed)| {
         crossed.or_else(|| {
@@ -204,7 +199,7 @@ pub(super) fn edges(site: &Site, grid: &Grid, nodes: &Nodes, valence: u32) -> Re
         .zip(vertices)
         .filter_map(|(&(i, _), v)| Some([i, v?]))
         .collect();
-    site.pool.install(|| ties.par_sort_unstable());
+    site.exec.pool.install(|| ties.par_sort_unstable());
     ties.dedup();
     Ok(Edges { rows, ties })
 }

@@ -44,7 +44,7 @@ pub(super) fn nearest_vertices(site: &Site, grid: &Grid, nodes: &Nodes, edges: &
     }
 
     let starts: Vec<(u32, u32)> = (0..count).zip(nearest).collect();
-    let walked = map(&starts, site.pool, site.progress, |&(node, start)| {
+    let walked = map(&starts, site.exec, |&(node, start)| {
         let p = at(node);
         let start = match start {
             UNKNOWN => site.surface.closest_vertex(p, None).unwrap_or(0),

@@ -76,7 +76,7 @@ pub(super) fn nodes(
     }];
     let mut found: Vec<(Key, f64)> = Vec::new();
     while !front.is_empty() {
-        let verdicts = map(&front, site.pool, site.progress, |b| search.judge(b))?;
+        let verdicts = map(&front, site.exec, |b| search.judge(b))?;
         // Count before anything is stored.
         let (mut splits, mut kept) = (0usize, found.len());
         for (block, verdict) in front.iter().zip(&verdicts) {
@@ -109,7 +109,7 @@ pub(super) fn nodes(
         }
         front = next;
     }
-    site.pool.install(|| found.par_sort_unstable_by_key(|c| c.0));
+    site.exec.pool.install(|| found.par_sort_unstable_by_key(|c| c.0));
     let (keys, clearance) = found.into_iter().unzip();
     Ok(Ok(Nodes { keys, clearance }))
 }

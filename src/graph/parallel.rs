@@ -1,7 +1,7 @@
 //! Many independent queries on a thread budget, with the answers in the order of the questions.
 
-use crate::pool::Pool;
-use crate::progress::{Cancelled, Progress, check};
+use crate::exec::Exec;
+use crate::progress::Cancelled;
 use rayon::prelude::*;
 
 /// Questions asked between two looks at the progress.
@@ -10,14 +10,16 @@ const BLOCK: usize = 1 << 14;
 /// `ask(item)` for each item, in order, whatever the number of threads.
 pub(super) fn map<T: Sync, R: Send>(
     items: &[T],
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
     ask: impl Fn(&T) -> R + Sync + Send,
 ) -> Result<Vec<R>, Cancelled> {
     let mut answers = Vec::with_capacity(items.len());
     for block in items.chunks(BLOCK) {
-        check(progress)?;
-        answers.extend(pool.install(|| block.par_iter().with_min_len(8).map(&ask).collect::<Vec<R>>()));
+        exec.check()?;
+        answers.extend(
+            exec.pool
+                .install(|| block.par_iter().with_min_len(8).map(&ask).collect::<Vec<R>>()),
+        );
     }
     Ok(answers)
 }
@@ -25,24 +27,22 @@ pub(super) fn map<T: Sync, R: Send>(
 /// As [`map`], for items that are much work each.
 pub(super) fn map_few<T: Sync, R: Send>(
     items: &[T],
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
     ask: impl Fn(&T) -> R + Sync + Send,
 ) -> Result<Vec<R>, Cancelled> {
-    check(progress)?;
-    Ok(pool.install(|| items.par_iter().map(&ask).collect()))
+    exec.check()?;
+    Ok(exec.pool.install(|| items.par_iter().map(&ask).collect()))
 }
 
 /// As [`map`], but each answer may lean on the one before it in its run of 64 items, which the caller has put next to
 /// each other for that. The answer must not depend on it.
 pub(super) fn map_along<T: Sync, R: Send>(
     items: &[T],
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
     ask: impl Fn(&T, Option<&R>) -> R + Sync + Send,
 ) -> Result<Vec<R>, Cancelled> {
     let runs: Vec<&[T]> = items.chunks(64).collect();
-    let answers = map(&runs, pool, progress, |run| {
+    let answers = map(&runs, exec, |run| {
         let mut answers: Vec<R> = Vec::with_capacity(run.len());
         for item in *run {
             answers.push(ask(item, answers.last()));

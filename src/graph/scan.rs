@@ -68,7 +68,7 @@ pub(super) fn nodes(
     let mut nodes = Nodes::default();
     let sheets: Vec<u32> = (0..faces.rows() as u32).collect();
     for block in sheets.chunks(BLOCK) {
-        let found = map_few(block, site.pool, site.progress, |&sheet| {
+        let found = map_few(block, site.exec, |&sheet| {
             let runs = runs(grid, crossings(hull, grid, crossing.of(sheet), sheet));
             let count = runs.iter().map(|r| r.count as usize).sum::<usize>();
             // A sheet alone that holds many times more than all may is not worth storing.
@@ -98,7 +98,7 @@ pub(super) fn volume(site: &Site, hull: &WindingTree, grid: &Grid) -> Result<Opt
         return Ok(None);
     };
     let sheets: Vec<u32> = (0..faces.rows() as u32).collect();
-    let lengths = map_few(&sheets, site.pool, site.progress, |&sheet| {
+    let lengths = map_few(&sheets, site.exec, |&sheet| {
         let runs = runs(grid, crossings(hull, grid, faces.of(sheet), sheet));
         runs.iter().map(|r| r.length).sum::<f64>()
     })?;
@@ -113,7 +113,7 @@ fn faces_by_sheet(site: &Site, tree: &WindingTree, grid: &Grid, reach: f64) -> R
     let count = 2 * (grid.cells[2] as usize + 2);
     let budget = (512 * faces.len() + (1 << 23)).min(u32::MAX as usize - 1) as f64;
     // First and last sheet of each face (none when the last is the smaller), and rows looked at for it.
-    let spans: Vec<([u32; 2], f32)> = site.pool.install(|| {
+    let spans: Vec<([u32; 2], f32)> = site.exec.pool.install(|| {
         let span = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|v| positions[v as usize]);
             let low = (a.min(b).min(c) - grid.origin - DVec3::splat(reach)) / grid.interval;

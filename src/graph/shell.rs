@@ -9,9 +9,8 @@ use super::columns::Columns;
 use super::parallel::map;
 use super::solid::Parts;
 use super::winding::WindingTree;
+use crate::exec::Exec;
 use crate::mesh::{Adjacency, Mesh};
-use crate::pool::Pool;
-use crate::progress::Progress;
 use glam::DVec3;
 
 /// How often the offset may be halved.
@@ -33,8 +32,7 @@ pub(super) struct Site<'a> {
     pub(super) columns: Option<Columns<'a>>,
     /// Soups that enclose space, if there are any.
     pub(super) soup: Option<&'a WindingTree<'a>>,
-    pub(super) pool: &'a Pool,
-    pub(super) progress: &'a dyn Progress,
+    pub(super) exec: &'a Exec<'a>,
 }
 
 impl Site<'_> {
@@ -64,7 +62,7 @@ pub(super) fn shell(site: &Site, inward: &[DVec3], offsets: &[f64]) -> Result<Sh
     // In the order of the tree, so that one query finds in the cache what the last one read.
     let mut waiting = site.surface.vertices_in_space();
     waiting.retain(|&v| inward[v as usize] != DVec3::ZERO);
-    let found = map(&waiting, site.pool, site.progress, |&v| {
+    let found = map(&waiting, site.exec, |&v| {
         let offset = offsets[site.parts.components.of_vertex[v as usize] as usize];
         let p = site.mesh.positions[v as usize];
         copy(site.surface, v, p, inward[v as usize], offset, |p| site.contains(p))

@@ -9,9 +9,8 @@ use super::Error;
 use super::caps::Hull;
 use super::parallel::map;
 use super::winding::WindingTree;
+use crate::exec::Exec;
 use crate::mesh::{Adjacency, Components, Mesh};
-use crate::pool::Pool;
-use crate::progress::Progress;
 use glam::DVec3;
 
 /// Places of each part that are looked at.
@@ -56,8 +55,7 @@ impl Parts {
         adjacency: &Adjacency,
         tree: &WindingTree,
         step: f64,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         let components = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
         let mut kinds = vec![Kind::Closed; components.count];
@@ -77,7 +75,7 @@ impl Parts {
                 .filter(|&t| kinds[part(t)] == Kind::Sheet)
                 .collect();
             let looked_at = sample(faces, components.count, part);
-            let open = map(&looked_at, pool, progress, |&t| {
+            let open = map(&looked_at, exec, |&t| {
                 let [a, b, c] = mesh.triangles[t as usize].map(|v| mesh.positions[v as usize]);
                 let beside = (b - a).cross(c - a).try_normalize()? * step;
                 let winding = tree.roughly((a + b + c) / 3.0 - beside);
@@ -128,14 +126,8 @@ impl Parts {
 
     /// Takes holed parts for soups where closing their holes cuts through what the winding number counts as inside, as it
     /// does where cracks part a surface into patches. Whether any was found.
-    pub(super) fn doubt(
-        &mut self,
-        tree: &WindingTree,
-        hull: &Hull,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<bool, Error> {
-        let within = map(&hull.loops, pool, progress, |l| {
+    pub(super) fn doubt(&mut self, tree: &WindingTree, hull: &Hull, exec: &Exec<'_>) -> Result<bool, Error> {
+        let within = map(&hull.loops, exec, |l| {
             let winding = tree.at(l.2).abs();
             winding > 0.5 && (winding - winding.round()).abs() < WHOLE
         })?;
@@ -165,11 +157,10 @@ impl Parts {
         adjacency: &Adjacency,
         contains: impl Fn(DVec3) -> bool + Sync,
         step: f64,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<(Directions, Vec<f64>), Error> {
         let vertices: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-        let mut inward = map(&vertices, pool, progress, |&v| {
+        let mut inward = map(&vertices, exec, |&v| {
             if self.kind(v) != Kind::Sheet {
                 -normal(&mesh.positions, &mesh.triangles, adjacency, v)
             } else {
@@ -182,7 +173,7 @@ impl Parts {
             .filter(|&v| inward[v as usize] != DVec3::ZERO)
             .collect();
         let asked = sample(candidates, self.kinds.len(), part);
-        let sides = map(&asked, pool, progress, |&v| {
+        let sides = map(&asked, exec, |&v| {
             let (p, d) = (mesh.positions[v as usize], inward[v as usize] * step);
             (contains(p + d), contains(p - d))
         })?;

@@ -12,9 +12,8 @@ use super::shell::{Shell, Site, shell};
 use super::solid::{Kind, Parts};
 use super::winding::WindingTree;
 use super::{Error, Graph, Stats, Weights, octree, scan};
+use crate::exec::Exec;
 use crate::mesh::{Adjacency, Mesh, mean_edge_length, signed_volume};
-use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use rayon::prelude::*;
 
 /// How a volume graph is built.
@@ -72,12 +71,7 @@ pub fn estimate_nodes(mesh: &Mesh) -> usize {
 /// # Errors
 /// [`Error`] when an option makes no sense, when surface and shell alone exceed `max_nodes`, or when the work was
 /// given up.
-pub fn volume(
-    mesh: &Mesh,
-    options: &VolumeOptions,
-    pool: &Pool,
-    progress: &dyn Progress,
-) -> Result<Option<Graph>, Error> {
+pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<Option<Graph>, Error> {
     for (option, value) in [("interval", options.interval), ("shell offset", options.shell_offset)] {
         if let Some(seen) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
             return Err(Error::Length { option, seen });
@@ -96,27 +90,27 @@ pub fn volume(
         })
     };
     room_beyond(surface)?;
-    check(progress)?;
+    exec.check()?;
 
-    progress.report("graph", 0.0);
+    exec.progress.report("graph", 0.0);
     let adjacency = Adjacency::build(surface, &mesh.triangles);
     let mean_edge = mean_edge_length(&mesh.positions, &adjacency.edges);
     let diagonal = mesh.bounds().diagonal();
     if !(mean_edge > diagonal * 1e-12 && mean_edge.is_finite()) {
         return Ok(None);
     }
-    let tree = WindingTree::build(&mesh.positions, &mesh.triangles, pool);
-    progress.report("graph", 0.1);
+    let tree = WindingTree::build(&mesh.positions, &mesh.triangles, exec.pool);
+    exec.progress.report("graph", 0.1);
     let step = mean_edge * BESIDE;
-    let mut parts = Parts::sort(mesh, &adjacency, &tree, step, pool, progress)?;
+    let mut parts = Parts::sort(mesh, &adjacency, &tree, step, exec)?;
     let mut closed = parts.hull(mesh, &adjacency);
     if let Some(hull) = &closed
-        && parts.doubt(&tree, hull, pool, progress)?
+        && parts.doubt(&tree, hull, exec)?
     {
         closed = parts.hull(mesh, &adjacency);
     }
     let soup = parts.soup(mesh);
-    let build = |positions, faces| WindingTree::build(positions, faces, pool);
+    let build = |positions, faces| WindingTree::build(positions, faces, exec.pool);
     let hull_tree = closed.as_ref().map(|hull| build(&hull.positions, &hull.faces));
     let soup_tree = soup.as_ref().map(|faces| build(&mesh.positions, faces));
     let hull = hull_tree.as_ref().or_else(|| parts.all(Kind::Closed).then_some(&tree));
@@ -125,25 +119,24 @@ pub fn volume(
         adjacency: &adjacency,
         surface: &tree,
         hull,
-        columns: hull.map(|hull| Columns::sort(hull, pool)),
+        columns: hull.map(|hull| Columns::sort(hull, exec.pool)),
         soup: soup_tree.as_ref().or_else(|| parts.all(Kind::Soup).then_some(&tree)),
         parts: &parts,
-        pool,
-        progress,
+        exec,
     };
     if site.hull.is_none() && site.soup.is_none() {
         return Ok(None);
     }
-    let (inward, turns) = parts.inward(mesh, &adjacency, |p| site.contains(p), step, pool, progress)?;
+    let (inward, turns) = parts.inward(mesh, &adjacency, |p| site.contains(p), step, exec)?;
 
-    progress.report("graph", 0.2);
+    exec.progress.report("graph", 0.2);
     let offset = options.shell_offset.unwrap_or(mean_edge);
     let offsets = offsets(&site, options.shell_offset, mean_edge);
     let shell = shell(&site, &inward, &offsets)?;
     let shell_nodes = shell.iter().flatten().count();
     let room = room_beyond(surface + shell_nodes)?;
 
-    progress.report("graph", 0.5);
+    exec.progress.report("graph", 0.5);
     let volume = enclosed_volume(&site)?;
     if shell_nodes == 0 && volume == 0.0 {
         return Ok(None);
@@ -155,7 +148,7 @@ pub fn volume(
         return Ok(None);
     }
 
-    progress.report("graph", 0.7);
+    exec.progress.report("graph", 0.7);
     let (mut inner, keeps) = inner(&site, shell, &offsets, &grid, &nodes, options.valence)?;
     if inner.positions.is_empty() {
         return Ok(None);
@@ -185,7 +178,7 @@ pub fn volume(
             limit: u32::MAX as usize / 2,
         });
     }
-    progress.report("graph", 0.9);
+    exec.progress.report("graph", 0.9);
     let graph = assemble(
         mesh,
         &adjacency,
@@ -193,10 +186,10 @@ pub fn volume(
         inner,
         options.weights,
         stats,
-        Some(pool),
+        Some(exec.pool),
     );
-    check(progress)?;
-    progress.report("graph", 1.0);
+    exec.check()?;
+    exec.progress.report("graph", 1.0);
     Ok(Some(graph))
 }
 
@@ -376,10 +369,10 @@ fn inner(
         let copy = inner.shell[*to as usize];
         *to = if copy == NONE { *to } else { copy };
     }
-    site.pool.install(|| inner.ties.par_sort_unstable());
+    site.exec.pool.install(|| inner.ties.par_sort_unstable());
     inner.lattice = edges.rows;
     let order = rising();
-    site.pool.install(|| {
+    site.exec.pool.install(|| {
         let rows = inner.lattice.par_iter_mut().zip(&nodes.keys).with_min_len(1024);
         rows.for_each(|(row, &key)| {
             let mut sorted = [NONE; 14];

@@ -10,10 +10,9 @@ use super::{Error, pb};
 use crate::asset::Model;
 use crate::deform::{Body, BodyOptions, Followed, VolumeMode};
 use crate::edit::Applied;
+use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::{Adjacency, Components, Mesh, Report, inspect};
-use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
 
@@ -59,15 +58,14 @@ impl Derived {
         foundation: Arc<Foundation>,
         choices: &Choices,
         limits: &Limits,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Self, Error> {
-        progress.report("mesh", 0.0);
+        exec.progress.report("mesh", 0.0);
         let vertices = foundation.rest.len() as u64;
         let files = foundation.model.files.total_bytes();
         admit(vertices * BYTES_PER_VERTEX + files, limits)?;
         let mesh = foundation.mesh(choices.weld)?;
-        check(progress)?;
+        exec.check()?;
 
         // Without a wish for interior nodes they are what may be left out to stay within the limits.
         let nodes = if choices.body.volume == VolumeMode::Required {
@@ -76,7 +74,7 @@ impl Derived {
             mesh.positions.len()
         };
         admit(estimate(vertices, nodes as u64) + files, limits)?;
-        let body = Body::build(&mesh, &options(&foundation, choices, limits), pool, progress)?;
+        let body = Body::build(&mesh, &options(&foundation, choices, limits), exec)?;
         let parts = parts_of(&mesh);
         Ok(Self::new(
             Path::built(foundation),
@@ -94,11 +92,10 @@ impl Derived {
         change: Change<'_>,
         choices: &Choices,
         limits: &Limits,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         if change.follow && !change.foundation.is_apart() {
-            progress.report("mesh", 0.0);
+            exec.progress.report("mesh", 0.0);
             let mesh = change.foundation.mesh(choices.weld)?;
             let at = change.nodes.as_deref().unwrap_or(&self.body.graph.positions);
             let at = &at[..self.mesh.positions.len()];
@@ -113,12 +110,9 @@ impl Derived {
                     let graph_change = lists.change(&mesh.positions, &mesh.triangles);
                     let nodes = change.nodes.as_ref().map(|n| n.as_slice());
                     // Finding the parts takes one thread; what follows has work for the others.
-                    let (parts, followed) = pool.install(|| {
-                        rayon::join(
-                            || parts_of(&mesh),
-                            || self.body.follow(&graph_change, nodes, pool, progress),
-                        )
-                    });
+                    let (parts, followed) = exec
+                        .pool
+                        .install(|| rayon::join(|| parts_of(&mesh), || self.body.follow(&graph_change, nodes, exec)));
                     followed?.map(|followed| (step, followed, parts))
                 }
             };
@@ -140,21 +134,15 @@ impl Derived {
                 return Ok(Self::new(path, mesh, parts, body, nodes, choices));
             }
         }
-        Self::build(change.foundation, choices, limits, pool, progress)
+        Self::build(change.foundation, choices, limits, exec)
     }
 
     /// What `trail` leads to, again.
-    pub fn retrace(
-        trail: &Trail,
-        choices: &Choices,
-        limits: &Limits,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<Self, Error> {
+    pub fn retrace(trail: &Trail, choices: &Choices, limits: &Limits, exec: &Exec<'_>) -> Result<Self, Error> {
         let path = &trail.0;
         if let Past::Edited(_) = path.past {
             let fit = |foundation: &Foundation| options(foundation, choices, limits);
-            let remade = path.past.retrace(choices, &fit, pool, progress)?;
+            let remade = path.past.retrace(choices, &fit, exec)?;
             let remade = remade.ok_or_else(|| Error::Internal("an edit cannot be followed again".into()))?;
             let mesh = path.foundation.mesh(choices.weld)?;
             let parts = parts_of(&mesh);
@@ -172,7 +160,7 @@ impl Derived {
         }
         Ok(Self {
             path: Arc::clone(path),
-            ..Self::build(Arc::clone(&path.foundation), choices, limits, pool, progress)?
+            ..Self::build(Arc::clone(&path.foundation), choices, limits, exec)?
         })
     }
 

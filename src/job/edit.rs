@@ -14,9 +14,8 @@ use super::trail::{self, Trail};
 use super::{Error, Mode, Poses, Settings, Workbench, pb};
 use crate::asset::FileSet;
 use crate::edit::{Applied, apply};
+use crate::exec::Exec;
 use crate::graph::{Graph, Recipe, Stats};
-use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -56,8 +55,8 @@ impl Workbench {
     /// # Errors
     /// [`Error::Invalid`] with the field; [`Error::Precondition`] when the surface does not allow what is asked for;
     /// [`Error::TooLarge`], [`Error::Cancelled`].
-    pub fn edit(&mut self, order: &EditOrder<'_>, pool: &Pool, progress: &dyn Progress) -> Result<EditOutcome, Error> {
-        progress.report("edit", 0.0);
+    pub fn edit(&mut self, order: &EditOrder<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
+        exec.progress.report("edit", 0.0);
         let request = order.request;
         let at_rest = match enumerated(request.on, "on")? {
             pb::edit_request::On::Current => false,
@@ -82,9 +81,9 @@ impl Workbench {
                 other: order.other.as_ref(),
             },
             request,
-            progress,
+            exec.progress,
         )?;
-        check(progress)?;
+        exec.check()?;
         planned.patch.idle = std::mem::take(&mut sheet.idle);
         let patch = &planned.patch;
         let applied = apply(&sheet.surface(), patch, &sheet.first_vertices()).map_err(refused)?;
@@ -113,7 +112,7 @@ impl Workbench {
         }
         let (foundation, applied) = (self.derived.foundation()).edited(&sheet, &origins, applied, patch, planned.parts);
         drop((sheet, origins));
-        check(progress)?;
+        exec.check()?;
         let nodes = match points {
             None => Some(None),
             Some(points) => self.nodes_of(shape).map(|nodes| Some(with_points(nodes, &points))),
@@ -125,15 +124,15 @@ impl Workbench {
             nodes: nodes.flatten(),
             carried: self.restart(&carried),
         };
-        let derived = (self.derived).edited(change, &self.choices, &self.limits, pool, progress)?;
+        let derived = (self.derived).edited(change, &self.choices, &self.limits, exec)?;
         result.repaired = derived.is_followed();
         let mut next = self.on(Arc::new(derived));
-        next.set_handles(&carried.request, pool, progress)?;
+        next.set_handles(&carried.request, exec)?;
         let settings = match order.settings {
             Some(settings) => settings.clone(),
             None => Settings::check(&pb::Options::default(), "options", u32::MAX)?,
         };
-        let outcome = next.after_edit(carried, result, at_rest.then_some(settings), pool, progress)?;
+        let outcome = next.after_edit(carried, result, at_rest.then_some(settings), exec)?;
         *self = next;
         Ok(outcome)
     }
@@ -154,14 +153,13 @@ impl Workbench {
         carried: Carried,
         mut result: pb::EditResult,
         settings: Option<Settings>,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<EditOutcome, Error> {
         let poses = self.initial_poses();
         let posed = poses.0.iter().any(is_posed);
         let (positions, solved) = if let Some(settings) = settings.filter(|_| posed) {
-            progress.report("solve", 0.0);
-            let solved = self.solve(&poses, &settings, Mode::Commit, pool, progress, &mut |_| true)?;
+            exec.progress.report("solve", 0.0);
+            let solved = self.solve(&poses, &settings, Mode::Commit, exec, &mut |_| true)?;
             (solved.positions, Some(settings))
         } else {
             (Arc::clone(self.rest()), None)
@@ -185,13 +183,13 @@ impl Workbench {
     ///
     /// # Errors
     /// [`Error::TooLarge`], [`Error::Cancelled`].
-    pub fn retrace(&mut self, trail: &Trail, pool: &Pool, progress: &dyn Progress) -> Result<(), Error> {
+    pub fn retrace(&mut self, trail: &Trail, exec: &Exec<'_>) -> Result<(), Error> {
         if Arc::ptr_eq(&self.derived.path, &trail.0) {
             return Ok(());
         }
         let derived = match self.kept(&trail.0) {
             Some(derived) => derived,
-            None => Arc::new(Derived::retrace(trail, &self.choices, &self.limits, pool, progress)?),
+            None => Arc::new(Derived::retrace(trail, &self.choices, &self.limits, exec)?),
         };
         *self = self.on(derived);
         Ok(())

@@ -78,6 +78,7 @@ pub(super) fn warnings(body: &Body, mode: VolumeMode) -> Vec<pb::Warning> {
 mod tests {
     use super::*;
     use crate::asset::{FileSet, shapes};
+    use crate::exec::Exec;
     use crate::job::{Error, Workbench};
     use crate::pool::Pool;
     use crate::progress::Silent;
@@ -108,7 +109,12 @@ mod tests {
             ..Default::default()
         };
         let pool = Pool::new(1).unwrap();
-        Workbench::open(FileSet::single("cube.obj", text), &create, &limits, &pool, &Silent)
+        Workbench::open(
+            FileSet::single("cube.obj", text),
+            &create,
+            &limits,
+            &Exec::new(&pool, &Silent),
+        )
     }
 
     fn codes(bench: &Workbench) -> Vec<String> {

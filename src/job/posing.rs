@@ -5,9 +5,8 @@ use super::handles::HandleSet;
 use super::workbench::Committed;
 use super::{Error, Poses, Workbench, pb};
 use crate::deform::{Body, Cycle, Refinement, Request, Rig, Solution, Start, Transform};
+use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
-use crate::pool::Pool;
-use crate::progress::Progress;
 use glam::{DVec3, Mat3};
 use std::sync::Arc;
 
@@ -99,8 +98,7 @@ impl Workbench {
         poses: &Poses,
         settings: &Settings,
         mode: Mode,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, Error> {
         let transforms = self.transforms(poses)?;
@@ -147,8 +145,8 @@ impl Workbench {
             })
         };
         let solution = match settings.spatial_rbf {
-            true => rig.solve_in_space(body, &transforms, state, pool, progress)?,
-            false => rig.solve(body, &request, state, pool, progress, &mut on_cycle)?,
+            true => rig.solve_in_space(body, &transforms, state, exec)?,
+            false => rig.solve(body, &request, state, exec, &mut on_cycle)?,
         };
         let solver = method_name(&solution);
         let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));

@@ -3,8 +3,8 @@
 use super::frames::digest;
 use super::{EditOrder, Error, Limits, Mode, Settings, Workbench, pb};
 use crate::asset::{FileSet, Format, Written};
+use crate::exec::Exec;
 use crate::mesh::Report;
-use crate::pool::Pool;
 use crate::progress::Progress;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -102,22 +102,26 @@ pub fn run(
     job: &pb::Job,
     format: Option<Format>,
     limits: &Limits,
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<Outcome, Error> {
     let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
-    let stages = Stage::new(millis, progress);
-    let mut bench = Workbench::open(files, &job.create.clone().unwrap_or_default(), limits, pool, &stages)?;
+    let stages = Stage::new(millis, exec.progress);
+    let mut bench = Workbench::open(
+        files,
+        &job.create.clone().unwrap_or_default(),
+        limits,
+        &Exec::new(exec.pool, &stages),
+    )?;
     let request = pb::SetHandlesRequest {
         session_id: String::new(),
         handles: job.handles.clone(),
         symmetry_plane: job.symmetry_plane.clone(),
         region_of_interest: job.region_of_interest.clone(),
     };
-    bench.set_handles(&request, pool, &stages)?;
+    bench.set_handles(&request, &Exec::new(exec.pool, &stages))?;
     let build_ms = stages.take();
 
     let mut in_force = bench.initial_poses();
@@ -134,10 +138,16 @@ pub fn run(
                 stages.report("solve", fraction);
                 in_force = bench.posed(&in_force, pose).map_err(step)?;
                 let solved = bench
-                    .solve(&in_force, &settings, Mode::Commit, pool, &stages, &mut |_| true)
+                    .solve(
+                        &in_force,
+                        &settings,
+                        Mode::Commit,
+                        &Exec::new(exec.pool, &stages),
+                        &mut |_| true,
+                    )
                     .map_err(step)?;
                 stages.report("quality", 0.0);
-                let quality = bench.measure(&solved.positions, &settings.output, pool, &stages)?;
+                let quality = bench.measure(&solved.positions, &settings.output, &Exec::new(exec.pool, &stages))?;
                 positions = solved.positions;
                 solved_with = Some(&settings);
                 pb::report::Step {
@@ -163,7 +173,7 @@ pub fn run(
                     let problem = "names a session, but a job edits its own model; leave it out";
                     return Err(step(Error::invalid("edit.sessionId", problem)));
                 }
-                let outcome = bench.edit(&order, pool, &stages).map_err(step)?;
+                let outcome = bench.edit(&order, &Exec::new(exec.pool, &stages)).map_err(step)?;
                 solved_with = solved_with.filter(|_| outcome.solved.is_some());
                 let told = outcome.result.warnings.iter();
                 warned.extend(told.map(|w| format!("steps[{k}]: {}: {}", w.code, w.message)));
@@ -188,7 +198,7 @@ pub fn run(
     }
     let quality = match steps.last().and_then(|step: &pb::report::Step| step.quality) {
         Some(quality) => quality,
-        None => bench.measure(&positions, &settings.output, pool, &stages)?,
+        None => bench.measure(&positions, &settings.output, &Exec::new(exec.pool, &stages))?,
     };
     stages.report("encode", 0.0);
     let written = bench.write(&positions, format.unwrap_or(bench.model().format))?;
@@ -370,10 +380,9 @@ pub fn inspect(
     files: FileSet,
     create: &pb::CreateOptions,
     limits: &Limits,
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
 ) -> Result<pb::Inspection, Error> {
-    let bench = Workbench::open(files, create, limits, pool, progress)?;
+    let bench = Workbench::open(files, create, limits, exec)?;
     let facts = bench.facts();
     let report: &Report = bench.report();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);

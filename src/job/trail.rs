@@ -10,8 +10,7 @@ use super::derived::Nodes;
 use super::foundation::Foundation;
 use super::{Error, pb};
 use crate::deform::{Body, Followed, KeptFields};
-use crate::pool::Pool;
-use crate::progress::Progress;
+use crate::exec::Exec;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -118,8 +117,7 @@ impl Past {
         &self,
         choices: &Choices,
         fit: &dyn Fn(&Foundation) -> crate::deform::BodyOptions,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Option<Remade>, Error> {
         let mut steps = Vec::new();
         let mut at = self;
@@ -133,7 +131,7 @@ impl Past {
             }
         };
         let mesh = start.mesh(choices.weld)?;
-        let body = Body::build(&mesh, &fit(start), pool, progress)?;
+        let body = Body::build(&mesh, &fit(start), exec)?;
         let mut now = Remade {
             body,
             nodes: Nodes::default(),
@@ -146,7 +144,7 @@ impl Past {
             let lists = step.delta.lists(&now.triangles);
             let (positions, triangles) = step.delta.apply(at, &now.triangles);
             let change = lists.change(&positions, &triangles);
-            let Some(followed) = now.body.follow(&change, nodes, pool, progress)? else {
+            let Some(followed) = now.body.follow(&change, nodes, exec)? else {
                 return Ok(None);
             };
             let Followed {

@@ -9,9 +9,9 @@ use super::region::Ground;
 use super::{Error, pb};
 use crate::asset::{self, FileSet, Format, Geometry, Model, Written};
 use crate::deform::{Body, Restart, Rig, State};
+use crate::exec::Exec;
 use crate::mesh::{Mesh, Report, self_intersections};
 use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -73,18 +73,12 @@ impl Workbench {
     /// # Errors
     /// [`Error::Asset`], [`Error::Invalid`] for options, [`Error::TooLarge`] when the estimate of what the bench would
     /// hold is above `limits`, [`Error::Cancelled`].
-    pub fn open(
-        files: FileSet,
-        create: &pb::CreateOptions,
-        limits: &Limits,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<Self, Error> {
+    pub fn open(files: FileSet, create: &pb::CreateOptions, limits: &Limits, exec: &Exec<'_>) -> Result<Self, Error> {
         let choices = Choices::check(create)?;
-        progress.report("read", 0.0);
+        exec.progress.report("read", 0.0);
         let model = Model::read(files, choices.format, &limits.model)?;
-        check(progress)?;
-        let derived = Derived::build(Arc::new(Foundation::new(model)), &choices, limits, pool, progress)?;
+        exec.check()?;
+        let derived = Derived::build(Arc::new(Foundation::new(model)), &choices, limits, exec)?;
         Ok(Self {
             derived: Arc::new(derived),
             choices,
@@ -277,12 +271,7 @@ impl Workbench {
     /// # Errors
     /// [`Error::Invalid`] with the field, [`Error::Precondition`] when the handles leave the model without a place,
     /// [`Error::TooLarge`], [`Error::Cancelled`].
-    pub fn set_handles(
-        &mut self,
-        request: &pb::SetHandlesRequest,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<(), Error> {
+    pub fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), Error> {
         let Derived {
             path, body, followed, ..
         } = self.derived.as_ref();
@@ -303,7 +292,7 @@ impl Workbench {
         });
         let rig = match request.handles.is_empty() {
             true => None,
-            false => Some(Rig::restart(body, rigging, restart.as_ref(), pool, progress)?),
+            false => Some(Rig::restart(body, rigging, restart.as_ref(), exec)?),
         };
         self.handles = set;
         self.rig = rig;
@@ -349,17 +338,11 @@ impl Workbench {
     ///
     /// # Errors
     /// [`Error::Cancelled`] when `progress` says so.
-    pub fn measure(
-        &self,
-        positions: &[DVec3],
-        output: &pb::Output,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<pb::Quality, Error> {
+    pub fn measure(&self, positions: &[DVec3], output: &pb::Output, exec: &Exec<'_>) -> Result<pb::Quality, Error> {
         let deformed = self.welded(positions);
-        let mut found = quality(self.mesh(), self.report().closed, &deformed, pool);
+        let mut found = quality(self.mesh(), self.report().closed, &deformed, exec.pool);
         if output.self_intersections {
-            let pairs = self_intersections(&deformed, &self.mesh().triangles, pool, progress)?;
+            let pairs = self_intersections(&deformed, &self.mesh().triangles, exec)?;
             found.self_intersections = Some(u32::try_from(pairs).unwrap_or(u32::MAX));
         }
         Ok(found)

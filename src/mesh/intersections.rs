@@ -3,8 +3,8 @@
 //! Positions are rounded to 32 bits first, which is what frames and most formats carry; differences of such numbers
 //! and the signs of the volumes made of them are then taken in 64 bits. Touching is not crossing.
 
-use crate::pool::Pool;
-use crate::progress::{Cancelled, Progress, check};
+use crate::exec::Exec;
+use crate::progress::Cancelled;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -29,23 +29,18 @@ const BITS: u32 = 21;
 ///
 /// # Panics
 /// When a triangle names a position that does not exist. Triangles of a [`super::Mesh`] never do.
-pub fn self_intersections(
-    positions: &[DVec3],
-    triangles: &[[u32; 3]],
-    pool: &Pool,
-    progress: &dyn Progress,
-) -> Result<u64, Cancelled> {
+pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Exec<'_>) -> Result<u64, Cancelled> {
     if triangles.len() < 2 {
         return Ok(0);
     }
-    pool.install(|| {
+    exec.pool.install(|| {
         let points: Vec<Vec3> = positions.par_iter().map(|p| p.as_vec3()).collect();
         let tree = Tree::build(&points, triangles);
-        check(progress)?;
+        exec.check()?;
         (0..triangles.len().div_ceil(BLOCK))
             .into_par_iter()
             .map(|block| {
-                check(progress)?;
+                exec.check()?;
                 let places = block * BLOCK..((block + 1) * BLOCK).min(triangles.len());
                 Ok(places
                     .map(|place| tree.crossings(&points, triangles, place))
@@ -230,6 +225,7 @@ fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pool::Pool;
     use crate::progress::{CancelFlag, Silent};
 
     fn pool() -> Pool {
@@ -237,7 +233,7 @@ mod tests {
     }
 
     fn count(positions: &[DVec3], triangles: &[[u32; 3]]) -> u64 {
-        self_intersections(positions, triangles, &pool(), &Silent).expect("nobody cancels")
+        self_intersections(positions, triangles, &Exec::new(&pool(), &Silent)).expect("nobody cancels")
     }
 
     fn points(p: &[[f64; 3]]) -> Vec<DVec3> {
@@ -309,7 +305,11 @@ mod tests {
             let all = slowly(&positions, &triangles);
             assert!(all >= n as u64, "{n} cells cross in {all} pairs");
             assert_eq!(count(&positions, &triangles), all, "{n} cells");
-            let one = self_intersections(&positions, &triangles, &Pool::new(1).expect("a thread"), &Silent);
+            let one = self_intersections(
+                &positions,
+                &triangles,
+                &Exec::new(&Pool::new(1).expect("a thread"), &Silent),
+            );
             assert_eq!(one, Ok(all));
             // The count belongs to the shape, not to the order of its triangles or where it lies.
             let turned: Vec<_> = triangles.iter().rev().map(|&[a, b, c]| [c, a, b]).collect();
@@ -335,7 +335,7 @@ mod tests {
         flag.cancel();
         let (positions, triangles) = crossed_sheets(4);
         assert_eq!(
-            self_intersections(&positions, &triangles, &pool(), &flag),
+            self_intersections(&positions, &triangles, &Exec::new(&pool(), &flag)),
             Err(Cancelled)
         );
     }

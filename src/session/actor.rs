@@ -15,6 +15,7 @@ use super::requests::{Call, Change, Command, Direction, Stored};
 use super::stop::Stop;
 use super::{Code, Error, Exported, SolvedFrames};
 use crate::asset::Format;
+use crate::exec::Exec;
 use crate::job::frames::{FrameRequest, digest, encode};
 use crate::job::{self, Mode, Settings, pb};
 use crate::pool::Pool;
@@ -230,7 +231,7 @@ impl Actor {
         let trail = state.trail.clone();
         let (replaced, stop) = self
             .compute(&call.cancel, limit, move |bench, pool, stop, _| {
-                let replaced = bench.replace(trail.as_ref(), &request, pool, stop);
+                let replaced = bench.replace(trail.as_ref(), &request, &Exec::new(pool, stop));
                 (replaced, request, stop.stage_ms())
             })
             .await?;
@@ -264,11 +265,13 @@ impl Actor {
                 &call.cancel,
                 limit,
                 move |bench, pool, stop, queued| -> Result<_, job::Error> {
-                    bench.load(state.trail.as_ref(), &state.handles, pool, stop)?;
+                    bench.load(state.trail.as_ref(), &state.handles, &Exec::new(pool, stop))?;
                     let poses = bench.engine.posed(&state.poses, &pose)?;
-                    let solved = bench.solve(&poses, &settings, Mode::Commit, pool, stop, &mut |_| true)?;
+                    let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, stop), &mut |_| true)?;
                     let elapsed = stop.elapsed();
-                    let quality = bench.engine.measure(&solved.positions, &settings.output, pool, stop)?;
+                    let quality = bench
+                        .engine
+                        .measure(&solved.positions, &settings.output, &Exec::new(pool, stop))?;
                     let shading = (settings.output.normals || settings.output.tangents)
                         .then(|| Arc::new(bench.shader().shade(&solved.positions)));
                     let frame = FrameRequest {
@@ -333,7 +336,8 @@ impl Actor {
             Ok(positions) => positions,
             Err(recipe) => {
                 let limit = self.shared.config.build;
-                let replay = move |bench: &mut Bench, pool: &Pool, stop: &Stop, _| bench.replay(&recipe, pool, stop);
+                let replay =
+                    move |bench: &mut Bench, pool: &Pool, stop: &Stop, _| bench.replay(&recipe, &Exec::new(pool, stop));
                 let (positions, stop) = self.compute(&call.cancel, limit, replay).await?;
                 positions.map_err(|e| self.failure(e, &stop))?
             }
@@ -353,7 +357,7 @@ impl Actor {
         let trail = self.history.current().trail.clone();
         let (written, stop) = self
             .compute(&call.cancel, limit, move |bench, pool, stop, _| {
-                bench.go(trail.as_ref(), pool, stop)?;
+                bench.go(trail.as_ref(), &Exec::new(pool, stop))?;
                 bench.engine.write(&positions, format)
             })
             .await?;

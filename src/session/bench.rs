@@ -3,10 +3,9 @@
 
 use super::Engine;
 use super::commits::Recipe;
+use crate::exec::Exec;
 use crate::job::frames::Shader;
 use crate::job::{self, EditOrder, EditOutcome, Mode, Poses, Settings, Solved, Trail, Watch, pb};
-use crate::pool::Pool;
-use crate::progress::Progress;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -33,24 +32,23 @@ impl Bench {
         &mut self,
         trail: Option<&Trail>,
         handles: &Arc<pb::SetHandlesRequest>,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<(), job::Error> {
-        self.go(trail, pool, progress)?;
+        self.go(trail, exec)?;
         if !Arc::ptr_eq(&self.loaded, handles) {
-            self.engine.set_handles(handles, pool, progress)?;
+            self.engine.set_handles(handles, exec)?;
             self.loaded = Arc::clone(handles);
         }
         Ok(())
     }
 
     /// Makes `trail` the state that edits have left.
-    pub fn go(&mut self, trail: Option<&Trail>, pool: &Pool, progress: &dyn Progress) -> Result<(), job::Error> {
+    pub fn go(&mut self, trail: Option<&Trail>, exec: &Exec<'_>) -> Result<(), job::Error> {
         let Some(trail) = trail else { return Ok(()) };
         if self.engine.trail().is_some_and(|now| now.same(trail)) {
             return Ok(());
         }
-        self.engine.retrace(trail, pool, progress)?;
+        self.engine.retrace(trail, exec)?;
         self.forget();
         Ok(())
     }
@@ -62,11 +60,10 @@ impl Bench {
         trail: Option<&Trail>,
         handles: &Arc<pb::SetHandlesRequest>,
         order: &EditOrder<'_>,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<EditOutcome, job::Error> {
-        self.load(trail, handles, pool, progress)?;
-        let outcome = self.engine.edit(order, pool, progress)?;
+        self.load(trail, handles, exec)?;
+        let outcome = self.engine.edit(order, exec)?;
         self.forget();
         Ok(outcome)
     }
@@ -83,11 +80,10 @@ impl Bench {
         &mut self,
         trail: Option<&Trail>,
         handles: &pb::SetHandlesRequest,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<(Poses, pb::Session), job::Error> {
-        self.go(trail, pool, progress)?;
-        self.engine.set_handles(handles, pool, progress)?;
+        self.go(trail, exec)?;
+        self.engine.set_handles(handles, exec)?;
         // No request that anybody else knows, so that whatever comes next loads its own.
         self.loaded = Arc::new(pb::SetHandlesRequest::default());
         Ok((self.engine.initial_poses(), self.engine.facts()))
@@ -104,24 +100,18 @@ impl Bench {
         poses: &Poses,
         settings: &Settings,
         mode: Mode,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, job::Error> {
-        crate::progress::check(progress)?;
-        self.engine.solve(poses, settings, mode, pool, progress, watch)
+        exec.check()?;
+        self.engine.solve(poses, settings, mode, exec, watch)
     }
 
     /// Makes a shape again.
-    pub fn replay(
-        &mut self,
-        recipe: &Recipe,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<Arc<Vec<DVec3>>, job::Error> {
+    pub fn replay(&mut self, recipe: &Recipe, exec: &Exec<'_>) -> Result<Arc<Vec<DVec3>>, job::Error> {
         match recipe {
             Recipe::Rest { trail } => {
-                self.go(trail.as_ref(), pool, progress)?;
+                self.go(trail.as_ref(), exec)?;
                 Ok(self.engine.rest())
             }
             Recipe::Solved {
@@ -130,9 +120,9 @@ impl Bench {
                 poses,
                 settings,
             } => {
-                self.load(trail.as_ref(), handles, pool, progress)?;
+                self.load(trail.as_ref(), handles, exec)?;
                 Ok(self
-                    .solve(poses, settings, Mode::Commit, pool, progress, &mut |_| true)?
+                    .solve(poses, settings, Mode::Commit, exec, &mut |_| true)?
                     .positions)
             }
         }

@@ -12,6 +12,7 @@ use super::requests::Stored;
 use super::stop::{CancelOnDrop, Stop};
 use super::{Answer, Code, Engine, Error, Tenant};
 use crate::asset::FileSet;
+use crate::exec::Exec;
 use crate::job::frames::digest;
 use crate::job::{self, pb};
 use prost::Message as _;
@@ -197,7 +198,9 @@ async fn open(
     let (watch, inside) = (Arc::clone(&stop), Arc::clone(shared));
     let built = slot.run(move |pool| -> Result<Opened, job::Error> {
         crate::progress::check(&*watch)?;
-        let engine: Box<dyn Engine> = inside.opener.open(files, &options, &limits, pool, &*watch)?;
+        let engine: Box<dyn Engine> = inside
+            .opener
+            .open(files, &options, &limits, &Exec::new(pool, &*watch))?;
         let build_ms = watch.stage_ms();
         let facts = engine.facts();
         let rest = engine.rest();

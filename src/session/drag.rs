@@ -8,6 +8,7 @@ use super::mailbox::{Done, Mailbox, Work};
 use super::outgoing::Outgoing;
 use super::stop::Stop;
 use super::waiting::{Overlay, Waiting};
+use crate::exec::Exec;
 use crate::job::frames::{Shading, digest};
 use crate::job::{self, Mode, Poses, Settings, Solved, Watch, pb};
 use crate::pool::Pool;
@@ -195,7 +196,7 @@ fn turn(
     frames: &Frames,
     longest: Duration,
 ) -> Result<Turn, job::Error> {
-    bench.load(state.trail.as_ref(), &state.handles, pool, stop)?;
+    bench.load(state.trail.as_ref(), &state.handles, &Exec::new(pool, stop))?;
     let mut refused = Vec::new();
     let mut superseded = 0u32;
     let mut newest: Option<Waiting> = None;
@@ -312,11 +313,13 @@ fn solve(
         true
     };
     let mode = if commit { Mode::Commit } else { Mode::Drag };
-    let solved = bench.solve(&poses, settings, mode, pool, stop, &mut watch)?;
+    let solved = bench.solve(&poses, settings, mode, &Exec::new(pool, stop), &mut watch)?;
     let solve = stop.elapsed();
     let shading = shade(&solved.positions);
     let (digest, quality) = if commit {
-        let quality = bench.engine.measure(&solved.positions, &settings.output, pool, stop)?;
+        let quality = bench
+            .engine
+            .measure(&solved.positions, &settings.output, &Exec::new(pool, stop))?;
         (digest(&solved.positions), quality)
     } else {
         (String::new(), None)

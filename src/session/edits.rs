@@ -7,6 +7,7 @@ use super::requests::{Call, Command, Edit, Stored};
 use super::stop::Stop;
 use super::{Code, Error, Manager, Tenant};
 use crate::asset::FileSet;
+use crate::exec::Exec;
 use crate::job::{self, EditOrder, pb};
 use bytes::Bytes;
 use prost::Message as _;
@@ -93,13 +94,13 @@ impl Actor {
                 &call.cancel,
                 limit,
                 move |bench, pool, stop, _| -> Result<_, job::Error> {
-                    bench.load(state.trail.as_ref(), &state.handles, pool, stop)?;
+                    bench.load(state.trail.as_ref(), &state.handles, &Exec::new(pool, stop))?;
                     bench.engine.limit_memory(room);
                     // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine
                     // happens to remember.
                     let shape = match shape {
                         Ok(shape) if bench.engine.remembers(&shape) => shape,
-                        _ => bench.replay(&recipe, pool, stop)?,
+                        _ => bench.replay(&recipe, &Exec::new(pool, stop))?,
                     };
                     let settings = match &recipe {
                         Recipe::Solved { settings, .. } => Some(settings),
@@ -113,7 +114,7 @@ impl Actor {
                         other: edit.other,
                     };
                     let trail = state.trail.as_ref();
-                    let outcome = bench.edit(trail, &state.handles, &order, pool, stop)?;
+                    let outcome = bench.edit(trail, &state.handles, &order, &Exec::new(pool, stop))?;
                     let engine = &bench.engine;
                     Ok((outcome, engine.facts(), engine.trail(), engine.diagonal()))
                 },

@@ -4,10 +4,9 @@
 //! an engine whose every cycle the test controls.
 
 use crate::asset::{FileSet, Format, Written};
+use crate::exec::Exec;
 use crate::job::frames::Shader;
 use crate::job::{self, EditOrder, EditOutcome, Limits, Mode, Poses, Settings, Solved, Trail, Watch, Workbench, pb};
-use crate::pool::Pool;
-use crate::progress::Progress;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -29,12 +28,7 @@ pub trait Engine: Send + 'static {
     /// Format of the model's files.
     fn format(&self) -> Format;
     /// Replaces the handles.
-    fn set_handles(
-        &mut self,
-        request: &pb::SetHandlesRequest,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<(), job::Error>;
+    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), job::Error>;
     /// The poses that the handles in force came with.
     fn initial_poses(&self) -> Poses;
     /// `poses` with those that `change` names replaced.
@@ -45,8 +39,7 @@ pub trait Engine: Send + 'static {
         poses: &Poses,
         settings: &Settings,
         mode: Mode,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, job::Error>;
     /// How far a shape is from the rest shape, with what `output` asks for beside; `None` when the engine measures
@@ -55,8 +48,7 @@ pub trait Engine: Send + 'static {
         &self,
         _positions: &[DVec3],
         _output: &pb::Output,
-        _pool: &Pool,
-        _progress: &dyn Progress,
+        _exec: &Exec<'_>,
     ) -> Result<Option<pb::Quality>, job::Error> {
         Ok(None)
     }
@@ -65,7 +57,7 @@ pub trait Engine: Send + 'static {
         None
     }
     /// Goes to the state that an earlier [`Engine::trail`] named; without handles then.
-    fn retrace(&mut self, _trail: &Trail, _pool: &Pool, _progress: &dyn Progress) -> Result<(), job::Error> {
+    fn retrace(&mut self, _trail: &Trail, _exec: &Exec<'_>) -> Result<(), job::Error> {
         Ok(())
     }
     /// Whether all is known of a shape that an edit needs; if not, a commit that makes it again tells.
@@ -73,12 +65,7 @@ pub trait Engine: Send + 'static {
         true
     }
     /// Carries out an edit and sets the handles that are left.
-    fn edit(
-        &mut self,
-        order: &EditOrder<'_>,
-        _pool: &Pool,
-        _progress: &dyn Progress,
-    ) -> Result<EditOutcome, job::Error> {
+    fn edit(&mut self, order: &EditOrder<'_>, _exec: &Exec<'_>) -> Result<EditOutcome, job::Error> {
         Err(job::Error::Unimplemented(format!(
             "the edit {}",
             job::edit_name(order.request)
@@ -98,8 +85,7 @@ pub trait Opener: Send + Sync + 'static {
         files: FileSet,
         create: &pb::CreateOptions,
         limits: &Limits,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Box<dyn Engine>, job::Error>;
 }
 
@@ -113,10 +99,9 @@ impl Opener for OpenWorkbench {
         files: FileSet,
         create: &pb::CreateOptions,
         limits: &Limits,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Box<dyn Engine>, job::Error> {
-        Ok(Box::new(Workbench::open(files, create, limits, pool, progress)?))
+        Ok(Box::new(Workbench::open(files, create, limits, exec)?))
     }
 }
 
@@ -145,13 +130,8 @@ impl Engine for Workbench {
         self.model().format
     }
 
-    fn set_handles(
-        &mut self,
-        request: &pb::SetHandlesRequest,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<(), job::Error> {
-        Self::set_handles(self, request, pool, progress)
+    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), job::Error> {
+        Self::set_handles(self, request, exec)
     }
 
     fn initial_poses(&self) -> Poses {
@@ -167,37 +147,35 @@ impl Engine for Workbench {
         poses: &Poses,
         settings: &Settings,
         mode: Mode,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, job::Error> {
-        Self::solve(self, poses, settings, mode, pool, progress, watch)
+        Self::solve(self, poses, settings, mode, exec, watch)
     }
 
     fn measure(
         &self,
         positions: &[DVec3],
         output: &pb::Output,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Option<pb::Quality>, job::Error> {
-        Self::measure(self, positions, output, pool, progress).map(Some)
+        Self::measure(self, positions, output, exec).map(Some)
     }
 
     fn trail(&self) -> Option<Trail> {
         Some(Self::trail(self))
     }
 
-    fn retrace(&mut self, trail: &Trail, pool: &Pool, progress: &dyn Progress) -> Result<(), job::Error> {
-        Self::retrace(self, trail, pool, progress)
+    fn retrace(&mut self, trail: &Trail, exec: &Exec<'_>) -> Result<(), job::Error> {
+        Self::retrace(self, trail, exec)
     }
 
     fn remembers(&self, shape: &Arc<Vec<DVec3>>) -> bool {
         Self::remembers(self, shape)
     }
 
-    fn edit(&mut self, order: &EditOrder<'_>, pool: &Pool, progress: &dyn Progress) -> Result<EditOutcome, job::Error> {
-        Self::edit(self, order, pool, progress)
+    fn edit(&mut self, order: &EditOrder<'_>, exec: &Exec<'_>) -> Result<EditOutcome, job::Error> {
+        Self::edit(self, order, exec)
     }
 
     fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error> {

@@ -157,6 +157,7 @@ mod tests {
     use super::super::testing::{Block, pool};
     use super::super::{Control, Error, SolveOptions, Stats, System, Workspace};
     use super::*;
+    use crate::exec::Exec;
     use crate::progress::Silent;
 
     fn solve(block: &Block, break_it: impl Fn(&mut System), tolerance: f64) -> (Result<Stats, Error>, Vec<f64>) {
@@ -178,8 +179,7 @@ mod tests {
             &mut x,
             &options,
             &mut workspace,
-            &pool(),
-            &Silent,
+            &Exec::new(&pool(), &Silent),
             &mut watch,
         );
         (stats, x)

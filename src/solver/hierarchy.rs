@@ -1,5 +1,6 @@
 //! Building the hierarchy: levels from fine to coarse, over all vertices, without constraints.
 
+use crate::exec::Exec;
 use std::sync::Arc;
 
 use super::coarsen::aggregates;
@@ -54,12 +55,7 @@ impl Hierarchy {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a malformed graph or options out of range, [`Error::Cancelled`].
-    pub fn build(
-        graph: &Graph<'_>,
-        options: &BuildOptions,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<Hierarchy, Error> {
+    pub fn build(graph: &Graph<'_>, options: &BuildOptions, exec: &Exec<'_>) -> Result<Hierarchy, Error> {
         if !(options.coarsening > 0.0 && options.coarsening <= 1.0) {
             let seen = options.coarsening;
             return Err(Error::Invalid(format!(
@@ -73,9 +69,9 @@ impl Hierarchy {
         if let Some(seen) = options.interleave.filter(|s| *s > 100) {
             return Err(Error::Invalid(format!("interleave is {seen}, at most 100 are allowed")));
         }
-        check(progress)?;
-        let threads = Threads::of(pool);
-        threads.enter(pool, || graph.check_rows(threads))?;
+        exec.check()?;
+        let threads = Threads::of(exec.pool);
+        threads.enter(exec.pool, || graph.check_rows(threads))?;
         // Bundles hold up to four times as many entries as there are neighbours.
         let most = u32::MAX as usize / (2 * BUNDLE);
         if graph.neighbours.len() > most {
@@ -84,7 +80,7 @@ impl Hierarchy {
                 "the graph has {seen} neighbours in all its rows, at most {most} are allowed"
             )));
         }
-        progress.report(STAGE, 0.0);
+        exec.progress.report(STAGE, 0.0);
 
         let heaviest = graph.weights.map_or(1.0, |w| w.iter().fold(0.0f32, |a, &b| a.max(b)));
         let weight_scale = 1.0 / power_of_two_below(f64::from(heaviest));
@@ -97,21 +93,21 @@ impl Hierarchy {
             scale: weight_scale as f32,
             positions: &positions,
         };
-        let (levels, order) = threads.enter(pool, || {
+        let (levels, order) = threads.enter(exec.pool, || {
             let sequence = match positions.is_empty() {
                 true => breadth_first(graph.offsets, graph.neighbours),
                 false => along_curve(&positions, threads),
             };
-            check(progress)?;
+            exec.check()?;
             let draft = Draft::new(&rows, &sequence, threads);
-            let (levels, ranks) = levels(draft, options, threads, progress)?;
+            let (levels, ranks) = levels(draft, options, threads, exec.progress)?;
             let mut order = vec![NONE; levels[0].rows()];
             for (&row, &vertex) in ranks.iter().zip(&sequence) {
                 order[row as usize] = vertex;
             }
             Ok::<_, Cancelled>((levels, order))
         })?;
-        progress.report(STAGE, 1.0);
+        exec.progress.report(STAGE, 1.0);
         let thin = is_thin(&levels[0]);
         let largest_diagonal = f64::from(levels[0].diagonal.iter().fold(0.0f32, |a, &b| a.max(b)));
         Ok(Hierarchy {

@@ -100,7 +100,7 @@
 //!     positions: None,
 //! };
 //! let pool = Pool::new(1)?;
-//! let hierarchy = Hierarchy::build(&graph, &BuildOptions::default(), &pool, &Silent)?;
+//! let hierarchy = Hierarchy::build(&graph, &BuildOptions::default(), &Exec::new(&pool, &Silent))?;
 //! let ends = Constraints { fixed: &[true, false, false, false, true], stiffness: None };
 //! let system = hierarchy.constrain(&ends, &pool)?;
 //!
@@ -110,7 +110,7 @@
 //! let options = SolveOptions { tolerance: Some(1e-9), ..SolveOptions::default() };
 //! let mut workspace = Workspace::default();
 //! let stats = system.solve(
-//!     &hierarchy, 2, &rhs, &mut x, &options, &mut workspace, &pool, &Silent, &mut |_| Control::Continue,
+//!     &hierarchy, 2, &rhs, &mut x, &options, &mut workspace, &Exec::new(&pool, &Silent), &mut |_| Control::Continue,
 //! )?;
 //! assert!(stats.converged);
 //! let expected = [0.0, 0.0, 1.0, -1.5, 2.0, -2.0, 3.0, -1.5, 4.0, 0.0];

@@ -10,8 +10,8 @@ use super::start::full_multigrid;
 use super::threads::Threads;
 use super::workspace::Workspace;
 use super::{Control, Error, Hierarchy, Iteration, Method, SolveOptions, Start, Stats, System};
+use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::progress::{Progress, check};
 
 /// Refinements of the direct method at most.
 const REFINEMENTS: usize = 4;
@@ -46,14 +46,13 @@ impl System {
         x: &mut [f64],
         options: &SolveOptions<'_>,
         workspace: &mut Workspace,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&Iteration<'_>) -> Control,
     ) -> Result<Stats, Error> {
         self.check_hierarchy(hierarchy)?;
         check_lengths(hierarchy, columns, rhs.len(), x.len())?;
         check_options(hierarchy, columns, options)?;
-        check(progress)?;
+        exec.check()?;
         let mut stats = Stats {
             iterations: 0,
             residual: 0.0,
@@ -77,31 +76,31 @@ impl System {
         };
         for group in 0..groups {
             let given = matches!(options.start, Start::Given);
-            let threads = Threads::of(pool);
+            let threads = Threads::of(exec.pool);
             let at = (columns, group * WIDTH);
-            let problem = threads.enter(pool, || {
+            let problem = threads.enter(exec.pool, || {
                 Problem::new(hierarchy, self, threads, (rhs, x), at, given)
                     .inspect(|problem| problem.load(x, given, &mut workspace.x))
             })?;
             let outcome = if self.is_direct() {
-                solve_directly(&problem, criteria, workspace, x, pool, progress, watch)?
+                solve_directly(&problem, criteria, workspace, x, exec, watch)?
             } else {
                 let cycle = Cycle {
                     hierarchy,
                     system: self,
                     threads,
-                    progress,
+                    progress: exec.progress,
                 };
                 let paper = hierarchy.paper.as_ref().zip(self.paper.as_ref());
                 if let (Start::FullMultigrid { frames, rest }, None) = (options.start, paper) {
                     problem
                         .threads
-                        .enter(pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
+                        .enter(exec.pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
                 }
                 let mut outer = Outer {
                     problem,
                     cycle,
-                    pool,
+                    pool: exec.pool,
                     criteria,
                     workspace,
                     caller: x,
@@ -120,7 +119,7 @@ impl System {
         }
         // Columns that were not reached because the caller stopped.
         if stats.residuals.len() < columns {
-            let rest = self.residual(hierarchy, columns, rhs, x, None, pool)?;
+            let rest = self.residual(hierarchy, columns, rhs, x, None, exec.pool)?;
             let known = stats.residuals.len();
             stats.residuals.extend_from_slice(&rest[known..]);
             stats.converged = false;
@@ -239,8 +238,7 @@ fn solve_directly(
     criteria: Criteria,
     workspace: &mut Workspace,
     caller: &[f64],
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, Error> {
     let Workspace {
@@ -250,12 +248,12 @@ fn solve_directly(
     } = workspace;
     let (threads, width, system) = (problem.threads, problem.width(), problem.system);
     r.resize(x.len(), [0.0; WIDTH]);
-    let mut reference = threads.enter(pool, || reference(problem, x));
+    let mut reference = threads.enter(exec.pool, || reference(problem, x));
     let unit = problem.unit;
     let mut outcome = Outcome::new(Method::Direct);
     loop {
-        check(progress)?;
-        let norms = threads.enter(pool, || problem.wide_residual(x, r));
+        exec.check()?;
+        let norms = threads.enter(exec.pool, || problem.wide_residual(x, r));
         if norms.iter().any(|v| !v.is_finite()) {
             return Err(Error::Diverged {
                 iterations: outcome.iterations,

@@ -1,6 +1,7 @@
 //! Small graphs and hierarchies for unit tests.
 
 use super::{BuildOptions, Constraints, Graph, Hierarchy, System};
+use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::Silent;
 
@@ -66,7 +67,7 @@ impl Block {
             coarsest,
             ..BuildOptions::default()
         };
-        Hierarchy::build(&self.view(), &options, &pool(), &Silent).unwrap()
+        Hierarchy::build(&self.view(), &options, &Exec::new(&pool(), &Silent)).unwrap()
     }
 
     /// The first vertices, those of the plane i = 0, are fixed.

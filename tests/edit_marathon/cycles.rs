@@ -2,6 +2,7 @@
 
 use super::*;
 use pliant::asset::Format;
+use pliant::exec::Exec;
 
 /// Cycles of a few poses of the handles in force.
 fn cycles(bench: &mut Workbench, diagonal: f64, run: &Run) -> Vec<u32> {
@@ -25,7 +26,13 @@ fn cycles(bench: &mut Workbench, diagonal: f64, run: &Run) -> Vec<u32> {
     for pose in poses {
         let pose: pb::Pose = message(&serde_json::json!({"handles": [{"id": id, "pose": pose}]}));
         let poses = bench.posed(&bench.initial_poses(), &pose).expect("a pose");
-        let solved = bench.solve(&poses, &settings, Mode::Commit, &run.pool, &Silent, &mut |_| true);
+        let solved = bench.solve(
+            &poses,
+            &settings,
+            Mode::Commit,
+            &Exec::new(&run.pool, &Silent),
+            &mut |_| true,
+        );
         all.push(solved.expect("solved").cycles);
     }
     all
@@ -41,11 +48,16 @@ fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
         run.hold();
         let written = run.bench.write(run.bench.rest(), Format::Obj).expect("written");
         let files = FileSet::single("edited.obj", written.main);
-        let mut fresh =
-            Workbench::open(files, &Default::default(), &Limits::default(), &run.pool, &Silent).expect("opens");
+        let mut fresh = Workbench::open(
+            files,
+            &Default::default(),
+            &Limits::default(),
+            &Exec::new(&run.pool, &Silent),
+        )
+        .expect("opens");
         assert_eq!(fresh.rest().len(), run.bench.rest().len());
         fresh
-            .set_handles(run.bench.handles(), &run.pool, &Silent)
+            .set_handles(run.bench.handles(), &Exec::new(&run.pool, &Silent))
             .expect("the same handles");
         let diagonal = fresh.diagonal();
         let new = cycles(&mut fresh, diagonal, &run);

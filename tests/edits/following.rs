@@ -1,6 +1,7 @@
 //! Graph and hierarchy follow an edit: at the price of the edit, and without a difference that a user would see.
 
 use super::*;
+use pliant::exec::Exec;
 use pliant::job::Mode;
 
 /// A bar of a few thousand vertices, so that a few of them are little.
@@ -37,7 +38,7 @@ fn fresh(bench: &Workbench) -> Workbench {
     let geometry = bench.geometry();
     let mut fresh = super::bench::bench(&(bench.rest().to_vec(), geometry.triangles.clone()));
     fresh
-        .set_handles(bench.handles(), &pool(2), &Silent)
+        .set_handles(bench.handles(), &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
     fresh
 }
@@ -104,7 +105,7 @@ fn fields_begin_where_they_ended_and_come_to_the_same() {
     set(&mut bench, handles());
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
     let (body, rig) = (bench.body(), bench.rig().expect("handles"));
-    let anew = pliant::deform::Rig::build(body, rig.rigging().clone(), &pool(2), &Silent).expect("a rig");
+    let anew = pliant::deform::Rig::build(body, rig.rigging().clone(), &Exec::new(&pool(2), &Silent)).expect("a rig");
     assert!(
         rig.field_iterations < anew.field_iterations,
         "{} iterations, {} from nothing",
@@ -134,7 +135,7 @@ fn handles_go_on_to_hold_what_is_inside_of_them() {
     // Asked for as a list, by somebody who was told the handles, they are the same.
     let handles = bench.handles().clone();
     bench
-        .set_handles(&handles, &pool(2), &Silent)
+        .set_handles(&handles, &Exec::new(&pool(2), &Silent))
         .expect("the same handles");
     assert_eq!(inside(&bench), before);
 }
@@ -170,12 +171,20 @@ fn story(bench: &mut Workbench, threads: usize) -> Vec<String> {
             settings: None,
             other: None,
         };
-        let outcome = bench.edit(&order, &pool, &Silent).expect("each can be done");
+        let outcome = bench
+            .edit(&order, &Exec::new(&pool, &Silent))
+            .expect("each can be done");
         said.push(format!("{} {}", outcome.result.repaired, outcome.result.digest));
         let turned = turn(DVec3::new(0.15, 0.05 * f64::from(k), 0.0), DVec3::new(0.0, 0.0, 3.0));
         let poses = bench.posed(&outcome.poses, &pose(&[("top", turned)])).expect("a pose");
         let solved = bench
-            .solve(&poses, &settings(1e-5), Mode::Commit, &pool, &Silent, &mut |_| true)
+            .solve(
+                &poses,
+                &settings(1e-5),
+                Mode::Commit,
+                &Exec::new(&pool, &Silent),
+                &mut |_| true,
+            )
             .expect("solved");
         said.push(digest(&solved.positions));
         shape = solved.positions;
@@ -202,8 +211,12 @@ fn the_way_back_and_forth_gives_the_same_bits_however_far() {
     // One step, then all the way, then there and back at random: near states are kept, far ones followed again.
     for at in [4, 5, 0, 3, 1, 5, 2, 0, 4] {
         let (trail, handles) = &states[at];
-        bench.retrace(trail, &pool(1), &Silent).expect("the way is known");
-        bench.set_handles(handles, &pool(1), &Silent).expect("the same handles");
+        bench
+            .retrace(trail, &Exec::new(&pool(1), &Silent))
+            .expect("the way is known");
+        bench
+            .set_handles(handles, &Exec::new(&pool(1), &Silent))
+            .expect("the same handles");
         assert_eq!(bent(&mut bench), digests[at], "state {at}");
     }
 }

@@ -2,6 +2,7 @@
 
 use super::*;
 use pb::edit_request::{self as wire, merge};
+use pliant::exec::Exec;
 
 fn held() -> Workbench {
     let mut bench = bench(&bar());
@@ -108,7 +109,9 @@ fn a_region_of_interest_that_is_gone_is_told() {
         region_of_interest: Some(above(0.6)),
         ..Default::default()
     };
-    bench.set_handles(&handles, &pool(2), &Silent).expect("the handles fit");
+    bench
+        .set_handles(&handles, &Exec::new(&pool(2), &Silent))
+        .expect("the handles fit");
     let outcome = edited(&mut bench, &delete(above(0.4), true));
     let codes: Vec<&str> = outcome.result.warnings.iter().map(|w| w.code.as_str()).collect();
     assert_eq!(codes, ["handle-lost", "region-of-interest-lost"]);
@@ -129,7 +132,7 @@ fn a_step_that_fails_says_what_edits_before_it_warned_of() {
     }"#;
     let job: pb::Job = pliant::job::json::from_json(job.as_bytes()).expect("a job");
     let limits = pliant::job::Limits::default();
-    let failed = pliant::job::run(obj(&bar()), &job, None, &limits, &pool(2), &Silent, &|| 0.0);
+    let failed = pliant::job::run(obj(&bar()), &job, None, &limits, &Exec::new(&pool(2), &Silent), &|| 0.0);
     let Err(error) = failed else {
         panic!("the handle is gone");
     };

@@ -6,6 +6,7 @@ use pliant::deform::{
     Body, BodyOptions, FirstPass, Hold, Request, Rig, Rigging, Solution, Start, State, Transform, VolumeMode,
     exp_rotation, log_rotation,
 };
+use pliant::exec::Exec;
 use pliant::mesh::{Mesh, Weld};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -51,12 +52,12 @@ impl Scene {
             volume,
             ..Default::default()
         };
-        let body = Body::build(&mesh, &options, &pool, &Silent).expect("a body");
+        let body = Body::build(&mesh, &options, &Exec::new(&pool, &Silent)).expect("a body");
         let rigging = Rigging {
             holds: holds(&body),
             ..Default::default()
         };
-        let rig = Rig::build(&body, rigging, &pool, &Silent).expect("a rig");
+        let rig = Rig::build(&body, rigging, &Exec::new(&pool, &Silent)).expect("a rig");
         Self { shape, body, rig, pool }
     }
 
@@ -178,7 +179,7 @@ impl Scene {
         let solved = match way {
             Way::Space => self
                 .rig
-                .solve_in_space(&self.body, transforms, state, &self.pool, &Silent),
+                .solve_in_space(&self.body, transforms, state, &Exec::new(&self.pool, &Silent)),
             Way::Graph(first_pass) => {
                 let request = Request {
                     transforms,
@@ -188,8 +189,13 @@ impl Scene {
                     first_pass,
                     refinement: Default::default(),
                 };
-                self.rig
-                    .solve(&self.body, &request, state, &self.pool, &Silent, &mut |_| true)
+                self.rig.solve(
+                    &self.body,
+                    &request,
+                    state,
+                    &Exec::new(&self.pool, &Silent),
+                    &mut |_| true,
+                )
             }
         };
         solved.expect("solved")

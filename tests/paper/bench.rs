@@ -3,6 +3,7 @@
 
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
+use pliant::exec::Exec;
 use pliant::job::{Error, Limits, Mode, Settings, Solved, Workbench, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -25,7 +26,7 @@ pub fn obj((positions, triangles): &Shape) -> FileSet {
 }
 
 pub fn bench_with(shape: &Shape, create: &pb::CreateOptions, pool: &Pool) -> Workbench {
-    Workbench::open(obj(shape), create, &Limits::default(), pool, &Silent).expect("the shape opens")
+    Workbench::open(obj(shape), create, &Limits::default(), &Exec::new(pool, &Silent)).expect("the shape opens")
 }
 
 pub fn bench(shape: &Shape) -> Workbench {
@@ -63,7 +64,9 @@ pub fn set(bench: &mut Workbench, handles: Vec<pb::Handle>) {
         handles,
         ..Default::default()
     };
-    bench.set_handles(&request, &pool(2), &Silent).expect("the handles fit");
+    bench
+        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .expect("the handles fit");
 }
 
 pub fn settings(tolerance: f64) -> Settings {
@@ -97,8 +100,7 @@ pub fn try_solve(bench: &mut Workbench, pose: &pb::Pose, tolerance: f64, threads
         &poses,
         &settings(tolerance),
         Mode::Commit,
-        &pool(threads),
-        &Silent,
+        &Exec::new(&pool(threads), &Silent),
         &mut |_| true,
     )
 }

@@ -4,6 +4,7 @@
 use super::resampling::{Edited, NONE, Plan, Surface};
 use super::shapes;
 use glam::DVec3;
+use pliant::exec::Exec;
 use pliant::graph::{Graph, Resampled, VolumeOptions, WindingTree, resample, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::pool::Pool;
@@ -20,13 +21,17 @@ pub fn mesh_of(surface: &Surface) -> Mesh {
 }
 
 pub fn volume_of(surface: &Surface) -> Graph {
-    volume(&mesh_of(surface), &VolumeOptions::default(), &pool(2), &Silent)
-        .expect("valid options")
-        .expect("an inside")
+    volume(
+        &mesh_of(surface),
+        &VolumeOptions::default(),
+        &Exec::new(&pool(2), &Silent),
+    )
+    .expect("valid options")
+    .expect("an inside")
 }
 
 pub fn follow(graph: &Graph, edited: &Edited) -> Resampled {
-    resample(graph, &graph.positions, &edited.change(), &pool(2), &Silent)
+    resample(graph, &graph.positions, &edited.change(), &Exec::new(&pool(2), &Silent))
         .expect("not cancelled")
         .expect("can be followed")
 }
@@ -166,7 +171,7 @@ pub fn try_edit(name: &str, before: &Surface, graph: &Graph, plan: &Plan) -> (Ed
         shell_offset: Some(graph.stats.shell_offset),
         ..VolumeOptions::default()
     };
-    let fresh = volume(&mesh_of(&edited.surface), &same, &pool(2), &Silent)
+    let fresh = volume(&mesh_of(&edited.surface), &same, &Exec::new(&pool(2), &Silent))
         .expect("valid")
         .expect("an inside");
     let (ours, theirs) = (near(&after.graph, &places, within), near(&fresh, &places, within));

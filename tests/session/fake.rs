@@ -7,9 +7,9 @@
 use bytes::Bytes;
 use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, Written};
+use pliant::exec::Exec;
 use pliant::job::frames::Shader;
 use pliant::job::{self, Limits, Mode, Poses, Settings, Solved, Watch, pb};
-use pliant::pool::Pool;
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::{Config, Engine, Manager, Opener, Stream, StreamInput, StreamOutput, Tenant};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
@@ -101,17 +101,16 @@ impl Opener for OpenFake {
         files: FileSet,
         _create: &pb::CreateOptions,
         limits: &Limits,
-        _pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Box<dyn Engine>, job::Error> {
-        progress.report("read", 0.0);
+        exec.progress.report("read", 0.0);
         let text = String::from_utf8_lossy(&files.main).into_owned();
         let (word, number) = text.split_once(' ').unwrap_or((&text, "0"));
         let number: u64 = number.trim().parse().unwrap_or(0);
         match word {
             "points" => {}
             "panic" => panic!("opening panics on purpose"),
-            "slow" => self.0.cycle(progress)?,
+            "slow" => self.0.cycle(exec.progress)?,
             "large" if number > limits.memory_bytes => {
                 return Err(job::Error::TooLarge {
                     what: "bytes",
@@ -129,7 +128,7 @@ impl Opener for OpenFake {
                 .into());
             }
         }
-        progress.report("hierarchy", 0.0);
+        exec.progress.report("hierarchy", 0.0);
         let rest = (0..number).map(|v| DVec3::new(v as f64, 0.1, 0.2)).collect();
         let (handles, control) = (pb::SetHandlesRequest::default(), Arc::clone(&self.0));
         Ok(Box::new(Fake {
@@ -169,14 +168,9 @@ impl Engine for Fake {
         Format::Obj
     }
 
-    fn set_handles(
-        &mut self,
-        request: &pb::SetHandlesRequest,
-        _pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<(), job::Error> {
-        progress.report("fields", 0.0);
-        self.control.cycle(progress)?;
+    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), job::Error> {
+        exec.progress.report("fields", 0.0);
+        self.control.cycle(exec.progress)?;
         for (k, handle) in request.handles.iter().enumerate() {
             if handle.id.is_empty() {
                 return Err(job::Error::invalid(format!("handles[{k}].id"), "is empty"));
@@ -222,8 +216,7 @@ impl Engine for Fake {
         poses: &Poses,
         settings: &Settings,
         mode: Mode,
-        _pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&Watch<'_>) -> bool,
     ) -> Result<Solved, job::Error> {
         self.control.solves.fetch_add(1, SeqCst);
@@ -255,7 +248,7 @@ impl Engine for Fake {
         };
         let mut cycles = 0;
         let residual = loop {
-            self.control.cycle(progress)?;
+            self.control.cycle(exec.progress)?;
             cycles += 1;
             let residual = 1.0 / 10f64.powi(cycles as i32);
             let watched = Watch {

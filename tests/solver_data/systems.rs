@@ -3,6 +3,7 @@
 use glam::DVec3;
 use pliant::asset::FileSet;
 use pliant::deform::{Body, Rig, Transform};
+use pliant::exec::Exec;
 use pliant::job::{Limits, Workbench, json, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -38,12 +39,12 @@ impl Rung {
     fn open(name: &'static str, files: FileSet, job: &pb::Job) -> Rung {
         let pool = Pool::new(2).unwrap();
         let create = job.create.clone().unwrap_or_default();
-        let mut bench = Workbench::open(files, &create, &Limits::default(), &pool, &Silent).unwrap();
+        let mut bench = Workbench::open(files, &create, &Limits::default(), &Exec::new(&pool, &Silent)).unwrap();
         let request = pb::SetHandlesRequest {
             handles: job.handles.clone(),
             ..Default::default()
         };
-        bench.set_handles(&request, &pool, &Silent).unwrap();
+        bench.set_handles(&request, &Exec::new(&pool, &Silent)).unwrap();
         let mut poses = bench.initial_poses();
         for pose in pose_steps(job).unwrap() {
             poses = bench.posed(&poses, &pose).unwrap();

@@ -1,5 +1,6 @@
 //! A graph under constraints, and what tests ask of it.
 
+use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, SolveOptions, Stats, System, Workspace};
@@ -20,7 +21,7 @@ impl Case {
     pub fn new(graph: Lattice, fixed: Vec<bool>, stiffness: Option<Vec<f64>>, threads: usize) -> Case {
         graph.view().check().unwrap();
         let pool = Pool::new(threads).unwrap();
-        let hierarchy = Hierarchy::build(&graph.view(), &BuildOptions::default(), &pool, &Silent).unwrap();
+        let hierarchy = Hierarchy::build(&graph.view(), &BuildOptions::default(), &Exec::new(&pool, &Silent)).unwrap();
         let constraints = Constraints {
             fixed: &fixed,
             stiffness: stiffness.as_deref(),
@@ -56,8 +57,7 @@ impl Case {
                 x,
                 options,
                 &mut workspace,
-                &self.pool,
-                &Silent,
+                &Exec::new(&self.pool, &Silent),
                 &mut |_| Control::Continue,
             )
             .unwrap()

@@ -1,5 +1,6 @@
 //! Watching, stopping, cancelling, refusing.
 
+use pliant::exec::Exec;
 use pliant::progress::{CancelFlag, Progress, Silent};
 use pliant::solver::{BuildOptions, Constraints, Control, Error, Hierarchy, Iteration, SolveOptions, Start, Workspace};
 
@@ -31,8 +32,7 @@ fn watchers_see_every_iteration_and_can_stop() {
             &mut x,
             &to(1e-9),
             &mut workspace,
-            &case.pool,
-            &Silent,
+            &Exec::new(&case.pool, &Silent),
             &mut watch,
         )
         .unwrap();
@@ -72,7 +72,7 @@ fn cancelling_stops_within_a_cycle() {
     flag.cancel();
     let view = case.graph.view();
     assert!(matches!(
-        Hierarchy::build(&view, &BuildOptions::default(), &case.pool, &flag),
+        Hierarchy::build(&view, &BuildOptions::default(), &Exec::new(&case.pool, &flag)),
         Err(Error::Cancelled)
     ));
     for questions in [0, 1, 2, 5, 20] {
@@ -91,8 +91,7 @@ fn cancelling_stops_within_a_cycle() {
             &mut x,
             &to(1e-12),
             &mut workspace,
-            &case.pool,
-            &progress,
+            &Exec::new(&case.pool, &progress),
             &mut watch,
         );
         assert_eq!(result, Err(Error::Cancelled));
@@ -122,7 +121,16 @@ fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable()
         let mut solve = |x: &mut [f64], progress: &dyn Progress, watch: &mut dyn FnMut(&Iteration<'_>) -> Control| {
             let (hierarchy, pool) = (&case.hierarchy, &case.pool);
             let system = &case.system;
-            system.solve(hierarchy, 3, &rhs, x, &options, &mut workspace, pool, progress, watch)
+            system.solve(
+                hierarchy,
+                3,
+                &rhs,
+                x,
+                &options,
+                &mut workspace,
+                &Exec::new(pool, progress),
+                watch,
+            )
         };
         for at in [1, 2, 4] {
             // Raised while iteration `at` is shown: the next one is not finished.
@@ -171,8 +179,7 @@ fn bad_arguments_are_named() {
                     x,
                     options,
                     &mut workspace,
-                    &case.pool,
-                    &Silent,
+                    &Exec::new(&case.pool, &Silent),
                     &mut watch,
                 )
                 .unwrap_err()
@@ -218,7 +225,7 @@ fn bad_arguments_are_named() {
         assert!(constrain(&case.fixed, Some(&stiffness)).contains("vertex 5"));
     }
     let build = |options: BuildOptions| {
-        Hierarchy::build(&case.graph.view(), &options, &case.pool, &Silent)
+        Hierarchy::build(&case.graph.view(), &options, &Exec::new(&case.pool, &Silent))
             .unwrap_err()
             .to_string()
     };

@@ -1,5 +1,6 @@
 //! Solutions satisfy the equations, and depend on data as they must.
 
+use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{Control, Iteration, Method, SolveOptions, Start, Workspace};
 
@@ -205,8 +206,7 @@ fn a_workspace_leaves_no_trace() {
                     &mut b,
                     &options,
                     &mut workspace,
-                    &case.pool,
-                    &Silent,
+                    &Exec::new(&case.pool, &Silent),
                     &mut watch,
                 )
                 .unwrap();

@@ -1,6 +1,7 @@
 //! Graphs that multigrid does not like.
 
 use glam::DVec3;
+use pliant::exec::Exec;
 use pliant::graph::{VolumeOptions, Weights, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::pool::Pool;
@@ -185,7 +186,7 @@ fn graphs_of_slivers_and_coincident_vertices_converge() {
                 ..VolumeOptions::default()
             };
             let name = format!("squeezed {squeeze:e} times, {weights:?}");
-            let inside = volume(&mesh, &options, &pool, &Silent);
+            let inside = volume(&mesh, &options, &Exec::new(&pool, &Silent));
             // A lattice as fine as the slivers may be more than is allowed; the surface is always there.
             let graphs = [inside.ok().flatten(), Some(pliant::graph::surface(&mesh, weights))];
             for graph in graphs.into_iter().flatten() {

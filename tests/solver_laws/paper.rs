@@ -1,5 +1,6 @@
 //! The paper's own operators: slow, but they keep every promise of a solve.
 
+use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::{Progress, Silent};
 use pliant::solver::{
@@ -18,7 +19,7 @@ fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
         ..BuildOptions::default()
     };
     let pool = Pool::new(threads).unwrap();
-    let hierarchy = Hierarchy::build(&case.graph.view(), &options, &pool, &Silent).unwrap();
+    let hierarchy = Hierarchy::build(&case.graph.view(), &options, &Exec::new(&pool, &Silent)).unwrap();
     let constraints = Constraints {
         fixed: &case.fixed,
         stiffness: case.stiffness.as_deref(),
@@ -204,8 +205,7 @@ fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
             &mut x,
             &to(1e-12),
             &mut workspace,
-            &case.pool,
-            progress,
+            &Exec::new(&case.pool, progress),
             &mut watch,
         );
         (result, seen, x, shown)
@@ -271,6 +271,6 @@ fn too_many_steps_are_refused_by_name() {
         interleave: Some(101),
         ..BuildOptions::default()
     };
-    let refused = Hierarchy::build(&case.graph.view(), &options, &case.pool, &Silent).unwrap_err();
+    let refused = Hierarchy::build(&case.graph.view(), &options, &Exec::new(&case.pool, &Silent)).unwrap_err();
     assert!(refused.to_string().contains("interleave is 101"), "{refused}");
 }

@@ -1,5 +1,6 @@
 //! A hierarchy that follows its graph solves as a fresh one does, after any number of changes.
 
+use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::{CancelFlag, Silent};
 use pliant::solver::{BuildOptions, Change, Constraints, Error, Graph, Hierarchy, Operators, Repair};
@@ -9,14 +10,19 @@ use crate::edits::{Cast, Clay};
 use crate::graphs::{Lattice, lattice, surface};
 
 fn built(graph: &Lattice) -> Hierarchy {
-    Hierarchy::build(&graph.view(), &BuildOptions::default(), &Pool::new(1).unwrap(), &Silent).unwrap()
+    Hierarchy::build(
+        &graph.view(),
+        &BuildOptions::default(),
+        &Exec::new(&Pool::new(1).unwrap(), &Silent),
+    )
+    .unwrap()
 }
 
 fn repaired(hierarchy: &mut Hierarchy, cast: &Cast, threads: usize) -> Repair {
     cast.graph.view().check().unwrap();
     let pool = Pool::new(threads).unwrap();
     hierarchy
-        .repair(&cast.graph.view(), &cast.change(), &pool, &Silent)
+        .repair(&cast.graph.view(), &cast.change(), &Exec::new(&pool, &Silent))
         .unwrap()
 }
 
@@ -129,7 +135,9 @@ fn nothing_changes_nothing() {
         touched: &[],
     };
     let pool = Pool::new(1).unwrap();
-    let report = hierarchy.repair(&graph.view(), &change, &pool, &Silent).unwrap();
+    let report = hierarchy
+        .repair(&graph.view(), &change, &Exec::new(&pool, &Silent))
+        .unwrap();
     assert_eq!(
         report,
         Repair {
@@ -178,7 +186,9 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
         (graph.clone().without_positions(), few),
     ] {
         let mut hierarchy = built(&lattice(14, 14, 14));
-        let report = hierarchy.repair(&graph.view(), &change, &pool, &Silent).unwrap();
+        let report = hierarchy
+            .repair(&graph.view(), &change, &Exec::new(&pool, &Silent))
+            .unwrap();
         assert!(report.rebuilt);
         assert!(solved(&case_with(&graph, 2, hierarchy)) == fresh(&graph), "to the bit");
     }
@@ -186,8 +196,13 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
         operators: Operators::Paper,
         ..BuildOptions::default()
     };
-    let mut paper = Hierarchy::build(&graph.view(), &options, &pool, &Silent).unwrap();
-    assert!(paper.repair(&graph.view(), &few, &pool, &Silent).unwrap().rebuilt);
+    let mut paper = Hierarchy::build(&graph.view(), &options, &Exec::new(&pool, &Silent)).unwrap();
+    assert!(
+        paper
+            .repair(&graph.view(), &few, &Exec::new(&pool, &Silent))
+            .unwrap()
+            .rebuilt
+    );
 }
 
 #[test]
@@ -212,7 +227,7 @@ fn refused(graph: &Graph<'_>, change: &Change<'_>, named: &str) {
     let mut hierarchy = built(&before);
     let want = solved(&case_with(&before, 2, hierarchy.clone()));
     let error = hierarchy
-        .repair(graph, change, &Pool::new(1).unwrap(), &Silent)
+        .repair(graph, change, &Exec::new(&Pool::new(1).unwrap(), &Silent))
         .unwrap_err();
     assert!(error.to_string().contains(named), "{error}");
     assert!(solved(&case_with(&before, 2, hierarchy)) == want, "nothing happened");
@@ -276,7 +291,7 @@ fn cancelled_repairs_change_nothing() {
     let flag = CancelFlag::default();
     flag.cancel();
     let error = hierarchy
-        .repair(&graph.view(), &change, &Pool::new(1).unwrap(), &flag)
+        .repair(&graph.view(), &change, &Exec::new(&Pool::new(1).unwrap(), &flag))
         .unwrap_err();
     assert_eq!(error, Error::Cancelled);
     assert!(solved(&case_with(&graph, 2, hierarchy)) == want, "nothing happened");

@@ -1,5 +1,6 @@
 //! Where iterations begin, and how far they know to have come.
 
+use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{Control, Iteration, SolveOptions, Start, Workspace};
 
@@ -173,8 +174,7 @@ fn error_estimates_are_close_to_the_truth() {
                     &mut x,
                     &options,
                     &mut workspace,
-                    pool,
-                    &Silent,
+                    &Exec::new(pool, &Silent),
                     &mut watch,
                 )
                 .unwrap();

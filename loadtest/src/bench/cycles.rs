@@ -4,6 +4,7 @@ use super::companion::Companion;
 use super::figures::Figures;
 use super::solver::{EXACT, Ready, Terms, failed, farthest, to_residual};
 use crate::Failure;
+use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Operators, SolveOptions, Start, Workspace};
 
@@ -53,7 +54,7 @@ fn set_up(all: &Companion, operators: Operators, interleave: Option<usize>, term
         fixed: &all.fixed,
         stiffness: all.stiffness.as_deref(),
     };
-    let hierarchy = Hierarchy::build(&all.graph(), &options, &terms.pool, &Silent).map_err(failed)?;
+    let hierarchy = Hierarchy::build(&all.graph(), &options, &Exec::new(&terms.pool, &Silent)).map_err(failed)?;
     let system = hierarchy.constrain(&constraints, &terms.pool).map_err(failed)?;
     Ok(Ready { hierarchy, system })
 }
@@ -98,8 +99,7 @@ fn log(
             x.as_flattened_mut(),
             &options(SHOWN),
             workspace,
-            &terms.pool,
-            &Silent,
+            &Exec::new(&terms.pool, &Silent),
             &mut watch,
         )
         .map_err(failed)?;

@@ -5,6 +5,7 @@ use super::figures::Figures;
 use super::{clock, files, subdivide};
 use crate::{Failure, scene};
 use pliant::asset::FileSet;
+use pliant::exec::Exec;
 use pliant::job::frames::{FrameRequest, encode};
 use pliant::job::pb::edit_request::{Delete, Operation, Remesh};
 use pliant::job::{EditOrder, Error, Limits, Mode, Poses, Settings, Stage, Trail, Workbench, pb};
@@ -187,18 +188,25 @@ fn prepare<'a>(
     scene: &scene::Scene,
     pool: &'a Pool,
 ) -> Result<(Stand<'a>, usize), Error> {
-    let mut bench = Workbench::open(files, &pb::CreateOptions::default(), &Limits::default(), pool, &Silent)?;
+    let mut bench = Workbench::open(
+        files,
+        &pb::CreateOptions::default(),
+        &Limits::default(),
+        &Exec::new(pool, &Silent),
+    )?;
     let handles = pb::SetHandlesRequest {
         handles: scene.handles(),
         ..Default::default()
     };
-    bench.set_handles(&handles, pool, &Silent)?;
+    bench.set_handles(&handles, &Exec::new(pool, &Silent))?;
     let mut poses = bench.initial_poses();
     let mut shape = Arc::clone(bench.rest());
     if !args.at_rest {
         poses = bench.posed(&poses, &scene.pose(scene::FARTHEST / 2))?;
         let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
-        let solved = bench.solve(&poses, &settings, Mode::Commit, pool, &Silent, &mut |_| true)?;
+        let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
+            true
+        })?;
         shape = solved.positions;
     }
     let (sphere, region) = around_the_middle(&shape, args.region as usize);
@@ -260,11 +268,18 @@ impl Stand<'_> {
     /// Goes to the state before, edits, and takes the first frame of a drag.
     fn once(&mut self, follow: bool) -> Result<Run, Error> {
         let (pool, bench) = (self.pool, &mut self.bench);
-        bench.retrace(&self.trail, pool, &Silent)?;
-        bench.set_handles(&self.handles, pool, &Silent)?;
+        bench.retrace(&self.trail, &Exec::new(pool, &Silent))?;
+        bench.set_handles(&self.handles, &Exec::new(pool, &Silent))?;
         if !Arc::ptr_eq(&self.shape, bench.rest()) {
             let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
-            self.shape = (bench.solve(&self.poses, &settings, Mode::Commit, pool, &Silent, &mut |_| true)?).positions;
+            self.shape = (bench.solve(
+                &self.poses,
+                &settings,
+                Mode::Commit,
+                &Exec::new(pool, &Silent),
+                &mut |_| true,
+            )?)
+            .positions;
         }
         // A shape that the bench knows nothing of but the vertices is built on anew.
         let shape = match follow {
@@ -282,11 +297,11 @@ impl Stand<'_> {
         let millis = || start.elapsed().as_secs_f64() * 1e3;
         let stages = Stage::new(&millis, &Silent);
         stages.begin("edit");
-        let outcome = bench.edit(&order, pool, &stages)?;
+        let outcome = bench.edit(&order, &Exec::new(pool, &stages))?;
         stages.begin("solve");
         let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
         let poses = bench.posed(&outcome.poses, &self.pull)?;
-        let solved = bench.solve(&poses, &settings, Mode::Drag, pool, &Silent, &mut |_| true)?;
+        let solved = bench.solve(&poses, &settings, Mode::Drag, &Exec::new(pool, &Silent), &mut |_| true)?;
         stages.begin("encode");
         let parts = encode(FrameRequest {
             header: pb::Frame::default(),

@@ -7,6 +7,7 @@ use super::{files, subdivide};
 use crate::Failure;
 use glam::DVec3;
 use pliant::deform::{Body, Equations, Rig, Transform};
+use pliant::exec::Exec;
 use pliant::job::{Limits, Poses, Workbench, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -67,14 +68,14 @@ pub(crate) fn run(args: &ExportArgs) -> Result<(), Failure> {
 /// A bench with the job's handles, and the poses after its last step.
 fn open(model: pliant::asset::FileSet, job: &pb::Job, pool: &Pool) -> Result<(Workbench, Poses), pliant::job::Error> {
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Workbench::open(model, &create, &Limits::default(), pool, &Silent)?;
+    let mut bench = Workbench::open(model, &create, &Limits::default(), &Exec::new(pool, &Silent))?;
     let request = pb::SetHandlesRequest {
         handles: job.handles.clone(),
         symmetry_plane: job.symmetry_plane.clone(),
         region_of_interest: job.region_of_interest.clone(),
         ..Default::default()
     };
-    bench.set_handles(&request, pool, &Silent)?;
+    bench.set_handles(&request, &Exec::new(pool, &Silent))?;
     let mut poses = bench.initial_poses();
     for pose in pose_steps(job)? {
         poses = bench.posed(&poses, &pose)?;
@@ -243,7 +244,7 @@ pub(super) mod tests {
             };
             let mut state = State::default();
             let solution = rig
-                .solve(body, &request, &mut state, &pool, &Silent, &mut |_| true)
+                .solve(body, &request, &mut state, &Exec::new(&pool, &Silent), &mut |_| true)
                 .unwrap();
             let solved = solution.positions.iter();
             let x: Vec<DVec3> = solved.map(|p| (*p - origin) / body.unit() - center).collect();

@@ -7,6 +7,7 @@ use super::memory;
 use super::problem::Problem;
 use super::solver::{EXACT, Ready, Terms, failed, farthest, to_residual};
 use crate::Failure;
+use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{BuildOptions, Constraints, Graph, Hierarchy, Method, SolveOptions, Start, Workspace};
 use sha2::{Digest, Sha256};
@@ -89,7 +90,8 @@ fn set_up(graph: &Laplacian, problem: &Problem, terms: &Terms) -> Result<Ready, 
         weights: graph.weights.as_deref(),
         positions: Some(&problem.rest),
     };
-    let hierarchy = Hierarchy::build(&view, &BuildOptions::default(), &terms.pool, &Silent).map_err(failed)?;
+    let hierarchy =
+        Hierarchy::build(&view, &BuildOptions::default(), &Exec::new(&terms.pool, &Silent)).map_err(failed)?;
     let constraints = Constraints {
         fixed: &vec![false; graph.stiffness.len()],
         stiffness: Some(&graph.stiffness),

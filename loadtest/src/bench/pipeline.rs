@@ -4,6 +4,7 @@ use super::figures::Figures;
 use super::{clock, files, subdivide};
 use crate::{Failure, scene};
 use pliant::asset::FileSet;
+use pliant::exec::Exec;
 use pliant::job::frames::{FrameRequest, encode};
 use pliant::job::{Limits, Mode, Settings, Stage, Workbench, pb, pose_steps};
 use pliant::pool::Pool;
@@ -135,7 +136,7 @@ fn once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Run, pliant::job::
     let millis = || start.elapsed().as_secs_f64() * 1e3;
     let stages = Stage::new(&millis, &Silent);
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Workbench::open(files, &create, &Limits::default(), pool, &stages)?;
+    let mut bench = Workbench::open(files, &create, &Limits::default(), &Exec::new(pool, &stages))?;
     // Regions are resolved before the stage tells that it begins.
     stages.begin("fields");
     let request = pb::SetHandlesRequest {
@@ -144,13 +145,15 @@ fn once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Run, pliant::job::
         region_of_interest: job.region_of_interest.clone(),
         ..Default::default()
     };
-    bench.set_handles(&request, pool, &stages)?;
+    bench.set_handles(&request, &Exec::new(pool, &stages))?;
     let mut poses = bench.initial_poses();
     for pose in pose_steps(job)? {
         poses = bench.posed(&poses, &pose)?;
     }
     stages.begin("solve");
-    let solved = bench.solve(&poses, &settings, Mode::Commit, pool, &Silent, &mut |_| true)?;
+    let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
+        true
+    })?;
     stages.begin("encode");
     let parts = encode(FrameRequest {
         header: pb::Frame::default(),

@@ -6,6 +6,7 @@ use super::figures::Figures;
 use super::problem::Problem;
 use super::{clock, cycles, free, memory, whole};
 use crate::Failure;
+use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{Control, Hierarchy, SolveOptions, Stats, System, Workspace};
@@ -77,8 +78,7 @@ impl Ready {
                 x,
                 options,
                 workspace,
-                &terms.pool,
-                &Silent,
+                &Exec::new(&terms.pool, &Silent),
                 &mut |iteration| {
                     if let Some(log) = log.as_deref_mut() {
                         log.push(iteration.residual);

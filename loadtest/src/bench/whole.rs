@@ -7,6 +7,7 @@ use super::solver::{EXACT, Ready, Terms, failed, farthest, to_residual};
 use crate::Failure;
 use glam::{DAffine3, DVec3};
 use pliant::deform::{Motion, carry, rigid_fit};
+use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Iteration, SolveOptions, Start, Workspace};
 
@@ -23,7 +24,7 @@ pub(super) fn measure(all: &Companion, terms: &Terms, figures: &mut Figures) -> 
         stiffness: all.stiffness.as_deref(),
     };
     let set_up = |()| {
-        let hierarchy = Hierarchy::build(&all.graph(), &BuildOptions::default(), &terms.pool, &Silent)?;
+        let hierarchy = Hierarchy::build(&all.graph(), &BuildOptions::default(), &Exec::new(&terms.pool, &Silent))?;
         let system = hierarchy.constrain(&constraints, &terms.pool)?;
         Ok(Ready { hierarchy, system })
     };
@@ -143,8 +144,7 @@ fn motion(
             &mut field,
             &options,
             workspace,
-            &terms.pool,
-            &Silent,
+            &Exec::new(&terms.pool, &Silent),
             &mut watch,
         )
         .map_err(failed)?;

@@ -2,6 +2,7 @@
 
 use crate::asset::FileSet;
 use crate::check::{Found, Metric};
+use crate::exec::Exec;
 use crate::job::{self, Limits, pb};
 use crate::pool::Pool;
 use crate::progress::Silent;
@@ -12,7 +13,15 @@ use crate::progress::Silent;
 /// Why it cannot be run.
 pub(super) fn run(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Found, String> {
     let no_clock = || 0.0;
-    let done = job::run(files, job, None, &Limits::default(), pool, &Silent, &no_clock).map_err(|e| e.to_string())?;
+    let done = job::run(
+        files,
+        job,
+        None,
+        &Limits::default(),
+        &Exec::new(pool, &Silent),
+        &no_clock,
+    )
+    .map_err(|e| e.to_string())?;
     let poses: Vec<&pb::report::Step> = done.report.steps.iter().filter(|s| s.kind == "pose").collect();
     let mut found = Found {
         positions: done.positions.to_vec(),

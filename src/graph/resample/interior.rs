@@ -55,8 +55,7 @@ pub(super) fn follow(
         surface,
         zone,
         columns,
-        pool,
-        progress,
+        exec,
     } = *site;
     let first = old.surface + old.stats.shell_nodes;
     let grid = Grid::around(inside, zone);
@@ -73,7 +72,7 @@ pub(super) fn follow(
         let there = p.cmpge(bounds.min).all() && p.cmple(bounds.max).all();
         if there { zone.marks(p) & (CORE | RIM) } else { 0 }
     };
-    let seen: Vec<(u32, u8, bool)> = pool.install(|| {
+    let seen: Vec<(u32, u8, bool)> = exec.pool.install(|| {
         let all = (first..old.nodes()).into_par_iter().with_min_len(BLOCK);
         let found = all.map(|node| (node as u32, marks(old.positions[node]), lost(node)));
         found.filter(|s| s.1 != 0 || s.2).collect()
@@ -83,7 +82,7 @@ pub(super) fn follow(
     let reach = inside.depth.max(0.501 * inside.interval) * 1.001;
     let clear = |p: DVec3| surface.closest_within(p, reach).map_or(reach, |near| near.distance);
     let near: Vec<(u32, u8)> = seen.iter().filter(|s| s.1 != 0).map(|s| (s.0, s.1)).collect();
-    let judged: Vec<Option<Node>> = map(&near, pool, progress, |&(number, marks)| {
+    let judged: Vec<Option<Node>> = map(&near, exec, |&(number, marks)| {
         let at = old.positions[number as usize];
         let key = grid.key_at(at);
         if marks & CORE == 0 {
@@ -149,7 +148,7 @@ pub(super) fn follow(
         return Ok(None);
     }
     let cells = zone.lattice_cells(mark);
-    let free: Vec<[Option<(Key, f64)>; 2]> = map(&cells, pool, progress, |&cell| {
+    let free: Vec<[Option<(Key, f64)>; 2]> = map(&cells, exec, |&cell| {
         [false, true].map(|in_b| {
             let key = grid.key(cell, in_b)?;
             let p = grid.position(key);
@@ -192,7 +191,7 @@ pub(super) fn follow(
         surface,
     };
     let again: Vec<u32> = (0u32..).zip(&nodes).filter(|n| n.1.again).map(|n| n.0).collect();
-    let found = map(&again, pool, progress, |&node| finder.edges(node))?;
+    let found = map(&again, exec, |&node| finder.edges(node))?;
     let mut links: Vec<Link> = Vec::new();
     let mut leaving: Vec<(u32, DVec3)> = Vec::new();
     for mut edges in found {
@@ -201,16 +200,14 @@ pub(super) fn follow(
     }
 
     // Where edges leave the lattice, their nodes are tied to the surface.
-    let crossed = map(&leaving, pool, progress, |&(node, end)| {
-        finder.crossed(local, node, end)
-    })?;
+    let crossed = map(&leaving, exec, |&(node, end)| finder.crossed(local, node, end))?;
     // Several edges lead to the same place; its nearest point is looked up once.
     let bits = |p: DVec3| p.to_array().map(f64::to_bits);
     let unmet = leaving.iter().zip(&crossed).filter(|l| l.1.is_none());
     let mut ends: Vec<[u64; 3]> = unmet.map(|l| bits(l.0.1)).collect();
     ends.sort_unstable();
     ends.dedup();
-    let beside = map(&ends, pool, progress, |&end| {
+    let beside = map(&ends, exec, |&end| {
         finder.beside(local, DVec3::from_array(end.map(f64::from_bits)))
     })?;
     let mut ties: Vec<(u32, u32)> = Vec::with_capacity(leaving.len());
@@ -255,9 +252,7 @@ pub(super) fn follow(
         NONE => surface.closest_vertex(old.positions[o as usize], None),
         new => local.find(new),
     };
-    let parents = map(&orphans, pool, progress, |&(_, g)| {
-        instead(old.nearest_surface[g as usize])
-    })?;
+    let parents = map(&orphans, exec, |&(_, g)| instead(old.nearest_surface[g as usize]))?;
     for (&(m, _), parent) in orphans.iter().zip(parents) {
         match parent {
             Some(v) => links.push(Link::new(m, node_of(v))),
@@ -293,7 +288,7 @@ pub(super) fn follow(
             instead(old.nearest_surface[s.0 as usize]),
         )
     }));
-    let nearest = map(&asked, pool, progress, |&(_, p, start)| {
+    let nearest = map(&asked, exec, |&(_, p, start)| {
         let start = start.or_else(|| surface.closest_vertex(p, None))?;
         Some(local.points[walk(&local.positions, &local.adjacency, start, p) as usize])
     })?;

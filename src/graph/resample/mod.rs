@@ -22,9 +22,9 @@ mod zone;
 use super::recipe::{Inside, Recipe};
 use super::winding::WindingTree;
 use super::{Error, Graph, Stats};
+use crate::exec::Exec;
 use crate::mesh::{Bounds, NONE, signed_volume};
 use crate::pool::Pool;
-use crate::progress::{Progress, check};
 use glam::DVec3;
 use hull::{Hull, fan};
 use interior::Interior;
@@ -152,10 +152,9 @@ pub fn resample(
     old: &Graph,
     positions: &[DVec3],
     change: &Change,
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
 ) -> Result<Option<Resampled>, Error> {
-    check(progress)?;
+    exec.check()?;
     assert_eq!(positions.len(), old.nodes(), "a position for every node");
     let old = &Before { graph: old, positions };
     let Some(points) = Points::of(old, change) else {
@@ -164,9 +163,9 @@ pub fn resample(
     match &old.recipe.inside {
         // The graph of parts that are told apart does not know how each was made.
         None if old.surface < old.nodes() => Ok(None),
-        None => surface(old, change, &points, pool).map(Some),
+        None => surface(old, change, &points, exec.pool).map(Some),
         Some(inside) if inside.soups => Ok(None),
-        Some(inside) => volume(old, inside, change, &points, pool, progress),
+        Some(inside) => volume(old, inside, change, &points, exec),
     }
 }
 
@@ -270,10 +269,9 @@ fn volume(
     inside: &Inside,
     change: &Change,
     points: &Points,
-    pool: &Pool,
-    progress: &dyn Progress,
+    exec: &Exec<'_>,
 ) -> Result<Option<Resampled>, Error> {
-    let Some(mut hull) = hull::follow(old, inside, change, points, pool) else {
+    let Some(mut hull) = hull::follow(old, inside, change, points, exec.pool) else {
         return Ok(None);
     };
     let spread = Spread {
@@ -287,22 +285,21 @@ fn volume(
         let none = faces.is_empty() && boxes.is_empty() && points.gone.is_empty() && points.fans.is_empty();
         return Ok(none.then(|| unchanged(old)));
     };
-    let found = local::find(change, points, Some(&zone), pool);
-    check(progress)?;
+    let found = local::find(change, points, Some(&zone), exec.pool);
+    exec.check()?;
     let between = Faces::between(old, change, points, &hull, &found);
-    let enclosed = between.columns(0, pool);
+    let enclosed = between.columns(0, exec.pool);
     zone.fill(&spread, |p| enclosed.contains(p));
-    let local = Local::gather(change, points, &found, Some(&zone), pool);
-    let surface = WindingTree::build(&local.positions, &local.triangles, pool);
+    let local = Local::gather(change, points, &found, Some(&zone), exec.pool);
+    let surface = WindingTree::build(&local.positions, &local.triangles, exec.pool);
     let around = Faces::around(change, &hull, &found);
-    let columns = around.columns(found.along(), pool);
+    let columns = around.columns(found.along(), exec.pool);
     let site = places::Site {
         local: &local,
         surface: &surface,
         zone: &zone,
         columns: &columns,
-        pool,
-        progress,
+        exec,
     };
     let unsided = std::mem::take(&mut hull.unsided);
     places::sides(&site, &unsided, &mut hull.reach);
@@ -318,7 +315,7 @@ fn volume(
     let Some(interior) = followed else {
         return Ok(None);
     };
-    check(progress)?;
+    exec.check()?;
     let volume = old.stats.enclosed_volume + gained(&between, inside);
     let recipe = Recipe {
         inside: Some(Inside {
@@ -333,7 +330,7 @@ fn volume(
         enclosed_volume: volume.max(0.0),
         ..old.stats.clone()
     };
-    let (mut resampled, asked) = rows::write(&edit, stats, recipe, pool);
+    let (mut resampled, asked) = rows::write(&edit, stats, recipe, exec.pool);
     interior::spread_nearest(&mut resampled.graph, &local, asked);
     Ok(Some(resampled))
 }

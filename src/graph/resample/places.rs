@@ -4,6 +4,7 @@ use super::local::Local;
 use super::zone::{NEAR, Zone};
 use super::{Before, hull};
 use super::{Change, Link, Numbers};
+use crate::exec::Exec;
 use crate::graph::Error;
 use crate::graph::columns::Columns;
 use crate::graph::parallel::map;
@@ -12,8 +13,6 @@ use crate::graph::solid::{normal, sample, turn};
 use crate::graph::weights::cotangent_of;
 use crate::graph::winding::WindingTree;
 use crate::mesh::NONE;
-use crate::pool::Pool;
-use crate::progress::Progress;
 use glam::DVec3;
 
 /// Places no further apart than this part of an offset are the same.
@@ -41,8 +40,7 @@ pub(super) struct Site<'a> {
     pub(super) surface: &'a WindingTree<'a>,
     pub(super) zone: &'a Zone,
     pub(super) columns: &'a Columns<'a>,
-    pub(super) pool: &'a Pool,
-    pub(super) progress: &'a dyn Progress,
+    pub(super) exec: &'a Exec<'a>,
 }
 
 /// Which way copies of new parts go: turns the reach of those that are wound inside out.
@@ -78,7 +76,7 @@ pub(super) fn place(
         if o == NONE { NONE } else { old_shell[o as usize] }
     };
     let vertices: Vec<u32> = (0..local.points.len() as u32).collect();
-    let placed: Vec<Option<DVec3>> = map(&vertices, site.pool, site.progress, |&v| {
+    let placed: Vec<Option<DVec3>> = map(&vertices, site.exec, |&v| {
         let (p, own) = (local.positions[v as usize], own_of(v));
         let reach = f64::from(reach[local.points[v as usize] as usize]);
         let before = (own != NONE).then(|| old.positions[own as usize]);

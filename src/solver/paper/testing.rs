@@ -1,6 +1,7 @@
 //! Graphs and systems for the tests of this module.
 
 use super::PaperHierarchy;
+use crate::exec::Exec;
 use crate::progress::Silent;
 use crate::solver::testing::{Block, pool};
 use crate::solver::{BuildOptions, Constraints, Hierarchy, Operators, System};
@@ -81,7 +82,7 @@ pub(crate) fn options(coarsest: usize) -> BuildOptions {
 }
 
 pub(crate) fn built(block: &Block, fixed: &[bool], stiffness: Option<&[f64]>, coarsest: usize) -> (Hierarchy, System) {
-    let hierarchy = Hierarchy::build(&block.view(), &options(coarsest), &pool(), &Silent).unwrap();
+    let hierarchy = Hierarchy::build(&block.view(), &options(coarsest), &Exec::new(&pool(), &Silent)).unwrap();
     let system = hierarchy.constrain(&Constraints { fixed, stiffness }, &pool()).unwrap();
     (hierarchy, system)
 }

@@ -5,6 +5,7 @@ use super::restrict::{Offsets, Reading, correct, prolong, restrict_defect, restr
 use super::smooth::defect;
 use super::testing::{held, lattice, paper, path, sheet};
 use super::*;
+use crate::exec::Exec;
 use crate::progress::Silent;
 use crate::solver::lanes::{WIDTH, Wide};
 use crate::solver::testing::{Block, pool};
@@ -259,8 +260,7 @@ fn rigid(block: &Block, start: bool, most: usize) -> (f64, Stats) {
             &mut x,
             &options,
             &mut workspace,
-            &pool(),
-            &Silent,
+            &Exec::new(&pool(), &Silent),
             &mut go_on,
         )
         .unwrap();
@@ -302,7 +302,7 @@ fn few_free_vertices_are_solved_directly() {
         operators: Operators::Paper,
         ..BuildOptions::default()
     };
-    let hierarchy = Hierarchy::build(&block.view(), &options, &pool(), &Silent).unwrap();
+    let hierarchy = Hierarchy::build(&block.view(), &options, &Exec::new(&pool(), &Silent)).unwrap();
     let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] == 0.0).collect();
     let constraints = Constraints {
         fixed: &fixed,
@@ -320,8 +320,7 @@ fn few_free_vertices_are_solved_directly() {
             &mut x,
             &SolveOptions::default(),
             &mut workspace,
-            &pool(),
-            &Silent,
+            &Exec::new(&pool(), &Silent),
             &mut |_| Control::Continue,
         )
         .unwrap();

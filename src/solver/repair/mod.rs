@@ -18,6 +18,7 @@ mod rows;
 #[cfg(test)]
 mod tests;
 
+use crate::exec::Exec;
 use std::sync::Arc;
 
 use self::change::{Plan, read};
@@ -32,8 +33,7 @@ use super::layout::grow;
 use super::level::NONE;
 use super::threads::Threads;
 use super::{Error, Graph, Hierarchy};
-use crate::pool::Pool;
-use crate::progress::{Progress, Silent, check};
+use crate::progress::Silent;
 
 /// Levels above the first one with at most this many vertices are built anew rather than repaired.
 const SMALL: usize = 4096;
@@ -82,14 +82,8 @@ impl Hierarchy {
     /// # Errors
     /// [`Error::Invalid`] for a change that contradicts the graphs and for malformed touched rows,
     /// [`Error::Cancelled`]. The hierarchy is then as it was.
-    pub fn repair(
-        &mut self,
-        graph: &Graph<'_>,
-        change: &Change<'_>,
-        pool: &Pool,
-        progress: &dyn Progress,
-    ) -> Result<Repair, Error> {
-        self.repair_above(SMALL, graph, change, pool, progress)
+    pub fn repair(&mut self, graph: &Graph<'_>, change: &Change<'_>, exec: &Exec<'_>) -> Result<Repair, Error> {
+        self.repair_above(SMALL, graph, change, exec)
     }
 
     /// The same where `small` is the number of vertices up to which levels are built anew.
@@ -98,26 +92,25 @@ impl Hierarchy {
         small: usize,
         graph: &Graph<'_>,
         change: &Change<'_>,
-        pool: &Pool,
-        progress: &dyn Progress,
+        exec: &Exec<'_>,
     ) -> Result<Repair, Error> {
-        check(progress)?;
-        let threads = Threads::of(pool);
+        exec.check()?;
+        let threads = Threads::of(exec.pool);
         let least = self.vertices().min(graph.vertices());
         let full = |l: &super::level::Level| l.neighbours.len() > ROOM || l.rows() > ROOM;
         let mut plan = None;
         if least > small && self.paper.is_none() && !self.levels.iter().any(full) {
-            plan = threads.enter(pool, || read(self, graph, change, threads))?;
+            plan = threads.enter(exec.pool, || read(self, graph, change, threads))?;
         }
         let Some(plan) = plan else {
-            *self = Hierarchy::build(graph, &self.options, pool, progress)?;
+            *self = Hierarchy::build(graph, &self.options, exec)?;
             return Ok(Repair {
                 rebuilt: true,
                 moved: 0,
             });
         };
-        check(progress)?;
-        let moved = threads.enter(pool, || self.follow(plan, small, threads));
+        exec.check()?;
+        let moved = threads.enter(exec.pool, || self.follow(plan, small, threads));
         self.token = Arc::new(());
         Ok(Repair { rebuilt: false, moved })
     }

@@ -4,6 +4,7 @@ use super::super::level::{BUNDLE, NONE};
 use super::super::testing::{Block, pool};
 use super::super::{BuildOptions, Constraints, Control, Graph, Hierarchy, Iteration, Method, SolveOptions, Workspace};
 use super::*;
+use crate::exec::Exec;
 
 /// A graph that tests change: weights by pair of ids that never change, dead vertices left out of views.
 struct Clay {
@@ -265,14 +266,14 @@ fn repair(hierarchy: &mut Hierarchy, before: &Cast, after: &Cast) -> Repair {
     };
     after.view().check().unwrap();
     hierarchy
-        .repair_above(60, &after.view(), &change, &pool(), &Silent)
+        .repair_above(60, &after.view(), &change, &Exec::new(&pool(), &Silent))
         .unwrap()
 }
 
 fn run(block: Block) {
     let mut clay = Clay::of(&block);
     let mut before = clay.cast();
-    let mut hierarchy = Hierarchy::build(&before.view(), &Default::default(), &pool(), &Silent).unwrap();
+    let mut hierarchy = Hierarchy::build(&before.view(), &Default::default(), &Exec::new(&pool(), &Silent)).unwrap();
     check_levels(&hierarchy, &before.view());
     let mut repaired = 0;
     for step in 0..14 {
@@ -336,8 +337,7 @@ fn iterations(hierarchy: &Hierarchy, cast: &Cast) -> usize {
         &mut x,
         &options,
         &mut workspace,
-        &pool(),
-        &Silent,
+        &Exec::new(&pool(), &Silent),
         &mut watch,
     );
     let stats = stats.unwrap();
@@ -346,7 +346,7 @@ fn iterations(hierarchy: &Hierarchy, cast: &Cast) -> usize {
 }
 
 fn converges(hierarchy: &Hierarchy, cast: &Cast) {
-    let fresh = Hierarchy::build(&cast.view(), &hierarchy.options, &pool(), &Silent).unwrap();
+    let fresh = Hierarchy::build(&cast.view(), &hierarchy.options, &Exec::new(&pool(), &Silent)).unwrap();
     let (seen, want) = (iterations(hierarchy, cast), iterations(&fresh, cast));
     assert!(seen <= want + 1, "{seen} iterations, {want} after a build");
     let ratio = hierarchy.levels[1].occupied() as f64 / fresh.levels[1].occupied() as f64;
@@ -364,7 +364,7 @@ fn holes(block: Block, edits: u32, place: impl Fn(u32) -> [f64; 3]) -> Hierarchy
         coarsest: 20,
         ..BuildOptions::default()
     };
-    let mut hierarchy = Hierarchy::build(&before.view(), &options, &pool(), &Silent).unwrap();
+    let mut hierarchy = Hierarchy::build(&before.view(), &options, &Exec::new(&pool(), &Silent)).unwrap();
     for step in 1..=edits {
         let p = place(step);
         let filled: Vec<[f64; 3]> = clay.within(p, 1.9).map(|i| clay.positions[i]).collect();
@@ -417,7 +417,9 @@ fn wear_is_seen() {
             new_from_old: &same,
             touched: &touched,
         };
-        hierarchy.repair(&cast.view(), &change, &pool(), &Silent).unwrap();
+        hierarchy
+            .repair(&cast.view(), &change, &Exec::new(&pool(), &Silent))
+            .unwrap();
         repairs += 1;
     }
     assert!((3..=8).contains(&repairs), "after {repairs} of 200 in 6480 vertices");
@@ -453,7 +455,9 @@ fn numbers_may_change_in_any_order() {
             new_from_old: &map,
             touched: &[5, 6000],
         };
-        let report = hierarchy.repair(&graph.view(), &change, &pool(), &Silent).unwrap();
+        let report = hierarchy
+            .repair(&graph.view(), &change, &Exec::new(&pool(), &Silent))
+            .unwrap();
         assert!(!report.rebuilt);
         check_levels(&hierarchy, &graph.view());
         map[a] = map[b];
@@ -463,7 +467,7 @@ fn numbers_may_change_in_any_order() {
         };
         let error = block
             .hierarchy(100)
-            .repair(&graph.view(), &change, &pool(), &Silent)
+            .repair(&graph.view(), &change, &Exec::new(&pool(), &Silent))
             .unwrap_err();
         assert!(error.to_string().contains("so does another one"), "{error}");
     }
