@@ -2,7 +2,7 @@
 
 mod support;
 
-use pliant::job::pb::{self, deform_request, deform_response};
+use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::Value;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Command, Stdio};

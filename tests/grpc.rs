@@ -6,7 +6,7 @@ mod support;
 
 use bytes::Bytes;
 use futures::StreamExt as _;
-use pliant::job::pb::{self, create_session_request::Message as Upload};
+use pliant::wire::pb::{self, create_session_request::Message as Upload};
 use support::*;
 use tonic::{Code, Request};
 use tonic_types::StatusExt as _;

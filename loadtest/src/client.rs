@@ -3,8 +3,8 @@
 use crate::books::Books;
 use crate::scene::Scene;
 use crate::{Failure, StreamArgs};
-use pliant::job::pb::{self, create_session_request, deform_request, deform_response};
 use pliant::server::grpc::client::DeformerClient;
+use pliant::wire::pb::{self, create_session_request, deform_request, deform_response};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;

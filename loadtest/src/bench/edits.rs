@@ -5,12 +5,14 @@ use super::figures::Figures;
 use super::{clock, files, subdivide};
 use crate::{Failure, scene};
 use pliant::asset::FileSet;
+use pliant::batch::StageClock;
+use pliant::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode, TopologyState};
 use pliant::exec::Exec;
-use pliant::job::frames::{FrameRequest, encode};
-use pliant::job::pb::edit_request::{Delete, Operation, Remesh};
-use pliant::job::{EditOrder, Error, Limits, Mode, Poses, Settings, Stage, Trail, Workbench, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::frames::{FrameRequest, encode};
+use pliant::wire::pb::edit_request::{Delete, Operation, Remesh};
+use pliant::wire::{DeformOptions, Error, pb};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -67,10 +69,10 @@ enum Wanted {
 
 /// A bench in the state that is edited, again and again.
 struct Stand<'a> {
-    bench: Workbench,
-    trail: Trail,
+    bench: Deformer,
+    trail: TopologyState,
     handles: pb::SetHandlesRequest,
-    poses: Poses,
+    poses: HandlePoses,
     shape: Arc<Vec<glam::DVec3>>,
     request: pb::EditRequest,
     pull: pb::Pose,
@@ -188,10 +190,10 @@ fn prepare<'a>(
     scene: &scene::Scene,
     pool: &'a Pool,
 ) -> Result<(Stand<'a>, usize), Error> {
-    let mut bench = Workbench::open(
+    let mut bench = Deformer::open(
         files,
         &pb::CreateOptions::default(),
-        &Limits::default(),
+        &DeformerLimits::default(),
         &Exec::new(pool, &Silent),
     )?;
     let handles = pb::SetHandlesRequest {
@@ -203,10 +205,14 @@ fn prepare<'a>(
     let mut shape = Arc::clone(bench.rest());
     if !args.at_rest {
         poses = bench.posed(&poses, &scene.pose(scene::FARTHEST / 2))?;
-        let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
-        let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
-            true
-        })?;
+        let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
+        let solved = bench.solve(
+            &poses,
+            &settings,
+            SolveMode::Commit,
+            &Exec::new(pool, &Silent),
+            &mut |_| true,
+        )?;
         shape = solved.positions;
     }
     let (sphere, region) = around_the_middle(&shape, args.region as usize);
@@ -271,11 +277,11 @@ impl Stand<'_> {
         bench.retrace(&self.trail, &Exec::new(pool, &Silent))?;
         bench.set_handles(&self.handles, &Exec::new(pool, &Silent))?;
         if !Arc::ptr_eq(&self.shape, bench.rest()) {
-            let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+            let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
             self.shape = (bench.solve(
                 &self.poses,
                 &settings,
-                Mode::Commit,
+                SolveMode::Commit,
                 &Exec::new(pool, &Silent),
                 &mut |_| true,
             )?)
@@ -286,7 +292,7 @@ impl Stand<'_> {
             true => Arc::clone(&self.shape),
             false => Arc::new(self.shape.as_ref().clone()),
         };
-        let order = EditOrder {
+        let order = EditCommand {
             request: &self.request,
             shape: &shape,
             poses: &self.poses,
@@ -295,13 +301,19 @@ impl Stand<'_> {
         };
         let start = Instant::now();
         let millis = || start.elapsed().as_secs_f64() * 1e3;
-        let stages = Stage::new(&millis, &Silent);
+        let stages = StageClock::new(&millis, &Silent);
         stages.begin("edit");
         let outcome = bench.edit(&order, &Exec::new(pool, &stages))?;
         stages.begin("solve");
-        let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+        let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
         let poses = bench.posed(&outcome.poses, &self.pull)?;
-        let solved = bench.solve(&poses, &settings, Mode::Drag, &Exec::new(pool, &Silent), &mut |_| true)?;
+        let solved = bench.solve(
+            &poses,
+            &settings,
+            SolveMode::Drag,
+            &Exec::new(pool, &Silent),
+            &mut |_| true,
+        )?;
         stages.begin("encode");
         let parts = encode(FrameRequest {
             header: pb::Frame::default(),

@@ -6,11 +6,13 @@ use super::problem::Problem;
 use super::{files, subdivide};
 use crate::Failure;
 use glam::DVec3;
+use pliant::batch::pose_steps;
 use pliant::deform::{Body, Equations, Rig, Transform};
+use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
 use pliant::exec::Exec;
-use pliant::job::{Limits, Poses, Workbench, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::pb;
 use std::path::PathBuf;
 
 /// Largest displacement of a handle from the first pose to the second, as a fraction of the diagonal.
@@ -41,8 +43,8 @@ pub(crate) fn run(args: &ExportArgs) -> Result<(), Failure> {
     let pool = Pool::new(0).map_err(|e| Failure::Server(e.to_string()))?;
     let job = files::job(&args.job)?;
     let model = subdivide::subdivided(files::model(&args.model)?, args.subdivide)?;
-    let refuse = |e: pliant::job::Error| match e {
-        pliant::job::Error::Asset(e) => Failure::Usage(e.to_string()),
+    let refuse = |e: pliant::wire::Error| match e {
+        pliant::wire::Error::Asset(e) => Failure::Usage(e.to_string()),
         e => Failure::Usage(format!("{}: {e}", args.job.display())),
     };
     let (bench, poses) = open(model, &job, &pool).map_err(refuse)?;
@@ -66,9 +68,13 @@ pub(crate) fn run(args: &ExportArgs) -> Result<(), Failure> {
 }
 
 /// A bench with the job's handles, and the poses after its last step.
-fn open(model: pliant::asset::FileSet, job: &pb::Job, pool: &Pool) -> Result<(Workbench, Poses), pliant::job::Error> {
+fn open(
+    model: pliant::asset::FileSet,
+    job: &pb::Job,
+    pool: &Pool,
+) -> Result<(Deformer, HandlePoses), pliant::wire::Error> {
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Workbench::open(model, &create, &Limits::default(), &Exec::new(pool, &Silent))?;
+    let mut bench = Deformer::open(model, &create, &DeformerLimits::default(), &Exec::new(pool, &Silent))?;
     let request = pb::SetHandlesRequest {
         handles: job.handles.clone(),
         symmetry_plane: job.symmetry_plane.clone(),
@@ -207,8 +213,8 @@ pub(super) mod tests {
         {"id": "tail", "region": {"sphere": {"center": [-1.0, 1.06, 0], "radius": 0.16}}, "stiffness": 0.5,
          "pose": {"translation": [0, 0.2, 0]}}]}"#;
 
-    fn bench(pool: &Pool) -> (Workbench, Vec<Transform>) {
-        let job: pb::Job = pliant::job::json::from_json(JOB.as_bytes()).unwrap();
+    fn bench(pool: &Pool) -> (Deformer, Vec<Transform>) {
+        let job: pb::Job = pliant::wire::json::from_json(JOB.as_bytes()).unwrap();
         let files = FileSet::single("creature.glb", sample::creature_glb());
         let (bench, poses) = open(files, &job, pool).unwrap();
         let transforms = bench.transforms(&poses).unwrap();

@@ -2,7 +2,8 @@
 
 use crate::Failure;
 use pliant::asset::FileSet;
-use pliant::job::{self, pb};
+use pliant::wire;
+use pliant::wire::pb;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::Path;
@@ -161,7 +162,7 @@ pub(super) fn model(path: &Path) -> Result<FileSet, Failure> {
 
 /// Reads a job.
 pub(super) fn job(path: &Path) -> Result<pb::Job, Failure> {
-    job::json::from_json(&whole(path)?).map_err(|e| Failure::Usage(format!("{}: {e}", path.display())))
+    wire::json::from_json(&whole(path)?).map_err(|e| Failure::Usage(format!("{}: {e}", path.display())))
 }
 
 fn whole(path: &Path) -> Result<Vec<u8>, Failure> {

@@ -4,11 +4,13 @@ use super::figures::Figures;
 use super::{clock, files, subdivide};
 use crate::{Failure, scene};
 use pliant::asset::FileSet;
+use pliant::batch::{StageClock, pose_steps};
+use pliant::engine::{Deformer, DeformerLimits, SolveMode};
 use pliant::exec::Exec;
-use pliant::job::frames::{FrameRequest, encode};
-use pliant::job::{Limits, Mode, Settings, Stage, Workbench, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::frames::{FrameRequest, encode};
+use pliant::wire::{DeformOptions, pb};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -130,13 +132,13 @@ fn job(args: &PipelineArgs) -> Result<pb::Job, Failure> {
 }
 
 /// From files to the bytes of the first frame.
-fn once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Run, pliant::job::Error> {
-    let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+fn once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Run, pliant::wire::Error> {
+    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     let start = Instant::now();
     let millis = || start.elapsed().as_secs_f64() * 1e3;
-    let stages = Stage::new(&millis, &Silent);
+    let stages = StageClock::new(&millis, &Silent);
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Workbench::open(files, &create, &Limits::default(), &Exec::new(pool, &stages))?;
+    let mut bench = Deformer::open(files, &create, &DeformerLimits::default(), &Exec::new(pool, &stages))?;
     // Regions are resolved before the stage tells that it begins.
     stages.begin("fields");
     let request = pb::SetHandlesRequest {
@@ -151,9 +153,13 @@ fn once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Run, pliant::job::
         poses = bench.posed(&poses, &pose)?;
     }
     stages.begin("solve");
-    let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
-        true
-    })?;
+    let solved = bench.solve(
+        &poses,
+        &settings,
+        SolveMode::Commit,
+        &Exec::new(pool, &Silent),
+        &mut |_| true,
+    )?;
     stages.begin("encode");
     let parts = encode(FrameRequest {
         header: pb::Frame::default(),
