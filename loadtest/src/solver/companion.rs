@@ -7,8 +7,8 @@
 //! right-hand sides f64 × 3 n and given positions f64 × 3 n. Rows of the problem file are the nodes that are not given,
 //! in rising order. All lengths are in one unit, in which `diagonal` is that of the model's bounding box.
 
-use super::files::{Reader, Writer};
-use crate::Failure;
+use super::number_file::{NumberReader, NumberWriter};
+use crate::failure::LoadtestFailure;
 use pliant::solver::Graph;
 use std::path::{Path, PathBuf};
 
@@ -25,7 +25,7 @@ const STIFFNESS: u64 = 2;
 
 /// What one pose asks for, by node.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct Pose {
+pub(crate) struct PoseSystem {
     /// Right-hand side, before given neighbours are moved into it.
     pub rhs: Vec<[f64; 3]>,
     /// Given nodes where they are held, all others at rest.
@@ -34,7 +34,7 @@ pub(crate) struct Pose {
 
 /// A whole second-pass system over all nodes of a graph, for two poses.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct Companion {
+pub(crate) struct CompanionFile {
     /// Length of the model's bounding box diagonal.
     pub diagonal: f64,
     /// Where each row of `neighbours` begins, and the end.
@@ -52,10 +52,10 @@ pub(crate) struct Companion {
     /// By node: where it is at rest.
     pub rest: Vec<[f64; 3]>,
     /// The pose of the problem file, and one a step on.
-    pub poses: [Pose; 2],
+    pub poses: [PoseSystem; 2],
 }
 
-impl Companion {
+impl CompanionFile {
     /// The name of the file beside a problem file.
     pub fn path_beside(problem: &Path) -> PathBuf {
         problem.with_extension("aux")
@@ -72,17 +72,17 @@ impl Companion {
     }
 
     /// Reads a file and checks lengths, the graph, and that numbers are finite.
-    pub fn read(path: &Path) -> Result<Self, Failure> {
-        let mut file = Reader::open(path)?;
-        let (magic, version): (u64, u64) = (file.one()?, file.one()?);
+    pub fn read(path: &Path) -> Result<Self, LoadtestFailure> {
+        let mut file = NumberReader::open(path)?;
+        let (magic, version): (u64, u64) = (file.read_number()?, file.read_number()?);
         if (magic, version) != (MAGIC, VERSION) {
             let problem = format!("is no companion of version {VERSION}; export the system again");
-            return Err(file.refuse(problem));
+            return Err(file.file_error(problem));
         }
-        let (n, e, flags): (u64, u64, u64) = (file.one()?, file.one()?, file.one()?);
-        let diagonal: f64 = file.one()?;
+        let (n, e, flags): (u64, u64, u64) = (file.read_number()?, file.read_number()?, file.read_number()?);
+        let diagonal: f64 = file.read_number()?;
         if flags > (WEIGHTS | STIFFNESS) || !(diagonal > 0.0 && diagonal.is_finite()) {
-            return Err(file.refuse(format_args!("has flags {flags} and the diagonal {diagonal}")));
+            return Err(file.file_error(format_args!("has flags {flags} and the diagonal {diagonal}")));
         }
         let (weighted, soft) = (flags & WEIGHTS != 0, flags & STIFFNESS != 0);
         let rows = n.saturating_add(1);
@@ -93,58 +93,58 @@ impl Companion {
             (n, 36 + 24),
             (n, 4 * 24),
         ];
-        file.expect(HEADER, &runs)?;
+        file.expect_byte_size(HEADER, &runs)?;
         // Both fit the address space, because the file holds them.
         let (n, e) = (n as usize, e as usize);
         let companion = Self {
             diagonal,
-            offsets: file.run(n + 1)?,
-            neighbours: file.run(e)?,
-            weights: if weighted { Some(file.run(e)?) } else { None },
-            fixed: file.run::<u8>(n)?.into_iter().map(|b| b != 0).collect(),
-            stiffness: if soft { Some(file.run(n)?) } else { None },
-            frames: file.run::<f32>(n * 9)?.as_chunks().0.to_vec(),
-            rest: file.triples(n)?,
-            poses: [Pose::read(&mut file, n)?, Pose::read(&mut file, n)?],
+            offsets: file.read_numbers(n + 1)?,
+            neighbours: file.read_numbers(e)?,
+            weights: if weighted { Some(file.read_numbers(e)?) } else { None },
+            fixed: file.read_numbers::<u8>(n)?.into_iter().map(|b| b != 0).collect(),
+            stiffness: if soft { Some(file.read_numbers(n)?) } else { None },
+            frames: file.read_numbers::<f32>(n * 9)?.as_chunks().0.to_vec(),
+            rest: file.read_triples(n)?,
+            poses: [PoseSystem::read(&mut file, n)?, PoseSystem::read(&mut file, n)?],
         };
-        companion.graph().check().map_err(|e| file.refuse(e))?;
+        companion.graph().check().map_err(|e| file.file_error(e))?;
         let triples = companion.poses.iter().flat_map(|p| p.rhs.iter().chain(&p.given));
         let finite = triples.chain(&companion.rest).flatten().all(|v| v.is_finite())
             && companion.frames.iter().flatten().all(|v| v.is_finite());
         if !finite {
-            return Err(file.refuse("numbers must be finite"));
+            return Err(file.file_error("numbers must be finite"));
         }
         Ok(companion)
     }
 
     /// Writes the file.
-    pub fn write(&self, path: &Path) -> Result<(), Failure> {
-        let mut file = Writer::create(path)?;
+    pub fn write(&self, path: &Path) -> Result<(), LoadtestFailure> {
+        let mut file = NumberWriter::create(path)?;
         let flags =
             if self.weights.is_some() { WEIGHTS } else { 0 } | if self.stiffness.is_some() { STIFFNESS } else { 0 };
         let (n, e) = (self.rest.len() as u64, self.neighbours.len() as u64);
-        file.put([MAGIC, VERSION, n, e, flags])?;
-        file.put([self.diagonal])?;
-        file.put(self.offsets.iter().copied())?;
-        file.put(self.neighbours.iter().copied())?;
-        file.put(self.weights.iter().flatten().copied())?;
-        file.put(self.fixed.iter().map(|f| u8::from(*f)))?;
-        file.put(self.stiffness.iter().flatten().copied())?;
-        file.put(self.frames.iter().flatten().copied())?;
-        file.put(self.rest.iter().flatten().copied())?;
+        file.write_numbers([MAGIC, VERSION, n, e, flags])?;
+        file.write_numbers([self.diagonal])?;
+        file.write_numbers(self.offsets.iter().copied())?;
+        file.write_numbers(self.neighbours.iter().copied())?;
+        file.write_numbers(self.weights.iter().flatten().copied())?;
+        file.write_numbers(self.fixed.iter().map(|f| u8::from(*f)))?;
+        file.write_numbers(self.stiffness.iter().flatten().copied())?;
+        file.write_numbers(self.frames.iter().flatten().copied())?;
+        file.write_numbers(self.rest.iter().flatten().copied())?;
         for pose in &self.poses {
-            file.put(pose.rhs.iter().flatten().copied())?;
-            file.put(pose.given.iter().flatten().copied())?;
+            file.write_numbers(pose.rhs.iter().flatten().copied())?;
+            file.write_numbers(pose.given.iter().flatten().copied())?;
         }
         file.finish()
     }
 }
 
-impl Pose {
-    fn read(file: &mut Reader, nodes: usize) -> Result<Self, Failure> {
+impl PoseSystem {
+    fn read(file: &mut NumberReader, nodes: usize) -> Result<Self, LoadtestFailure> {
         Ok(Self {
-            rhs: file.triples(nodes)?,
-            given: file.triples(nodes)?,
+            rhs: file.read_triples(nodes)?,
+            given: file.read_triples(nodes)?,
         })
     }
 }
@@ -153,15 +153,15 @@ impl Pose {
 mod tests {
     use super::*;
 
-    fn pose(lift: f64) -> Pose {
-        Pose {
+    fn pose(lift: f64) -> PoseSystem {
+        PoseSystem {
             rhs: vec![[0.0, -1.0, lift]; 3],
             given: vec![[lift, 0.0, 1.0]; 3],
         }
     }
 
-    fn companion(weights: Option<Vec<f32>>, stiffness: Option<Vec<f64>>) -> Companion {
-        Companion {
+    fn companion(weights: Option<Vec<f32>>, stiffness: Option<Vec<f64>>) -> CompanionFile {
+        CompanionFile {
             diagonal: 1.5,
             offsets: vec![0, 1, 3, 4],
             neighbours: vec![1, 0, 2, 1],
@@ -177,12 +177,12 @@ mod tests {
     #[test]
     fn a_companion_survives_its_file() {
         let folder = tempfile::tempdir().unwrap();
-        let path = Companion::path_beside(&folder.path().join("x.bin"));
+        let path = CompanionFile::path_beside(&folder.path().join("x.bin"));
         for weights in [None, Some(vec![2.0; 4])] {
             for stiffness in [None, Some(vec![0.0, 0.5, 0.0])] {
                 let companion = companion(weights.clone(), stiffness);
                 companion.write(&path).unwrap();
-                assert_eq!(Companion::read(&path).unwrap(), companion);
+                assert_eq!(CompanionFile::read(&path).unwrap(), companion);
             }
         }
     }
@@ -197,8 +197,8 @@ mod tests {
             let mut bytes = whole.clone();
             bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
             std::fs::write(&path, bytes).unwrap();
-            match Companion::read(&path) {
-                Err(Failure::Usage(text)) => text,
+            match CompanionFile::read(&path) {
+                Err(LoadtestFailure::Usage(text)) => text,
                 other => panic!("byte {at} = {value}: {other:?}"),
             }
         };

@@ -1,9 +1,12 @@
 //! `loadtest edits`: from an edit of a few hundred vertices to the first frame after it, where graph and hierarchy follow
 //! the edit, and where they are built anew.
 
-use super::figures::Figures;
-use super::{clock, files, subdivide};
-use crate::{Failure, scene};
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
+use crate::shared::input_files::read_model_file;
+use crate::shared::measurements::Measurements;
+use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
+use crate::shared::timing::RunTimes;
 use pliant::asset::FileSet;
 use pliant::exec::Exec;
 use pliant::job::frames::{FrameRequest, encode};
@@ -34,14 +37,14 @@ pub(crate) struct EditsArgs {
     /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
     model: PathBuf,
     /// Cut every triangle into four this many times first, which is not timed
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(subdivide::MOST)))]
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
     subdivide: u8,
     /// Vertices of the region that is edited, about
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]
     region: u32,
     /// What is done to the region
     #[arg(long, value_enum, default_value = "delete-fill")]
-    operation: Wanted,
+    operation: BenchedEdit,
     /// Edit the shape at rest, not a committed pose
     #[arg(long)]
     at_rest: bool,
@@ -58,7 +61,7 @@ pub(crate) struct EditsArgs {
 
 /// What is done to a region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Wanted {
+enum BenchedEdit {
     /// Delete it and fill the hole
     DeleteFill,
     /// Remesh it to its own mean edge length
@@ -66,7 +69,7 @@ enum Wanted {
 }
 
 /// A bench in the state that is edited, again and again.
-struct Stand<'a> {
+struct EditBench<'a> {
     bench: Workbench,
     trail: Trail,
     handles: pb::SetHandlesRequest,
@@ -79,7 +82,7 @@ struct Stand<'a> {
 
 /// One edit: milliseconds by stage, and facts.
 #[derive(Clone)]
-struct Run {
+struct EditRun {
     ms: BTreeMap<String, f64>,
     repaired: bool,
     cycles: u32,
@@ -88,29 +91,29 @@ struct Run {
     levels: usize,
 }
 
-impl Run {
-    fn total(&self) -> f64 {
+impl EditRun {
+    fn total_ms(&self) -> f64 {
         self.ms.values().sum()
     }
 }
 
 /// Runs the command.
-pub(crate) fn run(args: &EditsArgs) -> Result<(), Failure> {
-    let pool = Pool::new(usize::from(args.threads)).map_err(|e| Failure::Server(e.to_string()))?;
+pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
+    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
     let files = match args.subdivide {
-        0 => files::model(&args.model)?,
-        times => subdivide::subdivided(files::model(&args.model)?, times)?,
+        0 => read_model_file(&args.model)?,
+        times => subdivide_model(read_model_file(&args.model)?, times)?,
     };
-    let scene = scene::Scene::load(Some(&args.model))?;
-    let refuse = |e: Error| Failure::Usage(format!("{}: {e}", args.model.display()));
-    let (mut stand, region) = prepare(args, files, &scene, &pool).map_err(refuse)?;
-    let (mut repaired, mut rebuilt): (Option<Run>, Option<Run>) = (None, None);
-    let mut times = clock::Times::one(0.0);
+    let scene = DragScene::load(Some(&args.model))?;
+    let refuse = |e: Error| LoadtestFailure::Usage(format!("{}: {e}", args.model.display()));
+    let (mut stand, region) = open_edit_bench(args, files, &scene, &pool).map_err(refuse)?;
+    let (mut repaired, mut rebuilt): (Option<EditRun>, Option<EditRun>) = (None, None);
+    let mut times = RunTimes::from_one(0.0);
     for _ in 0..args.repeat {
         for (follow, best) in [(true, &mut repaired), (false, &mut rebuilt)] {
-            let now = stand.once(follow).map_err(refuse)?;
-            times.add(now.total() / 1e3);
-            if best.as_ref().is_none_or(|best| now.total() < best.total()) {
+            let now = stand.edit_once(follow).map_err(refuse)?;
+            times.add_run(now.total_ms() / 1e3);
+            if best.as_ref().is_none_or(|best| now.total_ms() < best.total_ms()) {
                 *best = Some(now);
             }
         }
@@ -119,7 +122,7 @@ pub(crate) fn run(args: &EditsArgs) -> Result<(), Failure> {
         }
     }
     let (Some(repaired), Some(rebuilt)) = (repaired, rebuilt) else {
-        return Err(Failure::Usage("nothing was run".into()));
+        return Err(LoadtestFailure::Usage("nothing was run".into()));
     };
     if !repaired.repaired {
         eprintln!("the edit could not be followed: both columns were built from nothing");
@@ -127,25 +130,25 @@ pub(crate) fn run(args: &EditsArgs) -> Result<(), Failure> {
     let vertices = stand.shape.len();
     let solver_vertices = stand.bench.facts().solver.map_or(0, |s| s.solver_vertices);
     if args.json {
-        let mut figures = Figures::default();
+        let mut measurements = Measurements::default();
         let name = args.model.file_name().unwrap_or_default();
-        figures.set("model", name.to_string_lossy().as_ref());
-        figures.set("threads", pool.threads());
-        figures.set("vertices", vertices);
-        figures.set("solver_vertices", solver_vertices);
-        figures.set("region", region);
-        figures.set("nodes", repaired.nodes);
-        figures.set("repaired", repaired.repaired);
+        measurements.set_value("model", name.to_string_lossy().as_ref());
+        measurements.set_value("threads", pool.threads());
+        measurements.set_value("vertices", vertices);
+        measurements.set_value("solver_vertices", solver_vertices);
+        measurements.set_value("region", region);
+        measurements.set_value("nodes", repaired.nodes);
+        measurements.set_value("repaired", repaired.repaired);
         for (name, run) in [("repaired", &repaired), ("rebuilt", &rebuilt)] {
             for (stage, _) in STAGES {
                 let ms = run.ms.get(stage).copied().unwrap_or(0.0);
-                figures.measured(&format!("{name}_{stage}_ms"), ms);
+                measurements.set_number(&format!("{name}_{stage}_ms"), ms);
             }
-            figures.measured(&format!("{name}_total_ms"), run.total());
-            figures.set(&format!("{name}_cycles"), run.cycles);
-            figures.set(&format!("{name}_field_cycles"), run.field_cycles);
+            measurements.set_number(&format!("{name}_total_ms"), run.total_ms());
+            measurements.set_value(&format!("{name}_cycles"), run.cycles);
+            measurements.set_value(&format!("{name}_field_cycles"), run.field_cycles);
         }
-        println!("{}", figures.json());
+        println!("{}", measurements.to_json());
         return Ok(());
     }
     println!(
@@ -155,18 +158,18 @@ pub(crate) fn run(args: &EditsArgs) -> Result<(), Failure> {
     );
     println!("{:<10} {:>11} {:>11}", "stage", "repaired", "rebuilt");
     for (stage, what) in STAGES {
-        let ms = |run: &Run| run.ms.get(stage).copied().unwrap_or(0.0);
+        let ms = |run: &EditRun| run.ms.get(stage).copied().unwrap_or(0.0);
         println!("{stage:<10} {:>8.1} ms {:>8.1} ms  {what}", ms(&repaired), ms(&rebuilt));
     }
     println!(
         "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times",
         "total",
-        repaired.total(),
-        rebuilt.total(),
-        rebuilt.total() / repaired.total()
+        repaired.total_ms(),
+        rebuilt.total_ms(),
+        rebuilt.total_ms() / repaired.total_ms()
     );
     let follows = ["edit", "mesh", "graph", "hierarchy", "fields", "constrain"];
-    let part = |run: &Run| follows.iter().filter_map(|s| run.ms.get(*s)).sum::<f64>();
+    let part = |run: &EditRun| follows.iter().filter_map(|s| run.ms.get(*s)).sum::<f64>();
     println!(
         "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times, without the frame itself",
         "follow",
@@ -182,12 +185,12 @@ pub(crate) fn run(args: &EditsArgs) -> Result<(), Failure> {
 }
 
 /// Opens the model, commits a pose, and chooses the region. Also answers how many vertices that has.
-fn prepare<'a>(
+fn open_edit_bench<'a>(
     args: &EditsArgs,
     files: FileSet,
-    scene: &scene::Scene,
+    scene: &DragScene,
     pool: &'a Pool,
-) -> Result<(Stand<'a>, usize), Error> {
+) -> Result<(EditBench<'a>, usize), Error> {
     let mut bench = Workbench::open(
         files,
         &pb::CreateOptions::default(),
@@ -202,32 +205,32 @@ fn prepare<'a>(
     let mut poses = bench.initial_poses();
     let mut shape = Arc::clone(bench.rest());
     if !args.at_rest {
-        poses = bench.posed(&poses, &scene.pose(scene::FARTHEST / 2))?;
+        poses = bench.posed(&poses, &scene.pose_number(FARTHEST_POSE / 2))?;
         let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
         let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
             true
         })?;
         shape = solved.positions;
     }
-    let (sphere, region) = around_the_middle(&shape, args.region as usize);
+    let (sphere, region) = sphere_around_middle(&shape, args.region as usize);
     let region_of = || {
         Some(pb::Region {
             region: Some(pb::region::Region::Sphere(sphere.clone())),
         })
     };
     let operation = match args.operation {
-        Wanted::DeleteFill => Operation::Delete(Delete {
+        BenchedEdit::DeleteFill => Operation::Delete(Delete {
             region: region_of(),
             fill: true,
         }),
-        Wanted::Remesh => Operation::Remesh(Remesh {
+        BenchedEdit::Remesh => Operation::Remesh(Remesh {
             region: region_of(),
             // About the mean edge of the region: its area is shared by twice as many triangles as vertices.
             edge_length: sphere.radius * (std::f64::consts::PI / (0.433 * 2.0 * region as f64)).sqrt(),
             auto: false,
         }),
     };
-    let stand = Stand {
+    let stand = EditBench {
         trail: bench.trail(),
         handles,
         poses,
@@ -236,7 +239,7 @@ fn prepare<'a>(
             operation: Some(operation),
             ..Default::default()
         },
-        pull: scene.pose(scene::FARTHEST / 2),
+        pull: scene.pose_number(FARTHEST_POSE / 2),
         bench,
         pool,
     };
@@ -244,7 +247,7 @@ fn prepare<'a>(
 }
 
 /// A sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
-fn around_the_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere, usize) {
+fn sphere_around_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere, usize) {
     let (low, high) = shape
         .iter()
         .fold((shape[0], shape[0]), |(low, high), p| (low.min(*p), high.max(*p)));
@@ -264,9 +267,9 @@ fn around_the_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere
     (sphere, count)
 }
 
-impl Stand<'_> {
+impl EditBench<'_> {
     /// Goes to the state before, edits, and takes the first frame of a drag.
-    fn once(&mut self, follow: bool) -> Result<Run, Error> {
+    fn edit_once(&mut self, follow: bool) -> Result<EditRun, Error> {
         let (pool, bench) = (self.pool, &mut self.bench);
         bench.retrace(&self.trail, &Exec::new(pool, &Silent))?;
         bench.set_handles(&self.handles, &Exec::new(pool, &Silent))?;
@@ -313,7 +316,7 @@ impl Stand<'_> {
             part_bytes: 256 << 10,
         });
         std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());
-        Ok(Run {
+        Ok(EditRun {
             ms: stages.take(),
             repaired: outcome.result.repaired,
             cycles: solved.cycles,

@@ -1,8 +1,11 @@
 //! `loadtest pipeline`: every stage from a model's file to the first frame's bytes.
 
-use super::figures::Figures;
-use super::{clock, files, subdivide};
-use crate::{Failure, scene};
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
+use crate::shared::input_files::{read_job_file, read_model_file};
+use crate::shared::measurements::Measurements;
+use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
+use crate::shared::timing::{RunTimes, time_once};
 use pliant::asset::FileSet;
 use pliant::exec::Exec;
 use pliant::job::frames::{FrameRequest, encode};
@@ -38,7 +41,7 @@ pub(crate) struct PipelineArgs {
     #[arg(long, value_name = "FILE")]
     job: Option<PathBuf>,
     /// Cut every triangle into four this many times first, which is not timed
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(subdivide::MOST)))]
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
     subdivide: u8,
     /// Threads; 0 means one for each core
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
@@ -52,7 +55,7 @@ pub(crate) struct PipelineArgs {
 }
 
 /// One run: seconds by stage, and facts.
-struct Run {
+struct FirstFrameRun {
     seconds: BTreeMap<String, f64>,
     assembly: f64,
     vertices: usize,
@@ -64,63 +67,63 @@ struct Run {
     frame_bytes: usize,
 }
 
-impl Run {
-    fn total(&self) -> f64 {
+impl FirstFrameRun {
+    fn total_seconds(&self) -> f64 {
         STAGES.iter().filter_map(|(stage, _)| self.seconds.get(*stage)).sum()
     }
 }
 
 /// Runs the command.
-pub(crate) fn run(args: &PipelineArgs) -> Result<(), Failure> {
-    let pool = Pool::new(usize::from(args.threads)).map_err(|e| Failure::Server(e.to_string()))?;
-    let job = job(args)?;
+pub(crate) fn run_pipeline(args: &PipelineArgs) -> Result<(), LoadtestFailure> {
+    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let job = read_or_make_job(args)?;
     let made = match args.subdivide {
         0 => None,
-        times => Some(subdivide::subdivided(files::model(&args.model)?, times)?),
+        times => Some(subdivide_model(read_model_file(&args.model)?, times)?),
     };
-    let source = || -> Result<FileSet, Failure> {
+    let source = || -> Result<FileSet, LoadtestFailure> {
         match &made {
             // Already in memory: loading it takes nothing.
             Some(files) => Ok(files.clone()),
-            None => files::model(&args.model),
+            None => read_model_file(&args.model),
         }
     };
-    let mut best: Option<Run> = None;
-    let mut times: Option<clock::Times> = None;
+    let mut best: Option<FirstFrameRun> = None;
+    let mut times: Option<RunTimes> = None;
     for _ in 0..args.repeat {
         if times.is_some_and(|t| !t.may_repeat()) {
             break;
         }
-        let (files, load) = clock::timed(source);
-        let mut now =
-            once(files?, &job, &pool).map_err(|e| Failure::Usage(format!("{}: {e}", args.model.display())))?;
+        let (files, load) = time_once(source);
+        let mut now = run_once(files?, &job, &pool)
+            .map_err(|e| LoadtestFailure::Usage(format!("{}: {e}", args.model.display())))?;
         now.seconds.insert("load".into(), load);
-        let total = now.total();
+        let total = now.total_seconds();
         match &mut times {
-            Some(times) => times.add(total),
-            None => times = Some(clock::Times::one(total)),
+            Some(times) => times.add_run(total),
+            None => times = Some(RunTimes::from_one(total)),
         }
-        if best.as_ref().is_none_or(|best| total < best.total()) {
+        if best.as_ref().is_none_or(|best| total < best.total_seconds()) {
             best = Some(now);
         }
     }
-    let best = best.ok_or_else(|| Failure::Usage("nothing was run".into()))?;
+    let best = best.ok_or_else(|| LoadtestFailure::Usage("nothing was run".into()))?;
     if args.json {
-        println!("{}", figures(&best, &args.model, &pool).json());
+        println!("{}", run_measurements(&best, &args.model, &pool).to_json());
     } else {
-        print!("{}", table(&best, &args.model, &pool));
+        print!("{}", run_table(&best, &args.model, &pool));
     }
     Ok(())
 }
 
 /// The job given, or one for the ends of the model.
-fn job(args: &PipelineArgs) -> Result<pb::Job, Failure> {
+fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
     if let Some(path) = &args.job {
-        return files::job(path);
+        return read_job_file(path);
     }
-    let scene = scene::Scene::load(Some(&args.model))?;
+    let scene = DragScene::load(Some(&args.model))?;
     let step = pb::Step {
-        step: Some(pb::step::Step::Pose(scene.pose(scene::FARTHEST))),
+        step: Some(pb::step::Step::Pose(scene.pose_number(FARTHEST_POSE))),
     };
     Ok(pb::Job {
         handles: scene.handles(),
@@ -130,7 +133,7 @@ fn job(args: &PipelineArgs) -> Result<pb::Job, Failure> {
 }
 
 /// From files to the bytes of the first frame.
-fn once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Run, pliant::job::Error> {
+fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun, pliant::job::Error> {
     let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     let start = Instant::now();
     let millis = || start.elapsed().as_secs_f64() * 1e3;
@@ -168,8 +171,8 @@ fn once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Run, pliant::job::
     let seconds = stages.take().into_iter().map(|(stage, ms)| (stage, ms / 1e3)).collect();
     let transforms = bench.transforms(&poses)?;
     let assemble = || bench.rig().map(|rig| rig.equations(bench.body(), &transforms, pool));
-    let (_, assembly) = clock::timed(assemble);
-    Ok(Run {
+    let (_, assembly) = time_once(assemble);
+    Ok(FirstFrameRun {
         seconds,
         assembly,
         vertices: bench.rest().len(),
@@ -182,29 +185,29 @@ fn once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Run, pliant::job::
     })
 }
 
-fn figures(run: &Run, model: &Path, pool: &Pool) -> Figures {
-    let mut figures = Figures::default();
-    figures.set(
+fn run_measurements(run: &FirstFrameRun, model: &Path, pool: &Pool) -> Measurements {
+    let mut measurements = Measurements::default();
+    measurements.set_value(
         "model",
         model.file_name().unwrap_or_default().to_string_lossy().as_ref(),
     );
-    figures.set("threads", pool.threads());
-    figures.set("vertices", run.vertices);
-    figures.set("nodes", run.nodes);
+    measurements.set_value("threads", pool.threads());
+    measurements.set_value("vertices", run.vertices);
+    measurements.set_value("nodes", run.nodes);
     for (stage, _) in STAGES {
-        figures.measured(&format!("{stage}_s"), run.seconds.get(stage).copied().unwrap_or(0.0));
+        measurements.set_number(&format!("{stage}_s"), run.seconds.get(stage).copied().unwrap_or(0.0));
     }
-    figures.measured("assembly_s", run.assembly);
-    figures.measured("total_s", run.total());
-    figures.set("cycles", run.cycles);
-    figures.measured("residual", run.residual);
-    figures.measured("max_error", run.max_error);
-    figures.megabytes("held_MB", run.bytes as f64);
-    figures.megabytes("frame_MB", run.frame_bytes as f64);
-    figures
+    measurements.set_number("assembly_s", run.assembly);
+    measurements.set_number("total_s", run.total_seconds());
+    measurements.set_value("cycles", run.cycles);
+    measurements.set_number("residual", run.residual);
+    measurements.set_number("max_error", run.max_error);
+    measurements.set_megabytes("held_MB", run.bytes as f64);
+    measurements.set_megabytes("frame_MB", run.frame_bytes as f64);
+    measurements
 }
 
-fn table(run: &Run, model: &Path, pool: &Pool) -> String {
+fn run_table(run: &FirstFrameRun, model: &Path, pool: &Pool) -> String {
     let mut text = format!(
         "{}: {} vertices, {} graph nodes, {} threads\n",
         model.display(),
@@ -220,7 +223,7 @@ fn table(run: &Run, model: &Path, pool: &Pool) -> String {
             text += &format!("{:<10} {:>9.1} ms  {what}\n", "  assembly", run.assembly * 1e3);
         }
     }
-    text += &format!("{:<10} {:>9.1} ms\n", "total", run.total() * 1e3);
+    text += &format!("{:<10} {:>9.1} ms\n", "total", run.total_seconds() * 1e3);
     text + &format!(
         "{} cycles, residual {:.1e}, missing at most {:.1e} of the diagonal; {:.1} MB held, {:.1} MB a frame\n",
         run.cycles,
@@ -239,9 +242,9 @@ mod tests {
     #[test]
     fn every_stage_takes_time_and_the_frame_is_whole() {
         let pool = Pool::new(1).unwrap();
-        let scene = scene::Scene::load(None).unwrap();
+        let scene = DragScene::load(None).unwrap();
         let step = pb::Step {
-            step: Some(pb::step::Step::Pose(scene.pose(scene::FARTHEST))),
+            step: Some(pb::step::Step::Pose(scene.pose_number(FARTHEST_POSE))),
         };
         let job = pb::Job {
             handles: scene.handles(),
@@ -249,7 +252,7 @@ mod tests {
             ..Default::default()
         };
         let files = FileSet::single("creature.glb", sample::creature_glb());
-        let run = once(files, &job, &pool).unwrap();
+        let run = run_once(files, &job, &pool).unwrap();
         let timed: Vec<&str> = STAGES
             .iter()
             .map(|s| s.0)

@@ -3,9 +3,9 @@
 //! Little-endian: magic u64, n u64, nnz u64, row starts i64 × (n + 1), columns i32 × nnz, values f64 × nnz, right-hand
 //! sides f64 × 3 n by row, rest positions f64 × 3 n by row. The matrix is whole, with its diagonal.
 
-use super::files::{Reader, Writer};
-use super::matrix::Matrix;
-use crate::Failure;
+use super::matrix::CompressedRows;
+use super::number_file::{NumberReader, NumberWriter};
+use crate::failure::LoadtestFailure;
 use std::path::Path;
 
 /// First eight bytes of a problem file.
@@ -15,54 +15,54 @@ const HEADER: u64 = 24;
 
 /// A linear system A x = b with three right-hand sides.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Problem {
+pub(crate) struct LinearProblem {
     /// A.
-    pub matrix: Matrix,
+    pub matrix: CompressedRows,
     /// b, one row per unknown.
     pub rhs: Vec<[f64; 3]>,
     /// Rest positions of the unknowns' vertices.
     pub rest: Vec<[f64; 3]>,
 }
 
-impl Problem {
+impl LinearProblem {
     /// Reads a file and checks that it holds what the format says: lengths against the file's size, rows rising and in
     /// range, numbers finite.
-    pub fn read(path: &Path) -> Result<Self, Failure> {
-        let mut file = Reader::open(path)?;
-        let magic: u64 = file.one()?;
+    pub fn read(path: &Path) -> Result<Self, LoadtestFailure> {
+        let mut file = NumberReader::open(path)?;
+        let magic: u64 = file.read_number()?;
         if magic != MAGIC {
-            return Err(file.refuse(format_args!("begins with {magic:#x}, a problem file with {MAGIC:#x}")));
+            return Err(file.file_error(format_args!("begins with {magic:#x}, a problem file with {MAGIC:#x}")));
         }
-        let (n, nnz): (u64, u64) = (file.one()?, file.one()?);
+        let (n, nnz): (u64, u64) = (file.read_number()?, file.read_number()?);
         let rows = n.saturating_add(1);
-        file.expect(HEADER, &[(rows, 8), (nnz, 12), (n, 48)])?;
+        file.expect_byte_size(HEADER, &[(rows, 8), (nnz, 12), (n, 48)])?;
         if n > i32::MAX as u64 {
-            return Err(file.refuse(format_args!("has {n} rows, at most {} can be numbered", i32::MAX)));
+            return Err(file.file_error(format_args!("has {n} rows, at most {} can be numbered", i32::MAX)));
         }
         // Both fit the address space, because the file holds them.
         let (n, nnz) = (n as usize, nnz as usize);
-        let starts: Vec<i64> = file.run(n + 1)?;
-        let columns: Vec<i32> = file.run(nnz)?;
-        let values: Vec<f64> = file.run(nnz)?;
-        let matrix = Matrix::new(starts, columns, values).map_err(|problem| file.refuse(problem))?;
-        let (rhs, rest) = (file.triples(n)?, file.triples(n)?);
+        let starts: Vec<i64> = file.read_numbers(n + 1)?;
+        let columns: Vec<i32> = file.read_numbers(nnz)?;
+        let values: Vec<f64> = file.read_numbers(nnz)?;
+        let matrix = CompressedRows::new(starts, columns, values).map_err(|problem| file.file_error(problem))?;
+        let (rhs, rest) = (file.read_triples(n)?, file.read_triples(n)?);
         for (what, rows) in [("right-hand side", &rhs), ("rest position", &rest)] {
             if let Some(i) = rows.iter().position(|row| !row.iter().all(|v| v.is_finite())) {
-                return Err(file.refuse(format_args!("{what} {i} is {:?}, numbers must be finite", rows[i])));
+                return Err(file.file_error(format_args!("{what} {i} is {:?}, numbers must be finite", rows[i])));
             }
         }
         Ok(Self { matrix, rhs, rest })
     }
 
     /// Writes the file.
-    pub fn write(&self, path: &Path) -> Result<(), Failure> {
-        let mut file = Writer::create(path)?;
-        file.put([MAGIC, self.matrix.rows() as u64, self.matrix.entries() as u64])?;
-        file.put(self.matrix.starts().iter().copied())?;
-        file.put(self.matrix.columns().iter().copied())?;
-        file.put(self.matrix.values().iter().copied())?;
-        file.put(self.rhs.iter().flatten().copied())?;
-        file.put(self.rest.iter().flatten().copied())?;
+    pub fn write(&self, path: &Path) -> Result<(), LoadtestFailure> {
+        let mut file = NumberWriter::create(path)?;
+        file.write_numbers([MAGIC, self.matrix.rows() as u64, self.matrix.entries() as u64])?;
+        file.write_numbers(self.matrix.starts().iter().copied())?;
+        file.write_numbers(self.matrix.columns().iter().copied())?;
+        file.write_numbers(self.matrix.values().iter().copied())?;
+        file.write_numbers(self.rhs.iter().flatten().copied())?;
+        file.write_numbers(self.rest.iter().flatten().copied())?;
         file.finish()
     }
 }
@@ -72,7 +72,7 @@ pub(super) mod tests {
     use super::*;
 
     /// A chain of `n` vertices, both ends tied to given neighbours.
-    pub(in crate::bench) fn chain(n: usize) -> Problem {
+    pub(crate) fn chain_problem(n: usize) -> LinearProblem {
         let (mut starts, mut columns, mut values) = (vec![0], Vec::new(), Vec::new());
         for i in 0..n {
             for j in i.saturating_sub(1)..(i + 2).min(n) {
@@ -81,16 +81,16 @@ pub(super) mod tests {
             }
             starts.push(columns.len() as i64);
         }
-        Problem {
-            matrix: Matrix::new(starts, columns, values).unwrap(),
+        LinearProblem {
+            matrix: CompressedRows::new(starts, columns, values).unwrap(),
             rhs: (0..n).map(|i| [1.0, i as f64, -0.5]).collect(),
             rest: (0..n).map(|i| [i as f64, 0.0, 0.25]).collect(),
         }
     }
 
     fn refused(path: &Path) -> String {
-        match Problem::read(path) {
-            Err(Failure::Usage(text)) => text,
+        match LinearProblem::read(path) {
+            Err(LoadtestFailure::Usage(text)) => text,
             other => panic!("{other:?}"),
         }
     }
@@ -99,9 +99,9 @@ pub(super) mod tests {
     fn a_problem_survives_its_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("chain.bin");
-        let problem = chain(9);
+        let problem = chain_problem(9);
         problem.write(&path).unwrap();
-        assert_eq!(Problem::read(&path).unwrap(), problem);
+        assert_eq!(LinearProblem::read(&path).unwrap(), problem);
         assert_eq!(std::fs::metadata(&path).unwrap().len(), 24 + 80 + 12 * 25 + 48 * 9);
         assert_eq!(
             std::fs::read_dir(folder.path()).unwrap().count(),
@@ -114,7 +114,7 @@ pub(super) mod tests {
     fn lengths_are_checked_before_anything_is_allocated() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bad.bin");
-        chain(4).write(&path).unwrap();
+        chain_problem(4).write(&path).unwrap();
         let whole = std::fs::read(&path).unwrap();
         let with = |at: usize, value: u64| {
             let mut bytes = whole.clone();

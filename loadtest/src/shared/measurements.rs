@@ -1,19 +1,19 @@
-//! The figures of one run: one JSON line for programs, a table for people.
+//! The measurements of one run: one JSON line for programs, a table for people.
 
 use serde_json::{Map, Value, json};
 
-/// Figures by key, in the order in which they were measured.
+/// Measurements by key, in the order in which they were measured.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Figures(Map<String, Value>);
+pub(crate) struct Measurements(Map<String, Value>);
 
-impl Figures {
+impl Measurements {
     /// Sets a text, a count or a list.
-    pub fn set(&mut self, key: &str, value: impl Into<Value>) {
+    pub fn set_value(&mut self, key: &str, value: impl Into<Value>) {
         self.0.insert(key.into(), value.into());
     }
 
     /// Sets a measured number, six digits of it; what is no number is left out.
-    pub fn measured(&mut self, key: &str, value: f64) {
+    pub fn set_number(&mut self, key: &str, value: f64) {
         if let Ok(rounded) = format!("{value:.5e}").parse::<f64>() {
             // JSON has no infinities; they become null.
             self.0.insert(key.into(), json!(rounded));
@@ -21,8 +21,8 @@ impl Figures {
     }
 
     /// Sets bytes as binary megabytes.
-    pub fn megabytes(&mut self, key: &str, bytes: f64) {
-        self.measured(key, bytes / f64::from(1 << 20));
+    pub fn set_megabytes(&mut self, key: &str, bytes: f64) {
+        self.set_number(key, bytes / f64::from(1 << 20));
     }
 
     /// A number set before.
@@ -38,12 +38,12 @@ impl Figures {
     }
 
     /// Everything on one line.
-    pub fn json(&self) -> String {
+    pub fn to_json(&self) -> String {
         Value::Object(self.0.clone()).to_string()
     }
 
     /// A line for each of `lines` (key, what it means) that was measured.
-    pub fn table(&self, lines: &[(&str, &str)]) -> String {
+    pub fn to_table(&self, lines: &[(&str, &str)]) -> String {
         let shown = |value: &Value| match value {
             Value::String(text) => text.clone(),
             other => other.to_string(),
@@ -62,16 +62,16 @@ mod tests {
 
     #[test]
     fn figures_keep_their_order_and_six_digits() {
-        let mut figures = Figures::default();
-        figures.set("status", "ok");
-        figures.measured("wu_s", 0.000_249_123_456_7);
-        figures.megabytes("mem_MB", f64::from(3 << 19));
-        figures.measured("factor", f64::NAN);
+        let mut measurements = Measurements::default();
+        measurements.set_value("status", "ok");
+        measurements.set_number("wu_s", 0.000_249_123_456_7);
+        measurements.set_megabytes("mem_MB", f64::from(3 << 19));
+        measurements.set_number("factor", f64::NAN);
         assert_eq!(
-            figures.json(),
+            measurements.to_json(),
             r#"{"status":"ok","wu_s":0.000249123,"mem_MB":1.5,"factor":null}"#
         );
-        let table = figures.table(&[("wu_s", "seconds of a unit"), ("missing", "nothing")]);
+        let table = measurements.to_table(&[("wu_s", "seconds of a unit"), ("missing", "nothing")]);
         assert_eq!(table.lines().count(), 1);
         assert!(table.contains("0.000249123  seconds of a unit"));
     }

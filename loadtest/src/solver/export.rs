@@ -1,10 +1,11 @@
 //! `loadtest export-system`: the second-pass system of a pose as files that any solver can read.
 
-use super::companion::{Companion, Pose};
-use super::matrix::Matrix;
-use super::problem::Problem;
-use super::{files, subdivide};
-use crate::Failure;
+use super::companion::{CompanionFile, PoseSystem};
+use super::matrix::CompressedRows;
+use super::problem::LinearProblem;
+use crate::failure::LoadtestFailure;
+use crate::shared::input_files::{read_job_file, read_model_file};
+use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use glam::DVec3;
 use pliant::deform::{Body, Equations, Rig, Transform};
 use pliant::exec::Exec;
@@ -28,31 +29,31 @@ pub(crate) struct ExportArgs {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Cut every triangle into four this many times first; the model's vertices keep their numbers
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(subdivide::MOST)))]
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
     subdivide: u8,
 }
 
 /// Runs the command.
-pub(crate) fn run(args: &ExportArgs) -> Result<(), Failure> {
+pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
     if args.output.extension().is_some_and(|e| e == "aux") {
         let problem = "ends in aux, which its companion is named with";
-        return Err(Failure::Usage(format!("{} {problem}", args.output.display())));
+        return Err(LoadtestFailure::Usage(format!("{} {problem}", args.output.display())));
     }
-    let pool = Pool::new(0).map_err(|e| Failure::Server(e.to_string()))?;
-    let job = files::job(&args.job)?;
-    let model = subdivide::subdivided(files::model(&args.model)?, args.subdivide)?;
+    let pool = Pool::new(0).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let job = read_job_file(&args.job)?;
+    let model = subdivide_model(read_model_file(&args.model)?, args.subdivide)?;
     let refuse = |e: pliant::job::Error| match e {
-        pliant::job::Error::Asset(e) => Failure::Usage(e.to_string()),
-        e => Failure::Usage(format!("{}: {e}", args.job.display())),
+        pliant::job::Error::Asset(e) => LoadtestFailure::Usage(e.to_string()),
+        e => LoadtestFailure::Usage(format!("{}: {e}", args.job.display())),
     };
-    let (bench, poses) = open(model, &job, &pool).map_err(refuse)?;
+    let (bench, poses) = open_posed(model, &job, &pool).map_err(refuse)?;
     let transforms = bench.transforms(&poses).map_err(refuse)?;
     let rig = bench
         .rig()
-        .ok_or_else(|| Failure::Usage("the job has no handles".into()))?;
-    let (problem, companion) = systems(bench.body(), rig, &transforms, &pool).map_err(Failure::Usage)?;
+        .ok_or_else(|| LoadtestFailure::Usage("the job has no handles".into()))?;
+    let (problem, companion) = pose_systems(bench.body(), rig, &transforms, &pool).map_err(LoadtestFailure::Usage)?;
     problem.write(&args.output)?;
-    companion.write(&Companion::path_beside(&args.output))?;
+    companion.write(&CompanionFile::path_beside(&args.output))?;
     println!(
         "n {} nnz {} handles {} given {} of {} nodes -> {}",
         problem.matrix.rows(),
@@ -66,7 +67,11 @@ pub(crate) fn run(args: &ExportArgs) -> Result<(), Failure> {
 }
 
 /// A bench with the job's handles, and the poses after its last step.
-fn open(model: pliant::asset::FileSet, job: &pb::Job, pool: &Pool) -> Result<(Workbench, Poses), pliant::job::Error> {
+fn open_posed(
+    model: pliant::asset::FileSet,
+    job: &pb::Job,
+    pool: &Pool,
+) -> Result<(Workbench, Poses), pliant::job::Error> {
     let create = job.create.clone().unwrap_or_default();
     let mut bench = Workbench::open(model, &create, &Limits::default(), &Exec::new(pool, &Silent))?;
     let request = pb::SetHandlesRequest {
@@ -84,12 +89,17 @@ fn open(model: pliant::asset::FileSet, job: &pb::Job, pool: &Pool) -> Result<(Wo
 }
 
 /// The system of a pose over its free nodes, and over all nodes with the pose one step on.
-fn systems(body: &Body, rig: &Rig, transforms: &[Transform], pool: &Pool) -> Result<(Problem, Companion), String> {
+fn pose_systems(
+    body: &Body,
+    rig: &Rig,
+    transforms: &[Transform],
+    pool: &Pool,
+) -> Result<(LinearProblem, CompanionFile), String> {
     let next = one_step_on(body, rig, transforms)?;
     let first = rig.equations(body, transforms, pool);
-    let second = around(rig.equations(body, &next, pool), first.center, rig);
+    let second = equations_around(rig.equations(body, &next, pool), first.center, rig);
     let (graph, stiffness) = (&body.graph, rig.stiffness());
-    let companion = Companion {
+    let companion = CompanionFile {
         diagonal: body.diagonal / body.unit(),
         offsets: graph.offsets.clone(),
         neighbours: graph.neighbours.clone(),
@@ -98,7 +108,7 @@ fn systems(body: &Body, rig: &Rig, transforms: &[Transform], pool: &Pool) -> Res
         stiffness,
         frames: first.frames,
         rest: body.rest().to_vec(),
-        poses: [(first.rhs, first.given), (second.rhs, second.given)].map(|(rhs, given)| Pose { rhs, given }),
+        poses: [(first.rhs, first.given), (second.rhs, second.given)].map(|(rhs, given)| PoseSystem { rhs, given }),
     };
     Ok((free_system(&companion)?, companion))
 }
@@ -141,7 +151,7 @@ fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<T
 }
 
 /// The same equations around another centre.
-fn around(mut equations: Equations, center: [f64; 3], rig: &Rig) -> Equations {
+fn equations_around(mut equations: Equations, center: [f64; 3], rig: &Rig) -> Equations {
     let shift = DVec3::from_array(equations.center) - DVec3::from_array(center);
     let moved = |v: &mut [f64; 3], by: f64| *v = (DVec3::from_array(*v) + shift * by).to_array();
     equations.given.iter_mut().for_each(|v| moved(v, 1.0));
@@ -154,7 +164,7 @@ fn around(mut equations: Equations, center: [f64; 3], rig: &Rig) -> Equations {
 }
 
 /// The rows and columns of the nodes that are not given, with given neighbours moved to the right (equation 11).
-fn free_system(all: &Companion) -> Result<Problem, String> {
+fn free_system(all: &CompanionFile) -> Result<LinearProblem, String> {
     let mut number = vec![-1i32; all.rest.len()];
     let mut free = 0;
     for (number, _) in number.iter_mut().zip(&all.fixed).filter(|(_, fixed)| !**fixed) {
@@ -189,8 +199,8 @@ fn free_system(all: &Companion) -> Result<Problem, String> {
         rhs.push(b.to_array());
         rest.push(all.rest[i]);
     }
-    let matrix = Matrix::new(starts, columns, values)?;
-    Ok(Problem { matrix, rhs, rest })
+    let matrix = CompressedRows::new(starts, columns, values)?;
+    Ok(LinearProblem { matrix, rhs, rest })
 }
 
 #[cfg(test)]
@@ -210,15 +220,15 @@ pub(super) mod tests {
     fn bench(pool: &Pool) -> (Workbench, Vec<Transform>) {
         let job: pb::Job = pliant::job::json::from_json(JOB.as_bytes()).unwrap();
         let files = FileSet::single("creature.glb", sample::creature_glb());
-        let (bench, poses) = open(files, &job, pool).unwrap();
+        let (bench, poses) = open_posed(files, &job, pool).unwrap();
         let transforms = bench.transforms(&poses).unwrap();
         (bench, transforms)
     }
 
     /// The creature's systems, as they are written.
-    pub(in crate::bench) fn creature(pool: &Pool) -> (Problem, Companion) {
+    pub(crate) fn creature_systems(pool: &Pool) -> (LinearProblem, CompanionFile) {
         let (bench, transforms) = bench(pool);
-        systems(bench.body(), bench.rig().unwrap(), &transforms, pool).unwrap()
+        pose_systems(bench.body(), bench.rig().unwrap(), &transforms, pool).unwrap()
     }
 
     #[test]
@@ -226,7 +236,7 @@ pub(super) mod tests {
         let pool = Pool::new(1).unwrap();
         let (bench, transforms) = bench(&pool);
         let (body, rig) = (bench.body(), bench.rig().unwrap());
-        let (problem, all) = systems(body, rig, &transforms, &pool).unwrap();
+        let (problem, all) = pose_systems(body, rig, &transforms, &pool).unwrap();
         assert!(all.stiffness.as_ref().is_some_and(|s| s.iter().any(|s| *s > 0.0)));
         assert_eq!(problem.matrix.rows(), all.fixed.iter().filter(|f| !**f).count());
         // From model space to the coordinates of the files.
@@ -272,7 +282,7 @@ pub(super) mod tests {
 
     #[test]
     fn the_second_pose_is_one_step_on() {
-        let (_, all) = creature(&Pool::new(1).unwrap());
+        let (_, all) = creature_systems(&Pool::new(1).unwrap());
         let [first, second] = &all.poses;
         let apart = |i: usize| DVec3::from_array(first.given[i]).distance(DVec3::from_array(second.given[i]));
         let given = (0..all.rest.len()).filter(|i| all.fixed[*i]);

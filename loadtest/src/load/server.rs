@@ -1,6 +1,6 @@
 //! Which server is loaded: one on loopback, or one in this process.
 
-use crate::Failure;
+use crate::failure::LoadtestFailure;
 use pliant::{server, session};
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -13,35 +13,35 @@ use tonic::transport::{Channel, Endpoint, Uri};
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// A server that may be loaded.
-pub(crate) struct Server {
+pub(crate) struct LoadedServer {
     address: SocketAddr,
-    own: Option<Own>,
+    own: Option<OwnServer>,
 }
 
 /// A server of this process.
-struct Own {
+struct OwnServer {
     stop: oneshot::Sender<()>,
     done: JoinHandle<Result<(), server::Error>>,
 }
 
-impl Server {
+impl LoadedServer {
     /// The server at `url`, or one that starts here.
     ///
     /// # Errors
     /// When the address is not one of this machine's loopback, or cannot be had.
-    pub async fn reach(url: Option<&str>) -> Result<Self, Failure> {
+    pub async fn connect_or_start(url: Option<&str>) -> Result<Self, LoadtestFailure> {
         match url {
             Some(url) => Ok(Self {
-                address: loopback(url).await?,
+                address: resolve_loopback(url).await?,
                 own: None,
             }),
-            None => Self::start()
+            None => Self::start_own()
                 .await
-                .map_err(|problem| Failure::Server(format!("cannot start a server: {problem}"))),
+                .map_err(|problem| LoadtestFailure::Server(format!("cannot start a server: {problem}"))),
         }
     }
 
-    async fn start() -> Result<Self, String> {
+    async fn start_own() -> Result<Self, String> {
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| e.to_string())?;
         let address = listener.local_addr().map_err(|e| e.to_string())?;
         let manager = session::Manager::new(session::Config::default()).map_err(|e| e.to_string())?;
@@ -52,37 +52,40 @@ impl Server {
         let done = tokio::spawn(server::run(listener, manager, server::Config::default(), wait));
         Ok(Self {
             address,
-            own: Some(Own { stop, done }),
+            own: Some(OwnServer { stop, done }),
         })
     }
 
     /// A connection.
-    pub async fn channel(&self) -> Result<Channel, Failure> {
+    pub async fn open_channel(&self) -> Result<Channel, LoadtestFailure> {
         let endpoint = Endpoint::from_shared(format!("http://{}", self.address));
         let endpoint = endpoint
-            .map_err(|e| Failure::Usage(e.to_string()))?
+            .map_err(|e| LoadtestFailure::Usage(e.to_string()))?
             .connect_timeout(PATIENCE);
         endpoint.connect().await.map_err(|e| {
             let cause = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
-            Failure::Server(format!("cannot connect to {}: {cause}", self.address))
+            LoadtestFailure::Server(format!("cannot connect to {}: {cause}", self.address))
         })
     }
 
     /// Stops a server of this process and waits until it has drained; leaves any other alone.
-    pub async fn stop(self) -> Result<(), Failure> {
+    pub async fn stop_own(self) -> Result<(), LoadtestFailure> {
         let Some(own) = self.own else { return Ok(()) };
         let _ = own.stop.send(());
         match own.done.await {
             Ok(Ok(())) => Ok(()),
-            Ok(Err(e)) => Err(Failure::Server(e.to_string())),
-            Err(e) => Err(Failure::Server(format!("the server in this process failed: {e}"))),
+            Ok(Err(e)) => Err(LoadtestFailure::Server(e.to_string())),
+            Err(e) => Err(LoadtestFailure::Server(format!(
+                "the server in this process failed: {e}"
+            ))),
         }
     }
 }
 
 /// The address of a URL, when every address of its host is this machine's own.
-async fn loopback(url: &str) -> Result<SocketAddr, Failure> {
-    let refuse = |problem: &str| Failure::Usage(format!("--server {url}: {problem}, such as http://127.0.0.1:7411"));
+async fn resolve_loopback(url: &str) -> Result<SocketAddr, LoadtestFailure> {
+    let refuse =
+        |problem: &str| LoadtestFailure::Usage(format!("--server {url}: {problem}, such as http://127.0.0.1:7411"));
     let uri: Uri = url
         .parse()
         .map_err(|_| refuse("is no URL; allowed is http:// with a loopback address"))?;
@@ -110,7 +113,7 @@ mod tests {
     #[tokio::test]
     async fn only_loopback_is_loaded() {
         for url in ["http://127.0.0.1:7411", "http://127.9.9.9", "http://[::1]:80/"] {
-            assert!(loopback(url).await.is_ok(), "{url}");
+            assert!(resolve_loopback(url).await.is_ok(), "{url}");
         }
         for url in [
             "http://192.0.2.1:7411",
@@ -120,7 +123,7 @@ mod tests {
             "127.0.0.1",
             "",
         ] {
-            let Err(Failure::Usage(text)) = loopback(url).await else {
+            let Err(LoadtestFailure::Usage(text)) = resolve_loopback(url).await else {
                 panic!("{url} was not refused")
             };
             assert!(

@@ -1,9 +1,9 @@
 //! `loadtest solver --operators paper`: iteration by iteration, what the paper's own operators leave, beside the default.
 
-use super::companion::Companion;
-use super::figures::Figures;
-use super::solver::{EXACT, Ready, Terms, failed, farthest, to_residual};
-use crate::Failure;
+use super::companion::CompanionFile;
+use super::ready::{BenchTerms, EXACT_RESIDUAL, ReadySystem, largest_distance, options_to_residual, solver_failure};
+use crate::failure::LoadtestFailure;
+use crate::shared::measurements::Measurements;
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Operators, SolveOptions, Start, Workspace};
@@ -20,31 +20,47 @@ const RUNS: [(&str, Operators, Option<usize>); 3] = [
 
 /// Residual, largest column, and largest missing displacement over the diagonal; from the full-multigrid start on.
 #[derive(Debug, Clone, Default)]
-struct Log {
+struct CycleLog {
     residuals: Vec<f64>,
     errors: Vec<f64>,
 }
 
 /// Measures the first pose with each of [`RUNS`].
-pub(super) fn measure(all: &Companion, terms: &Terms, figures: &mut Figures) -> Result<(), Failure> {
-    figures.set("nodes", all.rest.len());
+pub(super) fn measure_paper_cycles(
+    all: &CompanionFile,
+    terms: &BenchTerms,
+    measurements: &mut Measurements,
+) -> Result<(), LoadtestFailure> {
+    measurements.set_value("nodes", all.rest.len());
     let pose = &all.poses[0];
     let mut exact = pose.given.clone();
     for (name, operators, interleave) in RUNS {
-        let ready = set_up(all, operators, interleave, terms)?;
+        let ready = build_ready_system(all, operators, interleave, terms)?;
         let mut workspace = Workspace::default();
         if operators == Operators::FiniteVolume {
-            let stats = ready.solve(&pose.rhs, &mut exact, &to_residual(EXACT), &mut workspace, terms, None)?;
-            figures.measured("exact_res", stats.residual);
+            let stats = ready.solve(
+                &pose.rhs,
+                &mut exact,
+                &options_to_residual(EXACT_RESIDUAL),
+                &mut workspace,
+                terms,
+                None,
+            )?;
+            measurements.set_number("exact_res", stats.residual);
         }
-        let log = log(all, &ready, &exact, &mut workspace, terms)?;
-        figures.set(&format!("{name}_residuals"), log.residuals);
-        figures.set(&format!("{name}_errors"), log.errors);
+        let log = log_cycles(all, &ready, &exact, &mut workspace, terms)?;
+        measurements.set_value(&format!("{name}_residuals"), log.residuals);
+        measurements.set_value(&format!("{name}_errors"), log.errors);
     }
     Ok(())
 }
 
-fn set_up(all: &Companion, operators: Operators, interleave: Option<usize>, terms: &Terms) -> Result<Ready, Failure> {
+fn build_ready_system(
+    all: &CompanionFile,
+    operators: Operators,
+    interleave: Option<usize>,
+    terms: &BenchTerms,
+) -> Result<ReadySystem, LoadtestFailure> {
     let options = BuildOptions {
         operators,
         interleave,
@@ -54,19 +70,20 @@ fn set_up(all: &Companion, operators: Operators, interleave: Option<usize>, term
         fixed: &all.fixed,
         stiffness: all.stiffness.as_deref(),
     };
-    let hierarchy = Hierarchy::build(&all.graph(), &options, &Exec::new(&terms.pool, &Silent)).map_err(failed)?;
-    let system = hierarchy.constrain(&constraints, &terms.pool).map_err(failed)?;
-    Ok(Ready { hierarchy, system })
+    let hierarchy =
+        Hierarchy::build(&all.graph(), &options, &Exec::new(&terms.pool, &Silent)).map_err(solver_failure)?;
+    let system = hierarchy.constrain(&constraints, &terms.pool).map_err(solver_failure)?;
+    Ok(ReadySystem { hierarchy, system })
 }
 
 /// Full multigrid alone, then again with [`SHOWN`] iterations after it.
-fn log(
-    all: &Companion,
-    ready: &Ready,
+fn log_cycles(
+    all: &CompanionFile,
+    ready: &ReadySystem,
     exact: &[[f64; 3]],
     workspace: &mut Workspace,
-    terms: &Terms,
-) -> Result<Log, Failure> {
+    terms: &BenchTerms,
+) -> Result<CycleLog, LoadtestFailure> {
     let pose = &all.poses[0];
     let options = |most: usize| SolveOptions {
         start: Start::FullMultigrid {
@@ -74,19 +91,19 @@ fn log(
             rest: Some(&all.rest),
         },
         max_iterations: most,
-        ..to_residual(EXACT)
+        ..options_to_residual(EXACT_RESIDUAL)
     };
     let mut x = pose.given.clone();
     let start = ready.solve(&pose.rhs, &mut x, &options(0), workspace, terms, None)?;
-    let mut log = Log {
+    let mut log = CycleLog {
         residuals: vec![start.residual],
-        errors: vec![farthest(&x, exact) / all.diagonal],
+        errors: vec![largest_distance(&x, exact) / all.diagonal],
     };
     let mut now = pose.given.clone();
     let mut watch = |iteration: &pliant::solver::Iteration<'_>| {
         iteration.copy_to(now.as_flattened_mut());
         log.residuals.push(iteration.residual);
-        log.errors.push(farthest(&now, exact) / all.diagonal);
+        log.errors.push(largest_distance(&now, exact) / all.diagonal);
         Control::Continue
     };
     let mut x = pose.given.clone();
@@ -102,7 +119,7 @@ fn log(
             &Exec::new(&terms.pool, &Silent),
             &mut watch,
         )
-        .map_err(failed)?;
+        .map_err(solver_failure)?;
     // Conjugate gradients would count differently.
     log.residuals.truncate(1 + SHOWN);
     log.errors.truncate(1 + SHOWN);
@@ -110,8 +127,8 @@ fn log(
 }
 
 /// A row for each iteration: residual and error of every run.
-pub(super) fn table(figures: &Figures) -> String {
-    let column = |name: &str, what: &str| figures.list(&format!("{name}_{what}"));
+pub(super) fn cycle_table(measurements: &Measurements) -> String {
+    let column = |name: &str, what: &str| measurements.list(&format!("{name}_{what}"));
     let columns: Vec<Vec<f64>> = RUNS
         .iter()
         .flat_map(|(name, ..)| [column(name, "residuals"), column(name, "errors")])
@@ -137,23 +154,23 @@ pub(super) fn table(figures: &Figures) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::export::tests::creature;
+    use super::super::export::tests::creature_systems;
     use super::*;
     use pliant::pool::Pool;
 
     #[test]
     fn the_default_gets_further_than_the_papers_cycles() {
-        let terms = Terms {
+        let terms = BenchTerms {
             pool: Pool::new(1).unwrap(),
             repeat: 1,
             fast: false,
         };
-        let (_, all) = creature(&terms.pool);
-        let mut figures = Figures::default();
-        measure(&all, &terms, &mut figures).unwrap();
-        let after = |name: &str, k: usize| figures.list(&format!("{name}_errors"))[k];
+        let (_, all) = creature_systems(&terms.pool);
+        let mut measurements = Measurements::default();
+        measure_paper_cycles(&all, &terms, &mut measurements).unwrap();
+        let after = |name: &str, k: usize| measurements.list(&format!("{name}_errors"))[k];
         assert!(after("default", 4) < 1e-3 && after("paper", 4) > 10.0 * after("default", 4));
         assert!(after("paper", 12) < after("paper", 0));
-        assert_eq!(table(&figures).lines().count(), 2 + SHOWN);
+        assert_eq!(cycle_table(&measurements).lines().count(), 2 + SHOWN);
     }
 }

@@ -2,15 +2,15 @@
 
 /// Square, with rising columns in every row and a positive diagonal.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Matrix {
+pub(crate) struct CompressedRows {
     starts: Vec<i64>,
     columns: Vec<i32>,
     values: Vec<f64>,
 }
 
-/// Such a matrix as the graph that it is the Laplacian of, plus a diagonal.
+/// Such a matrix as the graph that it is the GraphLaplacian of, plus a diagonal.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Laplacian {
+pub(crate) struct GraphLaplacian {
     /// Where each row of `neighbours` begins, and the end.
     pub offsets: Vec<u32>,
     /// Neighbours of all rows.
@@ -21,7 +21,7 @@ pub(crate) struct Laplacian {
     pub stiffness: Vec<f64>,
 }
 
-impl Matrix {
+impl CompressedRows {
     /// Checks and takes the three parts. The text says which row is wrong.
     pub fn new(starts: Vec<i64>, columns: Vec<i32>, values: Vec<f64>) -> Result<Self, String> {
         let Some(n) = starts.len().checked_sub(1) else {
@@ -95,7 +95,7 @@ impl Matrix {
     }
 
     /// Bytes in the peers' layout: 12 an entry and 8 a row start.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         12 * self.entries() + 8 * (self.rows() + 1)
     }
 
@@ -160,11 +160,11 @@ impl Matrix {
         )
     }
 
-    /// The graph whose Laplacian, with something on the diagonal, this matrix is.
+    /// The graph whose GraphLaplacian, with something on the diagonal, this matrix is.
     ///
     /// # Errors
     /// When it is none: an off-diagonal entry that is not negative, or a diagonal below the sum of its row's weights.
-    pub fn laplacian(&self) -> Result<Laplacian, String> {
+    pub fn laplacian(&self) -> Result<GraphLaplacian, String> {
         let n = self.rows();
         let entries = self.entries() - n;
         if u32::try_from(entries).is_err() {
@@ -173,7 +173,7 @@ impl Matrix {
                 u32::MAX
             ));
         }
-        let mut graph = Laplacian {
+        let mut graph = GraphLaplacian {
             offsets: Vec::with_capacity(n + 1),
             neighbours: Vec::with_capacity(entries),
             weights: Some(Vec::with_capacity(entries)),
@@ -191,7 +191,9 @@ impl Matrix {
                     continue;
                 }
                 if v >= 0.0 {
-                    return Err(format!("entry ({i}, {j}) is {v}, a graph Laplacian's are negative"));
+                    return Err(format!(
+                        "entry ({i}, {j}) is {v}, a graph GraphLaplacian's are negative"
+                    ));
                 }
                 sum -= v;
                 uniform &= v == -1.0;
@@ -219,12 +221,12 @@ impl Matrix {
 
 #[cfg(test)]
 mod tests {
-    use super::super::problem::tests::chain;
+    use super::super::problem::tests::chain_problem;
     use super::*;
 
     #[test]
     fn a_chain_is_a_graph_tied_at_its_ends() {
-        let graph = chain(4).matrix.laplacian().unwrap();
+        let graph = chain_problem(4).matrix.laplacian().unwrap();
         assert_eq!(
             (graph.offsets, graph.neighbours),
             (vec![0, 1, 3, 5, 6], vec![1, 0, 2, 1, 3, 2])
@@ -235,7 +237,7 @@ mod tests {
     #[test]
     fn what_is_no_laplacian_is_refused() {
         let matrix = |off: f64, diagonal: f64| {
-            Matrix::new(vec![0, 2, 4], vec![0, 1, 0, 1], vec![diagonal, off, off, diagonal]).unwrap()
+            CompressedRows::new(vec![0, 2, 4], vec![0, 1, 0, 1], vec![diagonal, off, off, diagonal]).unwrap()
         };
         assert!(matrix(0.5, 1.0).laplacian().unwrap_err().contains("(0, 1) is 0.5"));
         assert!(matrix(-2.0, 1.0).laplacian().unwrap_err().contains("row 0 is 1"));
@@ -244,7 +246,7 @@ mod tests {
 
     #[test]
     fn the_residual_is_of_the_system_as_given() {
-        let problem = chain(3);
+        let problem = chain_problem(3);
         let x = [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
         let mut y = vec![[0.0; 3]; 3];
         problem.matrix.multiply(&x, &mut y);
@@ -256,7 +258,7 @@ mod tests {
 
     #[test]
     fn rows_without_a_diagonal_are_refused() {
-        let refused = Matrix::new(vec![0, 1, 2], vec![1, 0], vec![-1.0, -1.0]).unwrap_err();
+        let refused = CompressedRows::new(vec![0, 1, 2], vec![1, 0], vec![-1.0, -1.0]).unwrap_err();
         assert!(refused.contains("row 0 has no positive diagonal"));
     }
 }

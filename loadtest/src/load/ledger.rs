@@ -3,10 +3,10 @@
 use pliant::job::pb;
 use std::time::Duration;
 
-/// The books of one client's stream, or of several together.
+/// The ledger of one client's stream, or of several together.
 #[derive(Debug, Default)]
-pub(crate) struct Books {
-    /// Clients whose books these are.
+pub(crate) struct PoseLedger {
+    /// Clients whose ledger these are.
     pub clients: u32,
     /// Poses sent.
     pub sent: u64,
@@ -38,9 +38,9 @@ pub(crate) struct Books {
     last_final: bool,
 }
 
-impl Books {
-    /// Empty books of one client.
-    pub fn of_one_client() -> Self {
+impl PoseLedger {
+    /// Empty ledger of one client.
+    pub fn for_one_client() -> Self {
         Self {
             clients: 1,
             ..Self::default()
@@ -48,7 +48,7 @@ impl Books {
     }
 
     /// Enters a part of a frame; true when it completes the final frame of a pose. `latency` is that pose's so far.
-    pub fn part(&mut self, frame: &pb::Frame, latency: impl FnOnce(u64) -> Duration) -> bool {
+    pub fn enter_part(&mut self, frame: &pb::Frame, latency: impl FnOnce(u64) -> Duration) -> bool {
         self.parts += 1;
         self.bytes += frame.data.len() as u64;
         let due = self.open.take().unwrap_or((frame.seq, 0));
@@ -87,12 +87,12 @@ impl Books {
     }
 
     /// Notes something that is wrong.
-    pub fn problem(&mut self, text: String) {
+    pub fn note_problem(&mut self, text: String) {
         self.broken.push(text);
     }
 
-    /// Adds another client's books.
-    pub fn add(&mut self, other: Self) {
+    /// Adds another client's ledger.
+    pub fn add_ledger(&mut self, other: Self) {
         self.clients += other.clients;
         self.sent += other.sent;
         self.finals += other.finals;
@@ -163,34 +163,34 @@ mod tests {
 
     #[test]
     fn books_balance_and_say_when_they_do_not() {
-        let mut books = Books {
+        let mut ledger = PoseLedger {
             clients: 1,
             sent: 4,
             ..Default::default()
         };
         let zero = |_| Duration::ZERO;
-        assert!(!books.part(&frame(1, 0, 2, true, 0), zero));
-        assert!(books.part(&frame(1, 1, 2, true, 0), zero));
-        assert!(!books.part(&frame(4, 0, 1, false, 2), zero));
-        assert!(books.part(&frame(4, 0, 1, true, 0), zero));
-        assert_eq!(books.problems(), Vec::<String>::new());
+        assert!(!ledger.enter_part(&frame(1, 0, 2, true, 0), zero));
+        assert!(ledger.enter_part(&frame(1, 1, 2, true, 0), zero));
+        assert!(!ledger.enter_part(&frame(4, 0, 1, false, 2), zero));
+        assert!(ledger.enter_part(&frame(4, 0, 1, true, 0), zero));
+        assert_eq!(ledger.problems(), Vec::<String>::new());
         assert_eq!(
-            (books.finals, books.intermediate, books.superseded, books.bytes),
+            (ledger.finals, ledger.intermediate, ledger.superseded, ledger.bytes),
             (2, 1, 2, 48)
         );
-        books.sent = 5;
-        assert!(books.problems()[0].contains("5 poses were sent"));
+        ledger.sent = 5;
+        assert!(ledger.problems()[0].contains("5 poses were sent"));
     }
 
     #[test]
     fn a_frame_that_goes_back_or_lacks_a_part_is_noticed() {
-        let mut books = Books {
+        let mut ledger = PoseLedger {
             sent: 2,
             ..Default::default()
         };
-        books.part(&frame(2, 0, 1, true, 0), |_| Duration::ZERO);
-        books.part(&frame(1, 1, 2, true, 0), |_| Duration::ZERO);
-        let problems = books.problems().join("; ");
+        ledger.enter_part(&frame(2, 0, 1, true, 0), |_| Duration::ZERO);
+        ledger.enter_part(&frame(1, 1, 2, true, 0), |_| Duration::ZERO);
+        let problems = ledger.problems().join("; ");
         assert!(
             problems.contains("part 1 of frame 1 came where part 0") && problems.contains("frame 1 came after frame 2"),
             "{problems}"

@@ -1,7 +1,7 @@
 //! What the process holds, as the system counts it.
 
 /// Bytes of a line of this process's status, 0 where there is none.
-fn status(key: &str) -> u64 {
+fn process_status(key: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix(key));
     let kilobytes = line.and_then(|l| l.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
@@ -9,13 +9,13 @@ fn status(key: &str) -> u64 {
 }
 
 /// Bytes resident now.
-pub(super) fn resident() -> u64 {
-    status("VmRSS:")
+pub(super) fn resident_bytes() -> u64 {
+    process_status("VmRSS:")
 }
 
 /// Most bytes resident since [`reset_peak`], or since the start where that is not possible.
-pub(super) fn peak() -> u64 {
-    status("VmHWM:")
+pub(super) fn peak_bytes() -> u64 {
+    process_status("VmHWM:")
 }
 
 /// Begins counting the peak anew; false where the system does not allow it.
@@ -33,8 +33,8 @@ mod tests {
             println!("skipped: no /proc/self/status, or no way to reset the peak");
             return;
         }
-        let before = peak();
+        let before = peak_bytes();
         drop(std::hint::black_box(vec![1u8; 256 << 20]));
-        assert!(peak() >= before + (128 << 20), "{before} {}", peak());
+        assert!(peak_bytes() >= before + (128 << 20), "{before} {}", peak_bytes());
     }
 }

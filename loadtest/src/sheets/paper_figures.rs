@@ -1,7 +1,7 @@
 //! The paper's figures 2 and 3 from generated shapes: every way of deforming beside the others, as meshes, as one picture
 //! each, and in numbers.
 
-use crate::Failure;
+use crate::failure::LoadtestFailure;
 use glam::{DQuat, DVec3};
 use pliant::asset::{FileSet, shapes};
 use pliant::exec::Exec;
@@ -69,10 +69,10 @@ fn ways() -> [(&'static str, pb::Options); 4] {
 }
 
 /// Runs the command.
-pub(crate) fn run(args: &FiguresArgs) -> Result<(), Failure> {
-    let pool = Pool::new(args.threads as usize).map_err(|e| Failure::Server(e.to_string()))?;
+pub(crate) fn run_figures(args: &FiguresArgs) -> Result<(), LoadtestFailure> {
+    let pool = Pool::new(args.threads as usize).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
     fs::create_dir_all(&args.output)
-        .map_err(|e| Failure::Usage(format!("cannot make {}: {e}", args.output.display())))?;
+        .map_err(|e| LoadtestFailure::Usage(format!("cannot make {}: {e}", args.output.display())))?;
     for figure in [bar(), spring()] {
         print!("{}", make(&figure, &args.output, &pool)?);
     }
@@ -80,8 +80,8 @@ pub(crate) fn run(args: &FiguresArgs) -> Result<(), Failure> {
 }
 
 /// Writes a figure's meshes and picture; returns its table.
-fn make(figure: &Figure, folder: &Path, pool: &Pool) -> Result<String, Failure> {
-    let failed = |e: &dyn std::fmt::Display| Failure::Server(format!("{}: {e}", figure.name));
+fn make(figure: &Figure, folder: &Path, pool: &Pool) -> Result<String, LoadtestFailure> {
+    let failed = |e: &dyn std::fmt::Display| LoadtestFailure::Server(format!("{}: {e}", figure.name));
     let mut shown = vec![("rest", figure.shape.0.clone(), String::new())];
     let mut table = format!("{}, {} vertices\n", figure.name, figure.shape.0.len());
     for (name, options) in ways() {
@@ -114,8 +114,8 @@ fn make(figure: &Figure, folder: &Path, pool: &Pool) -> Result<String, Failure> 
     Ok(table)
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    fs::write(path, bytes).map_err(|e| Failure::Usage(format!("cannot write {}: {e}", path.display())))
+fn write(path: &Path, bytes: &[u8]) -> Result<(), LoadtestFailure> {
+    fs::write(path, bytes).map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", path.display())))
 }
 
 /// All shapes side by side, seen by one camera.

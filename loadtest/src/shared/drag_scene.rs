@@ -1,6 +1,6 @@
 //! What every client deforms: a model, one end of it held, the other end moving.
 
-use crate::Failure;
+use crate::failure::LoadtestFailure;
 use pliant::asset::{FileSet, Limits, Model, sample};
 use pliant::job::pb;
 use std::f64::consts::TAU;
@@ -15,11 +15,11 @@ const TURN: f64 = 0.5;
 const SWING: f64 = 120.0;
 
 /// The pose at which the moving end is farthest from rest.
-pub(crate) const FARTHEST: u64 = SWING as u64 / 4;
+pub(crate) const FARTHEST_POSE: u64 = SWING as u64 / 4;
 
 /// A model with two handles. Cheap to clone.
 #[derive(Debug, Clone)]
-pub(crate) struct Scene {
+pub(crate) struct DragScene {
     /// The model file.
     pub bytes: Arc<Vec<u8>>,
     /// Render vertices.
@@ -29,18 +29,18 @@ pub(crate) struct Scene {
     high: [f64; 3],
 }
 
-impl Scene {
+impl DragScene {
     /// Reads `path`, or takes the built-in creature.
-    pub fn load(path: Option<&Path>) -> Result<Self, Failure> {
+    pub fn load(path: Option<&Path>) -> Result<Self, LoadtestFailure> {
         let (name, bytes) = match path {
             None => ("creature.glb".to_owned(), sample::creature_glb()),
             Some(path) => {
-                let refuse = |e: std::io::Error| Failure::Usage(format!("cannot read {}: {e}", path.display()));
+                let refuse = |e: std::io::Error| LoadtestFailure::Usage(format!("cannot read {}: {e}", path.display()));
                 (path.display().to_string(), std::fs::read(path).map_err(refuse)?)
             }
         };
         let model = Model::read(FileSet::single(name.clone(), bytes.clone()), None, &Limits::default())
-            .map_err(|e| Failure::Usage(format!("{name}: {e}")))?;
+            .map_err(|e| LoadtestFailure::Usage(format!("{name}: {e}")))?;
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for p in &model.positions {
             for (k, v) in p.to_array().into_iter().enumerate() {
@@ -57,14 +57,14 @@ impl Scene {
     }
 
     /// The longest axis of the bounding box.
-    fn axis(&self) -> usize {
+    fn longest_axis(&self) -> usize {
         let side = |k: usize| self.high[k] - self.low[k];
         (0..3).fold(0, |best, k| if side(k) > side(best) { k } else { best })
     }
 
     /// The lowest end along the longest axis, held, and the highest, which moves.
     pub fn handles(&self) -> Vec<pb::Handle> {
-        let axis = self.axis();
+        let axis = self.longest_axis();
         let margin = END * (self.high[axis] - self.low[axis]);
         let end = |id: &str, sign: f64, offset: f64| {
             let mut normal = vec![0.0; 3];
@@ -84,8 +84,8 @@ impl Scene {
     }
 
     /// The pose number `seq`: the moving end swings about an axis across the model and is lifted with it.
-    pub fn pose(&self, seq: u64) -> pb::Pose {
-        let axis = self.axis();
+    pub fn pose_number(&self, seq: u64) -> pb::Pose {
+        let axis = self.longest_axis();
         let swing = (TAU * seq as f64 / SWING).sin();
         let (mut turn, mut lift) = (vec![0.0; 3], vec![0.0; 3]);
         turn[(axis + 2) % 3] = TURN * swing;

@@ -4,7 +4,7 @@
 //! shifted sideways by a tenth of the diagonal. Each model has three tiles: before, after, and after with edges coloured
 //! by how much longer or shorter they are.
 
-use crate::Failure;
+use crate::failure::LoadtestFailure;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
 use pliant::exec::Exec;
@@ -56,13 +56,13 @@ pub(crate) struct SheetArgs {
 }
 
 /// One model on the sheet.
-struct Entry {
+struct SheetEntry {
     name: String,
-    result: Result<Shown, String>,
+    result: Result<DeformedTiles, String>,
 }
 
 /// What is shown of a model that deformed.
-struct Shown {
+struct DeformedTiles {
     tiles: [Picture; 3],
     text: String,
     /// Something that a person should look at.
@@ -70,17 +70,20 @@ struct Shown {
 }
 
 /// Runs the command.
-pub(crate) fn run(args: &SheetArgs) -> Result<(), Failure> {
+pub(crate) fn run_sheet(args: &SheetArgs) -> Result<(), LoadtestFailure> {
     let mut paths = Vec::new();
     models_under(&args.folder, &mut paths)?;
     if paths.is_empty() {
-        return Err(Failure::Usage(format!("{} holds no models", args.folder.display())));
+        return Err(LoadtestFailure::Usage(format!(
+            "{} holds no models",
+            args.folder.display()
+        )));
     }
-    let pool = Pool::new(args.threads as usize).map_err(|e| Failure::Server(e.to_string()))?;
+    let pool = Pool::new(args.threads as usize).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
     let mut entries = Vec::new();
     for path in &paths {
         let name = path.strip_prefix(&args.folder).unwrap_or(path).display().to_string();
-        let Some(result) = show(path, args, &pool) else {
+        let Some(result) = deform_file(path, args, &pool) else {
             println!("{name:<40} left out: more than {LARGE} triangles");
             continue;
         };
@@ -88,11 +91,12 @@ pub(crate) fn run(args: &SheetArgs) -> Result<(), Failure> {
             Ok(shown) => println!("{name:<40} {}{}", if shown.alarm { "LOOK " } else { "" }, shown.text),
             Err(reason) => println!("{name:<40} refused: {reason}"),
         }
-        entries.push(Entry { name, result });
+        entries.push(SheetEntry { name, result });
     }
-    let picture = sheet(&entries, args)?;
-    let png = picture.png().map_err(|e| Failure::Server(e.to_string()))?;
-    fs::write(&args.output, png).map_err(|e| Failure::Usage(format!("cannot write {}: {e}", args.output.display())))?;
+    let picture = draw_sheet(&entries, args)?;
+    let png = picture.png().map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    fs::write(&args.output, png)
+        .map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", args.output.display())))?;
     println!(
         "{} models -> {}, {}x{} pixels",
         entries.len(),
@@ -103,8 +107,8 @@ pub(crate) fn run(args: &SheetArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-fn models_under(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), Failure> {
-    let refuse = |e: std::io::Error| Failure::Usage(format!("cannot list {}: {e}", folder.display()));
+fn models_under(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), LoadtestFailure> {
+    let refuse = |e: std::io::Error| LoadtestFailure::Usage(format!("cannot list {}: {e}", folder.display()));
     let mut entries = Vec::new();
     for entry in fs::read_dir(folder).map_err(refuse)? {
         entries.push(entry.map_err(refuse)?.path());
@@ -121,7 +125,7 @@ fn models_under(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), Failure> 
 }
 
 /// The files of a model: for glTF with those beside it.
-fn read(path: &Path) -> Result<FileSet, std::io::Error> {
+fn read_model_files(path: &Path) -> Result<FileSet, std::io::Error> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut files = FileSet::single(name, fs::read(path)?);
     if let Some(folder) = path.parent().filter(|_| path.extension().is_some_and(|e| e == "gltf")) {
@@ -137,14 +141,14 @@ fn read(path: &Path) -> Result<FileSet, std::io::Error> {
 }
 
 /// The longest side of a box.
-fn longest(bounds: &Bounds) -> usize {
+fn longest_side(bounds: &Bounds) -> usize {
     let size = bounds.size();
     (0..3).fold(0, |best, k| if size[k] > size[best] { k } else { best })
 }
 
 /// Holds one end along the longest side, turns and shifts the other.
 fn automatic_job(bounds: &Bounds, refine: Option<u32>) -> pb::Job {
-    let axis = longest(bounds);
+    let axis = longest_side(bounds);
     let unit = |k: usize, x: f64| {
         let mut v = vec![0.0; 3];
         v[k % 3] = x;
@@ -185,8 +189,8 @@ fn automatic_job(bounds: &Bounds, refine: Option<u32>) -> pb::Job {
 }
 
 /// Where the bend is seen best: almost along the axis of the turn.
-fn view(bounds: &Bounds) -> Option<View> {
-    let (azimuth, up) = match (longest(bounds) + 1) % 3 {
+fn bend_view(bounds: &Bounds) -> Option<View> {
+    let (azimuth, up) = match (longest_side(bounds) + 1) % 3 {
         0 => (65.0, Up::Y),
         // From above, where models that stand on y = 0 show more.
         1 => (205.0, Up::Z),
@@ -196,19 +200,19 @@ fn view(bounds: &Bounds) -> Option<View> {
 }
 
 /// Deforms one model; `None` when it is too large for the sheet.
-fn show(path: &Path, args: &SheetArgs, pool: &Pool) -> Option<Result<Shown, String>> {
+fn deform_file(path: &Path, args: &SheetArgs, pool: &Pool) -> Option<Result<DeformedTiles, String>> {
     let read = || -> Result<Model, String> {
-        let files = read(path).map_err(|e| e.to_string())?;
+        let files = read_model_files(path).map_err(|e| e.to_string())?;
         Model::read(files, None, &Limits::default()).map_err(|e| e.to_string())
     };
     match read() {
         Ok(model) if model.triangles.len() > LARGE && !args.all => None,
-        Ok(model) => Some(deform(&model, args, pool)),
+        Ok(model) => Some(deform_model(&model, args, pool)),
         Err(reason) => Some(Err(reason)),
     }
 }
 
-fn deform(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Shown, String> {
+fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<DeformedTiles, String> {
     let text = |e: &dyn std::fmt::Display| e.to_string();
     let mesh = Mesh::build(&model.positions, &model.triangles, Weld::Exact).map_err(|e| text(&e))?;
     let bounds = mesh.bounds();
@@ -234,12 +238,12 @@ fn deform(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Shown, String>
     let colours: Vec<_> = stretch.into_iter().map(|x| Ramp::Stretch.light(x)).collect();
     let coloured = plain.clone().coloured(&colours).map_err(|e| text(&e))?;
     let size = Size::new(args.tile, args.tile).map_err(|e| text(&e))?;
-    let views: Vec<View> = view(&bounds).into_iter().collect();
+    let views: Vec<View> = bend_view(&bounds).into_iter().collect();
     let cameras = Camera::around(&[&before, &plain], &views, size);
     let camera = cameras.first().ok_or("no view")?;
     let moved = outcome.positions.iter().zip(&model.positions).any(|(p, q)| p != q);
     let finite = outcome.positions.iter().all(|p: &DVec3| p.is_finite());
-    Ok(Shown {
+    Ok(DeformedTiles {
         tiles: [&before, &plain, &coloured].map(|surface| draw(surface, camera, pool)),
         text: format!(
             "{} tri  vol {:+.1}%  area {:+.1}%  edge {:.3}  stretch {:.2}  flips {}  cross {crossed}>{after}",
@@ -260,7 +264,7 @@ fn deform(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Shown, String>
 }
 
 /// All models on one picture, with the key to the colours below.
-fn sheet(entries: &[Entry], args: &SheetArgs) -> Result<Picture, Failure> {
+fn draw_sheet(entries: &[SheetEntry], args: &SheetArgs) -> Result<Picture, LoadtestFailure> {
     let tile = args.tile;
     let (width, height) = (3 * tile + 8, tile + LABEL + 8);
     let count = u32::try_from(entries.len()).unwrap_or(u32::MAX);
@@ -271,7 +275,7 @@ fn sheet(entries: &[Entry], args: &SheetArgs) -> Result<Picture, Failure> {
         sides[1] * u64::from(height) + u64::from(LABEL),
         PAPER,
     )
-    .map_err(|e| Failure::Usage(e.to_string()))?;
+    .map_err(|e| LoadtestFailure::Usage(e.to_string()))?;
     for (k, entry) in entries.iter().enumerate() {
         let k = u32::try_from(k).unwrap_or(u32::MAX);
         let (x, y) = (k % args.columns * width + 4, k / args.columns * height + 4);
@@ -306,15 +310,18 @@ mod tests {
     use clap::Parser;
     use pliant::asset::sample;
 
+    #[derive(Debug, Parser)]
+    struct SheetCommand {
+        #[command(flatten)]
+        args: SheetArgs,
+    }
+
     fn args(folder: &Path, more: &[&str]) -> SheetArgs {
         let output = folder.join("sheet.png");
-        let fixed = ["loadtest", "sheet"].map(String::from).into_iter();
+        let fixed = std::iter::once("sheet".to_owned());
         let paths = [folder.display().to_string(), "-o".into(), output.display().to_string()];
         let words = fixed.chain(paths).chain(more.iter().map(|w| (*w).to_owned()));
-        match crate::Cli::parse_from(words).command {
-            crate::Command::Sheet(args) => args,
-            other => panic!("{other:?}"),
-        }
+        SheetCommand::parse_from(words).args
     }
 
     #[test]
@@ -326,13 +333,13 @@ mod tests {
         fs::write(inner.join("broken.obj"), "v 0 0 nan\n").expect("written");
         fs::write(inner.join("notes.txt"), "no model").expect("written");
         let args = args(folder.path(), &["--tile", "64", "--columns", "2", "--refine", "0"]);
-        run(&args).expect("a sheet");
+        run_sheet(&args).expect("a sheet");
         let png = fs::read(&args.output).expect("a picture");
         assert!(png.starts_with(b"\x89PNG"));
         // Two models side by side, each of three tiles with room around, and the key.
         let side = |at: usize| u32::from_be_bytes([png[at], png[at + 1], png[at + 2], png[at + 3]]);
         assert_eq!((side(16), side(20)), (2 * (3 * 64 + 8), 64 + LABEL + 8 + LABEL));
-        run(&args).expect("a sheet");
+        run_sheet(&args).expect("a sheet");
         assert!(
             fs::read(&args.output).expect("a picture") == png,
             "the same bytes again"
@@ -342,10 +349,13 @@ mod tests {
     #[test]
     fn a_folder_without_models_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
-        assert!(matches!(run(&args(folder.path(), &[])), Err(Failure::Usage(_))));
         assert!(matches!(
-            run(&args(&folder.path().join("none"), &[])),
-            Err(Failure::Usage(_))
+            run_sheet(&args(folder.path(), &[])),
+            Err(LoadtestFailure::Usage(_))
+        ));
+        assert!(matches!(
+            run_sheet(&args(&folder.path().join("none"), &[])),
+            Err(LoadtestFailure::Usage(_))
         ));
     }
 }

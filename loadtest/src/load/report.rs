@@ -1,55 +1,55 @@
-//! The books as a person or a program reads them.
+//! The ledger as a person or a program reads them.
 
-use crate::StreamArgs;
-use crate::books::{Books, percentile};
-use crate::scene::Scene;
+use super::args::StreamArgs;
+use super::ledger::{PoseLedger, percentile};
+use crate::shared::drag_scene::DragScene;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
 /// The shares that are told.
 const SHARES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("max", 1.0)];
 
-fn sorted(values: &[f64]) -> Vec<f64> {
+fn sort_values(values: &[f64]) -> Vec<f64> {
     let mut values = values.to_vec();
     values.sort_by(f64::total_cmp);
     values
 }
 
-fn times(books: &Books) -> [(&'static str, Vec<f64>); 3] {
+fn sorted_times(ledger: &PoseLedger) -> [(&'static str, Vec<f64>); 3] {
     [
-        ("latency", sorted(&books.latency_ms)),
-        ("solve", sorted(&books.solve_ms)),
-        ("queue", sorted(&books.queue_ms)),
+        ("latency", sort_values(&ledger.latency_ms)),
+        ("solve", sort_values(&ledger.solve_ms)),
+        ("queue", sort_values(&ledger.queue_ms)),
     ]
 }
 
 /// A table for people.
-pub(crate) fn text(books: &Books, scene: &Scene, args: &StreamArgs) -> String {
+pub(crate) fn text_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamArgs) -> String {
     let mut text = String::new();
-    let balanced = if books.problems().is_empty() {
+    let balanced = if ledger.problems().is_empty() {
         "balanced"
     } else {
         "NOT BALANCED"
     };
-    let seconds = books.elapsed.as_secs_f64();
+    let seconds = ledger.elapsed.as_secs_f64();
     let _ = writeln!(
         text,
         "{} clients at {} Hz on {} vertices, {seconds:.2} s",
-        books.clients, args.hz, scene.vertices
+        ledger.clients, args.hz, scene.vertices
     );
     let _ = writeln!(
         text,
         "poses    {} sent = {} final frames + {} superseded + {} refused ({balanced})",
-        books.sent, books.finals, books.superseded, books.refused
+        ledger.sent, ledger.finals, ledger.superseded, ledger.refused
     );
     let _ = writeln!(
         text,
         "frames   {} final, {} before them, {} parts, {:.1} MiB, {:.1} final frames a second",
-        books.finals,
-        books.intermediate,
-        books.parts,
-        books.bytes as f64 / f64::from(1 << 20),
-        rate(books)
+        ledger.finals,
+        ledger.intermediate,
+        ledger.parts,
+        ledger.bytes as f64 / f64::from(1 << 20),
+        frames_per_second(ledger)
     );
     let _ = writeln!(
         text,
@@ -57,7 +57,7 @@ pub(crate) fn text(books: &Books, scene: &Scene, args: &StreamArgs) -> String {
         "ms",
         SHARES.map(|(name, _)| format!("{name:>10}")).concat()
     );
-    for (name, values) in times(books) {
+    for (name, values) in sorted_times(ledger) {
         let cells = SHARES
             .map(|(_, q)| percentile(&values, q).map_or_else(|| format!("{:>10}", "-"), |ms| format!("{ms:>10.2}")));
         let _ = writeln!(text, "{name:9}{}", cells.concat());
@@ -66,8 +66,8 @@ pub(crate) fn text(books: &Books, scene: &Scene, args: &StreamArgs) -> String {
 }
 
 /// One JSON document.
-pub(crate) fn json(books: &Books, scene: &Scene, args: &StreamArgs) -> String {
-    let ms: serde_json::Map<String, Value> = times(books)
+pub(crate) fn json_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamArgs) -> String {
+    let ms: serde_json::Map<String, Value> = sorted_times(ledger)
         .into_iter()
         .map(|(name, values)| {
             let shares: serde_json::Map<String, Value> = SHARES
@@ -77,25 +77,25 @@ pub(crate) fn json(books: &Books, scene: &Scene, args: &StreamArgs) -> String {
             (name.to_owned(), Value::Object(shares))
         })
         .collect();
-    let problems = books.problems();
+    let problems = ledger.problems();
     let report = json!({
-        "clients": books.clients,
+        "clients": ledger.clients,
         "hz": args.hz,
         "vertices": scene.vertices,
-        "seconds": books.elapsed.as_secs_f64(),
+        "seconds": ledger.elapsed.as_secs_f64(),
         "poses": {
-            "sent": books.sent,
-            "answered": books.finals,
-            "superseded": books.superseded,
-            "refused": books.refused,
+            "sent": ledger.sent,
+            "answered": ledger.finals,
+            "superseded": ledger.superseded,
+            "refused": ledger.refused,
             "balanced": problems.is_empty(),
         },
         "frames": {
-            "final": books.finals,
-            "intermediate": books.intermediate,
-            "parts": books.parts,
-            "bytes": books.bytes,
-            "finalPerSecond": rate(books),
+            "final": ledger.finals,
+            "intermediate": ledger.intermediate,
+            "parts": ledger.parts,
+            "bytes": ledger.bytes,
+            "finalPerSecond": frames_per_second(ledger),
         },
         "ms": ms,
         "problems": problems,
@@ -103,10 +103,10 @@ pub(crate) fn json(books: &Books, scene: &Scene, args: &StreamArgs) -> String {
     report.to_string()
 }
 
-fn rate(books: &Books) -> f64 {
-    let seconds = books.elapsed.as_secs_f64();
+fn frames_per_second(ledger: &PoseLedger) -> f64 {
+    let seconds = ledger.elapsed.as_secs_f64();
     if seconds > 0.0 {
-        books.finals as f64 / seconds
+        ledger.finals as f64 / seconds
     } else {
         0.0
     }
