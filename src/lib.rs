@@ -13,7 +13,7 @@
 //! | 3 | [`engine`] | the deformer: typed handles, regions, poses and edits; used by `wire`, never the other way round |
 //! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
-//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`] | triangles; model formats; threads; cancelling; both as one |
+//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`], [`stage_clock`] | triangles; model formats; threads; cancelling; both as one; times of stages |
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
@@ -33,4 +33,5 @@ pub mod render;
 pub mod server;
 pub mod session;
 pub mod solver;
+pub mod stage_clock;
 pub mod wire;

@@ -2,4 +2,4 @@
 
 mod run;
 
-pub use run::{BatchOutcome, StageClock, inspect, pose_steps, run, unmet_expectations};
+pub use run::{BatchOutcome, inspect, pose_steps, run, unmet_expectations};
