@@ -8,7 +8,7 @@ pub fn models(what: &str) -> Vec<(PathBuf, Model)> {
         return Vec::new();
     };
     let read = |path: PathBuf| {
-        let model = Model::read(file_set(&path), None, &DeformerLimits::default()).ok()?;
+        let model = Model::read(file_set(&path), None, &Limits::default()).ok()?;
         (model.triangles.len() < 100_000).then_some((path, model))
     };
     gltf_files(&data.join("gltf")).into_iter().filter_map(read).collect()
