@@ -12,7 +12,7 @@
 //! | 3 | [`job`] | the declarative request, its JSON, and a bench that runs it |
 //! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
-//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`] | triangles; model formats; threads; cancelling; both as one |
+//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`], [`stage_clock`] | triangles; model formats; threads; cancelling; both as one; times of stages |
 //!
 //! [`solver`], [`pool`], [`progress`] and [`exec`] are the crate `pliant-solver`, in `src/solver`.
 
@@ -29,6 +29,7 @@ pub mod mesh;
 pub mod render;
 pub mod server;
 pub mod session;
+pub mod stage_clock;
 
 /// Multigrid on a weighted graph, with the threads and the watcher that every computing function takes: a crate of its own.
 pub use pliant_solver as solver;
