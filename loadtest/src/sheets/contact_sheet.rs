@@ -219,7 +219,7 @@ fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Deformed
     let mesh = Mesh::build(&model.positions, &model.triangles, Weld::Exact).map_err(|e| text(&e))?;
     let bounds = mesh.bounds();
     let job = automatic_job(&bounds, args.refine);
-    let limits = engine::Limits::default();
+    let limits = engine::DeformerLimits::default();
     let outcome = batch::run(
         model.files.clone(),
         &job,
