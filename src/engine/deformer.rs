@@ -1,26 +1,31 @@
-//! One model on the bench: everything derived from it, its handles, and poses solved on request.
+//! The deformer: one model, everything derived from it, its handles, and poses solved on request.
 
-use super::derived_structures::{DerivedStructures, admit};
-use super::handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
-use super::model_topology::{ModelTopology, primitive};
-use super::quality::quality;
-use super::region::RegionContext;
+use super::derived_structures::{DerivedStructures, admit_bytes};
+use super::error::Error;
+use super::facts::{DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts};
+use super::facts::count_u32;
+use super::handle::HandleSet;
+use super::model_topology::ModelTopology;
+use super::pose::HandlePoses;
+use super::quality::measure_quality;
+use super::region_context::RegionContext;
+use super::resolved_handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
+use super::settings::OpenOptions;
+use super::topology_state::TopologyId;
 use crate::asset::{self, FileSet, Format, Geometry, Model, Written};
 use crate::deform::{Body, Restart, Rig, State};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, Report, self_intersections};
 use crate::pool::Pool;
-use crate::wire::OpenOptions;
-use crate::wire::{Error, pb};
 use glam::DVec3;
 use std::sync::Arc;
 
-/// What a bench may hold.
+/// What a deformer may hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeformerLimits {
     /// Sizes of the model.
     pub model: asset::Limits,
-    /// Bytes that the bench may hold; checked by estimate before anything large is allocated.
+    /// Bytes that the deformer may hold; checked by estimate before anything large is allocated.
     pub memory_bytes: u64,
     /// Handles of one request.
     pub handles: usize,
@@ -36,17 +41,15 @@ impl Default for DeformerLimits {
     }
 }
 
-/// The pose of every handle in force, in the order of the handles. Cheap to clone.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct HandlePoses(pub Arc<Vec<pb::HandlePose>>);
-
 /// A model with everything derived from it. One owner; solves need `&mut`.
 pub struct Deformer {
     pub(super) derived: Arc<DerivedStructures>,
-    pub(super) choices: OpenOptions,
+    pub(super) options: OpenOptions,
     pub(super) limits: DeformerLimits,
     /// Bytes that it may hold after an edit. How a graph is built depends on `limits` alone, which never change.
     pub(super) room: u64,
+    /// The name of the next new state.
+    pub(super) next_topology: TopologyId,
     pub(super) handles: ResolvedHandles,
     pub(super) rig: Option<Rig>,
     pub(super) state: State,
@@ -62,7 +65,7 @@ pub(super) struct CommittedShape {
     pub nodes: Arc<Vec<DVec3>>,
 }
 
-/// Of how many states besides its own a bench keeps all that follows from them, so that undo and redo need not make it
+/// Of how many states besides its own a deformer keeps all that follows from them, so that undo and redo need not make it
 /// again.
 const KEPT: usize = 2;
 
@@ -71,24 +74,24 @@ impl Deformer {
     /// `progress` as they start.
     ///
     /// # Errors
-    /// [`Error::Asset`], [`Error::Invalid`] for options, [`Error::TooLarge`] when the estimate of what the bench would
+    /// [`Error::Asset`], [`Error::Invalid`] for a volume graph that cannot be built, [`Error::TooLarge`] when the estimate of what it would
     /// hold is above `limits`, [`Error::Cancelled`].
     pub fn open(
         files: FileSet,
-        create: &pb::CreateOptions,
+        options: &OpenOptions,
         limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
-        let choices = OpenOptions::check(create)?;
         exec.progress.report("read", 0.0);
-        let model = Model::read(files, choices.format, &limits.model)?;
+        let model = Model::read(files, options.format, &limits.model)?;
         exec.check()?;
-        let derived = DerivedStructures::build(Arc::new(ModelTopology::new(model)), &choices, limits, exec)?;
+        let derived = DerivedStructures::build(TopologyId(0), Arc::new(ModelTopology::new(model)), options, limits, exec)?;
         Ok(Self {
             derived: Arc::new(derived),
-            choices,
+            options: options.clone(),
             limits: *limits,
             room: limits.memory_bytes,
+            next_topology: TopologyId(1),
             handles: ResolvedHandles::default(),
             rig: None,
             state: State::default(),
@@ -97,12 +100,13 @@ impl Deformer {
         })
     }
 
-    /// A bench on another state of the model, without handles. What follows from the present one is kept for the way back
+    /// A deformer on another state of the model, without handles. What follows from the present one is kept for the way back
     /// if there is room.
-    pub(super) fn on(&self, derived: Arc<DerivedStructures>) -> Self {
+    pub(super) fn with_derived(&self, derived: Arc<DerivedStructures>) -> Self {
+        let next_topology = self.next_topology.max(derived.lineage.id.next());
         let mut past: Vec<Arc<DerivedStructures>> = self.past.clone();
         past.push(Arc::clone(&self.derived));
-        past.retain(|d| !Arc::ptr_eq(&d.path, &derived.path));
+        past.retain(|d| d.lineage.id != derived.lineage.id);
         let mut room = self.room.saturating_sub(derived.bytes()) / 2;
         // From the last one on, as many as there is room for.
         let kept = (past.iter().rev().take(KEPT))
@@ -115,9 +119,10 @@ impl Deformer {
         past.drain(..past.len() - kept);
         Self {
             derived,
-            choices: self.choices.clone(),
+            options: self.options.clone(),
             limits: self.limits,
             room: self.room,
+            next_topology,
             handles: ResolvedHandles::default(),
             rig: None,
             state: State::default(),
@@ -126,14 +131,14 @@ impl Deformer {
         }
     }
 
-    /// Says how many bytes the bench may hold after its next edit, at most those of its limits.
+    /// Says how many bytes the deformer may hold after its next edit, at most those of its limits.
     pub fn limit_memory(&mut self, bytes: u64) {
         self.room = bytes.min(self.limits.memory_bytes);
     }
 
     /// A state that was left a short while ago.
-    pub(super) fn kept(&self, path: &Arc<super::topology_state::TopologyLineage>) -> Option<Arc<DerivedStructures>> {
-        self.past.iter().find(|d| Arc::ptr_eq(&d.path, path)).cloned()
+    pub(super) fn kept_structures(&self, id: TopologyId) -> Option<Arc<DerivedStructures>> {
+        self.past.iter().find(|d| d.lineage.id == id).cloned()
     }
 
     /// Whether the nodes of the graph in this shape are known, as an edit of it needs.
@@ -147,8 +152,8 @@ impl Deformer {
         known.map(|c| &c.nodes)
     }
 
-    fn foundation(&self) -> &Arc<ModelTopology> {
-        self.derived.foundation()
+    pub(super) fn topology(&self) -> &Arc<ModelTopology> {
+        self.derived.topology()
     }
 
     fn mesh(&self) -> &Mesh {
@@ -157,13 +162,13 @@ impl Deformer {
 
     /// The model as it was read.
     pub fn model(&self) -> &Model {
-        &self.foundation().model
+        &self.topology().model
     }
 
     /// Triangles, normals, tangents and primitives as they are now. Once edited, positions are those of [`Deformer::rest`]
     /// alone.
     pub fn geometry(&self) -> &Geometry {
-        self.foundation().geometry()
+        self.topology().geometry()
     }
 
     /// The model at `positions` (one per render vertex) as files.
@@ -171,7 +176,7 @@ impl Deformer {
     /// # Errors
     /// Those of [`Model::write`].
     pub fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, Error> {
-        self.foundation().write(positions, format)
+        self.topology().write(positions, format)
     }
 
     /// What was found about the mesh.
@@ -191,7 +196,7 @@ impl Deformer {
 
     /// Positions at rest, one per render vertex.
     pub fn rest(&self) -> &Arc<Vec<DVec3>> {
-        &self.foundation().rest
+        &self.topology().rest
     }
 
     /// Length of the bounding box's diagonal.
@@ -199,8 +204,8 @@ impl Deformer {
         self.derived.body.diagonal
     }
 
-    /// Bytes held.
-    pub fn bytes(&self) -> u64 {
+    /// Returns the bytes held.
+    pub fn byte_size(&self) -> u64 {
         let committed = self.committed.as_ref().map_or(0, |c| size_of_val(c.nodes.as_slice()));
         let parts = self.rig.as_ref().map_or(0, Rig::bytes) + self.state.bytes() + committed;
         // The files are one and the same.
@@ -209,111 +214,113 @@ impl Deformer {
         self.derived.bytes() + past + parts as u64
     }
 
-    /// Bytes that a bench for this model is expected to hold at most.
+    /// Bytes that a deformer of this model is expected to hold at most.
     pub fn estimate(&self) -> u64 {
         self.derived.estimate()
     }
 
-    /// What a session answers about model, solver and handles; id, revision, times and limits are the caller's.
-    pub fn facts(&self) -> pb::Session {
-        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    /// Returns what is to be told about model, solver and handles.
+    pub fn facts(&self) -> DeformerFacts {
         let DerivedStructures { mesh, parts, body, .. } = self.derived.as_ref();
-        let levels = body
-            .hierarchy
-            .levels()
-            .iter()
-            .map(|l| pb::solver_facts::Level {
-                vertices: count(l.vertices),
-                edges: l.edges as u64,
-            })
+        let levels = body.hierarchy.levels().iter();
+        let warnings: Vec<DeformerWarning> = (self.derived.warnings().into_iter())
+            .chain(self.handles.warnings.iter().cloned())
             .collect();
-        pb::Session {
-            primitives: self.geometry().primitives.iter().map(primitive).collect(),
-            warnings: (self.derived.warnings().into_iter())
-                .chain(self.handles.warnings.iter().cloned())
-                .collect(),
-            model: Some(pb::ModelFacts {
-                format: self.model().format.name().into(),
-                bytes: self.model().files.total_bytes(),
-                sha256: self.foundation().sha256.to_string(),
-                vertices: count(self.rest().len()),
-                triangles: count(self.geometry().triangles.len()),
-            }),
-            solver: Some(pb::SolverFacts {
-                solver_vertices: count(mesh.positions.len()),
-                graph_vertices: count(body.nodes()),
+        DeformerFacts {
+            primitives: self.geometry().primitives.clone(),
+            warnings,
+            model: ModelFacts {
+                format: self.model().format,
+                file_bytes: self.model().files.total_bytes(),
+                sha256: self.topology().sha256.to_string(),
+                counts: MeshCounts {
+                    vertices: count_u32(self.rest().len()),
+                    faces: count_u32(self.geometry().triangles.len()),
+                },
+            },
+            solver: SolverFacts {
+                solver_vertices: count_u32(mesh.positions.len()),
+                graph_vertices: count_u32(body.nodes()),
                 graph_edges: body.graph.neighbours.len() as u64 / 2,
-                components: count(parts.count),
-                levels,
-                bytes: self.bytes(),
-            }),
+                components: count_u32(parts.count),
+                levels: levels.map(|l| (count_u32(l.vertices), l.edges as u64)).collect(),
+                byte_size: self.byte_size(),
+            },
             handles: self.handle_facts(),
-            ..Default::default()
         }
     }
 
-    fn handle_facts(&self) -> Vec<pb::HandleFacts> {
-        let handles = self.handles.request.handles.iter();
-        handles
-            .zip(self.handles.counts.iter().zip(&self.handles.centroids))
-            .map(|(h, (&vertices, c))| pb::HandleFacts {
-                id: h.id.clone(),
-                vertices,
-                centroid: c.to_array().to_vec(),
-                pose: None,
-            })
-            .collect()
+    fn handle_facts(&self) -> Vec<HandleFacts> {
+        let places = self.handles.counts.iter().zip(&self.handles.centroids);
+        let handles = self.handles.set.handles.iter().zip(places);
+        let facts = handles.map(|(h, (&vertices, &centroid))| HandleFacts {
+            id: h.id.clone(),
+            vertices,
+            centroid,
+        });
+        facts.collect()
     }
 
     /// The handles in force.
-    pub fn handles(&self) -> &pb::SetHandlesRequest {
-        &self.handles.request
+    pub fn handles(&self) -> &HandleSet {
+        &self.handles.set
     }
 
     /// Replaces the handles and recomputes the first-pass fields (stage "fields"). On an error the old ones stay. An
     /// empty list takes all handles away.
     ///
     /// # Errors
-    /// [`Error::Invalid`] with the field, [`Error::Precondition`] when the handles leave the model without a place,
+    /// [`Error::Invalid`] for a region that does not fit the model, [`Error::Precondition`] when the handles leave the model without a place,
     /// [`Error::TooLarge`], [`Error::Cancelled`].
-    pub fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), Error> {
+    pub fn set_handles(&mut self, handles: impl Into<HandleSet>, exec: &Exec<'_>) -> Result<(), Error> {
         let DerivedStructures {
-            path, body, followed, ..
+            lineage,
+            body,
+            followed,
+            ..
         } = self.derived.as_ref();
+        let handles = handles.into();
+        if handles.handles.len() > self.limits.handles {
+            return Err(Error::TooLarge {
+                what: "handles",
+                seen: handles.handles.len() as u64,
+                limit: self.limits.handles as u64,
+            });
+        }
+        let is_empty = handles.handles.is_empty();
         // What an edit carried over, whoever asks for it.
-        let carried = path.restart.as_ref().filter(|c| c.request == *request);
+        let carried = lineage.restart.as_ref().filter(|c| c.set == handles);
         let before = carried.map(|c| HandlesBeforeEdit {
             rigging: c.fields.rigging(),
             old_from_new: &followed.old_from_new,
         });
-        let (ground, most) = (self.ground(), self.limits.handles);
-        let (set, rigging) = resolve_handles(&ground, body, request, self.choices.policy, before, most)?;
+        let regions = self.rest_regions();
+        let (resolved, rigging) = resolve_handles(&regions, body, handles, self.options.policy, before)?;
         let field_bytes = (rigging.holds.len() as u64 + 1) * body.nodes() as u64 * 12;
-        admit(self.estimate() + field_bytes, &self.limits)?;
+        admit_bytes(self.estimate() + field_bytes, &self.limits)?;
         let restart = carried.map(|c| Restart {
             before: &c.fields,
             old_from_new: &followed.old_from_new,
             touched: &followed.touched,
         });
-        let rig = match request.handles.is_empty() {
+        let rig = match is_empty {
             true => None,
             false => Some(Rig::restart(body, rigging, restart.as_ref(), exec)?),
         };
-        self.handles = set;
+        self.handles = resolved;
         self.rig = rig;
         self.state = State::default();
         Ok(())
     }
 
-    /// What regions are resolved against.
-    pub(super) fn ground(&self) -> RegionContext<'_> {
+    /// What regions of the rest pose are resolved against.
+    pub(super) fn rest_regions(&self) -> RegionContext<'_> {
         RegionContext {
             pose: "the rest pose",
             positions: self.rest(),
             primitives: &self.geometry().primitives,
             mesh: &self.derived.mesh,
             parts: &self.derived.parts,
-            graph: &self.derived.body.graph,
         }
     }
 
@@ -326,27 +333,27 @@ impl Deformer {
     pub fn initial_poses(&self) -> HandlePoses {
         HandlePoses(Arc::new(
             self.handles
-                .request
+                .set
                 .handles
                 .iter()
-                .map(|h| h.pose.clone().unwrap_or_default())
+                .map(|h| h.pose.unwrap_or_default())
                 .collect(),
         ))
     }
 
     /// How far a shape (one position per render vertex) is from the rest shape.
-    pub fn quality(&self, positions: &[DVec3], pool: &Pool) -> pb::Quality {
-        quality(self.mesh(), self.report().closed, &self.welded(positions), pool)
+    pub fn quality(&self, positions: &[DVec3], pool: &Pool) -> QualityReport {
+        measure_quality(self.mesh(), self.report().closed, &self.welded(positions), pool)
     }
 
-    /// As [`Deformer::quality`], with what `output` asks for beside: the number of self-intersections.
+    /// As [`Deformer::quality`], with the number of self-intersections beside when `count_crossings` asks for it.
     ///
     /// # Errors
     /// [`Error::Cancelled`] when `progress` says so.
-    pub fn measure(&self, positions: &[DVec3], output: &pb::Output, exec: &Exec<'_>) -> Result<pb::Quality, Error> {
+    pub fn measure(&self, positions: &[DVec3], count_crossings: bool, exec: &Exec<'_>) -> Result<QualityReport, Error> {
         let deformed = self.welded(positions);
-        let mut found = quality(self.mesh(), self.report().closed, &deformed, exec.pool);
-        if output.self_intersections {
+        let mut found = measure_quality(self.mesh(), self.report().closed, &deformed, exec.pool);
+        if count_crossings {
             let pairs = self_intersections(&deformed, &self.mesh().triangles, exec)?;
             found.self_intersections = Some(u32::try_from(pairs).unwrap_or(u32::MAX));
         }

@@ -1,18 +1,19 @@
 //! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
 
 use super::deformer::DeformerLimits;
-use super::interior::{self, BYTES_PER_NODE};
+use super::interior::{BYTES_PER_NODE, fit_lattice, interior_warnings};
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
-use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyLineage, TopologyState};
+use super::error::Error;
+use super::facts::DeformerWarning;
+use super::settings::OpenOptions;
+use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyId, TopologyLineage, TopologyState};
 use crate::asset::Model;
 use crate::deform::{Body, BodyOptions, Followed, VolumeMode};
-use crate::edit::Applied;
+use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::{Adjacency, Components, Mesh, Report, inspect};
-use crate::wire::OpenOptions;
-use crate::wire::{Error, pb};
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
 
@@ -21,7 +22,7 @@ const BYTES_PER_VERTEX: u64 = 500;
 
 /// A model with its graph and hierarchy. Never changes.
 pub(super) struct DerivedStructures {
-    pub path: Arc<TopologyLineage>,
+    pub lineage: Arc<TopologyLineage>,
     pub mesh: Mesh,
     pub parts: Components,
     pub body: Body,
@@ -42,8 +43,8 @@ pub(super) struct FollowedNodes {
 
 /// What an edit made of a model.
 pub(super) struct TopologyChange<'a> {
-    pub foundation: Arc<ModelTopology>,
-    pub applied: &'a Applied,
+    pub topology: Arc<ModelTopology>,
+    pub applied: &'a PatchedSurface,
     /// All nodes of the graph before, in the shape that was edited; `None` when that was the rest shape.
     pub nodes: Option<Arc<Vec<DVec3>>>,
     /// Whether the body may follow, or has to be built.
@@ -55,34 +56,35 @@ pub(super) struct TopologyChange<'a> {
 impl DerivedStructures {
     /// Builds everything from nothing.
     pub fn build(
-        foundation: Arc<ModelTopology>,
-        choices: &OpenOptions,
+        id: TopologyId,
+        topology: Arc<ModelTopology>,
+        options: &OpenOptions,
         limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         exec.progress.report("mesh", 0.0);
-        let vertices = foundation.rest.len() as u64;
-        let files = foundation.model.files.total_bytes();
-        admit(vertices * BYTES_PER_VERTEX + files, limits)?;
-        let mesh = foundation.mesh(choices.weld)?;
+        let vertices = topology.rest.len() as u64;
+        let files = topology.model.files.total_bytes();
+        admit_bytes(vertices * BYTES_PER_VERTEX + files, limits)?;
+        let mesh = topology.mesh(options.weld)?;
         exec.check()?;
 
         // Without a wish for interior nodes they are what may be left out to stay within the limits.
-        let nodes = if choices.body.volume == VolumeMode::Required {
+        let nodes = if options.body.volume == VolumeMode::Required {
             estimate_nodes(&mesh)
         } else {
             mesh.positions.len()
         };
-        admit(estimate(vertices, nodes as u64) + files, limits)?;
-        let body = Body::build(&mesh, &options(&foundation, choices, limits), exec)?;
+        admit_bytes(estimate(vertices, nodes as u64) + files, limits)?;
+        let body = Body::build(&mesh, &body_options(&topology, options, limits), exec)?;
         let parts = parts_of(&mesh);
         Ok(Self::new(
-            TopologyLineage::built(foundation),
+            TopologyLineage::built(id, topology),
             mesh,
             parts,
             body,
             FollowedNodes::default(),
-            choices,
+            options,
         ))
     }
 
@@ -90,20 +92,21 @@ impl DerivedStructures {
     pub fn edited(
         &self,
         change: TopologyChange<'_>,
-        choices: &OpenOptions,
+        id: TopologyId,
+        options: &OpenOptions,
         limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
-        if change.follow && !change.foundation.is_apart() {
+        if change.follow && !change.topology.is_apart() {
             exec.progress.report("mesh", 0.0);
-            let mesh = change.foundation.mesh(choices.weld)?;
+            let mesh = change.topology.mesh(options.weld)?;
             let at = change.nodes.as_deref().unwrap_or(&self.body.graph.positions);
             let at = &at[..self.mesh.positions.len()];
             let delta = MeshDelta::between(&self.mesh.triangles, at, &mesh, change.applied);
             let lists = delta.lists(&self.mesh.triangles);
             let moved = change.nodes.clone();
             // What there is to go back along costs no more than what it leads to.
-            let step = self.path.past.then(delta, moved, self.body.bytes() as u64);
+            let step = self.lineage.past.then(delta, moved, self.body.bytes() as u64);
             let followed = match step {
                 None => None,
                 Some(step) => {
@@ -123,49 +126,50 @@ impl DerivedStructures {
                     touched,
                 } = followed;
                 let nodes = FollowedNodes { old_from_new, touched };
-                let vertices = change.foundation.rest.len() as u64;
-                let files = change.foundation.model.files.total_bytes();
-                admit(estimate(vertices, body.nodes() as u64) + files, limits)?;
-                let path = TopologyLineage {
-                    foundation: change.foundation,
+                let vertices = change.topology.rest.len() as u64;
+                let files = change.topology.model.files.total_bytes();
+                admit_bytes(estimate(vertices, body.nodes() as u64) + files, limits)?;
+                let lineage = TopologyLineage {
+                    id,
+                    topology: change.topology,
                     past: LineageOrigin::Edited(step),
                     restart: change.carried,
                 };
-                return Ok(Self::new(path, mesh, parts, body, nodes, choices));
+                return Ok(Self::new(lineage, mesh, parts, body, nodes, options));
             }
         }
-        Self::build(change.foundation, choices, limits, exec)
+        Self::build(id, change.topology, options, limits, exec)
     }
 
-    /// What `trail` leads to, again.
+    /// What `state` leads to, again.
     pub fn retrace(
-        trail: &TopologyState,
-        choices: &OpenOptions,
+        state: &TopologyState,
+        options: &OpenOptions,
         limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
-        let path = &trail.0;
+        let path = &state.0;
         if let LineageOrigin::Edited(_) = path.past {
-            let fit = |foundation: &ModelTopology| options(foundation, choices, limits);
-            let remade = path.past.retrace(choices, &fit, exec)?;
+            let fit = |topology: &ModelTopology| body_options(topology, options, limits);
+            let remade = path.past.retrace(options, &fit, exec)?;
             let remade = remade.ok_or_else(|| Error::Internal("an edit cannot be followed again".into()))?;
-            let mesh = path.foundation.mesh(choices.weld)?;
+            let mesh = path.topology.mesh(options.weld)?;
             let parts = parts_of(&mesh);
             return Ok(Self {
-                path: Arc::clone(path),
+                lineage: Arc::clone(path),
                 ..Self::new(
-                    TopologyLineage::built(Arc::clone(&path.foundation)),
+                    TopologyLineage::built(path.id, Arc::clone(&path.topology)),
                     mesh,
                     parts,
                     remade.body,
                     remade.nodes,
-                    choices,
+                    options,
                 )
             });
         }
         Ok(Self {
-            path: Arc::clone(path),
-            ..Self::build(Arc::clone(&path.foundation), choices, limits, exec)?
+            lineage: Arc::clone(path),
+            ..Self::build(path.id, Arc::clone(&path.topology), options, limits, exec)?
         })
     }
 
@@ -175,26 +179,26 @@ impl DerivedStructures {
         parts: Components,
         body: Body,
         followed: FollowedNodes,
-        choices: &OpenOptions,
+        options: &OpenOptions,
     ) -> Self {
         Self {
-            path: Arc::new(path),
+            lineage: Arc::new(lineage),
             parts,
             mesh,
             body,
             followed,
-            volume: choices.body.volume,
+            volume: options.body.volume,
             report: OnceLock::new(),
         }
     }
 
-    pub fn foundation(&self) -> &Arc<ModelTopology> {
-        &self.path.foundation
+    pub fn topology(&self) -> &Arc<ModelTopology> {
+        &self.lineage.topology
     }
 
     /// Whether graph and hierarchy have followed an edit, and were not built from nothing.
     pub fn is_followed(&self) -> bool {
-        matches!(self.path.past, LineageOrigin::Edited(_))
+        matches!(self.lineage.past, LineageOrigin::Edited(_))
     }
 
     /// What is to be said about the mesh; looked for when first asked.
@@ -206,16 +210,16 @@ impl DerivedStructures {
     }
 
     /// What the user should know about model, mesh and graph.
-    pub fn warnings(&self) -> Vec<pb::Warning> {
-        let mut warnings = warnings_of(&self.foundation().model, self.report());
-        warnings.extend(interior::warnings(&self.body, self.volume));
+    pub fn warnings(&self) -> Vec<DeformerWarning> {
+        let mut warnings = model_warnings(&self.topology().model, self.report());
+        warnings.extend(interior_warnings(&self.body, self.volume));
         warnings
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
-        let model = self.foundation().model.files.total_bytes() + self.foundation().bytes();
-        let past = match &self.path.past {
+        let model = self.topology().model.files.total_bytes() + self.topology().bytes();
+        let past = match &self.lineage.past {
             LineageOrigin::Built(_) => 0,
             LineageOrigin::Edited(step) => step.bytes(),
         };
@@ -226,10 +230,10 @@ impl DerivedStructures {
         model + past + parts as u64
     }
 
-    /// Bytes that a bench for this model is expected to hold at most.
+    /// Bytes that a deformer of this model is expected to hold at most.
     pub fn estimate(&self) -> u64 {
-        let foundation = self.foundation();
-        estimate(foundation.rest.len() as u64, self.body.nodes() as u64) + foundation.model.files.total_bytes()
+        let topology = self.topology();
+        estimate(topology.rest.len() as u64, self.body.nodes() as u64) + topology.model.files.total_bytes()
     }
 }
 
@@ -238,11 +242,11 @@ fn parts_of(mesh: &Mesh) -> Components {
 }
 
 /// How the body of a model is built within `limits`.
-fn options(foundation: &ModelTopology, choices: &OpenOptions, limits: &DeformerLimits) -> BodyOptions {
-    let beside = foundation.rest.len() as u64 * BYTES_PER_VERTEX + foundation.model.files.total_bytes();
-    let mut options = choices.body.clone();
-    options.apart = foundation.is_apart();
-    interior::fit(&mut options, beside, limits);
+fn body_options(topology: &ModelTopology, options: &OpenOptions, limits: &DeformerLimits) -> BodyOptions {
+    let beside = topology.rest.len() as u64 * BYTES_PER_VERTEX + topology.model.files.total_bytes();
+    let mut options = options.body.clone();
+    options.apart = topology.is_apart();
+    fit_lattice(&mut options, beside, limits);
     options
 }
 
@@ -250,7 +254,7 @@ fn estimate(vertices: u64, nodes: u64) -> u64 {
     vertices * BYTES_PER_VERTEX + nodes * BYTES_PER_NODE
 }
 
-pub(super) fn admit(bytes: u64, limits: &DeformerLimits) -> Result<(), Error> {
+pub(super) fn admit_bytes(bytes: u64, limits: &DeformerLimits) -> Result<(), Error> {
     if bytes <= limits.memory_bytes {
         return Ok(());
     }
@@ -261,16 +265,10 @@ pub(super) fn admit(bytes: u64, limits: &DeformerLimits) -> Result<(), Error> {
     })
 }
 
-fn warnings_of(model: &Model, report: &Report) -> Vec<pb::Warning> {
-    let read = model.warnings.iter().map(|(code, message, place)| pb::Warning {
-        code: code.clone(),
-        message: message.clone(),
-        r#where: place.clone(),
-    });
-    let found = report.warnings.iter().map(|w| pb::Warning {
-        code: w.code.into(),
-        message: w.message.clone(),
-        r#where: w.place.clone(),
-    });
+fn model_warnings(model: &Model, report: &Report) -> Vec<DeformerWarning> {
+    let read = model.warnings.iter();
+    let read = read.map(|(code, message, place)| DeformerWarning::new(code, message, place));
+    let found = report.warnings.iter();
+    let found = found.map(|w| DeformerWarning::new(w.code, &w.message, &w.place));
     read.chain(found).collect()
 }

@@ -1,54 +1,25 @@
-//! Edits of the topology on a bench: the operation on the surface, then everything that follows from it.
+//! Edits of the topology of a deformer: the operation on the surface, then everything that follows from it.
 //!
 //! An edit works on the current shape or on the rest shape. On the current shape what the user sees becomes the rest shape,
-//! and all handles are at rest; on the rest shape poses stay, and the result is solved with them. The bench changes only
+//! and all handles are at rest; on the rest shape poses stay, and the result is solved with them. The deformer changes only
 //! when everything has succeeded.
 
-use super::carry_handles::{CarriedHandles, carry, runs};
+use super::carry_handles::{CarriedHandles, HeldVertices, carry_handles, kept_vertex_runs};
 use super::derived_structures::{DerivedStructures, TopologyChange};
-use super::edit_operations::{EditContext, plan};
+use super::edit_command::{EditCommand, EditOutcome, EditReport, EditedShape};
+use super::edit_operations::{EditContext, PlannedEdit, plan_edit};
+use super::error::{Error, InputPlace};
+use super::facts::{DeformerWarning, MeshCounts, count_u32};
 use super::model_topology::EditSurface;
-use super::region::{self, ResolvedRegion};
-use super::topology_state::{self, TopologyState};
-use super::{Deformer, HandlePoses, SolveMode};
-use crate::asset::FileSet;
-use crate::edit::{Applied, apply};
+use super::pose::HandlePoses;
+use super::region_context::{RegionContext, vertices_in_region};
+use super::settings::{SolveMode, SolveSettings};
+use super::topology_state::{KeptHandleFields, TopologyState};
+use super::{Deformer, digest};
+use crate::edit::{PatchedSurface, apply_patch};
 use crate::exec::Exec;
-use crate::graph::{Graph, Recipe, Stats};
-use crate::wire::check::enumerated;
-use crate::wire::{DeformOptions, Error, pb};
 use glam::DVec3;
 use std::sync::Arc;
-
-/// An edit, and the state that it is to change.
-pub struct EditCommand<'a> {
-    /// What is to be done.
-    pub request: &'a pb::EditRequest,
-    /// The current shape, one position per render vertex. Where [`Deformer::remembers`] it, graph and hierarchy can follow
-    /// the edit; else they are built from nothing.
-    pub shape: &'a Arc<Vec<DVec3>>,
-    /// The poses in force.
-    pub poses: &'a HandlePoses,
-    /// How the current shape was solved; `None` when it is the rest shape. An edit on the rest shape solves it again like this.
-    pub settings: Option<&'a DeformOptions>,
-    /// For a merge with another session, that session's model in its current shape.
-    pub other: Option<FileSet>,
-}
-
-/// What an edit came to.
-#[derive(Debug, Clone)]
-pub struct EditOutcome {
-    /// What clients are told; revision and times are the caller's.
-    pub result: pb::EditResult,
-    /// The handles in force, in the new numbers; already set.
-    pub handles: pb::SetHandlesRequest,
-    /// Their poses.
-    pub poses: HandlePoses,
-    /// How the shape was solved, when it is not the rest shape.
-    pub solved: Option<DeformOptions>,
-    /// The shape after the edit.
-    pub positions: Arc<Vec<DVec3>>,
-}
 
 impl Deformer {
     /// Carries out an edit. On an error nothing has changed.
@@ -58,106 +29,106 @@ impl Deformer {
     /// [`Error::TooLarge`], [`Error::Cancelled`].
     pub fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);
-        let request = order.request;
-        let at_rest = match enumerated(request.on, "on")? {
-            pb::edit_request::On::Current => false,
-            pb::edit_request::On::Rest => true,
-        };
+        let at_rest = order.on == EditedShape::Rest;
         if order.shape.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }
         let rest = Arc::clone(self.rest());
         let shape = if at_rest { &rest } else { order.shape };
-        let mut sheet = self.sheet(shape);
-        let points = (!Arc::ptr_eq(shape, &rest)).then(|| sheet.point_positions());
-        let mesh = &self.derived.mesh;
-        let mut origins = self.derived.foundation().origins(mesh);
-        let before = (sheet.positions.len(), self.geometry().triangles.len());
-        let mut planned = plan(
-            &mut EditContext {
-                bench: self,
-                sheet: &mut sheet,
-                origins: &mut origins,
-                shape,
-                other: order.other.as_ref(),
-            },
-            request,
-            exec.progress,
-        )?;
-        exec.check()?;
-        planned.patch.idle = std::mem::take(&mut sheet.idle);
-        let patch = &planned.patch;
-        let applied = apply(&sheet.surface(), patch, &sheet.first_vertices()).map_err(refused)?;
-        self.admit_size(&applied)?;
-        let carried = self.carried(&applied, &planned, at_rest.then_some(order.poses))?;
-        let mut result = pb::EditResult {
-            before: Some(counts(before.0, before.1)),
-            after: Some(counts(applied.positions.len(), applied.triangles.len())),
-            handles_kept: carried.kept.clone(),
-            warnings: carried.warnings.clone(),
-            kept: runs(&applied, before.0),
-            curve: planned.curve(&applied),
-            ..Default::default()
+        let mut surface = self.edit_surface(shape);
+        let points = (!Arc::ptr_eq(shape, &rest)).then(|| surface.point_positions());
+        let mut origins = self.topology().origins(&self.derived.mesh);
+        let before = (surface.positions.len(), self.geometry().triangles.len());
+        let mut context = EditContext {
+            regions: self.region_context(shape),
+            limits: self.limits,
+            rest: &rest,
+            surface: &mut surface,
+            origins: &mut origins,
         };
-        result.warnings.extend(patch.warnings.iter().map(warning));
-        if mesh.collapsed_triangles.len() + mesh.duplicate_triangles.len() > 0 {
-            let (collapsed, duplicate) = (&mesh.collapsed_triangles, &mesh.duplicate_triangles);
-            let message = format!(
-                "{} triangles without area and {} that repeat another are left out from now on",
-                collapsed.len(),
-                duplicate.len()
-            );
-            result
-                .warnings
-                .push(warning(&("triangles-dropped".into(), message, String::new())));
-        }
-        let (foundation, applied) = (self.derived.foundation()).edited(&sheet, &origins, applied, patch, planned.parts);
-        drop((sheet, origins));
+        let mut planned = plan_edit(&mut context, order.edit, exec)?;
+        exec.check()?;
+        planned.patch.idle = std::mem::take(&mut surface.idle);
+        let patch = &planned.patch;
+        let applied = apply_patch(&surface.surface(), patch, &surface.first_vertices())?;
+        self.admit_size(&applied)?;
+        let carried = self.carry(&applied, &planned, at_rest.then_some(order.poses))?;
+        let mut report = self.report_edit(before, &applied, &planned, &carried);
+        let (topology, applied) = (self.topology()).edited(&surface, &origins, applied, patch, planned.parts);
+        drop((surface, origins));
         exec.check()?;
         let nodes = match points {
             None => Some(None),
-            Some(points) => self.nodes_of(shape).map(|nodes| Some(with_points(nodes, &points))),
+            Some(points) => self.nodes_of(shape).map(|nodes| Some(nodes_with_points(nodes, &points))),
         };
         let change = TopologyChange {
-            foundation: Arc::new(foundation),
+            topology: Arc::new(topology),
             applied: &applied,
             follow: nodes.is_some() && applied.old_from_point.len() == applied.points as usize,
             nodes: nodes.flatten(),
-            carried: self.restart(&carried),
+            carried: self.keep_fields(&carried),
         };
-        let derived = (self.derived).edited(change, &self.choices, &self.limits, exec)?;
-        result.repaired = derived.is_followed();
-        let mut next = self.on(Arc::new(derived));
-        next.set_handles(&carried.request, exec)?;
-        let settings = match order.settings {
-            Some(settings) => settings.clone(),
-            None => DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?,
-        };
-        let outcome = next.after_edit(carried, result, at_rest.then_some(settings), exec)?;
+        let id = self.next_topology;
+        let derived = (self.derived).edited(change, id, &self.options, &self.limits, exec)?;
+        report.repaired = derived.is_followed();
+        let mut next = self.with_derived(Arc::new(derived));
+        next.set_handles(&carried.set, exec)?;
+        let settings = order.settings.cloned().unwrap_or_default();
+        let outcome = next.shape_after_edit(carried, report, at_rest.then_some(settings), exec)?;
         *self = next;
         Ok(outcome)
     }
 
+    /// What an edit has done, but for the shape after it.
+    fn report_edit(
+        &self,
+        before: (usize, usize),
+        applied: &PatchedSurface,
+        planned: &PlannedEdit,
+        carried: &CarriedHandles,
+    ) -> EditReport {
+        let mut report = EditReport {
+            before: mesh_counts(before.0, before.1),
+            after: mesh_counts(applied.positions.len(), applied.triangles.len()),
+            handles_kept: carried.kept.clone(),
+            warnings: carried.warnings.clone(),
+            kept: kept_vertex_runs(applied, before.0),
+            curve: planned.curve_vertices(applied),
+            ..Default::default()
+        };
+        let noticed = planned.patch.warnings.iter();
+        (report.warnings).extend(noticed.map(|w| DeformerWarning::new(&*w.code, &*w.message, &*w.place)));
+        let mesh = &self.derived.mesh;
+        let (collapsed, duplicate) = (mesh.collapsed_triangles.len(), mesh.duplicate_triangles.len());
+        if collapsed + duplicate > 0 {
+            let message = format!(
+                "{collapsed} triangles without area and {duplicate} that repeat another are left out from now on"
+            );
+            (report.warnings).push(DeformerWarning::new("triangles-dropped", message, ""));
+        }
+        report
+    }
+
     /// What the fields of carried handles begin from: those that they have, if none was lost.
-    fn restart(&self, carried: &CarriedHandles) -> Option<topology_state::KeptHandleFields> {
+    fn keep_fields(&self, carried: &CarriedHandles) -> Option<KeptHandleFields> {
         let all = carried.kept.len() == self.handles().handles.len();
         let rig = self.rig().filter(|_| all)?;
-        Some(topology_state::KeptHandleFields {
-            request: carried.request.clone(),
+        Some(KeptHandleFields {
+            set: carried.set.clone(),
             fields: rig.keep_fields(),
         })
     }
 
     /// The shape after an edit, and all that is told of it; with `settings` the poses are solved for.
-    fn after_edit(
+    fn shape_after_edit(
         &mut self,
         carried: CarriedHandles,
-        mut result: pb::EditResult,
-        settings: Option<DeformOptions>,
+        mut report: EditReport,
+        settings: Option<SolveSettings>,
         exec: &Exec<'_>,
     ) -> Result<EditOutcome, Error> {
         let poses = self.initial_poses();
-        let posed = poses.0.iter().any(is_posed);
+        let posed = poses.0.iter().any(|pose| pose.moves());
         let (positions, solved) = if let Some(settings) = settings.filter(|_| posed) {
             exec.progress.report("solve", 0.0);
             let solved = self.solve(&poses, &settings, SolveMode::Commit, exec, &mut |_| true)?;
@@ -165,43 +136,53 @@ impl Deformer {
         } else {
             (Arc::clone(self.rest()), None)
         };
-        result.digest = super::digest(&positions);
+        report.digest = digest(&positions);
         Ok(EditOutcome {
-            result,
-            handles: carried.request,
+            report,
+            handles: carried.set,
             poses,
             solved,
             positions,
         })
     }
 
-    /// The state but for its handles.
-    pub fn trail(&self) -> TopologyState {
-        TopologyState(Arc::clone(&self.derived.path))
+    /// Returns the state of the topology: everything but handles and shape, to go back to.
+    pub fn topology_state(&self) -> TopologyState {
+        TopologyState(Arc::clone(&self.derived.lineage))
     }
 
-    /// Goes to another state, without handles. On an error nothing has changed.
+    /// Goes to another state of the topology, without handles. On an error nothing has changed.
     ///
     /// # Errors
     /// [`Error::TooLarge`], [`Error::Cancelled`].
-    pub fn retrace(&mut self, trail: &TopologyState, exec: &Exec<'_>) -> Result<(), Error> {
-        if Arc::ptr_eq(&self.derived.path, &trail.0) {
+    pub fn restore_topology(&mut self, state: &TopologyState, exec: &Exec<'_>) -> Result<(), Error> {
+        if self.derived.lineage.id == state.id() {
             return Ok(());
         }
-        let derived = match self.kept(&trail.0) {
+        let derived = match self.kept_structures(state.id()) {
             Some(derived) => derived,
-            None => Arc::new(DerivedStructures::retrace(trail, &self.choices, &self.limits, exec)?),
+            None => Arc::new(DerivedStructures::retrace(state, &self.options, &self.limits, exec)?),
         };
-        *self = self.on(derived);
+        *self = self.with_derived(derived);
         Ok(())
     }
 
+    /// What regions are resolved against in the shape that is edited.
+    fn region_context<'a>(&'a self, shape: &'a Arc<Vec<DVec3>>) -> RegionContext<'a> {
+        let current = !Arc::ptr_eq(shape, self.rest());
+        RegionContext {
+            pose: if current { "the current shape" } else { "the rest pose" },
+            positions: shape,
+            ..self.rest_regions()
+        }
+    }
+
     /// The surface in a shape, as an operation reads it.
-    fn sheet(&self, shape: &[DVec3]) -> EditSurface {
+    fn edit_surface(&self, shape: &[DVec3]) -> EditSurface {
         let geometry = self.geometry();
         let shading = match geometry.normals.is_empty() {
             true => Default::default(),
-            false => super::shading::shading(geometry, self.rest(), shape),
+            false => super::shading(geometry, self.rest(), shape),
         };
         let tangents = if geometry.tangents.is_empty() {
             Vec::new()
@@ -211,7 +192,7 @@ impl Deformer {
         EditSurface::new(&self.derived.mesh, geometry, shape, shading.normals, tangents)
     }
 
-    fn admit_size(&self, applied: &Applied) -> Result<(), Error> {
+    fn admit_size(&self, applied: &PatchedSurface) -> Result<(), Error> {
         let limits = &self.limits.model;
         let sizes = [
             (
@@ -243,92 +224,35 @@ impl Deformer {
     }
 
     /// What the handles in force hold after an edit.
-    fn carried(
+    fn carry(
         &self,
-        applied: &Applied,
-        planned: &super::edit_operations::PlannedEdit,
+        applied: &PatchedSurface,
+        planned: &PlannedEdit,
         poses: Option<&HandlePoses>,
     ) -> Result<CarriedHandles, Error> {
-        let old = self.handles();
-        // Only render vertices are asked for.
-        let blank = self.without_nodes();
-        let ground = region::RegionContext {
-            graph: &blank,
-            ..self.ground()
+        let set = self.handles();
+        let context = self.rest_regions();
+        let mut vertices = Vec::new();
+        for (k, handle) in set.handles.iter().enumerate() {
+            let place = |part| InputPlace::HandleRegion(k, part);
+            vertices.push(vertices_in_region(&context, &handle.region, None).map_err(|e| e.at(place))?);
+        }
+        if let Some(region) = &set.region_of_interest {
+            let held = vertices_in_region(&context, region, None);
+            vertices.push(held.map_err(|e| e.at(InputPlace::RegionOfInterest))?);
+        }
+        let held = HeldVertices {
+            set,
+            vertices,
+            centroids: self.centroids(),
         };
-        let mut held: Vec<ResolvedRegion> = Vec::new();
-        for (k, handle) in old.handles.iter().enumerate() {
-            let field = format!("handles[{k}].region");
-            held.push(region::resolve(&ground, handle.region.as_ref(), None, &field)?);
-        }
-        if let Some(region) = &old.region_of_interest {
-            held.push(region::resolve(&ground, Some(region), None, "regionOfInterest")?);
-        }
         let poses = poses.map(|p| p.0.as_slice());
-        Ok(carry(old, &held, self.centroids(), poses, applied, &planned.patch))
-    }
-
-    /// A graph of which regions hold no node.
-    fn without_nodes(&self) -> Graph {
-        Graph {
-            offsets: vec![0],
-            neighbours: Vec::new(),
-            weights: None,
-            positions: Vec::new(),
-            surface: self.derived.mesh.positions.len(),
-            nearest_surface: Vec::new(),
-            component: Vec::new(),
-            components: 0,
-            stats: Stats::default(),
-            recipe: Recipe::default(),
-        }
-    }
-
-    /// The triangles of a region in the shape that is edited, rising: those with at least `corners` corners inside. All of
-    /// them without a region.
-    pub(super) fn faces(
-        &self,
-        sheet: &EditSurface,
-        shape: &[DVec3],
-        region: Option<&pb::Region>,
-        corners: usize,
-        field: &str,
-    ) -> Result<Vec<u32>, Error> {
-        if region.is_none() {
-            return Ok((0..sheet.triangles.len() as u32).collect());
-        }
-        let blank = self.without_nodes();
-        let current = !std::ptr::eq(shape.as_ptr(), self.rest().as_ptr());
-        let ground = region::RegionContext {
-            pose: if current { "the current shape" } else { "the rest pose" },
-            positions: shape,
-            graph: &blank,
-            ..self.ground()
-        };
-        let marks = region::resolve(&ground, region, None, field)?.render;
-        let faces: Vec<u32> = (0u32..)
-            .zip(&sheet.triangles)
-            .filter(|(_, t)| t.iter().filter(|&&v| marks[v as usize]).count() >= corners)
-            .map(|(t, _)| t)
-            .collect();
-        if faces.is_empty() {
-            return Err(Error::invalid(
-                field,
-                "holds no triangle; a triangle is inside when its three corners are",
-            ));
-        }
-        Ok(faces)
+        Ok(carry_handles(&held, poses, applied, &planned.patch))
     }
 }
 
-/// Whether a pose may move anything. A pivot alone does not.
-fn is_posed(pose: &pb::HandlePose) -> bool {
-    let pivot = Vec::new();
-    pb::HandlePose { pivot, ..pose.clone() } != pb::HandlePose::default()
-}
-
-/// FollowedNodes with those of the surface where an edit takes them to be.
-fn with_points(nodes: &Arc<Vec<DVec3>>, points: &[DVec3]) -> Arc<Vec<DVec3>> {
+/// Nodes with those of the surface where an edit takes them to be.
+fn nodes_with_points(nodes: &Arc<Vec<DVec3>>, points: &[DVec3]) -> Arc<Vec<DVec3>> {
     if nodes[..points.len()] == *points {
         return Arc::clone(nodes);
     }
@@ -337,29 +261,9 @@ fn with_points(nodes: &Arc<Vec<DVec3>>, points: &[DVec3]) -> Arc<Vec<DVec3>> {
     Arc::new(nodes)
 }
 
-fn counts(vertices: usize, faces: usize) -> pb::edit_result::Counts {
-    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-    pb::edit_result::Counts {
-        vertices: count(vertices),
-        faces: count(faces),
-    }
-}
-
-fn warning((code, message, place): &(String, String, String)) -> pb::Warning {
-    pb::Warning {
-        code: code.clone(),
-        message: message.clone(),
-        r#where: place.clone(),
-    }
-}
-
-/// What the refusal of an operation means to its caller.
-pub(super) fn refused(e: crate::edit::Error) -> Error {
-    use crate::edit::Error as Edit;
-    match e {
-        Edit::Invalid { field, problem } => Error::Invalid { field, problem },
-        Edit::Impossible { .. } => Error::Precondition(e.to_string()),
-        Edit::TooLarge { what, seen, limit } => Error::TooLarge { what, seen, limit },
-        Edit::Cancelled => Error::Cancelled,
+fn mesh_counts(vertices: usize, faces: usize) -> MeshCounts {
+    MeshCounts {
+        vertices: count_u32(vertices),
+        faces: count_u32(faces),
     }
 }

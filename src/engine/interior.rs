@@ -1,8 +1,8 @@
 //! Interior nodes within the memory that there is, and what a user should know of them.
 
 use super::DeformerLimits;
+use super::facts::DeformerWarning;
 use crate::deform::{Body, BodyOptions, VolumeMode};
-use crate::wire::pb;
 
 /// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
 /// 1,150 on a solid of 128 K nodes, rounded up.
@@ -13,19 +13,15 @@ const PLACES: usize = 16;
 
 /// Lowers the most nodes of the graph to what fits into `limits` beside `other` bytes, with a fifth left for the fields
 /// of handles.
-pub(super) fn fit(options: &mut BodyOptions, other: u64, limits: &DeformerLimits) {
+pub(super) fn fit_lattice(options: &mut BodyOptions, other: u64, limits: &DeformerLimits) {
     let nodes = limits.memory_bytes.saturating_sub(other) / (BYTES_PER_NODE / 4 * 5);
     let most = &mut options.graph.max_nodes;
     *most = (*most).min(usize::try_from(nodes).unwrap_or(usize::MAX));
 }
 
 /// What is unusual about the interior of a body that was built in `mode`.
-pub(super) fn warnings(body: &Body, mode: VolumeMode) -> Vec<pb::Warning> {
-    let warning = |code: &str, message: String, place: String| pb::Warning {
-        code: code.into(),
-        message,
-        r#where: place,
-    };
+pub(super) fn interior_warnings(body: &Body, mode: VolumeMode) -> Vec<DeformerWarning> {
+    let warning = |code: &str, message: String, place: String| DeformerWarning::new(code, message, place);
     if mode == VolumeMode::Off {
         return Vec::new();
     }
@@ -83,11 +79,11 @@ mod tests {
     use crate::exec::Exec;
     use crate::pool::Pool;
     use crate::progress::Silent;
-    use crate::wire::Error;
+    use crate::engine::{Error, OpenOptions, WarningPlace};
     use glam::DVec3;
 
     /// A cube of 1,538 vertices, with an open square beside it when asked for.
-    fn open(memory_bytes: u64, mode: pb::create_options::volume_graph::Mode, sheet: bool) -> Result<Deformer, Error> {
+    fn open(memory_bytes: u64, mode: VolumeMode, sheet: bool) -> Result<Deformer, Error> {
         let (positions, triangles) = shapes::box_with_cells(DVec3::ONE, [16; 3]);
         let mut text = String::new();
         positions
@@ -99,13 +95,8 @@ mod tests {
         if sheet {
             text += "v 3 0 0\nv 4 0 0\nv 4 1 0\nv 3 1 0\nf -4 -3 -2 -1\n";
         }
-        let create = pb::CreateOptions {
-            volume_graph: Some(pb::create_options::VolumeGraph {
-                mode: mode.into(),
-                ..Default::default()
-            }),
-            ..Default::default()
-        };
+        let mut options = OpenOptions::default();
+        options.body.volume = mode;
         let limits = DeformerLimits {
             memory_bytes,
             ..Default::default()
@@ -113,7 +104,7 @@ mod tests {
         let pool = Pool::new(1).unwrap();
         Deformer::open(
             FileSet::single("cube.obj", text),
-            &create,
+            &options,
             &limits,
             &Exec::new(&pool, &Silent),
         )
@@ -125,8 +116,7 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_gets_a_wider_lattice_then_none_and_says_so() {
-        use pb::create_options::volume_graph::Mode;
-        let whole = open(1 << 30, Mode::Auto, false).unwrap();
+        let whole = open(1 << 30, VolumeMode::Auto, false).unwrap();
         assert!(codes(&whole).is_empty(), "{:?}", codes(&whole));
         let surface = whole.body().graph.surface as u64;
         // What files, vertices and so many nodes take.
@@ -134,30 +124,29 @@ mod tests {
             let beside = whole.estimate() - whole.body().nodes() as u64 * BYTES_PER_NODE;
             beside + nodes * BYTES_PER_NODE / 4 * 5
         };
-        let coarse = open(room(surface * 5 / 2), Mode::Auto, false).unwrap();
+        let coarse = open(room(surface * 5 / 2), VolumeMode::Auto, false).unwrap();
         assert_eq!(codes(&coarse), ["volume-graph-coarse"]);
         assert!(coarse.body().nodes() < whole.body().nodes() && coarse.body().graph.stats.lattice_nodes > 0);
-        let none = open(room(surface * 3 / 2), Mode::Auto, false).unwrap();
+        let none = open(room(surface * 3 / 2), VolumeMode::Auto, false).unwrap();
         assert_eq!(codes(&none), ["volume-graph-too-large"]);
         assert_eq!(none.body().nodes() as u64, surface);
-        assert!(open(room(surface * 3 / 2), Mode::Required, false).is_err());
+        assert!(open(room(surface * 3 / 2), VolumeMode::Required, false).is_err());
         assert!(matches!(
-            open(room(surface / 2), Mode::Auto, false),
+            open(room(surface / 2), VolumeMode::Auto, false),
             Err(Error::TooLarge { .. })
         ));
     }
 
     #[test]
     fn parts_without_an_inside_are_counted_and_placed() {
-        use pb::create_options::volume_graph::Mode;
-        let bench = open(1 << 30, Mode::Auto, true).unwrap();
+        let bench = open(1 << 30, VolumeMode::Auto, true).unwrap();
         let facts = bench.facts();
         let warning = facts.warnings.iter().find(|w| w.code == "surface-parts").unwrap();
         assert_eq!(
             warning.message,
             "1 of 2 parts enclose no volume or too little, so they deform as surfaces"
         );
-        assert_eq!(warning.r#where, "at (3, 0, 0)");
-        assert!(!codes(&open(1 << 30, Mode::Off, true).unwrap()).contains(&"surface-parts".into()));
+        assert_eq!(warning.place, WarningPlace::Text("at (3, 0, 0)".into()));
+        assert!(!codes(&open(1 << 30, VolumeMode::Off, true).unwrap()).contains(&"surface-parts".into()));
     }
 }

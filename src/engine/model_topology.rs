@@ -1,10 +1,10 @@
-//! What everything on a bench is derived from: the model as it was read, or as edits have left it.
+//! What everything in a deformer is derived from: the model as it was read, or as edits have left it.
 
+use super::error::Error;
 use super::vertex_origins::VertexOrigins;
 use crate::asset::{self, Format, Geometry, Model, Primitive, Written};
-use crate::edit::{Applied, Patch, Surface};
+use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, Weld};
-use crate::wire::{Error, pb};
 use glam::{DVec3, Vec3, Vec4};
 use sha2::{Digest, Sha256};
 use std::mem::take;
@@ -45,12 +45,12 @@ impl ModelTopology {
         let sha256: String = sha256.iter().map(|b| format!("{b:02x}")).collect();
         Self {
             sha256: sha256.into(),
-            ..Self::of(Arc::new(model))
+            ..Self::from_shared_model(Arc::new(model))
         }
     }
 
     /// Of a model that others hold too; nobody asks for its digest.
-    pub fn of(model: Arc<Model>) -> Self {
+    pub fn from_shared_model(model: Arc<Model>) -> Self {
         Self {
             rest: Arc::new(model.positions.clone()),
             model,
@@ -102,16 +102,16 @@ impl ModelTopology {
         self.model.geometry.bytes_held() + edited + (self.rest.capacity() * 24) as u64
     }
 
-    /// The foundation after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
+    /// The topology after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
     /// `applied`. `parts` tells that it may have made parts that touch.
     pub fn edited(
         &self,
         before: &EditSurface,
         origins: &VertexOrigins,
-        mut applied: Applied,
-        patch: &Patch,
+        mut applied: PatchedSurface,
+        patch: &SurfacePatch,
         parts: bool,
-    ) -> (Self, Applied) {
+    ) -> (Self, PatchedSurface) {
         let normals = normals(before, &applied);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
         let origins = origins.after(&applied, patch, own);
@@ -123,7 +123,7 @@ impl ModelTopology {
             warnings: self.model.warnings.clone(),
             triangles: take(&mut applied.triangles),
         };
-        let foundation = Self {
+        let topology = Self {
             model: Arc::clone(&self.model),
             sha256: Arc::clone(&self.sha256),
             rest: Arc::new(take(&mut applied.positions)),
@@ -135,7 +135,7 @@ impl ModelTopology {
                 apart: parts || self.is_apart(),
             }),
         };
-        (foundation, applied)
+        (topology, applied)
     }
 
     /// Whether a cut has made parts that touch and do not belong together.
@@ -195,8 +195,8 @@ impl EditSurface {
     }
 
     /// What an operation reads.
-    pub fn surface(&self) -> Surface<'_> {
-        Surface {
+    pub fn surface(&self) -> SurfaceView<'_> {
+        SurfaceView {
             positions: &self.positions,
             triangles: &self.triangles,
             primitive_of: &self.primitive_of,
@@ -281,7 +281,7 @@ fn runs(primitives: &[Primitive], count: usize) -> Vec<u32> {
     of
 }
 
-fn primitives(before: &EditSurface, applied: &Applied) -> Vec<Primitive> {
+fn primitives(before: &EditSurface, applied: &PatchedSurface) -> Vec<Primitive> {
     let vertices = applied.positions.len() as u32;
     let mut triangles = vec![0u32; before.primitives.len()];
     applied.primitive_of.iter().for_each(|&p| triangles[p as usize] += 1);
@@ -298,7 +298,7 @@ fn primitives(before: &EditSurface, applied: &Applied) -> Vec<Primitive> {
 }
 
 /// Normals after an edit: old vertices keep theirs, new ones have the mean of their triangles'.
-fn normals(before: &EditSurface, applied: &Applied) -> Vec<Vec3> {
+fn normals(before: &EditSurface, applied: &PatchedSurface) -> Vec<Vec3> {
     if before.normals.is_empty() {
         return Vec::new();
     }
@@ -326,7 +326,7 @@ fn normals(before: &EditSurface, applied: &Applied) -> Vec<Vec3> {
 }
 
 /// Whether a new vertex lies on surface that the edit has made: its triangles face elsewhere than what it is blended from.
-fn is_own(before: &EditSurface, applied: &Applied, patch: &Patch, normals: &[Vec3], vertex: usize) -> bool {
+fn is_own(before: &EditSurface, applied: &PatchedSurface, patch: &SurfacePatch, normals: &[Vec3], vertex: usize) -> bool {
     const ALIKE: f32 = 0.5;
     let old = before.positions.len();
     let new = (applied.old_from_vertex[vertex] as usize).checked_sub(old);
@@ -339,7 +339,7 @@ fn is_own(before: &EditSurface, applied: &Applied, patch: &Patch, normals: &[Vec
 }
 
 /// Tangents after an edit: those of new vertices are blended.
-fn tangents(before: &EditSurface, applied: &Applied, patch: &Patch) -> Vec<Vec4> {
+fn tangents(before: &EditSurface, applied: &PatchedSurface, patch: &SurfacePatch) -> Vec<Vec4> {
     if before.tangents.is_empty() {
         return Vec::new();
     }
@@ -362,19 +362,4 @@ fn tangents(before: &EditSurface, applied: &Applied, patch: &Patch) -> Vec<Vec4>
             None => blended(was as usize - old).unwrap_or(Vec4::ZERO),
         })
         .collect()
-}
-
-/// A primitive as clients see it.
-pub(super) fn primitive(p: &Primitive) -> pb::Primitive {
-    pb::Primitive {
-        node: p.node,
-        mesh: p.mesh,
-        primitive: p.primitive,
-        name: p.name.clone(),
-        first_vertex: p.first_vertex,
-        vertex_count: p.vertex_count,
-        index_count: p.index_count,
-        has_normals: p.has_normals,
-        has_tangents: p.has_tangents,
-    }
 }

@@ -1,9 +1,10 @@
 //! How far a shape is from the rest shape, in numbers.
 
+use super::error::Error;
+use super::facts::QualityReport;
 use super::{Deformer, HandlePoses};
 use crate::mesh::{Bounds, Mesh, shading};
 use crate::pool::Pool;
-use crate::wire::{Error, pb};
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -31,7 +32,7 @@ const RUN: usize = 1 << 16;
 ///
 /// A triangle counts as flipped when its normal opposes the rest normal turned by the mean rotation around it, which is
 /// taken from its neighbours' normals: a fold shows, a part that was turned over as a whole does not.
-pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> pb::Quality {
+pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> QualityReport {
     let centers = [&mesh.positions, deformed].map(|p| Bounds::of(p).center());
     let (sums, flipped_triangles) = pool.install(|| {
         let blocks: Vec<QualitySums> = mesh
@@ -43,7 +44,7 @@ pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool
         (sums, flipped(mesh, deformed))
     });
     let change = |[before, now]: [f64; 2]| if before != 0.0 { now / before - 1.0 } else { 0.0 };
-    pb::Quality {
+    QualityReport {
         edge_rms: (sums.squares / sums.edges.max(1) as f64).sqrt(),
         volume_change: if closed { change(sums.volume) } else { 0.0 },
         area_change: change(sums.area),
@@ -175,15 +176,15 @@ mod tests {
             let place = |p: &DVec3| turn * *p * scale + DVec3::new(50.0, -3.0, 8.0);
             mesh.positions.iter().map(place).collect()
         };
-        let still = quality(&mesh, true, &moved(1.0), &pool(2));
+        let still = measure_quality(&mesh, true, &moved(1.0), &pool(2));
         assert!(still.edge_rms < 1e-12 && still.volume_change.abs() < 1e-12 && still.area_change.abs() < 1e-12);
         assert!((still.max_stretch - 1.0).abs() < 1e-12);
         assert_eq!((still.flipped_triangles, still.self_intersections), (0, None));
-        let grown = quality(&mesh, true, &moved(1.2), &pool(2));
+        let grown = measure_quality(&mesh, true, &moved(1.2), &pool(2));
         assert!((grown.edge_rms - 0.2).abs() < 1e-12 && (grown.max_stretch - 1.2).abs() < 1e-12);
         assert!((grown.volume_change - 0.728).abs() < 1e-12 && (grown.area_change - 0.44).abs() < 1e-12);
         assert_eq!(
-            quality(&mesh, false, &moved(1.2), &pool(2)).volume_change,
+            measure_quality(&mesh, false, &moved(1.2), &pool(2)).volume_change,
             0.0,
             "an open mesh has no volume"
         );
@@ -198,8 +199,8 @@ mod tests {
             .iter()
             .map(|p| DVec3::new(p.x + 0.3 * p.y * p.y, p.y * (1.0 + 0.5 * p.z), p.z - 0.2 * p.x))
             .collect();
-        let one = quality(&mesh, true, &deformed, &pool(1));
-        assert_eq!(one, quality(&mesh, true, &deformed, &pool(3)));
+        let one = measure_quality(&mesh, true, &deformed, &pool(1));
+        assert_eq!(one, measure_quality(&mesh, true, &deformed, &pool(3)));
         let ratio = |of: fn(&[DVec3], &[[u32; 3]]) -> f64| {
             of(&deformed, &mesh.triangles) / of(&mesh.positions, &mesh.triangles) - 1.0
         };
@@ -215,11 +216,11 @@ mod tests {
         let mut folded = sheet.positions.clone();
         let inner = 10 * 21 + 10;
         folded[inner].x += 0.12;
-        assert!(quality(&sheet, false, &folded, &pool(1)).flipped_triangles > 0);
+        assert!(measure_quality(&sheet, false, &folded, &pool(1)).flipped_triangles > 0);
         let over: Vec<DVec3> = sheet.positions.iter().map(|p| DVec3::new(p.x, -p.y, -p.z)).collect();
-        assert_eq!(quality(&sheet, false, &over, &pool(1)).flipped_triangles, 0);
+        assert_eq!(measure_quality(&sheet, false, &over, &pool(1)).flipped_triangles, 0);
         // A collapse to a point has no normals at all, and no number that is none.
-        let gone = quality(&sheet, false, &vec![DVec3::ONE; sheet.positions.len()], &pool(1));
+        let gone = measure_quality(&sheet, false, &vec![DVec3::ONE; sheet.positions.len()], &pool(1));
         assert_eq!(gone.flipped_triangles, 0);
         assert!((gone.edge_rms - 1.0).abs() < 1e-12 && gone.area_change == -1.0 && gone.max_stretch == 0.0);
     }

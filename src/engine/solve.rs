@@ -1,24 +1,16 @@
-//! HandlePoses on a bench: checked, solved, and brought from the graph's nodes back to render vertices.
+//! Poses solved, and brought from the graph's nodes back to render vertices.
 
 use super::deformer::CommittedShape;
-use super::handles::ResolvedHandles;
-use super::{Deformer, HandlePoses};
+use super::error::{Error, InputPlace};
+use super::pose::{HandlePose, HandlePoses};
+use super::resolved_handles::ResolvedHandles;
+use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
+use super::Deformer;
 use crate::deform::{Body, Cycle, Refinement, Request, Rig, Solution, Start, Transform};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
-use crate::wire::check::{COMMIT_REFINE, DeformOptions, transform};
-use crate::wire::{Error, pb};
 use glam::{DVec3, Mat3};
 use std::sync::Arc;
-
-/// How a solve treats what was solved before.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SolveMode {
-    /// Starts from the last result, for the sake of speed.
-    Drag,
-    /// Depends on nothing but model, handles, poses and settings, so that it can be repeated to the bit.
-    Commit,
-}
 
 /// A state of a solve that is under way, given to the watcher after every cycle.
 pub struct SolveUpdate<'a> {
@@ -50,22 +42,24 @@ pub struct SolvedShape {
 }
 
 impl Deformer {
-    /// `poses` with those that `change` names replaced. Checks every number.
+    /// Returns `poses` with those that `changes` names replaced.
     ///
     /// # Errors
-    /// [`Error::Precondition`] without handles, [`Error::Invalid`] with the field.
-    pub fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error> {
+    /// [`Error::Precondition`] without handles, [`Error::Invalid`] for the id of a handle that is not set.
+    pub fn change_poses<'a>(
+        &self,
+        poses: &HandlePoses,
+        changes: impl IntoIterator<Item = (&'a str, HandlePose)>,
+    ) -> Result<HandlePoses, Error> {
         self.require_handles()?;
         let mut all = poses.0.as_ref().clone();
-        for (k, entry) in change.handles.iter().enumerate() {
-            let handles = &self.handles.request.handles;
-            let Some(at) = handles.iter().position(|h| h.id == entry.id) else {
+        for (k, (id, pose)) in changes.into_iter().enumerate() {
+            let handles = &self.handles().handles;
+            let Some(at) = handles.iter().position(|h| h.id == id) else {
                 let ids: Vec<_> = handles.iter().take(8).map(|h| format!("\"{}\"", h.id)).collect();
-                let problem = format!("no handle \"{}\" is set, there are {}", entry.id, ids.join(", "));
-                return Err(Error::invalid(format!("pose.handles[{k}].id"), problem));
+                let problem = format!("no handle \"{id}\" is set, there are {}", ids.join(", "));
+                return Err(Error::invalid(InputPlace::PosedHandle(k), problem));
             };
-            let pose = entry.pose.clone().unwrap_or_default();
-            transform(&pose, self.handles.centroids[at], &format!("pose.handles[{k}].pose"))?;
             all[at] = pose;
         }
         Ok(HandlePoses(Arc::new(all)))
@@ -80,24 +74,24 @@ impl Deformer {
     /// The transforms of the rig's holds for poses by handle, in model space.
     ///
     /// # Errors
-    /// [`Error::Precondition`] without handles; [`Error::Invalid`] when poses do not belong to the handles in force.
+    /// [`Error::Precondition`] without handles; [`Error::Internal`] when poses do not belong to the handles in force.
     pub fn transforms(&self, poses: &HandlePoses) -> Result<Vec<Transform>, Error> {
         self.require_handles()?;
-        if poses.0.len() != self.handles.request.handles.len() {
+        if poses.0.len() != self.handles().handles.len() {
             return Err(Error::Internal("poses of other handles".into()));
         }
-        self.handles.transforms(&poses.0)
+        Ok(self.handles.transforms(&poses.0))
     }
 
     /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is.
     ///
     /// # Errors
     /// [`Error::Precondition`] without handles; [`Error::Cancelled`] when `progress` says so, within one cycle;
-    /// [`Error::Invalid`] when poses do not belong to the handles in force.
+    /// [`Error::Internal`] when poses do not belong to the handles in force.
     pub fn solve(
         &mut self,
         poses: &HandlePoses,
-        settings: &DeformOptions,
+        settings: &SolveSettings,
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
@@ -136,7 +130,7 @@ impl Deformer {
         let shape = ShapeTransfer {
             body,
             mesh: &derived.mesh,
-            rest: &derived.foundation().rest,
+            rest: &derived.topology().rest,
             handles,
         };
         let mut on_cycle = |cycle: &Cycle<'_>| {
@@ -221,19 +215,5 @@ fn method_name(solution: &Solution) -> &'static str {
         Graph(Solver::PaperCycles) => "paper-cycles",
         Graph(Solver::ConjugateGradients) => "conjugate-gradients",
         SpatialRbf => "spatial-rbf",
-    }
-}
-
-impl From<crate::deform::Error> for Error {
-    fn from(e: crate::deform::Error) -> Self {
-        use crate::deform::Error as Engine;
-        match e {
-            Engine::Cancelled => Self::Cancelled,
-            Engine::Graph(_) => Self::invalid("volumeGraph", e.to_string()),
-            Engine::NoInside => Self::invalid("volumeGraph.mode", e.to_string()),
-            Engine::NoPosition | Engine::FreePart { .. } => Self::Precondition(e.to_string()),
-            Engine::Unsupported(what) => Self::Unimplemented(what),
-            Engine::Solver(_) => Self::Internal(e.to_string()),
-        }
     }
 }

@@ -5,26 +5,40 @@
 //! gives the same bits; solving is no part of it.
 
 use super::derived_structures::FollowedNodes;
+use super::error::Error;
+use super::handle::HandleSet;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
+use super::settings::OpenOptions;
 use crate::deform::{Body, Followed, KeptFields};
 use crate::exec::Exec;
-use crate::wire::OpenOptions;
-use crate::wire::{Error, pb};
 use glam::DVec3;
 use std::sync::Arc;
 
 /// After so many edits a body is built from nothing.
 const LONGEST: u32 = 64;
 
-/// The state of a bench but for its handles, to go back to.
+/// Names a state of a deformer's topology. Numbers are given in the order in which a deformer reaches new states.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub struct TopologyId(pub(super) u64);
+
+impl TopologyId {
+    /// The name after this one.
+    pub(super) fn next(self) -> Self {
+        Self(self.0 + 1)
+    }
+}
+
+/// The state of a deformer but for its handles and its shape, to go back to.
 #[derive(Debug, Clone)]
 pub struct TopologyState(pub(super) Arc<TopologyLineage>);
 
-/// A foundation, and how its body came about.
+/// A model topology, and how its body came about.
 #[derive(Debug)]
 pub(super) struct TopologyLineage {
-    pub foundation: Arc<ModelTopology>,
+    /// Which state of the deformer it is.
+    pub id: TopologyId,
+    pub topology: Arc<ModelTopology>,
     pub past: LineageOrigin,
     /// What the fields of the handles that the last edit carried over begin from.
     pub restart: Option<KeptHandleFields>,
@@ -33,7 +47,7 @@ pub(super) struct TopologyLineage {
 /// The handles that an edit carried over, and the fields that they had before it.
 #[derive(Debug)]
 pub(super) struct KeptHandleFields {
-    pub request: pb::SetHandlesRequest,
+    pub set: HandleSet,
     pub fields: KeptFields,
 }
 
@@ -59,13 +73,18 @@ pub(super) struct LineageEdit {
 }
 
 impl TopologyState {
+    /// Returns the name of the state, unique within one deformer.
+    pub fn id(&self) -> TopologyId {
+        self.0.id
+    }
+
     /// Whether two are the same state.
-    pub fn same(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.0, &other.0)
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.id() == other.id()
     }
 
     /// Bytes that only this state holds, about.
-    pub fn bytes(&self) -> u64 {
+    pub fn byte_size(&self) -> u64 {
         let step = match &self.0.past {
             LineageOrigin::Built(_) => 0,
             LineageOrigin::Edited(step) => step.own_bytes(),
@@ -74,19 +93,20 @@ impl TopologyState {
         step + kept
             + self
                 .0
-                .foundation
+                .topology
                 .edited
                 .as_ref()
-                .map_or(0, |_| self.0.foundation.bytes())
+                .map_or(0, |_| self.0.topology.bytes())
     }
 }
 
 impl TopologyLineage {
     /// Of a model whose body is built.
-    pub fn built(foundation: Arc<ModelTopology>) -> Self {
+    pub fn built(id: TopologyId, topology: Arc<ModelTopology>) -> Self {
         Self {
-            past: LineageOrigin::Built(Arc::clone(&foundation)),
-            foundation,
+            id,
+            past: LineageOrigin::Built(Arc::clone(&topology)),
+            topology,
             restart: None,
         }
     }
@@ -115,7 +135,7 @@ impl LineageOrigin {
     /// cannot be where it once was.
     pub fn retrace(
         &self,
-        choices: &OpenOptions,
+        options: &OpenOptions,
         fit: &dyn Fn(&ModelTopology) -> crate::deform::BodyOptions,
         exec: &Exec<'_>,
     ) -> Result<Option<RetracedBody>, Error> {
@@ -123,14 +143,14 @@ impl LineageOrigin {
         let mut at = self;
         let start = loop {
             match at {
-                Self::Built(foundation) => break foundation,
+                Self::Built(topology) => break topology,
                 Self::Edited(step) => {
                     steps.push(step);
                     at = &step.before;
                 }
             }
         };
-        let mesh = start.mesh(choices.weld)?;
+        let mesh = start.mesh(options.weld)?;
         let body = Body::build(&mesh, &fit(start), exec)?;
         let mut now = RetracedBody {
             body,

@@ -4,21 +4,15 @@ use super::check::{enumerated, number};
 use super::{Error, pb};
 use crate::asset::Format;
 use crate::deform::{BodyOptions, Operators, Policy, VolumeMode, Weights};
+use crate::engine::OpenOptions;
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
-/// Options of a session, checked.
-#[derive(Debug, Clone)]
-pub(crate) struct OpenOptions {
-    pub format: Option<Format>,
-    pub weld: Weld,
-    pub policy: Policy,
-    pub body: BodyOptions,
-}
-
-impl OpenOptions {
-    /// Checks the options of a session; fields are named as in JSON.
-    pub fn check(create: &pb::CreateOptions) -> Result<Self, Error> {
+/// Reads how a model is to be opened.
+///
+/// # Errors
+/// [`Error::Invalid`] with the field.
+pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         let format = match create.format.as_str() {
             "" => None,
             name => Some(Format::from_name(name).ok_or_else(|| {
@@ -73,7 +67,7 @@ impl OpenOptions {
             weights,
             ..Default::default()
         };
-        Ok(Self {
+        Ok(OpenOptions {
             format,
             weld,
             policy,
@@ -85,7 +79,6 @@ impl OpenOptions {
             },
         })
     }
-}
 
 #[cfg(test)]
 mod tests {
@@ -102,13 +95,13 @@ mod tests {
                 operators: wanted.into(),
                 ..Default::default()
             };
-            let choices = OpenOptions::check(&create).ok();
-            assert_eq!(choices.map(|c| c.body.operators), Some(chosen));
+            let options = open_options(&create).ok();
+            assert_eq!(options.map(|c| c.body.operators), Some(chosen));
         }
         let unknown = pb::CreateOptions {
             operators: 7,
             ..Default::default()
         };
-        assert!(OpenOptions::check(&unknown).is_err());
+        assert!(open_options(&unknown).is_err());
     }
 }

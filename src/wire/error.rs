@@ -1,5 +1,8 @@
 //! What can be wrong with a request.
 
+use super::edit::edit_kind_name;
+use crate::edit::{EditSubject, Error as Refused, ErrorPlace};
+use crate::engine::{self, InputPlace, RegionPlace};
 use crate::asset;
 
 /// Why a request was refused or could not be carried out. Nothing has changed when one of these is returned.
@@ -62,4 +65,74 @@ impl From<crate::progress::Cancelled> for Error {
     fn from(_: crate::progress::Cancelled) -> Self {
         Self::Cancelled
     }
+}
+
+impl From<engine::Error> for Error {
+    fn from(e: engine::Error) -> Self {
+        use engine::Error as Engine;
+        match e {
+            Engine::Asset(e) => Self::Asset(e),
+            Engine::Invalid { place, problem } => Self::invalid(field_of_input(place), problem),
+            Engine::Precondition(text) => Self::Precondition(text),
+            Engine::Edit(Refused::Invalid { subject, problem }) => Self::invalid(field_of_edit(subject), problem),
+            Engine::Edit(Refused::Impossible {
+                problem,
+                place: ErrorPlace::Argument(subject),
+            }) => Self::Precondition(format!("{problem} ({})", field_of_edit(subject))),
+            Engine::Edit(refused) => Self::Precondition(refused.to_string()),
+            Engine::Unimplemented(what) => Self::Unimplemented(what),
+            Engine::TooLarge { what, seen, limit } => Self::TooLarge { what, seen, limit },
+            Engine::Cancelled => Self::Cancelled,
+            Engine::Internal(text) => Self::Internal(text),
+        }
+    }
+}
+
+/// The field of a request that a value of the engine's input comes from.
+fn field_of_input(place: InputPlace) -> String {
+    match place {
+        InputPlace::HandleRegion(k, part) => format!("handles[{k}].region{}", field_in_region(part)),
+        InputPlace::HandleFalloff(k) => format!("handles[{k}].falloff"),
+        InputPlace::RegionOfInterest(part) => format!("regionOfInterest{}", field_in_region(part)),
+        InputPlace::PosedHandle(k) => format!("pose.handles[{k}].id"),
+        InputPlace::EditRegion(kind, part) => format!("{}.region{}", edit_kind_name(kind), field_in_region(part)),
+        InputPlace::CutPathVertex(k) => format!("cut.path[{k}]"),
+        InputPlace::MergedModel => "merge.model".into(),
+        InputPlace::MergedSession => "merge.session".into(),
+        InputPlace::MergePlacement => "merge.transform".into(),
+        InputPlace::VolumeGraph => "volumeGraph".into(),
+        InputPlace::VolumeGraphMode => "volumeGraph.mode".into(),
+    }
+}
+
+fn field_in_region(part: RegionPlace) -> String {
+    match part {
+        RegionPlace::Whole => String::new(),
+        RegionPlace::ListedVertex(k) => format!(".vertices.indices[{k}]"),
+        RegionPlace::VertexRange(k) => format!(".vertices.ranges[{k}]"),
+        RegionPlace::Component => ".component.index".into(),
+        RegionPlace::Primitive => ".primitive.index".into(),
+        RegionPlace::Weights => ".weights.values".into(),
+        RegionPlace::Weight(k) => format!(".weights.values[{k}]"),
+    }
+}
+
+/// The field of a request that an argument of an operation comes from.
+fn field_of_edit(subject: EditSubject) -> String {
+    let field = match subject {
+        EditSubject::CutPlane => "cut.plane",
+        EditSubject::CutCurve => "cut.polyline",
+        EditSubject::CutPath => "cut.path",
+        EditSubject::InsertedCurve => "insertCurve.points",
+        EditSubject::DecimationRatio => "decimate.ratio",
+        EditSubject::RemeshEdgeLength => "remesh.edgeLength",
+        EditSubject::RemeshRestShape => "remesh.auto",
+        EditSubject::Region => "region",
+        EditSubject::DeletedRegion => "delete.region",
+        EditSubject::FilledRegion => "fill.region",
+        EditSubject::WeldTolerance => "weld.tolerance",
+        EditSubject::BoundaryWeldTolerance => "merge.tolerance",
+        EditSubject::Surface | EditSubject::Patch(_) => return subject.to_string(),
+    };
+    field.to_owned()
 }

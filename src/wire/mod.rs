@@ -3,16 +3,23 @@
 //! Everything that a client can ask is a message of [`pb`]. This module is the only one that checks what clients send; a
 //! refusal names the field as clients write it. It knows no session, no connection and no clock.
 
-pub(crate) mod check;
+mod check;
 mod create;
 mod edit;
 mod error;
 mod expect;
+mod facts;
 pub mod frames;
+mod handles;
 pub mod json;
+mod options;
 pub mod pb;
+mod poses;
 
-pub use check::DeformOptions;
-pub(crate) use create::OpenOptions;
-pub use edit::edit_name;
+pub use create::open_options;
+pub use edit::{edit, edit_kind_name, edit_name, edit_result};
 pub use error::Error;
+pub use facts::{quality_message, session_message, warning_message};
+pub use handles::{handle_set, handle_set_message, region_message};
+pub use options::DeformOptions;
+pub use poses::{change_poses, handle_pose, handle_pose_message, pose_changes};

@@ -1,0 +1,305 @@
+//! Which vertices and which graph nodes a region holds.
+
+use super::error::{Error, InputPlace, RegionPlace};
+use super::region::{Region, VertexRange};
+use crate::asset::Primitive;
+use crate::deform::NearestPoints;
+use crate::graph::Graph;
+use crate::mesh::query::closest_point::closest_point_on_segment;
+use crate::mesh::{Components, Mesh, NONE};
+use glam::DVec3;
+
+/// The surface that regions are taken on: in the rest pose, or in the shape that is edited.
+#[derive(Clone, Copy)]
+pub(super) struct RegionContext<'a> {
+    /// Which of these, in words.
+    pub pose: &'static str,
+    pub positions: &'a [DVec3],
+    pub primitives: &'a [Primitive],
+    pub mesh: &'a Mesh,
+    pub parts: &'a Components,
+}
+
+/// A mirror: unit normal and a point of the plane.
+pub(super) type MirrorPlane = (DVec3, DVec3);
+
+/// The graph nodes of a region.
+#[derive(Debug, Clone, Default)]
+pub(super) struct RegionNodes {
+    /// The nodes, rising. Inside nodes belong to a volume region by where they are, to a listed one by their nearest surface
+    /// vertex.
+    pub nodes: Vec<u32>,
+    /// The weight of each of `nodes`, for regions that give weights.
+    pub weights: Option<Vec<f64>>,
+}
+
+/// Why a region cannot be taken.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct RegionError {
+    part: RegionPlace,
+    problem: String,
+}
+
+impl RegionError {
+    fn new(part: RegionPlace, problem: String) -> Self {
+        Self { part, problem }
+    }
+
+    /// Says which region of the input it is.
+    pub fn at(self, place: impl Fn(RegionPlace) -> InputPlace) -> Error {
+        Error::invalid(place(self.part), self.problem)
+    }
+}
+
+/// How a region tells its vertices.
+enum Membership<'a> {
+    /// By number: the render vertices.
+    Listed(Vec<bool>),
+    /// By the weight of each render vertex.
+    Weighted(&'a [f32]),
+    /// By where they are.
+    Solid(Box<dyn Fn(DVec3) -> bool + 'a>),
+}
+
+/// Returns for each render vertex whether the region holds it, as the region stands or seen in a mirror.
+///
+/// # Errors
+/// When the region does not fit the model, or holds no render vertex. A mirror image may hold none: not every model is
+/// symmetric.
+pub(super) fn vertices_in_region(
+    context: &RegionContext<'_>,
+    region: &Region,
+    mirror: Option<MirrorPlane>,
+) -> Result<Vec<bool>, RegionError> {
+    let vertices = match (membership(context, region)?, mirror) {
+        (Membership::Listed(marks), None) => marks,
+        (Membership::Listed(marks), Some(mirror)) => {
+            let seen = mirrored_surface(context, &surface_of_vertices(context, &marks), mirror);
+            vertices_of_surface(context, &seen)
+        }
+        (Membership::Weighted(values), None) => values.iter().map(|w| *w > 0.0).collect(),
+        (Membership::Weighted(values), Some(_)) => {
+            let weights = surface_weights(context, values, mirror);
+            let marks: Vec<bool> = weights.iter().map(|w| *w > 0.0).collect();
+            vertices_of_surface(context, &marks)
+        }
+        (Membership::Solid(contains), mirror) => {
+            let points = context.positions.iter();
+            points.map(|&p| contains(unmirrored(p, mirror))).collect()
+        }
+    };
+    if mirror.is_none() && !vertices.contains(&true) {
+        let problem = format!(
+            "holds no vertex; regions are taken in {} and in model space",
+            context.pose
+        );
+        return Err(RegionError::new(RegionPlace::Whole, problem));
+    }
+    Ok(vertices)
+}
+
+/// Returns the nodes of the graph that the region holds, as the region stands or seen in a mirror.
+///
+/// # Errors
+/// When the region does not fit the model.
+pub(super) fn nodes_in_region(
+    context: &RegionContext<'_>,
+    graph: &Graph,
+    region: &Region,
+    mirror: Option<MirrorPlane>,
+) -> Result<RegionNodes, RegionError> {
+    let nodes = match membership(context, region)? {
+        Membership::Listed(marks) => {
+            let own = surface_of_vertices(context, &marks);
+            let surface = match mirror {
+                None => own,
+                Some(mirror) => mirrored_surface(context, &own, mirror),
+            };
+            nodes_nearest_to(graph, &surface)
+        }
+        Membership::Weighted(values) => {
+            let by_solver = surface_weights(context, values, mirror);
+            let marks: Vec<bool> = by_solver.iter().map(|w| *w > 0.0).collect();
+            let nodes = nodes_nearest_to(graph, &marks);
+            let weight = |n: &u32| f64::from(by_solver[graph.nearest_surface[*n as usize] as usize]);
+            let weights = Some(nodes.iter().map(weight).collect());
+            return Ok(RegionNodes { nodes, weights });
+        }
+        Membership::Solid(contains) => {
+            let points = (0u32..).zip(&graph.positions);
+            let held = points.filter(|(_, p)| contains(unmirrored(**p, mirror)));
+            held.map(|(n, _)| n).collect()
+        }
+    };
+    Ok(RegionNodes { nodes, weights: None })
+}
+
+/// The mean of a region's solver vertices at rest; that of its render vertices when none of them is in a face.
+pub(super) fn region_centroid(context: &RegionContext<'_>, graph: &Graph, vertices: &[bool], nodes: &[u32]) -> DVec3 {
+    let surface = graph.surface as u32;
+    let solver: Vec<DVec3> = (nodes.iter().filter(|n| **n < surface))
+        .map(|n| graph.positions[*n as usize])
+        .collect();
+    let points = match solver.is_empty() {
+        false => solver,
+        true => (context.positions.iter().zip(vertices).filter(|(_, held)| **held))
+            .map(|(p, _)| *p)
+            .collect(),
+    };
+    points.iter().map(|p| *p / points.len().max(1) as f64).sum()
+}
+
+fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Membership<'a>, RegionError> {
+    Ok(match region {
+        Region::Vertices { indices, ranges } => Membership::Listed(listed_vertices(context, indices, ranges)?),
+        &Region::Component(index) => {
+            require_number(index, context.parts.count, RegionPlace::Component, "parts")?;
+            let of = |v: &u32| *v != NONE && context.parts.of_vertex[*v as usize] == index;
+            Membership::Listed(context.mesh.solver_from_render.iter().map(of).collect())
+        }
+        &Region::Primitive(index) => {
+            require_number(index, context.primitives.len(), RegionPlace::Primitive, "primitives")?;
+            let primitive = &context.primitives[index as usize];
+            let mut marks = vec![false; context.positions.len()];
+            let (first, count) = (primitive.first_vertex as usize, primitive.vertex_count as usize);
+            marks.iter_mut().skip(first).take(count).for_each(|m| *m = true);
+            Membership::Listed(marks)
+        }
+        Region::Weights(values) => {
+            require_weights(values, context.positions.len())?;
+            Membership::Weighted(values)
+        }
+        Region::HalfSpace(plane) => {
+            let (normal, point) = plane.unit_normal_and_point();
+            Membership::Solid(Box::new(move |p| (p - point).dot(normal) >= 0.0))
+        }
+        &Region::Sphere { center, radius } => Membership::Solid(Box::new(move |p| p.distance(center) <= radius)),
+        &Region::Box { min, max } => {
+            Membership::Solid(Box::new(move |p| p.cmpge(min).all() && p.cmple(max).all()))
+        }
+        &Region::Capsule { from, to, radius } => {
+            Membership::Solid(Box::new(move |p| distance_to_segment(p, from, to) <= radius))
+        }
+        Region::Tube { points, radius } => Membership::Solid(Box::new(move |p| {
+            points.windows(2).any(|s| distance_to_segment(p, s[0], s[1]) <= *radius)
+        })),
+    })
+}
+
+fn require_number(index: u32, count: usize, part: RegionPlace, what: &str) -> Result<(), RegionError> {
+    if (index as usize) < count {
+        return Ok(());
+    }
+    let problem = format!("is {index}, the model has {count} {what}, counted from 0");
+    Err(RegionError::new(part, problem))
+}
+
+fn require_weights(values: &[f32], count: usize) -> Result<(), RegionError> {
+    if values.len() != count {
+        let problem = format!("has {} numbers, the model has {count} render vertices", values.len());
+        return Err(RegionError::new(RegionPlace::Weights, problem));
+    }
+    if let Some(k) = values.iter().position(|w| !(0.0..=1.0).contains(w)) {
+        let problem = format!("is {}, allowed are 0 to 1", values[k]);
+        return Err(RegionError::new(RegionPlace::Weight(k), problem));
+    }
+    Ok(())
+}
+
+fn listed_vertices(
+    context: &RegionContext<'_>,
+    indices: &[u32],
+    ranges: &[VertexRange],
+) -> Result<Vec<bool>, RegionError> {
+    let count = context.positions.len();
+    let mut marks = vec![false; count];
+    for (k, &index) in indices.iter().enumerate() {
+        require_number(index, count, RegionPlace::ListedVertex(k), "render vertices")?;
+        marks[index as usize] = true;
+    }
+    for (k, range) in ranges.iter().enumerate() {
+        let end = u64::from(range.first) + u64::from(range.count);
+        if end > count as u64 {
+            let problem = format!("ends at {end}, the model has {count} render vertices, counted from 0");
+            return Err(RegionError::new(RegionPlace::VertexRange(k), problem));
+        }
+        marks[range.first as usize..end as usize].fill(true);
+    }
+    Ok(marks)
+}
+
+/// The solver vertices of marked render vertices.
+fn surface_of_vertices(context: &RegionContext<'_>, marks: &[bool]) -> Vec<bool> {
+    let mut surface = vec![false; context.mesh.positions.len()];
+    let held = context.mesh.solver_from_render.iter().zip(marks);
+    for (&solver, _) in held.filter(|(s, m)| **m && **s != NONE) {
+        surface[solver as usize] = true;
+    }
+    surface
+}
+
+/// The render vertices of marked solver vertices.
+fn vertices_of_surface(context: &RegionContext<'_>, surface: &[bool]) -> Vec<bool> {
+    let solver = context.mesh.solver_from_render.iter();
+    solver.map(|s| *s != NONE && surface[*s as usize]).collect()
+}
+
+/// The solver vertices whose mirror images are marked.
+fn mirrored_surface(context: &RegionContext<'_>, surface: &[bool], mirror: MirrorPlane) -> Vec<bool> {
+    let images = mirror_images(context, mirror);
+    images.iter().map(|o| o.is_some_and(|o| surface[o as usize])).collect()
+}
+
+/// The weight of each solver vertex: the largest of its render vertices, or that of its mirror image.
+fn surface_weights(context: &RegionContext<'_>, values: &[f32], mirror: Option<MirrorPlane>) -> Vec<f32> {
+    let mut by_solver = vec![0f32; context.mesh.positions.len()];
+    let weighted = context.mesh.solver_from_render.iter().zip(values);
+    for (&solver, &w) in weighted.filter(|(s, _)| **s != NONE) {
+        by_solver[solver as usize] = by_solver[solver as usize].max(w);
+    }
+    match mirror {
+        None => by_solver,
+        Some(mirror) => (mirror_images(context, mirror).iter())
+            .map(|o| o.map_or(0.0, |o| by_solver[o as usize]))
+            .collect(),
+    }
+}
+
+/// The nodes whose nearest surface vertex is marked.
+fn nodes_nearest_to(graph: &Graph, surface: &[bool]) -> Vec<u32> {
+    let nearest = (0u32..).zip(&graph.nearest_surface);
+    nearest.filter(|(_, s)| surface[**s as usize]).map(|(n, _)| n).collect()
+}
+
+/// For every solver vertex the one whose mirror image it is: the nearest within half a mean edge of the exact place.
+fn mirror_images(context: &RegionContext<'_>, mirror: MirrorPlane) -> Vec<Option<u32>> {
+    let positions = &context.mesh.positions;
+    let tree = NearestPoints::new(positions.iter().copied().zip(0u32..));
+    let edge = 0.5 * mean_triangle_edge(context.mesh);
+    let image = |&p: &DVec3| {
+        let found = tree.nearest(unmirrored(p, Some(mirror)));
+        found.filter(|(_, d)| *d <= edge * edge).map(|(n, _)| n)
+    };
+    positions.iter().map(image).collect()
+}
+
+/// The point that a mirror shows at `p`.
+fn unmirrored(p: DVec3, mirror: Option<MirrorPlane>) -> DVec3 {
+    match mirror {
+        None => p,
+        Some((normal, point)) => p - normal * (2.0 * normal.dot(p - point)),
+    }
+}
+
+fn mean_triangle_edge(mesh: &Mesh) -> f64 {
+    let mean = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+        (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0
+    };
+    let sum: f64 = mesh.triangles.iter().map(mean).sum();
+    sum / mesh.triangles.len().max(1) as f64
+}
+
+fn distance_to_segment(p: DVec3, from: DVec3, to: DVec3) -> f64 {
+    p.distance(closest_point_on_segment(p, from, to))
+}

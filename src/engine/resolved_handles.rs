@@ -1,0 +1,319 @@
+//! A set of handles resolved to what the deformation takes: nodes, weights and transforms.
+
+use super::error::{Error, InputPlace};
+use super::facts::DeformerWarning;
+use super::handle::{Falloff, FalloffCurve, Handle, HandleSet};
+use super::pose::HandlePose;
+use super::region::Region;
+use super::region_context::{
+    MirrorPlane, RegionContext, RegionNodes, nodes_in_region, region_centroid, vertices_in_region,
+};
+use crate::deform::{Body, Hold, Policy, Rigging, Transform};
+use crate::mesh::NONE;
+use glam::{DMat3, DVec3};
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+/// The handles in force beside the rig: their places and what the deformation does not see.
+#[derive(Debug, Clone, Default)]
+pub(super) struct ResolvedHandles {
+    /// The handles as they were set.
+    pub set: HandleSet,
+    /// Default pivot by handle.
+    pub centroids: Vec<DVec3>,
+    /// Render vertices by handle, after overlaps.
+    pub counts: Vec<u32>,
+    /// With a symmetry plane: the plane; hold `handles + k` is then the mirror image of handle k.
+    pub mirror: Option<MirrorPlane>,
+    /// Render vertices in no face that a hard handle holds, with its hold.
+    pub strays: Vec<(u32, u32)>,
+    /// What the user should know.
+    pub warnings: Vec<DeformerWarning>,
+}
+
+/// What handles held before an edit that carried them over.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct HandlesBeforeEdit<'a> {
+    pub rigging: &'a Rigging,
+    /// For each node its number before the edit, or [`NONE`].
+    pub old_from_new: &'a [u32],
+}
+
+impl HandlesBeforeEdit<'_> {
+    /// For each node before the edit its number now.
+    fn new_from_old(&self) -> Vec<u32> {
+        let most = self.old_from_new.iter().filter(|o| **o != NONE).max();
+        let mut new = vec![NONE; most.map_or(0, |&m| m as usize + 1)];
+        for (n, &old) in (0u32..).zip(self.old_from_new).filter(|n| *n.1 != NONE) {
+            new[old as usize] = n;
+        }
+        new
+    }
+}
+
+impl HandlesBeforeEdit<'_> {
+    /// Lets a handle go on to hold the nodes inside that it held: a list of vertices, as which it comes back, does not tell
+    /// them.
+    fn keep_inside(&self, handle: usize, surface: u32, new_from_old: &[u32], nodes: &mut Vec<u32>) {
+        let is_new = |n: &u32| self.old_from_new.get(*n as usize).is_none_or(|o| *o == NONE);
+        nodes.retain(|n| *n < surface || is_new(n));
+        let held = self.rigging.holds[handle].nodes.iter();
+        let still = held.filter_map(|&old| new_from_old.get(old as usize).copied());
+        nodes.extend(still.filter(|&n| n != NONE && n >= surface));
+        nodes.sort_unstable();
+    }
+}
+
+/// Resolves handles. With `before` they go on to hold the nodes inside that they held.
+pub(super) fn resolve_handles(
+    context: &RegionContext<'_>,
+    body: &Body,
+    set: HandleSet,
+    policy: Policy,
+    before: Option<HandlesBeforeEdit<'_>>,
+) -> Result<(ResolvedHandles, Rigging), Error> {
+    let mirror = set.symmetry_plane.map(|p| p.unit_normal_and_point());
+    // Mirror images are found from what handles hold, so those stay as they are listed.
+    let before = before.filter(|b| mirror.is_none() && b.rigging.holds.len() == set.handles.len());
+    let numbers = before.map(|b| b.new_from_old()).unwrap_or_default();
+    let graph = &body.graph;
+    let mut resolved = ResolvedHandles {
+        mirror,
+        ..Default::default()
+    };
+    let (mut holds, mut images, mut strays) = (Vec::new(), Vec::new(), Vec::new());
+    for (k, handle) in set.handles.iter().enumerate() {
+        let place = |part| InputPlace::HandleRegion(k, part);
+        let vertices = vertices_in_region(context, &handle.region, None).map_err(|e| e.at(place))?;
+        let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.at(place))?;
+        if let Some(before) = before.filter(|_| held.weights.is_none()) {
+            before.keep_inside(k, graph.surface as u32, &numbers, &mut held.nodes);
+        }
+        (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
+        if handle.falloff.is_some() && handle.stiffness.is_none() {
+            let problem = "needs stiffness: a hard handle cannot fade out";
+            return Err(Error::invalid(InputPlace::HandleFalloff(k), problem));
+        }
+        let hold = hold_nodes(body, handle, held);
+        if hold.stiffness.is_none() && hold.position {
+            strays.extend(stray_vertices(context, &vertices, k as u32));
+        }
+        if mirror.is_some() {
+            let image = nodes_in_region(context, graph, &handle.region, mirror).map_err(|e| e.at(place))?;
+            let mut image = hold_nodes(body, handle, image);
+            // A node of both belongs to the handle itself, not to its mirror image.
+            image.nodes.retain(|n| hold.nodes.binary_search(n).is_err());
+            image.pulls.retain(|(n, _)| hold.nodes.binary_search(n).is_err());
+            images.push(image);
+        }
+        holds.push(hold);
+    }
+    let frozen = frozen_nodes(context, body, set.region_of_interest.as_ref())?;
+    resolved.warnings = overlap_warnings(&set.handles, &holds, &images, &frozen);
+    holds.extend(images);
+    strays.sort_by_key(|&(vertex, hold)| (vertex, hold));
+    // The last handle that names a vertex has it.
+    strays.reverse();
+    strays.dedup_by_key(|s| s.0);
+    strays.reverse();
+    resolved.strays = strays;
+    resolved.counts = count_held_vertices(context, body, &holds, set.handles.len(), &frozen);
+    for (k, count) in resolved.counts.iter().enumerate() {
+        if *count == 0 && !holds[k].nodes.is_empty() {
+            let message = format!("handle \"{}\" holds no vertex after overlaps", set.handles[k].id);
+            (resolved.warnings).push(DeformerWarning::about_handles("empty-handle", message, [k]));
+        }
+    }
+    resolved.set = set;
+    Ok((resolved, Rigging { holds, frozen, policy }))
+}
+
+impl ResolvedHandles {
+    /// The transforms of all holds for poses by handle. Handles that keep their shape are not scaled.
+    pub fn transforms(&self, poses: &[HandlePose]) -> Vec<Transform> {
+        let mut all = Vec::with_capacity(poses.len() * 2);
+        for (k, (pose, handle)) in poses.iter().zip(&self.set.handles).enumerate() {
+            let mut t = pose.to_transform(self.centroids[k]);
+            if handle.rigid {
+                t.log_scale = DMat3::ZERO;
+            }
+            all.push(t);
+        }
+        if let Some((normal, point)) = self.mirror {
+            let images: Vec<_> = all.iter().map(|t| t.mirrored(normal, point)).collect();
+            all.extend(images);
+        }
+        all
+    }
+}
+
+/// What a handle does to the nodes that it holds.
+fn hold_nodes(body: &Body, handle: &Handle, held: RegionNodes) -> Hold {
+    let mut pulls = Vec::new();
+    if handle.stiffness.is_some() {
+        let ones = vec![1.0; held.nodes.len()];
+        let weights = held.weights.as_deref().unwrap_or(&ones);
+        pulls = held.nodes.iter().copied().zip(weights.iter().copied()).collect();
+        if let Some(falloff) = handle.falloff {
+            pulls.extend(fading_weights(body, &held.nodes, falloff));
+            pulls.sort_by_key(|p| p.0);
+        }
+    }
+    Hold {
+        nodes: held.nodes,
+        pulls,
+        stiffness: handle.stiffness,
+        position: handle.constrains.position,
+        rotation: handle.constrains.rotation,
+        scale: handle.constrains.scale,
+        rigid: handle.rigid,
+    }
+}
+
+/// Weights around a region by distance along the graph's edges, so that a falloff does not jump between fingers.
+fn fading_weights(body: &Body, core: &[u32], Falloff { radius, curve }: Falloff) -> Vec<(u32, f64)> {
+    #[derive(PartialEq)]
+    struct Reached(f64, u32);
+    impl Eq for Reached {}
+    impl PartialOrd for Reached {
+        fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+            Some(self.cmp(other))
+        }
+    }
+    impl Ord for Reached {
+        fn cmp(&self, other: &Self) -> Ordering {
+            other.0.total_cmp(&self.0).then(other.1.cmp(&self.1))
+        }
+    }
+    let graph = &body.graph;
+    let mut distance = vec![f64::INFINITY; body.nodes()];
+    let mut heap = BinaryHeap::new();
+    for &n in core {
+        distance[n as usize] = 0.0;
+        heap.push(Reached(0.0, n));
+    }
+    let mut found = Vec::new();
+    while let Some(Reached(d, n)) = heap.pop() {
+        if d > distance[n as usize] {
+            continue;
+        }
+        if d > 0.0 {
+            let t = d / radius;
+            let weight = match curve {
+                FalloffCurve::Smooth => 1.0 - t * t * (3.0 - 2.0 * t),
+                FalloffCurve::Linear => 1.0 - t,
+            };
+            found.push((n, weight));
+        }
+        for e in graph.offsets[n as usize] as usize..graph.offsets[n as usize + 1] as usize {
+            let j = graph.neighbours[e];
+            let next = d + graph.positions[n as usize].distance(graph.positions[j as usize]);
+            if next < radius && next < distance[j as usize] {
+                distance[j as usize] = next;
+                heap.push(Reached(next, j));
+            }
+        }
+    }
+    found
+}
+
+fn frozen_nodes(context: &RegionContext<'_>, body: &Body, interest: Option<&Region>) -> Result<Vec<bool>, Error> {
+    let Some(region) = interest else {
+        return Ok(Vec::new());
+    };
+    vertices_in_region(context, region, None).map_err(|e| e.at(InputPlace::RegionOfInterest))?;
+    let inside = nodes_in_region(context, &body.graph, region, None).map_err(|e| e.at(InputPlace::RegionOfInterest))?;
+    let mut frozen = vec![true; body.nodes()];
+    inside.nodes.iter().for_each(|&n| frozen[n as usize] = false);
+    Ok(frozen)
+}
+
+fn stray_vertices(context: &RegionContext<'_>, vertices: &[bool], hold: u32) -> Vec<(u32, u32)> {
+    let vertices = (0u32..).zip(vertices).zip(&context.mesh.solver_from_render);
+    (vertices.filter(|((_, held), solver)| **held && **solver == NONE))
+        .map(|((vertex, _), _)| (vertex, hold))
+        .collect()
+}
+
+/// Who holds each node in the end; the frozen surroundings count as nobody.
+fn last_holders(holds: &[Hold], nodes: usize, frozen: &[bool]) -> Vec<u32> {
+    let mut owner = vec![u32::MAX; nodes];
+    for (k, hold) in holds.iter().enumerate() {
+        hold.nodes.iter().for_each(|&n| owner[n as usize] = k as u32);
+    }
+    owner
+        .iter_mut()
+        .zip(frozen)
+        .filter(|(_, f)| **f)
+        .for_each(|(o, _)| *o = u32::MAX);
+    owner
+}
+
+fn count_held_vertices(
+    context: &RegionContext<'_>,
+    body: &Body,
+    holds: &[Hold],
+    handles: usize,
+    frozen: &[bool],
+) -> Vec<u32> {
+    let owner = last_holders(holds, body.nodes(), frozen);
+    let mut counts = vec![0; handles];
+    for &solver in context.mesh.solver_from_render.iter().filter(|s| **s != NONE) {
+        let k = owner[solver as usize] as usize;
+        // A mirror image counts for its handle.
+        if let Some(count) = k
+            .checked_rem(handles.max(1))
+            .filter(|_| k < holds.len())
+            .and_then(|k| counts.get_mut(k))
+        {
+            *count += 1;
+        }
+    }
+    counts
+}
+
+fn overlap_warnings(
+    handles: &[Handle],
+    holds: &[Hold],
+    images: &[Hold],
+    frozen: &[bool],
+) -> Vec<DeformerWarning> {
+    let mut warnings = Vec::new();
+    let name = |k: usize| &handles[k % handles.len()].id;
+    let all: Vec<&Hold> = holds.iter().chain(images).collect();
+    let same_kind =
+        |a: &Hold, b: &Hold| (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale);
+    let last = all.iter().flat_map(|h| h.nodes.last()).max();
+    let mut holder = vec![u32::MAX; last.map_or(0, |n| *n as usize + 1)];
+    let mut shared = std::collections::BTreeMap::<(u32, u32), usize>::new();
+    for (k, hold) in all.iter().enumerate() {
+        for &n in &hold.nodes {
+            let before = holder[n as usize];
+            if before != u32::MAX && same_kind(all[before as usize], hold) {
+                *shared.entry((before, k as u32)).or_default() += 1;
+            }
+            holder[n as usize] = k as u32;
+        }
+    }
+    for ((a, b), count) in shared {
+        let (a, b) = (a as usize, b as usize);
+        let message = format!(
+            "handles \"{}\" and \"{}\" share {count} graph nodes; the later one holds them",
+            name(a),
+            name(b)
+        );
+        let both = [a % handles.len(), b % handles.len()];
+        warnings.push(DeformerWarning::about_handles("overlapping-handles", message, both));
+    }
+    for (k, hold) in holds.iter().enumerate().filter(|_| !frozen.is_empty()) {
+        let outside = hold.nodes.iter().filter(|n| frozen[**n as usize]).count();
+        if outside > 0 {
+            let message = format!(
+                "{outside} graph nodes of handle \"{}\" lie outside the region of interest and stay fixed",
+                name(k)
+            );
+            warnings.push(DeformerWarning::about_handles("handle-outside-region", message, [k]));
+        }
+    }
+    warnings
+}

@@ -1,0 +1,83 @@
+//! Facts, warnings and qualities as messages.
+
+use super::pb;
+use crate::asset::Primitive;
+use crate::engine::{DeformerFacts, DeformerWarning, QualityReport, WarningPlace};
+
+/// Writes what is told of a session about model, solver and handles; id, revision, times and limits are the caller's.
+pub fn session_message(facts: &DeformerFacts) -> pb::Session {
+    let (model, solver) = (&facts.model, &facts.solver);
+    pb::Session {
+        primitives: facts.primitives.iter().map(primitive_message).collect(),
+        warnings: facts.warnings.iter().map(warning_message).collect(),
+        model: Some(pb::ModelFacts {
+            format: model.format.name().into(),
+            bytes: model.file_bytes,
+            sha256: model.sha256.clone(),
+            vertices: model.counts.vertices,
+            triangles: model.counts.faces,
+        }),
+        solver: Some(pb::SolverFacts {
+            solver_vertices: solver.solver_vertices,
+            graph_vertices: solver.graph_vertices,
+            graph_edges: solver.graph_edges,
+            components: solver.components,
+            levels: (solver.levels.iter())
+                .map(|&(vertices, edges)| pb::solver_facts::Level { vertices, edges })
+                .collect(),
+            bytes: solver.byte_size,
+        }),
+        handles: (facts.handles.iter())
+            .map(|h| pb::HandleFacts {
+                id: h.id.clone(),
+                vertices: h.vertices,
+                centroid: h.centroid.to_array().to_vec(),
+                pose: None,
+            })
+            .collect(),
+        ..Default::default()
+    }
+}
+
+/// Writes a warning.
+pub fn warning_message(warning: &DeformerWarning) -> pb::Warning {
+    let place = match &warning.place {
+        WarningPlace::Text(text) => text.clone(),
+        WarningPlace::Handles(numbers) => {
+            let fields: Vec<String> = numbers.iter().map(|k| format!("handles[{k}]")).collect();
+            fields.join(", ")
+        }
+        WarningPlace::RegionOfInterest => "regionOfInterest".into(),
+    };
+    pb::Warning {
+        code: warning.code.clone(),
+        message: warning.message.clone(),
+        r#where: place,
+    }
+}
+
+/// Writes the quality of a shape.
+pub fn quality_message(quality: &QualityReport) -> pb::Quality {
+    pb::Quality {
+        edge_rms: quality.edge_rms,
+        volume_change: quality.volume_change,
+        area_change: quality.area_change,
+        flipped_triangles: quality.flipped_triangles,
+        max_stretch: quality.max_stretch,
+        self_intersections: quality.self_intersections,
+    }
+}
+
+fn primitive_message(p: &Primitive) -> pb::Primitive {
+    pb::Primitive {
+        node: p.node,
+        mesh: p.mesh,
+        primitive: p.primitive,
+        name: p.name.clone(),
+        first_vertex: p.first_vertex,
+        vertex_count: p.vertex_count,
+        index_count: p.index_count,
+        has_normals: p.has_normals,
+        has_tangents: p.has_tangents,
+    }
+}

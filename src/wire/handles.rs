@@ -1,0 +1,233 @@
+//! Handles and regions as messages and as values of the engine.
+
+use super::check::{enumerated, number, optional_within, plane, points, positive, vector};
+use super::poses::{handle_pose, handle_pose_message};
+use super::{Error, pb};
+use crate::engine::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet, Plane, Region, VertexRange};
+use glam::DVec3;
+use std::collections::BTreeSet;
+
+/// Reads a set of handles.
+///
+/// # Errors
+/// [`Error::Invalid`] with the field.
+pub fn handle_set(request: &pb::SetHandlesRequest) -> Result<HandleSet, Error> {
+    let symmetry_plane = request.symmetry_plane.as_ref();
+    let symmetry_plane = symmetry_plane.map(|p| plane(p, "symmetryPlane")).transpose()?;
+    let mut ids = BTreeSet::new();
+    let mut handles = Vec::with_capacity(request.handles.len());
+    for (k, message) in request.handles.iter().enumerate() {
+        let field = format!("handles[{k}]");
+        if message.id.is_empty() || message.id.len() > 128 {
+            let problem = format!("has {} bytes, allowed are 1 to 128", message.id.len());
+            return Err(Error::invalid(format!("{field}.id"), problem));
+        }
+        if !ids.insert(message.id.as_str()) {
+            let problem = format!("\"{}\" is used twice", message.id);
+            return Err(Error::invalid(format!("{field}.id"), problem));
+        }
+        handles.push(handle(message, &field)?);
+    }
+    let interest = request.region_of_interest.as_ref();
+    Ok(HandleSet {
+        handles,
+        symmetry_plane,
+        region_of_interest: interest.map(|r| region(Some(r), "regionOfInterest")).transpose()?,
+    })
+}
+
+fn handle(handle: &pb::Handle, field: &str) -> Result<Handle, Error> {
+    let region = region(handle.region.as_ref(), &format!("{field}.region"))?;
+    let pose = handle.pose.as_ref();
+    let pose = pose.map(|p| handle_pose(p, &format!("{field}.pose"))).transpose()?;
+    let mut constrains = HandleConstrains {
+        position: false,
+        rotation: false,
+        scale: false,
+    };
+    for (k, &c) in handle.constrains.iter().enumerate() {
+        match enumerated(c, &format!("{field}.constrains[{k}]"))? {
+            pb::handle::Constrains::Position => constrains.position = true,
+            pb::handle::Constrains::Rotation => constrains.rotation = true,
+            pb::handle::Constrains::Scale => constrains.scale = true,
+        }
+    }
+    if handle.constrains.is_empty() {
+        constrains = HandleConstrains::ALL;
+    }
+    if let Some(s) = handle.stiffness {
+        let at = format!("{field}.stiffness");
+        positive(s, &at)?;
+        optional_within(s, 1e-6, 1e6, &at)?;
+    }
+    let falloff = handle.falloff.as_ref();
+    let falloff = falloff.map(|f| self::falloff(f, handle.stiffness.is_some(), &format!("{field}.falloff")));
+    Ok(Handle {
+        id: handle.id.clone(),
+        region,
+        constrains,
+        stiffness: handle.stiffness,
+        rigid: handle.rigid,
+        pose,
+        falloff: falloff.transpose()?.flatten(),
+    })
+}
+
+/// Reads a falloff. That a hard handle has none is said where the handle is set.
+fn falloff(falloff: &pb::Falloff, soft: bool, field: &str) -> Result<Option<Falloff>, Error> {
+    let curve = match enumerated(falloff.kind, &format!("{field}.kind"))? {
+        pb::falloff::Kind::None => None,
+        pb::falloff::Kind::Linear => Some(FalloffCurve::Linear),
+        pb::falloff::Kind::Smooth => Some(FalloffCurve::Smooth),
+    };
+    let at = format!("{field}.radius");
+    let radius = number(falloff.radius, &at)?;
+    if curve.is_some() && soft {
+        positive(radius, &at)?;
+    }
+    Ok(curve.map(|curve| Falloff { radius, curve }))
+}
+
+/// Reads a region.
+///
+/// # Errors
+/// [`Error::Invalid`] with the path of the value below `field`, also for a region that is missing.
+pub(super) fn region(region: Option<&pb::Region>, field: &str) -> Result<Region, Error> {
+    use pb::region::Region as Message;
+    const KINDS: &str = "vertices, halfSpace, sphere, box, capsule, tube, component, primitive or weights";
+    let Some(region) = region.and_then(|r| r.region.as_ref()) else {
+        return Err(Error::invalid(field, format!("is missing, allowed is one of {KINDS}")));
+    };
+    let vector = |values: &[f64], name: &str| vector(values, &format!("{field}.{name}"));
+    let positive = |value: f64, name: &str| positive(value, &format!("{field}.{name}"));
+    Ok(match region {
+        Message::Vertices(list) => Region::Vertices {
+            indices: list.indices.clone(),
+            ranges: (list.ranges.iter())
+                .map(|&pb::region::Range { first, count }| VertexRange { first, count })
+                .collect(),
+        },
+        Message::Component(part) => Region::Component(part.index),
+        Message::Primitive(part) => Region::Primitive(part.index),
+        Message::Weights(weights) => Region::Weights(weights.values.clone()),
+        Message::HalfSpace(half) => {
+            let message = pb::Plane {
+                normal: half.normal.clone(),
+                offset: half.offset,
+            };
+            Region::HalfSpace(plane(&message, &format!("{field}.halfSpace"))?)
+        }
+        Message::Sphere(sphere) => Region::Sphere {
+            center: vector(&sphere.center, "sphere.center")?,
+            radius: positive(sphere.radius, "sphere.radius")?,
+        },
+        Message::Box(corners) => {
+            let min = vector(&corners.min, "box.min")?;
+            let max = vector(&corners.max, "box.max")?;
+            if !min.cmple(max).all() {
+                let problem = format!("min {min} is above max {max}");
+                return Err(Error::invalid(format!("{field}.box"), problem));
+            }
+            Region::Box { min, max }
+        }
+        Message::Capsule(capsule) => Region::Capsule {
+            from: vector(&capsule.from, "capsule.from")?,
+            to: vector(&capsule.to, "capsule.to")?,
+            radius: positive(capsule.radius, "capsule.radius")?,
+        },
+        Message::Tube(tube) => {
+            let problem =
+                |seen| format!("has {seen} numbers, a polyline has three for each of at least two points");
+            Region::Tube {
+                points: points(&tube.points, 2..=usize::MAX, &format!("{field}.tube.points"), problem)?,
+                radius: positive(tube.radius, "tube.radius")?,
+            }
+        }
+    })
+}
+
+/// Writes a set of handles; reading it again gives an equal one.
+pub fn handle_set_message(set: &HandleSet) -> pb::SetHandlesRequest {
+    pb::SetHandlesRequest {
+        session_id: String::new(),
+        handles: set.handles.iter().map(handle_message).collect(),
+        symmetry_plane: set.symmetry_plane.as_ref().map(plane_message),
+        region_of_interest: set.region_of_interest.as_ref().map(region_message),
+    }
+}
+
+fn handle_message(handle: &Handle) -> pb::Handle {
+    let HandleConstrains {
+        position,
+        rotation,
+        scale,
+    } = handle.constrains;
+    let named = [
+        (position, pb::handle::Constrains::Position),
+        (rotation, pb::handle::Constrains::Rotation),
+        (scale, pb::handle::Constrains::Scale),
+    ];
+    let all = handle.constrains == HandleConstrains::ALL;
+    let named = named.into_iter().filter(|(is_fixed, _)| *is_fixed && !all);
+    pb::Handle {
+        id: handle.id.clone(),
+        region: Some(region_message(&handle.region)),
+        constrains: named.map(|(_, c)| c.into()).collect(),
+        stiffness: handle.stiffness,
+        rigid: handle.rigid,
+        pose: handle.pose.as_ref().map(handle_pose_message),
+        falloff: handle.falloff.map(|f| pb::Falloff {
+            radius: f.radius,
+            kind: match f.curve {
+                FalloffCurve::Linear => pb::falloff::Kind::Linear.into(),
+                FalloffCurve::Smooth => pb::falloff::Kind::Smooth.into(),
+            },
+        }),
+    }
+}
+
+fn plane_message(plane: &Plane) -> pb::Plane {
+    pb::Plane {
+        normal: plane.normal.to_array().to_vec(),
+        offset: plane.offset,
+    }
+}
+
+/// Writes a region.
+pub fn region_message(region: &Region) -> pb::Region {
+    use pb::region::Region as Message;
+    let vector = |v: DVec3| v.to_array().to_vec();
+    let message = match region {
+        Region::Vertices { indices, ranges } => Message::Vertices(pb::region::Vertices {
+            indices: indices.clone(),
+            ranges: (ranges.iter())
+                .map(|&VertexRange { first, count }| pb::region::Range { first, count })
+                .collect(),
+        }),
+        &Region::Component(index) => Message::Component(pb::region::Part { index }),
+        &Region::Primitive(index) => Message::Primitive(pb::region::Part { index }),
+        Region::Weights(values) => Message::Weights(pb::region::Weights { values: values.clone() }),
+        Region::HalfSpace(plane) => {
+            let pb::Plane { normal, offset } = plane_message(plane);
+            Message::HalfSpace(pb::region::HalfSpace { normal, offset })
+        }
+        &Region::Sphere { center, radius } => Message::Sphere(pb::region::Sphere {
+            center: vector(center),
+            radius,
+        }),
+        &Region::Box { min, max } => Message::Box(pb::region::Box {
+            min: vector(min),
+            max: vector(max),
+        }),
+        &Region::Capsule { from, to, radius } => Message::Capsule(pb::region::Capsule {
+            from: vector(from),
+            to: vector(to),
+            radius,
+        }),
+        Region::Tube { points, radius } => Message::Tube(pb::region::Tube {
+            points: points.iter().flat_map(|p| p.to_array()).collect(),
+            radius: *radius,
+        }),
+    };
+    pb::Region { region: Some(message) }
+}
