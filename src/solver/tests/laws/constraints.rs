@@ -1,9 +1,9 @@
 //! Fixed vertices, springs, loose parts, changed handles.
 
-use pliant::solver::{Constraints, Method, SolveOptions, Start};
+use pliant_solver::{Constraints, Method, SolveOptions, Start};
 
-use crate::case::{Case, largest_distance, noise, to, twist};
-use crate::graphs::{Lattice, lattice};
+use super::case::{Case, largest_distance, noise, to, twist};
+use super::graphs::{Lattice, lattice};
 
 #[test]
 fn fixed_rows_are_never_written() {

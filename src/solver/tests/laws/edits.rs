@@ -1,8 +1,8 @@
 //! Graphs that change, and what a change of them is in the solver's terms.
 
-use pliant::solver::Change;
+use pliant_solver::Change;
 
-use crate::graphs::{Lattice, Random};
+use super::graphs::{Lattice, Random};
 
 /// No vertex.
 const NONE: u32 = u32::MAX;

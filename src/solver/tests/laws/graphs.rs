@@ -1,6 +1,6 @@
 //! Graphs to solve on.
 
-use pliant::solver::Graph;
+use pliant_solver::Graph;
 
 /// A graph with owned arrays.
 #[derive(Debug, Clone)]

@@ -1,11 +1,11 @@
 //! A graph under constraints, and what tests ask of it.
 
-use pliant::exec::Exec;
-use pliant::pool::Pool;
-use pliant::progress::Silent;
-use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, SolveOptions, Stats, System, Workspace};
+use pliant_solver::exec::Exec;
+use pliant_solver::pool::Pool;
+use pliant_solver::progress::Silent;
+use pliant_solver::{BuildOptions, Constraints, Control, Hierarchy, SolveOptions, Stats, System, Workspace};
 
-use crate::graphs::{Lattice, Random};
+use super::graphs::{Lattice, Random};
 
 /// A graph with its hierarchy and a constraint set.
 pub struct Case {

@@ -1,11 +1,11 @@
 //! Watching, stopping, cancelling, refusing.
 
-use pliant::exec::Exec;
-use pliant::progress::{CancelFlag, Progress, Silent};
-use pliant::solver::{BuildOptions, Constraints, Control, Error, Hierarchy, Iteration, SolveOptions, Start, Workspace};
+use pliant_solver::exec::Exec;
+use pliant_solver::progress::{CancelFlag, Progress, Silent};
+use pliant_solver::{BuildOptions, Constraints, Control, Error, Hierarchy, Iteration, SolveOptions, Start, Workspace};
 
-use crate::case::{Case, to, twist};
-use crate::graphs::lattice;
+use super::case::{Case, to, twist};
+use super::graphs::lattice;
 
 #[test]
 fn watchers_see_every_iteration_and_can_stop() {

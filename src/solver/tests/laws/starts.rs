@@ -1,11 +1,11 @@
 //! Where iterations begin, and how far they know to have come.
 
-use pliant::exec::Exec;
-use pliant::progress::Silent;
-use pliant::solver::{Control, Iteration, SolveOptions, Start, Workspace};
+use pliant_solver::exec::Exec;
+use pliant_solver::progress::Silent;
+use pliant_solver::{Control, Iteration, SolveOptions, Start, Workspace};
 
-use crate::case::{Case, largest_distance, to, twist};
-use crate::graphs::{lattice, random_graph, surface};
+use super::case::{Case, largest_distance, to, twist};
+use super::graphs::{lattice, random_graph, surface};
 
 #[test]
 fn a_warm_start_needs_fewer_iterations() {

@@ -1,24 +1,24 @@
 //! Once its workspace has grown, a solve asks the allocator for nothing: counted by an allocator that counts.
 //!
-//! One thread: the returned [`Stats::residuals`](pliant::solver::Stats::residuals) is the only memory asked for. More
+//! One thread: the returned [`Stats::residuals`](pliant_solver::Stats::residuals) is the only memory asked for. More
 //! threads: what handing out work costs, which is bounded per iteration. A pool of one thread is never entered, so a
 //! solve on it allocates nothing on its behalf either, from whichever thread it is called.
 
 use case::{Case, to, twist};
 use graphs::{lattice, surface};
-use pliant::exec::Exec;
-use pliant::progress::Silent;
-use pliant::solver::{Control, Iteration, Method, SolveOptions, Start, Stats, Workspace};
+use pliant_solver::exec::Exec;
+use pliant_solver::progress::Silent;
+use pliant_solver::{Control, Iteration, Method, SolveOptions, Start, Stats, Workspace};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
 
 #[allow(dead_code)]
-#[path = "solver_laws/case.rs"]
+#[path = "laws/case.rs"]
 mod case;
 #[allow(dead_code)]
-#[path = "solver_laws/graphs.rs"]
+#[path = "laws/graphs.rs"]
 mod graphs;
 
 /// Hands everything to the system's allocator, and counts while [`COUNTING`].
@@ -44,7 +44,9 @@ impl Counter {
         if CALLS.fetch_add(1, SeqCst) < 8 {
             TRACING.set(true);
             let trace = std::backtrace::Backtrace::force_capture().to_string();
-            let solver = trace.lines().filter(|l| l.contains("pliant::") || l.contains("rayon"));
+            let solver = trace
+                .lines()
+                .filter(|l| l.contains("pliant_solver::") || l.contains("rayon"));
             let solver: Vec<&str> = solver.take(6).collect();
             TRACES
                 .lock()

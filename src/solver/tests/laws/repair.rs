@@ -1,13 +1,13 @@
 //! A hierarchy that follows its graph solves as a fresh one does, after any number of changes.
 
-use pliant::exec::Exec;
-use pliant::pool::Pool;
-use pliant::progress::{CancelFlag, Silent};
-use pliant::solver::{BuildOptions, Change, Constraints, Error, Graph, Hierarchy, Operators, Repair};
+use pliant_solver::exec::Exec;
+use pliant_solver::pool::Pool;
+use pliant_solver::progress::{CancelFlag, Silent};
+use pliant_solver::{BuildOptions, Change, Constraints, Error, Graph, Hierarchy, Operators, Repair};
 
-use crate::case::{Case, largest_distance, twist};
-use crate::edits::{Cast, Clay};
-use crate::graphs::{Lattice, lattice, surface};
+use super::case::{Case, largest_distance, twist};
+use super::edits::{Cast, Clay};
+use super::graphs::{Lattice, lattice, surface};
 
 fn built(graph: &Lattice) -> Hierarchy {
     Hierarchy::build(

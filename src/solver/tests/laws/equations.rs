@@ -1,11 +1,11 @@
 //! Solutions satisfy the equations, and depend on data as they must.
 
-use pliant::exec::Exec;
-use pliant::progress::Silent;
-use pliant::solver::{Control, Iteration, Method, SolveOptions, Start, Workspace};
+use pliant_solver::exec::Exec;
+use pliant_solver::progress::Silent;
+use pliant_solver::{Control, Iteration, Method, SolveOptions, Start, Workspace};
 
-use crate::case::{Case, largest_distance, noise, to, twist};
-use crate::graphs::{lattice, random_graph, surface};
+use super::case::{Case, largest_distance, noise, to, twist};
+use super::graphs::{lattice, random_graph, surface};
 
 #[test]
 fn equations_hold_to_every_tolerance() {

@@ -1,15 +1,15 @@
 //! The paper's own operators: slow, but they keep every promise of a solve.
 
-use pliant::exec::Exec;
-use pliant::pool::Pool;
-use pliant::progress::{Progress, Silent};
-use pliant::solver::{
+use pliant_solver::exec::Exec;
+use pliant_solver::pool::Pool;
+use pliant_solver::progress::{Progress, Silent};
+use pliant_solver::{
     BuildOptions, Constraints, Control, Error, Hierarchy, Iteration, Method, Operators, SolveOptions, Start, Workspace,
 };
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-use crate::case::{Case, largest_distance, to, twist};
-use crate::graphs::{Lattice, lattice, random_graph, star, surface};
+use super::case::{Case, largest_distance, to, twist};
+use super::graphs::{Lattice, lattice, random_graph, star, surface};
 
 /// The same case with the paper's operators.
 fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
