@@ -2,11 +2,12 @@
 
 use std::ops::Range;
 
-use super::hierarchy::power_of_two_below;
-use super::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
-use super::level::{BUNDLE, NONE};
-use super::threads::{Threads, piece, pieces};
-use super::{Error, Hierarchy, System};
+use crate::build::hierarchy::{Hierarchy, power_of_two_below};
+use crate::constrain::system::System;
+use crate::error::Error;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
+use crate::storage::{BUNDLE, NONE};
+use crate::threads::{Threads, piece, pieces};
 
 /// Bundles whose right-hand sides are fetched together.
 const FETCH: usize = 16;

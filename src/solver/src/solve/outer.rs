@@ -4,17 +4,20 @@
 //! precision. Once rounding shows in the residual, the correction is added to the solution and the next stretch
 //! begins from the true residual, in the same search direction: single precision never limits the result.
 
-use super::advance::{
+use crate::build::hierarchy::power_of_two_below;
+use crate::error::Error;
+use crate::lanes::{Lanes, WIDTH, Wide, per_lane, ratio};
+use crate::options::Method;
+use crate::progress::Cancelled;
+use crate::solve::advance::{
     Advance, add_correction, advance, first_residual, fold, longest_step, reference, residual, resume,
 };
-use super::cycle::{Cycle, clear_inactive, per_lane, prepare, ratio};
-use super::hierarchy::power_of_two_below;
-use super::lanes::{Lanes, WIDTH, Wide};
-use super::problem::Problem;
-use super::workspace::Workspace;
-use super::{Control, Error, Iteration, Method};
-use crate::pool::Pool;
-use crate::progress::Cancelled;
+use crate::solve::criteria::Outcome;
+use crate::solve::cycle::{clear_inactive, prepare};
+use crate::solve::group::Outer;
+use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
+use crate::solve::problem::Problem;
+use crate::solve::workspace::Workspace;
 
 /// A stretch ends once the residual fell by this factor: single precision has few digits left.
 const STRETCH: f64 = 1e-5;
@@ -43,87 +46,6 @@ const PATIENCE: usize = 12;
 const USUAL: usize = 64;
 /// Stretches in a row that may fail to halve the true residual.
 const POOR_STRETCHES: usize = 2;
-
-/// When to stop.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Criteria {
-    pub(crate) tolerance: Option<f64>,
-    pub(crate) max_error: Option<f64>,
-    pub(crate) max_iterations: usize,
-}
-
-impl Criteria {
-    /// True if all criteria that were given hold, and at least one was.
-    pub(crate) fn hold(&self, relative: &[f64], max_error: f64) -> bool {
-        let residual = relative.iter().all(|r| self.tolerance.is_none_or(|t| *r <= t));
-        let error = self.max_error.is_none_or(|m| max_error <= m);
-        residual && error && (self.tolerance.is_some() || self.max_error.is_some())
-    }
-}
-
-/// What became of a group of columns.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Outcome {
-    pub(crate) iterations: usize,
-    pub(crate) relative: Wide,
-    pub(crate) max_error: f64,
-    pub(crate) factor: f64,
-    pub(crate) method: Method,
-    pub(crate) stopped: bool,
-    pub(crate) converged: bool,
-}
-
-impl Outcome {
-    pub(crate) fn new(method: Method) -> Self {
-        Self {
-            iterations: 0,
-            relative: [0.0; WIDTH],
-            max_error: f64::INFINITY,
-            factor: 0.0,
-            method,
-            stopped: false,
-            converged: false,
-        }
-    }
-}
-
-/// The solution at one moment.
-pub(crate) struct Snapshot<'a> {
-    pub(crate) problem: Problem<'a>,
-    pub(crate) x: &'a [Wide],
-    /// A correction that x lacks, and its unit per column.
-    pub(crate) e: Option<(&'a [Lanes], Wide)>,
-    pub(crate) caller: &'a [f64],
-}
-
-impl Snapshot<'_> {
-    pub(crate) fn copy_to(&self, out: &mut [f64]) {
-        out.copy_from_slice(self.caller);
-        self.problem.store(self.x, self.e, out);
-    }
-}
-
-impl std::fmt::Debug for Snapshot<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Snapshot({} rows)", self.x.len())
-    }
-}
-
-/// Called after every iteration.
-pub(crate) type Watch<'a> = dyn FnMut(&Iteration<'_>) -> Control + 'a;
-
-/// One group of columns under iteration.
-pub(crate) struct Outer<'a, 'w> {
-    pub(crate) problem: Problem<'a>,
-    pub(crate) cycle: Cycle<'a>,
-    pub(crate) pool: &'a Pool,
-    pub(crate) criteria: Criteria,
-    pub(crate) workspace: &'w mut Workspace,
-    /// The caller's x, for snapshots.
-    pub(crate) caller: &'w [f64],
-    /// True if x is 0 on free rows at first, which makes the first residual cheap.
-    pub(crate) from_zero: bool,
-}
 
 /// What is carried from iteration to iteration.
 struct State {
@@ -251,7 +173,7 @@ impl Outer<'_, '_> {
                 if at_rounding(&problem, x, relative, state.reference) {
                     return Ok(*outcome);
                 }
-                return super::fallback::conjugate_gradients(self, state.reference, state.outcome, watch);
+                return crate::solve::fallback::conjugate_gradients(self, state.reference, state.outcome, watch);
             }
 
             match self.stretch(&mut state, watch)? {
@@ -267,7 +189,7 @@ impl Outer<'_, '_> {
                 }
                 Stretch::Ruined => {
                     state.outcome.relative = relative;
-                    return super::fallback::conjugate_gradients(self, state.reference, state.outcome, watch);
+                    return crate::solve::fallback::conjugate_gradients(self, state.reference, state.outcome, watch);
                 }
             }
             // The next residual is about this large; bring its entries near 1 for single precision.
@@ -431,13 +353,6 @@ impl Outer<'_, '_> {
         let Workspace { x, fine, .. } = &mut *self.workspace;
         threads.enter(pool, || add_correction(&problem, &grid, fine, scale, x));
         Ok(verdict)
-    }
-}
-
-impl Criteria {
-    /// True if a column at this relative residual needs no more iterations, whatever the others need.
-    fn rests(&self, relative: f64) -> bool {
-        self.max_error.is_none() && self.tolerance.is_some_and(|t| relative <= t)
     }
 }
 

@@ -1,19 +1,14 @@
 //! One level of the hierarchy: a weighted graph stored in the order in which it is swept.
 
-use super::coarsen::{Grouping, Groups};
-use super::lanes::{Lanes, Shared};
-use super::layout::SLACK;
-use super::threads::{Threads, piece, pieces};
 use rayon::prelude::*;
+
+use crate::build::aggregates::{Grouping, Groups};
+use crate::lanes::{Lanes, Shared};
+use crate::storage::{BUNDLE, NONE, SLACK};
+use crate::threads::{Threads, piece, pieces};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
-
-/// No aggregate: the row has no neighbours, so its own equation already determines it. Also: no vertex, a row of filling.
-pub(crate) const NONE: u32 = u32::MAX;
-
-/// Rows that are swept together. No two of them are adjacent.
-pub(crate) const BUNDLE: usize = 4;
 
 /// A graph in sweep order.
 ///

@@ -4,17 +4,15 @@
 //! block are coloured in turn, and four rows of one colour with (nearly) equal numbers of neighbours before and after
 //! them make a *bundle*: one loop serves four rows, and four independent sums are under way at any time.
 
-use super::bundling::Scratch;
-use super::draft::{Blocks, Draft};
-use super::lanes::{Lanes, Shared};
-use super::level::{BUNDLE, Bundle, Level};
-use super::threads::{Threads, piece, pieces};
+use crate::build::bundling::Scratch;
+use crate::build::draft::{Blocks, Draft};
+use crate::build::level::{Bundle, Level};
+use crate::lanes::{Lanes, Shared};
+use crate::storage::{BUNDLE, grow};
+use crate::threads::{Threads, piece, pieces};
 
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
-
-/// One part in this many of a vector is kept as room for more.
-pub(crate) const SLACK: usize = 16;
 
 /// Brings `draft` into sweep order. Returns the level, without aggregates, and the row that each row of the draft has
 /// become.
@@ -126,20 +124,6 @@ pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: 
     ranks
 }
 
-/// Lengthens `v`. There is always some room left, so that repairs rarely move what they add to; one that is empty is
-/// made anew, which leaves it to those who write it first to touch its memory.
-pub(crate) fn grow<T: Clone>(v: &mut Vec<T>, more: usize, value: T) {
-    if v.is_empty() {
-        *v = vec![value; more + more / SLACK];
-        v.truncate(more);
-        return;
-    }
-    if v.capacity() - v.len() < more {
-        v.reserve_exact(more + v.len() / SLACK);
-    }
-    v.resize(v.len() + more, value);
-}
-
 /// Copies the draft block by block into bundles, renames neighbours and puts those before each row first.
 fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, ranks: &[u32], threads: Threads) {
     let filling = level.filling();
@@ -204,9 +188,9 @@ fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, r
 
 #[cfg(test)]
 mod tests {
-    use super::super::level::NONE;
-    use super::super::testing::Block;
     use super::*;
+    use crate::storage::NONE;
+    use crate::testing::Block;
 
     #[test]
     fn arranging_keeps_the_graph() {
@@ -279,7 +263,7 @@ mod tests {
             neighbours,
             ..Draft::default()
         };
-        let threads = Threads::of(&super::super::testing::pool());
+        let threads = Threads::of(&crate::testing::pool());
         let (level, mut ranks) = arrange(&draft, &Blocks::new(&draft, 64, threads), threads);
         ranks.sort_unstable();
         ranks.dedup();

@@ -3,8 +3,9 @@
 //! Their equations determine the unknowns up to one constant per column, and have a solution only if the right-hand
 //! sides sum to zero. The solver solves the projected equations and leaves the mean of the start as it is.
 
-use super::lanes::{Lanes, WIDTH, Wide, add_wide};
-use super::{Hierarchy, System};
+use crate::build::hierarchy::Hierarchy;
+use crate::constrain::mask::Mask;
+use crate::lanes::{Lanes, WIDTH, Wide, add_wide};
 
 /// The rows of the finest level that belong to floating components.
 #[derive(Debug, Default)]
@@ -16,18 +17,18 @@ pub(crate) struct Floating {
 
 impl Floating {
     /// Looks at the top of the hierarchy, where each component has shrunk to a few rows, and only expands those found.
-    pub(crate) fn find(hierarchy: &Hierarchy, system: &System) -> Floating {
+    pub(crate) fn find(hierarchy: &Hierarchy, (masks, stiffness, dense_rows): (&[Mask], &[f64], &[u32])) -> Floating {
         let mut floating = Floating::default();
-        let last = system.masks.len() - 1;
+        let last = masks.len() - 1;
         let finest = &hierarchy.levels[0];
         for row in 0..finest.rows() {
             let alone = !finest.connected(row);
-            if last > 0 && alone && system.masks[0].free(row) && system.stiffness.get(row).is_none_or(|s| *s == 0.0) {
+            if last > 0 && alone && masks[0].free(row) && stiffness.get(row).is_none_or(|s| *s == 0.0) {
                 floating.add(hierarchy, 0, vec![row as u32]);
             }
         }
         for l in 1..=last {
-            let (level, mask, below) = (&hierarchy.levels[l], &system.masks[l], &system.masks[l - 1]);
+            let (level, mask, below) = (&hierarchy.levels[l], &masks[l], &masks[l - 1]);
             for row in 0..level.rows() {
                 let alone = !level.connected(row);
                 let members = hierarchy.levels[l - 1].members_of(row);
@@ -36,9 +37,9 @@ impl Floating {
                 }
             }
         }
-        let (level, mask) = (&hierarchy.levels[last], &system.masks[last]);
+        let (level, mask) = (&hierarchy.levels[last], &masks[last]);
         let mut seen = vec![false; level.rows()];
-        for root in system.dense_rows.iter().copied() {
+        for root in dense_rows.iter().copied() {
             if std::mem::replace(&mut seen[root as usize], true) {
                 continue;
             }
@@ -48,7 +49,7 @@ impl Floating {
             while head < part.len() {
                 let i = part[head] as usize;
                 head += 1;
-                held |= mask.alpha(i) > 0.0 || (last == 0 && system.stiffness.get(i).is_some_and(|s| *s > 0.0));
+                held |= mask.alpha(i) > 0.0 || (last == 0 && stiffness.get(i).is_some_and(|s| *s > 0.0));
                 for (j, _) in level.row(i) {
                     if !mask.free(j) {
                         held = true;

@@ -1,12 +1,14 @@
 //! Conjugate gradients preconditioned by the diagonal, all in double precision: slow, but it needs nothing of the
 //! hierarchy. Used when multigrid stagnates.
 
-use super::cycle::{per_lane, ratio};
-use super::lanes::{Shared, WIDTH, Wide};
-use super::outer::{Outcome, Outer, Snapshot, Watch};
-use super::problem::Problem;
-use super::{Control, Error, Iteration, Method};
+use crate::error::Error;
+use crate::lanes::{Shared, WIDTH, Wide, per_lane, ratio};
+use crate::options::Method;
 use crate::progress::check;
+use crate::solve::criteria::Outcome;
+use crate::solve::group::Outer;
+use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
+use crate::solve::problem::Problem;
 
 /// Iterations per iteration that the caller allows: they are cheap compared with a cycle.
 const ALLOWANCE: usize = 10;
@@ -154,11 +156,15 @@ fn step(problem: &Problem<'_>, rz: Wide, x: &mut [Wide], r: &mut [Wide], p: &[Wi
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Block, pool};
-    use super::super::{Control, Error, SolveOptions, Stats, System, Workspace};
     use super::*;
+    use crate::constrain::system::System;
+    use crate::error::Error;
     use crate::exec::Exec;
+    use crate::options::{SolveOptions, Stats};
     use crate::progress::Silent;
+    use crate::solve::iteration::Control;
+    use crate::solve::workspace::Workspace;
+    use crate::testing::{Block, pool};
 
     fn solve(block: &Block, break_it: impl Fn(&mut System), tolerance: f64) -> (Result<Stats, Error>, Vec<f64>) {
         let hierarchy = block.hierarchy(100);

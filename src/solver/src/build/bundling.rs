@@ -1,7 +1,7 @@
 //! The order of rows inside a block: colours, and bundles of four rows with nearly equal numbers of neighbours.
 
-use super::draft::Draft;
-use super::level::BUNDLE;
+use crate::build::draft::Draft;
+use crate::storage::BUNDLE;
 
 /// Largest colour inside a block; rows that would need a higher one are bundled one by one.
 const LAST_COLOUR: u8 = 62;

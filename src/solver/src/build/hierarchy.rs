@@ -1,20 +1,23 @@
 //! Building the hierarchy: levels from fine to coarse, over all vertices, without constraints.
 
-use crate::exec::Exec;
 use std::sync::Arc;
 
-use super::coarsen::aggregates;
-use super::draft::{Blocks, Draft, Rows};
-use super::lanes::Lanes;
-use super::layout::arrange;
-use super::level::{BUNDLE, Level, NONE};
-use super::operator::coarse_rows;
-use super::order::{Frame, along_curve, breadth_first};
-use super::paper::Kept;
-use super::threads::Threads;
-use super::{BuildOptions, Constraints, Error, Graph, LevelFacts, Operators, System};
+use crate::build::coarsen::aggregates;
+use crate::build::draft::{Blocks, Draft, Rows};
+use crate::build::layout::arrange;
+use crate::build::level::Level;
+use crate::build::operator::coarse_rows;
+use crate::build::order::{Frame, along_curve, breadth_first};
+use crate::error::Error;
+use crate::exec::Exec;
+use crate::graph::Graph;
+use crate::lanes::Lanes;
+use crate::options::{BuildOptions, LevelFacts, Operators};
+use crate::paper::kept::Kept;
 use crate::pool::Pool;
 use crate::progress::{Cancelled, Progress, check};
+use crate::storage::{BUNDLE, NONE};
+use crate::threads::Threads;
 
 /// Rows per block on the finest level; halved from level to level.
 const BLOCK: usize = 512;
@@ -161,16 +164,6 @@ impl Hierarchy {
         let kept = self.paper.as_ref().map_or(0, Kept::bytes);
         self.levels.iter().map(Level::bytes).sum::<usize>() + 4 * self.order.len() + kept
     }
-
-    /// Prepares solving under `constraints`: masks, diagonals and the coarsest factor of every level. Much cheaper
-    /// than building; the topology of the hierarchy stays as it is.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] if the lengths do not fit the graph or a stiffness is negative, not finite or larger than
-    /// 1e12 times the heaviest edge (a harder one is a fixed vertex).
-    pub fn constrain(&self, constraints: &Constraints<'_>, pool: &Pool) -> Result<System, Error> {
-        System::new(self, constraints, pool)
-    }
 }
 
 /// Builds all levels from the finest one. Returns them and the row that each row of `draft` has become.
@@ -242,8 +235,8 @@ pub(crate) fn power_of_two_below(v: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::Block;
     use super::*;
+    use crate::testing::Block;
 
     #[test]
     fn aggregates_partition_the_rows() {

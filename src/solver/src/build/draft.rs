@@ -2,9 +2,9 @@
 //!
 //! Coarsening works on this form, where the neighbours of a row lie side by side.
 
-use super::lanes::{Lanes, Shared};
-use super::level::NONE;
-use super::threads::{Threads, piece, pieces};
+use crate::lanes::{Lanes, Shared};
+use crate::storage::NONE;
+use crate::threads::{Threads, piece, pieces};
 
 /// Rows of a graph in any order.
 #[derive(Debug, Clone, Copy)]

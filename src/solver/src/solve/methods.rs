@@ -1,17 +1,22 @@
 //! Solving a constrained system: arguments, groups of columns, the choice of method.
 
-use super::advance::reference;
-use super::cycle::{Cycle, per_lane, ratio};
-use super::lanes::{WIDTH, Wide};
-use super::level::NONE;
-use super::outer::{Criteria, Outcome, Outer, Snapshot, Watch};
-use super::problem::Problem;
-use super::start::full_multigrid;
-use super::threads::Threads;
-use super::workspace::Workspace;
-use super::{Control, Error, Hierarchy, Iteration, Method, SolveOptions, Start, Stats, System};
+use crate::build::hierarchy::Hierarchy;
+use crate::constrain::system::System;
+use crate::error::Error;
 use crate::exec::Exec;
+use crate::lanes::{WIDTH, Wide, per_lane, ratio};
+use crate::options::{Method, SolveOptions, Start, Stats};
 use crate::pool::Pool;
+use crate::solve::advance::reference;
+use crate::solve::criteria::{Criteria, Outcome};
+use crate::solve::cycle::Cycle;
+use crate::solve::group::Outer;
+use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
+use crate::solve::problem::Problem;
+use crate::solve::start::full_multigrid;
+use crate::solve::workspace::Workspace;
+use crate::storage::NONE;
+use crate::threads::Threads;
 
 /// Refinements of the direct method at most.
 const REFINEMENTS: usize = 4;
@@ -107,7 +112,7 @@ impl System {
                     from_zero: matches!(options.start, Start::Zero),
                 };
                 match paper {
-                    Some((kept, paper)) => super::paper::solve(&mut outer, paper, kept, options.start, watch)?,
+                    Some((kept, paper)) => crate::paper::solve(&mut outer, paper, kept, options.start, watch)?,
                     None => outer.solve(watch)?,
                 }
             };

@@ -1,11 +1,12 @@
 //! The multigrid cycle that preconditions the outer iteration (paper section 5, Algorithm 1).
 
-use super::lanes::{Lanes, Shared, WIDTH, Wide};
-use super::level::BUNDLE;
-use super::sweep::{Dots, Grid};
-use super::threads::Threads;
-use super::{Hierarchy, System};
+use crate::build::hierarchy::Hierarchy;
+use crate::constrain::system::System;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, per_lane, ratio};
 use crate::progress::{Cancelled, Progress, check};
+use crate::solve::sweep::{Dots, Grid};
+use crate::storage::BUNDLE;
+use crate::threads::Threads;
 
 /// The second step of a K-cycle is left out once the first one has brought the squared residual down by this factor.
 const ENOUGH: f64 = 1.0 / 16.0;
@@ -162,16 +163,6 @@ pub(crate) fn prepare(cycle: &Cycle<'_>, levels: &mut Vec<Coarse>) {
     }
 }
 
-pub(crate) fn per_lane(mut value: impl FnMut(usize) -> f64) -> Wide {
-    [value(0), value(1), value(2), value(3)]
-}
-
-/// a / b, or 0 where that makes no sense: a lane without residual takes no step.
-pub(crate) fn ratio(a: f64, b: f64) -> f64 {
-    let q = a / b;
-    if b > 0.0 && q.is_finite() { q } else { 0.0 }
-}
-
 /// v becomes A z, b −= factor · v; returns (b, b). `v` comes as the sweep left it that made z.
 fn step(
     grid: &Grid<'_>,
@@ -223,10 +214,10 @@ fn combine(grid: &Grid<'_>, z: &mut [Lanes], first_z: &[Lanes], second: Option<W
 
 #[cfg(test)]
 mod tests {
-    use super::super::Workspace;
-    use super::super::testing::{Block, pool};
     use super::*;
     use crate::progress::Silent;
+    use crate::solve::workspace::Workspace;
+    use crate::testing::{Block, pool};
 
     /// M u for the cycle M, with u masked.
     fn apply(hierarchy: &Hierarchy, system: &System, u: &[f32]) -> Vec<Lanes> {

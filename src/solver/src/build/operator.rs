@@ -5,11 +5,11 @@
 //! would carry S g·D with D = c_I − c_J. Their ratio φ = v·D / (S |D|²) makes the coarse edge carry the right flow, so
 //! coarse corrections have the right length and need no over-correction factor.
 
-use super::coarsen::Groups;
-use super::draft::Draft;
-use super::lanes::{Lanes, Wide};
-use super::level::NONE;
-use super::threads::{Threads, piece, pieces};
+use crate::build::aggregates::Groups;
+use crate::build::draft::Draft;
+use crate::lanes::{Lanes, Wide};
+use crate::storage::NONE;
+use crate::threads::{Threads, piece, pieces};
 
 /// Bounds of φ. Below, a coarse vertex could lose its connection (φ can even be negative on folded surfaces); above 1
 /// the coarse equations would be stiffer than the sums of the fine ones, and corrections only shorter.
@@ -109,7 +109,7 @@ fn centroids(draft: &Draft, groups: &Groups, threads: Threads) -> Vec<Lanes> {
                 let members = groups.members_of(coarse);
                 let mut sum = [0.0f64; 4];
                 for &i in members {
-                    super::lanes::add_wide(&mut sum, draft.positions[i as usize].wide());
+                    crate::lanes::add_wide(&mut sum, draft.positions[i as usize].wide());
                 }
                 Lanes::from_wide(sum.map(|s| s / members.len() as f64))
             };
@@ -230,8 +230,8 @@ fn mirror(count: usize, halves: &[Half], positions: Vec<Lanes>) -> Draft {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Block, pool};
     use super::*;
+    use crate::testing::{Block, pool};
 
     #[test]
     fn coarse_weights_are_symmetric_and_bounded_by_their_sums() {

@@ -1,12 +1,12 @@
 //! Vector work of the outer iteration: the residual of a stretch, one step, adding the correction.
 
-use super::cycle::{Coarse, Cycle, per_lane, ratio};
-use super::lanes::{Lanes, Shared, WIDTH, Wide};
-use super::level::BUNDLE;
-use super::problem::Problem;
-use super::sweep::{Dots, Grid};
-use super::workspace::Fine;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, per_lane, ratio};
 use crate::progress::Cancelled;
+use crate::solve::cycle::{Coarse, Cycle};
+use crate::solve::problem::Problem;
+use crate::solve::sweep::{Dots, Grid};
+use crate::solve::workspace::Fine;
+use crate::storage::BUNDLE;
 
 /// What one step leaves.
 pub(crate) struct Advance {

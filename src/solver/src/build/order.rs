@@ -1,7 +1,7 @@
 //! Sequences of vertices: along a space-filling curve, or breadth first where no positions are known.
 
-use super::lanes::{Lanes, Shared};
-use super::threads::{Threads, piece, pieces};
+use crate::lanes::{Lanes, Shared};
+use crate::threads::{Threads, piece, pieces};
 
 /// Bits per axis of the curve.
 const BITS: u32 = 10;

@@ -4,10 +4,11 @@
 //! two passes: in the forward sweep the neighbours after a row are still 0, and the residual it leaves is made of just
 //! these neighbours.
 
-use super::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
-use super::level::{BUNDLE, Level, NONE};
-use super::system::Mask;
-use super::threads::{Threads, piece, pieces};
+use crate::build::level::Level;
+use crate::constrain::mask::Mask;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
+use crate::storage::{BUNDLE, NONE};
+use crate::threads::{Threads, piece, pieces};
 
 /// Rows of a vector pass without blocks.
 const PIECE: usize = 1024;

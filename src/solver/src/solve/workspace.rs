@@ -1,9 +1,9 @@
 //! Scratch that solves share.
 
-use super::cycle::Coarse;
-use super::lanes::{Lanes, Wide};
-use super::start::Patches;
-use super::sweep::Dots;
+use crate::lanes::{Lanes, Wide};
+use crate::solve::cycle::Coarse;
+use crate::solve::patches::Patches;
+use crate::solve::sweep::Dots;
 
 /// Vectors that a solve needs; reuse it and solves of the same size allocate next to nothing.
 ///

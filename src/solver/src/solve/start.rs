@@ -5,70 +5,20 @@
 //! the mean of the members' maps s_i R_i. Equation (12) keeps its form on every level, with
 //! d_IJ = ½ (F_I + F_J) (c_I − c_J) and β_I summed over the members. Without maps the patches are rigid points.
 
-use super::cycle::Cycle;
-use super::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
-use super::level::NONE;
-use super::order::Frame;
-use super::problem::Problem;
-use super::sweep::Grid;
-use super::system::tie_share;
-use super::threads::{piece, pieces};
-use super::workspace::Workspace;
+use crate::build::order::Frame;
+use crate::constrain::mask::tie_share;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
 use crate::progress::{Cancelled, check};
+use crate::solve::cycle::Cycle;
+use crate::solve::patches::{Map, Patches};
+use crate::solve::problem::Problem;
+use crate::solve::sweep::Grid;
+use crate::solve::workspace::Workspace;
+use crate::storage::NONE;
+use crate::threads::{piece, pieces};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 1024;
-
-/// A linear map by its columns.
-type Map = [Lanes; 3];
-
-/// The original equations on one level.
-#[derive(Debug, Default)]
-pub(crate) struct Patches {
-    /// F of each row, or empty.
-    maps: Vec<Map>,
-    positions: Vec<Lanes>,
-    /// β of equation (12).
-    beta: Vec<Lanes>,
-    /// Given values on masked rows, the solution on free ones.
-    x: Vec<Lanes>,
-}
-
-impl Patches {
-    pub(crate) fn bytes(&self) -> usize {
-        48 * self.maps.capacity() + 16 * (self.positions.capacity() + self.beta.capacity() + self.x.capacity())
-    }
-
-    fn resize(&mut self, rows: usize, mapped: bool) {
-        let mapped = if mapped { rows } else { 0 };
-        self.maps.resize(mapped, [Lanes::ZERO; 3]);
-        self.positions.resize(mapped, Lanes::ZERO);
-        self.beta.resize(rows, Lanes::ZERO);
-        self.x.resize(rows, Lanes::ZERO);
-    }
-
-    /// map · (p − centre) for a row's position p.
-    #[inline(always)]
-    fn offset(&self, map: &Map, row: usize, centre: Lanes) -> Lanes {
-        times(map, self.positions[row] - centre)
-    }
-
-    /// d_ij = ½ (F_i + F_j) (p_i − p_j), 0 without maps.
-    #[inline(always)]
-    fn edge(&self, i: usize, j: usize) -> Lanes {
-        if self.maps.is_empty() {
-            return Lanes::ZERO;
-        }
-        let (a, b) = (&self.maps[i], &self.maps[j]);
-        let sum = [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
-        times(&sum, self.positions[i] - self.positions[j]) * 0.5
-    }
-}
-
-#[inline(always)]
-fn times(map: &Map, v: Lanes) -> Lanes {
-    map[0] * v.0[0] + map[1] * v.0[1] + map[2] * v.0[2]
-}
 
 /// Fills the free rows of `workspace.x`, whose masked rows hold their values, with the full-multigrid start.
 pub(crate) fn full_multigrid(
@@ -82,7 +32,7 @@ pub(crate) fn full_multigrid(
     let Workspace { x, patches, coarse, .. } = workspace;
     let last = system.masks.len() - 1;
     patches.resize_with(last + 1, Patches::default);
-    super::cycle::prepare(cycle, coarse);
+    crate::solve::cycle::prepare(cycle, coarse);
 
     let middle = mean_of_masked(problem, x);
     let grid = cycle.grid(0);
