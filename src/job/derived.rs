@@ -8,11 +8,11 @@ use super::trail::{Carried, Past, Path, Trail};
 use super::workbench::Limits;
 use super::{Error, pb};
 use crate::asset::Model;
-use crate::deform::{Body, BodyOptions, Followed, VolumeMode};
+use crate::deform::{BodyOptions, DeformableBody, EditedBody, VolumeMode};
 use crate::edit::Applied;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
-use crate::mesh::{Adjacency, Components, Mesh, Report, inspect};
+use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
 
@@ -24,11 +24,11 @@ pub(super) struct Derived {
     pub path: Arc<Path>,
     pub mesh: Mesh,
     pub parts: Components,
-    pub body: Body,
+    pub body: DeformableBody,
     /// How the nodes of the graph came about when the body has followed an edit.
     pub followed: Nodes,
     volume: VolumeMode,
-    report: OnceLock<Report>,
+    report: OnceLock<MeshReport>,
 }
 
 /// How the nodes of a graph that has followed an edit came about; empty when it was built.
@@ -74,7 +74,7 @@ impl Derived {
             mesh.positions.len()
         };
         admit(estimate(vertices, nodes as u64) + files, limits)?;
-        let body = Body::build(&mesh, &options(&foundation, choices, limits), exec)?;
+        let body = DeformableBody::build(&mesh, &options(&foundation, choices, limits), exec)?;
         let parts = parts_of(&mesh);
         Ok(Self::new(
             Path::built(foundation),
@@ -117,7 +117,7 @@ impl Derived {
                 }
             };
             if let Some((step, followed, parts)) = followed {
-                let Followed {
+                let EditedBody {
                     body,
                     old_from_new,
                     touched,
@@ -164,7 +164,14 @@ impl Derived {
         })
     }
 
-    fn new(path: Path, mesh: Mesh, parts: Components, body: Body, followed: Nodes, choices: &Choices) -> Self {
+    fn new(
+        path: Path,
+        mesh: Mesh,
+        parts: Components,
+        body: DeformableBody,
+        followed: Nodes,
+        choices: &Choices,
+    ) -> Self {
         Self {
             path: Arc::new(path),
             parts,
@@ -186,7 +193,7 @@ impl Derived {
     }
 
     /// What is to be said about the mesh; looked for when first asked.
-    pub fn report(&self) -> &Report {
+    pub fn report(&self) -> &MeshReport {
         self.report.get_or_init(|| {
             let adjacency = Adjacency::build(self.mesh.positions.len(), &self.mesh.triangles);
             inspect(&self.mesh, &adjacency)
@@ -249,7 +256,7 @@ pub(super) fn admit(bytes: u64, limits: &Limits) -> Result<(), Error> {
     })
 }
 
-fn warnings_of(model: &Model, report: &Report) -> Vec<pb::Warning> {
+fn warnings_of(model: &Model, report: &MeshReport) -> Vec<pb::Warning> {
     let read = model.warnings.iter().map(|(code, message, place)| pb::Warning {
         code: code.clone(),
         message: message.clone(),

@@ -15,7 +15,7 @@ use super::{Error, Mode, Poses, Settings, Workbench, pb};
 use crate::asset::FileSet;
 use crate::edit::{Applied, apply};
 use crate::exec::Exec;
-use crate::graph::{Graph, Recipe, Stats};
+use crate::graph::{GraphRecipe, GraphStats, MeshGraph};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -268,8 +268,8 @@ impl Workbench {
     }
 
     /// A graph of which regions hold no node.
-    fn without_nodes(&self) -> Graph {
-        Graph {
+    fn without_nodes(&self) -> MeshGraph {
+        MeshGraph {
             offsets: vec![0],
             neighbours: Vec::new(),
             weights: None,
@@ -278,8 +278,8 @@ impl Workbench {
             nearest_surface: Vec::new(),
             component: Vec::new(),
             components: 0,
-            stats: Stats::default(),
-            recipe: Recipe::default(),
+            stats: GraphStats::default(),
+            recipe: GraphRecipe::default(),
         }
     }
 

@@ -4,7 +4,9 @@ use super::check::{COMMIT_REFINE, Settings, transform};
 use super::handles::HandleSet;
 use super::workbench::Committed;
 use super::{Error, Poses, Workbench, pb};
-use crate::deform::{Body, Cycle, Refinement, Request, Rig, Solution, Start, Transform};
+use crate::deform::{
+    CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
+};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
 use glam::{DVec3, Mat3};
@@ -70,7 +72,7 @@ impl Workbench {
         Ok(Poses(Arc::new(all)))
     }
 
-    fn require_handles(&self) -> Result<&Rig, Error> {
+    fn require_handles(&self) -> Result<&HandleSystem, Error> {
         self.rig
             .as_ref()
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
@@ -114,11 +116,15 @@ impl Workbench {
             return Err(Error::Internal("handles without a rig".into()));
         };
         let body = &derived.body;
-        let request = Request {
+        let request = PoseRequest {
             transforms: &transforms,
             tolerance: settings.tolerance,
             max_error: settings.max_error,
-            start: if mode == Mode::Drag { Start::Warm } else { Start::Fresh },
+            start: if mode == Mode::Drag {
+                SolveStart::Warm
+            } else {
+                SolveStart::Fresh
+            },
             first_pass: settings.first_pass,
             refinement: Refinement {
                 steps: settings.refine.unwrap_or(match mode {
@@ -134,7 +140,7 @@ impl Workbench {
             rest: &derived.foundation().rest,
             handles,
         };
-        let mut on_cycle = |cycle: &Cycle<'_>| {
+        let mut on_cycle = |cycle: &CycleReport<'_>| {
             let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
             watch(&Watch {
                 cycle: u32::try_from(cycle.index).unwrap_or(u32::MAX),
@@ -145,7 +151,7 @@ impl Workbench {
             })
         };
         let solution = match settings.spatial_rbf {
-            true => rig.solve_in_space(body, &transforms, state, exec)?,
+            true => rig.solve_by_spatial_rbf(body, &transforms, state, exec)?,
             false => rig.solve(body, &request, state, exec, &mut on_cycle)?,
         };
         let solver = method_name(&solution);
@@ -168,7 +174,7 @@ impl Workbench {
 
 /// From graph nodes back to render vertices.
 struct Shape<'a> {
-    body: &'a Body,
+    body: &'a DeformableBody,
     mesh: &'a Mesh,
     rest: &'a [DVec3],
     handles: &'a HandleSet,
@@ -206,8 +212,8 @@ impl Shape<'_> {
     }
 }
 
-fn method_name(solution: &Solution) -> &'static str {
-    use crate::deform::Method::{Graph, SpatialRbf};
+fn method_name(solution: &PoseSolution) -> &'static str {
+    use crate::deform::PoseMethod::{Graph, SpatialRbf};
     use crate::solver::Method as Solver;
     match solution.method {
         Graph(Solver::Trivial) => "trivial",

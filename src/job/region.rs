@@ -3,8 +3,8 @@
 use super::check::{number, plane, positive, vector};
 use super::{Error, pb};
 use crate::asset::Primitive;
-use crate::deform::NearestPoints;
-use crate::graph::Graph;
+use crate::graph::MeshGraph;
+use crate::mesh::query::NearestPoints;
 use crate::mesh::query::closest_point::closest_point_on_segment;
 use crate::mesh::{Components, Mesh, NONE};
 use glam::DVec3;
@@ -17,7 +17,7 @@ pub(super) struct Ground<'a> {
     pub primitives: &'a [Primitive],
     pub mesh: &'a Mesh,
     pub parts: &'a Components,
-    pub graph: &'a Graph,
+    pub graph: &'a MeshGraph,
 }
 
 /// A mirror: unit normal and a point of the plane.

@@ -4,7 +4,7 @@ use super::frames::digest;
 use super::{EditOrder, Error, Limits, Mode, Settings, Workbench, pb};
 use crate::asset::{FileSet, Format, Written};
 use crate::exec::Exec;
-use crate::mesh::Report;
+use crate::mesh::MeshReport;
 use crate::progress::Progress;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -384,7 +384,7 @@ pub fn inspect(
 ) -> Result<pb::Inspection, Error> {
     let bench = Workbench::open(files, create, limits, exec)?;
     let facts = bench.facts();
-    let report: &Report = bench.report();
+    let report: &MeshReport = bench.report();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     let renders = report.render_vertices - report.unreferenced_vertices;
     Ok(pb::Inspection {

@@ -9,7 +9,7 @@ use super::delta::Delta;
 use super::derived::Nodes;
 use super::foundation::Foundation;
 use super::{Error, pb};
-use crate::deform::{Body, Followed, KeptFields};
+use crate::deform::{DeformableBody, EditedBody, KeptFields};
 use crate::exec::Exec;
 use glam::DVec3;
 use std::sync::Arc;
@@ -131,7 +131,7 @@ impl Past {
             }
         };
         let mesh = start.mesh(choices.weld)?;
-        let body = Body::build(&mesh, &fit(start), exec)?;
+        let body = DeformableBody::build(&mesh, &fit(start), exec)?;
         let mut now = Remade {
             body,
             nodes: Nodes::default(),
@@ -147,7 +147,7 @@ impl Past {
             let Some(followed) = now.body.follow(&change, nodes, exec)? else {
                 return Ok(None);
             };
-            let Followed {
+            let EditedBody {
                 body,
                 old_from_new,
                 touched,
@@ -165,7 +165,7 @@ impl Past {
 
 /// A body made again.
 pub(super) struct Remade {
-    pub body: Body,
+    pub body: DeformableBody,
     pub nodes: Nodes,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
