@@ -15,11 +15,14 @@ use super::requests::{Call, Change, Command, Direction, Stored};
 use super::stop::Stop;
 use super::{Code, Error, Exported, SolvedFrames};
 use crate::asset::Format;
+use crate::engine::SolveMode;
+use crate::engine::digest;
 use crate::exec::Exec;
-use crate::job::frames::{FrameRequest, digest, encode};
-use crate::job::{self, Mode, Settings, pb};
 use crate::pool::Pool;
 use crate::progress::{CancelFlag, Progress as _};
+use crate::wire;
+use crate::wire::frames::{FrameRequest, encode};
+use crate::wire::{DeformOptions, pb};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -70,7 +73,7 @@ impl Actor {
                     if !session.streams.all().is_empty() {
                         session.lease.renew();
                     } else if session.lease.expired() {
-                        self.shared.metrics.sessions_expired.up();
+                        self.shared.metrics.sessions_expired.inc();
                         tracing::info!(session.id = %session.id, "session expired");
                         session.close(Error::no_session(&session.id));
                     }
@@ -93,7 +96,7 @@ impl Actor {
         } = self;
         session.close(Error::no_session(&session.id));
         shared.registry.remove(&session.id);
-        shared.metrics.sessions.add(-1);
+        shared.metrics.sessions.dec();
         // Whoever waits for an answer learns of the end by this.
         drop(commands);
         // Dropped where it holds nobody up, in this order: what is told last is that memory and seat are free.
@@ -145,7 +148,7 @@ impl Actor {
                 Ok((value, stop))
             }
             Err(Panicked(text)) => {
-                self.shared.metrics.sessions_failed.up();
+                self.shared.metrics.sessions_failed.inc();
                 tracing::error!(session.id = %self.session.id, panic = text, "work panicked; the session is closed");
                 let error = Error::from(Panicked(text));
                 self.session.close(Error {
@@ -158,11 +161,11 @@ impl Actor {
     }
 
     /// What the failure of a piece of work means to its caller.
-    pub fn failure(&self, error: job::Error, stop: &Stop) -> Error {
-        if error != job::Error::Cancelled {
+    pub fn failure(&self, error: wire::Error, stop: &Stop) -> Error {
+        if error != wire::Error::Cancelled {
             return error.into();
         }
-        self.shared.metrics.cancelled.up();
+        self.shared.metrics.cancelled.inc();
         if self.session.cancel.cancelled() {
             self.session.why()
         } else if stop.abandoned() {
@@ -232,7 +235,7 @@ impl Actor {
         let (replaced, stop) = self
             .compute(&call.cancel, limit, move |bench, pool, stop, _| {
                 let replaced = bench.replace(trail.as_ref(), &request, &Exec::new(pool, stop));
-                (replaced, request, stop.stage_ms())
+                (replaced, request, stop.take_stage_ms())
             })
             .await?;
         let (replaced, request, stages) = replaced;
@@ -243,7 +246,7 @@ impl Actor {
             bench.adopt(&self.history.current().handles);
         }
         self.session.streams.all().iter().for_each(|m| m.forget_overlay());
-        self.shared.metrics.commits.up();
+        self.shared.metrics.commits.inc();
         self.publish();
         Ok(self.session.describe())
     }
@@ -251,7 +254,7 @@ impl Actor {
     async fn solve(
         &mut self,
         pose: pb::Pose,
-        settings: Settings,
+        settings: DeformOptions,
         call: &Call<SolvedFrames>,
     ) -> Result<(SolvedFrames, Stored), Error> {
         let state = self.history.current().clone();
@@ -264,10 +267,16 @@ impl Actor {
             .compute(
                 &call.cancel,
                 limit,
-                move |bench, pool, stop, queued| -> Result<_, job::Error> {
+                move |bench, pool, stop, queued| -> Result<_, wire::Error> {
                     bench.load(state.trail.as_ref(), &state.handles, &Exec::new(pool, stop))?;
                     let poses = bench.engine.posed(&state.poses, &pose)?;
-                    let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, stop), &mut |_| true)?;
+                    let solved = bench.solve(
+                        &poses,
+                        &settings,
+                        SolveMode::Commit,
+                        &Exec::new(pool, stop),
+                        &mut |_| true,
+                    )?;
                     let elapsed = stop.elapsed();
                     let quality = bench
                         .engine
@@ -303,11 +312,11 @@ impl Actor {
             .commit_pose(poses, kept, Arc::clone(&solved.positions), digest.clone());
         self.publish();
         let metrics = &self.shared.metrics;
-        metrics.solve.record(elapsed);
-        metrics.cycles.add(solved.cycles.into());
-        metrics.poses_solved.up();
-        metrics.commits.up();
-        metrics.frames_sent.up();
+        metrics.solve.observe(elapsed.as_secs_f64());
+        metrics.cycles.inc_by(solved.cycles.into());
+        metrics.poses_solved.inc();
+        metrics.commits.inc();
+        metrics.frames_sent.inc();
         let stored = Stored::Solved {
             frame: Box::new(frame),
             revision,

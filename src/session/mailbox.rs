@@ -9,8 +9,8 @@
 use super::outgoing::{Letter, Outgoing};
 use super::waiting::{Overlay, Waiting, fits, merge};
 use super::{Code, Config, Error, Metrics};
-use crate::job::{Settings, pb};
 use crate::progress::CancelFlag;
+use crate::wire::{DeformOptions, pb};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
@@ -59,7 +59,7 @@ pub(super) struct Mailbox {
 
 #[derive(Debug)]
 struct Books {
-    settings: Arc<Settings>,
+    settings: Arc<DeformOptions>,
     waiting: VecDeque<Waiting>,
     last_seq: Option<u64>,
     overlay: Overlay,
@@ -113,7 +113,7 @@ impl Books {
 
 impl Mailbox {
     pub fn new(session: &str, config: &Config, metrics: Arc<Metrics>, task: Arc<Notify>) -> Result<Self, Error> {
-        let settings = Settings::check(&pb::Options::default(), "options", config.window)?;
+        let settings = DeformOptions::check(&pb::Options::default(), "options", config.window)?;
         Ok(Self {
             session: session.to_owned(),
             books: Mutex::new(Books {
@@ -179,7 +179,7 @@ impl Mailbox {
                 self.task.notify_one();
             }
             Some(pb::deform_request::Message::Options(options)) => {
-                match Settings::check(&options, "options", self.max_window) {
+                match DeformOptions::check(&options, "options", self.max_window) {
                     Ok(settings) => {
                         books.settings = Arc::new(settings);
                         books.promote();
@@ -195,7 +195,7 @@ impl Mailbox {
     }
 
     fn push_pose(&self, books: &mut Books, pose: pb::Pose) {
-        self.metrics.poses_received.up();
+        self.metrics.poses_received.inc();
         if let Some(last) = books.last_seq.filter(|&last| pose.seq <= last) {
             let text = format!("is {}, above {last} is allowed: numbers grow along a stream", pose.seq);
             return self.refuse(books, pose.seq, Error::invalid("pose.seq", text));
@@ -224,7 +224,7 @@ impl Mailbox {
     }
 
     fn refuse(&self, books: &mut Books, seq: u64, error: Error) {
-        self.metrics.poses_refused.up();
+        self.metrics.poses_refused.inc();
         if books.notes.len() >= WAITING_NOTES {
             let text = format!("{WAITING_NOTES} errors wait unread; read them before sending more");
             return self.fail(books, Error::exhausted(text, 1));
@@ -345,7 +345,7 @@ impl Mailbox {
     pub fn settle(&self, refused: Vec<(u64, Error)>, superseded: u32) {
         let mut books = self.books();
         books.superseded = books.superseded.saturating_add(superseded);
-        self.metrics.poses_superseded.add(superseded.into());
+        self.metrics.poses_superseded.inc_by(superseded.into());
         for (seq, error) in refused {
             self.refuse(&mut books, seq, error);
         }

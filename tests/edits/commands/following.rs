@@ -1,0 +1,251 @@
+//! Graph and hierarchy follow an edit: at the price of the edit, and without a difference that a user would see.
+
+use super::*;
+use pliant::engine::SolveMode;
+use pliant::exec::Exec;
+
+/// A bar of a few thousand vertices, so that a few of them are little.
+fn fine_bar() -> bench::Shape {
+    let (positions, triangles) = shapes::box_with_cells(DVec3::new(1.0, 1.0, 4.0), [14, 14, 56]);
+    (
+        positions.iter().map(|p| *p - DVec3::new(0.5, 0.5, 0.0)).collect(),
+        triangles,
+    )
+}
+
+fn ball(center: [f64; 3], radius: f64) -> pb::Region {
+    let center = center.to_vec();
+    pb::Region {
+        region: Some(pb::region::Region::Sphere(pb::region::Sphere { center, radius })),
+    }
+}
+
+fn handles() -> Vec<pb::Handle> {
+    vec![handle("base", below(0.5)), handle("top", above(3.5))]
+}
+
+fn remesh(region: pb::Region, edge_length: f64) -> pb::EditRequest {
+    let region = Some(region);
+    request(Operation::Remesh(pb::edit_request::Remesh {
+        region,
+        edge_length,
+        ..Default::default()
+    }))
+}
+
+/// The same model, opened anew, with the same handles.
+fn fresh(bench: &Deformer) -> Deformer {
+    let geometry = bench.geometry();
+    let mut fresh = super::bench::bench(&(bench.rest().to_vec(), geometry.triangles.clone()));
+    fresh
+        .set_handles(bench.handles(), &Exec::new(&pool(2), &Silent))
+        .expect("the handles fit");
+    fresh
+}
+
+fn bend() -> Vec<(&'static str, pb::HandlePose)> {
+    vec![("top", turn(DVec3::new(0.5, 0.0, 0.2), DVec3::new(0.0, 0.0, 3.5)))]
+}
+
+#[test]
+fn edits_are_followed_and_the_next_pose_is_that_of_a_model_opened_anew() {
+    let mut bench = bench(&fine_bar());
+    set(&mut bench, handles());
+    for (k, request) in [
+        delete(ball([0.5, 0.0, 2.0], 0.2), true),
+        midpoint(Some(ball([-0.5, 0.1, 1.5], 0.25))),
+        remesh(ball([0.0, 0.5, 2.4], 0.3), 0.05),
+        delete(ball([0.0, -0.5, 2.8], 0.2), true),
+    ]
+    .iter()
+    .enumerate()
+    {
+        let outcome = edited(&mut bench, request);
+        assert!(outcome.result.repaired, "edit {k} is followed");
+        let here = solve(&mut bench, &bend(), 1e-6);
+        let mut fresh = fresh(&bench);
+        let there = solve(&mut fresh, &bend(), 1e-6);
+        let apart = largest_distance(&here.positions, &there.positions) / bench.diagonal();
+        assert!(apart < 0.01, "edit {k}: {apart} of the diagonal apart");
+        assert!(
+            here.cycles <= there.cycles + 1,
+            "edit {k}: {} cycles, {} anew",
+            here.cycles,
+            there.cycles
+        );
+    }
+}
+
+#[test]
+fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
+    let shaped = || {
+        let mut bench = bench(&fine_bar());
+        set(&mut bench, handles());
+        let shape = solve(&mut bench, &bend(), 1e-6).positions;
+        (bench, shape)
+    };
+    let next = |bench: &mut Deformer, shape: &Arc<Vec<DVec3>>| {
+        let region = ball(shape[shape.len() / 2].to_array(), 0.2);
+        let outcome = edit(bench, &delete(region, true), shape).expect("the edit can be done");
+        (outcome.result.repaired, solve(bench, &bend(), 1e-6))
+    };
+    let (mut here, shape) = shaped();
+    let followed = next(&mut here, &shape);
+    let (mut there, shape) = shaped();
+    let anew = next(&mut there, &Arc::new(shape.to_vec()));
+    assert_eq!((followed.0, anew.0), (true, false));
+    let apart = largest_distance(&followed.1.positions, &anew.1.positions) / here.diagonal();
+    assert!(apart < 0.01, "{apart} of the diagonal apart");
+    assert!(followed.1.cycles <= anew.1.cycles + 1);
+}
+
+#[test]
+fn fields_begin_where_they_ended_and_come_to_the_same() {
+    let mut bench = bench(&fine_bar());
+    set(&mut bench, handles());
+    edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
+    let (body, rig) = (bench.body(), bench.rig().expect("handles"));
+    let anew = pliant::deform::Rig::build(body, rig.rigging().clone(), &Exec::new(&pool(2), &Silent)).expect("a rig");
+    assert!(
+        rig.field_iterations < anew.field_iterations,
+        "{} iterations, {} from nothing",
+        rig.field_iterations,
+        anew.field_iterations
+    );
+    for k in 0..2 {
+        let fields = rig.rotation_fields().of(k).iter().zip(anew.rotation_fields().of(k));
+        let apart = fields.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart < 1e-4, "handle {k}: {apart}");
+    }
+}
+
+#[test]
+fn handles_go_on_to_hold_what_is_inside_of_them() {
+    let mut bench = bench(&fine_bar());
+    set(&mut bench, handles());
+    let inside = |bench: &Deformer| {
+        let surface = bench.body().graph.surface as u32;
+        let holds = &bench.rig().expect("handles").rigging().holds;
+        let count = |h: &pliant::deform::Hold| h.nodes.iter().filter(|n| **n >= surface).count();
+        holds.iter().map(count).collect::<Vec<_>>()
+    };
+    let before = inside(&bench);
+    edited(&mut bench, &midpoint(Some(ball([0.5, 0.0, 2.0], 0.2))));
+    assert_eq!(inside(&bench), before);
+    // Asked for as a list, by somebody who was told the handles, they are the same.
+    let handles = bench.handles().clone();
+    bench
+        .set_handles(&handles, &Exec::new(&pool(2), &Silent))
+        .expect("the same handles");
+    assert_eq!(inside(&bench), before);
+}
+
+#[test]
+fn large_edits_and_shapes_of_unknown_origin_are_built_anew() {
+    let mut bench = bench(&fine_bar());
+    set(&mut bench, handles());
+    assert!(!edited(&mut bench, &midpoint(None)).result.repaired);
+    let shape = Arc::new(bench.rest().iter().map(|p| *p * 1.1).collect::<Vec<_>>());
+    let request = delete(ball([0.55, 0.0, 2.2], 0.2), true);
+    let outcome = edit(&mut bench, &request, &shape).expect("the edit can be done");
+    assert!(!outcome.result.repaired);
+}
+
+/// Poses and edits in turn; what is answered after each edit and each pose.
+fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
+    let pool = pool(threads);
+    let mut said = Vec::new();
+    let mut shape = Arc::clone(bench.rest());
+    for k in 0..6 {
+        let poses = bench.initial_poses();
+        let region = ball([0.5, 0.0, 1.2 + 0.3 * f64::from(k)], 0.18);
+        let request = match k % 3 {
+            0 => delete(region, true),
+            1 => midpoint(Some(region)),
+            _ => remesh(region, 0.06),
+        };
+        let order = EditCommand {
+            request: &request,
+            shape: &shape,
+            poses: &poses,
+            settings: None,
+            other: None,
+        };
+        let outcome = bench
+            .edit(&order, &Exec::new(&pool, &Silent))
+            .expect("each can be done");
+        said.push(format!("{} {}", outcome.result.repaired, outcome.result.digest));
+        let turned = turn(DVec3::new(0.15, 0.05 * f64::from(k), 0.0), DVec3::new(0.0, 0.0, 3.0));
+        let poses = bench.posed(&outcome.poses, &pose(&[("top", turned)])).expect("a pose");
+        let solved = bench
+            .solve(
+                &poses,
+                &settings(1e-5),
+                SolveMode::Commit,
+                &Exec::new(&pool, &Silent),
+                &mut |_| true,
+            )
+            .expect("solved");
+        said.push(digest(&solved.positions));
+        shape = solved.positions;
+    }
+    said
+}
+
+#[test]
+fn the_way_back_and_forth_gives_the_same_bits_however_far() {
+    let mut bench = bench(&fine_bar());
+    set(&mut bench, handles());
+    let start = (bench.trail(), bench.handles().clone());
+    let mut states = vec![start];
+    let mut digests = vec![bent(&mut bench)];
+    let mut shape = Arc::clone(bench.rest());
+    for k in 0..5 {
+        let region = ball(shape[shape.len() / 3 + 211 * k].to_array(), 0.18);
+        let outcome = edit(&mut bench, &delete(region, k % 2 == 0), &shape).expect("an edit");
+        assert!(outcome.result.repaired, "edit {k}");
+        states.push((bench.trail(), bench.handles().clone()));
+        digests.push(bent(&mut bench));
+        shape = solve(&mut bench, &bend(), 1e-5).positions;
+    }
+    // One step, then all the way, then there and back at random: near states are kept, far ones followed again.
+    for at in [4, 5, 0, 3, 1, 5, 2, 0, 4] {
+        let (trail, handles) = &states[at];
+        bench
+            .retrace(trail, &Exec::new(&pool(1), &Silent))
+            .expect("the way is known");
+        bench
+            .set_handles(handles, &Exec::new(&pool(1), &Silent))
+            .expect("the same handles");
+        assert_eq!(bent(&mut bench), digests[at], "state {at}");
+    }
+}
+
+fn bent(bench: &mut Deformer) -> String {
+    digest(&solve(bench, &bend(), 1e-5).positions)
+}
+
+#[test]
+fn edits_that_are_followed_give_the_same_bits_for_any_number_of_threads() {
+    let run = |threads| {
+        let mut bench = bench_with(&fine_bar(), &pb::CreateOptions::default(), &pool(threads));
+        set(&mut bench, handles());
+        story(&mut bench, threads)
+    };
+    let one = run(1);
+    assert!(one.iter().filter(|s| s.starts_with("true")).count() >= 4, "{one:?}");
+    assert_eq!(one, run(2));
+    assert_eq!(one, run(3));
+}
+
+#[test]
+fn a_refused_edit_leaves_everything_as_it_was() {
+    let mut bench = bench(&fine_bar());
+    set(&mut bench, handles());
+    edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
+    let (before, bytes) = (bent(&mut bench), bench.bytes());
+    let missed = cut_at(99.0, cut::Keep::Both, false);
+    let rest = Arc::clone(bench.rest());
+    edit(&mut bench, &missed, &rest).expect_err("the plane misses");
+    assert_eq!((bent(&mut bench), bench.bytes()), (before, bytes));
+}

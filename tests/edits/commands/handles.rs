@@ -1,0 +1,83 @@
+//! What becomes of handles across an edit.
+
+use super::*;
+
+#[test]
+fn handles_keep_the_vertices_that_are_left() {
+    let mut bench = bench(&bar());
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let counts = |bench: &Deformer| -> Vec<u32> { bench.facts().handles.iter().map(|h| h.vertices).collect() };
+    let before = counts(&bench);
+    edited(&mut bench, &midpoint(Some(half_space([0.0, 0.0, 1.0], 1.4))));
+    let after = counts(&bench);
+    assert_eq!(before[0], after[0], "the base was not touched");
+    assert!(
+        after[1] > 3 * before[1],
+        "what lies between held vertices is held: {before:?} {after:?}"
+    );
+    // Its highest vertices, and none below the plane that it was made with.
+    let region = bench.handles().handles[1].region.clone().and_then(|r| r.region);
+    let Some(pb::region::Region::Vertices(list)) = region else {
+        panic!("listed from now on")
+    };
+    for range in list.ranges {
+        for v in range.first..range.first + range.count {
+            assert!(bench.rest()[v as usize].z >= 1.5);
+        }
+    }
+}
+
+#[test]
+fn a_handle_that_loses_everything_is_gone_and_said_to_be() {
+    let mut bench = bench(&bar());
+    let middle = pb::Region {
+        region: Some(pb::region::Region::Box(pb::region::Box {
+            min: vec![-1.0, -1.0, -0.2],
+            max: vec![1.0, 1.0, 0.2],
+        })),
+    };
+    set(
+        &mut bench,
+        vec![
+            handle("base", below(-1.5)),
+            handle("middle", middle),
+            handle("top", above(1.5)),
+        ],
+    );
+    let outcome = edited(&mut bench, &cut_at(0.9, cut::Keep::Above, true));
+    assert_eq!(outcome.result.handles_kept, ["top"]);
+    let lost: Vec<&str> = outcome
+        .result
+        .warnings
+        .iter()
+        .filter(|w| w.code == "handle-lost")
+        .map(|w| w.r#where.as_str())
+        .collect();
+    assert_eq!(lost, ["handles[0]", "handles[1]"]);
+    assert_eq!(bench.facts().handles.len(), 1);
+}
+
+#[test]
+fn weights_are_blended_and_stay_between_0_and_1() {
+    let mut bench = bench(&bar());
+    let values: Vec<f32> = bench.rest().iter().map(|p| ((p.z + 2.0) / 4.0) as f32).collect();
+    let soft = pb::Handle {
+        stiffness: Some(2.0),
+        ..handle(
+            "soft",
+            pb::Region {
+                region: Some(pb::region::Region::Weights(pb::region::Weights { values })),
+            },
+        )
+    };
+    set(&mut bench, vec![handle("base", below(-1.9)), soft]);
+    edited(&mut bench, &midpoint(None));
+    let region = bench.handles().handles[1].region.clone().and_then(|r| r.region);
+    let Some(pb::region::Region::Weights(weights)) = region else {
+        panic!("still weights")
+    };
+    assert_eq!(weights.values.len(), bench.rest().len());
+    for (p, w) in bench.rest().iter().zip(weights.values) {
+        assert!((f64::from(w) - (p.z + 2.0) / 4.0).abs() < 1e-6);
+    }
+}

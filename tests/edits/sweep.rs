@@ -1,0 +1,248 @@
+//! Edits on every model of the data folder, hostile ones included: a result or a reason in one line, never a panic.
+
+use glam::DVec3;
+use pliant::asset::{FileSet, Format, Model};
+use pliant::engine::{Deformer, DeformerLimits, EditCommand, digest};
+use pliant::exec::Exec;
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+use pliant::wire::{Error, json, pb};
+use serde_json::{Value, json};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+/// Models with fewer triangles have no region worth the name: they are edited as a whole.
+const SMALL: usize = 60;
+
+/// Models with more vertices get two edits each, in rotation, and no inside.
+const LARGE: usize = 12_000;
+
+fn data_folder() -> PathBuf {
+    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    std::env::var_os("PLIANT_DATA").map_or(default, PathBuf::from)
+}
+
+fn models_under(folder: &Path, found: &mut Vec<PathBuf>) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for path in entries.flatten().map(|e| e.path()) {
+        if path.is_dir() {
+            models_under(&path, found);
+        } else if Format::from_file_name(&path.to_string_lossy()).is_some() {
+            found.push(path);
+        }
+    }
+}
+
+fn files_of(path: &Path) -> Option<FileSet> {
+    let mut files = FileSet::single(path.file_name()?.to_string_lossy(), std::fs::read(path).ok()?);
+    if let Some(folder) = path.parent().filter(|_| path.extension().is_some_and(|e| e == "gltf")) {
+        for entry in std::fs::read_dir(folder).ok()?.flatten().filter(|e| e.path().is_file()) {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            files.companions.insert(name, std::fs::read(entry.path()).ok()?.into());
+        }
+    }
+    Some(files)
+}
+
+/// The edits of one model, each on what the one before it left.
+fn edits(bench: &Deformer, k: usize) -> Vec<(&'static str, Value)> {
+    let rest = bench.rest();
+    if bench.geometry().triangles.len() < SMALL {
+        let split = json!({"subdivide": {"scheme": "MIDPOINT"}});
+        return vec![("subdivide", split), ("decimate", json!({"decimate": {"ratio": 0.6}}))];
+    }
+    let edge = bench.report().mean_edge_length;
+    let about = |part: f64, radius: f64| {
+        let t = bench.geometry().triangles[(part * (bench.geometry().triangles.len() - 1) as f64) as usize];
+        let radius = (radius * bench.diagonal()).max(4.0 * edge);
+        json!({"sphere": {"center": rest[t[0] as usize].to_array(), "radius": radius}})
+    };
+    let mut heights: Vec<f64> = rest.iter().map(|p| p.y).collect();
+    heights.sort_by(f64::total_cmp);
+    let plane = json!({"normal": [0.0, 1.0, 0.01], "offset": heights[heights.len() * 4 / 5] + 1e-4 * edge});
+    let all = vec![
+        ("subdivide", json!({"subdivide": {"region": about(0.1, 0.06)}})),
+        (
+            "decimate",
+            json!({"decimate": {"region": about(0.4, 0.12), "ratio": 0.5}}),
+        ),
+        (
+            "remesh",
+            json!({"remesh": {"region": about(0.6, 0.08), "edgeLength": 0.8 * edge}}),
+        ),
+        (
+            "delete+fill",
+            json!({"delete": {"region": about(0.8, 0.04), "fill": true}}),
+        ),
+        (
+            "cut+fill",
+            json!({"cut": {"plane": plane, "keep": "BELOW", "fill": true}}),
+        ),
+        ("auto", json!({"remesh": {"auto": true, "region": about(0.3, 0.1)}})),
+    ];
+    match rest.len() > LARGE {
+        true => [k, k + 1, k + 3].map(|i| all[i % all.len()].clone())[..2].to_vec(),
+        false => all,
+    }
+}
+
+fn unreferenced(bench: &Deformer) -> usize {
+    let mut used = vec![false; bench.rest().len()];
+    let triangles = bench.geometry().triangles.iter();
+    triangles.flatten().for_each(|&v| used[v as usize] = true);
+    used.iter().filter(|u| !**u).count()
+}
+
+fn broken(bench: &Deformer) -> usize {
+    let report = bench.report();
+    report.non_manifold_edges + report.non_manifold_vertices + report.winding_conflicts
+}
+
+/// One edit: what the table says, or what went wrong.
+fn one(bench: &mut Deformer, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &Pool) -> Result<String, String> {
+    let request: pb::EditRequest = json::from_json(edit.to_string().as_bytes()).map_err(|e| e.to_string())?;
+    let poses = bench.initial_poses();
+    let (idle, defects, was) = (unreferenced(bench), broken(bench), digest(bench.rest()));
+    let order = EditCommand {
+        request: &request,
+        shape,
+        poses: &poses,
+        settings: None,
+        other: None,
+    };
+    match bench.edit(&order, &Exec::new(pool, &Silent)) {
+        Ok(outcome) => {
+            let (before, after) = (
+                outcome.result.before.unwrap_or_default(),
+                outcome.result.after.unwrap_or_default(),
+            );
+            let agree = after.vertices as usize == bench.rest().len()
+                && after.faces as usize == bench.geometry().triangles.len()
+                && outcome.result.digest == digest(&outcome.positions);
+            if !agree {
+                return Err("the result does not agree with the model".into());
+            }
+            if !outcome.positions.iter().all(|p| p.is_finite()) {
+                return Err("a place that is not finite".into());
+            }
+            if unreferenced(bench) > idle {
+                return Err(format!("{} vertices are left behind", unreferenced(bench) - idle));
+            }
+            if defects == 0 && broken(bench) > 0 {
+                return Err(format!("{} places are not manifold any more", broken(bench)));
+            }
+            *shape = outcome.positions;
+            Ok(format!("{}→{}", before.faces, after.faces))
+        }
+        Err(Error::Internal(problem)) => Err(problem),
+        Err(e) => {
+            let said = e.to_string();
+            if said.is_empty() || said.contains('\n') || digest(bench.rest()) != was {
+                return Err(format!("not refused in one line, or something changed: {said}"));
+            }
+            Ok(said)
+        }
+    }
+}
+
+/// A line of the table, and what went wrong.
+fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
+    let Some(files) = files_of(path) else {
+        return ("cannot be read".into(), None);
+    };
+    let pool = Pool::new(1).expect("a thread");
+    let limits = DeformerLimits {
+        memory_bytes: 2 << 30,
+        ..Default::default()
+    };
+    let mode = if files.main.len() > 1_200_000 { "OFF" } else { "AUTO" };
+    let create: pb::CreateOptions =
+        json::from_json(json!({"volumeGraph": {"mode": mode}}).to_string().as_bytes()).expect("options");
+    let mut bench = match Deformer::open(files, &create, &limits, &Exec::new(&pool, &Silent)) {
+        Ok(bench) => bench,
+        Err(e) => {
+            let said = e.to_string();
+            let wrong = (said.is_empty() || said.contains('\n')).then(|| format!("not one line: {said}"));
+            return (format!("not opened: {said}"), wrong);
+        }
+    };
+    let mut line = format!("{:>6} vertices", bench.rest().len());
+    let mut shape = Arc::clone(bench.rest());
+    for (name, edit) in edits(&bench, k) {
+        match one(&mut bench, &mut shape, &edit, &pool) {
+            Ok(said) => line += &format!(" | {name} {said}"),
+            Err(problem) => return (line, Some(format!("{name}: {problem}"))),
+        }
+    }
+    let format = bench.model().format;
+    match bench.write(&shape, format) {
+        Err(e) => line += &format!(" | not written as {format}: {e}"),
+        Ok(written) => {
+            let companions = written
+                .companions
+                .into_iter()
+                .map(|(name, bytes)| (name, bytes.into()))
+                .collect();
+            let files = FileSet {
+                name: "written".into(),
+                main: written.main.into(),
+                companions,
+            };
+            match Model::read(files, Some(format), &limits.model) {
+                Ok(back) if back.triangles.len() == bench.geometry().triangles.len() => {}
+                Ok(back) => {
+                    let (seen, made) = (back.triangles.len(), bench.geometry().triangles.len());
+                    return (line, Some(format!("{seen} of {made} triangles are read back")));
+                }
+                Err(e) => return (line, Some(format!("cannot be read back: {e}"))),
+            }
+        }
+    }
+    (line, None)
+}
+
+#[test]
+fn every_model_is_edited_or_says_why_not() {
+    let data = data_folder();
+    let mut models = Vec::new();
+    for folder in ["meshes", "gltf", "hostile"] {
+        models_under(&data.join(folder), &mut models);
+    }
+    models.sort();
+    if models.is_empty() {
+        println!("skipped: no models under {}", data.display());
+        return;
+    }
+    let next = Mutex::new(models.iter().enumerate());
+    let results = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                loop {
+                    let Some((k, path)) = next.lock().expect("no panic").next() else {
+                        break;
+                    };
+                    let tried = catch_unwind(AssertUnwindSafe(|| try_model(path, k)));
+                    let result = tried.unwrap_or_else(|_| (String::new(), Some("a panic".into())));
+                    results.lock().expect("no panic").push((k, result));
+                }
+            });
+        }
+    });
+    let mut results = results.into_inner().expect("no panic");
+    results.sort_by_key(|r| r.0);
+    let mut wrong = Vec::new();
+    for (k, (line, problem)) in &results {
+        let name = models[*k].strip_prefix(&data).unwrap_or(&models[*k]).display();
+        println!("{name:<66} {line}");
+        if let Some(problem) = problem {
+            println!("{:<66} WRONG: {problem}", "");
+            wrong.push(format!("{name}: {problem}"));
+        }
+    }
+    let edited = results.iter().filter(|r| !r.1.0.starts_with("not opened")).count();
+    println!("{} models: {edited} edited, {} wrong", results.len(), wrong.len());
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(edited > results.len() / 4);
+}

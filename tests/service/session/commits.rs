@@ -1,0 +1,344 @@
+//! Commits: undone to the bit, whole or absent.
+
+use super::fake::*;
+use pliant::asset::Format;
+use pliant::engine::digest;
+use pliant::session::Config;
+use pliant::wire::pb;
+use proptest::prelude::*;
+use std::time::Duration;
+
+#[tokio::test]
+async fn undo_and_redo_restore_positions_to_the_bit() {
+    // With no bytes for snapshots, every step back is a replay.
+    for snapshot_bytes in [1 << 20, 0] {
+        let (manager, _) = manager(Config {
+            snapshot_bytes,
+            ..small()
+        });
+        let id = open(&manager).await;
+        let mut shapes = vec![manager.positions(tenant(), &id).await.expect("open").bytes];
+        for (k, x) in [0.1, -0.7, 3.3].into_iter().enumerate() {
+            let solved = manager
+                .solve(tenant(), solve(&id, &[(["a", "b"][k % 2], x)]), None)
+                .await
+                .expect("solved");
+            assert_eq!(solved.revision, 3 + k as u64);
+            assert_eq!(digest(&solved.positions), solved.digest);
+            let mut client = Client::open(&manager, &id).await;
+            client.drag(1, &[("a", 9.0)]);
+            client.frame().await;
+            shapes.push(manager.positions(tenant(), &id).await.expect("open").bytes);
+        }
+        manager
+            .set_handles(tenant(), handles(&id, &["b", "c", "d"]), None)
+            .await
+            .expect("other handles");
+        let told = manager.history(tenant(), &id).await.expect("open");
+        let session = manager.undo(tenant(), &id, None).await.expect("undone");
+        assert_eq!(
+            session.handles.iter().map(|h| h.id.as_str()).collect::<Vec<_>>(),
+            ["a", "b"]
+        );
+        let mut revision = session.revision;
+        for back in (0..3).rev() {
+            let session = manager.undo(tenant(), &id, None).await.expect("undone");
+            assert!(session.revision > revision);
+            revision = session.revision;
+            assert_eq!(
+                manager.positions(tenant(), &id).await.expect("open").bytes,
+                shapes[back]
+            );
+        }
+        for shape in &shapes[1..] {
+            manager.redo(tenant(), &id, None).await.expect("redone");
+            assert_eq!(manager.positions(tenant(), &id).await.expect("open").bytes, *shape);
+        }
+        manager.redo(tenant(), &id, None).await.expect("redone");
+        let error = manager.redo(tenant(), &id, None).await.expect_err("nothing is left");
+        assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
+        assert_eq!(manager.history(tenant(), &id).await.expect("open"), told);
+        let after = manager
+            .solve(tenant(), solve(&id, &[("c", 1.0)]), None)
+            .await
+            .expect("the handles are back");
+        assert_eq!(after.positions[1].x, 2.0);
+    }
+}
+
+#[tokio::test]
+async fn nothing_to_undo_is_a_precondition() {
+    let (manager, _) = manager(small());
+    let id = create(&manager, "points 4").await;
+    let error = manager.undo(tenant(), &id, None).await.expect_err("only the creation");
+    assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
+    let error = manager
+        .solve(tenant(), solve(&id, &[]), None)
+        .await
+        .expect_err("no handles");
+    assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
+}
+
+#[tokio::test]
+async fn handles_leave_the_shape_alone_and_start_at_their_poses() {
+    let (manager, _) = manager(small());
+    let id = open(&manager).await;
+    manager
+        .solve(tenant(), solve(&id, &[("a", 4.0)]), None)
+        .await
+        .expect("solved");
+    let before = manager.positions(tenant(), &id).await.expect("open");
+    let mut request = handles(&id, &["a", "b"]);
+    request.handles[1].pose = pose(1, &[("b", 6.0)], false).handles[0].pose.clone();
+    let session = manager.set_handles(tenant(), request, None).await.expect("replaced");
+    assert_eq!((session.revision, session.build_ms.contains_key("fields")), (4, true));
+    let after = manager.positions(tenant(), &id).await.expect("open");
+    assert_eq!(after.bytes, before.bytes);
+    assert_ne!(after.etag, before.etag);
+    let solved = manager.solve(tenant(), solve(&id, &[]), None).await.expect("solved");
+    assert_eq!(
+        (solved.positions[0].x, solved.positions[1].x),
+        (0.0, 7.0),
+        "a is at rest again"
+    );
+
+    let rigid = pb::Handle {
+        id: "a".into(),
+        rigid: true,
+        ..Default::default()
+    };
+    manager
+        .put_handle(tenant(), &id, rigid, &["rigid".into()], None)
+        .await
+        .expect("patched");
+    let solved = manager.solve(tenant(), solve(&id, &[]), None).await.expect("solved");
+    assert_eq!(solved.positions[1].x, 7.0, "a patch moves nothing");
+    manager.remove_handle(tenant(), &id, "a", None).await.expect("removed");
+    let solved = manager.solve(tenant(), solve(&id, &[]), None).await.expect("solved");
+    assert_eq!(
+        (solved.positions[0].x, solved.positions[1].x),
+        (6.0, 7.0),
+        "b holds everything now"
+    );
+    let error = manager.remove_handle(tenant(), &id, "a", None).await.expect_err("gone");
+    assert_eq!(error.http_status(), 404);
+}
+
+#[tokio::test]
+async fn a_call_that_fails_changes_nothing() {
+    let (manager, _) = manager(small());
+    let id = open(&manager).await;
+    manager
+        .solve(tenant(), solve(&id, &[("a", 4.0)]), None)
+        .await
+        .expect("solved");
+    let before = (
+        manager.get(tenant(), &id).await.expect("open"),
+        manager.history(tenant(), &id).await,
+    );
+    let error = manager
+        .set_handles(tenant(), handles(&id, &["x", ""]), None)
+        .await
+        .expect_err("an empty id");
+    assert_eq!(
+        (error.http_status(), error.field.as_deref()),
+        (422, Some("handles[1].id"))
+    );
+    let error = manager
+        .solve(tenant(), solve(&id, &[("x", 1.0)]), None)
+        .await
+        .expect_err("unknown");
+    assert_eq!(
+        (error.http_status(), error.field.as_deref()),
+        (422, Some("pose.handles[0].id"))
+    );
+    let mut request = solve(&id, &[]);
+    request.options = Some(pb::Options {
+        tolerance: 7.0,
+        ..Default::default()
+    });
+    let error = manager
+        .solve(tenant(), request, None)
+        .await
+        .expect_err("a strange tolerance");
+    assert_eq!(
+        (error.http_status(), error.field.as_deref()),
+        (422, Some("options.tolerance"))
+    );
+    let error = manager
+        .export(tenant(), &id, Some(Format::Stl))
+        .await
+        .expect_err("cannot be written");
+    assert_eq!(error.http_status(), 422);
+    let mut after = (
+        manager.get(tenant(), &id).await.expect("open"),
+        manager.history(tenant(), &id).await,
+    );
+    after.0.expires_at.clone_from(&before.0.expires_at);
+    assert_eq!(after, before);
+    let solved = manager.solve(tenant(), solve(&id, &[]), None).await.expect("solved");
+    assert_eq!(solved.positions[0].x, 4.0);
+}
+
+#[tokio::test]
+async fn a_caller_that_goes_leaves_the_old_state() {
+    let (manager, control) = manager(small());
+    let id = open(&manager).await;
+    control.hold();
+    let solving = tokio::time::timeout(
+        Duration::from_millis(20),
+        manager.solve(tenant(), solve(&id, &[("a", 1.0)]), None),
+    );
+    assert!(solving.await.is_err(), "it is held up");
+    until(|| manager.metrics().pool_busy.get() == 0).await;
+    let more = handles(&id, &["a", "b", "c"]);
+    let setting = tokio::time::timeout(Duration::from_millis(20), manager.set_handles(tenant(), more, None));
+    assert!(setting.await.is_err(), "it is held up");
+    until(|| manager.metrics().pool_busy.get() == 0).await;
+    control.release();
+    let session = manager.get(tenant(), &id).await.expect("open");
+    assert_eq!((session.revision, session.handles.len()), (2, 2));
+    let solved = manager
+        .solve(tenant(), solve(&id, &[("b", 1.0)]), None)
+        .await
+        .expect("the session works");
+    assert_eq!((solved.positions[0].x, solved.revision), (0.0, 3));
+}
+
+#[tokio::test]
+async fn a_solve_that_takes_too_long_is_given_up() {
+    let (manager, control) = manager(Config {
+        solve: Duration::from_millis(10),
+        ..small()
+    });
+    let id = open(&manager).await;
+    control.hold();
+    let error = manager
+        .solve(tenant(), solve(&id, &[("a", 1.0)]), None)
+        .await
+        .expect_err("held up");
+    assert_eq!((error.http_status(), error.code_name()), (504, "DEADLINE_EXCEEDED"));
+    let mut client = Client::open(&manager, &id).await;
+    client.commit(1, &[("a", 1.0)]);
+    assert_eq!(client.error().await.code, 4);
+    assert_eq!(manager.get(tenant(), &id).await.expect("open").revision, 2);
+}
+
+#[tokio::test]
+async fn exports_and_positions_are_of_the_committed_shape() {
+    let (manager, _) = manager(small());
+    let id = open(&manager).await;
+    manager
+        .solve(tenant(), solve(&id, &[("a", 2.0)]), None)
+        .await
+        .expect("solved");
+    let positions = manager.positions(tenant(), &id).await.expect("open");
+    assert_eq!(positions.bytes.len(), 4 * 12);
+    assert_eq!(
+        f32::from_le_bytes(positions.bytes[..4].try_into().expect("four bytes")),
+        2.0
+    );
+    let own = manager.export(tenant(), &id, None).await.expect("written");
+    assert!(own.format == Format::Obj && own.written.main.starts_with(b"obj [DVec3(2.0"));
+    let other = manager.export(tenant(), &id, Some(Format::Ply)).await.expect("written");
+    assert!(own.etag != other.etag && own.etag.starts_with('"') && own.etag.ends_with('"'));
+    assert_eq!(
+        manager
+            .export_etag(tenant(), &id, Some(Format::Ply))
+            .await
+            .expect("open"),
+        other.etag
+    );
+    manager
+        .solve(tenant(), solve(&id, &[("a", 3.0)]), None)
+        .await
+        .expect("solved");
+    assert_ne!(
+        manager
+            .export_etag(tenant(), &id, Some(Format::Ply))
+            .await
+            .expect("open"),
+        other.etag
+    );
+}
+
+#[derive(Debug, Clone)]
+enum Command {
+    Solve(usize, i8),
+    Drag(usize, i8),
+    Handles(usize),
+    Undo,
+    Redo,
+    GiveUp,
+}
+
+fn command() -> impl Strategy<Value = Command> {
+    prop_oneof![
+        (0usize..2, -9i8..9).prop_map(|(h, x)| Command::Solve(h, x)),
+        (0usize..2, -9i8..9).prop_map(|(h, x)| Command::Drag(h, x)),
+        (1usize..3).prop_map(Command::Handles),
+        Just(Command::Undo),
+        Just(Command::Redo),
+        Just(Command::GiveUp),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Whatever a client does, the revision grows with every change and only then, the digest is that of the positions, and a
+    /// commit reached again by undo or redo has the bits that it had.
+    #[test]
+    fn any_order_of_calls_keeps_the_books(commands in prop::collection::vec(command(), 1..25), keep in any::<bool>()) {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        runtime.block_on(async move {
+            let snapshot_bytes = if keep { 1 << 20 } else { 0 };
+            let (manager, control) = manager(Config { snapshot_bytes, history: 5, ..small() });
+            let id = open(&manager).await;
+            let mut client = Client::open(&manager, &id).await;
+            let mut seq = 0;
+            let mut last = manager.get(tenant(), &id).await.expect("open").revision;
+            let mut shapes = std::collections::BTreeMap::new();
+            for command in commands {
+                let changed = match command {
+                    Command::Solve(h, x) => {
+                        let name = ["a", "b"][h];
+                        manager.solve(tenant(), solve(&id, &[(name, x.into())]), None).await.is_ok()
+                    }
+                    Command::Handles(n) => {
+                        manager.set_handles(tenant(), handles(&id, &["a", "b"][..n]), None).await.expect("set");
+                        true
+                    }
+                    Command::Undo => manager.undo(tenant(), &id, None).await.is_ok(),
+                    Command::Redo => manager.redo(tenant(), &id, None).await.is_ok(),
+                    Command::Drag(h, x) => {
+                        seq += 1;
+                        client.drag(seq, &[(["a", "b"][h], x.into())]);
+                        // A frame, or an error where there is no handle b.
+                        client.next().await.expect("open");
+                        client.ack(seq);
+                        false
+                    }
+                    Command::GiveUp => {
+                        control.hold();
+                        let request = solve(&id, &[("a", 100.0)]);
+                        let limit = Duration::from_millis(2);
+                        let _ = tokio::time::timeout(limit, manager.solve(tenant(), request, None)).await;
+                        until(|| manager.metrics().pool_busy.get() == 0).await;
+                        control.release();
+                        false
+                    }
+                };
+                let session = manager.get(tenant(), &id).await.expect("open");
+                let history = manager.history(tenant(), &id).await.expect("open");
+                assert_eq!(session.revision, last + u64::from(changed), "{command:?}");
+                last = session.revision;
+                assert!(history.commits.len() <= 6 && history.commits.is_sorted_by_key(|c| c.revision));
+                let current = history.commits.iter().find(|c| c.revision == history.current).expect("listed");
+                let bytes = manager.positions(tenant(), &id).await.expect("open").bytes;
+                let known = shapes.entry(current.revision).or_insert_with(|| (current.digest.clone(), bytes.clone()));
+                assert_eq!(*known, (current.digest.clone(), bytes), "{command:?}");
+            }
+        });
+    }
+}

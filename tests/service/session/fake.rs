@@ -1,0 +1,481 @@
+//! An engine whose every cycle the test controls, and the few lines that most tests begin with.
+//!
+//! Vertex `v` belongs to handle `v % handles` and goes where that handle's translation takes it; a cycle brings it a digit closer.
+//! Results of drags differ from those of commits in a late digit that depends on how many drags there were,
+//! so that a commit which depended on drags would show.
+
+use bytes::Bytes;
+use glam::DVec3;
+use pliant::asset::{self, FileSet, Format, Written};
+use pliant::engine::Shader;
+use pliant::engine::{DeformerLimits, HandlePoses, SolveMode, SolveUpdate, SolvedShape};
+use pliant::exec::Exec;
+use pliant::progress::{Cancelled, Progress};
+use pliant::session::{Config, Engine, Manager, Opener, Stream, StreamInput, StreamOutput, Tenant};
+use pliant::wire;
+use pliant::wire::{DeformOptions, pb};
+use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
+use std::sync::{Arc, Condvar, LazyLock, Mutex};
+use std::time::Duration;
+
+/// Lets cycles pass, or holds them.
+#[derive(Default)]
+pub struct Control {
+    knobs: Mutex<Knobs>,
+    changed: Condvar,
+    /// Solves begun.
+    pub solves: AtomicU64,
+    /// Cycles done.
+    pub cycles: AtomicU64,
+}
+
+#[derive(Default)]
+struct Knobs {
+    held: bool,
+    permits: u64,
+    waiting: u64,
+}
+
+impl Control {
+    /// From now on cycles wait for `step` or `release`.
+    pub fn hold(&self) {
+        self.knobs.lock().expect("no panic").held = true;
+    }
+
+    /// Lets `n` cycles pass.
+    pub fn step(&self, n: u64) {
+        self.knobs.lock().expect("no panic").permits += n;
+        self.changed.notify_all();
+    }
+
+    /// Lets all cycles pass.
+    pub fn release(&self) {
+        *self.knobs.lock().expect("no panic") = Knobs::default();
+        self.changed.notify_all();
+    }
+
+    /// Waits until a cycle waits and all steps are used up.
+    pub async fn held_up(&self) {
+        until(|| {
+            let knobs = self.knobs.lock().expect("no panic");
+            knobs.waiting > 0 && knobs.permits == 0
+        })
+        .await;
+    }
+
+    fn cycle(&self, progress: &dyn Progress) -> Result<(), Cancelled> {
+        let mut knobs = self.knobs.lock().expect("no panic");
+        knobs.waiting += 1;
+        loop {
+            let done = if progress.cancelled() {
+                Err(Cancelled)
+            } else if !knobs.held || knobs.permits > 0 {
+                knobs.permits = knobs.permits.saturating_sub(1);
+                Ok(())
+            } else {
+                let waited = self
+                    .changed
+                    .wait_timeout(knobs, Duration::from_millis(1))
+                    .expect("no panic");
+                knobs = waited.0;
+                continue;
+            };
+            knobs.waiting = knobs.waiting.saturating_sub(1);
+            self.cycles.fetch_add(1, SeqCst);
+            return done;
+        }
+    }
+}
+
+/// Opens [`Fake`]s on texts such as `points 12`.
+pub struct OpenFake(pub Arc<Control>);
+
+pub struct Fake {
+    rest: Arc<Vec<DVec3>>,
+    handles: pb::SetHandlesRequest,
+    control: Arc<Control>,
+    drags: u32,
+}
+
+impl Opener for OpenFake {
+    fn open(
+        &self,
+        files: FileSet,
+        _create: &pb::CreateOptions,
+        limits: &DeformerLimits,
+        exec: &Exec<'_>,
+    ) -> Result<Box<dyn Engine>, wire::Error> {
+        exec.progress.report("read", 0.0);
+        let text = String::from_utf8_lossy(&files.main).into_owned();
+        let (word, number) = text.split_once(' ').unwrap_or((&text, "0"));
+        let number: u64 = number.trim().parse().unwrap_or(0);
+        match word {
+            "points" => {}
+            "panic" => panic!("opening panics on purpose"),
+            "slow" => self.0.cycle(exec.progress)?,
+            "large" if number > limits.memory_bytes => {
+                return Err(wire::Error::TooLarge {
+                    what: "bytes",
+                    seen: number,
+                    limit: limits.memory_bytes,
+                });
+            }
+            _ => {
+                let (format, place) = (Format::Obj, "line 1".to_owned());
+                return Err(asset::Error::Malformed {
+                    format,
+                    place,
+                    problem: format!("\"{word}\""),
+                }
+                .into());
+            }
+        }
+        exec.progress.report("hierarchy", 0.0);
+        let rest = (0..number).map(|v| DVec3::new(v as f64, 0.1, 0.2)).collect();
+        let (handles, control) = (pb::SetHandlesRequest::default(), Arc::clone(&self.0));
+        Ok(Box::new(Fake {
+            rest: Arc::new(rest),
+            handles,
+            control,
+            drags: 0,
+        }))
+    }
+}
+
+impl Engine for Fake {
+    fn facts(&self) -> pb::Session {
+        let facts = |h: &pb::Handle| pb::HandleFacts {
+            id: h.id.clone(),
+            ..Default::default()
+        };
+        pb::Session {
+            handles: self.handles.handles.iter().map(facts).collect(),
+            ..Default::default()
+        }
+    }
+
+    fn rest(&self) -> Arc<Vec<DVec3>> {
+        Arc::clone(&self.rest)
+    }
+
+    fn diagonal(&self) -> f64 {
+        1.0
+    }
+
+    fn bytes(&self) -> u64 {
+        100 * self.rest.len() as u64
+    }
+
+    fn format(&self) -> Format {
+        Format::Obj
+    }
+
+    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error> {
+        exec.progress.report("fields", 0.0);
+        self.control.cycle(exec.progress)?;
+        for (k, handle) in request.handles.iter().enumerate() {
+            if handle.id.is_empty() {
+                return Err(wire::Error::invalid(format!("handles[{k}].id"), "is empty"));
+            }
+        }
+        self.handles = request.clone();
+        Ok(())
+    }
+
+    fn initial_poses(&self) -> HandlePoses {
+        HandlePoses(Arc::new(
+            self.handles
+                .handles
+                .iter()
+                .map(|h| h.pose.clone().unwrap_or_default())
+                .collect(),
+        ))
+    }
+
+    fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, wire::Error> {
+        let mut all = poses.0.as_ref().clone();
+        for (k, entry) in change.handles.iter().enumerate() {
+            let Some(at) = self.handles.handles.iter().position(|h| h.id == entry.id) else {
+                return Err(wire::Error::invalid(
+                    format!("pose.handles[{k}].id"),
+                    format!("no handle {}", entry.id),
+                ));
+            };
+            let pose = entry.pose.clone().unwrap_or_default();
+            if pose.translation.iter().any(|x| !x.is_finite()) {
+                return Err(wire::Error::invalid(
+                    format!("pose.handles[{k}].pose.translation"),
+                    "is not finite",
+                ));
+            }
+            all[at] = pose;
+        }
+        Ok(HandlePoses(Arc::new(all)))
+    }
+
+    fn solve(
+        &mut self,
+        poses: &HandlePoses,
+        settings: &DeformOptions,
+        mode: SolveMode,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<SolvedShape, wire::Error> {
+        self.control.solves.fetch_add(1, SeqCst);
+        let handles = self.handles.handles.len();
+        if self
+            .handles
+            .handles
+            .iter()
+            .zip(poses.0.iter())
+            .any(|(h, p)| h.id == "panic" && !p.translation.is_empty())
+        {
+            panic!("solving panics on purpose");
+        }
+        if mode == SolveMode::Drag {
+            self.drags += 1;
+        }
+        let trace = if mode == SolveMode::Drag {
+            f64::from(self.drags) * 1e-9
+        } else {
+            0.0
+        };
+        let at = |share: f64| -> Vec<DVec3> {
+            let moved = |(v, &p): (usize, &DVec3)| match poses.0[v % handles].translation[..] {
+                // How many handles there are shows too, so that a replay with other handles would.
+                [x, y, z] => p + DVec3::new(x, y, z) * share + DVec3::splat(trace) * handles as f64,
+                _ => p,
+            };
+            self.rest.iter().enumerate().map(moved).collect()
+        };
+        let mut cycles = 0;
+        let residual = loop {
+            self.control.cycle(exec.progress)?;
+            cycles += 1;
+            let residual = 1.0 / 10f64.powi(cycles as i32);
+            let watched = SolveUpdate {
+                refined: 0,
+                cycle: cycles,
+                residual,
+                max_error: residual,
+                positions: &|| at(1.0 - residual),
+            };
+            if !watch(&watched) || residual <= settings.tolerance.unwrap_or(1e-4) {
+                break residual;
+            }
+        };
+        let positions = Arc::new(at(if residual <= 1e-4 { 1.0 } else { 1.0 - residual }));
+        Ok(SolvedShape {
+            positions,
+            cycles,
+            residual,
+            max_error: residual,
+            solver: "fake",
+        })
+    }
+
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error> {
+        if format == Format::Stl {
+            return Err(asset::Error::Unwritable {
+                format,
+                problem: "this engine writes no stl".into(),
+            }
+            .into());
+        }
+        Ok(Written {
+            main: format!("{format} {positions:?}").into_bytes(),
+            ..Default::default()
+        })
+    }
+
+    fn shader(&self) -> Shader {
+        Shader::default()
+    }
+}
+
+/// Waits until something holds, for as long as a loaded machine may need.
+pub async fn until(holds: impl Fn() -> bool) {
+    for _ in 0..30_000 {
+        if holds() {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    panic!("it never came true");
+}
+
+pub fn tenant() -> &'static Tenant {
+    static ME: LazyLock<Tenant> = LazyLock::new(Tenant::default);
+    &ME
+}
+
+pub fn small() -> Config {
+    Config {
+        compute_threads: 2,
+        ..Config::default()
+    }
+}
+
+pub fn manager(config: Config) -> (Manager, Arc<Control>) {
+    let control = Arc::new(Control::default());
+    (
+        Manager::with_opener(config, OpenFake(Arc::clone(&control))).expect("a valid configuration"),
+        control,
+    )
+}
+
+pub fn model(text: &str) -> FileSet {
+    FileSet::single("model.obj", Bytes::copy_from_slice(text.as_bytes()))
+}
+
+/// A session of four vertices with the handles `a` and `b`; vertices 0 and 2 are a's.
+pub async fn open(manager: &Manager) -> String {
+    let id = create(manager, "points 4").await;
+    manager
+        .set_handles(tenant(), handles(&id, &["a", "b"]), None)
+        .await
+        .expect("two handles");
+    id
+}
+
+pub async fn create(manager: &Manager, text: &str) -> String {
+    let made = manager
+        .create(tenant(), model(text), pb::CreateOptions::default(), None)
+        .await;
+    made.expect("a session").value.id
+}
+
+pub fn handles(id: &str, ids: &[&str]) -> pb::SetHandlesRequest {
+    let handle = |id: &&str| pb::Handle {
+        id: (*id).into(),
+        ..Default::default()
+    };
+    pb::SetHandlesRequest {
+        session_id: id.into(),
+        handles: ids.iter().map(handle).collect(),
+        ..Default::default()
+    }
+}
+
+pub fn pose(seq: u64, entries: &[(&str, f64)], commit: bool) -> pb::Pose {
+    let entry = |(id, x): &(&str, f64)| pb::pose::Entry {
+        id: (*id).into(),
+        pose: Some(pb::HandlePose {
+            translation: vec![*x, 0.0, 0.0],
+            ..Default::default()
+        }),
+    };
+    pb::Pose {
+        seq,
+        handles: entries.iter().map(entry).collect(),
+        commit,
+    }
+}
+
+pub fn solve(id: &str, entries: &[(&str, f64)]) -> pb::SolveRequest {
+    pb::SolveRequest {
+        session_id: id.into(),
+        pose: Some(pose(1, entries, true)),
+        options: None,
+    }
+}
+
+pub fn ask(message: pb::deform_request::Message) -> pb::DeformRequest {
+    pb::DeformRequest {
+        session_id: String::new(),
+        message: Some(message),
+    }
+}
+
+/// The client of one stream.
+pub struct Client {
+    pub input: StreamInput,
+    pub output: StreamOutput,
+}
+
+/// A frame, joined: how far each vertex is from rest along x.
+#[derive(Debug, Clone)]
+pub struct Seen {
+    pub header: pb::Frame,
+    pub x: Vec<f64>,
+}
+
+impl Client {
+    pub async fn open(manager: &Manager, id: &str) -> Self {
+        Self::of(manager.stream(tenant(), id).await.expect("a stream"))
+    }
+
+    pub fn of(stream: Stream) -> Self {
+        let (input, output) = stream.split();
+        Self { input, output }
+    }
+
+    pub fn drag(&self, seq: u64, entries: &[(&str, f64)]) {
+        self.input
+            .push(ask(pb::deform_request::Message::Pose(pose(seq, entries, false))))
+            .expect("the stream is open");
+    }
+
+    pub fn commit(&self, seq: u64, entries: &[(&str, f64)]) {
+        self.input
+            .push(ask(pb::deform_request::Message::Pose(pose(seq, entries, true))))
+            .expect("the stream is open");
+    }
+
+    pub fn ack(&self, seq: u64) {
+        self.input
+            .push(ask(pb::deform_request::Message::Ack(pb::Ack { seq })))
+            .expect("the stream is open");
+    }
+
+    pub fn options(&self, options: pb::Options) {
+        self.input
+            .push(ask(pb::deform_request::Message::Options(options)))
+            .expect("the stream is open");
+    }
+
+    /// The next message; panics when none comes.
+    pub async fn next(&mut self) -> Option<pb::deform_response::Message> {
+        let next = tokio::time::timeout(Duration::from_secs(30), self.output.next()).await;
+        next.expect("a message comes")
+            .map(|r| r.message.expect("every response says something"))
+    }
+
+    /// The next message, which must be a frame.
+    pub async fn frame(&mut self) -> Seen {
+        match self.next().await {
+            Some(pb::deform_response::Message::Frame(header)) => {
+                assert_eq!((header.part, header.parts), (0, 1), "small frames come in one part");
+                let numbers = header
+                    .data
+                    .chunks_exact(4)
+                    .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+                let x = numbers.step_by(3).enumerate().map(|(v, x)| f64::from(x) - v as f64);
+                Seen {
+                    x: x.map(|x| (x * 1e4).round() / 1e4).collect(),
+                    header,
+                }
+            }
+            other => panic!("a frame was expected, not {other:?}"),
+        }
+    }
+
+    /// The next message, which must be an error.
+    pub async fn error(&mut self) -> pb::Error {
+        match self.next().await {
+            Some(pb::deform_response::Message::Error(error)) => error,
+            other => panic!("an error was expected, not {other:?}"),
+        }
+    }
+
+    /// Asserts that nothing comes but the answer to a ping.
+    pub async fn silent(&mut self) {
+        self.input
+            .push(ask(pb::deform_request::Message::Ping(pb::Ping { nonce: 77 })))
+            .expect("the stream is open");
+        let next = self.next().await;
+        assert_eq!(next, Some(pb::deform_response::Message::Pong(pb::Ping { nonce: 77 })));
+        let more = tokio::time::timeout(Duration::from_millis(30), self.output.next()).await;
+        assert!(more.is_err(), "nothing was expected, not {more:?}");
+    }
+}

@@ -1,0 +1,243 @@
+//! Expiry, deleting, idempotency keys, draining, many sessions at once.
+
+use super::fake::*;
+use pliant::session::{Code, Config};
+use pliant::wire::pb;
+use std::time::Duration;
+
+type Tell = pb::deform_response::Message;
+
+#[tokio::test]
+async fn an_unused_session_expires_and_frees_its_memory() {
+    let (manager, _) = manager(small());
+    let options = || pb::CreateOptions {
+        ttl: "1s".into(),
+        label: "short".into(),
+        ..Default::default()
+    };
+    let idle = manager
+        .create(tenant(), model("points 4"), options(), None)
+        .await
+        .expect("made")
+        .value;
+    let streaming = manager
+        .create(tenant(), model("points 4"), options(), None)
+        .await
+        .expect("made")
+        .value;
+    assert_eq!((idle.label.as_str(), idle.expires_at.ends_with('Z')), ("short", true));
+    let stream = manager.stream(tenant(), &streaming.id).await.expect("a stream");
+    until(|| manager.metrics().sessions_expired.get() == 1).await;
+    assert_eq!(
+        manager
+            .get(tenant(), &idle.id)
+            .await
+            .expect_err("expired")
+            .http_status(),
+        404
+    );
+    // Twice its lease has passed for the other one by the next expiry of a third.
+    let third = manager
+        .create(tenant(), model("points 4"), options(), None)
+        .await
+        .expect("made")
+        .value;
+    until(|| manager.metrics().sessions_expired.get() == 2).await;
+    assert_eq!(
+        manager
+            .get(tenant(), &third.id)
+            .await
+            .expect_err("expired")
+            .http_status(),
+        404
+    );
+    manager
+        .get(tenant(), &streaming.id)
+        .await
+        .expect("an open stream keeps it");
+    drop(stream);
+    until(|| manager.metrics().sessions_expired.get() == 3 && manager.metrics().bytes.get() == 0).await;
+    assert_eq!(manager.metrics().sessions.get(), 0);
+}
+
+#[tokio::test]
+async fn deleting_ends_work_and_streams() {
+    let (manager, control) = manager(small());
+    let id = open(&manager).await;
+    let mut client = Client::open(&manager, &id).await;
+    control.hold();
+    client.drag(1, &[("a", 1.0)]);
+    control.held_up().await;
+    let solving = tokio::spawn({
+        let (manager, id) = (manager.clone(), id.clone());
+        async move { manager.solve(tenant(), solve(&id, &[]), None).await }
+    });
+    tokio::task::yield_now().await;
+    manager.delete(tenant(), &id).await.expect("deleted");
+    assert_eq!(
+        (manager.metrics().pool_busy.get(), manager.metrics().bytes.get()),
+        (0, 0)
+    );
+    assert_eq!(solving.await.expect("no panic").expect_err("gone").http_status(), 404);
+    let mut last = None;
+    while let Some(message) = client.next().await {
+        last = Some(message);
+    }
+    let Some(Tell::Error(error)) = last else {
+        panic!("an error comes last, not {last:?}")
+    };
+    assert_eq!((error.seq, error.code), (0, 5));
+}
+
+#[tokio::test]
+async fn the_same_key_does_a_thing_once() {
+    let (manager, control) = manager(small());
+    let create = |text: &'static str, key: &'static str| {
+        let manager = manager.clone();
+        async move {
+            manager
+                .create(tenant(), model(text), pb::CreateOptions::default(), Some(key))
+                .await
+        }
+    };
+    let first = create("points 4", "one").await.expect("made");
+    let again = create("points 4", "one").await.expect("the same answer");
+    assert!(!first.repeated && again.repeated && first.value == again.value);
+    assert_eq!(manager.metrics().sessions.get(), 1);
+    let other = create("points 5", "one").await.expect_err("another model");
+    assert_eq!((other.http_status(), other.code_name()), (422, "INVALID_ARGUMENT"));
+    assert_eq!(
+        create("points 4", "no spaces").await.expect_err("no key").http_status(),
+        422
+    );
+
+    let id = first.value.id;
+    manager
+        .set_handles(tenant(), handles(&id, &["a", "b"]), Some("two"))
+        .await
+        .expect("set");
+    manager
+        .set_handles(tenant(), handles(&id, &["a", "b"]), Some("two"))
+        .await
+        .expect("the same answer");
+    let solve = |x: f64| {
+        let (manager, request) = (manager.clone(), solve(&id, &[("a", x)]));
+        async move { manager.solve(tenant(), request, Some("three")).await }
+    };
+    control.hold();
+    let running = tokio::spawn(solve(1.0));
+    control.held_up().await;
+    let meanwhile = solve(1.0).await.expect_err("the first still runs");
+    assert_eq!((meanwhile.http_status(), meanwhile.code_name()), (409, "ABORTED"));
+    control.release();
+    let done = running.await.expect("no panic").expect("solved");
+    let again = solve(1.0).await.expect("the same answer");
+    assert_eq!(
+        (done.revision, &done.frames, &done.digest),
+        (again.revision, &again.frames, &again.digest)
+    );
+    assert_eq!(solve(2.0).await.expect_err("another pose").http_status(), 422);
+    for _ in 0..2 {
+        let session = manager.undo(tenant(), &id, Some("four")).await.expect("undone once");
+        assert_eq!(session.revision, 4);
+    }
+    assert_eq!(manager.get(tenant(), &id).await.expect("open").revision, 4);
+}
+
+#[tokio::test]
+async fn a_call_that_failed_or_was_given_up_frees_its_key() {
+    let (manager, control) = manager(small());
+    let id = open(&manager).await;
+    let wrong = manager
+        .solve(tenant(), solve(&id, &[("x", 1.0)]), Some("key"))
+        .await
+        .expect_err("unknown handle");
+    assert_eq!(wrong.http_status(), 422);
+    control.hold();
+    let request = solve(&id, &[("a", 1.0)]);
+    let solving = manager.solve(tenant(), request.clone(), Some("key"));
+    assert!(tokio::time::timeout(Duration::from_millis(20), solving).await.is_err());
+    until(|| manager.metrics().pool_busy.get() == 0).await;
+    control.release();
+    let solved = loop {
+        match manager.solve(tenant(), request.clone(), Some("key")).await {
+            // The session's task may not have heard of the end yet.
+            Err(error) if error.code == Code::Aborted => tokio::time::sleep(Duration::from_millis(1)).await,
+            other => break other.expect("done at last"),
+        }
+    };
+    assert_eq!(solved.revision, 3);
+}
+
+#[tokio::test]
+async fn draining_tells_streams_and_waits_for_them() {
+    let (manager, control) = manager(small());
+    let id = open(&manager).await;
+    let mut client = Client::open(&manager, &id).await;
+    manager.start_drain();
+    assert!(!manager.admits());
+    let Some(Tell::Notice(notice)) = client.next().await else {
+        panic!("a notice was expected")
+    };
+    assert_eq!((notice.code.as_str(), &notice.resume_token), ("going-away", &id));
+    let error = manager.stream(tenant(), &id).await.expect_err("no new streams");
+    assert_eq!((error.http_status(), error.retry_after_s.is_some()), (503, true));
+    let made = manager
+        .create(tenant(), model("points 4"), pb::CreateOptions::default(), None)
+        .await;
+    assert_eq!(made.expect_err("no new sessions").http_status(), 503);
+    client.commit(1, &[("a", 1.0)]);
+    assert_eq!(client.frame().await.header.seq, 1, "what is open still works");
+    let draining = manager.drained();
+    tokio::pin!(draining);
+    assert!(futures::poll!(draining.as_mut()).is_pending());
+    drop(client);
+    draining.await;
+
+    control.hold();
+    let solving = tokio::spawn({
+        let (manager, id) = (manager.clone(), id.clone());
+        async move { manager.solve(tenant(), solve(&id, &[]), None).await }
+    });
+    control.held_up().await;
+    manager.abort();
+    assert_eq!(
+        solving.await.expect("no panic").expect_err("aborted").http_status(),
+        503
+    );
+    manager.drained().await;
+    until(|| manager.metrics().sessions.get() == 0 && manager.metrics().pool_busy.get() == 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn many_sessions_share_few_slots() {
+    let (manager, _) = manager(Config {
+        compute_slots: 1,
+        ..small()
+    });
+    let work = (0..8).map(|k| {
+        let manager = manager.clone();
+        tokio::spawn(async move {
+            let id = open(&manager).await;
+            let mut client = Client::open(&manager, &id).await;
+            for seq in 1..=20 {
+                client.drag(seq, &[("a", f64::from(k))]);
+                assert_eq!(client.frame().await.x[0], f64::from(k));
+                client.ack(seq);
+            }
+            client.commit(21, &[]);
+            assert_eq!(client.frame().await.header.revision, 3);
+            drop(client);
+            manager.delete(tenant(), &id).await.expect("deleted");
+        })
+    });
+    for done in futures::future::join_all(work).await {
+        done.expect("no panic");
+    }
+    let metrics = manager.metrics();
+    assert_eq!(
+        (metrics.sessions.get(), metrics.streams.get(), metrics.bytes.get()),
+        (0, 0, 0)
+    );
+    assert_eq!((metrics.poses_solved.get(), metrics.commits.get()), (8 * 21, 8 * 2));
+}

@@ -1,0 +1,244 @@
+//! The same promises with the engine that users get.
+
+use super::fake::*;
+use pliant::asset::FileSet;
+use pliant::session::{Config, Manager};
+use pliant::wire::pb;
+
+/// An upright bar of square section, closed, with the handles `base` (held) and `top`.
+fn bar() -> FileSet {
+    let mut text = String::new();
+    let (rings, corners) = (12, [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]);
+    for k in 0..=rings {
+        for (x, y) in corners {
+            text += &format!("v {x} {y} {}\n", f64::from(k) * 0.25);
+        }
+    }
+    for k in 0..rings {
+        for c in 0..4 {
+            let at = |k: i32, c: i32| k * 4 + c % 4 + 1;
+            text += &format!(
+                "f {} {} {} {}\n",
+                at(k, c),
+                at(k, c + 1),
+                at(k + 1, c + 1),
+                at(k + 1, c)
+            );
+        }
+    }
+    text += &format!(
+        "f 4 3 2 1\nf {} {} {} {}\n",
+        rings * 4 + 1,
+        rings * 4 + 2,
+        rings * 4 + 3,
+        rings * 4 + 4
+    );
+    FileSet::single("bar.obj", text.into_bytes())
+}
+
+fn half_space(id: &str, z: f64, offset: f64) -> pb::Handle {
+    let half_space = pb::region::HalfSpace {
+        normal: vec![0.0, 0.0, z],
+        offset,
+    };
+    let region = Some(pb::Region {
+        region: Some(pb::region::Region::HalfSpace(half_space)),
+    });
+    pb::Handle {
+        id: id.into(),
+        region,
+        ..Default::default()
+    }
+}
+
+pub async fn bent(manager: &Manager) -> (String, pb::Session) {
+    let made = manager
+        .create(tenant(), bar(), pb::CreateOptions::default(), None)
+        .await
+        .expect("a bar")
+        .value;
+    let handles = vec![half_space("base", -1.0, -0.3), half_space("top", 1.0, 2.7)];
+    let request = pb::SetHandlesRequest {
+        session_id: made.id.clone(),
+        handles,
+        ..Default::default()
+    };
+    let session = manager.set_handles(tenant(), request, None).await.expect("two handles");
+    (made.id, session)
+}
+
+pub fn turned(id: &str, angle: f64) -> pb::SolveRequest {
+    let pose = pb::HandlePose {
+        rotation_vector: vec![angle, 0.0, 0.0],
+        ..Default::default()
+    };
+    let entry = pb::pose::Entry {
+        id: "top".into(),
+        pose: (angle != 0.0).then_some(pose),
+    };
+    let pose = pb::Pose {
+        seq: 4,
+        handles: vec![entry],
+        commit: true,
+    };
+    pb::SolveRequest {
+        session_id: id.into(),
+        pose: Some(pose),
+        options: None,
+    }
+}
+
+#[tokio::test]
+async fn commits_undo_and_replay_to_the_bit() {
+    for snapshot_bytes in [1 << 24, 0] {
+        let manager = Manager::new(Config {
+            snapshot_bytes,
+            ..small()
+        })
+        .expect("valid");
+        let (id, session) = bent(&manager).await;
+        assert_eq!((session.handles.len(), session.primitives.len()), (2, 1));
+        assert!(
+            ["read", "mesh", "hierarchy", "fields"]
+                .iter()
+                .all(|s| session.build_ms.contains_key(*s)),
+            "{session:?}"
+        );
+        let rest = manager.export(tenant(), &id, None).await.expect("written").written.main;
+        assert_eq!(rest, bar().main, "an undeformed model is written byte for byte");
+        let first = manager.solve(tenant(), turned(&id, 1.0), None).await.expect("solved");
+        assert_ne!(
+            manager.export(tenant(), &id, None).await.expect("written").written.main,
+            rest
+        );
+        let second = manager.solve(tenant(), turned(&id, -0.5), None).await.expect("solved");
+        let mut client = Client::open(&manager, &id).await;
+        for (seq, angle) in [(1, 0.2), (2, 0.9)] {
+            let pose = turned(&id, angle).pose.expect("a pose");
+            let pose = pb::Pose {
+                seq,
+                commit: false,
+                ..pose
+            };
+            client
+                .input
+                .push(ask(pb::deform_request::Message::Pose(pose)))
+                .expect("open");
+            let frame = client.frame().await.header;
+            assert!(frame.r#final && frame.residual <= 1e-4 && frame.max_error.is_finite());
+            client.ack(seq);
+        }
+        drop(client);
+        manager.undo(tenant(), &id, None).await.expect("undone");
+        let view = manager.history(tenant(), &id).await.expect("open");
+        let at = view
+            .commits
+            .iter()
+            .find(|c| c.revision == view.current)
+            .expect("listed");
+        assert_eq!(at.digest, first.digest);
+        let again = manager.solve(tenant(), turned(&id, -0.5), None).await.expect("solved");
+        assert_eq!(
+            again.digest, second.digest,
+            "the same handles, poses and settings give the same bits"
+        );
+        let home = manager.solve(tenant(), turned(&id, 0.0), None).await.expect("solved");
+        assert_eq!(home.digest, view.commits[0].digest, "at rest nothing moves");
+        assert_eq!(
+            manager.export(tenant(), &id, None).await.expect("written").written.main,
+            rest
+        );
+    }
+}
+
+#[tokio::test]
+async fn frames_carry_normals_that_turn_with_the_shape() {
+    let manager = Manager::new(small()).expect("valid");
+    let (id, _) = bent(&manager).await;
+    let output = Some(pb::Output {
+        normals: true,
+        tangents: true,
+        ..Default::default()
+    });
+    let mut request = turned(&id, 1.0);
+    request.options = Some(pb::Options {
+        output,
+        progressive: true,
+        ..Default::default()
+    });
+    let solved = manager.solve(tenant(), request, None).await.expect("solved");
+    let attributes: Vec<i32> = solved.frames.iter().map(|f| f.attribute).collect();
+    assert_eq!(attributes, [0, 1, 2]);
+    assert!(
+        solved
+            .frames
+            .iter()
+            .all(|f| f.seq == 4 && f.r#final && f.vertex_count == 52)
+    );
+    let numbers = solved.frames[1]
+        .data
+        .chunks_exact(4)
+        .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+    let numbers: Vec<f32> = numbers.collect();
+    for normal in numbers.chunks_exact(3) {
+        let length = normal.iter().map(|x| x * x).sum::<f32>();
+        assert!((length - 1.0).abs() < 1e-3, "{normal:?}");
+    }
+    let repeat = manager.solve(tenant(), turned(&id, 1.0), None).await.expect("solved");
+    assert_eq!(
+        repeat.digest, solved.digest,
+        "what frames carry does not change the shape"
+    );
+}
+
+#[tokio::test]
+async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
+    let manager = Manager::new(small()).expect("valid");
+    let (id, _) = bent(&manager).await;
+    let options = |self_intersections: bool| pb::Options {
+        output: Some(pb::Output {
+            self_intersections,
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    let solve = async |angle: f64, count: bool| {
+        let mut request = turned(&id, angle);
+        request.options = Some(options(count));
+        let solved = manager.solve(tenant(), request, None).await.expect("solved");
+        solved.frames[0].quality.expect("a commit is measured")
+    };
+    let home = solve(0.0, true).await;
+    assert_eq!(
+        (home.edge_rms, home.volume_change, home.self_intersections),
+        (0.0, 0.0, Some(0))
+    );
+    let plain = solve(1.0, false).await;
+    assert!(plain.edge_rms > 0.0 && plain.max_stretch > 1.0 && plain.self_intersections.is_none());
+    let counted = solve(1.0, true).await;
+    assert_eq!(
+        counted,
+        pb::Quality {
+            self_intersections: Some(0),
+            ..plain
+        }
+    );
+
+    // On a stream commits are measured, and drags are not.
+    let mut client = Client::open(&manager, &id).await;
+    client.options(options(true));
+    for (seq, commit) in [(1, false), (2, true)] {
+        let pose = pb::Pose {
+            seq,
+            commit,
+            ..turned(&id, 1.0).pose.expect("a pose")
+        };
+        client
+            .input
+            .push(ask(pb::deform_request::Message::Pose(pose)))
+            .expect("open");
+        let frame = client.frame().await.header;
+        assert_eq!(frame.quality, commit.then_some(counted), "pose {seq}");
+        client.ack(seq);
+    }
+}
