@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in README.md.
+/// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in deploy/docs/architecture.md.
 const FLOORS: [(&str, u8); 18] = [
     ("mesh", 0),
     ("asset", 0),
@@ -360,7 +360,7 @@ fn every_module_has_a_floor() {
     let mut problems = Vec::new();
     for module in &modules {
         if floor(module).is_none() {
-            problems.push(format!("src/{module} has no floor: add it to FLOORS in tests/tools/floors.rs, to the table in src/lib.rs and to README.md"));
+            problems.push(format!("src/{module} has no floor: add it to FLOORS in tests/tools/floors.rs, to the table in src/lib.rs and to deploy/docs/architecture.md"));
         }
     }
     for (module, _) in FLOORS {
