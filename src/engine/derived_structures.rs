@@ -9,11 +9,21 @@ use super::facts::DeformerWarning;
 use super::settings::OpenOptions;
 use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyId, TopologyLineage, TopologyState};
 use crate::asset::Model;
-use crate::deform::{Body, BodyOptions, Followed, VolumeMode};
+<<<<<<< HEAD
+use crate::deform::{DeformableBody, BodyOptions, EditedBody, VolumeMode};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
-use crate::mesh::{Adjacency, Components, Mesh, Report, inspect};
+use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
+=======
+use crate::deform::{BodyOptions, DeformableBody, EditedBody, VolumeMode};
+use crate::edit::Applied;
+use crate::exec::Exec;
+use crate::graph::estimate_nodes;
+use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
+use crate::wire::OpenOptions;
+use crate::wire::{Error, pb};
+>>>>>>> main
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
 
@@ -25,11 +35,11 @@ pub(super) struct DerivedStructures {
     pub lineage: Arc<TopologyLineage>,
     pub mesh: Mesh,
     pub parts: Components,
-    pub body: Body,
+    pub body: DeformableBody,
     /// How the nodes of the graph came about when the body has followed an edit.
     pub followed: FollowedNodes,
     volume: VolumeMode,
-    report: OnceLock<Report>,
+    report: OnceLock<MeshReport>,
 }
 
 /// How the nodes of a graph that has followed an edit came about; empty when it was built.
@@ -75,8 +85,13 @@ impl DerivedStructures {
         } else {
             mesh.positions.len()
         };
+<<<<<<< HEAD
         admit_bytes(estimate(vertices, nodes as u64) + files, limits)?;
-        let body = Body::build(&mesh, &body_options(&topology, options, limits), exec)?;
+        let body = DeformableBody::build(&mesh, &body_options(&topology, options, limits), exec)?;
+=======
+        admit(estimate(vertices, nodes as u64) + files, limits)?;
+        let body = DeformableBody::build(&mesh, &options(&foundation, choices, limits), exec)?;
+>>>>>>> main
         let parts = parts_of(&mesh);
         Ok(Self::new(
             TopologyLineage::built(id, topology),
@@ -120,7 +135,7 @@ impl DerivedStructures {
                 }
             };
             if let Some((step, followed, parts)) = followed {
-                let Followed {
+                let EditedBody {
                     body,
                     old_from_new,
                     touched,
@@ -177,7 +192,7 @@ impl DerivedStructures {
         path: TopologyLineage,
         mesh: Mesh,
         parts: Components,
-        body: Body,
+        body: DeformableBody,
         followed: FollowedNodes,
         options: &OpenOptions,
     ) -> Self {
@@ -202,7 +217,7 @@ impl DerivedStructures {
     }
 
     /// What is to be said about the mesh; looked for when first asked.
-    pub fn report(&self) -> &Report {
+    pub fn report(&self) -> &MeshReport {
         self.report.get_or_init(|| {
             let adjacency = Adjacency::build(self.mesh.positions.len(), &self.mesh.triangles);
             inspect(&self.mesh, &adjacency)
@@ -265,10 +280,24 @@ pub(super) fn admit_bytes(bytes: u64, limits: &DeformerLimits) -> Result<(), Err
     })
 }
 
-fn model_warnings(model: &Model, report: &Report) -> Vec<DeformerWarning> {
+<<<<<<< HEAD
+fn model_warnings(model: &Model, report: &MeshReport) -> Vec<DeformerWarning> {
     let read = model.warnings.iter();
     let read = read.map(|(code, message, place)| DeformerWarning::new(code, message, place));
     let found = report.warnings.iter();
     let found = found.map(|w| DeformerWarning::new(w.code, &w.message, &w.place));
+=======
+fn warnings_of(model: &Model, report: &MeshReport) -> Vec<pb::Warning> {
+    let read = model.warnings.iter().map(|(code, message, place)| pb::Warning {
+        code: code.clone(),
+        message: message.clone(),
+        r#where: place.clone(),
+    });
+    let found = report.warnings.iter().map(|w| pb::Warning {
+        code: w.code.into(),
+        message: w.message.clone(),
+        r#where: w.place.clone(),
+    });
+>>>>>>> main
     read.chain(found).collect()
 }

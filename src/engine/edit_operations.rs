@@ -7,12 +7,21 @@ use super::model_topology::{EditSurface, ModelTopology};
 use super::region::Region;
 use super::region_context::{RegionContext, vertices_in_region};
 use super::vertex_origins::VertexOrigins;
+<<<<<<< HEAD
 use crate::asset::{self, Model};
 use crate::edit::{
     self, CutOptions, CutPlane, KeptSide, LoopPair, PatchedSurface, RemeshTarget, SurfaceCurve, SurfacePatch,
 };
 use crate::exec::Exec;
-use crate::mesh::{Adjacency, Bounds, Mesh, NONE, Weld, mean_edge_length};
+use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
+=======
+use crate::asset::{self, FileSet, Format, Model};
+use crate::edit::{self, Applied, Between, Curve, Keep, MOST_POINTS, Patch, Plane, Scheme, Target};
+use crate::mesh::{Adjacency, BoundingBox, NONE, Weld, mean_edge_length};
+use crate::progress::Progress;
+use crate::wire::check::{enumerated, number, plane, positive};
+use crate::wire::{Error, pb};
+>>>>>>> main
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use std::sync::Arc;
 
@@ -250,8 +259,8 @@ fn placed_surface(other: &ModelTopology, mesh: &Mesh, positions: &[DVec3], place
 
 /// Refuses a model that is so much larger than the other, or so far off, that the smaller one would be lost in rounding.
 fn check_sizes(own: &[DVec3], placed: &[DVec3]) -> Result<(), Error> {
-    let (own, placed) = (Bounds::of(own), Bounds::of(placed));
-    let size = |b: &Bounds| (b.max - b.min).length();
+    let (own, placed) = (BoundingBox::of(own), BoundingBox::of(placed));
+    let size = |b: &BoundingBox| (b.max - b.min).length();
     let both = (own.max.max(placed.max) - own.min.min(placed.min)).length();
     let least = size(&own).min(size(&placed));
     if least > 0.0 && both <= LARGEST * least {

@@ -3,7 +3,7 @@
 use super::error::Error;
 use super::facts::QualityReport;
 use super::{Deformer, HandlePoses};
-use crate::mesh::{Bounds, Mesh, shading};
+use crate::mesh::{BoundingBox, Mesh, shading};
 use crate::pool::Pool;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ impl Deformer {
     pub fn constraint_error(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<f64, Error> {
         let Some(rig) = self.rig() else { return Ok(0.0) };
         let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
-        let farthest = rig.misplaced(self.body(), &self.transforms(poses)?, now);
+        let farthest = rig.largest_misplacement(self.body(), &self.transforms(poses)?, now);
         let diagonal = self.diagonal();
         Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
     }
@@ -32,8 +32,13 @@ const RUN: usize = 1 << 16;
 ///
 /// A triangle counts as flipped when its normal opposes the rest normal turned by the mean rotation around it, which is
 /// taken from its neighbours' normals: a fold shows, a part that was turned over as a whole does not.
+<<<<<<< HEAD
 pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> QualityReport {
-    let centers = [&mesh.positions, deformed].map(|p| Bounds::of(p).center());
+    let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
+=======
+pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> pb::Quality {
+    let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
+>>>>>>> main
     let (sums, flipped_triangles) = pool.install(|| {
         let blocks: Vec<QualitySums> = mesh
             .triangles

@@ -3,8 +3,8 @@
 use super::error::{Error, InputPlace, RegionPlace};
 use super::region::{Region, VertexRange};
 use crate::asset::Primitive;
-use crate::deform::NearestPoints;
 use crate::graph::Graph;
+use crate::mesh::query::NearestPoints;
 use crate::mesh::query::closest_point::closest_point_on_segment;
 use crate::mesh::{Components, Mesh, NONE};
 use glam::DVec3;
@@ -104,7 +104,7 @@ pub(super) fn vertices_in_region(
 /// When the region does not fit the model.
 pub(super) fn nodes_in_region(
     context: &RegionContext<'_>,
-    graph: &Graph,
+    graph: &MeshGraph,
     region: &Region,
     mirror: Option<MirrorPlane>,
 ) -> Result<RegionNodes, RegionError> {
@@ -135,7 +135,7 @@ pub(super) fn nodes_in_region(
 }
 
 /// The mean of a region's solver vertices at rest; that of its render vertices when none of them is in a face.
-pub(super) fn region_centroid(context: &RegionContext<'_>, graph: &Graph, vertices: &[bool], nodes: &[u32]) -> DVec3 {
+pub(super) fn region_centroid(context: &RegionContext<'_>, graph: &MeshGraph, vertices: &[bool], nodes: &[u32]) -> DVec3 {
     let surface = graph.surface as u32;
     let solver: Vec<DVec3> = (nodes.iter().filter(|n| **n < surface))
         .map(|n| graph.positions[*n as usize])
@@ -266,7 +266,7 @@ fn surface_weights(context: &RegionContext<'_>, values: &[f32], mirror: Option<M
 }
 
 /// The nodes whose nearest surface vertex is marked.
-fn nodes_nearest_to(graph: &Graph, surface: &[bool]) -> Vec<u32> {
+fn nodes_nearest_to(graph: &MeshGraph, surface: &[bool]) -> Vec<u32> {
     let nearest = (0u32..).zip(&graph.nearest_surface);
     nearest.filter(|(_, s)| surface[**s as usize]).map(|(n, _)| n).collect()
 }

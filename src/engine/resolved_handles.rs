@@ -8,7 +8,7 @@ use super::region::Region;
 use super::region_context::{
     MirrorPlane, RegionContext, RegionNodes, nodes_in_region, region_centroid, vertices_in_region,
 };
-use crate::deform::{Body, Hold, Policy, Rigging, Transform};
+use crate::deform::{DeformableBody, HandleConstraint, FreePartPolicy, HandleSetup, Transform};
 use crate::mesh::NONE;
 use glam::{DMat3, DVec3};
 use std::cmp::Ordering;
@@ -34,7 +34,7 @@ pub(super) struct ResolvedHandles {
 /// What handles held before an edit that carried them over.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct HandlesBeforeEdit<'a> {
-    pub rigging: &'a Rigging,
+    pub rigging: &'a HandleSetup,
     /// For each node its number before the edit, or [`NONE`].
     pub old_from_new: &'a [u32],
 }
@@ -57,7 +57,7 @@ impl HandlesBeforeEdit<'_> {
     fn keep_inside(&self, handle: usize, surface: u32, new_from_old: &[u32], nodes: &mut Vec<u32>) {
         let is_new = |n: &u32| self.old_from_new.get(*n as usize).is_none_or(|o| *o == NONE);
         nodes.retain(|n| *n < surface || is_new(n));
-        let held = self.rigging.holds[handle].nodes.iter();
+        let held = self.rigging.handles[handle].nodes.iter();
         let still = held.filter_map(|&old| new_from_old.get(old as usize).copied());
         nodes.extend(still.filter(|&n| n != NONE && n >= surface));
         nodes.sort_unstable();
@@ -67,14 +67,14 @@ impl HandlesBeforeEdit<'_> {
 /// Resolves handles. With `before` they go on to hold the nodes inside that they held.
 pub(super) fn resolve_handles(
     context: &RegionContext<'_>,
-    body: &Body,
+    body: &DeformableBody,
     set: HandleSet,
-    policy: Policy,
+    policy: FreePartPolicy,
     before: Option<HandlesBeforeEdit<'_>>,
-) -> Result<(ResolvedHandles, Rigging), Error> {
+) -> Result<(ResolvedHandles, HandleSetup), Error> {
     let mirror = set.symmetry_plane.map(|p| p.unit_normal_and_point());
     // Mirror images are found from what handles hold, so those stay as they are listed.
-    let before = before.filter(|b| mirror.is_none() && b.rigging.holds.len() == set.handles.len());
+    let before = before.filter(|b| mirror.is_none() && b.rigging.handles.len() == set.handles.len());
     let numbers = before.map(|b| b.new_from_old()).unwrap_or_default();
     let graph = &body.graph;
     let mut resolved = ResolvedHandles {
@@ -125,7 +125,14 @@ pub(super) fn resolve_handles(
         }
     }
     resolved.set = set;
-    Ok((resolved, Rigging { holds, frozen, policy }))
+    Ok((
+        resolved,
+        HandleSetup {
+            handles: holds,
+            frozen,
+            policy,
+        },
+    ))
 }
 
 impl ResolvedHandles {
@@ -148,7 +155,7 @@ impl ResolvedHandles {
 }
 
 /// What a handle does to the nodes that it holds.
-fn hold_nodes(body: &Body, handle: &Handle, held: RegionNodes) -> Hold {
+fn hold_nodes(body: &DeformableBody, handle: &Handle, held: RegionNodes) -> HandleConstraint {
     let mut pulls = Vec::new();
     if handle.stiffness.is_some() {
         let ones = vec![1.0; held.nodes.len()];
@@ -159,7 +166,7 @@ fn hold_nodes(body: &Body, handle: &Handle, held: RegionNodes) -> Hold {
             pulls.sort_by_key(|p| p.0);
         }
     }
-    Hold {
+    HandleConstraint {
         nodes: held.nodes,
         pulls,
         stiffness: handle.stiffness,
@@ -171,7 +178,7 @@ fn hold_nodes(body: &Body, handle: &Handle, held: RegionNodes) -> Hold {
 }
 
 /// Weights around a region by distance along the graph's edges, so that a falloff does not jump between fingers.
-fn fading_weights(body: &Body, core: &[u32], Falloff { radius, curve }: Falloff) -> Vec<(u32, f64)> {
+fn fading_weights(body: &DeformableBody, core: &[u32], Falloff { radius, curve }: Falloff) -> Vec<(u32, f64)> {
     #[derive(PartialEq)]
     struct Reached(f64, u32);
     impl Eq for Reached {}
@@ -217,7 +224,7 @@ fn fading_weights(body: &Body, core: &[u32], Falloff { radius, curve }: Falloff)
     found
 }
 
-fn frozen_nodes(context: &RegionContext<'_>, body: &Body, interest: Option<&Region>) -> Result<Vec<bool>, Error> {
+fn frozen_nodes(context: &RegionContext<'_>, body: &DeformableBody, interest: Option<&Region>) -> Result<Vec<bool>, Error> {
     let Some(region) = interest else {
         return Ok(Vec::new());
     };
@@ -236,7 +243,7 @@ fn stray_vertices(context: &RegionContext<'_>, vertices: &[bool], hold: u32) -> 
 }
 
 /// Who holds each node in the end; the frozen surroundings count as nobody.
-fn last_holders(holds: &[Hold], nodes: usize, frozen: &[bool]) -> Vec<u32> {
+fn last_holders(holds: &[HandleConstraint], nodes: usize, frozen: &[bool]) -> Vec<u32> {
     let mut owner = vec![u32::MAX; nodes];
     for (k, hold) in holds.iter().enumerate() {
         hold.nodes.iter().for_each(|&n| owner[n as usize] = k as u32);
@@ -251,8 +258,8 @@ fn last_holders(holds: &[Hold], nodes: usize, frozen: &[bool]) -> Vec<u32> {
 
 fn count_held_vertices(
     context: &RegionContext<'_>,
-    body: &Body,
-    holds: &[Hold],
+    body: &DeformableBody,
+    holds: &[HandleConstraint],
     handles: usize,
     frozen: &[bool],
 ) -> Vec<u32> {
@@ -274,15 +281,15 @@ fn count_held_vertices(
 
 fn overlap_warnings(
     handles: &[Handle],
-    holds: &[Hold],
-    images: &[Hold],
+    holds: &[HandleConstraint],
+    images: &[HandleConstraint],
     frozen: &[bool],
 ) -> Vec<DeformerWarning> {
     let mut warnings = Vec::new();
     let name = |k: usize| &handles[k % handles.len()].id;
-    let all: Vec<&Hold> = holds.iter().chain(images).collect();
+    let all: Vec<&HandleConstraint> = holds.iter().chain(images).collect();
     let same_kind =
-        |a: &Hold, b: &Hold| (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale);
+        |a: &HandleConstraint, b: &HandleConstraint| (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale);
     let last = all.iter().flat_map(|h| h.nodes.last()).max();
     let mut holder = vec![u32::MAX; last.map_or(0, |n| *n as usize + 1)];
     let mut shared = std::collections::BTreeMap::<(u32, u32), usize>::new();

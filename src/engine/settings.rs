@@ -1,7 +1,7 @@
 //! How a model is opened and how its poses are solved.
 
 use crate::asset::Format;
-use crate::deform::{BodyOptions, FirstPass, Operators, Policy, VolumeMode, Weights};
+use crate::deform::{BodyOptions, FirstPass, Operators, FreePartPolicy, VolumeMode, EdgeWeights};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
@@ -16,7 +16,7 @@ pub struct OpenOptions {
     /// How render vertices become solver vertices.
     pub weld: Weld,
     /// What happens to connected parts in which no handle lies.
-    pub policy: Policy,
+    pub policy: FreePartPolicy,
     /// How graph and hierarchy are built.
     pub body: BodyOptions,
 }
@@ -26,12 +26,12 @@ impl Default for OpenOptions {
         Self {
             format: None,
             weld: Weld::Exact,
-            policy: Policy::Follow,
+            policy: FreePartPolicy::Follow,
             body: BodyOptions {
                 volume: VolumeMode::Auto,
                 graph: VolumeOptions {
                     valence: 14,
-                    weights: Weights::Uniform,
+                    weights: EdgeWeights::Uniform,
                     ..Default::default()
                 },
                 operators: Operators::FiniteVolume,

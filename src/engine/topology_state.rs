@@ -9,8 +9,12 @@ use super::error::Error;
 use super::handle::HandleSet;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
+<<<<<<< HEAD
 use super::settings::OpenOptions;
-use crate::deform::{Body, Followed, KeptFields};
+use crate::deform::{DeformableBody, EditedBody, KeptFields};
+=======
+use crate::deform::{DeformableBody, EditedBody, KeptFields};
+>>>>>>> main
 use crate::exec::Exec;
 use glam::DVec3;
 use std::sync::Arc;
@@ -150,8 +154,13 @@ impl LineageOrigin {
                 }
             }
         };
+<<<<<<< HEAD
         let mesh = start.mesh(options.weld)?;
-        let body = Body::build(&mesh, &fit(start), exec)?;
+        let body = DeformableBody::build(&mesh, &fit(start), exec)?;
+=======
+        let mesh = start.mesh(choices.weld)?;
+        let body = DeformableBody::build(&mesh, &fit(start), exec)?;
+>>>>>>> main
         let mut now = RetracedBody {
             body,
             nodes: FollowedNodes::default(),
@@ -167,7 +176,7 @@ impl LineageOrigin {
             let Some(followed) = now.body.follow(&change, nodes, exec)? else {
                 return Ok(None);
             };
-            let Followed {
+            let EditedBody {
                 body,
                 old_from_new,
                 touched,
@@ -185,7 +194,7 @@ impl LineageOrigin {
 
 /// A body made again.
 pub(super) struct RetracedBody {
-    pub body: Body,
+    pub body: DeformableBody,
     pub nodes: FollowedNodes,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,

@@ -3,7 +3,8 @@
 use super::check::{enumerated, number};
 use super::{Error, pb};
 use crate::asset::Format;
-use crate::deform::{BodyOptions, Operators, Policy, VolumeMode, Weights};
+<<<<<<< HEAD
+use crate::deform::{BodyOptions, EdgeWeights, FreePartPolicy, Operators, VolumeMode};
 use crate::engine::OpenOptions;
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
@@ -13,6 +14,24 @@ use crate::mesh::Weld;
 /// # Errors
 /// [`Error::Invalid`] with the field.
 pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
+=======
+use crate::deform::{BodyOptions, EdgeWeights, FreePartPolicy, Operators, VolumeMode};
+use crate::graph::VolumeOptions;
+use crate::mesh::Weld;
+
+/// Options of a session, checked.
+#[derive(Debug, Clone)]
+pub(crate) struct OpenOptions {
+    pub format: Option<Format>,
+    pub weld: Weld,
+    pub policy: FreePartPolicy,
+    pub body: BodyOptions,
+}
+
+impl OpenOptions {
+    /// Checks the options of a session; fields are named as in JSON.
+    pub fn check(create: &pb::CreateOptions) -> Result<Self, Error> {
+>>>>>>> main
         let format = match create.format.as_str() {
             "" => None,
             name => Some(Format::from_name(name).ok_or_else(|| {
@@ -32,13 +51,13 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             None => Weld::Exact,
         };
         let policy = match enumerated(create.components, "components")? {
-            pb::create_options::Components::Follow => Policy::Follow,
-            pb::create_options::Components::Hold => Policy::Hold,
-            pb::create_options::Components::Free => Policy::Free,
+            pb::create_options::Components::Follow => FreePartPolicy::Follow,
+            pb::create_options::Components::Hold => FreePartPolicy::Hold,
+            pb::create_options::Components::Free => FreePartPolicy::Free,
         };
         let weights = match enumerated(create.weights, "weights")? {
-            pb::create_options::Weights::Uniform => Weights::Uniform,
-            pb::create_options::Weights::Cotangent => Weights::Cotangent,
+            pb::create_options::Weights::Uniform => EdgeWeights::Uniform,
+            pb::create_options::Weights::Cotangent => EdgeWeights::Cotangent,
         };
         let operators = match enumerated(create.operators, "operators")? {
             pb::create_options::Operators::FiniteVolume => Operators::FiniteVolume,
