@@ -2,7 +2,7 @@
 
 use super::pb;
 use super::region::Resolved;
-use crate::edit::{Applied, Patch};
+use crate::edit::{PatchedSurface, SurfacePatch};
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -26,8 +26,8 @@ pub(super) fn carry(
     held: &[Resolved],
     centroids: &[DVec3],
     poses: Option<&[pb::HandlePose]>,
-    applied: &Applied,
-    patch: &Patch,
+    applied: &PatchedSurface,
+    patch: &SurfacePatch,
 ) -> Carried {
     let mut carried = Carried {
         request: pb::SetHandlesRequest {
@@ -82,7 +82,7 @@ pub(super) fn carry(
 }
 
 /// The vertices left of those marked, and the new ones between them: where all (or any) of what they are made of was marked.
-fn listed(marks: &[bool], applied: &Applied, patch: &Patch, all: bool) -> Option<pb::region::Region> {
+fn listed(marks: &[bool], applied: &PatchedSurface, patch: &SurfacePatch, all: bool) -> Option<pb::region::Region> {
     let old = applied.vertex_from_old.len();
     let marked = |v: u32| marks.get(v as usize).copied().unwrap_or(false);
     let holds = |was: u32| match patch.vertices.get((was as usize).wrapping_sub(old)) {
@@ -115,7 +115,7 @@ fn listed(marks: &[bool], applied: &Applied, patch: &Patch, all: bool) -> Option
     })
 }
 
-fn weighted(values: &[f32], applied: &Applied, patch: &Patch) -> Option<pb::region::Region> {
+fn weighted(values: &[f32], applied: &PatchedSurface, patch: &SurfacePatch) -> Option<pb::region::Region> {
     let old = applied.vertex_from_old.len();
     let value = |v: u32| values.get(v as usize).copied().unwrap_or(0.0);
     let values: Vec<f32> = (applied.old_from_vertex.iter())
@@ -133,7 +133,7 @@ fn weighted(values: &[f32], applied: &Applied, patch: &Patch) -> Option<pb::regi
 }
 
 /// The runs of render vertices that an edit left, for the answer to a client.
-pub(super) fn runs(applied: &Applied, old: usize) -> Vec<pb::edit_result::Run> {
+pub(super) fn runs(applied: &PatchedSurface, old: usize) -> Vec<pb::edit_result::Run> {
     let mut runs: Vec<pb::edit_result::Run> = Vec::new();
     for (was, &now) in (0u32..).zip(&applied.vertex_from_old[..old]) {
         if now == NONE {

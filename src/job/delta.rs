@@ -68,7 +68,7 @@ pub(super) struct Lists {
 
 impl Delta {
     /// The change from `old` (its triangles, and where its points are by now) to `mesh`, which `applied` has led to.
-    pub fn between(triangles: &[[u32; 3]], at: &[DVec3], mesh: &Mesh, applied: &Applied) -> Self {
+    pub fn between(triangles: &[[u32; 3]], at: &[DVec3], mesh: &Mesh, applied: &PatchedSurface) -> Self {
         // What was merged in has numbers after those that were there.
         let known = |o: &u32| (*o as usize) < at.len();
         let was = |p: u32| {
@@ -184,7 +184,7 @@ mod tests {
         let positions = vec![DVec3::ZERO, DVec3::X * 2.0, DVec3::ONE, DVec3::Z];
         let triangles = [[0, 1, 2], [2, 1, 3]];
         let mesh = Mesh::of_points(&positions, &triangles, vec![0, 1, 2, 3], 4).expect("a mesh");
-        let applied = Applied {
+        let applied = PatchedSurface {
             old_from_point: vec![0, 1, 2, NONE],
             old_from_triangle: vec![0, NONE],
             ..Default::default()

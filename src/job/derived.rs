@@ -43,7 +43,7 @@ pub(super) struct Nodes {
 /// What an edit made of a model.
 pub(super) struct Change<'a> {
     pub foundation: Arc<Foundation>,
-    pub applied: &'a Applied,
+    pub applied: &'a PatchedSurface,
     /// All nodes of the graph before, in the shape that was edited; `None` when that was the rest shape.
     pub nodes: Option<Arc<Vec<DVec3>>>,
     /// Whether the body may follow, or has to be built.

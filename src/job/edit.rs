@@ -13,7 +13,7 @@ use super::region::{self, Resolved};
 use super::trail::{self, Trail};
 use super::{Error, Mode, Poses, Settings, Workbench, pb};
 use crate::asset::FileSet;
-use crate::edit::{Applied, apply};
+use crate::edit::{EditSubject, EditWarning, ErrorPlace, PatchedSurface, apply_patch};
 use crate::exec::Exec;
 use crate::graph::{Graph, Recipe, Stats};
 use glam::DVec3;
@@ -86,7 +86,7 @@ impl Workbench {
         exec.check()?;
         planned.patch.idle = std::mem::take(&mut sheet.idle);
         let patch = &planned.patch;
-        let applied = apply(&sheet.surface(), patch, &sheet.first_vertices()).map_err(refused)?;
+        let applied = apply_patch(&sheet.surface(), patch, &sheet.first_vertices()).map_err(refused)?;
         self.admit_size(&applied)?;
         let carried = self.carried(&applied, &planned, at_rest.then_some(order.poses))?;
         let mut result = pb::EditResult {
@@ -108,7 +108,7 @@ impl Workbench {
             );
             result
                 .warnings
-                .push(warning(&("triangles-dropped".into(), message, String::new())));
+                .push(warning(&EditWarning::new("triangles-dropped", message, "")));
         }
         let (foundation, applied) = (self.derived.foundation()).edited(&sheet, &origins, applied, patch, planned.parts);
         drop((sheet, origins));
@@ -210,7 +210,7 @@ impl Workbench {
         Sheet::new(&self.derived.mesh, geometry, shape, shading.normals, tangents)
     }
 
-    fn admit_size(&self, applied: &Applied) -> Result<(), Error> {
+    fn admit_size(&self, applied: &PatchedSurface) -> Result<(), Error> {
         let limits = &self.limits.model;
         let sizes = [
             (
@@ -244,7 +244,7 @@ impl Workbench {
     /// What the handles in force hold after an edit.
     fn carried(
         &self,
-        applied: &Applied,
+        applied: &PatchedSurface,
         planned: &super::operation::Planned,
         poses: Option<&Poses>,
     ) -> Result<Carried, Error> {
@@ -344,11 +344,11 @@ fn counts(vertices: usize, faces: usize) -> pb::edit_result::Counts {
     }
 }
 
-fn warning((code, message, place): &(String, String, String)) -> pb::Warning {
+fn warning(warning: &EditWarning) -> pb::Warning {
     pb::Warning {
-        code: code.clone(),
-        message: message.clone(),
-        r#where: place.clone(),
+        code: warning.code.clone(),
+        message: warning.message.clone(),
+        r#where: warning.place.clone(),
     }
 }
 
@@ -356,9 +356,33 @@ fn warning((code, message, place): &(String, String, String)) -> pb::Warning {
 pub(super) fn refused(e: crate::edit::Error) -> Error {
     use crate::edit::Error as Edit;
     match e {
-        Edit::Invalid { field, problem } => Error::Invalid { field, problem },
+        Edit::Invalid { subject, problem } => Error::invalid(field_of(subject), problem),
+        Edit::Impossible {
+            problem,
+            place: ErrorPlace::Argument(subject),
+        } => Error::Precondition(format!("{problem} ({})", field_of(subject))),
         Edit::Impossible { .. } => Error::Precondition(e.to_string()),
         Edit::TooLarge { what, seen, limit } => Error::TooLarge { what, seen, limit },
         Edit::Cancelled => Error::Cancelled,
     }
+}
+
+/// The field of a request that an argument of an operation comes from.
+fn field_of(subject: EditSubject) -> String {
+    let field = match subject {
+        EditSubject::CutPlane => "cut.plane",
+        EditSubject::CutCurve => "cut.polyline",
+        EditSubject::CutPath => "cut.path",
+        EditSubject::InsertedCurve => "insertCurve.points",
+        EditSubject::DecimationRatio => "decimate.ratio",
+        EditSubject::RemeshEdgeLength => "remesh.edgeLength",
+        EditSubject::RemeshRestShape => "remesh.auto",
+        EditSubject::Region => "region",
+        EditSubject::DeletedRegion => "delete.region",
+        EditSubject::FilledRegion => "fill.region",
+        EditSubject::WeldTolerance => "weld.tolerance",
+        EditSubject::BoundaryWeldTolerance => "merge.tolerance",
+        EditSubject::Surface | EditSubject::Patch(_) => return subject.to_string(),
+    };
+    field.to_owned()
 }

@@ -3,7 +3,7 @@
 use super::origins::Origins;
 use super::{Error, pb};
 use crate::asset::{self, Format, Geometry, Model, Primitive, Written};
-use crate::edit::{Applied, Patch, Surface};
+use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, Weld};
 use glam::{DVec3, Vec3, Vec4};
 use sha2::{Digest, Sha256};
@@ -108,10 +108,10 @@ impl Foundation {
         &self,
         before: &Sheet,
         origins: &Origins,
-        mut applied: Applied,
-        patch: &Patch,
+        mut applied: PatchedSurface,
+        patch: &SurfacePatch,
         parts: bool,
-    ) -> (Self, Applied) {
+    ) -> (Self, PatchedSurface) {
         let normals = normals(before, &applied);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
         let origins = origins.after(&applied, patch, own);
@@ -195,8 +195,8 @@ impl Sheet {
     }
 
     /// What an operation reads.
-    pub fn surface(&self) -> Surface<'_> {
-        Surface {
+    pub fn surface(&self) -> SurfaceView<'_> {
+        SurfaceView {
             positions: &self.positions,
             triangles: &self.triangles,
             primitive_of: &self.primitive_of,
@@ -281,7 +281,7 @@ fn runs(primitives: &[Primitive], count: usize) -> Vec<u32> {
     of
 }
 
-fn primitives(before: &Sheet, applied: &Applied) -> Vec<Primitive> {
+fn primitives(before: &Sheet, applied: &PatchedSurface) -> Vec<Primitive> {
     let vertices = applied.positions.len() as u32;
     let mut triangles = vec![0u32; before.primitives.len()];
     applied.primitive_of.iter().for_each(|&p| triangles[p as usize] += 1);
@@ -298,7 +298,7 @@ fn primitives(before: &Sheet, applied: &Applied) -> Vec<Primitive> {
 }
 
 /// Normals after an edit: old vertices keep theirs, new ones have the mean of their triangles'.
-fn normals(before: &Sheet, applied: &Applied) -> Vec<Vec3> {
+fn normals(before: &Sheet, applied: &PatchedSurface) -> Vec<Vec3> {
     if before.normals.is_empty() {
         return Vec::new();
     }
@@ -326,7 +326,7 @@ fn normals(before: &Sheet, applied: &Applied) -> Vec<Vec3> {
 }
 
 /// Whether a new vertex lies on surface that the edit has made: its triangles face elsewhere than what it is blended from.
-fn is_own(before: &Sheet, applied: &Applied, patch: &Patch, normals: &[Vec3], vertex: usize) -> bool {
+fn is_own(before: &Sheet, applied: &PatchedSurface, patch: &SurfacePatch, normals: &[Vec3], vertex: usize) -> bool {
     const ALIKE: f32 = 0.5;
     let old = before.positions.len();
     let new = (applied.old_from_vertex[vertex] as usize).checked_sub(old);
@@ -339,7 +339,7 @@ fn is_own(before: &Sheet, applied: &Applied, patch: &Patch, normals: &[Vec3], ve
 }
 
 /// Tangents after an edit: those of new vertices are blended.
-fn tangents(before: &Sheet, applied: &Applied, patch: &Patch) -> Vec<Vec4> {
+fn tangents(before: &Sheet, applied: &PatchedSurface, patch: &SurfacePatch) -> Vec<Vec4> {
     if before.tangents.is_empty() {
         return Vec::new();
     }

@@ -6,7 +6,10 @@ use super::foundation::{Foundation, Sheet};
 use super::origins::Origins;
 use super::{Error, Workbench, pb};
 use crate::asset::{self, FileSet, Format, Model};
-use crate::edit::{self, Applied, Between, Curve, Keep, MOST_POINTS, Patch, Plane, Scheme, Target};
+use crate::edit::{
+    self, CutOptions, CutPlane, KeptSide, LoopPair, MOST_POINTS, PatchedSurface, RemeshTarget, SubdivisionScheme,
+    SurfaceCurve, SurfacePatch,
+};
 use crate::mesh::{Adjacency, Bounds, NONE, Weld, mean_edge_length};
 use crate::progress::Progress;
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
@@ -33,7 +36,7 @@ pub(super) struct Scene<'a> {
 /// A planned operation.
 pub(super) struct Planned {
     /// What it changes.
-    pub patch: Patch,
+    pub patch: SurfacePatch,
     /// Points along an inserted curve, in the numbers after the edit.
     pub curve: Vec<u32>,
     /// Whether it may leave parts that touch and do not belong together.
@@ -42,7 +45,7 @@ pub(super) struct Planned {
 
 impl Planned {
     /// One render vertex for each point of the curve.
-    pub fn curve(&self, applied: &Applied) -> Vec<u32> {
+    pub fn curve(&self, applied: &PatchedSurface) -> Vec<u32> {
         if self.curve.is_empty() {
             return Vec::new();
         }
@@ -63,7 +66,7 @@ pub(super) fn plan(
     request: &pb::EditRequest,
     progress: &dyn Progress,
 ) -> Result<Planned, Error> {
-    let simple = |patch: Patch| Planned {
+    let simple = |patch: SurfacePatch| Planned {
         patch,
         curve: Vec::new(),
         parts: false,
@@ -83,16 +86,16 @@ pub(super) fn plan(
         Some(Operation::Subdivide(subdivide)) => {
             let faces = scene.faces(subdivide.region.as_ref(), "subdivide.region")?;
             let scheme = match enumerated(subdivide.scheme, "subdivide.scheme")? {
-                wire::subdivide::Scheme::Loop => Scheme::Loop,
-                wire::subdivide::Scheme::Midpoint => Scheme::Midpoint,
+                wire::subdivide::Scheme::Loop => SubdivisionScheme::Loop,
+                wire::subdivide::Scheme::Midpoint => SubdivisionScheme::Midpoint,
             };
-            let patch = edit::subdivide(&scene.sheet.surface(), &faces, scheme, progress).map_err(refused)?;
+            let patch = edit::subdivide_region(&scene.sheet.surface(), &faces, scheme, progress).map_err(refused)?;
             Ok(simple(patch))
         }
         Some(Operation::Decimate(decimate)) => {
             let ratio = number(decimate.ratio, "decimate.ratio")?;
             let faces = scene.faces(decimate.region.as_ref(), "decimate.region")?;
-            let patch = edit::decimate(&scene.sheet.surface(), &faces, ratio, progress).map_err(refused)?;
+            let patch = edit::decimate_region(&scene.sheet.surface(), &faces, ratio, progress).map_err(refused)?;
             Ok(simple(patch))
         }
         Some(Operation::Delete(delete)) => {
@@ -104,7 +107,7 @@ pub(super) fn plan(
                 let problem = "holds every triangle; something has to be left";
                 return Err(Error::invalid("delete.region", problem));
             }
-            let patch = edit::delete(&scene.sheet.surface(), &faces, delete.fill, progress).map_err(refused)?;
+            let patch = edit::delete_faces(&scene.sheet.surface(), &faces, delete.fill, progress).map_err(refused)?;
             Ok(simple(patch))
         }
         Some(Operation::Fill(fill)) => {
@@ -112,16 +115,20 @@ pub(super) fn plan(
                 Some(region) => Some(scene.touched(region, "fill.region")?),
                 None => None,
             };
-            let patch = edit::fill(&scene.sheet.surface(), faces.as_deref(), progress).map_err(refused)?;
+            let patch = edit::fill_holes(&scene.sheet.surface(), faces.as_deref(), progress).map_err(refused)?;
             Ok(simple(patch))
         }
         Some(Operation::Remesh(remesh)) => self::remesh(scene, remesh, progress).map(simple),
         Some(Operation::Merge(merge)) => self::merge(scene, merge, progress),
         Some(Operation::InsertCurve(curve)) => {
             let line = line(&curve.points, "insertCurve.points", curve.closed)?;
-            let (patch, curve) =
-                edit::insert_curve(&scene.sheet.surface(), &Curve::Drawn(&line), curve.closed, progress)
-                    .map_err(refused)?;
+            let (patch, curve) = edit::insert_curve(
+                &scene.sheet.surface(),
+                &SurfaceCurve::Drawn(&line),
+                curve.closed,
+                progress,
+            )
+            .map_err(refused)?;
             Ok(Planned {
                 patch,
                 curve,
@@ -130,7 +137,7 @@ pub(super) fn plan(
         }
         Some(Operation::Weld(weld)) => {
             let tolerance = positive(weld.tolerance, "weld.tolerance")?;
-            let patch = edit::weld(&scene.sheet.surface(), tolerance, progress).map_err(refused)?;
+            let patch = edit::weld_points(&scene.sheet.surface(), tolerance, progress).map_err(refused)?;
             Ok(simple(patch))
         }
     }
@@ -153,14 +160,19 @@ impl Scene<'_> {
     }
 }
 
-fn cut(scene: &Scene<'_>, cut: &wire::Cut, progress: &dyn Progress) -> Result<Patch, Error> {
+fn cut(scene: &Scene<'_>, cut: &wire::Cut, progress: &dyn Progress) -> Result<SurfacePatch, Error> {
     let keep = match enumerated(cut.keep, "cut.keep")? {
-        wire::cut::Keep::Both => Keep::Both,
-        wire::cut::Keep::Above => Keep::Above,
-        wire::cut::Keep::Below => Keep::Below,
+        wire::cut::Keep::Both => KeptSide::Both,
+        wire::cut::Keep::Above => KeptSide::Above,
+        wire::cut::Keep::Below => KeptSide::Below,
     };
     let surface = scene.sheet.surface();
     let hard = scene.hard();
+    let options = CutOptions {
+        keep,
+        fill: cut.fill,
+        hard_caps: &hard,
+    };
     let ways = [cut.plane.is_some(), !cut.polyline.is_empty(), !cut.path.is_empty()];
     if ways.iter().filter(|w| **w).count() != 1 {
         let seen = ways.iter().filter(|w| **w).count();
@@ -171,16 +183,16 @@ fn cut(scene: &Scene<'_>, cut: &wire::Cut, progress: &dyn Progress) -> Result<Pa
     }
     if let Some(wanted) = &cut.plane {
         let (normal, point) = plane(wanted, "cut.plane")?;
-        let cutter = Plane {
+        let cutter = CutPlane {
             normal,
             offset: normal.dot(point),
         };
-        return edit::cut_plane(&surface, &cutter, keep, cut.fill, &hard, progress).map_err(refused);
+        return edit::cut_by_plane(&surface, &cutter, &options, progress).map_err(refused);
     }
     if !cut.polyline.is_empty() {
         let line = line(&cut.polyline, "cut.polyline", cut.closed)?;
-        let curve = Curve::Drawn(&line);
-        return edit::cut_path(&surface, &curve, cut.closed, keep, cut.fill, &hard, progress).map_err(refused);
+        let curve = SurfaceCurve::Drawn(&line);
+        return edit::cut_along_curve(&surface, &curve, cut.closed, &options, progress).map_err(refused);
     }
     let mut path = Vec::with_capacity(cut.path.len());
     for (k, &vertex) in cut.path.iter().enumerate() {
@@ -195,16 +207,7 @@ fn cut(scene: &Scene<'_>, cut: &wire::Cut, progress: &dyn Progress) -> Result<Pa
             }
         }
     }
-    edit::cut_path(
-        &surface,
-        &Curve::Along(&path),
-        cut.closed,
-        keep,
-        cut.fill,
-        &hard,
-        progress,
-    )
-    .map_err(refused)
+    edit::cut_along_curve(&surface, &SurfaceCurve::Along(&path), cut.closed, &options, progress).map_err(refused)
 }
 
 fn line(values: &[f64], field: &str, closed: bool) -> Result<Vec<DVec3>, Error> {
@@ -221,11 +224,11 @@ fn line(values: &[f64], field: &str, closed: bool) -> Result<Vec<DVec3>, Error> 
     Ok(values.chunks_exact(3).map(DVec3::from_slice).collect())
 }
 
-fn remesh(scene: &Scene<'_>, remesh: &wire::Remesh, progress: &dyn Progress) -> Result<Patch, Error> {
+fn remesh(scene: &Scene<'_>, remesh: &wire::Remesh, progress: &dyn Progress) -> Result<SurfacePatch, Error> {
     let faces = scene.faces(remesh.region.as_ref(), "remesh.region")?;
     let rest = Arc::clone(scene.bench.rest());
     let target = match (remesh.auto, remesh.edge_length) {
-        (true, 0.0) => Target::Auto { rest: &rest },
+        (true, 0.0) => RemeshTarget::Auto { rest: &rest },
         (true, seen) => {
             let problem = format!("is {seen}, but auto takes its lengths from the rest shape; leave one of them out");
             return Err(Error::invalid("remesh.edgeLength", problem));
@@ -236,9 +239,9 @@ fn remesh(scene: &Scene<'_>, remesh: &wire::Remesh, progress: &dyn Progress) -> 
                 "is missing; give a length or set auto",
             ));
         }
-        (false, length) => Target::Length(positive(length, "remesh.edgeLength")?),
+        (false, length) => RemeshTarget::Length(positive(length, "remesh.edgeLength")?),
     };
-    edit::remesh(&scene.sheet.surface(), &faces, target, progress).map_err(refused)
+    edit::remesh_region(&scene.sheet.surface(), &faces, target, progress).map_err(refused)
 }
 
 /// Appends the other model to sheet and origins, and plans how they are joined.
@@ -316,10 +319,10 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
         given => positive(given, "merge.tolerance")?,
     };
     let patch = match how {
-        wire::merge::How::Loose => Patch::default(),
+        wire::merge::How::Loose => SurfacePatch::default(),
         wire::merge::How::Weld => edit::weld_boundaries(&surface, first_point, tolerance, progress).map_err(refused)?,
         wire::merge::How::Stitch => {
-            edit::stitch(&surface, Between::Appended(first_point), progress).map_err(refused)?
+            edit::stitch_boundaries(&surface, LoopPair::Appended(first_point), progress).map_err(refused)?
         }
     };
     Ok(Planned {

@@ -2,7 +2,7 @@
 //! model is written.
 
 use crate::asset::{Base, Error, Format, Model, Recipes, Remade, Run, Written, write_remade};
-use crate::edit::{Applied, Patch};
+use crate::edit::{PatchedSurface, SurfacePatch};
 use crate::mesh::NONE;
 use glam::{DAffine3, DVec3};
 use std::sync::Arc;
@@ -56,7 +56,7 @@ impl Origins {
     }
 
     /// What the vertices are made of after an edit. `bare` tells of new vertices whether their surface is the edit's own.
-    pub fn after(&self, applied: &Applied, patch: &Patch, bare: impl Fn(usize) -> bool) -> Self {
+    pub fn after(&self, applied: &PatchedSurface, patch: &SurfacePatch, bare: impl Fn(usize) -> bool) -> Self {
         let old = self.recipes.len();
         let mut recipes = Recipes::default();
         let mut flags = Vec::with_capacity(applied.old_from_vertex.len());
