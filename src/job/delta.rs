@@ -1,6 +1,6 @@
 //! What an edit changed of the solver's mesh, small enough to be kept: enough to make the mesh after it from that before.
 
-use crate::edit::Applied;
+use crate::edit::PatchedSurface;
 use crate::graph::Change;
 use crate::mesh::{Mesh, NONE};
 use glam::DVec3;

@@ -9,7 +9,7 @@ use super::workbench::Limits;
 use super::{Error, pb};
 use crate::asset::Model;
 use crate::deform::{Body, BodyOptions, Followed, VolumeMode};
-use crate::edit::Applied;
+use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::{Adjacency, Components, Mesh, Report, inspect};

@@ -1,12 +1,13 @@
 //! Drawing curves into a surface: points are laid onto it and joined by lines that become edges.
 
-use super::nearest_face::{FacePosition, TriangleRuns, corner_shares};
+use super::nearest_face::{FacePosition, TriangleRuns};
 use super::trace::{SNAP, TraceFailure, TraceStep, trace_along_edges, trace_straight};
 use crate::edit::error::{EditSubject, Error};
 use crate::edit::patch::SurfacePatch;
 use crate::edit::region_mesh::{RegionMesh, edge_key};
 use crate::edit::surface::{BitSet, SurfaceView};
 use crate::mesh::Components;
+use crate::mesh::query::closest_point::barycentric_coordinates;
 use crate::progress::{Progress, check};
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -298,7 +299,7 @@ fn insert_point(mesh: &mut RegionMesh, place: &FacePosition) -> Option<u32> {
     });
     let at = |f: usize| mesh.corner_positions(f as u32);
     let inside = |f: &usize| {
-        let s = corner_shares(at(*f), place.position);
+        let s = barycentric_coordinates(at(*f), place.position);
         if s.iter().all(|s| s.is_finite()) {
             s[0].min(s[1]).min(s[2])
         } else {
@@ -309,7 +310,7 @@ fn insert_point(mesh: &mut RegionMesh, place: &FacePosition) -> Option<u32> {
         .chain(old)
         .max_by(|a, b| inside(a).total_cmp(&inside(b)).then(b.cmp(a)))?;
     let face = mesh.faces[f];
-    let share = corner_shares(at(f), place.position);
+    let share = barycentric_coordinates(at(f), place.position);
     if !share.iter().all(|s| s.is_finite()) {
         // No area: the nearest corner.
         let far = |p: &u32| mesh.position(*p).distance_squared(place.position);

@@ -2,6 +2,7 @@
 //! in the file lie close together, so the boxes of such runs sort out nearly all of them.
 
 use crate::edit::surface::SurfaceView;
+use crate::mesh::query::closest_point::closest_barycentric_point;
 use glam::DVec3;
 
 /// Triangles in a run.
@@ -45,7 +46,7 @@ impl TriangleRuns {
                 if surface.proper_points(face as u32).is_none() {
                     continue;
                 }
-                let position = nearest_on_triangle(surface.corner_positions(face as u32), x);
+                let position = closest_barycentric_point(x, surface.corner_positions(face as u32));
                 let place = FacePosition {
                     face: face as u32,
                     position,
@@ -71,36 +72,6 @@ impl TriangleRuns {
             }
         }
     }
-}
-
-/// The shares of the corners at `x`, or at its foot in the triangle's plane; not finite for a triangle without area.
-pub(super) fn corner_shares([a, b, c]: [DVec3; 3], x: DVec3) -> [f64; 3] {
-    let normal = (b - a).cross(c - a);
-    let whole = normal.length_squared();
-    let part = |p: DVec3, q: DVec3| (p - x).cross(q - x).dot(normal) / whole;
-    let (first, second) = (part(b, c), part(c, a));
-    [first, second, 1.0 - first - second]
-}
-
-/// The place on a triangle that is nearest to `x`.
-fn nearest_on_triangle(corners: [DVec3; 3], x: DVec3) -> DVec3 {
-    let share = corner_shares(corners, x);
-    if share.iter().all(|&s| s >= 0.0) {
-        return corners[0] * share[0] + corners[1] * share[1] + corners[2] * share[2];
-    }
-    let on_edge = |k: usize| {
-        let (a, b) = (corners[k], corners[(k + 1) % 3]);
-        let along = b - a;
-        let t = (x - a).dot(along) / along.length_squared();
-        if t > 0.0 { a + along * t.min(1.0) } else { a }
-    };
-    let [mut best, q, r] = [0, 1, 2].map(on_edge);
-    for other in [q, r] {
-        if other.distance_squared(x) < best.distance_squared(x) {
-            best = other;
-        }
-    }
-    best
 }
 
 #[cfg(test)]
@@ -140,7 +111,7 @@ mod tests {
             );
             let all = triangles
                 .iter()
-                .map(|t| nearest_on_triangle(t.map(|v| positions[v as usize]), x).distance(x));
+                .map(|t| closest_barycentric_point(x, t.map(|v| positions[v as usize])).distance(x));
             let least = all.fold(f64::INFINITY, f64::min);
             let found = runs.find_nearest(&surface, x).expect("a surface");
             assert_eq!(found.position.distance(x), least);

@@ -3,6 +3,7 @@
 use crate::edit::patch::EditWarning;
 use crate::edit::triangle;
 use crate::mesh::NONE;
+use crate::mesh::query::fan::is_single_oriented_fan;
 use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -287,7 +288,7 @@ impl RegionMesh {
 
     /// Whether the faces around `p` make one fan, open or closed, that turns one way.
     pub fn is_single_fan(&self, p: u32) -> bool {
-        is_single_fan(&mut self.fan_links(p))
+        is_single_oriented_fan(&mut self.fan_links(p))
     }
 
     /// All edges that the living faces of the region have, smaller end first, sorted.
@@ -333,52 +334,5 @@ impl RegionMesh {
             }
         }
         sides
-    }
-}
-
-/// Whether directed links make one path or one ring: each link leads from a corner to the next around the middle.
-pub(in crate::edit) fn is_single_fan(links: &mut [(u32, u32)]) -> bool {
-    links.sort_unstable();
-    if links.is_empty() || links.windows(2).any(|l| l[0].0 == l[1].0) {
-        return false;
-    }
-    let mut ends: Vec<u32> = links.iter().map(|l| l.1).collect();
-    ends.sort_unstable();
-    if ends.windows(2).any(|e| e[0] == e[1]) {
-        return false;
-    }
-    // An open fan begins at the one corner that no link leads to; a ring begins anywhere.
-    let mut starts = links.iter().map(|l| l.0).filter(|s| ends.binary_search(s).is_err());
-    let start = starts.next().unwrap_or(links[0].0);
-    if starts.next().is_some() {
-        return false;
-    }
-    let mut here = start;
-    for step in 0..links.len() {
-        let Ok(i) = links.binary_search_by_key(&here, |l| l.0) else {
-            return false;
-        };
-        here = links[i].1;
-        if here == start {
-            return step + 1 == links.len();
-        }
-    }
-    true
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rings_and_paths_are_fans_and_pairs_of_them_are_not() {
-        assert!(is_single_fan(&mut [(1, 2), (3, 1), (2, 3)]), "a ring");
-        assert!(is_single_fan(&mut [(7, 2), (2, 5)]), "an open fan");
-        assert!(!is_single_fan(&mut [(1, 2), (3, 4)]), "two leaves that touch");
-        assert!(!is_single_fan(&mut [(1, 2), (2, 1), (3, 4), (4, 3)]), "two rings");
-        assert!(!is_single_fan(&mut [(1, 2), (3, 2)]), "a leaf turned over");
-        assert!(!is_single_fan(&mut [(1, 2), (1, 3)]), "three faces at an edge");
-        assert!(!is_single_fan(&mut [(1, 2), (3, 4), (4, 3)]), "a leaf and a ring");
-        assert!(!is_single_fan(&mut []));
     }
 }

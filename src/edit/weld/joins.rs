@@ -2,6 +2,7 @@
 
 use crate::edit::surface::{BitSet, SurfaceView};
 use crate::edit::triangle;
+use crate::mesh::query::fan::group_fans;
 use glam::DVec3;
 use std::collections::BTreeSet;
 
@@ -208,20 +209,11 @@ impl PointJoins {
     }
 }
 
-/// Into how many groups faces around a point fall when neighbours share an edge.
+/// Into how many fans the faces around a point fall.
 fn count_fans(links: &[(u32, u32)]) -> usize {
-    let mut group: Vec<usize> = (0..links.len()).collect();
-    for i in 0..links.len() {
-        for j in 0..i {
-            let (a, b) = (links[i], links[j]);
-            let touch = a.0 == b.0 || a.0 == b.1 || a.1 == b.0 || a.1 == b.1;
-            let (x, y) = (group[i], group[j]);
-            if touch && x != y {
-                group.iter_mut().filter(|g| **g == x).for_each(|g| *g = y);
-            }
-        }
-    }
-    group.sort_unstable();
-    group.dedup();
-    group.len()
+    let spokes = links
+        .iter()
+        .zip(0u32..)
+        .flat_map(|(&(a, b), face)| [(a, face), (b, face)]);
+    group_fans(links.len(), spokes).1
 }
