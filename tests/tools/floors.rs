@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in README.md.
-const FLOORS: [(&str, u8); 16] = [
+const FLOORS: [(&str, u8); 18] = [
     ("mesh", 0),
     ("asset", 0),
     ("pool", 0),
@@ -20,20 +20,26 @@ const FLOORS: [(&str, u8); 16] = [
     ("render", 1),
     ("deform", 2),
     ("edit", 2),
-    ("job", 3),
+    ("engine", 3),
+    ("wire", 3),
+    ("batch", 4),
     ("session", 4),
     ("check", 4),
     ("server", 5),
     ("cli", 5),
 ];
 
+/// Rooms of the house that are crates of their own: `src/<room>/src` holds their sources, `tests` and `examples` stand beside it.
+/// The modules named after the crate keep a floor of their own, and the library re-exports them at its root.
+const CRATES: [(&str, &[&str]); 1] = [("solver", &["pool", "progress", "exec"])];
+
 /// Names that floors 0 to 3 must not use outside tests, and what to do instead.
 const FOREIGN: [(&str, &str); 22] = [
     ("tokio", "floors 0 to 3 are synchronous; await in session or above"),
-    ("tonic", "transports are server's; take and return messages of job::pb"),
-    ("axum", "transports are server's; take and return messages of job::pb"),
-    ("hyper", "transports are server's; take and return messages of job::pb"),
-    ("tower", "transports are server's; take and return messages of job::pb"),
+    ("tonic", "transports are server's; take and return messages of wire::pb"),
+    ("axum", "transports are server's; take and return messages of wire::pb"),
+    ("hyper", "transports are server's; take and return messages of wire::pb"),
+    ("tower", "transports are server's; take and return messages of wire::pb"),
     ("futures", "floors 0 to 3 are synchronous; await in session or above"),
     (
         "tracing",
@@ -41,11 +47,11 @@ const FOREIGN: [(&str, &str); 22] = [
     ),
     (
         "Instant",
-        "engines read no clock; let the caller pass one in, as job::run does",
+        "engines read no clock; let the caller pass one in, as batch::run does",
     ),
     (
         "SystemTime",
-        "engines read no clock; let the caller pass one in, as job::run does",
+        "engines read no clock; let the caller pass one in, as batch::run does",
     ),
     (
         "std::net",
@@ -334,7 +340,20 @@ fn sources() -> Vec<File> {
             if matches!(module.last().map(String::as_str), Some("mod" | "lib")) {
                 module.pop();
             }
-            let (named, test_files) = paths(&text, &module);
+            let own_crate = CRATES
+                .iter()
+                .find(|(room, _)| module.first().is_some_and(|m| m == room));
+            let beside = own_crate.is_some() && module.get(1).is_none_or(|m| m != "src");
+            if own_crate.is_some() {
+                module.drain(..if beside { 1 } else { 2 });
+            }
+            let (mut named, test_files) = paths(&text, &module);
+            if let Some((room, floors)) = own_crate {
+                named
+                    .iter_mut()
+                    .for_each(|n| in_the_house(&mut n.path, 1, room, floors));
+                in_the_house(&mut module, 0, room, floors);
+            }
             let place = format!("src/{}", inside.display());
             (
                 File {
@@ -342,7 +361,7 @@ fn sources() -> Vec<File> {
                     module,
                     lines: text.lines().count(),
                     named,
-                    test: false,
+                    test: beside,
                 },
                 test_files,
             )
@@ -357,9 +376,17 @@ fn sources() -> Vec<File> {
         })
         .collect();
     for (file, _) in &mut read {
-        file.test = (1..=file.module.len()).any(|k| test_modules.contains(&file.module[..k]));
+        file.test |= (1..=file.module.len()).any(|k| test_modules.contains(&file.module[..k]));
     }
     read.into_iter().map(|(file, _)| file).collect()
+}
+
+/// Turns a path from the root of a room's own crate into one from the root of the library.
+fn in_the_house(path: &mut Vec<String>, root: usize, room: &str, floors: &[&str]) {
+    let from_root = root == 0 || path[0] == "crate";
+    if from_root && path.get(root).is_none_or(|m| !floors.contains(&m.as_str())) {
+        path.insert(root, room.to_owned());
+    }
 }
 
 fn walk(folder: &Path, files: &mut Vec<PathBuf>) {
@@ -546,7 +573,7 @@ fn the_scanner_sees_every_way_to_name_a_module() {
         use crate::{mesh::{Mesh, weld}, pool, progress::Progress as P};
         use super::super::graph::Graph;
         /* crate::server /* nested */ crate::server */
-        fn f<'a>(x: &'a str) -> char { let _ = "crate::session"; let _ = r#"crate::"cli" "#; let q = '"'; crate::job::run(x); q }
+        fn f<'a>(x: &'a str) -> char { let _ = "crate::session"; let _ = r#"crate::"cli" "#; let q = '"'; crate::batch::run(x); q }
         mod inner { use super::neighbour; use super::super::super::solver; }
         #[cfg(test)]
         mod tests { use std::time::Instant; fn g() { println!("{}", 'x'); } }
@@ -563,7 +590,7 @@ fn the_scanner_sees_every_way_to_name_a_module() {
         "crate::pool",
         "crate::progress::Progress",
         "crate::graph::Graph",
-        "crate::job::run",
+        "crate::batch::run",
         "crate::deform::rig::neighbour",
         "crate::solver",
         "std::time::Instant::now",
