@@ -1,12 +1,15 @@
 //! Runs a whole job in process: open, set handles, solve every step, write.
 
 use crate::asset::{FileSet, Format, Written};
-use crate::engine::{Deformer, DeformerLimits, EditCommand, SolveMode, digest};
+use crate::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode, digest};
 use crate::exec::Exec;
 use crate::mesh::MeshReport;
 use crate::progress::Progress as _;
 use crate::stage_clock::StageClock;
-use crate::wire::{DeformOptions, Error, edit_name, pb};
+use crate::wire::{
+    DeformOptions, Error, change_poses, edit, edit_name, edit_result, handle_set, open_options, pb, quality_message,
+    session_message,
+};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -42,107 +45,54 @@ pub fn run(
     exec: &Exec<'_>,
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<BatchOutcome, Error> {
-    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+    let options = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
     let stages = StageClock::new(millis, exec.progress);
-    let mut bench = Deformer::open(
-        files,
-        &job.create.clone().unwrap_or_default(),
-        limits,
-        &Exec::new(exec.pool, &stages),
-    )?;
-    let request = pb::SetHandlesRequest {
-        session_id: String::new(),
-        handles: job.handles.clone(),
-        symmetry_plane: job.symmetry_plane.clone(),
-        region_of_interest: job.region_of_interest.clone(),
-    };
-    bench.set_handles(&request, &Exec::new(exec.pool, &stages))?;
+    let exec = Exec::new(exec.pool, &stages);
+    let mut batch = BatchRun::open(files, job, &options, limits, &exec)?;
     let build_ms = stages.take_stage_ms();
 
-    let mut in_force = bench.initial_poses();
-    let mut positions = bench.rest().clone();
-    // How these came about, and what edits warned of.
-    let mut solved_with: Option<&DeformOptions> = None;
-    let mut warned: Vec<String> = Vec::new();
     let mut steps = Vec::new();
     for (k, todo_now) in todo.iter().enumerate() {
         let fraction = k as f32 / todo.len() as f32;
-        let step = |e| at_step(e, k, &warned);
-        let mut done = match todo_now {
+        let done = match todo_now {
             Todo::Pose(pose) => {
                 stages.report("solve", fraction);
-                in_force = bench.posed(&in_force, pose).map_err(step)?;
-                let solved = bench
-                    .solve(
-                        &in_force,
-                        &settings,
-                        SolveMode::Commit,
-                        &Exec::new(exec.pool, &stages),
-                        &mut |_| true,
-                    )
-                    .map_err(step)?;
-                stages.report("quality", 0.0);
-                let quality = bench.measure(&solved.positions, &settings.output, &Exec::new(exec.pool, &stages))?;
-                positions = solved.positions;
-                solved_with = Some(&settings);
-                pb::report::Step {
-                    kind: "pose".into(),
-                    cycles: solved.cycles,
-                    residual: solved.residual,
-                    max_error: solved.max_error,
-                    quality: Some(quality),
-                    solver: solved.solver.into(),
-                    ..Default::default()
-                }
+                batch.pose(pose, &exec)
             }
             Todo::Edit(request) => {
                 stages.report("edit", fraction);
-                let order = EditCommand {
-                    request,
-                    shape: &positions,
-                    poses: &in_force,
-                    settings: solved_with,
-                    other: None,
-                };
-                if !request.session_id.is_empty() {
-                    let problem = "names a session, but a job edits its own model; leave it out";
-                    return Err(step(Error::invalid("edit.sessionId", problem)));
-                }
-                let outcome = bench.edit(&order, &Exec::new(exec.pool, &stages)).map_err(step)?;
-                solved_with = solved_with.filter(|_| outcome.solved.is_some());
-                let told = outcome.result.warnings.iter();
-                warned.extend(told.map(|w| format!("steps[{k}]: {}: {}", w.code, w.message)));
-                in_force = outcome.poses;
-                positions = outcome.positions;
-                pb::report::Step {
-                    kind: "edit".into(),
-                    edit: Some(outcome.result),
-                    ..Default::default()
-                }
+                batch.edit(k, request, &exec)
             }
         };
+        let mut done = done.map_err(|e| at_step(e, k, &batch.warned))?;
         let mut ms = stages.take_stage_ms();
         ms.insert("build".into(), if k == 0 { build_ms.values().sum() } else { 0.0 });
-        let facts = bench.facts().solver.unwrap_or_default();
+        let facts = batch.deformer.facts().solver;
         done.ms = ms.into_iter().collect();
         done.levels = facts.levels.len() as u32;
-        done.bytes = facts.bytes;
-        done.digest = digest(&positions);
-        done.field_cycles = bench.rig().map_or(0, |r| r.field_iterations as u32);
+        done.bytes = facts.byte_size;
+        done.digest = digest(&batch.positions);
+        done.field_cycles = batch.deformer.rig().map_or(0, |r| r.field_iterations as u32);
         steps.push(done);
     }
     let quality = match steps.last().and_then(|step: &pb::report::Step| step.quality) {
         Some(quality) => quality,
-        None => bench.measure(&positions, &settings.output, &Exec::new(exec.pool, &stages))?,
+        None => batch.quality(&exec)?,
     };
     stages.report("encode", 0.0);
-    let written = bench.write(&positions, format.unwrap_or(bench.model().format))?;
+    let BatchRun {
+        deformer,
+        poses,
+        positions,
+        ..
+    } = batch;
+    let written = deformer.write(&positions, format.unwrap_or(deformer.model().format))?;
     if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take_stage_ms().remove("encode")) {
         step.ms.insert("encode".into(), ms);
     }
-    let facts = bench.facts();
+    let facts = session_message(&deformer.facts());
     let report = pb::Report {
         model: facts.model,
         warnings: facts.warnings,
@@ -157,13 +107,109 @@ pub fn run(
     let (unmet, unchecked) = unmet_expectations(job.expect.as_ref(), &report);
     Ok(BatchOutcome {
         report,
-        triangles: bench.geometry().triangles.clone(),
-        constraint_error: bench.constraint_error(&positions, &in_force)?,
+        triangles: deformer.geometry().triangles.clone(),
+        constraint_error: deformer.constraint_error(&positions, &poses)?,
         positions,
         written,
         unmet,
         unchecked,
     })
+}
+
+/// A job under way.
+struct BatchRun<'a> {
+    deformer: Deformer,
+    options: &'a DeformOptions,
+    /// The poses in force.
+    poses: HandlePoses,
+    /// The shape.
+    positions: Arc<Vec<DVec3>>,
+    /// Whether it was solved, and is not at rest.
+    is_solved: bool,
+    /// What edits warned of.
+    warned: Vec<String>,
+}
+
+impl<'a> BatchRun<'a> {
+    /// Opens the model and sets the handles.
+    fn open(
+        files: FileSet,
+        job: &pb::Job,
+        options: &'a DeformOptions,
+        limits: &DeformerLimits,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
+        let create = open_options(&job.create.clone().unwrap_or_default())?;
+        let mut deformer = Deformer::open(files, &create, limits, exec)?;
+        let request = pb::SetHandlesRequest {
+            session_id: String::new(),
+            handles: job.handles.clone(),
+            symmetry_plane: job.symmetry_plane.clone(),
+            region_of_interest: job.region_of_interest.clone(),
+        };
+        deformer.set_handles(handle_set(&request)?, exec)?;
+        Ok(Self {
+            poses: deformer.initial_poses(),
+            positions: Arc::clone(deformer.rest()),
+            deformer,
+            options,
+            is_solved: false,
+            warned: Vec::new(),
+        })
+    }
+
+    /// Solves a pose.
+    fn pose(&mut self, pose: &pb::Pose, exec: &Exec<'_>) -> Result<pb::report::Step, Error> {
+        self.poses = change_poses(&self.deformer, &self.poses, pose)?;
+        let (settings, mode) = (&self.options.solve, SolveMode::Commit);
+        let solved = (self.deformer).solve(&self.poses, settings, mode, exec, &mut |_| true)?;
+        self.positions = solved.positions;
+        self.is_solved = true;
+        exec.progress.report("quality", 0.0);
+        Ok(pb::report::Step {
+            kind: "pose".into(),
+            cycles: solved.cycles,
+            residual: solved.residual,
+            max_error: solved.max_error,
+            quality: Some(self.quality(exec)?),
+            solver: solved.solver.into(),
+            ..Default::default()
+        })
+    }
+
+    /// Edits the topology; `k` is the number of the step.
+    fn edit(&mut self, k: usize, request: &pb::EditRequest, exec: &Exec<'_>) -> Result<pb::report::Step, Error> {
+        if !request.session_id.is_empty() {
+            let problem = "names a session, but a job edits its own model; leave it out";
+            return Err(Error::invalid("edit.sessionId", problem));
+        }
+        let (edit, on) = edit(request, None)?;
+        let command = EditCommand {
+            edit: &edit,
+            on,
+            shape: &self.positions,
+            poses: &self.poses,
+            settings: self.is_solved.then_some(&self.options.solve),
+        };
+        let outcome = self.deformer.edit(&command, exec)?;
+        self.is_solved &= outcome.solved.is_some();
+        let noticed = outcome.report.warnings.iter();
+        (self.warned).extend(noticed.map(|w| format!("steps[{k}]: {}: {}", w.code, w.message)));
+        self.poses = outcome.poses;
+        self.positions = outcome.positions;
+        Ok(pb::report::Step {
+            kind: "edit".into(),
+            edit: Some(edit_result(&outcome.report)),
+            ..Default::default()
+        })
+    }
+
+    /// Compares the shape with the rest shape.
+    fn quality(&self, exec: &Exec<'_>) -> Result<pb::Quality, Error> {
+        let count_crossings = self.options.output.self_intersections;
+        let quality = (self.deformer).measure(&self.positions, count_crossings, exec)?;
+        Ok(quality_message(&quality))
+    }
 }
 
 /// One thing to do.
@@ -280,8 +326,8 @@ pub fn inspect(
     limits: &DeformerLimits,
     exec: &Exec<'_>,
 ) -> Result<pb::Inspection, Error> {
-    let bench = Deformer::open(files, create, limits, exec)?;
-    let facts = bench.facts();
+    let bench = Deformer::open(files, &open_options(create)?, limits, exec)?;
+    let facts = session_message(&bench.facts());
     let report: &MeshReport = bench.report();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     let renders = report.render_vertices - report.unreferenced_vertices;

@@ -1,86 +1,48 @@
 //! Topology operations: from a surface and what is asked for to the smallest patch that does it.
 //!
-//! An operation never touches the session's arrays. It reads a [`Surface`] and answers a [`Patch`]: which triangles go,
-//! which vertices and triangles come, what the new vertices are made of. [`apply`] turns surface and patch into the next
-//! surface with the maps between both, so that attributes, handles, graph and hierarchy can follow. What is far from the
-//! edit keeps its order and its bits. Knows no format, no handle and no solver.
+//! An operation never touches the session's arrays. It reads a [`SurfaceView`] and answers a [`SurfacePatch`]: which
+//! triangles go, which vertices and triangles come, what the new vertices are made of. [`apply_patch`] turns surface and
+//! patch into the next surface with the maps between both, so that attributes, handles, graph and hierarchy can follow.
+//! What is far from the edit keeps its order and its bits. The room knows no format, no request, no handle and no solver.
 //!
 //! Topology is that of *points* (welded vertices): a seam in texture coordinates is no gap. A cut that keeps both sides
 //! leaves two points at one place, so points are told apart by number, never by position.
+//!
+//! | room | what it does |
+//! |---|---|
+//! | `patch` | the patch, and applying it |
+//! | `region_mesh` | the one structure that operations change faces in |
+//! | `cut` | planes, curves along the surface, caps over what a cut opens |
+//! | `fill` | deleting faces, filling holes |
+//! | `remesh`, `decimate`, `subdivide` | other triangles for the same shape |
+//! | `stitch`, `weld` | joining boundaries and points |
+//!
+//! Beside them stand the surface that is read (`surface`), its boundary (`boundary`), its counts (`topology`), measures of
+//! a triangle (`triangle`) and errors (`error`).
 
-mod apply;
-mod cap;
-mod check;
-mod curve;
+mod boundary;
+mod cut;
 mod decimate;
-mod draft;
-mod editable;
-mod fair;
-mod fans;
+mod error;
 mod fill;
-mod finish;
-mod flips;
-mod hole;
-mod lid;
-mod local;
 mod patch;
-mod path;
-mod places;
-mod plane;
-mod polygon;
-mod refine;
+mod region_mesh;
 mod remesh;
-mod resolved;
-mod rims;
 mod stitch;
 mod subdivide;
-mod trace;
+mod surface;
+mod topology;
+mod triangle;
 mod weld;
 
-pub use apply::{Applied, apply};
-pub use check::{Topology, check};
-pub use curve::{Curve, MOST_POINTS, insert_curve};
-pub use decimate::decimate;
-pub use fill::{delete, fill};
-pub use local::{Local, Side};
-pub use patch::{NewTriangle, NewVertex, Patch, Surface};
-pub use path::cut_path;
-pub use plane::{Keep, Plane, cut_plane};
-pub use remesh::{ASPECT, MENDED, MOST_TRIANGLES, STRETCH, Target, remesh};
-pub use stitch::{Between, stitch};
-pub use subdivide::{Scheme, subdivide};
-pub use weld::{weld, weld_boundaries};
-
-/// Why an edit cannot be done. The surface is as it was.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Error {
-    /// A value that the operation does not allow.
-    #[error("{field}: {problem}")]
-    Invalid {
-        /// The field as in the request, for example `cut.plane.normal`.
-        field: String,
-        /// What was seen and what is allowed.
-        problem: String,
-    },
-    /// The values are allowed, but not on this surface: the plane misses, loops do not match.
-    #[error("{problem} ({place})")]
-    Impossible {
-        /// What stands against it, and a hint.
-        problem: String,
-        /// Where: points, faces or coordinates.
-        place: String,
-    },
-    /// The result would exceed a limit.
-    #[error("the result would have {seen} {what}, the limit is {limit}")]
-    TooLarge {
-        /// Of what.
-        what: &'static str,
-        /// How many.
-        seen: u64,
-        /// How many are allowed.
-        limit: u64,
-    },
-    /// The caller gave up.
-    #[error("cancelled")]
-    Cancelled,
-}
+pub use cut::{CutOptions, CutPlane, KeptSide, MOST_POINTS, SurfaceCurve, cut_along_curve, cut_by_plane, insert_curve};
+pub use decimate::decimate_region;
+pub use error::{EditSubject, Error, ErrorPlace};
+pub use fill::{delete_faces, fill_holes};
+pub use patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch, apply_patch};
+pub use remesh::{ASPECT, MENDED, MOST_TRIANGLES, RemeshTarget, STRETCH, remesh_region};
+pub use stitch::{LoopPair, stitch_boundaries};
+pub use subdivide::{SubdivisionScheme, subdivide_region};
+pub use surface::SurfaceView;
+pub use topology::{SurfaceTopology, verify_surface};
+pub use weld::{weld_boundaries, weld_points};

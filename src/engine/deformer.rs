@@ -222,7 +222,7 @@ impl Deformer {
     /// Returns what is to be told about model, solver and handles.
     pub fn facts(&self) -> DeformerFacts {
         let DerivedStructures { mesh, parts, body, .. } = self.derived.as_ref();
-        let levels = body.hierarchy.levels().iter();
+        let levels = body.hierarchy.levels();
         let warnings: Vec<DeformerWarning> = (self.derived.warnings().into_iter())
             .chain(self.handles.warnings.iter().cloned())
             .collect();
@@ -243,7 +243,7 @@ impl Deformer {
                 graph_vertices: count_u32(body.nodes()),
                 graph_edges: body.graph.neighbours.len() as u64 / 2,
                 components: count_u32(parts.count),
-                levels: levels.map(|l| (count_u32(l.vertices), l.edges as u64)).collect(),
+                levels: levels.iter().map(|l| (count_u32(l.vertices), l.edges as u64)).collect(),
                 byte_size: self.byte_size(),
             },
             handles: self.handle_facts(),
@@ -294,19 +294,11 @@ impl Deformer {
             rigging: c.fields.setup(),
             old_from_new: &followed.old_from_new,
         });
-<<<<<<< HEAD
         let regions = self.rest_regions();
         let (resolved, rigging) = resolve_handles(&regions, body, handles, self.options.policy, before)?;
         let field_bytes = (rigging.handles.len() as u64 + 1) * body.nodes() as u64 * 12;
         admit_bytes(self.estimate() + field_bytes, &self.limits)?;
         let restart = carried.map(|c| FieldRestart {
-=======
-        let (ground, most) = (self.ground(), self.limits.handles);
-        let (set, rigging) = resolve_handles(&ground, body, request, self.choices.policy, before, most)?;
-        let field_bytes = (rigging.handles.len() as u64 + 1) * body.nodes() as u64 * 12;
-        admit(self.estimate() + field_bytes, &self.limits)?;
-        let restart = carried.map(|c| FieldRestart {
->>>>>>> main
             before: &c.fields,
             old_from_new: &followed.old_from_new,
             touched: &followed.touched,

@@ -9,21 +9,11 @@ use super::facts::DeformerWarning;
 use super::settings::OpenOptions;
 use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyId, TopologyLineage, TopologyState};
 use crate::asset::Model;
-<<<<<<< HEAD
 use crate::deform::{DeformableBody, BodyOptions, EditedBody, VolumeMode};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
-=======
-use crate::deform::{BodyOptions, DeformableBody, EditedBody, VolumeMode};
-use crate::edit::Applied;
-use crate::exec::Exec;
-use crate::graph::estimate_nodes;
-use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
-use crate::wire::OpenOptions;
-use crate::wire::{Error, pb};
->>>>>>> main
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
 
@@ -85,13 +75,8 @@ impl DerivedStructures {
         } else {
             mesh.positions.len()
         };
-<<<<<<< HEAD
         admit_bytes(estimate(vertices, nodes as u64) + files, limits)?;
         let body = DeformableBody::build(&mesh, &body_options(&topology, options, limits), exec)?;
-=======
-        admit(estimate(vertices, nodes as u64) + files, limits)?;
-        let body = DeformableBody::build(&mesh, &options(&foundation, choices, limits), exec)?;
->>>>>>> main
         let parts = parts_of(&mesh);
         Ok(Self::new(
             TopologyLineage::built(id, topology),
@@ -189,7 +174,7 @@ impl DerivedStructures {
     }
 
     fn new(
-        path: TopologyLineage,
+        lineage: TopologyLineage,
         mesh: Mesh,
         parts: Components,
         body: DeformableBody,
@@ -280,24 +265,10 @@ pub(super) fn admit_bytes(bytes: u64, limits: &DeformerLimits) -> Result<(), Err
     })
 }
 
-<<<<<<< HEAD
 fn model_warnings(model: &Model, report: &MeshReport) -> Vec<DeformerWarning> {
     let read = model.warnings.iter();
     let read = read.map(|(code, message, place)| DeformerWarning::new(code, message, place));
     let found = report.warnings.iter();
     let found = found.map(|w| DeformerWarning::new(w.code, &w.message, &w.place));
-=======
-fn warnings_of(model: &Model, report: &MeshReport) -> Vec<pb::Warning> {
-    let read = model.warnings.iter().map(|(code, message, place)| pb::Warning {
-        code: code.clone(),
-        message: message.clone(),
-        r#where: place.clone(),
-    });
-    let found = report.warnings.iter().map(|w| pb::Warning {
-        code: w.code.into(),
-        message: w.message.clone(),
-        r#where: w.place.clone(),
-    });
->>>>>>> main
     read.chain(found).collect()
 }

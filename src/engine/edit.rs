@@ -18,12 +18,6 @@ use super::topology_state::{KeptHandleFields, TopologyState};
 use super::{Deformer, digest};
 use crate::edit::{PatchedSurface, apply_patch};
 use crate::exec::Exec;
-<<<<<<< HEAD
-=======
-use crate::graph::{GraphRecipe, GraphStats, MeshGraph};
-use crate::wire::check::enumerated;
-use crate::wire::{DeformOptions, Error, pb};
->>>>>>> main
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -253,63 +247,7 @@ impl Deformer {
             centroids: self.centroids(),
         };
         let poses = poses.map(|p| p.0.as_slice());
-<<<<<<< HEAD
         Ok(carry_handles(&held, poses, applied, &planned.patch))
-=======
-        Ok(carry(old, &held, self.centroids(), poses, applied, &planned.patch))
-    }
-
-    /// A graph of which regions hold no node.
-    fn without_nodes(&self) -> MeshGraph {
-        MeshGraph {
-            offsets: vec![0],
-            neighbours: Vec::new(),
-            weights: None,
-            positions: Vec::new(),
-            surface: self.derived.mesh.positions.len(),
-            nearest_surface: Vec::new(),
-            component: Vec::new(),
-            components: 0,
-            stats: GraphStats::default(),
-            recipe: GraphRecipe::default(),
-        }
-    }
-
-    /// The triangles of a region in the shape that is edited, rising: those with at least `corners` corners inside. All of
-    /// them without a region.
-    pub(super) fn faces(
-        &self,
-        sheet: &EditSurface,
-        shape: &[DVec3],
-        region: Option<&pb::Region>,
-        corners: usize,
-        field: &str,
-    ) -> Result<Vec<u32>, Error> {
-        if region.is_none() {
-            return Ok((0..sheet.triangles.len() as u32).collect());
-        }
-        let blank = self.without_nodes();
-        let current = !std::ptr::eq(shape.as_ptr(), self.rest().as_ptr());
-        let ground = region::RegionContext {
-            pose: if current { "the current shape" } else { "the rest pose" },
-            positions: shape,
-            graph: &blank,
-            ..self.ground()
-        };
-        let marks = region::resolve(&ground, region, None, field)?.render;
-        let faces: Vec<u32> = (0u32..)
-            .zip(&sheet.triangles)
-            .filter(|(_, t)| t.iter().filter(|&&v| marks[v as usize]).count() >= corners)
-            .map(|(t, _)| t)
-            .collect();
-        if faces.is_empty() {
-            return Err(Error::invalid(
-                field,
-                "holds no triangle; a triangle is inside when its three corners are",
-            ));
-        }
-        Ok(faces)
->>>>>>> main
     }
 }
 

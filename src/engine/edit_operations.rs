@@ -7,21 +7,12 @@ use super::model_topology::{EditSurface, ModelTopology};
 use super::region::Region;
 use super::region_context::{RegionContext, vertices_in_region};
 use super::vertex_origins::VertexOrigins;
-<<<<<<< HEAD
 use crate::asset::{self, Model};
 use crate::edit::{
     self, CutOptions, CutPlane, KeptSide, LoopPair, PatchedSurface, RemeshTarget, SurfaceCurve, SurfacePatch,
 };
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
-=======
-use crate::asset::{self, FileSet, Format, Model};
-use crate::edit::{self, Applied, Between, Curve, Keep, MOST_POINTS, Patch, Plane, Scheme, Target};
-use crate::mesh::{Adjacency, BoundingBox, NONE, Weld, mean_edge_length};
-use crate::progress::Progress;
-use crate::wire::check::{enumerated, number, plane, positive};
-use crate::wire::{Error, pb};
->>>>>>> main
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use std::sync::Arc;
 

@@ -1,13 +1,8 @@
 //! Interior nodes within the memory that there is, and what a user should know of them.
 
 use super::DeformerLimits;
-<<<<<<< HEAD
 use super::facts::DeformerWarning;
 use crate::deform::{DeformableBody, BodyOptions, VolumeMode};
-=======
-use crate::deform::{BodyOptions, DeformableBody, VolumeMode};
-use crate::wire::pb;
->>>>>>> main
 
 /// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
 /// 1,150 on a solid of 128 K nodes, rounded up.
@@ -25,17 +20,8 @@ pub(super) fn fit_lattice(options: &mut BodyOptions, other: u64, limits: &Deform
 }
 
 /// What is unusual about the interior of a body that was built in `mode`.
-<<<<<<< HEAD
 pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<DeformerWarning> {
     let warning = |code: &str, message: String, place: String| DeformerWarning::new(code, message, place);
-=======
-pub(super) fn warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<pb::Warning> {
-    let warning = |code: &str, message: String, place: String| pb::Warning {
-        code: code.into(),
-        message,
-        r#where: place,
-    };
->>>>>>> main
     if mode == VolumeMode::Off {
         return Vec::new();
     }

@@ -1,12 +1,7 @@
 //! What an edit changed of the solver's mesh, small enough to be kept: enough to make the mesh after it from that before.
 
-<<<<<<< HEAD
 use crate::edit::PatchedSurface;
 use crate::graph::MeshChange;
-=======
-use crate::edit::Applied;
-use crate::graph::MeshChange;
->>>>>>> main
 use crate::mesh::{Mesh, NONE};
 use glam::DVec3;
 

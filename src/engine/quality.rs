@@ -32,13 +32,8 @@ const RUN: usize = 1 << 16;
 ///
 /// A triangle counts as flipped when its normal opposes the rest normal turned by the mean rotation around it, which is
 /// taken from its neighbours' normals: a fold shows, a part that was turned over as a whole does not.
-<<<<<<< HEAD
 pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> QualityReport {
     let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
-=======
-pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> pb::Quality {
-    let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
->>>>>>> main
     let (sums, flipped_triangles) = pool.install(|| {
         let blocks: Vec<QualitySums> = mesh
             .triangles

@@ -1,71 +1,8 @@
 //! A region: a set of vertices, told by where they are, by number or by weight.
 
-<<<<<<< HEAD
 use glam::DVec3;
 
 /// A set of vertices. Handles take it in the rest pose, an edit takes it in the shape that it works on; both in model space.
-=======
-use crate::asset::Primitive;
-use crate::graph::MeshGraph;
-use crate::mesh::query::NearestPoints;
-use crate::mesh::query::closest_point::closest_point_on_segment;
-use crate::mesh::{Components, Mesh, NONE};
-use crate::wire::check::{number, plane, positive, vector};
-use crate::wire::{Error, pb};
-use glam::DVec3;
-
-/// What regions are resolved against; all in the rest pose, or in the shape that is edited.
-pub(super) struct RegionContext<'a> {
-    /// Which of these, in words.
-    pub pose: &'static str,
-    pub positions: &'a [DVec3],
-    pub primitives: &'a [Primitive],
-    pub mesh: &'a Mesh,
-    pub parts: &'a Components,
-    pub graph: &'a MeshGraph,
-}
-
-/// A mirror: unit normal and a point of the plane.
-pub(super) type MirrorPlane = (DVec3, DVec3);
-
-/// The vertices of a region.
-#[derive(Debug, Clone, Default)]
-pub(super) struct ResolvedRegion {
-    /// By render vertex.
-    pub render: Vec<bool>,
-    /// MeshGraph nodes, rising. Inside nodes belong to a volume region by where they are, to a listed one by their nearest
-    /// surface vertex.
-    pub nodes: Vec<u32>,
-    /// Weight of each of `nodes`, for regions that give weights.
-    pub weights: Option<Vec<f64>>,
-}
-
-impl ResolvedRegion {
-    /// Mean of the region's solver vertices at rest; of its render vertices when none of them is in a face.
-    pub fn centroid(&self, ground: &RegionContext<'_>) -> DVec3 {
-        let surface = ground.graph.surface as u32;
-        let solver: Vec<DVec3> = self
-            .nodes
-            .iter()
-            .filter(|n| **n < surface)
-            .map(|n| ground.graph.positions[*n as usize])
-            .collect();
-        let points = match solver.is_empty() {
-            false => solver,
-            true => ground
-                .positions
-                .iter()
-                .zip(&self.render)
-                .filter(|(_, r)| **r)
-                .map(|(p, _)| *p)
-                .collect(),
-        };
-        points.iter().map(|p| *p / points.len().max(1) as f64).sum()
-    }
-}
-
-/// Resolves a region, as it stands or seen in a mirror.
->>>>>>> main
 ///
 /// A program that knows its vertices better than these shapes do lists them:
 ///

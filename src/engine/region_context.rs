@@ -3,7 +3,7 @@
 use super::error::{Error, InputPlace, RegionPlace};
 use super::region::{Region, VertexRange};
 use crate::asset::Primitive;
-use crate::graph::Graph;
+use crate::graph::MeshGraph;
 use crate::mesh::query::NearestPoints;
 use crate::mesh::query::closest_point::closest_point_on_segment;
 use crate::mesh::{Components, Mesh, NONE};

@@ -1,20 +1,12 @@
 //! Poses solved, and brought from the graph's nodes back to render vertices.
 
 use super::deformer::CommittedShape;
-<<<<<<< HEAD
 use super::error::{Error, InputPlace};
 use super::pose::{HandlePose, HandlePoses};
 use super::resolved_handles::ResolvedHandles;
 use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
 use super::Deformer;
 use crate::deform::{DeformableBody, CycleReport, Refinement, PoseRequest, HandleSystem, PoseSolution, SolveStart, Transform};
-=======
-use super::handles::ResolvedHandles;
-use super::{Deformer, HandlePoses};
-use crate::deform::{
-    CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
-};
->>>>>>> main
 use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
 use glam::{DVec3, Mat3};

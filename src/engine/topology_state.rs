@@ -9,12 +9,8 @@ use super::error::Error;
 use super::handle::HandleSet;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
-<<<<<<< HEAD
 use super::settings::OpenOptions;
 use crate::deform::{DeformableBody, EditedBody, KeptFields};
-=======
-use crate::deform::{DeformableBody, EditedBody, KeptFields};
->>>>>>> main
 use crate::exec::Exec;
 use glam::DVec3;
 use std::sync::Arc;
@@ -154,13 +150,8 @@ impl LineageOrigin {
                 }
             }
         };
-<<<<<<< HEAD
         let mesh = start.mesh(options.weld)?;
         let body = DeformableBody::build(&mesh, &fit(start), exec)?;
-=======
-        let mesh = start.mesh(choices.weld)?;
-        let body = DeformableBody::build(&mesh, &fit(start), exec)?;
->>>>>>> main
         let mut now = RetracedBody {
             body,
             nodes: FollowedNodes::default(),

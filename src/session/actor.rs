@@ -262,7 +262,7 @@ impl Actor {
             return Err(no_handles());
         }
         let (limit, part_bytes, diagonal) = (self.shared.config.solve, self.shared.config.part_bytes, state.diagonal);
-        let (revision, kept) = (self.history.revision() + 1, settings.clone());
+        let (revision, kept) = (self.history.revision() + 1, settings.solve.clone());
         let (solved, stop) = self
             .compute(
                 &call.cancel,
@@ -272,7 +272,7 @@ impl Actor {
                     let poses = bench.engine.posed(&state.poses, &pose)?;
                     let solved = bench.solve(
                         &poses,
-                        &settings,
+                        &settings.solve,
                         SolveMode::Commit,
                         &Exec::new(pool, stop),
                         &mut |_| true,

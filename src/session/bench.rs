@@ -4,10 +4,10 @@
 use super::Engine;
 use super::commits::Recipe;
 use crate::engine::Shader;
-use crate::engine::{EditCommand, EditOutcome, HandlePoses, SolveMode, SolveUpdate, SolvedShape, TopologyState};
+use crate::engine::{EditCommand, EditOutcome, HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState};
 use crate::exec::Exec;
 use crate::wire;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::pb;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -47,7 +47,7 @@ impl Bench {
     /// Makes `trail` the state that edits have left.
     pub fn go(&mut self, trail: Option<&TopologyState>, exec: &Exec<'_>) -> Result<(), wire::Error> {
         let Some(trail) = trail else { return Ok(()) };
-        if self.engine.trail().is_some_and(|now| now.same(trail)) {
+        if self.engine.trail().is_some_and(|now| now.is_same(trail)) {
             return Ok(());
         }
         self.engine.retrace(trail, exec)?;
@@ -100,7 +100,7 @@ impl Bench {
     pub fn solve(
         &mut self,
         poses: &HandlePoses,
-        settings: &DeformOptions,
+        settings: &SolveSettings,
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,

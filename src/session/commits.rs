@@ -4,8 +4,8 @@
 //! they fit a budget of bytes; an older one is solved again from its recipe, which gives the same bits. Knows no
 //! engine and no task: it is told what was solved.
 
-use crate::engine::{HandlePoses, TopologyState};
-use crate::wire::{DeformOptions, pb};
+use crate::engine::{HandlePoses, SolveSettings, TopologyState};
+use crate::wire::pb;
 use glam::DVec3;
 use prost::Message as _;
 use std::collections::{BTreeMap, VecDeque};
@@ -46,7 +46,7 @@ pub(super) enum Recipe {
         trail: Option<TopologyState>,
         handles: Arc<pb::SetHandlesRequest>,
         poses: HandlePoses,
-        settings: DeformOptions,
+        settings: SolveSettings,
     },
 }
 
@@ -184,7 +184,7 @@ impl History {
     pub fn commit_pose(
         &mut self,
         poses: HandlePoses,
-        settings: DeformOptions,
+        settings: SolveSettings,
         positions: Arc<Vec<DVec3>>,
         digest: String,
     ) {
@@ -225,7 +225,7 @@ impl History {
     }
 
     /// Records an edit: the state that it left, and how its shape came about. What was undone is gone.
-    pub fn commit_edit(&mut self, mut state: State, positions: Arc<Vec<DVec3>>, solved: Option<DeformOptions>) {
+    pub fn commit_edit(&mut self, mut state: State, positions: Arc<Vec<DVec3>>, solved: Option<SolveSettings>) {
         state.shape = self.next_shape;
         self.next_shape += 1;
         let trail = state.trail.clone();
@@ -307,9 +307,9 @@ impl History {
         let mut last = None;
         let mut bytes = 0;
         for trail in self.records.iter().filter_map(|r| r.state.trail.as_ref()) {
-            let known = |other: Option<&TopologyState>| other.is_some_and(|t| t.same(trail));
+            let known = |other: Option<&TopologyState>| other.is_some_and(|t| t.is_same(trail));
             if !known(now) && !known(last) {
-                bytes += trail.bytes();
+                bytes += trail.byte_size();
             }
             last = Some(trail);
         }
@@ -354,8 +354,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn settings() -> DeformOptions {
-        DeformOptions::check(&pb::Options::default(), "options", 8).expect("defaults")
+    fn settings() -> SolveSettings {
+        SolveSettings::default()
     }
 
     fn history(limit: usize, snapshot_bytes: u64) -> History {

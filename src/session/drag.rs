@@ -8,7 +8,7 @@ use super::mailbox::{Done, Mailbox, Work};
 use super::outgoing::Outgoing;
 use super::stop::Stop;
 use super::waiting::{Overlay, Waiting};
-use crate::engine::{HandlePoses, SolveMode, SolveUpdate, SolvedShape};
+use crate::engine::{HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape};
 use crate::engine::{Shading, digest};
 use crate::exec::Exec;
 use crate::pool::Pool;
@@ -157,7 +157,7 @@ impl Actor {
         let mut overlay = turn.overlay;
         if commit {
             metrics.commits.inc();
-            let kept = settings.as_ref().clone();
+            let kept = settings.solve.clone();
             self.history
                 .commit_pose(poses, kept, Arc::clone(&solved.positions), digest);
             self.publish();
@@ -305,7 +305,7 @@ fn solve(
         if stop.elapsed() >= budget || ((settings.progressive || refining) && mailbox.newer()) {
             return false;
         }
-        let unfinished = !reached(now, settings) || now.refined < settings.refine.unwrap_or(0);
+        let unfinished = !reached(now, settings) || now.refined < settings.solve.refine.unwrap_or(0);
         if settings.progressive && unfinished && mailbox.wants_more() {
             let positions = Arc::new((now.positions)());
             let shading = shade(&positions);
@@ -315,7 +315,7 @@ fn solve(
         true
     };
     let mode = if commit { SolveMode::Commit } else { SolveMode::Drag };
-    let solved = bench.solve(&poses, settings, mode, &Exec::new(pool, stop), &mut watch)?;
+    let solved = bench.solve(&poses, &settings.solve, mode, &Exec::new(pool, stop), &mut watch)?;
     let solve = stop.elapsed();
     let shading = shade(&solved.positions);
     let (digest, quality) = if commit {
@@ -338,5 +338,6 @@ fn solve(
 
 /// Whether a state is good enough, so that the final frame follows at once.
 fn reached(now: &SolveUpdate<'_>, settings: &DeformOptions) -> bool {
-    settings.tolerance.is_some_and(|t| now.residual <= t) || settings.max_error.is_some_and(|e| now.max_error <= e)
+    let SolveSettings { tolerance, max_error, .. } = &settings.solve;
+    tolerance.is_some_and(|t| now.residual <= t) || max_error.is_some_and(|e| now.max_error <= e)
 }

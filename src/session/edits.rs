@@ -108,12 +108,13 @@ impl Actor {
                         Recipe::Solved { settings, .. } => Some(settings),
                         Recipe::Rest { .. } => None,
                     };
+                    let (what, on) = wire::edit(&edit.request, edit.other.as_ref())?;
                     let order = EditCommand {
-                        request: &edit.request,
+                        edit: &what,
+                        on,
                         shape: &shape,
                         poses: &state.poses,
                         settings,
-                        other: edit.other,
                     };
                     let trail = state.trail.as_ref();
                     let outcome = bench.edit(trail, &state.handles, &order, &Exec::new(pool, stop))?;
@@ -124,11 +125,11 @@ impl Actor {
             .await?;
         let (outcome, facts, trail, diagonal) = done.map_err(|e| self.too_large(e, room, &stop))?;
         let stages = stop.take_stage_ms();
-        let mut result = outcome.result;
+        let mut result = wire::edit_result(&outcome.report);
         let state = State {
             trail,
             diagonal,
-            handles: Arc::new(outcome.handles),
+            handles: Arc::new(wire::handle_set_message(&outcome.handles)),
             poses: outcome.poses,
             facts: Arc::new(facts),
             // Numbered by the history.

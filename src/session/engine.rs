@@ -6,11 +6,11 @@
 use crate::asset::{FileSet, Format, Written};
 use crate::engine::Shader;
 use crate::engine::{
-    Deformer, DeformerLimits, EditCommand, EditOutcome, HandlePoses, SolveMode, SolveUpdate, SolvedShape, TopologyState,
+    Deformer, DeformerLimits, EditCommand, EditOutcome, HandlePoses, SolveMode, SolveUpdate, SolveSettings, SolvedShape, TopologyState,
 };
 use crate::exec::Exec;
 use crate::wire;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::pb;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ pub trait Engine: Send + 'static {
     fn solve(
         &mut self,
         poses: &HandlePoses,
-        settings: &DeformOptions,
+        settings: &SolveSettings,
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
@@ -72,7 +72,7 @@ pub trait Engine: Send + 'static {
     fn edit(&mut self, order: &EditCommand<'_>, _exec: &Exec<'_>) -> Result<EditOutcome, wire::Error> {
         Err(wire::Error::Unimplemented(format!(
             "the edit {}",
-            wire::edit_name(order.request)
+            wire::edit_kind_name(order.edit.kind())
         )))
     }
     /// Writes the model with new positions.
@@ -105,13 +105,13 @@ impl Opener for OpenWorkbench {
         limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Box<dyn Engine>, wire::Error> {
-        Ok(Box::new(Deformer::open(files, create, limits, exec)?))
+        Ok(Box::new(Deformer::open(files, &wire::open_options(create)?, limits, exec)?))
     }
 }
 
 impl Engine for Deformer {
     fn facts(&self) -> pb::Session {
-        Self::facts(self)
+        wire::session_message(&Self::facts(self))
     }
 
     fn rest(&self) -> Arc<Vec<DVec3>> {
@@ -123,7 +123,7 @@ impl Engine for Deformer {
     }
 
     fn bytes(&self) -> u64 {
-        Self::bytes(self)
+        self.byte_size()
     }
 
     fn limit_memory(&mut self, bytes: u64) {
@@ -135,7 +135,7 @@ impl Engine for Deformer {
     }
 
     fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error> {
-        Self::set_handles(self, request, exec)
+        Ok(Self::set_handles(self, wire::handle_set(request)?, exec)?)
     }
 
     fn initial_poses(&self) -> HandlePoses {
@@ -143,18 +143,18 @@ impl Engine for Deformer {
     }
 
     fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, wire::Error> {
-        Self::posed(self, poses, change)
+        wire::change_poses(self, poses, change)
     }
 
     fn solve(
         &mut self,
         poses: &HandlePoses,
-        settings: &DeformOptions,
+        settings: &SolveSettings,
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<SolvedShape, wire::Error> {
-        Self::solve(self, poses, settings, mode, exec, watch)
+        Ok(Self::solve(self, poses, settings, mode, exec, watch)?)
     }
 
     fn measure(
@@ -163,15 +163,16 @@ impl Engine for Deformer {
         output: &pb::Output,
         exec: &Exec<'_>,
     ) -> Result<Option<pb::Quality>, wire::Error> {
-        Self::measure(self, positions, output, exec).map(Some)
+        let quality = Self::measure(self, positions, output.self_intersections, exec)?;
+        Ok(Some(wire::quality_message(&quality)))
     }
 
     fn trail(&self) -> Option<TopologyState> {
-        Some(Self::trail(self))
+        Some(self.topology_state())
     }
 
     fn retrace(&mut self, trail: &TopologyState, exec: &Exec<'_>) -> Result<(), wire::Error> {
-        Self::retrace(self, trail, exec)
+        Ok(self.restore_topology(trail, exec)?)
     }
 
     fn remembers(&self, shape: &Arc<Vec<DVec3>>) -> bool {
@@ -179,11 +180,11 @@ impl Engine for Deformer {
     }
 
     fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, wire::Error> {
-        Self::edit(self, order, exec)
+        Ok(Self::edit(self, order, exec)?)
     }
 
     fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error> {
-        Self::write(self, positions, format)
+        Ok(Self::write(self, positions, format)?)
     }
 
     fn shader(&self) -> Shader {

@@ -7,9 +7,9 @@ use super::mailbox::Mailbox;
 use super::requests::Command;
 use super::{Code, Config, Error, Tenant};
 use crate::asset::Format;
-use crate::engine::HandlePoses;
+use crate::engine::{HandlePose, HandlePoses};
 use crate::progress::CancelFlag;
-use crate::wire::pb;
+use crate::wire::{handle_pose_message, pb};
 use dashmap::DashMap;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -70,7 +70,7 @@ impl Session {
         let view = self.view();
         let mut handles = view.facts.handles.clone();
         for (handle, pose) in handles.iter_mut().zip(view.poses.0.iter()) {
-            handle.pose = (*pose != pb::HandlePose::default()).then(|| pose.clone());
+            handle.pose = (*pose != HandlePose::default()).then(|| handle_pose_message(pose));
         }
         pb::Session {
             handles,

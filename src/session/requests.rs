@@ -3,10 +3,10 @@
 use super::idempotency::Claim;
 use super::{Error, Exported, SolvedFrames};
 use crate::asset::{FileSet, Format};
-use crate::engine::HandlePoses;
+use crate::engine::{HandlePose, HandlePoses};
 use crate::progress::CancelFlag;
 use crate::wire::frames::FrameRequest;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::{DeformOptions, handle_pose_message, pb};
 use std::sync::Arc;
 use tokio::sync::oneshot;
 
@@ -94,7 +94,7 @@ impl Change {
         let kept = || {
             let mut next = current.clone();
             for (handle, pose) in next.handles.iter_mut().zip(poses.0.iter()) {
-                handle.pose = (*pose != pb::HandlePose::default()).then(|| pose.clone());
+                handle.pose = (*pose != HandlePose::default()).then(|| handle_pose_message(pose));
             }
             next
         };

@@ -3,7 +3,6 @@
 use super::check::{enumerated, number};
 use super::{Error, pb};
 use crate::asset::Format;
-<<<<<<< HEAD
 use crate::deform::{BodyOptions, EdgeWeights, FreePartPolicy, Operators, VolumeMode};
 use crate::engine::OpenOptions;
 use crate::graph::VolumeOptions;
@@ -14,24 +13,6 @@ use crate::mesh::Weld;
 /// # Errors
 /// [`Error::Invalid`] with the field.
 pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
-=======
-use crate::deform::{BodyOptions, EdgeWeights, FreePartPolicy, Operators, VolumeMode};
-use crate::graph::VolumeOptions;
-use crate::mesh::Weld;
-
-/// Options of a session, checked.
-#[derive(Debug, Clone)]
-pub(crate) struct OpenOptions {
-    pub format: Option<Format>,
-    pub weld: Weld,
-    pub policy: FreePartPolicy,
-    pub body: BodyOptions,
-}
-
-impl OpenOptions {
-    /// Checks the options of a session; fields are named as in JSON.
-    pub fn check(create: &pb::CreateOptions) -> Result<Self, Error> {
->>>>>>> main
         let format = match create.format.as_str() {
             "" => None,
             name => Some(Format::from_name(name).ok_or_else(|| {

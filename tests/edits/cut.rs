@@ -3,14 +3,22 @@
 use super::edit_support;
 use edit_support::*;
 use glam::DVec3;
-use pliant::edit::{Curve, Keep, Plane, Topology, cut_path, cut_plane, delete, fill, insert_curve};
+use pliant::edit::{
+    CutPlane, KeptSide, SurfaceCurve, SurfaceTopology, cut_along_curve, cut_by_plane, delete_faces, fill_holes,
+    insert_curve,
+};
 use pliant::progress::Silent;
 use proptest::prelude::*;
 
 /// Cuts a model three ways and checks everything that a cut promises of a closed manifold surface.
-fn check_cut(whole: &Model, plane: &Plane) -> Result<(), String> {
-    let before = Topology::of(&whole.surface());
-    let both = match cut_plane(&whole.surface(), plane, Keep::Both, true, &[true], &Silent) {
+fn check_cut(whole: &Model, plane: &CutPlane) -> Result<(), String> {
+    let before = SurfaceTopology::from_surface(&whole.surface());
+    let both = match cut_by_plane(
+        &whole.surface(),
+        plane,
+        &cut_options(KeptSide::Both, true, &[true]),
+        &Silent,
+    ) {
         Ok(patch) => patch,
         Err(e) => return Err(e.to_string()),
     };
@@ -21,14 +29,15 @@ fn check_cut(whole: &Model, plane: &Plane) -> Result<(), String> {
         "snapping moved {moved} from {original}"
     );
     let parted = after(whole, &both);
-    let t = Topology::of(&parted.surface());
+    let t = SurfaceTopology::from_surface(&parted.surface());
     let mut sum = 0.0;
     let unit = plane.normal.normalize();
-    for (keep, sign) in [(Keep::Above, 1.0), (Keep::Below, -1.0)] {
-        let patch = cut_plane(&whole.surface(), plane, keep, true, &[true], &Silent).expect("cuts as the other way");
+    for (keep, sign) in [(KeptSide::Above, 1.0), (KeptSide::Below, -1.0)] {
+        let patch = cut_by_plane(&whole.surface(), plane, &cut_options(keep, true, &[true]), &Silent)
+            .expect("cuts as the other way");
         let half = after(whole, &patch);
         sum += volume(&half.surface());
-        let side = Topology::of(&half.surface());
+        let side = SurfaceTopology::from_surface(&half.surface());
         if before.is_closed() {
             assert!(side.is_closed(), "{keep:?} {side:?}");
         }
@@ -62,13 +71,19 @@ fn check_cut(whole: &Model, plane: &Plane) -> Result<(), String> {
 #[test]
 fn a_torus_cut_along_its_ring_gets_caps_with_holes() {
     let whole = Model::of(torus(48, 24, 2.0, 0.7));
-    let plane = Plane {
+    let plane = CutPlane {
         normal: DVec3::new(0.0, 0.01, 1.0),
         offset: 0.1,
     };
     check_cut(&whole, &plane).expect("cuts");
-    let patch = cut_plane(&whole.surface(), &plane, Keep::Both, true, &[true], &Silent).expect("cuts");
-    let t = Topology::of(&after(&whole, &patch).surface());
+    let patch = cut_by_plane(
+        &whole.surface(),
+        &plane,
+        &cut_options(KeptSide::Both, true, &[true]),
+        &Silent,
+    )
+    .expect("cuts");
+    let t = SurfaceTopology::from_surface(&after(&whole, &patch).surface());
     // Each half of a ring cut so is a ring again.
     assert!(t.is_closed() && t.components == 2 && t.euler == 0, "{t:?}");
 }
@@ -76,13 +91,19 @@ fn a_torus_cut_along_its_ring_gets_caps_with_holes() {
 #[test]
 fn without_fill_the_sides_have_rims_at_the_same_places() {
     let whole = Model::of(sphere(4, 1.0));
-    let plane = Plane {
+    let plane = CutPlane {
         normal: DVec3::Z * 3.0,
         offset: 0.9,
     };
-    let patch = cut_plane(&whole.surface(), &plane, Keep::Both, false, &[], &Silent).expect("cuts");
+    let patch = cut_by_plane(
+        &whole.surface(),
+        &plane,
+        &cut_options(KeptSide::Both, false, &[]),
+        &Silent,
+    )
+    .expect("cuts");
     let parted = after(&whole, &patch);
-    let t = Topology::of(&parted.surface());
+    let t = SurfaceTopology::from_surface(&parted.surface());
     assert!(t.is_manifold() && t.components == 2 && t.euler == 2, "two discs: {t:?}");
     let same = (volume(&parted.surface()) - volume(&whole.surface())).abs();
     assert!(same < 1e-4, "{same}");
@@ -106,7 +127,7 @@ fn a_plane_through_points_and_edges_of_a_cube_cuts_it_clean() {
         DVec3::new(1.0, -1.0, 1e-5),
     ] {
         for offset in [0.0, 0.5, -0.25, 0.5 + 1e-4, 0.999] {
-            check_cut(&whole, &Plane { normal, offset }).expect("cuts");
+            check_cut(&whole, &CutPlane { normal, offset }).expect("cuts");
         }
     }
 }
@@ -134,20 +155,26 @@ fn a_terrace_in_the_plane_stays_with_the_part_below() {
         all
     };
     let whole = Model::of((positions, faces));
-    assert!(Topology::of(&whole.surface()).is_closed());
+    assert!(SurfaceTopology::from_surface(&whole.surface()).is_closed());
     check_cut(
         &whole,
-        &Plane {
+        &CutPlane {
             normal: DVec3::Z,
             offset: 1.0,
         },
     )
     .expect("cuts");
-    let above = Plane {
+    let above = CutPlane {
         normal: DVec3::Z,
         offset: 1.0,
     };
-    let patch = cut_plane(&whole.surface(), &above, Keep::Below, true, &[], &Silent).expect("cuts");
+    let patch = cut_by_plane(
+        &whole.surface(),
+        &above,
+        &cut_options(KeptSide::Below, true, &[]),
+        &Silent,
+    )
+    .expect("cuts");
     assert!((volume(&after(&whole, &patch).surface()) - 8.0).abs() < 1e-12);
 }
 
@@ -155,8 +182,13 @@ fn a_terrace_in_the_plane_stays_with_the_part_below() {
 fn refusals_say_what_would_work() {
     let whole = Model::of(cube(2));
     let cut = |normal, offset| {
-        let plane = Plane { normal, offset };
-        let refused = cut_plane(&whole.surface(), &plane, Keep::Above, false, &[], &Silent);
+        let plane = CutPlane { normal, offset };
+        let refused = cut_by_plane(
+            &whole.surface(),
+            &plane,
+            &cut_options(KeptSide::Above, false, &[]),
+            &Silent,
+        );
         refused.expect_err("refused").to_string()
     };
     assert!(
@@ -169,9 +201,9 @@ fn refusals_say_what_would_work() {
     assert!(cut(DVec3::NAN, 0.0).contains("finite"));
     let all: Vec<u32> = (0..whole.triangles.len() as u32).collect();
     for faces in [&all[..], &[]] {
-        assert!(delete(&whole.surface(), faces, true, &Silent).is_err());
+        assert!(delete_faces(&whole.surface(), faces, true, &Silent).is_err());
     }
-    let none = fill(&whole.surface(), None, &Silent).expect_err("a cube has no hole");
+    let none = fill_holes(&whole.surface(), None, &Silent).expect_err("a cube has no hole");
     assert!(none.to_string().contains("no hole"), "{none}");
 }
 
@@ -185,21 +217,27 @@ fn a_hole_in_a_sphere_is_filled_to_a_sphere_again() {
         .collect();
     let open = after(
         &whole,
-        &delete(&whole.surface(), &cap, false, &Silent).expect("deletes"),
+        &delete_faces(&whole.surface(), &cap, false, &Silent).expect("deletes"),
     );
-    let t = Topology::of(&open.surface());
+    let t = SurfaceTopology::from_surface(&open.surface());
     assert!(t.is_manifold() && t.rim_edges > 8 && t.euler == 1, "{t:?}");
-    let by_delete = after(&whole, &delete(&whole.surface(), &cap, true, &Silent).expect("deletes"));
-    let by_fill = after(&open, &fill(&open.surface(), None, &Silent).expect("fills"));
+    let by_delete = after(
+        &whole,
+        &delete_faces(&whole.surface(), &cap, true, &Silent).expect("deletes"),
+    );
+    let by_fill = after(&open, &fill_holes(&open.surface(), None, &Silent).expect("fills"));
     let some: Vec<u32> = vec![
         open.triangles
             .iter()
             .position(|t| center_in(&open, t))
             .expect("near the rim") as u32,
     ];
-    let by_region = after(&open, &fill(&open.surface(), Some(&some), &Silent).expect("fills"));
+    let by_region = after(
+        &open,
+        &fill_holes(&open.surface(), Some(&some), &Silent).expect("fills"),
+    );
     for closed in [by_delete, by_fill, by_region] {
-        let t = Topology::of(&closed.surface());
+        let t = SurfaceTopology::from_surface(&closed.surface());
         assert!(t.is_closed() && t.euler == 2, "{t:?}");
         let added = closed.triangles.len() - open.triangles.len();
         assert!(
@@ -226,9 +264,13 @@ fn circle(count: u32, radius: f64, height: f64) -> Vec<DVec3> {
 
 /// Inserts a curve and checks that it is a path of edges and that the surface is the same one. Answers its places.
 fn check_curve(whole: &Model, drawn: &[DVec3], closed: bool) -> Vec<DVec3> {
-    let (patch, points) = insert_curve(&whole.surface(), &Curve::Drawn(drawn), closed, &Silent).expect("inserts");
+    let (patch, points) =
+        insert_curve(&whole.surface(), &SurfaceCurve::Drawn(drawn), closed, &Silent).expect("inserts");
     let with = after(whole, &patch);
-    let (before, now) = (Topology::of(&whole.surface()), Topology::of(&with.surface()));
+    let (before, now) = (
+        SurfaceTopology::from_surface(&whole.surface()),
+        SurfaceTopology::from_surface(&with.surface()),
+    );
     assert_eq!(
         (now.euler, now.components, now.is_manifold()),
         (before.euler, before.components, before.is_manifold())
@@ -293,23 +335,21 @@ fn a_closed_curve_parts_a_sphere_and_an_open_one_opens_a_slit() {
     let whole = Model::of(sphere(4, 1.0));
     let drawn = circle(12, 1.0, 0.3);
     let cut = |keep, fill| {
-        cut_path(
+        cut_along_curve(
             &whole.surface(),
-            &Curve::Drawn(&drawn),
+            &SurfaceCurve::Drawn(&drawn),
             true,
-            keep,
-            fill,
-            &[true],
+            &cut_options(keep, fill, &[true]),
             &Silent,
         )
         .expect("cuts")
     };
-    let both = after(&whole, &cut(Keep::Both, true));
-    let t = Topology::of(&both.surface());
+    let both = after(&whole, &cut(KeptSide::Both, true));
+    let t = SurfaceTopology::from_surface(&both.surface());
     assert!(t.is_closed() && t.components == 2, "{t:?}");
     let (above, below) = (
-        after(&whole, &cut(Keep::Above, true)),
-        after(&whole, &cut(Keep::Below, true)),
+        after(&whole, &cut(KeptSide::Above, true)),
+        after(&whole, &cut(KeptSide::Below, true)),
     );
     // The circle runs anticlockwise seen from the pole: left of it is the pole.
     let top = |m: &Model| m.positions.iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max);
@@ -327,23 +367,27 @@ fn a_closed_curve_parts_a_sphere_and_an_open_one_opens_a_slit() {
         DVec3::new(1.0, 0.0, 0.0),
         DVec3::new(1.0, 0.5, 0.2),
     ];
-    let slit = cut_path(
+    let slit = cut_along_curve(
         &whole.surface(),
-        &Curve::Drawn(&line),
+        &SurfaceCurve::Drawn(&line),
         false,
-        Keep::Both,
-        false,
-        &[],
+        &cut_options(KeptSide::Both, false, &[]),
         &Silent,
     )
     .expect("cuts");
-    let t = Topology::of(&after(&whole, &slit).surface());
+    let t = SurfaceTopology::from_surface(&after(&whole, &slit).surface());
     assert!(
         t.is_manifold() && t.euler == 1 && t.components == 1 && t.rim_edges > 8,
         "{t:?}"
     );
-    for (keep, fill) in [(Keep::Above, false), (Keep::Both, true)] {
-        let refused = cut_path(&whole.surface(), &Curve::Drawn(&line), false, keep, fill, &[], &Silent);
+    for (keep, fill) in [(KeptSide::Above, false), (KeptSide::Both, true)] {
+        let refused = cut_along_curve(
+            &whole.surface(),
+            &SurfaceCurve::Drawn(&line),
+            false,
+            &cut_options(keep, fill, &[]),
+            &Silent,
+        );
         assert!(
             refused
                 .expect_err("no sides")
@@ -362,9 +406,16 @@ fn a_sheet_is_cut_from_rim_to_rim() {
         DVec3::new(9.0, 2.7, 0.0),
     ];
     let area = |keep| {
-        let patch = cut_path(&whole.surface(), &Curve::Drawn(&line), false, keep, false, &[], &Silent).expect("cuts");
+        let patch = cut_along_curve(
+            &whole.surface(),
+            &SurfaceCurve::Drawn(&line),
+            false,
+            &cut_options(keep, false, &[]),
+            &Silent,
+        )
+        .expect("cuts");
         let half = after(&whole, &patch);
-        let t = Topology::of(&half.surface());
+        let t = SurfaceTopology::from_surface(&half.surface());
         assert!(t.is_manifold() && t.euler == t.components as i64, "{t:?}");
         let double = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|v| half.positions[v as usize]);
@@ -373,13 +424,13 @@ fn a_sheet_is_cut_from_rim_to_rim() {
         assert!(half.triangles.iter().all(|t| double(t) > 0.0));
         half.triangles.iter().map(double).sum::<f64>() / 2.0
     };
-    let (above, below) = (area(Keep::Above), area(Keep::Below));
+    let (above, below) = (area(KeptSide::Above), area(KeptSide::Below));
     let exact = 8.0 * 6.0 - (4.2 * (2.3 + 3.6) / 2.0 + 3.8 * (3.6 + 2.7) / 2.0);
     assert!(
         (above + below - 48.0).abs() < 1e-9 && (above - exact).abs() < 0.2,
         "{above} {exact} {below}"
     );
-    assert!((area(Keep::Both) - 48.0).abs() < 1e-9);
+    assert!((area(KeptSide::Both) - 48.0).abs() < 1e-9);
 }
 
 #[test]
@@ -395,27 +446,23 @@ fn a_path_of_points_is_cut_along_its_edges() {
     let points: Vec<u32> = [DVec3::X, DVec3::Y, DVec3::NEG_X, DVec3::NEG_Y]
         .map(|x| whole.point_of[find(x)])
         .to_vec();
-    let patch = cut_path(
+    let patch = cut_along_curve(
         &whole.surface(),
-        &Curve::Along(&points),
+        &SurfaceCurve::Along(&points),
         true,
-        Keep::Both,
-        false,
-        &[],
+        &cut_options(KeptSide::Both, false, &[]),
         &Silent,
     )
     .expect("cuts");
     let halves = after(&whole, &patch);
-    let t = Topology::of(&halves.surface());
+    let t = SurfaceTopology::from_surface(&halves.surface());
     assert_eq!((t.components, t.euler, t.rim_edges), (2, 2, 2 * 32));
     assert_eq!(halves.triangles.len(), whole.triangles.len());
-    let lost = cut_path(
+    let lost = cut_along_curve(
         &whole.surface(),
-        &Curve::Along(&[0, 9999]),
+        &SurfaceCurve::Along(&[0, 9999]),
         false,
-        Keep::Both,
-        false,
-        &[],
+        &cut_options(KeptSide::Both, false, &[]),
         &Silent,
     );
     assert!(lost.expect_err("no such point").to_string().contains("9999"));
@@ -425,9 +472,9 @@ fn a_path_of_points_is_cut_along_its_edges() {
 fn curves_between_parts_are_refused() {
     let apart = Model::of(both(sphere(2, 1.0), moved(sphere(2, 1.0), |p| p + DVec3::X * 5.0)));
     let line = [DVec3::Z, DVec3::new(5.0, 0.0, 1.0)];
-    let refused = insert_curve(&apart.surface(), &Curve::Drawn(&line), false, &Silent).expect_err("two parts");
+    let refused = insert_curve(&apart.surface(), &SurfaceCurve::Drawn(&line), false, &Silent).expect_err("two parts");
     assert!(refused.to_string().contains("different parts"), "{refused}");
-    let few = insert_curve(&apart.surface(), &Curve::Drawn(&line[..1]), false, &Silent).expect_err("one point");
+    let few = insert_curve(&apart.surface(), &SurfaceCurve::Drawn(&line[..1]), false, &Silent).expect_err("one point");
     assert!(few.to_string().starts_with("insertCurve.points: 1 points"), "{few}");
 }
 
@@ -456,7 +503,7 @@ fn data_meshes_are_cut_watertight() {
             continue;
         };
         seen += 1;
-        println!("{name}: {:?}", Topology::of(&whole.surface()));
+        println!("{name}: {:?}", SurfaceTopology::from_surface(&whole.surface()));
         let bounds = whole
             .positions
             .iter()
@@ -467,7 +514,7 @@ fn data_meshes_are_cut_watertight() {
         for normal in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::new(0.3, 0.5, -0.8)] {
             for shift in [0.0, 0.1] {
                 let offset = normal.dot(middle + (bounds.1 - bounds.0) * shift);
-                if let Err(e) = check_cut(&whole, &Plane { normal, offset }) {
+                if let Err(e) = check_cut(&whole, &CutPlane { normal, offset }) {
                     panic!("{name} {normal} {offset}: {e}");
                 }
             }
@@ -492,9 +539,9 @@ proptest! {
             _ => Model::of(cube(3)),
         };
         check_curve(&whole, &drawn, closed);
-        let patch = cut_path(&whole.surface(), &Curve::Drawn(&drawn), closed, Keep::Both, false, &[], &Silent);
+        let patch = cut_along_curve(&whole.surface(), &SurfaceCurve::Drawn(&drawn), closed, &cut_options(KeptSide::Both, false, &[]), &Silent);
         let cut = after(&whole, &patch.expect("opens"));
-        let t = Topology::of(&cut.surface());
+        let t = SurfaceTopology::from_surface(&cut.surface());
         prop_assert!(t.is_manifold(), "{:?}", t);
     }
 
@@ -507,7 +554,7 @@ proptest! {
             1 => Model::of(torus(31, 17, 1.0, 0.4)),
             _ => Model::of(cube(3)),
         };
-        let plane = Plane { normal, offset: offset * normal.length() };
+        let plane = CutPlane { normal, offset: offset * normal.length() };
         check_cut(&whole, &plane).expect("passes through");
     }
 }

@@ -3,7 +3,10 @@
 use super::edit_support;
 use edit_support::*;
 use glam::DVec3;
-use pliant::edit::{Curve, Error, Keep, Patch, Plane, Topology, cut_path, cut_plane, delete, fill, insert_curve};
+use pliant::edit::{
+    CutPlane, Error, KeptSide, SurfaceCurve, SurfacePatch, SurfaceTopology, cut_along_curve, cut_by_plane,
+    delete_faces, fill_holes, insert_curve,
+};
 use pliant::progress::{CancelFlag, Silent};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -49,7 +52,7 @@ fn sided_cube() -> (Model, Vec<u32>) {
 }
 
 /// Each new vertex is blended from vertices of one side, and where it is said to be; with moved points, near it.
-fn check_blends(model: &Model, side: &[u32], patch: &Patch, near: f64) {
+fn check_blends(model: &Model, side: &[u32], patch: &SurfacePatch, near: f64) {
     assert!(!patch.vertices.is_empty());
     for v in &patch.vertices {
         let parts = || v.of.iter().zip(&v.weights).filter(|(_, w)| **w > 0.0);
@@ -63,15 +66,15 @@ fn check_blends(model: &Model, side: &[u32], patch: &Patch, near: f64) {
 #[test]
 fn seams_and_primitives_stay_apart_and_blends_are_exact() {
     let (model, side) = sided_cube();
-    assert!(Topology::of(&model.surface()).is_closed());
-    let plane = Plane {
+    assert!(SurfaceTopology::from_surface(&model.surface()).is_closed());
+    let plane = CutPlane {
         normal: DVec3::new(0.3, 0.4, 1.0),
         offset: 0.13,
     };
-    for keep in [Keep::Both, Keep::Above, Keep::Below] {
-        let patch = cut_plane(&model.surface(), &plane, keep, false, &[], &Silent).expect("cuts");
+    for keep in [KeptSide::Both, KeptSide::Above, KeptSide::Below] {
+        let patch = cut_by_plane(&model.surface(), &plane, &cut_options(keep, false, &[]), &Silent).expect("cuts");
         check_blends(&model, &side, &patch, 1e-12);
-        let t = Topology::of(&after(&model, &patch).surface());
+        let t = SurfaceTopology::from_surface(&after(&model, &patch).surface());
         assert!(t.is_manifold() && t.rim_edges > 0, "{t:?}");
     }
     let ring = [
@@ -81,22 +84,28 @@ fn seams_and_primitives_stay_apart_and_blends_are_exact() {
         DVec3::new(-0.1, -1.0, 0.1),
     ]
     .map(|p| p * 1.2);
-    let (patch, points) = insert_curve(&model.surface(), &Curve::Drawn(&ring), true, &Silent).expect("inserts");
+    let (patch, points) = insert_curve(&model.surface(), &SurfaceCurve::Drawn(&ring), true, &Silent).expect("inserts");
     check_blends(&model, &side, &patch, 1e-12);
-    assert!(points.len() > 16 && Topology::of(&after(&model, &patch).surface()).is_closed());
+    assert!(points.len() > 16 && SurfaceTopology::from_surface(&after(&model, &patch).surface()).is_closed());
 }
 
 #[test]
 fn caps_take_the_primitive_of_most_of_their_rim_and_hard_ones_their_own_vertices() {
     let (model, _) = sided_cube();
-    let plane = Plane {
+    let plane = CutPlane {
         normal: DVec3::Z,
         offset: 0.3,
     };
     for (hard, own) in [(&[true, true], true), (&[false, false], false)] {
-        let patch = cut_plane(&model.surface(), &plane, Keep::Below, true, hard, &Silent).expect("cuts");
+        let patch = cut_by_plane(
+            &model.surface(),
+            &plane,
+            &cut_options(KeptSide::Below, true, hard),
+            &Silent,
+        )
+        .expect("cuts");
         let whole = after(&model, &patch);
-        assert!(Topology::of(&whole.surface()).is_closed());
+        assert!(SurfaceTopology::from_surface(&whole.surface()).is_closed());
         let flat = |t: &&[u32; 3]| t.iter().all(|&v| whole.positions[v as usize].z == 0.3);
         let cap: BTreeSet<u32> = whole.triangles.iter().filter(flat).flatten().copied().collect();
         let wall: BTreeSet<u32> = whole.triangles.iter().filter(|t| !flat(t)).flatten().copied().collect();
@@ -114,16 +123,16 @@ fn deleting_corner_to_corner_leaves_no_pinched_point() {
         .flat_map(|&f| [f, f + 1])
         .collect();
     for fill in [false, true] {
-        let patch = delete(&whole.surface(), &picked, fill, &Silent).expect("deletes");
+        let patch = delete_faces(&whole.surface(), &picked, fill, &Silent).expect("deletes");
         let rest = after(&whole, &patch);
-        let t = Topology::of(&rest.surface());
+        let t = SurfaceTopology::from_surface(&rest.surface());
         assert!(t.is_manifold(), "{t:?}");
         assert_eq!(t.euler, if fill { 1 } else { 0 }, "{t:?}");
     }
     // At the rim there is nothing to close.
-    let corner = delete(&whole.surface(), &[0, 1], true, &Silent).expect("deletes");
+    let corner = delete_faces(&whole.surface(), &[0, 1], true, &Silent).expect("deletes");
     assert!(
-        corner.triangles.is_empty() && corner.warnings[0].0 == "open-rim",
+        corner.triangles.is_empty() && corner.warnings[0].code == "open-rim",
         "{:?}",
         corner.warnings
     );
@@ -134,18 +143,21 @@ fn work_that_nobody_wants_stops() {
     let whole = Model::of(sphere(4, 1.0));
     let flag = CancelFlag::default();
     flag.cancel();
-    let plane = Plane {
+    let plane = CutPlane {
         normal: DVec3::Z,
         offset: 0.1,
     };
     let line = [DVec3::X, DVec3::Y, DVec3::Z];
     assert_eq!(
-        cut_plane(&whole.surface(), &plane, Keep::Both, true, &[], &flag),
+        cut_by_plane(&whole.surface(), &plane, &cut_options(KeptSide::Both, true, &[]), &flag),
         Err(Error::Cancelled)
     );
-    assert_eq!(delete(&whole.surface(), &[0, 1], true, &flag), Err(Error::Cancelled));
     assert_eq!(
-        insert_curve(&whole.surface(), &Curve::Drawn(&line), true, &flag),
+        delete_faces(&whole.surface(), &[0, 1], true, &flag),
+        Err(Error::Cancelled)
+    );
+    assert_eq!(
+        insert_curve(&whole.surface(), &SurfaceCurve::Drawn(&line), true, &flag),
         Err(Error::Cancelled)
     );
 }
@@ -163,39 +175,43 @@ fn twins(model: &Model) -> bool {
 }
 
 /// All operations of this file's kind on one model, somewhere; every result is applied and checked.
-fn everything(model: &Model, plane: &Plane, drawn: &[DVec3], faces: &[u32]) -> Vec<Patch> {
+fn everything(model: &Model, plane: &CutPlane, drawn: &[DVec3], faces: &[u32]) -> Vec<SurfacePatch> {
     let s = model.surface();
     let mut results = Vec::new();
-    for keep in [Keep::Both, Keep::Above, Keep::Below] {
+    for keep in [KeptSide::Both, KeptSide::Above, KeptSide::Below] {
         for fill in [false, true] {
-            results.push(cut_plane(&s, plane, keep, fill, &[true], &Silent));
-            results.push(cut_path(&s, &Curve::Drawn(drawn), true, keep, fill, &[true], &Silent));
+            results.push(cut_by_plane(&s, plane, &cut_options(keep, fill, &[true]), &Silent));
+            results.push(cut_along_curve(
+                &s,
+                &SurfaceCurve::Drawn(drawn),
+                true,
+                &cut_options(keep, fill, &[true]),
+                &Silent,
+            ));
         }
     }
-    results.push(cut_path(
+    results.push(cut_along_curve(
         &s,
-        &Curve::Drawn(drawn),
+        &SurfaceCurve::Drawn(drawn),
         false,
-        Keep::Both,
-        false,
-        &[],
+        &cut_options(KeptSide::Both, false, &[]),
         &Silent,
     ));
-    results.push(insert_curve(&s, &Curve::Drawn(drawn), false, &Silent).map(|r| r.0));
-    results.push(delete(&s, faces, false, &Silent));
-    results.push(delete(&s, faces, true, &Silent));
-    results.push(fill(&s, None, &Silent));
-    results.push(fill(&s, Some(faces), &Silent));
-    let patches: Vec<Patch> = results.into_iter().filter_map(Result::ok).collect();
-    let before = Topology::of(&s);
+    results.push(insert_curve(&s, &SurfaceCurve::Drawn(drawn), false, &Silent).map(|r| r.0));
+    results.push(delete_faces(&s, faces, false, &Silent));
+    results.push(delete_faces(&s, faces, true, &Silent));
+    results.push(fill_holes(&s, None, &Silent));
+    results.push(fill_holes(&s, Some(faces), &Silent));
+    let patches: Vec<SurfacePatch> = results.into_iter().filter_map(Result::ok).collect();
+    let before = SurfaceTopology::from_surface(&s);
     for (op, patch) in patches.iter().enumerate() {
         // A curve may close on itself around everything that is left.
-        let Ok(applied) = pliant::edit::apply(&s, patch, &model.first_vertex) else {
-            panic!("{:?}", pliant::edit::apply(&s, patch, &model.first_vertex));
+        let Ok(applied) = pliant::edit::apply_patch(&s, patch, &model.first_vertex) else {
+            panic!("{:?}", pliant::edit::apply_patch(&s, patch, &model.first_vertex));
         };
-        pliant::edit::check(&applied.surface()).expect("consistent");
+        pliant::edit::verify_surface(&applied.surface()).expect("consistent");
         if before.is_manifold() && !twins(model) {
-            let now = Topology::of(&applied.surface());
+            let now = SurfaceTopology::from_surface(&applied.surface());
             assert!(
                 !twins(&after(model, patch)),
                 "{op} doubles a triangle {patch:?} {model:?}"
@@ -238,7 +254,7 @@ fn scanned_and_broken_meshes_give_results_or_reasons() {
                 (l.min(p), h.max(p))
             });
         let middle = (low + high) * 0.5;
-        let plane = Plane {
+        let plane = CutPlane {
             normal: DVec3::new(0.2, 0.9, 0.1),
             offset: DVec3::new(0.2, 0.9, 0.1).dot(middle),
         };
@@ -257,7 +273,10 @@ fn scanned_and_broken_meshes_give_results_or_reasons() {
             .map(|(_, f)| f)
             .collect();
         let done = everything(&model, &plane, &drawn, &faces).len();
-        println!("{name}: {done} of 18 done, {:?}", Topology::of(&model.surface()));
+        println!(
+            "{name}: {done} of 18 done, {:?}",
+            SurfaceTopology::from_surface(&model.surface())
+        );
     }
 }
 
@@ -300,7 +319,7 @@ proptest! {
             points,
             first_vertex: vec![0],
         };
-        let plane = Plane { normal: DVec3::new(normal.0.into(), normal.1.into(), normal.2.into()), offset };
+        let plane = CutPlane { normal: DVec3::new(normal.0.into(), normal.1.into(), normal.2.into()), offset };
         let drawn = [DVec3::new(0.2, 0.1, 0.0), DVec3::new(2.5, 1.0, 1.0), DVec3::new(1.0, 2.5, offset)];
         everything(&model, &plane, &drawn, &faces);
     }

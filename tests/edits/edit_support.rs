@@ -4,7 +4,7 @@
 pub use crate::support::shapes;
 
 use glam::DVec3;
-use pliant::edit::{Applied, Surface};
+use pliant::edit::{CutOptions, KeptSide, PatchedSurface, SurfaceView};
 use pliant::mesh::{Mesh, Weld};
 pub use shapes::*;
 
@@ -41,8 +41,8 @@ impl Model {
         }
     }
 
-    pub fn surface(&self) -> Surface<'_> {
-        Surface {
+    pub fn surface(&self) -> SurfaceView<'_> {
+        SurfaceView {
             positions: &self.positions,
             triangles: &self.triangles,
             primitive_of: &self.primitive_of,
@@ -52,8 +52,13 @@ impl Model {
     }
 }
 
+/// What a cut does with its sides, in one line.
+pub fn cut_options(keep: KeptSide, fill: bool, hard_caps: &[bool]) -> CutOptions<'_> {
+    CutOptions { keep, fill, hard_caps }
+}
+
 /// The volume that a surface encloses.
-pub fn volume(surface: &Surface<'_>) -> f64 {
+pub fn volume(surface: &SurfaceView<'_>) -> f64 {
     let origin = surface.positions.first().copied().unwrap_or(DVec3::ZERO);
     let part = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|v| surface.positions[v as usize] - origin);
@@ -63,10 +68,10 @@ pub fn volume(surface: &Surface<'_>) -> f64 {
 }
 
 /// What an edit made of a model, as a model, after the arrays were checked.
-pub fn after(model: &Model, patch: &pliant::edit::Patch) -> Model {
-    let applied: Applied =
-        pliant::edit::apply(&model.surface(), patch, &model.first_vertex).expect("the patch applies");
-    pliant::edit::check(&applied.surface()).expect("the result is consistent");
+pub fn after(model: &Model, patch: &pliant::edit::SurfacePatch) -> Model {
+    let applied: PatchedSurface =
+        pliant::edit::apply_patch(&model.surface(), patch, &model.first_vertex).expect("the patch applies");
+    pliant::edit::verify_surface(&applied.surface()).expect("the result is consistent");
     Model {
         positions: applied.positions,
         triangles: applied.triangles,
@@ -78,8 +83,8 @@ pub fn after(model: &Model, patch: &pliant::edit::Patch) -> Model {
 }
 
 /// The model with the moves of a patch and nothing else of it.
-pub fn only_moved(model: &Model, patch: &pliant::edit::Patch) -> Model {
-    let moved = pliant::edit::Patch {
+pub fn only_moved(model: &Model, patch: &pliant::edit::SurfacePatch) -> Model {
+    let moved = pliant::edit::SurfacePatch {
         moved: patch.moved.clone(),
         ..Default::default()
     };

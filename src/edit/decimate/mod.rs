@@ -11,8 +11,11 @@
 
 mod quadric;
 
-use super::editable::{Editable, triangle};
-use super::{Error, Patch, Surface};
+use super::error::{EditSubject, Error};
+use super::patch::{EditWarning, SurfacePatch};
+use super::region_mesh::{EdgeCollapse, RegionMesh};
+use super::surface::SurfaceView;
+use super::triangle;
 use crate::mesh::NONE;
 use crate::progress::{Progress, check};
 use glam::DVec3;
@@ -34,31 +37,34 @@ const EVENNESS: f64 = 1e-5;
 ///
 /// # Errors
 /// [`Error::Invalid`] when `ratio` is not between 0 and 1 or `faces` is no region; [`Error::Cancelled`].
-pub fn decimate(surface: &Surface, faces: &[u32], ratio: f64, progress: &dyn Progress) -> Result<Patch, Error> {
+pub fn decimate_region(
+    surface: &SurfaceView,
+    faces: &[u32],
+    ratio: f64,
+    progress: &dyn Progress,
+) -> Result<SurfacePatch, Error> {
     if !(ratio > 0.0 && ratio < 1.0) {
-        return Err(Error::Invalid {
-            field: "decimate.ratio".to_owned(),
-            problem: format!("{ratio} is not between 0 and 1, both excluded"),
-        });
+        let problem = format!("{ratio} is not between 0 and 1, both excluded");
+        return Err(Error::invalid(EditSubject::DecimationRatio, problem));
     }
-    let mut mesh = Editable::gather(surface, faces)?;
-    let start = mesh.living().count();
+    let mut mesh = RegionMesh::with_frozen_ring(surface, faces)?;
+    let start = mesh.living_faces().count();
     let target = ((start as f64 * ratio).round() as usize).max(1);
-    let left = Decimation::new(&mut mesh).run(start, target, progress)?;
-    let mut patch = mesh.into_patch();
+    let left = Decimation::gather_quadrics(&mut mesh).collapse_down_to(start, target, progress)?;
+    let (mut patch, _) = mesh.into_patch(surface);
     if left as f64 > 1.1 * target as f64 {
-        patch.warnings.push((
-            "decimate-short".to_owned(),
-            format!("{left} of {start} triangles are left, {target} were asked for: rim, seams or shape hold the rest"),
-            "region".to_owned(),
-        ));
+        let message =
+            format!("{left} of {start} triangles are left, {target} were asked for: rim, seams or shape hold the rest");
+        patch
+            .warnings
+            .push(EditWarning::new("decimate-short", message, "region"));
     }
     Ok(patch)
 }
 
 /// What may happen to a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Freedom {
+enum PointFreedom {
     /// Anything.
     Inside,
     /// It may move to these two neighbours, along a boundary or seam.
@@ -67,7 +73,7 @@ enum Freedom {
 }
 
 struct Decimation<'a> {
-    mesh: &'a mut Editable,
+    mesh: &'a mut RegionMesh,
     quadrics: Vec<Quadric>,
     /// How often the surroundings of a point have changed: an entry of the queue with an older count is out of date.
     stamps: Vec<u32>,
@@ -77,15 +83,15 @@ struct Decimation<'a> {
 }
 
 /// Cost as ordered bits, from, to, and the stamp of the first. Each point has its cheapest collapse in the queue.
-type Entry = Reverse<(u64, u32, u32, u32)>;
+type QueuedCollapse = Reverse<(u64, u32, u32, u32)>;
 
 impl<'a> Decimation<'a> {
-    fn new(mesh: &'a mut Editable) -> Self {
+    fn gather_quadrics(mesh: &'a mut RegionMesh) -> Self {
         let count = mesh.points.len();
         let origin = mesh.points.iter().map(|p| p.position).sum::<DVec3>() / count.max(1) as f64;
         let mut quadrics = vec![Quadric::default(); count];
         for f in 0..mesh.faces.len() as u32 {
-            let corners = mesh.corners_of(f).map(|p| p - origin);
+            let corners = mesh.corner_positions(f).map(|p| p - origin);
             let normal = triangle::area_normal(corners);
             let Some(unit) = normal.try_normalize() else { continue };
             let points = mesh.points_of(f);
@@ -116,12 +122,12 @@ impl<'a> Decimation<'a> {
     }
 
     /// Collapses until `target` faces are left or none can go; says how many are left.
-    fn run(mut self, start: usize, target: usize, progress: &dyn Progress) -> Result<usize, Error> {
+    fn collapse_down_to(mut self, start: usize, target: usize, progress: &dyn Progress) -> Result<usize, Error> {
         let mut left = start;
         // A collapse that topology forbids now may be allowed after others: rounds, while they do something.
         for _ in 0..8 {
             let before = left;
-            let mut queue = self.all();
+            let mut queue = self.queue_all();
             let mut steps = 0u32;
             while left > target {
                 let Some(Reverse((cost, from, to, stamp))) = queue.pop() else {
@@ -129,17 +135,17 @@ impl<'a> Decimation<'a> {
                 };
                 steps += 1;
                 if steps.is_multiple_of(4096) {
-                    check(progress).map_err(|_| Error::Cancelled)?;
+                    check(progress)?;
                     progress.report("edit", (start - left) as f32 / (start - target).max(1) as f32);
                 }
                 if self.stamps[from as usize] == stamp {
-                    match self.collapse(from, to, &mut queue) {
-                        0 => queue.extend(self.cheapest(from, (cost, to))),
+                    match self.try_collapse(from, to, &mut queue) {
+                        0 => queue.extend(self.find_cheapest(from, (cost, to))),
                         gone => left -= gone,
                     }
                 }
             }
-            check(progress).map_err(|_| Error::Cancelled)?;
+            check(progress)?;
             if left <= target || left == before {
                 break;
             }
@@ -147,27 +153,25 @@ impl<'a> Decimation<'a> {
         Ok(left)
     }
 
-    fn all(&mut self) -> BinaryHeap<Entry> {
+    fn queue_all(&mut self) -> BinaryHeap<QueuedCollapse> {
         let mut entries = Vec::new();
         for p in 0..self.mesh.points.len() as u32 {
-            self.inside[p as usize] = self.freedom(p) == Freedom::Inside;
-            entries.extend(self.cheapest(p, (0, 0)));
+            self.inside[p as usize] = self.freedom(p) == PointFreedom::Inside;
+            entries.extend(self.find_cheapest(p, (0, 0)));
         }
         entries.into()
     }
 
     /// The cheapest collapse of `p` into a neighbour, of those that come after the cost and neighbour given.
-    fn cheapest(&self, p: u32, after: (u64, u32)) -> Option<Entry> {
+    fn find_cheapest(&self, p: u32, after: (u64, u32)) -> Option<QueuedCollapse> {
         let targets = match self.freedom(p) {
-            Freedom::Held => return None,
-            Freedom::Along(ends) => ends.to_vec(),
-            Freedom::Inside => self.mesh.neighbours(p),
+            PointFreedom::Held => return None,
+            PointFreedom::Along(ends) => ends.to_vec(),
+            PointFreedom::Inside => self.mesh.neighbours(p),
         };
-        let at = |q: u32| self.mesh.at(q) - self.origin;
-        let faces = self.mesh.points[p as usize].faces.iter();
-        let area: f64 = faces
-            .map(|&f| triangle::area_normal(self.mesh.corners_of(f)).length())
-            .sum();
+        let at = |q: u32| self.mesh.position(q) - self.origin;
+        let faces = self.mesh.faces_around(p).iter();
+        let area: f64 = faces.map(|&f| self.mesh.area_normal(f).length()).sum();
         let cost = |q: u32| {
             let mut sum = self.quadrics[p as usize];
             sum += self.quadrics[q as usize];
@@ -179,12 +183,12 @@ impl<'a> Decimation<'a> {
         Some(Reverse((least.0, p, least.1, self.stamps[p as usize])))
     }
 
-    fn freedom(&self, p: u32) -> Freedom {
+    fn freedom(&self, p: u32) -> PointFreedom {
         if self.inside[p as usize] {
-            return Freedom::Inside;
+            return PointFreedom::Inside;
         }
         if self.mesh.points[p as usize].fixed {
-            return Freedom::Held;
+            return PointFreedom::Held;
         }
         let mut ends = [NONE; 2];
         let mut open = [false; 2];
@@ -195,30 +199,30 @@ impl<'a> Decimation<'a> {
                 continue;
             }
             if count == 2 || self.mesh.is_locked(edge) {
-                return Freedom::Held;
+                return PointFreedom::Held;
             }
             ends[count] = q;
             open[count] = edge.faces().count() == 1;
             count += 1;
         }
         match count {
-            0 => Freedom::Inside,
-            2 if open[0] == open[1] => Freedom::Along(ends),
-            _ => Freedom::Held,
+            0 => PointFreedom::Inside,
+            2 if open[0] == open[1] => PointFreedom::Along(ends),
+            _ => PointFreedom::Held,
         }
     }
 
     /// Collapses if it may be; says how many faces went.
-    fn collapse(&mut self, from: u32, to: u32, queue: &mut BinaryHeap<Entry>) -> usize {
+    fn try_collapse(&mut self, from: u32, to: u32, queue: &mut BinaryHeap<QueuedCollapse>) -> usize {
         let allowed = match self.freedom(from) {
-            Freedom::Inside => true,
-            Freedom::Along(ends) => ends.contains(&to),
-            Freedom::Held => false,
+            PointFreedom::Inside => true,
+            PointFreedom::Along(ends) => ends.contains(&to),
+            PointFreedom::Held => false,
         };
         if !allowed {
             return 0;
         }
-        let Some(collapse) = self.mesh.collapse(from, to) else {
+        let Some(collapse) = self.mesh.plan_collapse(from, to) else {
             return 0;
         };
         if self.spoils(&collapse) {
@@ -231,13 +235,13 @@ impl<'a> Decimation<'a> {
         self.stamps[from as usize] += 1;
         for p in self.mesh.neighbours(to).into_iter().chain([to]) {
             self.stamps[p as usize] += 1;
-            queue.extend(self.cheapest(p, (0, 0)));
+            queue.extend(self.find_cheapest(p, (0, 0)));
         }
         gone
     }
 
     /// Whether the collapse turns a face over or makes a needle worse than any that it touches.
-    fn spoils(&self, collapse: &super::editable::Collapse) -> bool {
+    fn spoils(&self, collapse: &EdgeCollapse) -> bool {
         let (mut old, mut new) = (WORST_ASPECT, 0.0f64);
         for (_, before, after) in self.mesh.before_and_after(collapse) {
             old = old.max(triangle::aspect(before));

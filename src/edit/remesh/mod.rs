@@ -6,46 +6,25 @@
 //! The rim of the region and edges with more than two faces stay as they are, so what lies outside does not notice;
 //! target lengths approach those of the rim towards it.
 
-mod curves;
+mod feature_lines;
 mod original;
 mod passes;
+mod remesher;
 mod sizing;
-mod state;
 mod stretched;
+mod target;
 
-use super::editable::{Editable, check_faces, triangle};
-use super::{Error, Patch, Surface};
+pub use target::{ASPECT, MENDED, MOST_TRIANGLES, RemeshTarget, STRETCH};
+
+use super::error::{EditSubject, Error};
+use super::patch::{EditWarning, SurfacePatch};
+use super::region_mesh::RegionMesh;
+use super::surface::{SurfaceView, check_region};
+use super::triangle;
 use crate::progress::Progress;
-use glam::DVec3;
-use state::State;
+use remesher::Remesher;
 
-/// What to aim for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Target<'a> {
-    /// Edges of this length everywhere.
-    Length(f64),
-    /// Only around faces with an edge longer than [`STRETCH`] times its rest length, or an aspect over [`ASPECT`]; there
-    /// edges as long as they are at rest.
-    Auto {
-        /// The rest shape: one position per render vertex.
-        rest: &'a [DVec3],
-    },
-}
-
-/// [`Target::Auto`] remeshes where an edge is longer than this times its rest length.
-pub const STRETCH: f64 = 1.5;
-
-/// [`Target::Auto`] remeshes where a face is further from equilateral than this: longest side times perimeter over 4·√3
-/// times the area, 1 at best.
-pub const ASPECT: f64 = 4.0;
-
-/// Faces are mended until none is worse than this, as far as rim and lines allow.
-pub const MENDED: f64 = 4.0;
-
-/// Most triangles that a remesh makes.
-pub const MOST_TRIANGLES: u64 = 8 << 20;
-
-/// Rounds of split, collapse, flip, smooth.
+/// Rounds of split, collapse, turn, smooth.
 const ROUNDS: usize = 6;
 
 /// Rounds end when no more than one in so many edges was changed.
@@ -54,48 +33,29 @@ const SETTLED: usize = 50;
 /// Rounds of mending at the end.
 const MENDING: usize = 6;
 
-/// Remeshes `faces`, rising triangle numbers. With [`Target::Auto`] nothing changes where nothing is stretched; a patch
-/// that changes nothing comes with the warning `remesh-nothing`. Faces that stay worse than [`MENDED`] are counted in the
-/// warning `remesh-aspect`, those that stand against the surface beside them, because it is thinner there than the target
-/// length, in `remesh-thin`.
+/// Remeshes the triangles `region`, rising numbers. With [`RemeshTarget::Auto`] nothing changes where nothing is stretched;
+/// a patch that changes nothing comes with the warning `remesh-nothing`. Faces that stay worse than [`MENDED`] are counted
+/// in the warning `remesh-aspect`, those that stand against the surface beside them, because it is thinner there than the
+/// target length, in `remesh-thin`.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a length that is not positive, a rest shape of another size, or no region;
 /// [`Error::TooLarge`] when the target is so short that more than [`MOST_TRIANGLES`] would come;
 /// [`Error::Cancelled`].
-pub fn remesh(surface: &Surface, faces: &[u32], target: Target, progress: &dyn Progress) -> Result<Patch, Error> {
-    let invalid = |field: &str, problem: String| Error::Invalid {
-        field: field.to_owned(),
-        problem,
+pub fn remesh_region(
+    surface: &SurfaceView,
+    region: &[u32],
+    target: RemeshTarget,
+    progress: &dyn Progress,
+) -> Result<SurfacePatch, Error> {
+    let Some((mesh, wanted)) = gather_region(surface, region, target)? else {
+        return Ok(SurfacePatch {
+            warnings: vec![nothing_to_remesh()],
+            ..SurfacePatch::default()
+        });
     };
-    check_faces(surface, faces)?;
-    let (mesh, wanted) = match target {
-        Target::Length(length) => {
-            if !(length > 0.0 && length.is_finite()) {
-                let problem = format!("{length} is no length, it must be finite and above 0");
-                return Err(invalid("remesh.edgeLength", problem));
-            }
-            let mesh = Editable::gather(surface, faces)?;
-            let wanted = vec![length; mesh.points.len()];
-            (mesh, wanted)
-        }
-        Target::Auto { rest } => {
-            if rest.len() != surface.positions.len() {
-                let (seen, needed) = (rest.len(), surface.positions.len());
-                let problem = format!("the rest shape has {seen} vertices, the surface {needed}");
-                return Err(invalid("remesh.auto", problem));
-            }
-            let stretched = stretched::faces(surface, faces, rest);
-            if stretched.is_empty() {
-                return Ok(nothing());
-            }
-            let mesh = Editable::gather(surface, &stretched)?;
-            let wanted = stretched::rest_lengths(&mesh, rest);
-            (mesh, wanted)
-        }
-    };
-    let sizes = sizing::graded(&mesh, &wanted);
-    let expected = sizing::estimate(&mesh, &sizes);
+    let sizes = sizing::grade_lengths(&mesh, &wanted);
+    let expected = sizing::estimate_triangles(&mesh, &sizes);
     if expected.is_nan() || expected > MOST_TRIANGLES as f64 {
         return Err(Error::TooLarge {
             what: "triangles in the remeshed region",
@@ -103,53 +63,92 @@ pub fn remesh(surface: &Surface, faces: &[u32], target: Target, progress: &dyn P
             limit: MOST_TRIANGLES,
         });
     }
-    let start = mesh.faces.len();
-    // Twice what equilateral triangles would be, and the faces that splits and collapses leave behind.
-    let most = start + 4 * expected as usize + 4096;
-    let mut state = State::new(mesh, sizes);
-    for round in 0..ROUNDS {
-        progress.report("edit", round as f32 / ROUNDS as f32);
-        let edges = 3 * state.mesh.living().count() / 2;
-        let split = passes::split_long(&mut state, start + (round + 1) * most, progress)?;
-        let collapsed = passes::collapse_short(&mut state, progress)?;
-        let flipped = passes::flip(&mut state, progress)?;
-        if round > 0 && split + collapsed + flipped == 0 {
-            break;
-        }
-        passes::smooth(&mut state, progress)?;
-        if round >= 2 && split + collapsed + flipped < edges / SETTLED {
-            break;
-        }
-    }
-    for _ in 0..MENDING {
-        if passes::mend(&mut state, MENDED, progress)? == 0 {
-            break;
-        }
-        passes::flip(&mut state, progress)?;
-        passes::smooth(&mut state, progress)?;
-    }
-    state.refresh_sources();
-    let warnings: Vec<_> = [
-        warning(&state, "remesh-aspect", |state, f| {
-            triangle::aspect(state.mesh.corners_of(f)) > MENDED
+    let mut work = Remesher::new(mesh, sizes);
+    run_passes(&mut work, expected, progress)?;
+    let warnings = [
+        warn_where(&work, "remesh-aspect", |work, f| {
+            triangle::aspect(work.mesh.corner_positions(f)) > MENDED
         }),
-        warning(&state, "remesh-thin", State::stands_against),
-    ]
-    .into_iter()
-    .flatten()
-    .collect();
-    let mut patch = state.mesh.into_patch();
-    patch.warnings = warnings;
+        warn_where(&work, "remesh-thin", Remesher::stands_against),
+    ];
+    let (mut patch, _) = work.mesh.into_patch(surface);
+    patch.warnings = warnings.into_iter().flatten().collect();
     if patch.removed.is_empty() && patch.triangles.is_empty() {
-        patch.warnings.extend(nothing().warnings);
+        patch.warnings.push(nothing_to_remesh());
     }
     Ok(patch)
 }
 
-/// Counts faces of which `holds` is true and says where the first one is.
-fn warning(state: &State, code: &str, holds: impl Fn(&State, u32) -> bool) -> Option<(String, String, String)> {
-    let mut found = state.mesh.living().filter(|&f| holds(state, f));
-    let place = state.mesh.corners_of(found.next()?)[0];
+/// Checks the arguments and gathers what is to be remeshed with the target length at each point; `None` when no face of
+/// the region is stretched.
+fn gather_region(
+    surface: &SurfaceView,
+    region: &[u32],
+    target: RemeshTarget,
+) -> Result<Option<(RegionMesh, Vec<f64>)>, Error> {
+    check_region(surface, region)?;
+    match target {
+        RemeshTarget::Length(length) => {
+            if !(length > 0.0 && length.is_finite()) {
+                let problem = format!("{length} is no length, it must be finite and above 0");
+                return Err(Error::invalid(EditSubject::RemeshEdgeLength, problem));
+            }
+            let mesh = RegionMesh::with_frozen_ring(surface, region)?;
+            let wanted = vec![length; mesh.points.len()];
+            Ok(Some((mesh, wanted)))
+        }
+        RemeshTarget::Auto { rest } => {
+            if rest.len() != surface.positions.len() {
+                let (seen, needed) = (rest.len(), surface.positions.len());
+                let problem = format!("the rest shape has {seen} vertices, the surface {needed}");
+                return Err(Error::invalid(EditSubject::RemeshRestShape, problem));
+            }
+            let stretched = stretched::find_stretched_faces(surface, region, rest);
+            if stretched.is_empty() {
+                return Ok(None);
+            }
+            let mesh = RegionMesh::with_frozen_ring(surface, &stretched)?;
+            let wanted = stretched::rest_lengths(&mesh, rest);
+            Ok(Some((mesh, wanted)))
+        }
+    }
+}
+
+/// Runs rounds of the passes until little changes, then mends what is still badly shaped. About `expected` triangles will
+/// come.
+fn run_passes(work: &mut Remesher, expected: f64, progress: &dyn Progress) -> Result<(), Error> {
+    let start = work.mesh.faces.len();
+    // Twice what equilateral triangles would be, and the faces that splits and collapses leave behind.
+    let most = start + 4 * expected as usize + 4096;
+    for round in 0..ROUNDS {
+        progress.report("edit", round as f32 / ROUNDS as f32);
+        let edges = 3 * work.mesh.living_faces().count() / 2;
+        let split = passes::split_long_edges(work, start + (round + 1) * most, progress)?;
+        let collapsed = passes::collapse_short_edges(work, progress)?;
+        let turned = passes::even_valences(work, progress)?;
+        if round > 0 && split + collapsed + turned == 0 {
+            break;
+        }
+        passes::smooth_points(work, progress)?;
+        if round >= 2 && split + collapsed + turned < edges / SETTLED {
+            break;
+        }
+    }
+    for _ in 0..MENDING {
+        if passes::mend_faces(work, MENDED, progress)? == 0 {
+            break;
+        }
+        passes::even_valences(work, progress)?;
+        passes::smooth_points(work, progress)?;
+    }
+    work.refresh_sources();
+    Ok(())
+}
+
+/// Warns of the faces for which `holds` is true: how many they are and where the first one is.
+fn warn_where(work: &Remesher, code: &str, holds: impl Fn(&Remesher, u32) -> bool) -> Option<EditWarning> {
+    let mut found = work.mesh.living_faces().filter(|&f| holds(work, f));
+    let place = work.mesh.corner_positions(found.next()?)[0];
     let count = 1 + found.count();
     let message = if code == "remesh-thin" {
         format!("{count} triangles cut across parts of the surface that are thinner than the target length")
@@ -158,16 +157,9 @@ fn warning(state: &State, code: &str, holds: impl Fn(&State, u32) -> bool) -> Op
             "{count} triangles stay further than {MENDED} from equilateral: the rim of the region, seams, boundaries or sharp edges hold them"
         )
     };
-    Some((code.to_owned(), message, format!("{place}")))
+    Some(EditWarning::new(code, message, format!("{place}")))
 }
 
-fn nothing() -> Patch {
-    Patch {
-        warnings: vec![(
-            "remesh-nothing".to_owned(),
-            "no triangle of the region needs remeshing".to_owned(),
-            "region".to_owned(),
-        )],
-        ..Patch::default()
-    }
+fn nothing_to_remesh() -> EditWarning {
+    EditWarning::new("remesh-nothing", "no triangle of the region needs remeshing", "region")
 }

@@ -1,6 +1,7 @@
 //! The surface as it was: where new points are put, and what they are made of.
 
-use crate::edit::editable::{Editable, triangle};
+use crate::edit::region_mesh::RegionMesh;
+use crate::edit::triangle;
 use crate::mesh::NONE;
 use crate::mesh::query::closest_point::{blend_corners, closest_weights_on_triangle};
 use glam::DVec3;
@@ -18,13 +19,13 @@ const LONGEST_SEARCH: u32 = 5000;
 
 /// A face of the original surface and weights of its corners.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Spot {
+pub(super) struct OriginalPoint {
     pub face: u32,
     pub weights: [f64; 3],
 }
 
 /// The gathered faces before any change, by their numbers in the editable mesh.
-pub(super) struct Original {
+pub(super) struct OriginalSurface {
     corners: Vec<[DVec3; 3]>,
     /// Unit normals; that of its neighbours for a sliver, zero where those have none.
     normals: Vec<DVec3>,
@@ -39,9 +40,9 @@ pub(super) struct Original {
     search: u32,
 }
 
-impl Original {
+impl OriginalSurface {
     /// Copies the faces. `crosses` says whether an edge may be crossed: that no curve lies on it.
-    pub fn of(mesh: &Editable, sizes: Vec<f64>, crosses: impl Fn(u32, u32) -> bool) -> Self {
+    pub fn of(mesh: &RegionMesh, sizes: Vec<f64>, crosses: impl Fn(u32, u32) -> bool) -> Self {
         let count = mesh.faces.len() as u32;
         let beyond = (0..count).map(|f| {
             let p = mesh.points_of(f);
@@ -56,22 +57,19 @@ impl Original {
             })
         });
         let normal = |f| {
-            let own = triangle::area_normal(mesh.corners_of(f));
+            let own = mesh.area_normal(f);
             if !is_sliver(mesh, f) {
                 return own.normalize_or_zero();
             }
             let p = mesh.points_of(f);
             let beside = (0..3).flat_map(|i| mesh.edge(p[i], p[(i + 1) % 3]).other(f));
-            beside
-                .map(|g| triangle::area_normal(mesh.corners_of(g)))
-                .sum::<DVec3>()
-                .normalize_or_zero()
+            beside.map(|g| mesh.area_normal(g)).sum::<DVec3>().normalize_or_zero()
         };
         Self {
-            corners: (0..count).map(|f| mesh.corners_of(f)).collect(),
+            corners: (0..count).map(|f| mesh.corner_positions(f)).collect(),
             normals: (0..count).map(normal).collect(),
             vertices: (mesh.faces.iter())
-                .map(|f| f.corners.map(|w| mesh.wedges[w as usize].old))
+                .map(|f| f.wedges.map(|w| mesh.wedges[w as usize].vertex))
                 .collect(),
             points: (0..count).map(|f| mesh.points_of(f)).collect(),
             beyond: beyond.collect(),
@@ -82,9 +80,9 @@ impl Original {
     }
 
     /// Where corner `p` of face `f` is.
-    pub fn corner(&self, f: u32, p: u32) -> Spot {
+    pub fn corner(&self, f: u32, p: u32) -> OriginalPoint {
         let weights = self.points[f as usize].map(|q| if q == p { 1.0 } else { 0.0 });
-        Spot { face: f, weights }
+        OriginalPoint { face: f, weights }
     }
 
     /// Unit normal of the surface at face `f`; zero where it has none.
@@ -93,34 +91,34 @@ impl Original {
     }
 
     /// The place of a spot.
-    pub fn position(&self, spot: Spot) -> DVec3 {
+    pub fn position(&self, spot: OriginalPoint) -> DVec3 {
         blend_corners(self.corners[spot.face as usize], spot.weights)
     }
 
     /// Render vertices and weights that a spot is made of.
-    pub fn blend(&self, spot: Spot) -> ([u32; 3], [f64; 3]) {
+    pub fn blend(&self, spot: OriginalPoint) -> ([u32; 3], [f64; 3]) {
         (self.vertices[spot.face as usize], spot.weights)
     }
 
     /// The target length at a spot.
-    pub fn size(&self, spot: Spot) -> f64 {
+    pub fn size(&self, spot: OriginalPoint) -> f64 {
         let sizes = self.points[spot.face as usize].map(|p| self.sizes[p as usize]);
         (0..3).map(|i| sizes[i] * spot.weights[i]).sum()
     }
 
     /// The nearest spot to `p` that is found by walking from `seeds` over faces, nearest first, never across a curve.
-    pub fn nearest(&mut self, p: DVec3, seeds: &[u32]) -> Spot {
+    pub fn nearest(&mut self, p: DVec3, seeds: &[u32]) -> OriginalPoint {
         self.search += 1;
         let mut queue: BinaryHeap<Reverse<(u64, u32)>> = BinaryHeap::new();
         let mut best = (
             f64::INFINITY,
-            Spot {
+            OriginalPoint {
                 face: seeds.first().copied().unwrap_or(0),
                 weights: [1.0 / 3.0; 3],
             },
         );
         let mut stalled = 0;
-        let look = |this: &mut Self, f: u32, queue: &mut BinaryHeap<_>, best: &mut (f64, Spot)| {
+        let look = |this: &mut Self, f: u32, queue: &mut BinaryHeap<_>, best: &mut (f64, OriginalPoint)| {
             if std::mem::replace(&mut this.seen[f as usize], this.search) == this.search {
                 return false;
             }
@@ -128,7 +126,7 @@ impl Original {
             queue.push(Reverse((distance.to_bits(), f)));
             let better = distance < best.0;
             if better {
-                *best = (distance, Spot { face: f, weights });
+                *best = (distance, OriginalPoint { face: f, weights });
             }
             better
         };
@@ -153,6 +151,6 @@ impl Original {
 }
 
 /// Whether face `f` is so thin that its normal says little.
-pub(super) fn is_sliver(mesh: &Editable, f: u32) -> bool {
-    triangle::aspect(mesh.corners_of(f)) > SLIVER
+pub(super) fn is_sliver(mesh: &RegionMesh, f: u32) -> bool {
+    triangle::aspect(mesh.corner_positions(f)) > SLIVER
 }

@@ -1,6 +1,6 @@
 //! How long edges should be, from place to place.
 
-use crate::edit::editable::{Editable, triangle};
+use crate::edit::region_mesh::RegionMesh;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -9,7 +9,7 @@ const SLOPE: f64 = 0.5;
 
 /// Target lengths at the points of a mesh: `wanted` where nothing stands against it; at points that hold edges which
 /// cannot change, the length of those; in between no steeper than [`SLOPE`].
-pub(super) fn graded(mesh: &Editable, wanted: &[f64]) -> Vec<f64> {
+pub(super) fn grade_lengths(mesh: &RegionMesh, wanted: &[f64]) -> Vec<f64> {
     let edges = mesh.edges();
     let mut held = vec![(0.0, 0u32); mesh.points.len()];
     let mut rows: Vec<Vec<(u32, f64)>> = vec![Vec::new(); mesh.points.len()];
@@ -29,17 +29,17 @@ pub(super) fn graded(mesh: &Editable, wanted: &[f64]) -> Vec<f64> {
         .map(|&(sum, count)| (count > 0).then(|| sum / f64::from(count)))
         .collect();
     // No smaller than what held edges of a larger length nearby ask for: its negative, rising from them.
-    let floor = spread(&rows, pinned.iter().map(|p| p.map(|l| -l)).collect());
+    let floor = limit_slope(&rows, pinned.iter().map(|p| p.map(|l| -l)).collect());
     let start = wanted.iter().zip(&pinned).zip(&floor).map(|((&w, pin), floor)| {
         let least = floor.map_or(0.0, |f| -f);
         Some(pin.unwrap_or(w.max(least)))
     });
-    let ceiling = spread(&rows, start.collect());
+    let ceiling = limit_slope(&rows, start.collect());
     ceiling.iter().zip(wanted).map(|(c, &w)| c.unwrap_or(w)).collect()
 }
 
 /// The least of all `values` after each has risen by [`SLOPE`] with the distance along edges. `None` is no value.
-fn spread(rows: &[Vec<(u32, f64)>], mut values: Vec<Option<f64>>) -> Vec<Option<f64>> {
+fn limit_slope(rows: &[Vec<(u32, f64)>], mut values: Vec<Option<f64>>) -> Vec<Option<f64>> {
     // Order numbers of either sign by their bits.
     let key = |x: f64| {
         let bits = x.to_bits() as i64;
@@ -64,11 +64,11 @@ fn spread(rows: &[Vec<(u32, f64)>], mut values: Vec<Option<f64>>) -> Vec<Option<
 }
 
 /// How many triangles the region would have with these target lengths, at least.
-pub(super) fn estimate(mesh: &Editable, sizes: &[f64]) -> f64 {
+pub(super) fn estimate_triangles(mesh: &RegionMesh, sizes: &[f64]) -> f64 {
     let equilateral = 3f64.sqrt() / 4.0;
-    mesh.living()
+    mesh.living_faces()
         .map(|f| {
-            let area = 0.5 * triangle::area_normal(mesh.corners_of(f)).length();
+            let area = 0.5 * mesh.area_normal(f).length();
             let size: f64 = mesh.points_of(f).iter().map(|&p| sizes[p as usize]).sum::<f64>() / 3.0;
             area / (equilateral * size * size)
         })
@@ -88,9 +88,9 @@ mod tests {
             vec![(2, 4.0)],
             vec![],
         ];
-        let grown = spread(&rows, vec![Some(1.0), None, Some(9.0), Some(1.5), None]);
+        let grown = limit_slope(&rows, vec![Some(1.0), None, Some(9.0), Some(1.5), None]);
         assert_eq!(grown, [Some(1.0), Some(2.0), Some(3.0), Some(1.5), None]);
-        let grown = spread(&rows, vec![Some(-4.0), None, None, Some(-4.5), None]);
+        let grown = limit_slope(&rows, vec![Some(-4.0), None, None, Some(-4.5), None]);
         assert_eq!(grown, [Some(-4.0), Some(-3.0), Some(-2.5), Some(-4.5), None]);
     }
 }

@@ -1,8 +1,10 @@
 //! Where a deformed surface is stretched, and how fine it was at rest.
 
-use super::{ASPECT, STRETCH};
-use crate::edit::Surface;
-use crate::edit::editable::{Bits, Editable, proper_points, triangle};
+use super::target::{ASPECT, STRETCH};
+use crate::edit::region_mesh::RegionMesh;
+use crate::edit::surface::{BitSet, SurfaceView};
+use crate::edit::triangle;
+
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -10,10 +12,10 @@ use glam::DVec3;
 const RINGS: usize = 2;
 
 /// Those of `faces` that are stretched or thin, with the rings around them.
-pub(super) fn faces(surface: &Surface, faces: &[u32], rest: &[DVec3]) -> Vec<u32> {
+pub(super) fn find_stretched_faces(surface: &SurfaceView, faces: &[u32], rest: &[DVec3]) -> Vec<u32> {
     let needs = |&t: &u32| {
         let corners = surface.triangles[t as usize];
-        let now = corners.map(|v| surface.positions[v as usize]);
+        let now = surface.corner_positions(t);
         let then = corners.map(|v| rest[v as usize]);
         let stretched = (0..3).any(|i| {
             let before = then[i].distance(then[(i + 1) % 3]);
@@ -21,21 +23,21 @@ pub(super) fn faces(surface: &Surface, faces: &[u32], rest: &[DVec3]) -> Vec<u32
         });
         stretched || triangle::aspect(now) > ASPECT
     };
-    let mut points = Bits::new(surface.points as usize);
+    let mut points = BitSet::new(surface.points as usize);
     let mut any = false;
     for t in faces.iter().filter(|t| needs(t)) {
-        if let Some(p) = proper_points(surface, *t) {
-            p.iter().for_each(|&p| points.set(p));
+        if let Some(p) = surface.proper_points(*t) {
+            p.iter().for_each(|&p| points.insert(p));
             any = true;
         }
     }
     if !any {
         return Vec::new();
     }
-    let touched = |points: &Bits| {
+    let touched = |points: &BitSet| {
         let near = |t: &&u32| {
             let corners = surface.triangles[**t as usize];
-            corners.iter().any(|&v| points.has(surface.point_of[v as usize]))
+            corners.iter().any(|&v| points.contains(surface.point_of[v as usize]))
         };
         faces.iter().filter(near).copied().collect::<Vec<u32>>()
     };
@@ -44,7 +46,7 @@ pub(super) fn faces(surface: &Surface, faces: &[u32], rest: &[DVec3]) -> Vec<u32
         for v in found.iter().flat_map(|&t| surface.triangles[t as usize]) {
             let p = surface.point_of[v as usize];
             if p != NONE {
-                points.set(p);
+                points.insert(p);
             }
         }
         found = touched(&points);
@@ -53,11 +55,11 @@ pub(super) fn faces(surface: &Surface, faces: &[u32], rest: &[DVec3]) -> Vec<u32
 }
 
 /// The mean rest length of the edges at each point; where that is nothing, of those that are there now.
-pub(super) fn rest_lengths(mesh: &Editable, rest: &[DVec3]) -> Vec<f64> {
+pub(super) fn rest_lengths(mesh: &RegionMesh, rest: &[DVec3]) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0, 0u32); mesh.points.len()];
     for (f, face) in mesh.faces.iter().enumerate() {
         let points = mesh.points_of(f as u32);
-        let then = face.corners.map(|w| rest[mesh.wedges[w as usize].old as usize]);
+        let then = face.wedges.map(|w| rest[mesh.wedges[w as usize].vertex as usize]);
         for i in 0..3 {
             let j = (i + 1) % 3;
             for p in [points[i], points[j]] {

@@ -1,6 +1,6 @@
-//! Closed boundary loops.
+//! Closed boundary loops that can be stitched.
 
-use crate::edit::editable::Editable;
+use crate::edit::region_mesh::RegionMesh;
 use crate::mesh::NONE;
 use std::collections::BTreeMap;
 
@@ -9,14 +9,14 @@ const SAMPLE: usize = 48;
 
 /// A closed boundary loop, each point once, in the order in which the faces beside it pass its edges.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Loop {
+pub(super) struct StitchLoop {
     pub points: Vec<u32>,
     pub length: f64,
 }
 
-impl Loop {
+impl StitchLoop {
     /// The primitive that most faces beside it belong to, the smallest of equals.
-    pub fn main_primitive(&self, mesh: &Editable) -> u32 {
+    pub fn main_primitive(&self, mesh: &RegionMesh) -> u32 {
         let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
         for (i, &p) in self.points.iter().enumerate() {
             let q = self.points[(i + 1) % self.points.len()];
@@ -36,17 +36,17 @@ impl Loop {
 
 /// The closed boundary loops among the faces of `mesh` that are not frozen, in the order of their smallest points. Where
 /// loops touch at a point each keeps to its own fan of faces; a rim that ends at an edge with more than two faces is none.
-pub(super) fn find(mesh: &Editable) -> Vec<Loop> {
+pub(super) fn find_loops(mesh: &RegionMesh) -> Vec<StitchLoop> {
     // A frozen face cannot have a boundary edge: all faces at boundary points were gathered.
     let mut next: BTreeMap<(u32, u32), (u32, u32)> = BTreeMap::new();
-    for f in mesh.living() {
+    for f in mesh.living_faces() {
         let p = mesh.points_of(f);
         for i in 0..3 {
             let (a, b) = (p[i], p[(i + 1) % 3]);
             let edge = mesh.edge(a, b);
             if edge.right == NONE
                 && !edge.tangled
-                && let Some(on) = turn(mesh, f, b)
+                && let Some(on) = next_boundary_edge(mesh, f, b)
             {
                 next.insert((a, b), on);
             }
@@ -66,15 +66,15 @@ pub(super) fn find(mesh: &Editable) -> Vec<Loop> {
         if here == start && points.len() >= 3 && once.len() == points.len() {
             let ends = points.iter().zip(points.iter().cycle().skip(1));
             let length = ends.map(|(&p, &q)| mesh.length(p, q)).sum();
-            loops.push(Loop { points, length });
+            loops.push(StitchLoop { points, length });
         }
     }
     loops
 }
 
 /// From face `f`, which a boundary edge leads into `p` along, around `p` to the boundary edge that leads away.
-fn turn(mesh: &Editable, mut f: u32, p: u32) -> Option<(u32, u32)> {
-    for _ in 0..mesh.points[p as usize].faces.len() {
+fn next_boundary_edge(mesh: &RegionMesh, mut f: u32, p: u32) -> Option<(u32, u32)> {
+    for _ in 0..mesh.faces_around(p).len() {
         let q = mesh.points_of(f);
         let i = q.iter().position(|&x| x == p)?;
         let to = q[(i + 1) % 3];
@@ -91,7 +91,7 @@ fn turn(mesh: &Editable, mut f: u32, p: u32) -> Option<(u32, u32)> {
 }
 
 /// The least distance between points of two loops, of a sample when they are long.
-pub(super) fn distance(mesh: &Editable, a: &Loop, b: &Loop) -> f64 {
+pub(super) fn loop_distance(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop) -> f64 {
     let mut least = f64::INFINITY;
     for p in a.sample() {
         for q in b.sample() {
@@ -102,16 +102,16 @@ pub(super) fn distance(mesh: &Editable, a: &Loop, b: &Loop) -> f64 {
 }
 
 /// The pair, one of each list, whose points are nearest to each other on average, among those that `allowed` accepts.
-pub(super) fn nearest<'a>(
-    mesh: &Editable,
-    from: &[&'a Loop],
-    to: &[&'a Loop],
-    allowed: impl Fn(&Loop, &Loop) -> bool,
-) -> Option<(&'a Loop, &'a Loop)> {
+pub(super) fn nearest_pair<'a>(
+    mesh: &RegionMesh,
+    from: &[&'a StitchLoop],
+    to: &[&'a StitchLoop],
+    allowed: impl Fn(&StitchLoop, &StitchLoop) -> bool,
+) -> Option<(&'a StitchLoop, &'a StitchLoop)> {
     // With many loops a few points of each must do.
     let pairs = from.len().saturating_mul(to.len());
     let few = if pairs > 10_000 { 1 } else { SAMPLE };
-    let mut best: Option<(f64, &Loop, &Loop)> = None;
+    let mut best: Option<(f64, &StitchLoop, &StitchLoop)> = None;
     for &a in from {
         for &b in to {
             if !allowed(a, b) {
@@ -126,7 +126,7 @@ pub(super) fn nearest<'a>(
     best.map(|(_, a, b)| (a, b))
 }
 
-fn mean_gap(mesh: &Editable, a: &Loop, b: &Loop, few: usize) -> f64 {
+fn mean_gap(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop, few: usize) -> f64 {
     let mut sum = 0.0;
     let mut count = 0u32;
     for p in a.sample().take(few) {

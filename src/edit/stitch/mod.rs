@@ -3,18 +3,21 @@
 mod loops;
 mod strip;
 
-use super::editable::{Bits, Editable, Touching, proper_points, triangle};
-use super::weld::rim_points;
-use super::{Error, NewTriangle, NewVertex, Patch, Surface};
+use super::boundary::boundary_points;
+use super::error::Error;
+use super::patch::{NewTriangle, NewVertex, SurfacePatch};
+use super::region_mesh::RegionMesh;
+use super::surface::{BitSet, SurfaceView};
+use super::triangle;
 use crate::mesh::{Components, NONE};
 use crate::progress::{Progress, check};
 use glam::DVec3;
-use loops::Loop;
+use loops::StitchLoop;
 use std::collections::BTreeMap;
 
 /// Which loops to join.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Between {
+pub enum LoopPair {
     /// The loops that pass these points.
     Points(u32, u32),
     /// The two nearest loops of which one has only points below the number given and the other only others: one of the
@@ -38,123 +41,127 @@ const FURTHER: f64 = 1.0;
 /// # Errors
 /// [`Error::Impossible`] when there are no two such loops, they share a point or touch, they do not match in length or
 /// distance, the parts face opposite ways, or the strip would repeat edges; [`Error::Cancelled`].
-pub fn stitch(surface: &Surface, between: Between, progress: &dyn Progress) -> Result<Patch, Error> {
-    let rim = rim_points(surface);
-    let mut bits = Bits::new(surface.points as usize);
-    rim.iter().for_each(|&p| bits.set(p));
-    let touching = Touching::find(surface, &bits).triangles;
+pub fn stitch_boundaries(
+    surface: &SurfaceView,
+    between: LoopPair,
+    progress: &dyn Progress,
+) -> Result<SurfacePatch, Error> {
+    let rim = boundary_points(surface);
+    let mut bits = BitSet::new(surface.points as usize);
+    rim.iter().for_each(|&p| bits.insert(p));
+    let touching = surface.triangles_touching(&bits);
     let near: Vec<u32> = (touching.into_iter())
-        .filter(|&t| proper_points(surface, t).is_some())
+        .filter(|&t| surface.proper_points(t).is_some())
         .collect();
     if near.is_empty() {
-        return Err(impossible("the surface has no boundary loop", "the whole surface"));
+        return Err(Error::impossible(
+            "the surface has no boundary loop",
+            "the whole surface",
+        ));
     }
-    let mesh = Editable::gather(surface, &near)?;
-    check(progress).map_err(|_| Error::Cancelled)?;
-    let found = loops::find(&mesh);
-    let (a, b) = choose(surface, &mesh, &found, between)?;
-    check_match(&mesh, a, b, matches!(between, Between::Points(..)))?;
-    check(progress).map_err(|_| Error::Cancelled)?;
-    let strip = strip::shortest(&mesh, a, b).ok_or_else(|| {
+    let mesh = RegionMesh::with_frozen_ring(surface, &near)?;
+    check(progress)?;
+    let found = loops::find_loops(&mesh);
+    let (a, b) = choose_loops(surface, &mesh, &found, between)?;
+    check_match(&mesh, a, b, matches!(between, LoopPair::Points(..)))?;
+    check(progress)?;
+    let strip = strip::find_shortest_strip(&mesh, a, b).ok_or_else(|| {
         let problem = "no strip between the two loops has only new edges; they are joined by edges already";
-        impossible(problem, &place(&mesh, a, b))
+        Error::impossible(problem, &describe_place(&mesh, a, b))
     })?;
     let turned: Vec<u32> = b.points.iter().rev().copied().collect();
-    let other_way = strip::shortest(
+    let other_way = strip::find_shortest_strip(
         &mesh,
         a,
-        &Loop {
+        &StitchLoop {
             points: turned,
             ..b.clone()
         },
     );
     if other_way.is_some_and(|o| o.cost * 2.0 < strip.cost) {
         let problem = "the two parts face opposite ways: one of them is inside out, turn its triangles over";
-        return Err(impossible(problem, &place(&mesh, a, b)));
+        return Err(Error::impossible(problem, &describe_place(&mesh, a, b)));
     }
-    build(surface, &mesh, a, b, &strip.triangles)
+    write_patch(surface, &mesh, a, b, &strip.triangles)
 }
 
-fn impossible(problem: &str, place: &str) -> Error {
-    Error::Impossible {
-        problem: problem.to_owned(),
-        place: place.to_owned(),
-    }
-}
-
-fn place(mesh: &Editable, a: &Loop, b: &Loop) -> String {
-    format!("loops at {} and {}", mesh.at(a.points[0]), mesh.at(b.points[0]))
+fn describe_place(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop) -> String {
+    format!(
+        "loops at {} and {}",
+        mesh.position(a.points[0]),
+        mesh.position(b.points[0])
+    )
 }
 
 /// The two loops that are meant.
-fn choose<'a>(
-    surface: &Surface,
-    mesh: &Editable,
-    found: &'a [Loop],
-    between: Between,
-) -> Result<(&'a Loop, &'a Loop), Error> {
-    let old = |l: &Loop| {
+fn choose_loops<'a>(
+    surface: &SurfaceView,
+    mesh: &RegionMesh,
+    found: &'a [StitchLoop],
+    between: LoopPair,
+) -> Result<(&'a StitchLoop, &'a StitchLoop), Error> {
+    let old = |l: &StitchLoop| {
         l.points
             .iter()
             .map(|&p| mesh.points[p as usize].old)
             .min()
             .unwrap_or(NONE)
     };
-    let newest = |l: &Loop| l.points.iter().map(|&p| mesh.points[p as usize].old).max().unwrap_or(0);
+    let newest = |l: &StitchLoop| l.points.iter().map(|&p| mesh.points[p as usize].old).max().unwrap_or(0);
     match between {
-        Between::Points(p, q) => {
+        LoopPair::Points(p, q) => {
             let at = |p: u32| {
-                let passes = |l: &&Loop| l.points.iter().any(|&x| mesh.points[x as usize].old == p);
+                let passes = |l: &&StitchLoop| l.points.iter().any(|&x| mesh.points[x as usize].old == p);
                 let hint = "is on no closed boundary loop; name a point on a loop";
-                let missing = || impossible(&format!("point {p} {hint}"), &format!("point {p}"));
+                let missing = || Error::impossible(&format!("point {p} {hint}"), &format!("point {p}"));
                 found.iter().find(passes).ok_or_else(missing)
             };
             Ok((at(p)?, at(q)?))
         }
-        Between::Appended(first) => {
+        LoopPair::Appended(first) => {
             let (model, appended): (Vec<_>, Vec<_>) = found.iter().partition(|l| newest(l) < first);
             let appended: Vec<_> = appended.into_iter().filter(|l| old(l) >= first).collect();
-            let pair = loops::nearest(mesh, &model, &appended, |_, _| true);
+            let pair = loops::nearest_pair(mesh, &model, &appended, |_, _| true);
             pair.ok_or_else(|| {
                 let (m, n) = (model.len(), appended.len());
                 let problem =
                     format!("the model has {m} closed boundary loops and the appended one {n}; both need one");
-                impossible(&problem, "both models")
+                Error::impossible(&problem, "both models")
             })
         }
-        Between::Parts => {
+        LoopPair::Parts => {
             let corners: Vec<[u32; 3]> = (0..surface.triangles.len() as u32)
-                .filter_map(|t| proper_points(surface, t))
+                .filter_map(|t| surface.proper_points(t))
                 .collect();
             let parts = Components::of_triangles(surface.points as usize, &corners);
-            let part = |l: &Loop| parts.of_vertex[old(l) as usize];
-            let all: Vec<&Loop> = found.iter().collect();
-            let pair = loops::nearest(mesh, &all, &all, |a, b| part(a) < part(b));
+            let part = |l: &StitchLoop| parts.of_vertex[old(l) as usize];
+            let all: Vec<&StitchLoop> = found.iter().collect();
+            let pair = loops::nearest_pair(mesh, &all, &all, |a, b| part(a) < part(b));
             pair.ok_or_else(|| {
                 let problem = format!(
                     "there are {} closed boundary loops and no two of different parts; to join loops of one part name a point on each",
                     found.len()
                 );
-                impossible(&problem, "the whole surface")
+                Error::impossible(&problem, "the whole surface")
             })
         }
     }
 }
 
-fn check_match(mesh: &Editable, a: &Loop, b: &Loop, named: bool) -> Result<(), Error> {
-    let place = place(mesh, a, b);
+fn check_match(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop, named: bool) -> Result<(), Error> {
+    let place = describe_place(mesh, a, b);
     if a.points.iter().any(|p| b.points.contains(p)) {
         let problem = if a == b {
             "both points are on the same boundary loop; name one on each of two, or fill the hole"
         } else {
             "the two loops share a point; weld them or fill the holes"
         };
-        return Err(impossible(problem, &place));
+        return Err(Error::impossible(problem, &place));
     }
-    let distance = loops::distance(mesh, a, b);
+    let distance = loops::loop_distance(mesh, a, b);
     let (la, lb) = (a.length, b.length);
     if distance == 0.0 {
-        return Err(impossible("the two loops touch; weld them first", &place));
+        return Err(Error::impossible("the two loops touch; weld them first", &place));
     }
     let matched = la.max(lb) <= LONGER * la.min(lb) && distance <= FURTHER * la.max(lb);
     if matched || named {
@@ -164,66 +171,72 @@ fn check_match(mesh: &Editable, a: &Loop, b: &Loop, named: bool) -> Result<(), E
         "the nearest loops do not match: lengths {la} and {lb}, distance {distance}; lengths may differ {LONGER} times, the distance may be the \
          longer length; move the parts together or name a point on each loop"
     );
-    Err(impossible(&problem, &place))
+    Err(Error::impossible(&problem, &place))
 }
 
 /// Makes triangles of points into a patch.
-fn build(surface: &Surface, mesh: &Editable, a: &Loop, b: &Loop, triangles: &[strip::Piece]) -> Result<Patch, Error> {
+fn write_patch(
+    surface: &SurfaceView,
+    mesh: &RegionMesh,
+    a: &StitchLoop,
+    b: &StitchLoop,
+    triangles: &[strip::StripTriangle],
+) -> Result<SurfacePatch, Error> {
     let primitive = a.main_primitive(mesh);
-    let mut vertices = Vertices {
+    let mut vertices = StripVertices {
         surface,
         mesh,
         primitive,
         known: Vec::new(),
         copies: BTreeMap::new(),
-        patch: Patch::default(),
+        patch: SurfacePatch::default(),
     };
     let points = a.points.iter().chain(&b.points);
-    vertices.known = points.filter_map(|&p| Some((p, vertices.of(p, NONE)?))).collect();
+    vertices.known = points.filter_map(|&p| Some((p, vertices.find(p, NONE)?))).collect();
     for piece in triangles {
-        let corners = piece.points.map(|p| mesh.at(p));
+        let corners = piece.points.map(|p| mesh.position(p));
         if triangle::area_normal(corners).try_normalize().is_none() {
             let problem = "the strip would have a triangle without area; weld points that touch first";
-            return Err(impossible(problem, &format!("{}", corners[0])));
+            return Err(Error::impossible(problem, &format!("{}", corners[0])));
         }
-        let corners = piece.points.map(|p| vertices.take(p, piece.beside));
+        let corners = piece.points.map(|p| vertices.find_or_copy(p, piece.beside));
         vertices.patch.triangles.push(NewTriangle { primitive, corners });
     }
     Ok(vertices.patch)
 }
 
 /// The render vertices of a strip.
-struct Vertices<'a> {
-    surface: &'a Surface<'a>,
-    mesh: &'a Editable,
+struct StripVertices<'a> {
+    surface: &'a SurfaceView<'a>,
+    mesh: &'a RegionMesh,
     primitive: u32,
     /// Points of both loops that have a vertex of the primitive, with one.
     known: Vec<(u32, u32)>,
     copies: BTreeMap<u32, u32>,
-    patch: Patch,
+    patch: SurfacePatch,
 }
 
-impl Vertices<'_> {
+impl StripVertices<'_> {
     /// A vertex of the primitive at point `p`: that of face `beside` when there is one, else the first.
-    fn of(&self, p: u32, beside: u32) -> Option<u32> {
+    fn find(&self, p: u32, beside: u32) -> Option<u32> {
         let own = |f: u32| {
             let face = &self.mesh.faces[f as usize];
             let wedge = self.mesh.wedge_at(f, p).filter(|_| face.primitive == self.primitive)?;
-            Some(self.mesh.wedges[wedge as usize].old)
+            Some(self.mesh.wedges[wedge as usize].vertex)
         };
         let there = if beside == NONE { None } else { own(beside) };
-        there.or_else(|| self.mesh.points[p as usize].faces.iter().filter_map(|&f| own(f)).min())
+        there.or_else(|| self.mesh.faces_around(p).iter().filter_map(|&f| own(f)).min())
     }
 
-    fn take(&mut self, p: u32, beside: u32) -> u32 {
-        if let Some(v) = self.of(p, beside) {
+    fn find_or_copy(&mut self, p: u32, beside: u32) -> u32 {
+        if let Some(v) = self.find(p, beside) {
             return v;
         }
         if let Some(&v) = self.copies.get(&p) {
             return v;
         }
-        let here: DVec3 = self.mesh.at(p);
-        let distance = |k: &(u32, u32)| self.mesh.at(k.0).distance_squared(here);
+        let here: DVec3 = self.mesh.position(p);
+        let distance = |k: &(u32, u32)| self.mesh.position(k.0).distance_squared(here);
         let nearest = self.known.iter().min_by(|x, y| distance(x).total_cmp(&distance(y)));
         let source = nearest.map_or(0, |k| k.1);
         let v = self.surface.positions.len() as u32 + self.patch.vertices.len() as u32;

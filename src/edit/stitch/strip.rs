@@ -1,7 +1,7 @@
 //! The shortest strip of triangles between two loops.
 
-use super::loops::Loop;
-use crate::edit::editable::Editable;
+use super::loops::StitchLoop;
+use crate::edit::region_mesh::RegionMesh;
 use crate::mesh::NONE;
 
 /// Most pairs of points for which all strips are compared; beyond, the shorter of the next two edges is taken each time.
@@ -9,7 +9,7 @@ const MOST_PAIRS: usize = 16 << 20;
 
 /// A triangle of a strip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Piece {
+pub(super) struct StripTriangle {
     pub points: [u32; 3],
     /// The face that it shares the loop's edge with.
     pub beside: u32,
@@ -17,14 +17,14 @@ pub(super) struct Piece {
 
 /// Triangles and the length of their edges from loop to loop.
 #[derive(Debug, Clone)]
-pub(super) struct Strip {
-    pub triangles: Vec<Piece>,
+pub(super) struct StitchStrip {
+    pub triangles: Vec<StripTriangle>,
     pub cost: f64,
 }
 
 /// The strip of least length that begins at the closest pair of points and has no edge that is there already; `None` when
 /// there is none. Seen along the first loop the second runs backwards, so that the strip's faces turn as both parts' do.
-pub(super) fn shortest(mesh: &Editable, a: &Loop, b: &Loop) -> Option<Strip> {
+pub(super) fn find_shortest_strip(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop) -> Option<StitchStrip> {
     let (n, m) = (a.points.len(), b.points.len());
     let mut start = (f64::INFINITY, 0, 0);
     // Long loops begin at a point that is close enough.
@@ -64,7 +64,7 @@ pub(super) fn shortest(mesh: &Editable, a: &Loop, b: &Loop) -> Option<Strip> {
             }
         };
         if n.saturating_mul(m) <= MOST_PAIRS {
-            best_steps(n, m, cost)
+            shortest_steps(n, m, cost)
         } else {
             greedy_steps(n, m, cost)
         }
@@ -76,30 +76,30 @@ pub(super) fn shortest(mesh: &Editable, a: &Loop, b: &Loop) -> Option<Strip> {
     for along_a in steps {
         if along_a {
             let (p, q) = (at_a(i), at_a(i + 1));
-            triangles.push(Piece {
+            triangles.push(StripTriangle {
                 points: [q, p, at_b(j)],
-                beside: beside(mesh, p, q),
+                beside: face_beside(mesh, p, q),
             });
             i += 1;
         } else {
             let (p, q) = (at_b(j), at_b(j + 1));
-            triangles.push(Piece {
+            triangles.push(StripTriangle {
                 points: [p, q, at_a(i)],
-                beside: beside(mesh, q, p),
+                beside: face_beside(mesh, q, p),
             });
             j += 1;
         }
     }
-    Some(Strip { triangles, cost: total })
+    Some(StitchStrip { triangles, cost: total })
 }
 
 /// The face at an edge of a loop.
-fn beside(mesh: &Editable, p: u32, q: u32) -> u32 {
+fn face_beside(mesh: &RegionMesh, p: u32, q: u32) -> u32 {
     mesh.edge(p, q).faces().next().unwrap_or(NONE)
 }
 
 /// All ways from (0, 0) to (n, m) by single steps, compared; true is a step along the first loop.
-fn best_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<(Vec<bool>, f64)> {
+fn shortest_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<(Vec<bool>, f64)> {
     let width = m + 1;
     let mut from_a = vec![false; (n + 1) * width];
     let mut row = vec![f64::INFINITY; width];
@@ -161,7 +161,7 @@ mod tests {
         let a = [0.0, 0.3, 0.5, 0.9, 1.0f64];
         let b = [0.0, 0.5, 0.6, 0.7, 0.75, 0.9, 1.0f64];
         let cost = |i: usize, j: usize| (a[i] - b[j]).abs() + 0.1;
-        let (full, least) = best_steps(4, 6, cost).expect("a way");
+        let (full, least) = shortest_steps(4, 6, cost).expect("a way");
         let (greedy, more) = greedy_steps(4, 6, cost).expect("a way");
         for steps in [&full, &greedy] {
             assert_eq!((steps.len(), steps.iter().filter(|s| **s).count()), (10, 4));
@@ -172,7 +172,7 @@ mod tests {
     #[test]
     fn forbidden_edges_are_gone_around_or_refused() {
         let blocked = |i: usize, j: usize| if (i, j) == (1, 1) { f64::INFINITY } else { 1.0 };
-        assert!(best_steps(3, 3, blocked).is_some_and(|(_, total)| total == 7.0));
-        assert!(best_steps(2, 2, |i, j| if i == 1 || j == 1 { f64::INFINITY } else { 1.0 }).is_none());
+        assert!(shortest_steps(3, 3, blocked).is_some_and(|(_, total)| total == 7.0));
+        assert!(shortest_steps(2, 2, |i, j| if i == 1 || j == 1 { f64::INFINITY } else { 1.0 }).is_none());
     }
 }

@@ -2,12 +2,14 @@
 //!
 //! Neighbours of the region that share a divided edge are split to fit (red and green triangles, Bank et al. 1983), so
 //! there is no T-junction; where an edge has several render vertices at an end, each side gets its own middle at the
-//! same point. [`Scheme::Midpoint`] keeps the shape, [`Scheme::Loop`] smooths it.
+//! same point. [`SubdivisionScheme::Midpoint`] keeps the shape, [`SubdivisionScheme::Loop`] smooths it.
 
 mod masks;
 
-use super::editable::Editable;
-use super::{Error, NewTriangle, NewVertex, Patch, Surface};
+use super::error::{EditSubject, Error};
+use super::patch::{NewTriangle, NewVertex, SurfacePatch};
+use super::region_mesh::RegionMesh;
+use super::surface::SurfaceView;
 use crate::mesh::NONE;
 use crate::progress::{Progress, check};
 use glam::DVec3;
@@ -15,7 +17,7 @@ use std::collections::BTreeMap;
 
 /// Where new and old points come to lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Scheme {
+pub enum SubdivisionScheme {
     /// New points in the middle of edges; old ones stay.
     Midpoint,
     /// The masks of Loop (1987): old points move as well, but for those on the rim of the region. Boundaries follow the
@@ -28,9 +30,13 @@ pub enum Scheme {
 /// # Errors
 /// [`Error::Invalid`] when `faces` is no region or holds no triangle with three points; [`Error::TooLarge`] beyond what
 /// 32-bit numbers count; [`Error::Cancelled`].
-pub fn subdivide(surface: &Surface, faces: &[u32], scheme: Scheme, progress: &dyn Progress) -> Result<Patch, Error> {
-    let stop = || check(progress).map_err(|_| Error::Cancelled);
-    let mesh = Editable::gather(surface, faces)?;
+pub fn subdivide_region(
+    surface: &SurfaceView,
+    faces: &[u32],
+    scheme: SubdivisionScheme,
+    progress: &dyn Progress,
+) -> Result<SurfacePatch, Error> {
+    let mesh = RegionMesh::with_frozen_ring(surface, faces)?;
     let edges = mesh.edges();
     // Six list entries a triangle must be countable with 32 bits, see `mesh::Mesh::build`.
     let limit = u64::from(NONE / 6);
@@ -43,39 +49,37 @@ pub fn subdivide(surface: &Surface, faces: &[u32], scheme: Scheme, progress: &dy
         });
     }
     if edges.is_empty() {
-        return Err(Error::Invalid {
-            field: "region".to_owned(),
-            problem: "it holds no triangle with three different points".to_owned(),
-        });
+        let problem = "it holds no triangle with three different points";
+        return Err(Error::invalid(EditSubject::Region, problem));
     }
-    stop()?;
+    check(progress)?;
     let middle = |&(a, b): &(u32, u32)| match scheme {
-        Scheme::Midpoint => masks::middle(&mesh, a, b),
-        Scheme::Loop => masks::new_point(&mesh, a, b),
+        SubdivisionScheme::Midpoint => masks::edge_middle(&mesh, a, b),
+        SubdivisionScheme::Loop => masks::place_new_point(&mesh, a, b),
     };
-    let mut division = Division {
+    let mut division = Subdivision {
         surface,
         mesh: &mesh,
         middles: edges.iter().map(middle).collect(),
         edges: &edges,
         points: vec![NONE; edges.len()],
         vertices: BTreeMap::new(),
-        patch: Patch::default(),
+        patch: SurfacePatch::default(),
         next_point: surface.points,
     };
-    stop()?;
+    check(progress)?;
     for f in 0..mesh.faces.len() as u32 {
         if f % 65536 == 0 {
-            stop()?;
+            check(progress)?;
         }
-        division.divide(f);
+        division.divide_face(f);
     }
     let mut patch = division.patch;
     patch.removed.sort_unstable();
-    if scheme == Scheme::Loop {
+    if scheme == SubdivisionScheme::Loop {
         let moved = (0..mesh.points.len() as u32).filter_map(|p| {
-            let to = masks::old_point(&mesh, p)?;
-            (to != mesh.at(p)).then_some((mesh.points[p as usize].old, to))
+            let to = masks::place_old_point(&mesh, p)?;
+            (to != mesh.position(p)).then_some((mesh.points[p as usize].old, to))
         });
         patch.moved = moved.collect();
         patch.moved.sort_unstable_by_key(|m| m.0);
@@ -83,9 +87,9 @@ pub fn subdivide(surface: &Surface, faces: &[u32], scheme: Scheme, progress: &dy
     Ok(patch)
 }
 
-struct Division<'a> {
-    surface: &'a Surface<'a>,
-    mesh: &'a Editable,
+struct Subdivision<'a> {
+    surface: &'a SurfaceView<'a>,
+    mesh: &'a RegionMesh,
     /// The divided edges, sorted, and where their new points are.
     edges: &'a [(u32, u32)],
     middles: Vec<DVec3>,
@@ -93,30 +97,30 @@ struct Division<'a> {
     points: Vec<u32>,
     /// The new vertex between two render vertices, the smaller first.
     vertices: BTreeMap<(u32, u32), u32>,
-    patch: Patch,
+    patch: SurfacePatch,
     next_point: u32,
 }
 
-impl Division<'_> {
+impl Subdivision<'_> {
     /// Replaces face `f` when at least one of its edges is divided.
-    fn divide(&mut self, f: u32) {
+    fn divide_face(&mut self, f: u32) {
         let face = self.mesh.faces[f as usize];
         let p = face.points;
-        let corners = face.corners.map(|w| self.mesh.wedges[w as usize].old);
+        let corners = face.wedges.map(|w| self.mesh.wedges[w as usize].vertex);
         // The new vertex opposite to each corner.
         let mut middle = [None; 3];
         for i in 0..3 {
             let (j, k) = ((i + 1) % 3, (i + 2) % 3);
             let key = (p[j].min(p[k]), p[j].max(p[k]));
             if let Ok(edge) = self.edges.binary_search(&key) {
-                middle[i] = Some(self.vertex(edge, corners[j], corners[k], face.primitive));
+                middle[i] = Some(self.middle_vertex(edge, corners[j], corners[k], face.primitive));
             }
         }
         if middle == [None; 3] {
             return;
         }
-        self.patch.removed.push(face.old);
-        let made = self.pieces(corners, middle);
+        self.patch.removed.push(self.mesh.triangles[f as usize]);
+        let made = self.cut_into_pieces(corners, middle);
         self.patch.triangles.extend(made.into_iter().map(|corners| NewTriangle {
             primitive: face.primitive,
             corners,
@@ -124,7 +128,7 @@ impl Division<'_> {
     }
 
     /// What a triangle falls into when some sides have a new vertex, named by the corner opposite to them.
-    fn pieces(&self, corners: [u32; 3], middle: [Option<u32>; 3]) -> Vec<[u32; 3]> {
+    fn cut_into_pieces(&self, corners: [u32; 3], middle: [Option<u32>; 3]) -> Vec<[u32; 3]> {
         if let [Some(x), Some(y), Some(z)] = middle {
             let [a, b, c] = corners;
             return vec![[a, z, y], [b, x, z], [c, y, x], [x, y, z]];
@@ -150,7 +154,7 @@ impl Division<'_> {
         }
     }
 
-    fn vertex(&mut self, edge: usize, v: u32, w: u32, primitive: u32) -> u32 {
+    fn middle_vertex(&mut self, edge: usize, v: u32, w: u32, primitive: u32) -> u32 {
         let old = self.surface.positions.len() as u32;
         let key = (v.min(w), v.max(w));
         *self.vertices.entry(key).or_insert_with(|| {

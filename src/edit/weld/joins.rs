@@ -1,7 +1,7 @@
 //! Which points are joined, and whether the faces around them stay a surface.
 
-use crate::edit::Surface;
-use crate::edit::editable::{Bits, Touching, proper_points, triangle};
+use crate::edit::surface::{BitSet, SurfaceView};
+use crate::edit::triangle;
 use crate::mesh::query::fan::group_fans;
 use glam::DVec3;
 use std::collections::BTreeSet;
@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 const MOST_MEMBERS: usize = 64;
 
 /// The faces around the points of some pairs, with the joins made so far. A point that another joins joins none.
-pub(super) struct Joins {
+pub(super) struct PointJoins {
     /// The surface's numbers of the points here, rising.
     points: Vec<u32>,
     positions: Vec<DVec3>,
@@ -25,16 +25,16 @@ pub(super) struct Joins {
     members: Vec<Vec<u32>>,
 }
 
-impl Joins {
+impl PointJoins {
     /// Gathers the faces around all points of `pairs`.
-    pub fn new(surface: &Surface, positions: &[DVec3], pairs: &[(u32, u32)]) -> Self {
-        let mut bits = Bits::new(surface.points as usize);
+    pub fn gather(surface: &SurfaceView, positions: &[DVec3], pairs: &[(u32, u32)]) -> Self {
+        let mut bits = BitSet::new(surface.points as usize);
         for &(p, q) in pairs {
-            bits.set(p);
-            bits.set(q);
+            bits.insert(p);
+            bits.insert(q);
         }
-        let touching = Touching::find(surface, &bits).triangles;
-        let proper = touching.iter().filter_map(|&t| Some((t, proper_points(surface, t)?)));
+        let touching = surface.triangles_touching(&bits);
+        let proper = touching.iter().filter_map(|&t| Some((t, surface.proper_points(t)?)));
         let (numbers, corners): (Vec<u32>, Vec<[u32; 3]>) = proper.unzip();
         let mut points: Vec<u32> = corners.iter().flatten().copied().collect();
         points.extend(pairs.iter().flat_map(|&(p, q)| [p, q]));
@@ -71,17 +71,17 @@ impl Joins {
         self.now[p as usize] = q;
         self.members[q as usize].push(p);
         if !self.has_sound_edges(q) || self.turns_a_face(p) {
-            self.part(p, q);
+            self.undo_join(p, q);
         }
     }
 
-    fn part(&mut self, p: u32, q: u32) {
+    fn undo_join(&mut self, p: u32, q: u32) {
         self.now[p as usize] = p;
         self.members[q as usize].retain(|&m| m != p);
     }
 
     /// Parts again what makes faces meet at a point only, until nothing does.
-    pub fn settle(&mut self) {
+    pub fn undo_pinching_joins(&mut self) {
         let joined = (0..self.points.len() as u32).filter(|&q| self.members[q as usize].len() > 1);
         let mut open: BTreeSet<u32> = joined.collect();
         while let Some(q) = open.pop_first() {
@@ -97,13 +97,13 @@ impl Joins {
                         .map(|p| self.now[p as usize]);
                     open.extend(beside.filter(|&p| p != q && self.members[p as usize].len() > 1));
                 }
-                self.part(last, q);
+                self.undo_join(last, q);
             }
         }
     }
 
     /// The joins made, as pairs of the surface's points, rising.
-    pub fn joined(&self) -> Vec<(u32, u32)> {
+    pub fn joined_pairs(&self) -> Vec<(u32, u32)> {
         let pairs = (0..self.points.len()).filter(|&p| self.now[p] as usize != p);
         pairs
             .map(|p| (self.points[p], self.points[self.now[p] as usize]))
@@ -111,22 +111,22 @@ impl Joins {
     }
 
     /// The surface's triangles that have lost a corner, rising.
-    pub fn collapsed(&self) -> Vec<u32> {
+    pub fn collapsed_triangles(&self) -> Vec<u32> {
         let faces = self.faces.iter().zip(&self.numbers);
         faces
-            .filter(|(f, _)| self.corners(f).is_none())
+            .filter(|(f, _)| self.corners_now(f).is_none())
             .map(|(_, &n)| n)
             .collect()
     }
 
     /// The corners of a face as they are now; `None` when two are one.
-    fn corners(&self, face: &[u32; 3]) -> Option<[u32; 3]> {
+    fn corners_now(&self, face: &[u32; 3]) -> Option<[u32; 3]> {
         let [a, b, c] = face.map(|p| self.now[p as usize]);
         (a != b && b != c && c != a).then_some([a, b, c])
     }
 
     /// For each face at the joined point `q` the corner after and the corner before it.
-    fn links(&self, q: u32) -> Vec<(u32, u32)> {
+    fn fan_links(&self, q: u32) -> Vec<(u32, u32)> {
         let mut faces: Vec<u32> = Vec::new();
         for &m in &self.members[q as usize] {
             faces.extend(&self.around[m as usize]);
@@ -134,7 +134,7 @@ impl Joins {
         faces.sort_unstable();
         faces.dedup();
         let link = |&f: &u32| {
-            let c = self.corners(&self.faces[f as usize])?;
+            let c = self.corners_now(&self.faces[f as usize])?;
             let i = c.iter().position(|&p| p == q)?;
             Some((c[(i + 1) % 3], c[(i + 2) % 3]))
         };
@@ -142,7 +142,7 @@ impl Joins {
     }
 
     /// The same for one point before any join.
-    fn first_links(&self, m: u32) -> Vec<(u32, u32)> {
+    fn fan_links_before(&self, m: u32) -> Vec<(u32, u32)> {
         let link = |&f: &u32| {
             let c = self.faces[f as usize];
             let i = c.iter().position(|&p| p == m)?;
@@ -154,14 +154,14 @@ impl Joins {
     /// Whether each edge at `q` has at most one face on either side, or was no better before, and no two faces lie on
     /// one another.
     fn has_sound_edges(&self, q: u32) -> bool {
-        let links = self.links(q);
+        let links = self.fan_links(q);
         let crowd = |at: u32, after: bool| {
             let same = |l: &&(u32, u32)| if after { l.0 == at } else { l.1 == at };
             links.iter().filter(same).count()
         };
         let before = |at: u32, after: bool| {
             let most = self.members[q as usize].iter().map(|&m| {
-                let links = self.first_links(m);
+                let links = self.fan_links_before(m);
                 let others = self.members[at as usize].iter();
                 let count = |o: &u32| {
                     links
@@ -182,7 +182,9 @@ impl Joins {
             }
         }
         let folded = |links: &[(u32, u32)]| links.iter().filter(|l| links.contains(&(l.1, l.0))).count();
-        let before = self.members[q as usize].iter().map(|&m| folded(&self.first_links(m)));
+        let before = self.members[q as usize]
+            .iter()
+            .map(|&m| folded(&self.fan_links_before(m)));
         folded(&links) <= before.max().unwrap_or(0)
     }
 
@@ -190,7 +192,9 @@ impl Joins {
     fn turns_a_face(&self, p: u32) -> bool {
         self.around[p as usize].iter().any(|&f| {
             let face = self.faces[f as usize];
-            let Some(now) = self.corners(&face) else { return false };
+            let Some(now) = self.corners_now(&face) else {
+                return false;
+            };
             let at = |c: [u32; 3]| triangle::area_normal(c.map(|p| self.positions[p as usize]));
             at(face).dot(at(now)) < 0.0
         })
@@ -200,8 +204,8 @@ impl Joins {
     fn is_fan(&self, q: u32) -> bool {
         let before = self.members[q as usize]
             .iter()
-            .map(|&m| count_fans(&self.first_links(m)));
-        count_fans(&self.links(q)) <= before.max().unwrap_or(1).max(1)
+            .map(|&m| count_fans(&self.fan_links_before(m)));
+        count_fans(&self.fan_links(q)) <= before.max().unwrap_or(1).max(1)
     }
 }
 

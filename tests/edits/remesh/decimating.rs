@@ -2,8 +2,8 @@
 
 use super::edit_support::*;
 use super::measures::*;
-use pliant::edit::Error;
-use pliant::edit::decimate;
+use pliant::edit::decimate_region;
+use pliant::edit::{EditSubject, Error};
 use pliant::progress::Silent;
 
 #[test]
@@ -16,7 +16,7 @@ fn the_ratio_is_reached_within_a_tenth_and_the_shape_is_kept() {
         let model = Model::of(shape);
         let before = topology(&model);
         for ratio in [0.7, 0.3, 0.1] {
-            let patch = decimate(&model.surface(), &all(&model), ratio, &Silent).expect("thins out");
+            let patch = decimate_region(&model.surface(), &all(&model), ratio, &Silent).expect("thins out");
             assert!(patch.vertices.is_empty() && patch.moved.is_empty() && patch.warnings.is_empty());
             let now = after(&model, &patch);
             let reached = now.triangles.len() as f64 / model.triangles.len() as f64;
@@ -38,7 +38,7 @@ fn the_ratio_is_reached_within_a_tenth_and_the_shape_is_kept() {
 #[test]
 fn flat_sides_thin_out_and_edges_of_a_cube_stay() {
     let model = Model::of(cube(5));
-    let patch = decimate(&model.surface(), &all(&model), 0.05, &Silent).expect("thins out");
+    let patch = decimate_region(&model.surface(), &all(&model), 0.05, &Silent).expect("thins out");
     let now = after(&model, &patch);
     assert!((volume(&now.surface()) - 8.0).abs() < 1e-9 && (area(&now) - 24.0).abs() < 1e-9);
 }
@@ -48,7 +48,7 @@ fn rims_seams_and_boundaries_stay() {
     let plain = Model::of(sphere(5, 1.0));
     let model = with_seams(&plain, box_side, true);
     let faces = region(&model, |p| p.z > 0.0);
-    let patch = decimate(&model.surface(), &faces, 0.2, &Silent).expect("thins out");
+    let patch = decimate_region(&model.surface(), &faces, 0.2, &Silent).expect("thins out");
     assert_outside_kept(&model, &faces, &patch);
     let now = after(&model, &patch);
     let t = topology(&now);
@@ -64,7 +64,7 @@ fn rims_seams_and_boundaries_stay() {
         );
     }
     let sheet = Model::of(sheet(30, 20));
-    let patch = decimate(&sheet.surface(), &all(&sheet), 0.1, &Silent).expect("thins out");
+    let patch = decimate_region(&sheet.surface(), &all(&sheet), 0.1, &Silent).expect("thins out");
     let now = after(&sheet, &patch);
     assert!((area(&now) - 600.0).abs() < 1e-9 && topology(&now).euler == 1);
 }
@@ -93,7 +93,7 @@ fn a_cut_whose_sides_lie_at_one_place_is_not_zipped_up() {
     };
     let before = topology(&model);
     assert_eq!(before.components, 2);
-    let patch = decimate(&model.surface(), &all(&model), 0.2, &Silent).expect("thins out");
+    let patch = decimate_region(&model.surface(), &all(&model), 0.2, &Silent).expect("thins out");
     let t = topology(&after(&model, &patch));
     assert!(t.components == 2 && t.euler == 2 && t.is_manifold(), "{t:?}");
 }
@@ -114,7 +114,7 @@ fn data_meshes_of_any_kind_keep_their_topology() {
         let Some(model) = data(name) else { continue };
         let before = topology(&model);
         for ratio in [0.5, 0.15] {
-            let patch = decimate(&model.surface(), &all(&model), ratio, &Silent).expect("thins out");
+            let patch = decimate_region(&model.surface(), &all(&model), ratio, &Silent).expect("thins out");
             let now = after(&model, &patch);
             let t = topology(&now);
             assert_eq!(kind(&t), kind(&before), "{name}");
@@ -131,9 +131,15 @@ fn data_meshes_of_any_kind_keep_their_topology() {
 fn ratios_out_of_range_are_refused() {
     let model = Model::of(sphere(1, 1.0));
     for ratio in [0.0, 1.0, -0.5, f64::NAN, 2.0] {
-        let refused = decimate(&model.surface(), &all(&model), ratio, &Silent);
+        let refused = decimate_region(&model.surface(), &all(&model), ratio, &Silent);
         assert!(
-            matches!(&refused, Err(Error::Invalid { field, .. }) if field == "decimate.ratio"),
+            matches!(
+                &refused,
+                Err(Error::Invalid {
+                    subject: EditSubject::DecimationRatio,
+                    ..
+                })
+            ),
             "{refused:?}"
         );
     }

@@ -4,8 +4,8 @@ use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
 use pliant::edit::Error;
-use pliant::edit::{Between, stitch};
-use pliant::edit::{weld, weld_boundaries};
+use pliant::edit::{LoopPair, stitch_boundaries};
+use pliant::edit::{weld_boundaries, weld_points};
 use pliant::progress::Silent;
 
 /// Two models in one list, each point of its own, the second in a primitive of its own if asked.
@@ -60,7 +60,7 @@ fn tubes_end_to_end_weld_along_their_rims() {
     let (a, b) = (tube(24, 4, 1.0, 0.0, 1.0), tube(24, 4, 1.0, 1.0 + 1e-4, 2.0));
     let both = side_by_side(&a, &b, true);
     for patch in [
-        weld(&both.surface(), 1e-3, &Silent).expect("welds"),
+        weld_points(&both.surface(), 1e-3, &Silent).expect("welds"),
         weld_boundaries(&both.surface(), a.points, 1e-3, &Silent).expect("welds"),
     ] {
         assert_eq!(patch.joined.len(), 24);
@@ -70,7 +70,7 @@ fn tubes_end_to_end_weld_along_their_rims() {
     }
     let open = weld_boundaries(&both.surface(), a.points, 1e-3, &Silent).expect("welds");
     assert!(
-        open.warnings.iter().any(|w| w.0 == "weld-open"),
+        open.warnings.iter().any(|w| w.code == "weld-open"),
         "the far rim stays open, and it says so"
     );
 }
@@ -82,8 +82,8 @@ fn a_weld_that_would_make_a_third_face_at_an_edge_is_left_out() {
     let mut b = a.clone();
     b.positions.iter_mut().for_each(|p| p.z += 1e-4);
     let both = side_by_side(&a, &b, false);
-    let patch = weld(&both.surface(), 1e-3, &Silent).expect("has nothing against it");
-    assert!(patch.warnings.iter().any(|w| w.0 == "weld-left"));
+    let patch = weld_points(&both.surface(), 1e-3, &Silent).expect("has nothing against it");
+    assert!(patch.warnings.iter().any(|w| w.code == "weld-left"));
     let t = topology(&after(&both, &patch));
     assert!(t.is_manifold() && t.components == 2, "{t:?}");
     // Two balls that touch at a point do not become one that pinches.
@@ -91,9 +91,9 @@ fn a_weld_that_would_make_a_third_face_at_an_edge_is_left_out() {
     let mut other = ball.clone();
     other.positions.iter_mut().for_each(|p| p.x += 2.0);
     let both = side_by_side(&ball, &other, false);
-    let patch = weld(&both.surface(), 1e-6, &Silent).expect("has nothing against it");
+    let patch = weld_points(&both.surface(), 1e-6, &Silent).expect("has nothing against it");
     assert!(
-        patch.joined.is_empty() && patch.warnings[0].0 == "weld-left",
+        patch.joined.is_empty() && patch.warnings[0].code == "weld-left",
         "{:?}",
         patch.warnings
     );
@@ -106,12 +106,12 @@ fn short_edges_collapse_and_what_they_held_goes() {
     // One edge made very short.
     let [a, b, _] = uneven.triangles[100];
     uneven.positions[b as usize] = uneven.positions[a as usize] + DVec3::splat(1e-5);
-    let patch = weld(&uneven.surface(), 1e-4, &Silent).expect("welds");
+    let patch = weld_points(&uneven.surface(), 1e-4, &Silent).expect("welds");
     assert_eq!((patch.joined.len(), patch.removed.len()), (1, 2));
     let t = topology(&after(&uneven, &patch));
     assert!(t.is_closed() && t.euler == 2);
-    let nothing = weld(&model.surface(), 1e-4, &Silent).expect("has nothing to do");
-    assert!(nothing.joined.is_empty() && nothing.warnings[0].0 == "weld-nothing");
+    let nothing = weld_points(&model.surface(), 1e-4, &Silent).expect("has nothing to do");
+    assert!(nothing.joined.is_empty() && nothing.warnings[0].code == "weld-nothing");
 }
 
 #[test]
@@ -133,7 +133,7 @@ fn soups_weld_to_a_surface() {
         points: 3 * whole.triangles.len() as u32,
         first_vertex: vec![0],
     };
-    let patch = weld(&soup.surface(), 0.0, &Silent).expect("welds");
+    let patch = weld_points(&soup.surface(), 0.0, &Silent).expect("welds");
     let t = topology(&after(&soup, &patch));
     assert!(t.is_closed() && t.euler == 2 && t.components == 1, "{t:?}");
 }
@@ -144,8 +144,8 @@ fn tubes_of_different_counts_are_stitched() {
         let (a, b) = (tube(24, 3, 1.0, 0.0, 1.0), tube(37, 3, 0.8, 1.4, 2.0));
         let both = side_by_side(&a, &b, primitives);
         let before = area(&both);
-        for between in [Between::Appended(a.points), Between::Parts] {
-            let patch = stitch(&both.surface(), between, &Silent).expect("stitches");
+        for between in [LoopPair::Appended(a.points), LoopPair::Parts] {
+            let patch = stitch_boundaries(&both.surface(), between, &Silent).expect("stitches");
             assert_eq!(patch.triangles.len(), 24 + 37);
             assert_eq!(patch.vertices.len(), if primitives { 37 } else { 0 });
             assert_blends(&both, &patch);
@@ -177,33 +177,33 @@ fn named_loops_are_stitched_and_make_a_ring() {
         *p = DVec3::new(r * angle.cos(), p.y, r * angle.sin());
     }
     let last = bent.points - 1;
-    let patch = stitch(&bent.surface(), Between::Points(0, last), &Silent).expect("stitches");
+    let patch = stitch_boundaries(&bent.surface(), LoopPair::Points(0, last), &Silent).expect("stitches");
     let t = topology(&after(&bent, &patch));
     assert!(t.is_closed() && t.euler == 0, "{t:?}");
 }
 
 #[test]
 fn what_does_not_match_is_refused_with_the_reason_and_the_place() {
-    let reason = |model: &Model, between: Between| match stitch(&model.surface(), between, &Silent) {
+    let reason = |model: &Model, between: LoopPair| match stitch_boundaries(&model.surface(), between, &Silent) {
         Err(Error::Impossible { problem, place }) => {
-            assert!(!place.is_empty());
+            assert!(!place.to_string().is_empty());
             problem
         }
         other => panic!("{other:?}"),
     };
     let ball = Model::of(sphere(2, 1.0));
-    assert!(reason(&ball, Between::Parts).contains("no boundary loop"));
+    assert!(reason(&ball, LoopPair::Parts).contains("no boundary loop"));
     let a = tube(24, 3, 1.0, 0.0, 1.0);
-    assert!(reason(&a, Between::Parts).contains("different parts"));
-    assert!(reason(&a, Between::Points(0, 1)).contains("same boundary loop"));
-    assert!(reason(&a, Between::Points(0, 30)).contains("no closed boundary loop"));
+    assert!(reason(&a, LoopPair::Parts).contains("different parts"));
+    assert!(reason(&a, LoopPair::Points(0, 1)).contains("same boundary loop"));
+    assert!(reason(&a, LoopPair::Points(0, 30)).contains("no closed boundary loop"));
     let far = side_by_side(&a, &tube(24, 3, 1.0, 50.0, 51.0), false);
-    assert!(reason(&far, Between::Parts).contains("do not match"));
+    assert!(reason(&far, LoopPair::Parts).contains("do not match"));
     let small = side_by_side(&a, &tube(24, 3, 0.05, 1.2, 2.0), false);
-    assert!(reason(&small, Between::Appended(a.points)).contains("do not match"));
+    assert!(reason(&small, LoopPair::Appended(a.points)).contains("do not match"));
     let mut inside_out = tube(24, 3, 1.0, 1.2, 2.0);
     inside_out.triangles.iter_mut().for_each(|t| t.swap(0, 1));
-    assert!(reason(&side_by_side(&a, &inside_out, false), Between::Parts).contains("opposite ways"));
+    assert!(reason(&side_by_side(&a, &inside_out, false), LoopPair::Parts).contains("opposite ways"));
 
     let apart = side_by_side(&a, &tube(24, 3, 1.0, 1.5, 2.0), false);
     let refused = weld_boundaries(&apart.surface(), a.points, 0.01, &Silent);
@@ -216,9 +216,12 @@ fn what_does_not_match_is_refused_with_the_reason_and_the_place() {
         weld_boundaries(&closed.surface(), ball.points, 0.01, &Silent),
         Err(Error::Impossible { .. })
     ));
-    assert!(matches!(weld(&a.surface(), -1.0, &Silent), Err(Error::Invalid { .. })));
     assert!(matches!(
-        weld(&a.surface(), 1e9, &Silent),
+        weld_points(&a.surface(), -1.0, &Silent),
+        Err(Error::Invalid { .. })
+    ));
+    assert!(matches!(
+        weld_points(&a.surface(), 1e9, &Silent),
         Err(Error::Impossible { .. })
     ));
 }

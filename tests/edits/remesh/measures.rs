@@ -2,7 +2,7 @@
 
 use super::edit_support::*;
 use glam::DVec3;
-use pliant::edit::{Patch, Topology};
+use pliant::edit::{SurfacePatch, SurfaceTopology};
 use std::collections::BTreeMap;
 
 /// All triangles.
@@ -67,7 +67,7 @@ pub fn box_side(p: DVec3) -> u32 {
 }
 
 /// Asserts what every patch keeps outside its region: triangles, and the places of all points that they have.
-pub fn assert_outside_kept(model: &Model, region: &[u32], patch: &Patch) {
+pub fn assert_outside_kept(model: &Model, region: &[u32], patch: &SurfacePatch) {
     for t in &patch.removed {
         assert!(
             region.binary_search(t).is_ok(),
@@ -85,7 +85,7 @@ pub fn assert_outside_kept(model: &Model, region: &[u32], patch: &Patch) {
 }
 
 /// Asserts that blends are made of vertices of one side, and positions of one point agree to the bit.
-pub fn assert_blends(model: &Model, patch: &Patch) {
+pub fn assert_blends(model: &Model, patch: &SurfacePatch) {
     let primitive = {
         let mut of = vec![u32::MAX; model.positions.len()];
         for (t, &p) in model.triangles.iter().zip(&model.primitive_of) {
@@ -101,8 +101,8 @@ pub fn assert_blends(model: &Model, patch: &Patch) {
 }
 
 /// An attribute of each render vertex, carried through a patch, in the order of the result.
-pub fn carry(model: &Model, patch: &Patch, values: &[DVec3]) -> Vec<DVec3> {
-    let applied = pliant::edit::apply(&model.surface(), patch, &model.first_vertex).expect("applies");
+pub fn carry(model: &Model, patch: &SurfacePatch, values: &[DVec3]) -> Vec<DVec3> {
+    let applied = pliant::edit::apply_patch(&model.surface(), patch, &model.first_vertex).expect("applies");
     let value = |&v: &u32| match (v as usize).checked_sub(values.len()) {
         None => values[v as usize],
         Some(new) => {
@@ -149,13 +149,13 @@ pub fn area(model: &Model) -> f64 {
     pliant::mesh::surface_area(&model.positions, &model.triangles)
 }
 
-pub fn topology(model: &Model) -> Topology {
-    Topology::of(&model.surface())
+pub fn topology(model: &Model) -> SurfaceTopology {
+    SurfaceTopology::from_surface(&model.surface())
 }
 
 /// What no operation may change that keeps the topology: Euler characteristic, parts, and edges and points that are not
 /// manifold.
-pub fn kind(t: &Topology) -> [i64; 5] {
+pub fn kind(t: &SurfaceTopology) -> [i64; 5] {
     let counts = [t.components, t.crowded_edges, t.twisted_edges, t.pinched_points];
     let [parts, crowded, twisted, pinched] = counts.map(|n| i64::try_from(n).expect("a count"));
     [t.euler, parts, crowded, twisted, pinched]

@@ -3,12 +3,12 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::Error;
-use pliant::edit::{MENDED, Target, remesh};
+use pliant::edit::{EditSubject, Error};
+use pliant::edit::{MENDED, RemeshTarget, remesh_region};
 use pliant::progress::{CancelFlag, Silent};
 
 fn remeshed(model: &Model, faces: &[u32], length: f64) -> Model {
-    let patch = remesh(&model.surface(), faces, Target::Length(length), &Silent).expect("remeshes");
+    let patch = remesh_region(&model.surface(), faces, RemeshTarget::Length(length), &Silent).expect("remeshes");
     assert_outside_kept(model, faces, &patch);
     assert_blends(model, &patch);
     after(model, &patch)
@@ -77,7 +77,8 @@ fn seams_and_primitive_borders_stay_lines_with_their_own_vertices() {
             }
             side
         };
-        let patch = remesh(&model.surface(), &all(&model), Target::Length(0.12), &Silent).expect("remeshes");
+        let patch =
+            remesh_region(&model.surface(), &all(&model), RemeshTarget::Length(0.12), &Silent).expect("remeshes");
         assert_blends(&model, &patch);
         let carried = carry(&model, &patch, &own);
         let now = after(&model, &patch);
@@ -126,7 +127,7 @@ fn seam_length(model: &Model) -> f64 {
 fn attributes_come_from_where_a_vertex_lies() {
     // An attribute that is the position itself must come out as the position.
     let model = Model::of(sheet(20, 20));
-    let patch = remesh(&model.surface(), &all(&model), Target::Length(0.7), &Silent).expect("remeshes");
+    let patch = remesh_region(&model.surface(), &all(&model), RemeshTarget::Length(0.7), &Silent).expect("remeshes");
     let carried = carry(&model, &patch, &model.positions);
     let now = after(&model, &patch);
     for (v, p) in now.positions.iter().enumerate() {
@@ -195,10 +196,10 @@ fn auto_mends_what_is_stretched_and_leaves_the_rest() {
         let above = (p.z - 0.2).max(0.0);
         p.z += 4.5 * above * above;
     }
-    let patch = remesh(
+    let patch = remesh_region(
         &pulled.surface(),
         &all(&pulled),
-        Target::Auto { rest: &rest.positions },
+        RemeshTarget::Auto { rest: &rest.positions },
         &Silent,
     )
     .expect("remeshes");
@@ -211,14 +212,14 @@ fn auto_mends_what_is_stretched_and_leaves_the_rest() {
     assert_eq!(low, 0, "the lower half was not stretched");
     assert!(now.triangles.len() > rest.triangles.len() + 1000);
     // At rest there is nothing to do, and it says so.
-    let nothing = remesh(
+    let nothing = remesh_region(
         &rest.surface(),
         &all(&rest),
-        Target::Auto { rest: &rest.positions },
+        RemeshTarget::Auto { rest: &rest.positions },
         &Silent,
     )
     .expect("is fine");
-    assert!(nothing.removed.is_empty() && nothing.warnings[0].0 == "remesh-nothing");
+    assert!(nothing.removed.is_empty() && nothing.warnings[0].code == "remesh-nothing");
 }
 
 #[test]
@@ -231,10 +232,10 @@ fn pulling_and_remeshing_in_turns_keeps_triangles_good() {
             p.z += 0.5 * (p.z / top).max(0.0).powi(2);
         }
         top += 0.5;
-        let patch = remesh(
+        let patch = remesh_region(
             &model.surface(),
             &all(&model),
-            Target::Auto { rest: &rest.positions },
+            RemeshTarget::Auto { rest: &rest.positions },
             &Silent,
         )
         .expect("remeshes");
@@ -265,7 +266,8 @@ fn data_meshes_keep_topology_and_get_good_triangles() {
         let Some(model) = data(name) else { continue };
         let before = topology(&model);
         let length = mean_length(&model);
-        let patch = remesh(&model.surface(), &all(&model), Target::Length(length), &Silent).expect("remeshes");
+        let patch =
+            remesh_region(&model.surface(), &all(&model), RemeshTarget::Length(length), &Silent).expect("remeshes");
         assert_blends(&model, &patch);
         let now = after(&model, &patch);
         let t = topology(&now);
@@ -290,26 +292,32 @@ fn data_meshes_keep_topology_and_get_good_triangles() {
 }
 
 #[test]
-fn refusals_name_the_field_and_what_is_allowed() {
+fn refusals_name_the_argument_and_what_is_allowed() {
     let model = Model::of(sphere(2, 1.0));
     let faces = all(&model);
-    let field = |faces: &[u32], target: Target| match remesh(&model.surface(), faces, target, &Silent) {
-        Err(Error::Invalid { field, .. }) => field,
+    let subject = |faces: &[u32], target: RemeshTarget| match remesh_region(&model.surface(), faces, target, &Silent) {
+        Err(Error::Invalid { subject, .. }) => subject,
         other => panic!("{other:?}"),
     };
     for length in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert_eq!(field(&faces, Target::Length(length)), "remesh.edgeLength");
+        assert_eq!(
+            subject(&faces, RemeshTarget::Length(length)),
+            EditSubject::RemeshEdgeLength
+        );
     }
-    assert_eq!(field(&faces, Target::Auto { rest: &[] }), "remesh.auto");
-    assert_eq!(field(&[], Target::Length(1.0)), "region");
-    assert_eq!(field(&[3, 3], Target::Length(1.0)), "region");
-    assert_eq!(field(&[1_000_000], Target::Length(1.0)), "region");
-    let tiny = remesh(&model.surface(), &faces, Target::Length(1e-12), &Silent);
+    assert_eq!(
+        subject(&faces, RemeshTarget::Auto { rest: &[] }),
+        EditSubject::RemeshRestShape
+    );
+    assert_eq!(subject(&[], RemeshTarget::Length(1.0)), EditSubject::Region);
+    assert_eq!(subject(&[3, 3], RemeshTarget::Length(1.0)), EditSubject::Region);
+    assert_eq!(subject(&[1_000_000], RemeshTarget::Length(1.0)), EditSubject::Region);
+    let tiny = remesh_region(&model.surface(), &faces, RemeshTarget::Length(1e-12), &Silent);
     assert!(matches!(tiny, Err(Error::TooLarge { .. })), "{tiny:?}");
     let flag = CancelFlag::default();
     flag.cancel();
     assert_eq!(
-        remesh(&model.surface(), &faces, Target::Length(0.1), &flag),
+        remesh_region(&model.surface(), &faces, RemeshTarget::Length(0.1), &flag),
         Err(Error::Cancelled)
     );
 }

@@ -3,17 +3,17 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::decimate;
-use pliant::edit::weld;
-use pliant::edit::{Error, Patch};
-use pliant::edit::{Scheme, subdivide};
-use pliant::edit::{Target, remesh};
+use pliant::edit::decimate_region;
+use pliant::edit::weld_points;
+use pliant::edit::{Error, SurfacePatch};
+use pliant::edit::{RemeshTarget, remesh_region};
+use pliant::edit::{SubdivisionScheme, subdivide_region};
 use pliant::progress::Silent;
 use proptest::prelude::*;
 
 #[derive(Debug, Clone, Copy)]
 enum Step {
-    Subdivide(Scheme),
+    Subdivide(SubdivisionScheme),
     Decimate(f64),
     Remesh(f64),
     Weld(f64),
@@ -21,8 +21,8 @@ enum Step {
 
 fn steps() -> impl Strategy<Value = Vec<(Step, [f64; 3], f64)>> {
     let step = prop_oneof![
-        Just(Step::Subdivide(Scheme::Midpoint)),
-        Just(Step::Subdivide(Scheme::Loop)),
+        Just(Step::Subdivide(SubdivisionScheme::Midpoint)),
+        Just(Step::Subdivide(SubdivisionScheme::Loop)),
         (0.1..0.9f64).prop_map(Step::Decimate),
         (0.4..2.0f64).prop_map(Step::Remesh),
         (0.0..0.3f64).prop_map(Step::Weld),
@@ -31,14 +31,14 @@ fn steps() -> impl Strategy<Value = Vec<(Step, [f64; 3], f64)>> {
     prop::collection::vec((step, place, 0.2..1.5f64), 1..7)
 }
 
-fn run(model: &Model, step: Step, faces: &[u32]) -> Result<Patch, Error> {
+fn run(model: &Model, step: Step, faces: &[u32]) -> Result<SurfacePatch, Error> {
     let surface = model.surface();
     let length = mean_length(model);
     match step {
-        Step::Subdivide(scheme) => subdivide(&surface, faces, scheme, &Silent),
-        Step::Decimate(ratio) => decimate(&surface, faces, ratio, &Silent),
-        Step::Remesh(factor) => remesh(&surface, faces, Target::Length(length * factor), &Silent),
-        Step::Weld(factor) => weld(&surface, length * factor, &Silent),
+        Step::Subdivide(scheme) => subdivide_region(&surface, faces, scheme, &Silent),
+        Step::Decimate(ratio) => decimate_region(&surface, faces, ratio, &Silent),
+        Step::Remesh(factor) => remesh_region(&surface, faces, RemeshTarget::Length(length * factor), &Silent),
+        Step::Weld(factor) => weld_points(&surface, length * factor, &Silent),
     }
 }
 

@@ -3,11 +3,11 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::{Scheme, subdivide};
+use pliant::edit::{SubdivisionScheme, subdivide_region};
 use pliant::progress::Silent;
 
-fn divided(model: &Model, faces: &[u32], scheme: Scheme) -> Model {
-    let patch = subdivide(&model.surface(), faces, scheme, &Silent).expect("divides");
+fn divided(model: &Model, faces: &[u32], scheme: SubdivisionScheme) -> Model {
+    let patch = subdivide_region(&model.surface(), faces, scheme, &Silent).expect("divides");
     assert_blends(model, &patch);
     after(model, &patch)
 }
@@ -16,7 +16,7 @@ fn divided(model: &Model, faces: &[u32], scheme: Scheme) -> Model {
 fn midpoints_keep_shape_and_topology_and_make_four_of_one() {
     for shape in [sphere(2, 1.0), torus(12, 8, 2.0, 0.6), cube(2), sheet(4, 5)] {
         let model = Model::of(shape);
-        let now = divided(&model, &all(&model), Scheme::Midpoint);
+        let now = divided(&model, &all(&model), SubdivisionScheme::Midpoint);
         assert_eq!(now.triangles.len(), 4 * model.triangles.len());
         assert_eq!(topology(&now).euler, topology(&model).euler);
         assert!(topology(&now).is_manifold());
@@ -29,9 +29,9 @@ fn midpoints_keep_shape_and_topology_and_make_four_of_one() {
 fn the_rim_of_a_region_has_no_t_junctions() {
     let model = Model::of(sphere(3, 1.0));
     for height in [0.8, 0.3, -0.2, -0.9] {
-        for scheme in [Scheme::Midpoint, Scheme::Loop] {
+        for scheme in [SubdivisionScheme::Midpoint, SubdivisionScheme::Loop] {
             let faces = region(&model, |p| p.z > height);
-            let patch = subdivide(&model.surface(), &faces, scheme, &Silent).expect("divides");
+            let patch = subdivide_region(&model.surface(), &faces, scheme, &Silent).expect("divides");
             let now = after(&model, &patch);
             assert!(topology(&now).is_closed() && topology(&now).euler == 2);
             let fitted: Vec<u32> = patch
@@ -46,7 +46,7 @@ fn the_rim_of_a_region_has_no_t_junctions() {
             for (p, _) in &patch.moved {
                 assert!(model.positions[*p as usize].z > height);
             }
-            if scheme == Scheme::Midpoint {
+            if scheme == SubdivisionScheme::Midpoint {
                 assert!((area(&now) / area(&model) - 1.0).abs() < 1e-12 && patch.moved.is_empty());
             }
         }
@@ -56,13 +56,13 @@ fn the_rim_of_a_region_has_no_t_junctions() {
 #[test]
 fn seams_get_a_middle_on_either_side() {
     let model = with_seams(&Model::of(cube(2)), box_side, true);
-    let now = divided(&model, &all(&model), Scheme::Loop);
+    let now = divided(&model, &all(&model), SubdivisionScheme::Loop);
     assert!(topology(&now).is_closed() && topology(&now).euler == 2);
     assert_eq!(now.primitive_of.len(), 4 * model.primitive_of.len());
     // A cube of 8 quads a side: 8 · 8 · 2 points and more vertices than that along the sides.
     assert!(now.positions.len() > now.points as usize);
     let half = region(&model, |p| p.x >= -1e-9);
-    let now = divided(&model, &half, Scheme::Midpoint);
+    let now = divided(&model, &half, SubdivisionScheme::Midpoint);
     assert!(topology(&now).is_closed());
 }
 
@@ -91,7 +91,7 @@ fn loop_subdivision_of_a_tetrahedron_grows_smooth() {
     let mut before = bend(&model);
     for _ in 0..4 {
         let own = volume(&model.surface());
-        model = divided(&model, &all(&model), Scheme::Loop);
+        model = divided(&model, &all(&model), SubdivisionScheme::Loop);
         assert!(volume(&model.surface()) < own, "the limit lies inside a convex shape");
         let now = bend(&model);
         assert!(now > before, "edges of cosine {before} became {now}");
@@ -104,7 +104,7 @@ fn loop_subdivision_of_a_tetrahedron_grows_smooth() {
 #[test]
 fn loop_keeps_a_regular_plane_and_an_icosphere_gets_rounder() {
     let flat = Model::of(sheet(6, 6));
-    let now = divided(&flat, &all(&flat), Scheme::Loop);
+    let now = divided(&flat, &all(&flat), SubdivisionScheme::Loop);
     assert!(now.positions.iter().all(|p| p.z == 0.0));
     // The outline of a square sheet: corners are cut by its own curve, sides stay straight.
     let reach = now.positions.iter().fold(DVec3::ZERO, |m, p| m.max(*p));
@@ -122,8 +122,8 @@ fn loop_keeps_a_regular_plane_and_an_icosphere_gets_rounder() {
         );
         most / least
     };
-    let once = divided(&ball, &all(&ball), Scheme::Loop);
-    let twice = divided(&once, &all(&once), Scheme::Loop);
+    let once = divided(&ball, &all(&ball), SubdivisionScheme::Loop);
+    let twice = divided(&once, &all(&once), SubdivisionScheme::Loop);
     assert!(roundness(&once) < roundness(&ball) && roundness(&twice) < roundness(&once));
 }
 
@@ -138,7 +138,7 @@ fn data_meshes_of_any_kind_divide_without_new_cracks() {
         "cow.off",
     ] {
         let Some(model) = data(name) else { continue };
-        for scheme in [Scheme::Midpoint, Scheme::Loop] {
+        for scheme in [SubdivisionScheme::Midpoint, SubdivisionScheme::Loop] {
             let before = topology(&model);
             let t = topology(&divided(&model, &all(&model), scheme));
             assert_eq!(

@@ -1,0 +1,168 @@
+//! Cutting by a plane.
+//!
+//! Points get a sign: above, below, on. Edges with both signs are split where they meet the plane; a point that is
+//! nearer to the plane than a ten-thousandth of such an edge slides along the edge onto it instead, so that no slivers
+//! arise. Then every triangle is on one side, and the edges between sides are opened.
+
+use super::flat_cap::cap_flat_openings;
+use super::options::{CutOptions, KeptSide};
+use super::plane_sides::{CutPlane, PlaneSides};
+use crate::edit::error::{EditSubject, Error};
+use crate::edit::patch::SurfacePatch;
+use crate::edit::region_mesh::{RegionMesh, edge_key};
+use crate::edit::surface::SurfaceView;
+use crate::progress::{Progress, check};
+use glam::DVec3;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Cuts `surface` by `plane`, everywhere. Openings are closed by flat caps.
+///
+/// # Errors
+/// [`Error::Invalid`] for a plane without direction, [`Error::Impossible`] when it does not pass through the surface,
+/// [`Error::Cancelled`].
+pub fn cut_by_plane(
+    surface: &SurfaceView<'_>,
+    plane: &CutPlane,
+    options: &CutOptions<'_>,
+    progress: &dyn Progress,
+) -> Result<SurfacePatch, Error> {
+    let length = plane.normal.length();
+    if !(length > 0.0 && length.is_finite() && plane.offset.is_finite()) {
+        return Err(Error::invalid(
+            EditSubject::CutPlane,
+            format!(
+                "normal {} and offset {}; the normal must be finite and longer than 0, the offset finite",
+                plane.normal, plane.offset
+            ),
+        ));
+    }
+    let mut sides = PlaneSides::from_plane(surface, plane)?;
+    let moved = sides.snap_points(surface);
+    sides.must_part(surface, plane)?;
+    check(progress)?;
+
+    let dropped = match options.keep {
+        KeptSide::Both => None,
+        KeptSide::Above => Some(-1i8),
+        KeptSide::Below => Some(1i8),
+    };
+    let (band, gone) = select_band(surface, &sides, dropped);
+    let mut mesh = RegionMesh::from_triangles(surface, band);
+    for point in &mut mesh.points {
+        // All triangles that touch the plane are in the band.
+        point.whole = sides.sign[point.old as usize] == 0;
+    }
+    let mut band = CutBand {
+        plane,
+        sign: mesh.points.iter().map(|p| sides.sign[p.old as usize]).collect(),
+        height: mesh.points.iter().map(|p| sides.height(p.position)).collect(),
+        mesh,
+    };
+    for (&p, &(x, _)) in &moved {
+        if let Some(p) = band.mesh.find_point(p) {
+            band.mesh.move_surface_point(p, x);
+        }
+    }
+    band.split_crossing_edges(progress)?;
+    let cuts = band.part_sides(dropped);
+    if options.fill {
+        band.close(&cuts, options.hard_caps, progress)?;
+    }
+    Ok(band.mesh.into_finite_patch(surface, gone)?.0)
+}
+
+/// The triangles that touch the plane, and those beside them that go.
+fn select_band(surface: &SurfaceView<'_>, sides: &PlaneSides, dropped: Option<i8>) -> (Vec<u32>, Vec<u32>) {
+    let (mut band, mut gone) = (Vec::new(), Vec::new());
+    for (t, f) in surface.triangles.iter().zip(0u32..) {
+        let s = sides.of_triangle(surface, t);
+        let (low, high) = (s[0].min(s[1]).min(s[2]), s[0].max(s[1]).max(s[2]));
+        if low < 0 && high > 0 || s.contains(&0) {
+            if surface.proper_points(f).is_some() {
+                band.push(f);
+            } else {
+                // Without area it can be on neither side.
+                gone.push(f);
+            }
+        } else if dropped == Some(low) {
+            gone.push(f);
+        }
+    }
+    (band, gone)
+}
+
+/// The triangles that touch the plane while they are cut.
+struct CutBand<'a> {
+    mesh: RegionMesh,
+    plane: &'a CutPlane,
+    /// For each point 1 above, −1 below, 0 on the plane; points split off have that of their root.
+    sign: Vec<i8>,
+    /// How far above the plane each gathered point was.
+    height: Vec<f64>,
+}
+
+impl CutBand<'_> {
+    /// Splits edges between both sides where they meet the plane.
+    fn split_crossing_edges(&mut self, progress: &dyn Progress) -> Result<(), Error> {
+        let mut crossing = self.mesh.edges();
+        crossing.retain(|&(a, b)| self.sign[a as usize] * self.sign[b as usize] < 0);
+        for (done, (a, b)) in crossing.into_iter().enumerate() {
+            if done % 1024 == 0 {
+                check(progress)?;
+            }
+            let (ha, hb) = (self.height[a as usize], self.height[b as usize]);
+            let t = ha / (ha - hb);
+            let x = self.mesh.position(a).lerp(self.mesh.position(b), t);
+            self.mesh.split_edge(a, b, t, x);
+            self.sign.push(0);
+        }
+        let sign = &self.sign;
+        self.mesh
+            .improve_split_faces(|a, b| sign[a as usize] == 0 && sign[b as usize] == 0);
+        Ok(())
+    }
+
+    /// Opens the edges where both sides meet and takes out the side that does not stay. Answers those edges.
+    fn part_sides(&mut self, dropped: Option<i8>) -> BTreeSet<(u32, u32)> {
+        let mut meets: BTreeMap<(u32, u32), (bool, bool)> = BTreeMap::new();
+        let mut dead: Vec<u32> = Vec::new();
+        for f in self.mesh.living_faces() {
+            let above = self.is_above(f, self.plane.normal);
+            let points = self.mesh.points_of(f);
+            for k in 0..3 {
+                let (a, b) = (points[k], points[(k + 1) % 3]);
+                if self.sign[a as usize] == 0 && self.sign[b as usize] == 0 {
+                    let meet = meets.entry(edge_key(a, b)).or_default();
+                    *if above { &mut meet.0 } else { &mut meet.1 } = true;
+                }
+            }
+            if dropped == Some(if above { 1 } else { -1 }) {
+                dead.push(f);
+            }
+        }
+        let both = meets.into_iter().filter(|(_, m)| m.0 && m.1);
+        let cuts: BTreeSet<(u32, u32)> = both.map(|(edge, _)| edge).collect();
+        dead.into_iter().for_each(|f| self.mesh.remove_face(f));
+        self.mesh.open_fans(&cuts);
+        cuts
+    }
+
+    /// On which side of the plane a face is; one in the plane bounds what lies behind it, seen along `normal`.
+    fn is_above(&self, f: u32, normal: DVec3) -> bool {
+        let sign = |p: u32| self.sign[self.mesh.points[p as usize].root as usize];
+        match self.mesh.points_of(f).map(sign).into_iter().find(|&s| s != 0) {
+            Some(s) => s > 0,
+            None => self.mesh.area_normal(f).dot(normal) < 0.0,
+        }
+    }
+
+    /// Closes what the cut opened, on each side.
+    fn close(&mut self, cuts: &BTreeSet<(u32, u32)>, hard: &[bool], progress: &dyn Progress) -> Result<(), Error> {
+        let root = |p: u32| self.mesh.points[p as usize].root;
+        let open = self.mesh.open_sides(|a, b| cuts.contains(&edge_key(root(a), root(b))));
+        let unit = self.plane.normal / self.plane.normal.length();
+        let (above, below): (Vec<_>, Vec<_>) = open.into_iter().partition(|side| self.is_above(side.2, unit));
+        cap_flat_openings(&mut self.mesh, &above, -unit, hard, progress)?;
+        cap_flat_openings(&mut self.mesh, &below, unit, hard, progress)
+    }
+}

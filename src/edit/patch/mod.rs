@@ -1,0 +1,10 @@
+//! What an edit answers: the smallest patch that does it, and how a patch becomes the next surface.
+
+mod apply;
+mod patched;
+mod resolve;
+mod surface_patch;
+
+pub use apply::apply_patch;
+pub use patched::PatchedSurface;
+pub use surface_patch::{EditWarning, NewTriangle, NewVertex, SurfacePatch};

@@ -1,0 +1,338 @@
+//! The region mesh itself: points, wedges and faces, and what is next to what.
+
+use crate::edit::patch::EditWarning;
+use crate::edit::triangle;
+use crate::mesh::NONE;
+use crate::mesh::query::fan::is_single_oriented_fan;
+use glam::DVec3;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// In [`RegionFace::source`]: the face is new and closes a hole.
+pub(in crate::edit) const CAP: u32 = u32::MAX;
+
+/// A point of a region mesh and the faces around it.
+#[derive(Debug, Clone)]
+pub(in crate::edit) struct RegionPoint {
+    pub position: DVec3,
+    /// The surface's point that it is; [`NONE`] for one made here, or moved by [`RegionMesh::move_point`].
+    pub old: u32,
+    /// Living faces with a corner here.
+    pub faces: Vec<u32>,
+    /// Whether all faces around the point are here; true for new ones.
+    pub whole: bool,
+    /// Whether the point and its faces' edges at it must stay.
+    pub fixed: bool,
+    /// For a point that was split off from another when the mesh was opened, that one; else itself.
+    pub root: u32,
+}
+
+/// What the attributes of a face corner are made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::edit) struct Wedge {
+    /// The render vertex that it still is, or [`NONE`] for a blend.
+    pub vertex: u32,
+    /// The point of the mesh at which that vertex is.
+    pub point: u32,
+    /// Render vertices that it is blended from.
+    pub of: [u32; 3],
+    /// Their weights.
+    pub weights: [f64; 3],
+}
+
+/// A face of a region mesh.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::edit) struct RegionFace {
+    /// Points at the corners.
+    pub points: [u32; 3],
+    /// Wedges at the corners.
+    pub wedges: [u32; 3],
+    /// The primitive that it belongs to.
+    pub primitive: u32,
+    /// The gathered face that it is a part of or lies beside, or [`CAP`].
+    pub source: u32,
+    /// Whether it still is the surface's triangle that it was gathered from.
+    pub untouched: bool,
+    /// Whether it is outside the region and stays as it is.
+    pub frozen: bool,
+    /// Whether it is still there.
+    pub alive: bool,
+}
+
+impl Wedge {
+    /// Makes a blend of render vertices, with weights that are not negative and sum to 1.
+    pub fn blended(of: [u32; 3], weights: [f64; 3]) -> Self {
+        let positive = weights.map(|w| w.max(0.0));
+        let sum: f64 = positive.iter().sum();
+        Self {
+            vertex: NONE,
+            point: NONE,
+            of,
+            weights: if sum > 0.0 && sum.is_finite() {
+                positive.map(|w| w / sum)
+            } else {
+                [1.0, 0.0, 0.0]
+            },
+        }
+    }
+}
+
+impl RegionFace {
+    /// At which corner `point` is.
+    pub fn corner_of(&self, point: u32) -> Option<usize> {
+        self.points.iter().position(|&p| p == point)
+    }
+
+    /// The wedge at `point`.
+    pub fn wedge_at(&self, point: u32) -> Option<u32> {
+        self.corner_of(point).map(|k| self.wedges[k])
+    }
+
+    /// Whether the face passes from `a` straight to `b`.
+    pub fn passes(&self, a: u32, b: u32) -> bool {
+        self.corner_of(a).is_some_and(|k| self.points[(k + 1) % 3] == b)
+    }
+}
+
+/// The faces at an edge from `a` to `b`; [`NONE`] where there is none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::edit) struct EdgeFaces {
+    /// The face that passes from `a` to `b`.
+    pub left: u32,
+    /// The face that passes from `b` to `a`.
+    pub right: u32,
+    /// More than one face passes it the same way.
+    pub tangled: bool,
+}
+
+impl EdgeFaces {
+    /// The face that is there beside `f`.
+    pub fn other(self, f: u32) -> Option<u32> {
+        self.faces().find(|&g| g != f)
+    }
+
+    /// The faces that are there.
+    pub fn faces(self) -> impl Iterator<Item = u32> {
+        [self.left, self.right].into_iter().filter(|&f| f != NONE)
+    }
+}
+
+/// A part of a surface under edit; see the module page.
+#[derive(Debug, Clone, Default)]
+pub(in crate::edit) struct RegionMesh {
+    /// The gathered points first, then the new ones.
+    pub points: Vec<RegionPoint>,
+    pub wedges: Vec<Wedge>,
+    /// All faces ever; the first are the gathered ones.
+    pub faces: Vec<RegionFace>,
+    /// The surface's triangle that each gathered face was.
+    pub triangles: Vec<u32>,
+    /// Edges of drawn curves, smaller point first. Splitting an edge splits its mark.
+    pub marked: BTreeSet<(u32, u32)>,
+    pub warnings: Vec<EditWarning>,
+    /// The surface's points that were moved and stay themselves, and where they are now.
+    pub(super) moved: Vec<(u32, DVec3)>,
+    /// The point that each marked edge was split at.
+    pub(super) split_at: BTreeMap<(u32, u32), u32>,
+}
+
+/// Names an edge by its ends, the smaller first.
+pub(in crate::edit) fn edge_key(a: u32, b: u32) -> (u32, u32) {
+    (a.min(b), a.max(b))
+}
+
+impl RegionMesh {
+    /// Where point `p` is.
+    pub fn position(&self, p: u32) -> DVec3 {
+        self.points[p as usize].position
+    }
+
+    /// Living faces around point `p`.
+    pub fn faces_around(&self, p: u32) -> &[u32] {
+        &self.points[p as usize].faces
+    }
+
+    /// Points at the corners of face `f`.
+    pub fn points_of(&self, f: u32) -> [u32; 3] {
+        self.faces[f as usize].points
+    }
+
+    /// Positions of the corners of face `f`.
+    pub fn corner_positions(&self, f: u32) -> [DVec3; 3] {
+        self.points_of(f).map(|p| self.position(p))
+    }
+
+    /// Twice the area of face `f` times its normal.
+    pub fn area_normal(&self, f: u32) -> DVec3 {
+        triangle::area_normal(self.corner_positions(f))
+    }
+
+    /// The distance of two points.
+    pub fn length(&self, a: u32, b: u32) -> f64 {
+        self.position(a).distance(self.position(b))
+    }
+
+    /// How many points were gathered, when none of them was moved by [`move_point`](Self::move_point).
+    pub fn gathered_points(&self) -> usize {
+        self.points.partition_point(|p| p.old != NONE)
+    }
+
+    /// The number here of a point of the surface, in a mesh whose gathered points rise.
+    pub fn find_point(&self, old: u32) -> Option<u32> {
+        let gathered = &self.points[..self.gathered_points()];
+        gathered.binary_search_by_key(&old, |p| p.old).ok().map(|p| p as u32)
+    }
+
+    /// The number here of a triangle of the surface, in a mesh whose gathered faces rise.
+    pub fn find_face(&self, triangle: u32) -> Option<u32> {
+        self.triangles.binary_search(&triangle).ok().map(|f| f as u32)
+    }
+
+    /// Living faces along the edge between two points, however many.
+    pub fn faces_along(&self, a: u32, b: u32) -> impl Iterator<Item = u32> + '_ {
+        let faces = self.faces_around(a).iter().copied();
+        faces.filter(move |&f| self.faces[f as usize].corner_of(b).is_some())
+    }
+
+    /// Whether two points are joined by an edge.
+    pub fn has_edge(&self, a: u32, b: u32) -> bool {
+        self.faces_along(a, b).next().is_some()
+    }
+
+    /// The faces at the edge from `a` to `b`, told apart by side.
+    pub fn edge(&self, a: u32, b: u32) -> EdgeFaces {
+        let mut edge = EdgeFaces {
+            left: NONE,
+            right: NONE,
+            tangled: false,
+        };
+        for &f in self.faces_around(a) {
+            let p = self.points_of(f);
+            for i in 0..3 {
+                let side = if p[i] == a && p[(i + 1) % 3] == b {
+                    &mut edge.left
+                } else if p[i] == b && p[(i + 1) % 3] == a {
+                    &mut edge.right
+                } else {
+                    continue;
+                };
+                edge.tangled |= *side != NONE;
+                *side = f;
+            }
+        }
+        edge
+    }
+
+    /// The wedge of face `f` at point `p`; `None` when `p` is none of its corners.
+    pub fn wedge_at(&self, f: u32, p: u32) -> Option<u32> {
+        self.faces[f as usize].wedge_at(p)
+    }
+
+    /// The corner of face `f` that is neither `a` nor `b`.
+    pub fn across(&self, f: u32, a: u32, b: u32) -> Option<u32> {
+        self.points_of(f).into_iter().find(|&p| p != a && p != b)
+    }
+
+    /// Whether the two faces at an edge show the same wedges along it.
+    pub fn is_smooth(&self, edge: EdgeFaces, a: u32, b: u32) -> bool {
+        edge.left != NONE
+            && edge.right != NONE
+            && [a, b]
+                .into_iter()
+                .all(|p| self.wedge_at(edge.left, p) == self.wedge_at(edge.right, p))
+    }
+
+    /// Whether an edge may not be changed at all: a face outside the region lies there, or more than two faces meet.
+    pub fn is_locked(&self, edge: EdgeFaces) -> bool {
+        edge.tangled || edge.faces().any(|f| self.faces[f as usize].frozen)
+    }
+
+    /// Whether the edge has a face of the region on either side and the same wedges on both.
+    pub fn is_inside(&self, edge: EdgeFaces, a: u32, b: u32) -> bool {
+        !self.is_locked(edge) && self.is_smooth(edge, a, b)
+    }
+
+    /// Points that share an edge with `p`, rising.
+    pub fn neighbours(&self, p: u32) -> Vec<u32> {
+        let faces = self.faces_around(p);
+        let mut around: Vec<u32> = Vec::with_capacity(faces.len() + 4);
+        for &f in faces {
+            for q in self.points_of(f) {
+                if q != p && !around.contains(&q) {
+                    around.push(q);
+                }
+            }
+        }
+        around.sort_unstable();
+        around
+    }
+
+    /// How many points share an edge with `p`, and how many faces are there: equal in the inside of a surface.
+    pub fn valence(&self, p: u32) -> (usize, usize) {
+        let links = self.fan_links(p);
+        // In a fan each neighbour is the next corner of one face, but the last of an open one.
+        let ends = links
+            .iter()
+            .filter(|(_, last)| !links.iter().any(|(next, _)| next == last));
+        (links.len() + ends.count(), links.len())
+    }
+
+    /// For each face around `p` the corner after and the corner before it.
+    pub fn fan_links(&self, p: u32) -> Vec<(u32, u32)> {
+        let link = |&f: &u32| {
+            let face = &self.faces[f as usize];
+            let i = face.corner_of(p)?;
+            Some((face.points[(i + 1) % 3], face.points[(i + 2) % 3]))
+        };
+        self.faces_around(p).iter().filter_map(link).collect()
+    }
+
+    /// Whether the faces around `p` make one fan, open or closed, that turns one way.
+    pub fn is_single_fan(&self, p: u32) -> bool {
+        is_single_oriented_fan(&mut self.fan_links(p))
+    }
+
+    /// All edges that the living faces of the region have, smaller end first, sorted.
+    pub fn edges(&self) -> Vec<(u32, u32)> {
+        let mut edges = Vec::with_capacity(self.faces.len() * 3);
+        for f in self.living_faces() {
+            let p = self.points_of(f);
+            edges.extend((0..3).map(|i| edge_key(p[i], p[(i + 1) % 3])));
+        }
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// All edges of the living faces from number `first` on, closing ones included, smaller end first, sorted.
+    pub fn edges_from(&self, first: usize, wanted: impl Fn(&RegionFace) -> bool) -> Vec<(u32, u32)> {
+        let mut edges: Vec<(u32, u32)> = Vec::new();
+        for face in self.faces[first..].iter().filter(|f| f.alive && wanted(f)) {
+            let [a, b, c] = face.points;
+            edges.extend([edge_key(a, b), edge_key(b, c), edge_key(c, a)]);
+        }
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    }
+
+    /// Numbers of the living faces of the region.
+    pub fn living_faces(&self) -> impl Iterator<Item = u32> {
+        let faces = self.faces.iter().zip(0u32..);
+        faces.filter(|(face, _)| face.alive && !face.frozen).map(|(_, f)| f)
+    }
+
+    /// The sides of living faces that no other face lies along, for which `wanted` (asked with both ends in the face's
+    /// order) says yes; as from, to, face.
+    pub fn open_sides(&self, wanted: impl Fn(u32, u32) -> bool) -> Vec<(u32, u32, u32)> {
+        let mut sides = Vec::new();
+        for (face, f) in self.faces.iter().zip(0u32..).filter(|(face, _)| face.alive) {
+            for k in 0..3 {
+                let (a, b) = (face.points[k], face.points[(k + 1) % 3]);
+                if wanted(a, b) && self.faces_along(a, b).nth(1).is_none() {
+                    sides.push((a, b, f));
+                }
+            }
+        }
+        sides
+    }
+}

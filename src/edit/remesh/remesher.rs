@@ -1,0 +1,361 @@
+//! The mesh while it is remeshed, with what each of its points knows about the original surface.
+
+use super::feature_lines::{Chain, ChainPoint, FeatureLines, LineKind};
+use super::original::{OriginalPoint, OriginalSurface, SLIVER};
+use crate::edit::region_mesh::{EdgeFaces, RegionMesh, Wedge};
+use crate::edit::triangle;
+use crate::mesh::NONE;
+use glam::DVec3;
+
+/// No face turns by more than the angle with this cosine (60°) in one step.
+const LEAST_COSINE: f64 = 0.5;
+
+/// Cosine of the largest angle between a face and the original one beside it (about 78°).
+const FAITHFUL: f64 = 0.2;
+
+/// Where a point is in terms of the original surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum PointConstraint {
+    /// At an original point that stays.
+    Held,
+    /// On a line.
+    OnLine(ChainPoint),
+    /// Inside.
+    OnSurface(OriginalPoint),
+}
+
+/// A region mesh while it is remeshed, with what each of its points knows about the original surface.
+pub(super) struct Remesher {
+    pub mesh: RegionMesh,
+    pub original: OriginalSurface,
+    pub curves: FeatureLines,
+    /// Of each point.
+    pub constraints: Vec<PointConstraint>,
+    /// Target length at each point.
+    pub sizes: Vec<f64>,
+}
+
+impl Remesher {
+    /// Begins with target lengths `sizes` at the points of `mesh`.
+    pub fn new(mesh: RegionMesh, sizes: Vec<f64>) -> Self {
+        let (curves, on, held) = FeatureLines::trace(&mesh, &sizes);
+        let original = OriginalSurface::of(&mesh, sizes.clone(), |a, b| curves.piece(a, b).is_none());
+        let constraints = (0..mesh.points.len() as u32)
+            .map(|p| {
+                let point = &mesh.points[p as usize];
+                match (on[p as usize], point.faces.first()) {
+                    (Some(on), _) => PointConstraint::OnLine(on),
+                    (None, Some(&f)) if !point.fixed && !held.contains(&p) => {
+                        PointConstraint::OnSurface(original.corner(f, p))
+                    }
+                    _ => PointConstraint::Held,
+                }
+            })
+            .collect();
+        Self {
+            mesh,
+            original,
+            curves,
+            constraints,
+            sizes,
+        }
+    }
+
+    /// Length of an edge over the target length there.
+    pub fn relative_length(&self, a: u32, b: u32) -> f64 {
+        self.mesh.length(a, b) / (0.5 * (self.sizes[a as usize] + self.sizes[b as usize]))
+    }
+
+    /// Whether a face with these corners may stand for the original surface beside face `f`.
+    pub fn is_faithful(&self, f: u32, corners: [DVec3; 3]) -> bool {
+        let there = self.original.normal(self.mesh.faces[f as usize].source);
+        triangle::cosine(triangle::area_normal(corners), there).is_none_or(|c| c >= FAITHFUL)
+    }
+
+    /// Whether a changed face stands against the original one that it lies beside.
+    pub fn stands_against(&self, f: u32) -> bool {
+        !self.mesh.faces[f as usize].untouched && !self.is_faithful(f, self.mesh.corner_positions(f))
+    }
+
+    /// The same as [`is_faithful`](Self::is_faithful), beside the original face that is nearest to the middle of these corners, looked for around face `f`. It
+    /// notices when a face would cut off a thin part of the surface.
+    pub fn agrees(&mut self, f: u32, corners: [DVec3; 3]) -> bool {
+        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let spot = self.original.nearest(middle, &self.seeds_of_face(f));
+        let there = self.original.normal(spot.face);
+        triangle::cosine(triangle::area_normal(corners), there).is_none_or(|c| c >= FAITHFUL)
+    }
+
+    fn seeds_of_face(&self, f: u32) -> Vec<u32> {
+        let inside = |p: u32| match self.constraints[p as usize] {
+            PointConstraint::OnSurface(spot) => Some(spot.face),
+            _ => None,
+        };
+        let points = self.mesh.points_of(f).into_iter();
+        points
+            .filter_map(inside)
+            .chain([self.mesh.faces[f as usize].source])
+            .collect()
+    }
+
+    /// Faces of the original surface from which to look for a place near point `p`, on one side of all lines.
+    pub fn seeds(&self, p: u32) -> Vec<u32> {
+        let around = self.mesh.faces_around(p).iter();
+        let mut seeds: Vec<u32> = around.map(|&f| self.mesh.faces[f as usize].source).collect();
+        if let PointConstraint::OnSurface(spot) = self.constraints[p as usize] {
+            seeds.insert(0, spot.face);
+        }
+        seeds.dedup();
+        seeds
+    }
+
+    /// Splits the edge in its middle, on the original surface. Says whether it could.
+    pub fn split_edge(&mut self, a: u32, b: u32) -> bool {
+        let edge = self.mesh.edge(a, b);
+        if self.mesh.is_locked(edge) || edge.faces().next().is_none() {
+            return false;
+        }
+        match self.curves.piece(a, b) {
+            Some(piece) if piece.at[0] <= piece.at[1] => self.split_line_edge(edge, a, b, piece.chain, piece.at),
+            Some(piece) => {
+                let turned = self.mesh.edge(b, a);
+                self.split_line_edge(turned, b, a, piece.chain, [piece.at[1], piece.at[0]])
+            }
+            None => self.split_inner_edge(edge, a, b),
+        }
+    }
+
+    fn split_inner_edge(&mut self, edge: EdgeFaces, a: u32, b: u32) -> bool {
+        if !self.mesh.is_inside(edge, a, b) {
+            return false;
+        }
+        let middle = (self.mesh.position(a) + self.mesh.position(b)) * 0.5;
+        let seeds = [edge.left, edge.right].map(|f| self.mesh.faces[f as usize].source);
+        let spot = self.original.nearest(middle, &seeds);
+        let on_surface = self.original.position(spot);
+        let position = if self.splits_well(edge, a, b, on_surface) {
+            on_surface
+        } else {
+            middle
+        };
+        let m = self.mesh.add_point(position);
+        let (of, weights) = self.original.blend(spot);
+        let wedge = self.mesh.add_wedge(Wedge::blended(of, weights));
+        self.mesh.insert_into_edge(edge, [a, b], m, [wedge; 2]);
+        self.constraints.push(PointConstraint::OnSurface(spot));
+        self.sizes.push(self.original.size(spot));
+        true
+    }
+
+    /// Splits a piece of a chain from `a`, at length `at[0]`, to `b`, at `at[1]`, which is not less.
+    fn split_line_edge(&mut self, edge: EdgeFaces, a: u32, b: u32, chain: u32, at: [f64; 2]) -> bool {
+        let line = &self.curves.chains[chain as usize];
+        let middle = 0.5 * (at[0] + at[1]);
+        let Some(blends) = blends_on_both_sides(line, middle) else {
+            return false;
+        };
+        let on_line = line.position(middle);
+        let position = if self.splits_well(edge, a, b, on_line) {
+            on_line
+        } else {
+            (self.mesh.position(a) + self.mesh.position(b)) * 0.5
+        };
+        let (size, kind) = (line.size(middle), line.kind);
+        let m = self.mesh.add_point(position);
+        let wedge = |mesh: &mut RegionMesh, f: u32, side: usize| {
+            if f == NONE {
+                return NONE;
+            }
+            let (of, weights) = blends[side];
+            mesh.add_wedge(Wedge::blended(of, weights))
+        };
+        let left = wedge(&mut self.mesh, edge.left, 0);
+        let right = if kind == LineKind::Sharp {
+            left
+        } else {
+            wedge(&mut self.mesh, edge.right, 1)
+        };
+        self.mesh.insert_into_edge(edge, [a, b], m, [left, right]);
+        self.curves.unset(a, b);
+        self.curves.set(a, m, chain, [at[0], middle]);
+        self.curves.set(m, b, chain, [middle, at[1]]);
+        for (p, old) in [(a, b), (b, a)] {
+            if let PointConstraint::OnLine(on) = &mut self.constraints[p as usize] {
+                on.beside.iter_mut().filter(|q| **q == old).for_each(|q| *q = m);
+            }
+        }
+        self.constraints.push(PointConstraint::OnLine(ChainPoint {
+            chain,
+            at: middle,
+            beside: [a, b],
+        }));
+        self.sizes.push(size);
+        true
+    }
+
+    /// Whether the four faces of a split at `position` look the way that the two did.
+    fn splits_well(&self, edge: EdgeFaces, a: u32, b: u32, position: DVec3) -> bool {
+        edge.faces().all(|f| {
+            let points = self.mesh.points_of(f);
+            let before = self.mesh.area_normal(f);
+            [a, b].into_iter().all(|end| {
+                let half = points.map(|p| if p == end { position } else { self.mesh.position(p) });
+                let turned = triangle::cosine(before, triangle::area_normal(half));
+                turned.is_some_and(|c| c >= LEAST_COSINE) && self.is_faithful(f, half)
+            })
+        })
+    }
+
+    /// Whether `from` may be taken away by moving it into `to`, as far as lines go.
+    pub fn may_go(&self, from: u32, to: u32) -> bool {
+        match self.constraints[from as usize] {
+            PointConstraint::Held => false,
+            PointConstraint::OnSurface(_) => true,
+            PointConstraint::OnLine(on) => on.beside.contains(&to) && self.curves.piece(from, to).is_some(),
+        }
+    }
+
+    /// Collapses `from` into `to` when topology and normals allow it and `accept` says yes to all faces after it.
+    pub fn collapse_edge(&mut self, from: u32, to: u32, accept: impl Fn(&Self, &[[DVec3; 3]]) -> bool) -> bool {
+        if !self.may_go(from, to) {
+            return false;
+        }
+        let Some(collapse) = self.mesh.plan_collapse(from, to) else {
+            return false;
+        };
+        let mut after = Vec::with_capacity(collapse.kept.len());
+        for (f, before, corners) in self.mesh.before_and_after(&collapse) {
+            if !self.may_become(f, before, corners) {
+                return false;
+            }
+            after.push(corners);
+        }
+        if !accept(self, &after) {
+            return false;
+        }
+        if !(collapse.kept.iter().zip(&after)).all(|(&f, &corners)| self.agrees(f, corners)) {
+            return false;
+        }
+        if let PointConstraint::OnLine(on) = self.constraints[from as usize]
+            && !self.drop_from_chain(from, to, on)
+        {
+            return false;
+        }
+        self.mesh.apply_collapse(&collapse);
+        true
+    }
+
+    /// Takes `from` out of its chain in favour of its neighbour `to`.
+    fn drop_from_chain(&mut self, from: u32, to: u32, on: ChainPoint) -> bool {
+        let other = if on.beside[0] == to { on.beside[1] } else { on.beside[0] };
+        let (Some(here), Some(there)) = (self.curves.piece(from, to), self.curves.piece(from, other)) else {
+            return false;
+        };
+        if other == to || self.curves.piece(to, other).is_some() {
+            return false;
+        }
+        self.curves.unset(from, to);
+        self.curves.unset(from, other);
+        self.curves.set(to, other, on.chain, [here.at[1], there.at[1]]);
+        for p in [to, other] {
+            if let PointConstraint::OnLine(beside) = &mut self.constraints[p as usize] {
+                beside.beside.iter_mut().filter(|q| **q == from).for_each(|q| {
+                    *q = if p == to { other } else { to };
+                });
+            }
+        }
+        true
+    }
+
+    /// Moves an inner point near `position`, onto the original surface, when no face turns over and `accept` says yes.
+    pub fn move_on_surface(&mut self, p: u32, position: DVec3, accept: impl Fn(&Self, DVec3) -> bool) -> bool {
+        let seeds = self.seeds(p);
+        let spot = self.original.nearest(position, &seeds);
+        let position = self.original.position(spot);
+        if !self.can_move(p, position) || !accept(self, position) {
+            return false;
+        }
+        let blend = self.original.blend(spot);
+        self.mesh.move_point(p, position, |_| blend);
+        self.constraints[p as usize] = PointConstraint::OnSurface(spot);
+        self.sizes[p as usize] = self.original.size(spot);
+        for i in 0..self.mesh.faces_around(p).len() {
+            let f = self.mesh.faces_around(p)[i];
+            self.mesh.faces[f as usize].source = spot.face;
+        }
+        true
+    }
+
+    /// Moves a point along its chain to the length `at`, under the same conditions.
+    pub fn slide_on_line(&mut self, p: u32, on: ChainPoint, at: f64, accept: impl Fn(&Self, DVec3) -> bool) -> bool {
+        let line = &self.curves.chains[on.chain as usize];
+        let (position, size, sharp) = (line.position(at), line.size(at), line.kind == LineKind::Sharp);
+        let Some(blends) = blends_on_both_sides(line, at) else {
+            return false;
+        };
+        let ends = on.beside.map(|q| self.curves.piece(p, q).map(|piece| piece.at[1]));
+        let [Some(start), Some(end)] = ends else { return false };
+        let between = at > start && at < end;
+        if !between || !self.can_move(p, position) || !accept(self, position) {
+            return false;
+        }
+        let forward = self.mesh.edge(p, on.beside[1]);
+        let left = if forward.left == NONE {
+            None
+        } else {
+            self.mesh.wedge_at(forward.left, p)
+        };
+        let side = |w| if sharp || Some(w) == left { 0 } else { 1 };
+        self.mesh.move_point(p, position, |w| blends[side(w)]);
+        self.curves.set(p, on.beside[0], on.chain, [at, start]);
+        self.curves.set(p, on.beside[1], on.chain, [at, end]);
+        self.constraints[p as usize] = PointConstraint::OnLine(ChainPoint { at, ..on });
+        self.sizes[p as usize] = size;
+        true
+    }
+
+    /// Whether face `f` may change its corners: it turns little, and still stands for the surface beside it. The normal
+    /// of a sliver says little, so that one need do the second only.
+    fn may_become(&self, f: u32, before: [DVec3; 3], after: [DVec3; 3]) -> bool {
+        let little = triangle::turns_little(before, after, LEAST_COSINE)
+            || (triangle::aspect(before) > SLIVER && triangle::aspect(after) < f64::INFINITY);
+        little && self.is_faithful(f, after)
+    }
+
+    fn can_move(&self, p: u32, position: DVec3) -> bool {
+        self.mesh.faces_around(p).iter().all(|&f| {
+            let points = self.mesh.points_of(f);
+            let before = points.map(|q| self.mesh.position(q));
+            let after = points.map(|q| if q == p { position } else { self.mesh.position(q) });
+            self.may_become(f, before, after)
+        })
+    }
+
+    /// Looks again which original face each changed one lies beside.
+    pub fn refresh_sources(&mut self) {
+        let changed: Vec<u32> = (self.mesh.living_faces())
+            .filter(|&f| !self.mesh.faces[f as usize].untouched)
+            .collect();
+        for f in changed {
+            let middle = self.mesh.corner_positions(f).iter().sum::<DVec3>() / 3.0;
+            let seeds = self.seeds_of_face(f);
+            self.mesh.faces[f as usize].source = self.original.nearest(middle, &seeds).face;
+        }
+    }
+
+    /// The worst aspect of the faces around `p`, were it at `position`.
+    pub fn worst_aspect(&self, p: u32, position: DVec3) -> f64 {
+        let faces = self.mesh.faces_around(p).iter();
+        faces.fold(0.0, |worst: f64, &f| {
+            let points = self.mesh.points_of(f);
+            worst.max(triangle::aspect(
+                points.map(|q| if q == p { position } else { self.mesh.position(q) }),
+            ))
+        })
+    }
+}
+
+/// What a point of a chain is made of on either side; a boundary has the same on both.
+fn blends_on_both_sides(line: &Chain, at: f64) -> Option<[([u32; 3], [f64; 3]); 2]> {
+    Some([line.blend(at, 0)?, line.blend(at, 1)?])
+}
