@@ -184,7 +184,7 @@ mod tests {
         };
         // Since then, a was dragged and committed.
         let poses = HandlePoses(Arc::new(vec![
-            handle("a", Some(7.0)).pose.unwrap_or_default(),
+            HandlePose::translation([7.0, 0.0, 0.0]),
             Default::default(),
         ]));
 

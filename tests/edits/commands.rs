@@ -1,5 +1,6 @@
 //! Edits of the topology as users meet them: on a bench, in jobs, and in sessions with undo and redo.
 
+use crate::support::messages::{DeformerMessages, EditMessage, EditedByMessage};
 use crate::support::bench;
 mod following;
 mod handles;
@@ -9,7 +10,7 @@ mod refusals;
 use bench::*;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits as ModelLimits, Model, shapes};
-use pliant::engine::{Deformer, EditCommand, EditOutcome, SolvedShape, digest};
+use pliant::engine::{Deformer, SolvedShape, digest};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{Error, pb};
@@ -48,19 +49,19 @@ fn midpoint(region: Option<pb::Region>) -> pb::EditRequest {
 }
 
 /// Edits the shape that `shape` is, with the handles' own poses in force.
-fn edit(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> Result<EditOutcome, Error> {
+fn edit(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> Result<EditedByMessage, Error> {
     let poses = bench.initial_poses();
-    let order = EditCommand {
+    let order = EditMessage {
         request,
         shape,
         poses: &poses,
         settings: None,
         other: None,
     };
-    bench.edit(&order, &Exec::new(&pool(2), &Silent))
+    bench.edit_message(&order, &Exec::new(&pool(2), &Silent))
 }
 
-fn edited(bench: &mut Deformer, request: &pb::EditRequest) -> EditOutcome {
+fn edited(bench: &mut Deformer, request: &pb::EditRequest) -> EditedByMessage {
     let rest = Arc::clone(bench.rest());
     edit(bench, request, &rest).expect("the edit can be done")
 }
@@ -101,7 +102,7 @@ fn both_halves_of_a_filled_cut_add_up() {
         let outcome = edited(&mut bench, &cut_at(-0.6, keep, true));
         let half = read_back(&bench, Format::Obj);
         assert_eq!(half.positions.len(), outcome.positions.len());
-        let facts = bench.facts();
+        let facts = bench.facts_message();
         assert!(
             facts.solver.is_some_and(|s| s.graph_vertices > s.solver_vertices),
             "it still has an inside"
@@ -118,7 +119,7 @@ fn a_cut_that_keeps_both_sides_leaves_two_parts_that_move_apart() {
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
     let outcome = edited(&mut bench, &cut_at(0.1, cut::Keep::Both, true));
     assert_eq!(outcome.result.handles_kept, ["base", "top"]);
-    assert_eq!(bench.facts().solver.map(|s| s.components), Some(2));
+    assert_eq!(bench.facts_message().solver.map(|s| s.components), Some(2));
     let up = pb::HandlePose {
         translation: vec![0.0, 0.0, 1.0],
         ..Default::default()
@@ -169,14 +170,14 @@ fn on_the_rest_shape_poses_stay() {
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
     let turned = turn(DVec3::new(0.0, 0.0, 0.9), DVec3::ZERO);
     let poses = bench
-        .posed(&bench.initial_poses(), &pose(&[("top", turned)]))
+        .change_poses_message(&bench.initial_poses(), &pose(&[("top", turned)]))
         .expect("a pose");
     let shape = Arc::clone(bench.rest());
     let request = pb::EditRequest {
         on: pb::edit_request::On::Rest.into(),
         ..midpoint(Some(half_space([1.0, 0.0, 0.0], 0.2)))
     };
-    let order = EditCommand {
+    let order = EditMessage {
         request: &request,
         shape: &shape,
         poses: &poses,
@@ -184,7 +185,7 @@ fn on_the_rest_shape_poses_stay() {
         other: None,
     };
     let outcome = bench
-        .edit(&order, &Exec::new(&pool(2), &Silent))
+        .edit_message(&order, &Exec::new(&pool(2), &Silent))
         .expect("subdivided at rest");
     assert!(outcome.solved.is_some());
     for run in &outcome.result.kept {
@@ -212,7 +213,7 @@ fn on_the_rest_shape_poses_stay() {
 fn what_cannot_be_done_is_refused_whole() {
     let mut bench = bench(&bar());
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
-    let (before, facts) = (digest(bench.rest()), bench.facts());
+    let (before, facts) = (digest(bench.rest()), bench.facts_message());
     let far = pb::region::Sphere {
         center: vec![9.0, 9.0, 9.0],
         radius: 0.1,
@@ -244,7 +245,7 @@ fn what_cannot_be_done_is_refused_whole() {
         let error = edit(&mut bench, &request, &rest).expect_err(reason).to_string();
         assert!(error.contains(reason), "{error} should say {reason}");
         assert_eq!(digest(bench.rest()), before);
-        assert_eq!(bench.facts(), facts);
+        assert_eq!(bench.facts_message(), facts);
     }
 }
 
@@ -265,7 +266,7 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
         .enumerate()
         {
             let poses = bench.initial_poses();
-            let order = EditCommand {
+            let order = EditMessage {
                 request,
                 shape: &shape,
                 poses: &poses,
@@ -273,7 +274,7 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
                 other: None,
             };
             let outcome = bench
-                .edit(&order, &Exec::new(&pool, &Silent))
+                .edit_message(&order, &Exec::new(&pool, &Silent))
                 .expect("each can be done");
             digests.push(outcome.result.digest);
             let turned = turn(DVec3::new(0.2, 0.1 * k as f64, 0.0), DVec3::ZERO);

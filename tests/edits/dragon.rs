@@ -1,8 +1,9 @@
 //! A tail pulled to more than four times its length in several commits, with automatic remeshing in between.
 
+use crate::support::messages::{DeformerMessages, EditMessage};
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
-use pliant::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode};
+use pliant::engine::{QualityReport, Deformer, DeformerLimits, HandlePoses, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -77,7 +78,7 @@ fn horn() -> Tail {
 /// A state of the pull.
 struct Pulled {
     positions: Arc<Vec<DVec3>>,
-    quality: pb::Quality,
+    quality: QualityReport,
     /// The largest of any step after which it was remeshed.
     stretch: f64,
     aspects: Vec<f64>,
@@ -120,14 +121,14 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         {"id": "tip", "region": {"halfSpace": {"normal": [1, 0, 0], "offset": tail.tip}}},
     ]});
     bench
-        .set_handles(&message(handles), &Exec::new(&pool, &Silent))
+        .set_handles_message(&message(handles), &Exec::new(&pool, &Silent))
         .expect("the handles fit");
     let options: pb::Options = message(json!({"tolerance": 1e-5}));
-    let settings = DeformOptions::check(&options, "options", 8).expect("valid");
+    let settings = DeformOptions::check(&options, "options", 8).expect("valid").solve;
     let start = (tail.tip - tail.root) / tail.along.x;
     let (mut length, mut poses): (f64, HandlePoses) = (start, bench.initial_poses());
     let mut stretch = 0.0f64;
-    let (mut shape, mut quality) = (Arc::clone(bench.rest()), pb::Quality::default());
+    let (mut shape, mut quality) = (Arc::clone(bench.rest()), QualityReport::default());
     let (steps, factor) = tail.steps;
     for step in 0..steps {
         let by = length * (factor - 1.0);
@@ -135,7 +136,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         // After an edit what is seen is the rest shape.
         let shift = tail.along * if remesh { by } else { length - start };
         let pose = json!({"handles": [{"id": "tip", "pose": {"translation": shift.to_array()}}]});
-        poses = bench.posed(&poses, &message(pose)).expect("a pose");
+        poses = bench.change_poses_message(&poses, &message(pose)).expect("a pose");
         let solved = bench.solve(
             &poses,
             &settings,
@@ -151,14 +152,14 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         assert_eq!(quality.flipped_triangles, 0, "step {step}");
         stretch = stretch.max(quality.max_stretch);
         let request: pb::EditRequest = message(json!({"remesh": {"auto": true}}));
-        let order = EditCommand {
+        let order = EditMessage {
             request: &request,
             shape: &shape,
             poses: &poses,
             settings: None,
             other: None,
         };
-        let outcome = bench.edit(&order, &Exec::new(&pool, &Silent)).expect("remeshed");
+        let outcome = bench.edit_message(&order, &Exec::new(&pool, &Silent)).expect("remeshed");
         (poses, shape) = (outcome.poses, outcome.positions);
     }
     Pulled {

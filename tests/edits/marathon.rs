@@ -5,10 +5,11 @@ mod cycles;
 mod script;
 mod sessions;
 
+use crate::support::messages::{DeformerMessages, EditMessage};
 use checks::Before;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
-use pliant::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode, digest};
+use pliant::engine::{Deformer, DeformerLimits, HandlePoses, SolveMode, SolveSettings, digest};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -27,7 +28,7 @@ struct Run {
     draw: Draw,
     poses: HandlePoses,
     shape: Arc<Vec<DVec3>>,
-    settings: DeformOptions,
+    settings: SolveSettings,
     /// Above so many vertices the model is thinned out.
     most: usize,
     apart: bool,
@@ -56,7 +57,7 @@ impl Run {
         let mut run = Self {
             poses: bench.initial_poses(),
             shape: Arc::clone(bench.rest()),
-            settings: DeformOptions::check(&options, "options", 8).expect("valid options"),
+            settings: DeformOptions::check(&options, "options", 8).expect("valid options").solve,
             bench,
             pool,
             draw: Draw(seed),
@@ -88,7 +89,7 @@ impl Run {
         let request = message::<pb::SetHandlesRequest>(&serde_json::json!({"handles": handles}));
         // A direction may be across the model such that one handle holds nothing but strays; others will do.
         self.bench
-            .set_handles(&request, &Exec::new(&self.pool, &Silent))
+            .set_handles_message(&request, &Exec::new(&self.pool, &Silent))
             .expect("the handles fit");
         self.poses = self.bench.initial_poses();
         self.shape = Arc::clone(self.bench.rest());
@@ -97,11 +98,11 @@ impl Run {
 
     /// HandlePoses the last handle.
     fn pose(&mut self) {
-        let Some(id) = self.bench.handles().handles.last().map(|h| h.id.clone()) else {
+        let Some(id) = self.bench.handles_message().handles.last().map(|h| h.id.clone()) else {
             return self.hold();
         };
         let pose = self.next(|seen, draw| seen.pose(draw, &id));
-        self.poses = self.bench.posed(&self.poses, &message(&pose)).expect("a pose");
+        self.poses = self.bench.change_poses_message(&self.poses, &message(&pose)).expect("a pose");
         self.shape = self.solved();
         assert!(self.shape.iter().all(|p| p.is_finite()), "{pose}");
         self.digests.push(digest(&self.shape));
@@ -132,21 +133,21 @@ impl Run {
             Arc::clone(&self.shape)
         };
         let before = Before::of(&self.bench, &shape);
-        let order = EditCommand {
+        let order = EditMessage {
             request: &request,
             shape: &self.shape,
             poses: &self.poses,
             settings: None,
             other: None,
         };
-        match self.bench.edit(&order, &Exec::new(&self.pool, &Silent)) {
+        match self.bench.edit_message(&order, &Exec::new(&self.pool, &Silent)) {
             Ok(outcome) => {
                 before.done(&self.bench, &edit, &outcome);
                 self.counts[0] += 1;
                 self.poses = outcome.poses;
                 self.shape = outcome.positions;
                 self.posed = false;
-                if self.bench.handles().handles.len() < 2 {
+                if self.bench.handles_message().handles.len() < 2 {
                     self.hold();
                 }
             }
@@ -202,20 +203,20 @@ fn marathon(name: &str, files: &FileSet, seed: u64, most: usize) {
             .map(|threads| {
                 scope.spawn(move || {
                     let mut run = Run::new(files.clone(), seed, threads, most);
-                    let start = (digest(run.bench.rest()), run.bench.trail());
+                    let start = (digest(run.bench.rest()), run.bench.topology_state());
                     run.bench
-                        .set_handles(&Default::default(), &Exec::new(&run.pool, &Silent))
+                        .set_handles_message(&Default::default(), &Exec::new(&run.pool, &Silent))
                         .expect("none");
-                    let base = run.bench.bytes();
+                    let base = run.bench.byte_size();
                     run.hold();
                     run.go(EDITS);
                     let end = run.bench.estimate();
                     run.bench
-                        .retrace(&start.1, &Exec::new(&run.pool, &Silent))
+                        .restore_topology(&start.1, &Exec::new(&run.pool, &Silent))
                         .expect("the way back");
                     assert_eq!(digest(run.bench.rest()), start.0);
                     // Two states that were left are kept for the way back, and no more.
-                    let kept = run.bench.bytes() - base;
+                    let kept = run.bench.byte_size() - base;
                     assert!(kept <= 2 * end, "{kept} bytes more than at the beginning");
                     (run.digests, run.counts)
                 })

@@ -1,6 +1,7 @@
 //! The paper's statue (figure 8) as jobs: four models, each deformed several times, grown together, remeshed at the joints,
 //! and deformed again across them. The jobs are in tests/jobs/statue and can be run by hand.
 
+use crate::support::messages::{DeformerMessages};
 use crate::support::khronos;
 
 use glam::DVec3;
@@ -142,16 +143,16 @@ fn across(bench: &mut Deformer, pool: &Pool) {
         ..Default::default()
     };
     bench
-        .set_handles(&request, &Exec::new(pool, &Silent))
+        .set_handles_message(&request, &Exec::new(pool, &Silent))
         .expect("the handles fit");
-    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", 8).expect("valid");
+    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", 8).expect("valid").solve;
     let mut poses = bench.initial_poses();
     let mut last = None;
     for step in &job.steps[..2] {
         let Some(pb::step::Step::Pose(pose)) = &step.step else {
             panic!("the first steps are poses");
         };
-        poses = bench.posed(&poses, pose).expect("a pose");
+        poses = bench.change_poses_message(&poses, pose).expect("a pose");
         last = Some(
             bench
                 .solve(

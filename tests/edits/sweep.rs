@@ -1,8 +1,9 @@
 //! Edits on every model of the data folder, hostile ones included: a result or a reason in one line, never a panic.
 
+use crate::support::messages::{DeformerMessages, EditMessage};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Model};
-use pliant::engine::{Deformer, DeformerLimits, EditCommand, digest};
+use pliant::engine::{Deformer, DeformerLimits, digest};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -104,14 +105,14 @@ fn one(bench: &mut Deformer, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &P
     let request: pb::EditRequest = json::from_json(edit.to_string().as_bytes()).map_err(|e| e.to_string())?;
     let poses = bench.initial_poses();
     let (idle, defects, was) = (unreferenced(bench), broken(bench), digest(bench.rest()));
-    let order = EditCommand {
+    let order = EditMessage {
         request: &request,
         shape,
         poses: &poses,
         settings: None,
         other: None,
     };
-    match bench.edit(&order, &Exec::new(pool, &Silent)) {
+    match bench.edit_message(&order, &Exec::new(pool, &Silent)) {
         Ok(outcome) => {
             let (before, after) = (
                 outcome.result.before.unwrap_or_default(),
@@ -159,7 +160,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
     let mode = if files.main.len() > 1_200_000 { "OFF" } else { "AUTO" };
     let create: pb::CreateOptions =
         json::from_json(json!({"volumeGraph": {"mode": mode}}).to_string().as_bytes()).expect("options");
-    let mut bench = match Deformer::open(files, &create, &limits, &Exec::new(&pool, &Silent)) {
+    let mut bench = match Deformer::open(files, &pliant::wire::open_options(&create).expect("valid"), &limits, &Exec::new(&pool, &Silent)) {
         Ok(bench) => bench,
         Err(e) => {
             let said = e.to_string();

@@ -1,5 +1,6 @@
 //! What handles can say: softness, falloff, rigid regions, mirrors, regions of interest, parts, and what is refused.
 
+use crate::support::messages::{DeformerMessages};
 use crate::support::bench;
 
 use bench::*;
@@ -45,7 +46,7 @@ fn a_part_without_a_handle_follows_holds_or_is_refused() {
             handles,
             ..Default::default()
         };
-        bench.set_handles(&request, &Exec::new(&pool(2), &Silent))?;
+        bench.set_handles_message(&request, &Exec::new(&pool(2), &Silent))?;
         try_solve(&mut bench, &pose(&bend), 1e-5, 2)
     };
     let follow = run(Components::Follow).expect("solved").positions;
@@ -76,7 +77,7 @@ fn outside_the_region_of_interest_no_bit_changes() {
         ..Default::default()
     };
     bench
-        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
     let solved = solve(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 1e-5);
     let mut moved = 0;
@@ -114,7 +115,7 @@ fn a_symmetry_plane_does_what_mirrored_handles_would() {
         ..Default::default()
     };
     by_plane
-        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
     let mirrored = solve(&mut by_plane, &[("side", moved.clone())], 1e-8);
 
@@ -266,11 +267,11 @@ fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing()
             handles,
             ..Default::default()
         };
-        match bench.set_handles(&request, &Exec::new(&pool(1), &Silent)) {
+        match bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent)) {
             Err(Error::Invalid { field, problem }) => assert_eq!(field, place, "{problem}"),
             other => panic!("{place}: {other:?}"),
         }
-        assert_eq!(bench.handles().handles.len(), 2);
+        assert_eq!(bench.handles_message().handles.len(), 2);
     };
     refused(&mut bench, vec![handle("", below(0.0))], "handles[0].id");
     refused(
@@ -339,11 +340,11 @@ fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing()
         ..Default::default()
     };
     assert!(matches!(
-        bench.set_handles(&request, &Exec::new(&pool(1), &Silent)),
+        bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent)),
         Err(Error::Precondition(_))
     ));
     let nobody = pose(&[("nobody", pb::HandlePose::default())]);
-    match bench.posed(&bench.initial_poses(), &nobody) {
+    match bench.change_poses_message(&bench.initial_poses(), &nobody) {
         Err(Error::Invalid { field, problem }) => {
             assert_eq!(field, "pose.handles[0].id");
             assert!(problem.contains("\"base\""), "{problem}");

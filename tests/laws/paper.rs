@@ -1,5 +1,6 @@
 //! The laws of the two-pass deformation, on shapes generated here.
 
+use crate::support::messages::{DeformerMessages};
 use crate::support::bench;
 
 use bench::*;
@@ -345,11 +346,11 @@ fn the_bits_do_not_depend_on_threads_or_on_what_was_dragged_before() {
             ..Default::default()
         };
         bench
-            .set_handles(&request, &Exec::new(&pool(threads), &Silent))
+            .set_handles_message(&request, &Exec::new(&pool(threads), &Silent))
             .expect("the handles fit");
         if threads == 3 {
             let dragged = bench
-                .posed(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
+                .change_poses_message(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
                 .expect("a pose");
             bench
                 .solve(
@@ -377,7 +378,7 @@ fn cancelled_work_leaves_the_bench_usable() {
     let flag = CancelFlag::default();
     flag.cancel();
     let poses = bench
-        .posed(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
+        .change_poses_message(&bench.initial_poses(), &pose(&[("top", shift(DVec3::X))]))
         .expect("a pose");
     let cancelled = bench.solve(
         &poses,
@@ -386,7 +387,7 @@ fn cancelled_work_leaves_the_bench_usable() {
         &Exec::new(&pool(2), &flag),
         &mut |_| true,
     );
-    assert!(matches!(cancelled, Err(Error::Cancelled)));
+    assert!(matches!(cancelled, Err(pliant::engine::Error::Cancelled)));
     let after = bench
         .solve(
             &poses,

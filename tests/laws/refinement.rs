@@ -1,32 +1,33 @@
 //! Refinement: rotations that are fitted to the result, and solved with again.
 
+use crate::support::messages::{DeformerMessages};
 use crate::support::bench;
 
 use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
-use pliant::engine::{Deformer, HandlePoses, SolveMode, SolvedShape, digest};
+use pliant::engine::{Deformer, HandlePoses, SolveMode, SolveSettings, SolvedShape, digest};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{DeformOptions, pb};
 
-fn settings(refine: u32, smoothing: f64) -> DeformOptions {
+fn settings(refine: u32, smoothing: f64) -> SolveSettings {
     let options = pb::Options {
         tolerance: 1e-6,
         refine: Some(refine),
         rotation_smoothing: smoothing,
         ..Default::default()
     };
-    DeformOptions::check(&options, "options", 8).expect("valid options")
+    DeformOptions::check(&options, "options", 8).expect("valid options").solve
 }
 
 fn posed(bench: &Deformer, entries: &[(&str, pb::HandlePose)]) -> HandlePoses {
     bench
-        .posed(&bench.initial_poses(), &pose(entries))
+        .change_poses_message(&bench.initial_poses(), &pose(entries))
         .expect("a pose of these handles")
 }
 
-fn run(bench: &mut Deformer, poses: &HandlePoses, settings: &DeformOptions, mode: SolveMode) -> SolvedShape {
+fn run(bench: &mut Deformer, poses: &HandlePoses, settings: &SolveSettings, mode: SolveMode) -> SolvedShape {
     bench
         .solve(poses, settings, mode, &Exec::new(&pool(2), &Silent), &mut |_| true)
         .expect("the pose solves")
@@ -256,7 +257,7 @@ fn parts_and_regions_that_do_not_move_keep_their_bits() {
         ..Default::default()
     };
     bench
-        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
     let now = refined(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 6);
     let mut still = 0;

@@ -9,7 +9,7 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{Constraints, Graph, Hierarchy, System};
-use pliant::wire::{json, pb};
+use pliant::wire::{self, json, pb};
 use std::path::{Path, PathBuf};
 
 use crate::shapes;
@@ -41,15 +41,15 @@ impl Rung {
     fn open(name: &'static str, files: FileSet, job: &pb::Job) -> Rung {
         let pool = Pool::new(2).unwrap();
         let create = job.create.clone().unwrap_or_default();
-        let mut bench = Deformer::open(files, &create, &DeformerLimits::default(), &Exec::new(&pool, &Silent)).unwrap();
+        let mut bench = Deformer::open(files, &wire::open_options(&create).unwrap(), &DeformerLimits::default(), &Exec::new(&pool, &Silent)).unwrap();
         let request = pb::SetHandlesRequest {
             handles: job.handles.clone(),
             ..Default::default()
         };
-        bench.set_handles(&request, &Exec::new(&pool, &Silent)).unwrap();
+        bench.set_handles(wire::handle_set(&request).unwrap(), &Exec::new(&pool, &Silent)).unwrap();
         let mut poses = bench.initial_poses();
         for pose in pose_steps(job).unwrap() {
-            poses = bench.posed(&poses, &pose).unwrap();
+            poses = wire::change_poses(&bench, &poses, &pose).unwrap();
         }
         let first = bench.transforms(&poses).unwrap();
         let (body, rig) = (bench.body(), bench.rig().unwrap());

@@ -1,12 +1,13 @@
 //! A bench with a generated shape, and short ways to say handles and poses.
 
+use super::messages::{DeformerMessages};
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
-use pliant::engine::{Deformer, DeformerLimits, SolveMode, SolvedShape};
+use pliant::engine::{Deformer, DeformerLimits, SolveMode, SolveSettings, SolvedShape};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::{DeformOptions, Error, pb};
+use pliant::wire::{DeformOptions, Error, open_options, pb};
 
 pub type Shape = (Vec<DVec3>, Vec<[u32; 3]>);
 
@@ -28,7 +29,7 @@ pub fn obj((positions, triangles): &Shape) -> FileSet {
 pub fn bench_with(shape: &Shape, create: &pb::CreateOptions, pool: &Pool) -> Deformer {
     Deformer::open(
         obj(shape),
-        create,
+        &open_options(create).expect("valid options"),
         &DeformerLimits::default(),
         &Exec::new(pool, &Silent),
     )
@@ -71,11 +72,11 @@ pub fn set(bench: &mut Deformer, handles: Vec<pb::Handle>) {
         ..Default::default()
     };
     bench
-        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
 }
 
-pub fn settings(tolerance: f64) -> DeformOptions {
+pub fn settings(tolerance: f64) -> SolveSettings {
     DeformOptions::check(
         &pb::Options {
             tolerance,
@@ -86,7 +87,7 @@ pub fn settings(tolerance: f64) -> DeformOptions {
         "options",
         8,
     )
-    .expect("valid options")
+    .expect("valid options").solve
 }
 
 pub fn pose(entries: &[(&str, pb::HandlePose)]) -> pb::Pose {
@@ -101,14 +102,15 @@ pub fn pose(entries: &[(&str, pb::HandlePose)]) -> pb::Pose {
 }
 
 pub fn try_solve(bench: &mut Deformer, pose: &pb::Pose, tolerance: f64, threads: usize) -> Result<SolvedShape, Error> {
-    let poses = bench.posed(&bench.initial_poses(), pose)?;
-    bench.solve(
+    let poses = bench.change_poses_message(&bench.initial_poses(), pose)?;
+    let solved = bench.solve(
         &poses,
         &settings(tolerance),
         SolveMode::Commit,
         &Exec::new(&pool(threads), &Silent),
         &mut |_| true,
-    )
+    )?;
+    Ok(solved)
 }
 
 pub fn solve(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> SolvedShape {

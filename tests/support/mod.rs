@@ -6,6 +6,7 @@ pub mod book;
 pub mod gltf_parsed;
 pub mod gltf_sets;
 pub mod khronos;
+pub mod messages;
 pub mod process;
 pub mod recipes;
 pub mod server;

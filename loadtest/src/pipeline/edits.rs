@@ -8,13 +8,15 @@ use crate::shared::measurements::Measurements;
 use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use crate::shared::timing::RunTimes;
 use pliant::asset::FileSet;
-use pliant::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode, TopologyState};
+use pliant::engine::{
+    Deformer, DeformerLimits, EditCommand, HandlePoses, HandleSet, OpenOptions, SolveMode, SolveSettings, TopologyState,
+};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
 use pliant::wire::pb::edit_request::{Delete, Operation, Remesh};
-use pliant::wire::{DeformOptions, Error, pb};
+use pliant::wire::{self, Error, pb};
 use pliant::wire::{frames::FrameRequest, frames::encode};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -74,7 +76,7 @@ enum BenchedEdit {
 struct EditBench<'a> {
     bench: Deformer,
     trail: TopologyState,
-    handles: pb::SetHandlesRequest,
+    handles: HandleSet,
     poses: HandlePoses,
     shape: Arc<Vec<glam::DVec3>>,
     request: pb::EditRequest,
@@ -130,7 +132,7 @@ pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
         eprintln!("the edit could not be followed: both columns were built from nothing");
     }
     let vertices = stand.shape.len();
-    let solver_vertices = stand.bench.facts().solver.map_or(0, |s| s.solver_vertices);
+    let solver_vertices = stand.bench.facts().solver.solver_vertices;
     if args.json {
         let mut measurements = Measurements::default();
         let name = args.model.file_name().unwrap_or_default();
@@ -195,20 +197,20 @@ fn open_edit_bench<'a>(
 ) -> Result<(EditBench<'a>, usize), Error> {
     let mut bench = Deformer::open(
         files,
-        &pb::CreateOptions::default(),
+        &OpenOptions::default(),
         &DeformerLimits::default(),
         &Exec::new(pool, &Silent),
     )?;
-    let handles = pb::SetHandlesRequest {
+    let handles = wire::handle_set(&pb::SetHandlesRequest {
         handles: scene.handles(),
         ..Default::default()
-    };
+    })?;
     bench.set_handles(&handles, &Exec::new(pool, &Silent))?;
     let mut poses = bench.initial_poses();
     let mut shape = Arc::clone(bench.rest());
     if !args.at_rest {
-        poses = bench.posed(&poses, &scene.pose_number(FARTHEST_POSE / 2))?;
-        let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
+        poses = wire::change_poses(&bench, &poses, &scene.pose_number(FARTHEST_POSE / 2))?;
+        let settings = SolveSettings::default();
         let solved = bench.solve(
             &poses,
             &settings,
@@ -237,7 +239,7 @@ fn open_edit_bench<'a>(
         }),
     };
     let stand = EditBench {
-        trail: bench.trail(),
+        trail: bench.topology_state(),
         handles,
         poses,
         shape,
@@ -277,10 +279,10 @@ impl EditBench<'_> {
     /// Goes to the state before, edits, and takes the first frame of a drag.
     fn edit_once(&mut self, follow: bool) -> Result<EditRun, Error> {
         let (pool, bench) = (self.pool, &mut self.bench);
-        bench.retrace(&self.trail, &Exec::new(pool, &Silent))?;
+        bench.restore_topology(&self.trail, &Exec::new(pool, &Silent))?;
         bench.set_handles(&self.handles, &Exec::new(pool, &Silent))?;
         if !Arc::ptr_eq(&self.shape, bench.rest()) {
-            let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
+            let settings = SolveSettings::default();
             self.shape = (bench.solve(
                 &self.poses,
                 &settings,
@@ -295,12 +297,13 @@ impl EditBench<'_> {
             true => Arc::clone(&self.shape),
             false => Arc::new(self.shape.as_ref().clone()),
         };
+        let (edit, on) = wire::edit(&self.request, None)?;
         let order = EditCommand {
-            request: &self.request,
+            edit: &edit,
+            on,
             shape: &shape,
             poses: &self.poses,
             settings: None,
-            other: None,
         };
         let start = Instant::now();
         let millis = || start.elapsed().as_secs_f64() * 1e3;
@@ -308,8 +311,8 @@ impl EditBench<'_> {
         stages.begin_stage("edit");
         let outcome = bench.edit(&order, &Exec::new(pool, &stages))?;
         stages.begin_stage("solve");
-        let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
-        let poses = bench.posed(&outcome.poses, &self.pull)?;
+        let settings = SolveSettings::default();
+        let poses = wire::change_poses(bench, &outcome.poses, &self.pull)?;
         let solved = bench.solve(
             &poses,
             &settings,
@@ -330,7 +333,7 @@ impl EditBench<'_> {
         std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());
         Ok(EditRun {
             ms: stages.take_stage_ms(),
-            repaired: outcome.result.repaired,
+            repaired: outcome.report.repaired,
             cycles: solved.cycles,
             field_cycles: bench.rig().map_or(0, |rig| rig.field_iterations),
             nodes: bench.body().nodes(),

@@ -13,7 +13,7 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
-use pliant::wire::{DeformOptions, pb};
+use pliant::wire::{self, DeformOptions, pb};
 use pliant::wire::{frames::FrameRequest, frames::encode};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -137,12 +137,12 @@ fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
 
 /// From files to the bytes of the first frame.
 fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun, pliant::wire::Error> {
-    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?.solve;
     let start = Instant::now();
     let millis = || start.elapsed().as_secs_f64() * 1e3;
     let stages = StageClock::new(&millis, &Silent);
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Deformer::open(files, &create, &DeformerLimits::default(), &Exec::new(pool, &stages))?;
+    let mut bench = Deformer::open(files, &wire::open_options(&create)?, &DeformerLimits::default(), &Exec::new(pool, &stages))?;
     // Regions are resolved before the stage tells that it begins.
     stages.begin_stage("fields");
     let request = pb::SetHandlesRequest {
@@ -151,10 +151,10 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
         region_of_interest: job.region_of_interest.clone(),
         ..Default::default()
     };
-    bench.set_handles(&request, &Exec::new(pool, &stages))?;
+    bench.set_handles(wire::handle_set(&request)?, &Exec::new(pool, &stages))?;
     let mut poses = bench.initial_poses();
     for pose in pose_steps(job)? {
-        poses = bench.posed(&poses, &pose)?;
+        poses = wire::change_poses(&bench, &poses, &pose)?;
     }
     stages.begin_stage("solve");
     let solved = bench.solve(
@@ -188,7 +188,7 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
         assembly,
         vertices: bench.rest().len(),
         nodes: bench.body().nodes(),
-        bytes: bench.bytes(),
+        bytes: bench.byte_size(),
         cycles: solved.cycles,
         residual: solved.residual,
         max_error: solved.max_error,

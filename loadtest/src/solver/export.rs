@@ -13,7 +13,7 @@ use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::pb;
+use pliant::wire::{self, pb};
 use std::path::PathBuf;
 
 /// Largest displacement of a handle from the first pose to the second, as a fraction of the diagonal.
@@ -49,7 +49,7 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
         e => LoadtestFailure::Usage(format!("{}: {e}", args.job.display())),
     };
     let (bench, poses) = open_posed(model, &job, &pool).map_err(refuse)?;
-    let transforms = bench.transforms(&poses).map_err(refuse)?;
+    let transforms = bench.transforms(&poses).map_err(|e| refuse(e.into()))?;
     let rig = bench
         .rig()
         .ok_or_else(|| LoadtestFailure::Usage("the job has no handles".into()))?;
@@ -75,17 +75,17 @@ fn open_posed(
     pool: &Pool,
 ) -> Result<(Deformer, HandlePoses), pliant::wire::Error> {
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Deformer::open(model, &create, &DeformerLimits::default(), &Exec::new(pool, &Silent))?;
+    let mut bench = Deformer::open(model, &wire::open_options(&create)?, &DeformerLimits::default(), &Exec::new(pool, &Silent))?;
     let request = pb::SetHandlesRequest {
         handles: job.handles.clone(),
         symmetry_plane: job.symmetry_plane.clone(),
         region_of_interest: job.region_of_interest.clone(),
         ..Default::default()
     };
-    bench.set_handles(&request, &Exec::new(pool, &Silent))?;
+    bench.set_handles(wire::handle_set(&request)?, &Exec::new(pool, &Silent))?;
     let mut poses = bench.initial_poses();
     for pose in pose_steps(job)? {
-        poses = bench.posed(&poses, &pose)?;
+        poses = wire::change_poses(&bench, &poses, &pose)?;
     }
     Ok((bench, poses))
 }

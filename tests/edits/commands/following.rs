@@ -1,5 +1,6 @@
 //! Graph and hierarchy follow an edit: at the price of the edit, and without a difference that a user would see.
 
+use crate::support::messages::{DeformerMessages, EditMessage};
 use super::*;
 use pliant::engine::SolveMode;
 use pliant::exec::Exec;
@@ -38,7 +39,7 @@ fn fresh(bench: &Deformer) -> Deformer {
     let geometry = bench.geometry();
     let mut fresh = super::bench::bench(&(bench.rest().to_vec(), geometry.triangles.clone()));
     fresh
-        .set_handles(bench.handles(), &Exec::new(&pool(2), &Silent))
+        .set_handles_message(&bench.handles_message(), &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
     fresh
 }
@@ -134,9 +135,9 @@ fn handles_go_on_to_hold_what_is_inside_of_them() {
     edited(&mut bench, &midpoint(Some(ball([0.5, 0.0, 2.0], 0.2))));
     assert_eq!(inside(&bench), before);
     // Asked for as a list, by somebody who was told the handles, they are the same.
-    let handles = bench.handles().clone();
+    let handles = bench.handles_message();
     bench
-        .set_handles(&handles, &Exec::new(&pool(2), &Silent))
+        .set_handles_message(&handles, &Exec::new(&pool(2), &Silent))
         .expect("the same handles");
     assert_eq!(inside(&bench), before);
 }
@@ -165,7 +166,7 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
             1 => midpoint(Some(region)),
             _ => remesh(region, 0.06),
         };
-        let order = EditCommand {
+        let order = EditMessage {
             request: &request,
             shape: &shape,
             poses: &poses,
@@ -173,11 +174,11 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
             other: None,
         };
         let outcome = bench
-            .edit(&order, &Exec::new(&pool, &Silent))
+            .edit_message(&order, &Exec::new(&pool, &Silent))
             .expect("each can be done");
         said.push(format!("{} {}", outcome.result.repaired, outcome.result.digest));
         let turned = turn(DVec3::new(0.15, 0.05 * f64::from(k), 0.0), DVec3::new(0.0, 0.0, 3.0));
-        let poses = bench.posed(&outcome.poses, &pose(&[("top", turned)])).expect("a pose");
+        let poses = bench.change_poses_message(&outcome.poses, &pose(&[("top", turned)])).expect("a pose");
         let solved = bench
             .solve(
                 &poses,
@@ -197,7 +198,7 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
 fn the_way_back_and_forth_gives_the_same_bits_however_far() {
     let mut bench = bench(&fine_bar());
     set(&mut bench, handles());
-    let start = (bench.trail(), bench.handles().clone());
+    let start = (bench.topology_state(), bench.handles_message());
     let mut states = vec![start];
     let mut digests = vec![bent(&mut bench)];
     let mut shape = Arc::clone(bench.rest());
@@ -205,7 +206,7 @@ fn the_way_back_and_forth_gives_the_same_bits_however_far() {
         let region = ball(shape[shape.len() / 3 + 211 * k].to_array(), 0.18);
         let outcome = edit(&mut bench, &delete(region, k % 2 == 0), &shape).expect("an edit");
         assert!(outcome.result.repaired, "edit {k}");
-        states.push((bench.trail(), bench.handles().clone()));
+        states.push((bench.topology_state(), bench.handles_message()));
         digests.push(bent(&mut bench));
         shape = solve(&mut bench, &bend(), 1e-5).positions;
     }
@@ -213,10 +214,10 @@ fn the_way_back_and_forth_gives_the_same_bits_however_far() {
     for at in [4, 5, 0, 3, 1, 5, 2, 0, 4] {
         let (trail, handles) = &states[at];
         bench
-            .retrace(trail, &Exec::new(&pool(1), &Silent))
+            .restore_topology(trail, &Exec::new(&pool(1), &Silent))
             .expect("the way is known");
         bench
-            .set_handles(handles, &Exec::new(&pool(1), &Silent))
+            .set_handles_message(handles, &Exec::new(&pool(1), &Silent))
             .expect("the same handles");
         assert_eq!(bent(&mut bench), digests[at], "state {at}");
     }
@@ -244,9 +245,9 @@ fn a_refused_edit_leaves_everything_as_it_was() {
     let mut bench = bench(&fine_bar());
     set(&mut bench, handles());
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
-    let (before, bytes) = (bent(&mut bench), bench.bytes());
+    let (before, bytes) = (bent(&mut bench), bench.byte_size());
     let missed = cut_at(99.0, cut::Keep::Both, false);
     let rest = Arc::clone(bench.rest());
     edit(&mut bench, &missed, &rest).expect_err("the plane misses");
-    assert_eq!((bent(&mut bench), bench.bytes()), (before, bytes));
+    assert_eq!((bent(&mut bench), bench.byte_size()), (before, bytes));
 }

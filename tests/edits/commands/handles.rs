@@ -1,12 +1,13 @@
 //! What becomes of handles across an edit.
 
+use crate::support::messages::{DeformerMessages};
 use super::*;
 
 #[test]
 fn handles_keep_the_vertices_that_are_left() {
     let mut bench = bench(&bar());
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
-    let counts = |bench: &Deformer| -> Vec<u32> { bench.facts().handles.iter().map(|h| h.vertices).collect() };
+    let counts = |bench: &Deformer| -> Vec<u32> { bench.facts_message().handles.iter().map(|h| h.vertices).collect() };
     let before = counts(&bench);
     edited(&mut bench, &midpoint(Some(half_space([0.0, 0.0, 1.0], 1.4))));
     let after = counts(&bench);
@@ -16,7 +17,7 @@ fn handles_keep_the_vertices_that_are_left() {
         "what lies between held vertices is held: {before:?} {after:?}"
     );
     // Its highest vertices, and none below the plane that it was made with.
-    let region = bench.handles().handles[1].region.clone().and_then(|r| r.region);
+    let region = bench.handles_message().handles[1].region.clone().and_then(|r| r.region);
     let Some(pb::region::Region::Vertices(list)) = region else {
         panic!("listed from now on")
     };
@@ -54,7 +55,7 @@ fn a_handle_that_loses_everything_is_gone_and_said_to_be() {
         .map(|w| w.r#where.as_str())
         .collect();
     assert_eq!(lost, ["handles[0]", "handles[1]"]);
-    assert_eq!(bench.facts().handles.len(), 1);
+    assert_eq!(bench.facts_message().handles.len(), 1);
 }
 
 #[test]
@@ -72,7 +73,7 @@ fn weights_are_blended_and_stay_between_0_and_1() {
     };
     set(&mut bench, vec![handle("base", below(-1.9)), soft]);
     edited(&mut bench, &midpoint(None));
-    let region = bench.handles().handles[1].region.clone().and_then(|r| r.region);
+    let region = bench.handles_message().handles[1].region.clone().and_then(|r| r.region);
     let Some(pb::region::Region::Weights(weights)) = region else {
         panic!("still weights")
     };

@@ -1,5 +1,6 @@
 //! Every operation as a user asks for it, on a closed bar with handles, with what must hold after any edit.
 
+use crate::support::messages::{DeformerMessages, EditedByMessage};
 use super::*;
 use pb::edit_request::{self as wire, merge};
 
@@ -18,7 +19,7 @@ fn held() -> Deformer {
 
 /// What holds after every edit: counts agree, every vertex is used and finite, the model is written and read back, and the
 /// handles that are left can be moved.
-fn sound(bench: &mut Deformer, outcome: &EditOutcome) {
+fn sound(bench: &mut Deformer, outcome: &EditedByMessage) {
     let after = outcome.result.after.expect("counts");
     assert_eq!(after.vertices as usize, bench.rest().len());
     assert_eq!(after.faces as usize, bench.geometry().triangles.len());
@@ -260,6 +261,6 @@ fn another_model_is_welded_or_stitched_on() {
             "{how:?}: {}",
             bar_volume(&bench)
         );
-        assert_eq!(bench.facts().solver.map(|s| s.components), Some(1));
+        assert_eq!(bench.facts_message().solver.map(|s| s.components), Some(1));
     }
 }

@@ -1,5 +1,6 @@
 //! What edits say: refusals with field and reason, warnings of what was lost.
 
+use crate::support::messages::{DeformerMessages};
 use super::*;
 use pb::edit_request::{self as wire, merge};
 use pliant::exec::Exec;
@@ -24,10 +25,10 @@ fn merged(model: Vec<u8>) -> pb::EditRequest {
 }
 
 fn refusal(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> String {
-    let before = (digest(bench.rest()), bench.facts().solver);
+    let before = (digest(bench.rest()), bench.facts_message().solver);
     let told = edit(bench, request, shape).expect_err("it is refused").to_string();
     assert_eq!(
-        (digest(bench.rest()), bench.facts().solver),
+        (digest(bench.rest()), bench.facts_message().solver),
         before,
         "nothing has changed"
     );
@@ -110,7 +111,7 @@ fn a_region_of_interest_that_is_gone_is_told() {
         ..Default::default()
     };
     bench
-        .set_handles(&handles, &Exec::new(&pool(2), &Silent))
+        .set_handles_message(&handles, &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
     let outcome = edited(&mut bench, &delete(above(0.4), true));
     let codes: Vec<&str> = outcome.result.warnings.iter().map(|w| w.code.as_str()).collect();

@@ -1,8 +1,9 @@
 //! What holds after every edit, done or refused.
 
+use crate::support::messages::{DeformerMessages, EditedByMessage};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
-use pliant::engine::{Deformer, EditOutcome, TopologyState, digest};
+use pliant::engine::{Deformer, TopologyState, digest};
 use pliant::wire::{Error, pb};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -37,11 +38,11 @@ fn unreferenced(bench: &Deformer) -> usize {
 impl Before {
     pub fn of(bench: &Deformer, shape: &[DVec3]) -> Self {
         Self {
-            facts: bench.facts(),
-            handles: bench.handles().clone(),
+            facts: bench.facts_message(),
+            handles: bench.handles_message(),
             rest: digest(bench.rest()),
             triangles: bench.geometry().triangles.clone(),
-            trail: bench.trail(),
+            trail: bench.topology_state(),
             manifold: is_manifold(bench),
             closed: bench.report().closed,
             unreferenced: unreferenced(bench),
@@ -60,15 +61,15 @@ impl Before {
         );
         let said = error.to_string();
         assert!(!said.is_empty() && !said.contains('\n'), "one line: {said}");
-        assert_eq!(bench.facts(), self.facts, "{said}");
-        assert_eq!(bench.handles(), &self.handles, "{said}");
+        assert_eq!(bench.facts_message(), self.facts, "{said}");
+        assert_eq!(bench.handles_message(), self.handles, "{said}");
         assert_eq!(digest(bench.rest()), self.rest, "{said}");
         assert_eq!(bench.geometry().triangles, self.triangles, "{said}");
-        assert!(bench.trail().same(&self.trail), "{said}");
+        assert!(bench.topology_state().is_same(&self.trail), "{said}");
     }
 
     /// An edit that was done.
-    pub fn done(&self, bench: &Deformer, edit: &Value, outcome: &EditOutcome) {
+    pub fn done(&self, bench: &Deformer, edit: &Value, outcome: &EditedByMessage) {
         let result = &outcome.result;
         let (before, after) = (result.before.expect("counts"), result.after.expect("counts"));
         let (rest, triangles) = (bench.rest(), &bench.geometry().triangles);
@@ -124,7 +125,7 @@ impl Before {
     }
 
     /// Runs rise, lie within both models, and what lies outside the region keeps its bits.
-    fn kept(&self, bench: &Deformer, edit: &Value, outcome: &EditOutcome) {
+    fn kept(&self, bench: &Deformer, edit: &Value, outcome: &EditedByMessage) {
         let region = ["subdivide", "decimate", "remesh", "delete"]
             .iter()
             .find_map(|op| edit[op]["region"].as_object());

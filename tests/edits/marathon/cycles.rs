@@ -1,5 +1,6 @@
 //! After hundreds of edits a solve needs no more cycles than on a bench opened anew.
 
+use crate::support::messages::{DeformerMessages};
 use super::*;
 use pliant::asset::Format;
 use pliant::exec::Exec;
@@ -15,8 +16,8 @@ fn cycles(bench: &mut Deformer, diagonal: f64, run: &Run) -> Vec<u32> {
         "options",
         8,
     );
-    let settings = settings.expect("valid options");
-    let id = bench.handles().handles.last().expect("a handle").id.clone();
+    let settings = settings.expect("valid options").solve;
+    let id = bench.handles_message().handles.last().expect("a handle").id.clone();
     let poses = [
         serde_json::json!({"translation": [0.1 * diagonal, 0.0, 0.05 * diagonal]}),
         serde_json::json!({"rotationVector": [0.8, 0.0, 0.4]}),
@@ -25,7 +26,7 @@ fn cycles(bench: &mut Deformer, diagonal: f64, run: &Run) -> Vec<u32> {
     let mut all = Vec::new();
     for pose in poses {
         let pose: pb::Pose = message(&serde_json::json!({"handles": [{"id": id, "pose": pose}]}));
-        let poses = bench.posed(&bench.initial_poses(), &pose).expect("a pose");
+        let poses = bench.change_poses_message(&bench.initial_poses(), &pose).expect("a pose");
         let solved = bench.solve(
             &poses,
             &settings,
@@ -57,7 +58,7 @@ fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
         .expect("opens");
         assert_eq!(fresh.rest().len(), run.bench.rest().len());
         fresh
-            .set_handles(run.bench.handles(), &Exec::new(&run.pool, &Silent))
+            .set_handles_message(&run.bench.handles_message(), &Exec::new(&run.pool, &Silent))
             .expect("the same handles");
         let diagonal = fresh.diagonal();
         let new = cycles(&mut fresh, diagonal, &run);

@@ -8,12 +8,12 @@ use bytes::Bytes;
 use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, Written};
 use pliant::engine::Shader;
-use pliant::engine::{DeformerLimits, HandlePoses, SolveMode, SolveUpdate, SolvedShape};
+use pliant::engine::{DeformerLimits, HandlePose, HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape};
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::{Config, Engine, Manager, Opener, Stream, StreamInput, StreamOutput, Tenant};
 use pliant::wire;
-use pliant::wire::{DeformOptions, pb};
+use pliant::wire::pb;
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Condvar, LazyLock, Mutex};
 use std::time::Duration;
@@ -187,7 +187,7 @@ impl Engine for Fake {
             self.handles
                 .handles
                 .iter()
-                .map(|h| h.pose.clone().unwrap_or_default())
+                .map(|h| read_pose(&h.pose.clone().unwrap_or_default()))
                 .collect(),
         ))
     }
@@ -208,7 +208,7 @@ impl Engine for Fake {
                     "is not finite",
                 ));
             }
-            all[at] = pose;
+            all[at] = read_pose(&pose);
         }
         Ok(HandlePoses(Arc::new(all)))
     }
@@ -216,7 +216,7 @@ impl Engine for Fake {
     fn solve(
         &mut self,
         poses: &HandlePoses,
-        settings: &DeformOptions,
+        settings: &SolveSettings,
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
@@ -228,7 +228,7 @@ impl Engine for Fake {
             .handles
             .iter()
             .zip(poses.0.iter())
-            .any(|(h, p)| h.id == "panic" && !p.translation.is_empty())
+            .any(|(h, p)| h.id == "panic" && p.translation.is_some())
         {
             panic!("solving panics on purpose");
         }
@@ -241,7 +241,7 @@ impl Engine for Fake {
             0.0
         };
         let at = |share: f64| -> Vec<DVec3> {
-            let moved = |(v, &p): (usize, &DVec3)| match poses.0[v % handles].translation[..] {
+            let moved = |(v, &p): (usize, &DVec3)| match poses.0[v % handles].translation {
                 // How many handles there are shows too, so that a replay with other handles would.
                 [x, y, z] => p + DVec3::new(x, y, z) * share + DVec3::splat(trace) * handles as f64,
                 _ => p,
@@ -478,4 +478,9 @@ impl Client {
         let more = tokio::time::timeout(Duration::from_millis(30), self.output.next()).await;
         assert!(more.is_err(), "nothing was expected, not {more:?}");
     }
+}
+
+/// A pose as the engine takes it.
+fn read_pose(pose: &pb::HandlePose) -> HandlePose {
+    wire::handle_pose(pose, "pose").expect("a right pose")
 }

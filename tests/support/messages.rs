@@ -1,0 +1,73 @@
+//! The calls of a deformer in the words of messages: what a transport does, in process.
+
+use glam::DVec3;
+use pliant::asset::FileSet;
+use pliant::engine::{Deformer, EditCommand, HandlePoses, SolveSettings};
+use pliant::exec::Exec;
+use pliant::wire::{self, Error, pb};
+use std::sync::Arc;
+
+/// An edit as a message, and the state that it is to change.
+pub struct EditMessage<'a> {
+    pub request: &'a pb::EditRequest,
+    pub shape: &'a Arc<Vec<DVec3>>,
+    pub poses: &'a HandlePoses,
+    pub settings: Option<&'a SolveSettings>,
+    pub other: Option<FileSet>,
+}
+
+/// What an edit came to, as a message.
+#[derive(Debug, Clone)]
+pub struct EditedByMessage {
+    pub result: pb::EditResult,
+    pub handles: pb::SetHandlesRequest,
+    pub poses: HandlePoses,
+    pub solved: Option<SolveSettings>,
+    pub positions: Arc<Vec<DVec3>>,
+}
+
+/// Calls with messages.
+pub trait DeformerMessages {
+    fn set_handles_message(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), Error>;
+    fn change_poses_message(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error>;
+    fn facts_message(&self) -> pb::Session;
+    fn handles_message(&self) -> pb::SetHandlesRequest;
+    fn edit_message(&mut self, order: &EditMessage<'_>, exec: &Exec<'_>) -> Result<EditedByMessage, Error>;
+}
+
+impl DeformerMessages for Deformer {
+    fn set_handles_message(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), Error> {
+        Ok(self.set_handles(wire::handle_set(request)?, exec)?)
+    }
+
+    fn change_poses_message(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error> {
+        wire::change_poses(self, poses, change)
+    }
+
+    fn facts_message(&self) -> pb::Session {
+        wire::session_message(&self.facts())
+    }
+
+    fn handles_message(&self) -> pb::SetHandlesRequest {
+        wire::handle_set_message(self.handles())
+    }
+
+    fn edit_message(&mut self, order: &EditMessage<'_>, exec: &Exec<'_>) -> Result<EditedByMessage, Error> {
+        let (edit, on) = wire::edit(order.request, order.other.as_ref())?;
+        let command = EditCommand {
+            edit: &edit,
+            on,
+            shape: order.shape,
+            poses: order.poses,
+            settings: order.settings,
+        };
+        let outcome = self.edit(&command, exec)?;
+        Ok(EditedByMessage {
+            result: wire::edit_result(&outcome.report),
+            handles: wire::handle_set_message(&outcome.handles),
+            poses: outcome.poses,
+            solved: outcome.solved,
+            positions: outcome.positions,
+        })
+    }
+}
