@@ -2,7 +2,7 @@
 
 use super::origins::Origins;
 use super::{Error, pb};
-use crate::asset::{self, Format, Geometry, Model, Primitive, Written};
+use crate::asset::{self, Format, Geometry, Model, Primitive, WrittenFiles};
 use crate::edit::{Applied, Patch, Surface};
 use crate::mesh::{Mesh, NONE, Weld};
 use glam::{DVec3, Vec3, Vec4};
@@ -87,7 +87,7 @@ impl Foundation {
     }
 
     /// The model at `positions` as files.
-    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, Error> {
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         Ok(match &self.edited {
             None => self.model.write(positions, format)?,
             Some(edited) => edited.origins.write(&edited.geometry, positions, format)?,

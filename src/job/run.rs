@@ -2,7 +2,7 @@
 
 use super::frames::digest;
 use super::{EditOrder, Error, Limits, Mode, Settings, Workbench, pb};
-use crate::asset::{FileSet, Format, Written};
+use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::exec::Exec;
 use crate::mesh::Report;
 use crate::progress::Progress;
@@ -23,7 +23,7 @@ pub struct Outcome {
     /// box's diagonal.
     pub constraint_error: f64,
     /// The model in its final shape, in the format asked for.
-    pub written: Written,
+    pub written: WrittenFiles,
     /// Expectations of the job that do not hold, one sentence each.
     pub unmet: Vec<String>,
     /// Expectations that only a comparison with a stored result can check.

@@ -7,7 +7,7 @@ use super::handles::{Before, HandleSet, resolve_handles};
 use super::quality::quality;
 use super::region::Ground;
 use super::{Error, pb};
-use crate::asset::{self, FileSet, Format, Geometry, Model, Written};
+use crate::asset::{self, FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::deform::{Body, Restart, Rig, State};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, Report, self_intersections};
@@ -165,7 +165,7 @@ impl Workbench {
     ///
     /// # Errors
     /// Those of [`Model::write`].
-    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, Error> {
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         self.foundation().write(positions, format)
     }
 

@@ -3,7 +3,7 @@
 //! The one real engine is [`Workbench`]; the seam exists so that the rules of sessions and streams can be tested with
 //! an engine whose every cycle the test controls.
 
-use crate::asset::{FileSet, Format, Written};
+use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::exec::Exec;
 use crate::job::frames::Shader;
 use crate::job::{self, EditOrder, EditOutcome, Limits, Mode, Poses, Settings, Solved, Trail, Watch, Workbench, pb};
@@ -72,7 +72,7 @@ pub trait Engine: Send + 'static {
         )))
     }
     /// Writes the model with new positions.
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error>;
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, job::Error>;
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
 }
@@ -178,7 +178,7 @@ impl Engine for Workbench {
         Self::edit(self, order, exec)
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error> {
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, job::Error> {
         Self::write(self, positions, format)
     }
 
