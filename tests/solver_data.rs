@@ -18,6 +18,8 @@ use systems::{Rung, rungs};
 
 #[path = "solver_data/recorded.rs"]
 mod recorded;
+#[path = "support/shapes.rs"]
+#[allow(dead_code)]
 mod shapes;
 #[path = "solver_data/systems.rs"]
 mod systems;

@@ -72,7 +72,11 @@ impl Format {
 
     /// The registered or customary media type.
     pub fn media_type(self) -> &'static str {
-        self.0.media_types.first().copied().unwrap_or("application/octet-stream")
+        self.0
+            .media_types
+            .first()
+            .copied()
+            .unwrap_or("application/octet-stream")
     }
 }
 

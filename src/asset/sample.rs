@@ -4,8 +4,8 @@
 //! skin is one closed manifold: the zero of a field that blends rounded limbs.
 
 use super::formats::codec_of;
-use super::surface_nets::{Lattice, gradient, polygonise, relax};
 use super::neutral::NeutralModel;
+use super::surface_nets::{Lattice, gradient, polygonise, relax};
 use super::{Format, Geometry};
 use glam::{DVec2, DVec3, USizeVec3};
 

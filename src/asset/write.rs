@@ -167,11 +167,7 @@ pub fn write_edited_model(
 }
 
 /// The neutral form of an edited model, for files of `format`.
-fn neutral_edited_model(
-    edited: &EditedModel<'_>,
-    positions: &[DVec3],
-    format: Format,
-) -> Result<NeutralModel, Error> {
+fn neutral_edited_model(edited: &EditedModel<'_>, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
     let mut neutral = NeutralModel::default();
     for base in 0..edited.bases.len() as u32 {
         add_base(&mut neutral, edited, base, positions, format)?;

@@ -1,8 +1,8 @@
 //! Pictures of a case: before, after, expected, and where the two differ.
 
 use super::{Comparison, Found};
-use crate::graph::WindingTree;
 use crate::mesh::Bounds;
+use crate::mesh::query::TriangleBvh;
 use crate::pool::Pool;
 use crate::render::{Camera, Error, Key, Mark, Picture, Ramp, Size, Surface, Up, View, displacements, draw, ground};
 use glam::{DVec3, Vec3};
@@ -93,7 +93,7 @@ fn differences(
     let unit = if most > 0.0 { most } else { 1.0 };
     let colours: Vec<Vec3> = far.iter().map(|d| Ramp::Amount.light(d / unit)).collect();
     let coloured = after.coloured(&colours)?;
-    let tree = WindingTree::build(&found.positions, &found.triangles, pool);
+    let tree = TriangleBvh::build(&found.positions, &found.triangles, pool);
     let diagonal = Bounds::of(&found.positions).diagonal();
     let mark = |(&v, k): (&u32, u32)| {
         let at = found.positions[v as usize];

@@ -1,7 +1,9 @@
 //! What the vertices of an edited model are made of, so that attributes can be read from the files they came in when the
 //! model is written.
 
-use crate::asset::{BaseModel, Error, Format, Model, VertexBlends, EditedModel, PrimitiveRun, WrittenFiles, write_edited_model};
+use crate::asset::{
+    BaseModel, EditedModel, Error, Format, Model, PrimitiveRun, VertexBlends, WrittenFiles, write_edited_model,
+};
 use crate::edit::{Applied, Patch};
 use crate::mesh::NONE;
 use glam::{DAffine3, DVec3};

@@ -38,8 +38,10 @@ fn name(line: &str) -> &str {
 /// Digest of everything that decides the bits: sources, jobs, this test, dependencies.
 fn fingerprint() -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut files = vec![root.join("Cargo.lock"), root.join("tests/solver_data.rs")];
-    for folder in ["src", "loadtest/jobs", "tests/solver_data", "tests/shapes"] {
+    let mut files = ["Cargo.lock", "tests/solver_data.rs", "tests/support/shapes.rs"]
+        .map(|file| root.join(file))
+        .to_vec();
+    for folder in ["src", "loadtest/jobs", "tests/solver_data"] {
         collect(&root.join(folder), &mut files);
     }
     files.sort();

@@ -1,7 +1,10 @@
 //! Edits of a model made by hand: which vertices are made of which, without the edit operations.
 
 use glam::{DAffine3, DVec3};
-use pliant::asset::{BaseModel, Error, FileSet, Format, Limits, Model, VertexBlends, EditedModel, PrimitiveRun, WrittenFiles, write_edited_model};
+use pliant::asset::{
+    BaseModel, EditedModel, Error, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends, WrittenFiles,
+    write_edited_model,
+};
 use std::collections::BTreeMap;
 
 /// The parts of a [`EditedModel`] of one base.

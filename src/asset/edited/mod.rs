@@ -117,7 +117,10 @@ impl<'a> EditedModel<'a> {
 
     /// A number of a vertex, blended from those that `number_of` gives for old vertices.
     pub(super) fn blended(&self, vertex: usize, number_of: impl Fn(u32) -> f64) -> f64 {
-        self.blend(vertex).iter().map(|(old, weight)| number_of(old) * weight).sum()
+        self.blend(vertex)
+            .iter()
+            .map(|(old, weight)| number_of(old) * weight)
+            .sum()
     }
 
     /// Whether the normal of a vertex comes from its triangles.

@@ -4,7 +4,7 @@
 //! new triangle one old triangle is found that it lies on, its *origin*, and the blend's vertices are looked up in the
 //! faces around the origin, without crossing a seam where that can be avoided.
 
-use super::{VertexBlend, EditedModel, PrimitiveRun};
+use super::{EditedModel, PrimitiveRun, VertexBlend};
 use crate::mesh::NONE;
 use std::collections::BTreeSet;
 

@@ -18,7 +18,12 @@ use std::sync::Arc;
 /// The format, by what it is known.
 pub(super) const FORMAT: Format = Format::new(&FormatDetails {
     name: "stl",
-    media_types: &["model/stl", "model/x.stl-binary", "model/x.stl-ascii", "application/sla"],
+    media_types: &[
+        "model/stl",
+        "model/x.stl-binary",
+        "model/x.stl-ascii",
+        "application/sla",
+    ],
     recognise,
 });
 
@@ -494,28 +499,26 @@ mod tests {
         let model = read_bytes(bytes.clone()).expect("valid");
         assert_eq!(model.warnings.len(), 1);
         let moved: Vec<_> = model.positions.iter().map(|p| *p * 2.0).collect();
-        assert!(
-            model
-                .write(&moved, FORMAT)
-                .expect("writable")
-                .main
-                .ends_with(b"more")
-        );
+        assert!(model.write(&moved, FORMAT).expect("writable").main.ends_with(b"more"));
     }
 
     #[test]
     fn a_fresh_file_has_a_facet_for_each_triangle() {
         let geometry = read_bytes(TEXT).expect("valid").geometry;
-        let reread = read_bytes(build(&geometry).expect("fits")).expect("valid");
+        let reread = read_bytes(facets_file(&geometry.triangles, &geometry.positions).expect("fits")).expect("valid");
         assert_eq!(reread.positions, geometry.positions);
         assert_eq!(
-            read_vector(&build(&geometry).expect("fits")[HEADER..], 0).as_vec3(),
+            read_vector(
+                &facets_file(&geometry.triangles, &geometry.positions).expect("fits")[HEADER..],
+                0
+            )
+            .as_vec3(),
             Vec3::Z
         );
-        let far = Geometry {
-            positions: vec![DVec3::splat(1e39)],
-            ..geometry
-        };
-        assert!(matches!(build(&far), Err(Error::Unwritable { .. })));
+        let far = [DVec3::splat(1e39)];
+        assert!(matches!(
+            facets_file(&geometry.triangles, &far),
+            Err(Error::Unwritable { .. })
+        ));
     }
 }

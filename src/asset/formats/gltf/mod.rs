@@ -27,12 +27,12 @@ mod compressed;
 mod container;
 mod deformed;
 mod document;
+mod edited;
 mod fault;
 mod fresh;
 mod package;
 mod patch;
 mod read;
-mod edited;
 mod scene;
 mod schema;
 mod sharing;
@@ -66,7 +66,14 @@ impl FormatCodec for GltfCodec {
     fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         let notes = model.notes_or_refuse(format)?;
         let (doc, mut buffers) = read::reopen(model, notes)?;
-        let wanted = deformed::wanted(&doc, &mut buffers, notes, &model.geometry, positions, fault::Fault(format))?;
+        let wanted = deformed::wanted(
+            &doc,
+            &mut buffers,
+            notes,
+            &model.geometry,
+            positions,
+            fault::Fault(format),
+        )?;
         let plan = sharing::plan(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
         package::package(&doc, &model.files, &buffers, patched, format)

@@ -1,6 +1,6 @@
 //! From an edited document to files, in the container that it came in or in the other one.
 
-use super::buffers::{Buffers, BufferOrigin};
+use super::buffers::{BufferOrigin, Buffers};
 use super::container;
 use super::document::{Document, GLB_FORMAT};
 use super::fault::Fault;
@@ -39,7 +39,8 @@ pub(super) fn package(
     for (i, stored) in buffers.stored.iter().enumerate() {
         let text = doc.buffers.items[i];
         let new = changed.remove(&i);
-        let becomes_bin = i == 0 && format == GLB_FORMAT && (doc.container.is_none() || stored.origin == BufferOrigin::Bin);
+        let becomes_bin =
+            i == 0 && format == GLB_FORMAT && (doc.container.is_none() || stored.origin == BufferOrigin::Bin);
         if becomes_bin {
             let Some(bytes) = &stored.bytes else {
                 let problem = "buffer 0 holds no bytes, and in a GLB it would have to be the BIN chunk";

@@ -5,10 +5,10 @@ use super::parted::{Parted, Texture, part};
 use super::read::ObjNotes;
 use super::statements::{State, Statements, name_in, object_numbers, read};
 use super::write::{printable, push_corner, push_line, push_numbers};
+use crate::asset::Error;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::{RunAttributes, SeamPart};
-use crate::asset::Error;
 use glam::DVec3;
 use std::collections::BTreeMap;
 
@@ -52,7 +52,13 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
 }
 
 /// `v` lines, with the numbers after the coordinates blended.
-fn vertices(out: &mut Vec<u8>, edited: &EditedModel<'_>, run: &PrimitiveRun, positions: &[DVec3], of: Option<&Statements<'_>>) {
+fn vertices(
+    out: &mut Vec<u8>,
+    edited: &EditedModel<'_>,
+    run: &PrimitiveRun,
+    positions: &[DVec3],
+    of: Option<&Statements<'_>>,
+) {
     let lanes = of.map_or(0, |s| s.more_lanes);
     for vertex in run.vertices() {
         push_line(out, b"v ", positions[vertex], Precision::Double, b"");
@@ -169,12 +175,7 @@ impl<'a> Faces<'a> {
 }
 
 /// A base of another format: its vertices stand already.
-fn foreign_base(
-    out: &mut Vec<u8>,
-    output: &EditedOutput<'_>,
-    base: u32,
-    faces: &mut Faces<'_>,
-) -> Result<(), Error> {
+fn foreign_base(out: &mut Vec<u8>, output: &EditedOutput<'_>, base: u32, faces: &mut Faces<'_>) -> Result<(), Error> {
     let neutral = (output.neutral_base)(base)?;
     for (run, own) in output.edited.runs_with_triangles(base).zip(neutral.primitives()) {
         let (primitive, has_uv) = (own.primitive, own.attributes.has_uv);

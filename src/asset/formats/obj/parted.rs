@@ -2,8 +2,8 @@
 
 use super::corner::NO_NORMAL;
 use super::statements::{NO_TEXTURE, State, Statements, numbers};
+use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins, VertexBlends};
 use crate::asset::geometry::unit_or_zero;
-use crate::asset::edited::{CarriedAttributes, TriangleOrigins, VertexBlends, EditedModel, PrimitiveRun};
 use crate::mesh::{NONE, shading};
 use glam::{DMat3, DVec3, Vec3};
 use std::collections::BTreeMap;
@@ -59,7 +59,12 @@ fn key(vertex: u32, mix: &Mix) -> Key {
 }
 
 /// Parts a run. `statements` are its base's.
-pub(super) fn part<'a>(edited: &EditedModel<'_>, run: &PrimitiveRun, positions: &[DVec3], statements: &Statements<'a>) -> Parted<'a> {
+pub(super) fn part<'a>(
+    edited: &EditedModel<'_>,
+    run: &PrimitiveRun,
+    positions: &[DVec3],
+    statements: &Statements<'a>,
+) -> Parted<'a> {
     let old = &edited.base(run).model.geometry.triangles;
     let complete = statements.states.len() == old.len();
     let triangles = edited.local_triangles(run);

@@ -1,8 +1,8 @@
 //! OBJ out: the uploaded text with the changed numbers replaced, or a fresh text.
 
-use super::normals::{Normals, Plan};
 use super::super::text::{Lexer, Patch, Precision, newline_of, push_number, push_triple};
 use super::corner::{Corner, STYLE, resolve, three_words};
+use super::normals::{Normals, Plan};
 use super::read::ObjNotes;
 use crate::asset::Geometry;
 use crate::asset::model::position_bits;
@@ -229,7 +229,12 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
             for &v in triangle {
                 let number = u64::from(v) + 1;
                 let texture = texture_number.get(v as usize).filter(|_| own.attributes.has_uv);
-                push_corner(&mut out, number, texture.map(|&t| u64::from(t)), with_normals.then_some(number));
+                push_corner(
+                    &mut out,
+                    number,
+                    texture.map(|&t| u64::from(t)),
+                    with_normals.then_some(number),
+                );
             }
             out.push(b'\n');
         }

@@ -1,7 +1,7 @@
 //! The numbers after a PLY header, in text or binary, with their places.
 
-use super::header::{Element, Encoding, Property, Scalar};
 use super::super::text::{Lexer, Precision, Style, coordinate, integer, number, push_number, shown};
+use super::header::{Element, Encoding, Property, Scalar};
 use crate::asset::{Error, Format};
 use std::ops::Range;
 

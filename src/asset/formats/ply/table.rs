@@ -1,9 +1,9 @@
 //! The numbers of a PLY file beyond positions and triangles, read again when they are needed.
 
+use super::super::polygons::Polygons;
 use super::body::Body;
 use super::header::{Element, Encoding, Header, Property, Scalar};
 use super::read::{Strip, is_indices};
-use super::super::polygons::Polygons;
 use crate::asset::Error;
 use crate::mesh::NONE;
 use glam::DVec3;

@@ -3,6 +3,7 @@ use super::header::{Encoding, Scalar};
 use super::write::build;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};
+use glam::{DVec3, Vec3};
 
 fn read_bytes(bytes: impl Into<Vec<u8>>) -> Result<Model, Error> {
     Model::read(FileSet::single("test.ply", bytes.into()), None, &Limits::default())

@@ -4,7 +4,7 @@ use super::super::accessors::{Component, Layout, check_unbacked, read_values};
 use super::super::buffers::Buffers;
 use super::super::document::Document;
 use crate::asset::Error;
-use crate::asset::edited::{VertexBlend, EditedModel, PrimitiveRun};
+use crate::asset::edited::{EditedModel, PrimitiveRun, VertexBlend};
 use std::collections::BTreeMap;
 
 /// One attribute of all vertices of a primitive.
@@ -99,9 +99,7 @@ impl<'a> Mixer<'a> {
 
     /// The value of the heaviest vertex, for what cannot be blended.
     pub(super) fn nearest(&self, channel: &Channel) -> Vec<f32> {
-        let elements = self
-            .blends()
-            .flat_map(|blend| self.element(channel, blend.heaviest()));
+        let elements = self.blends().flat_map(|blend| self.element(channel, blend.heaviest()));
         elements.copied().collect()
     }
 

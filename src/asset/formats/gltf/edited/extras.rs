@@ -1,13 +1,13 @@
 //! What an edited glTF gives to other formats.
 
-use super::super::text::{items, value_of};
 use super::super::read::{GltfNotes, reopen};
+use super::super::text::{items, value_of};
 use super::channels::{Mixer, read};
 use super::kept::section;
 use super::places;
-use crate::asset::neutral::RunAttributes;
-use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::Error;
+use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::neutral::RunAttributes;
 use std::collections::BTreeSet;
 
 /// The first texture coordinates, the first colours and the name of the material of runs of one base.

@@ -35,7 +35,11 @@ const MOST_COPIED: usize = 512 << 20;
 const OF_STORED_TRIANGLES: [&str; 2] = [DRACO, "FB_ngon_encoding"];
 
 /// Remakes the meshes. `runs` are those of the first base.
-pub(super) fn frame<'a>(maker: &mut Maker<'a, '_>, notes: &GltfNotes, runs: &[&'a PrimitiveRun]) -> Result<Frame, Error> {
+pub(super) fn frame<'a>(
+    maker: &mut Maker<'a, '_>,
+    notes: &GltfNotes,
+    runs: &[&'a PrimitiveRun],
+) -> Result<Frame, Error> {
     let doc = maker.doc;
     let mut runs_of: BTreeMap<usize, Vec<&PrimitiveRun>> = BTreeMap::new();
     for run in runs.iter().filter(|run| run.triangle_count > 0) {

@@ -9,9 +9,9 @@
 
 use super::super::document::Document;
 use super::super::fault::Fault;
-use super::super::text::{items, quoted, value_of};
 use super::super::read::{GltfNotes, reopen};
 use super::super::scene;
+use super::super::text::{items, quoted, value_of};
 use super::frame::Frame;
 use super::fresh::{Fresh, Kind};
 use super::kept::section;
@@ -110,7 +110,13 @@ struct Joiner<'j, 'a> {
 }
 
 impl<'a> Joiner<'_, 'a> {
-    fn gltf(&mut self, base: usize, notes: &GltfNotes, runs: &[&'a PrimitiveRun], first: &FileSet) -> Result<(), Error> {
+    fn gltf(
+        &mut self,
+        base: usize,
+        notes: &GltfNotes,
+        runs: &[&'a PrimitiveRun],
+        first: &FileSet,
+    ) -> Result<(), Error> {
         let model = self.edited.bases[base].model;
         let placing = self.edited.bases[base].world_from_model;
         let (doc, mut buffers) = reopen(model, notes)?;

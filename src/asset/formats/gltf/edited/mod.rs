@@ -16,14 +16,14 @@ mod primitives;
 
 pub(super) use extras::run_attributes;
 
-use super::buffers::{Buffers, BufferOrigin};
+use super::buffers::{BufferOrigin, Buffers};
 use super::container;
 use super::document::{Document, GLB_FORMAT};
 use super::fault::Fault;
 use super::package::package;
 use super::patch::Patched;
-use super::text::{Edits, members, quoted};
 use super::read::{GltfNotes, reopen};
+use super::text::{Edits, members, quoted};
 use super::uri;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::PrimitiveRun;

@@ -9,8 +9,8 @@ use super::super::schema::{Attributes, MeshPrimitive};
 use super::channels::{Channel, Mixer, read, shape_of};
 use super::fresh::{Fresh, Kind};
 use crate::asset::Error;
+use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::asset::model::position_bits;
-use crate::asset::edited::{CarriedAttributes, VertexBlend, EditedModel, PrimitiveRun};
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -46,7 +46,12 @@ pub(super) struct Maker<'a, 'f> {
 
 impl<'a> Maker<'a, '_> {
     /// The accessors of a run whose mesh is drawn at `world_from_mesh`; `None` when the primitive stays as it is stored.
-    pub(super) fn make(&mut self, run: &'a PrimitiveRun, row: &Row, world_from_mesh: &DAffine3) -> Result<Option<Made>, Error> {
+    pub(super) fn make(
+        &mut self,
+        run: &'a PrimitiveRun,
+        row: &Row,
+        world_from_mesh: &DAffine3,
+    ) -> Result<Option<Made>, Error> {
         let doc = self.doc;
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         let base = self.edited.base(run);
@@ -55,7 +60,11 @@ impl<'a> Maker<'a, '_> {
         if untouched {
             let now = &self.positions[run.vertices()];
             let rest = &old.positions[row.vertices.clone()];
-            if now.iter().zip(rest).all(|(a, b)| position_bits(*a) == position_bits(*b)) {
+            if now
+                .iter()
+                .zip(rest)
+                .all(|(a, b)| position_bits(*a) == position_bits(*b))
+            {
                 return Ok(None);
             }
         }

@@ -97,7 +97,7 @@ fn halves_that_agree_where_they_meet_share_on() {
         Some(3),
         "in place"
     );
-    let stored = open(&again(&written)).positions;
+    let stored = open(&again(&written)).geometry.positions;
     assert_eq!(
         stored[..4],
         [0.0, 1.0, 0.0, 1.0]
@@ -117,7 +117,7 @@ fn halves_that_disagree_part() {
     let after = json(&written);
     let attribute = |p: usize| after["meshes"][0]["primitives"][p]["attributes"]["POSITION"].clone();
     assert_eq!((attribute(0), attribute(1)), (3.into(), 0.into()));
-    let stored = open(&again(&written)).positions;
+    let stored = open(&again(&written)).geometry.positions;
     assert_eq!((stored[2].z, stored[4 + 2].z), (1.0, 0.0));
 }
 

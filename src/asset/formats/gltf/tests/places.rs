@@ -130,7 +130,8 @@ fn a_fresh_asset_holds_what_other_formats_gave() {
     geometry.primitives[0].has_normals = true;
     geometry.normals = vec![glam::Vec3::ZERO, glam::Vec3::Z * 2.0, glam::Vec3::Z, glam::Vec3::Z];
     for format in [Format::GLB, Format::GLTF] {
-        let written = super::super::fresh::build(&NeutralModel::from_geometry(geometry.clone()), format).expect("writable");
+        let written =
+            super::super::fresh::build(&NeutralModel::from_geometry(geometry.clone()), format).expect("writable");
         let read = open(&again(&written));
         assert_eq!(read.positions, geometry.positions);
         assert_eq!(read.triangles, geometry.triangles);

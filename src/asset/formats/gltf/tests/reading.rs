@@ -152,7 +152,7 @@ fn versions_and_extensions_decide_what_is_read() {
     draft.indices(&CORNERS);
     let body = one(r#"{"attributes":{"POSITION":0},"indices":1}"#);
     let with = |asset: &str, more: &str| {
-        let uri = format!(r#","uri":"{}""#, crate::asset::gltf::uri::embed(&draft.bin));
+        let uri = format!(r#","uri":"{}""#, crate::asset::formats::gltf::uri::embed(&draft.bin));
         let json = draft
             .json(&format!("{more}{body}"), &uri)
             .replace(r#"{"version":"2.0"}"#, asset);
@@ -161,7 +161,11 @@ fn versions_and_extensions_decide_what_is_read() {
             .map_err(|e| e.to_string())
     };
     let neutral = r#"{"version":"2.0"}"#;
-    for asset in [neutral, r#"{"version":"2.1"}"#, r#"{"version":"2.1","minVersion":"2.0"}"#] {
+    for asset in [
+        neutral,
+        r#"{"version":"2.1"}"#,
+        r#"{"version":"2.1","minVersion":"2.0"}"#,
+    ] {
         assert_eq!(with(asset, ""), Ok(()), "{asset}");
     }
     let refused = [
@@ -183,7 +187,10 @@ fn versions_and_extensions_decide_what_is_read() {
         "EXT_texture_webp",
         "KHR_lights_punctual",
     ] {
-        assert_eq!(with(neutral, &format!(r#""extensionsRequired":["{harmless}"],"#)), Ok(()));
+        assert_eq!(
+            with(neutral, &format!(r#""extensionsRequired":["{harmless}"],"#)),
+            Ok(())
+        );
     }
     let text = with(neutral, r#""extensionsRequired":["KHR_x","ACME_zipped_geometry"],"#).expect_err("unknown");
     assert!(

@@ -248,9 +248,6 @@ fn positions_that_do_not_fit_are_refused() {
         .expect_err("not finite")
         .to_string();
     assert!(text.contains("vertex 0"), "{text}");
-    let text = open(&files)
-        .write(&[], Format::GLB)
-        .expect_err("none")
-        .to_string();
+    let text = open(&files).write(&[], Format::GLB).expect_err("none").to_string();
     assert!(text.contains("0 positions") && text.contains("4 vertices"), "{text}");
 }

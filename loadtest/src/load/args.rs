@@ -1,0 +1,46 @@
+//! The arguments of `loadtest stream`.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Arguments of `loadtest stream`.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct StreamArgs {
+    /// Server to load, such as http://127.0.0.1:7411; loopback only. Without it, a server in this process
+    #[arg(long, value_name = "URL")]
+    pub server: Option<String>,
+    /// Model that every client opens a session with; without it, the built-in creature
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Poses that every client sends
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub poses: u32,
+    /// Poses a second of every client
+    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub hz: u32,
+    /// Clients, each with a session of its own
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub clients: u32,
+    /// Stop sending after this many seconds, even when poses are left
+    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=600))]
+    pub seconds: u32,
+    /// Unacknowledged frames in flight
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub window: u32,
+    /// Relative residual to reach
+    #[arg(long, default_value_t = 1e-4)]
+    pub tolerance: f64,
+    /// Ask for better and better frames of one pose
+    #[arg(long)]
+    pub progressive: bool,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl StreamArgs {
+    /// The time from the start at which the pose after `sent` others is due.
+    pub fn pose_due_at(&self, sent: u64) -> Duration {
+        Duration::from_secs_f64(sent as f64 / f64::from(self.hz))
+    }
+}

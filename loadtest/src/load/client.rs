@@ -1,0 +1,194 @@
+//! Clients: each opens a session, drags, keeps its ledger and closes its session.
+
+use super::args::StreamArgs;
+use super::ledger::PoseLedger;
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::DragScene;
+use pliant::job::pb::{self, create_session_request, deform_request, deform_response};
+use pliant::server::grpc::client::DeformerClient;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep_until, timeout_at};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::Channel;
+
+/// How long the last frames may take after the last pose.
+const GRACE: Duration = Duration::from_secs(120);
+/// Bytes of one piece of an upload.
+const PIECE: usize = 1 << 20;
+
+/// Runs all clients at once and adds their ledger up.
+pub(crate) async fn drag_with_all_clients(
+    channel: Channel,
+    scene: &DragScene,
+    args: &StreamArgs,
+) -> Result<PoseLedger, LoadtestFailure> {
+    let mut clients = JoinSet::new();
+    for number in 0..args.clients {
+        let (channel, scene, args) = (channel.clone(), scene.clone(), args.clone());
+        clients.spawn(async move { run_client(channel, &scene, &args, number).await });
+    }
+    let mut total = PoseLedger::default();
+    while let Some(done) = clients.join_next().await {
+        total.add_ledger(done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))??);
+    }
+    Ok(total)
+}
+
+/// One client, from its first call to its last.
+async fn run_client(
+    channel: Channel,
+    scene: &DragScene,
+    args: &StreamArgs,
+    number: u32,
+) -> Result<PoseLedger, LoadtestFailure> {
+    let mut client = DeformerClient::new(channel);
+    let session = client
+        .create_session(tokio_stream::iter(upload_messages(scene, number)))
+        .await?
+        .into_inner();
+    let id = session.id;
+    let handles = pb::SetHandlesRequest {
+        session_id: id.clone(),
+        handles: scene.handles(),
+        ..Default::default()
+    };
+    let outcome = match client.set_handles(handles).await {
+        Ok(_) => drag_session(&mut client, &id, scene, args).await,
+        Err(status) => Err(status.into()),
+    };
+    // Also after a failure: a session of a client that has gone would only wait for its expiry.
+    let closed = client.delete_session(pb::SessionRequest { session_id: id }).await;
+    let ledger = outcome?;
+    closed?;
+    Ok(ledger)
+}
+
+fn upload_messages(scene: &DragScene, number: u32) -> Vec<pb::CreateSessionRequest> {
+    use create_session_request::Message;
+    let message = |message| pb::CreateSessionRequest { message: Some(message) };
+    let options = pb::CreateOptions {
+        label: format!("loadtest {number}"),
+        ..Default::default()
+    };
+    let pieces = scene
+        .bytes
+        .chunks(PIECE)
+        .map(|piece| message(Message::Chunk(piece.to_vec().into())));
+    std::iter::once(message(Message::Options(options)))
+        .chain(pieces)
+        .collect()
+}
+
+fn deform_request(message: deform_request::Message) -> pb::DeformRequest {
+    pb::DeformRequest {
+        session_id: String::new(),
+        message: Some(message),
+    }
+}
+
+async fn drag_session(
+    client: &mut DeformerClient<Channel>,
+    id: &str,
+    scene: &DragScene,
+    args: &StreamArgs,
+) -> Result<PoseLedger, LoadtestFailure> {
+    let (requests, outbound) = mpsc::channel(8);
+    let options = pb::Options {
+        tolerance: args.tolerance,
+        window: args.window,
+        progressive: args.progressive,
+        ..Default::default()
+    };
+    let first = pb::DeformRequest {
+        session_id: id.to_owned(),
+        message: Some(deform_request::Message::Options(options)),
+    };
+    let _ = requests.send(first).await;
+    let mut responses = client.deform(ReceiverStream::new(outbound)).await?.into_inner();
+
+    let start = Instant::now();
+    // The number of the last pose, known a moment before it is sent; 0 until then.
+    let last = Arc::new(AtomicU64::new(0));
+    let sender = tokio::spawn(send_poses(
+        requests.clone(),
+        scene.clone(),
+        args.clone(),
+        start,
+        Arc::clone(&last),
+    ));
+    let patience = start + Duration::from_secs(args.seconds.into()) + GRACE;
+    let mut acknowledge = Some(requests);
+    let mut ledger = PoseLedger::for_one_client();
+    loop {
+        let Ok(response) = timeout_at(patience, responses.message()).await else {
+            ledger.note_problem(format!("no end came within {} s of the last pose", GRACE.as_secs()));
+            break;
+        };
+        let answered = match response?.and_then(|r| r.message) {
+            None => break,
+            Some(deform_response::Message::Frame(frame)) => {
+                let latency = |seq: u64| start.elapsed().saturating_sub(args.pose_due_at(seq - 1));
+                if ledger.enter_part(&frame, latency) {
+                    Some(frame.seq)
+                } else {
+                    None
+                }
+            }
+            Some(deform_response::Message::Error(error)) if error.seq == 0 => {
+                return Err(LoadtestFailure::Server(format!("the stream failed: {}", error.message)));
+            }
+            Some(deform_response::Message::Error(error)) => {
+                ledger.refused += 1;
+                Some(error.seq)
+            }
+            Some(deform_response::Message::Notice(_) | deform_response::Message::Pong(_)) => None,
+        };
+        let Some(seq) = answered else { continue };
+        if let Some(requests) = &acknowledge {
+            let _ = requests
+                .send(deform_request(deform_request::Message::Ack(pb::Ack { seq })))
+                .await;
+        }
+        if seq == last.load(Ordering::Acquire) {
+            // All is said; the server ends the stream once both senders are gone.
+            acknowledge = None;
+            ledger.elapsed = start.elapsed();
+        }
+    }
+    sender.abort();
+    ledger.sent = sender.await.unwrap_or_default();
+    Ok(ledger)
+}
+
+/// Sends poses when they are due and returns their number. Poses that are late are sent at once, not left out.
+async fn send_poses(
+    requests: mpsc::Sender<pb::DeformRequest>,
+    scene: DragScene,
+    args: StreamArgs,
+    start: Instant,
+    last: Arc<AtomicU64>,
+) -> u64 {
+    let end = Duration::from_secs(args.seconds.into());
+    for seq in 1..=u64::from(args.poses) {
+        sleep_until(start + args.pose_due_at(seq - 1)).await;
+        let is_last = seq == u64::from(args.poses) || args.pose_due_at(seq) >= end || start.elapsed() >= end;
+        if is_last {
+            last.store(seq, Ordering::Release);
+        }
+        if requests
+            .send(deform_request(deform_request::Message::Pose(scene.pose_number(seq))))
+            .await
+            .is_err()
+        {
+            return seq - 1;
+        }
+        if is_last {
+            return seq;
+        }
+    }
+    0
+}

@@ -1,0 +1,113 @@
+//! The ledger as a person or a program reads them.
+
+use super::args::StreamArgs;
+use super::ledger::{PoseLedger, percentile};
+use crate::shared::drag_scene::DragScene;
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+
+/// The shares that are told.
+const SHARES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("max", 1.0)];
+
+fn sort_values(values: &[f64]) -> Vec<f64> {
+    let mut values = values.to_vec();
+    values.sort_by(f64::total_cmp);
+    values
+}
+
+fn sorted_times(ledger: &PoseLedger) -> [(&'static str, Vec<f64>); 3] {
+    [
+        ("latency", sort_values(&ledger.latency_ms)),
+        ("solve", sort_values(&ledger.solve_ms)),
+        ("queue", sort_values(&ledger.queue_ms)),
+    ]
+}
+
+/// A table for people.
+pub(crate) fn text_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamArgs) -> String {
+    let mut text = String::new();
+    let balanced = if ledger.problems().is_empty() {
+        "balanced"
+    } else {
+        "NOT BALANCED"
+    };
+    let seconds = ledger.elapsed.as_secs_f64();
+    let _ = writeln!(
+        text,
+        "{} clients at {} Hz on {} vertices, {seconds:.2} s",
+        ledger.clients, args.hz, scene.vertices
+    );
+    let _ = writeln!(
+        text,
+        "poses    {} sent = {} final frames + {} superseded + {} refused ({balanced})",
+        ledger.sent, ledger.finals, ledger.superseded, ledger.refused
+    );
+    let _ = writeln!(
+        text,
+        "frames   {} final, {} before them, {} parts, {:.1} MiB, {:.1} final frames a second",
+        ledger.finals,
+        ledger.intermediate,
+        ledger.parts,
+        ledger.bytes as f64 / f64::from(1 << 20),
+        frames_per_second(ledger)
+    );
+    let _ = writeln!(
+        text,
+        "{:9}{}",
+        "ms",
+        SHARES.map(|(name, _)| format!("{name:>10}")).concat()
+    );
+    for (name, values) in sorted_times(ledger) {
+        let cells = SHARES
+            .map(|(_, q)| percentile(&values, q).map_or_else(|| format!("{:>10}", "-"), |ms| format!("{ms:>10.2}")));
+        let _ = writeln!(text, "{name:9}{}", cells.concat());
+    }
+    text
+}
+
+/// One JSON document.
+pub(crate) fn json_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamArgs) -> String {
+    let ms: serde_json::Map<String, Value> = sorted_times(ledger)
+        .into_iter()
+        .map(|(name, values)| {
+            let shares: serde_json::Map<String, Value> = SHARES
+                .into_iter()
+                .map(|(share, q)| (share.to_owned(), json!(percentile(&values, q))))
+                .collect();
+            (name.to_owned(), Value::Object(shares))
+        })
+        .collect();
+    let problems = ledger.problems();
+    let report = json!({
+        "clients": ledger.clients,
+        "hz": args.hz,
+        "vertices": scene.vertices,
+        "seconds": ledger.elapsed.as_secs_f64(),
+        "poses": {
+            "sent": ledger.sent,
+            "answered": ledger.finals,
+            "superseded": ledger.superseded,
+            "refused": ledger.refused,
+            "balanced": problems.is_empty(),
+        },
+        "frames": {
+            "final": ledger.finals,
+            "intermediate": ledger.intermediate,
+            "parts": ledger.parts,
+            "bytes": ledger.bytes,
+            "finalPerSecond": frames_per_second(ledger),
+        },
+        "ms": ms,
+        "problems": problems,
+    });
+    report.to_string()
+}
+
+fn frames_per_second(ledger: &PoseLedger) -> f64 {
+    let seconds = ledger.elapsed.as_secs_f64();
+    if seconds > 0.0 {
+        ledger.finals as f64 / seconds
+    } else {
+        0.0
+    }
+}

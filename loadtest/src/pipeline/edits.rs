@@ -1,0 +1,329 @@
+//! `loadtest edits`: from an edit of a few hundred vertices to the first frame after it, where graph and hierarchy follow
+//! the edit, and where they are built anew.
+
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
+use crate::shared::input_files::read_model_file;
+use crate::shared::measurements::Measurements;
+use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
+use crate::shared::timing::RunTimes;
+use pliant::asset::FileSet;
+use pliant::exec::Exec;
+use pliant::job::frames::{FrameRequest, encode};
+use pliant::job::pb::edit_request::{Delete, Operation, Remesh};
+use pliant::job::{EditOrder, Error, Limits, Mode, Poses, Settings, Trail, Workbench, pb};
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+use pliant::stage_clock::StageClock;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// The stages in the order in which they run, and what they are.
+const STAGES: [(&str, &str); 8] = [
+    ("edit", "the operation, and the model with its attributes after it"),
+    ("mesh", "what the solver sees of it"),
+    ("graph", "interior nodes and edges"),
+    ("hierarchy", "levels, without constraints"),
+    ("fields", "handles to nodes, and the first pass's harmonic fields"),
+    ("constrain", "the second pass's constraints"),
+    ("solve", "the first frame of a drag"),
+    ("encode", "the frame's bytes, 32-bit positions"),
+];
+
+/// Arguments of `loadtest edits`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct EditsArgs {
+    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    model: PathBuf,
+    /// Cut every triangle into four this many times first, which is not timed
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
+    subdivide: u8,
+    /// Vertices of the region that is edited, about
+    #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]
+    region: u32,
+    /// What is done to the region
+    #[arg(long, value_enum, default_value = "delete-fill")]
+    operation: BenchedEdit,
+    /// Edit the shape at rest, not a committed pose
+    #[arg(long)]
+    at_rest: bool,
+    /// Threads; 0 means one for each core
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
+    threads: u16,
+    /// Most runs of each; the one with the least total is told
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
+    repeat: u32,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is done to a region.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum BenchedEdit {
+    /// Delete it and fill the hole
+    DeleteFill,
+    /// Remesh it to its own mean edge length
+    Remesh,
+}
+
+/// A bench in the state that is edited, again and again.
+struct EditBench<'a> {
+    bench: Workbench,
+    trail: Trail,
+    handles: pb::SetHandlesRequest,
+    poses: Poses,
+    shape: Arc<Vec<glam::DVec3>>,
+    request: pb::EditRequest,
+    pull: pb::Pose,
+    pool: &'a Pool,
+}
+
+/// One edit: milliseconds by stage, and facts.
+#[derive(Clone)]
+struct EditRun {
+    ms: BTreeMap<String, f64>,
+    repaired: bool,
+    cycles: u32,
+    field_cycles: usize,
+    nodes: usize,
+    levels: usize,
+}
+
+impl EditRun {
+    fn total_ms(&self) -> f64 {
+        self.ms.values().sum()
+    }
+}
+
+/// Runs the command.
+pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
+    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let files = match args.subdivide {
+        0 => read_model_file(&args.model)?,
+        times => subdivide_model(read_model_file(&args.model)?, times)?,
+    };
+    let scene = DragScene::load(Some(&args.model))?;
+    let refuse = |e: Error| LoadtestFailure::Usage(format!("{}: {e}", args.model.display()));
+    let (mut stand, region) = open_edit_bench(args, files, &scene, &pool).map_err(refuse)?;
+    let (mut repaired, mut rebuilt): (Option<EditRun>, Option<EditRun>) = (None, None);
+    let mut times = RunTimes::from_one(0.0);
+    for _ in 0..args.repeat {
+        for (follow, best) in [(true, &mut repaired), (false, &mut rebuilt)] {
+            let now = stand.edit_once(follow).map_err(refuse)?;
+            times.add_run(now.total_ms() / 1e3);
+            if best.as_ref().is_none_or(|best| now.total_ms() < best.total_ms()) {
+                *best = Some(now);
+            }
+        }
+        if !times.may_repeat() {
+            break;
+        }
+    }
+    let (Some(repaired), Some(rebuilt)) = (repaired, rebuilt) else {
+        return Err(LoadtestFailure::Usage("nothing was run".into()));
+    };
+    if !repaired.repaired {
+        eprintln!("the edit could not be followed: both columns were built from nothing");
+    }
+    let vertices = stand.shape.len();
+    let solver_vertices = stand.bench.facts().solver.map_or(0, |s| s.solver_vertices);
+    if args.json {
+        let mut measurements = Measurements::default();
+        let name = args.model.file_name().unwrap_or_default();
+        measurements.set_value("model", name.to_string_lossy().as_ref());
+        measurements.set_value("threads", pool.threads());
+        measurements.set_value("vertices", vertices);
+        measurements.set_value("solver_vertices", solver_vertices);
+        measurements.set_value("region", region);
+        measurements.set_value("nodes", repaired.nodes);
+        measurements.set_value("repaired", repaired.repaired);
+        for (name, run) in [("repaired", &repaired), ("rebuilt", &rebuilt)] {
+            for (stage, _) in STAGES {
+                let ms = run.ms.get(stage).copied().unwrap_or(0.0);
+                measurements.set_number(&format!("{name}_{stage}_ms"), ms);
+            }
+            measurements.set_number(&format!("{name}_total_ms"), run.total_ms());
+            measurements.set_value(&format!("{name}_cycles"), run.cycles);
+            measurements.set_value(&format!("{name}_field_cycles"), run.field_cycles);
+        }
+        println!("{}", measurements.to_json());
+        return Ok(());
+    }
+    println!(
+        "{}: {vertices} vertices ({solver_vertices} of the solver), a region of {region}, {} threads",
+        args.model.display(),
+        pool.threads()
+    );
+    println!("{:<10} {:>11} {:>11}", "stage", "repaired", "rebuilt");
+    for (stage, what) in STAGES {
+        let ms = |run: &EditRun| run.ms.get(stage).copied().unwrap_or(0.0);
+        println!("{stage:<10} {:>8.1} ms {:>8.1} ms  {what}", ms(&repaired), ms(&rebuilt));
+    }
+    println!(
+        "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times",
+        "total",
+        repaired.total_ms(),
+        rebuilt.total_ms(),
+        rebuilt.total_ms() / repaired.total_ms()
+    );
+    let follows = ["edit", "mesh", "graph", "hierarchy", "fields", "constrain"];
+    let part = |run: &EditRun| follows.iter().filter_map(|s| run.ms.get(*s)).sum::<f64>();
+    println!(
+        "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times, without the frame itself",
+        "follow",
+        part(&repaired),
+        part(&rebuilt),
+        part(&rebuilt) / part(&repaired)
+    );
+    println!(
+        "{} graph nodes on {} levels; cycles of the fields {} and {}, of the first frame {} and {}",
+        repaired.nodes, repaired.levels, repaired.field_cycles, rebuilt.field_cycles, repaired.cycles, rebuilt.cycles
+    );
+    Ok(())
+}
+
+/// Opens the model, commits a pose, and chooses the region. Also answers how many vertices that has.
+fn open_edit_bench<'a>(
+    args: &EditsArgs,
+    files: FileSet,
+    scene: &DragScene,
+    pool: &'a Pool,
+) -> Result<(EditBench<'a>, usize), Error> {
+    let mut bench = Workbench::open(
+        files,
+        &pb::CreateOptions::default(),
+        &Limits::default(),
+        &Exec::new(pool, &Silent),
+    )?;
+    let handles = pb::SetHandlesRequest {
+        handles: scene.handles(),
+        ..Default::default()
+    };
+    bench.set_handles(&handles, &Exec::new(pool, &Silent))?;
+    let mut poses = bench.initial_poses();
+    let mut shape = Arc::clone(bench.rest());
+    if !args.at_rest {
+        poses = bench.posed(&poses, &scene.pose_number(FARTHEST_POSE / 2))?;
+        let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+        let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
+            true
+        })?;
+        shape = solved.positions;
+    }
+    let (sphere, region) = sphere_around_middle(&shape, args.region as usize);
+    let region_of = || {
+        Some(pb::Region {
+            region: Some(pb::region::Region::Sphere(sphere.clone())),
+        })
+    };
+    let operation = match args.operation {
+        BenchedEdit::DeleteFill => Operation::Delete(Delete {
+            region: region_of(),
+            fill: true,
+        }),
+        BenchedEdit::Remesh => Operation::Remesh(Remesh {
+            region: region_of(),
+            // About the mean edge of the region: its area is shared by twice as many triangles as vertices.
+            edge_length: sphere.radius * (std::f64::consts::PI / (0.433 * 2.0 * region as f64)).sqrt(),
+            auto: false,
+        }),
+    };
+    let stand = EditBench {
+        trail: bench.trail(),
+        handles,
+        poses,
+        shape,
+        request: pb::EditRequest {
+            operation: Some(operation),
+            ..Default::default()
+        },
+        pull: scene.pose_number(FARTHEST_POSE / 2),
+        bench,
+        pool,
+    };
+    Ok((stand, region))
+}
+
+/// A sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
+fn sphere_around_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere, usize) {
+    let (low, high) = shape
+        .iter()
+        .fold((shape[0], shape[0]), |(low, high), p| (low.min(*p), high.max(*p)));
+    let middle = (low + high) * 0.5;
+    let nearest = shape.iter().copied().min_by(|a, b| {
+        let distance = |p: &glam::DVec3| p.distance_squared(middle);
+        distance(a).total_cmp(&distance(b))
+    });
+    let center = nearest.unwrap_or(middle);
+    let mut distances: Vec<f64> = shape.iter().map(|p| p.distance(center)).collect();
+    distances.sort_unstable_by(f64::total_cmp);
+    let count = count.min(distances.len() - 1);
+    let sphere = pb::region::Sphere {
+        center: center.to_array().to_vec(),
+        radius: distances[count],
+    };
+    (sphere, count)
+}
+
+impl EditBench<'_> {
+    /// Goes to the state before, edits, and takes the first frame of a drag.
+    fn edit_once(&mut self, follow: bool) -> Result<EditRun, Error> {
+        let (pool, bench) = (self.pool, &mut self.bench);
+        bench.retrace(&self.trail, &Exec::new(pool, &Silent))?;
+        bench.set_handles(&self.handles, &Exec::new(pool, &Silent))?;
+        if !Arc::ptr_eq(&self.shape, bench.rest()) {
+            let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+            self.shape = (bench.solve(
+                &self.poses,
+                &settings,
+                Mode::Commit,
+                &Exec::new(pool, &Silent),
+                &mut |_| true,
+            )?)
+            .positions;
+        }
+        // A shape that the bench knows nothing of but the vertices is built on anew.
+        let shape = match follow {
+            true => Arc::clone(&self.shape),
+            false => Arc::new(self.shape.as_ref().clone()),
+        };
+        let order = EditOrder {
+            request: &self.request,
+            shape: &shape,
+            poses: &self.poses,
+            settings: None,
+            other: None,
+        };
+        let start = Instant::now();
+        let millis = || start.elapsed().as_secs_f64() * 1e3;
+        let stages = StageClock::new(&millis, &Silent);
+        stages.begin_stage("edit");
+        let outcome = bench.edit(&order, &Exec::new(pool, &stages))?;
+        stages.begin_stage("solve");
+        let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+        let poses = bench.posed(&outcome.poses, &self.pull)?;
+        let solved = bench.solve(&poses, &settings, Mode::Drag, &Exec::new(pool, &Silent), &mut |_| true)?;
+        stages.begin_stage("encode");
+        let parts = encode(FrameRequest {
+            header: pb::Frame::default(),
+            positions: solved.positions,
+            shading: None,
+            output: pb::Output::default(),
+            baselines: Vec::new(),
+            diagonal: bench.diagonal(),
+            part_bytes: 256 << 10,
+        });
+        std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());
+        Ok(EditRun {
+            ms: stages.take_stage_ms(),
+            repaired: outcome.result.repaired,
+            cycles: solved.cycles,
+            field_cycles: bench.rig().map_or(0, |rig| rig.field_iterations),
+            nodes: bench.body().nodes(),
+            levels: bench.body().hierarchy.levels().len(),
+        })
+    }
+}

@@ -1,0 +1,280 @@
+//! `loadtest pipeline`: every stage from a model's file to the first frame's bytes.
+
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
+use crate::shared::input_files::{read_job_file, read_model_file};
+use crate::shared::measurements::Measurements;
+use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
+use crate::shared::timing::{RunTimes, time_once};
+use pliant::asset::FileSet;
+use pliant::exec::Exec;
+use pliant::job::frames::{FrameRequest, encode};
+use pliant::job::{Limits, Mode, Settings, Workbench, pb, pose_steps};
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+use pliant::stage_clock::StageClock;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Bytes of a frame's part, as servers send them.
+const PART: usize = 256 << 10;
+
+/// The stages in the order in which they run, and what they are.
+const STAGES: [(&str, &str); 9] = [
+    ("load", "the file into memory"),
+    ("read", "vertices and triangles out of the file"),
+    ("mesh", "welding, adjacency, inspection, parts"),
+    ("graph", "interior nodes and edges"),
+    ("hierarchy", "levels, without constraints"),
+    ("fields", "regions to nodes, and the first pass's harmonic fields"),
+    ("constrain", "the second pass's constraints"),
+    ("solve", "the first frame: frames, right-hand sides, positions"),
+    ("encode", "the frame's bytes, 32-bit positions"),
+];
+
+/// Arguments of `loadtest pipeline`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct PipelineArgs {
+    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    model: PathBuf,
+    /// The job; without it the ends of the model's longest side are held and one of them turned
+    #[arg(long, value_name = "FILE")]
+    job: Option<PathBuf>,
+    /// Cut every triangle into four this many times first, which is not timed
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
+    subdivide: u8,
+    /// Threads; 0 means one for each core
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
+    threads: u16,
+    /// Most runs of the whole; the one with the least total is told. No further one begins after 4 s
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    repeat: u32,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// One run: seconds by stage, and facts.
+struct FirstFrameRun {
+    seconds: BTreeMap<String, f64>,
+    assembly: f64,
+    vertices: usize,
+    nodes: usize,
+    bytes: u64,
+    cycles: u32,
+    residual: f64,
+    max_error: f64,
+    frame_bytes: usize,
+}
+
+impl FirstFrameRun {
+    fn total_seconds(&self) -> f64 {
+        STAGES.iter().filter_map(|(stage, _)| self.seconds.get(*stage)).sum()
+    }
+}
+
+/// Runs the command.
+pub(crate) fn run_pipeline(args: &PipelineArgs) -> Result<(), LoadtestFailure> {
+    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let job = read_or_make_job(args)?;
+    let made = match args.subdivide {
+        0 => None,
+        times => Some(subdivide_model(read_model_file(&args.model)?, times)?),
+    };
+    let source = || -> Result<FileSet, LoadtestFailure> {
+        match &made {
+            // Already in memory: loading it takes nothing.
+            Some(files) => Ok(files.clone()),
+            None => read_model_file(&args.model),
+        }
+    };
+    let mut best: Option<FirstFrameRun> = None;
+    let mut times: Option<RunTimes> = None;
+    for _ in 0..args.repeat {
+        if times.is_some_and(|t| !t.may_repeat()) {
+            break;
+        }
+        let (files, load) = time_once(source);
+        let mut now = run_once(files?, &job, &pool)
+            .map_err(|e| LoadtestFailure::Usage(format!("{}: {e}", args.model.display())))?;
+        now.seconds.insert("load".into(), load);
+        let total = now.total_seconds();
+        match &mut times {
+            Some(times) => times.add_run(total),
+            None => times = Some(RunTimes::from_one(total)),
+        }
+        if best.as_ref().is_none_or(|best| total < best.total_seconds()) {
+            best = Some(now);
+        }
+    }
+    let best = best.ok_or_else(|| LoadtestFailure::Usage("nothing was run".into()))?;
+    if args.json {
+        println!("{}", run_measurements(&best, &args.model, &pool).to_json());
+    } else {
+        print!("{}", run_table(&best, &args.model, &pool));
+    }
+    Ok(())
+}
+
+/// The job given, or one for the ends of the model.
+fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
+    if let Some(path) = &args.job {
+        return read_job_file(path);
+    }
+    let scene = DragScene::load(Some(&args.model))?;
+    let step = pb::Step {
+        step: Some(pb::step::Step::Pose(scene.pose_number(FARTHEST_POSE))),
+    };
+    Ok(pb::Job {
+        handles: scene.handles(),
+        steps: vec![step],
+        ..Default::default()
+    })
+}
+
+/// From files to the bytes of the first frame.
+fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun, pliant::job::Error> {
+    let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+    let start = Instant::now();
+    let millis = || start.elapsed().as_secs_f64() * 1e3;
+    let stages = StageClock::new(&millis, &Silent);
+    let create = job.create.clone().unwrap_or_default();
+    let mut bench = Workbench::open(files, &create, &Limits::default(), &Exec::new(pool, &stages))?;
+    // Regions are resolved before the stage tells that it begins.
+    stages.begin_stage("fields");
+    let request = pb::SetHandlesRequest {
+        handles: job.handles.clone(),
+        symmetry_plane: job.symmetry_plane.clone(),
+        region_of_interest: job.region_of_interest.clone(),
+        ..Default::default()
+    };
+    bench.set_handles(&request, &Exec::new(pool, &stages))?;
+    let mut poses = bench.initial_poses();
+    for pose in pose_steps(job)? {
+        poses = bench.posed(&poses, &pose)?;
+    }
+    stages.begin_stage("solve");
+    let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
+        true
+    })?;
+    stages.begin_stage("encode");
+    let parts = encode(FrameRequest {
+        header: pb::Frame::default(),
+        positions: solved.positions,
+        shading: None,
+        output: pb::Output::default(),
+        baselines: Vec::new(),
+        diagonal: bench.diagonal(),
+        part_bytes: PART,
+    });
+    let frame_bytes = parts.map(|part| part.data.len()).sum();
+    let seconds = stages
+        .take_stage_ms()
+        .into_iter()
+        .map(|(stage, ms)| (stage, ms / 1e3))
+        .collect();
+    let transforms = bench.transforms(&poses)?;
+    let assemble = || bench.rig().map(|rig| rig.equations(bench.body(), &transforms, pool));
+    let (_, assembly) = time_once(assemble);
+    Ok(FirstFrameRun {
+        seconds,
+        assembly,
+        vertices: bench.rest().len(),
+        nodes: bench.body().nodes(),
+        bytes: bench.bytes(),
+        cycles: solved.cycles,
+        residual: solved.residual,
+        max_error: solved.max_error,
+        frame_bytes,
+    })
+}
+
+fn run_measurements(run: &FirstFrameRun, model: &Path, pool: &Pool) -> Measurements {
+    let mut measurements = Measurements::default();
+    measurements.set_value(
+        "model",
+        model.file_name().unwrap_or_default().to_string_lossy().as_ref(),
+    );
+    measurements.set_value("threads", pool.threads());
+    measurements.set_value("vertices", run.vertices);
+    measurements.set_value("nodes", run.nodes);
+    for (stage, _) in STAGES {
+        measurements.set_number(&format!("{stage}_s"), run.seconds.get(stage).copied().unwrap_or(0.0));
+    }
+    measurements.set_number("assembly_s", run.assembly);
+    measurements.set_number("total_s", run.total_seconds());
+    measurements.set_value("cycles", run.cycles);
+    measurements.set_number("residual", run.residual);
+    measurements.set_number("max_error", run.max_error);
+    measurements.set_megabytes("held_MB", run.bytes as f64);
+    measurements.set_megabytes("frame_MB", run.frame_bytes as f64);
+    measurements
+}
+
+fn run_table(run: &FirstFrameRun, model: &Path, pool: &Pool) -> String {
+    let mut text = format!(
+        "{}: {} vertices, {} graph nodes, {} threads\n",
+        model.display(),
+        run.vertices,
+        run.nodes,
+        pool.threads()
+    );
+    for (stage, what) in STAGES {
+        let seconds = run.seconds.get(stage).copied().unwrap_or(0.0);
+        text += &format!("{stage:<10} {:>9.1} ms  {what}\n", seconds * 1e3);
+        if stage == "solve" {
+            let what = "of which frames and right-hand sides, measured apart";
+            text += &format!("{:<10} {:>9.1} ms  {what}\n", "  assembly", run.assembly * 1e3);
+        }
+    }
+    text += &format!("{:<10} {:>9.1} ms\n", "total", run.total_seconds() * 1e3);
+    text + &format!(
+        "{} cycles, residual {:.1e}, missing at most {:.1e} of the diagonal; {:.1} MB held, {:.1} MB a frame\n",
+        run.cycles,
+        run.residual,
+        run.max_error,
+        run.bytes as f64 / f64::from(1 << 20),
+        run.frame_bytes as f64 / f64::from(1 << 20)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pliant::asset::sample;
+
+    #[test]
+    fn every_stage_takes_time_and_the_frame_is_whole() {
+        let pool = Pool::new(1).unwrap();
+        let scene = DragScene::load(None).unwrap();
+        let step = pb::Step {
+            step: Some(pb::step::Step::Pose(scene.pose_number(FARTHEST_POSE))),
+        };
+        let job = pb::Job {
+            handles: scene.handles(),
+            steps: vec![step],
+            ..Default::default()
+        };
+        let files = FileSet::single("creature.glb", sample::creature_glb());
+        let run = run_once(files, &job, &pool).unwrap();
+        let timed: Vec<&str> = STAGES
+            .iter()
+            .map(|s| s.0)
+            .filter(|s| run.seconds.contains_key(*s))
+            .collect();
+        assert_eq!(
+            timed,
+            STAGES.map(|s| s.0)[1..],
+            "loading is timed by the caller, all other stages here"
+        );
+        assert_eq!(
+            run.seconds.len(),
+            timed.len(),
+            "no stage is left out of the total: {:?}",
+            run.seconds
+        );
+        assert_eq!(run.frame_bytes, run.vertices * 12);
+        assert!(run.cycles > 0 && run.residual <= 1e-4);
+    }
+}

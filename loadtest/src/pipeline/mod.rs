@@ -1,0 +1,4 @@
+//! The whole pipeline, timed stage by stage: from a model to its first frame, and from an edit to the next frame.
+
+pub(crate) mod edits;
+pub(crate) mod first_frame;

@@ -1,0 +1,222 @@
+//! The system over all nodes, as sessions use it: set-up, a change of handles, full multigrid, a drag.
+
+use super::companion::{CompanionFile, PoseSystem};
+use super::ready::{BenchTerms, EXACT_RESIDUAL, ReadySystem, largest_distance, options_to_residual, solver_failure};
+use crate::failure::LoadtestFailure;
+use crate::shared::measurements::Measurements;
+use crate::shared::timing::time_best_of;
+use glam::{DAffine3, DVec3};
+use pliant::deform::{Motion, carry, rigid_fit};
+use pliant::exec::Exec;
+use pliant::progress::Silent;
+use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Iteration, SolveOptions, Start, Workspace};
+
+/// Largest missing displacement that a drag's frame may have, fraction of the diagonal.
+const DRAG_ERROR: f64 = 1e-3;
+/// Residual that stands in for an exact solution when there is no time for one.
+const NEARLY: f64 = 1e-6;
+
+/// Measures everything that needs the given nodes, the frames or the second pose.
+pub(super) fn measure_full_system(
+    all: &CompanionFile,
+    terms: &BenchTerms,
+    measurements: &mut Measurements,
+) -> Result<(), LoadtestFailure> {
+    measurements.set_value("nodes", all.rest.len());
+    let constraints = Constraints {
+        fixed: &all.fixed,
+        stiffness: all.stiffness.as_deref(),
+    };
+    let set_up = |()| {
+        let hierarchy = Hierarchy::build(&all.graph(), &BuildOptions::default(), &Exec::new(&terms.pool, &Silent))?;
+        let system = hierarchy.constrain(&constraints, &terms.pool)?;
+        Ok(ReadySystem { hierarchy, system })
+    };
+    let (ready, times) = time_best_of(terms.repeat, || (), set_up).map_err(solver_failure)?;
+    measurements.set_number("setup_all_s", times.best);
+
+    let grown = grow_given_nodes(all);
+    let other = Constraints {
+        fixed: &grown,
+        ..constraints
+    };
+    let change = |()| ready.hierarchy.constrain(&other, &terms.pool);
+    let (_, times) = time_best_of(terms.repeat.saturating_mul(3), || (), change).map_err(solver_failure)?;
+    measurements.set_number("handle_s", times.best);
+
+    let mut workspace = Workspace::default();
+    let first = time_full_multigrid(all, &ready, &mut workspace, terms, measurements)?;
+    let second = time_drag(all, &ready, &first, &mut workspace, terms, measurements)?;
+    if !terms.fast {
+        let (exact, _) = solve_on(&ready, &all.poses[1], &second, EXACT_RESIDUAL, &mut workspace, terms)?;
+        measurements.set_number("drag_err", largest_distance(&second, &exact) / all.diagonal);
+    }
+    Ok(())
+}
+
+/// The given nodes and all their neighbours: another set of handles that is as large and lies as near.
+fn grow_given_nodes(all: &CompanionFile) -> Vec<bool> {
+    let mut grown = all.fixed.clone();
+    for i in (0..grown.len()).filter(|i| all.fixed[*i]) {
+        let row = all.offsets[i] as usize..all.offsets[i + 1] as usize;
+        all.neighbours[row].iter().for_each(|&j| grown[j as usize] = true);
+    }
+    grown
+}
+
+/// Times full multigrid to 1e-3; the solution that comes back is the exact one of the first pose, or nearly.
+fn time_full_multigrid(
+    all: &CompanionFile,
+    ready: &ReadySystem,
+    workspace: &mut Workspace,
+    terms: &BenchTerms,
+    measurements: &mut Measurements,
+) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
+    let pose = &all.poses[0];
+    let options = SolveOptions {
+        start: Start::FullMultigrid {
+            frames: Some(&all.frames),
+            rest: Some(&all.rest),
+        },
+        ..options_to_residual(1e-3)
+    };
+    let prepare = || pose.given.clone();
+    let (x, stats, times) = ready.solve_and_time(&pose.rhs, prepare, &options, workspace, terms)?;
+    measurements.set_number("fmg3_s", times.best);
+    measurements.set_value("fmg_it3", stats.iterations);
+    let tolerance = if terms.fast { NEARLY } else { EXACT_RESIDUAL };
+    let (exact, _) = solve_on(ready, pose, &x, tolerance, workspace, terms)?;
+    if !terms.fast {
+        measurements.set_number("fmg_err3", largest_distance(&x, &exact) / all.diagonal);
+    }
+    Ok(exact)
+}
+
+/// Times the second pose from the first one's solution, and returns what it came to.
+fn time_drag(
+    all: &CompanionFile,
+    ready: &ReadySystem,
+    from: &[[f64; 3]],
+    workspace: &mut Workspace,
+    terms: &BenchTerms,
+    measurements: &mut Measurements,
+) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
+    let pose = &all.poses[1];
+    let options = SolveOptions {
+        start: Start::Given,
+        tolerance: None,
+        max_error: Some(DRAG_ERROR * all.diagonal),
+        ..Default::default()
+    };
+    // Sessions have the fields before the first drag; carrying the last frame along is part of every frame.
+    let (field, map) = follow_field(all, ready, workspace, terms)?;
+    let start = |mut x: Vec<[f64; 3]>| {
+        let motion = Motion { field: &field, map };
+        carry(x.as_flattened_mut(), &[motion], &terms.pool);
+        Ok::<_, LoadtestFailure>(x)
+    };
+    let (carried, carrying) = time_best_of(terms.repeat, || from.to_vec(), start)?;
+    let prepare = || place_given_nodes(all, pose, &carried);
+    let (x, stats, times) = ready.solve_and_time(&pose.rhs, prepare, &options, workspace, terms)?;
+    let seconds = carrying.best + times.best;
+    measurements.set_number("drag_s", seconds);
+    measurements.set_value("drag_it", stats.iterations);
+    measurements.set_number("drag_wu", seconds / measurements.number("wu_s").unwrap_or(f64::NAN));
+    measurements.set_number("drag_estimate", stats.max_error / all.diagonal);
+    Ok(x)
+}
+
+/// How the given nodes that the two poses hold in different places moved, and how much every node follows them.
+fn follow_field(
+    all: &CompanionFile,
+    ready: &ReadySystem,
+    workspace: &mut Workspace,
+    terms: &BenchTerms,
+) -> Result<(Vec<f32>, DAffine3), LoadtestFailure> {
+    let (from, to) = (&all.poses[0].given, &all.poses[1].given);
+    let moved = |i: usize| all.fixed[i] && from[i] != to[i];
+    let mut field: Vec<f64> = (0..all.fixed.len()).map(|i| f64::from(u8::from(moved(i)))).collect();
+    let rhs = vec![0.0; field.len()];
+    let (hierarchy, system) = (&ready.hierarchy, &ready.system);
+    let options = options_to_residual(1e-5);
+    let mut watch = |_: &Iteration<'_>| Control::Continue;
+    system
+        .solve(
+            hierarchy,
+            1,
+            &rhs,
+            &mut field,
+            &options,
+            workspace,
+            &Exec::new(&terms.pool, &Silent),
+            &mut watch,
+        )
+        .map_err(solver_failure)?;
+    let at = |given: &[[f64; 3]]| -> Vec<DVec3> {
+        let moved = (0..given.len()).filter(|&i| moved(i));
+        moved.map(|i| DVec3::from_array(given[i])).collect()
+    };
+    let fit = rigid_fit(&at(from), &at(to));
+    let linear = fit.linear();
+    let shift = fit.pivot + fit.translation - linear * fit.pivot;
+    let field = field.into_iter().map(|u| u as f32).collect();
+    Ok((field, DAffine3::from_mat3_translation(linear, shift)))
+}
+
+/// A solution with the given nodes where `pose` holds them.
+fn place_given_nodes(all: &CompanionFile, pose: &PoseSystem, x: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let rows = x.iter().zip(&pose.given).zip(&all.fixed);
+    rows.map(|((x, given), fixed)| if *fixed { *given } else { *x })
+        .collect()
+}
+
+/// Goes on from `x` to a residual; with the residual reached.
+fn solve_on(
+    ready: &ReadySystem,
+    pose: &PoseSystem,
+    x: &[[f64; 3]],
+    tolerance: f64,
+    workspace: &mut Workspace,
+    terms: &BenchTerms,
+) -> Result<(Vec<[f64; 3]>, f64), LoadtestFailure> {
+    let options = SolveOptions {
+        start: Start::Given,
+        ..options_to_residual(tolerance)
+    };
+    let mut x = x.to_vec();
+    let stats = ready.solve(&pose.rhs, &mut x, &options, workspace, terms, None)?;
+    Ok((x, stats.residual))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::export::tests::creature_systems;
+    use super::*;
+    use pliant::pool::Pool;
+
+    #[test]
+    fn a_drag_keeps_its_promise_and_other_handles_are_other_handles() {
+        let terms = BenchTerms {
+            pool: Pool::new(1).unwrap(),
+            repeat: 2,
+            fast: false,
+        };
+        let (_, all) = creature_systems(&terms.pool);
+        let mut measurements = Measurements::default();
+        measurements.set_number("wu_s", 1e-6);
+        measure_full_system(&all, &terms, &mut measurements).unwrap();
+        let number = |key: &str| {
+            measurements
+                .number(key)
+                .unwrap_or_else(|| panic!("{key}: {}", measurements.to_json()))
+        };
+        for key in ["setup_all_s", "handle_s", "fmg3_s", "drag_s", "drag_wu"] {
+            assert!(number(key) > 0.0, "{key}");
+        }
+        assert!(number("drag_it") >= 1.0 && number("drag_err") <= DRAG_ERROR);
+        assert!(number("fmg_err3") < 1e-2);
+        let grown = grow_given_nodes(&all);
+        assert!(grown.iter().zip(&all.fixed).all(|(more, less)| more >= less));
+        assert!(grown != all.fixed && grown.contains(&false));
+    }
+}

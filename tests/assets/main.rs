@@ -1,0 +1,7 @@
+//! Files in and out: what survives a round trip, and what is refused.
+
+mod hostile_gltf;
+mod roundtrip_gltf;
+mod roundtrip_text;
+#[path = "../support/mod.rs"]
+mod support;

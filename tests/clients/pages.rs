@@ -1,0 +1,182 @@
+//! What README.md and the pages of `deploy/docs` show works as written: every block is run, written to a file that a later
+//! one uses, or equal to a file that has a test of its own; every link leads somewhere.
+//!
+//! The words behind a fence say how: `file=PATH` writes the block there; `is=PATH` says that it is that file; `by=PATH` names
+//! the test that runs it; `needs=a,b` names programs without which it is skipped. `sh` runs, `python` runs in the virtual
+//! environment that the page made, `text` is what the commands before it write, `…` standing for anything.
+
+use crate::support::book;
+mod checkout;
+
+use checkout::{Checkout, Played, root};
+use std::fs;
+use std::io::Write as _;
+use std::process::Command;
+
+/// Every page for users that has no test of its own.
+const PAGES: [&str; 8] = [
+    "README.md",
+    "deploy/README.md",
+    "deploy/docs/cookbook-assets.md",
+    "deploy/docs/cookbook-ci.md",
+    "deploy/docs/cookbook-web.md",
+    "deploy/docs/limits.md",
+    "deploy/docs/other-languages.md",
+    "deploy/docs/troubleshooting.md",
+];
+
+fn read(name: &str) -> String {
+    fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+/// Says something that is seen also when the test passes.
+fn tell(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Whether a test quotes how a block of commands begins, so that it can find and run it, or names the scripts that it runs.
+fn is_run_by(commands: &str, test: &str) -> bool {
+    let words: Vec<&str> = commands.split_whitespace().collect();
+    let scripts = words
+        .iter()
+        .filter_map(|word| word.rsplit_once('/'))
+        .map(|(_, name)| name)
+        .filter(|name| name.contains('.'));
+    let mut scripts = scripts.peekable();
+    test.contains(&words[..words.len().min(3)].join(" "))
+        || scripts.peek().is_some() && scripts.all(|name| test.contains(name))
+}
+
+/// Plays a page from its first block to its last.
+fn play(page: &str) -> Checkout {
+    let mut checkout = Checkout::new();
+    if !checkout::has("bash") {
+        tell(&format!("SKIPPED: {page}: there is no bash"));
+        return checkout;
+    }
+    for block in book::blocks(&read(page)) {
+        block.check(page);
+        if let Some(file) = block.word("is") {
+            assert!(
+                read(file).trim_end() == block.text.trim_end(),
+                "{page}:{}: this is not {file}",
+                block.line
+            );
+            continue;
+        }
+        if let Some(test) = block.word("by") {
+            let runs = is_run_by(&block.text, &read(test));
+            assert!(runs, "{page}:{}: {test} does not run this", block.line);
+            continue;
+        }
+        if let Played::Skipped(reason) = checkout.play(&block) {
+            tell(&format!("SKIPPED: {page}:{}: {reason}", block.line));
+            // What follows may build on it; a missing compiler stops nobody else.
+            if block.word("needs").is_none() || checkout::is_offline(&reason) {
+                break;
+            }
+        }
+    }
+    checkout
+}
+
+#[test]
+fn readme() {
+    let checkout = play("README.md");
+    if checkout.path("target/turned.glb").exists() {
+        assert!(checkout.path("target/turned.png").exists(), "the picture is drawn");
+    }
+}
+
+#[test]
+fn running_the_server() {
+    play("deploy/README.md");
+}
+
+#[test]
+fn cookbook_for_assets() {
+    play("deploy/docs/cookbook-assets.md");
+}
+
+#[test]
+fn cookbook_for_ci() {
+    let checkout = play("deploy/docs/cookbook-ci.md");
+    for picture in ["target/bent.png", "target/round.png"] {
+        assert!(checkout.path(picture).exists(), "{picture} is drawn");
+    }
+}
+
+#[test]
+fn cookbook_for_the_web() {
+    let checkout = play("deploy/docs/cookbook-web.md");
+    let page = checkout.path("target/page/dist");
+    let packages = root().join("tests/clients/viewer/node_modules");
+    if !page.is_dir() {
+        return;
+    }
+    if !packages.is_dir() {
+        let mut npm = Command::new("npm");
+        npm.args(["ci", "--no-audit", "--no-fund", "--silent"])
+            .current_dir(root().join("tests/clients/viewer"));
+        if !npm.status().is_ok_and(|status| status.success()) {
+            return tell("SKIPPED: the cookbook's page in a browser: playwright-core cannot be fetched");
+        }
+    }
+    let driver = root().join("tests/clients/viewer/page.mjs");
+    let done = Command::new("node").arg(driver).arg(&page).output().expect("node runs");
+    let said = [done.stdout, done.stderr]
+        .map(|b| String::from_utf8_lossy(&b).into_owned())
+        .concat();
+    assert!(done.status.success(), "{said}");
+    tell(said.trim());
+}
+
+#[test]
+fn other_languages() {
+    let checkout = play("deploy/docs/other-languages.md");
+    // No compiler of C# is at hand: the names that the page uses are at least those of the generated messages.
+    if let Ok(made) = fs::read_to_string(checkout.path("target/csharp/Pliant.cs")) {
+        for name in ["namespace Pliant.V1", "class SessionRequest", "string SessionId"] {
+            assert!(made.contains(name), "{name}");
+        }
+    }
+}
+
+#[test]
+fn limits_and_troubles() {
+    play("deploy/docs/limits.md");
+    play("deploy/docs/troubleshooting.md");
+}
+
+#[test]
+fn every_place_they_name_exists() {
+    let tops = ["src/", "tests/", "proto/", "deploy/", "loadtest/", ".ci/"];
+    let mut missing = Vec::new();
+    for page in PAGES {
+        let (links, quoted) = book::places(&read(page));
+        let beside = root().join(page);
+        let beside = beside.parent().expect("a folder");
+        missing.extend(
+            links
+                .into_iter()
+                .filter(|l| !beside.join(l).exists())
+                .map(|l| (page, l)),
+        );
+        let files = quoted
+            .into_iter()
+            .filter(|q| tops.iter().any(|top| q.starts_with(top)) && !q.contains(char::is_whitespace));
+        missing.extend(files.filter(|f| !root().join(f).exists()).map(|f| (page, f)));
+    }
+    assert!(missing.is_empty(), "pages name what is not there: {missing:?}");
+}
+
+#[test]
+fn no_page_is_left_out() {
+    for entry in fs::read_dir(root().join("deploy/docs")).expect("the pages") {
+        let name = entry.expect("a page").file_name();
+        let page = format!("deploy/docs/{}", name.to_string_lossy());
+        assert!(PAGES.contains(&page.as_str()), "{page} is tested by nobody");
+        let linked = read("README.md").contains(&page);
+        assert!(linked, "README.md does not link to {page}");
+    }
+}

@@ -1,0 +1,15 @@
+//! Edits of the topology: the operations, the attributes that follow them, and long sequences of them.
+
+mod attributes;
+mod attributes_text;
+mod commands;
+mod cut;
+mod cut_hostile;
+mod dragon;
+mod edit_support;
+mod marathon;
+mod remesh;
+mod statue;
+#[path = "../support/mod.rs"]
+mod support;
+mod sweep;

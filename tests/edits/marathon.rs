@@ -1,0 +1,281 @@
+//! Hundreds of random edits, with poses in between: what must hold after each, on a bench and in a session.
+
+mod checks;
+mod cycles;
+mod script;
+mod sessions;
+
+use checks::Before;
+use glam::DVec3;
+use pliant::asset::{FileSet, shapes};
+use pliant::exec::Exec;
+use pliant::job::{EditOrder, Limits, Mode, Poses, Settings, Workbench, frames::digest, json, pb};
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+use script::{Draw, Seen};
+use serde_json::Value;
+use std::sync::Arc;
+
+/// Edits of one run.
+const EDITS: usize = 70;
+
+/// One run of edits and poses.
+struct Run {
+    bench: Workbench,
+    pool: Pool,
+    draw: Draw,
+    poses: Poses,
+    shape: Arc<Vec<DVec3>>,
+    settings: Settings,
+    /// Above so many vertices the model is thinned out.
+    most: usize,
+    apart: bool,
+    /// Edits done and refused.
+    counts: [usize; 2],
+    /// Of the shape after every step.
+    digests: Vec<String>,
+    /// Whether the shape is the solution of [`Run::pose`].
+    posed: bool,
+}
+
+impl Run {
+    fn new(files: FileSet, seed: u64, threads: usize, most: usize) -> Self {
+        let pool = Pool::new(threads).expect("threads start");
+        let bench = Workbench::open(
+            files,
+            &Default::default(),
+            &Limits::default(),
+            &Exec::new(&pool, &Silent),
+        )
+        .expect("opens");
+        let options = pb::Options {
+            tolerance: 1e-5,
+            ..Default::default()
+        };
+        let mut run = Self {
+            poses: bench.initial_poses(),
+            shape: Arc::clone(bench.rest()),
+            settings: Settings::check(&options, "options", 8).expect("valid options"),
+            bench,
+            pool,
+            draw: Draw(seed),
+            most,
+            apart: true,
+            counts: [0; 2],
+            digests: Vec::new(),
+            posed: false,
+        };
+        run.hold();
+        run
+    }
+
+    /// The next draw from what is seen now.
+    fn next(&mut self, what: impl FnOnce(&Seen<'_>, &mut Draw) -> Value) -> Value {
+        let seen = Seen {
+            positions: &self.shape,
+            edge: self.bench.report().mean_edge_length,
+            diagonal: self.bench.diagonal(),
+            most: self.most,
+            apart: self.apart,
+        };
+        what(&seen, &mut self.draw)
+    }
+
+    /// Sets two handles, at rest.
+    fn hold(&mut self) {
+        let handles = self.next(|seen, draw| seen.handles(draw));
+        let request = message::<pb::SetHandlesRequest>(&serde_json::json!({"handles": handles}));
+        // A direction may be across the model such that one handle holds nothing but strays; others will do.
+        self.bench
+            .set_handles(&request, &Exec::new(&self.pool, &Silent))
+            .expect("the handles fit");
+        self.poses = self.bench.initial_poses();
+        self.shape = Arc::clone(self.bench.rest());
+        self.posed = false;
+    }
+
+    /// Poses the last handle.
+    fn pose(&mut self) {
+        let Some(id) = self.bench.handles().handles.last().map(|h| h.id.clone()) else {
+            return self.hold();
+        };
+        let pose = self.next(|seen, draw| seen.pose(draw, &id));
+        self.poses = self.bench.posed(&self.poses, &message(&pose)).expect("a pose");
+        self.shape = self.solved();
+        assert!(self.shape.iter().all(|p| p.is_finite()), "{pose}");
+        self.digests.push(digest(&self.shape));
+        self.posed = true;
+    }
+
+    fn solved(&mut self) -> Arc<Vec<DVec3>> {
+        let solved = self.bench.solve(
+            &self.poses,
+            &self.settings,
+            Mode::Commit,
+            &Exec::new(&self.pool, &Silent),
+            &mut |_| true,
+        );
+        let solved = solved.expect("solved");
+        assert!(solved.residual <= 1e-5, "{}", solved.residual);
+        solved.positions
+    }
+
+    /// Edits, and checks what came of it.
+    fn edit(&mut self) {
+        let edit = self.next(|seen, draw| seen.edit(draw));
+        let request: pb::EditRequest = message(&edit);
+        let at_rest = edit["on"] == "REST";
+        let shape = if at_rest {
+            Arc::clone(self.bench.rest())
+        } else {
+            Arc::clone(&self.shape)
+        };
+        let before = Before::of(&self.bench, &shape);
+        let order = EditOrder {
+            request: &request,
+            shape: &self.shape,
+            poses: &self.poses,
+            settings: None,
+            other: None,
+        };
+        match self.bench.edit(&order, &Exec::new(&self.pool, &Silent)) {
+            Ok(outcome) => {
+                before.done(&self.bench, &edit, &outcome);
+                self.counts[0] += 1;
+                self.poses = outcome.poses;
+                self.shape = outcome.positions;
+                self.posed = false;
+                if self.bench.handles().handles.len() < 2 {
+                    self.hold();
+                }
+            }
+            Err(error) => {
+                before.refused(&self.bench, &error);
+                self.counts[1] += 1;
+                if self.posed {
+                    let again = digest(&self.solved());
+                    assert_eq!(
+                        again,
+                        digest(&self.shape),
+                        "the same pose gives the same bits after {error}"
+                    );
+                }
+            }
+        }
+        self.digests.push(digest(&self.shape));
+    }
+
+    /// `edits` edits, a pose after every other one.
+    fn go(&mut self, edits: usize) {
+        for k in 0..edits {
+            self.edit();
+            if k % 2 == 1 {
+                self.pose();
+            }
+            if k % 10 == 9 {
+                checks::written(&self.bench, &self.shape);
+            }
+        }
+    }
+}
+
+fn message<M: prost::Message + Default + prost::Name>(value: &Value) -> M {
+    json::from_json(value.to_string().as_bytes()).expect("a message")
+}
+
+fn obj((points, faces): &shapes::Shape) -> FileSet {
+    let mut text = String::new();
+    points
+        .iter()
+        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
+    faces
+        .iter()
+        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+    FileSet::single("shape.obj", text)
+}
+
+/// The same run on one thread and on two, and back to the beginning.
+fn marathon(name: &str, files: &FileSet, seed: u64, most: usize) {
+    let [one, two] = std::thread::scope(|scope| {
+        [1, 2]
+            .map(|threads| {
+                scope.spawn(move || {
+                    let mut run = Run::new(files.clone(), seed, threads, most);
+                    let start = (digest(run.bench.rest()), run.bench.trail());
+                    run.bench
+                        .set_handles(&Default::default(), &Exec::new(&run.pool, &Silent))
+                        .expect("none");
+                    let base = run.bench.bytes();
+                    run.hold();
+                    run.go(EDITS);
+                    let end = run.bench.estimate();
+                    run.bench
+                        .retrace(&start.1, &Exec::new(&run.pool, &Silent))
+                        .expect("the way back");
+                    assert_eq!(digest(run.bench.rest()), start.0);
+                    // Two states that were left are kept for the way back, and no more.
+                    let kept = run.bench.bytes() - base;
+                    assert!(kept <= 2 * end, "{kept} bytes more than at the beginning");
+                    (run.digests, run.counts)
+                })
+            })
+            .map(|thread| thread.join().expect("no panic"))
+    });
+    assert_eq!(one, two, "{name}: the same bits on one thread and on two");
+    let [done, refused] = one.1;
+    println!("{name}: {done} edits done, {refused} refused");
+    assert!(done > EDITS / 2, "{done} of {EDITS} edits were possible");
+}
+
+#[test]
+fn a_box() {
+    marathon(
+        "box",
+        &obj(&shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [6, 6, 18])),
+        1,
+        2500,
+    );
+}
+
+#[test]
+fn a_torus() {
+    marathon("torus", &obj(&shapes::torus(1.0, 0.4, 28, 14)), 2, 2500);
+}
+
+#[test]
+fn an_open_sheet() {
+    marathon("sheet", &obj(&shapes::grid(2.0, 1.0, [30, 15])), 3, 2000);
+}
+
+/// A model of the data folder; `None`, and a line that says so, without it.
+fn data(name: &str) -> Option<FileSet> {
+    let path = crate::support::server::data_folder(name)?.join(name);
+    match std::fs::read(&path) {
+        Ok(bytes) => Some(FileSet::single(name, bytes)),
+        Err(e) => {
+            println!("skipped {name}: {e}");
+            None
+        }
+    }
+}
+
+#[test]
+fn texture_seams() {
+    if let Some(files) = data("gltf/derived/spot_uv_split.glb") {
+        marathon("spot", &files, 4, 3500);
+    }
+}
+
+#[test]
+fn a_skinned_figure() {
+    if let Some(files) = data("gltf/CesiumMan.glb") {
+        marathon("figure", &files, 5, 3500);
+    }
+}
+
+#[test]
+fn many_primitives() {
+    if let Some(files) = data("gltf/ShapeCollection.glb") {
+        marathon("shapes", &files, 6, 3500);
+    }
+}

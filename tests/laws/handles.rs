@@ -1,0 +1,352 @@
+//! What handles can say: softness, falloff, rigid regions, mirrors, regions of interest, parts, and what is refused.
+
+use crate::support::bench;
+
+use bench::*;
+use glam::DVec3;
+use pliant::asset::shapes;
+use pliant::deform::exp_rotation;
+use pliant::exec::Exec;
+use pliant::job::{Error, Workbench, pb};
+use pliant::progress::Silent;
+
+/// A bar and, beside it, a ball that no handle holds.
+fn bar_and_ball() -> (Shape, usize) {
+    let (mut positions, mut triangles) = bar();
+    let first = positions.len();
+    let (ball, faces) = shapes::icosphere(0.3, 2);
+    positions.extend(ball.iter().map(|p| *p + DVec3::new(1.2, 0.0, 3.9)));
+    triangles.extend(faces.iter().map(|t| t.map(|v| v + first as u32)));
+    ((positions, triangles), first)
+}
+
+#[test]
+fn a_part_without_a_handle_follows_holds_or_is_refused() {
+    use pb::create_options::Components;
+    let (shape, first) = bar_and_ball();
+    let bend = [("top", turn(DVec3::Y * 1.0, DVec3::new(0.0, 0.0, 2.0)))];
+    let run = |policy: Components| {
+        let create = pb::CreateOptions {
+            components: policy as i32,
+            ..Default::default()
+        };
+        let mut bench = bench_with(&shape, &create, &pool(2));
+        // A box, so that the ball beside it stays loose.
+        let top = pb::region::Box {
+            min: vec![-1.0, -1.0, 3.75],
+            max: vec![0.6, 1.0, 5.0],
+        };
+        let top = pb::Region {
+            region: Some(pb::region::Region::Box(top)),
+        };
+        let handles = vec![handle("base", below(0.25)), handle("top", top)];
+        let request = pb::SetHandlesRequest {
+            handles,
+            ..Default::default()
+        };
+        bench.set_handles(&request, &Exec::new(&pool(2), &Silent))?;
+        try_solve(&mut bench, &pose(&bend), 1e-5, 2)
+    };
+    let follow = run(Components::Follow).expect("solved").positions;
+    let expected: Vec<_> = shape.0[first..]
+        .iter()
+        .map(|p| exp_rotation(DVec3::Y) * (*p - DVec3::new(0.0, 0.0, 2.0)) + DVec3::new(0.0, 0.0, 2.0))
+        .collect();
+    let error = largest_distance(&follow[first..], &expected);
+    assert!(error < 0.05, "the ball moves with the bar's end, off by {error}");
+    let size = |p: &[DVec3]| p[first].distance(p[first + 7]);
+    assert!((size(&follow) - size(&shape.0)).abs() < 1e-9, "and rigidly");
+    let hold = run(Components::Hold).expect("solved").positions;
+    assert_eq!(hold[first..], shape.0[first..]);
+    assert_eq!(hold[..first], follow[..first], "the policy changes nothing else");
+    match run(Components::Free) {
+        Err(Error::Precondition(text)) => assert!(text.contains("part 1"), "{text}"),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn outside_the_region_of_interest_no_bit_changes() {
+    let shape = bar();
+    let mut bench = bench(&shape);
+    let request = pb::SetHandlesRequest {
+        handles: vec![handle("top", above(3.75))],
+        region_of_interest: Some(above(2.0)),
+        ..Default::default()
+    };
+    bench
+        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .expect("the handles fit");
+    let solved = solve(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 1e-5);
+    let mut moved = 0;
+    for (now, rest) in solved.positions.iter().zip(&shape.0) {
+        if rest.z < 2.0 {
+            assert_eq!(now.to_array().map(f64::to_bits), rest.to_array().map(f64::to_bits));
+        } else {
+            moved += usize::from(now != rest);
+        }
+    }
+    assert!(moved > 100);
+}
+
+#[test]
+fn a_symmetry_plane_does_what_mirrored_handles_would() {
+    let shape = shapes::torus(1.0, 0.3, 48, 16);
+    let front = || handle("front", half_space([0.0, -1.0, 0.0], 1.1));
+    let side = || handle("side", half_space([1.0, 0.0, 0.0], 1.1));
+    let moved = pb::HandlePose {
+        translation: vec![0.4, 0.1, 0.3],
+        ..turn(DVec3::new(0.2, 0.5, 0.3), DVec3::X)
+    };
+    let image = pb::HandlePose {
+        translation: vec![-0.4, 0.1, 0.3],
+        ..turn(DVec3::new(0.2, -0.5, -0.3), -DVec3::X)
+    };
+
+    let mut by_plane = bench(&shape);
+    let request = pb::SetHandlesRequest {
+        handles: vec![front(), side()],
+        symmetry_plane: Some(pb::Plane {
+            normal: vec![2.0, 0.0, 0.0],
+            offset: 0.0,
+        }),
+        ..Default::default()
+    };
+    by_plane
+        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .expect("the handles fit");
+    let mirrored = solve(&mut by_plane, &[("side", moved.clone())], 1e-8);
+
+    let mut by_hand = bench(&shape);
+    set(
+        &mut by_hand,
+        vec![front(), side(), handle("other", half_space([-1.0, 0.0, 0.0], 1.1))],
+    );
+    let explicit = solve(&mut by_hand, &[("side", moved), ("other", image)], 1e-8);
+    let error = largest_distance(&mirrored.positions, &explicit.positions);
+    assert!(error < 1e-6, "off by {error}");
+    assert!(largest_distance(&mirrored.positions, &shape.0) > 0.3);
+}
+
+#[test]
+fn soft_handles_give_way_and_stiffer_ones_less() {
+    let missing = |stiffness: f64| {
+        let mut bench = bench(&bar());
+        let top = pb::Handle {
+            stiffness: Some(stiffness),
+            ..handle("top", above(3.75))
+        };
+        set(&mut bench, vec![handle("base", below(0.25)), top]);
+        let by = DVec3::new(0.0, 0.0, 1.0);
+        let solved = solve(&mut bench, &[("top", shift(by))], 1e-7);
+        let rest = bar().0;
+        let held = || rest.iter().zip(solved.positions.iter()).filter(|(p, _)| p.z >= 3.75);
+        held().map(|(p, x)| x.distance(*p + by)).sum::<f64>() / held().count() as f64
+    };
+    let (soft, stiff, hard) = (missing(0.01), missing(1.0), missing(1000.0));
+    assert!(
+        soft > 2.0 * stiff && stiff > 10.0 * hard && hard < 1e-3,
+        "{soft} {stiff} {hard}"
+    );
+}
+
+#[test]
+fn a_falloff_pulls_its_surroundings_and_fades() {
+    let run = |falloff: Option<pb::Falloff>| {
+        let mut bench = bench(&shapes::grid(2.0, 2.0, [40, 40]));
+        let center = pb::region::Sphere {
+            center: vec![1.0, 0.0, 1.0],
+            radius: 0.15,
+        };
+        let region = pb::Region {
+            region: Some(pb::region::Region::Sphere(center)),
+        };
+        let soft = pb::Handle {
+            stiffness: Some(5.0),
+            falloff,
+            ..handle("pull", region)
+        };
+        set(
+            &mut bench,
+            vec![handle("rim", half_space([0.0, 0.0, -1.0], -0.1)), soft],
+        );
+        let solved = solve(&mut bench, &[("pull", shift(DVec3::Y * 0.5))], 1e-7);
+        let rest = bench.rest().clone();
+        let ring = rest
+            .iter()
+            .zip(solved.positions.iter())
+            .filter(|(p, _)| (0.3..0.4).contains(&p.distance(DVec3::new(1.0, 0.0, 1.0))));
+        let (sum, count) = ring.fold((0.0, 0), |(s, n), (_, x)| (s + x.y, n + 1));
+        sum / f64::from(count)
+    };
+    let smooth = pb::Falloff {
+        radius: 0.6,
+        kind: pb::falloff::Kind::Smooth as i32,
+    };
+    let (without, with) = (run(None), run(Some(smooth)));
+    assert!(with > without + 0.05, "{with} with, {without} without");
+}
+
+#[test]
+fn a_rigid_region_keeps_its_shape_when_others_move_it() {
+    let mut bench = bench(&bar());
+    let middle = pb::region::Box {
+        min: vec![-1.0, -1.0, 1.6],
+        max: vec![1.0, 1.0, 2.4],
+    };
+    let region = pb::Region {
+        region: Some(pb::region::Region::Box(middle)),
+    };
+    let rotation = pb::handle::Constrains::Rotation as i32;
+    let rigid = pb::Handle {
+        rigid: true,
+        constrains: vec![rotation],
+        stiffness: Some(1e-6),
+        ..handle("middle", region)
+    };
+    set(
+        &mut bench,
+        vec![handle("base", below(0.25)), handle("top", above(3.75)), rigid],
+    );
+    let solved = solve(
+        &mut bench,
+        &[("top", turn(DVec3::new(0.0, 1.3, 0.8), DVec3::ZERO))],
+        1e-6,
+    );
+    let inside: Vec<usize> = (0..bench.rest().len())
+        .filter(|k| (1.6..=2.4).contains(&bench.rest()[*k].z))
+        .collect();
+    let worst = inside
+        .windows(9)
+        .map(|w| {
+            let at = |p: &[DVec3]| p[w[0]].distance(p[w[8]]);
+            (at(&solved.positions) - at(bench.rest())).abs()
+        })
+        .fold(0.0, f64::max);
+    assert!(worst < 1e-6, "distances inside change by {worst}");
+}
+
+#[test]
+fn position_and_rotation_may_be_held_by_different_handles() {
+    let mut bench = bench(&bar());
+    let only = |id: &str, region, kind: pb::handle::Constrains| pb::Handle {
+        constrains: vec![kind as i32],
+        ..handle(id, region)
+    };
+    set(
+        &mut bench,
+        vec![
+            handle("base", below(0.25)),
+            only("place", above(3.9), pb::handle::Constrains::Position),
+            only("turned", above(3.0), pb::handle::Constrains::Rotation),
+        ],
+    );
+    let angle = 0.8;
+    let solved = solve(&mut bench, &[("turned", turn(DVec3::Z * angle, DVec3::ZERO))], 1e-7);
+    // Nothing moves the ends, yet the part between them is asked to turn.
+    let rest = bench.rest();
+    let middle = rest
+        .iter()
+        .zip(solved.positions.iter())
+        .filter(|(p, _)| (3.1..3.5).contains(&p.z));
+    let turned = middle
+        .map(|(p, x)| p.truncate().angle_to(x.truncate()))
+        .fold(0.0, f64::max);
+    assert!(turned > 0.1 * angle, "turned by {turned}");
+    let held = rest.iter().zip(solved.positions.iter()).filter(|(p, _)| p.z >= 3.9);
+    assert!(held.into_iter().all(|(p, x)| p == x));
+}
+
+#[test]
+fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing() {
+    let mut bench = bent_bar();
+    let refused = |bench: &mut Workbench, handles: Vec<pb::Handle>, place: &str| {
+        let request = pb::SetHandlesRequest {
+            handles,
+            ..Default::default()
+        };
+        match bench.set_handles(&request, &Exec::new(&pool(1), &Silent)) {
+            Err(Error::Invalid { field, problem }) => assert_eq!(field, place, "{problem}"),
+            other => panic!("{place}: {other:?}"),
+        }
+        assert_eq!(bench.handles().handles.len(), 2);
+    };
+    refused(&mut bench, vec![handle("", below(0.0))], "handles[0].id");
+    refused(
+        &mut bench,
+        vec![handle("a", below(0.5)), handle("a", above(3.0))],
+        "handles[1].id",
+    );
+    refused(&mut bench, vec![handle("a", above(99.0))], "handles[0].region");
+    refused(
+        &mut bench,
+        vec![pb::Handle {
+            id: "a".into(),
+            ..Default::default()
+        }],
+        "handles[0].region",
+    );
+    refused(
+        &mut bench,
+        vec![handle("a", half_space([0.0; 3], 1.0))],
+        "handles[0].region.halfSpace.normal",
+    );
+    refused(
+        &mut bench,
+        vec![handle("a", half_space([f64::NAN, 0.0, 1.0], 1.0))],
+        "handles[0].region.halfSpace.normal[0]",
+    );
+    let far = pb::region::Vertices {
+        indices: vec![1, 1 << 30],
+        ranges: Vec::new(),
+    };
+    let far = pb::Region {
+        region: Some(pb::region::Region::Vertices(far)),
+    };
+    refused(
+        &mut bench,
+        vec![handle("a", far)],
+        "handles[0].region.vertices.indices[1]",
+    );
+    let wide = pb::region::Range {
+        first: u32::MAX,
+        count: u32::MAX,
+    };
+    let wide = pb::region::Vertices {
+        indices: Vec::new(),
+        ranges: vec![wide],
+    };
+    let wide = pb::Region {
+        region: Some(pb::region::Region::Vertices(wide)),
+    };
+    refused(
+        &mut bench,
+        vec![handle("a", wide)],
+        "handles[0].region.vertices.ranges[0]",
+    );
+    let fading = pb::Handle {
+        falloff: Some(pb::Falloff { radius: 1.0, kind: 1 }),
+        ..handle("a", below(0.5))
+    };
+    refused(&mut bench, vec![fading], "handles[0].falloff");
+    let only_turned = pb::Handle {
+        constrains: vec![pb::handle::Constrains::Rotation as i32],
+        ..handle("a", below(0.5))
+    };
+    let request = pb::SetHandlesRequest {
+        handles: vec![only_turned],
+        ..Default::default()
+    };
+    assert!(matches!(
+        bench.set_handles(&request, &Exec::new(&pool(1), &Silent)),
+        Err(Error::Precondition(_))
+    ));
+    let nobody = pose(&[("nobody", pb::HandlePose::default())]);
+    match bench.posed(&bench.initial_poses(), &nobody) {
+        Err(Error::Invalid { field, problem }) => {
+            assert_eq!(field, "pose.handles[0].id");
+            assert!(problem.contains("\"base\""), "{problem}");
+        }
+        other => panic!("{other:?}"),
+    }
+}

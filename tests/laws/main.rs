@@ -1,0 +1,14 @@
+//! Laws of meshes, graphs and deformation, on generated shapes and on models of the data folder.
+
+mod equivariance;
+mod first_pass;
+mod graph;
+mod graph_data;
+mod graph_resample;
+mod handles;
+mod mesh;
+mod paper;
+mod refinement;
+#[path = "../support/mod.rs"]
+mod support;
+mod winding;

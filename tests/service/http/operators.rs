@@ -1,0 +1,130 @@
+//! What operators and browsers meet: health, counts, the description, compression, origins.
+
+use super::{get, post};
+use crate::support::server::*;
+use reqwest::header;
+use serde_json::Value;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn operators_find_health_counts_and_description() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    assert_eq!(
+        post(&server, &format!("/v1/sessions/{id}/solve"), turn_json(0.1))
+            .await
+            .status(),
+        200
+    );
+    assert_eq!(get(&server, "/healthz").await.status(), 200);
+    assert_eq!(get(&server, "/readyz").await.status(), 200);
+    let page = get(&server, "/").await;
+    assert!(
+        page.headers()[header::CONTENT_TYPE]
+            .to_str()
+            .unwrap()
+            .starts_with("text/html")
+    );
+
+    let counts = get(&server, "/metrics").await;
+    assert!(
+        counts.headers()[header::CONTENT_TYPE]
+            .to_str()
+            .unwrap()
+            .starts_with("application/openmetrics-text")
+    );
+    let counts = counts.text().await.unwrap();
+    for line in [
+        "pliant_sessions 1",
+        "pliant_poses_solved_total 1",
+        "pliant_requests_total{transport=\"http\",route=\"/v1/sessions/{id}/solve\",code=\"200\"} 1",
+        "pliant_solve_seconds_count 1",
+    ] {
+        assert!(counts.lines().any(|l| l == line), "{line} is not in\n{counts}");
+    }
+    assert!(counts.ends_with("# EOF\n"));
+
+    let described: Value = get(&server, "/openapi.json").await.json().await.unwrap();
+    assert_eq!(described["openapi"], "3.1.0");
+    // What is described answers: no path is unknown to the router, no method refused.
+    for (path, methods) in described["paths"].as_object().unwrap() {
+        for method in methods.as_object().unwrap().keys() {
+            let path = path.replace("{id}", "nobody").replace("{handleId}", "none");
+            let request = http().request(method.to_uppercase().parse().unwrap(), server.url(&path));
+            let answer = request.send().await.unwrap();
+            let status = answer.status().as_u16();
+            let said = answer.text().await.unwrap();
+            assert!(
+                status != 405 && !said.contains("there is nothing at"),
+                "{method} {path}: {status} {said}"
+            );
+        }
+    }
+    let limits: Value = get(&server, "/v1/limits").await.json().await.unwrap();
+    assert_eq!(limits["partBytes"], "1048576");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_reference_is_a_page_that_loads_nothing() {
+    let server = Server::start().await;
+    assert_eq!(get(&server, "/docs/").await.status(), 200);
+    let answer = get(&server, "/docs").await;
+    assert_eq!(answer.status(), 200);
+    assert_eq!(answer.headers()[header::CONTENT_TYPE], "text/html; charset=utf-8");
+    let policy = answer.headers()["content-security-policy"].to_str().unwrap().to_owned();
+    assert!(
+        policy.starts_with("default-src 'none'") && !policy.contains("script-src"),
+        "{policy}"
+    );
+    let page = answer.text().await.unwrap();
+    for part in ["/v1/sessions/{id}/solve", "message-SetHandlesRequest", "Absent = hard"] {
+        assert!(page.contains(part), "{part} is not in the page");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn json_is_compressed_on_request_and_nothing_else() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    let gzip = |path: String| http().get(server.url(&path)).header("accept-encoding", "gzip").send();
+    let described = gzip("/openapi.json".into()).await.unwrap();
+    assert_eq!(described.headers()[header::CONTENT_ENCODING], "gzip");
+    let model = gzip(format!("/v1/sessions/{id}/model")).await.unwrap();
+    assert!(!model.headers().contains_key(header::CONTENT_ENCODING));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pages_of_foreign_origins_may_not_call() {
+    let server = Server::start().await;
+    let from = |origin: &'static str| {
+        http()
+            .post(server.url("/v1/sessions"))
+            .header("origin", origin)
+            .body(bar_obj(4))
+            .send()
+    };
+    let foreign = from("https://evil.example").await.unwrap();
+    assert_eq!(foreign.status(), 403);
+    assert!(!foreign.headers().contains_key("access-control-allow-origin"));
+    let local = from("http://localhost:5173").await.unwrap();
+    assert_eq!(local.status(), 201);
+    assert_eq!(local.headers()["access-control-allow-origin"], "http://localhost:5173");
+    let preflight = http()
+        .request(reqwest::Method::OPTIONS, server.url("/v1/sessions"))
+        .header("origin", "http://localhost:5173")
+        .header("access-control-request-method", "PATCH")
+        .header("access-control-request-headers", "content-type,idempotency-key")
+        .send()
+        .await
+        .unwrap();
+    assert!(preflight.status().is_success());
+    assert!(
+        preflight.headers()["access-control-allow-methods"]
+            .to_str()
+            .unwrap()
+            .contains("PATCH")
+    );
+    assert_eq!(
+        preflight.headers()["access-control-allow-headers"],
+        "content-type,idempotency-key"
+    );
+}

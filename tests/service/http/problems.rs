@@ -1,0 +1,180 @@
+//! Every class of failure, with the document that tells it.
+
+use super::get;
+use crate::support::server::*;
+use reqwest::header;
+use serde_json::{Value, json};
+
+/// Method, path | content type | body | status and code | field | words of the detail, with ; between them.
+///
+/// `{id}` is a session with handles, `{bare}` one without, `{nobody}` an id that is none; `-` is nothing, and `?` as a field
+/// means some field.
+const CASES: &str = r#"
+GET /v2/nothing                | -                | -      | 404 NOT_FOUND           | -         | /v2/nothing; openapi
+GET /v1/sessions/{nobody}      | -                | -      | 404 NOT_FOUND           | -         | no session
+POST /v1/sessions/{nobody}/solve | image/png      | x      | 404 NOT_FOUND           | -         | no session
+POST /v1/sessions/{nobody}/edits | application/json | {    | 404 NOT_FOUND           | -         | no session
+GET /v1/sessions/{nobody}/model?format=doc | -    | -      | 404 NOT_FOUND           | -         | no session
+PUT /v1/sessions               | -                | -      | 405 UNIMPLEMENTED       | -         | PUT
+POST /v1/sessions/{id}/model   | -                | -      | 405 UNIMPLEMENTED       | -         | POST
+POST /v1/sessions/{id}/solve   | text/plain       | {}     | 415 INVALID_ARGUMENT    | -         | text/plain; application/json
+POST /v1/sessions              | image/png        | x      | 415 INVALID_ARGUMENT    | -         | image/png; model/obj
+POST /v1/sessions/{id}/solve   | application/json | {"pose" | 400 INVALID_ARGUMENT   | ?         | -
+POST /v1/sessions/{id}/solve   | application/json | {deep} | 400 INVALID_ARGUMENT    | ?         | -
+POST /v1/sessions/{id}/solve   | application/json | {"pse": {}} | 400 INVALID_ARGUMENT | ?       | pse
+PUT /v1/sessions/{id}/handles  | application/json | {"handles": [{"id": "a"}, {"id": "b", "region": {"sphere": {"center": "x"}}}]} | 400 INVALID_ARGUMENT | handles[1].region.sphere.center | -
+PUT /v1/sessions/{id}/handles  | application/json | {"handles": [{"id": "a", "region": {"sphere": {"center": [0, 0, 0], "radius": -1}}}]} | 422 INVALID_ARGUMENT | handles[0].region.sphere.radius | -1; 0
+PUT /v1/sessions/{id}/handles  | application/json | {"sessionId": "another"} | 422 INVALID_ARGUMENT | sessionId | differs
+POST /v1/sessions/{id}/solve   | application/json | {"pose": {"handles": [{"id": "nose"}]}} | 422 INVALID_ARGUMENT | pose.handles[0].id | nose
+POST /v1/sessions/{id}/solve   | application/json | {"pose": {"handles": [{"id": "top", "pose": {"translation": ["NaN", 0, 0]}}]}} | 422 INVALID_ARGUMENT | pose.handles[0].pose.translation[0] | finite
+POST /v1/sessions/{id}/solve   | application/json | {large} | 413 RESOURCE_EXHAUSTED | -         | 65536
+POST /v1/sessions/{bare}/solve | application/json | {}     | 409 FAILED_PRECONDITION | -         | handles
+POST /v1/sessions/{id}/redo    | -                | -      | 409 FAILED_PRECONDITION | -         | redo
+POST /v1/sessions/{id}/edits   | application/json | {"cut": {"keep": "ABOVE"}} | 422 INVALID_ARGUMENT | cut | polyline
+POST /v1/sessions/{id}/edits   | application/json | {"cut": {"plane": {"normal": [0, 0, 1], "offset": 1e6}}} | 409 FAILED_PRECONDITION | - | plane
+POST /v1/sessions/{id}/edits   | application/json | {}     | 422 INVALID_ARGUMENT    | operation | cut
+POST /v1/sessions/{id}/animations | -             | -      | 501 UNIMPLEMENTED       | -         | animations
+POST /v1/sessions/{id}/solve   | application/json | {"options": {"method": 7}} | 422 INVALID_ARGUMENT | options.method | 7
+POST /v1/sessions?colour=red   | -                | x      | 400 INVALID_ARGUMENT    | colour    | volumeGraph
+POST /v1/sessions?format=doc   | -                | x      | 422 INVALID_ARGUMENT    | format    | doc; glb
+POST /v1/sessions?ttl=soon     | -                | v 0 0 0 | 422 INVALID_ARGUMENT   | ttl       | soon
+POST /v1/sessions?sample=dragon | -               | -      | 422 INVALID_ARGUMENT    | sample    | dragon; creature
+POST /v1/sessions              | -                | -      | 400 INVALID_ARGUMENT    | -         | empty
+POST /v1/sessions              | -                | what is this | 400 INVALID_ARGUMENT | -      | glb, gltf, obj
+POST /v1/sessions?format=obj   | -                | v 0 0 zero | 400 INVALID_ARGUMENT | -        | line 1; zero
+GET /v1/sessions?pageSize=many | -                | -      | 422 INVALID_ARGUMENT    | pageSize  | many
+GET /v1/sessions?pageSize=1001 | -                | -      | 422 INVALID_ARGUMENT    | pageSize  | 1001; 1000
+GET /v1/sessions/{id}/model?format=doc | -        | -      | 422 INVALID_ARGUMENT    | format    | doc; glb
+GET /v1/sessions/{id}/model?uri=a.bin | -         | -      | 422 INVALID_ARGUMENT    | uri       | a.bin
+GET /v1/sessions/{id}/positions?x=1 | -           | -      | 400 INVALID_ARGUMENT    | x         | none here
+GET /v1/sessions/{id}/stream   | -                | -      | 426 INVALID_ARGUMENT    | -         | WebSocket
+"#;
+
+const NOBODY: &str = "00000000000000000000000000000000";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn problems_say_what_where_and_what_is_allowed() {
+    let server = Server::with(|sessions, _| {
+        sessions.upload_bytes = 1 << 20;
+        sessions.message_bytes = 64 << 10;
+    })
+    .await;
+    let bare = text(&server.open(bar_obj(8)).await["id"]);
+    let id = server.bar_session().await;
+    let deep = format!("{{\"pose\": {}1{}}}", "[".repeat(2000), "]".repeat(2000));
+    let large = " ".repeat(65 << 10);
+    let fill = |cell: &str| match cell {
+        "-" => String::new(),
+        "{deep}" => deep.clone(),
+        "{large}" => large.clone(),
+        cell => cell
+            .replace("{id}", &id)
+            .replace("{bare}", &bare)
+            .replace("{nobody}", NOBODY),
+    };
+    for case in CASES.lines().filter(|line| !line.is_empty()) {
+        let cells: Vec<&str> = case.split(" | ").map(str::trim).collect();
+        let [call, kind, body, outcome, field, words] = cells[..] else {
+            panic!("not six cells: {case}")
+        };
+        let (method, path) = call.split_once(' ').expect("method and path");
+        let path = fill(path);
+        let mut request = http()
+            .request(method.parse().unwrap(), server.url(&path))
+            .body(fill(body));
+        if kind != "-" {
+            request = request.header("content-type", kind);
+        }
+        let answer = within(case, request.send()).await.expect("an answer");
+        let (status, code) = outcome.split_once(' ').expect("status and code");
+        let seen = answer.status().as_u16();
+        assert_eq!(
+            answer.headers()[header::CONTENT_TYPE],
+            "application/problem+json",
+            "{case}"
+        );
+        assert!(answer.headers().contains_key("x-request-id"), "{case}");
+        let problem: Value = answer.json().await.unwrap();
+        assert_eq!(
+            (seen.to_string().as_str(), problem["code"].as_str()),
+            (status, Some(code)),
+            "{case}: {problem}"
+        );
+        assert_eq!(problem["status"], seen, "{case}");
+        assert_eq!(problem["instance"], path.split('?').next().unwrap(), "{case}");
+        assert!(
+            text(&problem["type"]).starts_with("urn:pliant:problem:"),
+            "{case}: {problem}"
+        );
+        let detail = text(&problem["detail"]);
+        for word in words.split("; ").filter(|word| *word != "-") {
+            assert!(detail.contains(word), "{case}: {detail:?} lacks {word:?}");
+        }
+        match field {
+            "?" => assert!(problem["errors"][0]["field"].is_string(), "{case}: {problem}"),
+            "-" => assert!(problem.get("errors").is_none(), "{case}: {problem}"),
+            field => assert_eq!(problem["errors"][0]["field"], field, "{case}: {problem}"),
+        }
+    }
+    let whole: Value = get(&server, &format!("/v1/sessions/{NOBODY}"))
+        .await
+        .json()
+        .await
+        .unwrap();
+    let expected = json!({
+        "type": "urn:pliant:problem:not-found",
+        "title": "not found",
+        "status": 404,
+        "detail": format!("no session \"{NOBODY}\"; it may have expired or been deleted"),
+        "code": "NOT_FOUND",
+        "instance": format!("/v1/sessions/{NOBODY}"),
+    });
+    assert_eq!(whole, expected);
+    // Nothing that was refused left a trace.
+    let history: Value = get(&server, &format!("/v1/sessions/{id}/history"))
+        .await
+        .json()
+        .await
+        .unwrap();
+    assert_eq!(history["commits"].as_array().map(Vec::len), Some(2));
+    assert_eq!(server.metric("pliant_sessions").await, 2.0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wrong_method_names_the_right_ones() {
+    let server = Server::start().await;
+    let answer = http().put(server.url("/v1/sessions")).send().await.unwrap();
+    let allow = answer.headers()[header::ALLOW].to_str().unwrap();
+    assert!(allow.contains("GET") && allow.contains("POST"), "{allow}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_accepted_is_refused_before_work_is_done() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let answer = http()
+        .post(&url)
+        .header("accept", "image/png")
+        .json(&turn_json(0.1))
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(answer.status(), 406);
+    let mut packed = turn_json(0.1);
+    packed["options"] = json!({"output": {"encoding": "U16"}});
+    let answer = http()
+        .post(&url)
+        .header("accept", "application/octet-stream")
+        .json(&packed)
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(answer.status(), 422);
+    let history: Value = get(&server, &format!("/v1/sessions/{id}/history"))
+        .await
+        .json()
+        .await
+        .unwrap();
+    assert_eq!(history["commits"].as_array().map(Vec::len), Some(2));
+}

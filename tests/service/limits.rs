@@ -1,0 +1,231 @@
+//! The tables of `deploy/docs/limits.md` are the program's: every key with its default, every limit without a key, every
+//! range of a request; and `/v1/limits` tells them by the names that the page gives.
+
+use crate::support::book;
+
+use crate::support::server::*;
+use pliant::server::config::{KEYS, Settings};
+use pliant::session::{self, MIN_TTL};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::time::Duration;
+
+fn page() -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/docs/limits.md");
+    std::fs::read_to_string(path).expect("the page")
+}
+
+#[test]
+fn keys_and_defaults_are_those_of_the_program() {
+    let rows = book::table(&page(), "| key | default |");
+    let told: BTreeSet<&str> = rows.iter().map(|row| row[0].as_str()).collect();
+    assert_eq!(
+        told,
+        KEYS.into_iter().collect(),
+        "every key of the configuration, and no other"
+    );
+    let mut flags = Vec::new();
+    for row in &rows {
+        // "none" stands for an empty list.
+        let key = KEYS.into_iter().find(|key| *key == row[0]).expect("a key");
+        if row[1] != "none" {
+            flags.push((key, row[1].clone()));
+        }
+    }
+    let told = Settings::load(None, &flags).expect("the page's defaults are values that the program takes");
+    let defaults = Settings::load(None, &[]).expect("the defaults");
+    assert_eq!(told.listen, defaults.listen);
+    assert_eq!(told.server, defaults.server);
+    assert_eq!(told.session, defaults.session);
+    assert_eq!(
+        (told.log, told.log_format, told.sample),
+        (defaults.log, defaults.log_format, defaults.sample)
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_tells_them_by_these_names() {
+    let server = Server::start().await;
+    let answer = within("limits", http().get(server.url("/v1/limits")).send())
+        .await
+        .expect("an answer");
+    let answer: BTreeMap<String, Value> = answer.json().await.expect("JSON");
+    let rows = book::table(&page(), "| key | default |");
+    let named: BTreeMap<&str, &str> = rows.iter().map(|row| (row[2].as_str(), row[1].as_str())).collect();
+    for (name, value) in &answer {
+        if name == "partBytes" {
+            assert!(page().contains("`partBytes`"));
+            continue;
+        }
+        let told = named
+            .get(name.as_str())
+            .unwrap_or_else(|| panic!("{name} is told and not on the page"));
+        let seen = match value {
+            Value::String(text) => text.parse().expect("a number"),
+            number => number.as_f64().expect("a number"),
+        };
+        assert_eq!(seen, number(told), "{name}");
+    }
+    for row in rows.iter().filter(|row| row[2] != "-") {
+        assert!(answer.contains_key(&row[2]), "{} is not told", row[2]);
+    }
+}
+
+/// Bytes, seconds or a count.
+fn number(text: &str) -> f64 {
+    let units = [
+        ("GiB", (1u64 << 30) as f64),
+        ("MiB", (1u64 << 20) as f64),
+        ("24h", 86_400.0),
+    ];
+    for (unit, factor) in units {
+        if let Some(count) = text.strip_suffix(unit) {
+            return factor * count.parse().unwrap_or(1.0);
+        }
+    }
+    text.parse().expect("a number")
+}
+
+#[test]
+fn limits_without_a_key_are_those_of_the_program() {
+    // Taken apart whole, so that a new limit does not compile until it is on the page.
+    let session::Config {
+        upload_bytes: _,
+        vertices: _,
+        triangles,
+        decoded_bytes,
+        sessions: _,
+        memory_bytes: _,
+        high_water,
+        handles: _,
+        message_bytes: _,
+        window: _,
+        part_bytes,
+        default_ttl: _,
+        max_ttl: _,
+        history: _,
+        snapshot_bytes,
+        solve: _,
+        build,
+        streams: _,
+        stream_commits,
+        session_queue,
+        compute_threads: _,
+        compute_slots: _,
+        compute_queue,
+        compute_wait,
+        idempotency_age,
+        idempotency_keys,
+        drain: _,
+    } = session::Config::default();
+    assert_eq!(
+        triangles,
+        2 * session::Config::default().vertices,
+        "twice as many triangles are allowed"
+    );
+    let wanted = [
+        ("bytes that decoding one model may take", size(decoded_bytes)),
+        ("data of one frame part (partBytes)", size(part_bytes as u64)),
+        ("old shapes that one session keeps", size(snapshot_bytes)),
+        ("building a session or its handles", time(build)),
+        ("commits waiting on one stream", stream_commits.to_string()),
+        ("calls waiting on one session", session_queue.to_string()),
+        ("pieces of work waiting for a compute slot", compute_queue.to_string()),
+        ("waiting for a compute slot", time(compute_wait)),
+        ("answers to idempotency keys, kept for", time(idempotency_age)),
+        ("idempotency keys of one caller", idempotency_keys.to_string()),
+        (
+            "share of memory_bytes from which /readyz says 503",
+            high_water.to_string(),
+        ),
+        (
+            "triangles of a remeshed region",
+            pliant::edit::MOST_TRIANGLES.to_string(),
+        ),
+        (
+            "points of a curve that cuts or is inserted",
+            pliant::edit::MOST_POINTS.to_string(),
+        ),
+        ("shortest time to live that a session may name", time(MIN_TTL)),
+    ];
+    let told: Vec<(String, String)> = book::table(&page(), "| limit | value |")
+        .into_iter()
+        .map(|row| (row[0].clone(), row[1].clone()))
+        .collect();
+    let wanted: Vec<(String, String)> = wanted
+        .into_iter()
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect();
+    assert_eq!(told, wanted);
+}
+
+fn size(bytes: u64) -> String {
+    match bytes {
+        b if b >= 1 << 30 => format!("{} GiB", b >> 30),
+        b => format!("{} MiB", b >> 20),
+    }
+}
+
+fn time(span: Duration) -> String {
+    match span.as_secs() {
+        s if s >= 60 => format!("{} min", s / 60),
+        s => format!("{s} s"),
+    }
+}
+
+/// Each range of a request is tried at its end and one beyond it.
+#[tokio::test(flavor = "multi_thread")]
+async fn ranges_of_requests_are_kept() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    let create = |label: usize| {
+        let url = server.url(&format!("/v1/sessions?label={}", "x".repeat(label)));
+        http().post(url).body(bar_obj(4))
+    };
+    let list = |size: u32| http().get(server.url(&format!("/v1/sessions?pageSize={size}")));
+    let solve = |options: Value| {
+        let url = server.url(&format!("/v1/sessions/{id}/solve"));
+        http().post(url).json(&json!({"options": options}))
+    };
+    let rows = book::table(&page(), "| field | allowed |");
+    let fields: Vec<&str> = rows.iter().map(|row| row[0].as_str()).collect();
+    let tried = [
+        ("label of a session", create(256), create(257)),
+        ("pageSize of a list", list(1000), list(1001)),
+        (
+            "refine of a solve",
+            solve(json!({"refine": 0})),
+            solve(json!({"refine": 1001})),
+        ),
+    ];
+    assert_eq!(fields[..3], tried.each_ref().map(|(name, _, _)| *name));
+    assert_eq!(fields[3..], ["window of a stream"]);
+    for (name, within_it, beyond) in tried {
+        let good = within(name, within_it.send()).await.expect("an answer");
+        assert!(good.status().is_success(), "{name}: {}", good.status());
+        let bad = within(name, beyond.send()).await.expect("an answer");
+        assert_eq!(bad.status(), 422, "{name}");
+    }
+    for (window, refused) in [(8, false), (9, true)] {
+        let mut socket = server
+            .socket(&format!("/v1/sessions/{id}/stream"))
+            .await
+            .expect("a socket");
+        let options = pliant::job::pb::Options {
+            window,
+            ..Default::default()
+        };
+        socket
+            .send(pliant::job::pb::deform_request::Message::Options(options))
+            .await;
+        socket
+            .send(pliant::job::pb::deform_request::Message::Pose(turned(1, 0.1, false)))
+            .await;
+        let told = match socket.next().await {
+            Came::Response(response) => format!("{response:?}").contains("window"),
+            Came::Closed(_) => true,
+        };
+        assert_eq!(told, refused, "window {window}");
+    }
+}

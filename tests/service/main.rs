@@ -1,0 +1,12 @@
+//! The service as its clients meet it: sessions, gRPC, HTTP, WebSockets, limits, hostile input, ends.
+
+mod drain;
+mod grpc;
+mod hostile;
+mod http;
+mod limits;
+mod session;
+mod stream;
+#[path = "../support/mod.rs"]
+mod support;
+mod troubleshooting;

@@ -1,0 +1,12 @@
+//! What clients of a session can rely on, whatever the transport: the deform stream's promises, commits that can be undone
+//! to the bit, limits, expiry, idempotency, draining. Most tests drive an engine whose cycles they control.
+
+use crate::support::bench;
+mod commits;
+mod edits;
+mod fake;
+mod following;
+mod life;
+mod limits;
+mod real;
+mod stream;

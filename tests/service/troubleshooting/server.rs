@@ -1,0 +1,226 @@
+//! What the server says: the detail of problem documents, messages of pose errors, warnings.
+
+use super::Said;
+use crate::support::server::*;
+use pliant::job::pb::{self, deform_request, deform_response};
+use serde_json::{Value, json};
+
+/// A triangle alone: a surface without an inside.
+const OPEN_SHEET: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+
+const NOBODY: &str = "00000000000000000000000000000000";
+
+/// Provocation | method, path | content type | body. `{id}` is a session with handles, `{bare}` one without.
+const CALLS: &str = r#"
+an empty upload             | POST /v1/sessions              | -                | -
+no model                    | POST /v1/sessions              | -                | what is this
+a line that is broken       | POST /v1/sessions?format=obj   | -                | v 0 0 zero
+an inside that is required  | POST /v1/sessions?format=obj&volumeGraph=REQUIRED | - | {sheet}
+a model that is too large   | POST /v1/sessions              | -                | {large model}
+an upload that is too large | POST /v1/sessions?format=obj   | -                | {large upload}
+a session that is gone      | GET /v1/sessions/{nobody}      | -                | -
+no handles yet              | POST /v1/sessions/{bare}/solve | application/json | {}
+a handle that is none       | POST /v1/sessions/{id}/solve   | application/json | {"pose": {"handles": [{"id": "nose"}]}}
+a region beside the model   | PUT /v1/sessions/{id}/handles  | application/json | {"handles": [{"id": "a", "region": {"sphere": {"center": [9, 9, 9], "radius": 1}}}]}
+too many handles            | PUT /v1/sessions/{id}/handles  | application/json | {many handles}
+a field that is none        | POST /v1/sessions/{id}/solve   | application/json | {"pse": {}}
+no number                   | POST /v1/sessions/{id}/solve   | application/json | {"pose": {"handles": [{"id": "top", "pose": {"translation": ["NaN", 0, 0]}}]}}
+no content type             | POST /v1/sessions/{id}/solve   | text/plain       | {}
+a message that is too large | POST /v1/sessions/{id}/solve   | application/json | {large message}
+nothing to undo             | POST /v1/sessions/{bare}/undo  | -                | -
+a cut beside the model      | POST /v1/sessions/{id}/edits   | application/json | {"cut": {"plane": {"normal": [0, 0, 1], "offset": 99}}}
+triangles beyond measure    | POST /v1/sessions/{id}/edits   | application/json | {"remesh": {"edgeLength": 0.0001}}
+animations                  | POST /v1/sessions/{id}/animations | -             | -
+a browser at the stream     | GET /v1/sessions/{id}/stream   | -                | -
+a path that is none         | GET /v1/session                | -                | -
+"#;
+
+/// The text of a problem document.
+async fn detail(request: reqwest::RequestBuilder) -> String {
+    let answer = within("an answer", request.send()).await.expect("an answer");
+    assert!(!answer.status().is_success(), "{}", answer.status());
+    let problem: Value = answer.json().await.expect("a problem document");
+    text(&problem["detail"])
+}
+
+pub async fn provoke() -> Vec<Said> {
+    let server = Server::with(|sessions, _| {
+        sessions.upload_bytes = 256 << 10;
+        sessions.message_bytes = 64 << 10;
+        sessions.vertices = 1000;
+        sessions.sessions = 4;
+        sessions.handles = 3;
+    })
+    .await;
+    let bare = text(&server.open(bar_obj(8)).await["id"]);
+    let id = server.bar_session().await;
+    let many: Vec<Value> = (0..4)
+        .map(|k| json!({"id": k.to_string(), "region": {"halfSpace": {"normal": [0, 0, 1], "offset": 3}}}))
+        .collect();
+    let fill = |cell: &str| match cell {
+        "-" => String::new(),
+        "{sheet}" => OPEN_SHEET.to_owned(),
+        "{large model}" => bar_obj(200),
+        "{large upload}" => " ".repeat(300 << 10),
+        "{large message}" => " ".repeat(65 << 10),
+        "{many handles}" => json!({"handles": many}).to_string(),
+        cell => cell
+            .replace("{id}", &id)
+            .replace("{bare}", &bare)
+            .replace("{nobody}", NOBODY),
+    };
+    let mut said = Vec::new();
+    for case in CALLS.lines().filter(|line| !line.is_empty()) {
+        let cells: Vec<&'static str> = case.split(" | ").map(str::trim).collect();
+        let [by, call, kind, body] = cells[..] else {
+            panic!("not four cells: {case}")
+        };
+        let (method, path) = call.split_once(' ').expect("method and path");
+        let mut request = http()
+            .request(method.parse().expect("a method"), server.url(&fill(path)))
+            .body(fill(body));
+        if kind != "-" {
+            request = request.header("content-type", kind);
+        }
+        let text = detail(request).await.replace(NOBODY, "ID");
+        said.push(Said { by, text });
+    }
+    said.extend(of_streams(&server, &id).await);
+    said.extend(of_origins_and_room(&server).await);
+    said.extend(of_warnings().await);
+    said.push(of_leaving().await);
+    said
+}
+
+/// What a stream says about a pose.
+async fn of_streams(server: &Server, id: &str) -> Vec<Said> {
+    let mut said = Vec::new();
+    let mut refused = async |by: &'static str, message: deform_request::Message| {
+        let mut socket = server
+            .socket(&format!("/v1/sessions/{id}/stream"))
+            .await
+            .expect("a socket");
+        socket.send(message).await;
+        let text = loop {
+            match socket.next().await {
+                Came::Response(pb::DeformResponse {
+                    message: Some(deform_response::Message::Error(error)),
+                    ..
+                }) => break error.message,
+                Came::Response(_) => {}
+                Came::Closed(why) => break why.map(|(_, reason)| reason).unwrap_or_default(),
+            }
+        };
+        said.push(Said { by, text });
+    };
+    let wide = pb::Options {
+        window: 64,
+        ..pb::Options::default()
+    };
+    refused("a window that is too large", deform_request::Message::Options(wide)).await;
+    said
+}
+
+/// Pages of elsewhere, and a server that is full.
+async fn of_origins_and_room(server: &Server) -> Vec<Said> {
+    let foreign = http()
+        .post(server.url("/v1/sessions"))
+        .header("origin", "https://example.org")
+        .body(bar_obj(4));
+    let foreign = Said {
+        by: "a page of another origin",
+        text: detail(foreign).await,
+    };
+    server.open(bar_obj(4)).await;
+    server.open(bar_obj(4)).await;
+    let full = Said {
+        by: "no room for another session",
+        text: detail(http().post(server.url("/v1/sessions")).body(bar_obj(4))).await,
+    };
+    let open = |server: &Server| http().post(server.url("/v1/sessions")).body(bar_obj(2000));
+    let small = Server::with(|sessions, _| sessions.memory_bytes = 2 << 20).await;
+    let alone = Said {
+        by: "a model that needs more memory than there is",
+        text: detail(open(&small)).await,
+    };
+    // The least room in which one such model can be opened has none for two.
+    let mut room = 14 << 20;
+    let one = loop {
+        let server = Server::with(|sessions, _| sessions.memory_bytes = room).await;
+        let answer = within("a session", open(&server).send()).await.expect("an answer");
+        if answer.status() == 201 {
+            break server;
+        }
+        assert!(room < 128 << 20, "{}", answer.text().await.unwrap_or_default());
+        room += 2 << 20;
+    };
+    let both = Said {
+        by: "no memory for another session",
+        text: detail(open(&one)).await,
+    };
+    vec![foreign, full, alone, both]
+}
+
+/// What was noticed in a model that opened all the same.
+async fn of_warnings() -> Vec<Said> {
+    let server = Server::start().await;
+    let sheet = server.open(OPEN_SHEET.to_owned()).await;
+    let warning = |of: &Value, by, code: &str| {
+        let all = of["warnings"].as_array().cloned().unwrap_or_default();
+        let found = all.into_iter().find(|w| w["code"] == code).unwrap_or_default();
+        Said {
+            by,
+            text: format!("{code}: {}", text(&found["message"])),
+        }
+    };
+    let without = warning(&sheet, "a surface without an inside", "no-volume-graph");
+    let id = server.bar_session().await;
+    let over = json!({"handles": [
+        {"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -2}}},
+        {"id": "top", "region": {"halfSpace": {"normal": [0, 0, 1], "offset": 1}}},
+    ]});
+    let set = http()
+        .put(server.url(&format!("/v1/sessions/{id}/handles")))
+        .json(&over);
+    let set: Value = within("handles", set.send())
+        .await
+        .expect("an answer")
+        .json()
+        .await
+        .expect("JSON");
+    vec![without, warning(&set, "handles that overlap", "overlapping-handles")]
+}
+
+/// A server that was asked to stop while a stream is open.
+async fn of_leaving() -> Said {
+    let mut server = Server::start().await;
+    let id = server.bar_session().await;
+    let client = http();
+    // A connection that is open already is still answered.
+    let first = client.get(server.url("/healthz")).send().await.expect("an answer");
+    first.bytes().await.expect("a body");
+    let mut socket = server
+        .socket(&format!("/v1/sessions/{id}/stream"))
+        .await
+        .expect("a socket");
+    let pose = deform_request::Message::Pose(turned(1, 0.1, false));
+    socket.send(pose).await;
+    socket.next().await;
+    server.ask_to_stop();
+    let mut text = String::new();
+    eventually("a refusal", async || {
+        let asked = client.post(server.url("/v1/sessions")).body(bar_obj(4)).send().await;
+        let Ok(answer) = asked else { return false };
+        text = answer
+            .json::<Value>()
+            .await
+            .map(|p| p["detail"].as_str().unwrap_or_default().to_owned())
+            .unwrap_or_default();
+        !text.is_empty()
+    })
+    .await;
+    Said {
+        by: "a server that is leaving",
+        text,
+    }
+}

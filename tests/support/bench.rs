@@ -1,0 +1,147 @@
+//! A bench with a generated shape, and short ways to say handles and poses.
+
+use glam::DVec3;
+use pliant::asset::{FileSet, shapes};
+use pliant::exec::Exec;
+use pliant::job::{Error, Limits, Mode, Settings, Solved, Workbench, pb};
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+
+pub type Shape = (Vec<DVec3>, Vec<[u32; 3]>);
+
+pub fn pool(threads: usize) -> Pool {
+    Pool::new(threads).expect("threads start")
+}
+
+pub fn obj((positions, triangles): &Shape) -> FileSet {
+    let mut text = String::new();
+    positions
+        .iter()
+        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
+    triangles
+        .iter()
+        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+    FileSet::single("shape.obj", text)
+}
+
+pub fn bench_with(shape: &Shape, create: &pb::CreateOptions, pool: &Pool) -> Workbench {
+    Workbench::open(obj(shape), create, &Limits::default(), &Exec::new(pool, &Silent)).expect("the shape opens")
+}
+
+pub fn bench(shape: &Shape) -> Workbench {
+    bench_with(shape, &pb::CreateOptions::default(), &pool(2))
+}
+
+pub fn below(offset: f64) -> pb::Region {
+    half_space([0.0, 0.0, -1.0], -offset)
+}
+
+pub fn above(offset: f64) -> pb::Region {
+    half_space([0.0, 0.0, 1.0], offset)
+}
+
+pub fn half_space(normal: [f64; 3], offset: f64) -> pb::Region {
+    let half = pb::region::HalfSpace {
+        normal: normal.to_vec(),
+        offset,
+    };
+    pb::Region {
+        region: Some(pb::region::Region::HalfSpace(half)),
+    }
+}
+
+pub fn handle(id: &str, region: pb::Region) -> pb::Handle {
+    pb::Handle {
+        id: id.into(),
+        region: Some(region),
+        ..Default::default()
+    }
+}
+
+pub fn set(bench: &mut Workbench, handles: Vec<pb::Handle>) {
+    let request = pb::SetHandlesRequest {
+        handles,
+        ..Default::default()
+    };
+    bench
+        .set_handles(&request, &Exec::new(&pool(2), &Silent))
+        .expect("the handles fit");
+}
+
+pub fn settings(tolerance: f64) -> Settings {
+    Settings::check(
+        &pb::Options {
+            tolerance,
+            // The paper's two passes.
+            refine: Some(0),
+            ..Default::default()
+        },
+        "options",
+        8,
+    )
+    .expect("valid options")
+}
+
+pub fn pose(entries: &[(&str, pb::HandlePose)]) -> pb::Pose {
+    let entry = |(id, pose): &(&str, pb::HandlePose)| pb::pose::Entry {
+        id: (*id).into(),
+        pose: Some(pose.clone()),
+    };
+    pb::Pose {
+        handles: entries.iter().map(entry).collect(),
+        ..Default::default()
+    }
+}
+
+pub fn try_solve(bench: &mut Workbench, pose: &pb::Pose, tolerance: f64, threads: usize) -> Result<Solved, Error> {
+    let poses = bench.posed(&bench.initial_poses(), pose)?;
+    bench.solve(
+        &poses,
+        &settings(tolerance),
+        Mode::Commit,
+        &Exec::new(&pool(threads), &Silent),
+        &mut |_| true,
+    )
+}
+
+pub fn solve(bench: &mut Workbench, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> Solved {
+    try_solve(bench, &pose(entries), tolerance, 2).expect("the pose solves")
+}
+
+pub fn turn(vector: DVec3, pivot: DVec3) -> pb::HandlePose {
+    pb::HandlePose {
+        rotation_vector: vector.to_array().to_vec(),
+        pivot: pivot.to_array().to_vec(),
+        ..Default::default()
+    }
+}
+
+pub fn shift(by: DVec3) -> pb::HandlePose {
+    pb::HandlePose {
+        translation: by.to_array().to_vec(),
+        ..Default::default()
+    }
+}
+
+pub fn largest_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
+}
+
+/// A bar along z, 4 long and 1 wide.
+pub fn bar() -> Shape {
+    let (positions, triangles) = shapes::box_with_cells(DVec3::new(1.0, 1.0, 4.0), [8, 8, 32]);
+    (
+        positions.iter().map(|p| *p - DVec3::new(0.5, 0.5, 0.0)).collect(),
+        triangles,
+    )
+}
+
+pub fn bent_bar() -> Workbench {
+    let mut bench = bench(&bar());
+    set(
+        &mut bench,
+        vec![handle("base", below(0.25)), handle("top", above(3.75))],
+    );
+    bench
+}

@@ -1,0 +1,306 @@
+//! The one fixture of the tests that talk to a server: the real server, in this process, on a free loopback port.
+
+use bytes::Bytes;
+use futures::{SinkExt as _, StreamExt as _};
+use pliant::asset::shapes;
+use pliant::job::pb;
+use pliant::server::grpc::client::DeformerClient;
+use pliant::server::{self, Config};
+use pliant::session::{self, Manager};
+use prost::Message as _;
+use serde_json::{Value, json};
+use std::future::Future;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+use tokio_tungstenite::tungstenite::{self, protocol::CloseFrame};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
+use tonic::transport::{Channel, Endpoint};
+
+/// No step of a test takes this long; one that does hangs, and says so instead of hanging the run.
+pub const HANG: Duration = Duration::from_secs(60);
+
+/// Waits for something that must come.
+pub async fn within<F: Future>(what: &str, future: F) -> F::Output {
+    match tokio::time::timeout(HANG, future).await {
+        Ok(output) => output,
+        Err(_) => panic!("{what}: nothing came in {HANG:?}"),
+    }
+}
+
+/// A running server. Dropping it stops it without a drain.
+pub struct Server {
+    pub address: SocketAddr,
+    pub manager: Manager,
+    stop: Option<oneshot::Sender<()>>,
+    task: JoinHandle<Result<(), server::Error>>,
+}
+
+impl Server {
+    /// A server with default limits and two compute threads.
+    pub async fn start() -> Self {
+        Self::with(|_, _| {}).await
+    }
+
+    /// A server with changed limits.
+    pub async fn with(change: impl FnOnce(&mut session::Config, &mut Config)) -> Self {
+        let mut sessions = session::Config {
+            compute_threads: 2,
+            ..session::Config::default()
+        };
+        let mut config = Config::default();
+        change(&mut sessions, &mut config);
+        let manager = Manager::new(sessions).expect("a configuration that holds together");
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let address = listener.local_addr().expect("an address");
+        let (stop, stopped) = oneshot::channel();
+        let shutdown = async move {
+            let _ = stopped.await;
+        };
+        let task = tokio::spawn(server::run(listener, manager.clone(), config, shutdown));
+        Self {
+            address,
+            manager,
+            stop: Some(stop),
+            task,
+        }
+    }
+
+    /// Asks the server to stop, as SIGTERM does, and returns at once.
+    pub fn ask_to_stop(&mut self) {
+        if let Some(stop) = self.stop.take() {
+            let _ = stop.send(());
+        }
+    }
+
+    /// Waits until the server has stopped; how long that took.
+    pub async fn stopped(mut self) -> Duration {
+        let started = Instant::now();
+        within("the end of the server", &mut self.task)
+            .await
+            .expect("no panic")
+            .expect("a clean end");
+        started.elapsed()
+    }
+
+    pub fn url(&self, path: &str) -> String {
+        format!("http://{}{path}", self.address)
+    }
+
+    /// A gRPC client whose limits let frames through.
+    pub async fn grpc(&self) -> DeformerClient<Channel> {
+        DeformerClient::new(self.channel().await).max_decoding_message_size(64 << 20)
+    }
+
+    pub async fn channel(&self) -> Channel {
+        let endpoint = Endpoint::from_shared(self.url("")).expect("a URL");
+        within("a gRPC connection", endpoint.connect())
+            .await
+            .expect("a connection")
+    }
+
+    /// A WebSocket on a path; the refusal when there is none.
+    pub async fn socket(&self, path: &str) -> Result<Socket, tungstenite::Error> {
+        let url = format!("ws://{}{path}", self.address);
+        let config = tungstenite::protocol::WebSocketConfig::default().max_message_size(Some(64 << 20));
+        let connect = tokio_tungstenite::connect_async_with_config(url, Some(config), true);
+        within("a WebSocket", connect)
+            .await
+            .map(|(stream, _)| Socket { stream })
+    }
+
+    /// A session with a bar and its two ends as handles; its id.
+    pub async fn bar_session(&self) -> String {
+        let session = self.open(bar_obj(24)).await;
+        let id = text(&session["id"]);
+        let answer = http()
+            .put(self.url(&format!("/v1/sessions/{id}/handles")))
+            .json(&json!({"handles": ends()}))
+            .send();
+        let answer = within("handles", answer).await.expect("an answer");
+        assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap_or_default());
+        id
+    }
+
+    /// Opens a session over HTTP.
+    pub async fn open(&self, model: String) -> Value {
+        let answer = within("a session", http().post(self.url("/v1/sessions")).body(model).send())
+            .await
+            .expect("an answer");
+        assert_eq!(answer.status(), 201);
+        answer.json().await.expect("JSON")
+    }
+
+    /// A figure of `/metrics`; 0 when it is not there.
+    pub async fn metric(&self, name: &str) -> f64 {
+        let text = http()
+            .get(self.url("/metrics"))
+            .send()
+            .await
+            .expect("an answer")
+            .text()
+            .await
+            .expect("a text");
+        let line = text
+            .lines()
+            .find(|l| l.strip_prefix(name).is_some_and(|rest| rest.starts_with([' ', '{'])));
+        line.and_then(|l| l.rsplit(' ').next()?.parse().ok()).unwrap_or(0.0)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.manager.abort();
+        self.task.abort();
+    }
+}
+
+/// A WebSocket that speaks messages of the schema.
+pub struct Socket {
+    pub stream: WebSocketStream<MaybeTlsStream<TcpStream>>,
+}
+
+/// What came over a socket.
+#[derive(Debug)]
+pub enum Came {
+    Response(pb::DeformResponse),
+    Closed(Option<(u16, String)>),
+}
+
+impl Socket {
+    pub async fn send(&mut self, message: pb::deform_request::Message) {
+        let request = pb::DeformRequest {
+            session_id: String::new(),
+            message: Some(message),
+        };
+        let bytes = Bytes::from(request.encode_to_vec());
+        within("sending", self.stream.send(tungstenite::Message::Binary(bytes)))
+            .await
+            .expect("an open socket");
+    }
+
+    pub async fn next(&mut self) -> Came {
+        loop {
+            match within("a message", self.stream.next()).await {
+                Some(Ok(tungstenite::Message::Binary(bytes))) => {
+                    return Came::Response(pb::DeformResponse::decode(bytes).expect("a DeformResponse"));
+                }
+                Some(Ok(tungstenite::Message::Close(frame))) => {
+                    return Came::Closed(frame.map(|CloseFrame { code, reason }| (code.into(), reason.to_string())));
+                }
+                Some(Ok(_)) => {}
+                Some(Err(_)) | None => return Came::Closed(None),
+            }
+        }
+    }
+}
+
+/// A client that does not follow proxies of the environment.
+pub fn http() -> reqwest::Client {
+    reqwest::Client::builder().no_proxy().build().expect("a client")
+}
+
+/// The text of a JSON string.
+pub fn text(value: &Value) -> String {
+    value
+        .as_str()
+        .unwrap_or_else(|| panic!("{value} is no string"))
+        .to_owned()
+}
+
+/// A bar along z from 0 to 4, closed, as OBJ.
+pub fn bar_obj(along: usize) -> String {
+    bar([3, 3, along])
+}
+
+/// Such a bar with so many vertices that opening it takes a while.
+pub fn large_bar() -> String {
+    bar([40, 40, 320])
+}
+
+fn bar(cells: [usize; 3]) -> String {
+    let (points, triangles) = shapes::box_with_cells(glam::DVec3::new(0.5, 0.5, 4.0), cells);
+    let mut text = String::new();
+    for p in points {
+        text += &format!("v {} {} {}\n", p.x, p.y, p.z);
+    }
+    for t in triangles {
+        text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1);
+    }
+    text
+}
+
+/// The bar's ends as handles, in JSON.
+pub fn ends() -> Value {
+    json!([
+        {"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -0.25}}},
+        {"id": "top", "region": {"halfSpace": {"normal": [0, 0, 1], "offset": 3.75}}},
+    ])
+}
+
+/// The bar's ends as handles, as messages.
+pub fn end_handles() -> Vec<pb::Handle> {
+    let request: pb::SetHandlesRequest =
+        pliant::job::json::from_json(json!({"handles": ends()}).to_string().as_bytes()).expect("handles");
+    request.handles
+}
+
+/// A pose that turns the bar's top about z and lifts it.
+pub fn turned(seq: u64, angle: f64, commit: bool) -> pb::Pose {
+    let pose = pb::HandlePose {
+        rotation_vector: vec![0.0, 0.0, angle],
+        translation: vec![0.0, 0.0, 0.25],
+        ..pb::HandlePose::default()
+    };
+    pb::Pose {
+        seq,
+        handles: vec![pb::pose::Entry {
+            id: "top".into(),
+            pose: Some(pose),
+        }],
+        commit,
+    }
+}
+
+/// The body of a solve call, in JSON.
+pub fn turn_json(angle: f64) -> Value {
+    json!({"pose": {"handles": [{"id": "top", "pose": {"rotationVector": [0, 0, angle], "translation": [0, 0, 0.25]}}]}})
+}
+
+/// Little-endian floats.
+pub fn floats(bytes: &[u8]) -> Vec<f32> {
+    assert_eq!(bytes.len() % 4, 0, "whole floats");
+    bytes
+        .chunks_exact(4)
+        .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        .collect()
+}
+
+/// The data folder; `None`, and a line that says so, when it is not there.
+pub fn data_folder(what: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("PLIANT_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+        PathBuf::from,
+    );
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    println!(
+        "skipped {what}: no data folder at {}; PLIANT_DATA names it",
+        folder.display()
+    );
+    None
+}
+
+/// Waits until a condition holds; timing does not decide, only whether it ever does.
+pub async fn eventually(what: &str, mut holds: impl AsyncFnMut() -> bool) {
+    within(what, async {
+        while !holds().await {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    })
+    .await;
+}

@@ -1,0 +1,254 @@
+//! `pliant check` as a CI job sees it: the sample suite in process and on a server, what each kind of damage does, and
+//! what is refused.
+
+mod damage;
+mod folder;
+mod pages;
+mod proxy;
+mod refusals;
+
+use crate::support::server::Server;
+use folder::{Ran, check, sample_suite};
+use serde_json::Value;
+use std::fs;
+
+/// Names, digests and statuses of a report.
+fn digests(report: &Value) -> Vec<(String, String, String)> {
+    let cases = report["cases"].as_array().expect("cases");
+    let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
+    cases
+        .iter()
+        .map(|c| (text(&c["name"]), text(&c["digest"]), text(&c["status"])))
+        .collect()
+}
+
+#[test]
+fn the_sample_suite_passes_on_one_and_two_threads_with_the_same_digests() {
+    let suite = sample_suite();
+    let run = |threads: &str| check(&suite, &["--json", "--threads", threads]);
+    let [one, two] = ["1", "2"].map(run);
+    for ran in [&one, &two] {
+        assert_eq!(ran.code, Some(0), "{}", ran.err);
+    }
+    assert_eq!(one.out, two.out, "the report says nothing of threads");
+    assert_eq!(one.err, two.err);
+    let report = one.json();
+    let found = digests(&report);
+    assert!(found.len() >= 5, "{found:?}");
+    assert!(
+        found
+            .iter()
+            .all(|(_, digest, status)| digest.starts_with("xxh3:") && status == "passed")
+    );
+    assert!(
+        report["cases"]
+            .as_array()
+            .expect("cases")
+            .iter()
+            .all(|c| c["identical"] == true),
+        "{}",
+        one.err
+    );
+    // One line a case and one for all.
+    assert_eq!(one.err.lines().count(), found.len() + 1, "{}", one.err);
+    let total: u64 = (fs::read_dir(&suite).expect("a folder"))
+        .map(|e| e.expect("an entry").path())
+        .filter(|p| p.to_string_lossy().ends_with(".golden.json"))
+        .map(|p| fs::metadata(p).expect("a file").len())
+        .sum();
+    assert!(total < 120_000, "goldens of {total} bytes are too large for git");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_sample_suite_passes_on_a_server_with_the_digests_of_the_process() {
+    let server = Server::start().await;
+    let url = format!("http://{}", server.address);
+    let ran = tokio::task::spawn_blocking(move || {
+        let suite = sample_suite();
+        let local = check(&suite, &["--json"]);
+        let remote = [
+            check(&suite, &["--json", "--threads", "1", "--server", &url]),
+            check(
+                &suite,
+                &["--json", "--threads", "2", "--server", &url, "--token", "secret"],
+            ),
+        ];
+        (local, remote)
+    });
+    let (local, remote): (Ran, [Ran; 2]) = ran.await.expect("it ran");
+    for ran in &remote {
+        assert_eq!(ran.code, Some(0), "{}", ran.err);
+        assert_eq!(digests(&ran.json()), digests(&local.json()));
+        assert_eq!(ran.json()["how"], "on a server");
+    }
+    assert_eq!(remote[0].out, remote[1].out);
+    assert_eq!(server.metric("pliant_sessions").await, 0.0, "no session is left behind");
+}
+
+#[test]
+fn a_case_without_its_data_is_skipped_by_name_or_fails_when_told_so() {
+    let folder = folder::Suite::new();
+    folder.write("arm.case.json", r#"{"model": "data:models/arm.off", "job": {}}"#);
+    folder.case("bar", "bar.obj");
+    assert_eq!(folder.check(&["--bless"]).code, Some(0));
+    let empty = tempfile::tempdir().expect("a folder");
+    let data = empty.path().to_string_lossy().into_owned();
+    let ran = folder.check(&["--json", "--data", &data, "--junit", "r.xml", "--html", "r.html"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(
+        ran.err.contains("skipped  arm") && ran.err.contains("1 passed, 1 skipped"),
+        "{}",
+        ran.err
+    );
+    assert_eq!(ran.json()["cases"][0]["status"], "skipped");
+    assert!(
+        folder
+            .read("r.xml")
+            .contains("<skipped message=\"data:models/arm.off is absent")
+    );
+    assert!(folder.read("r.html").contains("data:models/arm.off is absent"));
+    let ran = folder.check(&["--no-skip", "--data", &data, "--junit", "r.xml"]);
+    assert_eq!(ran.code, Some(1));
+    assert!(
+        ran.err.contains("FAILED   arm") && ran.last().contains("1 of 2 cases failed: arm"),
+        "{}",
+        ran.err
+    );
+    assert!(folder.read("r.xml").contains("<failure message=\"data:models/arm.off"));
+    // With the data there it is a case like any other.
+    fs::create_dir(empty.path().join("models")).expect("a folder");
+    fs::write(
+        empty.path().join("models/arm.off"),
+        "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+    )
+    .expect("written");
+    let ran = folder.check(&["--data", &data]);
+    assert!(ran.code == Some(1) && ran.err.contains("missing-golden"), "{}", ran.err);
+    assert_eq!(folder.check(&["--data", &data, "--bless"]).code, Some(0));
+    assert_eq!(folder.check(&["--data", &data, "--no-skip"]).code, Some(0));
+}
+
+#[test]
+fn blessing_says_what_it_changes_and_leaves_what_is_the_same() {
+    let folder = folder::Suite::new();
+    folder.case("bar", "bar.obj");
+    let first = folder.check(&["--bless"]);
+    assert_eq!(first.code, Some(0), "{}", first.err);
+    assert!(
+        first.err.contains("blessed  bar") && first.err.contains("new: "),
+        "{}",
+        first.err
+    );
+    assert!(
+        first.err.contains("volumeChange ") && first.err.contains("cycles "),
+        "{}",
+        first.err
+    );
+    let golden = folder.read("bar.golden.json");
+    let again = folder.check(&["--bless"]);
+    assert_eq!(again.err.lines().count(), 2, "nothing changes: {}", again.err);
+    assert_eq!(folder.read("bar.golden.json"), golden);
+    // Another pose: every number that moves is told.
+    folder.job("bar", "bar.obj", 0.9);
+    let ran = folder.check(&[]);
+    assert!(ran.code == Some(1) && ran.err.contains("stale"), "{}", ran.err);
+    let third = folder.check(&["--bless"]);
+    assert_eq!(third.code, Some(0));
+    for word in [
+        "job ",
+        "digest xxh3:",
+        "maxDisplacement from the old golden 0.",
+        "edgeRms 0.",
+    ] {
+        assert!(third.err.contains(word), "{word} in {}", third.err);
+    }
+    assert_eq!(folder.check(&[]).code, Some(0));
+    // What a job expects is not asserted, but told.
+    let text =
+        folder
+            .read("bar.case.json")
+            .replacen("\"job\": {", "\"job\": {\"expect\": {\"volumeChange\": 1e-9},", 1);
+    folder.write("bar.case.json", &text);
+    let told = folder.check(&["--bless"]);
+    assert!(
+        told.code == Some(0) && told.err.contains("volumeChange is"),
+        "{}",
+        told.err
+    );
+    let unmet = folder.check(&[]);
+    assert!(
+        unmet.code == Some(1) && unmet.err.contains("expectation: volumeChange"),
+        "{}",
+        unmet.err
+    );
+}
+
+#[test]
+fn another_digest_is_told_before_the_numbers_and_a_huge_number_in_few_digits() {
+    let folder = folder::Suite::new();
+    folder.case("bar", "bar.obj");
+    assert_eq!(folder.check(&["--bless"]).code, Some(0));
+    let mut golden: Value = serde_json::from_str(&folder.read("bar.golden.json")).expect("a golden");
+    golden["digest"] = "xxh3:0011223344556677".into();
+    golden["metrics"]["bytes"] = 1.into();
+    folder.write("bar.golden.json", &golden.to_string());
+    let ran = folder.check(&["--html", "r.html", "--junit", "r.xml"]);
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    let line = ran.err.lines().next().unwrap_or_default();
+    assert!(
+        line.starts_with("FAILED   bar  digest: the digest is xxh3:") && line.contains("; bytes "),
+        "{line}"
+    );
+    assert!(folder.read("r.html").contains("<td>digest: the digest is xxh3:"));
+    assert!(folder.read("r.xml").contains("<failure message=\"the digest is xxh3:"));
+    // Any number is a tolerance; its digits do not fill the screen.
+    let loose = r#""tolerances": [{"metrics": ["bytes"], "most": 1e300, "reason": "a test"}], "job": {"#;
+    let text = folder.read("bar.case.json").replacen("\"job\": {", loose, 1);
+    folder.write("bar.case.json", &text);
+    let ran = folder.check(&["--junit", "r.xml"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(ran.err.contains(" of 1.00e300 allowed"), "{}", ran.err);
+    assert!(folder.read("r.xml").contains("name=\"bytes.allowed\" value=\"1e300\""));
+}
+
+#[test]
+fn a_small_difference_passes_within_a_tolerance_that_has_a_reason() {
+    let folder = folder::Suite::new();
+    folder.case("bar", "bar.obj");
+    assert_eq!(folder.check(&["--bless"]).code, Some(0));
+    // The stored result is that of a slightly looser solve.
+    let exact = folder.read("bar.case.json");
+    let loose = exact.replace("1e-8", "1e-5");
+    assert_ne!(loose, exact);
+    folder.write("bar.case.json", &loose);
+    let ran = folder.check(&["--bless"]);
+    assert!(
+        ran.err.contains("digest"),
+        "the looser solve ends elsewhere: {}",
+        ran.err
+    );
+    folder.pretend_job("bar", &exact);
+    folder.write("bar.case.json", &exact);
+    let ran = folder.check(&["--json"]);
+    assert!(
+        ran.code == Some(1) && ran.err.contains("no tolerance allows") || ran.err.contains("of 0 allowed"),
+        "{}",
+        ran.err
+    );
+    let metrics: Vec<String> = ran.json()["cases"][0]["metrics"]
+        .as_array()
+        .expect("metrics")
+        .iter()
+        .map(|m| format!("\"{}\"", m["name"].as_str().expect("a name")))
+        .collect();
+    let tolerances = format!(
+        r#""tolerances": [{{"metrics": [{}], "most": 1e9, "reason": "the solve is looser"}}], "job": {{"#,
+        metrics.join(", ")
+    );
+    folder.write("bar.case.json", &exact.replacen("\"job\": {", &tolerances, 1));
+    let ran = folder.check(&["--json", "--junit", "r.xml"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(ran.err.contains("within tolerance"), "{}", ran.err);
+    assert_eq!(ran.json()["cases"][0]["identical"], false);
+    assert!(folder.read("r.xml").contains("value=\"the solve is looser\""));
+}

@@ -1,0 +1,227 @@
+//! What a check is for: each kind of damage is caught by a case of its own, with a reason of its own, in every report.
+
+use super::folder::Suite;
+use super::proxy::Proxy;
+use crate::support::server::{Server, bar_obj};
+use glam::DVec3;
+use serde_json::Value;
+use std::fmt::Write as _;
+
+/// The bar, each vertex and face changed.
+fn bar(vertex: impl Fn(usize, DVec3) -> DVec3, face: impl Fn(usize, [u32; 3]) -> Option<[u32; 3]>) -> String {
+    let (mut text, mut vertices, mut faces) = (String::new(), 0, 0);
+    for line in bar_obj(20).lines() {
+        let mut words = line.split(' ');
+        let kind = words.next().expect("a word");
+        if kind == "v" {
+            let numbers: Vec<f64> = words.map(|w| w.parse().expect("a number")).collect();
+            let p = vertex(vertices, DVec3::from_slice(&numbers));
+            writeln!(text, "v {} {} {}", p.x, p.y, p.z).expect("text");
+            vertices += 1;
+        } else {
+            let corners: Vec<u32> = words.map(|w| w.parse().expect("a number")).collect();
+            if let Some([a, b, c]) = face(faces, [corners[0], corners[1], corners[2]]) {
+                writeln!(text, "f {a} {b} {c}").expect("text");
+            }
+            faces += 1;
+        }
+    }
+    text
+}
+
+fn place_of(found: impl Fn(DVec3) -> bool) -> usize {
+    let positions = bar_obj(20)
+        .lines()
+        .filter_map(|l| {
+            l.strip_prefix("v ")
+                .map(|l| l.split(' ').map(|w| w.parse().expect("a number")).collect())
+        })
+        .map(|n: Vec<f64>| DVec3::from_slice(&n))
+        .collect::<Vec<_>>();
+    positions.iter().position(|&p| found(p)).expect("such a vertex")
+}
+
+fn keep(_: usize, t: [u32; 3]) -> Option<[u32; 3]> {
+    Some(t)
+}
+
+fn codes(case: &Value) -> Vec<&str> {
+    let reasons = case["reasons"].as_array().expect("reasons");
+    reasons.iter().map(|r| r["code"].as_str().expect("a code")).collect()
+}
+
+/// The test case of a name in a JUnit report.
+fn junit<'a>(report: &'a str, name: &str) -> &'a str {
+    let start = report
+        .find(&format!("name=\"{name}\">"))
+        .unwrap_or_else(|| panic!("{name} in {report}"));
+    let rest = &report[start..];
+    &rest[..rest.find("</testcase>").expect("an end")]
+}
+
+#[test]
+fn each_kind_of_damage_is_caught_by_its_own_case() {
+    let folder = Suite::new();
+    // Their result is the model itself: it is off by what that is off, and nothing else.
+    let inner = place_of(|p| p.z == 0.0 && p.x.abs() < 0.2 && p.y.abs() < 0.2);
+    let moved = bar(|v, p| if v == inner { p + DVec3::X * 1e-3 } else { p }, keep);
+    let flipped = bar(|v, p| if v == inner { p + DVec3::X * 0.5 } else { p }, keep);
+    let opened = bar(|_, p| p, |f, t| (f != 100).then_some(t));
+    let rewound = bar(
+        |_, p| p,
+        |f, [a, b, c]| Some(if f == 100 { [a, c, b] } else { [a, b, c] }),
+    );
+    let damaged = [
+        ("moved", moved),
+        ("flipped", flipped),
+        ("opened", opened),
+        ("rewound", rewound),
+    ];
+    for (name, model) in &damaged {
+        let file = format!("{name}.obj");
+        folder.still(name, &file);
+        folder.write(&file, model);
+    }
+    for name in ["good", "missing", "stale-model", "stale-job", "broken", "refused"] {
+        folder.case(name, &format!("{name}.obj"));
+    }
+    // Goldens of the damaged models; then the right models come back, and only the results are others.
+    let blessed = folder.check(&["--bless"]);
+    assert_eq!(blessed.code, Some(0), "{}", blessed.err);
+    for (name, _) in &damaged {
+        let file = format!("{name}.obj");
+        folder.write(&file, &bar_obj(20));
+        folder.pretend_model(name, &file);
+    }
+    folder.remove("missing.golden.json");
+    folder.write("stale-model.obj", &(bar_obj(20) + "# one line more\n"));
+    folder.job("stale-job", "stale-job.obj", 0.81);
+    let golden = folder.read("broken.golden.json");
+    folder.write("broken.golden.json", &golden[..golden.len() / 2]);
+    folder.write("refused.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+
+    let ran = folder.check(&["--json", "--junit", "report.xml", "--html", "report.html"]);
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    assert!(
+        ran.last().starts_with("pliant: 9 of 10 cases failed: "),
+        "{}",
+        ran.last()
+    );
+    let (report, xml, page) = (ran.json(), folder.read("report.xml"), folder.read("report.html"));
+    assert_eq!((&report["passed"], &report["failed"]), (&1.into(), &9.into()));
+    let expected = [
+        ("moved", "metric", "maxDisplacement"),
+        ("flipped", "metric", "flippedTriangles"),
+        ("opened", "topology", "triangles"),
+        ("rewound", "winding", "wound differently"),
+        ("missing", "missing-golden", "there is no golden"),
+        ("stale-model", "stale-golden", "the case's model has changed"),
+        ("stale-job", "stale-golden", "the case's job has changed"),
+        ("broken", "broken-golden", "broken.golden.json"),
+        ("refused", "not-run", "line 1"),
+    ];
+    for (name, code, words) in expected {
+        let cases = report["cases"].as_array().expect("cases");
+        let case = cases.iter().find(|c| c["name"] == name).expect(name);
+        assert_eq!(case["status"], "failed", "{name}");
+        assert!(codes(case).contains(&code), "{name}: {case}");
+        let line = ran
+            .err
+            .lines()
+            .find(|l| l.starts_with(&format!("FAILED   {name} ")))
+            .expect(name);
+        assert!(line.contains(words), "{name}: {line}");
+        let told = junit(&xml, name);
+        assert!(
+            told.contains(code) && told.contains(words.split('\'').next().expect("words")),
+            "{name}: {told}"
+        );
+        let element = if code == "not-run" { "<error " } else { "<failure " };
+        assert!(told.contains(element), "{name}: {told}");
+        assert!(
+            page.contains(&format!("<section id=\"{name}\" class=\"failed\">")),
+            "{name}"
+        );
+    }
+    assert!(ran.err.contains("passed   good"), "{}", ran.err);
+    let flips = |name: &str| {
+        let cases = report["cases"].as_array().expect("cases");
+        let case = cases.iter().find(|c| c["name"] == name).expect(name);
+        let metrics = case["metrics"].as_array().expect("metrics");
+        metrics
+            .iter()
+            .find(|m| m["name"] == "flippedTriangles")
+            .expect("a number")["difference"]
+            .as_f64()
+    };
+    assert_eq!(flips("moved"), Some(0.0), "what moved a little did not turn over");
+    assert!(flips("flipped") >= Some(1.0));
+    assert_eq!(flips("opened"), None);
+    // The distance is told to the model's units: 1e-3 of a bar about 4 long.
+    assert!(
+        ran.err
+            .lines()
+            .any(|l| l.contains("moved") && l.contains(&format!("vertex {inner} "))),
+        "{}",
+        ran.err
+    );
+
+    // What blesses is looked at by people; it asserts nothing, and what no golden can be made of still fails.
+    let blessed = folder.check(&["--bless"]);
+    assert_eq!(blessed.code, Some(1), "{}", blessed.err);
+    assert!(
+        blessed.last().contains("1 of 10 cases failed: refused"),
+        "{}",
+        blessed.err
+    );
+    folder.write("refused.obj", &bar_obj(20));
+    assert_eq!(folder.check(&["--bless"]).code, Some(0));
+    let ran = folder.check(&["--no-skip"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(ran.err.contains("10 passed"), "{}", ran.err);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_answers_wrongly_is_caught_though_its_digest_is_right() {
+    let server = Server::start().await;
+    let proxies = [
+        // The first coordinate is no number.
+        Proxy::start(server.address, |floats| floats[0] = f32::NAN).await,
+        // One vertex is moved by a thousandth.
+        Proxy::start(server.address, |floats| floats[3 * 30] += 1e-3).await,
+        Proxy::start(server.address, |_| {}).await,
+    ];
+    let urls = proxies.each_ref().map(|p| format!("http://{}", p.address));
+    let ran = tokio::task::spawn_blocking(move || {
+        let folder = Suite::new();
+        folder.case("bar", "bar.obj");
+        assert_eq!(folder.check(&["--bless"]).code, Some(0));
+        urls.map(|url| {
+            let ran = folder.check(&["--json", "--junit", "r.xml", "--html", "r.html", "--server", &url]);
+            let xml = folder.read("r.xml");
+            (ran, xml)
+        })
+    });
+    let [(nan, nan_xml), (moved, moved_xml), (good, _)] = ran.await.expect("it ran");
+    assert_eq!(nan.code, Some(1), "{}", nan.err);
+    assert!(
+        nan.err.contains("FAILED   bar  not-finite: 1 of ") && nan.err.contains("vertex 0"),
+        "{}",
+        nan.err
+    );
+    assert_eq!(
+        codes(&nan.json()["cases"][0]),
+        ["not-finite"],
+        "what is not finite fails first, and alone"
+    );
+    assert!(junit(&nan_xml, "bar").contains("type=\"not-finite\""));
+    assert_eq!(moved.code, Some(1), "{}", moved.err);
+    assert!(
+        moved.err.contains("maxDisplacement") && moved.err.contains("vertex 30 "),
+        "{}",
+        moved.err
+    );
+    assert_eq!(codes(&moved.json()["cases"][0])[0], "digest");
+    assert!(junit(&moved_xml, "bar").contains("the positions that came with it are not"));
+    assert_eq!(good.code, Some(0), "{}", good.err);
+}

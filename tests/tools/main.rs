@@ -1,0 +1,11 @@
+//! The command line as scripts meet it, and what holds the source in shape.
+
+mod book;
+mod check;
+mod cli;
+mod floors;
+mod readme;
+mod render;
+#[path = "../support/mod.rs"]
+mod support;
+mod sweep;
