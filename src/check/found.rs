@@ -2,7 +2,7 @@
 
 use super::Metric;
 use super::measure::place;
-use crate::job::pb;
+use crate::wire::pb;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -5,8 +5,8 @@ use super::golden::{Golden, Inputs};
 use super::measure::{Comparison, compare};
 use super::metric::{Kind, short};
 use super::{Metric, Tolerances};
-use crate::job::pb;
 use crate::pool::Pool;
+use crate::wire::pb;
 
 /// How a case ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -294,7 +294,7 @@ fn unmet(expect: Option<&pb::Expect>, comparison: &Comparison, golden: &Golden) 
 mod tests {
     use super::*;
     use crate::asset::shapes;
-    use crate::job::frames::digest;
+    use crate::engine::digest;
     use glam::DVec3;
 
     fn inputs() -> Inputs {
@@ -428,7 +428,7 @@ mod tests {
         let loose = tolerances(
             r#"[{"metrics": ["maxDisplacement", "normalDegrees", "edgeStretch"], "most": 10, "reason": "a test"}]"#,
         );
-        let expect = |text: &str| crate::job::json::from_json::<pb::Expect>(text.as_bytes()).expect("an expectation");
+        let expect = |text: &str| crate::wire::json::from_json::<pb::Expect>(text.as_bytes()).expect("an expectation");
         let passes = |text: &str| judged(&moved(1e-3), &loose, Some(&expect(text))).status == Status::Passed;
         assert!(passes(
             r#"{"maxDistance": 2e-3, "meanDistance": 1e-4, "normalDegrees": 5}"#

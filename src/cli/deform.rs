@@ -4,8 +4,10 @@ use super::files::{output_format, read_model, write_model};
 use super::job::read_job;
 use super::progress::Bar;
 use super::{Failure, Threads, print_json};
+use crate::batch;
+use crate::engine::DeformerLimits;
 use crate::exec::Exec;
-use crate::job::{self, Limits, pb};
+use crate::wire::pb;
 use clap::Args;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -37,8 +39,8 @@ pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
     let bar = Bar::new(args.json);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
-    let limits = Limits::default();
-    let mut outcome = job::run(
+    let limits = DeformerLimits::default();
+    let mut outcome = batch::run(
         files.clone(),
         &job,
         Some(format),

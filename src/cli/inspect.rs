@@ -3,8 +3,10 @@
 use super::files::read_model;
 use super::progress::Bar;
 use super::{Failure, Threads, print_json};
+use crate::batch;
+use crate::engine::DeformerLimits;
 use crate::exec::Exec;
-use crate::job::{self, Limits, pb};
+use crate::wire::pb;
 use clap::Args;
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -26,10 +28,10 @@ pub(super) fn run(args: &InspectArgs) -> Result<(), Failure> {
     let pool = args.threads.pool()?;
     let files = read_model(&args.model)?;
     let bar = Bar::new(args.json);
-    let found = job::inspect(
+    let found = batch::inspect(
         files,
         &pb::CreateOptions::default(),
-        &Limits::default(),
+        &DeformerLimits::default(),
         &Exec::new(&pool, &bar),
     )?;
     bar.done();

@@ -3,16 +3,17 @@
 use super::Failure;
 use super::files::read;
 use crate::asset::Format;
-use crate::job::{self, pb};
+use crate::wire;
+use crate::wire::pb;
 use std::path::Path;
 
 /// Reads a job file and the models that it names.
 pub(super) fn read_job(path: &Path) -> Result<pb::Job, Failure> {
-    let in_job = |e: job::Error| match Failure::from(e) {
+    let in_job = |e: wire::Error| match Failure::from(e) {
         Failure::Input(text) => Failure::Input(format!("{}: {text}", path.display())),
         other => other,
     };
-    let mut job: pb::Job = job::json::from_json(&read(path)?).map_err(in_job)?;
+    let mut job: pb::Job = wire::json::from_json(&read(path)?).map_err(in_job)?;
     read_merged(&mut job, path)?;
     Ok(job)
 }

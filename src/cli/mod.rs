@@ -12,8 +12,8 @@ mod progress;
 mod render;
 pub mod serve;
 
-use crate::job::{Error as JobError, json};
 use crate::pool::Pool;
+use crate::wire::{Error as JobError, json};
 use clap::{Args, Parser, Subcommand};
 use std::process::ExitCode;
 

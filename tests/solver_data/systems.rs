@@ -2,12 +2,14 @@
 
 use glam::DVec3;
 use pliant::asset::FileSet;
-use pliant::deform::{Body, Rig, Transform};
+use pliant::batch::pose_steps;
+use pliant::deform::{DeformableBody, HandleSystem, Transform};
+use pliant::engine::{Deformer, DeformerLimits};
 use pliant::exec::Exec;
-use pliant::job::{Limits, Workbench, json, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{Constraints, Graph, Hierarchy, System};
+use pliant::wire::{json, pb};
 use std::path::{Path, PathBuf};
 
 use crate::shapes;
@@ -26,7 +28,7 @@ pub struct Pose {
 /// A model with its handles, and the equations of two poses over all nodes.
 pub struct Rung {
     pub name: &'static str,
-    bench: Workbench,
+    bench: Deformer,
     pub stiffness: Option<Vec<f64>>,
     /// Diagonal of the model's box in solving units.
     pub diagonal: f64,
@@ -39,7 +41,7 @@ impl Rung {
     fn open(name: &'static str, files: FileSet, job: &pb::Job) -> Rung {
         let pool = Pool::new(2).unwrap();
         let create = job.create.clone().unwrap_or_default();
-        let mut bench = Workbench::open(files, &create, &Limits::default(), &Exec::new(&pool, &Silent)).unwrap();
+        let mut bench = Deformer::open(files, &create, &DeformerLimits::default(), &Exec::new(&pool, &Silent)).unwrap();
         let request = pb::SetHandlesRequest {
             handles: job.handles.clone(),
             ..Default::default()
@@ -82,11 +84,11 @@ impl Rung {
         }
     }
 
-    pub fn body(&self) -> &Body {
+    pub fn body(&self) -> &DeformableBody {
         self.bench.body()
     }
 
-    pub fn rig(&self) -> &Rig {
+    pub fn rig(&self) -> &HandleSystem {
         self.bench.rig().unwrap()
     }
 
@@ -144,7 +146,7 @@ impl Rung {
 }
 
 /// The transforms moved further along their way by about [`STEP`].
-fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Vec<Transform> {
+fn one_step_on(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform]) -> Vec<Transform> {
     let scaled = |by: f64| -> Vec<Transform> {
         let further = |t: &Transform| Transform {
             translation: t.translation * by,
@@ -156,7 +158,7 @@ fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Vec<Transfor
     };
     let next = scaled(1.0 + STEP);
     let mut moved = 0.0f64;
-    for (hold, (a, b)) in rig.rigging().holds.iter().zip(transforms.iter().zip(&next)) {
+    for (hold, (a, b)) in rig.setup().handles.iter().zip(transforms.iter().zip(&next)) {
         let (from, to) = (a.map(), b.map());
         let nodes = hold.nodes.iter().map(|n| body.graph.positions[*n as usize]);
         moved = nodes.map(|p| from(p).distance(to(p))).fold(moved, f64::max);

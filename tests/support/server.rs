@@ -3,10 +3,10 @@
 use bytes::Bytes;
 use futures::{SinkExt as _, StreamExt as _};
 use pliant::asset::shapes;
-use pliant::job::pb;
 use pliant::server::grpc::client::DeformerClient;
-use pliant::server::{self, Config};
+use pliant::server::{self, ServerConfig};
 use pliant::session::{self, Manager};
+use pliant::wire::pb;
 use prost::Message as _;
 use serde_json::{Value, json};
 use std::future::Future;
@@ -46,12 +46,12 @@ impl Server {
     }
 
     /// A server with changed limits.
-    pub async fn with(change: impl FnOnce(&mut session::Config, &mut Config)) -> Self {
+    pub async fn with(change: impl FnOnce(&mut session::Config, &mut ServerConfig)) -> Self {
         let mut sessions = session::Config {
             compute_threads: 2,
             ..session::Config::default()
         };
-        let mut config = Config::default();
+        let mut config = ServerConfig::default();
         change(&mut sessions, &mut config);
         let manager = Manager::new(sessions).expect("a configuration that holds together");
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
@@ -244,7 +244,7 @@ pub fn ends() -> Value {
 /// The bar's ends as handles, as messages.
 pub fn end_handles() -> Vec<pb::Handle> {
     let request: pb::SetHandlesRequest =
-        pliant::job::json::from_json(json!({"handles": ends()}).to_string().as_bytes()).expect("handles");
+        pliant::wire::json::from_json(json!({"handles": ends()}).to_string().as_bytes()).expect("handles");
     request.handles
 }
 

@@ -1,6 +1,6 @@
 //! What was sent and what came back.
 
-use pliant::job::pb;
+use pliant::wire::pb;
 use std::time::Duration;
 
 /// The ledger of one client's stream, or of several together.

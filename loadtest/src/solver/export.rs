@@ -7,11 +7,13 @@ use crate::failure::LoadtestFailure;
 use crate::shared::input_files::{read_job_file, read_model_file};
 use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use glam::DVec3;
-use pliant::deform::{Body, Equations, Rig, Transform};
+use pliant::batch::pose_steps;
+use pliant::deform::{DeformableBody, HandleSystem, SecondPassEquations, Transform};
+use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
 use pliant::exec::Exec;
-use pliant::job::{Limits, Poses, Workbench, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::pb;
 use std::path::PathBuf;
 
 /// Largest displacement of a handle from the first pose to the second, as a fraction of the diagonal.
@@ -42,8 +44,8 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
     let pool = Pool::new(0).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
     let job = read_job_file(&args.job)?;
     let model = subdivide_model(read_model_file(&args.model)?, args.subdivide)?;
-    let refuse = |e: pliant::job::Error| match e {
-        pliant::job::Error::Asset(e) => LoadtestFailure::Usage(e.to_string()),
+    let refuse = |e: pliant::wire::Error| match e {
+        pliant::wire::Error::Asset(e) => LoadtestFailure::Usage(e.to_string()),
         e => LoadtestFailure::Usage(format!("{}: {e}", args.job.display())),
     };
     let (bench, poses) = open_posed(model, &job, &pool).map_err(refuse)?;
@@ -58,7 +60,7 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
         "n {} nnz {} handles {} given {} of {} nodes -> {}",
         problem.matrix.rows(),
         problem.matrix.entries(),
-        rig.holds(),
+        rig.handle_count(),
         companion.fixed.iter().filter(|f| **f).count(),
         companion.rest.len(),
         args.output.display()
@@ -71,9 +73,9 @@ fn open_posed(
     model: pliant::asset::FileSet,
     job: &pb::Job,
     pool: &Pool,
-) -> Result<(Workbench, Poses), pliant::job::Error> {
+) -> Result<(Deformer, HandlePoses), pliant::wire::Error> {
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Workbench::open(model, &create, &Limits::default(), &Exec::new(pool, &Silent))?;
+    let mut bench = Deformer::open(model, &create, &DeformerLimits::default(), &Exec::new(pool, &Silent))?;
     let request = pb::SetHandlesRequest {
         handles: job.handles.clone(),
         symmetry_plane: job.symmetry_plane.clone(),
@@ -90,8 +92,8 @@ fn open_posed(
 
 /// The system of a pose over its free nodes, and over all nodes with the pose one step on.
 fn pose_systems(
-    body: &Body,
-    rig: &Rig,
+    body: &DeformableBody,
+    rig: &HandleSystem,
     transforms: &[Transform],
     pool: &Pool,
 ) -> Result<(LinearProblem, CompanionFile), String> {
@@ -114,7 +116,7 @@ fn pose_systems(
 }
 
 /// The transforms moved further along their way, so that the handle that moves most does so by [`STEP`].
-fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<Transform>, String> {
+fn one_step_on(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform]) -> Result<Vec<Transform>, String> {
     let scaled = |by: f64| -> Vec<Transform> {
         let further = |t: &Transform| Transform {
             translation: t.translation * by,
@@ -126,7 +128,7 @@ fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<T
     };
     let moved = |by: f64| -> f64 {
         let next = scaled(by);
-        let holds = rig.rigging().holds.iter().zip(transforms.iter().zip(&next));
+        let holds = rig.setup().handles.iter().zip(transforms.iter().zip(&next));
         let farthest = holds.filter(|(hold, _)| hold.position).map(|(hold, (a, b))| {
             let (from, to) = (a.map(), b.map());
             let apart = |n: &u32| {
@@ -151,7 +153,7 @@ fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<T
 }
 
 /// The same equations around another centre.
-fn equations_around(mut equations: Equations, center: [f64; 3], rig: &Rig) -> Equations {
+fn equations_around(mut equations: SecondPassEquations, center: [f64; 3], rig: &HandleSystem) -> SecondPassEquations {
     let shift = DVec3::from_array(equations.center) - DVec3::from_array(center);
     let moved = |v: &mut [f64; 3], by: f64| *v = (DVec3::from_array(*v) + shift * by).to_array();
     equations.given.iter_mut().for_each(|v| moved(v, 1.0));
@@ -207,7 +209,7 @@ fn free_system(all: &CompanionFile) -> Result<LinearProblem, String> {
 pub(super) mod tests {
     use super::*;
     use pliant::asset::{FileSet, sample};
-    use pliant::deform::{Request, Start, State};
+    use pliant::deform::{PoseRequest, SolveStart, SolveState};
 
     /// The creature with its feet held hard, its head turned, and a soft tail.
     const JOB: &str = r#"{"handles": [
@@ -217,8 +219,8 @@ pub(super) mod tests {
         {"id": "tail", "region": {"sphere": {"center": [-1.0, 1.06, 0], "radius": 0.16}}, "stiffness": 0.5,
          "pose": {"translation": [0, 0.2, 0]}}]}"#;
 
-    fn bench(pool: &Pool) -> (Workbench, Vec<Transform>) {
-        let job: pb::Job = pliant::job::json::from_json(JOB.as_bytes()).unwrap();
+    fn bench(pool: &Pool) -> (Deformer, Vec<Transform>) {
+        let job: pb::Job = pliant::wire::json::from_json(JOB.as_bytes()).unwrap();
         let files = FileSet::single("creature.glb", sample::creature_glb());
         let (bench, poses) = open_posed(files, &job, pool).unwrap();
         let transforms = bench.transforms(&poses).unwrap();
@@ -244,15 +246,15 @@ pub(super) mod tests {
         let center = DVec3::from_array(rig.equations(body, &transforms, &pool).center);
         let next = one_step_on(body, rig, &transforms).unwrap();
         for (k, transforms) in [&transforms, &next].into_iter().enumerate() {
-            let request = Request {
+            let request = PoseRequest {
                 transforms,
                 tolerance: Some(1e-11),
                 max_error: None,
-                start: Start::Fresh,
+                start: SolveStart::Fresh,
                 first_pass: Default::default(),
                 refinement: Default::default(),
             };
-            let mut state = State::default();
+            let mut state = SolveState::default();
             let solution = rig
                 .solve(body, &request, &mut state, &Exec::new(&pool, &Silent), &mut |_| true)
                 .unwrap();

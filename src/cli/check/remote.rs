@@ -2,8 +2,10 @@
 
 use super::http::{Answer, Call, Client};
 use crate::asset::{self, FileSet, Model};
+use crate::batch;
 use crate::check::{Found, Metric};
-use crate::job::{self, pb};
+use crate::wire;
+use crate::wire::pb;
 use bytes::Bytes;
 use glam::DVec3;
 use http::{HeaderMap, Method};
@@ -27,7 +29,7 @@ pub(super) fn greet(client: &Client) -> Result<(), String> {
 /// # Errors
 /// Why it cannot be run, with the server's words.
 pub(super) fn run(client: &Client, files: &FileSet, job: &pb::Job) -> Result<Found, String> {
-    let create = job::json::to_json(&job.create.clone().unwrap_or_default()).map_err(|e| e.to_string())?;
+    let create = wire::json::to_json(&job.create.clone().unwrap_or_default()).map_err(|e| e.to_string())?;
     let options = utf8_percent_encode(&create.to_string(), NON_ALPHANUMERIC).to_string();
     let (content_type, body) = upload(files);
     let session = client.call(&Call {
@@ -74,7 +76,7 @@ impl Session<'_> {
         accept: &str,
         message: &M,
     ) -> Result<Answer, String> {
-        let body = job::json::to_json(message).map_err(|e| e.to_string())?;
+        let body = wire::json::to_json(message).map_err(|e| e.to_string())?;
         self.send(method, below, accept, body.to_string().into())
     }
 
@@ -146,7 +148,7 @@ impl Session<'_> {
             digest: found.digest.clone(),
             ..Default::default()
         };
-        found.unmet = job::expectations(job.expect.as_ref(), &report).0;
+        found.unmet = batch::unmet_expectations(job.expect.as_ref(), &report).0;
         Ok(found)
     }
 
@@ -167,7 +169,7 @@ enum Todo {
     Edit(pb::EditRequest),
 }
 
-/// As [`job::run`] does them: without steps the poses that the handles come with are one.
+/// As [`batch::run`] does them: without steps the poses that the handles come with are one.
 fn steps(job: &pb::Job) -> Vec<Todo> {
     if job.steps.is_empty() && job.handles.iter().any(|h| h.pose.is_some()) {
         return vec![Todo::Pose(pb::Pose::default())];

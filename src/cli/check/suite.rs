@@ -5,7 +5,7 @@ use crate::check::{CASE_SUFFIX, Case, GOLDEN_SUFFIX, Golden, JobSource, Source};
 use crate::cli::Failure;
 use crate::cli::files::{read, read_model};
 use crate::cli::job::{read_job, read_merged};
-use crate::job::pb;
+use crate::wire::pb;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,0 +1,359 @@
+//! Runs a whole job in process: open, set handles, solve every step, write.
+
+use crate::asset::{FileSet, Format, WrittenFiles};
+use crate::engine::{Deformer, DeformerLimits, EditCommand, SolveMode, digest};
+use crate::exec::Exec;
+use crate::mesh::MeshReport;
+use crate::progress::Progress as _;
+use crate::stage_clock::StageClock;
+use crate::wire::{DeformOptions, Error, edit_name, pb};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// A job done.
+#[derive(Debug, Clone)]
+pub struct BatchOutcome {
+    /// What happened, step by step.
+    pub report: pb::Report,
+    /// Final positions, one per render vertex.
+    pub positions: Arc<Vec<DVec3>>,
+    /// Triangles over them.
+    pub triangles: Vec<[u32; 3]>,
+    /// Largest distance of a vertex that a hard handle holds from where the handle puts it, as a fraction of the bounding
+    /// box's diagonal.
+    pub constraint_error: f64,
+    /// The model in its final shape, in the format asked for.
+    pub written: WrittenFiles,
+    /// Expectations of the job that do not hold, one sentence each.
+    pub unmet: Vec<String>,
+    /// Expectations that only a comparison with a stored result can check.
+    pub unchecked: Vec<&'static str>,
+}
+
+/// Runs `job` on a model and writes the result as `format` (the model's own when `None`).
+///
+/// # Errors
+/// Any [`Error`]; those of a step name it (`steps[1]`).
+pub fn run(
+    files: FileSet,
+    job: &pb::Job,
+    format: Option<Format>,
+    limits: &DeformerLimits,
+    exec: &Exec<'_>,
+    millis: &(dyn Fn() -> f64 + Sync),
+) -> Result<BatchOutcome, Error> {
+    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+    job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
+    let todo = steps_of(job)?;
+    let stages = StageClock::new(millis, exec.progress);
+    let mut bench = Deformer::open(
+        files,
+        &job.create.clone().unwrap_or_default(),
+        limits,
+        &Exec::new(exec.pool, &stages),
+    )?;
+    let request = pb::SetHandlesRequest {
+        session_id: String::new(),
+        handles: job.handles.clone(),
+        symmetry_plane: job.symmetry_plane.clone(),
+        region_of_interest: job.region_of_interest.clone(),
+    };
+    bench.set_handles(&request, &Exec::new(exec.pool, &stages))?;
+    let build_ms = stages.take_stage_ms();
+
+    let mut in_force = bench.initial_poses();
+    let mut positions = bench.rest().clone();
+    // How these came about, and what edits warned of.
+    let mut solved_with: Option<&DeformOptions> = None;
+    let mut warned: Vec<String> = Vec::new();
+    let mut steps = Vec::new();
+    for (k, todo_now) in todo.iter().enumerate() {
+        let fraction = k as f32 / todo.len() as f32;
+        let step = |e| at_step(e, k, &warned);
+        let mut done = match todo_now {
+            Todo::Pose(pose) => {
+                stages.report("solve", fraction);
+                in_force = bench.posed(&in_force, pose).map_err(step)?;
+                let solved = bench
+                    .solve(
+                        &in_force,
+                        &settings,
+                        SolveMode::Commit,
+                        &Exec::new(exec.pool, &stages),
+                        &mut |_| true,
+                    )
+                    .map_err(step)?;
+                stages.report("quality", 0.0);
+                let quality = bench.measure(&solved.positions, &settings.output, &Exec::new(exec.pool, &stages))?;
+                positions = solved.positions;
+                solved_with = Some(&settings);
+                pb::report::Step {
+                    kind: "pose".into(),
+                    cycles: solved.cycles,
+                    residual: solved.residual,
+                    max_error: solved.max_error,
+                    quality: Some(quality),
+                    solver: solved.solver.into(),
+                    ..Default::default()
+                }
+            }
+            Todo::Edit(request) => {
+                stages.report("edit", fraction);
+                let order = EditCommand {
+                    request,
+                    shape: &positions,
+                    poses: &in_force,
+                    settings: solved_with,
+                    other: None,
+                };
+                if !request.session_id.is_empty() {
+                    let problem = "names a session, but a job edits its own model; leave it out";
+                    return Err(step(Error::invalid("edit.sessionId", problem)));
+                }
+                let outcome = bench.edit(&order, &Exec::new(exec.pool, &stages)).map_err(step)?;
+                solved_with = solved_with.filter(|_| outcome.solved.is_some());
+                let told = outcome.result.warnings.iter();
+                warned.extend(told.map(|w| format!("steps[{k}]: {}: {}", w.code, w.message)));
+                in_force = outcome.poses;
+                positions = outcome.positions;
+                pb::report::Step {
+                    kind: "edit".into(),
+                    edit: Some(outcome.result),
+                    ..Default::default()
+                }
+            }
+        };
+        let mut ms = stages.take_stage_ms();
+        ms.insert("build".into(), if k == 0 { build_ms.values().sum() } else { 0.0 });
+        let facts = bench.facts().solver.unwrap_or_default();
+        done.ms = ms.into_iter().collect();
+        done.levels = facts.levels.len() as u32;
+        done.bytes = facts.bytes;
+        done.digest = digest(&positions);
+        done.field_cycles = bench.rig().map_or(0, |r| r.field_iterations as u32);
+        steps.push(done);
+    }
+    let quality = match steps.last().and_then(|step: &pb::report::Step| step.quality) {
+        Some(quality) => quality,
+        None => bench.measure(&positions, &settings.output, &Exec::new(exec.pool, &stages))?,
+    };
+    stages.report("encode", 0.0);
+    let written = bench.write(&positions, format.unwrap_or(bench.model().format))?;
+    if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take_stage_ms().remove("encode")) {
+        step.ms.insert("encode".into(), ms);
+    }
+    let facts = bench.facts();
+    let report = pb::Report {
+        model: facts.model,
+        warnings: facts.warnings,
+        quality: Some(quality),
+        digest: digest(&positions),
+        solver: facts.solver,
+        build_ms,
+        handles: facts.handles,
+        steps,
+        output: Vec::new(),
+    };
+    let (unmet, unchecked) = unmet_expectations(job.expect.as_ref(), &report);
+    Ok(BatchOutcome {
+        report,
+        triangles: bench.geometry().triangles.clone(),
+        constraint_error: bench.constraint_error(&positions, &in_force)?,
+        positions,
+        written,
+        unmet,
+        unchecked,
+    })
+}
+
+/// One thing to do.
+enum Todo {
+    Pose(pb::Pose),
+    Edit(pb::EditRequest),
+}
+
+/// The poses of a job that edits nothing, each naming the handles that it changes. Without steps the poses that the handles
+/// come with are one.
+///
+/// # Errors
+/// [`Error::Unimplemented`] for steps that edit, [`Error::Invalid`] for empty ones.
+pub fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
+    (steps_of(job)?.into_iter().enumerate())
+        .map(|(k, todo)| match todo {
+            Todo::Pose(pose) => Ok(pose),
+            Todo::Edit(edit) => Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(&edit)))),
+        })
+        .collect()
+}
+
+fn steps_of(job: &pb::Job) -> Result<Vec<Todo>, Error> {
+    if job.steps.is_empty() {
+        let posed = job.handles.iter().any(|h| h.pose.is_some());
+        return Ok(if posed {
+            vec![Todo::Pose(pb::Pose::default())]
+        } else {
+            Vec::new()
+        });
+    }
+    let mut all = Vec::new();
+    for (k, step) in job.steps.iter().enumerate() {
+        match &step.step {
+            Some(pb::step::Step::Pose(pose)) => all.push(Todo::Pose(pose.clone())),
+            Some(pb::step::Step::Edit(edit)) => all.push(Todo::Edit(edit.clone())),
+            None => {
+                return Err(Error::invalid(
+                    format!("steps[{k}]"),
+                    "is empty, allowed is one of pose or edit",
+                ));
+            }
+        }
+    }
+    Ok(all)
+}
+
+/// The error of a step, with what edits before it warned of: mostly that is the reason.
+fn at_step(e: Error, k: usize, warned: &[String]) -> Error {
+    let mut before = String::new();
+    if !warned.is_empty() {
+        before = format!(" (before it: {})", warned.join("; "));
+    }
+    match e {
+        Error::Invalid { field, problem } => Error::Invalid {
+            field: format!("steps[{k}].{field}"),
+            problem: problem + &before,
+        },
+        Error::Precondition(text) => Error::Precondition(format!("steps[{k}]: {text}{before}")),
+        other => other,
+    }
+}
+
+/// What of the expectations does not hold for a report's quality and digest, one sentence each, and what only a stored
+/// result can tell.
+pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String>, Vec<&'static str>) {
+    let Some(expect) = expect else {
+        return Default::default();
+    };
+    let quality = report.quality.unwrap_or_default();
+    let mut unmet = Vec::new();
+    if expect
+        .flipped_triangles
+        .is_some_and(|most| quality.flipped_triangles > most)
+    {
+        let most = expect.flipped_triangles.unwrap_or_default();
+        unmet.push(format!(
+            "flippedTriangles is {}, at most {most} expected",
+            quality.flipped_triangles
+        ));
+    }
+    if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > *most) {
+        // As `{:?}`: what is huge or tiny comes with an exponent.
+        unmet.push(format!(
+            "volumeChange is {:?}, at most {most:?} either way expected",
+            quality.volume_change
+        ));
+    }
+    if !expect.digest.is_empty() && expect.digest != report.digest {
+        unmet.push(format!("digest is {}, expected {}", report.digest, expect.digest));
+    }
+    let stored = [
+        ("maxDistance", expect.max_distance.is_some()),
+        ("meanDistance", expect.mean_distance.is_some()),
+        ("normalDegrees", expect.normal_degrees.is_some()),
+    ];
+    (
+        unmet,
+        stored
+            .into_iter()
+            .filter(|(_, asked)| *asked)
+            .map(|(name, _)| name)
+            .collect(),
+    )
+}
+
+/// Reads a model and tells what the solver would see, without solving anything.
+///
+/// # Errors
+/// As [`Deformer::open`].
+pub fn inspect(
+    files: FileSet,
+    create: &pb::CreateOptions,
+    limits: &DeformerLimits,
+    exec: &Exec<'_>,
+) -> Result<pb::Inspection, Error> {
+    let bench = Deformer::open(files, create, limits, exec)?;
+    let facts = bench.facts();
+    let report: &MeshReport = bench.report();
+    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    let renders = report.render_vertices - report.unreferenced_vertices;
+    Ok(pb::Inspection {
+        components: count(report.parts.len()),
+        boundary_loops: count(report.boundary_loops.len()),
+        non_manifold_edges: count(report.non_manifold_edges),
+        non_manifold_vertices: count(report.non_manifold_vertices),
+        seam_vertices: count(renders.min(report.coincident_vertices)),
+        closed: report.closed,
+        box_min: report.bounds.min.to_array().to_vec(),
+        box_max: report.bounds.max.to_array().to_vec(),
+        area: report.area,
+        volume: if report.closed { report.volume } else { 0.0 },
+        memory_estimate: bench.estimate(),
+        degenerate_faces: count(report.degenerate_triangles),
+        duplicate_faces: count(report.duplicate_triangles),
+        unreferenced_vertices: count(report.unreferenced_vertices),
+        model: facts.model,
+        primitives: facts.primitives,
+        solver: facts.solver,
+        warnings: facts.warnings,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn expect(text: &str) -> pb::Expect {
+        crate::wire::json::from_json(text.as_bytes()).expect("an expectation")
+    }
+
+    #[test]
+    fn a_bound_that_can_never_fail_or_hold_is_refused() {
+        for name in ["maxDistance", "meanDistance", "normalDegrees", "volumeChange"] {
+            for bound in ["\"NaN\"", "\"Infinity\"", "\"-Infinity\"", "-1", "-1e-300"] {
+                let told = expect(&format!("{{\"{name}\": {bound}}}")).check("expect");
+                let told = told.expect_err(bound).to_string();
+                assert!(
+                    told.starts_with(&format!("expect.{name}: is ")) && told.contains("at least 0"),
+                    "{told}"
+                );
+            }
+            for bound in ["0", "1e-3", "1e300"] {
+                assert_eq!(expect(&format!("{{\"{name}\": {bound}}}")).check("expect"), Ok(()));
+            }
+        }
+        assert_eq!(pb::Expect::default().check("expect"), Ok(()));
+    }
+
+    #[test]
+    fn the_volume_counts_either_way() {
+        let report = |volume_change: f64| pb::Report {
+            quality: Some(pb::Quality {
+                volume_change,
+                ..Default::default()
+            }),
+            ..Default::default()
+        };
+        let unmet = |most: &str, is: f64| {
+            let text = format!("{{\"volumeChange\": {most}}}");
+            unmet_expectations(Some(&expect(&text)), &report(is)).0
+        };
+        assert!(unmet("0.1", 0.1).is_empty() && unmet("0.1", -0.1).is_empty() && unmet("0", 0.0).is_empty());
+        assert_eq!(
+            unmet("0.1", -0.2),
+            ["volumeChange is -0.2, at most 0.1 either way expected"]
+        );
+        assert_eq!(
+            unmet("1e-9", 1e300),
+            ["volumeChange is 1e300, at most 1e-9 either way expected"]
+        );
+    }
+}

@@ -1,0 +1,163 @@
+//! Interior nodes within the memory that there is, and what a user should know of them.
+
+use super::DeformerLimits;
+use crate::deform::{BodyOptions, DeformableBody, VolumeMode};
+use crate::wire::pb;
+
+/// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
+/// 1,150 on a solid of 128 K nodes, rounded up.
+pub(super) const BYTES_PER_NODE: u64 = 1400;
+
+/// How many places one warning spells out.
+const PLACES: usize = 16;
+
+/// Lowers the most nodes of the graph to what fits into `limits` beside `other` bytes, with a fifth left for the fields
+/// of handles.
+pub(super) fn fit(options: &mut BodyOptions, other: u64, limits: &DeformerLimits) {
+    let nodes = limits.memory_bytes.saturating_sub(other) / (BYTES_PER_NODE / 4 * 5);
+    let most = &mut options.graph.max_nodes;
+    *most = (*most).min(usize::try_from(nodes).unwrap_or(usize::MAX));
+}
+
+/// What is unusual about the interior of a body that was built in `mode`.
+pub(super) fn warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<pb::Warning> {
+    let warning = |code: &str, message: String, place: String| pb::Warning {
+        code: code.into(),
+        message,
+        r#where: place,
+    };
+    if mode == VolumeMode::Off {
+        return Vec::new();
+    }
+    let (graph, stats) = (&body.graph, &body.graph.stats);
+    if let Some(reason) = &body.too_large {
+        let message = format!("{reason}; the model deforms as a surface");
+        return vec![warning("volume-graph-too-large", message, String::new())];
+    }
+    if graph.surface == body.nodes() {
+        let message = "the model encloses no volume, so it deforms as a surface";
+        return vec![warning("no-volume-graph", message.into(), String::new())];
+    }
+    let mut warnings = Vec::new();
+    // A lattice is widened by more than rounding, or not at all.
+    if stats.interval > stats.wanted_interval * 1.001 {
+        let message = format!(
+            "interior nodes are {} apart instead of {}, because more of them do not fit",
+            stats.interval, stats.wanted_interval
+        );
+        warnings.push(warning("volume-graph-coarse", message, String::new()));
+    }
+    let sheets = stats.component_has_volume.iter().filter(|has| !**has).count();
+    if sheets > 0 {
+        let mut first = vec![None; graph.components];
+        for (node, &c) in graph.component[..graph.surface].iter().enumerate().rev() {
+            first[c as usize] = Some(graph.positions[node]);
+        }
+        let places: Vec<String> = first
+            .iter()
+            .zip(&stats.component_has_volume)
+            .filter_map(|(p, has)| p.filter(|_| !has))
+            .take(PLACES)
+            .map(|p| format!("at ({}, {}, {})", p.x, p.y, p.z))
+            .collect();
+        let message = format!(
+            "{sheets} of {} parts enclose no volume or too little, so they deform as surfaces",
+            graph.components
+        );
+        let more = sheets.saturating_sub(PLACES);
+        let more = if more > 0 {
+            format!("; and {more} more")
+        } else {
+            String::new()
+        };
+        warnings.push(warning("surface-parts", message, places.join("; ") + &more));
+    }
+    warnings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::{FileSet, shapes};
+    use crate::engine::Deformer;
+    use crate::exec::Exec;
+    use crate::pool::Pool;
+    use crate::progress::Silent;
+    use crate::wire::Error;
+    use glam::DVec3;
+
+    /// A cube of 1,538 vertices, with an open square beside it when asked for.
+    fn open(memory_bytes: u64, mode: pb::create_options::volume_graph::Mode, sheet: bool) -> Result<Deformer, Error> {
+        let (positions, triangles) = shapes::box_with_cells(DVec3::ONE, [16; 3]);
+        let mut text = String::new();
+        positions
+            .iter()
+            .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
+        triangles
+            .iter()
+            .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+        if sheet {
+            text += "v 3 0 0\nv 4 0 0\nv 4 1 0\nv 3 1 0\nf -4 -3 -2 -1\n";
+        }
+        let create = pb::CreateOptions {
+            volume_graph: Some(pb::create_options::VolumeGraph {
+                mode: mode.into(),
+                ..Default::default()
+            }),
+            ..Default::default()
+        };
+        let limits = DeformerLimits {
+            memory_bytes,
+            ..Default::default()
+        };
+        let pool = Pool::new(1).unwrap();
+        Deformer::open(
+            FileSet::single("cube.obj", text),
+            &create,
+            &limits,
+            &Exec::new(&pool, &Silent),
+        )
+    }
+
+    fn codes(bench: &Deformer) -> Vec<String> {
+        bench.facts().warnings.into_iter().map(|w| w.code).collect()
+    }
+
+    #[test]
+    fn what_does_not_fit_gets_a_wider_lattice_then_none_and_says_so() {
+        use pb::create_options::volume_graph::Mode;
+        let whole = open(1 << 30, Mode::Auto, false).unwrap();
+        assert!(codes(&whole).is_empty(), "{:?}", codes(&whole));
+        let surface = whole.body().graph.surface as u64;
+        // What files, vertices and so many nodes take.
+        let room = |nodes: u64| {
+            let beside = whole.estimate() - whole.body().nodes() as u64 * BYTES_PER_NODE;
+            beside + nodes * BYTES_PER_NODE / 4 * 5
+        };
+        let coarse = open(room(surface * 5 / 2), Mode::Auto, false).unwrap();
+        assert_eq!(codes(&coarse), ["volume-graph-coarse"]);
+        assert!(coarse.body().nodes() < whole.body().nodes() && coarse.body().graph.stats.lattice_nodes > 0);
+        let none = open(room(surface * 3 / 2), Mode::Auto, false).unwrap();
+        assert_eq!(codes(&none), ["volume-graph-too-large"]);
+        assert_eq!(none.body().nodes() as u64, surface);
+        assert!(open(room(surface * 3 / 2), Mode::Required, false).is_err());
+        assert!(matches!(
+            open(room(surface / 2), Mode::Auto, false),
+            Err(Error::TooLarge { .. })
+        ));
+    }
+
+    #[test]
+    fn parts_without_an_inside_are_counted_and_placed() {
+        use pb::create_options::volume_graph::Mode;
+        let bench = open(1 << 30, Mode::Auto, true).unwrap();
+        let facts = bench.facts();
+        let warning = facts.warnings.iter().find(|w| w.code == "surface-parts").unwrap();
+        assert_eq!(
+            warning.message,
+            "1 of 2 parts enclose no volume or too little, so they deform as surfaces"
+        );
+        assert_eq!(warning.r#where, "at (3, 0, 0)");
+        assert!(!codes(&open(1 << 30, Mode::Off, true).unwrap()).contains(&"surface-parts".into()));
+    }
+}

@@ -1,0 +1,380 @@
+//! What everything on a bench is derived from: the model as it was read, or as edits have left it.
+
+use super::vertex_origins::VertexOrigins;
+use crate::asset::{self, Format, Geometry, Model, Primitive, WrittenFiles};
+use crate::edit::{Applied, Patch, Surface};
+use crate::mesh::{Mesh, NONE, Weld};
+use crate::wire::{Error, pb};
+use glam::{DVec3, Vec3, Vec4};
+use sha2::{Digest, Sha256};
+use std::mem::take;
+use std::sync::Arc;
+
+/// A model and what edits have made of it. Never changes; an edit makes another one.
+#[derive(Debug)]
+pub(super) struct ModelTopology {
+    /// The model as it was read.
+    pub model: Arc<Model>,
+    /// Digest of its file.
+    pub sha256: Arc<str>,
+    /// Rest positions, one per render vertex.
+    pub rest: Arc<Vec<DVec3>>,
+    /// What edits have made of it.
+    pub edited: Option<EditedTopology>,
+}
+
+/// An edited model.
+#[derive(Debug)]
+pub(super) struct EditedTopology {
+    /// Render vertices, triangles and primitives; positions are empty, [`ModelTopology::rest`] has them.
+    pub geometry: Geometry,
+    /// What the vertices are made of.
+    pub origins: VertexOrigins,
+    /// The solver vertex of each render vertex.
+    pub point_of: Vec<u32>,
+    /// How many there are.
+    pub points: u32,
+    /// Whether a cut has made parts that touch and do not belong together.
+    pub apart: bool,
+}
+
+impl ModelTopology {
+    /// Of a model that was just read.
+    pub fn new(model: Model) -> Self {
+        let sha256 = Sha256::digest(&model.files.main);
+        let sha256: String = sha256.iter().map(|b| format!("{b:02x}")).collect();
+        Self {
+            sha256: sha256.into(),
+            ..Self::of(Arc::new(model))
+        }
+    }
+
+    /// Of a model that others hold too; nobody asks for its digest.
+    pub fn of(model: Arc<Model>) -> Self {
+        Self {
+            rest: Arc::new(model.positions.clone()),
+            model,
+            sha256: "".into(),
+            edited: None,
+        }
+    }
+
+    /// Triangles, normals, tangents and primitives.
+    pub fn geometry(&self) -> &Geometry {
+        self.edited.as_ref().map_or(&self.model.geometry, |e| &e.geometry)
+    }
+
+    /// The mesh that the solver sees.
+    pub fn mesh(&self, weld: Weld) -> Result<Mesh, Error> {
+        let triangles = &self.geometry().triangles;
+        let mesh = match &self.edited {
+            None => Mesh::build(&self.rest, triangles, weld),
+            Some(e) => Mesh::of_points(&self.rest, triangles, e.point_of.clone(), e.points as usize),
+        };
+        let format = self.model.format;
+        mesh.map_err(|e| {
+            let problem = e.to_string();
+            asset::Error::NoMesh { format, problem }.into()
+        })
+    }
+
+    /// What the vertices are made of; `mesh` is this model's.
+    pub fn origins(&self, mesh: &Mesh) -> VertexOrigins {
+        match &self.edited {
+            Some(e) => e.origins.clone(),
+            None => VertexOrigins::of_model(&self.model, &mesh.source_triangle),
+        }
+    }
+
+    /// The model at `positions` as files.
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        Ok(match &self.edited {
+            None => self.model.write(positions, format)?,
+            Some(edited) => edited.origins.write(&edited.geometry, positions, format)?,
+        })
+    }
+
+    /// Bytes held, without those of the files.
+    pub fn bytes(&self) -> u64 {
+        let edited = self.edited.as_ref().map_or(0, |e| {
+            e.geometry.bytes_held() + e.origins.bytes() + 4 * e.point_of.capacity() as u64
+        });
+        self.model.geometry.bytes_held() + edited + (self.rest.capacity() * 24) as u64
+    }
+
+    /// The foundation after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
+    /// `applied`. `parts` tells that it may have made parts that touch.
+    pub fn edited(
+        &self,
+        before: &EditSurface,
+        origins: &VertexOrigins,
+        mut applied: Applied,
+        patch: &Patch,
+        parts: bool,
+    ) -> (Self, Applied) {
+        let normals = normals(before, &applied);
+        let own = |v: usize| is_own(before, &applied, patch, &normals, v);
+        let origins = origins.after(&applied, patch, own);
+        let geometry = Geometry {
+            positions: Vec::new(),
+            normals,
+            tangents: tangents(before, &applied, patch),
+            primitives: primitives(before, &applied),
+            warnings: self.model.warnings.clone(),
+            triangles: take(&mut applied.triangles),
+        };
+        let foundation = Self {
+            model: Arc::clone(&self.model),
+            sha256: Arc::clone(&self.sha256),
+            rest: Arc::new(take(&mut applied.positions)),
+            edited: Some(EditedTopology {
+                geometry,
+                origins,
+                point_of: take(&mut applied.point_of),
+                points: applied.points,
+                apart: parts || self.is_apart(),
+            }),
+        };
+        (foundation, applied)
+    }
+
+    /// Whether a cut has made parts that touch and do not belong together.
+    pub fn is_apart(&self) -> bool {
+        self.edited.as_ref().is_some_and(|e| e.apart)
+    }
+}
+
+/// The surface that an edit works on, with what goes along.
+#[derive(Debug, Clone, Default)]
+pub(super) struct EditSurface {
+    /// Render vertices in the shape that is edited.
+    pub positions: Vec<DVec3>,
+    /// Triangles that the solver sees, over render vertices.
+    pub triangles: Vec<[u32; 3]>,
+    /// The primitive of each triangle.
+    pub primitive_of: Vec<u32>,
+    /// The solver vertex of each render vertex.
+    pub point_of: Vec<u32>,
+    /// How many there are.
+    pub points: u32,
+    /// Normals in that shape, or none.
+    pub normals: Vec<Vec3>,
+    /// Tangents in that shape, or none.
+    pub tangents: Vec<Vec4>,
+    /// The runs of render vertices.
+    pub primitives: Vec<Primitive>,
+    /// Vertices that only triangles use which the solver does not see, rising: the first edit leaves both out.
+    pub idle: Vec<u32>,
+}
+
+impl EditSurface {
+    /// The surface of a mesh in the shape `positions`.
+    pub fn new(mesh: &Mesh, geometry: &Geometry, positions: &[DVec3], normals: Vec<Vec3>, tangents: Vec<Vec4>) -> Self {
+        let of_triangle = runs(&geometry.primitives, geometry.triangles.len());
+        Self {
+            // Welding by tolerance leaves vertices of one point a little apart; an edit makes them one.
+            positions: (0..positions.len())
+                .map(|v| match mesh.solver_from_render[v] {
+                    NONE => positions[v],
+                    s => positions[mesh.render_vertices_of(s)[0] as usize],
+                })
+                .collect(),
+            triangles: mesh
+                .source_triangle
+                .iter()
+                .map(|&t| geometry.triangles[t as usize])
+                .collect(),
+            primitive_of: mesh.source_triangle.iter().map(|&t| of_triangle[t as usize]).collect(),
+            point_of: mesh.solver_from_render.clone(),
+            points: mesh.positions.len() as u32,
+            normals,
+            tangents,
+            primitives: geometry.primitives.clone(),
+            idle: idle(mesh, geometry),
+        }
+    }
+
+    /// What an operation reads.
+    pub fn surface(&self) -> Surface<'_> {
+        Surface {
+            positions: &self.positions,
+            triangles: &self.triangles,
+            primitive_of: &self.primitive_of,
+            point_of: &self.point_of,
+            points: self.points,
+        }
+    }
+
+    /// Where each point is.
+    pub fn point_positions(&self) -> Vec<DVec3> {
+        let mut positions = vec![DVec3::ZERO; self.points as usize];
+        for (&p, &position) in self.point_of.iter().zip(&self.positions).filter(|p| *p.0 != NONE) {
+            positions[p as usize] = position;
+        }
+        positions
+    }
+
+    /// The first render vertex of each primitive.
+    pub fn first_vertices(&self) -> Vec<u32> {
+        self.primitives.iter().map(|p| p.first_vertex).collect()
+    }
+
+    /// Appends another surface, whose vertices were put in place before.
+    pub fn append(&mut self, other: &EditSurface) {
+        let (vertices, primitives) = (self.positions.len() as u32, self.primitives.len() as u32);
+        let both = |a: bool, b: bool| a || b;
+        if both(!self.normals.is_empty(), !other.normals.is_empty()) {
+            self.normals.resize(self.positions.len(), Vec3::ZERO);
+            self.normals.extend(&other.normals);
+            self.normals
+                .resize(self.positions.len() + other.positions.len(), Vec3::ZERO);
+        }
+        if both(!self.tangents.is_empty(), !other.tangents.is_empty()) {
+            self.tangents.resize(self.positions.len(), Vec4::ZERO);
+            self.tangents.extend(&other.tangents);
+            self.tangents
+                .resize(self.positions.len() + other.positions.len(), Vec4::ZERO);
+        }
+        self.positions.extend(&other.positions);
+        self.triangles
+            .extend(other.triangles.iter().map(|t| t.map(|v| v + vertices)));
+        self.primitive_of
+            .extend(other.primitive_of.iter().map(|p| p + primitives));
+        let points = self.points;
+        let point = |p: &u32| if *p == NONE { NONE } else { p + points };
+        self.point_of.extend(other.point_of.iter().map(point));
+        self.points += other.points;
+        self.idle.extend(other.idle.iter().map(|v| v + vertices));
+        self.primitives.extend(other.primitives.iter().map(|p| Primitive {
+            first_vertex: p.first_vertex + vertices,
+            ..p.clone()
+        }));
+    }
+}
+
+/// The vertices of triangles that the mesh left out which are in no other, rising.
+fn idle(mesh: &Mesh, geometry: &Geometry) -> Vec<u32> {
+    let left_out = mesh.collapsed_triangles.iter().chain(&mesh.duplicate_triangles);
+    let mut found: Vec<u32> = left_out.flat_map(|&t| geometry.triangles[t as usize]).collect();
+    if found.is_empty() {
+        return found;
+    }
+    let mut used = vec![false; mesh.solver_from_render.len()];
+    for &t in &mesh.source_triangle {
+        geometry.triangles[t as usize]
+            .iter()
+            .for_each(|&v| used[v as usize] = true);
+    }
+    found.retain(|&v| !used[v as usize]);
+    found.sort_unstable();
+    found.dedup();
+    found
+}
+
+/// The primitive of each of `count` triangles.
+fn runs(primitives: &[Primitive], count: usize) -> Vec<u32> {
+    let mut of = Vec::with_capacity(count);
+    for (p, primitive) in (0u32..).zip(primitives) {
+        of.resize((of.len() + primitive.index_count as usize / 3).min(count), p);
+    }
+    of.resize(count, primitives.len().saturating_sub(1) as u32);
+    of
+}
+
+fn primitives(before: &EditSurface, applied: &Applied) -> Vec<Primitive> {
+    let vertices = applied.positions.len() as u32;
+    let mut triangles = vec![0u32; before.primitives.len()];
+    applied.primitive_of.iter().for_each(|&p| triangles[p as usize] += 1);
+    let firsts = &applied.first_vertex;
+    let end = |p: usize| firsts.get(p + 1).copied().unwrap_or(vertices);
+    (before.primitives.iter().enumerate())
+        .map(|(p, primitive)| Primitive {
+            first_vertex: firsts[p],
+            vertex_count: end(p) - firsts[p],
+            index_count: 3 * triangles[p],
+            ..primitive.clone()
+        })
+        .collect()
+}
+
+/// Normals after an edit: old vertices keep theirs, new ones have the mean of their triangles'.
+fn normals(before: &EditSurface, applied: &Applied) -> Vec<Vec3> {
+    if before.normals.is_empty() {
+        return Vec::new();
+    }
+    let old = before.positions.len();
+    let mut sums = vec![DVec3::ZERO; applied.positions.len()];
+    for t in &applied.triangles {
+        if t.iter().all(|&v| (applied.old_from_vertex[v as usize] as usize) < old) {
+            continue;
+        }
+        let [a, b, c] = t.map(|v| applied.positions[v as usize]);
+        let normal = (b - a).cross(c - a);
+        t.iter().for_each(|&v| sums[v as usize] += normal);
+    }
+    let mut normals: Vec<Vec3> = (applied.old_from_vertex.iter().zip(sums))
+        .map(|(&was, sum)| match before.normals.get(was as usize) {
+            Some(&normal) => normal,
+            None => sum.try_normalize().unwrap_or(DVec3::Z).as_vec3(),
+        })
+        .collect();
+    for (p, _) in before.primitives.iter().enumerate().filter(|(_, p)| !p.has_normals) {
+        let end = applied.first_vertex.get(p + 1).map_or(normals.len(), |&v| v as usize);
+        normals[applied.first_vertex[p] as usize..end].fill(Vec3::ZERO);
+    }
+    normals
+}
+
+/// Whether a new vertex lies on surface that the edit has made: its triangles face elsewhere than what it is blended from.
+fn is_own(before: &EditSurface, applied: &Applied, patch: &Patch, normals: &[Vec3], vertex: usize) -> bool {
+    const ALIKE: f32 = 0.5;
+    let old = before.positions.len();
+    let new = (applied.old_from_vertex[vertex] as usize).checked_sub(old);
+    let (Some(new), false) = (new.and_then(|k| patch.vertices.get(k)), before.normals.is_empty()) else {
+        return false;
+    };
+    let parts = new.of.iter().zip(&new.weights).filter(|(_, w)| **w > 0.0);
+    let sum: Vec3 = parts.map(|(&v, &w)| before.normals[v as usize] * w as f32).sum();
+    sum.normalize_or_zero().dot(normals[vertex]) < ALIKE
+}
+
+/// Tangents after an edit: those of new vertices are blended.
+fn tangents(before: &EditSurface, applied: &Applied, patch: &Patch) -> Vec<Vec4> {
+    if before.tangents.is_empty() {
+        return Vec::new();
+    }
+    let old = before.positions.len();
+    let blended = |k: usize| {
+        let new = patch.vertices.get(k)?;
+        let parts = new.of.iter().zip(&new.weights).filter(|(_, w)| **w > 0.0);
+        let mut sum = Vec4::ZERO;
+        let mut hand = 0.0;
+        for (&v, &w) in parts {
+            let tangent = before.tangents[v as usize];
+            hand = if hand == 0.0 { tangent.w } else { hand };
+            sum += tangent * w as f32;
+        }
+        Some(sum.truncate().try_normalize()?.extend(hand))
+    };
+    (applied.old_from_vertex.iter())
+        .map(|&was| match before.tangents.get(was as usize) {
+            Some(&tangent) => tangent,
+            None => blended(was as usize - old).unwrap_or(Vec4::ZERO),
+        })
+        .collect()
+}
+
+/// A primitive as clients see it.
+pub(super) fn primitive(p: &Primitive) -> pb::Primitive {
+    pb::Primitive {
+        node: p.node,
+        mesh: p.mesh,
+        primitive: p.primitive,
+        name: p.name.clone(),
+        first_vertex: p.first_vertex,
+        vertex_count: p.vertex_count,
+        index_count: p.index_count,
+        has_normals: p.has_normals,
+        has_tangents: p.has_tangents,
+    }
+}

@@ -1,0 +1,226 @@
+//! How far a shape is from the rest shape, in numbers.
+
+use super::{Deformer, HandlePoses};
+use crate::mesh::{BoundingBox, Mesh, shading};
+use crate::pool::Pool;
+use crate::wire::{Error, pb};
+use glam::{DMat2, DMat3, DVec2, DVec3};
+use rayon::prelude::*;
+
+impl Deformer {
+    /// Largest distance of a vertex that a hard handle holds from where `poses` put it, as a fraction of the bounding box's
+    /// diagonal; 0 without handles.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::transforms`].
+    pub fn constraint_error(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<f64, Error> {
+        let Some(rig) = self.rig() else { return Ok(0.0) };
+        let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
+        let farthest = rig.largest_misplacement(self.body(), &self.transforms(poses)?, now);
+        let diagonal = self.diagonal();
+        Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
+    }
+}
+
+/// Triangles whose numbers are summed by one thread. QualitySums depend on it, so it is fixed.
+const BLOCK: usize = 4096;
+/// Triangles whose gradients are held at a time.
+const RUN: usize = 1 << 16;
+
+/// Compares a shape of the welded mesh with its rest shape. `closed` says whether the mesh has a volume.
+///
+/// A triangle counts as flipped when its normal opposes the rest normal turned by the mean rotation around it, which is
+/// taken from its neighbours' normals: a fold shows, a part that was turned over as a whole does not.
+pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> pb::Quality {
+    let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
+    let (sums, flipped_triangles) = pool.install(|| {
+        let blocks: Vec<QualitySums> = mesh
+            .triangles
+            .par_chunks(BLOCK)
+            .map(|block| QualitySums::of(block, [&mesh.positions, deformed], closed, centers))
+            .collect();
+        let sums = blocks.into_iter().fold(QualitySums::default(), QualitySums::join);
+        (sums, flipped(mesh, deformed))
+    });
+    let change = |[before, now]: [f64; 2]| if before != 0.0 { now / before - 1.0 } else { 0.0 };
+    pb::Quality {
+        edge_rms: (sums.squares / sums.edges.max(1) as f64).sqrt(),
+        volume_change: if closed { change(sums.volume) } else { 0.0 },
+        area_change: change(sums.area),
+        flipped_triangles,
+        max_stretch: sums.max_stretch,
+        self_intersections: None,
+    }
+}
+
+/// What is added up over triangles; pairs are at rest and deformed.
+#[derive(Default)]
+struct QualitySums {
+    squares: f64,
+    edges: u64,
+    max_stretch: f64,
+    area: [f64; 2],
+    volume: [f64; 2],
+}
+
+impl QualitySums {
+    fn of(triangles: &[[u32; 3]], shapes: [&[DVec3]; 2], closed: bool, centers: [DVec3; 2]) -> Self {
+        let mut sums = Self::default();
+        for t in triangles {
+            let [p, q] = shapes.map(|shape| t.map(|v| shape[v as usize]));
+            for k in 0..3 {
+                // An inner edge is met twice and a rim edge once; each pair of a closed mesh is counted from one side.
+                let (a, b) = (k, (k + 1) % 3);
+                let length = p[a].distance(p[b]);
+                if length > 0.0 && (t[a] < t[b] || !closed) {
+                    let change = q[a].distance(q[b]) / length - 1.0;
+                    sums.squares += change * change;
+                    sums.edges += 1;
+                }
+            }
+            if let Some(stretch) = largest_stretch(p, q) {
+                sums.max_stretch = sums.max_stretch.max(stretch);
+            }
+            for (k, [a, b, c]) in [p, q].into_iter().enumerate() {
+                let normal = (b - a).cross(c - a);
+                sums.area[k] += 0.5 * normal.length();
+                sums.volume[k] += (a - centers[k]).dot(normal) / 6.0;
+            }
+        }
+        sums
+    }
+
+    fn join(self, other: Self) -> Self {
+        let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
+        Self {
+            squares: self.squares + other.squares,
+            edges: self.edges + other.edges,
+            max_stretch: self.max_stretch.max(other.max_stretch),
+            area: add(self.area, other.area),
+            volume: add(self.volume, other.volume),
+        }
+    }
+}
+
+/// The larger singular value of the map between two triangles; `None` for one without area at rest.
+fn largest_stretch(p: [DVec3; 3], q: [DVec3; 3]) -> Option<f64> {
+    let (e, f) = (p[1] - p[0], p[2] - p[0]);
+    let x = e.try_normalize()?;
+    let y = (f - x * x.dot(f)).try_normalize()?;
+    let rest = DMat2::from_cols(DVec2::new(e.length(), 0.0), DVec2::new(f.dot(x), f.dot(y)));
+    let inverse = rest.inverse();
+    let (g, h) = (q[1] - q[0], q[2] - q[0]);
+    // Columns of the 3×2 Jacobian.
+    let a = g * inverse.x_axis.x + h * inverse.x_axis.y;
+    let b = g * inverse.y_axis.x + h * inverse.y_axis.y;
+    let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
+    let root = ((aa - bb) * (aa - bb) + 4.0 * ab * ab).sqrt();
+    let stretch = (0.5 * (aa + bb + root)).sqrt();
+    stretch.is_finite().then_some(stretch)
+}
+
+/// Triangles whose normal opposes what the shape around them did to it. NumberRuns on the pool of the caller.
+fn flipped(mesh: &Mesh, deformed: &[DVec3]) -> u32 {
+    let corners = |shape: &[DVec3], t: &[u32; 3]| t.map(|v| shape[v as usize]);
+    // A gradient for each vertex from the triangles around it, in proportion to their areas.
+    let mut gradients = vec![DMat3::ZERO; mesh.positions.len()];
+    for run in mesh.triangles.chunks(RUN) {
+        let of_triangles: Vec<DMat3> = run
+            .par_iter()
+            .map(|t| shading::area_gradient(corners(&mesh.positions, t), corners(deformed, t)).unwrap_or(DMat3::ZERO))
+            .collect();
+        // In the order of the triangles, so that the sums are the same for any number of threads.
+        for (t, gradient) in run.iter().zip(&of_triangles) {
+            t.iter().for_each(|&v| gradients[v as usize] += *gradient);
+        }
+    }
+    let cofactors: Vec<DMat3> = gradients.par_iter().map(shading::cofactor).collect();
+    let count = mesh
+        .triangles
+        .par_iter()
+        .filter(|t| {
+            let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
+            let Some(rest) = normal(corners(&mesh.positions, t)).try_normalize() else {
+                return false;
+            };
+            let carried: DVec3 = t
+                .iter()
+                .map(|&v| (cofactors[v as usize] * rest).try_normalize().unwrap_or(rest))
+                .sum();
+            carried.dot(normal(corners(deformed, t))) < 0.0
+        })
+        .count();
+    u32::try_from(count).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::shapes;
+    use crate::mesh::{Weld, signed_volume, surface_area};
+
+    fn pool(threads: usize) -> Pool {
+        Pool::new(threads).expect("threads")
+    }
+
+    fn mesh(shape: &shapes::Shape) -> Mesh {
+        Mesh::build(&shape.0, &shape.1, Weld::Exact).expect("a mesh")
+    }
+
+    #[test]
+    fn a_shape_that_is_turned_moved_or_scaled_has_the_numbers_of_that() {
+        let mesh = mesh(&shapes::torus(1.0, 0.3, 40, 20));
+        let turn = glam::DQuat::from_axis_angle(DVec3::new(1.0, 2.0, -1.0).normalize(), 2.5);
+        let moved = |scale: f64| -> Vec<DVec3> {
+            let place = |p: &DVec3| turn * *p * scale + DVec3::new(50.0, -3.0, 8.0);
+            mesh.positions.iter().map(place).collect()
+        };
+        let still = quality(&mesh, true, &moved(1.0), &pool(2));
+        assert!(still.edge_rms < 1e-12 && still.volume_change.abs() < 1e-12 && still.area_change.abs() < 1e-12);
+        assert!((still.max_stretch - 1.0).abs() < 1e-12);
+        assert_eq!((still.flipped_triangles, still.self_intersections), (0, None));
+        let grown = quality(&mesh, true, &moved(1.2), &pool(2));
+        assert!((grown.edge_rms - 0.2).abs() < 1e-12 && (grown.max_stretch - 1.2).abs() < 1e-12);
+        assert!((grown.volume_change - 0.728).abs() < 1e-12 && (grown.area_change - 0.44).abs() < 1e-12);
+        assert_eq!(
+            quality(&mesh, false, &moved(1.2), &pool(2)).volume_change,
+            0.0,
+            "an open mesh has no volume"
+        );
+    }
+
+    #[test]
+    fn threads_change_no_bit_and_blocks_add_up() {
+        let mesh = mesh(&shapes::icosphere(1.0, 5));
+        assert!(mesh.triangles.len() > 4 * BLOCK);
+        let deformed: Vec<DVec3> = mesh
+            .positions
+            .iter()
+            .map(|p| DVec3::new(p.x + 0.3 * p.y * p.y, p.y * (1.0 + 0.5 * p.z), p.z - 0.2 * p.x))
+            .collect();
+        let one = quality(&mesh, true, &deformed, &pool(1));
+        assert_eq!(one, quality(&mesh, true, &deformed, &pool(3)));
+        let ratio = |of: fn(&[DVec3], &[[u32; 3]]) -> f64| {
+            of(&deformed, &mesh.triangles) / of(&mesh.positions, &mesh.triangles) - 1.0
+        };
+        assert!((one.volume_change - ratio(signed_volume)).abs() < 1e-12);
+        assert!((one.area_change - ratio(surface_area)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_fold_is_flipped_and_a_turned_part_is_not() {
+        let (positions, triangles) = shapes::grid(1.0, 1.0, [20, 20]);
+        let sheet = Mesh::build(&positions, &triangles, Weld::Exact).expect("a sheet");
+        // One inner vertex dragged over its neighbours.
+        let mut folded = sheet.positions.clone();
+        let inner = 10 * 21 + 10;
+        folded[inner].x += 0.12;
+        assert!(quality(&sheet, false, &folded, &pool(1)).flipped_triangles > 0);
+        let over: Vec<DVec3> = sheet.positions.iter().map(|p| DVec3::new(p.x, -p.y, -p.z)).collect();
+        assert_eq!(quality(&sheet, false, &over, &pool(1)).flipped_triangles, 0);
+        // A collapse to a point has no normals at all, and no number that is none.
+        let gone = quality(&sheet, false, &vec![DVec3::ONE; sheet.positions.len()], &pool(1));
+        assert_eq!(gone.flipped_triangles, 0);
+        assert!((gone.edge_rms - 1.0).abs() < 1e-12 && gone.area_change == -1.0 && gone.max_stretch == 0.0);
+    }
+}

@@ -1,0 +1,241 @@
+//! HandlePoses on a bench: checked, solved, and brought from the graph's nodes back to render vertices.
+
+use super::deformer::CommittedShape;
+use super::handles::ResolvedHandles;
+use super::{Deformer, HandlePoses};
+use crate::deform::{
+    CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
+};
+use crate::exec::Exec;
+use crate::mesh::{Mesh, NONE};
+use crate::wire::check::{COMMIT_REFINE, DeformOptions, transform};
+use crate::wire::{Error, pb};
+use glam::{DVec3, Mat3};
+use std::sync::Arc;
+
+/// How a solve treats what was solved before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SolveMode {
+    /// Starts from the last result, for the sake of speed.
+    Drag,
+    /// Depends on nothing but model, handles, poses and settings, so that it can be repeated to the bit.
+    Commit,
+}
+
+/// A state of a solve that is under way, given to the watcher after every cycle.
+pub struct SolveUpdate<'a> {
+    /// Cycles done.
+    pub cycle: u32,
+    /// Fits of rotations done.
+    pub refined: u32,
+    /// Relative residual reached.
+    pub residual: f64,
+    /// Estimated largest missing displacement, fraction of the diagonal.
+    pub max_error: f64,
+    /// Makes the render-vertex positions of this state; costs a pass over the vertices.
+    pub positions: &'a dyn Fn() -> Vec<DVec3>,
+}
+
+/// A solved pose.
+#[derive(Debug, Clone)]
+pub struct SolvedShape {
+    /// One per render vertex, model space. Where nothing moves, the bits of the rest pose.
+    pub positions: Arc<Vec<DVec3>>,
+    /// Cycles of the position solve.
+    pub cycles: u32,
+    /// Relative residual reached, largest over coordinates.
+    pub residual: f64,
+    /// Estimated largest missing displacement, fraction of the diagonal.
+    pub max_error: f64,
+    /// Name of the method that the solver ended with.
+    pub solver: &'static str,
+}
+
+impl Deformer {
+    /// `poses` with those that `change` names replaced. Checks every number.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] without handles, [`Error::Invalid`] with the field.
+    pub fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error> {
+        self.require_handles()?;
+        let mut all = poses.0.as_ref().clone();
+        for (k, entry) in change.handles.iter().enumerate() {
+            let handles = &self.handles.request.handles;
+            let Some(at) = handles.iter().position(|h| h.id == entry.id) else {
+                let ids: Vec<_> = handles.iter().take(8).map(|h| format!("\"{}\"", h.id)).collect();
+                let problem = format!("no handle \"{}\" is set, there are {}", entry.id, ids.join(", "));
+                return Err(Error::invalid(format!("pose.handles[{k}].id"), problem));
+            };
+            let pose = entry.pose.clone().unwrap_or_default();
+            transform(&pose, self.handles.centroids[at], &format!("pose.handles[{k}].pose"))?;
+            all[at] = pose;
+        }
+        Ok(HandlePoses(Arc::new(all)))
+    }
+
+    fn require_handles(&self) -> Result<&HandleSystem, Error> {
+        self.rig
+            .as_ref()
+            .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
+    }
+
+    /// The transforms of the rig's holds for poses by handle, in model space.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] without handles; [`Error::Invalid`] when poses do not belong to the handles in force.
+    pub fn transforms(&self, poses: &HandlePoses) -> Result<Vec<Transform>, Error> {
+        self.require_handles()?;
+        if poses.0.len() != self.handles.request.handles.len() {
+            return Err(Error::Internal("poses of other handles".into()));
+        }
+        self.handles.transforms(&poses.0)
+    }
+
+    /// Solves a pose. `watch` is called after every cycle; `false` takes the result as it is.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] without handles; [`Error::Cancelled`] when `progress` says so, within one cycle;
+    /// [`Error::Invalid`] when poses do not belong to the handles in force.
+    pub fn solve(
+        &mut self,
+        poses: &HandlePoses,
+        settings: &DeformOptions,
+        mode: SolveMode,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<SolvedShape, Error> {
+        let transforms = self.transforms(poses)?;
+        let Self {
+            rig: Some(rig),
+            state,
+            derived,
+            handles,
+            committed,
+            ..
+        } = self
+        else {
+            return Err(Error::Internal("handles without a rig".into()));
+        };
+        let body = &derived.body;
+        let request = PoseRequest {
+            transforms: &transforms,
+            tolerance: settings.tolerance,
+            max_error: settings.max_error,
+            start: if mode == SolveMode::Drag {
+                SolveStart::Warm
+            } else {
+                SolveStart::Fresh
+            },
+            first_pass: settings.first_pass,
+            refinement: Refinement {
+                steps: settings.refine.unwrap_or(match mode {
+                    SolveMode::Drag => 0,
+                    SolveMode::Commit => COMMIT_REFINE,
+                }),
+                smoothing: settings.rotation_smoothing,
+            },
+        };
+        let shape = ShapeTransfer {
+            body,
+            mesh: &derived.mesh,
+            rest: &derived.foundation().rest,
+            handles,
+        };
+        let mut on_cycle = |cycle: &CycleReport<'_>| {
+            let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
+            watch(&SolveUpdate {
+                cycle: u32::try_from(cycle.index).unwrap_or(u32::MAX),
+                refined: cycle.refined,
+                residual: cycle.residual,
+                max_error: cycle.max_error,
+                positions: &positions,
+            })
+        };
+        let solution = match settings.spatial_rbf {
+            true => rig.solve_by_spatial_rbf(body, &transforms, state, exec)?,
+            false => rig.solve(body, &request, state, exec, &mut on_cycle)?,
+        };
+        let solver = method_name(&solution);
+        let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));
+        if mode == SolveMode::Commit {
+            *committed = Some(CommittedShape {
+                positions: Arc::clone(&positions),
+                nodes: Arc::new(solution.positions),
+            });
+        }
+        Ok(SolvedShape {
+            positions,
+            cycles: u32::try_from(solution.iterations).unwrap_or(u32::MAX),
+            residual: solution.residual,
+            max_error: solution.max_error,
+            solver,
+        })
+    }
+}
+
+/// From graph nodes back to render vertices.
+struct ShapeTransfer<'a> {
+    body: &'a DeformableBody,
+    mesh: &'a Mesh,
+    rest: &'a [DVec3],
+    handles: &'a ResolvedHandles,
+}
+
+impl ShapeTransfer<'_> {
+    fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[Transform]) -> Vec<DVec3> {
+        let at_rest = &self.body.graph.positions;
+        let mut positions: Vec<DVec3> = self
+            .rest
+            .iter()
+            .zip(&self.mesh.solver_from_render)
+            .map(|(&rest, &solver)| {
+                let s = solver as usize;
+                // Bits, not values: -0 and 0 are different bytes of the model.
+                if solver == NONE || nodes[s] == at_rest[s] {
+                    return rest;
+                }
+                // Welding by tolerance leaves render vertices a little beside their solver vertex.
+                let beside = rest - at_rest[s];
+                let frame = frames.get(s).map_or(Mat3::IDENTITY, Mat3::from_cols_array);
+                if beside == DVec3::ZERO {
+                    nodes[s]
+                } else {
+                    nodes[s] + frame.as_dmat3() * beside
+                }
+            })
+            .collect();
+        for &(vertex, hold) in &self.handles.strays {
+            if let Some(t) = transforms.get(hold as usize) {
+                positions[vertex as usize] = t.map()(positions[vertex as usize]);
+            }
+        }
+        positions
+    }
+}
+
+fn method_name(solution: &PoseSolution) -> &'static str {
+    use crate::deform::PoseMethod::{Graph, SpatialRbf};
+    use crate::solver::Method as Solver;
+    match solution.method {
+        Graph(Solver::Trivial) => "trivial",
+        Graph(Solver::Direct) => "direct",
+        Graph(Solver::Multigrid) => "multigrid",
+        Graph(Solver::PaperCycles) => "paper-cycles",
+        Graph(Solver::ConjugateGradients) => "conjugate-gradients",
+        SpatialRbf => "spatial-rbf",
+    }
+}
+
+impl From<crate::deform::Error> for Error {
+    fn from(e: crate::deform::Error) -> Self {
+        use crate::deform::Error as Engine;
+        match e {
+            Engine::Cancelled => Self::Cancelled,
+            Engine::Graph(_) => Self::invalid("volumeGraph", e.to_string()),
+            Engine::NoInside => Self::invalid("volumeGraph.mode", e.to_string()),
+            Engine::NoPosition | Engine::FreePart { .. } => Self::Precondition(e.to_string()),
+            Engine::Unsupported(what) => Self::Unimplemented(what),
+            Engine::Solver(_) => Self::Internal(e.to_string()),
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! How the bodies of edited models came about, to the bit: from a model on, edit after edit.
+//!
+//! A body after an edit is that before, repaired; so it depends on all edits since a body was last built from nothing. Of
+//! each of them the change of the mesh is kept, and where a deformation had moved the graph's nodes. Following them again
+//! gives the same bits; solving is no part of it.
+
+use super::derived_structures::FollowedNodes;
+use super::mesh_delta::MeshDelta;
+use super::model_topology::ModelTopology;
+use crate::deform::{DeformableBody, EditedBody, KeptFields};
+use crate::exec::Exec;
+use crate::wire::OpenOptions;
+use crate::wire::{Error, pb};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// After so many edits a body is built from nothing.
+const LONGEST: u32 = 64;
+
+/// The state of a bench but for its handles, to go back to.
+#[derive(Debug, Clone)]
+pub struct TopologyState(pub(super) Arc<TopologyLineage>);
+
+/// A foundation, and how its body came about.
+#[derive(Debug)]
+pub(super) struct TopologyLineage {
+    pub foundation: Arc<ModelTopology>,
+    pub past: LineageOrigin,
+    /// What the fields of the handles that the last edit carried over begin from.
+    pub restart: Option<KeptHandleFields>,
+}
+
+/// The handles that an edit carried over, and the fields that they had before it.
+#[derive(Debug)]
+pub(super) struct KeptHandleFields {
+    pub request: pb::SetHandlesRequest,
+    pub fields: KeptFields,
+}
+
+/// Where a body comes from.
+#[derive(Debug, Clone)]
+pub(super) enum LineageOrigin {
+    /// It is built from this.
+    Built(Arc<ModelTopology>),
+    /// It follows another one.
+    Edited(Arc<LineageEdit>),
+}
+
+/// An edit of a mesh whose body followed.
+#[derive(Debug)]
+pub(super) struct LineageEdit {
+    before: LineageOrigin,
+    delta: MeshDelta,
+    /// All nodes where a deformation, which is the rest shape now, left them.
+    nodes: Option<Arc<Vec<DVec3>>>,
+    length: u32,
+    /// Bytes of this step and those before it.
+    bytes: u64,
+}
+
+impl TopologyState {
+    /// Whether two are the same state.
+    pub fn same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+
+    /// Bytes that only this state holds, about.
+    pub fn bytes(&self) -> u64 {
+        let step = match &self.0.past {
+            LineageOrigin::Built(_) => 0,
+            LineageOrigin::Edited(step) => step.own_bytes(),
+        };
+        let kept = self.0.restart.as_ref().map_or(0, |c| c.fields.bytes() as u64);
+        step + kept
+            + self
+                .0
+                .foundation
+                .edited
+                .as_ref()
+                .map_or(0, |_| self.0.foundation.bytes())
+    }
+}
+
+impl TopologyLineage {
+    /// Of a model whose body is built.
+    pub fn built(foundation: Arc<ModelTopology>) -> Self {
+        Self {
+            past: LineageOrigin::Built(Arc::clone(&foundation)),
+            foundation,
+            restart: None,
+        }
+    }
+}
+
+impl LineageOrigin {
+    /// One edit more; `None` when there have been so many that a body is to be built from nothing. The bytes of all of them
+    /// stay below `most`.
+    pub fn then(&self, delta: MeshDelta, nodes: Option<Arc<Vec<DVec3>>>, most: u64) -> Option<Arc<LineageEdit>> {
+        let (length, bytes) = match self {
+            Self::Built(_) => (0, 0),
+            Self::Edited(step) => (step.length, step.bytes),
+        };
+        let mut step = LineageEdit {
+            before: self.clone(),
+            delta,
+            nodes,
+            length: length + 1,
+            bytes: 0,
+        };
+        step.bytes = bytes + step.own_bytes();
+        (step.length <= LONGEST && step.bytes <= most).then(|| Arc::new(step))
+    }
+
+    /// Makes the body again, with the points and triangles of its mesh. `None` when an edit could not be followed, which
+    /// cannot be where it once was.
+    pub fn retrace(
+        &self,
+        choices: &OpenOptions,
+        fit: &dyn Fn(&ModelTopology) -> crate::deform::BodyOptions,
+        exec: &Exec<'_>,
+    ) -> Result<Option<RetracedBody>, Error> {
+        let mut steps = Vec::new();
+        let mut at = self;
+        let start = loop {
+            match at {
+                Self::Built(foundation) => break foundation,
+                Self::Edited(step) => {
+                    steps.push(step);
+                    at = &step.before;
+                }
+            }
+        };
+        let mesh = start.mesh(choices.weld)?;
+        let body = DeformableBody::build(&mesh, &fit(start), exec)?;
+        let mut now = RetracedBody {
+            body,
+            nodes: FollowedNodes::default(),
+            positions: mesh.positions,
+            triangles: mesh.triangles,
+        };
+        for step in steps.into_iter().rev() {
+            let nodes = step.nodes.as_ref().map(|n| n.as_slice());
+            let at = nodes.map_or(&now.positions[..], |n| &n[..now.positions.len()]);
+            let lists = step.delta.lists(&now.triangles);
+            let (positions, triangles) = step.delta.apply(at, &now.triangles);
+            let change = lists.change(&positions, &triangles);
+            let Some(followed) = now.body.follow(&change, nodes, exec)? else {
+                return Ok(None);
+            };
+            let EditedBody {
+                body,
+                old_from_new,
+                touched,
+            } = followed;
+            now = RetracedBody {
+                body,
+                nodes: FollowedNodes { old_from_new, touched },
+                positions,
+                triangles,
+            };
+        }
+        Ok(Some(now))
+    }
+}
+
+/// A body made again.
+pub(super) struct RetracedBody {
+    pub body: DeformableBody,
+    pub nodes: FollowedNodes,
+    positions: Vec<DVec3>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl LineageEdit {
+    /// Bytes of this step and those before it.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    fn own_bytes(&self) -> u64 {
+        let nodes = self.nodes.as_ref().map_or(0, |n| size_of_val(n.as_slice()));
+        (self.delta.bytes() + nodes) as u64
+    }
+}

@@ -1,0 +1,134 @@
+//! What the vertices of an edited model are made of, so that attributes can be read from the files they came in when the
+//! model is written.
+
+use crate::asset::{
+    BaseModel, EditedModel, Error, Format, Model, PrimitiveRun, VertexBlends, WrittenFiles, write_edited_model,
+};
+use crate::edit::{Applied, Patch};
+use crate::mesh::NONE;
+use glam::{DAffine3, DVec3};
+use std::sync::Arc;
+
+/// A primitive of an edited model: which primitive of which base it was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct PrimitiveOrigin {
+    base: u32,
+    primitive: u32,
+}
+
+/// The blends of all render vertices, and the models that they refer to.
+#[derive(Debug, Clone)]
+pub(super) struct VertexOrigins {
+    /// The uploaded model first, then those that were merged in, with their places.
+    bases: Vec<(Arc<Model>, DAffine3)>,
+    /// Of each primitive.
+    sources: Vec<PrimitiveOrigin>,
+    /// Of each render vertex, over the vertices of its primitive's base.
+    blends: VertexBlends,
+    /// Whether a vertex lies on surface that an edit has made.
+    bare: Vec<bool>,
+    /// The triangle of the base that each triangle was.
+    triangles: Vec<u32>,
+}
+
+impl VertexOrigins {
+    /// Those of a model that no edit has touched, of whose triangles `source_triangle` are left.
+    pub fn of_model(model: &Arc<Model>, source_triangle: &[u32]) -> Self {
+        let mut origins = Self {
+            bases: Vec::new(),
+            sources: Vec::new(),
+            blends: VertexBlends::default(),
+            bare: Vec::new(),
+            triangles: Vec::new(),
+        };
+        origins.append(model, DAffine3::IDENTITY, source_triangle);
+        origins
+    }
+
+    /// Appends a whole model: its vertices and primitives after those that are there.
+    pub fn append(&mut self, model: &Arc<Model>, placement: DAffine3, source_triangle: &[u32]) {
+        let base = self.bases.len() as u32;
+        let primitives = 0..model.primitives.len() as u32;
+        self.sources
+            .extend(primitives.map(|primitive| PrimitiveOrigin { base, primitive }));
+        (0..model.positions.len() as u32).for_each(|v| self.blends.push_vertex(v));
+        self.bare.resize(self.blends.len(), false);
+        self.triangles.extend(source_triangle);
+        self.bases.push((Arc::clone(model), placement));
+    }
+
+    /// What the vertices are made of after an edit. `bare` tells of new vertices whether their surface is the edit's own.
+    pub fn after(&self, applied: &Applied, patch: &Patch, bare: impl Fn(usize) -> bool) -> Self {
+        let old = self.blends.len();
+        let mut blends = VertexBlends::default();
+        let mut flags = Vec::with_capacity(applied.old_from_vertex.len());
+        for (now, &was) in applied.old_from_vertex.iter().enumerate() {
+            match (was as usize).checked_sub(old).and_then(|k| patch.vertices.get(k)) {
+                None => {
+                    blends.push_composed(&self.blends, &[(was, 1.0)]);
+                    flags.push(self.bare[was as usize]);
+                }
+                Some(new) => {
+                    let parts = new.of.into_iter().zip(new.weights).filter(|p| p.1 > 0.0);
+                    let parts: Vec<(u32, f64)> = parts.collect();
+                    blends.push_composed(&self.blends, &parts);
+                    let inherited = parts.iter().all(|p| self.bare[p.0 as usize]);
+                    flags.push(inherited || bare(now));
+                }
+            }
+        }
+        let was = |t: &u32| self.triangles.get(*t as usize).copied().unwrap_or(NONE);
+        Self {
+            bases: self.bases.clone(),
+            sources: self.sources.clone(),
+            blends,
+            bare: flags,
+            triangles: applied.old_from_triangle.iter().map(was).collect(),
+        }
+    }
+
+    /// The edited model as files. `geometry` has its primitives and triangles.
+    pub fn write(
+        &self,
+        geometry: &crate::asset::Geometry,
+        positions: &[DVec3],
+        format: Format,
+    ) -> Result<WrittenFiles, Error> {
+        let bases: Vec<BaseModel<'_>> = (self.bases.iter())
+            .map(|(model, placement)| BaseModel {
+                model,
+                world_from_model: *placement,
+            })
+            .collect();
+        let mut first_triangle = 0;
+        let runs: Vec<PrimitiveRun> = (self.sources.iter().zip(&geometry.primitives))
+            .map(|(source, p)| {
+                let run = PrimitiveRun {
+                    base: source.base,
+                    primitive: source.primitive,
+                    first_vertex: p.first_vertex,
+                    vertex_count: p.vertex_count,
+                    first_triangle,
+                    triangle_count: p.index_count / 3,
+                };
+                first_triangle += run.triangle_count;
+                run
+            })
+            .collect();
+        let edited = EditedModel {
+            bases: &bases,
+            runs: &runs,
+            blends: &self.blends,
+            triangles: &geometry.triangles,
+            origins: &self.triangles,
+            bare: &self.bare,
+        };
+        write_edited_model(&edited, positions, format)
+    }
+
+    /// Bytes held, with those of the models that were merged in.
+    pub fn bytes(&self) -> u64 {
+        let merged: u64 = self.bases.iter().skip(1).map(|(model, _)| model.bytes_held()).sum();
+        self.blends.bytes_held() + (self.bare.capacity() + 4 * self.triangles.capacity()) as u64 + merged
+    }
+}

@@ -1,0 +1,284 @@
+//! Vertex buffers as frames: attributes, encodings, changed vertices and parts.
+//!
+//! Owns how positions, normals and tangents become the bytes of [`pb::Frame`] messages. A frame's parts are made one at a
+//! time, when they are asked for, so that a slow reader costs no memory. Knows no stream and no session: who may get
+//! a frame, and when, is not decided here.
+
+use super::pb::{self, frame};
+use crate::engine::Shading;
+use bytes::Bytes;
+use glam::{DVec3, Vec3};
+use std::sync::Arc;
+
+/// Positions as little-endian 32-bit floats, x, y, z per vertex.
+pub fn f32_bytes(positions: &[DVec3]) -> Bytes {
+    let mut data = Vec::with_capacity(positions.len() * 12);
+    positions
+        .iter()
+        .for_each(|p| put_f32(&mut data, &p.as_vec3().to_array()));
+    data.into()
+}
+
+/// A frame to encode.
+#[derive(Debug, Clone)]
+pub struct FrameRequest {
+    /// Everything but the numbers: seq, revision, final, errors and times. Parts copy it.
+    pub header: pb::Frame,
+    /// One per render vertex.
+    pub positions: Arc<Vec<DVec3>>,
+    /// Needed when `output` asks for normals or tangents; without it they are left out.
+    pub shading: Option<Arc<Shading>>,
+    /// What to send and how.
+    pub output: pb::Output,
+    /// With `output.changed_only`: the buffers that the reader may hold. A vertex is sent when it moved away from its
+    /// place in any of them. Empty, or of another length: all vertices are sent.
+    pub baselines: Vec<Arc<Vec<Vec3>>>,
+    /// Length of the bounding box's diagonal, the unit of `output.changed_only`.
+    pub diagonal: f64,
+    /// Bytes that the data (and indices) of a part may take.
+    pub part_bytes: usize,
+}
+
+/// Prepares a frame; the iterator makes its parts one by one.
+///
+/// There is always at least one part. Attributes follow one another: positions, then normals, then tangents.
+pub fn encode(request: FrameRequest) -> Parts {
+    let FrameRequest {
+        header,
+        positions,
+        shading,
+        output,
+        baselines,
+        diagonal,
+        part_bytes,
+    } = request;
+    let selected = output
+        .changed_only
+        .map(|threshold| changed(&positions, &baselines, threshold * diagonal));
+    let encoding = frame::Encoding::try_from(output.encoding).unwrap_or_default();
+    let shading = shading.filter(|s| s.normals.len() == positions.len() && s.tangents.len() == positions.len());
+    let vertices = selected.as_ref().map_or(positions.len(), Vec::len);
+    let mut attributes = vec![frame::Attribute::Position];
+    // An empty change is told by one empty part.
+    if shading.is_some() && vertices > 0 {
+        attributes.extend(output.normals.then_some(frame::Attribute::Normal));
+        attributes.extend(output.tangents.then_some(frame::Attribute::Tangent));
+    }
+    let mut blocks = Vec::with_capacity(attributes.len());
+    let mut parts = 0u32;
+    for attribute in attributes {
+        let numbers = if attribute == frame::Attribute::Tangent { 4 } else { 3 };
+        let vertex_bytes = match encoding {
+            frame::Encoding::F32 => numbers * 4,
+            frame::Encoding::U16 => numbers * 2,
+            // Four numbers of two bytes; what cannot be compressed grows by less than an eighth.
+            frame::Encoding::Meshopt => 9,
+        };
+        let index_bytes = if selected.is_some() { 4 } else { 0 };
+        let run = (part_bytes / (vertex_bytes + index_bytes)).max(1);
+        let count = u32::try_from(vertices.div_ceil(run).max(1)).unwrap_or(u32::MAX);
+        blocks.push(Block {
+            attribute,
+            first_part: parts,
+            run,
+        });
+        parts = parts.saturating_add(count);
+    }
+    let bounds = if encoding == frame::Encoding::F32 {
+        None
+    } else {
+        Some(bounds(&positions, selected.as_deref()))
+    };
+    Parts {
+        header,
+        positions,
+        shading,
+        selected,
+        encoding,
+        bounds,
+        blocks,
+        vertices,
+        next: 0,
+        parts,
+    }
+}
+
+/// Vertices that lie further than `distance` from their place in any of the baselines, ascending.
+fn changed(positions: &[DVec3], baselines: &[Arc<Vec<Vec3>>], distance: f64) -> Vec<u32> {
+    let all = baselines.is_empty() || baselines.iter().any(|b| b.len() != positions.len());
+    // Both sides are rounded alike, so that a vertex that rests has moved by exactly nothing.
+    let moved = |v: usize, p: Vec3| {
+        baselines
+            .iter()
+            .any(|b| (p.as_dvec3() - b[v].as_dvec3()).length() > distance)
+    };
+    let indices = positions
+        .iter()
+        .enumerate()
+        .filter(|&(v, p)| all || moved(v, p.as_vec3()));
+    indices.map(|(v, _)| v as u32).collect()
+}
+
+fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
+    let grow = |[low, high]: [DVec3; 2], p: DVec3| [low.min(p), high.max(p)];
+    let nothing = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    let [low, high] = match selected {
+        Some(indices) => indices.iter().map(|&v| positions[v as usize]).fold(nothing, grow),
+        None => positions.iter().copied().fold(nothing, grow),
+    };
+    if low.is_finite() && high.is_finite() {
+        [low, high]
+    } else {
+        [DVec3::ZERO; 2]
+    }
+}
+
+/// A run of parts with the same attribute.
+#[derive(Debug)]
+struct Block {
+    attribute: frame::Attribute,
+    first_part: u32,
+    /// Vertices in every part but the last.
+    run: usize,
+}
+
+/// The parts of one frame, in order, each made when it is asked for.
+#[derive(Debug)]
+pub struct Parts {
+    header: pb::Frame,
+    positions: Arc<Vec<DVec3>>,
+    shading: Option<Arc<Shading>>,
+    selected: Option<Vec<u32>>,
+    encoding: frame::Encoding,
+    bounds: Option<[DVec3; 2]>,
+    blocks: Vec<Block>,
+    vertices: usize,
+    next: u32,
+    parts: u32,
+}
+
+impl Parts {
+    /// With `changed_only`: the vertices that the frame carries, ascending.
+    pub fn selected(&self) -> Option<&[u32]> {
+        self.selected.as_deref()
+    }
+
+    fn part(&self, part: u32) -> Option<pb::Frame> {
+        let block = self.blocks.iter().rev().find(|b| b.first_part <= part)?;
+        let first = (part - block.first_part) as usize * block.run;
+        let end = first.saturating_add(block.run).min(self.vertices);
+        let indices = self
+            .selected
+            .as_ref()
+            .map(|s| s[first..end].to_vec())
+            .unwrap_or_default();
+        let vertex = |k: usize| self.selected.as_ref().map_or(k, |s| s[k] as usize);
+        let [low, high] = match (self.bounds, block.attribute) {
+            (Some(bounds), frame::Attribute::Position) => bounds,
+            _ => [DVec3::NEG_ONE, DVec3::ONE],
+        };
+        let numbers = |k: usize| -> ([f64; 4], usize) {
+            let v = vertex(k);
+            match (block.attribute, &self.shading) {
+                (frame::Attribute::Normal, Some(s)) => (s.normals[v].as_dvec3().extend(0.0).to_array(), 3),
+                (frame::Attribute::Tangent, Some(s)) => (s.tangents[v].as_dvec4().to_array(), 4),
+                _ => (self.positions[v].extend(0.0).to_array(), 3),
+            }
+        };
+        let (lows, spans) = (low.extend(-1.0).to_array(), (high - low).extend(2.0).to_array());
+        let quantised = |k: usize| -> ([u16; 4], usize) {
+            let (values, n) = numbers(k);
+            (
+                std::array::from_fn(|i| {
+                    if i < n {
+                        quantise(values[i], lows[i], spans[i])
+                    } else {
+                        0
+                    }
+                }),
+                n,
+            )
+        };
+        let mut encoding = self.encoding;
+        let mut data = Vec::new();
+        if encoding == frame::Encoding::Meshopt && end > first {
+            let vertices: Vec<[u16; 4]> = (first..end).map(|k| quantised(k).0.map(u16::to_le)).collect();
+            match meshopt::encode_vertex_buffer(&vertices) {
+                Ok(coded) if !coded.is_empty() => data = coded,
+                // The encoding is told with every part, so a part that cannot be compressed goes as it is.
+                _ => encoding = frame::Encoding::U16,
+            }
+        }
+        match encoding {
+            frame::Encoding::F32 => {
+                data.reserve_exact((end - first) * 16);
+                for k in first..end {
+                    let (values, n) = numbers(k);
+                    put_f32(&mut data, &values.map(|x| x as f32)[..n]);
+                }
+            }
+            frame::Encoding::U16 => {
+                for k in first..end {
+                    let (values, n) = quantised(k);
+                    values[..n]
+                        .iter()
+                        .for_each(|q| data.extend_from_slice(&q.to_le_bytes()));
+                }
+            }
+            frame::Encoding::Meshopt => {}
+        }
+        let corner = |p: DVec3| {
+            if self.bounds.is_some() {
+                p.to_array().to_vec()
+            } else {
+                Vec::new()
+            }
+        };
+        Some(pb::Frame {
+            part,
+            parts: self.parts,
+            first_vertex: if self.selected.is_some() {
+                indices.first().copied().unwrap_or(0)
+            } else {
+                u32::try_from(first).unwrap_or(u32::MAX)
+            },
+            vertex_count: u32::try_from(end - first).unwrap_or(u32::MAX),
+            indices,
+            encoding: encoding.into(),
+            attribute: block.attribute.into(),
+            data: data.into(),
+            box_min: corner(low),
+            box_max: corner(high),
+            ..self.header.clone()
+        })
+    }
+}
+
+impl Iterator for Parts {
+    type Item = pb::Frame;
+
+    fn next(&mut self) -> Option<pb::Frame> {
+        if self.next >= self.parts {
+            return None;
+        }
+        let part = self.part(self.next)?;
+        self.next += 1;
+        Some(part)
+    }
+}
+
+fn put_f32(data: &mut Vec<u8>, numbers: &[f32]) {
+    numbers.iter().for_each(|x| data.extend_from_slice(&x.to_le_bytes()));
+}
+
+/// The nearest of 65536 steps from `low` over `span`; 0 on an axis without extent.
+fn quantise(value: f64, low: f64, span: f64) -> u16 {
+    if span > 0.0 {
+        ((value - low) / span * 65535.0).round().clamp(0.0, 65535.0) as u16
+    } else {
+        0
+    }
+}
+
+#[cfg(test)]
+mod tests;
