@@ -76,7 +76,7 @@ impl Inverse {
         sum
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         8 * self.entries.len()
     }
 }

@@ -1,9 +1,9 @@
 //! Small graphs and hierarchies for unit tests.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::constrain::system::System;
+use crate::constrain::system::LinearSystem;
 use crate::exec::Exec;
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::options::{BuildOptions, Constraints};
 use crate::pool::Pool;
 use crate::progress::Silent;
@@ -56,8 +56,8 @@ impl Block {
         self
     }
 
-    pub(crate) fn view(&self) -> Graph<'_> {
-        Graph {
+    pub(crate) fn view(&self) -> WeightedGraph<'_> {
+        WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
             weights: self.weights.as_deref(),
@@ -74,7 +74,7 @@ impl Block {
     }
 
     /// The first vertices, those of the plane i = 0, are fixed.
-    pub(crate) fn system(&self, hierarchy: &Hierarchy) -> System {
+    pub(crate) fn system(&self, hierarchy: &Hierarchy) -> LinearSystem {
         let fixed: Vec<bool> = self.positions.iter().map(|p| p[0] == 0.0).collect();
         hierarchy
             .constrain(

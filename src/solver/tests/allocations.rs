@@ -1,6 +1,6 @@
 //! Once its workspace has grown, a solve asks the allocator for nothing: counted by an allocator that counts.
 //!
-//! One thread: the returned [`Stats::residuals`](pliant_solver::Stats::residuals) is the only memory asked for. More
+//! One thread: the returned [`SolveStats::residuals`](pliant_solver::SolveStats::residuals) is the only memory asked for. More
 //! threads: what handing out work costs, which is bounded per iteration. A pool of one thread is never entered, so a
 //! solve on it allocates nothing on its behalf either, from whichever thread it is called.
 
@@ -8,7 +8,7 @@ use case::{Case, to, twist};
 use graphs::{lattice, surface};
 use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
-use pliant_solver::{Control, Iteration, Method, SolveOptions, Start, Stats, Workspace};
+use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveMethod, SolveOptions, SolveStats, Workspace};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Mutex;
@@ -91,7 +91,7 @@ struct Asked {
     calls: usize,
     bytes: usize,
     traces: Vec<String>,
-    stats: Stats,
+    stats: SolveStats,
 }
 
 fn third_solve(case: &Case, columns: usize, rhs: &[f64], from: &[f64], options: &SolveOptions<'_>) -> Asked {
@@ -100,9 +100,9 @@ fn third_solve(case: &Case, columns: usize, rhs: &[f64], from: &[f64], options: 
     let mut asked = None;
     for round in 0..3 {
         x.copy_from_slice(from);
-        let mut watch = |iteration: &Iteration<'_>| {
+        let mut watch = |iteration: &IterationReport<'_>| {
             iteration.copy_to(&mut shown);
-            Control::Continue
+            SolveControl::Continue
         };
         CALLS.store(0, SeqCst);
         BYTES.store(0, SeqCst);
@@ -142,7 +142,7 @@ fn kinds<'a>(case: &Case, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
     let (rhs, start, _) = twist(case, 1.0);
     let mut near = start.clone();
     case.solve_to(3, &rhs, &mut near, 1e-3);
-    let full = Start::FullMultigrid {
+    let full = InitialGuess::FullMultigrid {
         frames: Some(frames),
         rest: None,
     };
@@ -159,10 +159,10 @@ fn kinds<'a>(case: &Case, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
         options: SolveOptions { start, ..options },
     };
     let mut kinds = vec![
-        kind("zero to 1e-3", &start, Start::Zero, to(1e-3)),
-        kind("zero to 1e-9", &start, Start::Zero, to(1e-9)),
-        kind("warm to 1e-6", &near, Start::Given, to(1e-6)),
-        kind("warm to an error", &near, Start::Given, error.clone()),
+        kind("zero to 1e-3", &start, InitialGuess::Zero, to(1e-3)),
+        kind("zero to 1e-9", &start, InitialGuess::Zero, to(1e-9)),
+        kind("warm to 1e-6", &near, InitialGuess::Given, to(1e-6)),
+        kind("warm to an error", &near, InitialGuess::Given, error.clone()),
         kind("full multigrid to 1e-4", &start, full, to(1e-4)),
         kind("full multigrid to an error", &start, full, error),
     ];
@@ -205,7 +205,12 @@ fn one_thread() {
                 kind.name, asked.calls
             );
             assert!(iterations > 0, "{name}, {}: something is solved", kind.name);
-            assert_ne!(asked.stats.method, Method::ConjugateGradients, "{name}, {}", kind.name);
+            assert_ne!(
+                asked.stats.method,
+                SolveMethod::ConjugateGradients,
+                "{name}, {}",
+                kind.name
+            );
             assert_eq!(
                 (asked.calls, asked.bytes),
                 (1, 8 * kind.columns),

@@ -10,9 +10,9 @@ use crate::build::operator::coarse_rows;
 use crate::build::order::{Frame, along_curve, breadth_first};
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::lanes::Lanes;
-use crate::options::{BuildOptions, LevelFacts, Operators};
+use crate::options::{BuildOptions, CoarseOperators, LevelSize};
 use crate::paper::kept::Kept;
 use crate::pool::Pool;
 use crate::progress::{Cancelled, Progress, check};
@@ -28,7 +28,7 @@ const STAGE: &str = "hierarchy";
 
 /// A graph and its coarser versions (paper section 4), over all vertices and without constraints.
 ///
-/// It owns all it needs and changes by nothing but [`Hierarchy::repair`]; any number of [`System`]s can use it at the
+/// It owns all it needs and changes by nothing but [`Hierarchy::repair`]; any number of [`LinearSystem`]s can use it at the
 /// same time.
 #[derive(Debug, Clone)]
 pub struct Hierarchy {
@@ -58,7 +58,7 @@ impl Hierarchy {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a malformed graph or options out of range, [`Error::Cancelled`].
-    pub fn build(graph: &Graph<'_>, options: &BuildOptions, exec: &Exec<'_>) -> Result<Hierarchy, Error> {
+    pub fn build(graph: &WeightedGraph<'_>, options: &BuildOptions, exec: &Exec<'_>) -> Result<Hierarchy, Error> {
         if !(options.coarsening > 0.0 && options.coarsening <= 1.0) {
             let seen = options.coarsening;
             return Err(Error::Invalid(format!(
@@ -122,13 +122,13 @@ impl Hierarchy {
             thin,
             options: options.clone(),
             token: Arc::new(()),
-            paper: (options.operators == Operators::Paper).then(|| Kept::new(graph, options)),
+            paper: (options.operators == CoarseOperators::Paper).then(|| Kept::new(graph, options)),
         })
     }
 
     /// A copy, made by all threads of the pool.
-    pub fn duplicate(&self, pool: &Pool) -> Self {
-        let levels = pool.install(|| self.levels.iter().map(Level::duplicate).collect());
+    pub fn clone_in_parallel(&self, pool: &Pool) -> Self {
+        let levels = pool.install(|| self.levels.iter().map(Level::clone_in_parallel).collect());
         Self {
             levels,
             order: self.order.clone(),
@@ -150,8 +150,8 @@ impl Hierarchy {
     }
 
     /// Sizes of the levels, finest first.
-    pub fn levels(&self) -> Vec<LevelFacts> {
-        let facts = |l: &Level| LevelFacts {
+    pub fn level_sizes(&self) -> Vec<LevelSize> {
+        let facts = |l: &Level| LevelSize {
             vertices: l.occupied(),
             edges: l.edges(),
         };
@@ -160,9 +160,9 @@ impl Hierarchy {
     }
 
     /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        let kept = self.paper.as_ref().map_or(0, Kept::bytes);
-        self.levels.iter().map(Level::bytes).sum::<usize>() + 4 * self.order.len() + kept
+    pub fn byte_size(&self) -> usize {
+        let kept = self.paper.as_ref().map_or(0, Kept::byte_size);
+        self.levels.iter().map(Level::byte_size).sum::<usize>() + 4 * self.order.len() + kept
     }
 }
 

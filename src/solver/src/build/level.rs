@@ -65,7 +65,7 @@ pub(crate) struct Bundle {
 
 impl Level {
     /// A copy with room to grow, made by all threads: most of what it costs is memory that is touched for the first time.
-    pub(crate) fn duplicate(&self) -> Self {
+    pub(crate) fn clone_in_parallel(&self) -> Self {
         fn all<T: Copy + Send + Sync>(of: &[T]) -> Vec<T> {
             let mut copy = Vec::with_capacity(of.len() + of.len() / SLACK);
             copy.par_extend(of.par_iter().with_min_len(1 << 15).copied());
@@ -157,7 +157,7 @@ impl Level {
         self.ranges.len()
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         let words = 3 * self.bundles.len() + self.neighbours.len() + self.diagonal.len();
         let words = words + self.blocks.len() + self.colours.len() + self.aggregates.len();
         let words = words + 2 * self.ranges.len() + self.members.len();

@@ -83,7 +83,7 @@ impl Floating {
         self.ends.is_empty()
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         4 * (self.rows.len() + self.ends.len())
     }
 

@@ -84,7 +84,7 @@ impl Mask {
         self.border = border.into_iter().map(AtomicU64::into_inner).collect();
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         let words = self.inverses.len() + self.alphas.len() + self.active.len() + self.colours.len();
         4 * words + 8 * self.border.len()
     }

@@ -9,7 +9,7 @@ use crate::constrain::mask::{Mask, coarser};
 use crate::dense::Inverse;
 use crate::error::Error;
 use crate::lanes::Shared;
-use crate::options::{Constraints, LevelFacts};
+use crate::options::{Constraints, LevelSize};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::pool::Pool;
 use crate::storage::NONE;
@@ -28,7 +28,7 @@ const PIECE: usize = 4096;
 ///
 /// It refers to its hierarchy by identity and borrows nothing; pass the hierarchy to every call.
 #[derive(Debug)]
-pub struct System {
+pub struct LinearSystem {
     token: Arc<()>,
     free: usize,
     /// One per level; only the finest where the direct method applies.
@@ -56,13 +56,17 @@ impl Hierarchy {
     /// # Errors
     /// [`Error::Invalid`] if the lengths do not fit the graph or a stiffness is negative, not finite or larger than
     /// 1e12 times the heaviest edge (a harder one is a fixed vertex).
-    pub fn constrain(&self, constraints: &Constraints<'_>, pool: &Pool) -> Result<System, Error> {
-        System::new(self, constraints, pool)
+    pub fn constrain(&self, constraints: &Constraints<'_>, pool: &Pool) -> Result<LinearSystem, Error> {
+        LinearSystem::new(self, constraints, pool)
     }
 }
 
-impl System {
-    pub(crate) fn new(hierarchy: &Hierarchy, constraints: &Constraints<'_>, pool: &Pool) -> Result<System, Error> {
+impl LinearSystem {
+    pub(crate) fn new(
+        hierarchy: &Hierarchy,
+        constraints: &Constraints<'_>,
+        pool: &Pool,
+    ) -> Result<LinearSystem, Error> {
         let threads = Threads::of(pool);
         check(hierarchy, constraints)?;
         let scale = hierarchy.weight_scale;
@@ -81,7 +85,7 @@ impl System {
             _ => Vec::new(),
         };
         let free = constraints.fixed.iter().filter(|f| !**f).count();
-        let mut system = System {
+        let mut system = LinearSystem {
             token: hierarchy.token.clone(),
             free,
             masks: Vec::with_capacity(hierarchy.levels.len()),
@@ -119,22 +123,22 @@ impl System {
     }
 
     /// Number of free vertices.
-    pub fn free(&self) -> usize {
+    pub fn free_count(&self) -> usize {
         self.free
     }
 
     /// Sizes of the levels over free vertices, finest first, where constraints have a hierarchy of their own: with
-    /// [`Operators::Paper`](super::Operators::Paper) and more free vertices than are solved directly.
-    pub fn levels(&self) -> Option<Vec<LevelFacts>> {
-        self.paper.as_ref().map(PaperHierarchy::facts)
+    /// [`CoarseOperators::Paper`](super::CoarseOperators::Paper) and more free vertices than are solved directly.
+    pub fn level_sizes(&self) -> Option<Vec<LevelSize>> {
+        self.paper.as_ref().map(PaperHierarchy::level_sizes)
     }
 
     /// Bytes held, without the hierarchy's.
-    pub fn bytes(&self) -> usize {
-        let masks: usize = self.masks.iter().map(Mask::bytes).sum();
-        let paper = self.paper.as_ref().map_or(0, PaperHierarchy::bytes);
+    pub fn byte_size(&self) -> usize {
+        let masks: usize = self.masks.iter().map(Mask::byte_size).sum();
+        let paper = self.paper.as_ref().map_or(0, PaperHierarchy::byte_size);
         let vectors = 8 * (self.stiffness.len() + self.fixed.len());
-        masks + vectors + self.inverse.bytes() + self.floating.bytes() + paper
+        masks + vectors + self.inverse.byte_size() + self.floating.byte_size() + paper
     }
 
     /// True if the dense inverse covers the finest level itself.
@@ -289,7 +293,7 @@ mod tests {
             stiffness: Some(&stiffness),
         };
         let system = hierarchy.constrain(&constraints, &pool()).unwrap();
-        assert_eq!(system.free(), fixed.iter().filter(|f| !**f).count());
+        assert_eq!(system.free_count(), fixed.iter().filter(|f| !**f).count());
         let (mut masked, mut mixed) = (0, 0);
         for (row, &vertex) in hierarchy.order.iter().enumerate() {
             let free = vertex != NONE && !fixed[vertex as usize];

@@ -43,7 +43,7 @@ impl Equations {
         Inverse::new(matrix, n)
     }
 
-    pub(super) fn bytes(&self) -> usize {
+    pub(super) fn byte_size(&self) -> usize {
         8 * (self.weights.len() + self.alphas.len() + self.diagonal.len())
     }
 }

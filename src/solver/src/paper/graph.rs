@@ -59,11 +59,11 @@ impl Kept {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::graph::Graph;
+    use crate::graph::WeightedGraph;
     use crate::paper::testing::{built, lattice};
 
     /// The graph of all vertices.
-    pub(crate) fn level_of(graph: &Graph<'_>) -> Level {
+    pub(crate) fn level_of(graph: &WeightedGraph<'_>) -> Level {
         Level {
             offsets: graph.offsets.iter().map(|&o| o as usize).collect(),
             neighbours: graph.neighbours.to_vec(),

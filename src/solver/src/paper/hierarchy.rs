@@ -2,7 +2,7 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::dense::Inverse;
-use crate::options::{BuildOptions, LevelFacts};
+use crate::options::{BuildOptions, LevelSize};
 use crate::paper::coarsen::coarsen;
 use crate::paper::equations::Equations;
 use crate::paper::kept::Kept;
@@ -81,8 +81,8 @@ impl PaperHierarchy {
     }
 
     /// Sizes of the levels, finest first.
-    pub(crate) fn facts(&self) -> Vec<LevelFacts> {
-        let facts = |l: &Level| LevelFacts {
+    pub(crate) fn level_sizes(&self) -> Vec<LevelSize> {
+        let facts = |l: &Level| LevelSize {
             vertices: l.vertices(),
             edges: l.neighbours.len() / 2,
         };
@@ -90,10 +90,10 @@ impl PaperHierarchy {
     }
 
     /// Bytes held.
-    pub(crate) fn bytes(&self) -> usize {
-        let levels: usize = self.levels.iter().map(Level::bytes).sum();
-        let chains: usize = self.chains.iter().flatten().map(Equations::bytes).sum();
-        let inverses: usize = self.inverses.iter().map(Inverse::bytes).sum();
+    pub(crate) fn byte_size(&self) -> usize {
+        let levels: usize = self.levels.iter().map(Level::byte_size).sum();
+        let chains: usize = self.chains.iter().flatten().map(Equations::byte_size).sum();
+        let inverses: usize = self.inverses.iter().map(Inverse::byte_size).sum();
         levels + chains + inverses + 4 * (self.vertices.len() + self.rows.len())
     }
 }

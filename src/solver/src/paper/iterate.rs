@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::lanes::{WIDTH, Wide, per_lane, ratio};
-use crate::options::{Method, Start};
+use crate::options::{InitialGuess, SolveMethod};
 use crate::paper::cycle::vectors;
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::paper::kept::Kept;
@@ -12,7 +12,7 @@ use crate::solve::advance::reference;
 use crate::solve::criteria::Outcome;
 use crate::solve::fallback::conjugate_gradients;
 use crate::solve::group::Outer;
-use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
+use crate::solve::iteration::{IterationReport, Snapshot, SolveControl, Watch};
 
 /// Cycles that must at least halve the residual.
 const PATIENCE: usize = 12;
@@ -32,16 +32,16 @@ pub(crate) fn solve(
     outer: &mut Outer<'_, '_>,
     paper: &PaperHierarchy,
     kept: &Kept,
-    start: Start<'_>,
+    start: InitialGuess<'_>,
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, Error> {
     let (problem, pool, criteria) = (outer.problem, outer.pool, outer.criteria);
     let (threads, progress, width) = (problem.threads, outer.cycle.progress, problem.width());
     let floating = &problem.system.floating;
     let mut reference = threads.enter(pool, || reference(&problem, &outer.workspace.x));
-    let mut outcome = Outcome::new(Method::PaperCycles);
+    let mut outcome = Outcome::new(SolveMethod::PaperCycles);
     let (mut levels, mut conjugate) = (vectors(paper), Steps::default());
-    if let (Start::FullMultigrid { frames, rest }, true) = (start, paper.usable) {
+    if let (InitialGuess::FullMultigrid { frames, rest }, true) = (start, paper.usable) {
         let [r, ..] = &mut outer.workspace.wide;
         let x = &mut outer.workspace.x;
         r.resize(x.len(), [0.0; WIDTH]);
@@ -98,7 +98,7 @@ pub(crate) fn solve(
         } else {
             outcome.max_error = history.estimate();
             outcome.factor = libm::pow(ratio(worst, from), 1.0 / outcome.iterations as f64);
-            let iteration = Iteration {
+            let iteration = IterationReport {
                 index: outcome.iterations,
                 columns: problem.columns(),
                 residual: worst,
@@ -110,7 +110,7 @@ pub(crate) fn solve(
                     caller: outer.caller,
                 },
             };
-            outcome.stopped = watch(&iteration) == Control::Stop;
+            outcome.stopped = watch(&iteration) == SolveControl::Stop;
         }
         let holds = outcome.iterations > 0 && criteria.hold(&outcome.relative[..width], outcome.max_error);
         outcome.converged = exact || holds;

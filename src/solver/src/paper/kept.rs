@@ -1,6 +1,6 @@
 //! The caller's graph, kept so that constraints can cut it.
 
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::options::BuildOptions;
 
 /// A copy of the caller's graph. The paper builds its hierarchy after the constraints are known.
@@ -14,7 +14,7 @@ pub(crate) struct Kept {
 }
 
 impl Kept {
-    pub(crate) fn new(graph: &Graph<'_>, options: &BuildOptions) -> Kept {
+    pub(crate) fn new(graph: &WeightedGraph<'_>, options: &BuildOptions) -> Kept {
         Kept {
             offsets: graph.offsets.to_vec(),
             neighbours: graph.neighbours.to_vec(),
@@ -24,7 +24,7 @@ impl Kept {
         }
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         let weights = self.weights.as_ref().map_or(0, Vec::len);
         4 * (self.offsets.len() + self.neighbours.len() + weights) + 24 * self.positions.len()
     }

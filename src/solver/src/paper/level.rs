@@ -50,7 +50,7 @@ impl Level {
         self.edges(i).filter(|(_, j)| self.elevated[*j] == RETAINED)
     }
 
-    pub(super) fn bytes(&self) -> usize {
+    pub(super) fn byte_size(&self) -> usize {
         8 * self.offsets.len()
             + 24 * self.positions.len()
             + 4 * (self.neighbours.len() + self.elevated.len() + self.seeds.len())

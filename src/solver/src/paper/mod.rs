@@ -1,7 +1,7 @@
 //! The paper's own multigrid: section 4's graphs, the operators (12) to (22), full multigrid, V(2,2) cycles.
 //!
 //! This module exists so that the method can be reproduced and compared. It is what
-//! [`Operators::Paper`](super::Operators::Paper) selects. It stays close to the printed text, in double precision, with
+//! [`CoarseOperators::Paper`](super::CoarseOperators::Paper) selects. It stays close to the printed text, in double precision, with
 //! sequential loops (so the bits cannot depend on the number of threads) and without the arrangements that make the
 //! rest of the solver fast. All of it is linear in the size of the graph. It knows nothing of aggregates; the true
 //! residual and the last resort come from the parent module, so that both are judged by the same measure.

@@ -1,9 +1,9 @@
 //! Graphs and systems for the tests of this module.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::constrain::system::System;
+use crate::constrain::system::LinearSystem;
 use crate::exec::Exec;
-use crate::options::{BuildOptions, Constraints, Operators};
+use crate::options::{BuildOptions, CoarseOperators, Constraints};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::progress::Silent;
 use crate::testing::{Block, pool};
@@ -76,25 +76,30 @@ fn joined(points: &[[i32; 3]], neighbours: impl Fn([i32; 3]) -> Vec<[i32; 3]>) -
 /// Options with the paper's ratio of level sizes.
 pub(crate) fn options(coarsest: usize) -> BuildOptions {
     BuildOptions {
-        operators: Operators::Paper,
+        operators: CoarseOperators::Paper,
         coarsening: 0.2,
         coarsest,
         ..BuildOptions::default()
     }
 }
 
-pub(crate) fn built(block: &Block, fixed: &[bool], stiffness: Option<&[f64]>, coarsest: usize) -> (Hierarchy, System) {
+pub(crate) fn built(
+    block: &Block,
+    fixed: &[bool],
+    stiffness: Option<&[f64]>,
+    coarsest: usize,
+) -> (Hierarchy, LinearSystem) {
     let hierarchy = Hierarchy::build(&block.view(), &options(coarsest), &Exec::new(&pool(), &Silent)).unwrap();
     let system = hierarchy.constrain(&Constraints { fixed, stiffness }, &pool()).unwrap();
     (hierarchy, system)
 }
 
 /// The paper's hierarchy of a block whose first plane is fixed.
-pub(crate) fn held(block: &Block, coarsest: usize) -> (Hierarchy, System) {
+pub(crate) fn held(block: &Block, coarsest: usize) -> (Hierarchy, LinearSystem) {
     let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] == 0.0).collect();
     built(block, &fixed, None, coarsest)
 }
 
-pub(crate) fn paper(system: &System) -> &PaperHierarchy {
+pub(crate) fn paper(system: &LinearSystem) -> &PaperHierarchy {
     system.paper.as_ref().unwrap()
 }

@@ -3,7 +3,7 @@
 use crate::build::hierarchy::Hierarchy;
 use crate::exec::Exec;
 use crate::lanes::{WIDTH, Wide};
-use crate::options::{BuildOptions, Constraints, Method, Operators, SolveOptions, Start, Stats};
+use crate::options::{BuildOptions, CoarseOperators, Constraints, InitialGuess, SolveMethod, SolveOptions, SolveStats};
 use crate::paper::cycle::{Vectors, vectors};
 use crate::paper::equations::Equations;
 use crate::paper::hierarchy::PaperHierarchy;
@@ -11,7 +11,7 @@ use crate::paper::restrict::{Offsets, Reading, correct, prolong, restrict_defect
 use crate::paper::smooth::defect;
 use crate::paper::testing::{held, lattice, paper, path, sheet};
 use crate::progress::Silent;
-use crate::solve::iteration::Control;
+use crate::solve::iteration::SolveControl;
 use crate::solve::workspace::Workspace;
 use crate::testing::{Block, pool};
 
@@ -217,7 +217,7 @@ fn with_the_pruned_operators_for_defects_cycles_diverge_on_volume_graphs() {
 }
 
 /// Solves for the map x → R x + t, prescribed where vertices are fixed, with frames that say the same.
-fn rigid(block: &Block, start: bool, most: usize) -> (f64, Stats) {
+fn rigid(block: &Block, start: bool, most: usize) -> (f64, SolveStats) {
     let (hierarchy, system) = held(block, 10);
     let (s, c) = (libm::sin(1.1), libm::cos(1.1));
     // Frames are single precision; so must be what they are compared with.
@@ -245,16 +245,16 @@ fn rigid(block: &Block, start: bool, most: usize) -> (f64, Stats) {
     }
     let options = SolveOptions {
         start: match start {
-            true => Start::FullMultigrid {
+            true => InitialGuess::FullMultigrid {
                 frames: Some(&frames),
                 rest: None,
             },
-            false => Start::Zero,
+            false => InitialGuess::Zero,
         },
         max_iterations: most,
         ..SolveOptions::default()
     };
-    let mut go_on = |_: &crate::Iteration<'_>| Control::Continue;
+    let mut go_on = |_: &crate::IterationReport<'_>| SolveControl::Continue;
     let mut workspace = Workspace::default();
     let stats = system
         .solve(
@@ -285,8 +285,8 @@ fn full_multigrid_begins_with_a_rigid_motion_exactly() {
 #[test]
 fn levels_are_told_and_shrink_as_the_paper_says() {
     let (hierarchy, system) = held(&lattice(14), 100);
-    let facts = system.levels().unwrap();
-    assert_eq!(facts[0].vertices, system.free());
+    let facts = system.level_sizes().unwrap();
+    assert_eq!(facts[0].vertices, system.free_count());
     for pair in facts.windows(2) {
         let ratio = pair[0].vertices as f64 / pair[1].vertices as f64;
         assert!((2.5..9.0).contains(&ratio), "{facts:?}");
@@ -303,7 +303,7 @@ fn levels_are_told_and_shrink_as_the_paper_says() {
 fn few_free_vertices_are_solved_directly() {
     let block = Block::new(5, 5, 5);
     let options = BuildOptions {
-        operators: Operators::Paper,
+        operators: CoarseOperators::Paper,
         ..BuildOptions::default()
     };
     let hierarchy = Hierarchy::build(&block.view(), &options, &Exec::new(&pool(), &Silent)).unwrap();
@@ -313,7 +313,7 @@ fn few_free_vertices_are_solved_directly() {
         stiffness: None,
     };
     let system = hierarchy.constrain(&constraints, &pool()).unwrap();
-    assert!(system.levels().is_none());
+    assert!(system.level_sizes().is_none());
     let (n, mut workspace) = (block.positions.len(), Workspace::default());
     let mut x = vec![0.0; n];
     let stats = system
@@ -325,8 +325,8 @@ fn few_free_vertices_are_solved_directly() {
             &SolveOptions::default(),
             &mut workspace,
             &Exec::new(&pool(), &Silent),
-            &mut |_| Control::Continue,
+            &mut |_| SolveControl::Continue,
         )
         .unwrap();
-    assert!(stats.converged && stats.method == Method::Direct);
+    assert!(stats.converged && stats.method == SolveMethod::Direct);
 }

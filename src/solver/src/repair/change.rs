@@ -5,7 +5,7 @@ use crate::build::hierarchy::{Hierarchy, block_size};
 use crate::build::level::Level;
 use crate::build::order::{along_curve, breadth_first};
 use crate::error::Error;
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::lanes::{Lanes, Shared};
 use crate::repair::marks::Marks;
 use crate::storage::NONE;
@@ -18,7 +18,7 @@ const HEAVIEST: f32 = 65536.0;
 
 /// What a topology change does to the vertices of a graph.
 #[derive(Debug, Clone, Copy)]
-pub struct Change<'a> {
+pub struct GraphChange<'a> {
     /// For each vertex of the old graph its number in the new one, `u32::MAX` if it is gone. No two have the same.
     pub new_from_old: &'a [u32],
     /// Vertices of the new graph, rising: all that are new, and all whose neighbours, weights or position are not what
@@ -28,7 +28,7 @@ pub struct Change<'a> {
 
 /// What a repair did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Repair {
+pub struct RepairReport {
     /// True if the hierarchy was built anew: more than a quarter of the vertices was touched or is gone, or the graph
     /// is small, or it changed in a way that cannot be followed.
     pub rebuilt: bool,
@@ -71,12 +71,12 @@ pub(super) struct Plan {
 /// [`Error::Invalid`] if the parts that are read contradict each other.
 pub(super) fn read(
     hierarchy: &Hierarchy,
-    graph: &Graph<'_>,
-    change: &Change<'_>,
+    graph: &WeightedGraph<'_>,
+    change: &GraphChange<'_>,
     threads: Threads,
 ) -> Result<Option<Plan>, Error> {
     let level = &hierarchy.levels[0];
-    let Change { new_from_old, touched } = *change;
+    let GraphChange { new_from_old, touched } = *change;
     check_map(hierarchy, graph, change, threads)?;
     graph.check_some(touched)?;
     let scale = hierarchy.weight_scale as f32;
@@ -188,9 +188,14 @@ pub(super) fn read(
 }
 
 /// Checks lengths and ranges, and that no two old vertices become one.
-fn check_map(hierarchy: &Hierarchy, graph: &Graph<'_>, change: &Change<'_>, threads: Threads) -> Result<(), Error> {
+fn check_map(
+    hierarchy: &Hierarchy,
+    graph: &WeightedGraph<'_>,
+    change: &GraphChange<'_>,
+    threads: Threads,
+) -> Result<(), Error> {
     let (n, before) = (graph.vertices(), hierarchy.vertices());
-    let Change { new_from_old, touched } = *change;
+    let GraphChange { new_from_old, touched } = *change;
     if new_from_old.len() != before {
         let seen = new_from_old.len();
         return Err(Error::Invalid(format!(

@@ -7,9 +7,9 @@ use crate::build::draft::Blocks;
 use crate::build::hierarchy::{Hierarchy, block_size, coarsen};
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::progress::Silent;
-use crate::repair::change::{Change, Plan, Repair, read};
+use crate::repair::change::{GraphChange, Plan, RepairReport, read};
 use crate::repair::compact::{draft_of, gather, rearrange, renumber_aggregates};
 use crate::repair::place::{Placed, place};
 use crate::repair::regroup::{Regrouped, regroup};
@@ -30,16 +30,21 @@ impl Hierarchy {
     /// Follows a topology change. `graph` is the graph after it, in the new numbers. Costs what the change touches, but
     /// for one pass over the numbers of all vertices; the result depends on the hierarchy and the arguments alone.
     ///
-    /// [`System`](super::System)s that were made before belong to the old hierarchy and fail with this one. To keep
+    /// [`LinearSystem`](super::LinearSystem)s that were made before belong to the old hierarchy and fail with this one. To keep
     /// both, repair a clone.
     ///
     /// Weights keep the scale and positions the box that the hierarchy was built with. With
-    /// [`Operators::Paper`](super::Operators::Paper) a repair is a build.
+    /// [`CoarseOperators::Paper`](super::CoarseOperators::Paper) a repair is a build.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a change that contradicts the graphs and for malformed touched rows,
     /// [`Error::Cancelled`]. The hierarchy is then as it was.
-    pub fn repair(&mut self, graph: &Graph<'_>, change: &Change<'_>, exec: &Exec<'_>) -> Result<Repair, Error> {
+    pub fn repair(
+        &mut self,
+        graph: &WeightedGraph<'_>,
+        change: &GraphChange<'_>,
+        exec: &Exec<'_>,
+    ) -> Result<RepairReport, Error> {
         self.repair_above(SMALL, graph, change, exec)
     }
 
@@ -47,10 +52,10 @@ impl Hierarchy {
     pub(super) fn repair_above(
         &mut self,
         small: usize,
-        graph: &Graph<'_>,
-        change: &Change<'_>,
+        graph: &WeightedGraph<'_>,
+        change: &GraphChange<'_>,
         exec: &Exec<'_>,
-    ) -> Result<Repair, Error> {
+    ) -> Result<RepairReport, Error> {
         exec.check()?;
         let threads = Threads::of(exec.pool);
         let least = self.vertices().min(graph.vertices());
@@ -61,7 +66,7 @@ impl Hierarchy {
         }
         let Some(plan) = plan else {
             *self = Hierarchy::build(graph, &self.options, exec)?;
-            return Ok(Repair {
+            return Ok(RepairReport {
                 rebuilt: true,
                 moved: 0,
             });
@@ -69,7 +74,7 @@ impl Hierarchy {
         exec.check()?;
         let moved = threads.enter(exec.pool, || self.follow(plan, small, threads));
         self.token = Arc::new(());
-        Ok(Repair { rebuilt: false, moved })
+        Ok(RepairReport { rebuilt: false, moved })
     }
 
     /// True once repairs have left so much behind that a build pays off, because solves take about a quarter longer than

@@ -2,11 +2,11 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::exec::Exec;
-use crate::graph::Graph;
-use crate::options::{BuildOptions, Constraints, Method, SolveOptions};
+use crate::graph::WeightedGraph;
+use crate::options::{BuildOptions, Constraints, SolveMethod, SolveOptions};
 use crate::progress::Silent;
-use crate::repair::change::{Change, Repair};
-use crate::solve::iteration::{Control, Iteration};
+use crate::repair::change::{GraphChange, RepairReport};
+use crate::solve::iteration::{IterationReport, SolveControl};
 use crate::solve::workspace::Workspace;
 use crate::storage::{BUNDLE, NONE};
 use crate::testing::{Block, pool};
@@ -30,8 +30,8 @@ struct Cast {
 }
 
 impl Cast {
-    fn view(&self) -> Graph<'_> {
-        Graph {
+    fn view(&self) -> WeightedGraph<'_> {
+        WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
             weights: self.weights.as_deref(),
@@ -156,7 +156,7 @@ fn difference(before: &Cast, after: &Cast) -> (Vec<u32>, Vec<u32>) {
 }
 
 /// Everything that a level promises.
-fn check_levels(hierarchy: &Hierarchy, graph: &Graph<'_>) {
+fn check_levels(hierarchy: &Hierarchy, graph: &WeightedGraph<'_>) {
     let n = graph.vertices();
     let mut row_of = vec![NONE; n];
     assert_eq!(hierarchy.order.len(), hierarchy.levels[0].rows());
@@ -263,9 +263,9 @@ fn check_levels(hierarchy: &Hierarchy, graph: &Graph<'_>) {
     }
 }
 
-fn repair(hierarchy: &mut Hierarchy, before: &Cast, after: &Cast) -> Repair {
+fn repair(hierarchy: &mut Hierarchy, before: &Cast, after: &Cast) -> RepairReport {
     let (new_from_old, touched) = difference(before, after);
-    let change = Change {
+    let change = GraphChange {
         new_from_old: &new_from_old,
         touched: &touched,
     };
@@ -333,7 +333,7 @@ fn iterations(hierarchy: &Hierarchy, cast: &Cast) -> usize {
         tolerance: Some(1e-6),
         ..SolveOptions::default()
     };
-    let mut watch = |_: &Iteration<'_>| Control::Continue;
+    let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     let mut workspace = Workspace::default();
     let stats = system.solve(
         hierarchy,
@@ -346,7 +346,7 @@ fn iterations(hierarchy: &Hierarchy, cast: &Cast) -> usize {
         &mut watch,
     );
     let stats = stats.unwrap();
-    assert!(stats.converged && stats.method == Method::Multigrid, "{stats:?}");
+    assert!(stats.converged && stats.method == SolveMethod::Multigrid, "{stats:?}");
     stats.iterations
 }
 
@@ -418,7 +418,7 @@ fn wear_is_seen() {
     let mut repairs = 0;
     while !hierarchy.is_worn() {
         let touched: Vec<u32> = (repairs * 200..repairs * 200 + 200).collect();
-        let change = Change {
+        let change = GraphChange {
             new_from_old: &same,
             touched: &touched,
         };
@@ -456,7 +456,7 @@ fn numbers_may_change_in_any_order() {
             graph.offsets.push(graph.neighbours.len() as u32);
         }
         let mut hierarchy = block.hierarchy(100);
-        let change = Change {
+        let change = GraphChange {
             new_from_old: &map,
             touched: &[5, 6000],
         };
@@ -466,7 +466,7 @@ fn numbers_may_change_in_any_order() {
         assert!(!report.rebuilt);
         check_levels(&hierarchy, &graph.view());
         map[a] = map[b];
-        let change = Change {
+        let change = GraphChange {
             new_from_old: &map,
             touched: &[5],
         };

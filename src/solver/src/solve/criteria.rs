@@ -1,7 +1,7 @@
 //! When a solve stops, and what became of a group of columns.
 
 use crate::lanes::{WIDTH, Wide};
-use crate::options::Method;
+use crate::options::SolveMethod;
 
 /// When to stop.
 #[derive(Debug, Clone, Copy)]
@@ -32,13 +32,13 @@ pub(crate) struct Outcome {
     pub(crate) relative: Wide,
     pub(crate) max_error: f64,
     pub(crate) factor: f64,
-    pub(crate) method: Method,
+    pub(crate) method: SolveMethod,
     pub(crate) stopped: bool,
     pub(crate) converged: bool,
 }
 
 impl Outcome {
-    pub(crate) fn new(method: Method) -> Self {
+    pub(crate) fn new(method: SolveMethod) -> Self {
         Self {
             iterations: 0,
             relative: [0.0; WIDTH],

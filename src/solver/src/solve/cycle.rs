@@ -1,7 +1,7 @@
 //! The multigrid cycle that preconditions the outer iteration (paper section 5, Algorithm 1).
 
 use crate::build::hierarchy::Hierarchy;
-use crate::constrain::system::System;
+use crate::constrain::system::LinearSystem;
 use crate::lanes::{Lanes, Shared, WIDTH, Wide, per_lane, ratio};
 use crate::progress::{Cancelled, Progress, check};
 use crate::solve::sweep::{Dots, Grid};
@@ -34,7 +34,7 @@ impl Coarse {
         }
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         let lanes = self.b.capacity() + self.z.capacity() + self.t.capacity();
         let lanes = lanes + self.first_z.capacity() + self.first_v.capacity() + 3 * self.partials.capacity();
         16 * lanes + 32 * self.dense.capacity()
@@ -56,7 +56,7 @@ pub(crate) fn clear_inactive(grid: &Grid<'_>, v: &mut [Lanes]) {
 /// Runs cycles on a constrained hierarchy.
 pub(crate) struct Cycle<'a> {
     pub(crate) hierarchy: &'a Hierarchy,
-    pub(crate) system: &'a System,
+    pub(crate) system: &'a LinearSystem,
     pub(crate) threads: Threads,
     pub(crate) progress: &'a dyn Progress,
 }
@@ -220,7 +220,7 @@ mod tests {
     use crate::testing::{Block, pool};
 
     /// M u for the cycle M, with u masked.
-    fn apply(hierarchy: &Hierarchy, system: &System, u: &[f32]) -> Vec<Lanes> {
+    fn apply(hierarchy: &Hierarchy, system: &LinearSystem, u: &[f32]) -> Vec<Lanes> {
         let threads = Threads::of(&pool());
         let cycle = Cycle {
             hierarchy,

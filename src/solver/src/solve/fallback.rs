@@ -3,11 +3,11 @@
 
 use crate::error::Error;
 use crate::lanes::{Shared, WIDTH, Wide, per_lane, ratio};
-use crate::options::Method;
+use crate::options::SolveMethod;
 use crate::progress::check;
 use crate::solve::criteria::Outcome;
 use crate::solve::group::Outer;
-use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
+use crate::solve::iteration::{IterationReport, Snapshot, SolveControl, Watch};
 use crate::solve::problem::Problem;
 
 /// Iterations per iteration that the caller allows: they are cheap compared with a cycle.
@@ -35,7 +35,7 @@ pub(crate) fn conjugate_gradients(
     }
     let x = &mut outer.workspace.x;
     let floating = &problem.system.floating;
-    outcome.method = Method::ConjugateGradients;
+    outcome.method = SolveMethod::ConjugateGradients;
     let limit = outcome.iterations + criteria.max_iterations.saturating_mul(ALLOWANCE);
     let mut best = f64::INFINITY;
     let mut idle = 0;
@@ -83,7 +83,7 @@ pub(crate) fn conjugate_gradients(
         let unit = problem.unit[..width].iter().fold(0.0f64, |a, &b| a.max(b));
         // All steps of a stretch together may still be to come once more.
         outcome.max_error = longest * unit * LOOK as f64;
-        let iteration = Iteration {
+        let iteration = IterationReport {
             index: outcome.iterations,
             columns: problem.columns(),
             residual: worst,
@@ -95,7 +95,7 @@ pub(crate) fn conjugate_gradients(
                 caller: outer.caller,
             },
         };
-        outcome.stopped = watch(&iteration) == Control::Stop;
+        outcome.stopped = watch(&iteration) == SolveControl::Stop;
     }
 }
 
@@ -157,16 +157,20 @@ fn step(problem: &Problem<'_>, rz: Wide, x: &mut [Wide], r: &mut [Wide], p: &[Wi
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::constrain::system::System;
+    use crate::constrain::system::LinearSystem;
     use crate::error::Error;
     use crate::exec::Exec;
-    use crate::options::{SolveOptions, Stats};
+    use crate::options::{SolveOptions, SolveStats};
     use crate::progress::Silent;
-    use crate::solve::iteration::Control;
+    use crate::solve::iteration::SolveControl;
     use crate::solve::workspace::Workspace;
     use crate::testing::{Block, pool};
 
-    fn solve(block: &Block, break_it: impl Fn(&mut System), tolerance: f64) -> (Result<Stats, Error>, Vec<f64>) {
+    fn solve(
+        block: &Block,
+        break_it: impl Fn(&mut LinearSystem),
+        tolerance: f64,
+    ) -> (Result<SolveStats, Error>, Vec<f64>) {
         let hierarchy = block.hierarchy(100);
         let mut system = block.system(&hierarchy);
         break_it(&mut system);
@@ -177,7 +181,7 @@ mod tests {
             ..SolveOptions::default()
         };
         let mut workspace = Workspace::default();
-        let mut watch = |_: &Iteration<'_>| Control::Continue;
+        let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
         let stats = system.solve(
             &hierarchy,
             2,
@@ -195,12 +199,16 @@ mod tests {
     fn a_broken_hierarchy_still_gives_the_solution() {
         let block = Block::new(12, 10, 10).weighted();
         let (sound, want) = solve(&block, |_| {}, 1e-10);
-        assert_eq!(sound.unwrap().method, Method::Multigrid);
-        let scale =
-            |factor: f32| move |system: &mut System| system.masks[1].inverses.iter_mut().for_each(|v| *v *= factor);
+        assert_eq!(sound.unwrap().method, SolveMethod::Multigrid);
+        let scale = |factor: f32| {
+            move |system: &mut LinearSystem| system.masks[1].inverses.iter_mut().for_each(|v| *v *= factor)
+        };
         let (nan, x) = solve(&block, scale(f32::NAN), 1e-10);
         let nan = nan.unwrap();
-        assert!(nan.converged && nan.method == Method::ConjugateGradients, "{nan:?}");
+        assert!(
+            nan.converged && nan.method == SolveMethod::ConjugateGradients,
+            "{nan:?}"
+        );
         assert!(x.iter().zip(&want).all(|(a, b)| (a - b).abs() < 1e-7));
         // Inner products make up for a coarse level that points the wrong way, or something else takes over.
         let (negative, x) = solve(&block, scale(-1.0), 1e-10);

@@ -7,7 +7,7 @@ use crate::solve::problem::Problem;
 
 /// Where a solve stands after one iteration; handed to the caller's `watch`.
 #[derive(Debug)]
-pub struct Iteration<'a> {
+pub struct IterationReport<'a> {
     /// Iterations done for these columns, from 1.
     pub index: usize,
     /// The columns that are being iterated (columns are solved in groups of four).
@@ -21,7 +21,7 @@ pub struct Iteration<'a> {
     pub(crate) snapshot: Snapshot<'a>,
 }
 
-impl Iteration<'_> {
+impl IterationReport<'_> {
     /// Writes the present solution, all vertices and columns, row-major as `x` of the solve. Fixed rows are copied
     /// bit for bit; columns whose turn has not come hold what `x` held.
     ///
@@ -34,7 +34,7 @@ impl Iteration<'_> {
 
 /// The answer of `watch`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Control {
+pub enum SolveControl {
     /// Go on until the criteria hold.
     Continue,
     /// Accept the present solution.
@@ -64,4 +64,4 @@ impl std::fmt::Debug for Snapshot<'_> {
 }
 
 /// Called after every iteration.
-pub(crate) type Watch<'a> = dyn FnMut(&Iteration<'_>) -> Control + 'a;
+pub(crate) type Watch<'a> = dyn FnMut(&IterationReport<'_>) -> SolveControl + 'a;

@@ -7,7 +7,7 @@
 use crate::build::hierarchy::power_of_two_below;
 use crate::error::Error;
 use crate::lanes::{Lanes, WIDTH, Wide, per_lane, ratio};
-use crate::options::Method;
+use crate::options::SolveMethod;
 use crate::progress::Cancelled;
 use crate::solve::advance::{
     Advance, add_correction, advance, first_residual, fold, longest_step, reference, residual, resume,
@@ -15,7 +15,7 @@ use crate::solve::advance::{
 use crate::solve::criteria::Outcome;
 use crate::solve::cycle::{clear_inactive, prepare};
 use crate::solve::group::Outer;
-use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
+use crate::solve::iteration::{IterationReport, Snapshot, SolveControl, Watch};
 use crate::solve::problem::Problem;
 use crate::solve::workspace::Workspace;
 
@@ -103,7 +103,7 @@ impl Outer<'_, '_> {
         prepare(&self.cycle, coarse);
 
         let mut state = State {
-            outcome: Outcome::new(Method::Multigrid),
+            outcome: Outcome::new(SolveMethod::Multigrid),
             reference: [0.0; WIDTH],
             scale: [1.0; WIDTH],
             direction: None,
@@ -286,7 +286,7 @@ impl Outer<'_, '_> {
 
             let claimed = per_lane(|c| now[c] + 2.0 * noise[c]);
             let holds = criteria.hold(&claimed[..width], state.outcome.max_error);
-            let iteration = Iteration {
+            let iteration = IterationReport {
                 index: state.outcome.iterations,
                 columns: problem.columns(),
                 residual: now[..width].iter().fold(0.0, |a, &b| a.max(b)),
@@ -298,7 +298,7 @@ impl Outer<'_, '_> {
                     caller: self.caller,
                 },
             };
-            if watch(&iteration) == Control::Stop {
+            if watch(&iteration) == SolveControl::Stop {
                 state.outcome.stopped = true;
                 state.outcome.converged = holds;
                 break Stretch::Accepted;

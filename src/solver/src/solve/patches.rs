@@ -18,7 +18,7 @@ pub(crate) struct Patches {
 }
 
 impl Patches {
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         48 * self.maps.capacity() + 16 * (self.positions.capacity() + self.beta.capacity() + self.x.capacity())
     }
 

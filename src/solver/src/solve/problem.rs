@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::build::hierarchy::{Hierarchy, power_of_two_below};
-use crate::constrain::system::System;
+use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
 use crate::storage::{BUNDLE, NONE};
@@ -22,7 +22,7 @@ const PIECE: usize = 4096;
 #[derive(Clone, Copy)]
 pub(crate) struct Problem<'a> {
     pub(crate) hierarchy: &'a Hierarchy,
-    pub(crate) system: &'a System,
+    pub(crate) system: &'a LinearSystem,
     pub(crate) threads: Threads,
     rhs: &'a [f64],
     columns: usize,
@@ -40,7 +40,7 @@ impl<'a> Problem<'a> {
     /// [`Error::Invalid`] if a number that matters is not finite.
     pub(crate) fn new(
         hierarchy: &'a Hierarchy,
-        system: &'a System,
+        system: &'a LinearSystem,
         threads: Threads,
         (rhs, x): (&'a [f64], &[f64]),
         (columns, first): (usize, usize),

@@ -56,15 +56,15 @@ impl Fine {
 
 impl Workspace {
     /// Bytes held.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         let f = &self.fine;
         let lanes: usize = [&f.r, &f.z, &f.t, &f.e, &f.last_r, &f.last_e]
             .iter()
             .map(|v| v.capacity())
             .sum();
         let wide = self.x.capacity() + self.wide.iter().map(Vec::capacity).sum::<usize>();
-        let coarse: usize = self.coarse.iter().map(Coarse::bytes).sum();
-        let patches: usize = self.patches.iter().map(Patches::bytes).sum();
+        let coarse: usize = self.coarse.iter().map(Coarse::byte_size).sum();
+        let patches: usize = self.patches.iter().map(Patches::byte_size).sum();
         16 * (lanes + 3 * f.partials.capacity()) + 32 * wide + coarse + patches + 8 * self.history.capacity()
     }
 }

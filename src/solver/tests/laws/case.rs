@@ -3,7 +3,9 @@
 use pliant_solver::exec::Exec;
 use pliant_solver::pool::Pool;
 use pliant_solver::progress::Silent;
-use pliant_solver::{BuildOptions, Constraints, Control, Hierarchy, SolveOptions, Stats, System, Workspace};
+use pliant_solver::{
+    BuildOptions, Constraints, Hierarchy, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace,
+};
 
 use super::graphs::{Lattice, Random};
 
@@ -13,7 +15,7 @@ pub struct Case {
     pub fixed: Vec<bool>,
     pub stiffness: Option<Vec<f64>>,
     pub hierarchy: Hierarchy,
-    pub system: System,
+    pub system: LinearSystem,
     pub pool: Pool,
 }
 
@@ -47,7 +49,7 @@ impl Case {
         self.fixed.len()
     }
 
-    pub fn solve(&self, columns: usize, rhs: &[f64], x: &mut [f64], options: &SolveOptions<'_>) -> Stats {
+    pub fn solve(&self, columns: usize, rhs: &[f64], x: &mut [f64], options: &SolveOptions<'_>) -> SolveStats {
         let mut workspace = Workspace::default();
         self.system
             .solve(
@@ -58,13 +60,13 @@ impl Case {
                 options,
                 &mut workspace,
                 &Exec::new(&self.pool, &Silent),
-                &mut |_| Control::Continue,
+                &mut |_| SolveControl::Continue,
             )
             .unwrap()
     }
 
     /// Solves to `tolerance` from zero.
-    pub fn solve_to(&self, columns: usize, rhs: &[f64], x: &mut [f64], tolerance: f64) -> Stats {
+    pub fn solve_to(&self, columns: usize, rhs: &[f64], x: &mut [f64], tolerance: f64) -> SolveStats {
         self.solve(columns, rhs, x, &to(tolerance))
     }
 

@@ -1,6 +1,6 @@
 //! Fixed vertices, springs, loose parts, changed handles.
 
-use pliant_solver::{Constraints, Method, SolveOptions, Start};
+use pliant_solver::{Constraints, InitialGuess, SolveMethod, SolveOptions};
 
 use super::case::{Case, largest_distance, noise, to, twist};
 use super::graphs::{Lattice, lattice};
@@ -80,7 +80,7 @@ fn loose_parts_keep_their_mean() {
         &rhs,
         &mut x,
         &SolveOptions {
-            start: Start::Given,
+            start: InitialGuess::Given,
             ..to(1e-8)
         },
     );
@@ -103,8 +103,8 @@ fn loose_parts_keep_their_mean() {
         .unwrap();
     assert!(relative[0] < 1e-7);
     for start in [
-        Start::Zero,
-        Start::FullMultigrid {
+        InitialGuess::Zero,
+        InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
         },
@@ -126,19 +126,19 @@ fn nothing_free_and_little_free() {
     let mut x = noise(3 * n, 1);
     let before = x.clone();
     let stats = all.solve_to(3, &vec![0.0; 3 * n], &mut x, 1e-6);
-    assert!(stats.method == Method::Trivial && stats.converged && x == before && all.system.free() == 0);
+    assert!(stats.method == SolveMethod::Trivial && stats.converged && x == before && all.system.free_count() == 0);
 
     let few = Case::new(graph.clone(), (0..n).map(|i| i % 50 != 7).collect(), None, 1);
     let stats = few.solve_to(3, &vec![0.0; 3 * n], &mut x, 1e-12);
     assert!(
-        stats.method == Method::Direct && stats.converged && few.system.free() == 40,
+        stats.method == SolveMethod::Direct && stats.converged && few.system.free_count() == 40,
         "{stats:?}"
     );
     assert!(few.residuals(3, &vec![0.0; 3 * n], &x).iter().all(|r| *r <= 1e-12));
 
     let some = Case::new(graph, (0..n).map(|i| i % 4 != 1).collect(), None, 1);
     let stats = some.solve_to(3, &vec![0.0; 3 * n], &mut x, 1e-10);
-    assert!(stats.method == Method::Multigrid && stats.converged, "{stats:?}");
+    assert!(stats.method == SolveMethod::Multigrid && stats.converged, "{stats:?}");
 
     let empty = Case::new(Lattice::from_edges(Vec::new(), Vec::new()), Vec::new(), None, 1);
     assert!(empty.solve_to(3, &[], &mut [], 1e-6).converged);
@@ -148,7 +148,7 @@ fn nothing_free_and_little_free() {
 #[test]
 fn a_changed_handle_uses_the_same_hierarchy() {
     let case = Case::ends(lattice(12, 12, 20), 2);
-    let before = case.hierarchy.levels();
+    let before = case.hierarchy.level_sizes();
     assert!(
         before.windows(2).all(|w| w[1].vertices * 2 < w[0].vertices),
         "levels shrink: {before:?}"

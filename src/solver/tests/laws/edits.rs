@@ -1,6 +1,6 @@
 //! Graphs that change, and what a change of them is in the solver's terms.
 
-use pliant_solver::Change;
+use pliant_solver::GraphChange;
 
 use super::graphs::{Lattice, Random};
 
@@ -31,8 +31,8 @@ pub struct Cast {
 }
 
 impl Cast {
-    pub fn change(&self) -> Change<'_> {
-        Change {
+    pub fn change(&self) -> GraphChange<'_> {
+        GraphChange {
             new_from_old: &self.new_from_old,
             touched: &self.touched,
         }

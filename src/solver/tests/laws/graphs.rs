@@ -1,6 +1,6 @@
 //! Graphs to solve on.
 
-use pliant_solver::Graph;
+use pliant_solver::WeightedGraph;
 
 /// A graph with owned arrays.
 #[derive(Debug, Clone)]
@@ -40,8 +40,8 @@ impl Lattice {
         }
     }
 
-    pub fn view(&self) -> Graph<'_> {
-        Graph {
+    pub fn view(&self) -> WeightedGraph<'_> {
+        WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
             weights: self.weights.as_deref(),

@@ -1,6 +1,6 @@
 //! Graphs that multigrid does not like.
 
-use pliant_solver::Method;
+use pliant_solver::SolveMethod;
 use proptest::prelude::*;
 
 use super::case::{Case, largest_distance, noise, twist};
@@ -129,7 +129,7 @@ fn all_but_one_vertex_may_be_held() {
         let mut x = noise(3 * case.n(), 6);
         let before = x.clone();
         let stats = case.solve_to(3, &vec![0.0; x.len()], &mut x, 1e-12);
-        assert!(stats.converged && stats.method == Method::Direct, "{stats:?}");
+        assert!(stats.converged && stats.method == SolveMethod::Direct, "{stats:?}");
         let row: Vec<usize> = case.graph.row(free).map(|(j, _)| j).collect();
         for c in 0..3 {
             let mean = row.iter().map(|j| before[3 * j + c]).sum::<f64>() / row.len() as f64;

@@ -4,7 +4,8 @@ use pliant_solver::exec::Exec;
 use pliant_solver::pool::Pool;
 use pliant_solver::progress::{Progress, Silent};
 use pliant_solver::{
-    BuildOptions, Constraints, Control, Error, Hierarchy, Iteration, Method, Operators, SolveOptions, Start, Workspace,
+    BuildOptions, CoarseOperators, Constraints, Error, Hierarchy, InitialGuess, IterationReport, SolveControl,
+    SolveMethod, SolveOptions, Workspace,
 };
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
@@ -14,7 +15,7 @@ use super::graphs::{Lattice, lattice, random_graph, star, surface};
 /// The same case with the paper's operators.
 fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
     let options = BuildOptions {
-        operators: Operators::Paper,
+        operators: CoarseOperators::Paper,
         interleave,
         ..BuildOptions::default()
     };
@@ -47,7 +48,7 @@ fn soft(graph: Lattice) -> Case {
 fn framed<'a>(frames: &'a [[f32; 9]], options: SolveOptions<'a>) -> SolveOptions<'a> {
     let frames = Some(frames);
     SolveOptions {
-        start: Start::FullMultigrid { frames, rest: None },
+        start: InitialGuess::FullMultigrid { frames, rest: None },
         ..options
     }
 }
@@ -59,7 +60,7 @@ fn cycles_reach_what_is_asked_where_that_is_little() {
         let (rhs, start, frames) = twist(&case, 0.3);
         let mut x = start.clone();
         let stats = case.solve(3, &rhs, &mut x, &framed(&frames, to(1e-2)));
-        assert!(stats.converged && stats.method == Method::PaperCycles, "{stats:?}");
+        assert!(stats.converged && stats.method == SolveMethod::PaperCycles, "{stats:?}");
         let recomputed = case.residuals(3, &rhs, &x).into_iter().fold(0.0, f64::max);
         assert!(recomputed <= 1e-2 && (recomputed - stats.residual).abs() <= 1e-6 * recomputed);
         for i in (0..3 * case.n()).filter(|i| case.fixed[i / 3]) {
@@ -82,11 +83,11 @@ fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
         let mut exact = start.clone();
         assert!(case.solve_to(3, &rhs, &mut exact, 1e-11).converged);
         for (interleave, begin) in [
-            (None, Start::Zero),
-            (Some(0), Start::Zero),
+            (None, InitialGuess::Zero),
+            (Some(0), InitialGuess::Zero),
             (
                 Some(0),
-                Start::FullMultigrid {
+                InitialGuess::FullMultigrid {
                     frames: None,
                     rest: None,
                 },
@@ -105,7 +106,7 @@ fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
             let stats = case.solve(3, &rhs, &mut x, &options);
             assert!(stats.converged, "{stats:?}");
             // Some get there without, above all with two steps after each cycle.
-            let gave_up = stats.method == Method::ConjugateGradients;
+            let gave_up = stats.method == SolveMethod::ConjugateGradients;
             assert!(gave_up || k > 1 || interleave.is_none(), "graph {k}: {stats:?}");
             assert!(case.residuals(3, &rhs, &x).iter().all(|r| *r <= 1.01e-8));
             let size = start
@@ -153,7 +154,7 @@ fn conjugate_gradient_steps_in_between_help() {
         };
         let mut x = start.clone();
         let stats = case.solve(3, &rhs, &mut x, &framed(&frames, options));
-        assert!(!stats.converged && stats.iterations == 10 && stats.method == Method::PaperCycles);
+        assert!(!stats.converged && stats.iterations == 10 && stats.method == SolveMethod::PaperCycles);
         missing.push(largest_distance(3, &x, &exact));
     }
     assert!(missing[1] < 0.9 * missing[0], "{missing:?}");
@@ -191,11 +192,15 @@ fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
     let run = |progress: &dyn Progress, most: usize| {
         let (mut x, mut shown) = (start.clone(), start.clone());
         let mut seen = 0;
-        let mut watch = |iteration: &Iteration<'_>| {
+        let mut watch = |iteration: &IterationReport<'_>| {
             seen += 1;
             assert_eq!(iteration.index, seen);
             iteration.copy_to(&mut shown);
-            if seen == most { Control::Stop } else { Control::Continue }
+            if seen == most {
+                SolveControl::Stop
+            } else {
+                SolveControl::Continue
+            }
         };
         let mut workspace = Workspace::default();
         let result = case.system.solve(
@@ -219,7 +224,7 @@ fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
     let (result, seen, x, shown) = run(&Silent, 3);
     let stats = result.unwrap();
     assert!(stats.stopped && !stats.converged && stats.iterations == 3 && seen == 3);
-    assert_eq!(stats.method, Method::PaperCycles);
+    assert_eq!(stats.method, SolveMethod::PaperCycles);
     assert_eq!(shown, x, "the last thing shown is what the caller gets");
 }
 

@@ -3,7 +3,9 @@
 use pliant_solver::exec::Exec;
 use pliant_solver::pool::Pool;
 use pliant_solver::progress::{CancelFlag, Silent};
-use pliant_solver::{BuildOptions, Change, Constraints, Error, Graph, Hierarchy, Operators, Repair};
+use pliant_solver::{
+    BuildOptions, CoarseOperators, Constraints, Error, GraphChange, Hierarchy, RepairReport, WeightedGraph,
+};
 
 use super::case::{Case, largest_distance, twist};
 use super::edits::{Cast, Clay};
@@ -18,7 +20,7 @@ fn built(graph: &Lattice) -> Hierarchy {
     .unwrap()
 }
 
-fn repaired(hierarchy: &mut Hierarchy, cast: &Cast, threads: usize) -> Repair {
+fn repaired(hierarchy: &mut Hierarchy, cast: &Cast, threads: usize) -> RepairReport {
     cast.graph.view().check().unwrap();
     let pool = Pool::new(threads).unwrap();
     hierarchy
@@ -78,7 +80,7 @@ fn many_edits(graph: Lattice, axis: usize, weighted: bool, degree: usize, edits:
         cast = clay.cast(&ids);
         followed += usize::from(!repaired(&mut hierarchy, &cast, 1).rebuilt);
         if k % (edits / 4) == 0 {
-            let facts = hierarchy.levels()[0];
+            let facts = hierarchy.level_sizes()[0];
             assert_eq!(facts.vertices, cast.graph.len());
             assert_eq!(facts.edges, cast.graph.edges().count());
             compare(&cast.graph, axis, &hierarchy, &format!("after {k} edits"));
@@ -118,7 +120,7 @@ fn any_number_of_threads_gives_the_same_bits() {
             let mut case = case_with(&cast.graph, 2, hierarchy);
             case.pool = Pool::new(threads).unwrap();
             let bits = solved(&case).1.iter().map(|v| v.to_bits()).collect();
-            (bits, case.hierarchy.bytes())
+            (bits, case.hierarchy.byte_size())
         })
         .into();
     assert!(digests.iter().all(|d| *d == digests[0]));
@@ -130,7 +132,7 @@ fn nothing_changes_nothing() {
     let before = case_with(&graph, 2, built(&graph));
     let mut hierarchy = before.hierarchy.clone();
     let same: Vec<u32> = (0..graph.len() as u32).collect();
-    let change = Change {
+    let change = GraphChange {
         new_from_old: &same,
         touched: &[],
     };
@@ -140,7 +142,7 @@ fn nothing_changes_nothing() {
         .unwrap();
     assert_eq!(
         report,
-        Repair {
+        RepairReport {
             rebuilt: false,
             moved: 0
         }
@@ -171,11 +173,11 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
     let graph = lattice(14, 14, 14);
     let pool = Pool::new(1).unwrap();
     let same: Vec<u32> = (0..graph.len() as u32).collect();
-    let half = Change {
+    let half = GraphChange {
         new_from_old: &same,
         touched: &same[..graph.len() / 2],
     };
-    let few = Change {
+    let few = GraphChange {
         new_from_old: &same,
         touched: &same[..9],
     };
@@ -193,7 +195,7 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
         assert!(solved(&case_with(&graph, 2, hierarchy)) == fresh(&graph), "to the bit");
     }
     let options = BuildOptions {
-        operators: Operators::Paper,
+        operators: CoarseOperators::Paper,
         ..BuildOptions::default()
     };
     let mut paper = Hierarchy::build(&graph.view(), &options, &Exec::new(&pool, &Silent)).unwrap();
@@ -222,7 +224,7 @@ fn graphs_without_positions_are_followed() {
 }
 
 /// A change that is refused, and what the refusal names.
-fn refused(graph: &Graph<'_>, change: &Change<'_>, named: &str) {
+fn refused(graph: &WeightedGraph<'_>, change: &GraphChange<'_>, named: &str) {
     let before = lattice(14, 14, 14);
     let mut hierarchy = built(&before);
     let want = solved(&case_with(&before, 2, hierarchy.clone()));
@@ -240,7 +242,7 @@ fn contradictions_are_refused_and_change_nothing() {
     let same: Vec<u32> = (0..n).collect();
     let view = graph.view();
     let with = |map: &[u32], touched: &[u32], named: &str| {
-        let change = Change {
+        let change = GraphChange {
             new_from_old: map,
             touched,
         };
@@ -266,12 +268,12 @@ fn contradictions_are_refused_and_change_nothing() {
     let lacks =
         |drop: (u32, u32)| Lattice::from_edges(graph.positions.clone(), graph.edges().filter(|e| *e != drop).collect());
     let cut = lacks((0, 1));
-    let change = Change {
+    let change = GraphChange {
         new_from_old: &same,
         touched: &[0],
     };
     refused(&cut.view(), &change, "vertex 1 is not among the touched ones");
-    let short = Graph {
+    let short = WeightedGraph {
         positions: Some(&graph.positions[1..]),
         ..view
     };
@@ -284,7 +286,7 @@ fn cancelled_repairs_change_nothing() {
     let mut hierarchy = built(&graph);
     let want = solved(&case_with(&graph, 2, hierarchy.clone()));
     let same: Vec<u32> = (0..graph.len() as u32).collect();
-    let change = Change {
+    let change = GraphChange {
         new_from_old: &same,
         touched: &[1, 2, 3],
     };

@@ -2,7 +2,7 @@
 
 use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
-use pliant_solver::{Control, Iteration, SolveOptions, Start, Workspace};
+use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace};
 
 use super::case::{Case, largest_distance, to, twist};
 use super::graphs::{lattice, random_graph, surface};
@@ -22,7 +22,7 @@ fn a_warm_start_needs_fewer_iterations() {
         &rhs,
         &mut x,
         &SolveOptions {
-            start: Start::Given,
+            start: InitialGuess::Given,
             ..to(1e-6)
         },
     );
@@ -37,7 +37,7 @@ fn a_warm_start_needs_fewer_iterations() {
         &rhs,
         &mut x,
         &SolveOptions {
-            start: Start::Given,
+            start: InitialGuess::Given,
             ..to(1e-6)
         },
     );
@@ -48,7 +48,7 @@ fn a_warm_start_needs_fewer_iterations() {
 fn the_full_multigrid_start_saves_iterations() {
     for case in [Case::ends(lattice(16, 16, 48), 2), Case::ends(surface(120, 100), 0)] {
         let (rhs, start, frames) = twist(&case, 1.5);
-        let iterations = |start_at: Start<'_>| {
+        let iterations = |start_at: InitialGuess<'_>| {
             let mut x = start.clone();
             let stats = case.solve(
                 3,
@@ -62,13 +62,13 @@ fn the_full_multigrid_start_saves_iterations() {
             assert!(stats.converged && case.residuals(3, &rhs, &x).iter().all(|r| *r <= 1e-3));
             stats.iterations
         };
-        let zero = iterations(Start::Zero);
-        let framed = iterations(Start::FullMultigrid {
+        let zero = iterations(InitialGuess::Zero);
+        let framed = iterations(InitialGuess::FullMultigrid {
             frames: Some(&frames),
             rest: None,
         });
         let rest = Some(case.graph.positions.as_slice());
-        let given = iterations(Start::FullMultigrid {
+        let given = iterations(InitialGuess::FullMultigrid {
             frames: Some(&frames),
             rest,
         });
@@ -80,7 +80,7 @@ fn the_full_multigrid_start_saves_iterations() {
         let mut field: Vec<f64> = (0..case.n())
             .map(|i| if start[3 * i + 2] > 1.0 { 1.0 } else { 0.0 })
             .collect();
-        let start_at = Start::FullMultigrid {
+        let start_at = InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
         };
@@ -114,7 +114,7 @@ fn a_rigid_motion_is_found_by_the_start_alone() {
     }
     let mut x = moved.clone();
     let options = SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: Some(&frames),
             rest: None,
         },
@@ -139,15 +139,15 @@ fn error_estimates_are_close_to_the_truth() {
         let mut exact = start.clone();
         case.solve_to(3, &rhs, &mut exact, 1e-12);
         for start_at in [
-            Start::Zero,
-            Start::FullMultigrid {
+            InitialGuess::Zero,
+            InitialGuess::FullMultigrid {
                 frames: Some(&frames),
                 rest: None,
             },
         ] {
             let (mut x, mut now) = (start.clone(), start.clone());
             let mut ratios = Vec::new();
-            let mut watch = |iteration: &Iteration<'_>| {
+            let mut watch = |iteration: &IterationReport<'_>| {
                 iteration.copy_to(&mut now);
                 if iteration.index >= 2 {
                     // Towards the digits of single precision, and without geometry, only caution is asked for.
@@ -158,7 +158,7 @@ fn error_estimates_are_close_to_the_truth() {
                     };
                     ratios.push((iteration.max_error / largest_distance(3, &now, &exact), most));
                 }
-                Control::Continue
+                SolveControl::Continue
             };
             let options = SolveOptions {
                 start: start_at,
