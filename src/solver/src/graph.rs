@@ -1,7 +1,7 @@
 //! The weighted graph that the solver works on.
 
 use crate::error::Error;
-use crate::threads::{Threads, piece, pieces};
+use crate::threads::{Parallelism, piece, pieces};
 
 /// A symmetric weighted graph in compressed rows.
 ///
@@ -30,7 +30,7 @@ impl WeightedGraph<'_> {
     ///
     /// # Errors
     /// [`Error::Invalid`] names the first row that breaks a rule.
-    pub(crate) fn check_rows(&self, threads: Threads) -> Result<(), Error> {
+    pub(crate) fn check_rows(&self, threads: Parallelism) -> Result<(), Error> {
         let invalid = |text: String| Err(Error::Invalid(text));
         let n = self.vertices();
         if self.offsets.is_empty() || self.offsets[0] != 0 {
@@ -91,11 +91,11 @@ impl WeightedGraph<'_> {
             self.offsets.get(n).map(|&end| end as usize),
         );
         if n >= u32::MAX as usize || ends != (Some(0), Some(self.neighbours.len())) {
-            return self.check_rows(Threads::one());
+            return self.check_rows(Parallelism::one());
         }
         let fits = |len: Option<usize>, want: usize| len.is_none_or(|len| len == want);
         if !fits(self.weights.map(<[f32]>::len), self.neighbours.len()) || !fits(self.positions.map(<[_]>::len), n) {
-            return self.check_rows(Threads::one());
+            return self.check_rows(Parallelism::one());
         }
         for i in vertices.iter().map(|&v| v as usize) {
             if !self.are_sound(i..i + 1) {
@@ -172,7 +172,7 @@ impl WeightedGraph<'_> {
     /// # Errors
     /// [`Error::Invalid`] names the first place that breaks a rule.
     pub fn check(&self) -> Result<(), Error> {
-        self.check_rows(Threads::one())?;
+        self.check_rows(Parallelism::one())?;
         // Rows ascend and are read in order, so the transpose of a symmetric graph appears in its own order.
         let mut cursor: Vec<u32> = self.offsets[..self.vertices()].to_vec();
         for i in 0..self.vertices() {

@@ -9,16 +9,16 @@ use crate::pool::Pool;
 use crate::progress::Silent;
 
 /// A block of a cubic lattice, 26 neighbours inside.
-pub(crate) struct Block {
+pub(crate) struct BoxLattice {
     pub(crate) offsets: Vec<u32>,
     pub(crate) neighbours: Vec<u32>,
     pub(crate) weights: Option<Vec<f32>>,
     pub(crate) positions: Vec<[f64; 3]>,
 }
 
-impl Block {
-    pub(crate) fn new(nx: i32, ny: i32, nz: i32) -> Block {
-        let mut block = Block {
+impl BoxLattice {
+    pub(crate) fn new(nx: i32, ny: i32, nz: i32) -> BoxLattice {
+        let mut block = BoxLattice {
             offsets: vec![0],
             neighbours: Vec::new(),
             weights: None,
@@ -45,7 +45,7 @@ impl Block {
     }
 
     /// Weights between 1/8 and 8 that depend on the pair of ids.
-    pub(crate) fn weighted(mut self) -> Block {
+    pub(crate) fn weighted(mut self) -> BoxLattice {
         let n = self.positions.len();
         let weight = |a: u32, b: u32| (1 + (a.min(b) * 31 + a.max(b) * 17) % 64) as f32 / 8.0;
         let row = |i: usize| self.offsets[i] as usize..self.offsets[i + 1] as usize;

@@ -4,7 +4,7 @@
 //! threads: what handing out work costs, which is bounded per iteration. A pool of one thread is never entered, so a
 //! solve on it allocates nothing on its behalf either, from whichever thread it is called.
 
-use case::{Case, to, twist};
+use case::{SolverCase, to, twist};
 use graphs::{lattice, surface};
 use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
@@ -22,7 +22,7 @@ mod case;
 mod graphs;
 
 /// Hands everything to the system's allocator, and counts while [`COUNTING`].
-struct Counter;
+struct CountingAllocator;
 
 static COUNTING: AtomicBool = AtomicBool::new(false);
 static CALLS: AtomicUsize = AtomicUsize::new(0);
@@ -35,7 +35,7 @@ thread_local! {
     static TRACING: Cell<bool> = const { Cell::new(false) };
 }
 
-impl Counter {
+impl CountingAllocator {
     fn count(size: usize) {
         if !COUNTING.load(SeqCst) || TRACING.get() {
             return;
@@ -58,7 +58,7 @@ impl Counter {
 }
 
 // SAFETY: every call goes to the system's allocator as it came.
-unsafe impl GlobalAlloc for Counter {
+unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         Self::count(layout.size());
         // SAFETY: by the caller's promise.
@@ -84,7 +84,7 @@ unsafe impl GlobalAlloc for Counter {
 }
 
 #[global_allocator]
-static ALLOCATOR: Counter = Counter;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// What the third of three equal solves asked for.
 struct Asked {
@@ -94,7 +94,7 @@ struct Asked {
     stats: SolveStats,
 }
 
-fn third_solve(case: &Case, columns: usize, rhs: &[f64], from: &[f64], options: &SolveOptions<'_>) -> Asked {
+fn third_solve(case: &SolverCase, columns: usize, rhs: &[f64], from: &[f64], options: &SolveOptions<'_>) -> Asked {
     let mut workspace = Workspace::default();
     let (mut x, mut shown) = (from.to_vec(), from.to_vec());
     let mut asked = None;
@@ -138,7 +138,7 @@ struct Kind<'a> {
 }
 
 /// Cold, warm and full-multigrid solves, to residuals that single precision reaches and beyond, and to errors.
-fn kinds<'a>(case: &Case, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
+fn kinds<'a>(case: &SolverCase, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
     let (rhs, start, _) = twist(case, 1.0);
     let mut near = start.clone();
     case.solve_to(3, &rhs, &mut near, 1e-3);
@@ -183,14 +183,23 @@ fn one_thread() {
     let loose = lattice(12, 12, 12);
     let few = lattice(9, 9, 9);
     let cases = [
-        ("lattice", Case::ends(lattice(16, 16, 20), 2)),
-        ("surface", Case::ends(surface(80, 90), 0)),
-        ("weighted", Case::ends(lattice(12, 12, 16).weighted(-1.0, 1.0, 5), 2)),
-        ("soft", Case::new(soft.clone(), vec![false; soft.len()], Some(pulls), 1)),
-        ("loose", Case::new(loose.clone(), vec![false; loose.len()], None, 1)),
+        ("lattice", SolverCase::ends(lattice(16, 16, 20), 2)),
+        ("surface", SolverCase::ends(surface(80, 90), 0)),
+        (
+            "weighted",
+            SolverCase::ends(lattice(12, 12, 16).weighted(-1.0, 1.0, 5), 2),
+        ),
+        (
+            "soft",
+            SolverCase::new(soft.clone(), vec![false; soft.len()], Some(pulls), 1),
+        ),
+        (
+            "loose",
+            SolverCase::new(loose.clone(), vec![false; loose.len()], None, 1),
+        ),
         (
             "direct",
-            Case::new(few.clone(), (0..few.len()).map(|i| i % 12 != 1).collect(), None, 1),
+            SolverCase::new(few.clone(), (0..few.len()).map(|i| i % 12 != 1).collect(), None, 1),
         ),
     ];
     for (name, case) in &cases {
@@ -230,7 +239,7 @@ fn more_threads() {
     for threads in [2, 4] {
         let graph = lattice(26, 26, 30);
         let fixed = graph.ends(2, 0.9);
-        let case = Case::new(graph, fixed, None, threads);
+        let case = SolverCase::new(graph, fixed, None, threads);
         let (_, _, frames) = twist(&case, 1.0);
         for mut kind in kinds(&case, &frames) {
             kind.from.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = 0.0);

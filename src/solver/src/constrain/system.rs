@@ -3,17 +3,17 @@
 use std::sync::Arc;
 
 use crate::build::hierarchy::Hierarchy;
-use crate::build::level::Level;
-use crate::constrain::floating::Floating;
-use crate::constrain::mask::{Mask, coarser};
+use crate::build::level::HierarchyLevel;
+use crate::constrain::floating::FloatingComponents;
+use crate::constrain::mask::{LevelMask, coarser};
 use crate::dense::Inverse;
 use crate::error::Error;
-use crate::lanes::Shared;
+use crate::lanes::SharedRows;
 use crate::options::{Constraints, LevelSize};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::pool::Pool;
-use crate::storage::NONE;
-use crate::threads::{Threads, piece, pieces};
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Up to this many free vertices are solved directly.
 const DIRECT: usize = 200;
@@ -32,7 +32,7 @@ pub struct LinearSystem {
     token: Arc<()>,
     free: usize,
     /// One per level; only the finest where the direct method applies.
-    pub(crate) masks: Vec<Mask>,
+    pub(crate) masks: Vec<LevelMask>,
     /// Scaled stiffness in row order, or empty.
     pub(crate) stiffness: Vec<f64>,
     /// Fixed vertices, in the caller's order, one bit each.
@@ -44,7 +44,7 @@ pub struct LinearSystem {
     pub(crate) steps: Vec<u8>,
     /// Whether the finest level is swept forth and back on either side of the coarse correction, not just once.
     pub(crate) twice: bool,
-    pub(crate) floating: Floating,
+    pub(crate) floating: FloatingComponents,
     /// With the paper's operators: its own levels.
     pub(crate) paper: Option<PaperHierarchy>,
 }
@@ -67,7 +67,7 @@ impl LinearSystem {
         constraints: &Constraints<'_>,
         pool: &Pool,
     ) -> Result<LinearSystem, Error> {
-        let threads = Threads::of(pool);
+        let threads = Parallelism::of(pool);
         check(hierarchy, constraints)?;
         let scale = hierarchy.weight_scale;
         let stiffness: Vec<f64> = match constraints.stiffness {
@@ -75,7 +75,7 @@ impl LinearSystem {
                 .order
                 .iter()
                 .map(|&v| {
-                    if v == NONE || constraints.fixed[v as usize] {
+                    if v == NO_ROW || constraints.fixed[v as usize] {
                         0.0
                     } else {
                         s[v as usize] * scale
@@ -95,7 +95,7 @@ impl LinearSystem {
             inverse: Inverse::default(),
             steps: Vec::new(),
             twice: hierarchy.thin,
-            floating: Floating::default(),
+            floating: FloatingComponents::default(),
             paper: None,
         };
         threads.enter(pool, || {
@@ -112,7 +112,8 @@ impl LinearSystem {
                 }
             }
             system.factor(hierarchy);
-            system.floating = Floating::find(hierarchy, (&system.masks, &system.stiffness, &system.dense_rows));
+            system.floating =
+                FloatingComponents::find(hierarchy, (&system.masks, &system.stiffness, &system.dense_rows));
         });
         system.steps = steps(hierarchy);
         if let (Some(kept), false) = (&hierarchy.paper, system.is_direct()) {
@@ -135,7 +136,7 @@ impl LinearSystem {
 
     /// Bytes held, without the hierarchy's.
     pub fn byte_size(&self) -> usize {
-        let masks: usize = self.masks.iter().map(Mask::byte_size).sum();
+        let masks: usize = self.masks.iter().map(LevelMask::byte_size).sum();
         let paper = self.paper.as_ref().map_or(0, PaperHierarchy::byte_size);
         let vectors = 8 * (self.stiffness.len() + self.fixed.len());
         masks + vectors + self.inverse.byte_size() + self.floating.byte_size() + paper
@@ -160,22 +161,22 @@ impl LinearSystem {
         self.fixed[vertex >> 6] >> (vertex & 63) & 1 == 1
     }
 
-    fn mask_finest(&mut self, hierarchy: &Hierarchy, fixed: &[bool], threads: Threads) {
+    fn mask_finest(&mut self, hierarchy: &Hierarchy, fixed: &[bool], threads: Parallelism) {
         let level = &hierarchy.levels[0];
-        let mut mask = Mask {
+        let mut mask = LevelMask {
             inverses: vec![0.0; level.rows()],
-            ..Mask::default()
+            ..LevelMask::default()
         };
         mask.alphas = self.stiffness.iter().map(|&s| s as f32).collect();
         let n = level.rows();
-        let out = Shared::new(&mut mask.inverses);
+        let out = SharedRows::new(&mut mask.inverses);
         let alphas = &mask.alphas;
         threads.for_rows(n).each(0..pieces(n, PIECE), |k| {
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { out.rows(piece(k, n, PIECE)) };
             for (i, out) in piece(k, n, PIECE).zip(out) {
                 let vertex = hierarchy.order[i];
-                if vertex != NONE && !fixed[vertex as usize] {
+                if vertex != NO_ROW && !fixed[vertex as usize] {
                     let diagonal = level.diagonal[i] + alphas.get(i).copied().unwrap_or(0.0);
                     // A free vertex that touches nothing has diagonal 0. It stays free; see `floating`.
                     *out = if diagonal > 0.0 { 1.0 / diagonal } else { 1.0 };
@@ -249,7 +250,7 @@ fn check(hierarchy: &Hierarchy, constraints: &Constraints<'_>) -> Result<(), Err
 /// Two cycles per visit (the K-cycle) wherever all cycles of the level together stay cheaper than the finest level.
 fn steps(hierarchy: &Hierarchy) -> Vec<u8> {
     const SHARE: f64 = 0.6;
-    let work = |l: &Level| (l.rows() + l.entries) as f64;
+    let work = |l: &HierarchyLevel| (l.rows() + l.entries) as f64;
     let budget = SHARE * work(&hierarchy.levels[0]).max(1e6);
     let mut cycles = 1.0;
     let mut steps = vec![1];
@@ -268,7 +269,7 @@ fn steps(hierarchy: &Hierarchy) -> Vec<u8> {
     debug_assert!(hierarchy.levels.iter().all(|l| {
         l.aggregates
             .iter()
-            .all(|&a| a == NONE || (a as usize) < l.coarse_rows())
+            .all(|&a| a == NO_ROW || (a as usize) < l.coarse_rows())
     }));
     steps
 }
@@ -276,11 +277,11 @@ fn steps(hierarchy: &Hierarchy) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Block, pool};
+    use crate::testing::{BoxLattice, pool};
 
     #[test]
     fn masks_follow_their_members() {
-        let block = Block::new(12, 11, 10).weighted();
+        let block = BoxLattice::new(12, 11, 10).weighted();
         let hierarchy = block.hierarchy(30);
         let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] < 4.0).collect();
         let stiffness: Vec<f64> = block
@@ -296,7 +297,7 @@ mod tests {
         assert_eq!(system.free_count(), fixed.iter().filter(|f| !**f).count());
         let (mut masked, mut mixed) = (0, 0);
         for (row, &vertex) in hierarchy.order.iter().enumerate() {
-            let free = vertex != NONE && !fixed[vertex as usize];
+            let free = vertex != NO_ROW && !fixed[vertex as usize];
             assert_eq!(system.masks[0].free(row), free);
         }
         for l in 1..hierarchy.levels.len() {
@@ -335,7 +336,7 @@ mod tests {
 
     #[test]
     fn cycles_stay_within_their_budget() {
-        let hierarchy = Block::new(40, 40, 24).hierarchy(20);
+        let hierarchy = BoxLattice::new(40, 40, 24).hierarchy(20);
         let steps = steps(&hierarchy);
         assert_eq!(steps.len(), hierarchy.levels.len());
         assert!(steps.contains(&2), "coarse levels run twice: {steps:?}");

@@ -5,7 +5,7 @@ use crate::options::BuildOptions;
 
 /// A copy of the caller's graph. The paper builds its hierarchy after the constraints are known.
 #[derive(Debug, Clone)]
-pub(crate) struct Kept {
+pub(crate) struct UncutGraph {
     pub(super) offsets: Vec<u32>,
     pub(super) neighbours: Vec<u32>,
     pub(super) weights: Option<Vec<f32>>,
@@ -13,9 +13,9 @@ pub(crate) struct Kept {
     pub(super) options: BuildOptions,
 }
 
-impl Kept {
-    pub(crate) fn new(graph: &WeightedGraph<'_>, options: &BuildOptions) -> Kept {
-        Kept {
+impl UncutGraph {
+    pub(crate) fn new(graph: &WeightedGraph<'_>, options: &BuildOptions) -> UncutGraph {
+        UncutGraph {
             offsets: graph.offsets.to_vec(),
             neighbours: graph.neighbours.to_vec(),
             weights: graph.weights.map(<[f32]>::to_vec),

@@ -20,8 +20,8 @@
 //!
 //! | | prolongation | couplings within K | pivot | α of the coarse equations |
 //! |---|---|---|---|---|
-//! | [`Reading::Pruned`] | (14) | removed | Z = Σ_R w + α | grows by w α / Z, (21) |
-//! | [`Reading::Held`] | (17) | their far ends stay at 0 | Z = Σ_N w + α | grows by w (α + Σ_K w) / Z |
+//! | [`OperatorReading::Pruned`] | (14) | removed | Z = Σ_R w + α | grows by w α / Z, (21) |
+//! | [`OperatorReading::Held`] | (17) | their far ends stay at 0 | Z = Σ_N w + α | grows by w (α + Σ_K w) / Z |
 //!
 //! Substituting either prolongation into the equations of the elevated vertices gives equations of the same form (12)
 //! with the weights (19). For (14) these are (18) to (22). For (17) the paper says only that "a corresponding

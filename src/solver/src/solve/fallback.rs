@@ -2,13 +2,13 @@
 //! hierarchy. Used when multigrid stagnates.
 
 use crate::error::Error;
-use crate::lanes::{Shared, WIDTH, Wide, per_lane, ratio};
+use crate::lanes::{SharedRows, WIDTH, WideLanes, per_lane, ratio};
 use crate::options::SolveMethod;
 use crate::progress::check;
-use crate::solve::criteria::Outcome;
-use crate::solve::group::Outer;
-use crate::solve::iteration::{IterationReport, Snapshot, SolveControl, Watch};
-use crate::solve::problem::Problem;
+use crate::solve::criteria::GroupOutcome;
+use crate::solve::group::GroupSolve;
+use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::problem::ColumnGroup;
 
 /// Iterations per iteration that the caller allows: they are cheap compared with a cycle.
 const ALLOWANCE: usize = 10;
@@ -19,11 +19,11 @@ const PATIENCE: usize = 4;
 
 /// Goes on from `outer.workspace.x`.
 pub(crate) fn conjugate_gradients(
-    outer: &mut Outer<'_, '_>,
-    reference: Wide,
-    mut outcome: Outcome,
-    watch: &mut Watch<'_>,
-) -> Result<Outcome, Error> {
+    outer: &mut GroupSolve<'_, '_>,
+    reference: WideLanes,
+    mut outcome: GroupOutcome,
+    watch: &mut IterationWatcher<'_>,
+) -> Result<GroupOutcome, Error> {
     let (problem, pool, criteria) = (outer.problem, outer.pool, outer.criteria);
     let threads = problem.threads;
     let n = problem.hierarchy.levels[0].rows();
@@ -88,7 +88,7 @@ pub(crate) fn conjugate_gradients(
             columns: problem.columns(),
             residual: worst,
             max_error: outcome.max_error,
-            snapshot: Snapshot {
+            snapshot: SolutionSnapshot {
                 problem,
                 x,
                 e: None,
@@ -100,7 +100,7 @@ pub(crate) fn conjugate_gradients(
 }
 
 /// (r, D⁻¹ r)
-fn diagonal_product(problem: &Problem<'_>, r: &[Wide]) -> Wide {
+fn diagonal_product(problem: &ColumnGroup<'_>, r: &[WideLanes]) -> WideLanes {
     let mask = &problem.system.masks[0];
     let mut sum = [0.0; WIDTH];
     for (r, d) in r.iter().zip(&mask.inverses) {
@@ -112,7 +112,7 @@ fn diagonal_product(problem: &Problem<'_>, r: &[Wide]) -> Wide {
 }
 
 /// p = D⁻¹ r + β p
-fn direction(problem: &Problem<'_>, r: &[Wide], p: &mut [Wide], beta: Wide) {
+fn direction(problem: &ColumnGroup<'_>, r: &[WideLanes], p: &mut [WideLanes], beta: WideLanes) {
     for ((p, r), d) in p.iter_mut().zip(r).zip(&problem.system.masks[0].inverses) {
         for c in 0..WIDTH {
             p[c] = r[c] * f64::from(*d) + beta[c] * p[c];
@@ -121,7 +121,14 @@ fn direction(problem: &Problem<'_>, r: &[Wide], p: &mut [Wide], beta: Wide) {
 }
 
 /// x += α p, r −= α q; returns the largest row of the step.
-fn step(problem: &Problem<'_>, rz: Wide, x: &mut [Wide], r: &mut [Wide], p: &[Wide], q: &[Wide]) -> f64 {
+fn step(
+    problem: &ColumnGroup<'_>,
+    rz: WideLanes,
+    x: &mut [WideLanes],
+    r: &mut [WideLanes],
+    p: &[WideLanes],
+    q: &[WideLanes],
+) -> f64 {
     let mut pq = [0.0; WIDTH];
     for (p, q) in p.iter().zip(q) {
         for c in 0..WIDTH {
@@ -129,7 +136,7 @@ fn step(problem: &Problem<'_>, rz: Wide, x: &mut [Wide], r: &mut [Wide], p: &[Wi
         }
     }
     let alpha = per_lane(|c| ratio(rz[c], pq[c]));
-    let (x, r) = (Shared::new(x), Shared::new(r));
+    let (x, r) = (SharedRows::new(x), SharedRows::new(r));
     let longest = problem.threads.map(
         0..problem.system.masks[0].active.len(),
         || (),
@@ -164,10 +171,10 @@ mod tests {
     use crate::progress::Silent;
     use crate::solve::iteration::SolveControl;
     use crate::solve::workspace::Workspace;
-    use crate::testing::{Block, pool};
+    use crate::testing::{BoxLattice, pool};
 
     fn solve(
-        block: &Block,
+        block: &BoxLattice,
         break_it: impl Fn(&mut LinearSystem),
         tolerance: f64,
     ) -> (Result<SolveStats, Error>, Vec<f64>) {
@@ -197,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_broken_hierarchy_still_gives_the_solution() {
-        let block = Block::new(12, 10, 10).weighted();
+        let block = BoxLattice::new(12, 10, 10).weighted();
         let (sound, want) = solve(&block, |_| {}, 1e-10);
         assert_eq!(sound.unwrap().method, SolveMethod::Multigrid);
         let scale = |factor: f32| {
@@ -218,7 +225,7 @@ mod tests {
 
     #[test]
     fn what_rounding_forbids_is_reported_not_chased() {
-        let (stats, x) = solve(&Block::new(12, 10, 10), |_| {}, 1e-17);
+        let (stats, x) = solve(&BoxLattice::new(12, 10, 10), |_| {}, 1e-17);
         let stats = stats.unwrap();
         assert!(stats.residual < 1e-13 && stats.iterations < 100, "{stats:?}");
         assert!(x.iter().all(|v| v.is_finite()));

@@ -4,19 +4,19 @@ use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::lanes::{WIDTH, Wide, per_lane, ratio};
+use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod, SolveOptions, SolveStats};
 use crate::pool::Pool;
 use crate::solve::advance::reference;
-use crate::solve::criteria::{Criteria, Outcome};
-use crate::solve::cycle::Cycle;
-use crate::solve::group::Outer;
-use crate::solve::iteration::{IterationReport, Snapshot, SolveControl, Watch};
-use crate::solve::problem::Problem;
+use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
+use crate::solve::cycle::MultigridCycle;
+use crate::solve::group::GroupSolve;
+use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::problem::ColumnGroup;
 use crate::solve::start::full_multigrid;
 use crate::solve::workspace::Workspace;
-use crate::storage::NONE;
-use crate::threads::Threads;
+use crate::storage::NO_ROW;
+use crate::threads::Parallelism;
 
 /// Refinements of the direct method at most.
 const REFINEMENTS: usize = 4;
@@ -73,7 +73,7 @@ impl LinearSystem {
             return Ok(stats);
         }
         let groups = columns.div_ceil(WIDTH);
-        let criteria = Criteria {
+        let criteria = StoppingCriteria {
             tolerance: options.tolerance,
             // The groups' errors add up as a vector.
             max_error: options.max_error.map(|e| e / (groups.max(1) as f64).sqrt()),
@@ -81,16 +81,16 @@ impl LinearSystem {
         };
         for group in 0..groups {
             let given = matches!(options.start, InitialGuess::Given);
-            let threads = Threads::of(exec.pool);
+            let threads = Parallelism::of(exec.pool);
             let at = (columns, group * WIDTH);
             let problem = threads.enter(exec.pool, || {
-                Problem::new(hierarchy, self, threads, (rhs, x), at, given)
+                ColumnGroup::new(hierarchy, self, threads, (rhs, x), at, given)
                     .inspect(|problem| problem.load(x, given, &mut workspace.x))
             })?;
             let outcome = if self.is_direct() {
                 solve_directly(&problem, criteria, workspace, x, exec, watch)?
             } else {
-                let cycle = Cycle {
+                let cycle = MultigridCycle {
                     hierarchy,
                     system: self,
                     threads,
@@ -102,7 +102,7 @@ impl LinearSystem {
                         .threads
                         .enter(exec.pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
                 }
-                let mut outer = Outer {
+                let mut outer = GroupSolve {
                     problem,
                     cycle,
                     pool: exec.pool,
@@ -157,14 +157,14 @@ impl LinearSystem {
             check_lengths(hierarchy, columns, rhs.len(), out.len())?;
             out.fill(0.0);
         }
-        let threads = Threads::of(pool);
+        let threads = Parallelism::of(pool);
         let n = hierarchy.levels[0].rows();
         let (mut values, mut r) = (Vec::new(), vec![[0.0; WIDTH]; n]);
         let mut relative = Vec::with_capacity(columns);
         for first in (0..columns).step_by(WIDTH) {
             let at = (columns, first);
             let (problem, norms, reference) = threads.enter(pool, || -> Result<_, Error> {
-                let problem = Problem::new(hierarchy, self, threads, (rhs, x), at, true)?;
+                let problem = ColumnGroup::new(hierarchy, self, threads, (rhs, x), at, true)?;
                 problem.load(x, true, &mut values);
                 r.fill([0.0; WIDTH]);
                 let norms = problem.wide_residual(&values, &mut r);
@@ -175,7 +175,7 @@ impl LinearSystem {
                 let norm = norms[c].sqrt();
                 relative.push(if norm == 0.0 { 0.0 } else { norm / reference[c] });
                 if let Some(out) = rows.as_deref_mut() {
-                    for (r, &v) in r.iter().zip(&hierarchy.order).filter(|(_, v)| **v != NONE) {
+                    for (r, &v) in r.iter().zip(&hierarchy.order).filter(|(_, v)| **v != NO_ROW) {
                         out[v as usize * columns + first + c] = problem.outer_residual(r[c], c);
                     }
                 }
@@ -227,7 +227,7 @@ fn check_options(hierarchy: &Hierarchy, columns: usize, options: &SolveOptions<'
     Ok(())
 }
 
-fn merge(stats: &mut SolveStats, outcome: &Outcome, width: usize) {
+fn merge(stats: &mut SolveStats, outcome: &GroupOutcome, width: usize) {
     stats.iterations = stats.iterations.max(outcome.iterations);
     stats.residuals.extend_from_slice(&outcome.relative[..width]);
     stats.max_error = libm::hypot(stats.max_error, outcome.max_error);
@@ -239,13 +239,13 @@ fn merge(stats: &mut SolveStats, outcome: &Outcome, width: usize) {
 
 /// Few free vertices: the dense inverse, refined until the residual is as small as asked.
 fn solve_directly(
-    problem: &Problem<'_>,
-    criteria: Criteria,
+    problem: &ColumnGroup<'_>,
+    criteria: StoppingCriteria,
     workspace: &mut Workspace,
     caller: &[f64],
     exec: &Exec<'_>,
-    watch: &mut Watch<'_>,
-) -> Result<Outcome, Error> {
+    watch: &mut IterationWatcher<'_>,
+) -> Result<GroupOutcome, Error> {
     let Workspace {
         x,
         wide: [r, gathered, z],
@@ -255,7 +255,7 @@ fn solve_directly(
     r.resize(x.len(), [0.0; WIDTH]);
     let mut reference = threads.enter(exec.pool, || reference(problem, x));
     let unit = problem.unit;
-    let mut outcome = Outcome::new(SolveMethod::Direct);
+    let mut outcome = GroupOutcome::new(SolveMethod::Direct);
     loop {
         exec.check()?;
         let norms = threads.enter(exec.pool, || problem.wide_residual(x, r));
@@ -276,7 +276,7 @@ fn solve_directly(
         gathered.extend(system.dense_rows.iter().map(|&i| r[i as usize]));
         z.clear();
         z.extend((0..system.inverse.size()).map(|k| system.inverse.row_times(k, gathered)));
-        let length = |z: &Wide| (0..WIDTH).map(|c| (z[c] * unit[c]).powi(2)).sum::<f64>().sqrt();
+        let length = |z: &WideLanes| (0..WIDTH).map(|c| (z[c] * unit[c]).powi(2)).sum::<f64>().sqrt();
         outcome.max_error = z.iter().map(length).fold(0.0, f64::max);
         outcome.converged = criteria.hold(&outcome.relative[..width], outcome.max_error);
         if outcome.iterations > 0 {
@@ -285,7 +285,7 @@ fn solve_directly(
                 columns: problem.columns(),
                 residual: outcome.relative[..width].iter().fold(0.0, |a, &b| a.max(b)),
                 max_error: outcome.max_error,
-                snapshot: Snapshot {
+                snapshot: SolutionSnapshot {
                     problem: *problem,
                     x,
                     e: None,

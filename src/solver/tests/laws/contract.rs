@@ -6,12 +6,12 @@ use pliant_solver::{
     BuildOptions, Constraints, Error, Hierarchy, InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace,
 };
 
-use super::case::{Case, to, twist};
+use super::case::{SolverCase, to, twist};
 use super::graphs::lattice;
 
 #[test]
 fn watchers_see_every_iteration_and_can_stop() {
-    let case = Case::ends(lattice(12, 12, 16), 2);
+    let case = SolverCase::ends(lattice(12, 12, 16), 2);
     let (rhs, start, _) = twist(&case, 1.0);
     let (mut x, mut shown) = (start.clone(), start.clone());
     let mut indices = Vec::new();
@@ -68,7 +68,7 @@ impl Progress for After {
 
 #[test]
 fn cancelling_stops_within_a_cycle() {
-    let case = Case::ends(lattice(12, 12, 16), 2);
+    let case = SolverCase::ends(lattice(12, 12, 16), 2);
     let (rhs, start, _) = twist(&case, 1.0);
     let flag = CancelFlag::default();
     flag.cancel();
@@ -106,7 +106,7 @@ fn cancelling_stops_within_a_cycle() {
 
 #[test]
 fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable() {
-    let case = Case::ends(lattice(12, 12, 16), 2);
+    let case = SolverCase::ends(lattice(12, 12, 16), 2);
     let (rhs, start, frames) = twist(&case, 1.0);
     let full = InitialGuess::FullMultigrid {
         frames: Some(&frames),
@@ -167,27 +167,31 @@ fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable()
 
 #[test]
 fn bad_arguments_are_named() {
-    let case = Case::ends(lattice(12, 12, 12), 2);
-    let other = Case::ends(lattice(12, 12, 12), 2);
+    let case = SolverCase::ends(lattice(12, 12, 12), 2);
+    let other = SolverCase::ends(lattice(12, 12, 12), 2);
     let n = case.n();
-    let solve =
-        |case: &Case, hierarchy: &Hierarchy, columns: usize, rhs: &[f64], x: &mut [f64], options: &SolveOptions<'_>| {
-            let mut workspace = Workspace::default();
-            let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
-            case.system
-                .solve(
-                    hierarchy,
-                    columns,
-                    rhs,
-                    x,
-                    options,
-                    &mut workspace,
-                    &Exec::new(&case.pool, &Silent),
-                    &mut watch,
-                )
-                .unwrap_err()
-                .to_string()
-        };
+    let solve = |case: &SolverCase,
+                 hierarchy: &Hierarchy,
+                 columns: usize,
+                 rhs: &[f64],
+                 x: &mut [f64],
+                 options: &SolveOptions<'_>| {
+        let mut workspace = Workspace::default();
+        let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
+        case.system
+            .solve(
+                hierarchy,
+                columns,
+                rhs,
+                x,
+                options,
+                &mut workspace,
+                &Exec::new(&case.pool, &Silent),
+                &mut watch,
+            )
+            .unwrap_err()
+            .to_string()
+    };
     let zeros = vec![0.0; 3 * n];
     let h = &case.hierarchy;
     assert!(solve(&case, &other.hierarchy, 3, &zeros, &mut zeros.clone(), &to(1e-3)).contains("another hierarchy"));

@@ -9,11 +9,11 @@ use pliant_solver::{
 };
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-use super::case::{Case, largest_distance, to, twist};
-use super::graphs::{Lattice, lattice, random_graph, star, surface};
+use super::case::{SolverCase, largest_distance, to, twist};
+use super::graphs::{TestGraph, lattice, random_graph, star, surface};
 
 /// The same case with the paper's operators.
-fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
+fn paper(case: SolverCase, interleave: Option<usize>, threads: usize) -> SolverCase {
     let options = BuildOptions {
         operators: CoarseOperators::Paper,
         interleave,
@@ -26,7 +26,7 @@ fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
         stiffness: case.stiffness.as_deref(),
     };
     let system = hierarchy.constrain(&constraints, &pool).unwrap();
-    Case {
+    SolverCase {
         hierarchy,
         system,
         pool,
@@ -35,14 +35,14 @@ fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
 }
 
 /// A body that hangs at its lower end by hard constraints and at its upper end by soft ones.
-fn soft(graph: Lattice) -> Case {
+fn soft(graph: TestGraph) -> SolverCase {
     let ends = graph.ends(2, 0.9);
     let up = |i: usize| graph.positions[i][2] > 2.0;
     let fixed = (0..graph.len()).map(|i| ends[i] && !up(i)).collect();
     let stiffness = (0..graph.len())
         .map(|i| if ends[i] && up(i) { 0.5 } else { 0.0 })
         .collect();
-    Case::new(graph, fixed, Some(stiffness), 1)
+    SolverCase::new(graph, fixed, Some(stiffness), 1)
 }
 
 fn framed<'a>(frames: &'a [[f32; 9]], options: SolveOptions<'a>) -> SolveOptions<'a> {
@@ -55,7 +55,10 @@ fn framed<'a>(frames: &'a [[f32; 9]], options: SolveOptions<'a>) -> SolveOptions
 
 #[test]
 fn cycles_reach_what_is_asked_where_that_is_little() {
-    for case in [Case::ends(lattice(12, 12, 24), 2), Case::ends(surface(40, 30), 0)] {
+    for case in [
+        SolverCase::ends(lattice(12, 12, 24), 2),
+        SolverCase::ends(surface(40, 30), 0),
+    ] {
         let case = paper(case, None, 1);
         let (rhs, start, frames) = twist(&case, 0.3);
         let mut x = start.clone();
@@ -72,11 +75,11 @@ fn cycles_reach_what_is_asked_where_that_is_little() {
 #[test]
 fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
     let graphs = [
-        Case::ends(lattice(12, 12, 16), 2),
-        Case::ends(surface(40, 30), 0),
-        Case::ends(lattice(10, 10, 12).weighted(-2.0, 2.0, 3), 2),
+        SolverCase::ends(lattice(12, 12, 16), 2),
+        SolverCase::ends(surface(40, 30), 0),
+        SolverCase::ends(lattice(10, 10, 12).weighted(-2.0, 2.0, 3), 2),
         soft(lattice(9, 9, 14)),
-        Case::ends(lattice(9, 9, 12), 2).without_positions(),
+        SolverCase::ends(lattice(9, 9, 12), 2).without_positions(),
     ];
     for (k, case) in graphs.into_iter().enumerate() {
         let (rhs, start, _) = twist(&case, 1.0);
@@ -94,7 +97,7 @@ fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
             ),
         ] {
             let case = paper(
-                Case::new(case.graph.clone(), case.fixed.clone(), case.stiffness.clone(), 1),
+                SolverCase::new(case.graph.clone(), case.fixed.clone(), case.stiffness.clone(), 1),
                 interleave,
                 1,
             );
@@ -120,7 +123,7 @@ fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
 
 #[test]
 fn an_error_that_is_asked_for_is_kept() {
-    let case = Case::ends(lattice(12, 12, 24), 2);
+    let case = SolverCase::ends(lattice(12, 12, 24), 2);
     let (rhs, start, frames) = twist(&case, 1.0);
     let mut exact = start.clone();
     assert!(case.solve_to(3, &rhs, &mut exact, 1e-11).converged);
@@ -140,7 +143,7 @@ fn an_error_that_is_asked_for_is_kept() {
 
 #[test]
 fn conjugate_gradient_steps_in_between_help() {
-    let case = Case::ends(lattice(16, 16, 24), 2);
+    let case = SolverCase::ends(lattice(16, 16, 24), 2);
     let (rhs, start, frames) = twist(&case, 1.0);
     let mut exact = start.clone();
     case.solve_to(3, &rhs, &mut exact, 1e-11);
@@ -163,7 +166,7 @@ fn conjugate_gradient_steps_in_between_help() {
 #[test]
 fn the_bits_do_not_depend_on_the_pool() {
     let solve = |threads: usize| {
-        let case = paper(Case::ends(lattice(14, 14, 20), 2), None, threads);
+        let case = paper(SolverCase::ends(lattice(14, 14, 20), 2), None, threads);
         let (rhs, mut x, frames) = twist(&case, 1.0);
         let stats = case.solve(3, &rhs, &mut x, &framed(&frames, to(1e-6)));
         (x.iter().map(|v| v.to_bits()).collect::<Vec<_>>(), stats)
@@ -187,7 +190,7 @@ impl Progress for After {
 
 #[test]
 fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
-    let case = paper(Case::ends(lattice(12, 12, 16), 2), Some(2), 1);
+    let case = paper(SolverCase::ends(lattice(12, 12, 16), 2), Some(2), 1);
     let (rhs, start, _) = twist(&case, 1.0);
     let run = |progress: &dyn Progress, most: usize| {
         let (mut x, mut shown) = (start.clone(), start.clone());
@@ -230,13 +233,13 @@ fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
 
 #[test]
 fn hard_graphs_end_with_a_result() {
-    let held = |graph: Lattice| {
+    let held = |graph: TestGraph| {
         let fixed = (0..graph.len()).map(|i| i % 97 == 0).collect();
-        Case::new(graph, fixed, None, 1)
+        SolverCase::new(graph, fixed, None, 1)
     };
-    let free = |graph: Lattice| {
+    let free = |graph: TestGraph| {
         let fixed = vec![false; graph.len()];
-        Case::new(graph, fixed, None, 1)
+        SolverCase::new(graph, fixed, None, 1)
     };
     let cases = [
         held(random_graph(3000, 40, 5)),
@@ -271,7 +274,7 @@ fn hard_graphs_end_with_a_result() {
 
 #[test]
 fn too_many_steps_are_refused_by_name() {
-    let case = Case::ends(lattice(4, 4, 4), 2);
+    let case = SolverCase::ends(lattice(4, 4, 4), 2);
     let options = BuildOptions {
         interleave: Some(101),
         ..BuildOptions::default()

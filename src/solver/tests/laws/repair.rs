@@ -7,11 +7,11 @@ use pliant_solver::{
     BuildOptions, CoarseOperators, Constraints, Error, GraphChange, Hierarchy, RepairReport, WeightedGraph,
 };
 
-use super::case::{Case, largest_distance, twist};
-use super::edits::{Cast, Clay};
-use super::graphs::{Lattice, lattice, surface};
+use super::case::{SolverCase, largest_distance, twist};
+use super::edits::{EditableGraph, EditedGraph};
+use super::graphs::{TestGraph, lattice, surface};
 
-fn built(graph: &Lattice) -> Hierarchy {
+fn built(graph: &TestGraph) -> Hierarchy {
     Hierarchy::build(
         &graph.view(),
         &BuildOptions::default(),
@@ -20,7 +20,7 @@ fn built(graph: &Lattice) -> Hierarchy {
     .unwrap()
 }
 
-fn repaired(hierarchy: &mut Hierarchy, cast: &Cast, threads: usize) -> RepairReport {
+fn repaired(hierarchy: &mut Hierarchy, cast: &EditedGraph, threads: usize) -> RepairReport {
     cast.graph.view().check().unwrap();
     let pool = Pool::new(threads).unwrap();
     hierarchy
@@ -29,7 +29,7 @@ fn repaired(hierarchy: &mut Hierarchy, cast: &Cast, threads: usize) -> RepairRep
 }
 
 /// A case on the graph of `cast`, ends along `axis` held, with that hierarchy.
-fn case_with(graph: &Lattice, axis: usize, hierarchy: Hierarchy) -> Case {
+fn case_with(graph: &TestGraph, axis: usize, hierarchy: Hierarchy) -> SolverCase {
     let fixed = graph.ends(axis, 1.1);
     let pool = Pool::new(1).unwrap();
     let constraints = Constraints {
@@ -37,7 +37,7 @@ fn case_with(graph: &Lattice, axis: usize, hierarchy: Hierarchy) -> Case {
         stiffness: None,
     };
     let system = hierarchy.constrain(&constraints, &pool).unwrap();
-    Case {
+    SolverCase {
         graph: graph.clone(),
         fixed,
         stiffness: None,
@@ -48,7 +48,7 @@ fn case_with(graph: &Lattice, axis: usize, hierarchy: Hierarchy) -> Case {
 }
 
 /// Iterations to 1e-6 and the solution to 1e-10.
-fn solved(case: &Case) -> (usize, Vec<f64>) {
+fn solved(case: &SolverCase) -> (usize, Vec<f64>) {
     let (rhs, start, _) = twist(case, 1.1);
     let mut x = start.clone();
     let stats = case.solve_to(3, &rhs, &mut x, 1e-6);
@@ -59,7 +59,7 @@ fn solved(case: &Case) -> (usize, Vec<f64>) {
 }
 
 /// Compares `hierarchy` with a fresh one of its graph.
-fn compare(graph: &Lattice, axis: usize, hierarchy: &Hierarchy, what: &str) {
+fn compare(graph: &TestGraph, axis: usize, hierarchy: &Hierarchy, what: &str) {
     let fresh = case_with(graph, axis, built(graph));
     let (want, exact) = solved(&fresh);
     let (seen, x) = solved(&case_with(graph, axis, hierarchy.clone()));
@@ -69,8 +69,8 @@ fn compare(graph: &Lattice, axis: usize, hierarchy: &Hierarchy, what: &str) {
 }
 
 /// Edits `graph` at random places and compares once in a while.
-fn many_edits(graph: Lattice, axis: usize, weighted: bool, degree: usize, edits: usize, seed: u64) {
-    let mut clay = Clay::new(&graph, weighted, seed);
+fn many_edits(graph: TestGraph, axis: usize, weighted: bool, degree: usize, edits: usize, seed: u64) {
+    let mut clay = EditableGraph::new(&graph, weighted, seed);
     let mut cast = clay.cast(&[]);
     let mut hierarchy = built(&cast.graph);
     let mut followed = 0;
@@ -108,7 +108,7 @@ fn surfaces_converge_as_after_a_build_whatever_was_edited() {
 fn any_number_of_threads_gives_the_same_bits() {
     let digests: Vec<(Vec<u64>, usize)> = [1, 2, 3, 8]
         .map(|threads| {
-            let mut clay = Clay::new(&lattice(20, 20, 30), false, 5);
+            let mut clay = EditableGraph::new(&lattice(20, 20, 30), false, 5);
             let mut cast = clay.cast(&[]);
             let mut hierarchy = built(&cast.graph);
             for _ in 0..6 {
@@ -154,7 +154,7 @@ fn nothing_changes_nothing() {
 
 #[test]
 fn systems_from_before_are_refused() {
-    let mut clay = Clay::new(&lattice(14, 14, 14), false, 9);
+    let mut clay = EditableGraph::new(&lattice(14, 14, 14), false, 9);
     let first = clay.cast(&[]);
     let mut case = case_with(&first.graph, 2, built(&first.graph));
     clay.edit(14);
@@ -181,7 +181,7 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
         new_from_old: &same,
         touched: &same[..9],
     };
-    let fresh = |graph: &Lattice| solved(&case_with(graph, 2, built(graph)));
+    let fresh = |graph: &TestGraph| solved(&case_with(graph, 2, built(graph)));
     for (graph, change) in [
         (graph.clone(), half),
         (graph.clone().weighted(0.0, 1.0, 3), few),
@@ -210,7 +210,7 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
 #[test]
 fn graphs_without_positions_are_followed() {
     let graph = lattice(18, 18, 18).without_positions();
-    let mut clay = Clay::new(&graph, false, 4);
+    let mut clay = EditableGraph::new(&graph, false, 4);
     let mut cast = clay.cast(&[]);
     let mut hierarchy = built(&cast.graph.clone().without_positions());
     for _ in 0..20 {
@@ -265,8 +265,9 @@ fn contradictions_are_refused_and_change_nothing() {
     map[3000] = 7;
     with(&map, &[7, 3000], "is not among the touched ones");
 
-    let lacks =
-        |drop: (u32, u32)| Lattice::from_edges(graph.positions.clone(), graph.edges().filter(|e| *e != drop).collect());
+    let lacks = |drop: (u32, u32)| {
+        TestGraph::from_edges(graph.positions.clone(), graph.edges().filter(|e| *e != drop).collect())
+    };
     let cut = lacks((0, 1));
     let change = GraphChange {
         new_from_old: &same,

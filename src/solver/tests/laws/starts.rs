@@ -4,12 +4,12 @@ use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
 use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace};
 
-use super::case::{Case, largest_distance, to, twist};
+use super::case::{SolverCase, largest_distance, to, twist};
 use super::graphs::{lattice, random_graph, surface};
 
 #[test]
 fn a_warm_start_needs_fewer_iterations() {
-    let case = Case::ends(lattice(16, 16, 20), 2);
+    let case = SolverCase::ends(lattice(16, 16, 20), 2);
     let (rhs, start, _) = twist(&case, 1.0);
     let mut x = start.clone();
     let cold = case.solve_to(3, &rhs, &mut x, 1e-6);
@@ -46,7 +46,10 @@ fn a_warm_start_needs_fewer_iterations() {
 
 #[test]
 fn the_full_multigrid_start_saves_iterations() {
-    for case in [Case::ends(lattice(16, 16, 48), 2), Case::ends(surface(120, 100), 0)] {
+    for case in [
+        SolverCase::ends(lattice(16, 16, 48), 2),
+        SolverCase::ends(surface(120, 100), 0),
+    ] {
         let (rhs, start, frames) = twist(&case, 1.5);
         let iterations = |start_at: InitialGuess<'_>| {
             let mut x = start.clone();
@@ -99,7 +102,7 @@ fn the_full_multigrid_start_saves_iterations() {
 
 #[test]
 fn a_rigid_motion_is_found_by_the_start_alone() {
-    let case = Case::ends(lattice(16, 16, 20), 2);
+    let case = SolverCase::ends(lattice(16, 16, 20), 2);
     let (c, s) = (0.6f64, 0.8f64);
     let apply = |p: [f64; 3]| [c * p[0] - s * p[1] + 7.0, s * p[0] + c * p[1] - 3.0, p[2] + 1.0];
     let frames = vec![[c as f32, s as f32, 0.0, -s as f32, c as f32, 0.0, 0.0, 0.0, 1.0]; case.n()];
@@ -129,10 +132,10 @@ fn error_estimates_are_close_to_the_truth() {
     let mut bar = lattice(8, 8, 60).ends(2, 0.9);
     bar[0] = true;
     let cases = [
-        Case::ends(lattice(16, 16, 20), 2),
-        Case::new(lattice(8, 8, 60), bar, None, 1),
-        Case::ends(surface(90, 100), 0),
-        Case::ends(random_graph(5000, 4, 2), 0),
+        SolverCase::ends(lattice(16, 16, 20), 2),
+        SolverCase::new(lattice(8, 8, 60), bar, None, 1),
+        SolverCase::ends(surface(90, 100), 0),
+        SolverCase::ends(random_graph(5000, 4, 2), 0),
     ];
     for (number, case) in cases.iter().enumerate() {
         let (rhs, start, frames) = twist(case, 1.0);
@@ -195,9 +198,9 @@ fn a_solve_can_stop_at_an_error() {
         tiny[i] = true;
     }
     for case in [
-        Case::ends(lattice(16, 16, 20), 2),
-        Case::ends(surface(90, 100), 0),
-        Case::new(lattice(16, 16, 16), tiny, None, 1),
+        SolverCase::ends(lattice(16, 16, 20), 2),
+        SolverCase::ends(surface(90, 100), 0),
+        SolverCase::new(lattice(16, 16, 16), tiny, None, 1),
     ] {
         let (rhs, start, _) = twist(&case, 1.0);
         let mut exact = start.clone();
