@@ -129,7 +129,7 @@ fn third_solve(case: &SolverCase, columns: usize, rhs: &[f64], from: &[f64], opt
 }
 
 /// One kind of solve.
-struct Kind<'a> {
+struct CountedSolve<'a> {
     name: &'static str,
     columns: usize,
     rhs: Vec<f64>,
@@ -138,7 +138,7 @@ struct Kind<'a> {
 }
 
 /// Cold, warm and full-multigrid solves, to residuals that single precision reaches and beyond, and to errors.
-fn kinds<'a>(case: &SolverCase, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
+fn kinds<'a>(case: &SolverCase, frames: &'a [[f32; 9]]) -> Vec<CountedSolve<'a>> {
     let (rhs, start, _) = twist(case, 1.0);
     let mut near = start.clone();
     case.solve_to(3, &rhs, &mut near, 1e-3);
@@ -151,7 +151,7 @@ fn kinds<'a>(case: &SolverCase, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
         max_error: Some(1e-4),
         ..SolveOptions::default()
     };
-    let kind = |name, from: &Vec<f64>, start, options: SolveOptions<'a>| Kind {
+    let kind = |name, from: &Vec<f64>, start, options: SolveOptions<'a>| CountedSolve {
         name,
         columns: 3,
         rhs: rhs.clone(),
@@ -167,7 +167,7 @@ fn kinds<'a>(case: &SolverCase, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
         kind("full multigrid to an error", &start, full, error),
     ];
     // Two groups of columns.
-    kinds.push(Kind {
+    kinds.push(CountedSolve {
         name: "five columns",
         columns: 5,
         rhs: (0..5 * case.n()).map(|k| (k % 11) as f64 - 5.0).collect(),

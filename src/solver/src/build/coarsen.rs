@@ -187,7 +187,7 @@ fn pair(draft: &LevelDraft) -> (Vec<u32>, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::build::draft::CompressedRows;
+    use crate::build::draft::UnorderedRows;
     use crate::build::order::UnitBoxMap;
     use crate::testing::{BoxLattice, pool};
 
@@ -196,7 +196,7 @@ mod tests {
     }
 
     fn draft_of(offsets: &[u32], neighbours: &[u32], weights: Option<&[f32]>, positions: &[Lanes]) -> LevelDraft {
-        let rows = CompressedRows {
+        let rows = UnorderedRows {
             offsets,
             neighbours,
             weights,

@@ -8,7 +8,7 @@ use crate::threads::{Parallelism, piece, pieces};
 
 /// Rows of a graph in any order.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct CompressedRows<'a> {
+pub(crate) struct UnorderedRows<'a> {
     pub(crate) offsets: &'a [u32],
     pub(crate) neighbours: &'a [u32],
     pub(crate) weights: Option<&'a [f32]>,
@@ -34,7 +34,7 @@ pub(crate) struct LevelDraft {
 
 impl LevelDraft {
     /// Copies `rows` in the order of `sequence`.
-    pub(crate) fn new(rows: &CompressedRows<'_>, sequence: &[u32], threads: Parallelism) -> LevelDraft {
+    pub(crate) fn new(rows: &UnorderedRows<'_>, sequence: &[u32], threads: Parallelism) -> LevelDraft {
         const PIECE: usize = 2048;
         let n = sequence.len();
         let threads = threads.for_rows(n);

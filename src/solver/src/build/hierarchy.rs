@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::build::coarsen::aggregates;
-use crate::build::draft::{CompressedRows, LevelDraft, RowBlocks};
+use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
 use crate::build::layout::arrange;
 use crate::build::level::HierarchyLevel;
 use crate::build::operator::coarse_rows;
@@ -89,7 +89,7 @@ impl Hierarchy {
         let weight_scale = 1.0 / power_of_two_below(f64::from(heaviest));
         let frame = UnitBoxMap::around(graph.positions.unwrap_or(&[]));
         let positions: Vec<Lanes> = graph.positions.unwrap_or(&[]).iter().map(|&p| frame.apply(p)).collect();
-        let rows = CompressedRows {
+        let rows = UnorderedRows {
             offsets: graph.offsets,
             neighbours: graph.neighbours,
             weights: graph.weights,

@@ -1,6 +1,6 @@
 //! Levels without gaps: what repairs leave behind is arranged anew, aggregates and all.
 
-use crate::build::draft::{CompressedRows, LevelDraft, RowBlocks};
+use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
 use crate::build::layout::arrange;
 use crate::build::level::HierarchyLevel;
 use crate::build::order::{along_curve, breadth_first};
@@ -40,7 +40,7 @@ pub(super) fn draft_of(
         true => breadth_first(&offsets, &neighbours),
         false => along_curve(&positions, threads),
     };
-    let graph = CompressedRows {
+    let graph = UnorderedRows {
         offsets: &offsets,
         neighbours: &neighbours,
         weights: level.weights.is_some().then_some(weights.as_slice()),

@@ -54,9 +54,9 @@ fn watchers_see_every_iteration_and_can_stop() {
 }
 
 /// Cancels at the n-th question.
-struct After(std::sync::atomic::AtomicUsize);
+struct CancelAfter(std::sync::atomic::AtomicUsize);
 
-impl Progress for After {
+impl Progress for CancelAfter {
     fn cancelled(&self) -> bool {
         use std::sync::atomic::Ordering::Relaxed;
         self.0
@@ -78,7 +78,7 @@ fn cancelling_stops_within_a_cycle() {
         Err(Error::Cancelled)
     ));
     for questions in [0, 1, 2, 5, 20] {
-        let progress = After(questions.into());
+        let progress = CancelAfter(questions.into());
         let mut x = start.clone();
         let mut iterations = 0;
         let mut watch = |_: &IterationReport<'_>| {
@@ -153,7 +153,7 @@ fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable()
         // At any question, also inside the start and between the sweeps of a cycle.
         for questions in 0..40 {
             let mut x = start.clone();
-            let result = solve(&mut x, &After(questions.into()), &mut |_| SolveControl::Continue);
+            let result = solve(&mut x, &CancelAfter(questions.into()), &mut |_| SolveControl::Continue);
             assert_eq!(result, Err(Error::Cancelled), "after {questions} questions");
         }
         let mut x = start.clone();

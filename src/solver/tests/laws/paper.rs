@@ -179,9 +179,9 @@ fn the_bits_do_not_depend_on_the_pool() {
 }
 
 /// Cancels at the n-th question.
-struct After(AtomicUsize);
+struct CancelAfterChecks(AtomicUsize);
 
-impl Progress for After {
+impl Progress for CancelAfterChecks {
     fn cancelled(&self) -> bool {
         let asked = self.0.fetch_update(Relaxed, Relaxed, |n| Some(n.saturating_sub(1)));
         asked.unwrap_or(0) == 0
@@ -220,7 +220,7 @@ fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
     };
     // Four sweeps on each of several levels and two conjugate-gradient steps ask at least ten times per cycle.
     for questions in [0, 1, 2, 5, 9, 20, 40] {
-        let (result, seen, ..) = run(&After(questions.into()), usize::MAX);
+        let (result, seen, ..) = run(&CancelAfterChecks(questions.into()), usize::MAX);
         assert_eq!(result, Err(Error::Cancelled));
         assert!(seen <= questions / 10, "{seen} cycles after {questions} questions");
     }
