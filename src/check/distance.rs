@@ -14,7 +14,7 @@ use rayon::prelude::*;
 ///
 /// # Panics
 /// When a triangle names a position that does not exist.
-pub fn hausdorff(a: (&[DVec3], &[[u32; 3]]), b: (&[DVec3], &[[u32; 3]]), pool: &Pool) -> Option<(f64, DVec3)> {
+pub fn hausdorff_distance(a: (&[DVec3], &[[u32; 3]]), b: (&[DVec3], &[[u32; 3]]), pool: &Pool) -> Option<(f64, DVec3)> {
     let one = farthest(a, b, pool)?;
     let other = farthest(b, a, pool)?;
     Some(if other.0 > one.0 { other } else { one })
@@ -57,7 +57,9 @@ mod tests {
     }
 
     fn of(a: &shapes::Shape, b: &shapes::Shape) -> f64 {
-        hausdorff((&a.0, &a.1), (&b.0, &b.1), &pool()).expect("surfaces").0
+        hausdorff_distance((&a.0, &a.1), (&b.0, &b.1), &pool())
+            .expect("surfaces")
+            .0
     }
 
     #[test]
@@ -88,6 +90,6 @@ mod tests {
     #[test]
     fn without_triangles_there_is_none() {
         let ball = shapes::icosphere(1.0, 1);
-        assert_eq!(hausdorff((&ball.0, &[]), (&ball.0, &ball.1), &pool()), None);
+        assert_eq!(hausdorff_distance((&ball.0, &[]), (&ball.0, &ball.1), &pool()), None);
     }
 }

@@ -1,7 +1,7 @@
 //! A case in process.
 
 use crate::asset::FileSet;
-use crate::check::{Found, Metric};
+use crate::check::{CaseResult, Metric};
 use crate::exec::Exec;
 use crate::job::{self, Limits, pb};
 use crate::pool::Pool;
@@ -11,7 +11,7 @@ use crate::progress::Silent;
 ///
 /// # Errors
 /// Why it cannot be run.
-pub(super) fn run(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Found, String> {
+pub(super) fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<CaseResult, String> {
     let no_clock = || 0.0;
     let done = job::run(
         files,
@@ -23,7 +23,7 @@ pub(super) fn run(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Found, S
     )
     .map_err(|e| e.to_string())?;
     let poses: Vec<&pb::report::Step> = done.report.steps.iter().filter(|s| s.kind == "pose").collect();
-    let mut found = Found {
+    let mut found = CaseResult {
         positions: done.positions.to_vec(),
         triangles: done.triangles,
         digest: done.report.digest,

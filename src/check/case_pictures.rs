@@ -1,10 +1,14 @@
 //! Pictures of a case: before, after, expected, and where the two differ.
 
-use super::{Comparison, Found};
+use super::case_result::CaseResult;
+use super::comparison::GoldenComparison;
 use crate::graph::WindingTree;
 use crate::mesh::Bounds;
 use crate::pool::Pool;
-use crate::render::{Camera, Error, Key, Mark, Picture, Ramp, Size, Surface, Up, View, displacements, draw, ground};
+use crate::render::{
+    Camera, ColourKey, ColourRamp, Error, Picture, PictureSize, RingMark, ShadedSurface, UpAxis, ViewDirection,
+    background_end, draw_surface, vertex_displacements,
+};
 use glam::{DVec3, Vec3};
 
 /// Rows below a picture for the key to its colours.
@@ -14,7 +18,7 @@ const NEAR: f64 = 0.045;
 
 /// A picture with what it shows.
 #[derive(Debug, Clone)]
-pub struct Plate {
+pub struct CasePicture {
     /// A word or two.
     pub caption: &'static str,
     /// What it shows, for those who cannot see it.
@@ -27,90 +31,110 @@ pub struct Plate {
 
 /// From where a case is looked at.
 #[derive(Debug, Clone, Copy)]
-pub struct Eye {
+pub struct Viewpoint {
     /// What the case asks for; `None` = towards the worst place, else from the front.
-    pub view: Option<View>,
+    pub view: Option<ViewDirection>,
     /// The axis that points up.
-    pub up: Up,
+    pub up: UpAxis,
 }
 
 /// Draws a finite result. Without a comparison, or where nothing differs, there are the shapes before and after only.
 ///
 /// # Errors
 /// What cannot be drawn, such as a result without any triangle.
-pub fn draw_case(found: &Found, comparison: Option<&Comparison>, eye: Eye, pool: &Pool) -> Result<Vec<Plate>, Error> {
-    let after = Surface::new(&found.positions, &found.triangles, pool)?;
-    let before = Surface::new(&found.before.0, &found.before.1, pool)?;
+pub fn draw_case_pictures(
+    found: &CaseResult,
+    comparison: Option<&GoldenComparison>,
+    eye: Viewpoint,
+    pool: &Pool,
+) -> Result<Vec<CasePicture>, Error> {
+    let after = ShadedSurface::new(&found.positions, &found.triangles, pool)?;
+    let before = ShadedSurface::new(&found.before.0, &found.before.1, pool)?;
     let differing = comparison.filter(|c| c.stored != found.positions);
     let expected = match differing {
-        Some(Comparison {
+        Some(GoldenComparison {
             stored,
             triangles: Some(triangles),
             ..
-        }) => Some(Surface::new(stored, triangles, pool)?),
+        }) => Some(ShadedSurface::new(stored, triangles, pool)?),
         _ => None,
     };
     let worst: Vec<u32> = differing.map(|c| c.worst.clone()).unwrap_or_default();
     let view = eye.view.unwrap_or_else(|| match worst.first() {
-        Some(&v) => from_beside(normal_at(found, v), eye.up),
-        None => View::facing(DVec3::new(0.47, 0.34, 0.81), eye.up),
+        Some(&v) => view_from_beside(normal_at(found, v), eye.up),
+        None => ViewDirection::facing(DVec3::new(0.47, 0.34, 0.81), eye.up),
     });
-    let shapes: Vec<&Surface> = [Some(&before), Some(&after), expected.as_ref()]
+    let shapes: Vec<&ShadedSurface> = [Some(&before), Some(&after), expected.as_ref()]
         .into_iter()
         .flatten()
         .collect();
-    let Some(camera) = Camera::around(&shapes, &[view], Size::new(480, 360)?)
+    let Some(camera) = Camera::around_surfaces(&shapes, &[view], PictureSize::new(480, 360)?)
         .into_iter()
         .next()
     else {
         return Ok(Vec::new());
     };
-    let mut plates = vec![
-        plate("before", "the model at rest".into(), draw(&before, &camera, pool))?,
-        plate("after", "the result".into(), draw(&after, &camera, pool))?,
+    let mut pictures = vec![
+        encode_case_picture(
+            "before",
+            "the model at rest".into(),
+            draw_surface(&before, &camera, pool),
+        )?,
+        encode_case_picture("after", "the result".into(), draw_surface(&after, &camera, pool))?,
     ];
     if let Some(expected) = &expected {
         let text = "the result that the golden stores".into();
-        plates.push(plate("expected", text, draw(expected, &camera, pool))?);
+        pictures.push(encode_case_picture(
+            "expected",
+            text,
+            draw_surface(expected, &camera, pool),
+        )?);
     }
     if let Some(comparison) = differing.filter(|c| c.stored.len() == found.positions.len()) {
-        plates.extend(differences(found, comparison, after, &worst, (&camera, eye.up), pool)?);
+        pictures.extend(draw_differences(
+            found,
+            comparison,
+            after,
+            &worst,
+            (&camera, eye.up),
+            pool,
+        )?);
     }
-    Ok(plates)
+    Ok(pictures)
 }
 
 /// The result in colours that say how far each vertex is from its stored place, as a whole and near the worst place.
-fn differences(
-    found: &Found,
-    comparison: &Comparison,
-    after: Surface,
+fn draw_differences(
+    found: &CaseResult,
+    comparison: &GoldenComparison,
+    after: ShadedSurface,
     worst: &[u32],
-    (camera, up): (&Camera, Up),
+    (camera, up): (&Camera, UpAxis),
     pool: &Pool,
-) -> Result<Vec<Plate>, Error> {
-    let far = displacements(&comparison.stored, &found.positions)?;
+) -> Result<Vec<CasePicture>, Error> {
+    let far = vertex_displacements(&comparison.stored, &found.positions)?;
     let most = far.iter().copied().fold(0.0, f64::max);
     let unit = if most > 0.0 { most } else { 1.0 };
-    let colours: Vec<Vec3> = far.iter().map(|d| Ramp::Amount.light(d / unit)).collect();
-    let coloured = after.coloured(&colours)?;
+    let colours: Vec<Vec3> = far.iter().map(|d| ColourRamp::Amount.linear_colour(d / unit)).collect();
+    let coloured = after.with_colours(&colours)?;
     let tree = WindingTree::build(&found.positions, &found.triangles, pool);
     let diagonal = Bounds::of(&found.positions).diagonal();
     let mark = |(&v, k): (&u32, u32)| {
         let at = found.positions[v as usize];
-        let way = camera.towards() * diagonal;
-        Mark {
+        let way = camera.towards_eye() * diagonal;
+        RingMark {
             at,
             label: k.to_string(),
             hidden: tree.first_hit(at + way * 2e-3, at + way * 2.0, Some(v)).is_some(),
         }
     };
-    let marks: Vec<Mark> = worst.iter().zip(1..).map(mark).collect();
-    let with_key = |surface: &Surface, camera: &Camera, marks: &[Mark]| -> Result<Picture, Error> {
+    let marks: Vec<RingMark> = worst.iter().zip(1..).map(mark).collect();
+    let with_key = |surface: &ShadedSurface, camera: &Camera, marks: &[RingMark]| -> Result<Picture, Error> {
         let (width, height) = (camera.size().width(), camera.size().height());
-        let mut picture = Picture::new(u64::from(width), u64::from(height + KEY_ROWS), ground())?;
-        picture.paste(&draw(surface, camera, pool), 0, 0);
-        marks.iter().for_each(|m| m.draw(&mut picture, camera, 0, 0));
-        Key::distance(most).draw(&mut picture, height, KEY_ROWS);
+        let mut picture = Picture::new(u64::from(width), u64::from(height + KEY_ROWS), background_end())?;
+        picture.paste_picture(&draw_surface(surface, camera, pool), 0, 0);
+        marks.iter().for_each(|m| m.draw_on(&mut picture, camera, 0, 0));
+        ColourKey::for_distance(most).draw_on(&mut picture, height, KEY_ROWS);
         Ok(picture)
     };
     let places: Vec<String> = worst
@@ -122,44 +146,48 @@ fn differences(
         "distances from the expected shape as colours; marked: {}",
         places.join(", ")
     );
-    let mut plates = vec![plate("difference", text, with_key(&coloured, camera, &marks)?)?];
+    let mut pictures = vec![encode_case_picture(
+        "difference",
+        text,
+        with_key(&coloured, camera, &marks)?,
+    )?];
     if let (Some(&v), Some(mark)) = (worst.first(), marks.first()) {
         // From its own side, wherever the others are taken from.
-        let view = from_beside(normal_at(found, v), up);
+        let view = view_from_beside(normal_at(found, v), up);
         let text = format!("the same with its triangles, near vertex {v}");
         let wired = coloured.with_wires();
-        let near = Camera::around(&[&wired], &[view], camera.size());
+        let near = Camera::around_surfaces(&[&wired], &[view], camera.size());
         let near = near.first().unwrap_or(camera).close_up(mark.at, NEAR * diagonal);
-        let shown = Mark {
+        let shown = RingMark {
             hidden: false,
             ..mark.clone()
         };
         let picture = with_key(&wired, &near, &[shown])?;
-        plates.push(plate("worst place", text, picture)?);
+        pictures.push(encode_case_picture("worst place", text, picture)?);
     }
-    Ok(plates)
+    Ok(pictures)
 }
 
-fn plate(caption: &'static str, description: String, picture: Picture) -> Result<Plate, Error> {
-    Ok(Plate {
+fn encode_case_picture(caption: &'static str, description: String, picture: Picture) -> Result<CasePicture, Error> {
+    Ok(CasePicture {
         caption,
         description,
         size: [picture.width(), picture.height()],
-        png: picture.png()?,
+        png: picture.encode_png()?,
     })
 }
 
 /// Looks at a place with this normal from a little above and beside it, so that the shape around it is seen as well.
-fn from_beside(normal: DVec3, up: Up) -> View {
+fn view_from_beside(normal: DVec3, up: UpAxis) -> ViewDirection {
     let above = match up {
-        Up::Y => DVec3::Y,
-        Up::Z => DVec3::Z,
+        UpAxis::Y => DVec3::Y,
+        UpAxis::Z => DVec3::Z,
     };
-    View::facing(normal.normalize_or_zero() + above * 0.4, up).turned(25.0)
+    ViewDirection::facing(normal.normalize_or_zero() + above * 0.4, up).turned_by(25.0)
 }
 
 /// The normal of the surface at a vertex, as long as the area around it.
-fn normal_at(found: &Found, vertex: u32) -> DVec3 {
+fn normal_at(found: &CaseResult, vertex: u32) -> DVec3 {
     let place = found.positions[vertex as usize];
     let around = |t: &&[u32; 3]| t.iter().any(|&v| found.positions[v as usize] == place);
     let triangles = found.triangles.iter().filter(around);
