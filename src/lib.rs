@@ -12,7 +12,7 @@
 //! | 3 | [`job`] | the declarative request, its JSON, and a bench that runs it |
 //! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
-//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`] | triangles; model formats; threads; cancelling; both as one |
+//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`], [`stage_clock`] | triangles; model formats; threads; cancelling; both as one; times of stages |
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
@@ -31,3 +31,4 @@ pub mod render;
 pub mod server;
 pub mod session;
 pub mod solver;
+pub mod stage_clock;

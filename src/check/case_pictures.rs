@@ -2,8 +2,8 @@
 
 use super::case_result::CaseResult;
 use super::comparison::GoldenComparison;
-use crate::graph::WindingTree;
 use crate::mesh::Bounds;
+use crate::mesh::query::TriangleBvh;
 use crate::pool::Pool;
 use crate::render::{
     Camera, ColourKey, ColourRamp, Error, Picture, PictureSize, RingMark, ShadedSurface, UpAxis, ViewDirection,
@@ -117,7 +117,7 @@ fn draw_differences(
     let unit = if most > 0.0 { most } else { 1.0 };
     let colours: Vec<Vec3> = far.iter().map(|d| ColourRamp::Amount.linear_colour(d / unit)).collect();
     let coloured = after.with_colours(&colours)?;
-    let tree = WindingTree::build(&found.positions, &found.triangles, pool);
+    let tree = TriangleBvh::build(&found.positions, &found.triangles, pool);
     let diagonal = Bounds::of(&found.positions).diagonal();
     let mark = |(&v, k): (&u32, u32)| {
         let at = found.positions[v as usize];

@@ -1,6 +1,6 @@
 //! How far two surfaces are apart, whatever their triangles.
 
-use crate::graph::WindingTree;
+use crate::mesh::query::TriangleBvh;
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,7 +23,7 @@ pub fn hausdorff_distance(a: (&[DVec3], &[[u32; 3]]), b: (&[DVec3], &[[u32; 3]])
 /// The point of `from` that is farthest from `to`; the first of several.
 fn farthest(from: (&[DVec3], &[[u32; 3]]), to: (&[DVec3], &[[u32; 3]]), pool: &Pool) -> Option<(f64, DVec3)> {
     let (positions, triangles) = from;
-    let tree = WindingTree::build(to.0, to.1, pool);
+    let tree = TriangleBvh::build(to.0, to.1, pool);
     let used = {
         let mut used = vec![false; positions.len()];
         triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
@@ -35,7 +35,7 @@ fn farthest(from: (&[DVec3], &[[u32; 3]]), to: (&[DVec3], &[[u32; 3]]), pool: &P
         .map(|t| t.map(|v| positions[v as usize]).iter().sum::<DVec3>() / 3.0);
     let points: Vec<DVec3> = vertices.chain(centres).collect();
     let distances: Vec<f64> = pool.install(|| {
-        let distance = |&p: &DVec3| tree.closest(p).map_or(f64::INFINITY, |n| n.distance);
+        let distance = |&p: &DVec3| tree.closest_point(p).map_or(f64::INFINITY, |n| n.distance);
         points.par_iter().map(distance).collect()
     });
     let mut worst: Option<(f64, DVec3)> = None;

@@ -2,10 +2,11 @@
 
 use super::draft::{Draft, key};
 use super::local::{Local, points_of, touching};
-use super::places::{Place, Runs, shares};
+use super::places::{Place, Runs};
 use super::trace::{SNAP, Step, Stuck, along_edges, straight};
 use super::{Error, Patch, Surface};
 use crate::mesh::Components;
+use crate::mesh::query::closest_point::barycentric_coordinates;
 use crate::progress::Progress;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -290,7 +291,7 @@ fn lay(draft: &mut Draft<'_>, place: &Place) -> Option<u32> {
     });
     let at = |f: usize| draft.faces[f].corners.map(|p| draft.positions[p as usize]);
     let inside = |f: &usize| {
-        let s = shares(at(*f), place.position);
+        let s = barycentric_coordinates(at(*f), place.position);
         if s.iter().all(|s| s.is_finite()) {
             s[0].min(s[1]).min(s[2])
         } else {
@@ -301,7 +302,7 @@ fn lay(draft: &mut Draft<'_>, place: &Place) -> Option<u32> {
         .chain(old)
         .max_by(|a, b| inside(a).total_cmp(&inside(b)).then(b.cmp(a)))?;
     let face = draft.faces[f];
-    let share = shares(at(f), place.position);
+    let share = barycentric_coordinates(at(f), place.position);
     if !share.iter().all(|s| s.is_finite()) {
         // No area: the nearest corner.
         let far = |p: &u32| draft.positions[*p as usize].distance_squared(place.position);

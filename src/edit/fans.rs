@@ -5,6 +5,7 @@
 //! apart before (the model's own pinched points) stay joined at their point.
 
 use super::draft::{CAP, Draft, key};
+use crate::mesh::query::fan::group_fans;
 use std::collections::BTreeSet;
 
 impl Draft<'_> {
@@ -26,7 +27,7 @@ impl Draft<'_> {
                 continue;
             }
             let before = self.fans_before(p);
-            let mut seen: BTreeSet<usize> = BTreeSet::new();
+            let mut seen: BTreeSet<u32> = BTreeSet::new();
             for part in 0..count {
                 let members = || {
                     around
@@ -51,7 +52,7 @@ impl Draft<'_> {
     }
 
     /// The fan of each local face around a local point, before anything was done.
-    fn fans_before(&self, p: u32) -> Vec<(u32, usize)> {
+    fn fans_before(&self, p: u32) -> Vec<(u32, u32)> {
         if p as usize >= self.local.points.len() {
             return Vec::new();
         }
@@ -61,7 +62,7 @@ impl Draft<'_> {
     }
 
     /// The fan that a face comes from; none at new points, and for caps, which hang on their neighbours.
-    fn fan_before(&self, before: &[(u32, usize)], face: u32) -> Option<usize> {
+    fn fan_before(&self, before: &[(u32, u32)], face: u32) -> Option<u32> {
         let source = self.faces[face as usize].source;
         before.binary_search_by_key(&source, |b| b.0).ok().map(|k| before[k].1)
     }
@@ -150,36 +151,15 @@ pub(super) fn quality([a, b, c]: [glam::DVec3; 3]) -> f64 {
 
 /// Numbers the fans of the faces `around` a point, in the order of the first face of each. `joins` says whether faces
 /// hang together along the edge from the point to another.
-fn fans(p: u32, around: &[u32], corners: impl Fn(u32) -> [u32; 3], joins: impl Fn(u32) -> bool) -> Vec<usize> {
-    let mut spokes: Vec<(u32, usize)> = Vec::with_capacity(2 * around.len());
-    for (i, &f) in around.iter().enumerate() {
-        spokes.extend(corners(f).into_iter().filter(|&q| q != p && joins(q)).map(|q| (q, i)));
-    }
-    spokes.sort_unstable();
-    let mut group: Vec<usize> = (0..around.len()).collect();
-    let root = |group: &mut [usize], mut i: usize| {
-        while group[i] != i {
-            group[i] = group[group[i]];
-            i = group[i];
-        }
-        i
-    };
-    for pair in spokes.windows(2).filter(|w| w[0].0 == w[1].0) {
-        let (a, b) = (root(&mut group, pair[0].1), root(&mut group, pair[1].1));
-        group[a.max(b)] = a.min(b);
-    }
-    let mut names: Vec<usize> = vec![usize::MAX; around.len()];
-    let mut count = 0;
-    for i in 0..around.len() {
-        let r = root(&mut group, i);
-        if r == i {
-            names[i] = count;
-            count += 1;
-        } else {
-            names[i] = names[r];
-        }
-    }
-    names
+fn fans(p: u32, around: &[u32], corners: impl Fn(u32) -> [u32; 3], joins: impl Fn(u32) -> bool) -> Vec<u32> {
+    let faces = around.iter().zip(0u32..);
+    let spokes = faces.flat_map(|(&f, i)| {
+        corners(f)
+            .into_iter()
+            .filter(|&q| q != p && joins(q))
+            .map(move |q| (q, i))
+    });
+    group_fans(around.len(), spokes.collect::<Vec<_>>()).0
 }
 
 #[cfg(test)]

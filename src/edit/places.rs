@@ -3,6 +3,7 @@
 
 use super::Surface;
 use super::local::points_of;
+use crate::mesh::query::closest_point::closest_barycentric_point;
 use glam::DVec3;
 
 /// Triangles in a run.
@@ -47,7 +48,7 @@ impl Runs {
                 if points_of(surface, triangle).is_none() {
                     continue;
                 }
-                let position = on_triangle(triangle.map(|v| surface.positions[v as usize]), x);
+                let position = closest_barycentric_point(x, triangle.map(|v| surface.positions[v as usize]));
                 let place = Place {
                     face: face as u32,
                     position,
@@ -73,36 +74,6 @@ impl Runs {
             }
         }
     }
-}
-
-/// The shares of the corners at `x`, or at its foot in the triangle's plane; not finite for a triangle without area.
-pub(super) fn shares([a, b, c]: [DVec3; 3], x: DVec3) -> [f64; 3] {
-    let normal = (b - a).cross(c - a);
-    let whole = normal.length_squared();
-    let part = |p: DVec3, q: DVec3| (p - x).cross(q - x).dot(normal) / whole;
-    let (first, second) = (part(b, c), part(c, a));
-    [first, second, 1.0 - first - second]
-}
-
-/// The place on a triangle that is nearest to `x`.
-fn on_triangle(corners: [DVec3; 3], x: DVec3) -> DVec3 {
-    let share = shares(corners, x);
-    if share.iter().all(|&s| s >= 0.0) {
-        return corners[0] * share[0] + corners[1] * share[1] + corners[2] * share[2];
-    }
-    let on_edge = |k: usize| {
-        let (a, b) = (corners[k], corners[(k + 1) % 3]);
-        let along = b - a;
-        let t = (x - a).dot(along) / along.length_squared();
-        if t > 0.0 { a + along * t.min(1.0) } else { a }
-    };
-    let [mut best, q, r] = [0, 1, 2].map(on_edge);
-    for other in [q, r] {
-        if other.distance_squared(x) < best.distance_squared(x) {
-            best = other;
-        }
-    }
-    best
 }
 
 #[cfg(test)]
@@ -142,7 +113,7 @@ mod tests {
             );
             let all = triangles
                 .iter()
-                .map(|t| on_triangle(t.map(|v| positions[v as usize]), x).distance(x));
+                .map(|t| closest_barycentric_point(x, t.map(|v| positions[v as usize])).distance(x));
             let least = all.fold(f64::INFINITY, f64::min);
             let found = runs.nearest(&surface, x).expect("a surface");
             assert_eq!(found.position.distance(x), least);

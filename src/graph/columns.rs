@@ -37,7 +37,7 @@ pub(super) struct Columns<'a> {
 impl<'a> Columns<'a> {
     /// Sorts the faces of `hull`, along the axis on which the fewest lie behind each other.
     pub(super) fn sort(hull: &'a WindingTree<'a>, pool: &Pool) -> Self {
-        let (positions, triangles) = (hull.positions(), hull.triangles());
+        let (positions, triangles) = (hull.bvh().positions(), hull.bvh().triangles());
         let bounds = Bounds::of(positions);
         let size = bounds.size();
         let mut shadow = DVec3::ZERO;

@@ -3,9 +3,9 @@
 use super::neighbours::{self, Key, LAST, NONE, Row, directions, place, toward};
 use super::parallel::{map, map_along};
 use super::shell::Site;
-use super::winding::Nearest;
 use super::{Error, octree, scan};
 use crate::mesh::Bounds;
+use crate::mesh::query::SurfacePoint;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -73,7 +73,7 @@ impl Grid {
 pub(super) fn nodes(site: &Site, grid: &Grid, depth: f64, limit: usize) -> Result<Result<Nodes, TooFine>, Error> {
     let mut nodes = match site.hull {
         None => Nodes::default(),
-        Some(hull) => match scan::nodes(site, hull, grid, depth, limit)? {
+        Some(hull) => match scan::nodes(site, hull.bvh(), grid, depth, limit)? {
             Ok(nodes) => nodes,
             Err(too_fine) => return Ok(Err(too_fine)),
         },
@@ -177,13 +177,13 @@ pub(super) fn edges(site: &Site, grid: &Grid, nodes: &Nodes, valence: u32) -> Re
     let mut ends: Vec<Key> = unmet.map(|e| e.0.1).collect();
     site.exec.pool.install(|| ends.par_sort_unstable());
     ends.dedup();
-    let nearest = map_along(&ends, site.exec, |&end, before: Option<&Option<Nearest>>| {
+    let nearest = map_along(&ends, site.exec, |&end, before: Option<&Option<SurfacePoint>>| {
         let p = grid.position(end);
         let within = before
             .copied()
             .flatten()
             .map_or(f64::INFINITY, |b| b.point.distance(p) * (1.0 + 1e-9));
-        site.surface.closest_within(p, within)
+        site.surface.closest_point_within(p, within)
     })?;
     let ends = &ends;
     let vertices = leaving.iter().zip(crossed).map(|(&(_, end), crossed)| {

@@ -53,7 +53,7 @@ pub(super) fn nodes(
     depth: f64,
     limit: usize,
 ) -> Result<Result<Nodes, TooFine>, Error> {
-    let corners = soup.triangles().iter().flatten();
+    let corners = soup.bvh().triangles().iter().flatten();
     let points: Vec<DVec3> = corners.map(|&v| site.mesh.positions[v as usize]).collect();
     let search = Search {
         site,
@@ -126,7 +126,7 @@ impl Search<'_> {
         }
         let clear = |p: DVec3, reach: f64| {
             site.surface
-                .closest_within(p, reach)
+                .closest_point_within(p, reach)
                 .map_or(reach, |near| near.distance)
         };
         if block.level == 0 {
@@ -145,7 +145,7 @@ impl Search<'_> {
         }
         let mut inside = block.inside;
         if !inside && clearance > radius * 4.0 {
-            let winding = self.soup.at(center).abs();
+            let winding = self.soup.winding_number(center).abs();
             // A winding number is a harmonic function off the surface. Harnack's inequality bounds it in a ball of a
             // quarter of the clear radius by 0.45 to 2.23 times its value, and likewise its distance from 1.
             if !(0.22..=0.78).contains(&winding) {

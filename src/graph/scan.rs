@@ -10,8 +10,9 @@ use super::lattice::{Grid, Nodes, TooFine};
 use super::neighbours::{LAST, key};
 use super::parallel::map_few;
 use super::shell::Site;
-use super::winding::{WindingTree, closest_on_triangle};
 use crate::mesh::Lists;
+use crate::mesh::query::TriangleBvh;
+use crate::mesh::query::closest_point::closest_point_on_triangle;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -43,7 +44,7 @@ struct Run {
 /// `limit` nodes.
 pub(super) fn nodes(
     site: &Site,
-    hull: &WindingTree,
+    hull: &TriangleBvh,
     grid: &Grid,
     depth: f64,
     limit: usize,
@@ -93,7 +94,7 @@ pub(super) fn nodes(
 }
 
 /// Volume inside `hull`, by the lengths of the rows of `grid`; `None` when there is too much to look at.
-pub(super) fn volume(site: &Site, hull: &WindingTree, grid: &Grid) -> Result<Option<f64>, Error> {
+pub(super) fn volume(site: &Site, hull: &TriangleBvh, grid: &Grid) -> Result<Option<f64>, Error> {
     let Ok(faces) = faces_by_sheet(site, hull, grid, 0.0) else {
         return Ok(None);
     };
@@ -108,7 +109,7 @@ pub(super) fn volume(site: &Site, hull: &WindingTree, grid: &Grid) -> Result<Opt
 }
 
 /// For each sheet the faces of `tree` no further from it than `reach`, rising.
-fn faces_by_sheet(site: &Site, tree: &WindingTree, grid: &Grid, reach: f64) -> Result<Lists, TooFine> {
+fn faces_by_sheet(site: &Site, tree: &TriangleBvh, grid: &Grid, reach: f64) -> Result<Lists, TooFine> {
     let (positions, faces) = (tree.positions(), tree.triangles());
     let count = 2 * (grid.cells[2] as usize + 2);
     let budget = (512 * faces.len() + (1 << 23)).min(u32::MAX as usize - 1) as f64;
@@ -145,7 +146,7 @@ fn height(grid: &Grid, sheet: u32) -> (f64, f64) {
 
 /// Where the rows of a sheet cross faces of `hull`. Each edge is cut by the sheet in one way whichever face asks, so the
 /// turns of a row add up to zero, to the bit and without special cases.
-fn crossings(hull: &WindingTree, grid: &Grid, near: &[u32], sheet: u32) -> Vec<Crossing> {
+fn crossings(hull: &TriangleBvh, grid: &Grid, near: &[u32], sheet: u32) -> Vec<Crossing> {
     let (z, shift) = height(grid, sheet);
     let mut found = Vec::new();
     for &t in near {
@@ -264,7 +265,7 @@ fn deep_nodes(site: &Site, grid: &Grid, runs: &[Run], near: &[u32], sheet: u32, 
                 while i <= end {
                     let p = DVec3::new(world(i, 0), y, z);
                     let slot = &mut nearest[node_starts[k] + (i as u32 - run.first) as usize];
-                    let square = closest_on_triangle(p, corners).distance_squared(p);
+                    let square = closest_point_on_triangle(p, corners).distance_squared(p);
                     if square < *slot {
                         *slot = square;
                     }

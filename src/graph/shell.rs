@@ -10,6 +10,7 @@ use super::parallel::map;
 use super::solid::Parts;
 use super::winding::WindingTree;
 use crate::exec::Exec;
+use crate::mesh::query::TriangleBvh;
 use crate::mesh::{Adjacency, Mesh};
 use glam::DVec3;
 
@@ -24,7 +25,7 @@ pub(super) struct Site<'a> {
     pub(super) mesh: &'a Mesh,
     pub(super) adjacency: &'a Adjacency,
     /// The whole surface, for distances and crossings.
-    pub(super) surface: &'a WindingTree<'a>,
+    pub(super) surface: &'a TriangleBvh<'a>,
     pub(super) parts: &'a Parts,
     /// Closed parts and those whose holes have been closed, if there are any.
     pub(super) hull: Option<&'a WindingTree<'a>>,
@@ -43,7 +44,7 @@ impl Site<'_> {
 
     /// Soups that are worth a lattice; beside a hull of many more faces they have a shell only.
     pub(super) fn large_soup(&self) -> Option<&WindingTree<'_>> {
-        let faces = |tree: &WindingTree| tree.triangles().len();
+        let faces = |tree: &WindingTree| tree.bvh().triangles().len();
         self.soup
             .filter(|soup| self.hull.is_none_or(|hull| faces(soup) >= faces(hull) / 4))
     }
@@ -60,7 +61,7 @@ impl Site<'_> {
 pub(super) fn shell(site: &Site, inward: &[DVec3], offsets: &[f64]) -> Result<Shell, Error> {
     let mut placed: Shell = vec![None; site.mesh.positions.len()];
     // In the order of the tree, so that one query finds in the cache what the last one read.
-    let mut waiting = site.surface.vertices_in_space();
+    let mut waiting = site.surface.vertices_in_space_order();
     waiting.retain(|&v| inward[v as usize] != DVec3::ZERO);
     let found = map(&waiting, site.exec, |&v| {
         let offset = offsets[site.parts.components.of_vertex[v as usize] as usize];
@@ -75,7 +76,7 @@ pub(super) fn shell(site: &Site, inward: &[DVec3], offsets: &[f64]) -> Result<Sh
 
 /// Where the copy of vertex `v`, at `p`, is put: `offset` along `inward`, or less where there is less room.
 pub(super) fn copy(
-    surface: &WindingTree,
+    surface: &TriangleBvh,
     v: u32,
     p: DVec3,
     inward: DVec3,
@@ -100,8 +101,8 @@ pub(super) fn copy(
 
 /// Whether no face is nearer to `end` than `half`, and none but those around vertex `v` crosses the way from `start` to
 /// `middle`; only this half of the way, outside the clear ball, can meet the surface.
-pub(super) fn has_room(surface: &WindingTree, v: u32, start: DVec3, middle: DVec3, end: DVec3, half: f64) -> bool {
-    !surface.is_within(end, half) && surface.first_hit(start, middle, Some(v)).is_none()
+pub(super) fn has_room(surface: &TriangleBvh, v: u32, start: DVec3, middle: DVec3, end: DVec3, half: f64) -> bool {
+    !surface.has_triangle_within(end, half) && surface.first_hit(start, middle, Some(v)).is_none()
 }
 
 /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.

@@ -78,7 +78,7 @@ impl Parts {
             let open = map(&looked_at, exec, |&t| {
                 let [a, b, c] = mesh.triangles[t as usize].map(|v| mesh.positions[v as usize]);
                 let beside = (b - a).cross(c - a).try_normalize()? * step;
-                let winding = tree.roughly((a + b + c) / 3.0 - beside);
+                let winding = tree.rough_winding_number((a + b + c) / 3.0 - beside);
                 Some((winding - winding.round()).abs())
             })?;
             let mut seen = vec![(0.0, 0.0); components.count];
@@ -128,7 +128,7 @@ impl Parts {
     /// does where cracks part a surface into patches. Whether any was found.
     pub(super) fn doubt(&mut self, tree: &WindingTree, hull: &Hull, exec: &Exec<'_>) -> Result<bool, Error> {
         let within = map(&hull.loops, exec, |l| {
-            let winding = tree.at(l.2).abs();
+            let winding = tree.winding_number(l.2).abs();
             winding > 0.5 && (winding - winding.round()).abs() < WHOLE
         })?;
         // By part: edges of all loops, and of those that run around the inside.

@@ -117,7 +117,7 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
     let site = Site {
         mesh,
         adjacency: &adjacency,
-        surface: &tree,
+        surface: tree.bvh(),
         hull,
         columns: hull.map(|hull| Columns::sort(hull, exec.pool)),
         soup: soup_tree.as_ref().or_else(|| parts.all(Kind::Soup).then_some(&tree)),
@@ -219,11 +219,11 @@ fn enclosed_volume(site: &Site) -> Result<f64, Error> {
     let mesh = site.mesh;
     let mut volume = 0.0;
     if let Some(hull) = site.hull {
-        let measured = signed_volume(hull.positions(), hull.triangles()).abs();
+        let measured = signed_volume(hull.bvh().positions(), hull.bvh().triangles()).abs();
         if site.parts.components.count == 1 {
             volume = measured;
         } else if let Some(grid) = Grid::around(&mesh.bounds(), longest(mesh) / ROWS_ALONG) {
-            let sampled = scan::volume(site, hull, &grid)?.unwrap_or(0.0);
+            let sampled = scan::volume(site, hull.bvh(), &grid)?.unwrap_or(0.0);
             let measured_fits = sampled == 0.0 || (measured - sampled).abs() <= 0.1 * measured;
             volume = if measured_fits { measured } else { sampled };
         }

@@ -29,6 +29,6 @@ pub use check::Settings;
 pub use edit::{EditOrder, EditOutcome};
 pub use error::Error;
 pub use posing::{Mode, Solved, Watch};
-pub use run::{Outcome, Stage, edit_name, expectations, inspect, pose_steps, run};
+pub use run::{Outcome, edit_name, expectations, inspect, pose_steps, run};
 pub use trail::Trail;
 pub use workbench::{Limits, Poses, Workbench};

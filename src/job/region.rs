@@ -5,6 +5,7 @@ use super::{Error, pb};
 use crate::asset::Primitive;
 use crate::deform::NearestPoints;
 use crate::graph::Graph;
+use crate::mesh::query::closest_point::closest_point_on_segment;
 use crate::mesh::{Components, Mesh, NONE};
 use glam::DVec3;
 
@@ -337,12 +338,5 @@ fn polyline(values: &[f64], field: &str) -> Result<Vec<DVec3>, Error> {
 }
 
 fn distance_to_segment(p: DVec3, from: DVec3, to: DVec3) -> f64 {
-    let along = to - from;
-    let length = along.length_squared();
-    let t = if length > 0.0 {
-        ((p - from).dot(along) / length).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    p.distance(from + along * t)
+    p.distance(closest_point_on_segment(p, from, to))
 }

@@ -5,10 +5,10 @@ use super::{EditOrder, Error, Limits, Mode, Settings, Workbench, pb};
 use crate::asset::{FileSet, Format, Written};
 use crate::exec::Exec;
 use crate::mesh::Report;
-use crate::progress::Progress;
+use crate::progress::Progress as _;
+use crate::stage_clock::StageClock;
 use glam::DVec3;
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// A job done.
 #[derive(Debug, Clone)]
@@ -30,69 +30,6 @@ pub struct Outcome {
     pub unchecked: Vec<&'static str>,
 }
 
-/// Measures stages with a clock that the caller gives: this floor reads none. As a [`Progress`] it takes every stage
-/// that the work reports, and passes all on.
-pub struct Stage<'a> {
-    millis: &'a (dyn Fn() -> f64 + Sync),
-    inner: &'a dyn Progress,
-    marks: Mutex<Marks>,
-}
-
-#[derive(Default)]
-struct Marks {
-    open: Option<(&'static str, f64)>,
-    done: BTreeMap<String, f64>,
-}
-
-impl<'a> Stage<'a> {
-    /// Watches through `inner`; `millis` tells milliseconds since any fixed moment.
-    pub fn new(millis: &'a (dyn Fn() -> f64 + Sync), inner: &'a dyn Progress) -> Self {
-        Self {
-            millis,
-            inner,
-            marks: Mutex::default(),
-        }
-    }
-
-    /// Begins a stage; the one before it ends.
-    pub fn begin(&self, stage: &'static str) {
-        let now = (self.millis)();
-        let mut marks = self.marks.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((before, since)) = marks.open.replace((stage, now)) {
-            *marks.done.entry(before.into()).or_default() += now - since;
-        }
-    }
-
-    /// Ends the stage under way and hands over what was measured since the last call.
-    pub fn take(&self) -> BTreeMap<String, f64> {
-        let now = (self.millis)();
-        let mut marks = self.marks.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((before, since)) = marks.open.take() {
-            *marks.done.entry(before.into()).or_default() += now - since;
-        }
-        std::mem::take(&mut marks.done)
-    }
-}
-
-impl Progress for Stage<'_> {
-    fn cancelled(&self) -> bool {
-        self.inner.cancelled()
-    }
-
-    fn report(&self, stage: &'static str, fraction: f32) {
-        let same = self
-            .marks
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .open
-            .is_some_and(|(open, _)| open == stage);
-        if !same {
-            self.begin(stage);
-        }
-        self.inner.report(stage, fraction);
-    }
-}
-
 /// Runs `job` on a model and writes the result as `format` (the model's own when `None`).
 ///
 /// # Errors
@@ -108,7 +45,7 @@ pub fn run(
     let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
-    let stages = Stage::new(millis, exec.progress);
+    let stages = StageClock::new(millis, exec.progress);
     let mut bench = Workbench::open(
         files,
         &job.create.clone().unwrap_or_default(),
@@ -122,7 +59,7 @@ pub fn run(
         region_of_interest: job.region_of_interest.clone(),
     };
     bench.set_handles(&request, &Exec::new(exec.pool, &stages))?;
-    let build_ms = stages.take();
+    let build_ms = stages.take_stage_ms();
 
     let mut in_force = bench.initial_poses();
     let mut positions = bench.rest().clone();
@@ -186,7 +123,7 @@ pub fn run(
                 }
             }
         };
-        let mut ms = stages.take();
+        let mut ms = stages.take_stage_ms();
         ms.insert("build".into(), if k == 0 { build_ms.values().sum() } else { 0.0 });
         let facts = bench.facts().solver.unwrap_or_default();
         done.ms = ms.into_iter().collect();
@@ -202,7 +139,7 @@ pub fn run(
     };
     stages.report("encode", 0.0);
     let written = bench.write(&positions, format.unwrap_or(bench.model().format))?;
-    if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take().remove("encode")) {
+    if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take_stage_ms().remove("encode")) {
         step.ms.insert("encode".into(), ms);
     }
     let facts = bench.facts();

@@ -2,6 +2,7 @@
 
 use super::boundary::{BoundaryLoop, boundary_loops};
 use super::measure::{cone_volume, mean_edge_length, signed_volume, surface_area, triangle_area};
+use super::query::fan::group_fans;
 use super::{Adjacency, Bounds, Components, Mesh, NONE, Weld, weld};
 
 /// A face is a sliver when its longest edge is more than this many times its height over that edge.
@@ -305,13 +306,11 @@ fn thin_faces(mesh: &Mesh) -> Thin {
 /// Into how many fans the faces around a vertex fall; faces are in one fan when they share an edge at the vertex.
 fn fans_around(vertex: u32, triangles: &[[u32; 3]], adjacency: &Adjacency) -> usize {
     let faces = adjacency.faces.of(vertex);
-    let spokes = adjacency.neighbours.of(vertex);
-    let edges = faces.iter().filter_map(|&f| {
-        let mut others = triangles[f as usize].into_iter().filter(|&v| v != vertex);
-        let index = |v: Option<u32>| v.and_then(|v| spokes.binary_search(&v).ok()).map(|i| i as u32);
-        Some((index(others.next())?, index(others.next())?))
+    let spokes = faces.iter().zip(0u32..).flat_map(|(&f, i)| {
+        let others = triangles[f as usize].into_iter().filter(move |&v| v != vertex);
+        others.map(move |v| (v, i))
     });
-    Components::of_edges(spokes.len(), edges).count
+    group_fans(faces.len(), spokes).1
 }
 
 /// Boundary vertices that lie within the crack distance of another boundary vertex.

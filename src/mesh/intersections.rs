@@ -3,19 +3,17 @@
 //! Positions are rounded to 32 bits first, which is what frames and most formats carry; differences of such numbers
 //! and the signs of the volumes made of them are then taken in 64 bits. Touching is not crossing.
 
+use super::Bounds;
+use super::query::TriangleBvh;
 use crate::exec::Exec;
 use crate::progress::Cancelled;
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
 
-/// Triangles of one leaf of the tree.
-const LEAF: usize = 4;
 /// Triangles between two looks at the progress. A triangle meets every other one at worst.
 const BLOCK: usize = 16;
-/// Bits of a place along one axis of the space-filling curve.
-const BITS: u32 = 21;
 
-/// Number of pairs of triangles that cross.
+/// Counts the pairs of triangles that cross.
 ///
 /// A pair that shares an edge never counts. A pair that shares one vertex counts when the edge opposite to it in one
 /// triangle passes through the other triangle. Any other pair counts when an edge of one passes through the other. An
@@ -34,150 +32,53 @@ pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Ex
         return Ok(0);
     }
     exec.pool.install(|| {
-        let points: Vec<Vec3> = positions.par_iter().map(|p| p.as_vec3()).collect();
-        let tree = Tree::build(&points, triangles);
+        let points: Vec<DVec3> = positions.par_iter().map(|p| p.as_vec3().as_dvec3()).collect();
+        let surface = BoxedTriangles::build(&points, triangles, exec);
         exec.check()?;
         (0..triangles.len().div_ceil(BLOCK))
             .into_par_iter()
             .map(|block| {
                 exec.check()?;
                 let places = block * BLOCK..((block + 1) * BLOCK).min(triangles.len());
-                Ok(places
-                    .map(|place| tree.crossings(&points, triangles, place))
-                    .sum::<u64>())
+                Ok(places.map(|place| surface.count_crossings(place)).sum::<u64>())
             })
             .sum()
     })
 }
 
-/// An axis-aligned box.
-#[derive(Debug, Clone, Copy)]
-struct Cell {
-    low: Vec3,
-    high: Vec3,
+/// Triangles in a hierarchy, each with its box.
+struct BoxedTriangles<'a> {
+    bvh: TriangleBvh<'a>,
+    /// The box of each triangle, in the order of the hierarchy's leaves.
+    boxes: Vec<Bounds>,
 }
 
-impl Cell {
-    const EMPTY: Self = Self {
-        low: Vec3::INFINITY,
-        high: Vec3::NEG_INFINITY,
-    };
-
-    fn of(corners: [Vec3; 3]) -> Self {
-        let [a, b, c] = corners;
-        Self {
-            low: a.min(b).min(c),
-            high: a.max(b).max(c),
-        }
+impl<'a> BoxedTriangles<'a> {
+    fn build(points: &'a [DVec3], triangles: &'a [[u32; 3]], exec: &Exec<'_>) -> Self {
+        let bvh = TriangleBvh::build(points, triangles, exec.pool);
+        let places = (0..triangles.len()).into_par_iter();
+        let boxes = places.map(|place| Bounds::of(&bvh.corners(place))).collect();
+        Self { bvh, boxes }
     }
 
-    fn join(self, other: Self) -> Self {
-        Self {
-            low: self.low.min(other.low),
-            high: self.high.max(other.high),
-        }
-    }
-
-    fn meets(&self, other: &Self) -> bool {
-        self.low.cmple(other.high).all() && other.low.cmple(self.high).all()
-    }
-}
-
-/// Boxes of triangles in the order of a space-filling curve, and above them boxes of pairs, of pairs of pairs, and so
-/// on.
-struct Tree {
-    /// Triangle at each place of the curve.
-    order: Vec<u32>,
-    /// Its box, in the same order.
-    cells: Vec<Cell>,
-    /// Level 0 has a box for every [`LEAF`] places; each level above one for two boxes below; the last has one box.
-    levels: Vec<Vec<Cell>>,
-}
-
-impl Tree {
-    fn build(points: &[Vec3], triangles: &[[u32; 3]]) -> Self {
-        let cell = |t: u32| Cell::of(triangles[t as usize].map(|v| points[v as usize]));
-        let whole = points.iter().fold(Cell::EMPTY, |all, &p| Cell {
-            low: all.low.min(p),
-            high: all.high.max(p),
+    /// Counts the triangles at later places that cross the one at `place`.
+    fn count_crossings(&self, place: usize) -> u64 {
+        let order = self.bvh.triangle_order();
+        let (own, bounds) = (order[place], &self.boxes[place]);
+        let mut count = 0;
+        self.bvh.visit_overlapping(bounds, place + 1, |other| {
+            if self.boxes[other].overlaps(bounds) {
+                let theirs = order[other];
+                let [f, g] = [own.min(theirs), own.max(theirs)].map(|t| self.bvh.triangles()[t as usize]);
+                count += u64::from(cross(self.bvh.positions(), f, g));
+            }
         });
-        let extent = (whole.high.as_dvec3() - whole.low.as_dvec3()).max_element();
-        let steps = f64::from((1u32 << BITS) - 1);
-        let scale = if extent > 0.0 && extent.is_finite() {
-            steps / extent
-        } else {
-            0.0
-        };
-        let mut keys: Vec<(u64, u32)> = (0..triangles.len() as u32)
-            .into_par_iter()
-            .map(|t| {
-                let Cell { low, high } = cell(t);
-                let middle = 0.5 * (low.as_dvec3() + high.as_dvec3());
-                // Casts saturate, and take what is no number as 0.
-                let at = (middle - whole.low.as_dvec3()) * scale;
-                (curve(at.to_array().map(|x| (x as u64).min(steps as u64))), t)
-            })
-            .collect();
-        keys.par_sort_unstable();
-        let order: Vec<u32> = keys.into_iter().map(|(_, t)| t).collect();
-        let cells: Vec<Cell> = order.par_iter().map(|&t| cell(t)).collect();
-        let join = |cells: &[Cell]| cells.iter().copied().fold(Cell::EMPTY, Cell::join);
-        let mut levels: Vec<Vec<Cell>> = vec![cells.chunks(LEAF).map(join).collect()];
-        while let Some(below) = levels.last().filter(|below| below.len() > 1) {
-            let above = below.chunks(2).map(join).collect();
-            levels.push(above);
-        }
-        Self { order, cells, levels }
+        count
     }
-
-    /// Triangles at later places that cross the one at `place`.
-    fn crossings(&self, points: &[Vec3], triangles: &[[u32; 3]], place: usize) -> u64 {
-        let (own, cell) = (self.order[place], self.cells[place]);
-        let mut found = 0;
-        // Depth first: at most one box waits on every level.
-        let mut open = Vec::with_capacity(self.levels.len() + 1);
-        open.push((self.levels.len() - 1, 0usize));
-        while let Some((level, at)) = open.pop() {
-            // Places below this box end before `place`, so that other one counts the pair.
-            let last = LEAF * ((at + 1) << level);
-            if last <= place || !self.levels[level][at].meets(&cell) {
-                continue;
-            }
-            if level > 0 {
-                let right = 2 * at + 1;
-                if right < self.levels[level - 1].len() {
-                    open.push((level - 1, right));
-                }
-                open.push((level - 1, 2 * at));
-                continue;
-            }
-            let first = (at * LEAF).max(place + 1);
-            for other in first..((at + 1) * LEAF).min(self.order.len()) {
-                if self.cells[other].meets(&cell) {
-                    let theirs = self.order[other];
-                    let (f, g) = (own.min(theirs), own.max(theirs));
-                    found += u64::from(cross(points, triangles[f as usize], triangles[g as usize]));
-                }
-            }
-        }
-        found
-    }
-}
-
-/// The place of a cell on Morton's curve: the bits of its coordinates by turns.
-fn curve(at: [u64; 3]) -> u64 {
-    let spread = |x: u64| {
-        let x = (x | x << 32) & 0x001f_0000_0000_ffff;
-        let x = (x | x << 16) & 0x001f_0000_ff00_00ff;
-        let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-        let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-        (x | x << 2) & 0x1249_2492_4924_9249
-    };
-    spread(at[0]) | spread(at[1]) << 1 | spread(at[2]) << 2
 }
 
 /// Whether two triangles cross.
-fn cross(points: &[Vec3], f: [u32; 3], g: [u32; 3]) -> bool {
+fn cross(points: &[DVec3], f: [u32; 3], g: [u32; 3]) -> bool {
     let (mut shared, mut i, mut j) = (0, 0, 0);
     for (k, v) in f.iter().enumerate() {
         for (l, w) in g.iter().enumerate() {
@@ -186,7 +87,7 @@ fn cross(points: &[Vec3], f: [u32; 3], g: [u32; 3]) -> bool {
             }
         }
     }
-    let at = |v: u32| points[v as usize].as_dvec3();
+    let at = |v: u32| points[v as usize];
     let (a, b) = (f.map(at), g.map(at));
     match shared {
         0 => {
@@ -290,7 +191,7 @@ mod tests {
 
     /// Every pair, without the tree.
     fn slowly(positions: &[DVec3], triangles: &[[u32; 3]]) -> u64 {
-        let points: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
+        let points: Vec<DVec3> = positions.iter().map(|p| p.as_vec3().as_dvec3()).collect();
         let mut found = 0;
         for (k, f) in triangles.iter().enumerate() {
             found += triangles[k + 1..].iter().filter(|g| cross(&points, *f, **g)).count() as u64;

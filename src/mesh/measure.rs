@@ -41,6 +41,11 @@ impl Bounds {
     pub fn diagonal(&self) -> f64 {
         self.size().length()
     }
+
+    /// Whether it overlaps or touches another box.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        self.min.cmple(other.max).all() && other.min.cmple(self.max).all()
+    }
 }
 
 /// Area of all faces.

@@ -12,6 +12,7 @@ mod inspect;
 mod intersections;
 mod lists;
 mod measure;
+pub mod query;
 pub mod shading;
 mod weld;
 

@@ -70,7 +70,7 @@ impl Actor {
                     if !session.streams.all().is_empty() {
                         session.lease.renew();
                     } else if session.lease.expired() {
-                        self.shared.metrics.sessions_expired.up();
+                        self.shared.metrics.sessions_expired.inc();
                         tracing::info!(session.id = %session.id, "session expired");
                         session.close(Error::no_session(&session.id));
                     }
@@ -93,7 +93,7 @@ impl Actor {
         } = self;
         session.close(Error::no_session(&session.id));
         shared.registry.remove(&session.id);
-        shared.metrics.sessions.add(-1);
+        shared.metrics.sessions.dec();
         // Whoever waits for an answer learns of the end by this.
         drop(commands);
         // Dropped where it holds nobody up, in this order: what is told last is that memory and seat are free.
@@ -145,7 +145,7 @@ impl Actor {
                 Ok((value, stop))
             }
             Err(Panicked(text)) => {
-                self.shared.metrics.sessions_failed.up();
+                self.shared.metrics.sessions_failed.inc();
                 tracing::error!(session.id = %self.session.id, panic = text, "work panicked; the session is closed");
                 let error = Error::from(Panicked(text));
                 self.session.close(Error {
@@ -162,7 +162,7 @@ impl Actor {
         if error != job::Error::Cancelled {
             return error.into();
         }
-        self.shared.metrics.cancelled.up();
+        self.shared.metrics.cancelled.inc();
         if self.session.cancel.cancelled() {
             self.session.why()
         } else if stop.abandoned() {
@@ -232,7 +232,7 @@ impl Actor {
         let (replaced, stop) = self
             .compute(&call.cancel, limit, move |bench, pool, stop, _| {
                 let replaced = bench.replace(trail.as_ref(), &request, &Exec::new(pool, stop));
-                (replaced, request, stop.stage_ms())
+                (replaced, request, stop.take_stage_ms())
             })
             .await?;
         let (replaced, request, stages) = replaced;
@@ -243,7 +243,7 @@ impl Actor {
             bench.adopt(&self.history.current().handles);
         }
         self.session.streams.all().iter().for_each(|m| m.forget_overlay());
-        self.shared.metrics.commits.up();
+        self.shared.metrics.commits.inc();
         self.publish();
         Ok(self.session.describe())
     }
@@ -303,11 +303,11 @@ impl Actor {
             .commit_pose(poses, kept, Arc::clone(&solved.positions), digest.clone());
         self.publish();
         let metrics = &self.shared.metrics;
-        metrics.solve.record(elapsed);
-        metrics.cycles.add(solved.cycles.into());
-        metrics.poses_solved.up();
-        metrics.commits.up();
-        metrics.frames_sent.up();
+        metrics.solve.observe(elapsed.as_secs_f64());
+        metrics.cycles.inc_by(solved.cycles.into());
+        metrics.poses_solved.inc();
+        metrics.commits.inc();
+        metrics.frames_sent.inc();
         let stored = Stored::Solved {
             frame: Box::new(frame),
             revision,

@@ -46,7 +46,7 @@ impl Budget {
             return None;
         }
         *used = used.saturating_add(bytes);
-        self.metrics.bytes.add(signed(bytes));
+        self.metrics.bytes.inc_by(signed(bytes));
         drop(used);
         Some(Reservation {
             budget: Arc::clone(self),
@@ -66,7 +66,7 @@ impl Reservation {
     pub fn resize(&mut self, bytes: u64) -> bool {
         let mut used = self.budget.used.lock().unwrap_or_else(PoisonError::into_inner);
         *used = used.saturating_sub(self.bytes).saturating_add(bytes);
-        self.budget.metrics.bytes.add(signed(bytes) - signed(self.bytes));
+        self.budget.metrics.bytes.inc_by(signed(bytes) - signed(self.bytes));
         self.bytes = bytes;
         *used <= self.budget.total
     }

@@ -3,6 +3,7 @@
 //! A slot is asked for before anything is moved to the pool, so that a refused caller loses nothing. Slots are given in
 //! the order in which they were asked for, to however many sessions there are.
 
+use super::metrics::GaugeUnit;
 use super::{Code, Config, Error, Metrics};
 use crate::pool::Pool;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -67,7 +68,7 @@ impl Compute {
     /// `RESOURCE_EXHAUSTED` when too many wait already, or after the longest wait.
     pub async fn slot(&self) -> Result<Slot, Error> {
         let refuse = |text: String| {
-            self.metrics.refused.up();
+            self.metrics.refused.inc();
             Error::exhausted(text, 1)
         };
         let asked = Instant::now();
@@ -77,7 +78,7 @@ impl Compute {
             Err(_) => {
                 let seat = self.seats.try_acquire();
                 let _seat = seat.map_err(|_| refuse("too much work waits to be computed; try again later".into()))?;
-                let _waiting = self.metrics.pool_waiting.hold();
+                let _waiting = GaugeUnit::add_to(&self.metrics.pool_waiting);
                 let waited = tokio::time::timeout(self.wait, slots.acquire_owned()).await;
                 let permit = waited.map_err(|_| {
                     refuse(format!(
@@ -89,7 +90,7 @@ impl Compute {
             }
         };
         let queued = asked.elapsed();
-        self.metrics.queue.record(queued);
+        self.metrics.queue.observe(queued.as_secs_f64());
         Ok(Slot {
             permit,
             pool: self.pool.clone(),
@@ -133,7 +134,7 @@ impl Slot {
         let (give, result) = oneshot::channel();
         let inside = pool.clone();
         pool.spawn(move || {
-            let busy = metrics.pool_busy.hold();
+            let busy = GaugeUnit::add_to(&metrics.pool_busy);
             let result = caught(|| work(&inside));
             drop(busy);
             // Free before the result is told, so that whoever gets the result finds the slot free.

@@ -74,7 +74,7 @@ pub(super) async fn create(
         }
     };
     let refuse = |text: String| {
-        shared.metrics.refused.up();
+        shared.metrics.refused.inc();
         Error::exhausted(text, 5)
     };
     let seat = Arc::clone(&shared.seats).try_acquire_owned().map_err(|_| {
@@ -137,8 +137,8 @@ pub(super) async fn create(
         why: OnceLock::new(),
     });
     shared.registry.insert(Arc::clone(&session));
-    shared.metrics.sessions.add(1);
-    shared.metrics.sessions_created.up();
+    shared.metrics.sessions.inc();
+    shared.metrics.sessions_created.inc();
     let actor = Actor {
         session: Arc::clone(&session),
         shared: Arc::clone(shared),
@@ -201,7 +201,7 @@ async fn open(
         let engine: Box<dyn Engine> = inside
             .opener
             .open(files, &options, &limits, &Exec::new(pool, &*watch))?;
-        let build_ms = watch.stage_ms();
+        let build_ms = watch.take_stage_ms();
         let facts = engine.facts();
         let rest = engine.rest();
         let digest = digest(&rest);
@@ -229,14 +229,14 @@ async fn open(
         tracing::error!(panic = panicked.0, "opening a model panicked");
         Error::from(panicked)
     })?;
-    shared.metrics.build.record(stop.elapsed());
+    shared.metrics.build.observe(stop.elapsed().as_secs_f64());
     built.map_err(|error| match error {
         job::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining(),
         job::Error::Cancelled if stop.abandoned() => Error::new(Code::Cancelled, "the caller gave up"),
         job::Error::Cancelled => late(stop.limit()),
         // Too large for what is free now, not for the server: later it may fit.
         job::Error::TooLarge { seen, limit, .. } if limit == room && seen <= shared.budget.total() => {
-            shared.metrics.refused.up();
+            shared.metrics.refused.inc();
             Error::exhausted(
                 format!("the session would need {seen} bytes of memory, {room} are free"),
                 5,

@@ -149,12 +149,12 @@ impl Actor {
             }
         };
         let metrics = &self.shared.metrics;
-        metrics.solve.record(solve);
-        metrics.cycles.add(solved.cycles.into());
-        metrics.poses_solved.up();
+        metrics.solve.observe(solve.as_secs_f64());
+        metrics.cycles.inc_by(solved.cycles.into());
+        metrics.poses_solved.inc();
         let mut overlay = turn.overlay;
         if commit {
-            metrics.commits.up();
+            metrics.commits.inc();
             let kept = settings.as_ref().clone();
             self.history
                 .commit_pose(poses, kept, Arc::clone(&solved.positions), digest);

@@ -73,7 +73,7 @@ impl Actor {
     fn too_large(&self, error: job::Error, room: u64, stop: &Stop) -> Error {
         match error {
             job::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.budget.total() => {
-                self.shared.metrics.refused.up();
+                self.shared.metrics.refused.inc();
                 Error::exhausted(
                     format!("the session would need {seen} bytes of memory after the edit, {room} are free"),
                     5,
@@ -121,7 +121,7 @@ impl Actor {
             )
             .await?;
         let (outcome, facts, trail, diagonal) = done.map_err(|e| self.too_large(e, room, &stop))?;
-        let stages = stop.stage_ms();
+        let stages = stop.take_stage_ms();
         let mut result = outcome.result;
         let state = State {
             trail,
@@ -138,7 +138,7 @@ impl Actor {
             bench.adopt(&self.history.current().handles);
         }
         self.session.streams.all().iter().for_each(|m| m.forget_overlay());
-        self.shared.metrics.commits.up();
+        self.shared.metrics.commits.inc();
         self.publish();
         result.ms = stages.into_iter().collect();
         result.revision = self.history.revision();

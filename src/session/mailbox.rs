@@ -195,7 +195,7 @@ impl Mailbox {
     }
 
     fn push_pose(&self, books: &mut Books, pose: pb::Pose) {
-        self.metrics.poses_received.up();
+        self.metrics.poses_received.inc();
         if let Some(last) = books.last_seq.filter(|&last| pose.seq <= last) {
             let text = format!("is {}, above {last} is allowed: numbers grow along a stream", pose.seq);
             return self.refuse(books, pose.seq, Error::invalid("pose.seq", text));
@@ -224,7 +224,7 @@ impl Mailbox {
     }
 
     fn refuse(&self, books: &mut Books, seq: u64, error: Error) {
-        self.metrics.poses_refused.up();
+        self.metrics.poses_refused.inc();
         if books.notes.len() >= WAITING_NOTES {
             let text = format!("{WAITING_NOTES} errors wait unread; read them before sending more");
             return self.fail(books, Error::exhausted(text, 1));
@@ -345,7 +345,7 @@ impl Mailbox {
     pub fn settle(&self, refused: Vec<(u64, Error)>, superseded: u32) {
         let mut books = self.books();
         books.superseded = books.superseded.saturating_add(superseded);
-        self.metrics.poses_superseded.add(superseded.into());
+        self.metrics.poses_superseded.inc_by(superseded.into());
         for (seq, error) in refused {
             self.refuse(&mut books, seq, error);
         }

@@ -270,7 +270,7 @@ impl Manager {
             Some(Claimed::New(claim)) => Some(claim),
             None => None,
         };
-        self.shared.metrics.poses_received.up();
+        self.shared.metrics.poses_received.inc();
         let pose = request.pose.unwrap_or_default();
         self.call(&session, claim, |call| Command::Solve(Box::new((pose, settings)), call))
             .await
@@ -350,10 +350,9 @@ impl Manager {
         let (config, metrics) = (&self.shared.config, Arc::clone(&self.shared.metrics));
         let mailbox = Mailbox::new(&session.id, config, Arc::clone(&metrics), Arc::clone(&session.wake))?;
         let mailbox = Arc::new(mailbox);
-        session
-            .streams
-            .add(Arc::clone(&mailbox))
-            .inspect_err(|_| metrics.refused.up())?;
+        session.streams.add(Arc::clone(&mailbox)).inspect_err(|_| {
+            metrics.refused.inc();
+        })?;
         let inside = self.shared.gate.enter();
         let stream = Stream::new(mailbox, session, config.part_bytes, metrics, inside);
         // A drain that began meanwhile may have missed this stream.
@@ -443,7 +442,7 @@ impl Manager {
         });
         session.commands.try_send(command).map_err(|error| match error {
             mpsc::error::TrySendError::Full(_) => {
-                self.shared.metrics.refused.up();
+                self.shared.metrics.refused.inc();
                 let text = format!(
                     "{} calls wait on this session already",
                     self.shared.config.session_queue

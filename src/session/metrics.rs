@@ -1,102 +1,17 @@
-//! Counts that operators watch. Plain atomics: how they are published is the server's affair.
+//! Counts that operators watch. The server publishes them; here they are only counted.
 
-use std::sync::atomic::{AtomicI64, AtomicU64, Ordering::Relaxed};
-use std::time::Duration;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::{Registry, Unit};
 
-/// A number that only grows.
-#[derive(Debug, Default)]
-pub struct Counter(AtomicU64);
-
-impl Counter {
-    /// Adds one.
-    pub(super) fn up(&self) {
-        self.add(1);
-    }
-
-    /// Adds `n`.
-    pub(super) fn add(&self, n: u64) {
-        self.0.fetch_add(n, Relaxed);
-    }
-
-    /// The count so far.
-    pub fn get(&self) -> u64 {
-        self.0.load(Relaxed)
-    }
-}
-
-/// A number that goes up and down.
-#[derive(Debug, Default)]
-pub struct Gauge(AtomicI64);
-
-impl Gauge {
-    pub(super) fn add(&self, n: i64) {
-        self.0.fetch_add(n, Relaxed);
-    }
-
-    /// Counts one more until the guard is dropped.
-    pub(super) fn hold(&self) -> Held<'_> {
-        self.add(1);
-        Held(self)
-    }
-
-    /// The number now.
-    pub fn get(&self) -> i64 {
-        self.0.load(Relaxed)
-    }
-}
-
-/// One unit of a [`Gauge`].
-#[derive(Debug)]
-pub(super) struct Held<'a>(&'a Gauge);
-
-impl Drop for Held<'_> {
-    fn drop(&mut self) {
-        self.0.add(-1);
-    }
-}
-
-/// How durations are spread.
-#[derive(Debug, Default)]
-pub struct Histogram {
-    buckets: [AtomicU64; Self::BOUNDS_MS.len() + 1],
-    sum_us: AtomicU64,
-}
-
-impl Histogram {
-    /// Upper bounds of the buckets in milliseconds; one more bucket holds what is above the last.
-    pub const BOUNDS_MS: [f64; 15] = [
-        0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 33.0, 66.0, 125.0, 250.0, 500.0, 1000.0, 4000.0, 15000.0, 60000.0,
-    ];
-
-    pub(super) fn record(&self, elapsed: Duration) {
-        let ms = elapsed.as_secs_f64() * 1e3;
-        let at = Self::BOUNDS_MS
-            .iter()
-            .position(|&bound| ms <= bound)
-            .unwrap_or(Self::BOUNDS_MS.len());
-        self.buckets[at].fetch_add(1, Relaxed);
-        self.sum_us
-            .fetch_add(u64::try_from(elapsed.as_micros()).unwrap_or(u64::MAX), Relaxed);
-    }
-
-    /// Durations in each bucket (not cumulative), the last one above all bounds.
-    pub fn buckets(&self) -> [u64; Self::BOUNDS_MS.len() + 1] {
-        std::array::from_fn(|k| self.buckets[k].load(Relaxed))
-    }
-
-    /// Durations recorded.
-    pub fn count(&self) -> u64 {
-        self.buckets().iter().sum()
-    }
-
-    /// Their sum in milliseconds.
-    pub fn sum_ms(&self) -> f64 {
-        self.sum_us.load(Relaxed) as f64 / 1e3
-    }
-}
+/// Upper bounds of the buckets of durations, in seconds; one more bucket holds what is above the last.
+const DURATION_BOUNDS: [f64; 15] = [
+    0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.125, 0.25, 0.5, 1.0, 4.0, 15.0, 60.0,
+];
 
 /// What happened since the start, and how things are now.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Metrics {
     /// Sessions held.
     pub sessions: Gauge,
@@ -126,11 +41,11 @@ pub struct Metrics {
     pub frame_bytes: Counter,
     /// Solver cycles.
     pub cycles: Counter,
-    /// Time from the start of a solve to its result.
+    /// Seconds from the start of a solve to its result.
     pub solve: Histogram,
-    /// Time that work waited for a compute slot.
+    /// Seconds that work waited for a compute slot.
     pub queue: Histogram,
-    /// Time that builds of sessions took.
+    /// Seconds that builds of sessions took.
     pub build: Histogram,
     /// Pieces of work being computed.
     pub pool_busy: Gauge,
@@ -142,26 +57,131 @@ pub struct Metrics {
     pub cancelled: Counter,
 }
 
+impl Default for Metrics {
+    fn default() -> Self {
+        let durations = || Histogram::new(DURATION_BOUNDS);
+        Self {
+            sessions: Gauge::default(),
+            sessions_created: Counter::default(),
+            sessions_expired: Counter::default(),
+            sessions_failed: Counter::default(),
+            bytes: Gauge::default(),
+            streams: Gauge::default(),
+            poses_received: Counter::default(),
+            poses_solved: Counter::default(),
+            poses_superseded: Counter::default(),
+            poses_refused: Counter::default(),
+            commits: Counter::default(),
+            frames_sent: Counter::default(),
+            frame_bytes: Counter::default(),
+            cycles: Counter::default(),
+            solve: durations(),
+            queue: durations(),
+            build: durations(),
+            pool_busy: Gauge::default(),
+            pool_waiting: Gauge::default(),
+            refused: Counter::default(),
+            cancelled: Counter::default(),
+        }
+    }
+}
+
+impl Metrics {
+    /// Adds every count to a registry, under the names that operators know. `memory_bytes` is what all sessions together
+    /// may hold.
+    pub fn register(&self, memory_bytes: u64, registry: &mut Registry) {
+        let limit = Gauge::<i64>::default();
+        limit.set(i64::try_from(memory_bytes).unwrap_or(i64::MAX));
+        let gauges: [(&str, &str, &Gauge); 6] = [
+            ("sessions", "Sessions held", &self.sessions),
+            (
+                "session_bytes",
+                "Bytes held by sessions and builds under way",
+                &self.bytes,
+            ),
+            ("streams", "Deform streams open", &self.streams),
+            ("pool_busy", "Pieces of work being computed", &self.pool_busy),
+            (
+                "pool_waiting",
+                "Pieces of work waiting for a compute slot",
+                &self.pool_waiting,
+            ),
+            (
+                "session_bytes_limit",
+                "Bytes that all sessions together may hold",
+                &limit,
+            ),
+        ];
+        for (name, help, gauge) in gauges {
+            registry.register(name, help, gauge.clone());
+        }
+        let counters: [(&str, &str, &Counter); 13] = [
+            ("sessions_created", "Sessions created", &self.sessions_created),
+            (
+                "sessions_expired",
+                "Sessions that expired unused",
+                &self.sessions_expired,
+            ),
+            ("sessions_failed", "Sessions lost to a defect", &self.sessions_failed),
+            ("poses_received", "Poses that arrived", &self.poses_received),
+            ("poses_solved", "Poses solved", &self.poses_solved),
+            (
+                "poses_superseded",
+                "Poses skipped because a newer one came",
+                &self.poses_superseded,
+            ),
+            ("poses_refused", "Poses refused", &self.poses_refused),
+            ("commits", "Commits stored", &self.commits),
+            ("frames_sent", "Frames handed to a transport", &self.frames_sent),
+            ("frame_bytes", "Bytes of the data of frames", &self.frame_bytes),
+            ("solver_cycles", "Solver cycles", &self.cycles),
+            ("refused", "Calls refused for want of capacity", &self.refused),
+            (
+                "cancelled",
+                "Work given up because its caller had gone or its time was over",
+                &self.cancelled,
+            ),
+        ];
+        for (name, help, counter) in counters {
+            registry.register(name, help, counter.clone());
+        }
+        let durations: [(&str, &str, &Histogram); 3] = [
+            ("solve", "Time from the start of a solve to its result", &self.solve),
+            ("queue", "Time that work waited for a compute slot", &self.queue),
+            ("build", "Time that builds of sessions took", &self.build),
+        ];
+        for (name, help, durations) in durations {
+            registry.register_with_unit(name, help, Unit::Seconds, durations.clone());
+        }
+    }
+}
+
+/// One unit of a gauge, taken back when this is dropped.
+#[derive(Debug)]
+pub(super) struct GaugeUnit(Gauge);
+
+impl GaugeUnit {
+    /// Counts one more.
+    pub fn add_to(gauge: &Gauge) -> Self {
+        gauge.inc();
+        Self(gauge.clone())
+    }
+}
+
+impl Drop for GaugeUnit {
+    fn drop(&mut self) {
+        self.0.dec();
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn durations_fall_into_the_bucket_of_their_upper_bound() {
-        let histogram = Histogram::default();
-        for ms in [0, 1, 3, 4, 90_000] {
-            histogram.record(Duration::from_millis(ms));
-        }
-        let buckets = histogram.buckets();
-        assert_eq!((buckets[0], buckets[1], buckets[2], buckets[3]), (1, 1, 0, 2));
-        assert_eq!((buckets[15], histogram.count()), (1, 5));
-        assert!((histogram.sum_ms() - 90_008.0).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_held_gauge_falls_back() {
+    fn a_unit_of_a_gauge_falls_back() {
         let gauge = Gauge::default();
-        let held = (gauge.hold(), gauge.hold());
+        let held = (GaugeUnit::add_to(&gauge), GaugeUnit::add_to(&gauge));
         assert_eq!(gauge.get(), 2);
         drop(held);
         assert_eq!(gauge.get(), 0);

@@ -50,5 +50,5 @@ pub use config::{Config, MIN_TTL};
 pub use engine::{Engine, OpenWorkbench, Opener};
 pub use error::{Code, Error};
 pub use manager::Manager;
-pub use metrics::{Counter, Gauge, Histogram, Metrics};
+pub use metrics::Metrics;
 pub use stream::{Stream, StreamInput, StreamOutput};

@@ -1,8 +1,9 @@
 //! Why a piece of work should stop, and what it said while it ran.
 
-use crate::progress::{CancelFlag, Progress};
+use crate::progress::{CancelFlag, Progress, Silent};
+use crate::stage_clock::StageClock;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Raises its flag when dropped: held by whoever waits for the work, so that work nobody waits for stops.
@@ -21,17 +22,18 @@ pub(super) struct Stop {
     flags: Vec<Arc<CancelFlag>>,
     started: Instant,
     limit: Duration,
-    stages: Mutex<Vec<(&'static str, Instant)>>,
+    stages: StageClock<'static>,
 }
 
 impl Stop {
     /// The time starts running now.
     pub fn new(flags: Vec<Arc<CancelFlag>>, limit: Duration) -> Self {
+        let started = Instant::now();
         Self {
             flags,
-            started: Instant::now(),
+            started,
             limit,
-            stages: Mutex::default(),
+            stages: StageClock::new(move || started.elapsed().as_secs_f64() * 1e3, &Silent),
         }
     }
 
@@ -51,15 +53,8 @@ impl Stop {
     }
 
     /// Milliseconds of every stage reported so far; the last one ends now.
-    pub fn stage_ms(&self) -> BTreeMap<String, f64> {
-        let now = Instant::now();
-        let stages = self.stages.lock().unwrap_or_else(PoisonError::into_inner);
-        let ends = stages.iter().skip(1).map(|&(_, start)| start).chain([now]);
-        let mut ms = BTreeMap::new();
-        for (&(stage, start), end) in stages.iter().zip(ends) {
-            *ms.entry(stage.to_owned()).or_default() += end.duration_since(start).as_secs_f64() * 1e3;
-        }
-        ms
+    pub fn take_stage_ms(&self) -> BTreeMap<String, f64> {
+        self.stages.take_stage_ms()
     }
 }
 
@@ -68,11 +63,8 @@ impl Progress for Stop {
         self.abandoned() || self.started.elapsed() >= self.limit
     }
 
-    fn report(&self, stage: &'static str, _fraction: f32) {
-        let mut stages = self.stages.lock().unwrap_or_else(PoisonError::into_inner);
-        if stages.last().is_none_or(|&(last, _)| last != stage) {
-            stages.push((stage, Instant::now()));
-        }
+    fn report(&self, stage: &'static str, fraction: f32) {
+        self.stages.report(stage, fraction);
     }
 }
 
@@ -90,17 +82,5 @@ mod tests {
         assert!(stop.cancelled() && stop.abandoned());
         let late = Stop::new(Vec::new(), Duration::ZERO);
         assert!(late.cancelled() && !late.abandoned());
-    }
-
-    #[test]
-    fn stages_are_measured_by_their_starts() {
-        let stop = Stop::new(Vec::new(), Duration::from_secs(1));
-        assert!(stop.stage_ms().is_empty());
-        for (stage, fraction) in [("read", 0.0), ("read", 0.5), ("mesh", 0.0), ("read", 0.0)] {
-            stop.report(stage, fraction);
-        }
-        let ms = stop.stage_ms();
-        assert_eq!(ms.keys().map(String::as_str).collect::<Vec<_>>(), ["mesh", "read"]);
-        assert!(ms.values().all(|&ms| (0.0..1e3).contains(&ms)));
     }
 }

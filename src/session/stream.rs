@@ -43,7 +43,7 @@ impl Stream {
         metrics: Arc<Metrics>,
         inside: Inside,
     ) -> Self {
-        metrics.streams.add(1);
+        metrics.streams.inc();
         Self {
             input: StreamInput {
                 mailbox: Arc::clone(&mailbox),
@@ -98,9 +98,9 @@ impl StreamOutput {
         loop {
             if let Some(frame) = self.parts.as_mut().and_then(Iterator::next) {
                 if frame.part == 0 {
-                    self.metrics.frames_sent.up();
+                    self.metrics.frames_sent.inc();
                 }
-                self.metrics.frame_bytes.add(frame.data.len() as u64);
+                self.metrics.frame_bytes.inc_by(frame.data.len() as u64);
                 return Some(response(pb::deform_response::Message::Frame(frame)));
             }
             self.parts = None;
@@ -122,7 +122,7 @@ impl Drop for StreamOutput {
         self.mailbox.abandon();
         self.session.streams.remove(&self.mailbox);
         self.session.lease.renew();
-        self.metrics.streams.add(-1);
+        self.metrics.streams.dec();
     }
 }
 

@@ -67,7 +67,7 @@ fn inner_nodes_lie_inside_and_away_from_the_surface() {
         let tree = WindingTree::build(&mesh.positions, &mesh.triangles, &pool(1));
         let offset = graph.stats.shell_offset;
         for (i, &p) in graph.positions.iter().enumerate().skip(graph.surface) {
-            let depth = tree.closest(p).expect("a surface").distance;
+            let depth = tree.bvh().closest_point(p).expect("a surface").distance;
             assert!(shapes::winding_by_sum(&shape, p).abs() > 0.99, "node {i} is inside");
             if i < graph.surface + graph.stats.shell_nodes {
                 let way = p.distance(mesh.positions[graph.nearest_surface[i] as usize]);

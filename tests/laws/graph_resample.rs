@@ -222,7 +222,7 @@ fn holes_keep_the_inside_and_filling_them_closes_it() {
     check(&graph, &open, &after);
     let tree = WindingTree::build(&open.surface.points, &open.surface.faces, &pool(1));
     let inside = (after.graph.surface..after.graph.nodes())
-        .filter(|&i| tree.at(after.graph.positions[i]).abs() > 0.5)
+        .filter(|&i| tree.winding_number(after.graph.positions[i]).abs() > 0.5)
         .count();
     assert!(inside + 60 > after.graph.nodes() - after.graph.surface);
     assert!(after.graph.stats.lattice_nodes + 120 > graph.stats.lattice_nodes);
@@ -368,7 +368,7 @@ fn a_deformed_lattice_is_filled_up() {
         let tree = WindingTree::build(&edited.surface.points, &edited.surface.faces, &pool(1));
         for i in after.graph.surface..after.graph.nodes() {
             let p = after.graph.positions[i];
-            assert!(tree.at(p).abs() > 0.9, "{name}: node {i} at {p} is inside");
+            assert!(tree.winding_number(p).abs() > 0.9, "{name}: node {i} at {p} is inside");
         }
         // No node hangs by a thread.
         for &n in &after.touched {
@@ -519,9 +519,9 @@ fn edits_of_a_real_mesh_are_followed() {
         let tree = WindingTree::build(&edited.surface.points, &edited.surface.faces, &pool(2));
         for &n in after.touched.iter().filter(|&&n| n as usize >= after.graph.surface) {
             let p = after.graph.positions[n as usize];
-            assert!(tree.at(p).abs() > 0.5, "step {step}: node {n} is inside");
+            assert!(tree.winding_number(p).abs() > 0.5, "step {step}: node {n} is inside");
             if n as usize >= after.graph.surface + after.graph.stats.shell_nodes {
-                let distance = tree.closest(p).expect("a surface").distance;
+                let distance = tree.bvh().closest_point(p).expect("a surface").distance;
                 assert!(
                     distance >= 1.25 * graph.stats.shell_offset * (1.0 - 1e-9),
                     "step {step}: node {n} is deep"

@@ -42,7 +42,7 @@ fn winding_numbers_are_one_inside_zero_outside_and_equal_the_sum_over_all_faces(
         let tree = WindingTree::build(&shape.0, &shape.1, &Pool::new(2).expect("threads"));
         let mut seen = [0; 3];
         for q in places(shape, 400) {
-            let (fast, exact) = (tree.at(q), shapes::winding_by_sum(shape, q));
+            let (fast, exact) = (tree.winding_number(q), shapes::winding_by_sum(shape, q));
             assert!(
                 (fast - exact).abs() < 0.01,
                 "{fast} by the tree, {exact} by the sum at {q}"
@@ -51,7 +51,7 @@ fn winding_numbers_are_one_inside_zero_outside_and_equal_the_sum_over_all_faces(
                 assert!((exact - exact.round()).abs() < 1e-6, "whole at {q}");
                 seen[(exact.round() + 1.0) as usize] += 1;
             }
-            assert_eq!(tree.contains(q), tree.at(q).abs() > 0.5, "at {q}");
+            assert_eq!(tree.contains(q), tree.winding_number(q).abs() > 0.5, "at {q}");
         }
         if is_closed {
             assert!(seen[1] > 50 && seen[0] + seen[2] > 50, "places on both sides: {seen:?}");

@@ -11,9 +11,10 @@ use pliant::asset::FileSet;
 use pliant::exec::Exec;
 use pliant::job::frames::{FrameRequest, encode};
 use pliant::job::pb::edit_request::{Delete, Operation, Remesh};
-use pliant::job::{EditOrder, Error, Limits, Mode, Poses, Settings, Stage, Trail, Workbench, pb};
+use pliant::job::{EditOrder, Error, Limits, Mode, Poses, Settings, Trail, Workbench, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::stage_clock::StageClock;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -298,14 +299,14 @@ impl EditBench<'_> {
         };
         let start = Instant::now();
         let millis = || start.elapsed().as_secs_f64() * 1e3;
-        let stages = Stage::new(&millis, &Silent);
-        stages.begin("edit");
+        let stages = StageClock::new(&millis, &Silent);
+        stages.begin_stage("edit");
         let outcome = bench.edit(&order, &Exec::new(pool, &stages))?;
-        stages.begin("solve");
+        stages.begin_stage("solve");
         let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
         let poses = bench.posed(&outcome.poses, &self.pull)?;
         let solved = bench.solve(&poses, &settings, Mode::Drag, &Exec::new(pool, &Silent), &mut |_| true)?;
-        stages.begin("encode");
+        stages.begin_stage("encode");
         let parts = encode(FrameRequest {
             header: pb::Frame::default(),
             positions: solved.positions,
@@ -317,7 +318,7 @@ impl EditBench<'_> {
         });
         std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());
         Ok(EditRun {
-            ms: stages.take(),
+            ms: stages.take_stage_ms(),
             repaired: outcome.result.repaired,
             cycles: solved.cycles,
             field_cycles: bench.rig().map_or(0, |rig| rig.field_iterations),

@@ -9,9 +9,10 @@ use crate::shared::timing::{RunTimes, time_once};
 use pliant::asset::FileSet;
 use pliant::exec::Exec;
 use pliant::job::frames::{FrameRequest, encode};
-use pliant::job::{Limits, Mode, Settings, Stage, Workbench, pb, pose_steps};
+use pliant::job::{Limits, Mode, Settings, Workbench, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::stage_clock::StageClock;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -137,11 +138,11 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     let start = Instant::now();
     let millis = || start.elapsed().as_secs_f64() * 1e3;
-    let stages = Stage::new(&millis, &Silent);
+    let stages = StageClock::new(&millis, &Silent);
     let create = job.create.clone().unwrap_or_default();
     let mut bench = Workbench::open(files, &create, &Limits::default(), &Exec::new(pool, &stages))?;
     // Regions are resolved before the stage tells that it begins.
-    stages.begin("fields");
+    stages.begin_stage("fields");
     let request = pb::SetHandlesRequest {
         handles: job.handles.clone(),
         symmetry_plane: job.symmetry_plane.clone(),
@@ -153,11 +154,11 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     for pose in pose_steps(job)? {
         poses = bench.posed(&poses, &pose)?;
     }
-    stages.begin("solve");
+    stages.begin_stage("solve");
     let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
         true
     })?;
-    stages.begin("encode");
+    stages.begin_stage("encode");
     let parts = encode(FrameRequest {
         header: pb::Frame::default(),
         positions: solved.positions,
@@ -168,7 +169,11 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
         part_bytes: PART,
     });
     let frame_bytes = parts.map(|part| part.data.len()).sum();
-    let seconds = stages.take().into_iter().map(|(stage, ms)| (stage, ms / 1e3)).collect();
+    let seconds = stages
+        .take_stage_ms()
+        .into_iter()
+        .map(|(stage, ms)| (stage, ms / 1e3))
+        .collect();
     let transforms = bench.transforms(&poses)?;
     let assemble = || bench.rig().map(|rig| rig.equations(bench.body(), &transforms, pool));
     let (_, assembly) = time_once(assemble);

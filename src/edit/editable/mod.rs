@@ -16,6 +16,7 @@ pub(in crate::edit) use collapse::Collapse;
 pub(in crate::edit) use gather::{Bits, Touching, check_faces, proper_points};
 
 use crate::mesh::NONE;
+use crate::mesh::query::fan::is_single_oriented_fan;
 use glam::DVec3;
 
 /// A point and the faces around it.
@@ -207,7 +208,7 @@ impl Editable {
                 links.push((q[(i + 1) % 3], q[(i + 2) % 3]));
             }
         }
-        single_fan(&mut links)
+        is_single_oriented_fan(&mut links)
     }
 
     /// All edges that the living faces of the region have, smaller end first, sorted.
@@ -228,52 +229,5 @@ impl Editable {
     pub fn living(&self) -> impl Iterator<Item = u32> {
         let faces = self.faces.iter().zip(0u32..);
         faces.filter(|(face, _)| face.alive && !face.frozen).map(|(_, f)| f)
-    }
-}
-
-/// Whether directed links make one path or one ring: each link leads from a corner to the next around the middle.
-pub(in crate::edit) fn single_fan(links: &mut [(u32, u32)]) -> bool {
-    links.sort_unstable();
-    if links.is_empty() || links.windows(2).any(|l| l[0].0 == l[1].0) {
-        return false;
-    }
-    let mut ends: Vec<u32> = links.iter().map(|l| l.1).collect();
-    ends.sort_unstable();
-    if ends.windows(2).any(|e| e[0] == e[1]) {
-        return false;
-    }
-    // An open fan begins at the one corner that no link leads to; a ring begins anywhere.
-    let mut starts = links.iter().map(|l| l.0).filter(|s| ends.binary_search(s).is_err());
-    let start = starts.next().unwrap_or(links[0].0);
-    if starts.next().is_some() {
-        return false;
-    }
-    let mut here = start;
-    for step in 0..links.len() {
-        let Ok(i) = links.binary_search_by_key(&here, |l| l.0) else {
-            return false;
-        };
-        here = links[i].1;
-        if here == start {
-            return step + 1 == links.len();
-        }
-    }
-    true
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rings_and_paths_are_fans_and_pairs_of_them_are_not() {
-        assert!(single_fan(&mut [(1, 2), (3, 1), (2, 3)]), "a ring");
-        assert!(single_fan(&mut [(7, 2), (2, 5)]), "an open fan");
-        assert!(!single_fan(&mut [(1, 2), (3, 4)]), "two leaves that touch");
-        assert!(!single_fan(&mut [(1, 2), (2, 1), (3, 4), (4, 3)]), "two rings");
-        assert!(!single_fan(&mut [(1, 2), (3, 2)]), "a leaf turned over");
-        assert!(!single_fan(&mut [(1, 2), (1, 3)]), "three faces at an edge");
-        assert!(!single_fan(&mut [(1, 2), (3, 4), (4, 3)]), "a leaf and a ring");
-        assert!(!single_fan(&mut []));
     }
 }

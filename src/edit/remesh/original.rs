@@ -2,6 +2,7 @@
 
 use crate::edit::editable::{Editable, triangle};
 use crate::mesh::NONE;
+use crate::mesh::query::closest_point::{blend_corners, closest_weights_on_triangle};
 use glam::DVec3;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -93,7 +94,7 @@ impl Original {
 
     /// The place of a spot.
     pub fn position(&self, spot: Spot) -> DVec3 {
-        triangle::at(self.corners[spot.face as usize], spot.weights)
+        blend_corners(self.corners[spot.face as usize], spot.weights)
     }
 
     /// Render vertices and weights that a spot is made of.
@@ -123,7 +124,7 @@ impl Original {
             if std::mem::replace(&mut this.seen[f as usize], this.search) == this.search {
                 return false;
             }
-            let (weights, distance) = triangle::nearest(p, this.corners[f as usize]);
+            let (weights, distance) = closest_weights_on_triangle(p, this.corners[f as usize]);
             queue.push(Reverse((distance.to_bits(), f)));
             let better = distance < best.0;
             if better {

@@ -2,6 +2,7 @@
 
 use crate::edit::Surface;
 use crate::edit::editable::{Bits, Touching, proper_points, triangle};
+use crate::mesh::query::fan::group_fans;
 use glam::DVec3;
 use std::collections::BTreeSet;
 
@@ -197,25 +198,18 @@ impl Joins {
 
     /// Whether the faces around `q` hang together by edges no worse than those around its worst member did.
     fn is_fan(&self, q: u32) -> bool {
-        let before = self.members[q as usize].iter().map(|&m| fans(&self.first_links(m)));
-        fans(&self.links(q)) <= before.max().unwrap_or(1).max(1)
+        let before = self.members[q as usize]
+            .iter()
+            .map(|&m| count_fans(&self.first_links(m)));
+        count_fans(&self.links(q)) <= before.max().unwrap_or(1).max(1)
     }
 }
 
-/// Into how many groups faces around a point fall when neighbours share an edge.
-fn fans(links: &[(u32, u32)]) -> usize {
-    let mut group: Vec<usize> = (0..links.len()).collect();
-    for i in 0..links.len() {
-        for j in 0..i {
-            let (a, b) = (links[i], links[j]);
-            let touch = a.0 == b.0 || a.0 == b.1 || a.1 == b.0 || a.1 == b.1;
-            let (x, y) = (group[i], group[j]);
-            if touch && x != y {
-                group.iter_mut().filter(|g| **g == x).for_each(|g| *g = y);
-            }
-        }
-    }
-    group.sort_unstable();
-    group.dedup();
-    group.len()
+/// Into how many fans the faces around a point fall.
+fn count_fans(links: &[(u32, u32)]) -> usize {
+    let spokes = links
+        .iter()
+        .zip(0u32..)
+        .flat_map(|(&(a, b), face)| [(a, face), (b, face)]);
+    group_fans(links.len(), spokes).1
 }

@@ -8,7 +8,7 @@ use crate::graph::lattice::CERTAIN;
 use crate::graph::neighbours::{Key, directions, toward};
 use crate::graph::recipe::Inside;
 use crate::graph::shell::walk;
-use crate::graph::winding::WindingTree;
+use crate::mesh::query::TriangleBvh;
 use glam::DVec3;
 
 /// A place of the grid is taken by a moved node no further than this, in intervals.
@@ -37,7 +37,7 @@ pub(super) struct Finder<'a> {
     pub(super) gone: &'a [u32],
     pub(super) grid: &'a Grid,
     pub(super) table: &'a Table,
-    pub(super) surface: &'a WindingTree<'a>,
+    pub(super) surface: &'a TriangleBvh<'a>,
 }
 
 impl Finder<'_> {
@@ -137,7 +137,7 @@ impl Finder<'_> {
     pub(super) fn beside(&self, local: &Local, end: DVec3) -> Option<u32> {
         let near = self
             .surface
-            .closest_within(end, 1.5 * (self.inside.depth + self.inside.interval))?;
+            .closest_point_within(end, 1.5 * (self.inside.depth + self.inside.interval))?;
         Some(walk(&local.positions, &local.adjacency, near.vertex, near.point))
     }
 }

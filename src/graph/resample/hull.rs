@@ -179,7 +179,7 @@ fn solid(change: &Change, part: &Fresh, pool: &Pool) -> Option<f64> {
     for t in faces {
         let [a, b, c] = part.triangles[t as usize].map(at);
         if let Some(normal) = (b - a).cross(c - a).try_normalize() {
-            let winding = tree.roughly((a + b + c) / 3.0 - normal * (mean * BESIDE));
+            let winding = tree.rough_winding_number((a + b + c) / 3.0 - normal * (mean * BESIDE));
             seen = (seen.0 + (winding - winding.round()).abs(), seen.1 + 1.0);
         }
     }

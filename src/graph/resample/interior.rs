@@ -80,7 +80,11 @@ pub(super) fn follow(
 
     // Which of those near stay.
     let reach = inside.depth.max(0.501 * inside.interval) * 1.001;
-    let clear = |p: DVec3| surface.closest_within(p, reach).map_or(reach, |near| near.distance);
+    let clear = |p: DVec3| {
+        surface
+            .closest_point_within(p, reach)
+            .map_or(reach, |near| near.distance)
+    };
     let near: Vec<(u32, u8)> = seen.iter().filter(|s| s.1 != 0).map(|s| (s.0, s.1)).collect();
     let judged: Vec<Option<Node>> = map(&near, exec, |&(number, marks)| {
         let at = old.positions[number as usize];

@@ -20,9 +20,9 @@ mod rows;
 mod zone;
 
 use super::recipe::{Inside, Recipe};
-use super::winding::WindingTree;
 use super::{Error, Graph, Stats};
 use crate::exec::Exec;
+use crate::mesh::query::TriangleBvh;
 use crate::mesh::{Bounds, NONE, signed_volume};
 use crate::pool::Pool;
 use glam::DVec3;
@@ -291,7 +291,7 @@ fn volume(
     let enclosed = between.columns(0, exec.pool);
     zone.fill(&spread, |p| enclosed.contains(p));
     let local = Local::gather(change, points, &found, Some(&zone), exec.pool);
-    let surface = WindingTree::build(&local.positions, &local.triangles, exec.pool);
+    let surface = TriangleBvh::build(&local.positions, &local.triangles, exec.pool);
     let around = Faces::around(change, &hull, &found);
     let columns = around.columns(found.along(), exec.pool);
     let site = places::Site {

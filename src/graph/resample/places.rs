@@ -11,8 +11,8 @@ use crate::graph::parallel::map;
 use crate::graph::shell::{copy, has_room};
 use crate::graph::solid::{normal, sample, turn};
 use crate::graph::weights::cotangent_of;
-use crate::graph::winding::WindingTree;
 use crate::mesh::NONE;
+use crate::mesh::query::TriangleBvh;
 use glam::DVec3;
 
 /// Places no further apart than this part of an offset are the same.
@@ -37,7 +37,7 @@ pub(super) struct Copies {
 /// What copies are placed by.
 pub(super) struct Site<'a> {
     pub(super) local: &'a Local,
-    pub(super) surface: &'a WindingTree<'a>,
+    pub(super) surface: &'a TriangleBvh<'a>,
     pub(super) zone: &'a Zone,
     pub(super) columns: &'a Columns<'a>,
     pub(super) exec: &'a Exec<'a>,

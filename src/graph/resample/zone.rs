@@ -3,8 +3,8 @@
 //! Cells are those of the lattice, shifted by a quarter so that no node lies on a side; where the edit is spread so wide
 //! that they would be too many, a cell is a block of them.
 
-use crate::graph::winding::closest_on_triangle;
 use crate::mesh::Bounds;
+use crate::mesh::query::closest_point::closest_point_on_triangle;
 use glam::DVec3;
 
 /// A changed face passes through the cell, or it lies within what changed faces enclose.
@@ -158,7 +158,7 @@ impl Zone {
         self.each_in(&bounds, |marks, cell, at| {
             let unit: [f64; 3] = std::array::from_fn(|axis| (base[axis] + at[axis] as i64) as f64 + 0.5);
             let middle = origin + (DVec3::from_array(unit) * scale - DVec3::splat(0.25)) * interval;
-            if closest_on_triangle(middle, face).distance_squared(middle) <= reach * reach {
+            if closest_point_on_triangle(middle, face).distance_squared(middle) <= reach * reach {
                 marks[cell] |= CHANGED;
             }
         });

@@ -21,13 +21,13 @@ pub(super) struct Moments {
 }
 
 /// `(s·u)(a·u)` by its coefficients.
-fn product(s: DVec3, a: DVec3) -> [f64; 6] {
+fn multiply_linear(s: DVec3, a: DVec3) -> [f64; 6] {
     let cross = |i: usize, j: usize| s[i] * a[j] + s[j] * a[i];
     [s.x * a.x, s.y * a.y, s.z * a.z, cross(0, 1), cross(1, 2), cross(2, 0)]
 }
 
 /// `(s·u) q(u)` for a quadratic polynomial.
-fn raise(s: DVec3, q: &[f64; 6]) -> [f64; 10] {
+fn multiply_quadratic(s: DVec3, q: &[f64; 6]) -> [f64; 10] {
     let [xx, yy, zz, xy, yz, zx] = *q;
     [
         s.x * xx,
@@ -43,20 +43,24 @@ fn raise(s: DVec3, q: &[f64; 6]) -> [f64; 10] {
     ]
 }
 
-fn add<const N: usize>(to: &mut [f64; N], what: [f64; N], times: f64) {
+fn add_scaled<const N: usize>(to: &mut [f64; N], what: [f64; N], times: f64) {
     to.iter_mut().zip(what).for_each(|(t, w)| *t += w * times);
 }
 
 impl Moments {
-    /// Of a triangle.
-    pub(super) fn of_triangle([a, b, c]: [DVec3; 3]) -> Self {
+    /// Computes those of a triangle.
+    pub(super) fn from_triangle([a, b, c]: [DVec3; 3]) -> Self {
         let center = (a + b + c) / 3.0;
         let normal = 0.5 * (b - a).cross(c - a);
         let mut third = [0.0; 10];
         // The mean of δδᵀ over a triangle is a twelfth of its sum over the corners.
         for corner in [a, b, c] {
             let d = corner - center;
-            add(&mut third, raise(normal, &product(d, d)), 1.0 / 12.0);
+            add_scaled(
+                &mut third,
+                multiply_quadratic(normal, &multiply_linear(d, d)),
+                1.0 / 12.0,
+            );
         }
         Self {
             center,
@@ -67,8 +71,8 @@ impl Moments {
         }
     }
 
-    /// Of several pieces together; at least one.
-    pub(super) fn of_all(parts: &[Self]) -> Self {
+    /// Adds up those of several pieces, at least one.
+    pub(super) fn from_parts(parts: &[Self]) -> Self {
         let largest = parts.iter().map(|p| p.area).fold(0.0, f64::max);
         // Without any area every part counts the same; relative weights keep products away from underflow.
         let weight = |p: &Self| if largest > 0.0 { p.area / largest } else { 1.0 };
@@ -85,11 +89,15 @@ impl Moments {
             let shift = p.center - center;
             sum.area += p.area;
             sum.normal += p.normal;
-            add(&mut sum.second, p.second, 1.0);
-            add(&mut sum.second, product(shift, p.normal), 1.0);
-            add(&mut sum.third, p.third, 1.0);
-            add(&mut sum.third, raise(shift, &p.second), 2.0);
-            add(&mut sum.third, raise(shift, &product(shift, p.normal)), 1.0);
+            add_scaled(&mut sum.second, p.second, 1.0);
+            add_scaled(&mut sum.second, multiply_linear(shift, p.normal), 1.0);
+            add_scaled(&mut sum.third, p.third, 1.0);
+            add_scaled(&mut sum.third, multiply_quadratic(shift, &p.second), 2.0);
+            add_scaled(
+                &mut sum.third,
+                multiply_quadratic(shift, &multiply_linear(shift, p.normal)),
+                1.0,
+            );
         }
         sum
     }
@@ -97,7 +105,7 @@ impl Moments {
 
 /// The far field of a piece of surface, in units of its radius.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Field {
+pub(super) struct FarField {
     first: [f32; 3],
     second: [f32; 6],
     third: [f32; 10],
@@ -107,9 +115,9 @@ pub(super) struct Field {
     traces: [f32; 3],
 }
 
-impl Field {
+impl FarField {
     /// Scales the moments by powers of `radius`, so that they fit single precision whatever the model's size.
-    pub(super) fn of(m: &Moments, radius: f64) -> Self {
+    pub(super) fn from_moments(m: &Moments, radius: f64) -> Self {
         let scale = if radius > 0.0 { 1.0 / radius } else { 0.0 };
         // Powers are applied one by one: the fourth power of a tiny length is no number.
         let third = m.third.map(|t| (t * scale * scale * scale * scale) as f32);
@@ -162,8 +170,8 @@ mod tests {
             DVec3::new(0.3, 1.0, 0.7),
         ];
         let middle = (a + b) * 0.3 + c * 0.4;
-        let whole = Moments::of_triangle([a, b, c]);
-        let parts = Moments::of_all(&[[a, b, middle], [b, c, middle], [c, a, middle]].map(Moments::of_triangle));
+        let whole = Moments::from_triangle([a, b, c]);
+        let parts = Moments::from_parts(&[[a, b, middle], [b, c, middle], [c, a, middle]].map(Moments::from_triangle));
         assert!(whole.center.distance(parts.center) < 1e-12 && (whole.area - parts.area).abs() < 1e-12);
         assert!(
             whole

@@ -1,6 +1,7 @@
 //! The generalised winding number.
 
-use super::tree::{Stack, WindingTree};
+use super::WindingTree;
+use crate::mesh::query::bvh::NodeStack;
 use glam::DVec3;
 use std::f64::consts::PI;
 
@@ -16,29 +17,30 @@ impl WindingTree<'_> {
     /// How often the triangles wrap around `point`: 1 inside and 0 outside a closed surface wound counter-clockwise
     /// seen from outside, −1 inside when wound the other way, a fraction near holes. Off by less than 0.01; the part
     /// of near triangles is exact to rounding.
-    pub fn at(&self, point: DVec3) -> f64 {
+    pub fn winding_number(&self, point: DVec3) -> f64 {
         self.evaluate(point, FAR)
     }
 
-    /// As [`Self::at`], at a third of the cost, but off by up to about 0.1.
-    pub fn roughly(&self, point: DVec3) -> f64 {
+    /// As [`Self::winding_number`], at a third of the cost, but off by up to about 0.1.
+    pub fn rough_winding_number(&self, point: DVec3) -> f64 {
         self.evaluate(point, ROUGHLY_FAR)
     }
 
     /// Whether `point` lies inside: the winding number is further from 0 than ½.
     pub fn contains(&self, point: DVec3) -> bool {
-        let roughly = self.roughly(point).abs();
+        let roughly = self.rough_winding_number(point).abs();
         if (roughly - 0.5).abs() > CLEAR {
             roughly > 0.5
         } else {
-            self.at(point).abs() > 0.5
+            self.winding_number(point).abs() > 0.5
         }
     }
 
     fn evaluate(&self, point: DVec3, far_ratio: f64) -> f64 {
-        let mut angle = Angle::default();
+        let mut angle = SolidAngle::default();
         let mut far = 0.0;
-        let mut stack = Stack::new(self);
+        let leaves = self.bvh.leaf_count();
+        let mut stack = NodeStack::new(&self.bvh);
         while let Some(index) = stack.pop() {
             let node = &self.nodes[index];
             let d = node.center - point;
@@ -47,9 +49,9 @@ impl WindingTree<'_> {
                 let distance = square.sqrt();
                 let u = (d / distance).as_vec3().to_array();
                 far += f64::from(node.field.solid_angle(u, (node.radius / distance) as f32));
-            } else if index < self.leaves {
+            } else if index < leaves {
                 for place in node.first as usize..(node.first + node.count) as usize {
-                    angle.add(self.corners(place).map(|p| p - point));
+                    angle.add(self.bvh.corners(place).map(|p| p - point));
                 }
             } else {
                 (node.first..node.first + node.count).for_each(|child| stack.push(child));
@@ -61,13 +63,13 @@ impl WindingTree<'_> {
 
 /// A sum of solid angles. Half angles are added as arguments of complex numbers, so that the arc tangent is needed only
 /// when the sum leaves the half plane.
-struct Angle {
+struct SolidAngle {
     re: f64,
     im: f64,
     sum: f64,
 }
 
-impl Default for Angle {
+impl Default for SolidAngle {
     fn default() -> Self {
         Self {
             re: 1.0,
@@ -77,7 +79,7 @@ impl Default for Angle {
     }
 }
 
-impl Angle {
+impl SolidAngle {
     /// Adds the solid angle of a triangle seen from the origin (van Oosterom and Strackee 1983).
     #[inline]
     fn add(&mut self, [a, b, c]: [DVec3; 3]) {
@@ -121,10 +123,10 @@ mod tests {
         // Seen from the origin the three unit points span an octant.
         let p = [DVec3::X, DVec3::Y, DVec3::Z];
         let tree = WindingTree::build(&p, &[[0, 1, 2]], &Pool::new(1).expect("a pool"));
-        assert!((tree.at(DVec3::ZERO) - 0.125).abs() < 1e-12);
-        assert!((tree.at(DVec3::splat(1e3))).abs() < 1e-6);
+        assert!((tree.winding_number(DVec3::ZERO) - 0.125).abs() < 1e-12);
+        assert!((tree.winding_number(DVec3::splat(1e3))).abs() < 1e-6);
         assert!(
-            tree.at(DVec3::X).is_finite(),
+            tree.winding_number(DVec3::X).is_finite(),
             "a corner itself has no angle, but a number"
         );
     }
@@ -132,7 +134,7 @@ mod tests {
     #[test]
     fn many_small_angles_add_up_past_a_full_turn() {
         let octant = [DVec3::X, DVec3::Y, DVec3::Z];
-        let mut angle = Angle::default();
+        let mut angle = SolidAngle::default();
         (0..100).for_each(|_| angle.add(octant));
         assert!((angle.total() - 100.0 * PI / 2.0).abs() < 1e-9);
     }
@@ -140,7 +142,7 @@ mod tests {
     #[test]
     fn nothing_winds_around_nothing() {
         let tree = WindingTree::build(&[], &[], &Pool::new(1).expect("a pool"));
-        assert_eq!(tree.at(DVec3::ONE), 0.0);
+        assert_eq!(tree.winding_number(DVec3::ONE), 0.0);
         assert!(!tree.contains(DVec3::ZERO));
     }
 }

@@ -3,7 +3,6 @@
 //! Log lines read as sentences and carry dotted fields (`session.id`, `duration_ms`). Calls are logged at debug, failures
 //! of the server at error, nothing per frame.
 
-mod collector;
 mod log;
 mod observe;
 
@@ -88,7 +87,7 @@ impl Telemetry {
             connections_refused.clone(),
         );
         registry.register("websockets", "WebSockets open", sockets.clone());
-        registry.register_collector(Box::new(collector::Sessions(manager.clone())));
+        manager.metrics().register(manager.config().memory_bytes, &mut registry);
         Self {
             registry: Arc::new(registry),
             calls,

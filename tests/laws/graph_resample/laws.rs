@@ -115,8 +115,12 @@ pub fn check_places(edited: &Edited, graph: &Graph, depth: f64) {
     let tree = WindingTree::build(points, faces, &pool(2));
     for i in graph.surface..graph.nodes() {
         let p = graph.positions[i];
-        assert!(tree.at(p).abs() > 0.9, "node {i} at {p} is inside: {}", tree.at(p));
-        let distance = tree.closest(p).expect("a surface").distance;
+        assert!(
+            tree.winding_number(p).abs() > 0.9,
+            "node {i} at {p} is inside: {}",
+            tree.winding_number(p)
+        );
+        let distance = tree.bvh().closest_point(p).expect("a surface").distance;
         if i < graph.surface + graph.stats.shell_nodes {
             let way = p.distance(points[graph.nearest_surface[i] as usize]);
             assert!(way <= graph.stats.shell_offset * 1.000_001, "copy {i} is {way} away");

@@ -1,0 +1,183 @@
+//! The closest point and the closest vertex of many triangles.
+
+use super::bvh::{FAN, TriangleBvh};
+use super::closest_point::closest_point_on_triangle;
+use glam::DVec3;
+
+/// A point of a surface that was found closest to a query.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfacePoint {
+    /// How far away it is.
+    pub distance: f64,
+    /// Where it is.
+    pub point: DVec3,
+    /// The triangle it lies on; of equally near ones the smallest.
+    pub triangle: u32,
+    /// The corner of that triangle nearest to the query.
+    pub vertex: u32,
+}
+
+impl TriangleBvh<'_> {
+    /// Finds the point of the surface that is closest to `point`; `None` when there are no triangles.
+    pub fn closest_point(&self, point: DVec3) -> Option<SurfacePoint> {
+        self.closest_point_within(point, f64::INFINITY)
+    }
+
+    /// Finds the closest point of the surface if it is not further away than `radius`.
+    pub fn closest_point_within(&self, point: DVec3, radius: f64) -> Option<SurfacePoint> {
+        let mut best: Option<(f64, u32, DVec3)> = None;
+        self.visit_near(point, radius * radius, |place, limit| {
+            let on = closest_point_on_triangle(point, self.corners(place));
+            let found = (on.distance_squared(point), self.order[place]);
+            if found.0 <= *limit && best.is_none_or(|b| found < (b.0, b.1)) {
+                *limit = found.0;
+                best = Some((found.0, found.1, on));
+            }
+        });
+        best.map(|(square, triangle, at)| SurfacePoint {
+            distance: square.sqrt(),
+            point: at,
+            triangle,
+            vertex: self.corner_near(triangle, point),
+        })
+    }
+
+    /// Tells whether any triangle is nearer than `radius`.
+    pub fn has_triangle_within(&self, point: DVec3, radius: f64) -> bool {
+        let mut found = false;
+        self.visit_near(point, radius * radius, |place, limit| {
+            if !found && closest_point_on_triangle(point, self.corners(place)).distance_squared(point) < *limit {
+                found = true;
+                // Nothing is nearer than this, so the search ends.
+                *limit = -1.0;
+            }
+        });
+        found
+    }
+
+    /// Finds the triangle corner that is closest to `point`; of equally near ones the smallest. `None` without triangles.
+    ///
+    /// A vertex that is probably near, such as the answer for a neighbouring point, makes the search faster; it does
+    /// not change the answer.
+    ///
+    /// # Panics
+    /// When `near` is no vertex.
+    pub fn closest_vertex(&self, point: DVec3, near: Option<u32>) -> Option<u32> {
+        let mut best = near.map(|v| (self.positions[v as usize].distance_squared(point), v));
+        self.visit_near(point, best.map_or(f64::INFINITY, |b| b.0), |place, limit| {
+            for v in self.triangles[self.order[place] as usize] {
+                let found = (self.positions[v as usize].distance_squared(point), v);
+                if best.is_none_or(|b| found < b) {
+                    *limit = found.0;
+                    best = Some(found);
+                }
+            }
+        });
+        best.map(|b| b.1)
+    }
+
+    /// The corner of a triangle that is closest to `point`; of equally close ones the smallest.
+    pub(super) fn corner_near(&self, triangle: u32, point: DVec3) -> u32 {
+        let distance = |v: u32| self.positions[v as usize].distance_squared(point);
+        let [a, b, c] = self.triangles[triangle as usize];
+        let nearer = |x: u32, y: u32| if (distance(y), y) < (distance(x), x) { y } else { x };
+        nearer(nearer(a, b), c)
+    }
+
+    /// Shows `see` the triangles (as places in the order of the leaves) of all leaves whose box is not further than
+    /// the square root of the limit, nearest boxes first; `see` may lower the limit.
+    fn visit_near(&self, point: DVec3, mut limit: f64, mut see: impl FnMut(usize, &mut f64)) {
+        let Some(root) = self.nodes.len().checked_sub(1) else {
+            return;
+        };
+        let mut waiting = [(0.0f64, 0u32); 64];
+        waiting[0].1 = root as u32;
+        let mut len = 1;
+        while len > 0 {
+            len -= 1;
+            let (square, index) = waiting[len];
+            if square > limit {
+                continue;
+            }
+            let node = &self.nodes[index as usize];
+            let Some(inner) = (index as usize).checked_sub(self.leaves) else {
+                (node.first as usize..(node.first + node.count) as usize).for_each(|place| see(place, &mut limit));
+                continue;
+            };
+            let squares = self.boxes[inner].distances_squared(point);
+            let mut near: [(f64, u32); FAN] = std::array::from_fn(|child| {
+                let there = (child as u32) < node.count;
+                (
+                    if there { squares[child] } else { f64::INFINITY },
+                    node.first + child as u32,
+                )
+            });
+            // Farthest first onto the stack, so that the nearest is visited next.
+            for (i, j) in [(0, 1), (2, 3), (0, 2), (1, 3), (1, 2)] {
+                if near[i].0 < near[j].0 {
+                    near.swap(i, j);
+                }
+            }
+            for n in near.into_iter().filter(|n| n.0 <= limit && n.0 < f64::INFINITY) {
+                waiting[len] = n;
+                len += 1;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::segment_hit::crossing;
+    use super::*;
+    use crate::pool::Pool;
+
+    fn soup(count: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let mut state = 3u64;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 33) as f64 / (1u64 << 31) as f64
+        };
+        let mut points = Vec::new();
+        for _ in 0..count {
+            let middle = DVec3::new(next(), next(), next());
+            points.extend((0..3).map(|_| middle + 0.1 * DVec3::new(next(), next(), next())));
+        }
+        let faces = (0..count as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        (points, faces)
+    }
+
+    #[test]
+    fn the_tree_finds_what_a_search_over_all_finds() {
+        let (points, faces) = soup(300);
+        let tree = TriangleBvh::build(&points, &faces, &Pool::new(2).expect("a pool"));
+        let corners = |t: &[u32; 3]| t.map(|v| points[v as usize]);
+        for i in 0..200usize {
+            let (q, to) = (
+                points[(i * 37) % points.len()] * 1.3 - DVec3::splat(0.11),
+                points[(i * 91) % points.len()],
+            );
+            let near = tree.closest_point(q).expect("triangles");
+            let best = faces
+                .iter()
+                .map(|t| closest_point_on_triangle(q, corners(t)).distance(q))
+                .fold(9.0, f64::min);
+            assert!((near.distance - best).abs() < 1e-12 && (near.point.distance(q) - best).abs() < 1e-12);
+            assert_eq!(tree.closest_point_within(q, best * 0.999), None);
+            assert_eq!(tree.closest_point_within(q, best * 1.001), Some(near));
+            let vertex = tree.closest_vertex(q, Some((i % 5) as u32)).expect("triangles");
+            assert!(
+                points
+                    .iter()
+                    .all(|p| p.distance(q) >= points[vertex as usize].distance(q))
+            );
+            let first = faces
+                .iter()
+                .filter_map(|t| crossing(q, to - q, corners(t)))
+                .fold(2.0, f64::min);
+            assert_eq!(tree.first_hit(q, to, None).map_or(2.0, |h| h.along), first);
+        }
+    }
+}

@@ -1,0 +1,15 @@
+//! Geometry queries that several rooms ask: each concept has one file here, and everybody calls it.
+//!
+//! [`closest_point`](mod@closest_point) answers for one triangle or one segment, [`fan`] groups the faces around a vertex, and
+//! [`TriangleBvh`] is the bounding-volume hierarchy for questions about many triangles: the closest point
+//! ([`SurfacePoint`]), the first crossing of a segment ([`SegmentHit`]) and the triangles that overlap a box.
+
+pub mod bvh;
+pub mod closest_point;
+mod closest_surface_point;
+pub mod fan;
+mod segment_hit;
+
+pub use bvh::TriangleBvh;
+pub use closest_surface_point::SurfacePoint;
+pub use segment_hit::SegmentHit;
