@@ -3,7 +3,7 @@
 use super::failure::CliFailure;
 use crate::asset::FileSet;
 use crate::job::pb;
-use crate::server::config::{self, Settings};
+use crate::server::config::{self, ConfigKeys, ServeSettings};
 use crate::server::{self, sample};
 use crate::session::{self, Manager, Tenant};
 use std::io::Write as _;
@@ -23,90 +23,7 @@ pub struct ServeArgs {
     pub config: Option<PathBuf>,
     /// Keys of the configuration.
     #[command(flatten)]
-    pub keys: Box<Keys>,
-}
-
-/// The keys of the configuration as flags; texts, read by the same rules as those of the file.
-#[derive(Debug, Clone, Default, clap::Args)]
-pub struct Keys {
-    /// Address and port [default: 127.0.0.1:7411]; port 0 takes a free one.
-    #[arg(long, value_name = "ADDRESS:PORT")]
-    pub listen: Option<String>,
-    /// Compute threads [default: one per core].
-    #[arg(long, value_name = "N")]
-    pub threads: Option<String>,
-    /// Bytes of one upload, companions included.
-    #[arg(long, value_name = "SIZE")]
-    pub upload_bytes: Option<String>,
-    /// Render vertices of one model.
-    #[arg(long, value_name = "N")]
-    pub vertices: Option<String>,
-    /// Sessions held at a time.
-    #[arg(long, value_name = "N")]
-    pub sessions: Option<String>,
-    /// Bytes that all sessions together may hold.
-    #[arg(long, value_name = "SIZE")]
-    pub memory_bytes: Option<String>,
-    /// Handles of one session.
-    #[arg(long, value_name = "N")]
-    pub handles: Option<String>,
-    /// Bytes of one control message.
-    #[arg(long, value_name = "SIZE")]
-    pub message_bytes: Option<String>,
-    /// Largest window of unacknowledged frames.
-    #[arg(long, value_name = "N")]
-    pub window: Option<String>,
-    /// How long an idle session lives when it names no time.
-    #[arg(long, value_name = "TIME")]
-    pub ttl: Option<String>,
-    /// Longest time that a session may ask for.
-    #[arg(long, value_name = "TIME")]
-    pub max_ttl: Option<String>,
-    /// Commits that can be undone.
-    #[arg(long, value_name = "N")]
-    pub history: Option<String>,
-    /// Longest solve, in milliseconds.
-    #[arg(long, value_name = "MS")]
-    pub solve_ms: Option<String>,
-    /// Streams open on one session at a time.
-    #[arg(long, value_name = "N")]
-    pub streams: Option<String>,
-    /// How long open work may go on once the server is asked to stop.
-    #[arg(long, value_name = "TIME")]
-    pub drain_deadline: Option<String>,
-    /// Connections held at a time.
-    #[arg(long, value_name = "N")]
-    pub connections: Option<String>,
-    /// HTTP/2 streams of one connection at a time.
-    #[arg(long, value_name = "N")]
-    pub requests_per_connection: Option<String>,
-    /// How long a connection may take to send the head of a request.
-    #[arg(long, value_name = "TIME")]
-    pub header_timeout: Option<String>,
-    /// Silence after which a peer is asked for a sign of life.
-    #[arg(long, value_name = "TIME")]
-    pub keepalive_interval: Option<String>,
-    /// How long that sign of life may take.
-    #[arg(long, value_name = "TIME")]
-    pub keepalive_timeout: Option<String>,
-    /// Origins whose pages may call, with commas between them.
-    #[arg(long, value_name = "ORIGINS")]
-    pub cors_origins: Option<String>,
-    /// Which log lines are written, such as info or info,pliant=debug.
-    #[arg(long, value_name = "DIRECTIVES")]
-    pub log: Option<String>,
-    /// How log lines look: text or json.
-    #[arg(long, value_name = "FORMAT")]
-    pub log_format: Option<String>,
-    /// Open a session with the built-in creature and print calls to try.
-    #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
-    pub sample: Option<String>,
-    /// Whether gRPC reflection answers.
-    #[arg(long, value_name = "BOOL")]
-    pub reflection: Option<String>,
-    /// Whether /metrics answers.
-    #[arg(long, value_name = "BOOL")]
-    pub metrics: Option<String>,
+    pub keys: Box<ConfigKeys>,
 }
 
 /// Why the server did not run.
@@ -141,43 +58,6 @@ impl ServeError {
     }
 }
 
-impl Keys {
-    /// The flags that were given, as (key, text).
-    fn flags(&self) -> Vec<(&'static str, String)> {
-        let all: [(&'static str, &Option<String>); 26] = [
-            ("listen", &self.listen),
-            ("threads", &self.threads),
-            ("upload_bytes", &self.upload_bytes),
-            ("vertices", &self.vertices),
-            ("sessions", &self.sessions),
-            ("memory_bytes", &self.memory_bytes),
-            ("handles", &self.handles),
-            ("message_bytes", &self.message_bytes),
-            ("window", &self.window),
-            ("ttl", &self.ttl),
-            ("max_ttl", &self.max_ttl),
-            ("history", &self.history),
-            ("solve_ms", &self.solve_ms),
-            ("streams", &self.streams),
-            ("drain_deadline", &self.drain_deadline),
-            ("connections", &self.connections),
-            ("requests_per_connection", &self.requests_per_connection),
-            ("header_timeout", &self.header_timeout),
-            ("keepalive_interval", &self.keepalive_interval),
-            ("keepalive_timeout", &self.keepalive_timeout),
-            ("cors_origins", &self.cors_origins),
-            ("log", &self.log),
-            ("log_format", &self.log_format),
-            ("sample", &self.sample),
-            ("reflection", &self.reflection),
-            ("metrics", &self.metrics),
-        ];
-        all.into_iter()
-            .filter_map(|(key, value)| Some((key, value.clone()?)))
-            .collect()
-    }
-}
-
 /// Runs the server of this process.
 pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -204,7 +84,7 @@ pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
 /// # Errors
 /// When the configuration, the port or the services cannot be had. A drain that met its deadline is no error.
 pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
-    let settings = Settings::load(args.config.as_deref(), &args.keys.flags())?;
+    let settings = ServeSettings::load(args.config.as_deref(), &args.keys)?;
     server::start_log(&settings.log, settings.log_format);
     for remark in &settings.remarks {
         tracing::warn!("{remark}");
@@ -336,26 +216,14 @@ async fn open_sample(manager: &Manager, address: SocketAddr) -> Result<(), sessi
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::server::config::KeyValue;
     use clap::{Args as _, FromArgMatches as _};
-
-    fn parse(words: &[&str]) -> ServeArgs {
-        let command = ServeArgs::augment_args(clap::Command::new("serve"));
-        let matches = command
-            .try_get_matches_from(std::iter::once("serve").chain(words.iter().copied()))
-            .unwrap();
-        ServeArgs::from_arg_matches(&matches).unwrap()
-    }
-
-    #[test]
-    fn every_key_is_a_flag() {
-        for key in config::KEYS {
-            let flag = format!("--{}=1", key.replace('_', "-"));
-            assert_eq!(parse(&[&flag]).keys.flags(), vec![(key, "1".to_owned())], "{key}");
-        }
-    }
 
     #[test]
     fn sample_needs_no_value() {
-        assert_eq!(parse(&["--sample"]).keys.flags(), vec![("sample", "true".to_owned())]);
+        let command = ServeArgs::augment_args(clap::Command::new("serve"));
+        let matches = command.try_get_matches_from(["serve", "--sample"]).unwrap();
+        let args = ServeArgs::from_arg_matches(&matches).unwrap();
+        assert_eq!(args.keys.sample, Some(KeyValue::Text("true".to_owned())));
     }
 }

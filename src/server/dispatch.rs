@@ -1,6 +1,6 @@
 //! One port, two families: requests of gRPC and gRPC-Web go to one side, all others to HTTP.
 
-use super::config::Config;
+use super::config::ServerConfig;
 use super::grpc::Grpc;
 use super::http;
 use super::origin::Origins;
@@ -95,7 +95,7 @@ impl Service<Request<Body>> for Sides {
 }
 
 /// What browsers are told about who may call and read which headers.
-fn cors(config: &Config) -> CorsLayer {
+fn cors(config: &ServerConfig) -> CorsLayer {
     let origins: Origins = config.origins.clone();
     let allowed = AllowOrigin::predicate(move |origin: &HeaderValue, request: &::http::request::Parts| {
         let host = request.headers.get(header::HOST).and_then(|h| h.to_str().ok());

@@ -5,7 +5,7 @@
 //! the protocol libraries is trusted to end in time: a connection that never sent a byte, or a stream that nobody reads,
 //! would hold them for ever.
 
-use super::config::Config;
+use super::config::ServerConfig;
 use super::state::State;
 use super::{Error, dispatch::Dispatch};
 use axum::body::Body;
@@ -111,7 +111,7 @@ pub(super) async fn serve(
     Ok(())
 }
 
-fn builder(config: &Config) -> auto::Builder<TokioExecutor> {
+fn builder(config: &ServerConfig) -> auto::Builder<TokioExecutor> {
     const MIB: u32 = 1 << 20;
     let mut builder = auto::Builder::new(TokioExecutor::new());
     builder

@@ -19,7 +19,7 @@ mod state;
 mod telemetry;
 mod uploads;
 
-pub use config::Config;
+pub use config::ServerConfig;
 pub use origin::Origins;
 pub use telemetry::start_log;
 
@@ -37,7 +37,7 @@ pub enum Error {
 }
 
 /// Serves the sessions of `manager` on `listener` until `shutdown` resolves, then drains: new work is refused, streams
-/// are told, what runs may finish until [`Config::drain_deadline`], and then everything is dropped.
+/// are told, what runs may finish until [`ServerConfig::drain_deadline`], and then everything is dropped.
 ///
 /// # Errors
 /// When the services cannot be put together; nothing was served then.
@@ -47,7 +47,7 @@ pub enum Error {
 pub async fn run(
     listener: TcpListener,
     manager: Manager,
-    config: Config,
+    config: ServerConfig,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), Error> {
     let state = state::State::new(manager, config);

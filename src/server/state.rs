@@ -1,6 +1,6 @@
 //! What every call of the server can reach.
 
-use super::config::Config;
+use super::config::ServerConfig;
 use super::telemetry::Telemetry;
 use super::uploads::Budget;
 use crate::session::Manager;
@@ -16,7 +16,7 @@ pub(super) struct Inner {
     /// The sessions.
     pub manager: Manager,
     /// How connections are treated.
-    pub config: Config,
+    pub config: ServerConfig,
     /// Counts.
     pub telemetry: Telemetry,
     /// Bytes of uploads on their way.
@@ -33,7 +33,7 @@ pub(super) struct Inner {
 
 impl State {
     /// The state of a new server.
-    pub fn new(manager: Manager, config: Config) -> Self {
+    pub fn new(manager: Manager, config: ServerConfig) -> Self {
         let sessions = manager.config();
         let uploads = Budget::new(sessions.upload_bytes, sessions.memory_bytes / 2);
         let message_bytes = usize::try_from(sessions.message_bytes).unwrap_or(usize::MAX);

@@ -120,41 +120,41 @@ impl Config {
                 Ok(())
             }
         };
-        at_least("uploadBytes", self.upload_bytes.into(), 1)?;
+        at_least("upload_bytes", self.upload_bytes.into(), 1)?;
         at_least("vertices", self.vertices.into(), 3)?;
         at_most("vertices", self.vertices.into(), u128::from(u32::MAX))?;
         at_least("triangles", self.triangles.into(), 1)?;
-        at_least("decodedBytes", self.decoded_bytes.into(), 1)?;
+        at_least("decoded_bytes", self.decoded_bytes.into(), 1)?;
         at_least("sessions", self.sessions as u128, 1)?;
         at_most("sessions", self.sessions as u128, 1_000_000)?;
-        at_least("memoryBytes", self.memory_bytes.into(), 1 << 20)?;
+        at_least("memory_bytes", self.memory_bytes.into(), 1 << 20)?;
         at_least("handles", self.handles as u128, 1)?;
         at_most("handles", self.handles as u128, u128::from(u32::MAX))?;
-        at_least("messageBytes", self.message_bytes.into(), 1024)?;
+        at_least("message_bytes", self.message_bytes.into(), 1024)?;
         at_least("window", self.window.into(), 2)?;
         at_most("window", self.window.into(), 64)?;
-        at_least("partBytes", self.part_bytes as u128, 1024)?;
-        at_least("historyCommits", self.history as u128, 1)?;
-        at_most("historyCommits", self.history as u128, 100_000)?;
-        at_least("solveMs", self.solve.as_millis(), 1)?;
-        at_least("buildMs", self.build.as_millis(), 1)?;
+        at_least("part_bytes", self.part_bytes as u128, 1024)?;
+        at_least("history", self.history as u128, 1)?;
+        at_most("history", self.history as u128, 100_000)?;
+        at_least("solve_ms", self.solve.as_millis(), 1)?;
+        at_least("build_ms", self.build.as_millis(), 1)?;
         at_least("streams", self.streams as u128, 1)?;
         at_most("streams", self.streams as u128, 1024)?;
-        at_least("streamCommits", self.stream_commits as u128, 1)?;
-        at_least("sessionQueue", self.session_queue as u128, 1)?;
-        at_least("computeQueue", self.compute_queue as u128, 1)?;
-        at_least("idempotencyKeys", self.idempotency_keys as u128, 1)?;
-        at_least("maxTtlMs", self.max_ttl.as_millis(), MIN_TTL.as_millis())?;
+        at_least("stream_commits", self.stream_commits as u128, 1)?;
+        at_least("session_queue", self.session_queue as u128, 1)?;
+        at_least("compute_queue", self.compute_queue as u128, 1)?;
+        at_least("idempotency_keys", self.idempotency_keys as u128, 1)?;
+        at_least("max_ttl", self.max_ttl.as_millis(), MIN_TTL.as_millis())?;
         at_most(
-            "maxTtlMs",
+            "max_ttl",
             self.max_ttl.as_millis(),
             Duration::from_secs(366 * 24 * 3600).as_millis(),
         )?;
-        at_least("defaultTtlMs", self.default_ttl.as_millis(), MIN_TTL.as_millis())?;
-        at_most("defaultTtlMs", self.default_ttl.as_millis(), self.max_ttl.as_millis())?;
+        at_least("ttl", self.default_ttl.as_millis(), MIN_TTL.as_millis())?;
+        at_most("ttl", self.default_ttl.as_millis(), self.max_ttl.as_millis())?;
         if !(self.high_water > 0.0 && self.high_water <= 1.0) {
             return Err(Error::invalid(
-                "highWater",
+                "high_water",
                 format!("is {}, above 0 and at most 1 is allowed", self.high_water),
             ));
         }
@@ -238,13 +238,13 @@ mod tests {
                 ..Config::default()
             })
             .as_deref(),
-            Some("highWater")
+            Some("high_water")
         );
         let short = Config {
             max_ttl: Duration::from_secs(60),
             ..Config::default()
         };
-        assert_eq!(refused(short).as_deref(), Some("defaultTtlMs"));
+        assert_eq!(refused(short).as_deref(), Some("ttl"));
     }
 
     #[test]

@@ -4,7 +4,8 @@
 use crate::support::book;
 
 use crate::support::server::*;
-use pliant::server::config::{KEYS, Settings};
+use clap::{Args as _, FromArgMatches as _};
+use pliant::server::config::{ConfigKeys, ServeSettings};
 use pliant::session::{self, MIN_TTL};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,21 +21,19 @@ fn page() -> String {
 fn keys_and_defaults_are_those_of_the_program() {
     let rows = book::table(&page(), "| key | default |");
     let told: BTreeSet<&str> = rows.iter().map(|row| row[0].as_str()).collect();
+    let keys = ConfigKeys::names();
     assert_eq!(
         told,
-        KEYS.into_iter().collect(),
+        keys.iter().map(String::as_str).collect(),
         "every key of the configuration, and no other"
     );
-    let mut flags = Vec::new();
-    for row in &rows {
-        // "none" stands for an empty list.
-        let key = KEYS.into_iter().find(|key| *key == row[0]).expect("a key");
-        if row[1] != "none" {
-            flags.push((key, row[1].clone()));
-        }
-    }
-    let told = Settings::load(None, &flags).expect("the page's defaults are values that the program takes");
-    let defaults = Settings::load(None, &[]).expect("the defaults");
+    // "none" stands for an empty list.
+    let given = rows.iter().filter(|row| row[1] != "none");
+    let flags = given.map(|row| format!("--{}={}", row[0].replace('_', "-"), row[1]));
+    let command = ConfigKeys::augment_args(clap::Command::new("serve").no_binary_name(true));
+    let flags = ConfigKeys::from_arg_matches(&command.get_matches_from(flags)).expect("flags");
+    let told = ServeSettings::load(None, &flags).expect("the page's defaults are values that the program takes");
+    let defaults = ServeSettings::load(None, &ConfigKeys::default()).expect("the defaults");
     assert_eq!(told.listen, defaults.listen);
     assert_eq!(told.server, defaults.server);
     assert_eq!(told.session, defaults.session);

@@ -5,7 +5,7 @@ use futures::{SinkExt as _, StreamExt as _};
 use pliant::asset::shapes;
 use pliant::job::pb;
 use pliant::server::grpc::client::DeformerClient;
-use pliant::server::{self, Config};
+use pliant::server::{self, ServerConfig};
 use pliant::session::{self, Manager};
 use prost::Message as _;
 use serde_json::{Value, json};
@@ -46,12 +46,12 @@ impl Server {
     }
 
     /// A server with changed limits.
-    pub async fn with(change: impl FnOnce(&mut session::Config, &mut Config)) -> Self {
+    pub async fn with(change: impl FnOnce(&mut session::Config, &mut ServerConfig)) -> Self {
         let mut sessions = session::Config {
             compute_threads: 2,
             ..session::Config::default()
         };
-        let mut config = Config::default();
+        let mut config = ServerConfig::default();
         change(&mut sessions, &mut config);
         let manager = Manager::new(sessions).expect("a configuration that holds together");
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");

@@ -27,6 +27,10 @@ const FLOORS: [(&str, u8); 16] = [
     ("cli", 5),
 ];
 
+/// Rooms of the house that are crates of their own: `src/<room>/src` holds their sources, `tests` and `examples` stand beside it.
+/// The modules named after the crate keep a floor of their own, and the library re-exports them at its root.
+const CRATES: [(&str, &[&str]); 1] = [("solver", &["pool", "progress", "exec"])];
+
 /// Names that floors 0 to 3 must not use outside tests, and what to do instead.
 const FOREIGN: [(&str, &str); 22] = [
     ("tokio", "floors 0 to 3 are synchronous; await in session or above"),
@@ -334,7 +338,20 @@ fn sources() -> Vec<File> {
             if matches!(module.last().map(String::as_str), Some("mod" | "lib")) {
                 module.pop();
             }
-            let (named, test_files) = paths(&text, &module);
+            let own_crate = CRATES
+                .iter()
+                .find(|(room, _)| module.first().is_some_and(|m| m == room));
+            let beside = own_crate.is_some() && module.get(1).is_none_or(|m| m != "src");
+            if own_crate.is_some() {
+                module.drain(..if beside { 1 } else { 2 });
+            }
+            let (mut named, test_files) = paths(&text, &module);
+            if let Some((room, floors)) = own_crate {
+                named
+                    .iter_mut()
+                    .for_each(|n| in_the_house(&mut n.path, 1, room, floors));
+                in_the_house(&mut module, 0, room, floors);
+            }
             let place = format!("src/{}", inside.display());
             (
                 File {
@@ -342,7 +359,7 @@ fn sources() -> Vec<File> {
                     module,
                     lines: text.lines().count(),
                     named,
-                    test: false,
+                    test: beside,
                 },
                 test_files,
             )
@@ -357,9 +374,17 @@ fn sources() -> Vec<File> {
         })
         .collect();
     for (file, _) in &mut read {
-        file.test = (1..=file.module.len()).any(|k| test_modules.contains(&file.module[..k]));
+        file.test |= (1..=file.module.len()).any(|k| test_modules.contains(&file.module[..k]));
     }
     read.into_iter().map(|(file, _)| file).collect()
+}
+
+/// Turns a path from the root of a room's own crate into one from the root of the library.
+fn in_the_house(path: &mut Vec<String>, root: usize, room: &str, floors: &[&str]) {
+    let from_root = root == 0 || path[0] == "crate";
+    if from_root && path.get(root).is_none_or(|m| !floors.contains(&m.as_str())) {
+        path.insert(root, room.to_owned());
+    }
 }
 
 fn walk(folder: &Path, files: &mut Vec<PathBuf>) {

@@ -49,7 +49,7 @@ impl LoadedServer {
         let wait = async move {
             let _ = stopped.await;
         };
-        let done = tokio::spawn(server::run(listener, manager, server::Config::default(), wait));
+        let done = tokio::spawn(server::run(listener, manager, server::ServerConfig::default(), wait));
         Ok(Self {
             address,
             own: Some(OwnServer { stop, done }),

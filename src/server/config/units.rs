@@ -5,15 +5,15 @@ use std::{fmt, time::Duration};
 
 /// A number of bytes: `1048576`, `"512MiB"`, `"2 GB"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct ByteSize(pub u64);
+pub struct ByteSize(pub u64);
 
 /// A span of time with a unit: `"15m"`, `"1h 30m"`, `"250ms"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Span(pub Duration);
+pub struct TimeSpan(pub Duration);
 
 /// A list of texts, or one text with commas.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Words(pub Vec<String>);
+pub struct WordList(pub Vec<String>);
 
 const UNITS: [(&str, u64); 9] = [
     ("", 1),
@@ -28,7 +28,7 @@ const UNITS: [(&str, u64); 9] = [
 ];
 
 /// Reads a number of bytes; the problem is told without the key.
-pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
+pub(super) fn parse_byte_size(text: &str) -> Result<u64, String> {
     let text = text.trim();
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = (&text[..digits], text[digits..].trim());
@@ -45,7 +45,7 @@ pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
 }
 
 /// Reads a span of time; the problem is told without the key.
-pub(super) fn parse_span(text: &str) -> Result<Duration, String> {
+pub(super) fn parse_time_span(text: &str) -> Result<Duration, String> {
     humantime::parse_duration(text).map_err(|_| {
         format!("\"{text}\" is not a span of time; allowed are numbers with units, such as 250ms, 10s or 1h 30m")
     })
@@ -53,8 +53,8 @@ pub(super) fn parse_span(text: &str) -> Result<Duration, String> {
 
 impl<'de> Deserialize<'de> for ByteSize {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl de::Visitor<'_> for Visitor {
+        struct ByteSizeVisitor;
+        impl de::Visitor<'_> for ByteSizeVisitor {
             type Value = ByteSize;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -72,43 +72,43 @@ impl<'de> Deserialize<'de> for ByteSize {
             }
 
             fn visit_str<E: de::Error>(self, value: &str) -> Result<ByteSize, E> {
-                parse_bytes(value).map(ByteSize).map_err(E::custom)
+                parse_byte_size(value).map(ByteSize).map_err(E::custom)
             }
         }
-        deserializer.deserialize_any(Visitor)
+        deserializer.deserialize_any(ByteSizeVisitor)
     }
 }
 
-impl<'de> Deserialize<'de> for Span {
+impl<'de> Deserialize<'de> for TimeSpan {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl de::Visitor<'_> for Visitor {
-            type Value = Span;
+        struct TimeSpanVisitor;
+        impl de::Visitor<'_> for TimeSpanVisitor {
+            type Value = TimeSpan;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 f.write_str("a span of time with a unit, such as \"250ms\", \"10s\" or \"1h 30m\"")
             }
 
-            fn visit_str<E: de::Error>(self, value: &str) -> Result<Span, E> {
-                parse_span(value).map(Span).map_err(E::custom)
+            fn visit_str<E: de::Error>(self, value: &str) -> Result<TimeSpan, E> {
+                parse_time_span(value).map(TimeSpan).map_err(E::custom)
             }
         }
-        deserializer.deserialize_any(Visitor)
+        deserializer.deserialize_any(TimeSpanVisitor)
     }
 }
 
-impl<'de> Deserialize<'de> for Words {
+impl<'de> Deserialize<'de> for WordList {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl<'de> de::Visitor<'de> for Visitor {
-            type Value = Words;
+        struct WordListVisitor;
+        impl<'de> de::Visitor<'de> for WordListVisitor {
+            type Value = WordList;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 f.write_str("a list of texts, or one text with commas")
             }
 
-            fn visit_str<E: de::Error>(self, value: &str) -> Result<Words, E> {
-                Ok(Words(
+            fn visit_str<E: de::Error>(self, value: &str) -> Result<WordList, E> {
+                Ok(WordList(
                     value
                         .split(',')
                         .map(str::trim)
@@ -118,15 +118,15 @@ impl<'de> Deserialize<'de> for Words {
                 ))
             }
 
-            fn visit_seq<A: de::SeqAccess<'de>>(self, mut seq: A) -> Result<Words, A::Error> {
+            fn visit_seq<A: de::SeqAccess<'de>>(self, mut seq: A) -> Result<WordList, A::Error> {
                 let mut words = Vec::new();
                 while let Some(word) = seq.next_element::<String>()? {
                     words.push(word);
                 }
-                Ok(Words(words))
+                Ok(WordList(words))
             }
         }
-        deserializer.deserialize_any(Visitor)
+        deserializer.deserialize_any(WordListVisitor)
     }
 }
 
@@ -136,23 +136,23 @@ mod tests {
 
     #[test]
     fn sizes_take_binary_and_decimal_units() {
-        assert_eq!(parse_bytes("512MiB"), Ok(512 << 20));
-        assert_eq!(parse_bytes(" 2 gb "), Ok(2_000_000_000));
-        assert_eq!(parse_bytes("17"), Ok(17));
+        assert_eq!(parse_byte_size("512MiB"), Ok(512 << 20));
+        assert_eq!(parse_byte_size(" 2 gb "), Ok(2_000_000_000));
+        assert_eq!(parse_byte_size("17"), Ok(17));
     }
 
     #[test]
     fn a_wrong_size_says_what_is_allowed() {
         for text in ["", "MiB", "1.5MiB", "-1", "12 parsecs", "99999999999999999999"] {
-            let problem = parse_bytes(text).unwrap_err();
+            let problem = parse_byte_size(text).unwrap_err();
             assert!(problem.contains("allowed are") && problem.contains(text), "{problem}");
         }
-        assert!(parse_bytes("99999999999TiB").unwrap_err().contains("2^64"));
+        assert!(parse_byte_size("99999999999TiB").unwrap_err().contains("2^64"));
     }
 
     #[test]
     fn a_time_without_unit_is_refused() {
-        assert_eq!(parse_span("1h 30m"), Ok(Duration::from_secs(5400)));
-        assert!(parse_span("15").unwrap_err().contains("allowed are"));
+        assert_eq!(parse_time_span("1h 30m"), Ok(Duration::from_secs(5400)));
+        assert!(parse_time_span("15").unwrap_err().contains("allowed are"));
     }
 }

@@ -3,8 +3,8 @@
 use super::PaperHierarchy;
 use super::cycle::Vectors;
 use super::restrict::{Offsets, add, prolong, restricted_constants};
+use crate::lanes::{WIDTH, Wide};
 use crate::progress::{Cancelled, Progress};
-use crate::solver::lanes::{WIDTH, Wide};
 
 /// d of the finest level, ½ (F_i + F_j) (p_i − p_j) per unit of the columns; equation (6) in terms of the linear maps F.
 pub(super) struct Framed<'a> {

@@ -3,8 +3,8 @@
 use super::PaperHierarchy;
 use super::restrict::{Reading, correct, restrict_defect};
 use super::smooth::{defect, sweep};
+use crate::lanes::{WIDTH, Wide};
 use crate::progress::{Cancelled, Progress, check};
-use crate::solver::lanes::{WIDTH, Wide};
 
 /// Sweeps before and after the coarse correction (section 6).
 const SWEEPS: usize = 2;

@@ -89,9 +89,10 @@
 //! second:
 //!
 //! ```
-//! use pliant::pool::Pool;
-//! use pliant::progress::Silent;
-//! use pliant::solver::{BuildOptions, Constraints, Control, Graph, Hierarchy, SolveOptions, Workspace};
+//! use pliant_solver::exec::Exec;
+//! use pliant_solver::pool::Pool;
+//! use pliant_solver::progress::Silent;
+//! use pliant_solver::{BuildOptions, Constraints, Control, Graph, Hierarchy, SolveOptions, Workspace};
 //!
 //! let graph = Graph {
 //!     offsets: &[0, 1, 3, 5, 7, 8],
@@ -117,6 +118,12 @@
 //! assert!(x.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-8));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
+
+pub mod exec;
+pub mod pool;
+pub mod progress;
 
 mod advance;
 mod bundling;

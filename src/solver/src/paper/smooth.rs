@@ -3,9 +3,9 @@
 use super::equations::Equations;
 use super::level::Level;
 use super::restrict::add;
+use crate::cycle::{per_lane, ratio};
+use crate::lanes::{WIDTH, Wide};
 use crate::progress::{Cancelled, Progress, check};
-use crate::solver::cycle::{per_lane, ratio};
-use crate::solver::lanes::{WIDTH, Wide};
 
 /// Sets x_i to what its equation says, given the present neighbours (7).
 #[inline]

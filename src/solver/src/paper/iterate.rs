@@ -4,12 +4,12 @@ use super::cycle::vectors;
 use super::smooth::Steps;
 use super::start::{Framed, Still};
 use super::{Kept, PaperHierarchy};
-use crate::solver::advance::reference;
-use crate::solver::cycle::{per_lane, ratio};
-use crate::solver::fallback::conjugate_gradients;
-use crate::solver::lanes::{WIDTH, Wide};
-use crate::solver::outer::{Outcome, Outer, Snapshot, Watch};
-use crate::solver::{Control, Error, Iteration, Method, Start};
+use crate::advance::reference;
+use crate::cycle::{per_lane, ratio};
+use crate::fallback::conjugate_gradients;
+use crate::lanes::{WIDTH, Wide};
+use crate::outer::{Outcome, Outer, Snapshot, Watch};
+use crate::{Control, Error, Iteration, Method, Start};
 
 /// Cycles that must at least halve the residual.
 const PATIENCE: usize = 12;

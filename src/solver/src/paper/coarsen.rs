@@ -115,7 +115,7 @@ fn joined(level: &Level) -> Option<Level> {
 mod tests {
     use super::super::testing::lattice;
     use super::*;
-    use crate::solver::paper::graph::tests::level_of;
+    use crate::paper::graph::tests::level_of;
 
     #[test]
     fn seeds_are_independent_and_reach_everyone() {

@@ -3,8 +3,8 @@
 use super::PaperHierarchy;
 use crate::exec::Exec;
 use crate::progress::Silent;
-use crate::solver::testing::{Block, pool};
-use crate::solver::{BuildOptions, Constraints, Hierarchy, Operators, System};
+use crate::testing::{Block, pool};
+use crate::{BuildOptions, Constraints, Hierarchy, Operators, System};
 
 /// A body-centred cubic lattice of `n` cells a side: 14 neighbours inside, as in volume graphs.
 pub(crate) fn lattice(n: i32) -> Block {

@@ -5,7 +5,7 @@
 
 use super::equations::Equations;
 use super::level::{Level, RETAINED};
-use crate::solver::lanes::{WIDTH, Wide};
+use crate::lanes::{WIDTH, Wide};
 
 /// What is done about a retained vertex's retained neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

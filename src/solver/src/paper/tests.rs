@@ -6,10 +6,10 @@ use super::smooth::defect;
 use super::testing::{held, lattice, paper, path, sheet};
 use super::*;
 use crate::exec::Exec;
+use crate::lanes::{WIDTH, Wide};
 use crate::progress::Silent;
-use crate::solver::lanes::{WIDTH, Wide};
-use crate::solver::testing::{Block, pool};
-use crate::solver::{Constraints, Control, Method, Operators, SolveOptions, Start, Stats, Workspace};
+use crate::testing::{Block, pool};
+use crate::{Constraints, Control, Method, Operators, SolveOptions, Start, Stats, Workspace};
 
 /// Reproducible numbers between −1 and 1.
 fn noise(count: usize) -> Vec<Wide> {
@@ -250,7 +250,7 @@ fn rigid(block: &Block, start: bool, most: usize) -> (f64, Stats) {
         max_iterations: most,
         ..SolveOptions::default()
     };
-    let mut go_on = |_: &crate::solver::Iteration<'_>| Control::Continue;
+    let mut go_on = |_: &crate::Iteration<'_>| Control::Continue;
     let mut workspace = Workspace::default();
     let stats = system
         .solve(

@@ -2,8 +2,8 @@
 
 use super::equations::Equations;
 use super::level::Level;
-use crate::solver::level::NONE;
-use crate::solver::{BuildOptions, Graph, Hierarchy};
+use crate::level::NONE;
+use crate::{BuildOptions, Graph, Hierarchy};
 
 /// A copy of the caller's graph. The paper builds its hierarchy after the constraints are known.
 #[derive(Debug, Clone)]
@@ -83,7 +83,7 @@ impl Kept {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::solver::paper::testing::{built, lattice};
+    use crate::paper::testing::{built, lattice};
 
     /// The graph of all vertices.
     pub(crate) fn level_of(graph: &Graph<'_>) -> Level {

@@ -1,0 +1,141 @@
+//! The keys of the configuration, written down once: for the command line, the file and the environment.
+
+use super::units::{ByteSize, TimeSpan, WordList};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// The keys of the configuration: each is a flag of the command line, a line of the file and an environment variable. A
+/// key that is absent leaves the default.
+#[derive(Debug, Clone, Default, clap::Args, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ConfigKeys {
+    /// Address and port [default: 127.0.0.1:7411]; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub listen: Option<KeyValue<String>>,
+    /// Compute threads [default: one per core].
+    #[arg(long, value_name = "N")]
+    pub threads: Option<KeyValue<u32>>,
+    /// Bytes of one upload, companions included.
+    #[arg(long, value_name = "SIZE")]
+    pub upload_bytes: Option<KeyValue<ByteSize>>,
+    /// Render vertices of one model.
+    #[arg(long, value_name = "N")]
+    pub vertices: Option<KeyValue<u64>>,
+    /// Sessions held at a time.
+    #[arg(long, value_name = "N")]
+    pub sessions: Option<KeyValue<u64>>,
+    /// Bytes that all sessions together may hold.
+    #[arg(long, value_name = "SIZE")]
+    pub memory_bytes: Option<KeyValue<ByteSize>>,
+    /// Handles of one session.
+    #[arg(long, value_name = "N")]
+    pub handles: Option<KeyValue<u32>>,
+    /// Bytes of one control message.
+    #[arg(long, value_name = "SIZE")]
+    pub message_bytes: Option<KeyValue<ByteSize>>,
+    /// Largest window of unacknowledged frames.
+    #[arg(long, value_name = "N")]
+    pub window: Option<KeyValue<u32>>,
+    /// How long an idle session lives when it names no time.
+    #[arg(long, value_name = "TIME")]
+    pub ttl: Option<KeyValue<TimeSpan>>,
+    /// Longest time that a session may ask for.
+    #[arg(long, value_name = "TIME")]
+    pub max_ttl: Option<KeyValue<TimeSpan>>,
+    /// Commits that can be undone.
+    #[arg(long, value_name = "N")]
+    pub history: Option<KeyValue<u32>>,
+    /// Longest solve, in milliseconds.
+    #[arg(long, value_name = "MS")]
+    pub solve_ms: Option<KeyValue<f64>>,
+    /// Streams open on one session at a time.
+    #[arg(long, value_name = "N")]
+    pub streams: Option<KeyValue<u32>>,
+    /// How long open work may go on once the server is asked to stop.
+    #[arg(long, value_name = "TIME")]
+    pub drain_deadline: Option<KeyValue<TimeSpan>>,
+    /// Connections held at a time.
+    #[arg(long, value_name = "N")]
+    pub connections: Option<KeyValue<u32>>,
+    /// HTTP/2 streams of one connection at a time.
+    #[arg(long, value_name = "N")]
+    pub requests_per_connection: Option<KeyValue<u32>>,
+    /// How long a connection may take to send the head of a request.
+    #[arg(long, value_name = "TIME")]
+    pub header_timeout: Option<KeyValue<TimeSpan>>,
+    /// Silence after which a peer is asked for a sign of life.
+    #[arg(long, value_name = "TIME")]
+    pub keepalive_interval: Option<KeyValue<TimeSpan>>,
+    /// How long that sign of life may take.
+    #[arg(long, value_name = "TIME")]
+    pub keepalive_timeout: Option<KeyValue<TimeSpan>>,
+    /// Origins whose pages may call, with commas between them.
+    #[arg(long, value_name = "ORIGINS")]
+    pub cors_origins: Option<KeyValue<WordList>>,
+    /// Which log lines are written, such as info or info,pliant=debug.
+    #[arg(long, value_name = "DIRECTIVES")]
+    pub log: Option<KeyValue<String>>,
+    /// How log lines look: text or json.
+    #[arg(long, value_name = "FORMAT")]
+    pub log_format: Option<KeyValue<String>>,
+    /// Open a session with the built-in creature and print calls to try.
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub sample: Option<KeyValue<bool>>,
+    /// Whether gRPC reflection answers.
+    #[arg(long, value_name = "BOOL")]
+    pub reflection: Option<KeyValue<bool>>,
+    /// Whether /metrics answers.
+    #[arg(long, value_name = "BOOL")]
+    pub metrics: Option<KeyValue<bool>>,
+}
+
+impl ConfigKeys {
+    /// Names every key, in the order in which `deploy/config.toml` explains them.
+    pub fn names() -> Vec<String> {
+        let command = <Self as clap::Args>::augment_args(clap::Command::new("pliant"));
+        command.get_arguments().map(|key| key.get_id().to_string()).collect()
+    }
+}
+
+/// The value of a key. Flags are texts at first; they are merged with file and environment, and all are read by the same
+/// rules then.
+#[derive(Debug, Clone, PartialEq)]
+pub enum KeyValue<T> {
+    /// A flag's text, which nobody has read yet.
+    Text(String),
+    /// What the winning source says.
+    Read(T),
+}
+
+impl<T> KeyValue<T> {
+    /// The value of a key after all sources were merged; `None` leaves the default.
+    pub(super) fn read(value: &Option<Self>) -> Option<T>
+    where
+        T: Clone,
+    {
+        match value {
+            Some(Self::Read(value)) => Some(value.clone()),
+            Some(Self::Text(_)) | None => None,
+        }
+    }
+}
+
+impl<T> From<String> for KeyValue<T> {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl<T> Serialize for KeyValue<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Text(text) => serializer.serialize_str(text),
+            Self::Read(_) => serializer.serialize_none(),
+        }
+    }
+}
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for KeyValue<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        T::deserialize(deserializer).map(Self::Read)
+    }
+}

@@ -1,0 +1,119 @@
+//! How connections are treated.
+
+use super::Error;
+use super::keys::KeyValue;
+use super::sources::MergedKeys;
+use super::units::TimeSpan;
+use crate::server::origin::Origins;
+use std::time::Duration;
+
+/// This says how connections are treated. It is read by [`run`](crate::server::run); sessions have a configuration of their own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ServerConfig {
+    /// Connections held at a time; one more is told to come back later.
+    pub connections: u32,
+    /// HTTP/2 streams of one connection at a time.
+    pub requests_per_connection: u32,
+    /// How long a connection may take to send a request's head.
+    pub header_timeout: Duration,
+    /// Silence after which HTTP/2 and WebSocket peers are asked for a sign of life.
+    pub keepalive_interval: Duration,
+    /// How long that sign of life may take.
+    pub keepalive_timeout: Duration,
+    /// From the wish to stop until everything still open is dropped.
+    pub drain_deadline: Duration,
+    /// Browser origins that may call.
+    pub origins: Origins,
+    /// Whether gRPC reflection answers.
+    pub reflection: bool,
+    /// Whether `/metrics` answers.
+    pub metrics: bool,
+}
+
+impl Default for ServerConfig {
+    fn default() -> Self {
+        Self {
+            connections: 4096,
+            requests_per_connection: 64,
+            header_timeout: Duration::from_secs(10),
+            keepalive_interval: Duration::from_secs(30),
+            keepalive_timeout: Duration::from_secs(20),
+            drain_deadline: Duration::from_secs(10),
+            origins: Origins::default(),
+            reflection: true,
+            metrics: true,
+        }
+    }
+}
+
+const MILLISECOND: Duration = Duration::from_millis(1);
+const SECOND: Duration = Duration::from_secs(1);
+const HOUR: Duration = Duration::from_secs(3600);
+
+impl ServerConfig {
+    /// Reads the keys that concern connections; those that are absent leave the defaults.
+    pub(super) fn from_keys(merged: &MergedKeys) -> Result<Self, Error> {
+        let (keys, defaults) = (&merged.keys, Self::default());
+        let count = |key: &str, value: &Option<KeyValue<u32>>, default: u32, highest: u32| match KeyValue::read(value) {
+            Some(value) if value == 0 || value > highest => {
+                Err(merged.refuse(key, format!("{value} is out of range; allowed are 1 to {highest}")))
+            }
+            value => Ok(value.unwrap_or(default)),
+        };
+        let time =
+            |key: &str, value: &Option<KeyValue<TimeSpan>>, default: Duration, lowest: Duration| match KeyValue::read(
+                value,
+            ) {
+                Some(TimeSpan(value)) if value < lowest || value > HOUR => {
+                    let problem = format!(
+                        "{} is out of range; allowed are {} to {}",
+                        humantime::format_duration(value),
+                        humantime::format_duration(lowest),
+                        humantime::format_duration(HOUR)
+                    );
+                    Err(merged.refuse(key, problem))
+                }
+                value => Ok(value.map_or(default, |span| span.0)),
+            };
+        let origins = KeyValue::read(&keys.cors_origins).map(|words| Origins::parse(&words.0));
+        Ok(Self {
+            connections: count("connections", &keys.connections, defaults.connections, 1_000_000)?,
+            requests_per_connection: count(
+                "requests_per_connection",
+                &keys.requests_per_connection,
+                defaults.requests_per_connection,
+                65_536,
+            )?,
+            header_timeout: time(
+                "header_timeout",
+                &keys.header_timeout,
+                defaults.header_timeout,
+                10 * MILLISECOND,
+            )?,
+            keepalive_interval: time(
+                "keepalive_interval",
+                &keys.keepalive_interval,
+                defaults.keepalive_interval,
+                SECOND,
+            )?,
+            keepalive_timeout: time(
+                "keepalive_timeout",
+                &keys.keepalive_timeout,
+                defaults.keepalive_timeout,
+                SECOND,
+            )?,
+            drain_deadline: time(
+                "drain_deadline",
+                &keys.drain_deadline,
+                defaults.drain_deadline,
+                10 * MILLISECOND,
+            )?,
+            origins: match origins {
+                Some(origins) => origins.map_err(|problem| merged.refuse("cors_origins", problem))?,
+                None => defaults.origins,
+            },
+            reflection: KeyValue::read(&keys.reflection).unwrap_or(defaults.reflection),
+            metrics: KeyValue::read(&keys.metrics).unwrap_or(defaults.metrics),
+        })
+    }
+}

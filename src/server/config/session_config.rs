@@ -1,0 +1,69 @@
+//! The keys that concern sessions.
+
+use super::Error;
+use super::keys::KeyValue;
+use super::sources::MergedKeys;
+use super::units::ByteSize;
+use crate::session;
+use std::time::Duration;
+
+/// Reads the keys that concern sessions; those that are absent leave the defaults.
+pub(super) fn session_config_from_keys(merged: &MergedKeys) -> Result<session::Config, Error> {
+    let keys = &merged.keys;
+    let mut config = session::Config::default();
+    let wide = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
+    let set_bytes = |value: &Option<KeyValue<ByteSize>>, bytes: &mut u64| {
+        *bytes = KeyValue::read(value).map_or(*bytes, |size| size.0);
+    };
+    let set_count = |value: &Option<KeyValue<u32>>, count: &mut usize| {
+        *count = KeyValue::read(value).map_or(*count, |n| wide(n.into()));
+    };
+    set_bytes(&keys.upload_bytes, &mut config.upload_bytes);
+    set_bytes(&keys.memory_bytes, &mut config.memory_bytes);
+    set_bytes(&keys.message_bytes, &mut config.message_bytes);
+    set_count(&keys.handles, &mut config.handles);
+    set_count(&keys.history, &mut config.history);
+    set_count(&keys.streams, &mut config.streams);
+    set_count(&keys.threads, &mut config.compute_threads);
+    if let Some(vertices) = KeyValue::read(&keys.vertices) {
+        config.vertices = vertices;
+        // A closed surface has about twice as many triangles as vertices.
+        config.triangles = vertices.saturating_mul(2).max(1024);
+    }
+    config.sessions = KeyValue::read(&keys.sessions).map_or(config.sessions, wide);
+    config.window = KeyValue::read(&keys.window).unwrap_or(config.window);
+    config.max_ttl = KeyValue::read(&keys.max_ttl).map_or(config.max_ttl, |span| span.0);
+    let default_ttl = config.default_ttl.min(config.max_ttl);
+    config.default_ttl = KeyValue::read(&keys.ttl).map_or(default_ttl, |span| span.0);
+    config.drain = KeyValue::read(&keys.drain_deadline).map_or(config.drain, |span| span.0);
+    if let Some(ms) = KeyValue::read(&keys.solve_ms) {
+        if !(1.0..=3_600_000.0).contains(&ms) {
+            return Err(merged.refuse(
+                "solve_ms",
+                format!("{ms} is out of range; allowed are 1 to 3600000 milliseconds"),
+            ));
+        }
+        config.solve = Duration::from_secs_f64(ms / 1e3);
+    }
+    if config.compute_threads > 1024 {
+        return Err(merged.refuse(
+            "threads",
+            format!(
+                "{} is out of range; allowed are 1 to 1024, and 0 for one per core",
+                config.compute_threads
+            ),
+        ));
+    }
+    if config.message_bytes > 256 << 20 {
+        return Err(merged.refuse(
+            "message_bytes",
+            format!("{} is out of range; allowed are 1KiB to 256MiB", config.message_bytes),
+        ));
+    }
+    config.validate().map_err(|error| {
+        let key = error.field.as_deref().unwrap_or_default();
+        let problem = error.message.strip_prefix(key).unwrap_or(&error.message);
+        merged.refuse(key, problem.trim_start_matches([':', ' ']).to_owned())
+    })?;
+    Ok(config)
+}

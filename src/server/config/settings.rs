@@ -1,0 +1,202 @@
+//! Everything that `pliant serve` is told before it starts.
+
+use super::Error;
+use super::keys::{ConfigKeys, KeyValue};
+use super::server_config::ServerConfig;
+use super::session_config::session_config_from_keys;
+use super::sources::{MergedKeys, unknown_variables};
+use crate::session;
+use std::{net::SocketAddr, path::Path};
+
+/// How log lines look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// This is everything that `pliant serve` needs, checked.
+#[derive(Debug, Clone)]
+pub struct ServeSettings {
+    /// Where to listen.
+    pub listen: SocketAddr,
+    /// How connections are treated.
+    pub server: ServerConfig,
+    /// Limits and times of sessions.
+    pub session: session::Config,
+    /// Which log lines are written, as directives such as `info,pliant=debug`.
+    pub log: String,
+    /// How they look.
+    pub log_format: LogFormat,
+    /// Whether a session with the built-in creature is opened at the start.
+    pub sample: bool,
+    /// What should be said about the configuration once logs are open.
+    pub remarks: Vec<String>,
+}
+
+impl ServeSettings {
+    /// Reads and checks the configuration: `file`, then the environment, then `flags`.
+    ///
+    /// # Errors
+    /// [`Error`] with the key, its source and what is allowed.
+    pub fn load(file: Option<&Path>, flags: &ConfigKeys) -> Result<Self, Error> {
+        let merged = MergedKeys::collect(file, flags)?;
+        let keys = &merged.keys;
+        let refuse = |key: &str, problem: String| merged.refuse(key, problem);
+        let listen = KeyValue::read(&keys.listen).unwrap_or_else(|| "127.0.0.1:7411".to_owned());
+        let listen: SocketAddr = listen.parse().map_err(|_| {
+            refuse("listen", format!("\"{listen}\" is not an address; allowed are an IP address and a port, such as 127.0.0.1:7411 or [::]:7411"))
+        })?;
+        let session = session_config_from_keys(&merged)?;
+        let server = ServerConfig::from_keys(&merged)?;
+        let log = KeyValue::read(&keys.log).unwrap_or_else(|| "info".to_owned());
+        tracing_subscriber::EnvFilter::builder().parse(&log).map_err(|e| {
+            refuse(
+                "log",
+                format!("\"{log}\": {e}; allowed are directives such as info or info,pliant=debug"),
+            )
+        })?;
+        let log_format = match KeyValue::read(&keys.log_format).as_deref() {
+            None | Some("text") => LogFormat::Text,
+            Some("json") => LogFormat::Json,
+            Some(other) => {
+                return Err(refuse(
+                    "log_format",
+                    format!("\"{other}\" is not known; allowed are text and json"),
+                ));
+            }
+        };
+        let remarks = unknown_variables()
+            .into_iter()
+            .map(|name| format!("environment variable {name} is no configuration key and was ignored"))
+            .collect();
+        Ok(Self {
+            listen,
+            server,
+            session,
+            log,
+            log_format,
+            sample: KeyValue::read(&keys.sample).unwrap_or(false),
+            remarks,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{Args as _, FromArgMatches as _};
+    use std::io::Write as _;
+
+    fn file(text: &str) -> tempfile::NamedTempFile {
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        file.write_all(text.as_bytes()).unwrap();
+        file
+    }
+
+    fn load(text: &str, flags: &[(&'static str, &str)]) -> Result<ServeSettings, Error> {
+        let file = file(text);
+        let flags = flags
+            .iter()
+            .map(|(key, value)| format!("--{}={value}", key.replace('_', "-")));
+        let command = ConfigKeys::augment_args(clap::Command::new("serve").no_binary_name(true));
+        let flags = ConfigKeys::from_arg_matches(&command.get_matches_from(flags)).unwrap();
+        ServeSettings::load(Some(file.path()), &flags)
+    }
+
+    #[test]
+    fn flags_win_over_the_file_and_the_file_over_the_defaults() {
+        let settings = load(
+            "upload_bytes = \"64MiB\"\nsessions = 3\n",
+            &[("sessions", "5"), ("listen", "[::1]:9")],
+        )
+        .unwrap();
+        assert_eq!(settings.session.upload_bytes, 64 << 20);
+        assert_eq!(settings.session.sessions, 5);
+        assert_eq!(settings.listen, "[::1]:9".parse().unwrap());
+        assert_eq!(settings.session.history, session::Config::default().history);
+    }
+
+    #[test]
+    fn every_error_names_key_source_and_what_is_allowed() {
+        type Case<'a> = (&'a str, &'a [(&'static str, &'a str)], &'a [&'a str]);
+        let cases: [Case<'_>; 11] = [
+            (
+                "upload_bytes = \"many\"",
+                &[],
+                &["upload_bytes", "\"many\"", "KiB", "file "],
+            ),
+            ("sessions = 0", &[], &["sessions", "is 0", "at least 1", "file "]),
+            ("", &[("ttl", "15")], &["ttl", "unit", "--ttl"]),
+            ("", &[("max_ttl", "5s"), ("ttl", "10s")], &["ttl", "--ttl"]),
+            (
+                "",
+                &[("listen", "localhost")],
+                &["listen", "\"localhost\"", "127.0.0.1:7411", "--listen"],
+            ),
+            (
+                "",
+                &[("log_format", "xml")],
+                &["log_format", "\"xml\"", "text and json", "--log-format"],
+            ),
+            ("", &[("log", "pliant=loud")], &["log", "allowed are", "--log"]),
+            (
+                "",
+                &[("connections", "0")],
+                &["connections", "1 to 1000000", "--connections"],
+            ),
+            (
+                "",
+                &[("drain_deadline", "9h")],
+                &["drain_deadline", "9h", "1h", "--drain-deadline"],
+            ),
+            (
+                "cors_origins = [\"example.org\"]",
+                &[],
+                &["cors_origins", "example.org", "https://example.org", "file "],
+            ),
+            ("sessons = 4", &[], &["sessons", "no such key", "sessions", "file "]),
+        ];
+        for (text, flags, parts) in cases {
+            let said = load(text, flags).unwrap_err().to_string();
+            for part in parts {
+                assert!(said.contains(part), "{said:?} lacks {part:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_missing_file_is_named() {
+        let error = ServeSettings::load(Some(Path::new("/nowhere/pliant.toml")), &ConfigKeys::default()).unwrap_err();
+        assert!(error.to_string().contains("/nowhere/pliant.toml"));
+    }
+
+    #[test]
+    fn the_deployed_file_sets_every_key_to_its_default() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/config.toml");
+        let text = std::fs::read_to_string(&path).unwrap();
+        // Keys stand there commented out, so that the file also works as it is.
+        let active: String = text
+            .lines()
+            .map(|l| l.strip_prefix("#= ").unwrap_or(l))
+            .fold(String::new(), |a, l| a + l + "\n");
+        for key in ConfigKeys::names() {
+            assert!(
+                active.lines().any(|l| l.starts_with(&format!("{key} = "))),
+                "{key} is not explained in deploy/config.toml"
+            );
+        }
+        let told = load(&active, &[]).unwrap();
+        let defaults = load("", &[]).unwrap();
+        assert_eq!(
+            (told.listen, &told.server, &told.session),
+            (defaults.listen, &defaults.server, &defaults.session)
+        );
+        assert_eq!(
+            (told.log, told.log_format, told.sample),
+            (defaults.log, defaults.log_format, defaults.sample)
+        );
+    }
+}

@@ -1,0 +1,173 @@
+//! Where the keys of the configuration come from: file, environment and flags, the later winning.
+
+use super::Error;
+use super::keys::ConfigKeys;
+use figment::error::Kind;
+use figment::providers::{Env, Format as _, Toml};
+use figment::value::{Dict, Map, Value};
+use figment::{Figment, Metadata, Profile, Provider};
+use std::path::Path;
+
+/// The flags of a command line, as texts.
+struct FlagProvider<'a>(&'a ConfigKeys);
+
+impl Provider for FlagProvider<'_> {
+    fn metadata(&self) -> Metadata {
+        Metadata::named(COMMAND_LINE)
+    }
+
+    fn data(&self) -> figment::Result<Map<Profile, Dict>> {
+        let flags = Value::serialize(self.0)?.into_dict().unwrap_or_default();
+        let read = |text: &str| text.parse::<Value>().unwrap_or_else(|never| match never {});
+        let given = flags
+            .into_iter()
+            .filter_map(|(key, text)| Some((key, read(text.as_str()?))))
+            .collect();
+        Ok(Map::from([(Profile::Default, given)]))
+    }
+}
+
+const COMMAND_LINE: &str = "the command line";
+
+/// The keys as the last source that names each gives it. It remembers the sources, so that an error can say where a value
+/// came from.
+pub(super) struct MergedKeys {
+    pub keys: ConfigKeys,
+    sources: Figment,
+}
+
+impl MergedKeys {
+    /// Merges file < environment < flags. A file that was named must exist.
+    pub fn collect(file: Option<&Path>, flags: &ConfigKeys) -> Result<Self, Error> {
+        let mut sources = Figment::new();
+        if let Some(path) = file {
+            let text = std::fs::read_to_string(path).map_err(|e| Error::File {
+                path: path.display().to_string(),
+                problem: e.to_string(),
+            })?;
+            sources = sources.merge(NamedToml {
+                toml: Toml::string(&text),
+                path: path.display().to_string(),
+            });
+        }
+        let names = ConfigKeys::names();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let sources = sources
+            .merge(Env::prefixed("PLIANT_").only(&names))
+            .merge(FlagProvider(flags));
+        let keys = sources.extract().map_err(|error| refuse_unreadable(&sources, &error))?;
+        Ok(Self { keys, sources })
+    }
+
+    /// The refusal of a key's value, with the source that it came from.
+    pub fn refuse(&self, key: &str, problem: String) -> Error {
+        let metadata = self.sources.find_metadata(key);
+        Error::Value {
+            key: key.to_owned(),
+            place: metadata.map_or_else(|| "the defaults".to_owned(), |m| describe_source(m, key)),
+            problem,
+        }
+    }
+}
+
+/// The refusal of a key that does not exist or whose value is of the wrong kind.
+fn refuse_unreadable(sources: &Figment, error: &figment::Error) -> Error {
+    let key = error.path.join(".");
+    let place = match &error.metadata {
+        Some(metadata) => describe_source(metadata, &key),
+        None => "the configuration".to_owned(),
+    };
+    match &error.kind {
+        Kind::UnknownField(name, _) => {
+            let file = sources
+                .metadata()
+                .next()
+                .map_or_else(|| place.clone(), |m| m.name.to_string());
+            Error::Value {
+                key: name.clone(),
+                place: if error.metadata.is_some() { place } else { file },
+                problem: format!("no such key; allowed are {}", ConfigKeys::names().join(", ")),
+            }
+        }
+        kind => Error::Value {
+            key: if key.is_empty() { "(file)".into() } else { key },
+            place,
+            problem: kind.to_string(),
+        },
+    }
+}
+
+fn describe_source(metadata: &Metadata, key: &str) -> String {
+    if metadata.name.contains("environment") {
+        return format!("environment variable PLIANT_{}", key.to_uppercase());
+    }
+    if metadata.name == COMMAND_LINE {
+        return format!("flag --{}", key.replace('_', "-"));
+    }
+    metadata.name.to_string()
+}
+
+/// A TOML text that remembers the file it came from.
+struct NamedToml {
+    toml: figment::providers::Data<Toml>,
+    path: String,
+}
+
+impl Provider for NamedToml {
+    fn metadata(&self) -> Metadata {
+        Metadata::named(format!("file {}", self.path))
+    }
+
+    fn data(&self) -> figment::Result<Map<Profile, Dict>> {
+        self.toml.data()
+    }
+}
+
+/// Environment variables that look like keys and are none.
+pub(super) fn unknown_variables() -> Vec<String> {
+    let keys = ConfigKeys::names();
+    std::env::vars_os()
+        .filter_map(|(name, _)| name.into_string().ok())
+        .filter(|name| is_unknown_variable(name, &keys))
+        .collect()
+}
+
+fn is_unknown_variable(name: &str, keys: &[String]) -> bool {
+    // Read by the other commands, the Python package, the build, the tests and the workflows, not by the server.
+    const OTHERS: [&str; 8] = [
+        "PLIANT_BIN",
+        "PLIANT_CONFIG",
+        "PLIANT_DATA",
+        "PLIANT_REPOSITORY",
+        "PLIANT_SERVER",
+        "PLIANT_TOKEN",
+        "PLIANT_VIEWER",
+        "PLIANT_VIEWER_PAGE",
+    ];
+    let key = name.strip_prefix("PLIANT_").map(str::to_lowercase);
+    key.is_some_and(|ref key| !OTHERS.contains(&name) && !keys.contains(key))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_variable_that_nothing_reads_is_unknown() {
+        let keys = ConfigKeys::names();
+        for known in [
+            "PATH",
+            "PLIANT_LISTEN",
+            "PLIANT_MAX_TTL",
+            "PLIANT_BIN",
+            "PLIANT_SERVER",
+            "PLIANT_TOKEN",
+            "PLIANT_VIEWER_PAGE",
+        ] {
+            assert!(!is_unknown_variable(known, &keys), "{known}");
+        }
+        for unknown in ["PLIANT_LISTENS", "PLIANT_", "PLIANT_BINS"] {
+            assert!(is_unknown_variable(unknown, &keys), "{unknown}");
+        }
+    }
+}
