@@ -35,7 +35,7 @@ pub struct SuiteCase {
     pub up: UpAxis,
 }
 
-/// Where a model comes from.
+/// A model source says where a case's model comes from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ModelSource {
     /// The built-in creature.
@@ -46,7 +46,7 @@ pub enum ModelSource {
     Data(String),
 }
 
-/// Where a job comes from.
+/// A job source says where a case's job comes from.
 #[derive(Debug, Clone)]
 pub enum JobSource {
     /// The case itself.
@@ -78,6 +78,14 @@ struct ViewAngles {
 
 impl SuiteCase {
     /// Reads the file of a case. `file` is its name in the suite's folder.
+    ///
+    /// ```
+    /// use pliant::check::{ModelSource, SuiteCase};
+    ///
+    /// let case = SuiteCase::from_file("bend.case.json", br#"{"model": "sample:creature", "job": {"handles": []}}"#)?;
+    /// assert_eq!((case.name.as_str(), case.model), ("bend", ModelSource::Sample));
+    /// # Ok::<(), pliant::check::SuiteError>(())
+    /// ```
     ///
     /// # Errors
     /// What is wrong with it and where.
@@ -178,13 +186,13 @@ impl JobSource {
     }
 }
 
-/// A relative path of plain names, with "/" between them.
+/// Whether a path is relative, made of plain names with "/" between them.
 fn stays_below(path: &str) -> bool {
     let plain = |part: &str| !part.is_empty() && part != "." && part != "..";
     !path.contains(['\\', ':', '\0']) && path.split('/').all(plain)
 }
 
-/// SHA-256 of a job in lower-case hexadecimal, without what it expects, which changes no result. Models to merge must be
+/// Computes the SHA-256 of a job in lower-case hexadecimal, without what it expects, which changes no result. Models to merge must be
 /// in it.
 pub fn job_hash(job: &pb::Job) -> String {
     let bare = pb::Job {
@@ -194,7 +202,7 @@ pub fn job_hash(job: &pb::Job) -> String {
     to_lower_hex(&Sha256::digest(bare.encode_to_vec()))
 }
 
-/// SHA-256 of a model in lower-case hexadecimal: of its file; with companions also of their names and bytes.
+/// Computes the SHA-256 of a model in lower-case hexadecimal: of its file; with companions also of their names and bytes.
 pub fn model_hash(files: &crate::asset::FileSet) -> String {
     let mut hash = Sha256::new();
     hash.update(&files.main);

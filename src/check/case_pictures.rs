@@ -16,7 +16,7 @@ const KEY_ROWS: u32 = 30;
 /// A close-up shows this share of the diagonal around its place.
 const NEAR: f64 = 0.045;
 
-/// A picture with what it shows.
+/// A case picture is a picture with what it shows.
 #[derive(Debug, Clone)]
 pub struct CasePicture {
     /// A word or two.
@@ -29,7 +29,7 @@ pub struct CasePicture {
     pub png: Vec<u8>,
 }
 
-/// From where a case is looked at.
+/// A viewpoint says from where a case is looked at.
 #[derive(Debug, Clone, Copy)]
 pub struct Viewpoint {
     /// What the case asks for; `None` = towards the worst place, else from the front.
@@ -103,7 +103,7 @@ pub fn draw_case_pictures(
     Ok(pictures)
 }
 
-/// The result in colours that say how far each vertex is from its stored place, as a whole and near the worst place.
+/// Draws the result in colours that say how far each vertex is from its stored place, as a whole and near the worst place.
 fn draw_differences(
     found: &CaseResult,
     comparison: &GoldenComparison,
@@ -186,7 +186,7 @@ fn view_from_beside(normal: DVec3, up: UpAxis) -> ViewDirection {
     ViewDirection::facing(normal.normalize_or_zero() + above * 0.4, up).turned_by(25.0)
 }
 
-/// The normal of the surface at a vertex, as long as the area around it.
+/// Computes the normal of the surface at a vertex, as long as the area around it.
 fn normal_at(found: &CaseResult, vertex: u32) -> DVec3 {
     let place = found.positions[vertex as usize];
     let around = |t: &&[u32; 3]| t.iter().any(|&v| found.positions[v as usize] == place);

@@ -5,12 +5,23 @@ use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// The symmetric Hausdorff distance of two surfaces and the point of either where it is largest: of all vertices and
+/// Computes the symmetric Hausdorff distance of two surfaces and the point of either where it is largest: of all vertices and
 /// triangle centres of one surface the farthest from the nearest point of the other's triangles, both ways. `None` when
 /// either has no triangle.
 ///
 /// The farthest point of a surface need not be a vertex or a centre, so the true distance may be larger, by no more than
 /// a triangle's size.
+///
+/// ```
+/// use glam::DVec3;
+/// use pliant::{check::hausdorff_distance, pool::Pool};
+///
+/// let low = [DVec3::ZERO, DVec3::X, DVec3::Y];
+/// let high = low.map(|p| p + DVec3::Z * 0.5);
+/// let distance = hausdorff_distance((&low, &[[0, 1, 2]]), (&high, &[[0, 1, 2]]), &Pool::new(1)?);
+/// assert_eq!(distance.map(|(length, _)| length), Some(0.5));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Panics
 /// When a triangle names a position that does not exist.

@@ -42,7 +42,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for JsonObject<T> {
     }
 }
 
-/// Something that is wrong in a file. `file` is its name in the suite's folder.
+/// Makes the error of something that is wrong in a file. `file` is its name in the suite's folder.
 pub(super) fn suite_error(file: &str, place: &str, problem: impl fmt::Display) -> SuiteError {
     SuiteError {
         file: file.to_owned(),
@@ -69,7 +69,7 @@ pub(super) fn from_json_object<'a, T: Deserialize<'a>>(file: &str, text: &'a [u8
     Ok(read.0)
 }
 
-/// A path as people read it: where a text breaks off, its last part is not known.
+/// Writes a path as people read it: where a text breaks off, its last part is not known.
 fn readable_path(path: &str) -> String {
     match path.trim_end_matches(['.', '?']) {
         "" => "body".into(),

@@ -4,7 +4,7 @@ use super::metric::{Metric, format_short};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// An entry of a case's list, as written.
+/// A tolerance entry is one entry of a case's list, as written.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ToleranceEntry {
@@ -14,11 +14,11 @@ pub(super) struct ToleranceEntry {
     reason: String,
 }
 
-/// What a case allows, metric by metric.
+/// Tolerances are what a case allows, metric by metric.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tolerances(BTreeMap<Metric, Tolerance>);
 
-/// What is allowed of one metric.
+/// A tolerance is what is allowed of one metric.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tolerance {
     /// The largest difference that passes.
@@ -70,7 +70,7 @@ impl Tolerances {
         Ok(Self(all))
     }
 
-    /// What is allowed of a metric. Mean, root mean square and Hausdorff distance are never larger than the largest
+    /// Tells what is allowed of a metric. Mean, root mean square and Hausdorff distance are never larger than the largest
     /// displacement, so what is allowed of that one is allowed of them.
     pub fn for_metric(&self, metric: Metric) -> Tolerance {
         if let Some(own) = self.0.get(&metric) {

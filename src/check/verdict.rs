@@ -51,12 +51,12 @@ pub struct MetricDifference {
 }
 
 impl MetricDifference {
-    /// Whether it is within what is allowed.
+    /// Whether the difference is within what is allowed.
     pub fn is_within_bound(&self) -> bool {
         self.difference.is_none_or(|d| d <= self.allowed)
     }
 
-    /// The difference in units of what is allowed.
+    /// The difference as a share of what is allowed.
     pub fn share_of_bound(&self) -> f64 {
         match self.difference {
             Some(d) if d > 0.0 => d / self.allowed,
@@ -64,7 +64,7 @@ impl MetricDifference {
         }
     }
 
-    /// The difference and what is allowed, for people.
+    /// Writes the difference and what is allowed, for people.
     pub fn describe(&self) -> String {
         let name = self.metric.name();
         let Some(difference) = self.difference else {
@@ -92,7 +92,7 @@ impl MetricDifference {
     }
 }
 
-/// What is said of a case.
+/// A case verdict is what is said of a case.
 #[derive(Debug, Clone)]
 pub struct CaseVerdict {
     /// How it ended.
@@ -106,7 +106,7 @@ pub struct CaseVerdict {
 }
 
 impl CaseVerdict {
-    /// Of a case that has no result.
+    /// Makes the verdict of a case that has no result.
     pub fn without_result(status: CaseStatus, code: &'static str, text: impl Into<String>) -> Self {
         Self {
             status,
@@ -119,7 +119,7 @@ impl CaseVerdict {
         }
     }
 
-    /// The number that is nearest to its bound, or farthest beyond it; `None` when none differs.
+    /// Finds the number that is nearest to its bound, or farthest beyond it; `None` when none differs.
     pub fn largest_share(&self) -> Option<&MetricDifference> {
         let mut worst: Option<&MetricDifference> = None;
         for m in self.measures.iter().filter(|m| m.share_of_bound() > 0.0) {
@@ -280,7 +280,7 @@ fn measure_differences(
     Metric::ALL.into_iter().map(of).collect()
 }
 
-/// What the job expects of the stored result and does not find. Lengths are model units there.
+/// Lists what the job expects of the stored result and does not find. Lengths are model units there.
 fn unmet_expectations(expect: Option<&pb::Expect>, comparison: &GoldenComparison, golden: &Golden) -> Vec<String> {
     let Some(expect) = expect else { return Vec::new() };
     let length = |metric: Metric| {

@@ -52,7 +52,7 @@ pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, CliFailure> {
     fs::read(path).map_err(refuse)
 }
 
-/// URIs of buffers and images that are not embedded. Broken JSON names none; the reader says what is wrong with it.
+/// Lists the URIs of buffers and images that are not embedded. Broken JSON names none; the reader says what is wrong with it.
 fn named_files(json: &[u8]) -> Vec<String> {
     let Ok(document) = serde_json::from_slice::<serde_json::Value>(json) else {
         return Vec::new();
@@ -67,12 +67,12 @@ fn named_files(json: &[u8]) -> Vec<String> {
         .collect()
 }
 
-/// A relative path of plain names.
+/// Whether a URI is a relative path of plain names.
 fn stays_inside(uri: &str) -> bool {
     !uri.contains(['\\', ':', '\0']) && Path::new(uri).components().all(|c| matches!(c, Component::Normal(_)))
 }
 
-/// The same after symbolic links are followed.
+/// Whether a file lies in a folder after symbolic links are followed.
 fn inside_on_disk(folder: &Path, file: &Path) -> bool {
     let folder = if folder.as_os_str().is_empty() {
         Path::new(".")
@@ -85,7 +85,7 @@ fn inside_on_disk(folder: &Path, file: &Path) -> bool {
     }
 }
 
-/// The format that an output path asks for.
+/// Tells the format that an output path asks for.
 pub(super) fn output_format(path: &Path) -> Result<Format, CliFailure> {
     Format::from_file_name(&path.to_string_lossy()).ok_or_else(|| {
         let problem = "its extension must be one of glb, gltf, obj, ply, off and stl";

@@ -103,7 +103,7 @@ fn parse_angles(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
-/// A model and where it came from, for texts.
+/// A model to draw, with the path that it came from, for texts.
 struct ModelToDraw<'a> {
     path: &'a Path,
     model: Model,
@@ -186,7 +186,7 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
     Ok(())
 }
 
-/// The colours to draw: those asked for where they make sense.
+/// Chooses the colours to draw: those asked for where they make sense.
 fn choose_colours(
     asked: Option<ColourChoice>,
     model: &ModelToDraw<'_>,
@@ -218,7 +218,7 @@ fn choose_colours(
     }
 }
 
-/// A shape in its colours.
+/// A coloured shape is a surface with the key to its colours.
 struct ColouredShape {
     shape: ShadedSurface,
     key: Option<ColourKey>,

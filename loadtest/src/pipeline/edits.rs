@@ -69,7 +69,7 @@ enum BenchedEdit {
     Remesh,
 }
 
-/// A bench in the state that is edited, again and again.
+/// An edit bench holds a deformer in the state that is edited, again and again.
 struct EditBench<'a> {
     bench: Workbench,
     trail: Trail,
@@ -81,7 +81,7 @@ struct EditBench<'a> {
     pool: &'a Pool,
 }
 
-/// One edit: milliseconds by stage, and facts.
+/// An edit run is one edit: milliseconds by stage, and facts.
 #[derive(Clone)]
 struct EditRun {
     ms: BTreeMap<String, f64>,
@@ -247,7 +247,7 @@ fn open_edit_bench<'a>(
     Ok((stand, region))
 }
 
-/// A sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
+/// Finds a sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
 fn sphere_around_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere, usize) {
     let (low, high) = shape
         .iter()

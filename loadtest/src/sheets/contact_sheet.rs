@@ -129,7 +129,7 @@ fn models_under(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), LoadtestF
     Ok(())
 }
 
-/// The files of a model: for glTF with those beside it.
+/// Reads the files of a model: for glTF with those beside it.
 fn read_model_files(path: &Path) -> Result<FileSet, std::io::Error> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut files = FileSet::single(name, fs::read(path)?);
@@ -145,7 +145,7 @@ fn read_model_files(path: &Path) -> Result<FileSet, std::io::Error> {
     Ok(files)
 }
 
-/// The longest side of a box.
+/// Finds the longest side of a box.
 fn longest_side(bounds: &Bounds) -> usize {
     let size = bounds.size();
     (0..3).fold(0, |best, k| if size[k] > size[best] { k } else { best })
@@ -193,7 +193,7 @@ fn automatic_job(bounds: &Bounds, refine: Option<u32>) -> pb::Job {
     }
 }
 
-/// Where the bend is seen best: almost along the axis of the turn.
+/// Finds the view in which the bend is seen best: almost along the axis of the turn.
 fn bend_view(bounds: &Bounds) -> Option<ViewDirection> {
     let (azimuth, up) = match (longest_side(bounds) + 1) % 3 {
         0 => (65.0, UpAxis::Y),
@@ -271,7 +271,7 @@ fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Deformed
     })
 }
 
-/// All models on one picture, with the key to the colours below.
+/// Draws all models on one picture, with the key to the colours below.
 fn draw_sheet(entries: &[SheetEntry], args: &SheetArgs) -> Result<Picture, LoadtestFailure> {
     let tile = args.tile;
     let (width, height) = (3 * tile + 8, tile + LABEL + 8);

@@ -66,7 +66,7 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
     Ok(())
 }
 
-/// A bench with the job's handles, and the poses after its last step.
+/// Opens a model with the job's handles, and computes the poses after its last step.
 fn open_posed(
     model: pliant::asset::FileSet,
     job: &pb::Job,
@@ -88,7 +88,7 @@ fn open_posed(
     Ok((bench, poses))
 }
 
-/// The system of a pose over its free nodes, and over all nodes with the pose one step on.
+/// Builds the system of a pose over its free nodes, and over all nodes with the pose one step on.
 fn pose_systems(
     body: &Body,
     rig: &Rig,
@@ -113,7 +113,7 @@ fn pose_systems(
     Ok((free_system(&companion)?, companion))
 }
 
-/// The transforms moved further along their way, so that the handle that moves most does so by [`STEP`].
+/// Moves the transforms further along their way, so that the handle that moves most does so by [`STEP`].
 fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<Transform>, String> {
     let scaled = |by: f64| -> Vec<Transform> {
         let further = |t: &Transform| Transform {
@@ -150,7 +150,7 @@ fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<T
     Ok(scaled(1.0 + step))
 }
 
-/// The same equations around another centre.
+/// Writes the same equations around another centre.
 fn equations_around(mut equations: Equations, center: [f64; 3], rig: &Rig) -> Equations {
     let shift = DVec3::from_array(equations.center) - DVec3::from_array(center);
     let moved = |v: &mut [f64; 3], by: f64| *v = (DVec3::from_array(*v) + shift * by).to_array();
@@ -163,7 +163,7 @@ fn equations_around(mut equations: Equations, center: [f64; 3], rig: &Rig) -> Eq
     equations
 }
 
-/// The rows and columns of the nodes that are not given, with given neighbours moved to the right (equation 11).
+/// Takes the rows and columns of the nodes that are not given, with given neighbours moved to the right (equation 11).
 fn free_system(all: &CompanionFile) -> Result<LinearProblem, String> {
     let mut number = vec![-1i32; all.rest.len()];
     let mut free = 0;

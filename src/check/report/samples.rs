@@ -39,7 +39,7 @@ fn sample_difference(metric: Metric, difference: f64, allowed: f64) -> MetricDif
     }
 }
 
-/// A case of each kind, with names and texts that try to break out.
+/// Makes a report with a case of each kind, with names and texts that try to break out.
 pub(super) fn sample_suite() -> SuiteReport {
     let passed = CaseVerdict {
         status: CaseStatus::Passed,

@@ -17,7 +17,7 @@ const TRIES: u32 = 20;
 /// Longest wait before it is repeated.
 const LONGEST_WAIT: u64 = 10;
 
-/// Where a server is, and who asks.
+/// A server address says where a server is, and who asks.
 #[derive(Debug, Clone)]
 pub(super) struct ServerAddress {
     base: String,
@@ -57,13 +57,13 @@ impl ServerAddress {
     }
 }
 
-/// What a server answered.
+/// An HTTP answer is what a server answered.
 pub(super) struct HttpAnswer {
     pub headers: HeaderMap,
     pub body: Bytes,
 }
 
-/// What is sent.
+/// An HTTP call is what is sent.
 pub(super) struct HttpCall<'a> {
     pub method: Method,
     /// Below the server's address, percent-encoded.
@@ -75,7 +75,7 @@ pub(super) struct HttpCall<'a> {
     pub body: Bytes,
 }
 
-/// Calls one server. Owned by one thread.
+/// An HTTP client calls one server. It is owned by one thread.
 pub(super) struct HttpClient {
     address: ServerAddress,
     connections: Connections<HttpConnector, Full<Bytes>>,
@@ -153,7 +153,7 @@ impl HttpClient {
     }
 }
 
-/// An error with what caused it.
+/// Writes an error with what caused it.
 fn error_chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();
@@ -167,7 +167,7 @@ fn error_chain(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// What a server says is wrong: the detail of its problem document, or its first words.
+/// Writes what a server says is wrong: the detail of its problem document, or its first words.
 fn server_problem(status: StatusCode, body: &[u8]) -> String {
     let document = serde_json::from_slice::<serde_json::Value>(body).ok();
     let detail = document.as_ref().and_then(|d| d.get("detail")?.as_str());

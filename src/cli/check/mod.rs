@@ -92,7 +92,7 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
     let width = report.cases.iter().map(|c| c.name.len()).max().unwrap_or_default();
     notes.iter().for_each(|note| eprintln!("note: {note}"));
     for (case, done) in cases.iter().zip(&done) {
-        // ToleranceEntry first: what is told as stored is stored.
+        // Written first: what is told as stored is stored.
         if let Some(golden) = &done.golden {
             write_file(&case.golden_path, golden.as_bytes())?;
         }

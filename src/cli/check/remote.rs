@@ -170,7 +170,7 @@ enum RemoteStep {
     Edit(pb::EditRequest),
 }
 
-/// As [`job::run`] does them: without steps the poses that the handles come with are one.
+/// Lists the steps as [`job::run`] does them: without steps the poses that the handles come with are one.
 fn remote_steps(job: &pb::Job) -> Vec<RemoteStep> {
     if job.steps.is_empty() && job.handles.iter().any(|h| h.pose.is_some()) {
         return vec![RemoteStep::Pose(pb::Pose::default())];
@@ -184,7 +184,7 @@ fn remote_steps(job: &pb::Job) -> Vec<RemoteStep> {
         .collect()
 }
 
-/// Options of which the answer is a whole buffer of plain floats.
+/// Changes options so that the answer is a whole buffer of plain floats.
 fn options_for_floats(options: pb::Options) -> pb::Options {
     let asked = options.output.unwrap_or_default();
     pb::Options {
@@ -198,7 +198,7 @@ fn options_for_floats(options: pb::Options) -> pb::Options {
     }
 }
 
-/// The body that opens a session: the model, with companions as a form.
+/// Builds the body that opens a session: the model, with companions as a form.
 fn session_body(files: &FileSet) -> (String, Bytes) {
     if files.companions.is_empty() {
         return (BUFFER.into(), files.main.clone());
@@ -260,7 +260,7 @@ fn header_quality(headers: &HeaderMap) -> Option<pb::Quality> {
     })
 }
 
-/// Positions from little-endian 32-bit floats.
+/// Reads positions from little-endian 32-bit floats.
 fn positions_from_floats(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
     let (vertices, rest) = bytes.as_chunks::<12>();
     if !rest.is_empty() {

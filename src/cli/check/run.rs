@@ -16,7 +16,7 @@ use crate::progress::Progress as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What is to be done with every case.
+/// A check plan says what is to be done with every case.
 pub(super) struct CheckPlan<'a> {
     /// Where, if not in process.
     pub server: Option<&'a ServerAddress>,
@@ -28,7 +28,7 @@ pub(super) struct CheckPlan<'a> {
     pub pictures: bool,
 }
 
-/// A case done.
+/// A checked case is a case that was run, or could not be.
 pub(super) struct CheckedCase {
     /// What is told of it.
     pub report: CaseReport,
@@ -139,7 +139,7 @@ fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClien
     done
 }
 
-/// What a case comes to, with the shape before.
+/// Runs a case's job on its model; the result holds the shape before too.
 fn run_model(
     loaded: &LoadedCase,
     files: FileSet,

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// A case ready to be run.
+/// A loaded case is ready to be run.
 pub(super) struct LoadedCase {
     /// What its file says.
     pub case: SuiteCase,
@@ -23,7 +23,7 @@ pub(super) struct LoadedCase {
     model: CaseModel,
 }
 
-/// A suite ready to be run.
+/// A loaded suite is ready to be run.
 pub(super) struct LoadedSuite {
     /// In the order of their names.
     pub cases: Vec<LoadedCase>,
@@ -87,7 +87,7 @@ pub(super) fn load_suite(suite: &Path, data: Option<&Path>) -> Result<LoadedSuit
     })
 }
 
-/// Names of cases in a folder; none in one that cannot be read.
+/// Lists the names of cases in a folder; none in one that cannot be read.
 fn case_names_in(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
@@ -186,7 +186,7 @@ fn load_case(suite: &Path, file: &str, data: Option<&Path>) -> Result<LoadedCase
 }
 
 impl LoadedCase {
-    /// Why the case cannot be run here; `None` when it can.
+    /// Tells why the case cannot be run here; `None` when it can.
     pub fn absent_reason(&self) -> Option<&str> {
         match &self.model {
             CaseModel::Absent(why) => Some(why),
@@ -194,7 +194,7 @@ impl LoadedCase {
         }
     }
 
-    /// Its model's files.
+    /// Reads the files of the case's model.
     ///
     /// # Errors
     /// When they cannot be read.
