@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     fs::create_dir_all(&services)?;
     tonic_prost_build::configure()
         .out_dir(services)
-        .extern_path(".pliant.v1", "crate::job::pb")
+        .extern_path(".pliant.v1", "crate::wire::pb")
         .compile_fds(descriptors)?;
     viewer::build(&out)
 }

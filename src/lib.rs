@@ -8,8 +8,9 @@
 //! | floor | modules | what |
 //! |---|---|---|
 //! | 5 | [`cli`], [`server`] | people at a terminal; gRPC, HTTP and WebSocket |
-//! | 4 | [`session`], [`check`] | sessions: state, commits, undo, the deform stream; results beside goldens |
-//! | 3 | [`job`] | the declarative request, its JSON, and a bench that runs it |
+//! | 4 | [`session`], [`batch`], [`check`] | sessions: state, commits, undo, the deform stream; jobs run in process; results beside goldens |
+//! | 3 | [`wire`] | messages, their JSON, and what they mean as values of the engine; the only checks of what clients send |
+//! | 3 | [`engine`] | the deformer: typed handles, regions, poses and edits; used by `wire`, never the other way round |
 //! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
 //! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`], [`stage_clock`] | triangles; model formats; threads; cancelling; both as one; times of stages |
@@ -19,17 +20,19 @@
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 pub mod asset;
+pub mod batch;
 pub mod check;
 pub mod cli;
 pub mod deform;
 pub mod edit;
+pub mod engine;
 pub mod graph;
-pub mod job;
 pub mod mesh;
 pub mod render;
 pub mod server;
 pub mod session;
 pub mod stage_clock;
+pub mod wire;
 
 /// Multigrid on a weighted graph, with the threads and the watcher that every computing function takes: a crate of its own.
 pub use pliant_solver as solver;

@@ -2,8 +2,8 @@
 
 use super::suite_json::{self, JsonObject, SuiteError};
 use super::tolerances::{ToleranceEntry, Tolerances};
-use crate::job::{self, pb};
 use crate::render::{UpAxis, ViewDirection};
+use crate::wire::{self, pb};
 use prost::Message as _;
 use serde::Deserialize;
 use serde_json::value::RawValue;
@@ -171,14 +171,14 @@ impl JobSource {
                 )),
             };
         }
-        let read = job::json::from_json(text.as_bytes()).and_then(|job: pb::Job| {
+        let read = wire::json::from_json(text.as_bytes()).and_then(|job: pb::Job| {
             job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
             Ok(job)
         });
         match read {
             Ok(job) => Ok(Self::Inline(Box::new(job))),
-            Err(job::Error::Json { place, problem }) if place == "body" => Err(("job".into(), problem)),
-            Err(job::Error::Json { place, problem } | job::Error::Invalid { field: place, problem }) => {
+            Err(wire::Error::Json { place, problem }) if place == "body" => Err(("job".into(), problem)),
+            Err(wire::Error::Json { place, problem } | wire::Error::Invalid { field: place, problem }) => {
                 Err((format!("job.{place}"), problem))
             }
             Err(other) => Err(("job".into(), other.to_string())),
@@ -311,7 +311,7 @@ mod tests {
 
     #[test]
     fn what_is_expected_is_no_input() {
-        let job = |text: &str| job::json::from_json::<pb::Job>(text.as_bytes()).expect("a job");
+        let job = |text: &str| wire::json::from_json::<pb::Job>(text.as_bytes()).expect("a job");
         let plain = job(r#"{"handles": [{"id": "a"}]}"#);
         assert_eq!(
             job_hash(&plain),

@@ -5,8 +5,8 @@ use super::comparison::{GoldenComparison, compare_with_golden};
 use super::golden::{Golden, InputHashes};
 use super::metric::{Metric, MetricKind, format_short};
 use super::tolerances::Tolerances;
-use crate::job::pb;
 use crate::pool::Pool;
+use crate::wire::pb;
 
 /// How a case ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -313,7 +313,7 @@ fn unmet_expectations(expect: Option<&pb::Expect>, comparison: &GoldenComparison
 mod tests {
     use super::*;
     use crate::asset::shapes;
-    use crate::job::frames::digest;
+    use crate::engine::digest;
     use glam::DVec3;
 
     fn inputs() -> InputHashes {
@@ -447,7 +447,7 @@ mod tests {
         let loose = tolerances(
             r#"[{"metrics": ["maxDisplacement", "normalDegrees", "edgeStretch"], "most": 10, "reason": "a test"}]"#,
         );
-        let expect = |text: &str| crate::job::json::from_json::<pb::Expect>(text.as_bytes()).expect("an expectation");
+        let expect = |text: &str| crate::wire::json::from_json::<pb::Expect>(text.as_bytes()).expect("an expectation");
         let passes = |text: &str| judged(&moved(1e-3), &loose, Some(&expect(text))).status == CaseStatus::Passed;
         assert!(passes(
             r#"{"maxDistance": 2e-3, "meanDistance": 1e-4, "normalDegrees": 5}"#

@@ -6,8 +6,10 @@ use super::json_output::print_json;
 use super::model_files::{output_format, read_model, write_model};
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
+use crate::batch;
+use crate::engine::DeformerLimits;
 use crate::exec::Exec;
-use crate::job::{self, Limits, pb};
+use crate::wire::pb;
 use clap::Args;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -39,8 +41,8 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     let spinner = StageSpinner::new(args.json);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
-    let limits = Limits::default();
-    let mut outcome = job::run(
+    let limits = DeformerLimits::default();
+    let mut outcome = batch::run(
         files.clone(),
         &job,
         Some(format),

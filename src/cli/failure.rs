@@ -1,6 +1,6 @@
 //! Why a command ends badly, and with which exit code.
 
-use crate::job::Error as JobError;
+use crate::wire::Error as WireError;
 use std::process::ExitCode;
 
 /// Why a command ends with something other than 0.
@@ -37,10 +37,10 @@ impl CliFailure {
     }
 }
 
-impl From<JobError> for CliFailure {
-    fn from(e: JobError) -> Self {
+impl From<WireError> for CliFailure {
+    fn from(e: WireError) -> Self {
         match e {
-            JobError::Internal(_) | JobError::Cancelled => Self::Internal(e.to_string()),
+            WireError::Internal(_) | WireError::Cancelled => Self::Internal(e.to_string()),
             other => Self::Input(other.to_string()),
         }
     }

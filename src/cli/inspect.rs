@@ -5,8 +5,10 @@ use super::json_output::print_json;
 use super::model_files::read_model;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
+use crate::batch;
+use crate::engine::DeformerLimits;
 use crate::exec::Exec;
-use crate::job::{self, Limits, pb};
+use crate::wire::pb;
 use clap::Args;
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -28,10 +30,10 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
     let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
     let spinner = StageSpinner::new(args.json);
-    let found = job::inspect(
+    let found = batch::inspect(
         files,
         &pb::CreateOptions::default(),
-        &Limits::default(),
+        &DeformerLimits::default(),
         &Exec::new(&pool, &spinner),
     )?;
     spinner.finish();

@@ -3,16 +3,16 @@
 use super::failure::CliFailure;
 use super::model_files::read_file;
 use crate::asset::Format;
-use crate::job::{self, pb};
+use crate::wire::{self, pb};
 use std::path::Path;
 
 /// Reads a job file and the models that it names.
 pub(super) fn read_job(path: &Path) -> Result<pb::Job, CliFailure> {
-    let in_job = |e: job::Error| match CliFailure::from(e) {
+    let in_job = |e: wire::Error| match CliFailure::from(e) {
         CliFailure::Input(text) => CliFailure::Input(format!("{}: {text}", path.display())),
         other => other,
     };
-    let mut job: pb::Job = job::json::from_json(&read_file(path)?).map_err(in_job)?;
+    let mut job: pb::Job = wire::json::from_json(&read_file(path)?).map_err(in_job)?;
     read_merged_models(&mut job, path)?;
     Ok(job)
 }

@@ -1,7 +1,7 @@
 //! JSON documents on stdout.
 
 use super::failure::CliFailure;
-use crate::job::json;
+use crate::wire::json;
 
 /// Prints one JSON document on stdout. A reader that went away is no failure of ours to report twice.
 pub(super) fn print_json<M: prost::Message + prost::Name>(message: &M) -> Result<(), CliFailure> {

@@ -2,10 +2,10 @@
 
 use super::failure::CliFailure;
 use crate::asset::FileSet;
-use crate::job::pb;
 use crate::server::config::{self, ConfigKeys, ServeSettings};
 use crate::server::{self, sample};
 use crate::session::{self, Manager, Tenant};
+use crate::wire::pb;
 use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
 //! The built-in creature, so that a first call needs no file.
 
 use crate::asset::sample;
-use crate::job::pb;
 use crate::session::{Code, Error};
+use crate::wire::pb;
 use bytes::Bytes;
 use std::sync::LazyLock;
 use xxhash_rust::xxh3::xxh3_64;

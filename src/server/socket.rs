@@ -9,8 +9,8 @@
 use super::http::Caller;
 use super::http::problem::Problem;
 use super::state::State;
-use crate::job::pb::{self, deform_response::Message as Response};
 use crate::session::{Code, Error, Stream, StreamInput, StreamOutput};
+use crate::wire::pb::{self, deform_response::Message as Response};
 use axum::extract::State as From;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};

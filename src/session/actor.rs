@@ -15,11 +15,14 @@ use super::requests::{Call, Change, Command, Direction, Stored};
 use super::stop::Stop;
 use super::{Code, Error, Exported, SolvedFrames};
 use crate::asset::Format;
+use crate::engine::SolveMode;
+use crate::engine::digest;
 use crate::exec::Exec;
-use crate::job::frames::{FrameRequest, digest, encode};
-use crate::job::{self, Mode, Settings, pb};
 use crate::pool::Pool;
 use crate::progress::{CancelFlag, Progress as _};
+use crate::wire;
+use crate::wire::frames::{FrameRequest, encode};
+use crate::wire::{DeformOptions, pb};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -158,8 +161,8 @@ impl Actor {
     }
 
     /// What the failure of a piece of work means to its caller.
-    pub fn failure(&self, error: job::Error, stop: &Stop) -> Error {
-        if error != job::Error::Cancelled {
+    pub fn failure(&self, error: wire::Error, stop: &Stop) -> Error {
+        if error != wire::Error::Cancelled {
             return error.into();
         }
         self.shared.metrics.cancelled.inc();
@@ -251,7 +254,7 @@ impl Actor {
     async fn solve(
         &mut self,
         pose: pb::Pose,
-        settings: Settings,
+        settings: DeformOptions,
         call: &Call<SolvedFrames>,
     ) -> Result<(SolvedFrames, Stored), Error> {
         let state = self.history.current().clone();
@@ -264,10 +267,16 @@ impl Actor {
             .compute(
                 &call.cancel,
                 limit,
-                move |bench, pool, stop, queued| -> Result<_, job::Error> {
+                move |bench, pool, stop, queued| -> Result<_, wire::Error> {
                     bench.load(state.trail.as_ref(), &state.handles, &Exec::new(pool, stop))?;
                     let poses = bench.engine.posed(&state.poses, &pose)?;
-                    let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, stop), &mut |_| true)?;
+                    let solved = bench.solve(
+                        &poses,
+                        &settings,
+                        SolveMode::Commit,
+                        &Exec::new(pool, stop),
+                        &mut |_| true,
+                    )?;
                     let elapsed = stop.elapsed();
                     let quality = bench
                         .engine

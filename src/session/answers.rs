@@ -1,7 +1,7 @@
 //! What the calls of a manager answer, beside the messages of the schema.
 
 use crate::asset::{Format, Written};
-use crate::job::pb;
+use crate::wire::pb;
 use bytes::Bytes;
 use glam::DVec3;
 use std::sync::Arc;

@@ -3,9 +3,11 @@
 
 use super::Engine;
 use super::commits::Recipe;
+use crate::engine::Shader;
+use crate::engine::{EditCommand, EditOutcome, HandlePoses, SolveMode, SolveUpdate, SolvedShape, TopologyState};
 use crate::exec::Exec;
-use crate::job::frames::Shader;
-use crate::job::{self, EditOrder, EditOutcome, Mode, Poses, Settings, Solved, Trail, Watch, pb};
+use crate::wire;
+use crate::wire::{DeformOptions, pb};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -30,10 +32,10 @@ impl Bench {
     /// Makes `trail` the state that edits have left, and `handles` the ones in force.
     pub fn load(
         &mut self,
-        trail: Option<&Trail>,
+        trail: Option<&TopologyState>,
         handles: &Arc<pb::SetHandlesRequest>,
         exec: &Exec<'_>,
-    ) -> Result<(), job::Error> {
+    ) -> Result<(), wire::Error> {
         self.go(trail, exec)?;
         if !Arc::ptr_eq(&self.loaded, handles) {
             self.engine.set_handles(handles, exec)?;
@@ -43,7 +45,7 @@ impl Bench {
     }
 
     /// Makes `trail` the state that edits have left.
-    pub fn go(&mut self, trail: Option<&Trail>, exec: &Exec<'_>) -> Result<(), job::Error> {
+    pub fn go(&mut self, trail: Option<&TopologyState>, exec: &Exec<'_>) -> Result<(), wire::Error> {
         let Some(trail) = trail else { return Ok(()) };
         if self.engine.trail().is_some_and(|now| now.same(trail)) {
             return Ok(());
@@ -57,11 +59,11 @@ impl Bench {
     /// the old ones goes back.
     pub fn edit(
         &mut self,
-        trail: Option<&Trail>,
+        trail: Option<&TopologyState>,
         handles: &Arc<pb::SetHandlesRequest>,
-        order: &EditOrder<'_>,
+        order: &EditCommand<'_>,
         exec: &Exec<'_>,
-    ) -> Result<EditOutcome, job::Error> {
+    ) -> Result<EditOutcome, wire::Error> {
         self.load(trail, handles, exec)?;
         let outcome = self.engine.edit(order, exec)?;
         self.forget();
@@ -78,10 +80,10 @@ impl Bench {
     /// Replaces the handles by new ones, for a commit. Until the commit is stored, `load` with the old ones goes back.
     pub fn replace(
         &mut self,
-        trail: Option<&Trail>,
+        trail: Option<&TopologyState>,
         handles: &pb::SetHandlesRequest,
         exec: &Exec<'_>,
-    ) -> Result<(Poses, pb::Session), job::Error> {
+    ) -> Result<(HandlePoses, pb::Session), wire::Error> {
         self.go(trail, exec)?;
         self.engine.set_handles(handles, exec)?;
         // No request that anybody else knows, so that whatever comes next loads its own.
@@ -97,18 +99,18 @@ impl Bench {
     /// Solves a pose with the handles in force.
     pub fn solve(
         &mut self,
-        poses: &Poses,
-        settings: &Settings,
-        mode: Mode,
+        poses: &HandlePoses,
+        settings: &DeformOptions,
+        mode: SolveMode,
         exec: &Exec<'_>,
-        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
-    ) -> Result<Solved, job::Error> {
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<SolvedShape, wire::Error> {
         exec.check()?;
         self.engine.solve(poses, settings, mode, exec, watch)
     }
 
     /// Makes a shape again.
-    pub fn replay(&mut self, recipe: &Recipe, exec: &Exec<'_>) -> Result<Arc<Vec<DVec3>>, job::Error> {
+    pub fn replay(&mut self, recipe: &Recipe, exec: &Exec<'_>) -> Result<Arc<Vec<DVec3>>, wire::Error> {
         match recipe {
             Recipe::Rest { trail } => {
                 self.go(trail.as_ref(), exec)?;
@@ -122,7 +124,7 @@ impl Bench {
             } => {
                 self.load(trail.as_ref(), handles, exec)?;
                 Ok(self
-                    .solve(poses, settings, Mode::Commit, exec, &mut |_| true)?
+                    .solve(poses, settings, SolveMode::Commit, exec, &mut |_| true)?
                     .positions)
             }
         }

@@ -4,7 +4,8 @@
 //! they fit a budget of bytes; an older one is solved again from its recipe, which gives the same bits. Knows no
 //! engine and no task: it is told what was solved.
 
-use crate::job::{Poses, Settings, Trail, pb};
+use crate::engine::{HandlePoses, TopologyState};
+use crate::wire::{DeformOptions, pb};
 use glam::DVec3;
 use prost::Message as _;
 use std::collections::{BTreeMap, VecDeque};
@@ -20,13 +21,13 @@ pub(super) type ShapeId = u64;
 #[derive(Debug, Clone)]
 pub(super) struct State {
     /// What edits have made of the model.
-    pub trail: Option<Trail>,
+    pub trail: Option<TopologyState>,
     /// Length of its bounding box's diagonal.
     pub diagonal: f64,
     /// The handles in force.
     pub handles: Arc<pb::SetHandlesRequest>,
     /// Their poses.
-    pub poses: Poses,
+    pub poses: HandlePoses,
     /// What the engine says about model, solver and handles.
     pub facts: Arc<pb::Session>,
     /// The shape.
@@ -39,13 +40,13 @@ pub(super) struct State {
 #[derive(Debug, Clone)]
 pub(super) enum Recipe {
     /// It is the rest shape.
-    Rest { trail: Option<Trail> },
+    Rest { trail: Option<TopologyState> },
     /// It is the solution of these poses.
     Solved {
-        trail: Option<Trail>,
+        trail: Option<TopologyState>,
         handles: Arc<pb::SetHandlesRequest>,
-        poses: Poses,
-        settings: Settings,
+        poses: HandlePoses,
+        settings: DeformOptions,
     },
 }
 
@@ -79,10 +80,10 @@ impl History {
     /// A session just created, at rest. At most `limit` commits can be undone.
     pub fn new(
         facts: pb::Session,
-        poses: Poses,
+        poses: HandlePoses,
         rest: Arc<Vec<DVec3>>,
         digest: String,
-        (trail, diagonal): (Option<Trail>, f64),
+        (trail, diagonal): (Option<TopologyState>, f64),
         limit: usize,
         snapshot_bytes: u64,
     ) -> Self {
@@ -159,7 +160,7 @@ impl History {
     }
 
     /// Records new handles; the shape stays as it is. What was undone is gone.
-    pub fn commit_handles(&mut self, handles: pb::SetHandlesRequest, poses: Poses, facts: pb::Session) {
+    pub fn commit_handles(&mut self, handles: pb::SetHandlesRequest, poses: HandlePoses, facts: pb::Session) {
         let State {
             trail,
             diagonal,
@@ -180,7 +181,13 @@ impl History {
     }
 
     /// Records a solved pose. What was undone is gone.
-    pub fn commit_pose(&mut self, poses: Poses, settings: Settings, positions: Arc<Vec<DVec3>>, digest: String) {
+    pub fn commit_pose(
+        &mut self,
+        poses: HandlePoses,
+        settings: DeformOptions,
+        positions: Arc<Vec<DVec3>>,
+        digest: String,
+    ) {
         let State {
             trail,
             diagonal,
@@ -218,7 +225,7 @@ impl History {
     }
 
     /// Records an edit: the state that it left, and how its shape came about. What was undone is gone.
-    pub fn commit_edit(&mut self, mut state: State, positions: Arc<Vec<DVec3>>, solved: Option<Settings>) {
+    pub fn commit_edit(&mut self, mut state: State, positions: Arc<Vec<DVec3>>, solved: Option<DeformOptions>) {
         state.shape = self.next_shape;
         self.next_shape += 1;
         let trail = state.trail.clone();
@@ -300,7 +307,7 @@ impl History {
         let mut last = None;
         let mut bytes = 0;
         for trail in self.records.iter().filter_map(|r| r.state.trail.as_ref()) {
-            let known = |other: Option<&Trail>| other.is_some_and(|t| t.same(trail));
+            let known = |other: Option<&TopologyState>| other.is_some_and(|t| t.same(trail));
             if !known(now) && !known(last) {
                 bytes += trail.bytes();
             }
@@ -347,15 +354,15 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn settings() -> Settings {
-        Settings::check(&pb::Options::default(), "options", 8).expect("defaults")
+    fn settings() -> DeformOptions {
+        DeformOptions::check(&pb::Options::default(), "options", 8).expect("defaults")
     }
 
     fn history(limit: usize, snapshot_bytes: u64) -> History {
         let rest = Arc::new(vec![DVec3::ZERO; 10]);
         History::new(
             pb::Session::default(),
-            Poses::default(),
+            HandlePoses::default(),
             rest,
             "rest".into(),
             (None, 1.0),
@@ -366,7 +373,7 @@ mod tests {
 
     fn pose(history: &mut History, x: f64) {
         let positions = Arc::new(vec![DVec3::splat(x); 10]);
-        history.commit_pose(Poses::default(), settings(), positions, format!("{x}"));
+        history.commit_pose(HandlePoses::default(), settings(), positions, format!("{x}"));
     }
 
     #[test]
@@ -375,7 +382,7 @@ mod tests {
         pose(&mut history, 1.0);
         history.commit_handles(
             pb::SetHandlesRequest::default(),
-            Poses::default(),
+            HandlePoses::default(),
             pb::Session::default(),
         );
         assert_eq!(history.current().digest, "1");
@@ -426,7 +433,7 @@ mod tests {
                         Some(format!("{}", k as f64))
                     }
                     1 => {
-                        history.commit_handles(Default::default(), Poses::default(), Default::default());
+                        history.commit_handles(Default::default(), HandlePoses::default(), Default::default());
                         Some(model[at].0.clone())
                     }
                     2 => {

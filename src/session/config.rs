@@ -1,7 +1,7 @@
 //! What a server lets its sessions use.
 
 use super::Error;
-use crate::{asset, job, job::pb};
+use crate::{asset, engine, wire::pb};
 use std::time::Duration;
 
 /// The limits that sessions keep to. [`Config::validate`] says which values make sense; 0 never means "no limit".
@@ -181,8 +181,8 @@ impl Config {
     }
 
     /// The limits of one bench that may hold `memory_bytes`.
-    pub(super) fn bench_limits(&self, memory_bytes: u64) -> job::Limits {
-        job::Limits {
+    pub(super) fn bench_limits(&self, memory_bytes: u64) -> engine::DeformerLimits {
+        engine::DeformerLimits {
             model: asset::Limits {
                 vertices: self.vertices,
                 triangles: self.triangles,

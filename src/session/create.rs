@@ -12,9 +12,10 @@ use super::requests::Stored;
 use super::stop::{CancelOnDrop, Stop};
 use super::{Answer, Code, Engine, Error, Tenant};
 use crate::asset::FileSet;
+use crate::engine::digest;
 use crate::exec::Exec;
-use crate::job::frames::digest;
-use crate::job::{self, pb};
+use crate::wire;
+use crate::wire::pb;
 use prost::Message as _;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, OnceLock, RwLock};
@@ -196,7 +197,7 @@ async fn open(
         config.build,
     ));
     let (watch, inside) = (Arc::clone(&stop), Arc::clone(shared));
-    let built = slot.run(move |pool| -> Result<Opened, job::Error> {
+    let built = slot.run(move |pool| -> Result<Opened, wire::Error> {
         crate::progress::check(&*watch)?;
         let engine: Box<dyn Engine> = inside
             .opener
@@ -231,11 +232,11 @@ async fn open(
     })?;
     shared.metrics.build.observe(stop.elapsed().as_secs_f64());
     built.map_err(|error| match error {
-        job::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining(),
-        job::Error::Cancelled if stop.abandoned() => Error::new(Code::Cancelled, "the caller gave up"),
-        job::Error::Cancelled => late(stop.limit()),
+        wire::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining(),
+        wire::Error::Cancelled if stop.abandoned() => Error::new(Code::Cancelled, "the caller gave up"),
+        wire::Error::Cancelled => late(stop.limit()),
         // Too large for what is free now, not for the server: later it may fit.
-        job::Error::TooLarge { seen, limit, .. } if limit == room && seen <= shared.budget.total() => {
+        wire::Error::TooLarge { seen, limit, .. } if limit == room && seen <= shared.budget.total() => {
             shared.metrics.refused.inc();
             Error::exhausted(
                 format!("the session would need {seen} bytes of memory, {room} are free"),

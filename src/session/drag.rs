@@ -8,10 +8,12 @@ use super::mailbox::{Done, Mailbox, Work};
 use super::outgoing::Outgoing;
 use super::stop::Stop;
 use super::waiting::{Overlay, Waiting};
+use crate::engine::{HandlePoses, SolveMode, SolveUpdate, SolvedShape};
+use crate::engine::{Shading, digest};
 use crate::exec::Exec;
-use crate::job::frames::{Shading, digest};
-use crate::job::{self, Mode, Poses, Settings, Solved, Watch, pb};
 use crate::pool::Pool;
+use crate::wire;
+use crate::wire::{DeformOptions, pb};
 use glam::DVec3;
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,13 +28,13 @@ struct Turn {
 struct Target {
     seq: u64,
     commit: bool,
-    settings: Arc<Settings>,
-    result: Result<Solution, job::Error>,
+    settings: Arc<DeformOptions>,
+    result: Result<Solution, wire::Error>,
 }
 
 struct Solution {
-    poses: Poses,
-    solved: Solved,
+    poses: HandlePoses,
+    solved: SolvedShape,
     shading: Option<Arc<Shading>>,
     /// Of a commit.
     digest: String,
@@ -52,7 +54,7 @@ impl Frames {
     fn frame(
         &self,
         seq: u64,
-        settings: &Settings,
+        settings: &DeformOptions,
         (residual, max_error): (f64, f64),
         positions: Arc<Vec<DVec3>>,
         shading: Option<Arc<Shading>>,
@@ -195,7 +197,7 @@ fn turn(
     state: &State,
     frames: &Frames,
     longest: Duration,
-) -> Result<Turn, job::Error> {
+) -> Result<Turn, wire::Error> {
     bench.load(state.trail.as_ref(), &state.handles, &Exec::new(pool, stop))?;
     let mut refused = Vec::new();
     let mut superseded = 0u32;
@@ -242,7 +244,7 @@ fn turn(
 }
 
 /// Checks a pose. Of one that stands for several, only what is wrong is left out.
-fn check(bench: &Bench, state: &State, pose: &mut Waiting) -> Result<(), job::Error> {
+fn check(bench: &Bench, state: &State, pose: &mut Waiting) -> Result<(), wire::Error> {
     let entries = std::mem::take(&mut pose.entries);
     let whole = pb::Pose {
         handles: entries,
@@ -273,12 +275,12 @@ fn solve(
     pool: &Pool,
     stop: &Stop,
     mailbox: &Mailbox,
-    (seq, commit, settings): (u64, bool, &Arc<Settings>),
+    (seq, commit, settings): (u64, bool, &Arc<DeformOptions>),
     overlay: &Overlay,
     state: &State,
     frames: &Frames,
     longest: Duration,
-) -> Result<Solution, job::Error> {
+) -> Result<Solution, wire::Error> {
     let entries = overlay.iter().map(|(id, pose)| pb::pose::Entry {
         id: id.clone(),
         pose: pose.clone(),
@@ -294,7 +296,7 @@ fn solve(
         .budget_ms
         .map_or(longest, |ms| Duration::try_from_secs_f64(ms / 1e3).unwrap_or(longest));
     let budget = asked.min(longest);
-    let mut watch = |now: &Watch<'_>| {
+    let mut watch = |now: &SolveUpdate<'_>| {
         if commit {
             return true;
         }
@@ -312,7 +314,7 @@ fn solve(
         }
         true
     };
-    let mode = if commit { Mode::Commit } else { Mode::Drag };
+    let mode = if commit { SolveMode::Commit } else { SolveMode::Drag };
     let solved = bench.solve(&poses, settings, mode, &Exec::new(pool, stop), &mut watch)?;
     let solve = stop.elapsed();
     let shading = shade(&solved.positions);
@@ -335,6 +337,6 @@ fn solve(
 }
 
 /// Whether a state is good enough, so that the final frame follows at once.
-fn reached(now: &Watch<'_>, settings: &Settings) -> bool {
+fn reached(now: &SolveUpdate<'_>, settings: &DeformOptions) -> bool {
     settings.tolerance.is_some_and(|t| now.residual <= t) || settings.max_error.is_some_and(|e| now.max_error <= e)
 }

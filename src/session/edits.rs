@@ -7,8 +7,10 @@ use super::requests::{Call, Command, Edit, Stored};
 use super::stop::Stop;
 use super::{Code, Error, Manager, Tenant};
 use crate::asset::FileSet;
+use crate::engine::EditCommand;
 use crate::exec::Exec;
-use crate::job::{self, EditOrder, pb};
+use crate::wire;
+use crate::wire::pb;
 use bytes::Bytes;
 use prost::Message as _;
 use std::sync::Arc;
@@ -70,9 +72,9 @@ impl Manager {
 
 impl Actor {
     /// Of an edit that takes more memory than is free now, but not more than the server has, that it may fit later.
-    fn too_large(&self, error: job::Error, room: u64, stop: &Stop) -> Error {
+    fn too_large(&self, error: wire::Error, room: u64, stop: &Stop) -> Error {
         match error {
-            job::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.budget.total() => {
+            wire::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.budget.total() => {
                 self.shared.metrics.refused.inc();
                 Error::exhausted(
                     format!("the session would need {seen} bytes of memory after the edit, {room} are free"),
@@ -93,7 +95,7 @@ impl Actor {
             .compute(
                 &call.cancel,
                 limit,
-                move |bench, pool, stop, _| -> Result<_, job::Error> {
+                move |bench, pool, stop, _| -> Result<_, wire::Error> {
                     bench.load(state.trail.as_ref(), &state.handles, &Exec::new(pool, stop))?;
                     bench.engine.limit_memory(room);
                     // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine
@@ -106,7 +108,7 @@ impl Actor {
                         Recipe::Solved { settings, .. } => Some(settings),
                         Recipe::Rest { .. } => None,
                     };
-                    let order = EditOrder {
+                    let order = EditCommand {
                         request: &edit.request,
                         shape: &shape,
                         poses: &state.poses,

@@ -1,18 +1,22 @@
 //! What a session needs of the thing that deforms its model.
 //!
-//! The one real engine is [`Workbench`]; the seam exists so that the rules of sessions and streams can be tested with
+//! The one real engine is [`Deformer`]; the seam exists so that the rules of sessions and streams can be tested with
 //! an engine whose every cycle the test controls.
 
 use crate::asset::{FileSet, Format, Written};
+use crate::engine::Shader;
+use crate::engine::{
+    Deformer, DeformerLimits, EditCommand, EditOutcome, HandlePoses, SolveMode, SolveUpdate, SolvedShape, TopologyState,
+};
 use crate::exec::Exec;
-use crate::job::frames::Shader;
-use crate::job::{self, EditOrder, EditOutcome, Limits, Mode, Poses, Settings, Solved, Trail, Watch, Workbench, pb};
+use crate::wire;
+use crate::wire::{DeformOptions, pb};
 use glam::DVec3;
 use std::sync::Arc;
 
 /// One model with everything derived from it. Calls come from compute threads, one at a time.
 ///
-/// The contract is that of [`Workbench`]: a call that fails changes nothing, and a [`Mode::Commit`] solve depends on
+/// The contract is that of [`Deformer`]: a call that fails changes nothing, and a [`SolveMode::Commit`] solve depends on
 /// nothing but model, handles, poses and settings.
 pub trait Engine: Send + 'static {
     /// What a session answers about model, solver and handles.
@@ -28,20 +32,20 @@ pub trait Engine: Send + 'static {
     /// Format of the model's files.
     fn format(&self) -> Format;
     /// Replaces the handles.
-    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), job::Error>;
+    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error>;
     /// The poses that the handles in force came with.
-    fn initial_poses(&self) -> Poses;
+    fn initial_poses(&self) -> HandlePoses;
     /// `poses` with those that `change` names replaced.
-    fn posed(&self, poses: &Poses, change: &pb::Pose) -> Result<Poses, job::Error>;
+    fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, wire::Error>;
     /// Solves a pose.
     fn solve(
         &mut self,
-        poses: &Poses,
-        settings: &Settings,
-        mode: Mode,
+        poses: &HandlePoses,
+        settings: &DeformOptions,
+        mode: SolveMode,
         exec: &Exec<'_>,
-        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
-    ) -> Result<Solved, job::Error>;
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<SolvedShape, wire::Error>;
     /// How far a shape is from the rest shape, with what `output` asks for beside; `None` when the engine measures
     /// nothing.
     fn measure(
@@ -49,15 +53,15 @@ pub trait Engine: Send + 'static {
         _positions: &[DVec3],
         _output: &pb::Output,
         _exec: &Exec<'_>,
-    ) -> Result<Option<pb::Quality>, job::Error> {
+    ) -> Result<Option<pb::Quality>, wire::Error> {
         Ok(None)
     }
     /// The state that edits have left the engine in; `None` when it knows no edits.
-    fn trail(&self) -> Option<Trail> {
+    fn trail(&self) -> Option<TopologyState> {
         None
     }
     /// Goes to the state that an earlier [`Engine::trail`] named; without handles then.
-    fn retrace(&mut self, _trail: &Trail, _exec: &Exec<'_>) -> Result<(), job::Error> {
+    fn retrace(&mut self, _trail: &TopologyState, _exec: &Exec<'_>) -> Result<(), wire::Error> {
         Ok(())
     }
     /// Whether all is known of a shape that an edit needs; if not, a commit that makes it again tells.
@@ -65,14 +69,14 @@ pub trait Engine: Send + 'static {
         true
     }
     /// Carries out an edit and sets the handles that are left.
-    fn edit(&mut self, order: &EditOrder<'_>, _exec: &Exec<'_>) -> Result<EditOutcome, job::Error> {
-        Err(job::Error::Unimplemented(format!(
+    fn edit(&mut self, order: &EditCommand<'_>, _exec: &Exec<'_>) -> Result<EditOutcome, wire::Error> {
+        Err(wire::Error::Unimplemented(format!(
             "the edit {}",
-            job::edit_name(order.request)
+            wire::edit_name(order.request)
         )))
     }
     /// Writes the model with new positions.
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error>;
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error>;
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
 }
@@ -84,12 +88,12 @@ pub trait Opener: Send + Sync + 'static {
         &self,
         files: FileSet,
         create: &pb::CreateOptions,
-        limits: &Limits,
+        limits: &DeformerLimits,
         exec: &Exec<'_>,
-    ) -> Result<Box<dyn Engine>, job::Error>;
+    ) -> Result<Box<dyn Engine>, wire::Error>;
 }
 
-/// Opens a [`Workbench`].
+/// Opens a [`Deformer`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct OpenWorkbench;
 
@@ -98,14 +102,14 @@ impl Opener for OpenWorkbench {
         &self,
         files: FileSet,
         create: &pb::CreateOptions,
-        limits: &Limits,
+        limits: &DeformerLimits,
         exec: &Exec<'_>,
-    ) -> Result<Box<dyn Engine>, job::Error> {
-        Ok(Box::new(Workbench::open(files, create, limits, exec)?))
+    ) -> Result<Box<dyn Engine>, wire::Error> {
+        Ok(Box::new(Deformer::open(files, create, limits, exec)?))
     }
 }
 
-impl Engine for Workbench {
+impl Engine for Deformer {
     fn facts(&self) -> pb::Session {
         Self::facts(self)
     }
@@ -130,26 +134,26 @@ impl Engine for Workbench {
         self.model().format
     }
 
-    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), job::Error> {
+    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error> {
         Self::set_handles(self, request, exec)
     }
 
-    fn initial_poses(&self) -> Poses {
+    fn initial_poses(&self) -> HandlePoses {
         Self::initial_poses(self)
     }
 
-    fn posed(&self, poses: &Poses, change: &pb::Pose) -> Result<Poses, job::Error> {
+    fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, wire::Error> {
         Self::posed(self, poses, change)
     }
 
     fn solve(
         &mut self,
-        poses: &Poses,
-        settings: &Settings,
-        mode: Mode,
+        poses: &HandlePoses,
+        settings: &DeformOptions,
+        mode: SolveMode,
         exec: &Exec<'_>,
-        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
-    ) -> Result<Solved, job::Error> {
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<SolvedShape, wire::Error> {
         Self::solve(self, poses, settings, mode, exec, watch)
     }
 
@@ -158,15 +162,15 @@ impl Engine for Workbench {
         positions: &[DVec3],
         output: &pb::Output,
         exec: &Exec<'_>,
-    ) -> Result<Option<pb::Quality>, job::Error> {
+    ) -> Result<Option<pb::Quality>, wire::Error> {
         Self::measure(self, positions, output, exec).map(Some)
     }
 
-    fn trail(&self) -> Option<Trail> {
+    fn trail(&self) -> Option<TopologyState> {
         Some(Self::trail(self))
     }
 
-    fn retrace(&mut self, trail: &Trail, exec: &Exec<'_>) -> Result<(), job::Error> {
+    fn retrace(&mut self, trail: &TopologyState, exec: &Exec<'_>) -> Result<(), wire::Error> {
         Self::retrace(self, trail, exec)
     }
 
@@ -174,11 +178,11 @@ impl Engine for Workbench {
         Self::remembers(self, shape)
     }
 
-    fn edit(&mut self, order: &EditOrder<'_>, exec: &Exec<'_>) -> Result<EditOutcome, job::Error> {
+    fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, wire::Error> {
         Self::edit(self, order, exec)
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error> {
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error> {
         Self::write(self, positions, format)
     }
 

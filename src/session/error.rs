@@ -1,6 +1,6 @@
 //! What a caller is told when a call fails, and the one table from failures to status codes of every transport.
 
-use crate::{asset, job};
+use crate::{asset, wire};
 use std::fmt;
 
 /// The kinds of failure. Closed: a new kind needs a row in the table below.
@@ -167,24 +167,24 @@ impl fmt::Display for Error {
 
 impl std::error::Error for Error {}
 
-impl From<job::Error> for Error {
-    fn from(error: job::Error) -> Self {
+impl From<wire::Error> for Error {
+    fn from(error: wire::Error) -> Self {
         let message = error.to_string();
         match error {
-            job::Error::Asset(error) => error.into(),
-            job::Error::Json { place, .. } => Self {
+            wire::Error::Asset(error) => error.into(),
+            wire::Error::Json { place, .. } => Self {
                 field: Some(place),
                 ..Self::malformed(message)
             },
-            job::Error::Invalid { field, .. } => Self {
+            wire::Error::Invalid { field, .. } => Self {
                 field: Some(field),
                 ..Self::new(Code::InvalidArgument { malformed: false }, message)
             },
-            job::Error::Precondition(_) => Self::new(Code::FailedPrecondition, message),
-            job::Error::Unimplemented(_) => Self::new(Code::Unimplemented, message),
-            job::Error::TooLarge { .. } => Self::new(Code::TooLarge, message),
-            job::Error::Cancelled => Self::new(Code::Cancelled, message),
-            job::Error::Internal(_) => Self::new(Code::Internal, message),
+            wire::Error::Precondition(_) => Self::new(Code::FailedPrecondition, message),
+            wire::Error::Unimplemented(_) => Self::new(Code::Unimplemented, message),
+            wire::Error::TooLarge { .. } => Self::new(Code::TooLarge, message),
+            wire::Error::Cancelled => Self::new(Code::Cancelled, message),
+            wire::Error::Internal(_) => Self::new(Code::Internal, message),
         }
     }
 }
@@ -241,21 +241,21 @@ mod tests {
         let text = |place: &str| place.to_owned();
         let cases = [
             (
-                job::Error::invalid("handles[1].id", "empty"),
+                wire::Error::invalid("handles[1].id", "empty"),
                 422,
                 Some("handles[1].id"),
             ),
             (
-                job::Error::Json {
+                wire::Error::Json {
                     place: text("body.x"),
                     problem: text("unknown field"),
                 },
                 400,
                 Some("body.x"),
             ),
-            (job::Error::Precondition(text("no handles are set")), 409, None),
+            (wire::Error::Precondition(text("no handles are set")), 409, None),
             (
-                job::Error::TooLarge {
+                wire::Error::TooLarge {
                     what: "vertices",
                     seen: 9,
                     limit: 3,
@@ -263,9 +263,9 @@ mod tests {
                 413,
                 None,
             ),
-            (job::Error::Unimplemented(text("method SPATIAL_RBF")), 501, None),
-            (job::Error::Cancelled, 499, None),
-            (job::Error::Internal(text("a defect")), 500, None),
+            (wire::Error::Unimplemented(text("method SPATIAL_RBF")), 501, None),
+            (wire::Error::Cancelled, 499, None),
+            (wire::Error::Internal(text("a defect")), 500, None),
             (asset::Error::UnknownFormat { place: text("a.txt") }.into(), 400, None),
             (
                 asset::Error::TooLarge {

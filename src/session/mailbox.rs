@@ -9,8 +9,8 @@
 use super::outgoing::{Letter, Outgoing};
 use super::waiting::{Overlay, Waiting, fits, merge};
 use super::{Code, Config, Error, Metrics};
-use crate::job::{Settings, pb};
 use crate::progress::CancelFlag;
+use crate::wire::{DeformOptions, pb};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
@@ -59,7 +59,7 @@ pub(super) struct Mailbox {
 
 #[derive(Debug)]
 struct Books {
-    settings: Arc<Settings>,
+    settings: Arc<DeformOptions>,
     waiting: VecDeque<Waiting>,
     last_seq: Option<u64>,
     overlay: Overlay,
@@ -113,7 +113,7 @@ impl Books {
 
 impl Mailbox {
     pub fn new(session: &str, config: &Config, metrics: Arc<Metrics>, task: Arc<Notify>) -> Result<Self, Error> {
-        let settings = Settings::check(&pb::Options::default(), "options", config.window)?;
+        let settings = DeformOptions::check(&pb::Options::default(), "options", config.window)?;
         Ok(Self {
             session: session.to_owned(),
             books: Mutex::new(Books {
@@ -179,7 +179,7 @@ impl Mailbox {
                 self.task.notify_one();
             }
             Some(pb::deform_request::Message::Options(options)) => {
-                match Settings::check(&options, "options", self.max_window) {
+                match DeformOptions::check(&options, "options", self.max_window) {
                     Ok(settings) => {
                         books.settings = Arc::new(settings);
                         books.promote();

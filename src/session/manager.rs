@@ -15,9 +15,9 @@ use super::{
     Answer, Code, Config, Error, Exported, Metrics, OpenWorkbench, Opener, Positions, SolvedFrames, Stream, Tenant,
 };
 use crate::asset::{FileSet, Format};
-use crate::job::frames::{encode, f32_bytes};
-use crate::job::{Settings, pb};
 use crate::progress::CancelFlag;
+use crate::wire::{DeformOptions, pb};
+use crate::wire::{frames::encode, frames::f32_bytes};
 use prost::Message as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
@@ -250,7 +250,7 @@ impl Manager {
     ) -> Result<SolvedFrames, Error> {
         let session = self.find(tenant, &request.session_id)?;
         let options = request.options.unwrap_or_default();
-        let settings = Settings::check(&options, "options", self.shared.config.window)?;
+        let settings = DeformOptions::check(&options, "options", self.shared.config.window)?;
         let claim = match self.claim(tenant, key, "solve", &[&request.encode_to_vec()])? {
             Some(Claimed::Done(Stored::Solved {
                 frame,

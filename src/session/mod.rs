@@ -2,7 +2,7 @@
 //!
 //! Owns what lives between two requests: the registry of sessions, the task of each session, memory and compute budgets,
 //! idempotency keys, expiry. Knows nothing of transports: `server` translates and calls [`Manager`]. Deforms nothing:
-//! that is the job floor's [`Workbench`](crate::job::Workbench), behind [`Engine`].
+//! that is the job floor's [`Workbench`](crate::engine::Deformer), behind [`Engine`].
 //!
 //! One task owns each session and is the only one that touches its engine. Work moves the engine to the compute pool and back;
 //! everybody else reads a published view. So no lock is held across an await or a parallel section: the locks here

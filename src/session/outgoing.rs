@@ -1,7 +1,8 @@
 //! Frames on their way out: what is known of a frame before it is packed, and the packing as a transport pulls it.
 
-use crate::job::frames::{FrameRequest, Parts, Shading, encode};
-use crate::job::pb;
+use crate::engine::Shading;
+use crate::wire::pb;
+use crate::wire::{frames::FrameRequest, frames::Parts, frames::encode};
 use glam::{DVec3, Vec3};
 use std::collections::VecDeque;
 use std::sync::Arc;

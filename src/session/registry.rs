@@ -7,8 +7,9 @@ use super::mailbox::Mailbox;
 use super::requests::Command;
 use super::{Code, Config, Error, Tenant};
 use crate::asset::Format;
-use crate::job::{Poses, pb};
+use crate::engine::HandlePoses;
 use crate::progress::CancelFlag;
+use crate::wire::pb;
 use dashmap::DashMap;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -21,7 +22,7 @@ use tokio_util::sync::CancellationToken;
 pub(super) struct View {
     pub revision: u64,
     pub facts: Arc<pb::Session>,
-    pub poses: Poses,
+    pub poses: HandlePoses,
     pub build_ms: BTreeMap<String, f64>,
     pub positions: Arc<Vec<DVec3>>,
     pub digest: String,

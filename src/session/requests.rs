@@ -3,9 +3,10 @@
 use super::idempotency::Claim;
 use super::{Error, Exported, SolvedFrames};
 use crate::asset::{FileSet, Format};
-use crate::job::frames::FrameRequest;
-use crate::job::{Poses, Settings, pb};
+use crate::engine::HandlePoses;
 use crate::progress::CancelFlag;
+use crate::wire::frames::FrameRequest;
+use crate::wire::{DeformOptions, pb};
 use std::sync::Arc;
 use tokio::sync::oneshot;
 
@@ -13,7 +14,7 @@ use tokio::sync::oneshot;
 #[derive(Debug)]
 pub(super) enum Command {
     SetHandles(Change, Call<pb::Session>),
-    Solve(Box<(pb::Pose, Settings)>, Call<SolvedFrames>),
+    Solve(Box<(pb::Pose, DeformOptions)>, Call<SolvedFrames>),
     /// One commit forward or back.
     Step(Direction, Call<pb::Session>),
     Edit(Box<Edit>, Call<pb::EditResult>),
@@ -89,7 +90,7 @@ impl Change {
     ///
     /// # Errors
     /// `NOT_FOUND` when the handle to remove does not exist.
-    pub fn apply(self, current: &pb::SetHandlesRequest, poses: &Poses) -> Result<pb::SetHandlesRequest, Error> {
+    pub fn apply(self, current: &pb::SetHandlesRequest, poses: &HandlePoses) -> Result<pb::SetHandlesRequest, Error> {
         let kept = || {
             let mut next = current.clone();
             for (handle, pose) in next.handles.iter_mut().zip(poses.0.iter()) {
@@ -182,7 +183,7 @@ mod tests {
             ..Default::default()
         };
         // Since then, a was dragged and committed.
-        let poses = Poses(Arc::new(vec![
+        let poses = HandlePoses(Arc::new(vec![
             handle("a", Some(7.0)).pose.unwrap_or_default(),
             Default::default(),
         ]));

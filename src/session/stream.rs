@@ -5,8 +5,8 @@ use super::mailbox::Mailbox;
 use super::outgoing::{Letter, Packer};
 use super::registry::Session;
 use super::{Error, Metrics};
-use crate::job::frames::Parts;
-use crate::job::pb;
+use crate::wire::frames::Parts;
+use crate::wire::pb;
 use std::sync::Arc;
 
 /// One interactive deform stream. Dropping it stops its solve within one cycle and frees its place.

@@ -1,7 +1,7 @@
 //! Poses that wait on a stream: which are let in, and how many become few.
 
 use super::Error;
-use crate::job::{Settings, pb};
+use crate::wire::{DeformOptions, pb};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ pub(super) struct Waiting {
     pub entries: Vec<pb::pose::Entry>,
     pub commit: bool,
     /// The options in force when it came.
-    pub settings: Arc<Settings>,
+    pub settings: Arc<DeformOptions>,
     /// Poses that it stands for, itself included; more than one only when poses had to be merged.
     pub poses: u32,
 }

@@ -9,9 +9,10 @@ mod refusals;
 use bench::*;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits as ModelLimits, Model, shapes};
+use pliant::engine::{Deformer, EditCommand, EditOutcome, SolvedShape, digest};
 use pliant::exec::Exec;
-use pliant::job::{EditOrder, EditOutcome, Error, Solved, Workbench, frames::digest, pb};
 use pliant::progress::Silent;
+use pliant::wire::{Error, pb};
 use std::sync::Arc;
 
 use pb::edit_request::{Operation, cut, subdivide};
@@ -47,9 +48,9 @@ fn midpoint(region: Option<pb::Region>) -> pb::EditRequest {
 }
 
 /// Edits the shape that `shape` is, with the handles' own poses in force.
-fn edit(bench: &mut Workbench, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> Result<EditOutcome, Error> {
+fn edit(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> Result<EditOutcome, Error> {
     let poses = bench.initial_poses();
-    let order = EditOrder {
+    let order = EditCommand {
         request,
         shape,
         poses: &poses,
@@ -59,12 +60,12 @@ fn edit(bench: &mut Workbench, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>
     bench.edit(&order, &Exec::new(&pool(2), &Silent))
 }
 
-fn edited(bench: &mut Workbench, request: &pb::EditRequest) -> EditOutcome {
+fn edited(bench: &mut Deformer, request: &pb::EditRequest) -> EditOutcome {
     let rest = Arc::clone(bench.rest());
     edit(bench, request, &rest).expect("the edit can be done")
 }
 
-fn read_back(bench: &Workbench, format: Format) -> Model {
+fn read_back(bench: &Deformer, format: Format) -> Model {
     let written = bench.write(bench.rest(), format).expect("written");
     let files = FileSet::single("back", written.main);
     Model::read(files, Some(format), &ModelLimits::default()).expect("read back")
@@ -88,7 +89,7 @@ fn bar() -> Shape {
     (positions, triangles)
 }
 
-fn solved(bench: &mut Workbench, entries: &[(&str, pb::HandlePose)]) -> Solved {
+fn solved(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)]) -> SolvedShape {
     solve(bench, entries, 1e-8)
 }
 
@@ -175,7 +176,7 @@ fn on_the_rest_shape_poses_stay() {
         on: pb::edit_request::On::Rest.into(),
         ..midpoint(Some(half_space([1.0, 0.0, 0.0], 0.2)))
     };
-    let order = EditOrder {
+    let order = EditCommand {
         request: &request,
         shape: &shape,
         poses: &poses,
@@ -264,7 +265,7 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
         .enumerate()
         {
             let poses = bench.initial_poses();
-            let order = EditOrder {
+            let order = EditCommand {
                 request,
                 shape: &shape,
                 poses: &poses,

@@ -2,10 +2,11 @@
 
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
+use pliant::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode};
 use pliant::exec::Exec;
-use pliant::job::{EditOrder, Limits, Mode, Poses, Settings, Workbench, json, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::{DeformOptions, json, pb};
 use serde_json::json;
 use std::sync::Arc;
 
@@ -88,7 +89,7 @@ fn message<M: prost::Message + Default + prost::Name>(value: serde_json::Value) 
 }
 
 /// Longest side over shortest height of the triangles beyond the root, rising.
-fn aspects(bench: &Workbench, shape: &[DVec3], root: f64) -> Vec<f64> {
+fn aspects(bench: &Deformer, shape: &[DVec3], root: f64) -> Vec<f64> {
     let mut all: Vec<f64> = (bench.geometry().triangles.iter())
         .map(|t| t.map(|v| shape[v as usize]))
         .filter(|c| c.iter().all(|p| p.x > root))
@@ -107,10 +108,10 @@ fn aspects(bench: &Workbench, shape: &[DVec3], root: f64) -> Vec<f64> {
 /// Pulls step by step, remeshing after each or never.
 fn pull(tail: &Tail, remesh: bool) -> Pulled {
     let pool = Pool::new(2).expect("threads");
-    let mut bench = Workbench::open(
+    let mut bench = Deformer::open(
         tail.files.clone(),
         &Default::default(),
-        &Limits::default(),
+        &DeformerLimits::default(),
         &Exec::new(&pool, &Silent),
     )
     .expect("opens");
@@ -122,9 +123,9 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         .set_handles(&message(handles), &Exec::new(&pool, &Silent))
         .expect("the handles fit");
     let options: pb::Options = message(json!({"tolerance": 1e-5}));
-    let settings = Settings::check(&options, "options", 8).expect("valid");
+    let settings = DeformOptions::check(&options, "options", 8).expect("valid");
     let start = (tail.tip - tail.root) / tail.along.x;
-    let (mut length, mut poses): (f64, Poses) = (start, bench.initial_poses());
+    let (mut length, mut poses): (f64, HandlePoses) = (start, bench.initial_poses());
     let mut stretch = 0.0f64;
     let (mut shape, mut quality) = (Arc::clone(bench.rest()), pb::Quality::default());
     let (steps, factor) = tail.steps;
@@ -135,9 +136,13 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         let shift = tail.along * if remesh { by } else { length - start };
         let pose = json!({"handles": [{"id": "tip", "pose": {"translation": shift.to_array()}}]});
         poses = bench.posed(&poses, &message(pose)).expect("a pose");
-        let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(&pool, &Silent), &mut |_| {
-            true
-        });
+        let solved = bench.solve(
+            &poses,
+            &settings,
+            SolveMode::Commit,
+            &Exec::new(&pool, &Silent),
+            &mut |_| true,
+        );
         shape = solved.expect("solved").positions;
         quality = bench.quality(&shape, &pool);
         if !remesh {
@@ -146,7 +151,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         assert_eq!(quality.flipped_triangles, 0, "step {step}");
         stretch = stretch.max(quality.max_stretch);
         let request: pb::EditRequest = message(json!({"remesh": {"auto": true}}));
-        let order = EditOrder {
+        let order = EditCommand {
             request: &request,
             shape: &shape,
             poses: &poses,

@@ -8,10 +8,11 @@ mod sessions;
 use checks::Before;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
+use pliant::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode, digest};
 use pliant::exec::Exec;
-use pliant::job::{EditOrder, Limits, Mode, Poses, Settings, Workbench, frames::digest, json, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::{DeformOptions, json, pb};
 use script::{Draw, Seen};
 use serde_json::Value;
 use std::sync::Arc;
@@ -21,12 +22,12 @@ const EDITS: usize = 70;
 
 /// One run of edits and poses.
 struct Run {
-    bench: Workbench,
+    bench: Deformer,
     pool: Pool,
     draw: Draw,
-    poses: Poses,
+    poses: HandlePoses,
     shape: Arc<Vec<DVec3>>,
-    settings: Settings,
+    settings: DeformOptions,
     /// Above so many vertices the model is thinned out.
     most: usize,
     apart: bool,
@@ -41,10 +42,10 @@ struct Run {
 impl Run {
     fn new(files: FileSet, seed: u64, threads: usize, most: usize) -> Self {
         let pool = Pool::new(threads).expect("threads start");
-        let bench = Workbench::open(
+        let bench = Deformer::open(
             files,
             &Default::default(),
-            &Limits::default(),
+            &DeformerLimits::default(),
             &Exec::new(&pool, &Silent),
         )
         .expect("opens");
@@ -55,7 +56,7 @@ impl Run {
         let mut run = Self {
             poses: bench.initial_poses(),
             shape: Arc::clone(bench.rest()),
-            settings: Settings::check(&options, "options", 8).expect("valid options"),
+            settings: DeformOptions::check(&options, "options", 8).expect("valid options"),
             bench,
             pool,
             draw: Draw(seed),
@@ -94,7 +95,7 @@ impl Run {
         self.posed = false;
     }
 
-    /// Poses the last handle.
+    /// HandlePoses the last handle.
     fn pose(&mut self) {
         let Some(id) = self.bench.handles().handles.last().map(|h| h.id.clone()) else {
             return self.hold();
@@ -111,7 +112,7 @@ impl Run {
         let solved = self.bench.solve(
             &self.poses,
             &self.settings,
-            Mode::Commit,
+            SolveMode::Commit,
             &Exec::new(&self.pool, &Silent),
             &mut |_| true,
         );
@@ -131,7 +132,7 @@ impl Run {
             Arc::clone(&self.shape)
         };
         let before = Before::of(&self.bench, &shape);
-        let order = EditOrder {
+        let order = EditCommand {
             request: &request,
             shape: &self.shape,
             poses: &self.poses,

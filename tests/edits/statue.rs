@@ -5,10 +5,11 @@ use crate::support::khronos;
 
 use glam::DVec3;
 use pliant::asset::FileSet;
+use pliant::engine::{Deformer, DeformerLimits, SolveMode};
 use pliant::exec::Exec;
-use pliant::job::{Limits, Mode, Settings, Workbench, json, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::{DeformOptions, json, pb};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -65,19 +66,19 @@ fn deform(folder: &Path, model: &Path, job: &str) -> Value {
     report
 }
 
-fn open(path: &Path, pool: &Pool) -> Workbench {
+fn open(path: &Path, pool: &Pool) -> Deformer {
     let files = FileSet::single("statue.glb", std::fs::read(path).expect("written"));
-    Workbench::open(
+    Deformer::open(
         files,
         &Default::default(),
-        &Limits::default(),
+        &DeformerLimits::default(),
         &Exec::new(pool, &Silent),
     )
     .expect("opens again")
 }
 
 /// What holds of the statue as a file: two parts, the statue and its plinth, without a rim.
-fn whole(bench: &Workbench, name: &str) {
+fn whole(bench: &Deformer, name: &str) {
     let report = bench.report();
     let rims = report.boundary_loops.len();
     assert_eq!(
@@ -133,7 +134,7 @@ fn four_models_become_one_statue() {
 }
 
 /// The handles beyond a joint move what is on either side of it, and both sides alike where they meet.
-fn across(bench: &mut Workbench, pool: &Pool) {
+fn across(bench: &mut Deformer, pool: &Pool) {
     let text = std::fs::read(jobs().join("pose.json")).expect("the job");
     let job: pb::Job = json::from_json(&text).expect("a job");
     let request = pb::SetHandlesRequest {
@@ -143,7 +144,7 @@ fn across(bench: &mut Workbench, pool: &Pool) {
     bench
         .set_handles(&request, &Exec::new(pool, &Silent))
         .expect("the handles fit");
-    let settings = Settings::check(&job.options.unwrap_or_default(), "options", 8).expect("valid");
+    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", 8).expect("valid");
     let mut poses = bench.initial_poses();
     let mut last = None;
     for step in &job.steps[..2] {
@@ -153,9 +154,13 @@ fn across(bench: &mut Workbench, pool: &Pool) {
         poses = bench.posed(&poses, pose).expect("a pose");
         last = Some(
             bench
-                .solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
-                    true
-                })
+                .solve(
+                    &poses,
+                    &settings,
+                    SolveMode::Commit,
+                    &Exec::new(pool, &Silent),
+                    &mut |_| true,
+                )
                 .expect("solved"),
         );
     }

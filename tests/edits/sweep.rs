@@ -2,10 +2,11 @@
 
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Model};
+use pliant::engine::{Deformer, DeformerLimits, EditCommand, digest};
 use pliant::exec::Exec;
-use pliant::job::{EditOrder, Error, Limits, Workbench, frames::digest, json, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::{Error, json, pb};
 use serde_json::{Value, json};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -45,7 +46,7 @@ fn files_of(path: &Path) -> Option<FileSet> {
 }
 
 /// The edits of one model, each on what the one before it left.
-fn edits(bench: &Workbench, k: usize) -> Vec<(&'static str, Value)> {
+fn edits(bench: &Deformer, k: usize) -> Vec<(&'static str, Value)> {
     let rest = bench.rest();
     if bench.geometry().triangles.len() < SMALL {
         let split = json!({"subdivide": {"scheme": "MIDPOINT"}});
@@ -86,24 +87,24 @@ fn edits(bench: &Workbench, k: usize) -> Vec<(&'static str, Value)> {
     }
 }
 
-fn unreferenced(bench: &Workbench) -> usize {
+fn unreferenced(bench: &Deformer) -> usize {
     let mut used = vec![false; bench.rest().len()];
     let triangles = bench.geometry().triangles.iter();
     triangles.flatten().for_each(|&v| used[v as usize] = true);
     used.iter().filter(|u| !**u).count()
 }
 
-fn broken(bench: &Workbench) -> usize {
+fn broken(bench: &Deformer) -> usize {
     let report = bench.report();
     report.non_manifold_edges + report.non_manifold_vertices + report.winding_conflicts
 }
 
 /// One edit: what the table says, or what went wrong.
-fn one(bench: &mut Workbench, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &Pool) -> Result<String, String> {
+fn one(bench: &mut Deformer, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &Pool) -> Result<String, String> {
     let request: pb::EditRequest = json::from_json(edit.to_string().as_bytes()).map_err(|e| e.to_string())?;
     let poses = bench.initial_poses();
     let (idle, defects, was) = (unreferenced(bench), broken(bench), digest(bench.rest()));
-    let order = EditOrder {
+    let order = EditCommand {
         request: &request,
         shape,
         poses: &poses,
@@ -151,14 +152,14 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
         return ("cannot be read".into(), None);
     };
     let pool = Pool::new(1).expect("a thread");
-    let limits = Limits {
+    let limits = DeformerLimits {
         memory_bytes: 2 << 30,
         ..Default::default()
     };
     let mode = if files.main.len() > 1_200_000 { "OFF" } else { "AUTO" };
     let create: pb::CreateOptions =
         json::from_json(json!({"volumeGraph": {"mode": mode}}).to_string().as_bytes()).expect("options");
-    let mut bench = match Workbench::open(files, &create, &limits, &Exec::new(&pool, &Silent)) {
+    let mut bench = match Deformer::open(files, &create, &limits, &Exec::new(&pool, &Silent)) {
         Ok(bench) => bench,
         Err(e) => {
             let said = e.to_string();

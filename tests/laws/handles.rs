@@ -6,9 +6,10 @@ use bench::*;
 use glam::DVec3;
 use pliant::asset::shapes;
 use pliant::deform::exp_rotation;
+use pliant::engine::Deformer;
 use pliant::exec::Exec;
-use pliant::job::{Error, Workbench, pb};
 use pliant::progress::Silent;
+use pliant::wire::{Error, pb};
 
 /// A bar and, beside it, a ball that no handle holds.
 fn bar_and_ball() -> (Shape, usize) {
@@ -260,7 +261,7 @@ fn position_and_rotation_may_be_held_by_different_handles() {
 #[test]
 fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing() {
     let mut bench = bent_bar();
-    let refused = |bench: &mut Workbench, handles: Vec<pb::Handle>, place: &str| {
+    let refused = |bench: &mut Deformer, handles: Vec<pb::Handle>, place: &str| {
         let request = pb::SetHandlesRequest {
             handles,
             ..Default::default()

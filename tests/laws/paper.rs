@@ -6,10 +6,11 @@ use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
 use pliant::deform::{Body, BodyOptions, Hold, Request, Rig, Rigging, Start, State, Transform, exp_rotation, frames};
+use pliant::engine::{SolveMode, digest};
 use pliant::exec::Exec;
-use pliant::job::{Error, Mode, frames::digest, pb};
 use pliant::mesh::{Mesh, Weld};
 use pliant::progress::Silent;
+use pliant::wire::{Error, pb};
 
 /// Equation (8) recomputed in f64 from the graph, the frames and the positions alone.
 #[test]
@@ -351,7 +352,7 @@ fn the_bits_do_not_depend_on_threads_or_on_what_was_dragged_before() {
                 .solve(
                     &dragged,
                     &settings(1e-4),
-                    Mode::Drag,
+                    SolveMode::Drag,
                     &Exec::new(&pool(3), &Silent),
                     &mut |_| true,
                 )
@@ -378,7 +379,7 @@ fn cancelled_work_leaves_the_bench_usable() {
     let cancelled = bench.solve(
         &poses,
         &settings(1e-6),
-        Mode::Drag,
+        SolveMode::Drag,
         &Exec::new(&pool(2), &flag),
         &mut |_| true,
     );
@@ -387,7 +388,7 @@ fn cancelled_work_leaves_the_bench_usable() {
         .solve(
             &poses,
             &settings(1e-6),
-            Mode::Drag,
+            SolveMode::Drag,
             &Exec::new(&pool(2), &Silent),
             &mut |_| true,
         )
@@ -396,7 +397,7 @@ fn cancelled_work_leaves_the_bench_usable() {
         .solve(
             &poses,
             &settings(1e-6),
-            Mode::Commit,
+            SolveMode::Commit,
             &Exec::new(&pool(2), &Silent),
             &mut |_| true,
         )

@@ -5,35 +5,36 @@ use crate::support::bench;
 use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
+use pliant::engine::{Deformer, HandlePoses, SolveMode, SolvedShape, digest};
 use pliant::exec::Exec;
-use pliant::job::{Mode, Poses, Settings, Solved, Workbench, frames::digest, pb};
 use pliant::progress::Silent;
+use pliant::wire::{DeformOptions, pb};
 
-fn settings(refine: u32, smoothing: f64) -> Settings {
+fn settings(refine: u32, smoothing: f64) -> DeformOptions {
     let options = pb::Options {
         tolerance: 1e-6,
         refine: Some(refine),
         rotation_smoothing: smoothing,
         ..Default::default()
     };
-    Settings::check(&options, "options", 8).expect("valid options")
+    DeformOptions::check(&options, "options", 8).expect("valid options")
 }
 
-fn posed(bench: &Workbench, entries: &[(&str, pb::HandlePose)]) -> Poses {
+fn posed(bench: &Deformer, entries: &[(&str, pb::HandlePose)]) -> HandlePoses {
     bench
         .posed(&bench.initial_poses(), &pose(entries))
         .expect("a pose of these handles")
 }
 
-fn run(bench: &mut Workbench, poses: &Poses, settings: &Settings, mode: Mode) -> Solved {
+fn run(bench: &mut Deformer, poses: &HandlePoses, settings: &DeformOptions, mode: SolveMode) -> SolvedShape {
     bench
         .solve(poses, settings, mode, &Exec::new(&pool(2), &Silent), &mut |_| true)
         .expect("the pose solves")
 }
 
-fn refined(bench: &mut Workbench, entries: &[(&str, pb::HandlePose)], refine: u32) -> Vec<DVec3> {
+fn refined(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)], refine: u32) -> Vec<DVec3> {
     let poses = posed(bench, entries);
-    run(bench, &poses, &settings(refine, 0.0), Mode::Commit)
+    run(bench, &poses, &settings(refine, 0.0), SolveMode::Commit)
         .positions
         .to_vec()
 }
@@ -69,14 +70,14 @@ fn without_refinement_nothing_but_the_two_passes_happens() {
     let mut bench = bent_bar();
     let turned = [("top", turn(DVec3::new(0.0, 0.0, 1.0), DVec3::ZERO))];
     let poses = posed(&bench, &turned);
-    let plain = run(&mut bench, &poses, &settings(0, 0.0), Mode::Commit);
-    let smooth = run(&mut bench, &poses, &settings(0, 5.0), Mode::Commit);
+    let plain = run(&mut bench, &poses, &settings(0, 0.0), SolveMode::Commit);
+    let smooth = run(&mut bench, &poses, &settings(0, 5.0), SolveMode::Commit);
     assert_eq!(
         digest(&plain.positions),
         digest(&smooth.positions),
         "smoothing belongs to fits"
     );
-    let some = run(&mut bench, &poses, &settings(1, 0.0), Mode::Commit);
+    let some = run(&mut bench, &poses, &settings(1, 0.0), SolveMode::Commit);
     assert!(largest_distance(&plain.positions, &some.positions) > 1e-4);
 }
 
@@ -90,7 +91,7 @@ fn a_rigid_motion_stays_a_rigid_motion() {
     motion.translation = vec![0.3, -2.0, 0.7];
     for smoothing in [0.0, 2.0] {
         let poses = posed(&bench, &[("base", motion.clone()), ("top", motion.clone())]);
-        let now = run(&mut bench, &poses, &settings(6, smoothing), Mode::Commit);
+        let now = run(&mut bench, &poses, &settings(6, smoothing), SolveMode::Commit);
         let q = DQuat::from_scaled_axis(vector);
         let pivot = DVec3::new(1.0, 2.0, 3.0);
         let want: Vec<DVec3> = shape
@@ -163,8 +164,8 @@ fn smoothing_spreads_rotations_and_handles_keep_theirs() {
         }
         sum
     };
-    let plain = run(&mut bench, &poses, &settings(10, 0.0), Mode::Commit).positions;
-    let smooth = run(&mut bench, &poses, &settings(10, 4.0), Mode::Commit).positions;
+    let plain = run(&mut bench, &poses, &settings(10, 0.0), SolveMode::Commit).positions;
+    let smooth = run(&mut bench, &poses, &settings(10, 4.0), SolveMode::Commit).positions;
     assert!(
         bumpiness(&smooth) < bumpiness(&plain),
         "{} {}",
@@ -183,19 +184,19 @@ fn refined_commits_repeat_to_the_bit_whatever_was_dragged() {
     let mut bench = bent_bar();
     let end = [("top", shift(DVec3::new(1.5, 0.3, -0.5)))];
     let poses = posed(&bench, &end);
-    let first = run(&mut bench, &poses, &settings(4, 0.5), Mode::Commit);
+    let first = run(&mut bench, &poses, &settings(4, 0.5), SolveMode::Commit);
     for k in 1..6 {
         let on_the_way = posed(&bench, &[("top", shift(DVec3::new(0.4 * f64::from(k), 0.0, 0.2)))]);
-        run(&mut bench, &on_the_way, &settings(2, 0.0), Mode::Drag);
+        run(&mut bench, &on_the_way, &settings(2, 0.0), SolveMode::Drag);
     }
-    let again = run(&mut bench, &poses, &settings(4, 0.5), Mode::Commit);
+    let again = run(&mut bench, &poses, &settings(4, 0.5), SolveMode::Commit);
     assert_eq!(digest(&first.positions), digest(&again.positions));
     for threads in [1, 3] {
         let other = bench
             .solve(
                 &poses,
                 &settings(4, 0.5),
-                Mode::Commit,
+                SolveMode::Commit,
                 &Exec::new(&pool(threads), &Silent),
                 &mut |_| true,
             )
@@ -209,18 +210,18 @@ fn refined_commits_repeat_to_the_bit_whatever_was_dragged() {
 #[test]
 fn dragging_carries_refinement_on_without_pops() {
     let mut bench = bent_bar();
-    let pose_at = |bench: &Workbench, t: f64| posed(bench, &[("top", shift(DVec3::new(2.0 * t, 0.0, -0.6 * t)))]);
+    let pose_at = |bench: &Deformer, t: f64| posed(bench, &[("top", shift(DVec3::new(2.0 * t, 0.0, -0.6 * t)))]);
     let mut last: Option<Vec<DVec3>> = None;
     let frames = 40;
     let step = 2.1 / f64::from(frames);
     for k in 1..=frames {
         let poses = pose_at(&bench, f64::from(k) / f64::from(frames));
-        let mut cut = |now: &pliant::job::Watch<'_>| k % 3 != 0 || now.refined == 0;
+        let mut cut = |now: &pliant::engine::SolveUpdate<'_>| k % 3 != 0 || now.refined == 0;
         let solved = bench
             .solve(
                 &poses,
                 &settings(2, 0.0),
-                Mode::Drag,
+                SolveMode::Drag,
                 &Exec::new(&pool(2), &Silent),
                 &mut cut,
             )
@@ -235,12 +236,12 @@ fn dragging_carries_refinement_on_without_pops() {
     let poses = pose_at(&bench, 1.0);
     let mut jumps = Vec::new();
     for _ in 0..15 {
-        let solved = run(&mut bench, &poses, &settings(2, 0.0), Mode::Drag);
+        let solved = run(&mut bench, &poses, &settings(2, 0.0), SolveMode::Drag);
         jumps.push(largest_distance(&solved.positions, last.as_ref().unwrap()));
         last = Some(solved.positions.to_vec());
     }
     assert!(jumps[14] < 0.01, "still moving: {jumps:?}");
-    let commit = run(&mut bench, &poses, &settings(20, 0.0), Mode::Commit);
+    let commit = run(&mut bench, &poses, &settings(20, 0.0), SolveMode::Commit);
     let pop = largest_distance(&commit.positions, last.as_ref().unwrap());
     assert!(pop < 0.06, "the commit is {pop} away from the last frame");
 }

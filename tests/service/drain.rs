@@ -1,7 +1,7 @@
 //! Ends: of the server, with streams, silent connections and work under way; and of work whose client is gone.
 
 use crate::support::server::*;
-use pliant::job::pb::{self, deform_request, deform_response};
+use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::Value;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::process::{Child, Command, Stdio};

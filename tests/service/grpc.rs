@@ -5,7 +5,7 @@ mod around;
 use crate::support::server::*;
 use bytes::Bytes;
 use futures::StreamExt as _;
-use pliant::job::pb::{self, create_session_request::Message as Upload};
+use pliant::wire::pb::{self, create_session_request::Message as Upload};
 use tonic::{Code, Request};
 use tonic_types::StatusExt as _;
 

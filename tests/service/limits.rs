@@ -211,15 +211,15 @@ async fn ranges_of_requests_are_kept() {
             .socket(&format!("/v1/sessions/{id}/stream"))
             .await
             .expect("a socket");
-        let options = pliant::job::pb::Options {
+        let options = pliant::wire::pb::Options {
             window,
             ..Default::default()
         };
         socket
-            .send(pliant::job::pb::deform_request::Message::Options(options))
+            .send(pliant::wire::pb::deform_request::Message::Options(options))
             .await;
         socket
-            .send(pliant::job::pb::deform_request::Message::Pose(turned(1, 0.1, false)))
+            .send(pliant::wire::pb::deform_request::Message::Pose(turned(1, 0.1, false)))
             .await;
         let told = match socket.next().await {
             Came::Response(response) => format!("{response:?}").contains("window"),

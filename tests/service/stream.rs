@@ -4,7 +4,7 @@ mod sockets;
 
 use crate::support::process::{memory, runs_alone};
 use crate::support::server::*;
-use pliant::job::pb::{self, deform_request, deform_response};
+use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::time::Duration;

@@ -2,12 +2,14 @@
 
 use glam::DVec3;
 use pliant::asset::FileSet;
+use pliant::batch::pose_steps;
 use pliant::deform::{Body, Rig, Transform};
+use pliant::engine::{Deformer, DeformerLimits};
 use pliant::exec::Exec;
-use pliant::job::{Limits, Workbench, json, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{Constraints, Graph, Hierarchy, System};
+use pliant::wire::{json, pb};
 use std::path::{Path, PathBuf};
 
 use crate::shapes;
@@ -26,7 +28,7 @@ pub struct Pose {
 /// A model with its handles, and the equations of two poses over all nodes.
 pub struct Rung {
     pub name: &'static str,
-    bench: Workbench,
+    bench: Deformer,
     pub stiffness: Option<Vec<f64>>,
     /// Diagonal of the model's box in solving units.
     pub diagonal: f64,
@@ -39,7 +41,7 @@ impl Rung {
     fn open(name: &'static str, files: FileSet, job: &pb::Job) -> Rung {
         let pool = Pool::new(2).unwrap();
         let create = job.create.clone().unwrap_or_default();
-        let mut bench = Workbench::open(files, &create, &Limits::default(), &Exec::new(&pool, &Silent)).unwrap();
+        let mut bench = Deformer::open(files, &create, &DeformerLimits::default(), &Exec::new(&pool, &Silent)).unwrap();
         let request = pb::SetHandlesRequest {
             handles: job.handles.clone(),
             ..Default::default()

@@ -2,10 +2,11 @@
 
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
+use pliant::engine::{Deformer, DeformerLimits, SolveMode, SolvedShape};
 use pliant::exec::Exec;
-use pliant::job::{Error, Limits, Mode, Settings, Solved, Workbench, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::{DeformOptions, Error, pb};
 
 pub type Shape = (Vec<DVec3>, Vec<[u32; 3]>);
 
@@ -24,11 +25,17 @@ pub fn obj((positions, triangles): &Shape) -> FileSet {
     FileSet::single("shape.obj", text)
 }
 
-pub fn bench_with(shape: &Shape, create: &pb::CreateOptions, pool: &Pool) -> Workbench {
-    Workbench::open(obj(shape), create, &Limits::default(), &Exec::new(pool, &Silent)).expect("the shape opens")
+pub fn bench_with(shape: &Shape, create: &pb::CreateOptions, pool: &Pool) -> Deformer {
+    Deformer::open(
+        obj(shape),
+        create,
+        &DeformerLimits::default(),
+        &Exec::new(pool, &Silent),
+    )
+    .expect("the shape opens")
 }
 
-pub fn bench(shape: &Shape) -> Workbench {
+pub fn bench(shape: &Shape) -> Deformer {
     bench_with(shape, &pb::CreateOptions::default(), &pool(2))
 }
 
@@ -58,7 +65,7 @@ pub fn handle(id: &str, region: pb::Region) -> pb::Handle {
     }
 }
 
-pub fn set(bench: &mut Workbench, handles: Vec<pb::Handle>) {
+pub fn set(bench: &mut Deformer, handles: Vec<pb::Handle>) {
     let request = pb::SetHandlesRequest {
         handles,
         ..Default::default()
@@ -68,8 +75,8 @@ pub fn set(bench: &mut Workbench, handles: Vec<pb::Handle>) {
         .expect("the handles fit");
 }
 
-pub fn settings(tolerance: f64) -> Settings {
-    Settings::check(
+pub fn settings(tolerance: f64) -> DeformOptions {
+    DeformOptions::check(
         &pb::Options {
             tolerance,
             // The paper's two passes.
@@ -93,18 +100,18 @@ pub fn pose(entries: &[(&str, pb::HandlePose)]) -> pb::Pose {
     }
 }
 
-pub fn try_solve(bench: &mut Workbench, pose: &pb::Pose, tolerance: f64, threads: usize) -> Result<Solved, Error> {
+pub fn try_solve(bench: &mut Deformer, pose: &pb::Pose, tolerance: f64, threads: usize) -> Result<SolvedShape, Error> {
     let poses = bench.posed(&bench.initial_poses(), pose)?;
     bench.solve(
         &poses,
         &settings(tolerance),
-        Mode::Commit,
+        SolveMode::Commit,
         &Exec::new(&pool(threads), &Silent),
         &mut |_| true,
     )
 }
 
-pub fn solve(bench: &mut Workbench, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> Solved {
+pub fn solve(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> SolvedShape {
     try_solve(bench, &pose(entries), tolerance, 2).expect("the pose solves")
 }
 
@@ -137,7 +144,7 @@ pub fn bar() -> Shape {
     )
 }
 
-pub fn bent_bar() -> Workbench {
+pub fn bent_bar() -> Deformer {
     let mut bench = bench(&bar());
     set(
         &mut bench,

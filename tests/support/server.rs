@@ -3,10 +3,10 @@
 use bytes::Bytes;
 use futures::{SinkExt as _, StreamExt as _};
 use pliant::asset::shapes;
-use pliant::job::pb;
 use pliant::server::grpc::client::DeformerClient;
 use pliant::server::{self, ServerConfig};
 use pliant::session::{self, Manager};
+use pliant::wire::pb;
 use prost::Message as _;
 use serde_json::{Value, json};
 use std::future::Future;
@@ -244,7 +244,7 @@ pub fn ends() -> Value {
 /// The bar's ends as handles, as messages.
 pub fn end_handles() -> Vec<pb::Handle> {
     let request: pb::SetHandlesRequest =
-        pliant::job::json::from_json(json!({"handles": ends()}).to_string().as_bytes()).expect("handles");
+        pliant::wire::json::from_json(json!({"handles": ends()}).to_string().as_bytes()).expect("handles");
     request.handles
 }
 

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in README.md.
-const FLOORS: [(&str, u8); 16] = [
+/// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in deploy/docs/architecture.md.
+const FLOORS: [(&str, u8); 18] = [
     ("mesh", 0),
     ("asset", 0),
     ("pool", 0),
@@ -20,7 +20,9 @@ const FLOORS: [(&str, u8); 16] = [
     ("render", 1),
     ("deform", 2),
     ("edit", 2),
-    ("job", 3),
+    ("engine", 3),
+    ("wire", 3),
+    ("batch", 4),
     ("session", 4),
     ("check", 4),
     ("server", 5),
@@ -34,10 +36,10 @@ const CRATES: [(&str, &[&str]); 1] = [("solver", &["pool", "progress", "exec"])]
 /// Names that floors 0 to 3 must not use outside tests, and what to do instead.
 const FOREIGN: [(&str, &str); 22] = [
     ("tokio", "floors 0 to 3 are synchronous; await in session or above"),
-    ("tonic", "transports are server's; take and return messages of job::pb"),
-    ("axum", "transports are server's; take and return messages of job::pb"),
-    ("hyper", "transports are server's; take and return messages of job::pb"),
-    ("tower", "transports are server's; take and return messages of job::pb"),
+    ("tonic", "transports are server's; take and return messages of wire::pb"),
+    ("axum", "transports are server's; take and return messages of wire::pb"),
+    ("hyper", "transports are server's; take and return messages of wire::pb"),
+    ("tower", "transports are server's; take and return messages of wire::pb"),
     ("futures", "floors 0 to 3 are synchronous; await in session or above"),
     (
         "tracing",
@@ -45,11 +47,11 @@ const FOREIGN: [(&str, &str); 22] = [
     ),
     (
         "Instant",
-        "engines read no clock; let the caller pass one in, as job::run does",
+        "engines read no clock; let the caller pass one in, as batch::run does",
     ),
     (
         "SystemTime",
-        "engines read no clock; let the caller pass one in, as job::run does",
+        "engines read no clock; let the caller pass one in, as batch::run does",
     ),
     (
         "std::net",
@@ -441,7 +443,7 @@ fn every_module_has_a_floor() {
     let mut problems = Vec::new();
     for module in &modules {
         if floor(module).is_none() {
-            problems.push(format!("src/{module} has no floor: add it to FLOORS in tests/tools/floors.rs, to the table in src/lib.rs and to README.md"));
+            problems.push(format!("src/{module} has no floor: add it to FLOORS in tests/tools/floors.rs, to the table in src/lib.rs and to deploy/docs/architecture.md"));
         }
     }
     for (module, _) in FLOORS {
@@ -571,7 +573,7 @@ fn the_scanner_sees_every_way_to_name_a_module() {
         use crate::{mesh::{Mesh, weld}, pool, progress::Progress as P};
         use super::super::graph::Graph;
         /* crate::server /* nested */ crate::server */
-        fn f<'a>(x: &'a str) -> char { let _ = "crate::session"; let _ = r#"crate::"cli" "#; let q = '"'; crate::job::run(x); q }
+        fn f<'a>(x: &'a str) -> char { let _ = "crate::session"; let _ = r#"crate::"cli" "#; let q = '"'; crate::batch::run(x); q }
         mod inner { use super::neighbour; use super::super::super::solver; }
         #[cfg(test)]
         mod tests { use std::time::Instant; fn g() { println!("{}", 'x'); } }
@@ -588,7 +590,7 @@ fn the_scanner_sees_every_way_to_name_a_module() {
         "crate::pool",
         "crate::progress::Progress",
         "crate::graph::Graph",
-        "crate::job::run",
+        "crate::batch::run",
         "crate::deform::rig::neighbour",
         "crate::solver",
         "std::time::Instant::now",

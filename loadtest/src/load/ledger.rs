@@ -1,6 +1,6 @@
 //! What was sent and what came back.
 
-use pliant::job::pb;
+use pliant::wire::pb;
 use std::time::Duration;
 
 /// A pose ledger counts what one client, or several together, sent and got back.

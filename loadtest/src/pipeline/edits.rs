@@ -8,13 +8,14 @@ use crate::shared::measurements::Measurements;
 use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use crate::shared::timing::RunTimes;
 use pliant::asset::FileSet;
+use pliant::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode, TopologyState};
 use pliant::exec::Exec;
-use pliant::job::frames::{FrameRequest, encode};
-use pliant::job::pb::edit_request::{Delete, Operation, Remesh};
-use pliant::job::{EditOrder, Error, Limits, Mode, Poses, Settings, Trail, Workbench, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
+use pliant::wire::pb::edit_request::{Delete, Operation, Remesh};
+use pliant::wire::{DeformOptions, Error, pb};
+use pliant::wire::{frames::FrameRequest, frames::encode};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -71,10 +72,10 @@ enum BenchedEdit {
 
 /// An edit bench holds a deformer in the state that is edited, again and again.
 struct EditBench<'a> {
-    bench: Workbench,
-    trail: Trail,
+    bench: Deformer,
+    trail: TopologyState,
     handles: pb::SetHandlesRequest,
-    poses: Poses,
+    poses: HandlePoses,
     shape: Arc<Vec<glam::DVec3>>,
     request: pb::EditRequest,
     pull: pb::Pose,
@@ -192,10 +193,10 @@ fn open_edit_bench<'a>(
     scene: &DragScene,
     pool: &'a Pool,
 ) -> Result<(EditBench<'a>, usize), Error> {
-    let mut bench = Workbench::open(
+    let mut bench = Deformer::open(
         files,
         &pb::CreateOptions::default(),
-        &Limits::default(),
+        &DeformerLimits::default(),
         &Exec::new(pool, &Silent),
     )?;
     let handles = pb::SetHandlesRequest {
@@ -207,10 +208,14 @@ fn open_edit_bench<'a>(
     let mut shape = Arc::clone(bench.rest());
     if !args.at_rest {
         poses = bench.posed(&poses, &scene.pose_number(FARTHEST_POSE / 2))?;
-        let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
-        let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
-            true
-        })?;
+        let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
+        let solved = bench.solve(
+            &poses,
+            &settings,
+            SolveMode::Commit,
+            &Exec::new(pool, &Silent),
+            &mut |_| true,
+        )?;
         shape = solved.positions;
     }
     let (sphere, region) = sphere_around_middle(&shape, args.region as usize);
@@ -275,11 +280,11 @@ impl EditBench<'_> {
         bench.retrace(&self.trail, &Exec::new(pool, &Silent))?;
         bench.set_handles(&self.handles, &Exec::new(pool, &Silent))?;
         if !Arc::ptr_eq(&self.shape, bench.rest()) {
-            let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+            let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
             self.shape = (bench.solve(
                 &self.poses,
                 &settings,
-                Mode::Commit,
+                SolveMode::Commit,
                 &Exec::new(pool, &Silent),
                 &mut |_| true,
             )?)
@@ -290,7 +295,7 @@ impl EditBench<'_> {
             true => Arc::clone(&self.shape),
             false => Arc::new(self.shape.as_ref().clone()),
         };
-        let order = EditOrder {
+        let order = EditCommand {
             request: &self.request,
             shape: &shape,
             poses: &self.poses,
@@ -303,9 +308,15 @@ impl EditBench<'_> {
         stages.begin_stage("edit");
         let outcome = bench.edit(&order, &Exec::new(pool, &stages))?;
         stages.begin_stage("solve");
-        let settings = Settings::check(&pb::Options::default(), "options", u32::MAX)?;
+        let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?;
         let poses = bench.posed(&outcome.poses, &self.pull)?;
-        let solved = bench.solve(&poses, &settings, Mode::Drag, &Exec::new(pool, &Silent), &mut |_| true)?;
+        let solved = bench.solve(
+            &poses,
+            &settings,
+            SolveMode::Drag,
+            &Exec::new(pool, &Silent),
+            &mut |_| true,
+        )?;
         stages.begin_stage("encode");
         let parts = encode(FrameRequest {
             header: pb::Frame::default(),

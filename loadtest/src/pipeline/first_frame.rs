@@ -7,12 +7,14 @@ use crate::shared::measurements::Measurements;
 use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use crate::shared::timing::{RunTimes, time_once};
 use pliant::asset::FileSet;
+use pliant::batch::pose_steps;
+use pliant::engine::{Deformer, DeformerLimits, SolveMode};
 use pliant::exec::Exec;
-use pliant::job::frames::{FrameRequest, encode};
-use pliant::job::{Limits, Mode, Settings, Workbench, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
+use pliant::wire::{DeformOptions, pb};
+use pliant::wire::{frames::FrameRequest, frames::encode};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -134,13 +136,13 @@ fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
 }
 
 /// Runs everything from files to the bytes of the first frame.
-fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun, pliant::job::Error> {
-    let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun, pliant::wire::Error> {
+    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     let start = Instant::now();
     let millis = || start.elapsed().as_secs_f64() * 1e3;
     let stages = StageClock::new(&millis, &Silent);
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Workbench::open(files, &create, &Limits::default(), &Exec::new(pool, &stages))?;
+    let mut bench = Deformer::open(files, &create, &DeformerLimits::default(), &Exec::new(pool, &stages))?;
     // Regions are resolved before the stage tells that it begins.
     stages.begin_stage("fields");
     let request = pb::SetHandlesRequest {
@@ -155,9 +157,13 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
         poses = bench.posed(&poses, &pose)?;
     }
     stages.begin_stage("solve");
-    let solved = bench.solve(&poses, &settings, Mode::Commit, &Exec::new(pool, &Silent), &mut |_| {
-        true
-    })?;
+    let solved = bench.solve(
+        &poses,
+        &settings,
+        SolveMode::Commit,
+        &Exec::new(pool, &Silent),
+        &mut |_| true,
+    )?;
     stages.begin_stage("encode");
     let parts = encode(FrameRequest {
         header: pb::Frame::default(),

@@ -2,7 +2,7 @@
 
 use crate::failure::LoadtestFailure;
 use pliant::asset::{FileSet, Limits, Model, sample};
-use pliant::job::pb;
+use pliant::wire::pb;
 use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::Arc;

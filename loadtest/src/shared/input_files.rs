@@ -2,7 +2,8 @@
 
 use crate::failure::LoadtestFailure;
 use pliant::asset::FileSet;
-use pliant::job::{self, pb};
+use pliant::wire;
+use pliant::wire::pb;
 use std::path::Path;
 
 /// Reads a model of one file.
@@ -13,7 +14,7 @@ pub(crate) fn read_model_file(path: &Path) -> Result<FileSet, LoadtestFailure> {
 
 /// Reads a job.
 pub(crate) fn read_job_file(path: &Path) -> Result<pb::Job, LoadtestFailure> {
-    job::json::from_json(&read_file(path)?).map_err(|e| LoadtestFailure::Usage(format!("{}: {e}", path.display())))
+    wire::json::from_json(&read_file(path)?).map_err(|e| LoadtestFailure::Usage(format!("{}: {e}", path.display())))
 }
 
 fn read_file(path: &Path) -> Result<Vec<u8>, LoadtestFailure> {

@@ -7,8 +7,9 @@
 use crate::failure::LoadtestFailure;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
+use pliant::batch;
+use pliant::engine;
 use pliant::exec::Exec;
-use pliant::job::{self, pb};
 use pliant::mesh::{Bounds, Mesh, Weld, self_intersections};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -16,6 +17,7 @@ use pliant::render::{
     Camera, ColourKey, ColourRamp, Picture, PictureSize, Rgb, STRETCH_RANGE, ShadedSurface, UpAxis, ViewDirection,
     draw_surface, edge_stretch,
 };
+use pliant::wire::pb;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -222,8 +224,8 @@ fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Deformed
     let mesh = Mesh::build(&model.positions, &model.triangles, Weld::Exact).map_err(|e| text(&e))?;
     let bounds = mesh.bounds();
     let job = automatic_job(&bounds, args.refine);
-    let limits = job::Limits::default();
-    let outcome = job::run(
+    let limits = engine::DeformerLimits::default();
+    let outcome = batch::run(
         model.files.clone(),
         &job,
         None,

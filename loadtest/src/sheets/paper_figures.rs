@@ -4,11 +4,13 @@
 use crate::failure::LoadtestFailure;
 use glam::{DQuat, DVec3};
 use pliant::asset::{FileSet, shapes};
+use pliant::batch;
+use pliant::engine;
 use pliant::exec::Exec;
-use pliant::job::{self, pb};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::render::{Camera, Picture, PictureSize, Rgb, ShadedSurface, UpAxis, ViewDirection, draw_surface};
+use pliant::wire::pb;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::fs;
@@ -91,9 +93,9 @@ fn make(figure: &Figure, folder: &Path, pool: &Pool) -> Result<String, LoadtestF
             ..Default::default()
         };
         let files = FileSet::single("shape.obj", obj(&figure.shape.0, &figure.shape.1));
-        let limits = job::Limits::default();
+        let limits = engine::DeformerLimits::default();
         let outcome =
-            job::run(files, &job, None, &limits, &Exec::new(pool, &Silent), &|| 0.0).map_err(|e| failed(&e))?;
+            batch::run(files, &job, None, &limits, &Exec::new(pool, &Silent), &|| 0.0).map_err(|e| failed(&e))?;
         let quality = outcome.report.quality.unwrap_or_default();
         let judged = (figure.judge)(&outcome.positions);
         let _ = writeln!(

@@ -7,11 +7,13 @@ use crate::failure::LoadtestFailure;
 use crate::shared::input_files::{read_job_file, read_model_file};
 use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use glam::DVec3;
+use pliant::batch::pose_steps;
 use pliant::deform::{Body, Equations, Rig, Transform};
+use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
 use pliant::exec::Exec;
-use pliant::job::{Limits, Poses, Workbench, pb, pose_steps};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::pb;
 use std::path::PathBuf;
 
 /// Largest displacement of a handle from the first pose to the second, as a fraction of the diagonal.
@@ -42,8 +44,8 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
     let pool = Pool::new(0).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
     let job = read_job_file(&args.job)?;
     let model = subdivide_model(read_model_file(&args.model)?, args.subdivide)?;
-    let refuse = |e: pliant::job::Error| match e {
-        pliant::job::Error::Asset(e) => LoadtestFailure::Usage(e.to_string()),
+    let refuse = |e: pliant::wire::Error| match e {
+        pliant::wire::Error::Asset(e) => LoadtestFailure::Usage(e.to_string()),
         e => LoadtestFailure::Usage(format!("{}: {e}", args.job.display())),
     };
     let (bench, poses) = open_posed(model, &job, &pool).map_err(refuse)?;
@@ -71,9 +73,9 @@ fn open_posed(
     model: pliant::asset::FileSet,
     job: &pb::Job,
     pool: &Pool,
-) -> Result<(Workbench, Poses), pliant::job::Error> {
+) -> Result<(Deformer, HandlePoses), pliant::wire::Error> {
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Workbench::open(model, &create, &Limits::default(), &Exec::new(pool, &Silent))?;
+    let mut bench = Deformer::open(model, &create, &DeformerLimits::default(), &Exec::new(pool, &Silent))?;
     let request = pb::SetHandlesRequest {
         handles: job.handles.clone(),
         symmetry_plane: job.symmetry_plane.clone(),
@@ -217,8 +219,8 @@ pub(super) mod tests {
         {"id": "tail", "region": {"sphere": {"center": [-1.0, 1.06, 0], "radius": 0.16}}, "stiffness": 0.5,
          "pose": {"translation": [0, 0.2, 0]}}]}"#;
 
-    fn bench(pool: &Pool) -> (Workbench, Vec<Transform>) {
-        let job: pb::Job = pliant::job::json::from_json(JOB.as_bytes()).unwrap();
+    fn bench(pool: &Pool) -> (Deformer, Vec<Transform>) {
+        let job: pb::Job = pliant::wire::json::from_json(JOB.as_bytes()).unwrap();
         let files = FileSet::single("creature.glb", sample::creature_glb());
         let (bench, poses) = open_posed(files, &job, pool).unwrap();
         let transforms = bench.transforms(&poses).unwrap();

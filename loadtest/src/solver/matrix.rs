@@ -191,9 +191,7 @@ impl CompressedRows {
                     continue;
                 }
                 if v >= 0.0 {
-                    return Err(format!(
-                        "entry ({i}, {j}) is {v}, a graph Laplacian's are negative"
-                    ));
+                    return Err(format!("entry ({i}, {j}) is {v}, a graph Laplacian's are negative"));
                 }
                 sum -= v;
                 uniform &= v == -1.0;

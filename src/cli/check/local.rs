@@ -1,11 +1,13 @@
 //! A case in process.
 
 use crate::asset::FileSet;
+use crate::batch;
 use crate::check::{CaseResult, Metric};
+use crate::engine::DeformerLimits;
 use crate::exec::Exec;
-use crate::job::{self, Limits, pb};
 use crate::pool::Pool;
 use crate::progress::Silent;
+use crate::wire::pb;
 
 /// Runs a job on a model. The shape before is the caller's to add.
 ///
@@ -13,11 +15,11 @@ use crate::progress::Silent;
 /// Why it cannot be run.
 pub(super) fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<CaseResult, String> {
     let no_clock = || 0.0;
-    let done = job::run(
+    let done = batch::run(
         files,
         job,
         None,
-        &Limits::default(),
+        &DeformerLimits::default(),
         &Exec::new(pool, &Silent),
         &no_clock,
     )

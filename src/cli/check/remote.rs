@@ -2,8 +2,9 @@
 
 use super::http::{HttpAnswer, HttpCall, HttpClient};
 use crate::asset::{self, FileSet, Model};
+use crate::batch;
 use crate::check::{CaseResult, Metric};
-use crate::job::{self, pb};
+use crate::wire::{self, pb};
 use bytes::Bytes;
 use glam::DVec3;
 use http::{HeaderMap, Method};
@@ -27,7 +28,7 @@ pub(super) fn ask_limits(client: &HttpClient) -> Result<(), String> {
 /// # Errors
 /// Why it cannot be run, with the server's words.
 pub(super) fn run_on_server(client: &HttpClient, files: &FileSet, job: &pb::Job) -> Result<CaseResult, String> {
-    let create = job::json::to_json(&job.create.clone().unwrap_or_default()).map_err(|e| e.to_string())?;
+    let create = wire::json::to_json(&job.create.clone().unwrap_or_default()).map_err(|e| e.to_string())?;
     let options = utf8_percent_encode(&create.to_string(), NON_ALPHANUMERIC).to_string();
     let (content_type, body) = session_body(files);
     let session = client.send(&HttpCall {
@@ -74,7 +75,7 @@ impl RemoteSession<'_> {
         accept: &str,
         message: &M,
     ) -> Result<HttpAnswer, String> {
-        let body = job::json::to_json(message).map_err(|e| e.to_string())?;
+        let body = wire::json::to_json(message).map_err(|e| e.to_string())?;
         self.send_below(method, below, accept, body.to_string().into())
     }
 
@@ -149,7 +150,7 @@ impl RemoteSession<'_> {
             digest: found.digest.clone(),
             ..Default::default()
         };
-        found.unmet = job::expectations(job.expect.as_ref(), &report).0;
+        found.unmet = batch::unmet_expectations(job.expect.as_ref(), &report).0;
         Ok(found)
     }
 
@@ -170,7 +171,7 @@ enum RemoteStep {
     Edit(pb::EditRequest),
 }
 
-/// Lists the steps as [`job::run`] does them: without steps the poses that the handles come with are one.
+/// Lists the steps as [`batch::run`] does them: without steps the poses that the handles come with are one.
 fn remote_steps(job: &pb::Job) -> Vec<RemoteStep> {
     if job.steps.is_empty() && job.handles.iter().any(|h| h.pose.is_some()) {
         return vec![RemoteStep::Pose(pb::Pose::default())];

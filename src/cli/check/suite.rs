@@ -5,7 +5,7 @@ use crate::check::{CASE_SUFFIX, GOLDEN_SUFFIX, Golden, JobSource, ModelSource, S
 use crate::cli::failure::CliFailure;
 use crate::cli::job_file::{read_job, read_merged_models};
 use crate::cli::model_files::{read_file, read_model};
-use crate::job::pb;
+use crate::wire::pb;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};

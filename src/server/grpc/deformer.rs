@@ -1,14 +1,14 @@
 //! The calls of `pliant.v1.Deformer`.
 
+use super::services::deformer_server::Deformer;
 use super::status::status;
 use super::stream;
 use super::upload;
-use super::wire::deformer_server::Deformer;
 use crate::asset::Format;
-use crate::job::pb;
 use crate::server::auth;
 use crate::server::state::State;
 use crate::session::{Error, Tenant};
+use crate::wire::pb;
 use bytes::Bytes;
 use futures::Stream;
 use std::pin::Pin;

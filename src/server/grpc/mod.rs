@@ -9,24 +9,25 @@ mod stream;
 mod upload;
 
 /// Generated from the schema.
-mod wire {
+mod services {
     #![allow(missing_docs, clippy::all)]
     include!(concat!(env!("OUT_DIR"), "/services/pliant.v1.rs"));
 }
 
 /// The generated client.
 pub mod client {
-    pub use super::wire::deformer_client::DeformerClient;
+    pub use super::services::deformer_client::DeformerClient;
 }
 
 use super::state::State;
-use crate::job::{self, pb};
+use crate::wire;
+use crate::wire::pb;
 use axum::body::Body;
 use http::{Request, Response};
+use services::deformer_server::DeformerServer;
 use std::convert::Infallible;
 use tonic_health::ServingStatus;
 use tower::{Layer as _, ServiceExt as _};
-use wire::deformer_server::DeformerServer;
 
 /// The name under which health is reported, beside the empty name of the whole server.
 const SERVICE: &str = "pliant.v1.Deformer";
@@ -59,7 +60,7 @@ impl Grpc {
             routes = routes.add_service(configure().build_v1().map_err(|e| e.to_string())?);
             routes = routes.add_service(configure().build_v1alpha().map_err(|e| e.to_string())?);
         }
-        let names = job::json::descriptors().map_err(|e| e.to_string())?.services();
+        let names = wire::json::descriptors().map_err(|e| e.to_string())?.services();
         let known = names
             .flat_map(|service| {
                 service

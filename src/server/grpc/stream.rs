@@ -5,9 +5,9 @@
 //! fast as HTTP/2 lets it. Dropping the body (the client left, or its deadline passed) drops both.
 
 use super::status::status;
-use crate::job::pb::{self, deform_response};
 use crate::server::state::State;
 use crate::session::{Code, Error, StreamInput, StreamOutput, Tenant};
+use crate::wire::pb::{self, deform_response};
 use futures::Stream;
 use tokio::sync::oneshot;
 use tokio_util::task::AbortOnDropHandle;

@@ -2,10 +2,10 @@
 
 use super::status::status;
 use crate::asset::FileSet;
-use crate::job::pb::{self, create_session_request::Message};
 use crate::server::state::State;
 use crate::server::uploads::Held;
 use crate::session::{Code, Error};
+use crate::wire::pb::{self, create_session_request::Message};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use tonic::{Status, Streaming};

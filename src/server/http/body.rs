@@ -1,9 +1,10 @@
 //! Request bodies: JSON of a bounded size, and what becomes of bytes that nobody wants.
 
 use super::problem::Problem;
-use crate::job;
+
 use crate::server::state::State;
 use crate::session::{Code, Error};
+use crate::wire;
 use axum::body::{Body, BodyDataStream};
 use axum::extract::Request;
 use bytes::{Bytes, BytesMut};
@@ -101,7 +102,7 @@ pub(super) async fn message<M: Message + Default + prost::Name>(state: &State, r
     if text.is_empty() {
         Ok(M::default())
     } else {
-        Ok(job::json::from_json(&text)?)
+        Ok(wire::json::from_json(&text)?)
     }
 }
 

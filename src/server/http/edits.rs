@@ -4,9 +4,9 @@ use super::body;
 use super::problem::Problem;
 use super::request::{Caller, Names};
 use super::sessions::json;
-use crate::job::pb;
 use crate::server::state::State;
 use crate::session::{Code, Error};
+use crate::wire::pb;
 use axum::extract::{Request, State as From};
 use axum::response::Response;
 

@@ -4,9 +4,10 @@ use super::problem::Problem;
 use super::request::{Caller, Names};
 use super::sessions::json;
 use super::{body, problem};
-use crate::job::{self, pb};
 use crate::server::state::State;
 use crate::session::Error;
+use crate::wire;
+use crate::wire::pb;
 use axum::extract::{Request, State as From};
 use axum::response::Response;
 
@@ -39,7 +40,7 @@ pub(super) async fn patch(
     let mut handle: pb::Handle = if text.is_empty() {
         pb::Handle::default()
     } else {
-        job::json::from_json(&text)?
+        wire::json::from_json(&text)?
     };
     if !handle.id.is_empty() && handle.id != handle_id {
         let shown = problem::clip(&handle.id);

@@ -120,8 +120,8 @@ impl From<session::Error> for Problem {
     }
 }
 
-impl From<crate::job::Error> for Problem {
-    fn from(error: crate::job::Error) -> Self {
+impl From<crate::wire::Error> for Problem {
+    fn from(error: crate::wire::Error) -> Self {
         session::Error::from(error).into()
     }
 }

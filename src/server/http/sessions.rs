@@ -3,9 +3,10 @@
 use super::problem::Problem;
 use super::query;
 use super::request::{Caller, Names};
-use crate::job::{self, pb};
 use crate::server::state::State;
 use crate::session::Error;
+use crate::wire;
+use crate::wire::pb;
 use axum::Json;
 use axum::extract::State as From;
 use axum::response::{IntoResponse as _, Response};
@@ -14,7 +15,7 @@ use prost::Message;
 
 /// The JSON answer that a message is.
 pub(super) fn json<M: Message + prost::Name>(message: &M) -> Result<Response, Problem> {
-    Ok(Json(job::json::to_json(message)?).into_response())
+    Ok(Json(wire::json::to_json(message)?).into_response())
 }
 
 pub(super) async fn list(From(state): From<State>, caller: Caller, uri: Uri) -> Result<Response, Problem> {

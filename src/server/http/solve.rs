@@ -4,9 +4,10 @@ use super::problem::Problem;
 use super::request::{Caller, Names};
 use super::{body, models, negotiate};
 use crate::asset::Format;
-use crate::job::{self, pb};
 use crate::server::state::State;
 use crate::session::{Error, SolvedFrames};
+use crate::wire;
+use crate::wire::pb;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Request, State as From};
@@ -120,7 +121,7 @@ fn as_json(solved: &SolvedFrames) -> Result<Response, Problem> {
     let frames = solved
         .frames
         .iter()
-        .map(job::json::to_json)
+        .map(wire::json::to_json)
         .collect::<Result<Vec<_>, _>>()?;
     let answer = serde_json::json!({
         "frames": frames,

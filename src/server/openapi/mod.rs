@@ -3,8 +3,9 @@
 mod schemas;
 
 use super::http::{ROUTES, Route};
-use crate::job;
+
 use crate::session::Error;
+use crate::wire;
 use schemas::Schemas;
 use serde_json::{Map, Value, json};
 use std::sync::LazyLock;
@@ -20,7 +21,7 @@ pub(super) fn document() -> Result<String, Error> {
 }
 
 fn build() -> Result<Value, Error> {
-    let schemas = Schemas::new(job::json::descriptors()?);
+    let schemas = Schemas::new(wire::json::descriptors()?);
     let mut paths = Map::new();
     for route in &ROUTES {
         let place = paths.entry(route.path).or_insert_with(|| Value::Object(Map::new()));
@@ -257,7 +258,7 @@ mod tests {
 
     #[test]
     fn every_rpc_with_a_message_form_has_a_route() {
-        let service = job::json::descriptors()
+        let service = wire::json::descriptors()
             .unwrap()
             .get_service_by_name("pliant.v1.Deformer")
             .unwrap();

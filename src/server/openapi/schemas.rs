@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn everything_in_the_schema_is_explained() {
-        let pool = crate::job::json::descriptors().unwrap();
+        let pool = crate::wire::json::descriptors().unwrap();
         let schemas = Schemas::new(pool);
         let mut bare = Vec::new();
         let mut look = |path: &[i32], what: String| {

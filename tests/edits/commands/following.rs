@@ -1,8 +1,8 @@
 //! Graph and hierarchy follow an edit: at the price of the edit, and without a difference that a user would see.
 
 use super::*;
+use pliant::engine::SolveMode;
 use pliant::exec::Exec;
-use pliant::job::Mode;
 
 /// A bar of a few thousand vertices, so that a few of them are little.
 fn fine_bar() -> bench::Shape {
@@ -34,7 +34,7 @@ fn remesh(region: pb::Region, edge_length: f64) -> pb::EditRequest {
 }
 
 /// The same model, opened anew, with the same handles.
-fn fresh(bench: &Workbench) -> Workbench {
+fn fresh(bench: &Deformer) -> Deformer {
     let geometry = bench.geometry();
     let mut fresh = super::bench::bench(&(bench.rest().to_vec(), geometry.triangles.clone()));
     fresh
@@ -84,7 +84,7 @@ fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
         let shape = solve(&mut bench, &bend(), 1e-6).positions;
         (bench, shape)
     };
-    let next = |bench: &mut Workbench, shape: &Arc<Vec<DVec3>>| {
+    let next = |bench: &mut Deformer, shape: &Arc<Vec<DVec3>>| {
         let region = ball(shape[shape.len() / 2].to_array(), 0.2);
         let outcome = edit(bench, &delete(region, true), shape).expect("the edit can be done");
         (outcome.result.repaired, solve(bench, &bend(), 1e-6))
@@ -123,7 +123,7 @@ fn fields_begin_where_they_ended_and_come_to_the_same() {
 fn handles_go_on_to_hold_what_is_inside_of_them() {
     let mut bench = bench(&fine_bar());
     set(&mut bench, handles());
-    let inside = |bench: &Workbench| {
+    let inside = |bench: &Deformer| {
         let surface = bench.body().graph.surface as u32;
         let holds = &bench.rig().expect("handles").rigging().holds;
         let count = |h: &pliant::deform::Hold| h.nodes.iter().filter(|n| **n >= surface).count();
@@ -152,7 +152,7 @@ fn large_edits_and_shapes_of_unknown_origin_are_built_anew() {
 }
 
 /// Poses and edits in turn; what is answered after each edit and each pose.
-fn story(bench: &mut Workbench, threads: usize) -> Vec<String> {
+fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
     let pool = pool(threads);
     let mut said = Vec::new();
     let mut shape = Arc::clone(bench.rest());
@@ -164,7 +164,7 @@ fn story(bench: &mut Workbench, threads: usize) -> Vec<String> {
             1 => midpoint(Some(region)),
             _ => remesh(region, 0.06),
         };
-        let order = EditOrder {
+        let order = EditCommand {
             request: &request,
             shape: &shape,
             poses: &poses,
@@ -181,7 +181,7 @@ fn story(bench: &mut Workbench, threads: usize) -> Vec<String> {
             .solve(
                 &poses,
                 &settings(1e-5),
-                Mode::Commit,
+                SolveMode::Commit,
                 &Exec::new(&pool, &Silent),
                 &mut |_| true,
             )
@@ -221,7 +221,7 @@ fn the_way_back_and_forth_gives_the_same_bits_however_far() {
     }
 }
 
-fn bent(bench: &mut Workbench) -> String {
+fn bent(bench: &mut Deformer) -> String {
     digest(&solve(bench, &bend(), 1e-5).positions)
 }
 

@@ -6,7 +6,7 @@ use super::*;
 fn handles_keep_the_vertices_that_are_left() {
     let mut bench = bench(&bar());
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
-    let counts = |bench: &Workbench| -> Vec<u32> { bench.facts().handles.iter().map(|h| h.vertices).collect() };
+    let counts = |bench: &Deformer| -> Vec<u32> { bench.facts().handles.iter().map(|h| h.vertices).collect() };
     let before = counts(&bench);
     edited(&mut bench, &midpoint(Some(half_space([0.0, 0.0, 1.0], 1.4))));
     let after = counts(&bench);

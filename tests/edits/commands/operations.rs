@@ -10,7 +10,7 @@ fn sphere(center: [f64; 3], radius: f64) -> pb::Region {
     }
 }
 
-fn held() -> Workbench {
+fn held() -> Deformer {
     let mut bench = bench(&bar());
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
     bench
@@ -18,7 +18,7 @@ fn held() -> Workbench {
 
 /// What holds after every edit: counts agree, every vertex is used and finite, the model is written and read back, and the
 /// handles that are left can be moved.
-fn sound(bench: &mut Workbench, outcome: &EditOutcome) {
+fn sound(bench: &mut Deformer, outcome: &EditOutcome) {
     let after = outcome.result.after.expect("counts");
     assert_eq!(after.vertices as usize, bench.rest().len());
     assert_eq!(after.faces as usize, bench.geometry().triangles.len());
@@ -40,11 +40,11 @@ fn sound(bench: &mut Workbench, outcome: &EditOutcome) {
     assert!(moved.residual <= 1e-8);
 }
 
-fn closed(bench: &Workbench) -> bool {
+fn closed(bench: &Deformer) -> bool {
     bench.report().closed
 }
 
-fn bar_volume(bench: &Workbench) -> f64 {
+fn bar_volume(bench: &Deformer) -> f64 {
     bench.report().volume
 }
 

@@ -4,7 +4,7 @@ use super::*;
 use pb::edit_request::{self as wire, merge};
 use pliant::exec::Exec;
 
-fn held() -> Workbench {
+fn held() -> Deformer {
     let mut bench = bench(&bar());
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
     bench
@@ -23,7 +23,7 @@ fn merged(model: Vec<u8>) -> pb::EditRequest {
     }))
 }
 
-fn refusal(bench: &mut Workbench, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> String {
+fn refusal(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> String {
     let before = (digest(bench.rest()), bench.facts().solver);
     let told = edit(bench, request, shape).expect_err("it is refused").to_string();
     assert_eq!(
@@ -130,9 +130,9 @@ fn a_step_that_fails_says_what_edits_before_it_warned_of() {
         {"pose": {"handles": [{"id": "top", "pose": {"translation": [0, 0, 1]}}]}}
       ]
     }"#;
-    let job: pb::Job = pliant::job::json::from_json(job.as_bytes()).expect("a job");
-    let limits = pliant::job::Limits::default();
-    let failed = pliant::job::run(obj(&bar()), &job, None, &limits, &Exec::new(&pool(2), &Silent), &|| 0.0);
+    let job: pb::Job = pliant::wire::json::from_json(job.as_bytes()).expect("a job");
+    let limits = pliant::engine::DeformerLimits::default();
+    let failed = pliant::batch::run(obj(&bar()), &job, None, &limits, &Exec::new(&pool(2), &Silent), &|| 0.0);
     let Err(error) = failed else {
         panic!("the handle is gone");
     };

@@ -2,7 +2,8 @@
 
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
-use pliant::job::{EditOutcome, Error, Trail, Workbench, frames::digest, pb};
+use pliant::engine::{Deformer, EditOutcome, TopologyState, digest};
+use pliant::wire::{Error, pb};
 use serde_json::Value;
 use std::collections::BTreeSet;
 
@@ -12,7 +13,7 @@ pub struct Before {
     handles: pb::SetHandlesRequest,
     rest: String,
     triangles: Vec<[u32; 3]>,
-    trail: Trail,
+    trail: TopologyState,
     manifold: bool,
     closed: bool,
     unreferenced: usize,
@@ -20,13 +21,13 @@ pub struct Before {
     shape: Vec<DVec3>,
 }
 
-fn is_manifold(bench: &Workbench) -> bool {
+fn is_manifold(bench: &Deformer) -> bool {
     let report = bench.report();
     report.non_manifold_edges + report.non_manifold_vertices + report.winding_conflicts == 0
 }
 
 /// Render vertices in no triangle.
-fn unreferenced(bench: &Workbench) -> usize {
+fn unreferenced(bench: &Deformer) -> usize {
     let mut used = vec![false; bench.rest().len()];
     let triangles = bench.geometry().triangles.iter();
     triangles.flatten().for_each(|&v| used[v as usize] = true);
@@ -34,7 +35,7 @@ fn unreferenced(bench: &Workbench) -> usize {
 }
 
 impl Before {
-    pub fn of(bench: &Workbench, shape: &[DVec3]) -> Self {
+    pub fn of(bench: &Deformer, shape: &[DVec3]) -> Self {
         Self {
             facts: bench.facts(),
             handles: bench.handles().clone(),
@@ -49,7 +50,7 @@ impl Before {
     }
 
     /// A refusal changes nothing and is one that a client can understand.
-    pub fn refused(&self, bench: &Workbench, error: &Error) {
+    pub fn refused(&self, bench: &Deformer, error: &Error) {
         assert!(
             matches!(
                 error,
@@ -67,7 +68,7 @@ impl Before {
     }
 
     /// An edit that was done.
-    pub fn done(&self, bench: &Workbench, edit: &Value, outcome: &EditOutcome) {
+    pub fn done(&self, bench: &Deformer, edit: &Value, outcome: &EditOutcome) {
         let result = &outcome.result;
         let (before, after) = (result.before.expect("counts"), result.after.expect("counts"));
         let (rest, triangles) = (bench.rest(), &bench.geometry().triangles);
@@ -102,7 +103,7 @@ impl Before {
         assert_eq!(first as usize, rest.len());
     }
 
-    fn topology(&self, bench: &Workbench, edit: &Value) {
+    fn topology(&self, bench: &Deformer, edit: &Value) {
         assert!(
             unreferenced(bench) <= self.unreferenced,
             "an edit leaves no vertex behind: {edit}"
@@ -123,7 +124,7 @@ impl Before {
     }
 
     /// Runs rise, lie within both models, and what lies outside the region keeps its bits.
-    fn kept(&self, bench: &Workbench, edit: &Value, outcome: &EditOutcome) {
+    fn kept(&self, bench: &Deformer, edit: &Value, outcome: &EditOutcome) {
         let region = ["subdivide", "decimate", "remesh", "delete"]
             .iter()
             .find_map(|op| edit[op]["region"].as_object());
@@ -168,7 +169,7 @@ impl Before {
 }
 
 /// Consecutive vertices of an inserted curve are joined by edges.
-fn curve(bench: &Workbench, curve: &[u32]) {
+fn curve(bench: &Deformer, curve: &[u32]) {
     let rest = bench.rest();
     assert!(curve.iter().all(|&v| (v as usize) < rest.len()));
     if curve.len() < 2 {
@@ -189,7 +190,7 @@ fn curve(bench: &Workbench, curve: &[u32]) {
 }
 
 /// What is written is read back, and all its numbers are finite.
-pub fn written(bench: &Workbench, shape: &[DVec3]) {
+pub fn written(bench: &Deformer, shape: &[DVec3]) {
     let written = bench.write(shape, Format::Glb).expect("written");
     finite(&written.main);
     let files = FileSet::single("back.glb", written.main);

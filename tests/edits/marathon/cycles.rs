@@ -5,8 +5,8 @@ use pliant::asset::Format;
 use pliant::exec::Exec;
 
 /// Cycles of a few poses of the handles in force.
-fn cycles(bench: &mut Workbench, diagonal: f64, run: &Run) -> Vec<u32> {
-    let settings = Settings::check(
+fn cycles(bench: &mut Deformer, diagonal: f64, run: &Run) -> Vec<u32> {
+    let settings = DeformOptions::check(
         &pb::Options {
             tolerance: 1e-5,
             refine: Some(0),
@@ -29,7 +29,7 @@ fn cycles(bench: &mut Workbench, diagonal: f64, run: &Run) -> Vec<u32> {
         let solved = bench.solve(
             &poses,
             &settings,
-            Mode::Commit,
+            SolveMode::Commit,
             &Exec::new(&run.pool, &Silent),
             &mut |_| true,
         );
@@ -48,10 +48,10 @@ fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
         run.hold();
         let written = run.bench.write(run.bench.rest(), Format::Obj).expect("written");
         let files = FileSet::single("edited.obj", written.main);
-        let mut fresh = Workbench::open(
+        let mut fresh = Deformer::open(
             files,
             &Default::default(),
-            &Limits::default(),
+            &DeformerLimits::default(),
             &Exec::new(&run.pool, &Silent),
         )
         .expect("opens");

@@ -4,7 +4,7 @@ use super::named;
 use crate::support::server::*;
 use bytes::{Buf as _, Bytes, BytesMut};
 use futures::StreamExt as _;
-use pliant::job::pb;
+use pliant::wire::pb;
 use prost::Message as _;
 use tonic::{Code, Request};
 

@@ -2,9 +2,9 @@
 
 use super::fake::*;
 use pliant::asset::Format;
-use pliant::job::frames::digest;
-use pliant::job::pb;
+use pliant::engine::digest;
 use pliant::session::Config;
+use pliant::wire::pb;
 use proptest::prelude::*;
 use std::time::Duration;
 

@@ -2,8 +2,8 @@
 
 use super::fake::*;
 use super::real::{bent, turned};
-use pliant::job::pb;
 use pliant::session::{Code, Config, Manager};
+use pliant::wire::pb;
 
 fn cut(id: &str, height: f64, keep: pb::edit_request::cut::Keep) -> pb::EditRequest {
     let cut = pb::edit_request::Cut {

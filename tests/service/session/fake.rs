@@ -7,11 +7,13 @@
 use bytes::Bytes;
 use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, Written};
+use pliant::engine::Shader;
+use pliant::engine::{DeformerLimits, HandlePoses, SolveMode, SolveUpdate, SolvedShape};
 use pliant::exec::Exec;
-use pliant::job::frames::Shader;
-use pliant::job::{self, Limits, Mode, Poses, Settings, Solved, Watch, pb};
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::{Config, Engine, Manager, Opener, Stream, StreamInput, StreamOutput, Tenant};
+use pliant::wire;
+use pliant::wire::{DeformOptions, pb};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Condvar, LazyLock, Mutex};
 use std::time::Duration;
@@ -100,9 +102,9 @@ impl Opener for OpenFake {
         &self,
         files: FileSet,
         _create: &pb::CreateOptions,
-        limits: &Limits,
+        limits: &DeformerLimits,
         exec: &Exec<'_>,
-    ) -> Result<Box<dyn Engine>, job::Error> {
+    ) -> Result<Box<dyn Engine>, wire::Error> {
         exec.progress.report("read", 0.0);
         let text = String::from_utf8_lossy(&files.main).into_owned();
         let (word, number) = text.split_once(' ').unwrap_or((&text, "0"));
@@ -112,7 +114,7 @@ impl Opener for OpenFake {
             "panic" => panic!("opening panics on purpose"),
             "slow" => self.0.cycle(exec.progress)?,
             "large" if number > limits.memory_bytes => {
-                return Err(job::Error::TooLarge {
+                return Err(wire::Error::TooLarge {
                     what: "bytes",
                     seen: number,
                     limit: limits.memory_bytes,
@@ -168,20 +170,20 @@ impl Engine for Fake {
         Format::Obj
     }
 
-    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), job::Error> {
+    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error> {
         exec.progress.report("fields", 0.0);
         self.control.cycle(exec.progress)?;
         for (k, handle) in request.handles.iter().enumerate() {
             if handle.id.is_empty() {
-                return Err(job::Error::invalid(format!("handles[{k}].id"), "is empty"));
+                return Err(wire::Error::invalid(format!("handles[{k}].id"), "is empty"));
             }
         }
         self.handles = request.clone();
         Ok(())
     }
 
-    fn initial_poses(&self) -> Poses {
-        Poses(Arc::new(
+    fn initial_poses(&self) -> HandlePoses {
+        HandlePoses(Arc::new(
             self.handles
                 .handles
                 .iter()
@@ -190,35 +192,35 @@ impl Engine for Fake {
         ))
     }
 
-    fn posed(&self, poses: &Poses, change: &pb::Pose) -> Result<Poses, job::Error> {
+    fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, wire::Error> {
         let mut all = poses.0.as_ref().clone();
         for (k, entry) in change.handles.iter().enumerate() {
             let Some(at) = self.handles.handles.iter().position(|h| h.id == entry.id) else {
-                return Err(job::Error::invalid(
+                return Err(wire::Error::invalid(
                     format!("pose.handles[{k}].id"),
                     format!("no handle {}", entry.id),
                 ));
             };
             let pose = entry.pose.clone().unwrap_or_default();
             if pose.translation.iter().any(|x| !x.is_finite()) {
-                return Err(job::Error::invalid(
+                return Err(wire::Error::invalid(
                     format!("pose.handles[{k}].pose.translation"),
                     "is not finite",
                 ));
             }
             all[at] = pose;
         }
-        Ok(Poses(Arc::new(all)))
+        Ok(HandlePoses(Arc::new(all)))
     }
 
     fn solve(
         &mut self,
-        poses: &Poses,
-        settings: &Settings,
-        mode: Mode,
+        poses: &HandlePoses,
+        settings: &DeformOptions,
+        mode: SolveMode,
         exec: &Exec<'_>,
-        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
-    ) -> Result<Solved, job::Error> {
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<SolvedShape, wire::Error> {
         self.control.solves.fetch_add(1, SeqCst);
         let handles = self.handles.handles.len();
         if self
@@ -230,10 +232,10 @@ impl Engine for Fake {
         {
             panic!("solving panics on purpose");
         }
-        if mode == Mode::Drag {
+        if mode == SolveMode::Drag {
             self.drags += 1;
         }
-        let trace = if mode == Mode::Drag {
+        let trace = if mode == SolveMode::Drag {
             f64::from(self.drags) * 1e-9
         } else {
             0.0
@@ -251,7 +253,7 @@ impl Engine for Fake {
             self.control.cycle(exec.progress)?;
             cycles += 1;
             let residual = 1.0 / 10f64.powi(cycles as i32);
-            let watched = Watch {
+            let watched = SolveUpdate {
                 refined: 0,
                 cycle: cycles,
                 residual,
@@ -263,7 +265,7 @@ impl Engine for Fake {
             }
         };
         let positions = Arc::new(at(if residual <= 1e-4 { 1.0 } else { 1.0 - residual }));
-        Ok(Solved {
+        Ok(SolvedShape {
             positions,
             cycles,
             residual,
@@ -272,7 +274,7 @@ impl Engine for Fake {
         })
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, job::Error> {
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error> {
         if format == Format::Stl {
             return Err(asset::Error::Unwritable {
                 format,

@@ -5,8 +5,8 @@ use super::fake::*;
 use super::real::turned;
 use glam::DVec3;
 use pliant::asset::shapes;
-use pliant::job::pb;
 use pliant::session::{Config, Manager};
+use pliant::wire::pb;
 
 /// A session with a bar of some thousand vertices, held at its ends.
 async fn bar(manager: &Manager) -> String {

@@ -1,8 +1,8 @@
 //! Expiry, deleting, idempotency keys, draining, many sessions at once.
 
 use super::fake::*;
-use pliant::job::pb;
 use pliant::session::{Code, Config};
+use pliant::wire::pb;
 use std::time::Duration;
 
 type Tell = pb::deform_response::Message;

@@ -1,8 +1,8 @@
 //! What is refused, with which code, and that it costs nobody else anything.
 
 use super::fake::*;
-use pliant::job::pb;
 use pliant::session::{Config, Error, Manager, Tenant};
+use pliant::wire::pb;
 use std::sync::Arc;
 use std::time::Duration;
 

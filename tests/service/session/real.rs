@@ -2,8 +2,8 @@
 
 use super::fake::*;
 use pliant::asset::FileSet;
-use pliant::job::pb;
 use pliant::session::{Config, Manager};
+use pliant::wire::pb;
 
 /// An upright bar of square section, closed, with the handles `base` (held) and `top`.
 fn bar() -> FileSet {

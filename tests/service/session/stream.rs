@@ -1,8 +1,8 @@
 //! The deform stream's promises.
 
 use super::fake::*;
-use pliant::job::pb;
 use pliant::session::{Code, Config};
+use pliant::wire::pb;
 use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 

@@ -4,7 +4,7 @@ use super::{Books, open};
 use crate::support::server::*;
 use bytes::Bytes;
 use futures::SinkExt as _;
-use pliant::job::pb::{self, deform_request, deform_response};
+use pliant::wire::pb::{self, deform_request, deform_response};
 use tokio_tungstenite::tungstenite;
 use tonic::Code;
 

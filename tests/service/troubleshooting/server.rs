@@ -2,7 +2,7 @@
 
 use super::Said;
 use crate::support::server::*;
-use pliant::job::pb::{self, deform_request, deform_response};
+use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::{Value, json};
 
 /// A triangle alone: a surface without an inside.

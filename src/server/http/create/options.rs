@@ -5,10 +5,11 @@
 //! `volumeGraph.mode`, `?weld=0.001` is `weld.tolerance`. The query wins over the form part, a single field over `options`.
 
 use crate::asset::Format;
-use crate::job::{self, pb};
 use crate::server::http::problem::Problem;
 use crate::server::http::query;
 use crate::session::Error;
+use crate::wire;
+use crate::wire::pb;
 use http::Uri;
 use prost::Name as _;
 use prost_reflect::{FieldDescriptor, Kind, MessageDescriptor};
@@ -27,8 +28,8 @@ pub(super) struct Options {
 
 fn schema() -> Result<MessageDescriptor, Error> {
     let name = pb::CreateOptions::full_name();
-    let found = job::json::descriptors()?.get_message_by_name(&name);
-    found.ok_or_else(|| Error::from(job::Error::Internal(format!("no message {name}"))))
+    let found = wire::json::descriptors()?.get_message_by_name(&name);
+    found.ok_or_else(|| Error::from(wire::Error::Internal(format!("no message {name}"))))
 }
 
 impl Options {
@@ -75,7 +76,7 @@ impl Options {
             set(&mut whole, &schema, &path, text)?;
         }
         let text = Value::Object(whole).to_string();
-        let mut options: pb::CreateOptions = job::json::from_json(text.as_bytes())?;
+        let mut options: pb::CreateOptions = wire::json::from_json(text.as_bytes())?;
         if options.format.is_empty()
             && let Some(format) = self.by_type
         {
@@ -87,7 +88,7 @@ impl Options {
 
 /// A JSON text that must be CreateOptions, as an object. Reading it as the message first gives errors their place.
 fn object(text: &[u8]) -> Result<Map<String, Value>, Problem> {
-    job::json::from_json::<pb::CreateOptions>(text)?;
+    wire::json::from_json::<pb::CreateOptions>(text)?;
     match serde_json::from_slice(text) {
         Ok(Value::Object(object)) => Ok(object),
         _ => Err(Error::malformed("options: must be a JSON object").into()),

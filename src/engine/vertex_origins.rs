@@ -9,18 +9,18 @@ use std::sync::Arc;
 
 /// A primitive of an edited model: which primitive of which base it was.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Source {
+struct PrimitiveOrigin {
     base: u32,
     primitive: u32,
 }
 
 /// The recipes of all render vertices, and the models that they refer to.
 #[derive(Debug, Clone)]
-pub(super) struct Origins {
+pub(super) struct VertexOrigins {
     /// The uploaded model first, then those that were merged in, with their places.
     bases: Vec<(Arc<Model>, DAffine3)>,
     /// Of each primitive.
-    sources: Vec<Source>,
+    sources: Vec<PrimitiveOrigin>,
     /// Of each render vertex, over the vertices of its primitive's base.
     recipes: Recipes,
     /// Whether a vertex lies on surface that an edit has made.
@@ -29,7 +29,7 @@ pub(super) struct Origins {
     triangles: Vec<u32>,
 }
 
-impl Origins {
+impl VertexOrigins {
     /// Those of a model that no edit has touched, of whose triangles `source_triangle` are left.
     pub fn of_model(model: &Arc<Model>, source_triangle: &[u32]) -> Self {
         let mut origins = Self {
@@ -48,7 +48,7 @@ impl Origins {
         let base = self.bases.len() as u32;
         let primitives = 0..model.primitives.len() as u32;
         self.sources
-            .extend(primitives.map(|primitive| Source { base, primitive }));
+            .extend(primitives.map(|primitive| PrimitiveOrigin { base, primitive }));
         (0..model.positions.len() as u32).for_each(|v| self.recipes.push_vertex(v));
         self.bare.resize(self.recipes.len(), false);
         self.triangles.extend(source_triangle);

@@ -1,18 +1,19 @@
-//! Poses on a bench: checked, solved, and brought from the graph's nodes back to render vertices.
+//! HandlePoses on a bench: checked, solved, and brought from the graph's nodes back to render vertices.
 
-use super::check::{COMMIT_REFINE, Settings, transform};
-use super::handles::HandleSet;
-use super::workbench::Committed;
-use super::{Error, Poses, Workbench, pb};
+use super::deformer::CommittedShape;
+use super::handles::ResolvedHandles;
+use super::{Deformer, HandlePoses};
 use crate::deform::{Body, Cycle, Refinement, Request, Rig, Solution, Start, Transform};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
+use crate::wire::check::{COMMIT_REFINE, DeformOptions, transform};
+use crate::wire::{Error, pb};
 use glam::{DVec3, Mat3};
 use std::sync::Arc;
 
 /// How a solve treats what was solved before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mode {
+pub enum SolveMode {
     /// Starts from the last result, for the sake of speed.
     Drag,
     /// Depends on nothing but model, handles, poses and settings, so that it can be repeated to the bit.
@@ -20,7 +21,7 @@ pub enum Mode {
 }
 
 /// A state of a solve that is under way, given to the watcher after every cycle.
-pub struct Watch<'a> {
+pub struct SolveUpdate<'a> {
     /// Cycles done.
     pub cycle: u32,
     /// Fits of rotations done.
@@ -35,7 +36,7 @@ pub struct Watch<'a> {
 
 /// A solved pose.
 #[derive(Debug, Clone)]
-pub struct Solved {
+pub struct SolvedShape {
     /// One per render vertex, model space. Where nothing moves, the bits of the rest pose.
     pub positions: Arc<Vec<DVec3>>,
     /// Cycles of the position solve.
@@ -48,12 +49,12 @@ pub struct Solved {
     pub solver: &'static str,
 }
 
-impl Workbench {
+impl Deformer {
     /// `poses` with those that `change` names replaced. Checks every number.
     ///
     /// # Errors
     /// [`Error::Precondition`] without handles, [`Error::Invalid`] with the field.
-    pub fn posed(&self, poses: &Poses, change: &pb::Pose) -> Result<Poses, Error> {
+    pub fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error> {
         self.require_handles()?;
         let mut all = poses.0.as_ref().clone();
         for (k, entry) in change.handles.iter().enumerate() {
@@ -67,7 +68,7 @@ impl Workbench {
             transform(&pose, self.handles.centroids[at], &format!("pose.handles[{k}].pose"))?;
             all[at] = pose;
         }
-        Ok(Poses(Arc::new(all)))
+        Ok(HandlePoses(Arc::new(all)))
     }
 
     fn require_handles(&self) -> Result<&Rig, Error> {
@@ -80,7 +81,7 @@ impl Workbench {
     ///
     /// # Errors
     /// [`Error::Precondition`] without handles; [`Error::Invalid`] when poses do not belong to the handles in force.
-    pub fn transforms(&self, poses: &Poses) -> Result<Vec<Transform>, Error> {
+    pub fn transforms(&self, poses: &HandlePoses) -> Result<Vec<Transform>, Error> {
         self.require_handles()?;
         if poses.0.len() != self.handles.request.handles.len() {
             return Err(Error::Internal("poses of other handles".into()));
@@ -95,12 +96,12 @@ impl Workbench {
     /// [`Error::Invalid`] when poses do not belong to the handles in force.
     pub fn solve(
         &mut self,
-        poses: &Poses,
-        settings: &Settings,
-        mode: Mode,
+        poses: &HandlePoses,
+        settings: &DeformOptions,
+        mode: SolveMode,
         exec: &Exec<'_>,
-        watch: &mut dyn FnMut(&Watch<'_>) -> bool,
-    ) -> Result<Solved, Error> {
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<SolvedShape, Error> {
         let transforms = self.transforms(poses)?;
         let Self {
             rig: Some(rig),
@@ -118,17 +119,21 @@ impl Workbench {
             transforms: &transforms,
             tolerance: settings.tolerance,
             max_error: settings.max_error,
-            start: if mode == Mode::Drag { Start::Warm } else { Start::Fresh },
+            start: if mode == SolveMode::Drag {
+                Start::Warm
+            } else {
+                Start::Fresh
+            },
             first_pass: settings.first_pass,
             refinement: Refinement {
                 steps: settings.refine.unwrap_or(match mode {
-                    Mode::Drag => 0,
-                    Mode::Commit => COMMIT_REFINE,
+                    SolveMode::Drag => 0,
+                    SolveMode::Commit => COMMIT_REFINE,
                 }),
                 smoothing: settings.rotation_smoothing,
             },
         };
-        let shape = Shape {
+        let shape = ShapeTransfer {
             body,
             mesh: &derived.mesh,
             rest: &derived.foundation().rest,
@@ -136,7 +141,7 @@ impl Workbench {
         };
         let mut on_cycle = |cycle: &Cycle<'_>| {
             let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
-            watch(&Watch {
+            watch(&SolveUpdate {
                 cycle: u32::try_from(cycle.index).unwrap_or(u32::MAX),
                 refined: cycle.refined,
                 residual: cycle.residual,
@@ -150,13 +155,13 @@ impl Workbench {
         };
         let solver = method_name(&solution);
         let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));
-        if mode == Mode::Commit {
-            *committed = Some(Committed {
+        if mode == SolveMode::Commit {
+            *committed = Some(CommittedShape {
                 positions: Arc::clone(&positions),
                 nodes: Arc::new(solution.positions),
             });
         }
-        Ok(Solved {
+        Ok(SolvedShape {
             positions,
             cycles: u32::try_from(solution.iterations).unwrap_or(u32::MAX),
             residual: solution.residual,
@@ -167,14 +172,14 @@ impl Workbench {
 }
 
 /// From graph nodes back to render vertices.
-struct Shape<'a> {
+struct ShapeTransfer<'a> {
     body: &'a Body,
     mesh: &'a Mesh,
     rest: &'a [DVec3],
-    handles: &'a HandleSet,
+    handles: &'a ResolvedHandles,
 }
 
-impl Shape<'_> {
+impl ShapeTransfer<'_> {
     fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[Transform]) -> Vec<DVec3> {
         let at_rest = &self.body.graph.positions;
         let mut positions: Vec<DVec3> = self

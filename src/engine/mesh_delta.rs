@@ -7,7 +7,7 @@ use glam::DVec3;
 
 /// Numbers in order of which most follow each other: `count` from `first` on, or as many that are new.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Run {
+struct NumberRun {
     /// The first old number, or [`NONE`] for new ones.
     first: u32,
     count: u32,
@@ -15,16 +15,16 @@ struct Run {
 
 /// For each new number its old one, or [`NONE`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-struct Runs(Vec<Run>);
+struct NumberRuns(Vec<NumberRun>);
 
-impl Runs {
+impl NumberRuns {
     fn of(old_from_new: impl Iterator<Item = u32>) -> Self {
-        let mut runs: Vec<Run> = Vec::new();
+        let mut runs: Vec<NumberRun> = Vec::new();
         for old in old_from_new {
             match runs.last_mut() {
                 Some(run) if run.first == NONE && old == NONE => run.count += 1,
                 Some(run) if run.first != NONE && run.first + run.count == old => run.count += 1,
-                _ => runs.push(Run { first: old, count: 1 }),
+                _ => runs.push(NumberRun { first: old, count: 1 }),
             }
         }
         Self(runs)
@@ -42,15 +42,15 @@ impl Runs {
     }
 
     fn bytes(&self) -> usize {
-        self.0.capacity() * size_of::<Run>()
+        self.0.capacity() * size_of::<NumberRun>()
     }
 }
 
 /// What an edit changed of a mesh.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Delta {
-    points: Runs,
-    triangles: Runs,
+pub(super) struct MeshDelta {
+    points: NumberRuns,
+    triangles: NumberRuns,
     /// Positions of new points, and of old ones that the edit moved, by new number, rising.
     placed: Vec<(u32, DVec3)>,
     /// Corners of new triangles, in order.
@@ -59,14 +59,14 @@ pub(super) struct Delta {
 
 /// A delta with the lists that following it takes.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Lists {
+pub(super) struct MeshChangeLists {
     old_from_new: Vec<u32>,
     removed: Vec<[u32; 3]>,
     added: Vec<u32>,
     moved: Vec<u32>,
 }
 
-impl Delta {
+impl MeshDelta {
     /// The change from `old` (its triangles, and where its points are by now) to `mesh`, which `applied` has led to.
     pub fn between(triangles: &[[u32; 3]], at: &[DVec3], mesh: &Mesh, applied: &Applied) -> Self {
         // What was merged in has numbers after those that were there.
@@ -97,15 +97,15 @@ impl Delta {
             NONE
         };
         Self {
-            points: Runs::of((0..mesh.positions.len() as u32).map(was)),
-            triangles: Runs::of(mesh.triangles.iter().zip(&mesh.source_triangle).map(old_triangle)),
+            points: NumberRuns::of((0..mesh.positions.len() as u32).map(was)),
+            triangles: NumberRuns::of(mesh.triangles.iter().zip(&mesh.source_triangle).map(old_triangle)),
             placed,
             fresh,
         }
     }
 
     /// The lists of the change, for a mesh with `triangles` before.
-    pub fn lists(&self, triangles: &[[u32; 3]]) -> Lists {
+    pub fn lists(&self, triangles: &[[u32; 3]]) -> MeshChangeLists {
         let old_from_new: Vec<u32> = self.points.iter().collect();
         let mut stays = vec![false; triangles.len()];
         let mut added = Vec::with_capacity(self.fresh.len());
@@ -119,7 +119,7 @@ impl Delta {
         }
         let gone = triangles.iter().zip(&stays).filter(|(_, stays)| !**stays);
         let moved = self.placed.iter().map(|p| p.0);
-        Lists {
+        MeshChangeLists {
             removed: gone.map(|(t, _)| *t).collect(),
             moved: moved.filter(|&p| old_from_new[p as usize] != NONE).collect(),
             old_from_new,
@@ -158,7 +158,7 @@ impl Delta {
     }
 }
 
-impl Lists {
+impl MeshChangeLists {
     /// The change, with the points and triangles after it.
     pub fn change<'a>(&'a self, positions: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Change<'a> {
         Change {
@@ -189,7 +189,7 @@ mod tests {
             old_from_triangle: vec![0, NONE],
             ..Default::default()
         };
-        let delta = Delta::between(&old, &at, &mesh, &applied);
+        let delta = MeshDelta::between(&old, &at, &mesh, &applied);
         assert_eq!(delta.apply(&at, &old), (positions, triangles.to_vec()));
         let lists = delta.lists(&old);
         assert_eq!(

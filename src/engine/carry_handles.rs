@@ -1,14 +1,14 @@
 //! Handles across an edit: regions become lists of the vertices that they held, in the new numbers.
 
-use super::pb;
-use super::region::Resolved;
+use super::region::ResolvedRegion;
 use crate::edit::{Applied, Patch};
 use crate::mesh::NONE;
+use crate::wire::pb;
 use glam::DVec3;
 
 /// The handles in force after an edit, and what became of them.
 #[derive(Debug, Default)]
-pub(super) struct Carried {
+pub(super) struct CarriedHandles {
     /// With regions as lists.
     pub request: pb::SetHandlesRequest,
     /// Handles that still hold something.
@@ -23,13 +23,13 @@ pub(super) struct Carried {
 /// pivots. With `poses` handles keep them, turning about the same points as before; without they are at rest.
 pub(super) fn carry(
     old: &pb::SetHandlesRequest,
-    held: &[Resolved],
+    held: &[ResolvedRegion],
     centroids: &[DVec3],
     poses: Option<&[pb::HandlePose]>,
     applied: &Applied,
     patch: &Patch,
-) -> Carried {
-    let mut carried = Carried {
+) -> CarriedHandles {
+    let mut carried = CarriedHandles {
         request: pb::SetHandlesRequest {
             handles: Vec::with_capacity(old.handles.len()),
             ..old.clone()

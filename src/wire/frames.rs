@@ -4,28 +4,11 @@
 //! time, when they are asked for, so that a slow reader costs no memory. Knows no stream and no session: who may get
 //! a frame, and when, is not decided here.
 
-mod shader;
-
-pub use shader::{Shader, Shading, shading};
-
 use super::pb::{self, frame};
+use crate::engine::Shading;
 use bytes::Bytes;
 use glam::{DVec3, Vec3};
 use std::sync::Arc;
-
-/// Digest of positions: `xxh3:` and 16 hexadecimal digits of the 64-bit XXH3 of x, y, z of each vertex as
-/// little-endian 64-bit floats.
-pub fn digest(positions: &[DVec3]) -> String {
-    let mut hasher = xxhash_rust::xxh3::Xxh3::new();
-    let mut block = [0u8; 24 * 64];
-    for run in positions.chunks(64) {
-        for (at, number) in block.chunks_exact_mut(8).zip(run.iter().flat_map(|p| p.to_array())) {
-            at.copy_from_slice(&number.to_le_bytes());
-        }
-        hasher.update(&block[..run.len() * 24]);
-    }
-    format!("xxh3:{:016x}", hasher.digest())
-}
 
 /// Positions as little-endian 32-bit floats, x, y, z per vertex.
 pub fn f32_bytes(positions: &[DVec3]) -> Bytes {

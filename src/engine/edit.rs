@@ -4,32 +4,33 @@
 //! and all handles are at rest; on the rest shape poses stay, and the result is solved with them. The bench changes only
 //! when everything has succeeded.
 
-use super::carry::{self as handles, Carried, carry, runs};
-use super::check::enumerated;
-use super::derived::{Change, Derived};
-use super::foundation::Sheet;
-use super::operation::{Scene, plan};
-use super::region::{self, Resolved};
-use super::trail::{self, Trail};
-use super::{Error, Mode, Poses, Settings, Workbench, pb};
+use super::carry_handles::{CarriedHandles, carry, runs};
+use super::derived_structures::{DerivedStructures, TopologyChange};
+use super::edit_operations::{EditContext, plan};
+use super::model_topology::EditSurface;
+use super::region::{self, ResolvedRegion};
+use super::topology_state::{self, TopologyState};
+use super::{Deformer, HandlePoses, SolveMode};
 use crate::asset::FileSet;
 use crate::edit::{Applied, apply};
 use crate::exec::Exec;
 use crate::graph::{Graph, Recipe, Stats};
+use crate::wire::check::enumerated;
+use crate::wire::{DeformOptions, Error, pb};
 use glam::DVec3;
 use std::sync::Arc;
 
 /// An edit, and the state that it is to change.
-pub struct EditOrder<'a> {
+pub struct EditCommand<'a> {
     /// What is to be done.
     pub request: &'a pb::EditRequest,
-    /// The current shape, one position per render vertex. Where [`Workbench::remembers`] it, graph and hierarchy can follow
+    /// The current shape, one position per render vertex. Where [`Deformer::remembers`] it, graph and hierarchy can follow
     /// the edit; else they are built from nothing.
     pub shape: &'a Arc<Vec<DVec3>>,
     /// The poses in force.
-    pub poses: &'a Poses,
+    pub poses: &'a HandlePoses,
     /// How the current shape was solved; `None` when it is the rest shape. An edit on the rest shape solves it again like this.
-    pub settings: Option<&'a Settings>,
+    pub settings: Option<&'a DeformOptions>,
     /// For a merge with another session, that session's model in its current shape.
     pub other: Option<FileSet>,
 }
@@ -42,20 +43,20 @@ pub struct EditOutcome {
     /// The handles in force, in the new numbers; already set.
     pub handles: pb::SetHandlesRequest,
     /// Their poses.
-    pub poses: Poses,
+    pub poses: HandlePoses,
     /// How the shape was solved, when it is not the rest shape.
-    pub solved: Option<Settings>,
+    pub solved: Option<DeformOptions>,
     /// The shape after the edit.
     pub positions: Arc<Vec<DVec3>>,
 }
 
-impl Workbench {
+impl Deformer {
     /// Carries out an edit. On an error nothing has changed.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the field; [`Error::Precondition`] when the surface does not allow what is asked for;
     /// [`Error::TooLarge`], [`Error::Cancelled`].
-    pub fn edit(&mut self, order: &EditOrder<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
+    pub fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);
         let request = order.request;
         let at_rest = match enumerated(request.on, "on")? {
@@ -73,7 +74,7 @@ impl Workbench {
         let mut origins = self.derived.foundation().origins(mesh);
         let before = (sheet.positions.len(), self.geometry().triangles.len());
         let mut planned = plan(
-            &mut Scene {
+            &mut EditContext {
                 bench: self,
                 sheet: &mut sheet,
                 origins: &mut origins,
@@ -117,7 +118,7 @@ impl Workbench {
             None => Some(None),
             Some(points) => self.nodes_of(shape).map(|nodes| Some(with_points(nodes, &points))),
         };
-        let change = Change {
+        let change = TopologyChange {
             foundation: Arc::new(foundation),
             applied: &applied,
             follow: nodes.is_some() && applied.old_from_point.len() == applied.points as usize,
@@ -130,7 +131,7 @@ impl Workbench {
         next.set_handles(&carried.request, exec)?;
         let settings = match order.settings {
             Some(settings) => settings.clone(),
-            None => Settings::check(&pb::Options::default(), "options", u32::MAX)?,
+            None => DeformOptions::check(&pb::Options::default(), "options", u32::MAX)?,
         };
         let outcome = next.after_edit(carried, result, at_rest.then_some(settings), exec)?;
         *self = next;
@@ -138,10 +139,10 @@ impl Workbench {
     }
 
     /// What the fields of carried handles begin from: those that they have, if none was lost.
-    fn restart(&self, carried: &handles::Carried) -> Option<trail::Carried> {
+    fn restart(&self, carried: &CarriedHandles) -> Option<topology_state::KeptHandleFields> {
         let all = carried.kept.len() == self.handles().handles.len();
         let rig = self.rig().filter(|_| all)?;
-        Some(trail::Carried {
+        Some(topology_state::KeptHandleFields {
             request: carried.request.clone(),
             fields: rig.keep_fields(),
         })
@@ -150,21 +151,21 @@ impl Workbench {
     /// The shape after an edit, and all that is told of it; with `settings` the poses are solved for.
     fn after_edit(
         &mut self,
-        carried: Carried,
+        carried: CarriedHandles,
         mut result: pb::EditResult,
-        settings: Option<Settings>,
+        settings: Option<DeformOptions>,
         exec: &Exec<'_>,
     ) -> Result<EditOutcome, Error> {
         let poses = self.initial_poses();
         let posed = poses.0.iter().any(is_posed);
         let (positions, solved) = if let Some(settings) = settings.filter(|_| posed) {
             exec.progress.report("solve", 0.0);
-            let solved = self.solve(&poses, &settings, Mode::Commit, exec, &mut |_| true)?;
+            let solved = self.solve(&poses, &settings, SolveMode::Commit, exec, &mut |_| true)?;
             (solved.positions, Some(settings))
         } else {
             (Arc::clone(self.rest()), None)
         };
-        result.digest = super::frames::digest(&positions);
+        result.digest = super::digest(&positions);
         Ok(EditOutcome {
             result,
             handles: carried.request,
@@ -175,39 +176,39 @@ impl Workbench {
     }
 
     /// The state but for its handles.
-    pub fn trail(&self) -> Trail {
-        Trail(Arc::clone(&self.derived.path))
+    pub fn trail(&self) -> TopologyState {
+        TopologyState(Arc::clone(&self.derived.path))
     }
 
     /// Goes to another state, without handles. On an error nothing has changed.
     ///
     /// # Errors
     /// [`Error::TooLarge`], [`Error::Cancelled`].
-    pub fn retrace(&mut self, trail: &Trail, exec: &Exec<'_>) -> Result<(), Error> {
+    pub fn retrace(&mut self, trail: &TopologyState, exec: &Exec<'_>) -> Result<(), Error> {
         if Arc::ptr_eq(&self.derived.path, &trail.0) {
             return Ok(());
         }
         let derived = match self.kept(&trail.0) {
             Some(derived) => derived,
-            None => Arc::new(Derived::retrace(trail, &self.choices, &self.limits, exec)?),
+            None => Arc::new(DerivedStructures::retrace(trail, &self.choices, &self.limits, exec)?),
         };
         *self = self.on(derived);
         Ok(())
     }
 
     /// The surface in a shape, as an operation reads it.
-    fn sheet(&self, shape: &[DVec3]) -> Sheet {
+    fn sheet(&self, shape: &[DVec3]) -> EditSurface {
         let geometry = self.geometry();
         let shading = match geometry.normals.is_empty() {
             true => Default::default(),
-            false => super::frames::shading(geometry, self.rest(), shape),
+            false => super::shading::shading(geometry, self.rest(), shape),
         };
         let tangents = if geometry.tangents.is_empty() {
             Vec::new()
         } else {
             shading.tangents
         };
-        Sheet::new(&self.derived.mesh, geometry, shape, shading.normals, tangents)
+        EditSurface::new(&self.derived.mesh, geometry, shape, shading.normals, tangents)
     }
 
     fn admit_size(&self, applied: &Applied) -> Result<(), Error> {
@@ -245,17 +246,17 @@ impl Workbench {
     fn carried(
         &self,
         applied: &Applied,
-        planned: &super::operation::Planned,
-        poses: Option<&Poses>,
-    ) -> Result<Carried, Error> {
+        planned: &super::edit_operations::PlannedEdit,
+        poses: Option<&HandlePoses>,
+    ) -> Result<CarriedHandles, Error> {
         let old = self.handles();
         // Only render vertices are asked for.
         let blank = self.without_nodes();
-        let ground = region::Ground {
+        let ground = region::RegionContext {
             graph: &blank,
             ..self.ground()
         };
-        let mut held: Vec<Resolved> = Vec::new();
+        let mut held: Vec<ResolvedRegion> = Vec::new();
         for (k, handle) in old.handles.iter().enumerate() {
             let field = format!("handles[{k}].region");
             held.push(region::resolve(&ground, handle.region.as_ref(), None, &field)?);
@@ -287,7 +288,7 @@ impl Workbench {
     /// them without a region.
     pub(super) fn faces(
         &self,
-        sheet: &Sheet,
+        sheet: &EditSurface,
         shape: &[DVec3],
         region: Option<&pb::Region>,
         corners: usize,
@@ -298,7 +299,7 @@ impl Workbench {
         }
         let blank = self.without_nodes();
         let current = !std::ptr::eq(shape.as_ptr(), self.rest().as_ptr());
-        let ground = region::Ground {
+        let ground = region::RegionContext {
             pose: if current { "the current shape" } else { "the rest pose" },
             positions: shape,
             graph: &blank,
@@ -326,7 +327,7 @@ fn is_posed(pose: &pb::HandlePose) -> bool {
     pb::HandlePose { pivot, ..pose.clone() } != pb::HandlePose::default()
 }
 
-/// Nodes with those of the surface where an edit takes them to be.
+/// FollowedNodes with those of the surface where an edit takes them to be.
 fn with_points(nodes: &Arc<Vec<DVec3>>, points: &[DVec3]) -> Arc<Vec<DVec3>> {
     if nodes[..points.len()] == *points {
         return Arc::clone(nodes);

@@ -1,14 +1,15 @@
 //! Edit requests to operations on a surface: every number checked, regions turned into triangles.
 
-use super::check::{enumerated, number, plane, positive};
+use super::Deformer;
 use super::edit::refused;
-use super::foundation::{Foundation, Sheet};
-use super::origins::Origins;
-use super::{Error, Workbench, pb};
+use super::model_topology::{EditSurface, ModelTopology};
+use super::vertex_origins::VertexOrigins;
 use crate::asset::{self, FileSet, Format, Model};
 use crate::edit::{self, Applied, Between, Curve, Keep, MOST_POINTS, Patch, Plane, Scheme, Target};
 use crate::mesh::{Adjacency, Bounds, NONE, Weld, mean_edge_length};
 use crate::progress::Progress;
+use crate::wire::check::{enumerated, number, plane, positive};
+use crate::wire::{Error, pb};
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use pb::edit_request::{self as wire, Operation};
 use std::sync::Arc;
@@ -17,13 +18,13 @@ use std::sync::Arc;
 const LARGEST: f64 = 1e6;
 
 /// What an operation is planned on. A merge appends to sheet and origins.
-pub(super) struct Scene<'a> {
+pub(super) struct EditContext<'a> {
     /// The bench, unchanged.
-    pub bench: &'a Workbench,
+    pub bench: &'a Deformer,
     /// The surface to edit.
-    pub sheet: &'a mut Sheet,
+    pub sheet: &'a mut EditSurface,
     /// What its vertices are made of.
-    pub origins: &'a mut Origins,
+    pub origins: &'a mut VertexOrigins,
     /// The shape, one position per render vertex.
     pub shape: &'a [DVec3],
     /// The model of another session.
@@ -31,7 +32,7 @@ pub(super) struct Scene<'a> {
 }
 
 /// A planned operation.
-pub(super) struct Planned {
+pub(super) struct PlannedEdit {
     /// What it changes.
     pub patch: Patch,
     /// Points along an inserted curve, in the numbers after the edit.
@@ -40,7 +41,7 @@ pub(super) struct Planned {
     pub parts: bool,
 }
 
-impl Planned {
+impl PlannedEdit {
     /// One render vertex for each point of the curve.
     pub fn curve(&self, applied: &Applied) -> Vec<u32> {
         if self.curve.is_empty() {
@@ -59,11 +60,11 @@ impl Planned {
 
 /// Plans the operation of a request.
 pub(super) fn plan(
-    scene: &mut Scene<'_>,
+    scene: &mut EditContext<'_>,
     request: &pb::EditRequest,
     progress: &dyn Progress,
-) -> Result<Planned, Error> {
-    let simple = |patch: Patch| Planned {
+) -> Result<PlannedEdit, Error> {
+    let simple = |patch: Patch| PlannedEdit {
         patch,
         curve: Vec::new(),
         parts: false,
@@ -76,7 +77,7 @@ pub(super) fn plan(
                 format!("is missing, allowed is one of {allowed}"),
             ))
         }
-        Some(Operation::Cut(cut)) => Ok(Planned {
+        Some(Operation::Cut(cut)) => Ok(PlannedEdit {
             parts: true,
             ..simple(self::cut(scene, cut, progress)?)
         }),
@@ -122,7 +123,7 @@ pub(super) fn plan(
             let (patch, curve) =
                 edit::insert_curve(&scene.sheet.surface(), &Curve::Drawn(&line), curve.closed, progress)
                     .map_err(refused)?;
-            Ok(Planned {
+            Ok(PlannedEdit {
                 patch,
                 curve,
                 parts: false,
@@ -136,7 +137,7 @@ pub(super) fn plan(
     }
 }
 
-impl Scene<'_> {
+impl EditContext<'_> {
     /// Triangles with all corners in a region; all without one.
     fn faces(&self, region: Option<&pb::Region>, field: &str) -> Result<Vec<u32>, Error> {
         self.bench.faces(self.sheet, self.shape, region, 3, field)
@@ -153,7 +154,7 @@ impl Scene<'_> {
     }
 }
 
-fn cut(scene: &Scene<'_>, cut: &wire::Cut, progress: &dyn Progress) -> Result<Patch, Error> {
+fn cut(scene: &EditContext<'_>, cut: &wire::Cut, progress: &dyn Progress) -> Result<Patch, Error> {
     let keep = match enumerated(cut.keep, "cut.keep")? {
         wire::cut::Keep::Both => Keep::Both,
         wire::cut::Keep::Above => Keep::Above,
@@ -221,7 +222,7 @@ fn line(values: &[f64], field: &str, closed: bool) -> Result<Vec<DVec3>, Error> 
     Ok(values.chunks_exact(3).map(DVec3::from_slice).collect())
 }
 
-fn remesh(scene: &Scene<'_>, remesh: &wire::Remesh, progress: &dyn Progress) -> Result<Patch, Error> {
+fn remesh(scene: &EditContext<'_>, remesh: &wire::Remesh, progress: &dyn Progress) -> Result<Patch, Error> {
     let faces = scene.faces(remesh.region.as_ref(), "remesh.region")?;
     let rest = Arc::clone(scene.bench.rest());
     let target = match (remesh.auto, remesh.edge_length) {
@@ -242,7 +243,7 @@ fn remesh(scene: &Scene<'_>, remesh: &wire::Remesh, progress: &dyn Progress) -> 
 }
 
 /// Appends the other model to sheet and origins, and plans how they are joined.
-fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) -> Result<Planned, Error> {
+fn merge(scene: &mut EditContext<'_>, merge: &wire::Merge, progress: &dyn Progress) -> Result<PlannedEdit, Error> {
     let how = enumerated(merge.how, "merge.how")?;
     let placement = placement(&merge.transform)?;
     let files = match (&merge.source, scene.other) {
@@ -282,7 +283,7 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
     };
     let model = Model::read(files, format, &scene.bench.limits.model).map_err(|e| unfit(e.into()))?;
     let model = Arc::new(model);
-    let other = Foundation::of(Arc::clone(&model));
+    let other = ModelTopology::of(Arc::clone(&model));
     let mesh = other.mesh(Weld::Exact).map_err(unfit)?;
     let place = |p: &DVec3| placement.transform_point3(*p);
     let positions: Vec<DVec3> = other.rest.iter().map(place).collect();
@@ -297,7 +298,7 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
             along.normalize_or_zero().as_vec3().extend(t.w)
         })
         .collect();
-    let mut sheet = Sheet::new(&mesh, other.geometry(), &positions, turned, tangents);
+    let mut sheet = EditSurface::new(&mesh, other.geometry(), &positions, turned, tangents);
     if placement.determinant() < 0.0 {
         sheet.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }
@@ -322,7 +323,7 @@ fn merge(scene: &mut Scene<'_>, merge: &wire::Merge, progress: &dyn Progress) ->
             edit::stitch(&surface, Between::Appended(first_point), progress).map_err(refused)?
         }
     };
-    Ok(Planned {
+    Ok(PlannedEdit {
         patch,
         curve: Vec::new(),
         parts: false,

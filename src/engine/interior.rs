@@ -1,7 +1,8 @@
 //! Interior nodes within the memory that there is, and what a user should know of them.
 
-use super::{Limits, pb};
+use super::DeformerLimits;
 use crate::deform::{Body, BodyOptions, VolumeMode};
+use crate::wire::pb;
 
 /// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
 /// 1,150 on a solid of 128 K nodes, rounded up.
@@ -12,7 +13,7 @@ const PLACES: usize = 16;
 
 /// Lowers the most nodes of the graph to what fits into `limits` beside `other` bytes, with a fifth left for the fields
 /// of handles.
-pub(super) fn fit(options: &mut BodyOptions, other: u64, limits: &Limits) {
+pub(super) fn fit(options: &mut BodyOptions, other: u64, limits: &DeformerLimits) {
     let nodes = limits.memory_bytes.saturating_sub(other) / (BYTES_PER_NODE / 4 * 5);
     let most = &mut options.graph.max_nodes;
     *most = (*most).min(usize::try_from(nodes).unwrap_or(usize::MAX));
@@ -78,14 +79,15 @@ pub(super) fn warnings(body: &Body, mode: VolumeMode) -> Vec<pb::Warning> {
 mod tests {
     use super::*;
     use crate::asset::{FileSet, shapes};
+    use crate::engine::Deformer;
     use crate::exec::Exec;
-    use crate::job::{Error, Workbench};
     use crate::pool::Pool;
     use crate::progress::Silent;
+    use crate::wire::Error;
     use glam::DVec3;
 
     /// A cube of 1,538 vertices, with an open square beside it when asked for.
-    fn open(memory_bytes: u64, mode: pb::create_options::volume_graph::Mode, sheet: bool) -> Result<Workbench, Error> {
+    fn open(memory_bytes: u64, mode: pb::create_options::volume_graph::Mode, sheet: bool) -> Result<Deformer, Error> {
         let (positions, triangles) = shapes::box_with_cells(DVec3::ONE, [16; 3]);
         let mut text = String::new();
         positions
@@ -104,12 +106,12 @@ mod tests {
             }),
             ..Default::default()
         };
-        let limits = Limits {
+        let limits = DeformerLimits {
             memory_bytes,
             ..Default::default()
         };
         let pool = Pool::new(1).unwrap();
-        Workbench::open(
+        Deformer::open(
             FileSet::single("cube.obj", text),
             &create,
             &limits,
@@ -117,7 +119,7 @@ mod tests {
         )
     }
 
-    fn codes(bench: &Workbench) -> Vec<String> {
+    fn codes(bench: &Deformer) -> Vec<String> {
         bench.facts().warnings.into_iter().map(|w| w.code).collect()
     }
 

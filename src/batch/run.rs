@@ -1,18 +1,18 @@
 //! Runs a whole job in process: open, set handles, solve every step, write.
 
-use super::frames::digest;
-use super::{EditOrder, Error, Limits, Mode, Settings, Workbench, pb};
 use crate::asset::{FileSet, Format, Written};
+use crate::engine::{Deformer, DeformerLimits, EditCommand, SolveMode, digest};
 use crate::exec::Exec;
 use crate::mesh::Report;
 use crate::progress::Progress as _;
 use crate::stage_clock::StageClock;
+use crate::wire::{DeformOptions, Error, edit_name, pb};
 use glam::DVec3;
 use std::sync::Arc;
 
 /// A job done.
 #[derive(Debug, Clone)]
-pub struct Outcome {
+pub struct BatchOutcome {
     /// What happened, step by step.
     pub report: pb::Report,
     /// Final positions, one per render vertex.
@@ -38,15 +38,15 @@ pub fn run(
     files: FileSet,
     job: &pb::Job,
     format: Option<Format>,
-    limits: &Limits,
+    limits: &DeformerLimits,
     exec: &Exec<'_>,
     millis: &(dyn Fn() -> f64 + Sync),
-) -> Result<Outcome, Error> {
-    let settings = Settings::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
+) -> Result<BatchOutcome, Error> {
+    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
     let stages = StageClock::new(millis, exec.progress);
-    let mut bench = Workbench::open(
+    let mut bench = Deformer::open(
         files,
         &job.create.clone().unwrap_or_default(),
         limits,
@@ -64,7 +64,7 @@ pub fn run(
     let mut in_force = bench.initial_poses();
     let mut positions = bench.rest().clone();
     // How these came about, and what edits warned of.
-    let mut solved_with: Option<&Settings> = None;
+    let mut solved_with: Option<&DeformOptions> = None;
     let mut warned: Vec<String> = Vec::new();
     let mut steps = Vec::new();
     for (k, todo_now) in todo.iter().enumerate() {
@@ -78,7 +78,7 @@ pub fn run(
                     .solve(
                         &in_force,
                         &settings,
-                        Mode::Commit,
+                        SolveMode::Commit,
                         &Exec::new(exec.pool, &stages),
                         &mut |_| true,
                     )
@@ -99,7 +99,7 @@ pub fn run(
             }
             Todo::Edit(request) => {
                 stages.report("edit", fraction);
-                let order = EditOrder {
+                let order = EditCommand {
                     request,
                     shape: &positions,
                     poses: &in_force,
@@ -154,8 +154,8 @@ pub fn run(
         steps,
         output: Vec::new(),
     };
-    let (unmet, unchecked) = expectations(job.expect.as_ref(), &report);
-    Ok(Outcome {
+    let (unmet, unchecked) = unmet_expectations(job.expect.as_ref(), &report);
+    Ok(BatchOutcome {
         report,
         triangles: bench.geometry().triangles.clone(),
         constraint_error: bench.constraint_error(&positions, &in_force)?,
@@ -211,23 +211,6 @@ fn steps_of(job: &pb::Job) -> Result<Vec<Todo>, Error> {
     Ok(all)
 }
 
-/// The JSON name of an edit's operation.
-pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
-    use pb::edit_request::Operation;
-    match &edit.operation {
-        Some(Operation::Cut(_)) => "cut",
-        Some(Operation::Subdivide(_)) => "subdivide",
-        Some(Operation::Decimate(_)) => "decimate",
-        Some(Operation::Delete(_)) => "delete",
-        Some(Operation::Fill(_)) => "fill",
-        Some(Operation::Remesh(_)) => "remesh",
-        Some(Operation::Merge(_)) => "merge",
-        Some(Operation::InsertCurve(_)) => "insertCurve",
-        Some(Operation::Weld(_)) => "weld",
-        None => "none",
-    }
-}
-
 /// The error of a step, with what edits before it warned of: mostly that is the reason.
 fn at_step(e: Error, k: usize, warned: &[String]) -> Error {
     let mut before = String::new();
@@ -244,31 +227,9 @@ fn at_step(e: Error, k: usize, warned: &[String]) -> Error {
     }
 }
 
-impl pb::Expect {
-    /// Refuses bounds that nothing could exceed, or everything. `place` is where the expectations stand.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] with the bound's path.
-    pub fn check(&self, place: &str) -> Result<(), Error> {
-        let bounds = [
-            ("maxDistance", self.max_distance),
-            ("meanDistance", self.mean_distance),
-            ("normalDegrees", self.normal_degrees),
-            ("volumeChange", self.volume_change),
-        ];
-        for (name, most) in bounds.into_iter().filter_map(|(name, most)| Some((name, most?))) {
-            if !(most.is_finite() && most >= 0.0) {
-                let problem = format!("is {most:?}, a finite number of at least 0 is needed");
-                return Err(Error::invalid(format!("{place}.{name}"), problem));
-            }
-        }
-        Ok(())
-    }
-}
-
 /// What of the expectations does not hold for a report's quality and digest, one sentence each, and what only a stored
 /// result can tell.
-pub fn expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String>, Vec<&'static str>) {
+pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String>, Vec<&'static str>) {
     let Some(expect) = expect else {
         return Default::default();
     };
@@ -312,14 +273,14 @@ pub fn expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<St
 /// Reads a model and tells what the solver would see, without solving anything.
 ///
 /// # Errors
-/// As [`Workbench::open`].
+/// As [`Deformer::open`].
 pub fn inspect(
     files: FileSet,
     create: &pb::CreateOptions,
-    limits: &Limits,
+    limits: &DeformerLimits,
     exec: &Exec<'_>,
 ) -> Result<pb::Inspection, Error> {
-    let bench = Workbench::open(files, create, limits, exec)?;
+    let bench = Deformer::open(files, create, limits, exec)?;
     let facts = bench.facts();
     let report: &Report = bench.report();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
@@ -351,7 +312,7 @@ mod tests {
     use super::*;
 
     fn expect(text: &str) -> pb::Expect {
-        crate::job::json::from_json(text.as_bytes()).expect("an expectation")
+        crate::wire::json::from_json(text.as_bytes()).expect("an expectation")
     }
 
     #[test]
@@ -383,7 +344,7 @@ mod tests {
         };
         let unmet = |most: &str, is: f64| {
             let text = format!("{{\"volumeChange\": {most}}}");
-            expectations(Some(&expect(&text)), &report(is)).0
+            unmet_expectations(Some(&expect(&text)), &report(is)).0
         };
         assert!(unmet("0.1", 0.1).is_empty() && unmet("0.1", -0.1).is_empty() && unmet("0", 0.0).is_empty());
         assert_eq!(

@@ -1,17 +1,17 @@
 //! A set of handles as requested, resolved to what the engine takes.
 
-use super::check::{enumerated, number, optional_within, plane, positive, transform};
-use super::region::{Ground, Mirror, Resolved, resolve};
-use super::{Error, pb};
+use super::region::{MirrorPlane, RegionContext, ResolvedRegion, resolve};
 use crate::deform::{Body, Hold, Policy, Rigging, Transform};
 use crate::mesh::NONE;
+use crate::wire::check::{enumerated, number, optional_within, plane, positive, transform};
+use crate::wire::{Error, pb};
 use glam::{DMat3, DVec3};
 use std::cmp::Ordering;
 use std::collections::{BTreeSet, BinaryHeap};
 
 /// The handles in force beside the rig: their places and what the engine does not see.
 #[derive(Debug, Clone, Default)]
-pub(super) struct HandleSet {
+pub(super) struct ResolvedHandles {
     /// The request as it came.
     pub request: pb::SetHandlesRequest,
     /// Default pivot by handle.
@@ -19,7 +19,7 @@ pub(super) struct HandleSet {
     /// Render vertices by handle, after overlaps.
     pub counts: Vec<u32>,
     /// With a symmetry plane: the plane; hold `handles + k` is then the mirror image of handle k.
-    pub mirror: Option<Mirror>,
+    pub mirror: Option<MirrorPlane>,
     /// Render vertices in no face that a hard handle holds, with its hold.
     pub strays: Vec<(u32, u32)>,
     /// What the user should know.
@@ -28,13 +28,13 @@ pub(super) struct HandleSet {
 
 /// What handles held before an edit that carried them over.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Before<'a> {
+pub(super) struct HandlesBeforeEdit<'a> {
     pub rigging: &'a Rigging,
     /// For each node its number before the edit, or [`NONE`].
     pub old_from_new: &'a [u32],
 }
 
-impl Before<'_> {
+impl HandlesBeforeEdit<'_> {
     /// For each node before the edit its number now.
     fn new_from_old(&self) -> Vec<u32> {
         let most = self.old_from_new.iter().filter(|o| **o != NONE).max();
@@ -49,13 +49,13 @@ impl Before<'_> {
 /// Checks a request and resolves it. `most` bounds the number of handles. With `before` handles go on to hold the nodes
 /// inside that they held: a list of vertices, as which they come back, does not tell them.
 pub(super) fn resolve_handles(
-    ground: &Ground<'_>,
+    ground: &RegionContext<'_>,
     body: &Body,
     request: &pb::SetHandlesRequest,
     policy: Policy,
-    before: Option<Before<'_>>,
+    before: Option<HandlesBeforeEdit<'_>>,
     most: usize,
-) -> Result<(HandleSet, Rigging), Error> {
+) -> Result<(ResolvedHandles, Rigging), Error> {
     if request.handles.len() > most {
         return Err(Error::TooLarge {
             what: "handles",
@@ -68,11 +68,11 @@ pub(super) fn resolve_handles(
         .as_ref()
         .map(|p| plane(p, "symmetryPlane"))
         .transpose()?;
-    // Mirror images are found from what handles hold, so those stay as they are listed.
+    // MirrorPlane images are found from what handles hold, so those stay as they are listed.
     let before = before.filter(|b| mirror.is_none() && b.rigging.holds.len() == request.handles.len());
     let numbers = before.map(|b| b.new_from_old()).unwrap_or_default();
     let mut ids = BTreeSet::new();
-    let mut set = HandleSet {
+    let mut set = ResolvedHandles {
         request: request.clone(),
         mirror,
         ..Default::default()
@@ -147,7 +147,7 @@ pub(super) fn resolve_handles(
     Ok((set, Rigging { holds, frozen, policy }))
 }
 
-impl HandleSet {
+impl ResolvedHandles {
     /// The transforms of all holds for poses by handle. Handles that keep their shape are not scaled.
     pub fn transforms(&self, poses: &[pb::HandlePose]) -> Result<Vec<Transform>, Error> {
         let mut all = Vec::with_capacity(poses.len() * 2);
@@ -166,7 +166,7 @@ impl HandleSet {
     }
 }
 
-fn hold(body: &Body, handle: &pb::Handle, region: &Resolved, field: &str) -> Result<Hold, Error> {
+fn hold(body: &Body, handle: &pb::Handle, region: &ResolvedRegion, field: &str) -> Result<Hold, Error> {
     let (mut position, mut rotation, mut scale) = (false, false, false);
     for (k, &c) in handle.constrains.iter().enumerate() {
         match enumerated(c, &format!("{field}.constrains[{k}]"))? {
@@ -270,7 +270,7 @@ fn fade(body: &Body, core: &[u32], radius: f64, kind: pb::falloff::Kind) -> Vec<
     found
 }
 
-fn frozen_nodes(ground: &Ground<'_>, request: &pb::SetHandlesRequest) -> Result<Vec<bool>, Error> {
+fn frozen_nodes(ground: &RegionContext<'_>, request: &pb::SetHandlesRequest) -> Result<Vec<bool>, Error> {
     let Some(region) = &request.region_of_interest else {
         return Ok(Vec::new());
     };
@@ -280,7 +280,7 @@ fn frozen_nodes(ground: &Ground<'_>, request: &pb::SetHandlesRequest) -> Result<
     Ok(frozen)
 }
 
-fn stray_vertices(ground: &Ground<'_>, region: &Resolved, hold: u32) -> Vec<(u32, u32)> {
+fn stray_vertices(ground: &RegionContext<'_>, region: &ResolvedRegion, hold: u32) -> Vec<(u32, u32)> {
     (0u32..)
         .zip(&region.render)
         .zip(&ground.mesh.solver_from_render)
@@ -303,7 +303,7 @@ fn last_holders(holds: &[Hold], nodes: usize, frozen: &[bool]) -> Vec<u32> {
     owner
 }
 
-fn render_counts(ground: &Ground<'_>, holds: &[Hold], handles: usize, frozen: &[bool]) -> Vec<u32> {
+fn render_counts(ground: &RegionContext<'_>, holds: &[Hold], handles: usize, frozen: &[bool]) -> Vec<u32> {
     let owner = last_holders(holds, ground.graph.positions.len(), frozen);
     let mut counts = vec![0; handles];
     for &solver in ground.mesh.solver_from_render.iter().filter(|s| **s != NONE) {

@@ -1,18 +1,19 @@
 //! How far a shape is from the rest shape, in numbers.
 
-use super::{Error, Poses, Workbench, pb};
+use super::{Deformer, HandlePoses};
 use crate::mesh::{Bounds, Mesh, shading};
 use crate::pool::Pool;
+use crate::wire::{Error, pb};
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
-impl Workbench {
+impl Deformer {
     /// Largest distance of a vertex that a hard handle holds from where `poses` put it, as a fraction of the bounding box's
     /// diagonal; 0 without handles.
     ///
     /// # Errors
-    /// Those of [`Workbench::transforms`].
-    pub(super) fn constraint_error(&self, positions: &[DVec3], poses: &Poses) -> Result<f64, Error> {
+    /// Those of [`Deformer::transforms`].
+    pub fn constraint_error(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<f64, Error> {
         let Some(rig) = self.rig() else { return Ok(0.0) };
         let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
         let farthest = rig.misplaced(self.body(), &self.transforms(poses)?, now);
@@ -21,7 +22,7 @@ impl Workbench {
     }
 }
 
-/// Triangles whose numbers are summed by one thread. Sums depend on it, so it is fixed.
+/// Triangles whose numbers are summed by one thread. QualitySums depend on it, so it is fixed.
 const BLOCK: usize = 4096;
 /// Triangles whose gradients are held at a time.
 const RUN: usize = 1 << 16;
@@ -33,12 +34,12 @@ const RUN: usize = 1 << 16;
 pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> pb::Quality {
     let centers = [&mesh.positions, deformed].map(|p| Bounds::of(p).center());
     let (sums, flipped_triangles) = pool.install(|| {
-        let blocks: Vec<Sums> = mesh
+        let blocks: Vec<QualitySums> = mesh
             .triangles
             .par_chunks(BLOCK)
-            .map(|block| Sums::of(block, [&mesh.positions, deformed], closed, centers))
+            .map(|block| QualitySums::of(block, [&mesh.positions, deformed], closed, centers))
             .collect();
-        let sums = blocks.into_iter().fold(Sums::default(), Sums::join);
+        let sums = blocks.into_iter().fold(QualitySums::default(), QualitySums::join);
         (sums, flipped(mesh, deformed))
     });
     let change = |[before, now]: [f64; 2]| if before != 0.0 { now / before - 1.0 } else { 0.0 };
@@ -54,7 +55,7 @@ pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool
 
 /// What is added up over triangles; pairs are at rest and deformed.
 #[derive(Default)]
-struct Sums {
+struct QualitySums {
     squares: f64,
     edges: u64,
     max_stretch: f64,
@@ -62,7 +63,7 @@ struct Sums {
     volume: [f64; 2],
 }
 
-impl Sums {
+impl QualitySums {
     fn of(triangles: &[[u32; 3]], shapes: [&[DVec3]; 2], closed: bool, centers: [DVec3; 2]) -> Self {
         let mut sums = Self::default();
         for t in triangles {
@@ -118,7 +119,7 @@ fn largest_stretch(p: [DVec3; 3], q: [DVec3; 3]) -> Option<f64> {
     stretch.is_finite().then_some(stretch)
 }
 
-/// Triangles whose normal opposes what the shape around them did to it. Runs on the pool of the caller.
+/// Triangles whose normal opposes what the shape around them did to it. NumberRuns on the pool of the caller.
 fn flipped(mesh: &Mesh, deformed: &[DVec3]) -> u32 {
     let corners = |shape: &[DVec3], t: &[u32; 3]| t.map(|v| shape[v as usize]);
     // A gradient for each vertex from the triangles around it, in proportion to their areas.

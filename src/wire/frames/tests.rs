@@ -1,6 +1,7 @@
 //! Whatever the encoding, a client gets every vertex once, in parts that are small enough.
 
 use super::*;
+use crate::engine::digest;
 use glam::Vec3Swizzles as _;
 use proptest::prelude::*;
 

@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 const LARGEST: f64 = 1e30;
 
 /// Exactly three finite numbers.
-pub(super) fn vector(values: &[f64], field: &str) -> Result<DVec3, Error> {
+pub(crate) fn vector(values: &[f64], field: &str) -> Result<DVec3, Error> {
     if values.len() != 3 {
         return Err(Error::invalid(
             field,
@@ -22,7 +22,7 @@ pub(super) fn vector(values: &[f64], field: &str) -> Result<DVec3, Error> {
 }
 
 /// A finite number of sane size.
-pub(super) fn number(value: f64, field: &str) -> Result<f64, Error> {
+pub(crate) fn number(value: f64, field: &str) -> Result<f64, Error> {
     if value.abs() <= LARGEST {
         Ok(value)
     } else {
@@ -34,7 +34,7 @@ pub(super) fn number(value: f64, field: &str) -> Result<f64, Error> {
 }
 
 /// A finite number above 0.
-pub(super) fn positive(value: f64, field: &str) -> Result<f64, Error> {
+pub(crate) fn positive(value: f64, field: &str) -> Result<f64, Error> {
     number(value, field)?;
     if value > 0.0 {
         Ok(value)
@@ -44,7 +44,7 @@ pub(super) fn positive(value: f64, field: &str) -> Result<f64, Error> {
 }
 
 /// 0 for "not given", else a number in `range`.
-pub(super) fn optional_within(value: f64, low: f64, high: f64, field: &str) -> Result<Option<f64>, Error> {
+pub(crate) fn optional_within(value: f64, low: f64, high: f64, field: &str) -> Result<Option<f64>, Error> {
     if value == 0.0 {
         return Ok(None);
     }
@@ -59,12 +59,12 @@ pub(super) fn optional_within(value: f64, low: f64, high: f64, field: &str) -> R
 }
 
 /// A known enum value.
-pub(super) fn enumerated<E: TryFrom<i32>>(value: i32, field: &str) -> Result<E, Error> {
+pub(crate) fn enumerated<E: TryFrom<i32>>(value: i32, field: &str) -> Result<E, Error> {
     E::try_from(value).map_err(|_| Error::invalid(field, format!("is {value}, no value of this enum")))
 }
 
 /// A plane with a unit normal: (normal, a point on it).
-pub(super) fn plane(plane: &pb::Plane, field: &str) -> Result<(DVec3, DVec3), Error> {
+pub(crate) fn plane(plane: &pb::Plane, field: &str) -> Result<(DVec3, DVec3), Error> {
     let normal = vector(&plane.normal, &format!("{field}.normal"))?;
     let offset = number(plane.offset, &format!("{field}.offset"))?;
     let length = normal.length();
@@ -79,7 +79,7 @@ pub(super) fn plane(plane: &pb::Plane, field: &str) -> Result<(DVec3, DVec3), Er
 }
 
 /// A pose as a transform; `pivot` is used when the pose names none.
-pub(super) fn transform(pose: &pb::HandlePose, pivot: DVec3, field: &str) -> Result<Transform, Error> {
+pub(crate) fn transform(pose: &pb::HandlePose, pivot: DVec3, field: &str) -> Result<Transform, Error> {
     let optional = |values: &[f64], name: &str| match values {
         [] => Ok(None),
         values => vector(values, &format!("{field}.{name}")).map(Some),
@@ -161,9 +161,9 @@ const MOST_REFINE: u32 = 1000;
 /// Largest weight of neighbours in such a fit.
 const MOST_SMOOTHING: f64 = 1e6;
 
-/// Checked options of a solve. Made by [`Settings::check`].
+/// Checked options of a solve. Made by [`DeformOptions::check`].
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct DeformOptions {
     /// Relative residual to reach, when asked for.
     pub tolerance: Option<f64>,
     /// Largest missing displacement as a fraction of the diagonal, when asked for.
@@ -186,7 +186,7 @@ pub struct Settings {
     pub window: u32,
 }
 
-impl Settings {
+impl DeformOptions {
     /// Checks `options`; wrong values are [`Error::Invalid`] with the field's path below `prefix` (such as `options`).
     pub fn check(options: &pb::Options, prefix: &str, max_window: u32) -> Result<Self, Error> {
         let at = |name: &str| format!("{prefix}.{name}");
@@ -317,7 +317,7 @@ mod tests {
 
     #[test]
     fn first_passes_and_methods_are_taken_as_named() {
-        let check = |options: &pb::Options| Settings::check(options, "options", 8);
+        let check = |options: &pb::Options| DeformOptions::check(options, "options", 8);
         let options = pb::Options::default;
         for (first_pass, expected) in [
             (pb::options::FirstPass::Harmonic, FirstPass::Harmonic),
@@ -353,7 +353,7 @@ mod tests {
 
     #[test]
     fn what_is_not_given_has_its_default() {
-        let check = |options: &pb::Options| Settings::check(options, "options", 8).expect("valid");
+        let check = |options: &pb::Options| DeformOptions::check(options, "options", 8).expect("valid");
         let fine = check(&pb::Options {
             refine: Some(0),
             ..Default::default()

@@ -4,13 +4,13 @@
 //! each of them the change of the mesh is kept, and where a deformation had moved the graph's nodes. Following them again
 //! gives the same bits; solving is no part of it.
 
-use super::create::Choices;
-use super::delta::Delta;
-use super::derived::Nodes;
-use super::foundation::Foundation;
-use super::{Error, pb};
+use super::derived_structures::FollowedNodes;
+use super::mesh_delta::MeshDelta;
+use super::model_topology::ModelTopology;
 use crate::deform::{Body, Followed, KeptFields};
 use crate::exec::Exec;
+use crate::wire::OpenOptions;
+use crate::wire::{Error, pb};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -19,38 +19,38 @@ const LONGEST: u32 = 64;
 
 /// The state of a bench but for its handles, to go back to.
 #[derive(Debug, Clone)]
-pub struct Trail(pub(super) Arc<Path>);
+pub struct TopologyState(pub(super) Arc<TopologyLineage>);
 
 /// A foundation, and how its body came about.
 #[derive(Debug)]
-pub(super) struct Path {
-    pub foundation: Arc<Foundation>,
-    pub past: Past,
+pub(super) struct TopologyLineage {
+    pub foundation: Arc<ModelTopology>,
+    pub past: LineageOrigin,
     /// What the fields of the handles that the last edit carried over begin from.
-    pub restart: Option<Carried>,
+    pub restart: Option<KeptHandleFields>,
 }
 
 /// The handles that an edit carried over, and the fields that they had before it.
 #[derive(Debug)]
-pub(super) struct Carried {
+pub(super) struct KeptHandleFields {
     pub request: pb::SetHandlesRequest,
     pub fields: KeptFields,
 }
 
 /// Where a body comes from.
 #[derive(Debug, Clone)]
-pub(super) enum Past {
+pub(super) enum LineageOrigin {
     /// It is built from this.
-    Built(Arc<Foundation>),
+    Built(Arc<ModelTopology>),
     /// It follows another one.
-    Edited(Arc<Step>),
+    Edited(Arc<LineageEdit>),
 }
 
 /// An edit of a mesh whose body followed.
 #[derive(Debug)]
-pub(super) struct Step {
-    before: Past,
-    delta: Delta,
+pub(super) struct LineageEdit {
+    before: LineageOrigin,
+    delta: MeshDelta,
     /// All nodes where a deformation, which is the rest shape now, left them.
     nodes: Option<Arc<Vec<DVec3>>>,
     length: u32,
@@ -58,7 +58,7 @@ pub(super) struct Step {
     bytes: u64,
 }
 
-impl Trail {
+impl TopologyState {
     /// Whether two are the same state.
     pub fn same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
@@ -67,8 +67,8 @@ impl Trail {
     /// Bytes that only this state holds, about.
     pub fn bytes(&self) -> u64 {
         let step = match &self.0.past {
-            Past::Built(_) => 0,
-            Past::Edited(step) => step.own_bytes(),
+            LineageOrigin::Built(_) => 0,
+            LineageOrigin::Edited(step) => step.own_bytes(),
         };
         let kept = self.0.restart.as_ref().map_or(0, |c| c.fields.bytes() as u64);
         step + kept
@@ -81,26 +81,26 @@ impl Trail {
     }
 }
 
-impl Path {
+impl TopologyLineage {
     /// Of a model whose body is built.
-    pub fn built(foundation: Arc<Foundation>) -> Self {
+    pub fn built(foundation: Arc<ModelTopology>) -> Self {
         Self {
-            past: Past::Built(Arc::clone(&foundation)),
+            past: LineageOrigin::Built(Arc::clone(&foundation)),
             foundation,
             restart: None,
         }
     }
 }
 
-impl Past {
+impl LineageOrigin {
     /// One edit more; `None` when there have been so many that a body is to be built from nothing. The bytes of all of them
     /// stay below `most`.
-    pub fn then(&self, delta: Delta, nodes: Option<Arc<Vec<DVec3>>>, most: u64) -> Option<Arc<Step>> {
+    pub fn then(&self, delta: MeshDelta, nodes: Option<Arc<Vec<DVec3>>>, most: u64) -> Option<Arc<LineageEdit>> {
         let (length, bytes) = match self {
             Self::Built(_) => (0, 0),
             Self::Edited(step) => (step.length, step.bytes),
         };
-        let mut step = Step {
+        let mut step = LineageEdit {
             before: self.clone(),
             delta,
             nodes,
@@ -115,10 +115,10 @@ impl Past {
     /// cannot be where it once was.
     pub fn retrace(
         &self,
-        choices: &Choices,
-        fit: &dyn Fn(&Foundation) -> crate::deform::BodyOptions,
+        choices: &OpenOptions,
+        fit: &dyn Fn(&ModelTopology) -> crate::deform::BodyOptions,
         exec: &Exec<'_>,
-    ) -> Result<Option<Remade>, Error> {
+    ) -> Result<Option<RetracedBody>, Error> {
         let mut steps = Vec::new();
         let mut at = self;
         let start = loop {
@@ -132,9 +132,9 @@ impl Past {
         };
         let mesh = start.mesh(choices.weld)?;
         let body = Body::build(&mesh, &fit(start), exec)?;
-        let mut now = Remade {
+        let mut now = RetracedBody {
             body,
-            nodes: Nodes::default(),
+            nodes: FollowedNodes::default(),
             positions: mesh.positions,
             triangles: mesh.triangles,
         };
@@ -152,9 +152,9 @@ impl Past {
                 old_from_new,
                 touched,
             } = followed;
-            now = Remade {
+            now = RetracedBody {
                 body,
-                nodes: Nodes { old_from_new, touched },
+                nodes: FollowedNodes { old_from_new, touched },
                 positions,
                 triangles,
             };
@@ -164,14 +164,14 @@ impl Past {
 }
 
 /// A body made again.
-pub(super) struct Remade {
+pub(super) struct RetracedBody {
     pub body: Body,
-    pub nodes: Nodes,
+    pub nodes: FollowedNodes,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
 }
 
-impl Step {
+impl LineageEdit {
     /// Bytes of this step and those before it.
     pub fn bytes(&self) -> u64 {
         self.bytes

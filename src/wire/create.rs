@@ -9,14 +9,14 @@ use crate::mesh::Weld;
 
 /// Options of a session, checked.
 #[derive(Debug, Clone)]
-pub(super) struct Choices {
+pub(crate) struct OpenOptions {
     pub format: Option<Format>,
     pub weld: Weld,
     pub policy: Policy,
     pub body: BodyOptions,
 }
 
-impl Choices {
+impl OpenOptions {
     /// Checks the options of a session; fields are named as in JSON.
     pub fn check(create: &pb::CreateOptions) -> Result<Self, Error> {
         let format = match create.format.as_str() {
@@ -102,13 +102,13 @@ mod tests {
                 operators: wanted.into(),
                 ..Default::default()
             };
-            let choices = Choices::check(&create).ok();
+            let choices = OpenOptions::check(&create).ok();
             assert_eq!(choices.map(|c| c.body.operators), Some(chosen));
         }
         let unknown = pb::CreateOptions {
             operators: 7,
             ..Default::default()
         };
-        assert!(Choices::check(&unknown).is_err());
+        assert!(OpenOptions::check(&unknown).is_err());
     }
 }

@@ -1,16 +1,16 @@
 //! Regions to vertices: which render vertices and which graph nodes a handle holds.
 
-use super::check::{number, plane, positive, vector};
-use super::{Error, pb};
 use crate::asset::Primitive;
 use crate::deform::NearestPoints;
 use crate::graph::Graph;
 use crate::mesh::query::closest_point::closest_point_on_segment;
 use crate::mesh::{Components, Mesh, NONE};
+use crate::wire::check::{number, plane, positive, vector};
+use crate::wire::{Error, pb};
 use glam::DVec3;
 
 /// What regions are resolved against; all in the rest pose, or in the shape that is edited.
-pub(super) struct Ground<'a> {
+pub(super) struct RegionContext<'a> {
     /// Which of these, in words.
     pub pose: &'static str,
     pub positions: &'a [DVec3],
@@ -21,11 +21,11 @@ pub(super) struct Ground<'a> {
 }
 
 /// A mirror: unit normal and a point of the plane.
-pub(super) type Mirror = (DVec3, DVec3);
+pub(super) type MirrorPlane = (DVec3, DVec3);
 
 /// The vertices of a region.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Resolved {
+pub(super) struct ResolvedRegion {
     /// By render vertex.
     pub render: Vec<bool>,
     /// Graph nodes, rising. Inside nodes belong to a volume region by where they are, to a listed one by their nearest
@@ -35,9 +35,9 @@ pub(super) struct Resolved {
     pub weights: Option<Vec<f64>>,
 }
 
-impl Resolved {
+impl ResolvedRegion {
     /// Mean of the region's solver vertices at rest; of its render vertices when none of them is in a face.
-    pub fn centroid(&self, ground: &Ground<'_>) -> DVec3 {
+    pub fn centroid(&self, ground: &RegionContext<'_>) -> DVec3 {
         let surface = ground.graph.surface as u32;
         let solver: Vec<DVec3> = self
             .nodes
@@ -64,11 +64,11 @@ impl Resolved {
 /// # Errors
 /// [`Error::Invalid`] with the field below `field`, also for a region that holds no render vertex.
 pub(super) fn resolve(
-    ground: &Ground<'_>,
+    ground: &RegionContext<'_>,
     region: Option<&pb::Region>,
-    mirror: Option<Mirror>,
+    mirror: Option<MirrorPlane>,
     field: &str,
-) -> Result<Resolved, Error> {
+) -> Result<ResolvedRegion, Error> {
     use pb::region::Region;
     const KINDS: &str = "vertices, halfSpace, sphere, box, capsule, tube, component, primitive or weights";
     let Some(region) = region.and_then(|r| r.region.as_ref()) else {
@@ -164,7 +164,7 @@ fn in_range(index: u32, count: usize, field: &str, what: &str) -> Result<(), Err
     }
 }
 
-fn mark(ground: &Ground<'_>, list: &pb::region::Vertices, field: &str) -> Result<Vec<bool>, Error> {
+fn mark(ground: &RegionContext<'_>, list: &pb::region::Vertices, field: &str) -> Result<Vec<bool>, Error> {
     let count = ground.positions.len();
     let mut marks = vec![false; count];
     for (k, &index) in list.indices.iter().enumerate() {
@@ -187,8 +187,8 @@ fn mark(ground: &Ground<'_>, list: &pb::region::Vertices, field: &str) -> Result
     Ok(marks)
 }
 
-/// Nodes of listed render vertices: their solver vertices, and the inside nodes nearest to those.
-fn listed(ground: &Ground<'_>, marks: &[bool], mirror: Option<Mirror>) -> Resolved {
+/// FollowedNodes of listed render vertices: their solver vertices, and the inside nodes nearest to those.
+fn listed(ground: &RegionContext<'_>, marks: &[bool], mirror: Option<MirrorPlane>) -> ResolvedRegion {
     let mut surface = vec![false; ground.graph.surface];
     for (&solver, _) in ground
         .mesh
@@ -211,20 +211,20 @@ fn listed(ground: &Ground<'_>, marks: &[bool], mirror: Option<Mirror>) -> Resolv
 }
 
 /// The nodes whose nearest surface vertex is marked.
-fn from_surface(ground: &Ground<'_>, surface: &[bool], render: Vec<bool>) -> Resolved {
+fn from_surface(ground: &RegionContext<'_>, surface: &[bool], render: Vec<bool>) -> ResolvedRegion {
     let nodes = (0u32..)
         .zip(&ground.graph.nearest_surface)
         .filter(|(_, s)| surface[**s as usize])
         .map(|(n, _)| n)
         .collect();
-    Resolved {
+    ResolvedRegion {
         render,
         nodes,
         weights: None,
     }
 }
 
-fn render_of(ground: &Ground<'_>, surface: &[bool]) -> Vec<bool> {
+fn render_of(ground: &RegionContext<'_>, surface: &[bool]) -> Vec<bool> {
     ground
         .mesh
         .solver_from_render
@@ -234,7 +234,7 @@ fn render_of(ground: &Ground<'_>, surface: &[bool]) -> Vec<bool> {
 }
 
 /// For every solver vertex the one whose mirror image it is: the nearest within half a mean edge of the exact place.
-fn images(ground: &Ground<'_>, (normal, point): Mirror) -> Vec<Option<u32>> {
+fn images(ground: &RegionContext<'_>, (normal, point): MirrorPlane) -> Vec<Option<u32>> {
     let tree = NearestPoints::new(ground.mesh.positions.iter().copied().zip(0u32..));
     let edge = 0.5 * mean_edge(ground.mesh);
     let reflect = |p: DVec3| p - normal * (2.0 * normal.dot(p - point));
@@ -262,7 +262,12 @@ fn mean_edge(mesh: &Mesh) -> f64 {
     sum / mesh.triangles.len().max(1) as f64
 }
 
-fn weighted(ground: &Ground<'_>, values: &[f32], mirror: Option<Mirror>, field: &str) -> Result<Resolved, Error> {
+fn weighted(
+    ground: &RegionContext<'_>,
+    values: &[f32],
+    mirror: Option<MirrorPlane>,
+    field: &str,
+) -> Result<ResolvedRegion, Error> {
     let at = format!("{field}.weights.values");
     let count = ground.positions.len();
     if values.len() != count {
@@ -306,13 +311,13 @@ fn weighted(ground: &Ground<'_>, values: &[f32], mirror: Option<Mirror>, field: 
     Ok(resolved)
 }
 
-/// Nodes and render vertices inside a solid.
-fn inside(ground: &Ground<'_>, mirror: Option<Mirror>, contains: impl Fn(DVec3) -> bool) -> Resolved {
+/// FollowedNodes and render vertices inside a solid.
+fn inside(ground: &RegionContext<'_>, mirror: Option<MirrorPlane>, contains: impl Fn(DVec3) -> bool) -> ResolvedRegion {
     let seen = |p: DVec3| match mirror {
         None => contains(p),
         Some((normal, point)) => contains(p - normal * (2.0 * normal.dot(p - point))),
     };
-    Resolved {
+    ResolvedRegion {
         render: ground.positions.iter().map(|&p| seen(p)).collect(),
         nodes: (0u32..)
             .zip(&ground.graph.positions)

@@ -1,10 +1,10 @@
 //! What everything on a bench is derived from: the model as it was read, or as edits have left it.
 
-use super::origins::Origins;
-use super::{Error, pb};
+use super::vertex_origins::VertexOrigins;
 use crate::asset::{self, Format, Geometry, Model, Primitive, Written};
 use crate::edit::{Applied, Patch, Surface};
 use crate::mesh::{Mesh, NONE, Weld};
+use crate::wire::{Error, pb};
 use glam::{DVec3, Vec3, Vec4};
 use sha2::{Digest, Sha256};
 use std::mem::take;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 /// A model and what edits have made of it. Never changes; an edit makes another one.
 #[derive(Debug)]
-pub(super) struct Foundation {
+pub(super) struct ModelTopology {
     /// The model as it was read.
     pub model: Arc<Model>,
     /// Digest of its file.
@@ -20,16 +20,16 @@ pub(super) struct Foundation {
     /// Rest positions, one per render vertex.
     pub rest: Arc<Vec<DVec3>>,
     /// What edits have made of it.
-    pub edited: Option<Edited>,
+    pub edited: Option<EditedTopology>,
 }
 
 /// An edited model.
 #[derive(Debug)]
-pub(super) struct Edited {
-    /// Render vertices, triangles and primitives; positions are empty, [`Foundation::rest`] has them.
+pub(super) struct EditedTopology {
+    /// Render vertices, triangles and primitives; positions are empty, [`ModelTopology::rest`] has them.
     pub geometry: Geometry,
     /// What the vertices are made of.
-    pub origins: Origins,
+    pub origins: VertexOrigins,
     /// The solver vertex of each render vertex.
     pub point_of: Vec<u32>,
     /// How many there are.
@@ -38,7 +38,7 @@ pub(super) struct Edited {
     pub apart: bool,
 }
 
-impl Foundation {
+impl ModelTopology {
     /// Of a model that was just read.
     pub fn new(model: Model) -> Self {
         let sha256 = Sha256::digest(&model.files.main);
@@ -79,10 +79,10 @@ impl Foundation {
     }
 
     /// What the vertices are made of; `mesh` is this model's.
-    pub fn origins(&self, mesh: &Mesh) -> Origins {
+    pub fn origins(&self, mesh: &Mesh) -> VertexOrigins {
         match &self.edited {
             Some(e) => e.origins.clone(),
-            None => Origins::of_model(&self.model, &mesh.source_triangle),
+            None => VertexOrigins::of_model(&self.model, &mesh.source_triangle),
         }
     }
 
@@ -106,8 +106,8 @@ impl Foundation {
     /// `applied`. `parts` tells that it may have made parts that touch.
     pub fn edited(
         &self,
-        before: &Sheet,
-        origins: &Origins,
+        before: &EditSurface,
+        origins: &VertexOrigins,
         mut applied: Applied,
         patch: &Patch,
         parts: bool,
@@ -127,7 +127,7 @@ impl Foundation {
             model: Arc::clone(&self.model),
             sha256: Arc::clone(&self.sha256),
             rest: Arc::new(take(&mut applied.positions)),
-            edited: Some(Edited {
+            edited: Some(EditedTopology {
                 geometry,
                 origins,
                 point_of: take(&mut applied.point_of),
@@ -146,7 +146,7 @@ impl Foundation {
 
 /// The surface that an edit works on, with what goes along.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Sheet {
+pub(super) struct EditSurface {
     /// Render vertices in the shape that is edited.
     pub positions: Vec<DVec3>,
     /// Triangles that the solver sees, over render vertices.
@@ -167,7 +167,7 @@ pub(super) struct Sheet {
     pub idle: Vec<u32>,
 }
 
-impl Sheet {
+impl EditSurface {
     /// The surface of a mesh in the shape `positions`.
     pub fn new(mesh: &Mesh, geometry: &Geometry, positions: &[DVec3], normals: Vec<Vec3>, tangents: Vec<Vec4>) -> Self {
         let of_triangle = runs(&geometry.primitives, geometry.triangles.len());
@@ -220,7 +220,7 @@ impl Sheet {
     }
 
     /// Appends another surface, whose vertices were put in place before.
-    pub fn append(&mut self, other: &Sheet) {
+    pub fn append(&mut self, other: &EditSurface) {
         let (vertices, primitives) = (self.positions.len() as u32, self.primitives.len() as u32);
         let both = |a: bool, b: bool| a || b;
         if both(!self.normals.is_empty(), !other.normals.is_empty()) {
@@ -281,7 +281,7 @@ fn runs(primitives: &[Primitive], count: usize) -> Vec<u32> {
     of
 }
 
-fn primitives(before: &Sheet, applied: &Applied) -> Vec<Primitive> {
+fn primitives(before: &EditSurface, applied: &Applied) -> Vec<Primitive> {
     let vertices = applied.positions.len() as u32;
     let mut triangles = vec![0u32; before.primitives.len()];
     applied.primitive_of.iter().for_each(|&p| triangles[p as usize] += 1);
@@ -298,7 +298,7 @@ fn primitives(before: &Sheet, applied: &Applied) -> Vec<Primitive> {
 }
 
 /// Normals after an edit: old vertices keep theirs, new ones have the mean of their triangles'.
-fn normals(before: &Sheet, applied: &Applied) -> Vec<Vec3> {
+fn normals(before: &EditSurface, applied: &Applied) -> Vec<Vec3> {
     if before.normals.is_empty() {
         return Vec::new();
     }
@@ -326,7 +326,7 @@ fn normals(before: &Sheet, applied: &Applied) -> Vec<Vec3> {
 }
 
 /// Whether a new vertex lies on surface that the edit has made: its triangles face elsewhere than what it is blended from.
-fn is_own(before: &Sheet, applied: &Applied, patch: &Patch, normals: &[Vec3], vertex: usize) -> bool {
+fn is_own(before: &EditSurface, applied: &Applied, patch: &Patch, normals: &[Vec3], vertex: usize) -> bool {
     const ALIKE: f32 = 0.5;
     let old = before.positions.len();
     let new = (applied.old_from_vertex[vertex] as usize).checked_sub(old);
@@ -339,7 +339,7 @@ fn is_own(before: &Sheet, applied: &Applied, patch: &Patch, normals: &[Vec3], ve
 }
 
 /// Tangents after an edit: those of new vertices are blended.
-fn tangents(before: &Sheet, applied: &Applied, patch: &Patch) -> Vec<Vec4> {
+fn tangents(before: &EditSurface, applied: &Applied, patch: &Patch) -> Vec<Vec4> {
     if before.tangents.is_empty() {
         return Vec::new();
     }

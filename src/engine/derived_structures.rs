@@ -1,18 +1,18 @@
 //! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
 
-use super::create::Choices;
-use super::delta::Delta;
-use super::foundation::Foundation;
+use super::deformer::DeformerLimits;
 use super::interior::{self, BYTES_PER_NODE};
-use super::trail::{Carried, Past, Path, Trail};
-use super::workbench::Limits;
-use super::{Error, pb};
+use super::mesh_delta::MeshDelta;
+use super::model_topology::ModelTopology;
+use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyLineage, TopologyState};
 use crate::asset::Model;
 use crate::deform::{Body, BodyOptions, Followed, VolumeMode};
 use crate::edit::Applied;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::{Adjacency, Components, Mesh, Report, inspect};
+use crate::wire::OpenOptions;
+use crate::wire::{Error, pb};
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
 
@@ -20,44 +20,44 @@ use std::sync::{Arc, OnceLock};
 const BYTES_PER_VERTEX: u64 = 500;
 
 /// A model with its graph and hierarchy. Never changes.
-pub(super) struct Derived {
-    pub path: Arc<Path>,
+pub(super) struct DerivedStructures {
+    pub path: Arc<TopologyLineage>,
     pub mesh: Mesh,
     pub parts: Components,
     pub body: Body,
     /// How the nodes of the graph came about when the body has followed an edit.
-    pub followed: Nodes,
+    pub followed: FollowedNodes,
     volume: VolumeMode,
     report: OnceLock<Report>,
 }
 
 /// How the nodes of a graph that has followed an edit came about; empty when it was built.
 #[derive(Debug, Default)]
-pub(super) struct Nodes {
+pub(super) struct FollowedNodes {
     /// For each node its number before.
     pub old_from_new: Vec<u32>,
-    /// Nodes that changed, rising.
+    /// FollowedNodes that changed, rising.
     pub touched: Vec<u32>,
 }
 
 /// What an edit made of a model.
-pub(super) struct Change<'a> {
-    pub foundation: Arc<Foundation>,
+pub(super) struct TopologyChange<'a> {
+    pub foundation: Arc<ModelTopology>,
     pub applied: &'a Applied,
     /// All nodes of the graph before, in the shape that was edited; `None` when that was the rest shape.
     pub nodes: Option<Arc<Vec<DVec3>>>,
     /// Whether the body may follow, or has to be built.
     pub follow: bool,
     /// The handles that the edit carries over, with their fields before it.
-    pub carried: Option<Carried>,
+    pub carried: Option<KeptHandleFields>,
 }
 
-impl Derived {
+impl DerivedStructures {
     /// Builds everything from nothing.
     pub fn build(
-        foundation: Arc<Foundation>,
-        choices: &Choices,
-        limits: &Limits,
+        foundation: Arc<ModelTopology>,
+        choices: &OpenOptions,
+        limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         exec.progress.report("mesh", 0.0);
@@ -77,11 +77,11 @@ impl Derived {
         let body = Body::build(&mesh, &options(&foundation, choices, limits), exec)?;
         let parts = parts_of(&mesh);
         Ok(Self::new(
-            Path::built(foundation),
+            TopologyLineage::built(foundation),
             mesh,
             parts,
             body,
-            Nodes::default(),
+            FollowedNodes::default(),
             choices,
         ))
     }
@@ -89,9 +89,9 @@ impl Derived {
     /// Everything after an edit: followed where it can be, else built from nothing.
     pub fn edited(
         &self,
-        change: Change<'_>,
-        choices: &Choices,
-        limits: &Limits,
+        change: TopologyChange<'_>,
+        choices: &OpenOptions,
+        limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         if change.follow && !change.foundation.is_apart() {
@@ -99,7 +99,7 @@ impl Derived {
             let mesh = change.foundation.mesh(choices.weld)?;
             let at = change.nodes.as_deref().unwrap_or(&self.body.graph.positions);
             let at = &at[..self.mesh.positions.len()];
-            let delta = Delta::between(&self.mesh.triangles, at, &mesh, change.applied);
+            let delta = MeshDelta::between(&self.mesh.triangles, at, &mesh, change.applied);
             let lists = delta.lists(&self.mesh.triangles);
             let moved = change.nodes.clone();
             // What there is to go back along costs no more than what it leads to.
@@ -122,13 +122,13 @@ impl Derived {
                     old_from_new,
                     touched,
                 } = followed;
-                let nodes = Nodes { old_from_new, touched };
+                let nodes = FollowedNodes { old_from_new, touched };
                 let vertices = change.foundation.rest.len() as u64;
                 let files = change.foundation.model.files.total_bytes();
                 admit(estimate(vertices, body.nodes() as u64) + files, limits)?;
-                let path = Path {
+                let path = TopologyLineage {
                     foundation: change.foundation,
-                    past: Past::Edited(step),
+                    past: LineageOrigin::Edited(step),
                     restart: change.carried,
                 };
                 return Ok(Self::new(path, mesh, parts, body, nodes, choices));
@@ -138,10 +138,15 @@ impl Derived {
     }
 
     /// What `trail` leads to, again.
-    pub fn retrace(trail: &Trail, choices: &Choices, limits: &Limits, exec: &Exec<'_>) -> Result<Self, Error> {
+    pub fn retrace(
+        trail: &TopologyState,
+        choices: &OpenOptions,
+        limits: &DeformerLimits,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
         let path = &trail.0;
-        if let Past::Edited(_) = path.past {
-            let fit = |foundation: &Foundation| options(foundation, choices, limits);
+        if let LineageOrigin::Edited(_) = path.past {
+            let fit = |foundation: &ModelTopology| options(foundation, choices, limits);
             let remade = path.past.retrace(choices, &fit, exec)?;
             let remade = remade.ok_or_else(|| Error::Internal("an edit cannot be followed again".into()))?;
             let mesh = path.foundation.mesh(choices.weld)?;
@@ -149,7 +154,7 @@ impl Derived {
             return Ok(Self {
                 path: Arc::clone(path),
                 ..Self::new(
-                    Path::built(Arc::clone(&path.foundation)),
+                    TopologyLineage::built(Arc::clone(&path.foundation)),
                     mesh,
                     parts,
                     remade.body,
@@ -164,7 +169,14 @@ impl Derived {
         })
     }
 
-    fn new(path: Path, mesh: Mesh, parts: Components, body: Body, followed: Nodes, choices: &Choices) -> Self {
+    fn new(
+        path: TopologyLineage,
+        mesh: Mesh,
+        parts: Components,
+        body: Body,
+        followed: FollowedNodes,
+        choices: &OpenOptions,
+    ) -> Self {
         Self {
             path: Arc::new(path),
             parts,
@@ -176,13 +188,13 @@ impl Derived {
         }
     }
 
-    pub fn foundation(&self) -> &Arc<Foundation> {
+    pub fn foundation(&self) -> &Arc<ModelTopology> {
         &self.path.foundation
     }
 
     /// Whether graph and hierarchy have followed an edit, and were not built from nothing.
     pub fn is_followed(&self) -> bool {
-        matches!(self.path.past, Past::Edited(_))
+        matches!(self.path.past, LineageOrigin::Edited(_))
     }
 
     /// What is to be said about the mesh; looked for when first asked.
@@ -204,8 +216,8 @@ impl Derived {
     pub fn bytes(&self) -> u64 {
         let model = self.foundation().model.files.total_bytes() + self.foundation().bytes();
         let past = match &self.path.past {
-            Past::Built(_) => 0,
-            Past::Edited(step) => step.bytes(),
+            LineageOrigin::Built(_) => 0,
+            LineageOrigin::Edited(step) => step.bytes(),
         };
         let parts = self.mesh.bytes()
             + self.parts.of_vertex.capacity() * 4
@@ -226,7 +238,7 @@ fn parts_of(mesh: &Mesh) -> Components {
 }
 
 /// How the body of a model is built within `limits`.
-fn options(foundation: &Foundation, choices: &Choices, limits: &Limits) -> BodyOptions {
+fn options(foundation: &ModelTopology, choices: &OpenOptions, limits: &DeformerLimits) -> BodyOptions {
     let beside = foundation.rest.len() as u64 * BYTES_PER_VERTEX + foundation.model.files.total_bytes();
     let mut options = choices.body.clone();
     options.apart = foundation.is_apart();
@@ -238,7 +250,7 @@ fn estimate(vertices: u64, nodes: u64) -> u64 {
     vertices * BYTES_PER_VERTEX + nodes * BYTES_PER_NODE
 }
 
-pub(super) fn admit(bytes: u64, limits: &Limits) -> Result<(), Error> {
+pub(super) fn admit(bytes: u64, limits: &DeformerLimits) -> Result<(), Error> {
     if bytes <= limits.memory_bytes {
         return Ok(());
     }

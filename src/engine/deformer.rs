@@ -1,23 +1,23 @@
 //! One model on the bench: everything derived from it, its handles, and poses solved on request.
 
-use super::create::Choices;
-use super::derived::{Derived, admit};
-use super::foundation::{Foundation, primitive};
-use super::handles::{Before, HandleSet, resolve_handles};
+use super::derived_structures::{DerivedStructures, admit};
+use super::handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
+use super::model_topology::{ModelTopology, primitive};
 use super::quality::quality;
-use super::region::Ground;
-use super::{Error, pb};
+use super::region::RegionContext;
 use crate::asset::{self, FileSet, Format, Geometry, Model, Written};
 use crate::deform::{Body, Restart, Rig, State};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, Report, self_intersections};
 use crate::pool::Pool;
+use crate::wire::OpenOptions;
+use crate::wire::{Error, pb};
 use glam::DVec3;
 use std::sync::Arc;
 
 /// What a bench may hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Limits {
+pub struct DeformerLimits {
     /// Sizes of the model.
     pub model: asset::Limits,
     /// Bytes that the bench may hold; checked by estimate before anything large is allocated.
@@ -26,7 +26,7 @@ pub struct Limits {
     pub handles: usize,
 }
 
-impl Default for Limits {
+impl Default for DeformerLimits {
     fn default() -> Self {
         Self {
             model: asset::Limits::default(),
@@ -38,26 +38,26 @@ impl Default for Limits {
 
 /// The pose of every handle in force, in the order of the handles. Cheap to clone.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Poses(pub Arc<Vec<pb::HandlePose>>);
+pub struct HandlePoses(pub Arc<Vec<pb::HandlePose>>);
 
 /// A model with everything derived from it. One owner; solves need `&mut`.
-pub struct Workbench {
-    pub(super) derived: Arc<Derived>,
-    pub(super) choices: Choices,
-    pub(super) limits: Limits,
+pub struct Deformer {
+    pub(super) derived: Arc<DerivedStructures>,
+    pub(super) choices: OpenOptions,
+    pub(super) limits: DeformerLimits,
     /// Bytes that it may hold after an edit. How a graph is built depends on `limits` alone, which never change.
     pub(super) room: u64,
-    pub(super) handles: HandleSet,
+    pub(super) handles: ResolvedHandles,
     pub(super) rig: Option<Rig>,
     pub(super) state: State,
     /// The shape that was committed last, and all nodes of the graph in it.
-    pub(super) committed: Option<Committed>,
+    pub(super) committed: Option<CommittedShape>,
     /// What it was before edits, and after those that were undone; the last one left comes last.
-    past: Vec<Arc<Derived>>,
+    past: Vec<Arc<DerivedStructures>>,
 }
 
 /// A shape, and all nodes of the graph in it.
-pub(super) struct Committed {
+pub(super) struct CommittedShape {
     pub positions: Arc<Vec<DVec3>>,
     pub nodes: Arc<Vec<DVec3>>,
 }
@@ -66,25 +66,30 @@ pub(super) struct Committed {
 /// again.
 const KEPT: usize = 2;
 
-impl Workbench {
+impl Deformer {
     /// Reads a model and builds mesh, graph and hierarchy. Reports the stages "read", "mesh", "graph", "hierarchy" to
     /// `progress` as they start.
     ///
     /// # Errors
     /// [`Error::Asset`], [`Error::Invalid`] for options, [`Error::TooLarge`] when the estimate of what the bench would
     /// hold is above `limits`, [`Error::Cancelled`].
-    pub fn open(files: FileSet, create: &pb::CreateOptions, limits: &Limits, exec: &Exec<'_>) -> Result<Self, Error> {
-        let choices = Choices::check(create)?;
+    pub fn open(
+        files: FileSet,
+        create: &pb::CreateOptions,
+        limits: &DeformerLimits,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
+        let choices = OpenOptions::check(create)?;
         exec.progress.report("read", 0.0);
         let model = Model::read(files, choices.format, &limits.model)?;
         exec.check()?;
-        let derived = Derived::build(Arc::new(Foundation::new(model)), &choices, limits, exec)?;
+        let derived = DerivedStructures::build(Arc::new(ModelTopology::new(model)), &choices, limits, exec)?;
         Ok(Self {
             derived: Arc::new(derived),
             choices,
             limits: *limits,
             room: limits.memory_bytes,
-            handles: HandleSet::default(),
+            handles: ResolvedHandles::default(),
             rig: None,
             state: State::default(),
             committed: None,
@@ -94,8 +99,8 @@ impl Workbench {
 
     /// A bench on another state of the model, without handles. What follows from the present one is kept for the way back
     /// if there is room.
-    pub(super) fn on(&self, derived: Arc<Derived>) -> Self {
-        let mut past: Vec<Arc<Derived>> = self.past.clone();
+    pub(super) fn on(&self, derived: Arc<DerivedStructures>) -> Self {
+        let mut past: Vec<Arc<DerivedStructures>> = self.past.clone();
         past.push(Arc::clone(&self.derived));
         past.retain(|d| !Arc::ptr_eq(&d.path, &derived.path));
         let mut room = self.room.saturating_sub(derived.bytes()) / 2;
@@ -113,7 +118,7 @@ impl Workbench {
             choices: self.choices.clone(),
             limits: self.limits,
             room: self.room,
-            handles: HandleSet::default(),
+            handles: ResolvedHandles::default(),
             rig: None,
             state: State::default(),
             committed: None,
@@ -127,7 +132,7 @@ impl Workbench {
     }
 
     /// A state that was left a short while ago.
-    pub(super) fn kept(&self, path: &Arc<super::trail::Path>) -> Option<Arc<Derived>> {
+    pub(super) fn kept(&self, path: &Arc<super::topology_state::TopologyLineage>) -> Option<Arc<DerivedStructures>> {
         self.past.iter().find(|d| Arc::ptr_eq(&d.path, path)).cloned()
     }
 
@@ -142,7 +147,7 @@ impl Workbench {
         known.map(|c| &c.nodes)
     }
 
-    fn foundation(&self) -> &Arc<Foundation> {
+    fn foundation(&self) -> &Arc<ModelTopology> {
         self.derived.foundation()
     }
 
@@ -155,7 +160,7 @@ impl Workbench {
         &self.foundation().model
     }
 
-    /// Triangles, normals, tangents and primitives as they are now. Once edited, positions are those of [`Workbench::rest`]
+    /// Triangles, normals, tangents and primitives as they are now. Once edited, positions are those of [`Deformer::rest`]
     /// alone.
     pub fn geometry(&self) -> &Geometry {
         self.foundation().geometry()
@@ -212,7 +217,7 @@ impl Workbench {
     /// What a session answers about model, solver and handles; id, revision, times and limits are the caller's.
     pub fn facts(&self) -> pb::Session {
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-        let Derived { mesh, parts, body, .. } = self.derived.as_ref();
+        let DerivedStructures { mesh, parts, body, .. } = self.derived.as_ref();
         let levels = body
             .hierarchy
             .levels()
@@ -272,12 +277,12 @@ impl Workbench {
     /// [`Error::Invalid`] with the field, [`Error::Precondition`] when the handles leave the model without a place,
     /// [`Error::TooLarge`], [`Error::Cancelled`].
     pub fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), Error> {
-        let Derived {
+        let DerivedStructures {
             path, body, followed, ..
         } = self.derived.as_ref();
         // What an edit carried over, whoever asks for it.
         let carried = path.restart.as_ref().filter(|c| c.request == *request);
-        let before = carried.map(|c| Before {
+        let before = carried.map(|c| HandlesBeforeEdit {
             rigging: c.fields.rigging(),
             old_from_new: &followed.old_from_new,
         });
@@ -301,8 +306,8 @@ impl Workbench {
     }
 
     /// What regions are resolved against.
-    pub(super) fn ground(&self) -> Ground<'_> {
-        Ground {
+    pub(super) fn ground(&self) -> RegionContext<'_> {
+        RegionContext {
             pose: "the rest pose",
             positions: self.rest(),
             primitives: &self.geometry().primitives,
@@ -318,8 +323,8 @@ impl Workbench {
     }
 
     /// The poses that the handles in force came with.
-    pub fn initial_poses(&self) -> Poses {
-        Poses(Arc::new(
+    pub fn initial_poses(&self) -> HandlePoses {
+        HandlePoses(Arc::new(
             self.handles
                 .request
                 .handles
@@ -334,7 +339,7 @@ impl Workbench {
         quality(self.mesh(), self.report().closed, &self.welded(positions), pool)
     }
 
-    /// As [`Workbench::quality`], with what `output` asks for beside: the number of self-intersections.
+    /// As [`Deformer::quality`], with what `output` asks for beside: the number of self-intersections.
     ///
     /// # Errors
     /// [`Error::Cancelled`] when `progress` says so.
