@@ -2,7 +2,7 @@
 
 use super::case_result::CaseResult;
 use super::comparison::GoldenComparison;
-use crate::mesh::Bounds;
+use crate::mesh::BoundingBox;
 use crate::mesh::query::TriangleBvh;
 use crate::pool::Pool;
 use crate::render::{
@@ -118,7 +118,7 @@ fn draw_differences(
     let colours: Vec<Vec3> = far.iter().map(|d| ColourRamp::Amount.linear_colour(d / unit)).collect();
     let coloured = after.with_colours(&colours)?;
     let tree = TriangleBvh::build(&found.positions, &found.triangles, pool);
-    let diagonal = Bounds::of(&found.positions).diagonal();
+    let diagonal = BoundingBox::of(&found.positions).diagonal();
     let mark = |(&v, k): (&u32, u32)| {
         let at = found.positions[v as usize];
         let way = camera.towards_eye() * diagonal;

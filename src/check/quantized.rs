@@ -37,7 +37,7 @@ pub(super) struct QuantizedPositionsText {
 impl QuantizedPositions {
     /// Finds the cells in which finite positions lie.
     pub fn from_positions(positions: &[DVec3]) -> Self {
-        let bounds = crate::mesh::Bounds::of(positions);
+        let bounds = crate::mesh::BoundingBox::of(positions);
         let places = Self {
             min: bounds.min,
             max: bounds.max,

@@ -4,7 +4,7 @@ use super::failure::CliFailure;
 use super::model_files::{read_model, write_file};
 use super::threads::ThreadArgs;
 use crate::asset::{Limits, Model};
-use crate::mesh::Bounds;
+use crate::mesh::BoundingBox;
 use crate::pool::Pool;
 use crate::render::{
     self, ColourKey, ColourRamp, PictureSize, RingMark, STRETCH_RANGE, ShadedSurface, UpAxis, ViewDirection, ViewSheet,
@@ -147,7 +147,7 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
         }
         count => {
             let positions = &model.model.positions;
-            let apart = APART * Bounds::of(positions).diagonal();
+            let apart = APART * BoundingBox::of(positions).diagonal();
             let sizes: Vec<f64> = values.iter().map(|x| x.abs()).collect();
             RingMark::at_largest_values(positions, &sizes, count as usize, apart)
         }

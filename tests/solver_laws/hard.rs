@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use pliant::exec::Exec;
-use pliant::graph::{VolumeOptions, Weights, volume};
+use pliant::graph::{EdgeWeights, VolumeOptions, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -179,7 +179,7 @@ fn graphs_of_slivers_and_coincident_vertices_converge() {
     for squeeze in [1e2, 1e6, 1e12] {
         let (points, faces) = slivers(600, squeeze);
         let mesh = Mesh::build(&points, &faces, Weld::Exact).unwrap();
-        for weights in [Weights::Uniform, Weights::Cotangent] {
+        for weights in [EdgeWeights::Uniform, EdgeWeights::Cotangent] {
             let options = VolumeOptions {
                 weights,
                 max_nodes: 100_000,
