@@ -5,7 +5,7 @@ use crate::shared::timing::{RunTimes, time_best_of};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::solver::{Control, Hierarchy, Iteration, SolveOptions, Stats, System, Workspace};
+use pliant::solver::{Hierarchy, IterationReport, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace};
 
 /// Most iterations of a solve that must reach the limits of double precision.
 const MOST_ITERATIONS: usize = 1000;
@@ -26,7 +26,7 @@ pub(super) struct BenchTerms {
 /// A ready system is a hierarchy with constraints, ready to solve.
 pub(super) struct ReadySystem {
     pub hierarchy: Hierarchy,
-    pub system: System,
+    pub system: LinearSystem,
 }
 
 impl ReadySystem {
@@ -38,7 +38,7 @@ impl ReadySystem {
         options: &SolveOptions<'_>,
         workspace: &mut Workspace,
         terms: &BenchTerms,
-    ) -> Result<Stats, LoadtestFailure> {
+    ) -> Result<SolveStats, LoadtestFailure> {
         let logged = self.solve_logged(rhs, x, options, workspace, terms);
         logged.map(|(stats, _)| stats)
     }
@@ -51,11 +51,11 @@ impl ReadySystem {
         options: &SolveOptions<'_>,
         workspace: &mut Workspace,
         terms: &BenchTerms,
-    ) -> Result<(Stats, Vec<f64>), LoadtestFailure> {
+    ) -> Result<(SolveStats, Vec<f64>), LoadtestFailure> {
         let mut residuals = Vec::new();
-        let mut watch = |iteration: &Iteration<'_>| {
+        let mut watch = |iteration: &IterationReport<'_>| {
             residuals.push(iteration.residual);
-            Control::Continue
+            SolveControl::Continue
         };
         let (rhs, x) = (rhs.as_flattened(), x.as_flattened_mut());
         let exec = Exec::new(&terms.pool, &Silent);
@@ -73,7 +73,7 @@ impl ReadySystem {
         options: &SolveOptions<'_>,
         workspace: &mut Workspace,
         terms: &BenchTerms,
-    ) -> Result<(Vec<[f64; 3]>, Stats, RunTimes), LoadtestFailure> {
+    ) -> Result<(Vec<[f64; 3]>, SolveStats, RunTimes), LoadtestFailure> {
         let solve = |mut x: Vec<[f64; 3]>| -> Result<_, LoadtestFailure> {
             let stats = self.solve(rhs, &mut x, options, workspace, terms)?;
             Ok((x, stats))
