@@ -2,8 +2,8 @@
 
 use super::derived_structures::{DerivedStructures, admit_bytes};
 use super::error::Error;
-use super::facts::{DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts};
 use super::facts::count_u32;
+use super::facts::{DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts};
 use super::handle::HandleSet;
 use super::model_topology::ModelTopology;
 use super::pose::HandlePoses;
@@ -12,7 +12,7 @@ use super::region_context::RegionContext;
 use super::resolved_handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
 use super::settings::OpenOptions;
 use super::topology_state::TopologyId;
-use crate::asset::{self, FileSet, Format, Geometry, Model, Written};
+use crate::asset::{self, FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
@@ -85,7 +85,13 @@ impl Deformer {
         exec.progress.report("read", 0.0);
         let model = Model::read(files, options.format, &limits.model)?;
         exec.check()?;
-        let derived = DerivedStructures::build(TopologyId(0), Arc::new(ModelTopology::new(model)), options, limits, exec)?;
+        let derived = DerivedStructures::build(
+            TopologyId(0),
+            Arc::new(ModelTopology::new(model)),
+            options,
+            limits,
+            exec,
+        )?;
         Ok(Self {
             derived: Arc::new(derived),
             options: options.clone(),
@@ -175,7 +181,7 @@ impl Deformer {
     ///
     /// # Errors
     /// Those of [`Model::write`].
-    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, Error> {
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         self.topology().write(positions, format)
     }
 
@@ -222,7 +228,7 @@ impl Deformer {
     /// Returns what is to be told about model, solver and handles.
     pub fn facts(&self) -> DeformerFacts {
         let DerivedStructures { mesh, parts, body, .. } = self.derived.as_ref();
-        let levels = body.hierarchy.levels();
+        let levels = body.hierarchy.level_sizes();
         let warnings: Vec<DeformerWarning> = (self.derived.warnings().into_iter())
             .chain(self.handles.warnings.iter().cloned())
             .collect();

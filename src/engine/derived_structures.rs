@@ -1,15 +1,15 @@
 //! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
 
 use super::deformer::DeformerLimits;
+use super::error::Error;
+use super::facts::DeformerWarning;
 use super::interior::{BYTES_PER_NODE, fit_lattice, interior_warnings};
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
-use super::error::Error;
-use super::facts::DeformerWarning;
 use super::settings::OpenOptions;
 use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyId, TopologyLineage, TopologyState};
 use crate::asset::Model;
-use crate::deform::{DeformableBody, BodyOptions, EditedBody, VolumeMode};
+use crate::deform::{BodyOptions, DeformableBody, EditedBody, VolumeMode};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;

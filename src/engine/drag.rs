@@ -1,11 +1,11 @@
 //! The short ways to a shape: a drag from pose to pose, a commit, an edit of the rest shape.
 
+use super::Deformer;
 use super::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
 use super::error::Error;
 use super::pose::{HandlePose, HandlePoses};
 use super::settings::{SolveMode, SolveSettings};
 use super::solve::SolvedShape;
-use super::Deformer;
 use crate::exec::Exec;
 use std::sync::Arc;
 

@@ -59,7 +59,9 @@ impl Deformer {
         exec.check()?;
         let nodes = match points {
             None => Some(None),
-            Some(points) => self.nodes_of(shape).map(|nodes| Some(nodes_with_points(nodes, &points))),
+            Some(points) => self
+                .nodes_of(shape)
+                .map(|nodes| Some(nodes_with_points(nodes, &points))),
         };
         let change = TopologyChange {
             topology: Arc::new(topology),

@@ -110,7 +110,9 @@ impl HandleSet {
     /// Bytes held, about.
     pub fn byte_size(&self) -> usize {
         let handles = self.handles.iter();
-        let regions: usize = handles.map(|h| size_of::<Handle>() + h.id.len() + h.region.byte_size()).sum();
+        let regions: usize = handles
+            .map(|h| size_of::<Handle>() + h.id.len() + h.region.byte_size())
+            .sum();
         regions + self.region_of_interest.as_ref().map_or(0, Region::byte_size)
     }
 }

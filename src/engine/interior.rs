@@ -2,7 +2,7 @@
 
 use super::DeformerLimits;
 use super::facts::DeformerWarning;
-use crate::deform::{DeformableBody, BodyOptions, VolumeMode};
+use crate::deform::{BodyOptions, DeformableBody, VolumeMode};
 
 /// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
 /// 1,150 on a solid of 128 K nodes, rounded up.
@@ -76,10 +76,10 @@ mod tests {
     use super::*;
     use crate::asset::{FileSet, shapes};
     use crate::engine::Deformer;
+    use crate::engine::{Error, OpenOptions, WarningPlace};
     use crate::exec::Exec;
     use crate::pool::Pool;
     use crate::progress::Silent;
-    use crate::engine::{Error, OpenOptions, WarningPlace};
     use glam::DVec3;
 
     /// A cube of 1,538 vertices, with an open square beside it when asked for.

@@ -2,7 +2,7 @@
 
 use super::error::Error;
 use super::vertex_origins::VertexOrigins;
-use crate::asset::{self, Format, Geometry, Model, Primitive, Written};
+use crate::asset::{self, Format, Geometry, Model, Primitive, WrittenFiles};
 use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, Weld};
 use glam::{DVec3, Vec3, Vec4};
@@ -87,7 +87,7 @@ impl ModelTopology {
     }
 
     /// The model at `positions` as files.
-    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, Error> {
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         Ok(match &self.edited {
             None => self.model.write(positions, format)?,
             Some(edited) => edited.origins.write(&edited.geometry, positions, format)?,
@@ -326,7 +326,13 @@ fn normals(before: &EditSurface, applied: &PatchedSurface) -> Vec<Vec3> {
 }
 
 /// Whether a new vertex lies on surface that the edit has made: its triangles face elsewhere than what it is blended from.
-fn is_own(before: &EditSurface, applied: &PatchedSurface, patch: &SurfacePatch, normals: &[Vec3], vertex: usize) -> bool {
+fn is_own(
+    before: &EditSurface,
+    applied: &PatchedSurface,
+    patch: &SurfacePatch,
+    normals: &[Vec3],
+    vertex: usize,
+) -> bool {
     const ALIKE: f32 = 0.5;
     let old = before.positions.len();
     let new = (applied.old_from_vertex[vertex] as usize).checked_sub(old);

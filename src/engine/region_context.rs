@@ -135,7 +135,12 @@ pub(super) fn nodes_in_region(
 }
 
 /// The mean of a region's solver vertices at rest; that of its render vertices when none of them is in a face.
-pub(super) fn region_centroid(context: &RegionContext<'_>, graph: &MeshGraph, vertices: &[bool], nodes: &[u32]) -> DVec3 {
+pub(super) fn region_centroid(
+    context: &RegionContext<'_>,
+    graph: &MeshGraph,
+    vertices: &[bool],
+    nodes: &[u32],
+) -> DVec3 {
     let surface = graph.surface as u32;
     let solver: Vec<DVec3> = (nodes.iter().filter(|n| **n < surface))
         .map(|n| graph.positions[*n as usize])
@@ -174,9 +179,7 @@ fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Mem
             Membership::Solid(Box::new(move |p| (p - point).dot(normal) >= 0.0))
         }
         &Region::Sphere { center, radius } => Membership::Solid(Box::new(move |p| p.distance(center) <= radius)),
-        &Region::Box { min, max } => {
-            Membership::Solid(Box::new(move |p| p.cmpge(min).all() && p.cmple(max).all()))
-        }
+        &Region::Box { min, max } => Membership::Solid(Box::new(move |p| p.cmpge(min).all() && p.cmple(max).all())),
         &Region::Capsule { from, to, radius } => {
             Membership::Solid(Box::new(move |p| distance_to_segment(p, from, to) <= radius))
         }

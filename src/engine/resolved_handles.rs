@@ -8,7 +8,7 @@ use super::region::Region;
 use super::region_context::{
     MirrorPlane, RegionContext, RegionNodes, nodes_in_region, region_centroid, vertices_in_region,
 };
-use crate::deform::{DeformableBody, HandleConstraint, FreePartPolicy, HandleSetup, Transform};
+use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, Transform};
 use crate::mesh::NONE;
 use glam::{DMat3, DVec3};
 use std::cmp::Ordering;
@@ -224,7 +224,11 @@ fn fading_weights(body: &DeformableBody, core: &[u32], Falloff { radius, curve }
     found
 }
 
-fn frozen_nodes(context: &RegionContext<'_>, body: &DeformableBody, interest: Option<&Region>) -> Result<Vec<bool>, Error> {
+fn frozen_nodes(
+    context: &RegionContext<'_>,
+    body: &DeformableBody,
+    interest: Option<&Region>,
+) -> Result<Vec<bool>, Error> {
     let Some(region) = interest else {
         return Ok(Vec::new());
     };
@@ -288,8 +292,9 @@ fn overlap_warnings(
     let mut warnings = Vec::new();
     let name = |k: usize| &handles[k % handles.len()].id;
     let all: Vec<&HandleConstraint> = holds.iter().chain(images).collect();
-    let same_kind =
-        |a: &HandleConstraint, b: &HandleConstraint| (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale);
+    let same_kind = |a: &HandleConstraint, b: &HandleConstraint| {
+        (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale)
+    };
     let last = all.iter().flat_map(|h| h.nodes.last()).max();
     let mut holder = vec![u32::MAX; last.map_or(0, |n| *n as usize + 1)];
     let mut shared = std::collections::BTreeMap::<(u32, u32), usize>::new();

@@ -1,7 +1,7 @@
 //! How a model is opened and how its poses are solved.
 
 use crate::asset::Format;
-use crate::deform::{BodyOptions, FirstPass, Operators, FreePartPolicy, VolumeMode, EdgeWeights};
+use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FreePartPolicy, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
@@ -34,7 +34,7 @@ impl Default for OpenOptions {
                     weights: EdgeWeights::Uniform,
                     ..Default::default()
                 },
-                operators: Operators::FiniteVolume,
+                operators: CoarseOperators::FiniteVolume,
                 apart: false,
             },
         }

@@ -1,12 +1,14 @@
 //! Poses solved, and brought from the graph's nodes back to render vertices.
 
+use super::Deformer;
 use super::deformer::CommittedShape;
 use super::error::{Error, InputPlace};
 use super::pose::{HandlePose, HandlePoses};
 use super::resolved_handles::ResolvedHandles;
 use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
-use super::Deformer;
-use crate::deform::{DeformableBody, CycleReport, Refinement, PoseRequest, HandleSystem, PoseSolution, SolveStart, Transform};
+use crate::deform::{
+    CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
+};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
 use glam::{DVec3, Mat3};
@@ -207,7 +209,7 @@ impl ShapeTransfer<'_> {
 
 fn method_name(solution: &PoseSolution) -> &'static str {
     use crate::deform::PoseMethod::{Graph, SpatialRbf};
-    use crate::solver::Method as Solver;
+    use crate::solver::SolveMethod as Solver;
     match solution.method {
         Graph(Solver::Trivial) => "trivial",
         Graph(Solver::Direct) => "direct",

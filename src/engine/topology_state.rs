@@ -90,13 +90,7 @@ impl TopologyState {
             LineageOrigin::Edited(step) => step.own_bytes(),
         };
         let kept = self.0.restart.as_ref().map_or(0, |c| c.fields.bytes() as u64);
-        step + kept
-            + self
-                .0
-                .topology
-                .edited
-                .as_ref()
-                .map_or(0, |_| self.0.topology.bytes())
+        step + kept + self.0.topology.edited.as_ref().map_or(0, |_| self.0.topology.bytes())
     }
 }
 

@@ -4,7 +4,9 @@
 use super::Engine;
 use super::commits::Recipe;
 use crate::engine::Shader;
-use crate::engine::{EditCommand, EditOutcome, HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState};
+use crate::engine::{
+    EditCommand, EditOutcome, HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
+};
 use crate::exec::Exec;
 use crate::wire;
 use crate::wire::pb;

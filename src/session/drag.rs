@@ -338,6 +338,8 @@ fn solve(
 
 /// Whether a state is good enough, so that the final frame follows at once.
 fn reached(now: &SolveUpdate<'_>, settings: &DeformOptions) -> bool {
-    let SolveSettings { tolerance, max_error, .. } = &settings.solve;
+    let SolveSettings {
+        tolerance, max_error, ..
+    } = &settings.solve;
     tolerance.is_some_and(|t| now.residual <= t) || max_error.is_some_and(|e| now.max_error <= e)
 }

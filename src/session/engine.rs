@@ -3,10 +3,11 @@
 //! The one real engine is [`Deformer`]; the seam exists so that the rules of sessions and streams can be tested with
 //! an engine whose every cycle the test controls.
 
-use crate::asset::{FileSet, Format, Written};
+use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::Shader;
 use crate::engine::{
-    Deformer, DeformerLimits, EditCommand, EditOutcome, HandlePoses, SolveMode, SolveUpdate, SolveSettings, SolvedShape, TopologyState,
+    Deformer, DeformerLimits, EditCommand, EditOutcome, HandlePoses, SolveMode, SolveSettings, SolveUpdate,
+    SolvedShape, TopologyState,
 };
 use crate::exec::Exec;
 use crate::wire;
@@ -76,7 +77,7 @@ pub trait Engine: Send + 'static {
         )))
     }
     /// Writes the model with new positions.
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error>;
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, wire::Error>;
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
 }
@@ -105,7 +106,12 @@ impl Opener for OpenWorkbench {
         limits: &DeformerLimits,
         exec: &Exec<'_>,
     ) -> Result<Box<dyn Engine>, wire::Error> {
-        Ok(Box::new(Deformer::open(files, &wire::open_options(create)?, limits, exec)?))
+        Ok(Box::new(Deformer::open(
+            files,
+            &wire::open_options(create)?,
+            limits,
+            exec,
+        )?))
     }
 }
 
@@ -183,7 +189,7 @@ impl Engine for Deformer {
         Ok(Self::edit(self, order, exec)?)
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error> {
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, wire::Error> {
         Ok(Self::write(self, positions, format)?)
     }
 

@@ -1,9 +1,9 @@
 //! What can be wrong with a request.
 
 use super::edit::edit_kind_name;
+use crate::asset;
 use crate::edit::{EditSubject, Error as Refused, ErrorPlace};
 use crate::engine::{self, InputPlace, RegionPlace};
-use crate::asset;
 
 /// Why a request was refused or could not be carried out. Nothing has changed when one of these is returned.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -136,8 +136,7 @@ pub(super) fn region(region: Option<&pb::Region>, field: &str) -> Result<Region,
             radius: positive(capsule.radius, "capsule.radius")?,
         },
         Message::Tube(tube) => {
-            let problem =
-                |seen| format!("has {seen} numbers, a polyline has three for each of at least two points");
+            let problem = |seen| format!("has {seen} numbers, a polyline has three for each of at least two points");
             Region::Tube {
                 points: points(&tube.points, 2..=usize::MAX, &format!("{field}.tube.points"), problem)?,
                 radius: positive(tube.radius, "tube.radius")?,

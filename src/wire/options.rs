@@ -108,7 +108,10 @@ mod tests {
                 ..options()
             })
             .expect("valid");
-            assert_eq!((settings.solve.first_pass, settings.solve.spatial_rbf), (expected, false));
+            assert_eq!(
+                (settings.solve.first_pass, settings.solve.spatial_rbf),
+                (expected, false)
+            );
         }
         assert!(
             check(&pb::Options { method: 1, ..options() })

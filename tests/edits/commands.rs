@@ -1,7 +1,7 @@
 //! Edits of the topology as users meet them: on a bench, in jobs, and in sessions with undo and redo.
 
-use crate::support::messages::{DeformerMessages, EditMessage, EditedByMessage};
 use crate::support::bench;
+use crate::support::messages::{DeformerMessages, EditMessage, EditedByMessage};
 mod following;
 mod handles;
 mod operations;
@@ -100,7 +100,7 @@ fn both_halves_of_a_filled_cut_add_up() {
     for (keep, height) in [(cut::Keep::Above, 2.6), (cut::Keep::Below, 1.4)] {
         let mut bench = bench(&bar());
         let outcome = edited(&mut bench, &cut_at(-0.6, keep, true));
-        let half = read_back(&bench, Format::Obj);
+        let half = read_back(&bench, Format::OBJ);
         assert_eq!(half.positions.len(), outcome.positions.len());
         let facts = bench.facts_message();
         assert!(

@@ -1,9 +1,10 @@
 //! A tail pulled to more than four times its length in several commits, with automatic remeshing in between.
 
+use crate::support::data::data_bytes;
 use crate::support::messages::{DeformerMessages, EditMessage};
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
-use pliant::engine::{QualityReport, Deformer, DeformerLimits, HandlePoses, SolveMode};
+use pliant::engine::{Deformer, DeformerLimits, HandlePoses, QualityReport, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -34,10 +35,7 @@ struct Tail {
 
 /// The tail of the dinosaur of the data folder; without it, a ridged horn on a block.
 fn tail() -> (Tail, &'static str) {
-    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data");
-    let folder = std::env::var("PLIANT_DATA").unwrap_or_else(|_| default.to_owned());
-    let path = std::path::Path::new(&folder).join("meshes/arap_dino.off");
-    if let Ok(bytes) = std::fs::read(&path) {
+    if let Some(bytes) = data_bytes("meshes/arap_dino.off") {
         let tail = Tail {
             files: FileSet::single("arap_dino.off", bytes),
             along: DVec3::new(0.9, -0.05, 0.43),
@@ -47,10 +45,6 @@ fn tail() -> (Tail, &'static str) {
         };
         return (tail, "the dinosaur's tail");
     }
-    println!(
-        "skipped the dinosaur: {} cannot be read; a generated horn instead",
-        path.display()
-    );
     (horn(), HORN)
 }
 
@@ -159,7 +153,9 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
             settings: None,
             other: None,
         };
-        let outcome = bench.edit_message(&order, &Exec::new(&pool, &Silent)).expect("remeshed");
+        let outcome = bench
+            .edit_message(&order, &Exec::new(&pool, &Silent))
+            .expect("remeshed");
         (poses, shape) = (outcome.poses, outcome.positions);
     }
     Pulled {

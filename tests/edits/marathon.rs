@@ -5,6 +5,7 @@ mod cycles;
 mod script;
 mod sessions;
 
+use crate::support::data::data_bytes;
 use crate::support::messages::{DeformerMessages, EditMessage};
 use checks::Before;
 use glam::DVec3;
@@ -57,7 +58,9 @@ impl Run {
         let mut run = Self {
             poses: bench.initial_poses(),
             shape: Arc::clone(bench.rest()),
-            settings: DeformOptions::check(&options, "options", 8).expect("valid options").solve,
+            settings: DeformOptions::check(&options, "options", 8)
+                .expect("valid options")
+                .solve,
             bench,
             pool,
             draw: Draw(seed),
@@ -102,7 +105,10 @@ impl Run {
             return self.hold();
         };
         let pose = self.next(|seen, draw| seen.pose(draw, &id));
-        self.poses = self.bench.change_poses_message(&self.poses, &message(&pose)).expect("a pose");
+        self.poses = self
+            .bench
+            .change_poses_message(&self.poses, &message(&pose))
+            .expect("a pose");
         self.shape = self.solved();
         assert!(self.shape.iter().all(|p| p.is_finite()), "{pose}");
         self.digests.push(digest(&self.shape));
@@ -251,14 +257,7 @@ fn an_open_sheet() {
 
 /// A model of the data folder; `None`, and a line that says so, without it.
 fn data(name: &str) -> Option<FileSet> {
-    let path = crate::support::server::data_folder(name)?.join(name);
-    match std::fs::read(&path) {
-        Ok(bytes) => Some(FileSet::single(name, bytes)),
-        Err(e) => {
-            println!("skipped {name}: {e}");
-            None
-        }
-    }
+    data_bytes(name).map(|bytes| FileSet::single(name, bytes))
 }
 
 #[test]

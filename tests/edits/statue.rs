@@ -1,9 +1,10 @@
 //! The paper's statue (figure 8) as jobs: four models, each deformed several times, grown together, remeshed at the joints,
 //! and deformed again across them. The jobs are in tests/jobs/statue and can be run by hand.
 
-use crate::support::messages::{DeformerMessages};
 use crate::support::khronos;
+use crate::support::messages::DeformerMessages;
 
+use crate::support::data::{data_root, tell_skipped};
 use glam::DVec3;
 use pliant::asset::FileSet;
 use pliant::engine::{Deformer, DeformerLimits, SolveMode};
@@ -94,14 +95,9 @@ fn whole(bench: &Deformer, name: &str) {
 
 #[test]
 fn four_models_become_one_statue() {
-    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let data = std::env::var_os("PLIANT_DATA").map_or(default, PathBuf::from);
+    let data = data_root();
     if let Some((_, missing)) = PARTS.iter().find(|(_, file)| !data.join(file).is_file()) {
-        println!(
-            "skipped the statue: no {}; PLIANT_DATA names the folder",
-            data.join(missing).display()
-        );
-        return;
+        return tell_skipped("the statue", &format!("{} is not there", data.join(missing).display()));
     }
     let folder = tempfile::tempdir().expect("a folder");
     let folder = folder.path();
@@ -145,7 +141,9 @@ fn across(bench: &mut Deformer, pool: &Pool) {
     bench
         .set_handles_message(&request, &Exec::new(pool, &Silent))
         .expect("the handles fit");
-    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", 8).expect("valid").solve;
+    let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", 8)
+        .expect("valid")
+        .solve;
     let mut poses = bench.initial_poses();
     let mut last = None;
     for step in &job.steps[..2] {

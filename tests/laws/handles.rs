@@ -1,7 +1,7 @@
 //! What handles can say: softness, falloff, rigid regions, mirrors, regions of interest, parts, and what is refused.
 
-use crate::support::messages::{DeformerMessages};
 use crate::support::bench;
+use crate::support::messages::DeformerMessages;
 
 use bench::*;
 use glam::DVec3;

@@ -1,7 +1,7 @@
 //! The laws of the two-pass deformation, on shapes generated here.
 
-use crate::support::messages::{DeformerMessages};
 use crate::support::bench;
+use crate::support::messages::DeformerMessages;
 
 use bench::*;
 use glam::{DMat3, DQuat, DVec3};
@@ -14,7 +14,7 @@ use pliant::engine::{SolveMode, digest};
 use pliant::exec::Exec;
 use pliant::mesh::{Mesh, Weld};
 use pliant::progress::Silent;
-use pliant::wire::{Error, pb};
+use pliant::wire::pb;
 
 /// Equation (8) recomputed in f64 from the graph, the frames and the positions alone.
 #[test]

@@ -1,7 +1,7 @@
 //! Refinement: rotations that are fitted to the result, and solved with again.
 
-use crate::support::messages::{DeformerMessages};
 use crate::support::bench;
+use crate::support::messages::DeformerMessages;
 
 use bench::*;
 use glam::{DMat3, DQuat, DVec3};
@@ -18,7 +18,9 @@ fn settings(refine: u32, smoothing: f64) -> SolveSettings {
         rotation_smoothing: smoothing,
         ..Default::default()
     };
-    DeformOptions::check(&options, "options", 8).expect("valid options").solve
+    DeformOptions::check(&options, "options", 8)
+        .expect("valid options")
+        .solve
 }
 
 fn posed(bench: &Deformer, entries: &[(&str, pb::HandlePose)]) -> HandlePoses {

@@ -8,7 +8,7 @@ use pliant::engine::{Deformer, DeformerLimits};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::solver::{Constraints, Graph, Hierarchy, System};
+use pliant::solver::{Constraints, Hierarchy, LinearSystem, WeightedGraph};
 use pliant::wire::{self, json, pb};
 use std::path::{Path, PathBuf};
 
@@ -41,12 +41,20 @@ impl Rung {
     fn open(name: &'static str, files: FileSet, job: &pb::Job) -> Rung {
         let pool = Pool::new(2).unwrap();
         let create = job.create.clone().unwrap_or_default();
-        let mut bench = Deformer::open(files, &wire::open_options(&create).unwrap(), &DeformerLimits::default(), &Exec::new(&pool, &Silent)).unwrap();
+        let mut bench = Deformer::open(
+            files,
+            &wire::open_options(&create).unwrap(),
+            &DeformerLimits::default(),
+            &Exec::new(&pool, &Silent),
+        )
+        .unwrap();
         let request = pb::SetHandlesRequest {
             handles: job.handles.clone(),
             ..Default::default()
         };
-        bench.set_handles(wire::handle_set(&request).unwrap(), &Exec::new(&pool, &Silent)).unwrap();
+        bench
+            .set_handles(wire::handle_set(&request).unwrap(), &Exec::new(&pool, &Silent))
+            .unwrap();
         let mut poses = bench.initial_poses();
         for pose in pose_steps(job).unwrap() {
             poses = wire::change_poses(&bench, &poses, &pose).unwrap();
@@ -101,9 +109,9 @@ impl Rung {
     }
 
     /// The graph as the solver sees it.
-    pub fn graph(&self) -> Graph<'_> {
+    pub fn graph(&self) -> WeightedGraph<'_> {
         let graph = &self.body().graph;
-        Graph {
+        WeightedGraph {
             offsets: &graph.offsets,
             neighbours: &graph.neighbours,
             weights: graph.weights.as_deref(),
@@ -111,7 +119,7 @@ impl Rung {
         }
     }
 
-    pub fn constrain(&self, hierarchy: &Hierarchy, pool: &Pool) -> System {
+    pub fn constrain(&self, hierarchy: &Hierarchy, pool: &Pool) -> LinearSystem {
         let constraints = Constraints {
             fixed: self.rig().given(),
             stiffness: self.stiffness.as_deref(),

@@ -1,6 +1,6 @@
 //! A bench with a generated shape, and short ways to say handles and poses.
 
-use super::messages::{DeformerMessages};
+use super::messages::DeformerMessages;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{Deformer, DeformerLimits, SolveMode, SolveSettings, SolvedShape};
@@ -87,7 +87,8 @@ pub fn settings(tolerance: f64) -> SolveSettings {
         "options",
         8,
     )
-    .expect("valid options").solve
+    .expect("valid options")
+    .solve
 }
 
 pub fn pose(entries: &[(&str, pb::HandlePose)]) -> pb::Pose {

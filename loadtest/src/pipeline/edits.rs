@@ -72,7 +72,7 @@ enum BenchedEdit {
     Remesh,
 }
 
-/// A bench in the state that is edited, again and again.
+/// An edit bench holds a deformer in the state that is edited, again and again.
 struct EditBench<'a> {
     bench: Deformer,
     trail: TopologyState,
@@ -84,7 +84,7 @@ struct EditBench<'a> {
     pool: &'a Pool,
 }
 
-/// One edit: milliseconds by stage, and facts.
+/// An edit run is one edit: milliseconds by stage, and facts.
 #[derive(Clone)]
 struct EditRun {
     ms: BTreeMap<String, f64>,
@@ -254,7 +254,7 @@ fn open_edit_bench<'a>(
     Ok((stand, region))
 }
 
-/// A sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
+/// Finds a sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
 fn sphere_around_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere, usize) {
     let (low, high) = shape
         .iter()
@@ -337,7 +337,7 @@ impl EditBench<'_> {
             cycles: solved.cycles,
             field_cycles: bench.rig().map_or(0, |rig| rig.field_iterations),
             nodes: bench.body().nodes(),
-            levels: bench.body().hierarchy.levels().len(),
+            levels: bench.body().hierarchy.level_sizes().len(),
         })
     }
 }

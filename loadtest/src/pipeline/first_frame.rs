@@ -57,7 +57,7 @@ pub(crate) struct PipelineArgs {
     json: bool,
 }
 
-/// One run: seconds by stage, and facts.
+/// A first-frame run is one run: seconds by stage, and facts.
 struct FirstFrameRun {
     seconds: BTreeMap<String, f64>,
     assembly: f64,
@@ -119,7 +119,7 @@ pub(crate) fn run_pipeline(args: &PipelineArgs) -> Result<(), LoadtestFailure> {
     Ok(())
 }
 
-/// The job given, or one for the ends of the model.
+/// Reads the job given, or makes one for the ends of the model.
 fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
     if let Some(path) = &args.job {
         return read_job_file(path);
@@ -135,14 +135,19 @@ fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
     })
 }
 
-/// From files to the bytes of the first frame.
+/// Runs everything from files to the bytes of the first frame.
 fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun, pliant::wire::Error> {
     let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?.solve;
     let start = Instant::now();
     let millis = || start.elapsed().as_secs_f64() * 1e3;
     let stages = StageClock::new(&millis, &Silent);
     let create = job.create.clone().unwrap_or_default();
-    let mut bench = Deformer::open(files, &wire::open_options(&create)?, &DeformerLimits::default(), &Exec::new(pool, &stages))?;
+    let mut bench = Deformer::open(
+        files,
+        &wire::open_options(&create)?,
+        &DeformerLimits::default(),
+        &Exec::new(pool, &stages),
+    )?;
     // Regions are resolved before the stage tells that it begins.
     stages.begin_stage("fields");
     let request = pb::SetHandlesRequest {

@@ -9,7 +9,7 @@
 
 use super::number_file::{NumberReader, NumberWriter};
 use crate::failure::LoadtestFailure;
-use pliant::solver::Graph;
+use pliant::solver::WeightedGraph;
 use std::path::{Path, PathBuf};
 
 /// First eight bytes: "PLIANTAX".
@@ -23,7 +23,7 @@ const WEIGHTS: u64 = 1;
 /// Flag: nodes have a stiffness.
 const STIFFNESS: u64 = 2;
 
-/// What one pose asks for, by node.
+/// A pose system is what one pose asks for, node by node.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct PoseSystem {
     /// Right-hand side, before given neighbours are moved into it.
@@ -32,7 +32,7 @@ pub(crate) struct PoseSystem {
     pub given: Vec<[f64; 3]>,
 }
 
-/// A whole second-pass system over all nodes of a graph, for two poses.
+/// A companion file holds a whole second-pass system over all nodes of a graph, for two poses.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct CompanionFile {
     /// Length of the model's bounding box diagonal.
@@ -62,8 +62,8 @@ impl CompanionFile {
     }
 
     /// The graph as the solver takes it.
-    pub fn graph(&self) -> Graph<'_> {
-        Graph {
+    pub fn graph(&self) -> WeightedGraph<'_> {
+        WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
             weights: self.weights.as_deref(),

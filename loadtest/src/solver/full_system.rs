@@ -9,7 +9,9 @@ use glam::{DAffine3, DVec3};
 use pliant::deform::{HandleMotion, carry, fit_rigid_motion};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
-use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Iteration, SolveOptions, Start, Workspace};
+use pliant::solver::{
+    BuildOptions, Constraints, Hierarchy, InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace,
+};
 
 /// Largest missing displacement that a drag's frame may have, fraction of the diagonal.
 const DRAG_ERROR: f64 = 1e-3;
@@ -54,7 +56,7 @@ pub(super) fn measure_full_system(
     Ok(())
 }
 
-/// The given nodes and all their neighbours: another set of handles that is as large and lies as near.
+/// Adds all neighbours to the given nodes: another set of handles that is as large and lies as near.
 fn grow_given_nodes(all: &CompanionFile) -> Vec<bool> {
     let mut grown = all.fixed.clone();
     for i in (0..grown.len()).filter(|i| all.fixed[*i]) {
@@ -74,7 +76,7 @@ fn time_full_multigrid(
 ) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
     let pose = &all.poses[0];
     let options = SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: Some(&all.frames),
             rest: Some(&all.rest),
         },
@@ -103,7 +105,7 @@ fn time_drag(
 ) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
     let pose = &all.poses[1];
     let options = SolveOptions {
-        start: Start::Given,
+        start: InitialGuess::Given,
         tolerance: None,
         max_error: Some(DRAG_ERROR * all.diagonal),
         ..Default::default()
@@ -126,7 +128,7 @@ fn time_drag(
     Ok(x)
 }
 
-/// How the given nodes that the two poses hold in different places moved, and how much every node follows them.
+/// Computes how the given nodes moved that the two poses hold in different places, and how much every node follows them.
 fn follow_field(
     all: &CompanionFile,
     ready: &ReadySystem,
@@ -139,7 +141,7 @@ fn follow_field(
     let rhs = vec![0.0; field.len()];
     let (hierarchy, system) = (&ready.hierarchy, &ready.system);
     let options = options_to_residual(1e-5);
-    let mut watch = |_: &Iteration<'_>| Control::Continue;
+    let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     system
         .solve(
             hierarchy,
@@ -163,14 +165,14 @@ fn follow_field(
     Ok((field, DAffine3::from_mat3_translation(linear, shift)))
 }
 
-/// A solution with the given nodes where `pose` holds them.
+/// Puts the given nodes of a solution where `pose` holds them.
 fn place_given_nodes(all: &CompanionFile, pose: &PoseSystem, x: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let rows = x.iter().zip(&pose.given).zip(&all.fixed);
     rows.map(|((x, given), fixed)| if *fixed { *given } else { *x })
         .collect()
 }
 
-/// Goes on from `x` to a residual; with the residual reached.
+/// Solves on from `x` to a residual, and tells the residual reached.
 fn solve_on(
     ready: &ReadySystem,
     pose: &PoseSystem,
@@ -180,11 +182,11 @@ fn solve_on(
     terms: &BenchTerms,
 ) -> Result<(Vec<[f64; 3]>, f64), LoadtestFailure> {
     let options = SolveOptions {
-        start: Start::Given,
+        start: InitialGuess::Given,
         ..options_to_residual(tolerance)
     };
     let mut x = x.to_vec();
-    let stats = ready.solve(&pose.rhs, &mut x, &options, workspace, terms, None)?;
+    let stats = ready.solve(&pose.rhs, &mut x, &options, workspace, terms)?;
     Ok((x, stats.residual))
 }
 

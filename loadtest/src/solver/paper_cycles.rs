@@ -6,19 +6,21 @@ use crate::failure::LoadtestFailure;
 use crate::shared::measurements::Measurements;
 use pliant::exec::Exec;
 use pliant::progress::Silent;
-use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Operators, SolveOptions, Start, Workspace};
+use pliant::solver::{
+    BuildOptions, CoarseOperators, Constraints, Hierarchy, InitialGuess, SolveControl, SolveOptions, Workspace,
+};
 
 /// Iterations that are shown: the paper's cycles give up soon after.
 const SHOWN: usize = 12;
 
 /// Operators and conjugate-gradient steps after each cycle, by the prefix of their keys.
-const RUNS: [(&str, Operators, Option<usize>); 3] = [
-    ("default", Operators::FiniteVolume, None),
-    ("paper", Operators::Paper, Some(0)),
-    ("paper_cg", Operators::Paper, Some(2)),
+const RUNS: [(&str, CoarseOperators, Option<usize>); 3] = [
+    ("default", CoarseOperators::FiniteVolume, None),
+    ("paper", CoarseOperators::Paper, Some(0)),
+    ("paper_cg", CoarseOperators::Paper, Some(2)),
 ];
 
-/// Residual, largest column, and largest missing displacement over the diagonal; from the full-multigrid start on.
+/// A cycle log holds the residual, largest column, and the largest missing displacement over the diagonal; from the full-multigrid start on.
 #[derive(Debug, Clone, Default)]
 struct CycleLog {
     residuals: Vec<f64>,
@@ -37,14 +39,13 @@ pub(super) fn measure_paper_cycles(
     for (name, operators, interleave) in RUNS {
         let ready = build_ready_system(all, operators, interleave, terms)?;
         let mut workspace = Workspace::default();
-        if operators == Operators::FiniteVolume {
+        if operators == CoarseOperators::FiniteVolume {
             let stats = ready.solve(
                 &pose.rhs,
                 &mut exact,
                 &options_to_residual(EXACT_RESIDUAL),
                 &mut workspace,
                 terms,
-                None,
             )?;
             measurements.set_number("exact_res", stats.residual);
         }
@@ -57,7 +58,7 @@ pub(super) fn measure_paper_cycles(
 
 fn build_ready_system(
     all: &CompanionFile,
-    operators: Operators,
+    operators: CoarseOperators,
     interleave: Option<usize>,
     terms: &BenchTerms,
 ) -> Result<ReadySystem, LoadtestFailure> {
@@ -76,7 +77,7 @@ fn build_ready_system(
     Ok(ReadySystem { hierarchy, system })
 }
 
-/// Full multigrid alone, then again with [`SHOWN`] iterations after it.
+/// Runs full multigrid alone, then again with [`SHOWN`] iterations after it.
 fn log_cycles(
     all: &CompanionFile,
     ready: &ReadySystem,
@@ -86,7 +87,7 @@ fn log_cycles(
 ) -> Result<CycleLog, LoadtestFailure> {
     let pose = &all.poses[0];
     let options = |most: usize| SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: Some(&all.frames),
             rest: Some(&all.rest),
         },
@@ -94,17 +95,17 @@ fn log_cycles(
         ..options_to_residual(EXACT_RESIDUAL)
     };
     let mut x = pose.given.clone();
-    let start = ready.solve(&pose.rhs, &mut x, &options(0), workspace, terms, None)?;
+    let start = ready.solve(&pose.rhs, &mut x, &options(0), workspace, terms)?;
     let mut log = CycleLog {
         residuals: vec![start.residual],
         errors: vec![largest_distance(&x, exact) / all.diagonal],
     };
     let mut now = pose.given.clone();
-    let mut watch = |iteration: &pliant::solver::Iteration<'_>| {
+    let mut watch = |iteration: &pliant::solver::IterationReport<'_>| {
         iteration.copy_to(now.as_flattened_mut());
         log.residuals.push(iteration.residual);
         log.errors.push(largest_distance(&now, exact) / all.diagonal);
-        Control::Continue
+        SolveControl::Continue
     };
     let mut x = pose.given.clone();
     ready
@@ -126,7 +127,7 @@ fn log_cycles(
     Ok(log)
 }
 
-/// A row for each iteration: residual and error of every run.
+/// Writes a row for each iteration: residual and error of every run.
 pub(super) fn cycle_table(measurements: &Measurements) -> String {
     let column = |name: &str, what: &str| measurements.list(&format!("{name}_{what}"));
     let columns: Vec<Vec<f64>> = RUNS

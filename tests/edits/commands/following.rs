@@ -1,7 +1,7 @@
 //! Graph and hierarchy follow an edit: at the price of the edit, and without a difference that a user would see.
 
-use crate::support::messages::{DeformerMessages, EditMessage};
 use super::*;
+use crate::support::messages::{DeformerMessages, EditMessage};
 use pliant::engine::SolveMode;
 use pliant::exec::Exec;
 
@@ -178,7 +178,9 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
             .expect("each can be done");
         said.push(format!("{} {}", outcome.result.repaired, outcome.result.digest));
         let turned = turn(DVec3::new(0.15, 0.05 * f64::from(k), 0.0), DVec3::new(0.0, 0.0, 3.0));
-        let poses = bench.change_poses_message(&outcome.poses, &pose(&[("top", turned)])).expect("a pose");
+        let poses = bench
+            .change_poses_message(&outcome.poses, &pose(&[("top", turned)]))
+            .expect("a pose");
         let solved = bench
             .solve(
                 &poses,

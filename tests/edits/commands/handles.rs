@@ -1,7 +1,7 @@
 //! What becomes of handles across an edit.
 
-use crate::support::messages::{DeformerMessages};
 use super::*;
+use crate::support::messages::DeformerMessages;
 
 #[test]
 fn handles_keep_the_vertices_that_are_left() {

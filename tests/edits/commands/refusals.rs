@@ -1,7 +1,7 @@
 //! What edits say: refusals with field and reason, warnings of what was lost.
 
-use crate::support::messages::{DeformerMessages};
 use super::*;
+use crate::support::messages::DeformerMessages;
 use pb::edit_request::{self as wire, merge};
 use pliant::exec::Exec;
 

@@ -1,7 +1,7 @@
 //! After hundreds of edits a solve needs no more cycles than on a bench opened anew.
 
-use crate::support::messages::{DeformerMessages};
 use super::*;
+use crate::support::messages::DeformerMessages;
 use pliant::asset::Format;
 use pliant::exec::Exec;
 
@@ -26,7 +26,9 @@ fn cycles(bench: &mut Deformer, diagonal: f64, run: &Run) -> Vec<u32> {
     let mut all = Vec::new();
     for pose in poses {
         let pose: pb::Pose = message(&serde_json::json!({"handles": [{"id": id, "pose": pose}]}));
-        let poses = bench.change_poses_message(&bench.initial_poses(), &pose).expect("a pose");
+        let poses = bench
+            .change_poses_message(&bench.initial_poses(), &pose)
+            .expect("a pose");
         let solved = bench.solve(
             &poses,
             &settings,
@@ -47,7 +49,7 @@ fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
     for round in 0..4 {
         run.go(edits / 4);
         run.hold();
-        let written = run.bench.write(run.bench.rest(), Format::Obj).expect("written");
+        let written = run.bench.write(run.bench.rest(), Format::OBJ).expect("written");
         let files = FileSet::single("edited.obj", written.main);
         let mut fresh = Deformer::open(
             files,

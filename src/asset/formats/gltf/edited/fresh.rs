@@ -1,0 +1,186 @@
+//! New accessors, each with a view of its own; equal ones are stored once.
+
+use super::super::fault::GltfFault;
+use super::super::patch::bounds;
+use crate::asset::Error;
+use std::collections::BTreeMap;
+use std::hash::Hasher as _;
+
+/// How the numbers of a new accessor are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum NewAccessorKind {
+    /// A vertex attribute of 32-bit floats.
+    Floats,
+    /// The same with the bounds that positions must have.
+    Positions,
+    /// Four joints in 8 or 16 bits.
+    Joints8,
+    Joints16,
+    /// Indices in 16 or 32 bits.
+    Indices16,
+    Indices32,
+}
+
+struct NewView {
+    start: usize,
+    length: usize,
+    target: Option<u32>,
+}
+
+struct NewAccessor {
+    view: usize,
+    component: u32,
+    count: usize,
+    shape: &'static str,
+    bounds: Option<(String, String)>,
+}
+
+/// New data, to be appended to what is kept of the old.
+#[derive(Default)]
+pub(super) struct NewAccessors {
+    bytes: Vec<u8>,
+    views: Vec<NewView>,
+    accessors: Vec<NewAccessor>,
+    known: BTreeMap<u64, Vec<usize>>,
+}
+
+impl NewAccessors {
+    /// The bytes of all views.
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// Adds an attribute of floats; its number among the new accessors.
+    pub(super) fn floats(&mut self, values: &[f32], lanes: usize, shape: &'static str, kind: NewAccessorKind) -> usize {
+        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let bounds = (kind == NewAccessorKind::Positions).then(|| bounds(values, lanes));
+        self.accessor(&bytes, kind, values.len() / lanes.max(1), shape, bounds)
+    }
+
+    /// Adds a set of joints, in 8 bits where they fit.
+    pub(super) fn joints(&mut self, values: &[f32]) -> usize {
+        let small = values.iter().all(|&v| v <= 255.0);
+        let bytes: Vec<u8> = if small {
+            values.iter().map(|&v| v as u8).collect()
+        } else {
+            values.iter().flat_map(|&v| (v as u16).to_le_bytes()).collect()
+        };
+        let kind = if small {
+            NewAccessorKind::Joints8
+        } else {
+            NewAccessorKind::Joints16
+        };
+        self.accessor(&bytes, kind, values.len() / 4, "VEC4", None)
+    }
+
+    /// Adds the corners of triangles over so many vertices.
+    pub(super) fn indices(&mut self, triangles: &[[u32; 3]], vertices: usize) -> usize {
+        let corners = triangles.iter().flatten();
+        // The largest value of a type is the restart mark, which no index may be.
+        let (bytes, kind): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
+            (
+                corners.flat_map(|&i| (i as u16).to_le_bytes()).collect(),
+                NewAccessorKind::Indices16,
+            )
+        } else {
+            (
+                corners.flat_map(|&i| i.to_le_bytes()).collect(),
+                NewAccessorKind::Indices32,
+            )
+        };
+        self.accessor(&bytes, kind, triangles.len() * 3, "SCALAR", None)
+    }
+
+    /// Adds bytes that are no accessor; the number of their view among the new ones.
+    pub(super) fn raw(&mut self, bytes: &[u8]) -> usize {
+        self.view(bytes, None)
+    }
+
+    fn view(&mut self, bytes: &[u8], target: Option<u32>) -> usize {
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        self.views.push(NewView {
+            start: self.bytes.len(),
+            length: bytes.len(),
+            target,
+        });
+        self.bytes.extend_from_slice(bytes);
+        self.views.len() - 1
+    }
+
+    fn accessor(
+        &mut self,
+        bytes: &[u8],
+        kind: NewAccessorKind,
+        count: usize,
+        shape: &'static str,
+        bounds: Option<(String, String)>,
+    ) -> usize {
+        let (component, target) = match kind {
+            NewAccessorKind::Floats | NewAccessorKind::Positions => (5126, 34962),
+            NewAccessorKind::Joints8 => (5121, 34962),
+            NewAccessorKind::Joints16 => (5123, 34962),
+            NewAccessorKind::Indices16 => (5123, 34963),
+            NewAccessorKind::Indices32 => (5125, 34963),
+        };
+        let mut hasher = std::hash::DefaultHasher::new();
+        hasher.write(bytes);
+        let hash = hasher.finish();
+        let same = |&&i: &&usize| {
+            let (old, view) = (&self.accessors[i], &self.views[self.accessors[i].view]);
+            (old.component, old.count, old.shape, view.target) == (component, count, shape, Some(target))
+                && old.bounds == bounds
+                && self.bytes.get(view.start..view.start + view.length) == Some(bytes)
+        };
+        if let Some(&found) = self.known.get(&hash).and_then(|list| list.iter().find(same)) {
+            return found;
+        }
+        let view = self.view(bytes, Some(target));
+        self.accessors.push(NewAccessor {
+            view,
+            component,
+            count,
+            shape,
+            bounds,
+        });
+        let number = self.accessors.len() - 1;
+        self.known.entry(hash).or_default().push(number);
+        number
+    }
+
+    /// The views as JSON, with their bytes beginning at `offset` of `buffer`.
+    pub(super) fn view_texts(&self, buffer: usize, offset: usize) -> Vec<String> {
+        let one = |view: &NewView| {
+            let target = view.target.map(|t| format!(r#","target":{t}"#)).unwrap_or_default();
+            let (start, length) = (offset + view.start, view.length);
+            format!(r#"{{"buffer":{buffer},"byteOffset":{start},"byteLength":{length}{target}}}"#)
+        };
+        self.views.iter().map(one).collect()
+    }
+
+    /// The accessors as JSON, with their views numbered from `first_view` on.
+    pub(super) fn accessor_texts(&self, first_view: usize) -> Vec<String> {
+        let one = |accessor: &NewAccessor| {
+            let bounds = accessor.bounds.as_ref();
+            let bounds = bounds
+                .map(|(least, most)| format!(r#","min":{least},"max":{most}"#))
+                .unwrap_or_default();
+            format!(
+                r#"{{"bufferView":{},"componentType":{},"count":{},"type":"{}"{bounds}}}"#,
+                first_view + accessor.view,
+                accessor.component,
+                accessor.count,
+                accessor.shape
+            )
+        };
+        self.accessors.iter().map(one).collect()
+    }
+
+    /// Refuses more than one buffer holds, `kept` bytes standing before.
+    pub(super) fn check_size(&self, kept: usize, fault: GltfFault) -> Result<(), Error> {
+        let length = kept as u64 + self.bytes.len() as u64;
+        if length > u64::from(u32::MAX) {
+            return Err(fault.unwritable(format!("a buffer would have {length} bytes, 4 GiB is the most")));
+        }
+        Ok(())
+    }
+}

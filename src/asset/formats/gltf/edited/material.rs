@@ -1,0 +1,259 @@
+//! Materials that come along with a joined base, with what they draw with.
+
+use super::super::buffers::BufferBytes;
+use super::super::document::GltfDocument;
+use super::super::text::quoted;
+use super::fresh::NewAccessors;
+use super::joined::{JoinedBases, next_number};
+use super::kept::section;
+use super::places;
+use crate::asset::{Error, FileSet};
+use serde_json::{Map, Value};
+use std::collections::BTreeMap;
+
+/// What was taken over from one base so far: new numbers by old ones.
+pub(super) struct MaterialCopier<'p> {
+    doc: &'p GltfDocument<'p>,
+    files: &'p FileSet,
+    /// The files of the first base, whose names are taken.
+    first: &'p FileSet,
+    base: usize,
+    materials: BTreeMap<usize, Option<usize>>,
+    textures: BTreeMap<usize, Option<usize>>,
+    images: BTreeMap<usize, Option<usize>>,
+    samplers: BTreeMap<usize, Option<usize>>,
+}
+
+/// Extensions of textures that only name another image.
+const OTHER_IMAGE: [&str; 4] = [
+    "KHR_texture_basisu",
+    "EXT_texture_webp",
+    "EXT_texture_avif",
+    "MSFT_texture_dds",
+];
+
+/// Where new things go.
+struct CopyTarget<'t, 'f> {
+    frame: &'t GltfDocument<'f>,
+    buffers: &'t BufferBytes,
+    fresh: &'t mut NewAccessors,
+    joined: &'t mut JoinedBases,
+}
+
+impl<'p> MaterialCopier<'p> {
+    pub(super) fn new(doc: &'p GltfDocument<'p>, files: &'p FileSet, first: &'p FileSet, base: usize) -> Self {
+        Self {
+            doc,
+            files,
+            first,
+            base,
+            materials: BTreeMap::new(),
+            textures: BTreeMap::new(),
+            images: BTreeMap::new(),
+            samplers: BTreeMap::new(),
+        }
+    }
+
+    /// The new number of a material of the base; `None` when there is none of that number.
+    pub(super) fn material(
+        &mut self,
+        old: usize,
+        frame: &GltfDocument<'_>,
+        buffers: &BufferBytes,
+        fresh: &mut NewAccessors,
+        joined: &mut JoinedBases,
+    ) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.materials.get(&old) {
+            return Ok(*new);
+        }
+        let mut to = CopyTarget {
+            frame,
+            buffers,
+            fresh,
+            joined,
+        };
+        let new = match self.parsed("materials", old)? {
+            None => None,
+            Some(mut material) => {
+                self.keep_extensions(&mut material, &mut to, |name| name.contains("_materials_"));
+                self.textures_in(&mut material, &mut to)?;
+                to.joined.materials.push(material.to_string());
+                Some(next_number(to.frame, "materials", to.joined.materials.len() - 1))
+            }
+        };
+        self.materials.insert(old, new);
+        Ok(new)
+    }
+
+    fn parsed(&self, key: &str, index: usize) -> Result<Option<Value>, Error> {
+        let Some(text) = section(self.doc, key).get(index).copied() else {
+            return Ok(None);
+        };
+        let parsed = serde_json::from_str(text);
+        parsed
+            .map(Some)
+            .map_err(|e| self.doc.fault.malformed(format!("{key}/{index}"), e.to_string()))
+    }
+
+    /// Takes out the extensions of an object that are not kept, and notes those that are.
+    fn keep_extensions(&self, object: &mut Value, to: &mut CopyTarget<'_, '_>, keep: impl Fn(&str) -> bool) {
+        let Some(object) = object.as_object_mut() else { return };
+        if let Some(extensions) = object.get_mut("extensions").and_then(Value::as_object_mut) {
+            extensions.retain(|name, _| keep(name));
+            for name in extensions.keys() {
+                let note = |list: &mut Vec<String>| {
+                    if !list.contains(name) {
+                        list.push(name.clone());
+                    }
+                };
+                note(&mut to.joined.extensions_used);
+                if self.doc.extensions_required.contains(name) {
+                    note(&mut to.joined.extensions_required);
+                }
+            }
+            if extensions.is_empty() {
+                object.remove("extensions");
+            }
+        }
+    }
+
+    /// Renumbers every texture that a material names, at any depth; a parsed text is at most 128 levels deep.
+    fn textures_in(&mut self, material: &mut Value, to: &mut CopyTarget<'_, '_>) -> Result<(), Error> {
+        let Some(object) = material.as_object_mut() else {
+            return Ok(());
+        };
+        let mut lost = Vec::new();
+        for (key, inner) in object.iter_mut().filter(|(key, _)| *key != "extras") {
+            if !key.ends_with("Texture") || inner.get("index").is_none() {
+                self.textures_in(inner, to)?;
+                continue;
+            }
+            let old = inner.get("index").and_then(Value::as_u64).unwrap_or(u64::MAX);
+            match self.texture(usize::try_from(old).unwrap_or(usize::MAX), to)? {
+                Some(new) => inner["index"] = new.into(),
+                None => lost.push(key.clone()),
+            }
+            self.keep_extensions(inner, to, |name| name == "KHR_texture_transform");
+        }
+        for key in lost {
+            object.shift_remove(&key);
+        }
+        Ok(())
+    }
+
+    fn texture(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.textures.get(&old) {
+            return Ok(*new);
+        }
+        let new = match self.parsed("textures", old)? {
+            None => None,
+            Some(mut texture) => {
+                self.keep_extensions(&mut texture, to, |name| OTHER_IMAGE.contains(&name));
+                if let Some(texture) = texture.as_object_mut() {
+                    self.renumber_image(texture, to)?;
+                    for name in OTHER_IMAGE {
+                        let inner = texture.get_mut("extensions").and_then(|e| e.get_mut(name));
+                        if let Some(inner) = inner.and_then(Value::as_object_mut) {
+                            self.renumber_image(inner, to)?;
+                        }
+                    }
+                    if let Some(sampler) = number(texture, "sampler") {
+                        match self.sampler(sampler, to)? {
+                            Some(new) => drop(texture.insert("sampler".into(), new.into())),
+                            None => drop(texture.shift_remove("sampler")),
+                        }
+                    }
+                }
+                to.joined.textures.push(texture.to_string());
+                Some(next_number(to.frame, "textures", to.joined.textures.len() - 1))
+            }
+        };
+        self.textures.insert(old, new);
+        Ok(new)
+    }
+
+    fn renumber_image(&mut self, object: &mut Map<String, Value>, to: &mut CopyTarget<'_, '_>) -> Result<(), Error> {
+        if let Some(source) = number(object, "source") {
+            match self.image(source, to)? {
+                Some(new) => drop(object.insert("source".into(), new.into())),
+                None => drop(object.shift_remove("source")),
+            }
+        }
+        Ok(())
+    }
+
+    fn sampler(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.samplers.get(&old) {
+            return Ok(*new);
+        }
+        let new = section(self.doc, "samplers").get(old).map(|text| {
+            to.joined.samplers.push((*text).to_owned());
+            next_number(to.frame, "samplers", to.joined.samplers.len() - 1)
+        });
+        self.samplers.insert(old, new);
+        Ok(new)
+    }
+
+    fn image(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.images.get(&old) {
+            return Ok(*new);
+        }
+        let new = match self.parsed("images", old)? {
+            None => None,
+            Some(image) => {
+                let mut text = places::without(section(self.doc, "images")[old], &["bufferView", "extensions"]);
+                let mut view = None;
+                if let Some(stored) = image.as_object().and_then(|i| number(i, "bufferView")) {
+                    view = Some(to.fresh.raw(to.buffers.view(self.doc, stored)?));
+                } else if let Some(uri) = image["uri"].as_str() {
+                    text = places::with(&text, "uri", &quoted(&self.companion(uri, to)));
+                }
+                to.joined.images.push((text, view));
+                Some(next_number(to.frame, "images", to.joined.images.len() - 1))
+            }
+        };
+        self.images.insert(old, new);
+        Ok(new)
+    }
+
+    /// The URI under which a companion image comes along: its own, unless another file has that name.
+    fn companion(&self, uri: &str, to: &mut CopyTarget<'_, '_>) -> String {
+        let name = percent_encoding::percent_decode_str(uri)
+            .decode_utf8_lossy()
+            .into_owned();
+        let Some(bytes) = self.files.companions.get(&name) else {
+            return uri.to_owned();
+        };
+        let taken = self.first.companions.get(&name).map(|b| &b[..]).or(to
+            .joined
+            .companions
+            .get(&name)
+            .map(|b| &b[..]));
+        if taken == Some(&bytes[..]) {
+            return uri.to_owned();
+        }
+        let (prefix, name) = if taken.is_none() {
+            (String::new(), name)
+        } else {
+            let prefix = format!("merged-{}-", self.base);
+            (prefix.clone(), renamed(&prefix, &name))
+        };
+        to.joined.companions.insert(name, bytes.to_vec());
+        renamed(&prefix, uri)
+    }
+}
+
+/// The path with a prefix before the name of its file.
+fn renamed(prefix: &str, path: &str) -> String {
+    match path.rsplit_once('/') {
+        Some((folder, name)) => format!("{folder}/{prefix}{name}"),
+        None => format!("{prefix}{path}"),
+    }
+}
+
+fn number(object: &Map<String, Value>, key: &str) -> Option<usize> {
+    object
+        .get(key)
+        .and_then(Value::as_u64)
+        .and_then(|n| usize::try_from(n).ok())
+}

@@ -1,0 +1,191 @@
+//! Where a document names accessors and buffer views, as slices of its text.
+
+use super::super::schema::WholeNumber;
+use super::super::text::{JsonEdits, items, members, value_of};
+
+/// Numbers in one item of a section.
+#[derive(Default)]
+pub(super) struct References<'a> {
+    /// Those that name accessors.
+    pub(super) accessors: Vec<&'a str>,
+    /// Those that name buffer views.
+    pub(super) views: Vec<&'a str>,
+}
+
+/// The index that a text holds.
+pub(super) fn index(json: &str) -> Option<usize> {
+    serde_json::from_str::<WholeNumber>(json).ok().map(WholeNumber::index)
+}
+
+fn array<'a>(object: &'a str, key: &str) -> Vec<&'a str> {
+    value_of(object, key).and_then(|a| items(a).ok()).unwrap_or_default()
+}
+
+fn values(object: &str) -> Vec<&str> {
+    members(object).map_or_else(|_| Vec::new(), |list| list.into_iter().map(|m| m.value).collect())
+}
+
+fn at<'a>(object: &'a str, path: &[&str]) -> Option<&'a str> {
+    path.iter().try_fold(object, |object, key| value_of(object, key))
+}
+
+/// The name of the extension that keeps a compressed twin of a primitive.
+pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
+
+/// In a mesh.
+pub(super) fn of_mesh(mesh: &str) -> References<'_> {
+    let mut places = References::default();
+    for primitive in array(mesh, "primitives") {
+        places
+            .accessors
+            .extend(value_of(primitive, "attributes").map(values).unwrap_or_default());
+        places
+            .accessors
+            .extend(array(primitive, "targets").into_iter().flat_map(values));
+        places.accessors.extend(value_of(primitive, "indices"));
+        places.views.extend(at(primitive, &["extensions", DRACO, "bufferView"]));
+    }
+    places
+}
+
+/// In a skin.
+pub(super) fn of_skin(skin: &str) -> References<'_> {
+    References {
+        accessors: value_of(skin, "inverseBindMatrices").into_iter().collect(),
+        views: Vec::new(),
+    }
+}
+
+/// In an animation.
+pub(super) fn of_animation(animation: &str) -> References<'_> {
+    let named = |sampler| {
+        ["input", "output"]
+            .into_iter()
+            .filter_map(move |key| value_of(sampler, key))
+    };
+    References {
+        accessors: array(animation, "samplers").into_iter().flat_map(named).collect(),
+        views: Vec::new(),
+    }
+}
+
+/// In a node: the attributes of its instances.
+pub(super) fn of_node(node: &str) -> References<'_> {
+    let attributes = at(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
+    References {
+        accessors: attributes.map(values).unwrap_or_default(),
+        views: Vec::new(),
+    }
+}
+
+/// In an accessor.
+pub(super) fn of_accessor(accessor: &str) -> References<'_> {
+    let paths: [&[&str]; 3] = [
+        &["bufferView"],
+        &["sparse", "indices", "bufferView"],
+        &["sparse", "values", "bufferView"],
+    ];
+    References {
+        accessors: Vec::new(),
+        views: paths.into_iter().filter_map(|path| at(accessor, path)).collect(),
+    }
+}
+
+/// In an image.
+pub(super) fn of_image(image: &str) -> References<'_> {
+    References {
+        accessors: Vec::new(),
+        views: value_of(image, "bufferView").into_iter().collect(),
+    }
+}
+
+/// The text with its references renumbered; those that have no new number stay.
+pub(super) fn renumbered<'a>(
+    text: &'a str,
+    of: impl Fn(&'a str) -> References<'a>,
+    accessor: impl Fn(usize) -> Option<usize>,
+    view: impl Fn(usize) -> Option<usize>,
+) -> String {
+    let places = of(text);
+    let mut edits = JsonEdits::new(text);
+    for place in places.accessors {
+        if let Some(new) = index(place).and_then(&accessor) {
+            edits.replace(place, new.to_string());
+        }
+    }
+    for place in places.views {
+        if let Some(new) = index(place).and_then(&view) {
+            edits.replace(place, new.to_string());
+        }
+    }
+    edits.apply()
+}
+
+/// The object without some of its keys.
+pub(super) fn without(object: &str, keys: &[&str]) -> String {
+    let mut text = object.to_owned();
+    for key in keys {
+        if value_of(&text, key).is_some() {
+            let mut edits = JsonEdits::new(&text);
+            edits.remove(&text, key);
+            text = edits.apply();
+        }
+    }
+    text
+}
+
+/// The object without some extensions; and without `extensions` when none is left.
+pub(super) fn without_extensions(object: &str, names: &[&str]) -> String {
+    let Some(extensions) = value_of(object, "extensions") else {
+        return object.to_owned();
+    };
+    let left = without(extensions, names);
+    if left.len() == extensions.len() {
+        return object.to_owned();
+    }
+    if members(&left).is_ok_and(|list| list.is_empty()) {
+        return without(object, &["extensions"]);
+    }
+    let mut edits = JsonEdits::new(object);
+    edits.set(object, "extensions", &left);
+    edits.apply()
+}
+
+/// The object with a key set.
+pub(super) fn with(object: &str, key: &str, json: &str) -> String {
+    let mut edits = JsonEdits::new(object);
+    edits.set(object, key, json);
+    edits.apply()
+}
+
+/// A list of texts as one JSON array.
+pub(super) fn list(texts: &[String]) -> String {
+    format!("[{}]", texts.join(","))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reference_of_a_mesh_is_found_and_renumbered() {
+        let mesh = r#"{"primitives":[{"attributes":{"POSITION":1,"_X":2},"indices":3,"targets":[{"POSITION":4}],
+            "extensions":{"KHR_draco_mesh_compression":{"bufferView":1,"attributes":{"POSITION":1}}},"extras":{"indices":9}}]}"#;
+        let new = renumbered(mesh, of_mesh, |a| Some(a + 10), |v| Some(v + 20));
+        let expected = r#"{"primitives":[{"attributes":{"POSITION":11,"_X":12},"indices":13,"targets":[{"POSITION":14}],
+            "extensions":{"KHR_draco_mesh_compression":{"bufferView":21,"attributes":{"POSITION":1}}},"extras":{"indices":9}}]}"#;
+        assert_eq!(new, expected);
+    }
+
+    #[test]
+    fn extensions_go_and_take_an_empty_object_with_them() {
+        let text = r#"{"a":1,"extensions":{"X":{},"Y":{}},"b":2}"#;
+        assert_eq!(
+            without_extensions(text, &["X"]),
+            r#"{"a":1,"extensions":{"Y":{}},"b":2}"#
+        );
+        assert_eq!(without_extensions(text, &["X", "Y"]), r#"{"a":1,"b":2}"#);
+        assert_eq!(without_extensions(text, &["Z"]), text);
+        assert_eq!(without(r#"{"a":1,"b":2}"#, &["a", "b"]), "{}");
+    }
+}

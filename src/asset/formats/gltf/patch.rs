@@ -1,0 +1,281 @@
+//! Carries out a plan: new bytes in buffers, and edits of the document's text.
+
+use super::accessors::{AccessorLayout, ShapeAttribute};
+use super::buffers::BufferBytes;
+use super::document::GltfDocument;
+use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
+use super::text::{JsonEdits, items, value_of};
+use crate::asset::Error;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A document with its edits, and the buffers that differ from the stored ones.
+pub(super) struct PatchedDocument<'a> {
+    pub(super) edits: JsonEdits<'a>,
+    /// Whole new contents by buffer.
+    pub(super) buffers: BTreeMap<usize, Vec<u8>>,
+    /// Contents of a buffer that has to be added because no other takes new data.
+    pub(super) added_buffer: Option<Vec<u8>>,
+}
+
+/// Makes the changes of a plan.
+pub(super) fn patch<'a>(
+    doc: &GltfDocument<'a>,
+    buffers: &BufferBytes,
+    plan: SharingPlan,
+) -> Result<PatchedDocument<'a>, Error> {
+    let mut patcher = DocumentPatcher {
+        doc,
+        stored: buffers,
+        out: PatchedDocument {
+            edits: JsonEdits::new(doc.text),
+            buffers: BTreeMap::new(),
+            added_buffer: None,
+        },
+    };
+    if !plan.is_empty() {
+        for overwrite in &plan.overwrites {
+            patcher.overwrite(overwrite)?;
+        }
+        patcher.append(&plan.appends)?;
+        patcher.meshes(&plan)?;
+    }
+    Ok(patcher.out)
+}
+
+/// Bytes of JSON that copies of meshes may take: a mesh is described once in a file, but may be placed any number of times.
+const MOST_COPIED: usize = 512 << 20;
+
+struct DocumentPatcher<'d, 'a> {
+    doc: &'d GltfDocument<'a>,
+    stored: &'d BufferBytes,
+    out: PatchedDocument<'a>,
+}
+
+impl<'a> DocumentPatcher<'_, 'a> {
+    /// A buffer's bytes, made our own on first use.
+    fn bytes(&mut self, buffer: usize) -> &mut Vec<u8> {
+        self.out.buffers.entry(buffer).or_insert_with(|| {
+            self.stored
+                .stored
+                .get(buffer)
+                .and_then(|s| s.bytes.as_ref())
+                .map(|b| b.to_vec())
+                .unwrap_or_default()
+        })
+    }
+
+    fn overwrite(&mut self, overwrite: &AccessorOverwrite) -> Result<(), Error> {
+        let AccessorOverwrite {
+            accessor,
+            role,
+            channel,
+        } = overwrite;
+        let described = &self.doc.accessors.values[*accessor];
+        let view = described.buffer_view.and_then(|v| self.doc.views.get(v.index()));
+        let layout = AccessorLayout::of(described, &self.doc.views.values);
+        let (Some(view), Some(layout)) = (view, layout) else {
+            return Ok(());
+        };
+        let outside = || {
+            self.doc
+                .fault
+                .malformed(format!("accessors/{accessor}"), "reaches past the end of its buffer")
+        };
+        let (start, stride) = ((view.offset() + described.offset()) as usize, layout.stride as usize);
+        let bytes = self.bytes(view.buffer.index());
+        let elements = channel
+            .values
+            .chunks_exact(role.lanes())
+            .zip(&channel.changed)
+            .enumerate();
+        for (i, (element, _)) in elements.filter(|(_, (_, changed))| **changed) {
+            let place = bytes
+                .get_mut(start + i * stride..)
+                .and_then(|b| b.get_mut(..4 * element.len()));
+            let place = place.ok_or_else(outside)?;
+            place
+                .as_chunks_mut::<4>()
+                .0
+                .iter_mut()
+                .zip(element)
+                .for_each(|(to, v)| *to = v.to_le_bytes());
+        }
+        let text = self.doc.accessors.items[*accessor];
+        let (least, most) = bounds(&channel.values, role.lanes());
+        for (key, value) in [("min", least), ("max", most)] {
+            // Only POSITION must have bounds, but bounds that are there must be right.
+            if *role == ShapeAttribute::Position || value_of(text, key).is_some() {
+                self.out.edits.set(text, key, &value);
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds accessors, each with a view of its own, to the end of the first buffer that takes more.
+    fn append(&mut self, appends: &[AppendedAccessor]) -> Result<(), Error> {
+        if appends.is_empty() {
+            return Ok(());
+        }
+        let takes_more = |i: &usize| {
+            self.stored.stored[*i].bytes.is_some()
+                && self.stored.is_exclusive(*i)
+                && !self.doc.buffers.values[*i].is_fallback()
+        };
+        let target = (0..self.doc.buffers.len()).find(takes_more);
+        let (first_view, buffer) = (self.doc.views.len(), target.unwrap_or(self.doc.buffers.len()));
+        let (mut views, mut accessors) = (Vec::new(), Vec::new());
+        let mut new = Vec::new();
+        let bytes = match target {
+            Some(buffer) => self.bytes(buffer),
+            None => &mut new,
+        };
+        for append in appends {
+            bytes.resize(bytes.len().next_multiple_of(4), 0);
+            let (offset, length) = (bytes.len(), 4 * append.values.len());
+            bytes.extend(append.values.iter().flat_map(|v| v.to_le_bytes()));
+            let count = append.values.len() / append.role.lanes();
+            views.push(format!(
+                r#"{{"buffer":{buffer},"byteOffset":{offset},"byteLength":{length},"target":34962}}"#
+            ));
+            let limits = if append.role == ShapeAttribute::Position {
+                let (least, most) = bounds(&append.values, 3);
+                format!(r#","min":{least},"max":{most}"#)
+            } else {
+                String::new()
+            };
+            accessors.push(format!(
+                r#"{{"bufferView":{},"componentType":5126,"count":{count},"type":"{}"{limits}}}"#,
+                first_view + views.len() - 1,
+                append.role.shape()
+            ));
+        }
+        let length = bytes.len();
+        if length as u64 > u64::from(u32::MAX) {
+            return Err(self
+                .doc
+                .fault
+                .unwritable(format!("buffer {buffer} would have {length} bytes, 4 GiB is the most")));
+        }
+        match target {
+            Some(buffer) => self
+                .out
+                .edits
+                .set(self.doc.buffers.items[buffer], "byteLength", &length.to_string()),
+            None => self.out.added_buffer = Some(new),
+        }
+        self.push("bufferViews", self.doc.views.text, &views);
+        self.push("accessors", self.doc.accessors.text, &accessors);
+        Ok(())
+    }
+
+    fn push(&mut self, key: &str, array: Option<&'a str>, json: &[String]) {
+        match array {
+            Some(array) => self.out.edits.push(array, json),
+            None if json.is_empty() => {}
+            None => self.out.edits.set(self.doc.text, key, &format!("[{}]", json.join(","))),
+        }
+    }
+
+    /// Points attributes at new accessors, in place or in copies of their meshes, and nodes at the copies.
+    fn meshes(&mut self, plan: &SharingPlan) -> Result<(), Error> {
+        let copied: usize = plan
+            .copies
+            .iter()
+            .map(|copy| self.doc.meshes.items[copy.of].len())
+            .sum();
+        if copied > MOST_COPIED {
+            let problem = format!(
+                "{} instances would need {copied} bytes of JSON, at most {MOST_COPIED} are written",
+                plan.copies.len()
+            );
+            return Err(self.doc.fault.unwritable(problem));
+        }
+        let first_accessor = self.doc.accessors.len();
+        let mut redirects: BTreeMap<MeshRef, Vec<(usize, ShapeAttribute, usize)>> = BTreeMap::new();
+        for (i, append) in plan.appends.iter().enumerate() {
+            for &(mesh, primitive) in &append.users {
+                redirects
+                    .entry(mesh)
+                    .or_default()
+                    .push((primitive, append.role, first_accessor + i));
+            }
+        }
+        let stale = |mesh: MeshRef| {
+            plan.stale_draco
+                .iter()
+                .filter(move |(m, _)| *m == mesh)
+                .map(|(_, p)| *p)
+        };
+        let originals: BTreeSet<MeshRef> = redirects
+            .keys()
+            .copied()
+            .chain(plan.stale_draco.iter().map(|(mesh, _)| *mesh))
+            .filter(|mesh| matches!(mesh, MeshRef::Original(_)))
+            .collect();
+        for mesh in originals {
+            let MeshRef::Original(index) = mesh else { continue };
+            let changes = redirects.get(&mesh).map_or(&[][..], Vec::as_slice);
+            edit_mesh(&mut self.out.edits, self.doc.meshes.items[index], changes, stale(mesh));
+        }
+        let mut copies = Vec::new();
+        for (i, copy) in plan.copies.iter().enumerate() {
+            let text = self.doc.meshes.items[copy.of];
+            let mut edits = JsonEdits::new(text);
+            let changes = redirects.get(&MeshRef::Copy(i)).map_or(&[][..], Vec::as_slice);
+            edit_mesh(&mut edits, text, changes, stale(MeshRef::Copy(i)));
+            copies.push(edits.apply());
+            for &node in &copy.nodes {
+                let index = (self.doc.meshes.len() + i).to_string();
+                self.out.edits.set(self.doc.nodes.items[node], "mesh", &index);
+            }
+        }
+        self.push("meshes", self.doc.meshes.text, &copies);
+        Ok(())
+    }
+}
+
+fn edit_mesh<'a>(
+    edits: &mut JsonEdits<'a>,
+    mesh: &'a str,
+    changes: &[(usize, ShapeAttribute, usize)],
+    stale: impl Iterator<Item = usize>,
+) {
+    let primitives = value_of(mesh, "primitives")
+        .and_then(|p| items(p).ok())
+        .unwrap_or_default();
+    for (primitive, role, accessor) in changes {
+        if let Some(attributes) = primitives.get(*primitive).and_then(|p| value_of(p, "attributes")) {
+            edits.set(attributes, role.name(), &accessor.to_string());
+        }
+    }
+    const DRACO: &str = "KHR_draco_mesh_compression";
+    for primitive in stale.filter_map(|p| primitives.get(p)) {
+        let Some(extensions) = value_of(primitive, "extensions") else {
+            continue;
+        };
+        // An empty object of extensions is an error of its own.
+        match super::text::members(extensions).map_or(0, |list| list.iter().filter(|m| m.key != DRACO).count()) {
+            0 => edits.remove(primitive, "extensions"),
+            _ => edits.remove(extensions, DRACO),
+        }
+    }
+}
+
+/// The least and the largest value of each lane as JSON, which read back as exactly the same floats.
+pub(super) fn bounds(values: &[f32], lanes: usize) -> (String, String) {
+    let mut least = vec![f32::INFINITY; lanes];
+    let mut most = vec![f32::NEG_INFINITY; lanes];
+    for element in values.chunks_exact(lanes) {
+        for (lane, &v) in element.iter().enumerate() {
+            least[lane] = least[lane].min(v);
+            most[lane] = most[lane].max(v);
+        }
+    }
+    (json_floats(&least), json_floats(&most))
+}
+
+/// As doubles: whoever reads doubles and whoever reads floats sees the same number.
+pub(super) fn json_floats(values: &[f32]) -> String {
+    let texts: Vec<String> = values.iter().map(|&v| format!("{:?}", f64::from(v))).collect();
+    format!("[{}]", texts.join(","))
+}

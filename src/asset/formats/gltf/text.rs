@@ -1,0 +1,228 @@
+//! JSON text that is read where it lies and edited where it must change.
+//!
+//! A glTF document is never rebuilt: its values are slices of the text, and an [`JsonEdits`] list splices new text over some
+//! of them. Key order, number texts, escapes, duplicate keys and white space of everything else stay as they were.
+
+use serde::Deserialize;
+use serde::de::{Deserializer, MapAccess, Visitor};
+use serde_json::value::RawValue;
+use std::fmt;
+use std::ops::Range;
+
+/// One key of an object, and its value as a slice of the text.
+pub(super) struct JsonMember<'a> {
+    pub(super) key: String,
+    pub(super) value: &'a str,
+}
+
+/// The members of the object that `text` holds, in order, duplicates included.
+pub(super) fn members(text: &str) -> Result<Vec<JsonMember<'_>>, serde_json::Error> {
+    serde_json::from_str::<Members<'_>>(text).map(|m| m.0)
+}
+
+/// The items of the array that `text` holds.
+pub(super) fn items(text: &str) -> Result<Vec<&str>, serde_json::Error> {
+    let raw: Vec<&RawValue> = serde_json::from_str(text)?;
+    Ok(raw.into_iter().map(RawValue::get).collect())
+}
+
+/// The value of `key` in the object that `text` holds; the last one when the key is repeated.
+pub(super) fn value_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    members(text)
+        .ok()?
+        .into_iter()
+        .rev()
+        .find(|m| m.key == key)
+        .map(|m| m.value)
+}
+
+/// A JSON string literal.
+pub(super) fn quoted(text: &str) -> String {
+    serde_json::Value::from(text).to_string()
+}
+
+struct Members<'a>(Vec<JsonMember<'a>>);
+
+impl<'de: 'a, 'a> Deserialize<'de> for Members<'a> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Collect;
+        impl<'de> Visitor<'de> for Collect {
+            type Value = Vec<JsonMember<'de>>;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+                let mut list = Vec::new();
+                while let Some(key) = map.next_key::<String>()? {
+                    list.push(JsonMember {
+                        key,
+                        value: map.next_value::<&'de RawValue>()?.get(),
+                    });
+                }
+                Ok(list)
+            }
+        }
+        deserializer.deserialize_map(Collect).map(Members)
+    }
+}
+
+/// A list of places of one text and what to put there.
+pub(super) struct JsonEdits<'a> {
+    text: &'a str,
+    list: Vec<(Range<usize>, String)>,
+}
+
+impl<'a> JsonEdits<'a> {
+    /// No edits of `text` yet.
+    pub(super) fn new(text: &'a str) -> Self {
+        Self { text, list: Vec::new() }
+    }
+
+    /// Whether nothing is to be changed.
+    pub(super) fn is_empty(&self) -> bool {
+        self.list.is_empty()
+    }
+
+    /// Puts `with` in place of `part`, which must be a slice of the text.
+    pub(super) fn replace(&mut self, part: &'a str, with: impl Into<String>) {
+        let range = self.range_of(part);
+        self.list.push((range, with.into()));
+    }
+
+    /// Gives `key` of `object` (a slice of the text that holds an object) the value `json`: in its place when the key is
+    /// there, else after the last member.
+    pub(super) fn set(&mut self, object: &'a str, key: &str, json: &str) {
+        let list = members(object).unwrap_or_default();
+        match (list.iter().rev().find(|m| m.key == key), list.last()) {
+            (Some(member), _) => self.replace(member.value, json),
+            (None, Some(last)) => {
+                let end = self.range_of(last.value).end;
+                self.list.push((end..end, format!(",{}:{json}", quoted(key))));
+            }
+            (None, None) => self.replace(object, format!("{{{}:{json}}}", quoted(key))),
+        }
+    }
+
+    /// Takes `key` out of `object`, with the comma that is then one too many.
+    pub(super) fn remove(&mut self, object: &'a str, key: &str) {
+        let list = members(object).unwrap_or_default();
+        let Some(at) = list.iter().rposition(|m| m.key == key) else {
+            return;
+        };
+        let end = self.range_of(list[at].value).end;
+        let range = if let Some(before) = at.checked_sub(1) {
+            self.range_of(list[before].value).end..end
+        } else {
+            let start = self.range_of(object).start + 1;
+            // The first of several: its comma follows.
+            let comma = if list.len() > 1 {
+                self.text[end..].find(',').map_or(0, |i| i + 1)
+            } else {
+                0
+            };
+            start..end + comma
+        };
+        self.list.push((range, String::new()));
+    }
+
+    /// Adds `json` after the last item of `array`, a slice of the text that holds an array.
+    pub(super) fn push(&mut self, array: &'a str, json: &[String]) {
+        if json.is_empty() {
+            return;
+        }
+        let added = json.join(",");
+        match items(array).unwrap_or_default().last() {
+            Some(last) => {
+                let end = self.range_of(last).end;
+                self.list.push((end..end, format!(",{added}")));
+            }
+            None => self.replace(array, format!("[{added}]")),
+        }
+    }
+
+    /// The text with every edit made.
+    pub(super) fn apply(mut self) -> String {
+        // Stable: insertions at one place stay in the order in which they were asked for.
+        self.list.sort_by_key(|(range, _)| (range.start, range.end));
+        let grown: usize = self.list.iter().map(|(_, with)| with.len()).sum();
+        let mut out = String::with_capacity(self.text.len() + grown);
+        let mut at = 0;
+        for (range, with) in &self.list {
+            debug_assert!(at <= range.start, "edits overlap");
+            out.push_str(&self.text[at..range.start.max(at)]);
+            out.push_str(with);
+            at = at.max(range.end);
+        }
+        out.push_str(&self.text[at..]);
+        out
+    }
+
+    fn range_of(&self, part: &str) -> Range<usize> {
+        let start = (part.as_ptr() as usize).wrapping_sub(self.text.as_ptr() as usize);
+        assert!(
+            start <= self.text.len() && part.len() <= self.text.len() - start,
+            "a part of the edited text"
+        );
+        start..start + part.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_edit_leaves_every_other_byte_alone() {
+        let text = "{ \"b\" : 1.50e0,\n\"\\u0061\":[1 , 2.0], \"x\":\"\\/\\u00e9\", \"x\": {\"deep\":[]} }";
+        let mut edits = JsonEdits::new(text);
+        edits.replace(items(value_of(text, "a").expect("escaped key")).expect("array")[1], "7");
+        assert_eq!(edits.apply(), text.replace("2.0", "7"));
+    }
+
+    #[test]
+    fn members_keep_order_and_duplicates() {
+        let keys: Vec<_> = members(r#"{"z":1,"a":2,"z":3}"#)
+            .expect("object")
+            .into_iter()
+            .map(|m| (m.key, m.value))
+            .collect();
+        assert_eq!(keys, [("z".into(), "1"), ("a".into(), "2"), ("z".into(), "3")]);
+        assert_eq!(value_of(r#"{"z":1,"a":2,"z":3}"#, "z"), Some("3"));
+    }
+
+    #[test]
+    fn set_adds_or_replaces_and_remove_takes_the_comma_with_it() {
+        let cases = [
+            ("{}", r#"{"k":1}"#, "{}"),
+            (r#"{ "a" : 2 }"#, r#"{ "a" : 2,"k":1 }"#, r#"{ "a" : 2 }"#),
+            (r#"{"k":[] , "a":2}"#, r#"{"k":1 , "a":2}"#, r#"{ "a":2}"#),
+            (r#"{"a":2 , "k" : {"k":3}}"#, r#"{"a":2 , "k" : 1}"#, r#"{"a":2}"#),
+            (r#"{"k" : 5 }"#, r#"{"k" : 1 }"#, "{ }"),
+        ];
+        for (text, set, removed) in cases {
+            let mut edits = JsonEdits::new(text);
+            edits.set(text, "k", "1");
+            assert_eq!(edits.apply(), set);
+            let mut edits = JsonEdits::new(text);
+            edits.remove(text, "k");
+            assert_eq!(edits.apply(), removed);
+        }
+    }
+
+    #[test]
+    fn several_additions_in_one_place_keep_their_order() {
+        let text = r#"{"list":[ 1 ],"none":[]}"#;
+        let mut edits = JsonEdits::new(text);
+        edits.push(value_of(text, "list").expect("list"), &["2".into(), "3".into()]);
+        edits.push(value_of(text, "none").expect("none"), &["4".into()]);
+        edits.set(text, "x", "5");
+        edits.set(text, "y", "6");
+        assert_eq!(edits.apply(), r#"{"list":[ 1,2,3 ],"none":[4],"x":5,"y":6}"#);
+    }
+
+    #[test]
+    fn a_hundred_thousand_brackets_are_skipped_without_recursion() {
+        let text = format!("{{\"extras\":{}{}}}", "[".repeat(100_000), "]".repeat(100_000));
+        assert_eq!(members(&text).expect("valid JSON").len(), 1);
+    }
+}
