@@ -14,6 +14,8 @@
 //! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
 //! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`], [`stage_clock`] | triangles; model formats; threads; cancelling; both as one; times of stages |
+//!
+//! [`solver`], [`pool`], [`progress`] and [`exec`] are the crate `pliant-solver`, in `src/solver`.
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
@@ -24,14 +26,14 @@ pub mod cli;
 pub mod deform;
 pub mod edit;
 pub mod engine;
-pub mod exec;
 pub mod graph;
 pub mod mesh;
-pub mod pool;
-pub mod progress;
 pub mod render;
 pub mod server;
 pub mod session;
-pub mod solver;
 pub mod stage_clock;
 pub mod wire;
+
+/// Multigrid on a weighted graph, with the threads and the watcher that every computing function takes: a crate of its own.
+pub use pliant_solver as solver;
+pub use pliant_solver::{exec, pool, progress};

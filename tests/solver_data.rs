@@ -5,12 +5,13 @@
 //! `cargo test --test solver_data` and `cargo test --release --test solver_data` runs second on the same sources.
 
 use glam::{DAffine3, DQuat, DVec3};
-use pliant::deform::{Hold, Motion, Rig, Rigging, Transform, carry};
+use pliant::deform::{HandleConstraint, HandleMotion, HandleSetup, HandleSystem, Transform, carry};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{
-    BuildOptions, Constraints, Control, Hierarchy, Iteration, Method, SolveOptions, Start, Stats, System, Workspace,
+    BuildOptions, Constraints, Hierarchy, InitialGuess, IterationReport, LinearSystem, SolveControl, SolveMethod,
+    SolveOptions, SolveStats, Workspace,
 };
 use sha2::{Digest, Sha256};
 use std::sync::OnceLock;
@@ -45,7 +46,7 @@ fn all() -> &'static [Rung] {
 struct Ready<'a> {
     rung: &'a Rung,
     hierarchy: Hierarchy,
-    system: System,
+    system: LinearSystem,
     workspace: Workspace,
     pool: Pool,
 }
@@ -70,13 +71,13 @@ impl Ready<'_> {
         pose: usize,
         x: &mut [f64],
         options: &SolveOptions<'_>,
-        watch: &mut dyn FnMut(&Iteration<'_>),
-    ) -> Stats {
+        watch: &mut dyn FnMut(&IterationReport<'_>),
+    ) -> SolveStats {
         let (rung, workspace) = (self.rung, &mut self.workspace);
         let rhs = &rung.poses[pose].rhs;
-        let mut watch = |iteration: &Iteration<'_>| {
+        let mut watch = |iteration: &IterationReport<'_>| {
             watch(iteration);
-            Control::Continue
+            SolveControl::Continue
         };
         let (hierarchy, pool) = (&self.hierarchy, &self.pool);
         let stats = self
@@ -104,9 +105,9 @@ impl Ready<'_> {
             tolerance: Some(tolerance),
             ..Default::default()
         };
-        self.solve(pose, &mut x, &tight(1e-11, Start::Zero), &mut |_| {});
+        self.solve(pose, &mut x, &tight(1e-11, InitialGuess::Zero), &mut |_| {});
         let before = x.clone();
-        self.solve(pose, &mut x, &tight(1e-12, Start::Given), &mut |_| {});
+        self.solve(pose, &mut x, &tight(1e-12, InitialGuess::Given), &mut |_| {});
         let change = self.rung.apart(&before, &x);
         assert!(change < 1e-8, "{}: still moving by {change:e}", self.rung.name);
         x
@@ -114,8 +115,8 @@ impl Ready<'_> {
 }
 
 /// The full-multigrid start with all that the second pass knows.
-fn full_multigrid(rung: &Rung) -> Start<'_> {
-    Start::FullMultigrid {
+fn full_multigrid(rung: &Rung) -> InitialGuess<'_> {
+    InitialGuess::FullMultigrid {
         frames: Some(&rung.frames),
         rest: Some(rung.body().rest()),
     }
@@ -127,8 +128,8 @@ fn carried(rung: &Rung, from: &[f64], pool: &Pool) -> Vec<f64> {
     // A given node tells where solving coordinates have their origin.
     let given = rig.given().iter().position(|g| *g).unwrap();
     let owner = rig
-        .rigging()
-        .holds
+        .setup()
+        .handles
         .iter()
         .position(|h| h.nodes.contains(&(given as u32)))
         .unwrap();
@@ -138,9 +139,9 @@ fn carried(rung: &Rung, from: &[f64], pool: &Pool) -> Vec<f64> {
     let affine =
         |t: &Transform| DAffine3::from_mat3_translation(t.linear(), t.pivot + t.translation - t.linear() * t.pivot);
     let pairs = rung.poses[0].transforms.iter().zip(&rung.poses[1].transforms);
-    let motions: Vec<Motion<'_>> = pairs
+    let motions: Vec<HandleMotion<'_>> = pairs
         .enumerate()
-        .map(|(k, (a, b))| Motion {
+        .map(|(k, (a, b))| HandleMotion {
             field: rig.rotation_fields().of(k),
             map: into.inverse() * affine(b) * affine(a).inverse() * into,
         })
@@ -171,7 +172,7 @@ fn run(rung: &Rung, threads: usize) -> Vec<String> {
     digests.push(digest(&x));
     for (tolerance, max_error) in [(None, Some(1e-3 * rung.diagonal)), (Some(1e-6), None)] {
         let options = SolveOptions {
-            start: Start::Given,
+            start: InitialGuess::Given,
             tolerance,
             max_error,
             ..Default::default()
@@ -212,10 +213,10 @@ fn error_estimates_keep_within_their_bounds() {
         );
         let rest = rung.placed(0, vec![0.0; 3 * rung.nodes()]);
         let starts = [
-            ("zero", 0, Start::Zero, rest.clone()),
+            ("zero", 0, InitialGuess::Zero, rest.clone()),
             ("full multigrid", 0, full_multigrid(rung), rest),
-            ("last frame", 1, Start::Given, rung.placed(1, exact[0].clone())),
-            ("carried", 1, Start::Given, carried(rung, &exact[0], &ready.pool)),
+            ("last frame", 1, InitialGuess::Given, rung.placed(1, exact[0].clone())),
+            ("carried", 1, InitialGuess::Given, carried(rung, &exact[0], &ready.pool)),
         ];
         for (start_name, pose, start, from) in starts {
             for (by, tolerance, max_error) in [
@@ -238,7 +239,7 @@ fn error_estimates_keep_within_their_bounds() {
                         seen.push((iteration.index, iteration.max_error / rung.diagonal, truth));
                     }
                 });
-                assert_eq!(stats.method, Method::Multigrid);
+                assert_eq!(stats.method, SolveMethod::Multigrid);
                 let ratios: Vec<f64> = seen.iter().map(|(_, e, t)| e / t).collect();
                 let (least, most) = ratios
                     .iter()
@@ -277,7 +278,7 @@ fn largest_residual(rung: &Rung, x: &[f64]) -> f64 {
 }
 
 /// The rung's handles and one more: a free node in the middle and all its neighbours.
-fn with_another_handle(rung: &Rung) -> Rig {
+fn with_another_handle(rung: &Rung) -> HandleSystem {
     let (body, given) = (rung.body(), rung.rig().given());
     let middle = body
         .rest()
@@ -293,19 +294,19 @@ fn with_another_handle(rung: &Rung) -> Rig {
     nodes.push(middle as u32);
     nodes.retain(|n| !given[*n as usize]);
     nodes.sort_unstable();
-    let mut holds = rung.rig().rigging().holds.clone();
-    holds.push(Hold {
+    let mut holds = rung.rig().setup().handles.clone();
+    holds.push(HandleConstraint {
         nodes,
         position: true,
         rotation: true,
         scale: true,
-        ..Hold::default()
+        ..HandleConstraint::default()
     });
-    let rigging = Rigging {
-        holds,
-        ..rung.rig().rigging().clone()
+    let rigging = HandleSetup {
+        handles: holds,
+        ..rung.rig().setup().clone()
     };
-    Rig::build(body, rigging, &Exec::new(&Pool::new(2).unwrap(), &Silent)).unwrap()
+    HandleSystem::build(body, rigging, &Exec::new(&Pool::new(2).unwrap(), &Silent)).unwrap()
 }
 
 #[test]
@@ -313,9 +314,14 @@ fn fields_are_shares_that_follow_their_equations() {
     for rung in all() {
         let another = with_another_handle(rung);
         for rig in [rung.rig(), &another] {
-            let fields: Vec<&[f32]> = (0..=rig.holds()).map(|k| rig.rotation_fields().of(k)).collect();
+            let fields: Vec<&[f32]> = (0..=rig.handle_count()).map(|k| rig.rotation_fields().of(k)).collect();
             let fields: Vec<&[f32]> = fields.into_iter().filter(|f| !f.is_empty()).collect();
-            assert_eq!(fields.len(), rig.holds(), "{}: every handle has a field", rung.name);
+            assert_eq!(
+                fields.len(),
+                rig.handle_count(),
+                "{}: every handle has a field",
+                rung.name
+            );
             let exact = exact_fields(rung, rig);
             let mut farthest = 0.0f64;
             for i in 0..rung.nodes() {
@@ -330,30 +336,41 @@ fn fields_are_shares_that_follow_their_equations() {
                     farthest = farthest.max((f64::from(field[i]) - exact[i * fields.len() + k]).abs());
                 }
             }
-            println!("{}, {} handles: fields are {farthest:.1e} off", rung.name, rig.holds());
+            println!(
+                "{}, {} handles: fields are {farthest:.1e} off",
+                rung.name,
+                rig.handle_count()
+            );
             assert!(farthest < 1e-3, "{}: fields are {farthest:e} off", rung.name);
         }
     }
 }
 
 /// All fields of a rig's hard handles, each solved for, to the last digits.
-fn exact_fields(rung: &Rung, rig: &Rig) -> Vec<f64> {
+fn exact_fields(rung: &Rung, rig: &HandleSystem) -> Vec<f64> {
     let (columns, mut x) = field_columns(rung, rig);
-    solve_fields(rung, rig, columns, &mut x, Start::Zero, 1e-10);
+    solve_fields(rung, rig, columns, &mut x, InitialGuess::Zero, 1e-10);
     x
 }
 
 /// Fields with 1 on their handles and 0 elsewhere.
-fn field_columns(rung: &Rung, rig: &Rig) -> (usize, Vec<f64>) {
-    let columns = rig.holds();
+fn field_columns(rung: &Rung, rig: &HandleSystem) -> (usize, Vec<f64>) {
+    let columns = rig.handle_count();
     let mut x = vec![0.0; rung.nodes() * columns];
-    for (k, hold) in rig.rigging().holds.iter().enumerate() {
+    for (k, hold) in rig.setup().handles.iter().enumerate() {
         hold.nodes.iter().for_each(|&n| x[n as usize * columns + k] = 1.0);
     }
     (columns, x)
 }
 
-fn solve_fields(rung: &Rung, rig: &Rig, columns: usize, x: &mut [f64], start: Start<'_>, tolerance: f64) -> Stats {
+fn solve_fields(
+    rung: &Rung,
+    rig: &HandleSystem,
+    columns: usize,
+    x: &mut [f64],
+    start: InitialGuess<'_>,
+    tolerance: f64,
+) -> SolveStats {
     let pool = Pool::new(2).unwrap();
     let hierarchy = &rung.body().hierarchy;
     let constraints = Constraints {
@@ -367,7 +384,7 @@ fn solve_fields(rung: &Rung, rig: &Rig, columns: usize, x: &mut [f64], start: St
         ..Default::default()
     };
     let (rhs, mut workspace) = (vec![0.0; x.len()], Workspace::default());
-    let mut watch = |_: &Iteration<'_>| Control::Continue;
+    let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     let stats = system
         .solve(
             hierarchy,
@@ -389,7 +406,7 @@ fn fields_that_start_from_those_before_come_out_the_same() {
     for rung in all() {
         let another = with_another_handle(rung);
         let (columns, mut fresh) = field_columns(rung, &another);
-        let coarse = Start::FullMultigrid {
+        let coarse = InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
         };
@@ -397,11 +414,11 @@ fn fields_that_start_from_those_before_come_out_the_same() {
         // Those before, where nobody holds; nothing yet for the new handle.
         let (_, mut again) = field_columns(rung, &another);
         for i in (0..rung.nodes()).filter(|&i| !another.given()[i]) {
-            for k in 0..rung.rig().holds() {
+            for k in 0..rung.rig().handle_count() {
                 again[i * columns + k] = f64::from(rung.rig().rotation_fields().of(k)[i]);
             }
         }
-        solve_fields(rung, &another, columns, &mut again, Start::Given, 1e-7);
+        solve_fields(rung, &another, columns, &mut again, InitialGuess::Given, 1e-7);
         let most = fresh.iter().zip(&again).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         println!("{}: restarted fields differ by {most:.1e}", rung.name);
         assert!(most < 1e-4, "{}: restarted fields differ by {most:e}", rung.name);

@@ -1,9 +1,9 @@
 //! Runs a whole job in process: open, set handles, solve every step, write.
 
-use crate::asset::{FileSet, Format, Written};
+use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::{Deformer, DeformerLimits, EditCommand, SolveMode, digest};
 use crate::exec::Exec;
-use crate::mesh::Report;
+use crate::mesh::MeshReport;
 use crate::progress::Progress as _;
 use crate::stage_clock::StageClock;
 use crate::wire::{DeformOptions, Error, edit_name, pb};
@@ -23,7 +23,7 @@ pub struct BatchOutcome {
     /// box's diagonal.
     pub constraint_error: f64,
     /// The model in its final shape, in the format asked for.
-    pub written: Written,
+    pub written: WrittenFiles,
     /// Expectations of the job that do not hold, one sentence each.
     pub unmet: Vec<String>,
     /// Expectations that only a comparison with a stored result can check.
@@ -282,7 +282,7 @@ pub fn inspect(
 ) -> Result<pb::Inspection, Error> {
     let bench = Deformer::open(files, create, limits, exec)?;
     let facts = bench.facts();
-    let report: &Report = bench.report();
+    let report: &MeshReport = bench.report();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     let renders = report.render_vertices - report.unreferenced_vertices;
     Ok(pb::Inspection {

@@ -6,7 +6,7 @@ use super::model_topology::{EditSurface, ModelTopology};
 use super::vertex_origins::VertexOrigins;
 use crate::asset::{self, FileSet, Format, Model};
 use crate::edit::{self, Applied, Between, Curve, Keep, MOST_POINTS, Patch, Plane, Scheme, Target};
-use crate::mesh::{Adjacency, Bounds, NONE, Weld, mean_edge_length};
+use crate::mesh::{Adjacency, BoundingBox, NONE, Weld, mean_edge_length};
 use crate::progress::Progress;
 use crate::wire::check::{enumerated, number, plane, positive};
 use crate::wire::{Error, pb};
@@ -332,8 +332,8 @@ fn merge(scene: &mut EditContext<'_>, merge: &wire::Merge, progress: &dyn Progre
 
 /// Refuses a model that is so much larger than the other, or so far off, that the smaller one would be lost in rounding.
 fn check_sizes(own: &[DVec3], placed: &[DVec3]) -> Result<(), Error> {
-    let (own, placed) = (Bounds::of(own), Bounds::of(placed));
-    let size = |b: &Bounds| (b.max - b.min).length();
+    let (own, placed) = (BoundingBox::of(own), BoundingBox::of(placed));
+    let size = |b: &BoundingBox| (b.max - b.min).length();
     let both = (own.max.max(placed.max) - own.min.min(placed.min)).length();
     let least = size(&own).min(size(&placed));
     if least > 0.0 && both <= LARGEST * least {

@@ -289,7 +289,7 @@ mod tests {
             ),
             (
                 asset::Error::NoMesh {
-                    format: Format::Obj,
+                    format: Format::OBJ,
                     problem: text("only points"),
                 }
                 .into(),

@@ -3,7 +3,7 @@
 use super::check::{enumerated, number};
 use super::{Error, pb};
 use crate::asset::Format;
-use crate::deform::{BodyOptions, Operators, Policy, VolumeMode, Weights};
+use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
@@ -12,7 +12,7 @@ use crate::mesh::Weld;
 pub(crate) struct OpenOptions {
     pub format: Option<Format>,
     pub weld: Weld,
-    pub policy: Policy,
+    pub policy: FreePartPolicy,
     pub body: BodyOptions,
 }
 
@@ -38,17 +38,17 @@ impl OpenOptions {
             None => Weld::Exact,
         };
         let policy = match enumerated(create.components, "components")? {
-            pb::create_options::Components::Follow => Policy::Follow,
-            pb::create_options::Components::Hold => Policy::Hold,
-            pb::create_options::Components::Free => Policy::Free,
+            pb::create_options::Components::Follow => FreePartPolicy::Follow,
+            pb::create_options::Components::Hold => FreePartPolicy::Hold,
+            pb::create_options::Components::Free => FreePartPolicy::Free,
         };
         let weights = match enumerated(create.weights, "weights")? {
-            pb::create_options::Weights::Uniform => Weights::Uniform,
-            pb::create_options::Weights::Cotangent => Weights::Cotangent,
+            pb::create_options::Weights::Uniform => EdgeWeights::Uniform,
+            pb::create_options::Weights::Cotangent => EdgeWeights::Cotangent,
         };
         let operators = match enumerated(create.operators, "operators")? {
-            pb::create_options::Operators::FiniteVolume => Operators::FiniteVolume,
-            pb::create_options::Operators::Paper => Operators::Paper,
+            pb::create_options::Operators::FiniteVolume => CoarseOperators::FiniteVolume,
+            pb::create_options::Operators::Paper => CoarseOperators::Paper,
         };
         let volume = create.volume_graph.unwrap_or_default();
         let mode = match enumerated(volume.mode, "volumeGraph.mode")? {
@@ -95,8 +95,8 @@ mod tests {
     fn all_operators_can_be_chosen() {
         use pb::create_options::Operators as Wanted;
         for (wanted, chosen) in [
-            (Wanted::FiniteVolume, Operators::FiniteVolume),
-            (Wanted::Paper, Operators::Paper),
+            (Wanted::FiniteVolume, CoarseOperators::FiniteVolume),
+            (Wanted::Paper, CoarseOperators::Paper),
         ] {
             let create = pb::CreateOptions {
                 operators: wanted.into(),

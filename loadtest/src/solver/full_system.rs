@@ -6,10 +6,12 @@ use crate::failure::LoadtestFailure;
 use crate::shared::measurements::Measurements;
 use crate::shared::timing::time_best_of;
 use glam::{DAffine3, DVec3};
-use pliant::deform::{Motion, carry, rigid_fit};
+use pliant::deform::{HandleMotion, carry, fit_rigid_motion};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
-use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Iteration, SolveOptions, Start, Workspace};
+use pliant::solver::{
+    BuildOptions, Constraints, Hierarchy, InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace,
+};
 
 /// Largest missing displacement that a drag's frame may have, fraction of the diagonal.
 const DRAG_ERROR: f64 = 1e-3;
@@ -74,7 +76,7 @@ fn time_full_multigrid(
 ) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
     let pose = &all.poses[0];
     let options = SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: Some(&all.frames),
             rest: Some(&all.rest),
         },
@@ -103,7 +105,7 @@ fn time_drag(
 ) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
     let pose = &all.poses[1];
     let options = SolveOptions {
-        start: Start::Given,
+        start: InitialGuess::Given,
         tolerance: None,
         max_error: Some(DRAG_ERROR * all.diagonal),
         ..Default::default()
@@ -111,7 +113,7 @@ fn time_drag(
     // Sessions have the fields before the first drag; carrying the last frame along is part of every frame.
     let (field, map) = follow_field(all, ready, workspace, terms)?;
     let start = |mut x: Vec<[f64; 3]>| {
-        let motion = Motion { field: &field, map };
+        let motion = HandleMotion { field: &field, map };
         carry(x.as_flattened_mut(), &[motion], &terms.pool);
         Ok::<_, LoadtestFailure>(x)
     };
@@ -139,7 +141,7 @@ fn follow_field(
     let rhs = vec![0.0; field.len()];
     let (hierarchy, system) = (&ready.hierarchy, &ready.system);
     let options = options_to_residual(1e-5);
-    let mut watch = |_: &Iteration<'_>| Control::Continue;
+    let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     system
         .solve(
             hierarchy,
@@ -156,7 +158,7 @@ fn follow_field(
         let moved = (0..given.len()).filter(|&i| moved(i));
         moved.map(|i| DVec3::from_array(given[i])).collect()
     };
-    let fit = rigid_fit(&at(from), &at(to));
+    let fit = fit_rigid_motion(&at(from), &at(to));
     let linear = fit.linear();
     let shift = fit.pivot + fit.translation - linear * fit.pivot;
     let field = field.into_iter().map(|u| u as f32).collect();
@@ -180,7 +182,7 @@ fn solve_on(
     terms: &BenchTerms,
 ) -> Result<(Vec<[f64; 3]>, f64), LoadtestFailure> {
     let options = SolveOptions {
-        start: Start::Given,
+        start: InitialGuess::Given,
         ..options_to_residual(tolerance)
     };
     let mut x = x.to_vec();

@@ -1,7 +1,7 @@
 //! The points on the rim of a surface, and which of two rims lie close together.
 
 use crate::edit::Surface;
-use crate::mesh::{Bounds, NONE};
+use crate::mesh::{BoundingBox, NONE};
 use glam::DVec3;
 use std::collections::BTreeSet;
 
@@ -46,7 +46,7 @@ fn scramble(p: u32) -> u64 {
 pub(super) fn close_pairs(from: &[u32], to: &[u32], tolerance: f64, at: impl Fn(u32) -> DVec3) -> Vec<(u32, u32)> {
     // Sorted along the axis in which they are spread most, so that a rim in a plane does not fall together.
     let places: Vec<DVec3> = to.iter().map(|&p| at(p)).collect();
-    let size = Bounds::of(&places).size();
+    let size = BoundingBox::of(&places).size();
     let axis = (0..3).max_by(|&i, &j| size[i].total_cmp(&size[j])).unwrap_or(0);
     let mut order: Vec<(f64, u32)> = to.iter().map(|&p| (at(p)[axis], p)).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

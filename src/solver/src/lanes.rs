@@ -1,0 +1,188 @@
+//! Four columns side by side, and rows that several threads write.
+
+use std::marker::PhantomData;
+use std::ops::{Add, AddAssign, Mul, Range, Sub, SubAssign};
+
+/// Columns that are iterated together.
+pub(crate) const WIDTH: usize = 4;
+
+/// One row of up to four columns in single precision.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[repr(C, align(16))]
+pub(crate) struct Lanes(pub [f32; WIDTH]);
+
+/// One row of up to four columns in double precision.
+pub(crate) type WideLanes = [f64; WIDTH];
+
+impl Lanes {
+    pub(crate) const ZERO: Lanes = Lanes([0.0; WIDTH]);
+
+    #[inline(always)]
+    pub(crate) fn splat(v: f32) -> Lanes {
+        Lanes([v; WIDTH])
+    }
+
+    #[inline(always)]
+    pub(crate) fn from_wide(v: WideLanes) -> Lanes {
+        Lanes([v[0] as f32, v[1] as f32, v[2] as f32, v[3] as f32])
+    }
+
+    #[inline(always)]
+    pub(crate) fn wide(self) -> WideLanes {
+        let a = self.0;
+        [f64::from(a[0]), f64::from(a[1]), f64::from(a[2]), f64::from(a[3])]
+    }
+
+    /// Itself if `keep`, else 0.
+    #[inline(always)]
+    pub(crate) fn when(self, keep: bool) -> Lanes {
+        let mask = u32::from(keep).wrapping_neg();
+        Lanes(self.0.map(|v| f32::from_bits(v.to_bits() & mask)))
+    }
+
+    /// Sum of the lanes.
+    #[inline(always)]
+    pub(crate) fn sum(self) -> f32 {
+        let a = self.0;
+        (a[0] + a[1]) + (a[2] + a[3])
+    }
+}
+
+impl Add for Lanes {
+    type Output = Lanes;
+    #[inline(always)]
+    fn add(self, o: Lanes) -> Lanes {
+        let (a, b) = (self.0, o.0);
+        Lanes([a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]])
+    }
+}
+
+impl Sub for Lanes {
+    type Output = Lanes;
+    #[inline(always)]
+    fn sub(self, o: Lanes) -> Lanes {
+        let (a, b) = (self.0, o.0);
+        Lanes([a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]])
+    }
+}
+
+impl Mul for Lanes {
+    type Output = Lanes;
+    #[inline(always)]
+    fn mul(self, o: Lanes) -> Lanes {
+        let (a, b) = (self.0, o.0);
+        Lanes([a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]])
+    }
+}
+
+impl Mul<f32> for Lanes {
+    type Output = Lanes;
+    #[inline(always)]
+    fn mul(self, o: f32) -> Lanes {
+        self * Lanes::splat(o)
+    }
+}
+
+impl AddAssign for Lanes {
+    #[inline(always)]
+    fn add_assign(&mut self, o: Lanes) {
+        *self = *self + o;
+    }
+}
+
+impl SubAssign for Lanes {
+    #[inline(always)]
+    fn sub_assign(&mut self, o: Lanes) {
+        *self = *self - o;
+    }
+}
+
+/// Adds `b` to `a` lane by lane.
+#[inline(always)]
+pub(crate) fn add_wide(a: &mut WideLanes, b: WideLanes) {
+    for c in 0..WIDTH {
+        a[c] += b[c];
+    }
+}
+
+pub(crate) fn per_lane(mut value: impl FnMut(usize) -> f64) -> WideLanes {
+    [value(0), value(1), value(2), value(3)]
+}
+
+/// a / b, or 0 where that makes no sense: a lane without residual takes no step.
+pub(crate) fn ratio(a: f64, b: f64) -> f64 {
+    let q = a / b;
+    if b > 0.0 && q.is_finite() { q } else { 0.0 }
+}
+
+/// A slice whose elements several threads read and write, each element by one thread at a time.
+///
+/// This is the solver's one unsafe tool. A Gauss–Seidel sweep writes the rows of one block while it reads rows of
+/// blocks of other colours, which borrows cannot express.
+pub(crate) struct SharedRows<'a, T> {
+    pointer: *mut T,
+    len: usize,
+    marker: PhantomData<&'a mut [T]>,
+}
+
+// SAFETY: a `SharedRows` only hands out elements through unsafe functions whose callers promise that no element is written
+// by one thread while another one uses it.
+unsafe impl<T: Send + Sync> Send for SharedRows<'_, T> {}
+// SAFETY: as above.
+unsafe impl<T: Send + Sync> Sync for SharedRows<'_, T> {}
+
+impl<T> Clone for SharedRows<'_, T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for SharedRows<'_, T> {}
+
+impl<'a, T: Copy> SharedRows<'a, T> {
+    /// Takes the whole slice for as long as the borrow lasts.
+    pub(crate) fn new(slice: &'a mut [T]) -> Self {
+        Self {
+            pointer: slice.as_mut_ptr(),
+            len: slice.len(),
+            marker: PhantomData,
+        }
+    }
+
+    /// Element `i`.
+    ///
+    /// # Safety
+    /// `i` is below the length and no thread writes element `i` at this time.
+    #[inline(always)]
+    pub(crate) unsafe fn get(self, i: usize) -> T {
+        debug_assert!(i < self.len);
+        // SAFETY: in range, and not written now, by the caller's promise.
+        unsafe { *self.pointer.add(i) }
+    }
+
+    /// Replaces element `i`.
+    ///
+    /// # Safety
+    /// `i` is below the length and no other thread uses element `i` at this time.
+    #[inline(always)]
+    pub(crate) unsafe fn set(self, i: usize, value: T) {
+        debug_assert!(i < self.len);
+        // SAFETY: in range, and used by this thread only, by the caller's promise.
+        unsafe { *self.pointer.add(i) = value }
+    }
+
+    /// The elements of `range` as a slice.
+    ///
+    /// # Panics
+    /// If `range` leaves the slice.
+    ///
+    /// # Safety
+    /// Nobody else uses these elements while the slice lives.
+    #[inline(always)]
+    #[allow(clippy::mut_from_ref)]
+    pub(crate) unsafe fn rows(self, range: Range<usize>) -> &'a mut [T] {
+        assert!(range.start <= range.end && range.end <= self.len);
+        // SAFETY: in range by the assertion, exclusive by the caller's promise.
+        unsafe { std::slice::from_raw_parts_mut(self.pointer.add(range.start), range.len()) }
+    }
+}

@@ -1,0 +1,400 @@
+//! Reading a change: which rows of the finest level it moves, and whether it is consistent.
+
+use crate::build::draft::LevelDraft;
+use crate::build::hierarchy::{Hierarchy, block_size};
+use crate::build::level::HierarchyLevel;
+use crate::build::order::{along_curve, breadth_first};
+use crate::error::Error;
+use crate::graph::WeightedGraph;
+use crate::lanes::{Lanes, SharedRows};
+use crate::repair::marks::MarkedRows;
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
+
+/// Rows that one piece of work handles.
+const PIECE: usize = 1 << 14;
+/// Scaled weights above this one lie too far from 1 for the scale that the hierarchy has.
+const HEAVIEST: f32 = 65536.0;
+
+/// What a topology change does to the vertices of a graph.
+#[derive(Debug, Clone, Copy)]
+pub struct GraphChange<'a> {
+    /// For each vertex of the old graph its number in the new one, `u32::MAX` if it is gone. No two have the same.
+    pub new_from_old: &'a [u32],
+    /// Vertices of the new graph, rising: all that are new, and all whose neighbours, weights or position are not what
+    /// they were. A neighbour that merely has another number is no change. Positions of other vertices are not read.
+    pub touched: &'a [u32],
+}
+
+/// What a repair did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RepairReport {
+    /// True if the hierarchy was built anew: more than a quarter of the vertices was touched or is gone, or the graph
+    /// is small, or it changed in a way that cannot be followed.
+    pub rebuilt: bool,
+    /// Vertices of all levels that were given new places, those of levels that were built anew not counted.
+    pub moved: usize,
+}
+
+/// True if a change of `rows` rows of `all` is not worth following.
+fn is_large(rows: usize, all: usize) -> bool {
+    4 * rows > all
+}
+
+/// Rows of one level that come, move or change, and have no place yet.
+#[derive(Debug)]
+pub(super) struct TouchedRows {
+    /// In the order in which they are to be placed; neighbours that stay are foreign.
+    pub(super) draft: LevelDraft,
+    /// The rows of the level that foreign neighbours stand for.
+    pub(super) foreign: Vec<u32>,
+    /// The row that each of the draft has been, or [`NO_ROW`].
+    pub(super) origins: Vec<u32>,
+    /// Rows of the level that leave their places, rising.
+    pub(super) dead: Vec<u32>,
+    /// For each row of the draft the number of what it stands for: touched vertex or group.
+    pub(super) sequence: Vec<u32>,
+}
+
+/// What a change does to the finest level.
+pub(super) struct RepairPlan {
+    pub(super) touched: TouchedRows,
+    /// The vertex of each row of the draft.
+    pub(super) vertices: Vec<u32>,
+    /// The new vertex of each present row; [`NO_ROW`] for those that leave.
+    pub(super) order: Vec<u32>,
+}
+
+/// Reads `change`. `None`: so much changes, or in such a way, that building anew is better.
+///
+/// # Errors
+/// [`Error::Invalid`] if the parts that are read contradict each other.
+pub(super) fn read(
+    hierarchy: &Hierarchy,
+    graph: &WeightedGraph<'_>,
+    change: &GraphChange<'_>,
+    threads: Parallelism,
+) -> Result<Option<RepairPlan>, Error> {
+    let level = &hierarchy.levels[0];
+    let GraphChange { new_from_old, touched } = *change;
+    check_map(hierarchy, graph, change, threads)?;
+    graph.check_some(touched)?;
+    let scale = hierarchy.weight_scale as f32;
+    let same_kind = graph.weights.is_some() == level.weights.is_some()
+        && (graph.vertices() == 0 || graph.positions.is_some() != level.positions.is_empty());
+    if !same_kind {
+        return Ok(None);
+    }
+    let entries = |v: u32| graph.offsets[v as usize] as usize..graph.offsets[v as usize + 1] as usize;
+    let weight = |e: usize| graph.weights.map_or(1.0, |w| w[e] * scale);
+    if touched.iter().any(|&v| entries(v).any(|e| weight(e) > HEAVIEST)) {
+        return Ok(None);
+    }
+
+    let n = graph.vertices();
+    let (mut own, mut near) = (MarkedRows::new(n), MarkedRows::new(n));
+    for &v in touched {
+        own.insert(v);
+    }
+    own.count();
+    let mut any = own.clone();
+    for &v in touched {
+        for &j in &graph.neighbours[entries(v)] {
+            if any.insert(j) {
+                near.insert(j);
+            }
+        }
+    }
+    let (mut origins, mut near_rows) = (vec![NO_ROW; touched.len()], vec![NO_ROW; near.count()]);
+    let (order, found) = renumber(&hierarchy.order, new_from_old, &own, &any, threads);
+    let (mut gone, mut left) = (Vec::new(), 0);
+    for found in found {
+        left += found.left;
+        gone.extend(found.gone);
+        for (v, row) in found.own {
+            origins[own.rank(v)] = row;
+        }
+        for (v, row) in found.near {
+            near_rows[near.rank(v)] = row;
+        }
+    }
+    if is_large(touched.len() + gone.len(), n.max(level.occupied())) {
+        return Ok(None);
+    }
+    let new = origins.iter().filter(|&&row| row == NO_ROW).count();
+    if left + new != n {
+        return Err(Error::Invalid(format!(
+            "of {n} vertices {left} were there before and {new} of the touched ones were not: all new vertices must \
+             be among the touched ones"
+        )));
+    }
+    let outside = |v: u32| entries(v).filter(|&e| !own.contains(graph.neighbours[e]));
+    let near_row = |v: u32| near_rows[near.rank(v)];
+    let present = |v: u32| outside(v).map(|e| (near_row(graph.neighbours[e]), weight(e))).collect();
+    check_border(level, touched, &gone, &origins, present, &order)?;
+    let mut dead = gone;
+    dead.extend(origins.iter().filter(|&&row| row != NO_ROW));
+    dead.sort_unstable();
+
+    // Into the order in which they are to be placed.
+    let positions: Vec<Lanes> = match graph.positions {
+        Some(p) => touched.iter().map(|&v| hierarchy.frame.apply(p[v as usize])).collect(),
+        None => Vec::new(),
+    };
+    let sequence = match graph.positions {
+        Some(_) => along_curve(&positions, threads),
+        None => sequence_of(touched, &own, |v| &graph.neighbours[entries(v)]),
+    };
+    let mut places = vec![0u32; touched.len()];
+    for (place, &k) in (0..).zip(&sequence) {
+        places[k as usize] = place;
+    }
+    let padded = touched.len().next_multiple_of(block_size(0));
+    let mut draft = LevelDraft {
+        offsets: vec![0],
+        weights: graph.weights.map(|_| Vec::new()),
+        ..LevelDraft::default()
+    };
+    let mut foreign = Vec::new();
+    for &k in &sequence {
+        let v = touched[k as usize];
+        for e in entries(v) {
+            let j = graph.neighbours[e];
+            draft.neighbours.push(if own.contains(j) {
+                places[own.rank(j)]
+            } else {
+                foreign.push(near_row(j));
+                (padded + foreign.len() - 1) as u32
+            });
+            if let Some(w) = &mut draft.weights {
+                w.push(weight(e));
+            }
+        }
+        draft.offsets.push(draft.neighbours.len() as u32);
+        draft.positions.extend(positions.get(k as usize));
+    }
+    let of_sequence = |all: &[u32]| sequence.iter().map(|&k| all[k as usize]).collect();
+    Ok(Some(RepairPlan {
+        touched: TouchedRows {
+            draft,
+            foreign,
+            origins: of_sequence(&origins),
+            dead,
+            sequence: sequence.clone(),
+        },
+        vertices: of_sequence(touched),
+        order,
+    }))
+}
+
+/// Checks lengths and ranges, and that no two old vertices become one.
+fn check_map(
+    hierarchy: &Hierarchy,
+    graph: &WeightedGraph<'_>,
+    change: &GraphChange<'_>,
+    threads: Parallelism,
+) -> Result<(), Error> {
+    let (n, before) = (graph.vertices(), hierarchy.vertices());
+    let GraphChange { new_from_old, touched } = *change;
+    if new_from_old.len() != before {
+        let seen = new_from_old.len();
+        return Err(Error::Invalid(format!(
+            "the change maps {seen} old vertices, there were {before}"
+        )));
+    }
+    if let Some(k) = (1..touched.len()).find(|&k| touched[k - 1] >= touched[k]) {
+        return Err(Error::Invalid(format!(
+            "touched vertices must rise, but {} is followed by {}",
+            touched[k - 1],
+            touched[k]
+        )));
+    }
+    if let Some(&v) = touched.last().filter(|&&v| v as usize >= n) {
+        return Err(Error::Invalid(format!("touched vertex {v} is not one of {n} vertices")));
+    }
+    // Old vertices mostly keep their order, and then it shows that no two become one.
+    let ends = threads.for_rows(before).map(
+        0..pieces(before, PIECE),
+        || (),
+        |(), k| rising_ends(&new_from_old[piece(k, before, PIECE)]),
+    );
+    let mut last = None;
+    let rising = ends.iter().all(|ends| match *ends {
+        Some((first, end)) => {
+            let rises = first == NO_ROW || last.is_none_or(|last| first > last);
+            last = if first == NO_ROW { last } else { Some(end) };
+            rises
+        }
+        None => false,
+    });
+    if rising && last.is_none_or(|last| (last as usize) < n) {
+        return Ok(());
+    }
+    let mut seen = MarkedRows::new(n);
+    for (old, &v) in new_from_old.iter().enumerate().filter(|(_, v)| **v != NO_ROW) {
+        if v as usize >= n {
+            return Err(Error::Invalid(format!(
+                "old vertex {old} becomes {v}, which is not one of {n} vertices"
+            )));
+        }
+        if !seen.insert(v) {
+            return Err(Error::Invalid(format!(
+                "old vertex {old} becomes {v}, and so does another one"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The first and the last number of `map` that is not [`NO_ROW`], which stands for both where there is none; `None` unless
+/// these numbers rise.
+fn rising_ends(map: &[u32]) -> Option<(u32, u32)> {
+    const STEP: usize = 64;
+    let (mut first, mut last) = (NO_ROW, NO_ROW);
+    for part in map.chunks(STEP) {
+        // Most parts rise all the way, which is seen without a branch per number.
+        let rises = part.iter().zip(&part[1..]).fold(true, |r, (a, b)| r & (a < b));
+        let all = rises && part[part.len() - 1] != NO_ROW;
+        let own = |v: &&u32| **v != NO_ROW;
+        let rest = if all { &part[part.len() - 1..] } else { part };
+        if all && last != NO_ROW && part[0] <= last {
+            return None;
+        }
+        if first == NO_ROW {
+            first = part.iter().find(own).copied().unwrap_or(NO_ROW);
+        }
+        for &v in rest.iter().filter(own) {
+            if last != NO_ROW && v <= last {
+                return None;
+            }
+            last = v;
+        }
+    }
+    Some((first, last))
+}
+
+/// Rows of one piece that concern the change.
+struct RenumberedPiece {
+    /// Rows whose vertices are gone.
+    gone: Vec<u32>,
+    /// Touched vertices and their rows.
+    own: Vec<(u32, u32)>,
+    /// Untouched neighbours of touched vertices and their rows.
+    near: Vec<(u32, u32)>,
+    /// Vertices that are not gone.
+    left: usize,
+}
+
+/// The one pass over all rows: their new vertices, and the rows of the vertices that matter, `any`: touched ones, which
+/// are `own`, and their neighbours.
+fn renumber(
+    order: &[u32],
+    new_from_old: &[u32],
+    own: &MarkedRows,
+    any: &MarkedRows,
+    threads: Parallelism,
+) -> (Vec<u32>, Vec<RenumberedPiece>) {
+    let n = order.len();
+    let mut next = vec![0u32; n];
+    let out = SharedRows::new(&mut next);
+    let found = threads.for_rows(n).map(
+        0..pieces(n, PIECE),
+        || (),
+        |(), k| {
+            let rows = piece(k, n, PIECE);
+            // SAFETY: pieces are disjoint and each is visited once.
+            let out = unsafe { out.rows(rows.clone()) };
+            let mut found = RenumberedPiece {
+                gone: Vec::new(),
+                own: Vec::new(),
+                near: Vec::new(),
+                left: 0,
+            };
+            for (row, out) in rows.zip(out) {
+                let old = order[row];
+                *out = NO_ROW;
+                if old == NO_ROW {
+                    continue;
+                }
+                let v = new_from_old[old as usize];
+                if v == NO_ROW {
+                    found.gone.push(row as u32);
+                    continue;
+                }
+                found.left += 1;
+                if any.contains(v) && own.contains(v) {
+                    found.own.push((v, row as u32));
+                    continue;
+                }
+                *out = v;
+                if any.contains(v) {
+                    found.near.push((v, row as u32));
+                }
+            }
+            found
+        },
+    );
+    (next, found)
+}
+
+/// Makes sure that vertices that are not touched have the edges that they had: those that the rows which leave their
+/// places have had with them are those that the touched vertices have.
+///
+/// `gone` are the rows whose vertices are gone, `origins` those that the touched vertices have had, `present` the
+/// neighbours of each touched vertex that are not touched, as (row, weight); `order` tells new numbers.
+fn check_border(
+    level: &HierarchyLevel,
+    touched: &[u32],
+    gone: &[u32],
+    origins: &[u32],
+    present: impl Fn(u32) -> Vec<(u32, f32)>,
+    order: &[u32],
+) -> Result<(), Error> {
+    let stays = |row: usize| order[row] != NO_ROW;
+    let changed = |row: u32, to: &str| {
+        let vertex = order.get(row as usize).copied().unwrap_or(NO_ROW);
+        Err(Error::Invalid(format!(
+            "vertex {vertex} is not among the touched ones, but its edge to {to} is not what it was"
+        )))
+    };
+    for &row in gone {
+        if let Some((j, _)) = level.row(row as usize).find(|&(j, _)| stays(j)) {
+            return changed(j as u32, "a vertex that is gone");
+        }
+    }
+    let sorted = |mut edges: Vec<(u32, f32)>| {
+        edges.sort_unstable_by_key(|e| e.0);
+        edges
+    };
+    for (&v, &origin) in touched.iter().zip(origins) {
+        let now = sorted(present(v));
+        let before = match origin {
+            NO_ROW => Vec::new(),
+            row => sorted(
+                level
+                    .row(row as usize)
+                    .filter(|&(j, _)| stays(j))
+                    .map(|(j, w)| (j as u32, w))
+                    .collect(),
+            ),
+        };
+        if now != before {
+            let other = now.iter().zip(&before).find(|(a, b)| a != b).map(|(a, b)| a.0.min(b.0));
+            let longer = now.get(before.len()).or(before.get(now.len())).map(|e| e.0);
+            let row = other.or(longer).unwrap_or(NO_ROW);
+            return changed(row, &format!("vertex {v}"));
+        }
+    }
+    Ok(())
+}
+
+/// Breadth first through the touched vertices; positions among them.
+fn sequence_of<'g>(touched: &[u32], own: &MarkedRows, row: impl Fn(u32) -> &'g [u32]) -> Vec<u32> {
+    let (mut offsets, mut neighbours) = (vec![0], Vec::new());
+    for &v in touched {
+        let inside = row(v).iter().filter(|&&j| own.contains(j));
+        neighbours.extend(inside.map(|&j| own.rank(j) as u32));
+        offsets.push(neighbours.len() as u32);
+    }
+    breadth_first(&offsets, &neighbours)
+}
