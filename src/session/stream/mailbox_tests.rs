@@ -342,7 +342,7 @@ proptest! {
                     }
                 }
                 Event::Complete { fails } => {
-                    if let Some(work) = work.take_work() {
+                    if let Some(work) = work.take() {
                         finish(work, fails);
                     }
                 }
@@ -361,7 +361,7 @@ proptest! {
         mailbox.finish();
         let mut ended = false;
         for _ in 0..1000 {
-            if let Some(work) = work.take_work().or_else(|| mailbox.take_work()) {
+            if let Some(work) = work.take().or_else(|| mailbox.take_work()) {
                 finish(work, false);
             }
             if !collect(&mut in_flight) && matches!(mailbox.next_item(), Some(OutboundItem::End)) {
