@@ -126,13 +126,15 @@ pub mod pool;
 pub mod progress;
 
 mod build;
+mod cholesky;
 mod constrain;
-mod dense;
+mod dense_inverse;
 mod error;
 mod graph;
 mod lanes;
 mod options;
 mod paper;
+mod relaxation;
 mod repair;
 mod solve;
 mod storage;
@@ -141,11 +143,13 @@ mod testing;
 mod threads;
 
 pub use build::Hierarchy;
+pub use cholesky::CholeskyFactor;
 pub use constrain::LinearSystem;
 pub use error::Error;
 pub use graph::WeightedGraph;
 pub use options::{
     BuildOptions, CoarseOperators, Constraints, InitialGuess, LevelSize, SolveMethod, SolveOptions, SolveStats,
 };
+pub use relaxation::LocalRelaxation;
 pub use repair::{GraphChange, RepairReport};
 pub use solve::{IterationReport, SolveControl, Workspace};

@@ -6,7 +6,7 @@ use crate::build::hierarchy::Hierarchy;
 use crate::build::level::HierarchyLevel;
 use crate::constrain::floating::FloatingComponents;
 use crate::constrain::mask::{LevelMask, coarser};
-use crate::dense::Inverse;
+use crate::dense_inverse::DenseInverse;
 use crate::error::Error;
 use crate::lanes::SharedRows;
 use crate::options::{Constraints, LevelSize};
@@ -39,7 +39,7 @@ pub struct LinearSystem {
     fixed: Vec<u64>,
     /// Rows of the last level that `inverse` covers.
     pub(crate) dense_rows: Vec<u32>,
-    pub(crate) inverse: Inverse,
+    pub(crate) inverse: DenseInverse,
     /// How many cycles each level runs for one of the level above it: 1 or 2.
     pub(crate) steps: Vec<u8>,
     /// Whether the finest level is swept forth and back on either side of the coarse correction, not just once.
@@ -92,7 +92,7 @@ impl LinearSystem {
             stiffness,
             fixed: bits(constraints.fixed),
             dense_rows: Vec::new(),
-            inverse: Inverse::default(),
+            inverse: DenseInverse::default(),
             steps: Vec::new(),
             twice: hierarchy.thin,
             floating: FloatingComponents::default(),
@@ -211,7 +211,7 @@ impl LinearSystem {
             }
             matrix[a * n + a] = if diagonal > 0.0 { diagonal } else { 1.0 };
         }
-        self.inverse = Inverse::new(matrix, n);
+        self.inverse = DenseInverse::new(matrix, n);
         self.dense_rows = rows;
     }
 }
