@@ -1,6 +1,5 @@
 //! First-pass fields after an edit begin where those before it ended.
 
-use crate::deform::body::DeformableBody;
 use crate::deform::fields::equations::FieldEquations;
 use crate::deform::fields::harmonic::HarmonicFields;
 use crate::deform::handles::setup::HandleSetup;

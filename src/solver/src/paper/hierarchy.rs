@@ -7,7 +7,7 @@ use crate::paper::coarsen::coarsen;
 use crate::paper::equations::LevelEquations;
 use crate::paper::kept::UncutGraph;
 use crate::paper::level::PaperLevel;
-use crate::paper::restrict::{OperatorReading, restricted};
+use crate::paper::restrict::{OperatorReading, restrict_equations_by};
 
 /// Most vertices of a coarsest level that could not be coarsened any further.
 const DENSE: usize = 1000;
@@ -60,10 +60,10 @@ impl PaperHierarchy {
         for s in 0..self.levels.len() {
             let next = self
                 .below(s)
-                .map(|c| restricted(&self.levels[s], &original, c, OperatorReading::Pruned));
+                .map(|c| restrict_equations_by(&self.levels[s], &original, c, OperatorReading::Pruned));
             let mut chain = vec![original];
             for k in s..self.levels.len() - 1 {
-                let equations = restricted(
+                let equations = restrict_equations_by(
                     &self.levels[k],
                     &chain[k - s],
                     &self.levels[k + 1],
