@@ -8,6 +8,17 @@ use crate::threads::{Parallelism, piece_count, piece_rows};
 /// Row `i` lists the neighbours `neighbours[offsets[i]..offsets[i + 1]]`, strictly ascending, without `i` itself. For
 /// every entry `(i, j)` there is an entry `(j, i)` of the same weight. [`WeightedGraph::check`] verifies all of this;
 /// [`Hierarchy::build`](super::Hierarchy::build) checks what memory safety needs and trusts the symmetry.
+///
+/// ```
+/// use pliant_solver::WeightedGraph;
+///
+/// // A triangle.
+/// let graph = WeightedGraph { offsets: &[0, 2, 4, 6], neighbours: &[1, 2, 0, 2, 0, 1], weights: None, positions: None };
+/// assert_eq!(graph.vertices(), 3);
+/// assert!(graph.check().is_ok());
+/// let broken = WeightedGraph { neighbours: &[1, 2, 2, 0, 0, 1], ..graph };
+/// assert!(broken.check().unwrap_err().to_string().contains("row 1"));
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct WeightedGraph<'a> {
     /// Where each row begins, `vertices + 1` entries, first 0.

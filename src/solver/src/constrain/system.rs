@@ -53,6 +53,19 @@ impl Hierarchy {
     /// Prepares solving under `constraints`: masks, diagonals and the coarsest factor of every level. Much cheaper
     /// than building; the topology of the hierarchy stays as it is.
     ///
+    /// ```
+    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
+    /// # let pool = Pool::new(1)?;
+    /// # let exec = Exec::new(&pool, &Silent);
+    /// # let chain = WeightedGraph { offsets: &[0, 1, 3, 5, 7, 8], neighbours: &[1, 0, 2, 1, 3, 2, 4, 3], weights: None, positions: None };
+    /// let hierarchy = Hierarchy::build(&chain, &BuildOptions::default(), &exec)?;
+    /// let ends = Constraints { fixed: &[true, false, false, false, true], stiffness: None };
+    /// let system = hierarchy.constrain(&ends, &pool)?;
+    /// assert_eq!(system.free_count(), 3);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Invalid`] if the lengths do not fit the graph or a stiffness is negative, not finite or larger than
     /// 1e12 times the heaviest edge (a harder one is a fixed vertex).

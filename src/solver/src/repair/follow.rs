@@ -36,6 +36,23 @@ impl Hierarchy {
     /// Weights keep the scale and positions the box that the hierarchy was built with. With
     /// [`CoarseOperators::Paper`](super::CoarseOperators::Paper) a repair is a build.
     ///
+    /// ```
+    /// # use pliant_solver::GraphChange;
+    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
+    /// # let pool = Pool::new(1)?;
+    /// # let exec = Exec::new(&pool, &Silent);
+    /// # let chain = WeightedGraph { offsets: &[0, 1, 3, 5, 7, 8], neighbours: &[1, 0, 2, 1, 3, 2, 4, 3], weights: None, positions: None };
+    /// let mut hierarchy = Hierarchy::build(&chain, &BuildOptions::default(), &exec)?;
+    /// // The last vertex goes, and the one before it loses a neighbour.
+    /// let shorter = WeightedGraph { offsets: &[0, 1, 3, 5, 6], neighbours: &[1, 0, 2, 1, 3, 2], ..chain };
+    /// let change = GraphChange { new_from_old: &[0, 1, 2, 3, u32::MAX], touched: &[3] };
+    /// let report = hierarchy.repair(&shorter, &change, &exec)?;
+    /// assert!(report.rebuilt, "so small a graph is built anew");
+    /// assert_eq!(hierarchy.vertices(), 4);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Invalid`] for a change that contradicts the graphs and for malformed touched rows,
     /// [`Error::Cancelled`]. The hierarchy is then as it was.

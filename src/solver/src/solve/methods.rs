@@ -139,6 +139,20 @@ impl LinearSystem {
     /// Components that nothing holds are judged as [`LinearSystem::solve`] solves them, without their mean. A column whose
     /// b is 0 gives 0 if its residual is 0, else infinity.
     ///
+    /// ```
+    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
+    /// # let pool = Pool::new(1)?;
+    /// # let exec = Exec::new(&pool, &Silent);
+    /// # let chain = WeightedGraph { offsets: &[0, 1, 3, 5, 7, 8], neighbours: &[1, 0, 2, 1, 3, 2, 4, 3], weights: None, positions: None };
+    /// let hierarchy = Hierarchy::build(&chain, &BuildOptions::default(), &exec)?;
+    /// let ends = Constraints { fixed: &[true, false, false, false, true], stiffness: None };
+    /// let system = hierarchy.constrain(&ends, &pool)?;
+    /// let relative = system.residual(&hierarchy, 1, &[0.0; 5], &[0.0, 1.0, 2.0, 3.0, 4.0], None, &pool)?;
+    /// assert!(relative[0] < 1e-12, "a straight line is harmonic");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Invalid`] as for [`LinearSystem::solve`].
     pub fn residual(
