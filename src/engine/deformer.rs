@@ -220,7 +220,7 @@ impl Deformer {
         let DerivedStructures { mesh, parts, body, .. } = self.derived.as_ref();
         let levels = body
             .hierarchy
-            .levels()
+            .level_sizes()
             .iter()
             .map(|l| pb::solver_facts::Level {
                 vertices: count(l.vertices),

@@ -7,7 +7,7 @@ use crate::deform::fields::harmonic::HarmonicFields;
 use crate::deform::fields::restart::FieldRestart;
 use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
 use crate::exec::Exec;
-use crate::solver::{Constraints, Control, SolveOptions, Start, System, Workspace};
+use crate::solver::{Constraints, InitialGuess, LinearSystem, SolveControl, SolveOptions, Workspace};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ pub(in crate::deform) fn solve_fields(
     handles: usize,
     restart: Option<(&FieldRestart<'_>, &HarmonicFields)>,
     exec: &Exec<'_>,
-) -> Result<(HarmonicFields, Option<System>), Error> {
+) -> Result<(HarmonicFields, Option<LinearSystem>), Error> {
     let covered = ownership.covered(body);
     let active: Vec<usize> = (0..=handles)
         .zip(ownership.active(handles))
@@ -60,7 +60,7 @@ pub(in crate::deform) fn solve_fields(
 struct SolvedColumns {
     /// By node: a value for each column.
     x: Vec<f64>,
-    system: System,
+    system: LinearSystem,
     iterations: usize,
     /// By column: norm of the residual of its equations.
     residuals: Vec<f64>,
@@ -124,12 +124,12 @@ fn solve_columns(
         None => vec![f64::INFINITY; columns],
     };
     if reached.iter().any(|r| *r > RESTARTED_TOLERANCE) {
-        let from_nothing = Start::FullMultigrid {
+        let from_nothing = InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
         };
         let (start, tolerance) = match guess {
-            Some(_) => (Start::Given, RESTARTED_TOLERANCE),
+            Some(_) => (InitialGuess::Given, RESTARTED_TOLERANCE),
             None => (from_nothing, FIELD_TOLERANCE),
         };
         let options = SolveOptions {
@@ -146,7 +146,7 @@ fn solve_columns(
             &options,
             &mut workspace,
             exec,
-            &mut |_| Control::Continue,
+            &mut |_| SolveControl::Continue,
         )?;
         iterations = stats.iterations;
         reached = stats.residuals;

@@ -13,7 +13,7 @@ use crate::deform::second_pass::state::SolveState;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::check;
-use crate::solver::{self, Control, SolveOptions};
+use crate::solver::{self, SolveControl, SolveOptions};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -129,8 +129,8 @@ impl PoseSolve<'_> {
             stopped: false,
         };
         let first = match warm {
-            true => solver::Start::Given,
-            false => solver::Start::FullMultigrid {
+            true => solver::InitialGuess::Given,
+            false => solver::InitialGuess::FullMultigrid {
                 frames: Some(&posed.frames),
                 rest: Some(&body.rest),
             },
@@ -146,7 +146,7 @@ impl PoseSolve<'_> {
                 rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
                 tally.refined += 1;
                 let rough = if tally.refined < steps { between } else { 0.0 };
-                let start = solver::Start::Given;
+                let start = solver::InitialGuess::Given;
                 stats = self.run(&rig.positions, start, rough, state, &mut tally)?;
             }
             state.extra = fit.extra(&turns, pool);
@@ -155,7 +155,7 @@ impl PoseSolve<'_> {
         }
         if let Some(rigid) = &rig.rigid {
             rig.make_regions_rigid(body, &mut state.x);
-            let start = solver::Start::Given;
+            let start = solver::InitialGuess::Given;
             stats = self.run(rigid, start, 0.0, state, &mut tally)?;
         }
 
@@ -184,11 +184,11 @@ impl PoseSolve<'_> {
     fn run(
         &self,
         constrained: &ConstrainedSystem,
-        start: solver::Start<'_>,
+        start: solver::InitialGuess<'_>,
         rough: f64,
         state: &mut SolveState,
         tally: &mut SolveTally<'_>,
-    ) -> Result<solver::Stats, Error> {
+    ) -> Result<solver::SolveStats, Error> {
         let Self { rig, body, request, .. } = *self;
         let unit_per_diagonal = body.unit / body.diagonal;
         let options = SolveOptions {
@@ -222,8 +222,8 @@ impl PoseSolve<'_> {
                 };
                 tally.stopped = !(tally.watch)(&cycle);
                 match tally.stopped || (iteration.index > 1 && cycle.max_error <= rough) {
-                    true => Control::Stop,
-                    false => Control::Continue,
+                    true => SolveControl::Stop,
+                    false => SolveControl::Continue,
                 }
             },
         )?;
