@@ -1,7 +1,7 @@
 //! The built-in creature, so that a first call needs no file.
 
 use crate::asset::sample;
-use crate::session::{Code, Error};
+use crate::session::{Error, ErrorCode};
 use crate::wire::pb;
 use bytes::Bytes;
 use std::sync::LazyLock;
@@ -18,7 +18,7 @@ static GLB: LazyLock<Bytes> = LazyLock::new(|| Bytes::from(sample::creature_glb(
 /// `INTERNAL`, when making it fails.
 pub async fn glb() -> Result<Bytes, Error> {
     let made = tokio::task::spawn_blocking(|| GLB.clone()).await;
-    made.map_err(|_| Error::new(Code::Internal, "the built-in model cannot be made"))
+    made.map_err(|_| Error::new(ErrorCode::Internal, "the built-in model cannot be made"))
 }
 
 /// Strong entity tag of a model that never changes while the server runs.

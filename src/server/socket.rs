@@ -9,7 +9,7 @@
 use super::http::Caller;
 use super::http::problem::Problem;
 use super::state::State;
-use crate::session::{Code, Error, Stream, StreamInput, StreamOutput};
+use crate::session::{DeformStream, Error, ErrorCode, StreamInput, StreamOutput};
 use crate::wire::pb::{self, deform_response::Message as Response};
 use axum::extract::State as From;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
@@ -97,7 +97,7 @@ impl Ending {
 
     fn failed(error: Error) -> Self {
         let code = match error.code {
-            Code::Internal => 1011,
+            ErrorCode::Internal => 1011,
             _ => 4000 + u16::try_from(error.grpc_code()).unwrap_or(0),
         };
         Self {
@@ -108,7 +108,7 @@ impl Ending {
     }
 }
 
-async fn serve(state: &State, id: &str, socket: WebSocket, stream: Stream) {
+async fn serve(state: &State, id: &str, socket: WebSocket, stream: DeformStream) {
     let (input, mut output) = stream.split();
     let (mut sink, source) = socket.split();
     let seen = Arc::new(Notify::new());
@@ -161,7 +161,7 @@ async fn read(input: &StreamInput, mut source: SplitStream<WebSocket>, id: &str,
         }
         request.session_id.clear();
         if let Err(error) = input.push(request) {
-            if error.code == Code::Cancelled {
+            if error.code == ErrorCode::Cancelled {
                 // The stream has ended; its other side says why.
                 std::future::pending::<()>().await;
             }

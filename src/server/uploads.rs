@@ -1,6 +1,6 @@
 //! Bytes of uploads that are on their way: they belong to no session yet, so they are counted here.
 
-use crate::session::{Code, Error};
+use crate::session::{Error, ErrorCode};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -51,7 +51,7 @@ impl Budget {
 
     fn too_large(&self, bytes: u64) -> Error {
         Error::new(
-            Code::TooLarge,
+            ErrorCode::TooLarge,
             format!(
                 "the upload has {bytes} bytes or more, at most {} are allowed",
                 self.each

@@ -18,7 +18,7 @@ impl Default for Tenant {
 
 /// An answer, and whether it was given before.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Answer<T> {
+pub struct KeyedAnswer<T> {
     /// The answer.
     pub value: T,
     /// True when an earlier call with the same idempotency key got it first and nothing was done now.
@@ -40,7 +40,7 @@ pub struct SolvedFrames {
 
 /// A model in its current shape.
 #[derive(Debug, Clone)]
-pub struct Exported {
+pub struct ExportedModel {
     /// The files.
     pub written: WrittenFiles,
     /// Their format.
@@ -51,7 +51,7 @@ pub struct Exported {
 
 /// The current vertex buffer.
 #[derive(Debug, Clone)]
-pub struct Positions {
+pub struct PositionBuffer {
     /// Little-endian 32-bit floats, x, y, z per render vertex.
     pub bytes: Bytes,
     /// Strong entity tag, with its quotes.

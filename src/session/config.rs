@@ -1,12 +1,12 @@
 //! What a server lets its sessions use.
 
-use super::Error;
+use crate::session::error::Error;
 use crate::{asset, engine, wire::pb};
 use std::time::Duration;
 
-/// The limits that sessions keep to. [`Config::validate`] says which values make sense; 0 never means "no limit".
+/// The limits that sessions keep to. [`SessionConfig::validate`] says which values make sense; 0 never means "no limit".
 #[derive(Debug, Clone, PartialEq)]
-pub struct Config {
+pub struct SessionConfig {
     /// Bytes of one upload, companions included.
     pub upload_bytes: u64,
     /// Render vertices of one model.
@@ -63,7 +63,7 @@ pub struct Config {
     pub drain: Duration,
 }
 
-impl Default for Config {
+impl Default for SessionConfig {
     fn default() -> Self {
         Self {
             upload_bytes: 1 << 30,
@@ -100,7 +100,7 @@ impl Default for Config {
 /// The shortest time to live that a session may ask for.
 pub const MIN_TTL: Duration = Duration::from_secs(1);
 
-impl Config {
+impl SessionConfig {
     /// Checks that every value makes sense.
     ///
     /// # Errors
@@ -180,8 +180,8 @@ impl Config {
         }
     }
 
-    /// The limits of one bench that may hold `memory_bytes`.
-    pub(super) fn bench_limits(&self, memory_bytes: u64) -> engine::DeformerLimits {
+    /// The limits of one deformer that may hold `memory_bytes`.
+    pub(super) fn deformer_limits(&self, memory_bytes: u64) -> engine::DeformerLimits {
         engine::DeformerLimits {
             model: asset::Limits {
                 vertices: self.vertices,
@@ -194,7 +194,7 @@ impl Config {
     }
 
     /// Reads a session's time to live; empty means the default.
-    pub(super) fn ttl(&self, text: &str) -> Result<Duration, Error> {
+    pub(super) fn parse_ttl(&self, text: &str) -> Result<Duration, Error> {
         if text.is_empty() {
             return Ok(self.default_ttl);
         }
@@ -222,41 +222,41 @@ mod tests {
 
     #[test]
     fn defaults_are_valid_and_nonsense_is_named() {
-        Config::default().validate().expect("the defaults hold together");
-        let refused = |config: Config| config.validate().expect_err("refused").field;
+        SessionConfig::default().validate().expect("the defaults hold together");
+        let refused = |config: SessionConfig| config.validate().expect_err("refused").field;
         assert_eq!(
-            refused(Config {
+            refused(SessionConfig {
                 sessions: 0,
-                ..Config::default()
+                ..SessionConfig::default()
             })
             .as_deref(),
             Some("sessions")
         );
         assert_eq!(
-            refused(Config {
+            refused(SessionConfig {
                 high_water: f64::NAN,
-                ..Config::default()
+                ..SessionConfig::default()
             })
             .as_deref(),
             Some("high_water")
         );
-        let short = Config {
+        let short = SessionConfig {
             max_ttl: Duration::from_secs(60),
-            ..Config::default()
+            ..SessionConfig::default()
         };
         assert_eq!(refused(short).as_deref(), Some("ttl"));
     }
 
     #[test]
     fn ttl_reads_durations_within_the_limits() {
-        let config = Config {
+        let config = SessionConfig {
             max_ttl: Duration::from_secs(7200),
-            ..Config::default()
+            ..SessionConfig::default()
         };
-        assert_eq!(config.ttl("").expect("default"), config.default_ttl);
-        assert_eq!(config.ttl("1h 30m").expect("allowed"), Duration::from_secs(5400));
+        assert_eq!(config.parse_ttl("").expect("default"), config.default_ttl);
+        assert_eq!(config.parse_ttl("1h 30m").expect("allowed"), Duration::from_secs(5400));
         for text in ["10ms", "3h", "soon", "-5s", "1", "99999999999999999999y"] {
-            let error = config.ttl(text).expect_err(text);
+            let error = config.parse_ttl(text).expect_err(text);
             assert_eq!(
                 (error.http_status(), error.field.as_deref()),
                 (422, Some("ttl")),

@@ -83,7 +83,7 @@ pub trait Engine: Send + 'static {
 }
 
 /// Opens engines on models.
-pub trait Opener: Send + Sync + 'static {
+pub trait EngineOpener: Send + Sync + 'static {
     /// Reads a model and builds everything derived from it, reporting stages to `progress`.
     fn open(
         &self,
@@ -96,9 +96,9 @@ pub trait Opener: Send + Sync + 'static {
 
 /// Opens a [`Deformer`].
 #[derive(Debug, Clone, Copy, Default)]
-pub struct OpenWorkbench;
+pub struct OpenDeformer;
 
-impl Opener for OpenWorkbench {
+impl EngineOpener for OpenDeformer {
     fn open(
         &self,
         files: FileSet,

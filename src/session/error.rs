@@ -5,7 +5,7 @@ use std::fmt;
 
 /// The kinds of failure. Closed: a new kind needs a row in the table below.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Code {
+pub enum ErrorCode {
     /// The request cannot be taken as it is.
     InvalidArgument {
         /// True when it cannot be read at all, false when it reads well but a value is not allowed.
@@ -39,7 +39,7 @@ pub enum Code {
     Cancelled,
 }
 
-impl Code {
+impl ErrorCode {
     /// gRPC status number, HTTP status and name. The only place where they are written down.
     const fn row(self) -> (i32, u16, &'static str) {
         match self {
@@ -81,7 +81,7 @@ impl Code {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Error {
     /// The kind.
-    pub code: Code,
+    pub code: ErrorCode,
     /// What was seen and what is allowed.
     pub message: String,
     /// Path of the field that is wrong, in JSON names, where there is one.
@@ -92,7 +92,7 @@ pub struct Error {
 
 impl Error {
     /// An error of any kind.
-    pub fn new(code: Code, message: impl Into<String>) -> Self {
+    pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
         Self {
             code,
             message: message.into(),
@@ -107,13 +107,13 @@ impl Error {
         let message = format!("{field}: {problem}");
         Self {
             field: Some(field),
-            ..Self::new(Code::InvalidArgument { malformed: false }, message)
+            ..Self::new(ErrorCode::InvalidArgument { malformed: false }, message)
         }
     }
 
     /// The request cannot be read.
     pub fn malformed(message: impl Into<String>) -> Self {
-        Self::new(Code::InvalidArgument { malformed: true }, message)
+        Self::new(ErrorCode::InvalidArgument { malformed: true }, message)
     }
 
     /// No such session, or one of another tenant.
@@ -121,7 +121,7 @@ impl Error {
         // An id comes from outside and may be of any length.
         let shown: String = id.chars().take(64).collect();
         Self::new(
-            Code::NotFound,
+            ErrorCode::NotFound,
             format!("no session \"{shown}\"; it may have expired or been deleted"),
         )
     }
@@ -130,7 +130,7 @@ impl Error {
     pub fn exhausted(message: impl Into<String>, retry_after_s: u32) -> Self {
         Self {
             retry_after_s: Some(retry_after_s),
-            ..Self::new(Code::ResourceExhausted, message)
+            ..Self::new(ErrorCode::ResourceExhausted, message)
         }
     }
 
@@ -139,7 +139,7 @@ impl Error {
         let text = "the server is shutting down; try again, another instance will answer";
         Self {
             retry_after_s: Some(1),
-            ..Self::new(Code::Unavailable, text)
+            ..Self::new(ErrorCode::Unavailable, text)
         }
     }
 
@@ -178,13 +178,13 @@ impl From<wire::Error> for Error {
             },
             wire::Error::Invalid { field, .. } => Self {
                 field: Some(field),
-                ..Self::new(Code::InvalidArgument { malformed: false }, message)
+                ..Self::new(ErrorCode::InvalidArgument { malformed: false }, message)
             },
-            wire::Error::Precondition(_) => Self::new(Code::FailedPrecondition, message),
-            wire::Error::Unimplemented(_) => Self::new(Code::Unimplemented, message),
-            wire::Error::TooLarge { .. } => Self::new(Code::TooLarge, message),
-            wire::Error::Cancelled => Self::new(Code::Cancelled, message),
-            wire::Error::Internal(_) => Self::new(Code::Internal, message),
+            wire::Error::Precondition(_) => Self::new(ErrorCode::FailedPrecondition, message),
+            wire::Error::Unimplemented(_) => Self::new(ErrorCode::Unimplemented, message),
+            wire::Error::TooLarge { .. } => Self::new(ErrorCode::TooLarge, message),
+            wire::Error::Cancelled => Self::new(ErrorCode::Cancelled, message),
+            wire::Error::Internal(_) => Self::new(ErrorCode::Internal, message),
         }
     }
 }
@@ -193,10 +193,10 @@ impl From<asset::Error> for Error {
     fn from(error: asset::Error) -> Self {
         let code = match &error {
             asset::Error::UnknownFormat { .. } | asset::Error::Malformed { .. } => {
-                Code::InvalidArgument { malformed: true }
+                ErrorCode::InvalidArgument { malformed: true }
             }
-            asset::Error::TooLarge { .. } => Code::TooLarge,
-            _ => Code::InvalidArgument { malformed: false },
+            asset::Error::TooLarge { .. } => ErrorCode::TooLarge,
+            _ => ErrorCode::InvalidArgument { malformed: false },
         };
         Self::new(code, error.to_string())
     }
@@ -211,21 +211,31 @@ mod tests {
     #[test]
     fn status_table_is_the_contract() {
         let table = [
-            (Code::InvalidArgument { malformed: true }, 3, 400, "INVALID_ARGUMENT"),
-            (Code::InvalidArgument { malformed: false }, 3, 422, "INVALID_ARGUMENT"),
-            (Code::NotFound, 5, 404, "NOT_FOUND"),
-            (Code::AlreadyExists, 6, 409, "ALREADY_EXISTS"),
-            (Code::Aborted, 10, 409, "ABORTED"),
-            (Code::Unauthenticated, 16, 401, "UNAUTHENTICATED"),
-            (Code::PermissionDenied, 7, 403, "PERMISSION_DENIED"),
-            (Code::ResourceExhausted, 8, 429, "RESOURCE_EXHAUSTED"),
-            (Code::TooLarge, 8, 413, "RESOURCE_EXHAUSTED"),
-            (Code::FailedPrecondition, 9, 409, "FAILED_PRECONDITION"),
-            (Code::Unimplemented, 12, 501, "UNIMPLEMENTED"),
-            (Code::DeadlineExceeded, 4, 504, "DEADLINE_EXCEEDED"),
-            (Code::Unavailable, 14, 503, "UNAVAILABLE"),
-            (Code::Internal, 13, 500, "INTERNAL"),
-            (Code::Cancelled, 1, 499, "CANCELLED"),
+            (
+                ErrorCode::InvalidArgument { malformed: true },
+                3,
+                400,
+                "INVALID_ARGUMENT",
+            ),
+            (
+                ErrorCode::InvalidArgument { malformed: false },
+                3,
+                422,
+                "INVALID_ARGUMENT",
+            ),
+            (ErrorCode::NotFound, 5, 404, "NOT_FOUND"),
+            (ErrorCode::AlreadyExists, 6, 409, "ALREADY_EXISTS"),
+            (ErrorCode::Aborted, 10, 409, "ABORTED"),
+            (ErrorCode::Unauthenticated, 16, 401, "UNAUTHENTICATED"),
+            (ErrorCode::PermissionDenied, 7, 403, "PERMISSION_DENIED"),
+            (ErrorCode::ResourceExhausted, 8, 429, "RESOURCE_EXHAUSTED"),
+            (ErrorCode::TooLarge, 8, 413, "RESOURCE_EXHAUSTED"),
+            (ErrorCode::FailedPrecondition, 9, 409, "FAILED_PRECONDITION"),
+            (ErrorCode::Unimplemented, 12, 501, "UNIMPLEMENTED"),
+            (ErrorCode::DeadlineExceeded, 4, 504, "DEADLINE_EXCEEDED"),
+            (ErrorCode::Unavailable, 14, 503, "UNAVAILABLE"),
+            (ErrorCode::Internal, 13, 500, "INTERNAL"),
+            (ErrorCode::Cancelled, 1, 499, "CANCELLED"),
         ];
         for (code, grpc, http, name) in table {
             let error = Error::new(code, "x");

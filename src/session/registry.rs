@@ -2,13 +2,15 @@
 //!
 //! Lookups hand out clones of `Arc`s; no guard of the map leaves this file.
 
-use super::expiry::Lease;
-use super::mailbox::Mailbox;
-use super::requests::Command;
-use super::{Code, Config, Error, Tenant};
 use crate::asset::Format;
 use crate::engine::{HandlePose, HandlePoses};
 use crate::progress::CancelFlag;
+use crate::session::answers::Tenant;
+use crate::session::calls::command::SessionCommand;
+use crate::session::capacity::session_lease::SessionLease;
+use crate::session::config::SessionConfig;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::stream::mailbox::Mailbox;
 use crate::wire::{handle_pose_message, pb};
 use dashmap::DashMap;
 use glam::DVec3;
@@ -19,7 +21,7 @@ use tokio_util::sync::CancellationToken;
 
 /// What a session looks like after its newest change. Replaced as a whole by the session's task.
 #[derive(Debug)]
-pub(super) struct View {
+pub(super) struct SessionView {
     pub revision: u64,
     pub facts: Arc<pb::Session>,
     pub poses: HandlePoses,
@@ -31,7 +33,7 @@ pub(super) struct View {
 
 /// One session, as seen from outside its task.
 #[derive(Debug)]
-pub(super) struct Session {
+pub(super) struct OpenSession {
     pub id: String,
     pub tenant: Tenant,
     /// Sessions are numbered in the order of their creation.
@@ -39,9 +41,9 @@ pub(super) struct Session {
     pub label: String,
     pub format: Format,
     pub limits: pb::Limits,
-    pub lease: Lease,
-    pub commands: mpsc::Sender<Command>,
-    pub streams: Streams,
+    pub lease: SessionLease,
+    pub commands: mpsc::Sender<SessionCommand>,
+    pub streams: OpenStreams,
     /// Wakes the session's task when a stream has work for it.
     pub wake: Arc<Notify>,
     /// Stops the session's work.
@@ -50,18 +52,18 @@ pub(super) struct Session {
     pub closing: CancellationToken,
     /// Raised when it has ended and its memory is on its way back.
     pub ended: CancellationToken,
-    pub view: RwLock<Arc<View>>,
+    pub view: RwLock<Arc<SessionView>>,
     pub why: OnceLock<Error>,
 }
 
-impl Session {
+impl OpenSession {
     /// The state after the newest change.
-    pub fn view(&self) -> Arc<View> {
+    pub fn view(&self) -> Arc<SessionView> {
         Arc::clone(&self.view.read().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Shows a new state.
-    pub fn publish(&self, view: View) {
+    pub fn publish(&self, view: SessionView) {
         *self.view.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(view);
     }
 
@@ -85,7 +87,7 @@ impl Session {
     }
 
     /// Strong entity tag of the current shape in a representation, with its quotes.
-    pub fn etag(view: &View, representation: &str) -> String {
+    pub fn etag(view: &SessionView, representation: &str) -> String {
         let digest = view.digest.rsplit(':').next().unwrap_or_default();
         format!("\"{}-{representation}-{digest}\"", view.revision)
     }
@@ -106,14 +108,14 @@ impl Session {
 
 /// The streams open on one session.
 #[derive(Debug)]
-pub(super) struct Streams {
+pub(super) struct OpenStreams {
     /// `None` once the session has ended.
     open: Mutex<Option<Vec<Arc<Mailbox>>>>,
     most: usize,
 }
 
-impl Streams {
-    pub fn new(config: &Config) -> Self {
+impl OpenStreams {
+    pub fn new(config: &SessionConfig) -> Self {
         Self {
             open: Mutex::new(Some(Vec::new())),
             most: config.streams,
@@ -128,7 +130,7 @@ impl Streams {
     pub fn add(&self, mailbox: Arc<Mailbox>) -> Result<(), Error> {
         let mut open = self.open();
         let Some(list) = open.as_mut() else {
-            return Err(Error::new(Code::NotFound, "the session has ended"));
+            return Err(Error::new(ErrorCode::NotFound, "the session has ended"));
         };
         if list.len() >= self.most {
             let text = format!(
@@ -161,10 +163,10 @@ impl Streams {
 
 /// Every session of the process by id.
 #[derive(Debug, Default)]
-pub(super) struct Registry(DashMap<String, Arc<Session>>);
+pub(super) struct SessionRegistry(DashMap<String, Arc<OpenSession>>);
 
-impl Registry {
-    pub fn insert(&self, session: Arc<Session>) {
+impl SessionRegistry {
+    pub fn insert(&self, session: Arc<OpenSession>) {
         self.0.insert(session.id.clone(), session);
     }
 
@@ -176,7 +178,7 @@ impl Registry {
     ///
     /// # Errors
     /// `NOT_FOUND`, also for another tenant's session.
-    pub fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<Session>, Error> {
+    pub fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<OpenSession>, Error> {
         let found = self.0.get(id).map(|entry| Arc::clone(entry.value()));
         let session = found
             .filter(|s| s.tenant == *tenant)
@@ -189,7 +191,7 @@ impl Registry {
     }
 
     /// Every session.
-    pub fn all(&self) -> Vec<Arc<Session>> {
+    pub fn all(&self) -> Vec<Arc<OpenSession>> {
         self.0.iter().map(|entry| Arc::clone(entry.value())).collect()
     }
 }

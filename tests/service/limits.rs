@@ -89,7 +89,7 @@ fn number(text: &str) -> f64 {
 #[test]
 fn limits_without_a_key_are_those_of_the_program() {
     // Taken apart whole, so that a new limit does not compile until it is on the page.
-    let session::Config {
+    let session::SessionConfig {
         upload_bytes: _,
         vertices: _,
         triangles,
@@ -117,10 +117,10 @@ fn limits_without_a_key_are_those_of_the_program() {
         idempotency_age,
         idempotency_keys,
         drain: _,
-    } = session::Config::default();
+    } = session::SessionConfig::default();
     assert_eq!(
         triangles,
-        2 * session::Config::default().vertices,
+        2 * session::SessionConfig::default().vertices,
         "twice as many triangles are allowed"
     );
     let wanted = [

@@ -45,10 +45,10 @@ impl Server {
     }
 
     /// A server with changed limits.
-    pub async fn with(change: impl FnOnce(&mut session::Config, &mut ServerConfig)) -> Self {
-        let mut sessions = session::Config {
+    pub async fn with(change: impl FnOnce(&mut session::SessionConfig, &mut ServerConfig)) -> Self {
+        let mut sessions = session::SessionConfig {
             compute_threads: 2,
-            ..session::Config::default()
+            ..session::SessionConfig::default()
         };
         let mut config = ServerConfig::default();
         change(&mut sessions, &mut config);

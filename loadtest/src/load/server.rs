@@ -44,7 +44,7 @@ impl LoadedServer {
     async fn start_own() -> Result<Self, String> {
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| e.to_string())?;
         let address = listener.local_addr().map_err(|e| e.to_string())?;
-        let manager = session::Manager::new(session::Config::default()).map_err(|e| e.to_string())?;
+        let manager = session::Manager::new(session::SessionConfig::default()).map_err(|e| e.to_string())?;
         let (stop, stopped) = oneshot::channel::<()>();
         let wait = async move {
             let _ = stopped.await;

@@ -1,6 +1,5 @@
 //! Other methods than the paper's, to compare with.
 
-mod cholesky;
 pub(super) mod linear_frames;
 pub(super) mod orientation_diffusion;
 pub(super) mod spatial_rbf;

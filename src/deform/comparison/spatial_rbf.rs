@@ -8,12 +8,12 @@
 //! they belong afterwards, and how far the interpolant misses them is reported.
 
 use crate::deform::body::DeformableBody;
-use crate::deform::comparison::cholesky::Cholesky;
 use crate::deform::error::Error;
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
 use crate::exec::Exec;
 use crate::pool::Pool;
+use crate::solver::CholeskyFactor;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -50,7 +50,7 @@ pub(in crate::deform) struct RbfSpace {
     coupling: Vec<f64>,
     /// Upper triangle that the linear functions have become, row-major.
     triangle: Vec<f64>,
-    factor: Cholesky,
+    factor: CholeskyFactor,
 }
 
 /// The linear functions 1, a₁·(x − o), …: as many as the centres tell apart.
@@ -147,7 +147,7 @@ impl RbfSpace {
             .for_each(|row| inner.extend_from_slice(&row[r..]));
         drop(phi);
         let mean = (0..size).map(|i| inner[i * size + i]).sum::<f64>() / size.max(1) as f64;
-        let factor = Cholesky::new(inner, size, LEAST_PIVOT * mean.abs().max(1e-300), exec)?;
+        let factor = CholeskyFactor::new(inner, size, LEAST_PIVOT * mean.abs().max(1e-300), exec)?;
         Ok(Self {
             centres,
             places,
@@ -190,7 +190,7 @@ impl RbfSpace {
 
     /// Bytes held on the heap.
     pub fn bytes(&self) -> usize {
-        self.factor.bytes()
+        self.factor.byte_size()
             + (self.mirrors.len() + self.coupling.len() / self.places.len().max(1) + 9) * self.places.len() * 8
     }
 }

@@ -1,11 +1,11 @@
 //! First-pass fields after an edit begin where those before it ended.
 
-use crate::deform::body::DeformableBody;
 use crate::deform::fields::equations::FieldEquations;
 use crate::deform::fields::harmonic::HarmonicFields;
 use crate::deform::handles::setup::HandleSetup;
 use crate::mesh::NONE;
 use crate::pool::Pool;
+use crate::solver::{LocalRelaxation, WeightedGraph};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -40,19 +40,6 @@ pub struct FieldRestart<'a> {
     pub touched: &'a [u32],
 }
 
-/// So many rings of nodes around those that changed are relaxed together with them: the equations of the ring after them
-/// keep what is left, which falls with every ring.
-const RINGS: usize = 8;
-/// At most so many rounds of successive over-relaxation,
-const ROUNDS: usize = 64;
-/// whose factor rises from 1 to what is best where point-Jacobi rounds take away this part of the error's square: a lump some
-/// thirty nodes across. It begins low because the first rounds would make the error of new nodes larger.
-const RADIUS: f64 = 0.988;
-/// Every so many rounds somebody asks whether that is enough:
-const ASK: usize = 8;
-/// the lump's part of the residual is below this share of the right-hand side.
-const ENOUGH: f64 = 6e-6;
-
 impl FieldRestart<'_> {
     /// Fills free rows of `x` from the fields before; what changed is relaxed with its surroundings. Answers the residual
     /// of each column over the norm of its right-hand side: what the old fields left, and what is left around the change.
@@ -85,7 +72,19 @@ impl FieldRestart<'_> {
         if equations.is_soft {
             return Some(vec![f64::INFINITY; columns.len()]);
         }
-        let left = Lump::new(equations, self, self.seeds(equations, before, pool), x).relax(x);
+        let graph = &equations.body.graph;
+        let relaxation = LocalRelaxation {
+            graph: WeightedGraph {
+                offsets: &graph.offsets,
+                neighbours: &graph.neighbours,
+                weights: graph.weights.as_deref(),
+                positions: None,
+            },
+            fixed,
+            has_value: &|node| self.old_from_new[node] != NONE || fixed[node],
+            references: equations.references,
+        };
+        let left = relaxation.relax_around(self.seeds(equations, before, pool), x);
         let relative = |(c, left): (usize, f64)| {
             let before = before.residuals[columns[c]];
             (before * before + left * left).sqrt() / equations.references[c]
@@ -114,190 +113,6 @@ impl FieldRestart<'_> {
         seeds.sort_unstable();
         seeds.dedup();
         seeds
-    }
-}
-
-/// The equations of nodes that changed and of those around them, beside each other in memory.
-struct Lump<'a> {
-    references: &'a [f64],
-    /// Nodes that are relaxed, then those around them, whose residual changes too, then those around these.
-    nodes: Vec<u32>,
-    relaxed: usize,
-    judged: usize,
-    /// Edges of relaxed and judged nodes, as numbers in `nodes`.
-    offsets: Vec<u32>,
-    neighbours: Vec<u32>,
-    weights: Vec<f64>,
-    /// By relaxed or judged node: the weights of its edges.
-    diagonal: Vec<f64>,
-    /// By node: its values.
-    values: Vec<f64>,
-    /// By node: whether it has values already.
-    known: Vec<bool>,
-}
-
-impl<'a> Lump<'a> {
-    fn new(equations: &FieldEquations<'a>, restart: &FieldRestart<'_>, seeds: Vec<u32>, x: &[f64]) -> Self {
-        let FieldEquations { body, fixed, .. } = *equations;
-        let width = equations.columns.len();
-        // Numbers in `nodes`.
-        let mut numbers = vec![NONE; fixed.len()];
-        let mut nodes = seeds;
-        number(&mut numbers, &nodes);
-        let mut begin = 0;
-        for _ in 0..RINGS {
-            begin = grow(body, &mut nodes, &mut numbers, begin, |n| !fixed[n]);
-        }
-        let relaxed = nodes.len();
-        // Sweeps go through memory as the graph does.
-        nodes.sort_unstable();
-        number(&mut numbers, &nodes);
-        grow(body, &mut nodes, &mut numbers, 0, |n| !fixed[n]);
-        let judged = nodes.len();
-        grow(body, &mut nodes, &mut numbers, 0, |_| true);
-
-        let mut lump = Self {
-            references: equations.references,
-            relaxed,
-            judged,
-            offsets: vec![0],
-            neighbours: Vec::new(),
-            weights: Vec::new(),
-            diagonal: Vec::with_capacity(judged),
-            values: nodes
-                .iter()
-                .flat_map(|&n| &x[n as usize * width..(n as usize + 1) * width])
-                .copied()
-                .collect(),
-            known: nodes
-                .iter()
-                .map(|&n| restart.old_from_new[n as usize] != NONE || fixed[n as usize])
-                .collect(),
-            nodes,
-        };
-        for &n in &lump.nodes[..judged] {
-            let i = n as usize;
-            let mut sum = 0.0;
-            for (j, w) in body.edges(i) {
-                lump.neighbours.push(numbers[j]);
-                lump.weights.push(w);
-                sum += w;
-            }
-            lump.offsets.push(lump.neighbours.len() as u32);
-            lump.diagonal.push(sum);
-        }
-        lump
-    }
-
-    fn edges(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
-        let entries = self.offsets[i] as usize..self.offsets[i + 1] as usize;
-        let neighbours = self.neighbours[entries.clone()].iter().map(|&j| j as usize);
-        neighbours.zip(self.weights[entries].iter().copied())
-    }
-
-    /// Relaxes, writes the values to `x`, and answers the norm of each column's residual.
-    fn relax(mut self, x: &mut [f64]) -> Vec<f64> {
-        let width = self.references.len();
-        let mut sum = vec![0.0; width];
-        self.guess_new(&mut sum);
-        let mut left = self.residuals();
-        let mut over = 1.0;
-        for round in 1..=ROUNDS {
-            for i in 0..self.relaxed {
-                if self.diagonal[i] <= 0.0 {
-                    continue;
-                }
-                sum.fill(0.0);
-                for (j, w) in self.edges(i) {
-                    let row = &self.values[j * width..(j + 1) * width];
-                    sum.iter_mut().zip(row).for_each(|(s, v)| *s += w * v);
-                }
-                let row = &mut self.values[i * width..(i + 1) * width];
-                let diagonal = self.diagonal[i];
-                row.iter_mut()
-                    .zip(&sum)
-                    .for_each(|(v, s)| *v += over * (s / diagonal - *v));
-            }
-            // Chebyshev's factors (Golub and Varga 1961).
-            over = match round {
-                1 => 1.0 / (1.0 - RADIUS / 2.0),
-                _ => 1.0 / (1.0 - RADIUS * over / 4.0),
-            };
-            if round % ASK == 0 {
-                left = self.residuals();
-                let is_enough = |(r, reference): (&f64, &f64)| *r <= ENOUGH * reference;
-                if left.iter().zip(self.references).all(is_enough) {
-                    break;
-                }
-            }
-        }
-        for (&n, row) in self.nodes[..self.relaxed].iter().zip(self.values.chunks(width)) {
-            x[n as usize * width..(n as usize + 1) * width].copy_from_slice(row);
-        }
-        left
-    }
-
-    /// Gives new nodes the mean of those around that have values; from the old ones inwards.
-    fn guess_new(&mut self, sum: &mut [f64]) {
-        let width = sum.len();
-        for i in 0..self.relaxed {
-            if self.known[i] {
-                continue;
-            }
-            sum.fill(0.0);
-            let mut weight = 0.0;
-            for (j, w) in self.edges(i).filter(|&(j, _)| self.known[j]) {
-                let row = &self.values[j * width..(j + 1) * width];
-                sum.iter_mut().zip(row).for_each(|(s, v)| *s += w * v);
-                weight += w;
-            }
-            if weight > 0.0 {
-                let row = &mut self.values[i * width..(i + 1) * width];
-                row.iter_mut().zip(&*sum).for_each(|(v, s)| *v = s / weight);
-                self.known[i] = true;
-            }
-        }
-    }
-
-    /// The norm of each column's residual.
-    fn residuals(&self) -> Vec<f64> {
-        let width = self.references.len();
-        let mut squares = vec![0.0; width];
-        for i in 0..self.judged {
-            for (c, square) in squares.iter_mut().enumerate() {
-                let flow: f64 = self.edges(i).map(|(j, w)| w * self.values[j * width + c]).sum();
-                let r = flow - self.diagonal[i] * self.values[i * width + c];
-                *square += r * r;
-            }
-        }
-        squares.into_iter().map(f64::sqrt).collect()
-    }
-}
-
-/// Adds neighbours of `nodes[begin..]` that `wanted` lets in and have no number; answers where they begin.
-fn grow(
-    body: &DeformableBody,
-    nodes: &mut Vec<u32>,
-    numbers: &mut [u32],
-    begin: usize,
-    wanted: impl Fn(usize) -> bool,
-) -> usize {
-    let end = nodes.len();
-    for k in begin..end {
-        for &j in body.graph.row(nodes[k]) {
-            if numbers[j as usize] == NONE && wanted(j as usize) {
-                numbers[j as usize] = nodes.len() as u32;
-                nodes.push(j);
-            }
-        }
-    }
-    end
-}
-
-/// Notes where nodes are.
-fn number(numbers: &mut [u32], nodes: &[u32]) {
-    for (k, &n) in (0u32..).zip(nodes) {
-        numbers[n as usize] = k;
     }
 }
 

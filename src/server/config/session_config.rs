@@ -8,9 +8,9 @@ use crate::session;
 use std::time::Duration;
 
 /// Reads the keys that concern sessions; those that are absent leave the defaults.
-pub(super) fn session_config_from_keys(merged: &MergedKeys) -> Result<session::Config, Error> {
+pub(super) fn session_config_from_keys(merged: &MergedKeys) -> Result<session::SessionConfig, Error> {
     let keys = &merged.keys;
-    let mut config = session::Config::default();
+    let mut config = session::SessionConfig::default();
     let wide = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
     let set_bytes = |value: &Option<KeyValue<ByteSize>>, bytes: &mut u64| {
         *bytes = KeyValue::read(value).map_or(*bytes, |size| size.0);

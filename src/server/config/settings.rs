@@ -25,7 +25,7 @@ pub struct ServeSettings {
     /// How connections are treated.
     pub server: ServerConfig,
     /// Limits and times of sessions.
-    pub session: session::Config,
+    pub session: session::SessionConfig,
     /// Which log lines are written, as directives such as `info,pliant=debug`.
     pub log: String,
     /// How they look.
@@ -116,7 +116,7 @@ mod tests {
         assert_eq!(settings.session.upload_bytes, 64 << 20);
         assert_eq!(settings.session.sessions, 5);
         assert_eq!(settings.listen, "[::1]:9".parse().unwrap());
-        assert_eq!(settings.session.history, session::Config::default().history);
+        assert_eq!(settings.session.history, session::SessionConfig::default().history);
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! when its future is dropped.
 
 use crate::server::telemetry::{self, Telemetry};
-use crate::session::{Code, Error};
+use crate::session::{Error, ErrorCode};
 use axum::body::Body;
 use bytes::Bytes;
 use futures::FutureExt as _;
@@ -113,11 +113,17 @@ const COMMON: [&str; 3] = [
 ];
 
 fn late() -> tonic::Status {
-    super::status::status(Error::new(Code::DeadlineExceeded, "the caller's deadline has passed"))
+    super::status::status(Error::new(
+        ErrorCode::DeadlineExceeded,
+        "the caller's deadline has passed",
+    ))
 }
 
 fn broken() -> tonic::Status {
-    super::status::status(Error::new(Code::Internal, "a defect of the server; its log says more"))
+    super::status::status(Error::new(
+        ErrorCode::Internal,
+        "a defect of the server; its log says more",
+    ))
 }
 
 /// Reads `grpc-timeout`: up to 8 digits and a unit. Anything else is no deadline.

@@ -1,6 +1,6 @@
 //! Failures over gRPC: a status with the details of `google.rpc`.
 
-use crate::session::{Code, Error};
+use crate::session::{Error, ErrorCode};
 use std::collections::HashMap;
 use std::time::Duration;
 use tonic::Status;
@@ -13,8 +13,8 @@ const MESSAGE_CHARS: usize = 1000;
 /// The status of a failure: `ErrorInfo` always, `BadRequest` when a field is to blame, `RetryInfo` when waiting helps.
 pub(super) fn status(error: Error) -> Status {
     let reason = match error.code {
-        Code::TooLarge => "TOO_LARGE",
-        Code::InvalidArgument { malformed: true } => "MALFORMED",
+        ErrorCode::TooLarge => "TOO_LARGE",
+        ErrorCode::InvalidArgument { malformed: true } => "MALFORMED",
         _ => error.code_name(),
     };
     let mut details = ErrorDetails::new();
@@ -26,7 +26,7 @@ pub(super) fn status(error: Error) -> Status {
         details.add_bad_request_violation(field.clone(), problem);
     }
     let mut metadata = MetadataMap::new();
-    let waits = matches!(error.code, Code::ResourceExhausted | Code::Unavailable);
+    let waits = matches!(error.code, ErrorCode::ResourceExhausted | ErrorCode::Unavailable);
     if let Some(seconds) = error.retry_after_s.or(waits.then_some(1)) {
         let seconds = seconds.max(1);
         details.set_retry_info(Some(Duration::from_secs(seconds.into())));
@@ -59,7 +59,7 @@ mod tests {
             Some(Duration::from_secs(3))
         );
         assert_eq!(
-            status(Error::new(Code::TooLarge, "x"))
+            status(Error::new(ErrorCode::TooLarge, "x"))
                 .get_error_details()
                 .error_info()
                 .unwrap()
@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn a_long_message_is_cut_so_that_headers_stay_small() {
-        let long = status(Error::new(Code::Internal, "x".repeat(1 << 20)));
+        let long = status(Error::new(ErrorCode::Internal, "x".repeat(1 << 20)));
         assert!(long.message().len() <= MESSAGE_CHARS);
     }
 }

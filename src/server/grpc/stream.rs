@@ -6,7 +6,7 @@
 
 use super::status::status;
 use crate::server::state::State;
-use crate::session::{Code, Error, StreamInput, StreamOutput, Tenant};
+use crate::session::{Error, ErrorCode, StreamInput, StreamOutput, Tenant};
 use crate::wire::pb::{self, deform_response};
 use futures::Stream;
 use tokio::sync::oneshot;
@@ -69,7 +69,7 @@ impl Open {
                 "no message came within {}; the first one names the session",
                 humantime::format_duration(patience)
             );
-            status(Error::new(Code::DeadlineExceeded, text))
+            status(Error::new(ErrorCode::DeadlineExceeded, text))
         })??;
         let Some(mut first) = first else {
             return Err(status(Error::invalid(
@@ -148,7 +148,7 @@ async fn pump(mut inbound: Streaming<pb::DeformRequest>, input: &StreamInput, id
         request.session_id.clear();
         if let Err(error) = input.push(request) {
             // A stream that has ended says why on its other side.
-            return if error.code == Code::Cancelled {
+            return if error.code == ErrorCode::Cancelled {
                 Ok(())
             } else {
                 Err(status(error))

@@ -4,7 +4,7 @@ use super::status::status;
 use crate::asset::FileSet;
 use crate::server::state::State;
 use crate::server::uploads::Held;
-use crate::session::{Code, Error};
+use crate::session::{Error, ErrorCode};
 use crate::wire::pb::{self, create_session_request::Message};
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -46,7 +46,7 @@ pub(super) async fn receive(state: &State, mut inbound: Streaming<pb::CreateSess
             Ok(Err(broken)) => return Err(broken),
             Err(_) => {
                 let text = format!("the upload stood still for {}", humantime::format_duration(patience));
-                return Err(status(Error::new(Code::DeadlineExceeded, text)));
+                return Err(status(Error::new(ErrorCode::DeadlineExceeded, text)));
             }
         }
     }

@@ -3,7 +3,7 @@
 use super::problem::Problem;
 
 use crate::server::state::State;
-use crate::session::{Code, Error};
+use crate::session::{Error, ErrorCode};
 use crate::wire;
 use axum::body::{Body, BodyDataStream};
 use axum::extract::Request;
@@ -68,7 +68,7 @@ pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Probl
     let limit = state.message_bytes;
     let too_large = |seen: u64| {
         Problem::from(Error::new(
-            Code::TooLarge,
+            ErrorCode::TooLarge,
             format!("the body has {seen} bytes or more, at most {limit} are allowed"),
         ))
     };

@@ -40,7 +40,7 @@ td:first-child { width: 26%; overflow-wrap: anywhere }
 
 static PAGE: LazyLock<Result<String, Error>> = LazyLock::new(|| {
     let document: Value = serde_json::from_str(&openapi::document()?)
-        .map_err(|_| Error::new(crate::session::Code::Internal, "the API description is no JSON"))?;
+        .map_err(|_| Error::new(crate::session::ErrorCode::Internal, "the API description is no JSON"))?;
     Ok(render(&document))
 });
 

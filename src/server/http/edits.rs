@@ -5,7 +5,7 @@ use super::problem::Problem;
 use super::request::{Caller, Names};
 use super::sessions::json;
 use crate::server::state::State;
-use crate::session::{Code, Error};
+use crate::session::{Error, ErrorCode};
 use crate::wire::pb;
 use axum::extract::{Request, State as From};
 use axum::response::Response;
@@ -29,5 +29,9 @@ pub(super) async fn animate(
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
     state.manager.get(&caller.tenant, &id).await?;
-    Err(Error::new(Code::Unimplemented, "animations are not implemented by this version").into())
+    Err(Error::new(
+        ErrorCode::Unimplemented,
+        "animations are not implemented by this version",
+    )
+    .into())
 }

@@ -7,7 +7,7 @@ use super::request::{Caller, Names};
 use crate::asset::Format;
 use crate::server::state::State;
 use crate::server::unknown_format;
-use crate::session::{Error, Exported};
+use crate::session::{Error, ExportedModel};
 use axum::extract::State as From;
 use axum::response::Response;
 use bytes::Bytes;
@@ -45,8 +45,8 @@ pub(super) async fn model(
 }
 
 /// The main file of an export.
-pub(super) fn main_file(id: &str, exported: Exported, headers: &HeaderMap) -> Result<Response, Problem> {
-    let Exported { written, format, etag } = exported;
+pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) -> Result<Response, Problem> {
+    let ExportedModel { written, format, etag } = exported;
     let file_name = format!("{id}.{format}");
     let download = Download {
         bytes: Bytes::from(written.main),
@@ -66,8 +66,8 @@ pub(super) fn main_file(id: &str, exported: Exported, headers: &HeaderMap) -> Re
     Ok(response)
 }
 
-fn companion(exported: Exported, uri: &str, headers: &HeaderMap) -> Result<Response, Problem> {
-    let Exported {
+fn companion(exported: ExportedModel, uri: &str, headers: &HeaderMap) -> Result<Response, Problem> {
+    let ExportedModel {
         mut written,
         format,
         etag,

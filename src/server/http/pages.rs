@@ -24,7 +24,7 @@ pub(super) async fn ready(From(state): From<State>) -> Result<&'static str, Prob
         let text = "the sessions hold nearly all the memory that they may";
         let busy = Error {
             retry_after_s: Some(5),
-            ..Error::new(crate::session::Code::Unavailable, text)
+            ..Error::new(crate::session::ErrorCode::Unavailable, text)
         };
         return Err(busy.into());
     }

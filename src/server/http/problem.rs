@@ -34,7 +34,11 @@ impl Problem {
     /// A defect of the server; `what` is for its log.
     pub fn internal(what: &str) -> Self {
         tracing::error!("internal: {what}");
-        session::Error::new(session::Code::Internal, "a defect of the server; its log says more").into()
+        session::Error::new(
+            session::ErrorCode::Internal,
+            "a defect of the server; its log says more",
+        )
+        .into()
     }
 
     /// The body is of a type that this path does not take.
@@ -135,7 +139,7 @@ impl IntoResponse for Problem {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::{Code, Error};
+    use crate::session::{Error, ErrorCode};
 
     #[test]
     fn a_problem_names_field_and_code() {
@@ -154,15 +158,15 @@ mod tests {
     #[test]
     fn overload_always_says_when_to_come_back() {
         for error in [
-            Error::new(Code::ResourceExhausted, "full"),
-            Error::new(Code::Unavailable, "leaving"),
+            Error::new(ErrorCode::ResourceExhausted, "full"),
+            Error::new(ErrorCode::Unavailable, "leaving"),
         ] {
             let response = Problem::from(error).into_response();
             assert_eq!(response.headers()[header::RETRY_AFTER], "1");
         }
         let response = Problem::from(Error::exhausted("full", 7)).into_response();
         assert_eq!(response.headers()[header::RETRY_AFTER], "7");
-        let response = Problem::from(Error::new(Code::TooLarge, "huge")).into_response();
+        let response = Problem::from(Error::new(ErrorCode::TooLarge, "huge")).into_response();
         assert_eq!(response.status(), StatusCode::PAYLOAD_TOO_LARGE);
         assert!(!response.headers().contains_key(header::RETRY_AFTER));
     }

@@ -5,6 +5,15 @@ use crate::progress::{Cancelled, Progress, check};
 
 /// The threads that a piece of work may use, and the watcher that can cancel it. Every function that computes for longer than
 /// a moment takes one, so that no engine reaches for global threads or runs on after nobody wants its result.
+///
+/// ```
+/// use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+///
+/// let pool = Pool::new(1)?;
+/// let exec = Exec::new(&pool, &Silent);
+/// assert!(exec.check().is_ok());
+/// # Ok::<(), pliant_solver::pool::PoolError>(())
+/// ```
 #[derive(Clone, Copy)]
 pub struct Exec<'a> {
     /// Threads that parallel parts run on.

@@ -1,13 +1,24 @@
 //! The weighted graph that the solver works on.
 
 use crate::error::Error;
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// A symmetric weighted graph in compressed rows.
 ///
 /// Row `i` lists the neighbours `neighbours[offsets[i]..offsets[i + 1]]`, strictly ascending, without `i` itself. For
 /// every entry `(i, j)` there is an entry `(j, i)` of the same weight. [`WeightedGraph::check`] verifies all of this;
 /// [`Hierarchy::build`](super::Hierarchy::build) checks what memory safety needs and trusts the symmetry.
+///
+/// ```
+/// use pliant_solver::WeightedGraph;
+///
+/// // A triangle.
+/// let graph = WeightedGraph { offsets: &[0, 2, 4, 6], neighbours: &[1, 2, 0, 2, 0, 1], weights: None, positions: None };
+/// assert_eq!(graph.vertices(), 3);
+/// assert!(graph.check().is_ok());
+/// let broken = WeightedGraph { neighbours: &[1, 2, 2, 0, 0, 1], ..graph };
+/// assert!(broken.check().unwrap_err().to_string().contains("row 1"));
+/// ```
 #[derive(Debug, Clone, Copy)]
 pub struct WeightedGraph<'a> {
     /// Where each row begins, `vertices + 1` entries, first 0.
@@ -24,6 +35,11 @@ impl WeightedGraph<'_> {
     /// Number of vertices.
     pub fn vertices(&self) -> usize {
         self.offsets.len().saturating_sub(1)
+    }
+
+    /// Neighbours of vertex `i`.
+    pub(crate) fn neighbours_of(&self, i: usize) -> &[u32] {
+        &self.neighbours[self.offsets[i] as usize..self.offsets[i + 1] as usize]
     }
 
     /// Checks array lengths, row order and ranges, weights (finite, positive) and positions (finite).
@@ -47,10 +63,12 @@ impl WeightedGraph<'_> {
             return invalid(format!("graph offsets end at {last} but there are {len} neighbours"));
         }
         const PIECE: usize = 4096;
-        let sound = |k| self.are_sound(piece(k, n, PIECE));
-        let sound = threads.for_rows(n).map(0..pieces(n, PIECE), || (), |(), k| sound(k));
+        let sound = |k| self.are_sound(piece_rows(k, n, PIECE));
+        let sound = threads
+            .for_rows(n)
+            .map(0..piece_count(n, PIECE), || (), |(), k| sound(k));
         if let Some(k) = sound.iter().position(|s| !s) {
-            let i = piece(k, n, PIECE).find(|&i| !self.are_sound(i..i + 1));
+            let i = piece_rows(k, n, PIECE).find(|&i| !self.are_sound(i..i + 1));
             return Err(self.fault(i.unwrap_or(0)));
         }
         if let Some(weights) = self.weights {
@@ -91,11 +109,11 @@ impl WeightedGraph<'_> {
             self.offsets.get(n).map(|&end| end as usize),
         );
         if n >= u32::MAX as usize || ends != (Some(0), Some(self.neighbours.len())) {
-            return self.check_rows(Parallelism::one());
+            return self.check_rows(Parallelism::single_threaded());
         }
         let fits = |len: Option<usize>, want: usize| len.is_none_or(|len| len == want);
         if !fits(self.weights.map(<[f32]>::len), self.neighbours.len()) || !fits(self.positions.map(<[_]>::len), n) {
-            return self.check_rows(Parallelism::one());
+            return self.check_rows(Parallelism::single_threaded());
         }
         for i in vertices.iter().map(|&v| v as usize) {
             if !self.are_sound(i..i + 1) {
@@ -172,7 +190,7 @@ impl WeightedGraph<'_> {
     /// # Errors
     /// [`Error::Invalid`] names the first place that breaks a rule.
     pub fn check(&self) -> Result<(), Error> {
-        self.check_rows(Parallelism::one())?;
+        self.check_rows(Parallelism::single_threaded())?;
         // Rows ascend and are read in order, so the transpose of a symmetric graph appears in its own order.
         let mut cursor: Vec<u32> = self.offsets[..self.vertices()].to_vec();
         for i in 0..self.vertices() {

@@ -28,21 +28,21 @@ impl Lanes {
     }
 
     #[inline(always)]
-    pub(crate) fn wide(self) -> WideLanes {
+    pub(crate) fn to_wide(self) -> WideLanes {
         let a = self.0;
         [f64::from(a[0]), f64::from(a[1]), f64::from(a[2]), f64::from(a[3])]
     }
 
     /// Itself if `keep`, else 0.
     #[inline(always)]
-    pub(crate) fn when(self, keep: bool) -> Lanes {
+    pub(crate) fn masked_by(self, keep: bool) -> Lanes {
         let mask = u32::from(keep).wrapping_neg();
         Lanes(self.0.map(|v| f32::from_bits(v.to_bits() & mask)))
     }
 
     /// Sum of the lanes.
     #[inline(always)]
-    pub(crate) fn sum(self) -> f32 {
+    pub(crate) fn sum_lanes(self) -> f32 {
         let a = self.0;
         (a[0] + a[1]) + (a[2] + a[3])
     }

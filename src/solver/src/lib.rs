@@ -66,11 +66,25 @@
 //! in the user's units ([`SolveOptions::max_error`]) rather than at a residual. On graphs with geometry the estimate is
 //! within a half and three times the truth from the second iteration on, until single precision runs out of digits.
 //!
+//! # Build, constrain, solve, repair
+//!
+//! | step | call | when | cost |
+//! |---|---|---|---|
+//! | build | [`Hierarchy::build`] | a new graph | about twenty products with the matrix |
+//! | constrain | [`Hierarchy::constrain`] | other fixed vertices or stiffness | a fraction of a build |
+//! | solve | [`LinearSystem::solve`] | another right-hand side or start | four to six products per iteration |
+//! | repair | [`Hierarchy::repair`] | vertices or edges come and go | in proportion to the change |
+//!
+//! A [`Workspace`] carries all vectors from solve to solve. An [`Exec`](exec::Exec) joins the [`Pool`](pool::Pool) that parallel
+//! loops run on with the [`Progress`](progress::Progress) that is told how far the work is and can cancel it: there are no
+//! hidden threads, no clock and no global state. [`LocalRelaxation`] mends a known solution around a small change,
+//! and [`CholeskyFactor`] solves dense systems.
+//!
 //! # How rows are stored
 //!
 //! A sweep over irregular rows is bound by mispredicted branches and by waiting for memory, not by arithmetic. Rows follow
 //! a space-filling curve, in blocks that stay in cache. Inside a block rows are coloured, and four rows of one colour
-//! with nearly equal numbers of neighbours make a *bundle*, whose entries are interleaved: one loop serves four rows,
+//! with nearly equal numbers of neighbours make a *slice* of a sliced ELLPACK format, whose entries are interleaved: one loop serves four rows,
 //! and four independent sums are under way at any time. The places that are left over hold filling rows that nothing
 //! refers to and entries of weight 0.
 //!
@@ -126,13 +140,15 @@ pub mod pool;
 pub mod progress;
 
 mod build;
+mod cholesky;
 mod constrain;
-mod dense;
+mod dense_inverse;
 mod error;
 mod graph;
 mod lanes;
 mod options;
 mod paper;
+mod relaxation;
 mod repair;
 mod solve;
 mod storage;
@@ -141,11 +157,13 @@ mod testing;
 mod threads;
 
 pub use build::Hierarchy;
+pub use cholesky::CholeskyFactor;
 pub use constrain::LinearSystem;
 pub use error::Error;
 pub use graph::WeightedGraph;
 pub use options::{
     BuildOptions, CoarseOperators, Constraints, InitialGuess, LevelSize, SolveMethod, SolveOptions, SolveStats,
 };
+pub use relaxation::LocalRelaxation;
 pub use repair::{GraphChange, RepairReport};
 pub use solve::{IterationReport, SolveControl, Workspace};

@@ -6,6 +6,15 @@
 use std::sync::Arc;
 
 /// A bounded set of threads on which parallel work runs. Cloning shares the threads.
+///
+/// ```
+/// use pliant_solver::pool::Pool;
+///
+/// let pool = Pool::new(2)?;
+/// assert_eq!(pool.threads(), 2);
+/// assert_eq!(pool.install(|| (1..=100).sum::<i32>()), 5050);
+/// # Ok::<(), pliant_solver::pool::PoolError>(())
+/// ```
 #[derive(Clone)]
 pub struct Pool {
     threads: Arc<rayon::ThreadPool>,

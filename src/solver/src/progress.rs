@@ -32,6 +32,15 @@ pub fn check(progress: &dyn Progress) -> Result<(), Cancelled> {
 }
 
 /// A flag that any thread can raise.
+///
+/// ```
+/// use pliant_solver::progress::{CancelFlag, Cancelled, check};
+///
+/// let flag = CancelFlag::default();
+/// assert_eq!(check(&flag), Ok(()));
+/// flag.cancel();
+/// assert_eq!(check(&flag), Err(Cancelled));
+/// ```
 #[derive(Debug, Default)]
 pub struct CancelFlag(AtomicBool);
 

@@ -10,45 +10,45 @@ use crate::pool::Pool;
 /// the results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Parallelism {
-    parallel: bool,
+    is_parallel: bool,
 }
 
 /// Rows below which starting other threads costs more than it saves.
 const WORTHWHILE: usize = 8192;
 
 impl Parallelism {
-    pub(crate) fn of(pool: &Pool) -> Self {
+    pub(crate) fn from_pool(pool: &Pool) -> Self {
         Self {
-            parallel: pool.threads() > 1,
+            is_parallel: pool.threads() > 1,
         }
     }
 
     /// This thread alone.
-    pub(crate) fn one() -> Self {
-        Self { parallel: false }
+    pub(crate) fn single_threaded() -> Self {
+        Self { is_parallel: false }
     }
 
     /// True if loops may use more than one thread.
     pub(crate) fn parallel(self) -> bool {
-        self.parallel
+        self.is_parallel
     }
 
     /// The same for work over `rows` rows: small work stays on one thread.
     pub(crate) fn for_rows(self, rows: usize) -> Self {
         Self {
-            parallel: self.parallel && rows >= WORTHWHILE,
+            is_parallel: self.is_parallel && rows >= WORTHWHILE,
         }
     }
 
     /// Runs `work` so that its loops use `pool`; without other threads it runs right here.
-    pub(crate) fn enter<R: Send>(self, pool: &Pool, work: impl FnOnce() -> R + Send) -> R {
-        if self.parallel { pool.install(work) } else { work() }
+    pub(crate) fn run_on<R: Send>(self, pool: &Pool, work: impl FnOnce() -> R + Send) -> R {
+        if self.is_parallel { pool.install(work) } else { work() }
     }
 
     /// Calls `body` for every number of `range`, in any order.
     #[inline]
-    pub(crate) fn each(self, range: Range<usize>, body: impl Fn(usize) + Sync + Send) {
-        if self.parallel && range.len() > 1 {
+    pub(crate) fn for_each(self, range: Range<usize>, body: impl Fn(usize) + Sync + Send) {
+        if self.is_parallel && range.len() > 1 {
             range.into_par_iter().with_min_len(4).for_each(body);
         } else {
             range.for_each(body);
@@ -63,7 +63,7 @@ impl Parallelism {
         scratch: impl Fn() -> S + Sync + Send,
         body: impl Fn(&mut S, usize) -> R + Sync + Send,
     ) -> Vec<R> {
-        if self.parallel && range.len() > 1 {
+        if self.is_parallel && range.len() > 1 {
             range.into_par_iter().with_min_len(4).map_init(scratch, body).collect()
         } else {
             let mut s = scratch();
@@ -73,11 +73,11 @@ impl Parallelism {
 }
 
 /// Splits `len` rows into pieces of `size`, the last one shorter: the fixed partition that loops without blocks use.
-pub(crate) fn pieces(len: usize, size: usize) -> usize {
+pub(crate) fn piece_count(len: usize, size: usize) -> usize {
     len.div_ceil(size)
 }
 
 /// Rows of piece `k`.
-pub(crate) fn piece(k: usize, len: usize, size: usize) -> Range<usize> {
+pub(crate) fn piece_rows(k: usize, len: usize, size: usize) -> Range<usize> {
     k * size..((k + 1) * size).min(len)
 }

@@ -3,7 +3,7 @@
 use super::fake::*;
 use pliant::asset::Format;
 use pliant::engine::digest;
-use pliant::session::Config;
+use pliant::session::SessionConfig;
 use pliant::wire::pb;
 use proptest::prelude::*;
 use std::time::Duration;
@@ -12,7 +12,7 @@ use std::time::Duration;
 async fn undo_and_redo_restore_positions_to_the_bit() {
     // With no bytes for snapshots, every step back is a replay.
     for snapshot_bytes in [1 << 20, 0] {
-        let (manager, _) = manager(Config {
+        let (manager, _) = manager(SessionConfig {
             snapshot_bytes,
             ..small()
         });
@@ -207,7 +207,7 @@ async fn a_caller_that_goes_leaves_the_old_state() {
 
 #[tokio::test]
 async fn a_solve_that_takes_too_long_is_given_up() {
-    let (manager, control) = manager(Config {
+    let (manager, control) = manager(SessionConfig {
         solve: Duration::from_millis(10),
         ..small()
     });
@@ -293,7 +293,7 @@ proptest! {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         runtime.block_on(async move {
             let snapshot_bytes = if keep { 1 << 20 } else { 0 };
-            let (manager, control) = manager(Config { snapshot_bytes, history: 5, ..small() });
+            let (manager, control) = manager(SessionConfig { snapshot_bytes, history: 5, ..small() });
             let id = open(&manager).await;
             let mut client = Client::open(&manager, &id).await;
             let mut seq = 0;

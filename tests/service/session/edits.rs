@@ -2,7 +2,7 @@
 
 use super::fake::*;
 use super::real::{bent, turned};
-use pliant::session::{Code, Config, Manager};
+use pliant::session::{ErrorCode, Manager, SessionConfig};
 use pliant::wire::pb;
 
 fn cut(id: &str, height: f64, keep: pb::edit_request::cut::Keep) -> pb::EditRequest {
@@ -33,7 +33,7 @@ async fn digest_now(manager: &Manager, id: &str) -> String {
 #[tokio::test]
 async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
     for snapshot_bytes in [1 << 24, 0] {
-        let config = Config {
+        let config = SessionConfig {
             snapshot_bytes,
             ..small()
         };
@@ -96,7 +96,7 @@ async fn a_refused_edit_changes_nothing() {
         .edit(tenant(), cut(&id, 99.0, Keep::Both), None)
         .await
         .expect_err("misses");
-    assert_eq!(missed.code, Code::FailedPrecondition);
+    assert_eq!(missed.code, ErrorCode::FailedPrecondition);
     let merge = pb::edit_request::Merge {
         source: Some(pb::edit_request::merge::Source::Session("nobody".into())),
         ..Default::default()
@@ -110,7 +110,7 @@ async fn a_refused_edit_changes_nothing() {
         .edit(tenant(), request, None)
         .await
         .expect_err("no such session");
-    assert_eq!(unknown.code, Code::NotFound);
+    assert_eq!(unknown.code, ErrorCode::NotFound);
     let after = (
         manager.get(tenant(), &id).await.expect("open").revision,
         digest_now(&manager, &id).await,

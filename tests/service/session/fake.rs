@@ -11,7 +11,7 @@ use pliant::engine::Shader;
 use pliant::engine::{DeformerLimits, HandlePose, HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape};
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
-use pliant::session::{Config, Engine, Manager, Opener, Stream, StreamInput, StreamOutput, Tenant};
+use pliant::session::{DeformStream, Engine, EngineOpener, Manager, SessionConfig, StreamInput, StreamOutput, Tenant};
 use pliant::wire;
 use pliant::wire::pb;
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
@@ -97,7 +97,7 @@ pub struct Fake {
     drags: u32,
 }
 
-impl Opener for OpenFake {
+impl EngineOpener for OpenFake {
     fn open(
         &self,
         files: FileSet,
@@ -309,14 +309,14 @@ pub fn tenant() -> &'static Tenant {
     &ME
 }
 
-pub fn small() -> Config {
-    Config {
+pub fn small() -> SessionConfig {
+    SessionConfig {
         compute_threads: 2,
-        ..Config::default()
+        ..SessionConfig::default()
     }
 }
 
-pub fn manager(config: Config) -> (Manager, Arc<Control>) {
+pub fn manager(config: SessionConfig) -> (Manager, Arc<Control>) {
     let control = Arc::new(Control::default());
     (
         Manager::with_opener(config, OpenFake(Arc::clone(&control))).expect("a valid configuration"),
@@ -405,7 +405,7 @@ impl Client {
         Self::of(manager.stream(tenant(), id).await.expect("a stream"))
     }
 
-    pub fn of(stream: Stream) -> Self {
+    pub fn of(stream: DeformStream) -> Self {
         let (input, output) = stream.split();
         Self { input, output }
     }

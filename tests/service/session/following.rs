@@ -5,7 +5,7 @@ use super::fake::*;
 use super::real::turned;
 use glam::DVec3;
 use pliant::asset::shapes;
-use pliant::session::{Config, Manager};
+use pliant::session::{Manager, SessionConfig};
 use pliant::wire::pb;
 
 /// A session with a bar of some thousand vertices, held at its ends.
@@ -55,7 +55,7 @@ fn delete(id: &str, height: f64) -> pb::EditRequest {
 #[tokio::test]
 async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
     for snapshot_bytes in [1 << 26, 0] {
-        let config = Config {
+        let config = SessionConfig {
             snapshot_bytes,
             ..small()
         };
@@ -146,7 +146,7 @@ async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
     };
     open.edit(tenant(), twice(&id), None).await.expect("there is room");
 
-    let manager = Manager::new(Config {
+    let manager = Manager::new(SessionConfig {
         memory_bytes: 12 * one,
         ..small()
     })

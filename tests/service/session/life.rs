@@ -1,7 +1,7 @@
 //! Expiry, deleting, idempotency keys, draining, many sessions at once.
 
 use super::fake::*;
-use pliant::session::{Code, Config};
+use pliant::session::{ErrorCode, SessionConfig};
 use pliant::wire::pb;
 use std::time::Duration;
 
@@ -162,7 +162,7 @@ async fn a_call_that_failed_or_was_given_up_frees_its_key() {
     let solved = loop {
         match manager.solve(tenant(), request.clone(), Some("key")).await {
             // The session's task may not have heard of the end yet.
-            Err(error) if error.code == Code::Aborted => tokio::time::sleep(Duration::from_millis(1)).await,
+            Err(error) if error.code == ErrorCode::Aborted => tokio::time::sleep(Duration::from_millis(1)).await,
             other => break other.expect("done at last"),
         }
     };
@@ -211,7 +211,7 @@ async fn draining_tells_streams_and_waits_for_them() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn many_sessions_share_few_slots() {
-    let (manager, _) = manager(Config {
+    let (manager, _) = manager(SessionConfig {
         compute_slots: 1,
         ..small()
     });

@@ -1,7 +1,7 @@
 //! What is refused, with which code, and that it costs nobody else anything.
 
 use super::fake::*;
-use pliant::session::{Config, Error, Manager, Tenant};
+use pliant::session::{Error, Manager, SessionConfig, Tenant};
 use pliant::wire::pb;
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,7 +15,7 @@ async fn refused(manager: &Manager, text: &str, options: pb::CreateOptions) -> E
 
 #[tokio::test]
 async fn creation_checks_sizes_and_words() {
-    let (manager, _) = manager(Config {
+    let (manager, _) = manager(SessionConfig {
         upload_bytes: 20,
         memory_bytes: 4 << 20,
         ..small()
@@ -48,7 +48,7 @@ async fn creation_checks_sizes_and_words() {
 
 #[tokio::test]
 async fn memory_that_is_taken_is_asked_for_again_later() {
-    let (manager, _) = manager(Config {
+    let (manager, _) = manager(SessionConfig {
         memory_bytes: 4 << 20,
         high_water: 0.5,
         ..small()
@@ -75,7 +75,7 @@ async fn memory_that_is_taken_is_asked_for_again_later() {
 
 #[tokio::test]
 async fn there_are_only_so_many_sessions() {
-    let (manager, _) = manager(Config { sessions: 2, ..small() });
+    let (manager, _) = manager(SessionConfig { sessions: 2, ..small() });
     let first = create(&manager, "points 4").await;
     create(&manager, "points 4").await;
     let error = refused(&manager, "points 4", pb::CreateOptions::default()).await;
@@ -90,7 +90,7 @@ async fn there_are_only_so_many_sessions() {
 
 #[tokio::test]
 async fn a_session_that_is_busy_takes_only_so_many_calls() {
-    let (manager, control) = manager(Config {
+    let (manager, control) = manager(SessionConfig {
         session_queue: 1,
         ..small()
     });

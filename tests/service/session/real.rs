@@ -2,7 +2,7 @@
 
 use super::fake::*;
 use pliant::asset::FileSet;
-use pliant::session::{Config, Manager};
+use pliant::session::{Manager, SessionConfig};
 use pliant::wire::pb;
 
 /// An upright bar of square section, closed, with the handles `base` (held) and `top`.
@@ -91,7 +91,7 @@ pub fn turned(id: &str, angle: f64) -> pb::SolveRequest {
 #[tokio::test]
 async fn commits_undo_and_replay_to_the_bit() {
     for snapshot_bytes in [1 << 24, 0] {
-        let manager = Manager::new(Config {
+        let manager = Manager::new(SessionConfig {
             snapshot_bytes,
             ..small()
         })

@@ -1,7 +1,7 @@
 //! The deform stream's promises.
 
 use super::fake::*;
-use pliant::session::{Code, Config};
+use pliant::session::{ErrorCode, SessionConfig};
 use pliant::wire::pb;
 use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
@@ -235,7 +235,7 @@ async fn commits_are_never_skipped_and_stay_in_order() {
 
 #[tokio::test]
 async fn too_many_waiting_commits_are_refused_by_number() {
-    let (manager, control) = manager(Config {
+    let (manager, control) = manager(SessionConfig {
         stream_commits: 2,
         ..small()
     });
@@ -485,7 +485,7 @@ async fn wrong_options_end_the_stream() {
     let refused = client
         .input
         .push(ask(pb::deform_request::Message::Ping(pb::Ping::default())));
-    assert_eq!(refused.map_err(|e| e.code), Err(Code::Cancelled));
+    assert_eq!(refused.map_err(|e| e.code), Err(ErrorCode::Cancelled));
 }
 
 #[tokio::test]
@@ -514,7 +514,7 @@ async fn changes_only_are_sent_once_a_frame_is_acknowledged() {
 
 #[tokio::test]
 async fn large_frames_come_in_parts_made_one_by_one() {
-    let (manager, _) = manager(Config {
+    let (manager, _) = manager(SessionConfig {
         part_bytes: 1200,
         ..small()
     });
@@ -540,7 +540,7 @@ async fn large_frames_come_in_parts_made_one_by_one() {
 
 #[tokio::test]
 async fn there_are_only_so_many_streams() {
-    let (manager, _) = manager(Config { streams: 2, ..small() });
+    let (manager, _) = manager(SessionConfig { streams: 2, ..small() });
     let id = open(&manager).await;
     let _first = manager.stream(tenant(), &id).await.expect("one");
     let second = manager.stream(tenant(), &id).await.expect("two");

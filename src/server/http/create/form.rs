@@ -7,7 +7,7 @@ use crate::server::http::body;
 use crate::server::http::problem::{Problem, clip};
 use crate::server::state::State;
 use crate::server::uploads::Held;
-use crate::session::{Code, Error};
+use crate::session::{Error, ErrorCode};
 use axum::extract::Request;
 use bytes::Bytes;
 use http::header;
@@ -112,7 +112,7 @@ impl Parts {
             self.held.grow(chunk.len())?;
             if chunk.len() > limit - bytes.len() {
                 let text = format!("the part \"options\" has more than the {limit} bytes that are allowed");
-                return Err(Error::new(Code::TooLarge, text).into());
+                return Err(Error::new(ErrorCode::TooLarge, text).into());
             }
             bytes.extend_from_slice(&chunk);
         }

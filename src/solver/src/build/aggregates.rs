@@ -3,7 +3,7 @@
 use crate::build::draft::LevelDraft;
 use crate::lanes::SharedRows;
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Groups that one piece of work gathers.
 const SEED_PIECE: usize = 1024;
@@ -72,10 +72,10 @@ impl Aggregates {
     ) -> Aggregates {
         let count = seeds.len();
         let parts = threads.map(
-            0..pieces(count, SEED_PIECE),
+            0..piece_count(count, SEED_PIECE),
             || (),
             |(), k| {
-                let range = piece(k, count, SEED_PIECE);
+                let range = piece_rows(k, count, SEED_PIECE);
                 let most: usize = seeds[range.clone()]
                     .iter()
                     .map(|&s| 1 + draft.entries(s as usize).len())
@@ -108,8 +108,8 @@ impl Aggregates {
         }
         let mut members = vec![0u32; base as usize];
         let out = SharedRows::new(&mut members);
-        threads.each(0..parts.len(), |k| {
-            let range = piece(k, count, SEED_PIECE);
+        threads.for_each(0..parts.len(), |k| {
+            let range = piece_rows(k, count, SEED_PIECE);
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { out.rows(offsets[range.start] as usize..offsets[range.end] as usize) };
             out.copy_from_slice(&parts[k].0);

@@ -60,7 +60,7 @@ impl SlicePlanner {
 
     /// Orders the rows of block `b`. Writes the place of each row in the block to `slots`; returns, bundle by bundle,
     /// the largest number of neighbours of its rows before and after them.
-    pub(crate) fn plan(
+    pub(crate) fn plan_slices(
         &mut self,
         draft: &LevelDraft,
         places: &[u32],

@@ -6,7 +6,7 @@ use crate::build::aggregates::Aggregates;
 use crate::build::draft::{LevelDraft, RowBlocks};
 use crate::lanes::{Lanes, SharedRows};
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
@@ -25,16 +25,21 @@ pub(crate) const SHRINK: f64 = 0.8;
 ///
 /// Groups are connected, and at most 80 % as many as there are rows with neighbours. They are numbered along the draft,
 /// so that the next level inherits its order.
-pub(crate) fn aggregates(draft: &LevelDraft, blocks: &RowBlocks, ratio: f64, threads: Parallelism) -> Aggregates {
+pub(crate) fn choose_aggregates(
+    draft: &LevelDraft,
+    blocks: &RowBlocks,
+    ratio: f64,
+    threads: Parallelism,
+) -> Aggregates {
     let threads = threads.for_rows(draft.rows());
     let reach2 = reach2(draft, ratio);
     let nearest = nearest_seeds(draft, blocks, reach2, threads);
     // Neighbours come in pairs, so a row is connected exactly when it has joined something.
     let parts = threads.map(
-        0..pieces(draft.rows(), PIECE),
+        0..piece_count(draft.rows(), PIECE),
         || (),
         |(), k| {
-            let range = piece(k, draft.rows(), PIECE);
+            let range = piece_rows(k, draft.rows(), PIECE);
             let seeds: Vec<u32> = range
                 .clone()
                 .filter(|&i| nearest[i] == i as u32)
@@ -46,7 +51,7 @@ pub(crate) fn aggregates(draft: &LevelDraft, blocks: &RowBlocks, ratio: f64, thr
     let connected: usize = parts.iter().map(|p| p.1).sum();
     let seeds: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
     if seeds.len() as f64 > SHRINK * connected as f64 {
-        let (of_row, count) = pair(draft);
+        let (of_row, count) = pair_rows(draft);
         return Aggregates::new(of_row, count);
     }
     let mut numbers = vec![0u32; draft.rows()];
@@ -55,9 +60,9 @@ pub(crate) fn aggregates(draft: &LevelDraft, blocks: &RowBlocks, ratio: f64, thr
     }
     let mut aggregates = nearest;
     let shared = SharedRows::new(&mut aggregates);
-    threads.each(0..pieces(draft.rows(), PIECE), |k| {
+    threads.for_each(0..piece_count(draft.rows(), PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
-        for seed in unsafe { shared.rows(piece(k, draft.rows(), PIECE)) } {
+        for seed in unsafe { shared.rows(piece_rows(k, draft.rows(), PIECE)) } {
             if *seed != NO_ROW {
                 *seed = numbers[*seed as usize];
             }
@@ -117,7 +122,7 @@ fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: P
     // Cost in the upper half, seed in the lower one: the order of these numbers is that of costs, then of seeds.
     let offers: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(u64::MAX)).collect();
     for c in blocks.colours.windows(2) {
-        threads.each(c[0] as usize..c[1] as usize, |k| {
+        threads.for_each(c[0] as usize..c[1] as usize, |k| {
             for i in blocks.range(blocks.by_colour[k] as usize) {
                 if !draft.connected(i) || covered[i].load(Ordering::Relaxed) {
                     continue;
@@ -155,7 +160,7 @@ fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: P
 /// Greedy pairing along the heaviest edges, for graphs where seeds hardly thin out (stars, edges of very different
 /// lengths): each row pairs with its heaviest unpaired neighbour, or joins its heaviest neighbour. Every aggregate has
 /// at least two rows.
-fn pair(draft: &LevelDraft) -> (Vec<u32>, usize) {
+fn pair_rows(draft: &LevelDraft) -> (Vec<u32>, usize) {
     let mut aggregates = vec![NO_ROW; draft.rows()];
     let mut count = 0;
     for i in 0..draft.rows() {
@@ -192,7 +197,7 @@ mod tests {
     use crate::testing::{BoxLattice, pool};
 
     fn threads() -> Parallelism {
-        Parallelism::of(&pool())
+        Parallelism::from_pool(&pool())
     }
 
     fn draft_of(offsets: &[u32], neighbours: &[u32], weights: Option<&[f32]>, positions: &[Lanes]) -> LevelDraft {
@@ -270,7 +275,7 @@ mod tests {
         let mut neighbours = vec![hub; leaves as usize];
         neighbours.extend(0..leaves);
         let level = draft_of(&offsets, &neighbours, None, &[]);
-        let groups = aggregates(&level, &RowBlocks::new(&level, 64, threads()), 0.1, threads());
+        let groups = choose_aggregates(&level, &RowBlocks::new(&level, 64, threads()), 0.1, threads());
         assert_eq!(groups.len(), 1);
         let lone = groups.of_row.iter().filter(|&&g| g == NO_ROW).count();
         assert_eq!(lone, 1, "the lone row needs no coarse row");
@@ -283,7 +288,7 @@ mod tests {
         let weights = [9.0, 9.0, 1.0, 1.0, 9.0, 9.0, 1.0, 1.0, 9.0, 9.0];
         let neighbours = [1, 0, 2, 1, 3, 2, 4, 3, 5, 4];
         let level = draft_of(&[0, 1, 3, 5, 7, 9, 10], &neighbours, Some(&weights), &[]);
-        let (groups, count) = pair(&level);
+        let (groups, count) = pair_rows(&level);
         assert_eq!(count, 3);
         for i in (0..level.rows()).filter(|&i| level.connected(i)) {
             let heavy = row(&level, i).find(|(_, w)| *w == 9.0).unwrap().0;

@@ -4,7 +4,7 @@
 
 use crate::lanes::{Lanes, SharedRows};
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows of a graph in any order.
 #[derive(Debug, Clone, Copy)]
@@ -42,10 +42,10 @@ impl LevelDraft {
         let mut offsets = vec![0u32; n + 1];
         let (shared_ranks, lengths) = (SharedRows::new(&mut ranks), SharedRows::new(&mut offsets));
         let totals = threads.map(
-            0..pieces(n, PIECE),
+            0..piece_count(n, PIECE),
             || (),
             |(), k| {
-                let range = piece(k, n, PIECE);
+                let range = piece_rows(k, n, PIECE);
                 let mut total = 0;
                 for (&i, k) in sequence[range.clone()].iter().zip(range) {
                     let length = rows.offsets[i as usize + 1] - rows.offsets[i as usize];
@@ -76,8 +76,8 @@ impl LevelDraft {
         let neighbours = SharedRows::new(&mut draft.neighbours);
         let positions = SharedRows::new(&mut draft.positions);
         let weights = draft.weights.as_mut().map(|w| SharedRows::new(w));
-        threads.each(0..pieces(n, PIECE), |k| {
-            let range = piece(k, n, PIECE);
+        threads.for_each(0..piece_count(n, PIECE), |k| {
+            let range = piece_rows(k, n, PIECE);
             let entries = bases[k] as usize..(bases[k] + totals[k]) as usize;
             // SAFETY: pieces hold disjoint rows and entries, and each is visited once.
             let out = unsafe { neighbours.rows(entries.clone()) };

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::build::coarsen::aggregates;
+use crate::build::coarsen::choose_aggregates;
 use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
-use crate::build::layout::arrange;
+use crate::build::layout::arrange_rows;
 use crate::build::level::HierarchyLevel;
 use crate::build::operator::coarse_rows;
 use crate::build::order::{UnitBoxMap, along_curve, breadth_first};
@@ -56,6 +56,18 @@ impl Hierarchy {
     /// Builds the hierarchy of `graph`. Linear time and memory; the result depends on nothing but the arguments, and
     /// on the pool not at all.
     ///
+    ///
+    /// ```
+    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
+    /// # let pool = Pool::new(1)?;
+    /// # let exec = Exec::new(&pool, &Silent);
+    /// # let chain = WeightedGraph { offsets: &[0, 1, 3, 5, 7, 8], neighbours: &[1, 0, 2, 1, 3, 2, 4, 3], weights: None, positions: None };
+    /// let hierarchy = Hierarchy::build(&chain, &BuildOptions::default(), &exec)?;
+    /// assert_eq!(hierarchy.level_sizes()[0].vertices, 5);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Invalid`] for a malformed graph or options out of range, [`Error::Cancelled`].
     pub fn build(graph: &WeightedGraph<'_>, options: &BuildOptions, exec: &Exec<'_>) -> Result<Hierarchy, Error> {
@@ -73,8 +85,8 @@ impl Hierarchy {
             return Err(Error::Invalid(format!("interleave is {seen}, at most 100 are allowed")));
         }
         exec.check()?;
-        let threads = Parallelism::of(exec.pool);
-        threads.enter(exec.pool, || graph.check_rows(threads))?;
+        let threads = Parallelism::from_pool(exec.pool);
+        threads.run_on(exec.pool, || graph.check_rows(threads))?;
         // Bundles hold up to four times as many entries as there are neighbours.
         let most = u32::MAX as usize / (2 * SLICE_ROWS);
         if graph.neighbours.len() > most {
@@ -96,7 +108,7 @@ impl Hierarchy {
             scale: weight_scale as f32,
             positions: &positions,
         };
-        let (levels, order) = threads.enter(exec.pool, || {
+        let (levels, order) = threads.run_on(exec.pool, || {
             let sequence = match positions.is_empty() {
                 true => breadth_first(graph.offsets, graph.neighbours),
                 false => along_curve(&positions, threads),
@@ -153,7 +165,7 @@ impl Hierarchy {
     pub fn level_sizes(&self) -> Vec<LevelSize> {
         let facts = |l: &HierarchyLevel| LevelSize {
             vertices: l.occupied(),
-            edges: l.edges(),
+            edges: l.edge_count(),
         };
         // Where every component has shrunk to one vertex there is an empty last level.
         self.levels.iter().filter(|l| l.occupied() > 0).map(facts).collect()
@@ -175,7 +187,7 @@ fn levels(
 ) -> Result<(Vec<HierarchyLevel>, Vec<u32>), Cancelled> {
     check(progress)?;
     let blocks = RowBlocks::new(&draft, block_size(0), threads);
-    let (level, ranks) = arrange(&draft, &blocks, threads);
+    let (level, ranks) = arrange_rows(&draft, &blocks, threads);
     let mut levels = vec![level];
     coarsen(&mut levels, draft, blocks, ranks.clone(), options, threads, progress)?;
     Ok((levels, ranks))
@@ -203,12 +215,12 @@ pub(crate) fn coarsen(
             return Ok(());
         }
         check(progress)?;
-        let groups = aggregates(&draft, &blocks, options.coarsening, threads);
+        let groups = choose_aggregates(&draft, &blocks, options.coarsening, threads);
         check(progress)?;
         draft = coarse_rows(&draft, &groups, threads);
         check(progress)?;
         blocks = RowBlocks::new(&draft, block_size(levels.len()), threads);
-        let (level, coarse_ranks) = arrange(&draft, &blocks, threads);
+        let (level, coarse_ranks) = arrange_rows(&draft, &blocks, threads);
         if let Some(last) = levels.last_mut() {
             last.set_aggregates(&groups, &ranks, &coarse_ranks, level.rows(), threads);
         }

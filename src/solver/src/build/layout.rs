@@ -9,21 +9,21 @@ use crate::build::draft::{LevelDraft, RowBlocks};
 use crate::build::level::{HierarchyLevel, SliceExtent};
 use crate::lanes::{Lanes, SharedRows};
 use crate::storage::{SLICE_ROWS, grow};
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
 
 /// Brings `draft` into sweep order. Returns the level, without aggregates, and the row that each row of the draft has
 /// become.
-pub(crate) fn arrange(draft: &LevelDraft, blocks: &RowBlocks, threads: Parallelism) -> (HierarchyLevel, Vec<u32>) {
+pub(crate) fn arrange_rows(draft: &LevelDraft, blocks: &RowBlocks, threads: Parallelism) -> (HierarchyLevel, Vec<u32>) {
     let mut level = HierarchyLevel {
         weights: draft.weights.as_ref().map(|_| Vec::new()),
         blocks: vec![0],
         colours: vec![0],
         ..HierarchyLevel::default()
     };
-    let ranks = append(&mut level, draft, &[], blocks, threads);
+    let ranks = append_rows(&mut level, draft, &[], blocks, threads);
     (level, ranks)
 }
 
@@ -31,7 +31,7 @@ pub(crate) fn arrange(draft: &LevelDraft, blocks: &RowBlocks, threads: Paralleli
 /// has become, and from [`RowBlocks::padded`] on the rows of `foreign`, which the draft's foreign neighbours stand for.
 ///
 /// The rows of `foreign` are not told of their new neighbours, and new rows have no aggregates.
-pub(crate) fn append(
+pub(crate) fn append_rows(
     level: &mut HierarchyLevel,
     draft: &LevelDraft,
     foreign: &[u32],
@@ -53,13 +53,13 @@ pub(crate) fn append(
         let range = blocks.range(b);
         // SAFETY: blocks hold disjoint rows and each is visited once.
         let slots = unsafe { shared.rows(range.clone()) };
-        scratch.plan(draft, &places, b, range, block, slots)
+        scratch.plan_slices(draft, &places, b, range, block, slots)
     });
 
     let first = level.bundles.len();
-    if first > 0 && level.blocks.last() == Some(&level.filling) {
+    if first > 0 && level.blocks.last() == Some(&level.filling_row) {
         // The bundle of filling gets a block, so that others can follow.
-        level.blocks.push(level.filling + SLICE_ROWS as u32);
+        level.blocks.push(level.filling_row + SLICE_ROWS as u32);
         level.colours.push(level.blocks.len() as u32 - 1);
     }
     // Rows and entries block by block in the order of colours.
@@ -88,7 +88,7 @@ pub(crate) fn append(
     level.colours.extend(colours);
     if first == 0 {
         // One bundle of nothing but filling, which no block holds.
-        level.filling = (level.bundles.len() * SLICE_ROWS) as u32;
+        level.filling_row = (level.bundles.len() * SLICE_ROWS) as u32;
         level.bundles.push(SliceExtent {
             begin: total,
             middle: total,
@@ -96,7 +96,7 @@ pub(crate) fn append(
         });
     }
     let (rows, entries) = ((level.bundles.len() - first) * SLICE_ROWS, (total - begin) as usize);
-    level.occupied += n;
+    level.occupied_rows += n;
     level.entries += entries;
     grow(&mut level.neighbours, entries, 0);
     if let Some(weights) = &mut level.weights {
@@ -110,8 +110,8 @@ pub(crate) fn append(
 
     let shift = block.trailing_zeros();
     let (ranks_out, positions_out) = (SharedRows::new(&mut ranks), SharedRows::new(&mut level.positions));
-    threads.each(0..pieces(n, PIECE), |k| {
-        for k in piece(k, n, PIECE) {
+    threads.for_each(0..piece_count(n, PIECE), |k| {
+        for k in piece_rows(k, n, PIECE) {
             // SAFETY: every row of the draft has its own row of the level; each is visited once.
             unsafe {
                 let row = bases[k >> shift] + ranks_out.get(k);
@@ -126,12 +126,12 @@ pub(crate) fn append(
         ranks.resize(blocks.padded(), 0);
         ranks.extend(foreign);
     }
-    fill(level, first_block, draft, blocks, &ranks, threads);
+    copy_into_slices(level, first_block, draft, blocks, &ranks, threads);
     ranks
 }
 
 /// Copies the draft block by block into bundles, renames neighbours and puts those before each row first.
-fn fill(
+fn copy_into_slices(
     level: &mut HierarchyLevel,
     first_block: usize,
     draft: &LevelDraft,
@@ -144,7 +144,7 @@ fn fill(
     let diagonal = SharedRows::new(&mut level.diagonal);
     let neighbours = SharedRows::new(&mut level.neighbours);
     let weights = level.weights.as_mut().map(|w| SharedRows::new(w));
-    threads.each(0..blocks.by_colour.len(), |k| {
+    threads.for_each(0..blocks.by_colour.len(), |k| {
         let rows = block_rows[k] as usize..block_rows[k + 1] as usize;
         let entries = bundles[rows.start / SLICE_ROWS].begin as usize..bundles[rows.end / SLICE_ROWS - 1].end as usize;
         // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
@@ -233,7 +233,7 @@ mod tests {
             want.sort_by_key(|w| w.0);
             seen.sort_by_key(|w| w.0);
             assert_eq!(seen, want);
-            let (begin, middle, end) = level.bundle(row / SLICE_ROWS);
+            let (begin, middle, end) = level.slice_extent(row / SLICE_ROWS);
             for e in (begin + row % SLICE_ROWS..end).step_by(SLICE_ROWS) {
                 let j = level.neighbours[e] as usize;
                 assert!(j == level.filling() as usize || (j < row) == (e < middle));
@@ -276,8 +276,8 @@ mod tests {
             neighbours,
             ..LevelDraft::default()
         };
-        let threads = Parallelism::of(&crate::testing::pool());
-        let (level, mut ranks) = arrange(&draft, &RowBlocks::new(&draft, 64, threads), threads);
+        let threads = Parallelism::from_pool(&crate::testing::pool());
+        let (level, mut ranks) = arrange_rows(&draft, &RowBlocks::new(&draft, 64, threads), threads);
         ranks.sort_unstable();
         ranks.dedup();
         assert_eq!(ranks.len(), 70);

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::build::aggregates::{Aggregates, AggregationRule};
 use crate::lanes::{Lanes, SharedRows};
 use crate::storage::{NO_ROW, SLACK, SLICE_ROWS};
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
@@ -33,11 +33,11 @@ pub(crate) struct HierarchyLevel {
     /// Sum of the weights of each row; 0 for rows of filling.
     pub(crate) diagonal: Vec<f32>,
     /// Rows that are not filling.
-    pub(crate) occupied: usize,
+    pub(crate) occupied_rows: usize,
     /// Entries that bundles refer to.
     pub(crate) entries: usize,
     /// First row of a bundle of nothing but filling: that which entries of filling lead to.
-    pub(crate) filling: u32,
+    pub(crate) filling_row: u32,
     /// First row of each block, and the end of the last one.
     pub(crate) blocks: Vec<u32>,
     /// First block of each colour, and the number of blocks.
@@ -93,12 +93,12 @@ impl HierarchyLevel {
 
     /// The row that entries of filling lead to. Its block, if any, holds filling only.
     pub(crate) fn filling(&self) -> u32 {
-        self.filling
+        self.filling_row
     }
 
     /// Where the entries of bundle `k` begin, where those to later rows begin, and where they end.
     #[inline(always)]
-    pub(crate) fn bundle(&self, k: usize) -> (usize, usize, usize) {
+    pub(crate) fn slice_extent(&self, k: usize) -> (usize, usize, usize) {
         let SliceExtent { begin, middle, end } = self.bundles[k];
         (begin as usize, middle as usize, end as usize)
     }
@@ -106,7 +106,7 @@ impl HierarchyLevel {
     /// Neighbours of row `i` and their weights, without filling.
     #[inline(always)]
     pub(crate) fn row(&self, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
-        let (begin, _, end) = self.bundle(i / SLICE_ROWS);
+        let (begin, _, end) = self.slice_extent(i / SLICE_ROWS);
         let filling = self.filling();
         (begin + i % SLICE_ROWS..end)
             .step_by(SLICE_ROWS)
@@ -128,11 +128,11 @@ impl HierarchyLevel {
 
     /// Rows that are not filling.
     pub(crate) fn occupied(&self) -> usize {
-        self.occupied
+        self.occupied_rows
     }
 
     /// Undirected edges.
-    pub(crate) fn edges(&self) -> usize {
+    pub(crate) fn edge_count(&self) -> usize {
         let filling = self.filling();
         let entries = |b: &SliceExtent| &self.neighbours[b.begin as usize..b.end as usize];
         let of_bundle = |b| entries(b).iter().filter(|&&j| j != filling).count();
@@ -178,8 +178,8 @@ impl HierarchyLevel {
         let threads = threads.for_rows(n);
         self.aggregates = vec![NO_ROW; self.rows()];
         let aggregates = SharedRows::new(&mut self.aggregates);
-        threads.each(0..pieces(n, PIECE), |k| {
-            for k in piece(k, n, PIECE) {
+        threads.for_each(0..piece_count(n, PIECE), |k| {
+            for k in piece_rows(k, n, PIECE) {
                 let group = groups.of_row[k];
                 if group != NO_ROW {
                     // SAFETY: every row of the draft has its own row of the level; each is visited once.
@@ -198,8 +198,8 @@ impl HierarchyLevel {
         }
         self.members = vec![0; groups.members.len()];
         let members = SharedRows::new(&mut self.members);
-        threads.each(0..pieces(coarse_ranks.len(), PIECE), |k| {
-            for group in piece(k, coarse_ranks.len(), PIECE) {
+        threads.for_each(0..piece_count(coarse_ranks.len(), PIECE), |k| {
+            for group in piece_rows(k, coarse_ranks.len(), PIECE) {
                 let [begin, end] = ranges[coarse_ranks[group] as usize];
                 // SAFETY: every group has its own row of the next level; each is visited once.
                 let out = unsafe { members.rows(begin as usize..end as usize) };

@@ -9,7 +9,7 @@ use crate::build::aggregates::Aggregates;
 use crate::build::draft::LevelDraft;
 use crate::lanes::{Lanes, WideLanes};
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Bounds of φ. Below, a coarse vertex could lose its connection (φ can even be negative on folded surfaces); above 1
 /// the coarse equations would be stiffer than the sums of the fine ones, and corrections only shorter.
@@ -67,15 +67,15 @@ pub(crate) fn coarse_rows(draft: &LevelDraft, groups: &Aggregates, threads: Para
     let positions = if draft.positions.is_empty() {
         Vec::new()
     } else {
-        centroids(draft, groups, threads)
+        find_centroids(draft, groups, threads)
     };
 
     // Each pair of aggregates is summed once, from its smaller number, so the result is symmetric to the bit.
     let halves = threads.map(
-        0..pieces(count, PIECE),
+        0..piece_count(count, PIECE),
         || RowAccumulator::new(count),
         |slots, k| {
-            let rows = piece(k, count, PIECE);
+            let rows = piece_rows(k, count, PIECE);
             let mut entries: Vec<(u32, f32)> = Vec::with_capacity(8 * rows.len());
             let mut ends = Vec::with_capacity(rows.len());
             for coarse in rows {
@@ -95,25 +95,25 @@ pub(crate) fn coarse_rows(draft: &LevelDraft, groups: &Aggregates, threads: Para
             (entries, ends)
         },
     );
-    mirror(count, &halves, positions)
+    mirror_halves(count, &halves, positions)
 }
 
 /// Mean position of each aggregate's members.
-fn centroids(draft: &LevelDraft, groups: &Aggregates, threads: Parallelism) -> Vec<Lanes> {
+fn find_centroids(draft: &LevelDraft, groups: &Aggregates, threads: Parallelism) -> Vec<Lanes> {
     let count = groups.len();
     let parts = threads.map(
-        0..pieces(count, PIECE),
+        0..piece_count(count, PIECE),
         || (),
         |(), k| {
             let mean = |coarse: usize| {
                 let members = groups.members_of(coarse);
                 let mut sum = [0.0f64; 4];
                 for &i in members {
-                    crate::lanes::add_wide(&mut sum, draft.positions[i as usize].wide());
+                    crate::lanes::add_wide(&mut sum, draft.positions[i as usize].to_wide());
                 }
                 Lanes::from_wide(sum.map(|s| s / members.len() as f64))
             };
-            piece(k, count, PIECE).map(mean).collect::<Vec<_>>()
+            piece_rows(k, count, PIECE).map(mean).collect::<Vec<_>>()
         },
     );
     parts.concat()
@@ -162,7 +162,7 @@ fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(
 /// The coarse weight S·φ of two aggregates of the present draft.
 fn weight(positions: &[Lanes], coarse: usize, other: usize, sum: Lanes) -> f32 {
     let apart = (!positions.is_empty()).then(|| positions[coarse] - positions[other]);
-    coarse_weight(apart, sum.wide())
+    coarse_weight(apart, sum.to_wide())
 }
 
 /// The coarse weight S·φ, never 0. `apart` is the way between the centroids, where there are positions; `sum` holds
@@ -172,7 +172,7 @@ pub(crate) fn coarse_weight(apart: Option<Lanes>, sum: WideLanes) -> f32 {
     let ratio = match apart {
         None => RATIO_WITHOUT_POSITIONS,
         Some(apart) => {
-            let [dx, dy, dz, _] = apart.wide();
+            let [dx, dy, dz, _] = apart.to_wide();
             let ratio = (vx * dx + vy * dy + vz * dz) / (s * (dx * dx + dy * dy + dz * dz));
             if ratio.is_finite() {
                 ratio.clamp(RATIO.0, RATIO.1)
@@ -187,7 +187,7 @@ pub(crate) fn coarse_weight(apart: Option<Lanes>, sum: WideLanes) -> f32 {
 type HalfRows = (Vec<(u32, f32)>, Vec<usize>);
 
 /// Turns the entries towards larger numbers into full rows.
-fn mirror(count: usize, halves: &[HalfRows], positions: Vec<Lanes>) -> LevelDraft {
+fn mirror_halves(count: usize, halves: &[HalfRows], positions: Vec<Lanes>) -> LevelDraft {
     let each = |visit: &mut dyn FnMut(usize, u32, f32)| {
         for (k, (entries, ends)) in halves.iter().enumerate() {
             let mut begin = 0;
@@ -267,7 +267,7 @@ mod tests {
             positions: vec![at(0.0), at(1.0), at(2.0), at(3.0)],
         };
         let groups = Aggregates::new(vec![0, 0, 1, 1], 2);
-        let coarse = coarse_rows(&draft, &groups, Parallelism::of(&pool()));
+        let coarse = coarse_rows(&draft, &groups, Parallelism::from_pool(&pool()));
         assert_eq!(coarse.neighbours, [1, 0]);
         assert!((coarse.weight(0) - 0.5).abs() < 1e-6, "{:?}", coarse.weights);
     }

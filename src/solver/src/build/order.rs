@@ -1,7 +1,7 @@
 //! Sequences of vertices: along a space-filling curve, or breadth first where no positions are known.
 
 use crate::lanes::{Lanes, SharedRows};
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Bits per axis of the curve.
 const BITS: u32 = 10;
@@ -53,7 +53,7 @@ impl UnitBoxMap {
 
 /// Spreads the low ten bits so that two zero bits follow each.
 #[inline]
-fn spread(v: u32) -> u32 {
+fn spread_bits(v: u32) -> u32 {
     let v = v & 0x3ff;
     let v = (v | (v << 16)) & 0x0300_00ff;
     let v = (v | (v << 8)) & 0x0300_f00f;
@@ -81,16 +81,16 @@ pub(crate) fn along_curve(positions: &[Lanes], threads: Parallelism) -> Vec<u32>
     for pass in 0..3 {
         let from = SharedRows::new(&mut items);
         let counts = threads.map(
-            0..pieces(n, PIECE),
+            0..piece_count(n, PIECE),
             || (),
             |(), k| {
-                let range = piece(k, n, PIECE);
+                let range = piece_rows(k, n, PIECE);
                 // SAFETY: pieces are disjoint and each is visited once.
                 let items = unsafe { from.rows(range.clone()) };
                 if pass == 0 {
                     for ((item, p), i) in items.iter_mut().zip(&positions[range.clone()]).zip(range) {
                         let [x, y, z, _] = p.0;
-                        let key = spread(cell(x)) | (spread(cell(y)) << 1) | (spread(cell(z)) << 2);
+                        let key = spread_bits(cell(x)) | (spread_bits(cell(y)) << 1) | (spread_bits(cell(z)) << 2);
                         *item = (key, i as u32);
                     }
                 }
@@ -114,11 +114,11 @@ pub(crate) fn along_curve(positions: &[Lanes], threads: Parallelism) -> Vec<u32>
             SharedRows::new(&mut spare),
             SharedRows::new(&mut order),
         );
-        threads.each(0..pieces(n, PIECE), |k| {
+        threads.for_each(0..piece_count(n, PIECE), |k| {
             // SAFETY: pieces are disjoint, each is visited once, and so is every place that their cursors pass.
             unsafe {
                 let cursors = cursors.rows(k * DIGITS..(k + 1) * DIGITS);
-                for &item in from.rows(piece(k, n, PIECE)).iter() {
+                for &item in from.rows(piece_rows(k, n, PIECE)).iter() {
                     let slot = &mut cursors[digit(item.0, pass)];
                     match pass {
                         2 => order.set(*slot as usize, item.1),
@@ -169,7 +169,7 @@ mod tests {
             let c = |s: u32| ((((k * 7 + 3) % 512) >> s) & 7) as f32 / 8.0 - 0.5 + 1.0 / 32.0;
             points.push(Lanes([c(0), c(3), c(6), 0.0]));
         }
-        let order = along_curve(&points, Parallelism::one());
+        let order = along_curve(&points, Parallelism::single_threaded());
         let octant = |i: u32| {
             points[i as usize]
                 .0
@@ -191,8 +191,11 @@ mod tests {
 
     #[test]
     fn equal_cells_keep_their_order() {
-        assert_eq!(along_curve(&[Lanes::ZERO; 5], Parallelism::one()), [0, 1, 2, 3, 4]);
-        assert!(along_curve(&[], Parallelism::one()).is_empty());
+        assert_eq!(
+            along_curve(&[Lanes::ZERO; 5], Parallelism::single_threaded()),
+            [0, 1, 2, 3, 4]
+        );
+        assert!(along_curve(&[], Parallelism::single_threaded()).is_empty());
     }
 
     #[test]

@@ -117,7 +117,7 @@ impl FloatingComponents {
         for rows in self.components() {
             let mut sum = [0.0; WIDTH];
             for &i in rows {
-                add_wide(&mut sum, v[i as usize].wide());
+                add_wide(&mut sum, v[i as usize].to_wide());
             }
             let mean = Lanes::from_wide(sum.map(|s| s / rows.len() as f64));
             for &i in rows {

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use crate::build::level::HierarchyLevel;
 use crate::lanes::SharedRows;
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
@@ -43,10 +43,10 @@ impl LevelMask {
         let count = level.colours.last().map_or(0, |&end| end as usize);
         let is_active = |b: &u32| level.block(*b as usize).any(|i| self.free(i));
         let lists = threads.for_rows(level.rows()).map(
-            0..pieces(count, BLOCKS),
+            0..piece_count(count, BLOCKS),
             || (),
             |(), k| {
-                let blocks = piece(k, count, BLOCKS);
+                let blocks = piece_rows(k, count, BLOCKS);
                 (blocks.start as u32..blocks.end as u32)
                     .filter(is_active)
                     .collect::<Vec<u32>>()
@@ -66,12 +66,15 @@ impl LevelMask {
     pub(crate) fn find_border(&mut self, level: &HierarchyLevel, threads: Parallelism) {
         let n = level.rows();
         let threads = threads.for_rows(n);
-        let count = |k| piece(k, n, PIECE).filter(|&i| self.free(i)).count();
-        let free: usize = threads.map(0..pieces(n, PIECE), || (), |(), k| count(k)).iter().sum();
+        let count = |k| piece_rows(k, n, PIECE).filter(|&i| self.free(i)).count();
+        let free: usize = threads
+            .map(0..piece_count(n, PIECE), || (), |(), k| count(k))
+            .iter()
+            .sum();
         let from_free = free < level.occupied() / 2;
         let border: Vec<AtomicU64> = (0..n.div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
-        threads.each(0..pieces(n, PIECE), |k| {
-            for i in piece(k, n, PIECE).filter(|&i| self.free(i) == from_free && level.connected(i)) {
+        threads.for_each(0..piece_count(n, PIECE), |k| {
+            for i in piece_rows(k, n, PIECE).filter(|&i| self.free(i) == from_free && level.connected(i)) {
                 for (j, _) in level.row(i) {
                     if self.free(j) != from_free {
                         let row = if from_free { i } else { j };
@@ -93,7 +96,7 @@ impl LevelMask {
 /// The mask of the level below `fine`. An aggregate without free members is masked. Another one sums α over its free
 /// members, and the weights that tie these to masked rows ([`tie_share`]). Always from scratch: nothing accumulates over
 /// changes of constraints.
-pub(crate) fn coarser(
+pub(crate) fn mask_coarser_level(
     fine: &HierarchyLevel,
     coarse: &HierarchyLevel,
     fine_mask: &LevelMask,
@@ -108,20 +111,20 @@ pub(crate) fn coarser(
     };
     // 1 marks aggregates with free members until all of them are known.
     let inverses = SharedRows::new(&mut mask.inverses);
-    threads.each(0..pieces(n, PIECE), |k| {
+    threads.for_each(0..piece_count(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
-        let inverses = unsafe { inverses.rows(piece(k, n, PIECE)) };
-        for (inverse, row) in inverses.iter_mut().zip(piece(k, n, PIECE)) {
+        let inverses = unsafe { inverses.rows(piece_rows(k, n, PIECE)) };
+        for (inverse, row) in inverses.iter_mut().zip(piece_rows(k, n, PIECE)) {
             let free = fine.members_of(row).iter().any(|&i| fine_mask.free(i as usize));
             *inverse = f32::from(u8::from(free));
         }
     });
     let mut alphas = std::mem::take(&mut mask.alphas);
     let shared = SharedRows::new(&mut alphas);
-    threads.each(0..pieces(n, PIECE), |k| {
+    threads.for_each(0..piece_count(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
-        let alphas = unsafe { shared.rows(piece(k, n, PIECE)) };
-        for (alpha, row) in alphas.iter_mut().zip(piece(k, n, PIECE)) {
+        let alphas = unsafe { shared.rows(piece_rows(k, n, PIECE)) };
+        for (alpha, row) in alphas.iter_mut().zip(piece_rows(k, n, PIECE)) {
             if !mask.free(row) {
                 continue;
             }

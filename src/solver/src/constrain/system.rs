@@ -5,15 +5,15 @@ use std::sync::Arc;
 use crate::build::hierarchy::Hierarchy;
 use crate::build::level::HierarchyLevel;
 use crate::constrain::floating::FloatingComponents;
-use crate::constrain::mask::{LevelMask, coarser};
-use crate::dense::Inverse;
+use crate::constrain::mask::{LevelMask, mask_coarser_level};
+use crate::dense_inverse::DenseInverse;
 use crate::error::Error;
 use crate::lanes::SharedRows;
 use crate::options::{Constraints, LevelSize};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::pool::Pool;
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Up to this many free vertices are solved directly.
 const DIRECT: usize = 200;
@@ -39,9 +39,9 @@ pub struct LinearSystem {
     fixed: Vec<u64>,
     /// Rows of the last level that `inverse` covers.
     pub(crate) dense_rows: Vec<u32>,
-    pub(crate) inverse: Inverse,
+    pub(crate) inverse: DenseInverse,
     /// How many cycles each level runs for one of the level above it: 1 or 2.
-    pub(crate) steps: Vec<u8>,
+    pub(crate) cycles_per_visit: Vec<u8>,
     /// Whether the finest level is swept forth and back on either side of the coarse correction, not just once.
     pub(crate) twice: bool,
     pub(crate) floating: FloatingComponents,
@@ -52,6 +52,19 @@ pub struct LinearSystem {
 impl Hierarchy {
     /// Prepares solving under `constraints`: masks, diagonals and the coarsest factor of every level. Much cheaper
     /// than building; the topology of the hierarchy stays as it is.
+    ///
+    /// ```
+    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
+    /// # let pool = Pool::new(1)?;
+    /// # let exec = Exec::new(&pool, &Silent);
+    /// # let chain = WeightedGraph { offsets: &[0, 1, 3, 5, 7, 8], neighbours: &[1, 0, 2, 1, 3, 2, 4, 3], weights: None, positions: None };
+    /// let hierarchy = Hierarchy::build(&chain, &BuildOptions::default(), &exec)?;
+    /// let ends = Constraints { fixed: &[true, false, false, false, true], stiffness: None };
+    /// let system = hierarchy.constrain(&ends, &pool)?;
+    /// assert_eq!(system.free_count(), 3);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
     /// [`Error::Invalid`] if the lengths do not fit the graph or a stiffness is negative, not finite or larger than
@@ -67,7 +80,7 @@ impl LinearSystem {
         constraints: &Constraints<'_>,
         pool: &Pool,
     ) -> Result<LinearSystem, Error> {
-        let threads = Parallelism::of(pool);
+        let threads = Parallelism::from_pool(pool);
         check(hierarchy, constraints)?;
         let scale = hierarchy.weight_scale;
         let stiffness: Vec<f64> = match constraints.stiffness {
@@ -90,19 +103,19 @@ impl LinearSystem {
             free,
             masks: Vec::with_capacity(hierarchy.levels.len()),
             stiffness,
-            fixed: bits(constraints.fixed),
+            fixed: pack_flags(constraints.fixed),
             dense_rows: Vec::new(),
-            inverse: Inverse::default(),
-            steps: Vec::new(),
+            inverse: DenseInverse::default(),
+            cycles_per_visit: Vec::new(),
             twice: hierarchy.thin,
             floating: FloatingComponents::default(),
             paper: None,
         };
-        threads.enter(pool, || {
+        threads.run_on(pool, || {
             system.mask_finest(hierarchy, constraints.fixed, threads);
             if free > DIRECT {
                 for l in 1..hierarchy.levels.len() {
-                    let mask = coarser(
+                    let mask = mask_coarser_level(
                         &hierarchy.levels[l - 1],
                         &hierarchy.levels[l],
                         &system.masks[l - 1],
@@ -111,11 +124,11 @@ impl LinearSystem {
                     system.masks.push(mask);
                 }
             }
-            system.factor(hierarchy);
+            system.factor_coarsest(hierarchy);
             system.floating =
                 FloatingComponents::find(hierarchy, (&system.masks, &system.stiffness, &system.dense_rows));
         });
-        system.steps = steps(hierarchy);
+        system.cycles_per_visit = steps(hierarchy);
         if let (Some(kept), false) = (&hierarchy.paper, system.is_direct()) {
             let paper = PaperHierarchy::build(kept, hierarchy, constraints.fixed, &system.stiffness);
             system.paper = Some(paper);
@@ -171,10 +184,10 @@ impl LinearSystem {
         let n = level.rows();
         let out = SharedRows::new(&mut mask.inverses);
         let alphas = &mask.alphas;
-        threads.for_rows(n).each(0..pieces(n, PIECE), |k| {
+        threads.for_rows(n).for_each(0..piece_count(n, PIECE), |k| {
             // SAFETY: pieces are disjoint and each is visited once.
-            let out = unsafe { out.rows(piece(k, n, PIECE)) };
-            for (i, out) in piece(k, n, PIECE).zip(out) {
+            let out = unsafe { out.rows(piece_rows(k, n, PIECE)) };
+            for (i, out) in piece_rows(k, n, PIECE).zip(out) {
                 let vertex = hierarchy.order[i];
                 if vertex != NO_ROW && !fixed[vertex as usize] {
                     let diagonal = level.diagonal[i] + alphas.get(i).copied().unwrap_or(0.0);
@@ -189,7 +202,7 @@ impl LinearSystem {
     }
 
     /// Factors the last level that has a mask: the coarsest one, or the finest one if that is small enough.
-    fn factor(&mut self, hierarchy: &Hierarchy) {
+    fn factor_coarsest(&mut self, hierarchy: &Hierarchy) {
         let last = self.masks.len() - 1;
         let (level, mask) = (&hierarchy.levels[last], &self.masks[last]);
         let rows: Vec<u32> = (0..level.rows() as u32).filter(|&i| mask.free(i as usize)).collect();
@@ -211,13 +224,13 @@ impl LinearSystem {
             }
             matrix[a * n + a] = if diagonal > 0.0 { diagonal } else { 1.0 };
         }
-        self.inverse = Inverse::new(matrix, n);
+        self.inverse = DenseInverse::new(matrix, n);
         self.dense_rows = rows;
     }
 }
 
 /// One bit per flag.
-fn bits(flags: &[bool]) -> Vec<u64> {
+fn pack_flags(flags: &[bool]) -> Vec<u64> {
     let word = |flags: &[bool]| flags.iter().enumerate().fold(0, |w, (k, &f)| w | u64::from(f) << k);
     flags.chunks(64).map(word).collect()
 }

@@ -14,7 +14,7 @@ const DENSER: usize = 8;
 pub(super) fn coarsen(level: &mut PaperLevel, r: f64) -> Option<PaperLevel> {
     let n = level.vertices();
     let most = |seeds: &[bool]| seeds.iter().filter(|s| **s).count() as f64 <= SHRINKS * n as f64;
-    let mut seeds = independent_set(level, threshold(level, r));
+    let mut seeds = independent_set(level, seed_distance(level, r));
     if !most(&seeds) {
         // Edge lengths of many magnitudes: distance would keep nearly everything.
         seeds = independent_set(level, f64::INFINITY);
@@ -22,12 +22,12 @@ pub(super) fn coarsen(level: &mut PaperLevel, r: f64) -> Option<PaperLevel> {
             return None;
         }
     }
-    elevate(level, &seeds);
-    joined(level)
+    elevate_seeds(level, &seeds);
+    join_seeds(level)
 }
 
 /// δ of section 4. Without positions, infinite: all neighbours are close.
-fn threshold(level: &PaperLevel, r: f64) -> f64 {
+fn seed_distance(level: &PaperLevel, r: f64) -> f64 {
     if level.positions.is_empty() || level.neighbours.is_empty() {
         return f64::INFINITY;
     }
@@ -67,7 +67,7 @@ fn independent_set(level: &PaperLevel, delta: f64) -> Vec<bool> {
     seeds
 }
 
-fn elevate(level: &mut PaperLevel, seeds: &[bool]) {
+fn elevate_seeds(level: &mut PaperLevel, seeds: &[bool]) {
     level.seeds = (0..seeds.len()).filter(|&i| seeds[i]).map(|i| i as u32).collect();
     level.elevated = vec![RETAINED; seeds.len()];
     for (c, &i) in level.seeds.iter().enumerate() {
@@ -76,7 +76,7 @@ fn elevate(level: &mut PaperLevel, seeds: &[bool]) {
 }
 
 /// The graph of the elevated vertices: joined if they were neighbours, or if both neighbour one retained vertex.
-fn joined(level: &PaperLevel) -> Option<PaperLevel> {
+fn join_seeds(level: &PaperLevel) -> Option<PaperLevel> {
     let retained = (0..level.vertices()).filter(|&i| level.elevated[i] == RETAINED);
     let pairs = retained
         .map(|i| level.to_elevated(i).count())
@@ -122,7 +122,7 @@ mod tests {
         let block = lattice(9);
         for r in [0.1, 0.2, 1.0] {
             let mut level = level_of(&block.view());
-            let delta = threshold(&level, r);
+            let delta = seed_distance(&level, r);
             let coarse = coarsen(&mut level, r).unwrap();
             assert_eq!(coarse.vertices(), level.seeds.len());
             for i in 0..level.vertices() {
@@ -185,7 +185,7 @@ mod tests {
         let mut level = star(3000);
         let mut seeds = vec![true; 3001];
         seeds[3000] = false;
-        elevate(&mut level, &seeds);
-        assert!(joined(&level).is_none());
+        elevate_seeds(&mut level, &seeds);
+        assert!(join_seeds(&level).is_none());
     }
 }

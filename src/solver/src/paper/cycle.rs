@@ -2,7 +2,7 @@
 
 use crate::lanes::{WIDTH, WideLanes};
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::paper::restrict::{OperatorReading, correct, restrict_defect};
+use crate::paper::restrict::{OperatorReading, add_correction_from, restrict_defect};
 use crate::paper::smooth::{defect, sweep};
 use crate::progress::{Cancelled, Progress, check};
 
@@ -64,7 +64,7 @@ impl PaperHierarchy {
         restrict_defect(level, equations, reading, &here.defect, &mut below[0].b);
         below[0].x.fill([0.0; WIDTH]);
         self.descend(s, k + 1, reading, below, progress)?;
-        correct((level, equations, reading), &below[0].x, &here.defect, &mut here.x);
+        add_correction_from((level, equations, reading), &below[0].x, &here.defect, &mut here.x);
         for _ in 0..SWEEPS {
             check(progress)?;
             sweep(level, equations, &here.b, &mut here.x);

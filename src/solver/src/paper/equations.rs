@@ -1,6 +1,6 @@
 //! Numbers on a level's graph: the weights and α of equations of the form (12).
 
-use crate::dense::Inverse;
+use crate::dense_inverse::DenseInverse;
 use crate::paper::level::PaperLevel;
 
 /// Σ_j w_ij (x_i − x_j) + α_i x_i = b_i for all vertices of a level, without the right-hand sides.
@@ -30,7 +30,7 @@ impl LevelEquations {
     }
 
     /// Solves a small level exactly (section 5.1).
-    pub(super) fn inverse(&self, level: &PaperLevel) -> Inverse {
+    pub(super) fn inverse(&self, level: &PaperLevel) -> DenseInverse {
         let n = level.vertices();
         let mut matrix = vec![0.0; n * n];
         for i in 0..n {
@@ -40,7 +40,7 @@ impl LevelEquations {
             // A vertex that nothing holds and nothing pulls: any value will do.
             matrix[i * n + i] = if self.diagonal[i] > 0.0 { self.diagonal[i] } else { 1.0 };
         }
-        Inverse::new(matrix, n)
+        DenseInverse::new(matrix, n)
     }
 
     pub(super) fn byte_size(&self) -> usize {

@@ -1,13 +1,13 @@
 //! The levels of the paper's hierarchy and the equations on them.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::dense::Inverse;
+use crate::dense_inverse::DenseInverse;
 use crate::options::{BuildOptions, LevelSize};
 use crate::paper::coarsen::coarsen;
 use crate::paper::equations::LevelEquations;
 use crate::paper::kept::UncutGraph;
 use crate::paper::level::PaperLevel;
-use crate::paper::restrict::{OperatorReading, restricted};
+use crate::paper::restrict::{OperatorReading, restrict_equations_by};
 
 /// Most vertices of a coarsest level that could not be coarsened any further.
 const DENSE: usize = 1000;
@@ -25,7 +25,7 @@ pub(crate) struct PaperHierarchy {
     /// k = 0. Pairs of equal s + k share their graph.
     pub(super) chains: Vec<Vec<LevelEquations>>,
     /// The coarsest equations of each chain.
-    pub(super) inverses: Vec<Inverse>,
+    pub(super) inverses: Vec<DenseInverse>,
     /// Conjugate-gradient steps after each cycle; `None`: two where a tolerance of 1e-5 or less is asked for.
     pub(super) steps: Option<usize>,
     /// False if the graph resisted coarsening: its coarse levels would have grown too dense or hardly shrunk.
@@ -60,10 +60,10 @@ impl PaperHierarchy {
         for s in 0..self.levels.len() {
             let next = self
                 .below(s)
-                .map(|c| restricted(&self.levels[s], &original, c, OperatorReading::Pruned));
+                .map(|c| restrict_equations_by(&self.levels[s], &original, c, OperatorReading::Pruned));
             let mut chain = vec![original];
             for k in s..self.levels.len() - 1 {
-                let equations = restricted(
+                let equations = restrict_equations_by(
                     &self.levels[k],
                     &chain[k - s],
                     &self.levels[k + 1],
@@ -98,7 +98,7 @@ impl PaperHierarchy {
     pub(crate) fn byte_size(&self) -> usize {
         let levels: usize = self.levels.iter().map(PaperLevel::byte_size).sum();
         let chains: usize = self.chains.iter().flatten().map(LevelEquations::byte_size).sum();
-        let inverses: usize = self.inverses.iter().map(Inverse::byte_size).sum();
+        let inverses: usize = self.inverses.iter().map(DenseInverse::byte_size).sum();
         levels + chains + inverses + 4 * (self.vertices.len() + self.rows.len())
     }
 }

@@ -8,7 +8,7 @@ use crate::paper::hierarchy::PaperHierarchy;
 use crate::paper::kept::UncutGraph;
 use crate::paper::smooth::ConjugateSteps;
 use crate::paper::start::{FrameOffsets, ZeroOffsets};
-use crate::solve::advance::reference;
+use crate::solve::advance::rhs_reference_norms;
 use crate::solve::criteria::GroupOutcome;
 use crate::solve::fallback::conjugate_gradients;
 use crate::solve::group::GroupSolve;
@@ -38,7 +38,7 @@ pub(crate) fn solve(
     let (problem, pool, criteria) = (outer.problem, outer.pool, outer.criteria);
     let (threads, progress, width) = (problem.threads, outer.cycle.progress, problem.width());
     let floating = &problem.system.floating;
-    let mut reference = threads.enter(pool, || reference(&problem, &outer.workspace.x));
+    let mut reference = threads.run_on(pool, || rhs_reference_norms(&problem, &outer.workspace.x));
     let mut outcome = GroupOutcome::new(SolveMethod::PaperCycles);
     let (mut levels, mut conjugate) = (vectors(paper), ConjugateSteps::default());
     if let (InitialGuess::FullMultigrid { frames, rest }, true) = (start, paper.usable) {
@@ -46,7 +46,7 @@ pub(crate) fn solve(
         let x = &mut outer.workspace.x;
         r.resize(x.len(), [0.0; WIDTH]);
         // x is 0 on free rows, so that this is b.
-        threads.enter(pool, || problem.wide_residual(x, r));
+        threads.run_on(pool, || problem.wide_residual(x, r));
         gather(paper, r, &mut levels[0].b);
         match frames {
             Some(frames) => {
@@ -61,8 +61,8 @@ pub(crate) fn solve(
             None => paper.full_multigrid(&ZeroOffsets, &mut levels, progress)?,
         }
         // Frames of absurd size can overflow; then 0 is the better start.
-        if finite(&levels[0].x) {
-            scatter(paper, &levels[0].x, x);
+        if all_finite(&levels[0].x) {
+            scatter_rows(paper, &levels[0].x, x);
             floating.remove_wide_means(x);
         }
     }
@@ -76,7 +76,7 @@ pub(crate) fn solve(
         let x = &mut outer.workspace.x;
         let [r, ..] = &mut outer.workspace.wide;
         r.resize(x.len(), [0.0; WIDTH]);
-        let norms = threads.enter(pool, || problem.wide_residual(x, r));
+        let norms = threads.run_on(pool, || problem.wide_residual(x, r));
         if norms.iter().any(|v| !v.is_finite()) {
             return Err(Error::Diverged {
                 iterations: outcome.iterations,
@@ -130,7 +130,7 @@ pub(crate) fn solve(
         let finest = &mut levels[0];
         let (level, equations) = (&paper.levels[0], &paper.chains[0][0]);
         conjugate.run((level, equations), &finest.b, &mut finest.x, steps, progress)?;
-        if !finite(&finest.x) {
+        if !all_finite(&finest.x) {
             return conjugate_gradients(outer, reference, outcome, watch);
         }
         history.steps.push(longest(&finest.x, problem.unit));
@@ -151,13 +151,13 @@ fn gather(paper: &PaperHierarchy, rows: &[WideLanes], out: &mut [WideLanes]) {
     }
 }
 
-fn scatter(paper: &PaperHierarchy, values: &[WideLanes], rows: &mut [WideLanes]) {
+fn scatter_rows(paper: &PaperHierarchy, values: &[WideLanes], rows: &mut [WideLanes]) {
     for (&row, v) in paper.rows.iter().zip(values) {
         rows[row as usize] = *v;
     }
 }
 
-fn finite(x: &[WideLanes]) -> bool {
+fn all_finite(x: &[WideLanes]) -> bool {
     x.iter().flatten().all(|v| v.is_finite())
 }
 

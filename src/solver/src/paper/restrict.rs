@@ -31,12 +31,12 @@ impl OperatorReading {
 
 /// a / z, or 0 where z is 0: a vertex that nothing holds and nothing pulls.
 #[inline]
-fn over(a: f64, z: f64) -> f64 {
+fn ratio_or_zero(a: f64, z: f64) -> f64 {
     if z > 0.0 { a / z } else { 0.0 }
 }
 
 /// The equations of the elevated vertices: the weights (19) and α (21), with the pivot of `reading`.
-pub(super) fn restricted(
+pub(super) fn restrict_equations_by(
     level: &PaperLevel,
     fine: &LevelEquations,
     coarse: &PaperLevel,
@@ -55,10 +55,10 @@ pub(super) fn restricted(
         let mut alpha = fine.alphas[j];
         for (e, i) in level.to_retained(j) {
             let (z, lost) = pivots[i];
-            alpha += over(fine.weights[e] * lost, z);
+            alpha += ratio_or_zero(fine.weights[e] * lost, z);
             for (to, k) in level.to_elevated(i).filter(|(_, k)| *k != c) {
                 // The same product in both directions, so that the sums are equal too.
-                weights[place[k]] += over(fine.weights[to] * fine.weights[e], z);
+                weights[place[k]] += ratio_or_zero(fine.weights[to] * fine.weights[e], z);
             }
         }
         alphas.push(alpha);
@@ -103,19 +103,23 @@ pub(super) fn restricted_constants(
         let mut b = beta[j];
         for (e, i) in level.to_retained(j) {
             let (z, alpha) = pivots[i];
-            let share = over(fine.weights[e], z);
+            let share = ratio_or_zero(fine.weights[e], z);
             let first = offsets.d(e, j, i);
             add(&mut b, share, beta[i]);
             add(&mut b, share * alpha, first);
             for (to, k) in level.to_elevated(i).filter(|(_, k)| *k != c) {
                 let second = offsets.d(to, i, level.neighbours[to] as usize);
                 let path = std::array::from_fn(|lane| first[lane] + second[lane]);
-                add(&mut ds[place[k]], over(fine.weights[to] * fine.weights[e], z), path);
+                add(
+                    &mut ds[place[k]],
+                    ratio_or_zero(fine.weights[to] * fine.weights[e], z),
+                    path,
+                );
             }
         }
         betas.push(b);
         for e in coarse.row(c) {
-            ds[e] = ds[e].map(|v| over(v, restricted.weights[e]));
+            ds[e] = ds[e].map(|v| ratio_or_zero(v, restricted.weights[e]));
         }
     }
     (betas, ds)
@@ -136,7 +140,7 @@ pub(super) fn prolong(
                     add(&mut sum, fine.weights[e], coarse[k]);
                     add(&mut sum, fine.weights[e], offsets.d(e, i, level.neighbours[e] as usize));
                 }
-                sum.map(|v| over(v, z))
+                sum.map(|v| ratio_or_zero(v, z))
             }
             k => coarse[k as usize],
         };
@@ -157,13 +161,13 @@ pub(super) fn restrict_defect(
         *out = defect[j as usize];
         for (e, i) in level.to_retained(j as usize) {
             let z = defect_pivot(level, fine, reading, i);
-            add(out, over(fine.weights[e], z), defect[i]);
+            add(out, ratio_or_zero(fine.weights[e], z), defect[i]);
         }
     }
 }
 
 /// Adds the prolongation (17) of a coarse correction to `x`.
-pub(super) fn correct(
+pub(super) fn add_correction_from(
     (level, fine, reading): (&PaperLevel, &LevelEquations, OperatorReading),
     coarse: &[WideLanes],
     defect: &[WideLanes],
@@ -177,7 +181,7 @@ pub(super) fn correct(
                 level
                     .to_elevated(i)
                     .for_each(|(e, k)| add(&mut sum, fine.weights[e], coarse[k]));
-                sum.map(|v| over(v, z))
+                sum.map(|v| ratio_or_zero(v, z))
             }
             k => coarse[k as usize],
         };

@@ -7,7 +7,9 @@ use crate::options::{BuildOptions, CoarseOperators, Constraints, InitialGuess, S
 use crate::paper::cycle::{PaperVectors, vectors};
 use crate::paper::equations::LevelEquations;
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::paper::restrict::{EdgeOffsets, OperatorReading, correct, prolong, restrict_defect, restricted_constants};
+use crate::paper::restrict::{
+    EdgeOffsets, OperatorReading, add_correction_from, prolong, restrict_defect, restricted_constants,
+};
 use crate::paper::smooth::defect;
 use crate::paper::testing::{held, lattice, paper, path, sheet};
 use crate::progress::Silent;
@@ -128,7 +130,7 @@ fn without_constraints_near_by_constants_are_prolonged_and_corrections_are_dampe
     );
     let (mut harmonic, mut correction) = (zero.clone(), zero.clone());
     prolong((level, fine, &zero, &super::start::ZeroOffsets), &ones, &mut harmonic);
-    correct((level, fine, OperatorReading::Held), &ones, &zero, &mut correction);
+    add_correction_from((level, fine, OperatorReading::Held), &ones, &zero, &mut correction);
     for i in (0..level.vertices()).filter(|&i| fine.alphas[i] == 0.0) {
         assert!((harmonic[i][0] - 1.0).abs() < 1e-15, "(14) keeps constants");
         let all = level.to_retained(i).count() == 0 || level.elevated[i] != crate::paper::level::RETAINED;
@@ -149,7 +151,7 @@ fn restriction_of_defects_is_the_transpose_of_their_prolongation() {
         let mut down = vec![[0.0; WIDTH]; e.len()];
         restrict_defect(level, fine, reading, &zeta, &mut down);
         let (still, mut up) = (vec![[0.0; WIDTH]; zeta.len()], vec![[0.0; WIDTH]; zeta.len()]);
-        correct((level, fine, reading), &e, &still, &mut up);
+        add_correction_from((level, fine, reading), &e, &still, &mut up);
         let product = |a: &[WideLanes], b: &[WideLanes]| a.iter().zip(b).map(|(a, b)| a[0] * b[0]).sum::<f64>();
         assert!((product(&down, &e) - product(&zeta, &up)).abs() < 1e-10);
     }

@@ -9,7 +9,7 @@ use crate::graph::WeightedGraph;
 use crate::lanes::{Lanes, SharedRows};
 use crate::repair::marks::MarkedRows;
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 1 << 14;
@@ -69,7 +69,7 @@ pub(super) struct RepairPlan {
 ///
 /// # Errors
 /// [`Error::Invalid`] if the parts that are read contradict each other.
-pub(super) fn read(
+pub(super) fn read_change(
     hierarchy: &Hierarchy,
     graph: &WeightedGraph<'_>,
     change: &GraphChange<'_>,
@@ -106,7 +106,7 @@ pub(super) fn read(
         }
     }
     let (mut origins, mut near_rows) = (vec![NO_ROW; touched.len()], vec![NO_ROW; near.count()]);
-    let (order, found) = renumber(&hierarchy.order, new_from_old, &own, &any, threads);
+    let (order, found) = renumber_rows(&hierarchy.order, new_from_old, &own, &any, threads);
     let (mut gone, mut left) = (Vec::new(), 0);
     for found in found {
         left += found.left;
@@ -214,9 +214,9 @@ fn check_map(
     }
     // Old vertices mostly keep their order, and then it shows that no two become one.
     let ends = threads.for_rows(before).map(
-        0..pieces(before, PIECE),
+        0..piece_count(before, PIECE),
         || (),
-        |(), k| rising_ends(&new_from_old[piece(k, before, PIECE)]),
+        |(), k| rising_ends(&new_from_old[piece_rows(k, before, PIECE)]),
     );
     let mut last = None;
     let rising = ends.iter().all(|ends| match *ends {
@@ -287,7 +287,7 @@ struct RenumberedPiece {
 
 /// The one pass over all rows: their new vertices, and the rows of the vertices that matter, `any`: touched ones, which
 /// are `own`, and their neighbours.
-fn renumber(
+fn renumber_rows(
     order: &[u32],
     new_from_old: &[u32],
     own: &MarkedRows,
@@ -298,10 +298,10 @@ fn renumber(
     let mut next = vec![0u32; n];
     let out = SharedRows::new(&mut next);
     let found = threads.for_rows(n).map(
-        0..pieces(n, PIECE),
+        0..piece_count(n, PIECE),
         || (),
         |(), k| {
-            let rows = piece(k, n, PIECE);
+            let rows = piece_rows(k, n, PIECE);
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { out.rows(rows.clone()) };
             let mut found = RenumberedPiece {

@@ -1,7 +1,7 @@
 //! Levels without gaps: what repairs leave behind is arranged anew, aggregates and all.
 
 use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
-use crate::build::layout::arrange;
+use crate::build::layout::arrange_rows;
 use crate::build::level::HierarchyLevel;
 use crate::build::order::{along_curve, breadth_first};
 use crate::storage::NO_ROW;
@@ -54,7 +54,7 @@ pub(super) fn draft_of(
 
 /// Arranges `level` as if it had just been built; its aggregates stay what they are. `lives` tells which rows are not
 /// filling. Returns what each row has become, [`NO_ROW`] for filling.
-pub(super) fn rearrange(
+pub(super) fn rearrange_level(
     level: &mut HierarchyLevel,
     lives: impl Fn(usize) -> bool,
     block: usize,
@@ -62,7 +62,7 @@ pub(super) fn rearrange(
 ) -> Vec<u32> {
     let (draft, rows) = draft_of(level, lives, threads);
     let blocks = RowBlocks::new(&draft, block, threads);
-    let (mut fresh, ranks) = arrange(&draft, &blocks, threads);
+    let (mut fresh, ranks) = arrange_rows(&draft, &blocks, threads);
     let mut rank_of = vec![NO_ROW; level.rows()];
     for (&row, &rank) in rows.iter().zip(&ranks) {
         rank_of[row as usize] = rank;
@@ -75,7 +75,7 @@ pub(super) fn rearrange(
         }
         fresh.ranges = std::mem::take(&mut level.ranges);
         fresh.members = std::mem::take(&mut level.members);
-        gather(&mut fresh, |i| rank_of[i as usize]);
+        gather_members(&mut fresh, |i| rank_of[i as usize]);
     }
     *level = fresh;
     rank_of
@@ -88,14 +88,14 @@ pub(super) fn renumber_aggregates(level: &mut HierarchyLevel, rank_of: &[u32], r
         ranges[rank as usize] = *range;
     }
     level.ranges = ranges;
-    gather(level, |i| i);
+    gather_members(level, |i| i);
     for a in level.aggregates.iter_mut().filter(|a| **a != NO_ROW) {
         *a = rank_of[*a as usize];
     }
 }
 
 /// Brings the members of a level together in the order of their aggregates, under new numbers.
-pub(super) fn gather(level: &mut HierarchyLevel, number: impl Fn(u32) -> u32) {
+pub(super) fn gather_members(level: &mut HierarchyLevel, number: impl Fn(u32) -> u32) {
     let mut members = Vec::with_capacity(level.occupied());
     for range in &mut level.ranges {
         let begin = members.len() as u32;

@@ -9,10 +9,10 @@ use crate::error::Error;
 use crate::exec::Exec;
 use crate::graph::WeightedGraph;
 use crate::progress::Silent;
-use crate::repair::change::{GraphChange, RepairPlan, RepairReport, read};
-use crate::repair::compact::{draft_of, gather, rearrange, renumber_aggregates};
-use crate::repair::place::{PlacedRows, place};
-use crate::repair::regroup::{NewAggregates, regroup};
+use crate::repair::change::{GraphChange, RepairPlan, RepairReport, read_change};
+use crate::repair::compact::{draft_of, gather_members, rearrange_level, renumber_aggregates};
+use crate::repair::place::{PlacedRows, place_rows};
+use crate::repair::regroup::{NewAggregates, regroup_members};
 use crate::repair::rows::coarse_rows;
 use crate::storage::{NO_ROW, grow};
 use crate::threads::Parallelism;
@@ -36,6 +36,23 @@ impl Hierarchy {
     /// Weights keep the scale and positions the box that the hierarchy was built with. With
     /// [`CoarseOperators::Paper`](super::CoarseOperators::Paper) a repair is a build.
     ///
+    /// ```
+    /// # use pliant_solver::GraphChange;
+    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
+    /// # let pool = Pool::new(1)?;
+    /// # let exec = Exec::new(&pool, &Silent);
+    /// # let chain = WeightedGraph { offsets: &[0, 1, 3, 5, 7, 8], neighbours: &[1, 0, 2, 1, 3, 2, 4, 3], weights: None, positions: None };
+    /// let mut hierarchy = Hierarchy::build(&chain, &BuildOptions::default(), &exec)?;
+    /// // The last vertex goes, and the one before it loses a neighbour.
+    /// let shorter = WeightedGraph { offsets: &[0, 1, 3, 5, 6], neighbours: &[1, 0, 2, 1, 3, 2], ..chain };
+    /// let change = GraphChange { new_from_old: &[0, 1, 2, 3, u32::MAX], touched: &[3] };
+    /// let report = hierarchy.repair(&shorter, &change, &exec)?;
+    /// assert!(report.rebuilt, "so small a graph is built anew");
+    /// assert_eq!(hierarchy.vertices(), 4);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Invalid`] for a change that contradicts the graphs and for malformed touched rows,
     /// [`Error::Cancelled`]. The hierarchy is then as it was.
@@ -57,12 +74,12 @@ impl Hierarchy {
         exec: &Exec<'_>,
     ) -> Result<RepairReport, Error> {
         exec.check()?;
-        let threads = Parallelism::of(exec.pool);
+        let threads = Parallelism::from_pool(exec.pool);
         let least = self.vertices().min(graph.vertices());
         let full = |l: &crate::build::level::HierarchyLevel| l.neighbours.len() > ROOM || l.rows() > ROOM;
         let mut plan = None;
         if least > small && self.paper.is_none() && !self.levels.iter().any(full) {
-            plan = threads.enter(exec.pool, || read(self, graph, change, threads))?;
+            plan = threads.run_on(exec.pool, || read_change(self, graph, change, threads))?;
         }
         let Some(plan) = plan else {
             *self = Hierarchy::build(graph, &self.options, exec)?;
@@ -72,7 +89,7 @@ impl Hierarchy {
             });
         };
         exec.check()?;
-        let moved = threads.enter(exec.pool, || self.follow(plan, small, threads));
+        let moved = threads.run_on(exec.pool, || self.follow_change(plan, small, threads));
         self.token = Arc::new(());
         Ok(RepairReport { rebuilt: false, moved })
     }
@@ -89,7 +106,7 @@ impl Hierarchy {
     }
 
     /// Changes the levels from the finest one up. Returns the number of rows that moved.
-    fn follow(&mut self, plan: RepairPlan, small: usize, threads: Parallelism) -> usize {
+    fn follow_change(&mut self, plan: RepairPlan, small: usize, threads: Parallelism) -> usize {
         let RepairPlan {
             mut touched,
             vertices,
@@ -107,10 +124,10 @@ impl Hierarchy {
             }
             moved += touched.draft.rows();
             let sequence = std::mem::take(&mut touched.sequence);
-            let placed = place(&mut self.levels[l], touched, block_size(l), threads);
+            let placed = place_rows(&mut self.levels[l], touched, block_size(l), threads);
             match groups.take() {
-                Some(groups) => self.adopt(l - 1, &groups, &sequence, &placed),
-                None => self.name(&vertices, &placed),
+                Some(groups) => self.adopt_members(l - 1, &groups, &sequence, &placed),
+                None => self.name_vertices(&vertices, &placed),
             }
             let coarsened = self.levels.get(l + 1).map(|next| next.occupied());
             if l == top || self.levels[l].grouping.paired || coarsened.is_none() {
@@ -119,7 +136,7 @@ impl Hierarchy {
             }
             let (fine, coarse) = self.levels.split_at_mut(l + 1);
             let (level, next) = (&mut fine[l], &coarse[0]);
-            let regrouped = regroup(level, &placed);
+            let regrouped = regroup_members(level, &placed);
             let count = next.occupied() + regrouped.members.len() - regrouped.dead.len();
             if count as f64 > SHRINK * level.occupied() as f64 {
                 self.coarsen_anew(l, threads);
@@ -129,13 +146,13 @@ impl Hierarchy {
             groups = Some(regrouped);
         }
         for l in 0..self.levels.len().min(top + 1) {
-            self.tidy(l, threads);
+            self.rearrange_if_wasteful(l, threads);
         }
         moved
     }
 
     /// Arranges level `l` anew where most of it lies waste.
-    fn tidy(&mut self, l: usize, threads: Parallelism) {
+    fn rearrange_if_wasteful(&mut self, l: usize, threads: Parallelism) {
         let level = &self.levels[l];
         let much = |all: usize, used: usize| all > WASTE * used + WASTE_AT_LEAST;
         if much(level.rows(), level.occupied()) || much(level.neighbours.len(), level.entries) {
@@ -144,12 +161,12 @@ impl Hierarchy {
             match finer.last_mut() {
                 Some(finer) => {
                     let lives = |i: usize| !finer.members_of(i).is_empty();
-                    let rank_of = rearrange(level, lives, block_size(l), threads);
+                    let rank_of = rearrange_level(level, lives, block_size(l), threads);
                     renumber_aggregates(finer, &rank_of, level.rows());
                 }
                 None => {
                     let before = std::mem::take(&mut self.order);
-                    let rank_of = rearrange(level, |i| before[i] != NO_ROW, block_size(l), threads);
+                    let rank_of = rearrange_level(level, |i| before[i] != NO_ROW, block_size(l), threads);
                     self.order = vec![NO_ROW; level.rows()];
                     for (&rank, &vertex) in rank_of.iter().zip(&before).filter(|(rank, _)| **rank != NO_ROW) {
                         self.order[rank as usize] = vertex;
@@ -157,12 +174,12 @@ impl Hierarchy {
                 }
             }
         } else if much(level.members.len(), level.occupied()) {
-            gather(&mut self.levels[l], |i| i);
+            gather_members(&mut self.levels[l], |i| i);
         }
     }
 
     /// Tells new rows of the finest level their vertices.
-    fn name(&mut self, vertices: &[u32], placed: &PlacedRows) {
+    fn name_vertices(&mut self, vertices: &[u32], placed: &PlacedRows) {
         let level = &self.levels[0];
         let more = level.rows() - self.order.len();
         grow(&mut self.order, more, NO_ROW);
@@ -174,7 +191,7 @@ impl Hierarchy {
     }
 
     /// Tells the members of new groups of level `l` the rows that these have become, in the order of `sequence`.
-    fn adopt(&mut self, l: usize, groups: &NewAggregates, sequence: &[u32], placed: &PlacedRows) {
+    fn adopt_members(&mut self, l: usize, groups: &NewAggregates, sequence: &[u32], placed: &PlacedRows) {
         let rows = self.levels[l + 1].rows();
         let level = &mut self.levels[l];
         for &row in &groups.dead {

@@ -1,7 +1,7 @@
 //! Moving rows of a level: touched ones to new blocks at its end, and their old neighbours informed.
 
 use crate::build::draft::RowBlocks;
-use crate::build::layout::append;
+use crate::build::layout::append_rows;
 use crate::build::level::{HierarchyLevel, SliceExtent};
 use crate::lanes::Lanes;
 use crate::repair::change::TouchedRows;
@@ -26,7 +26,7 @@ pub(super) struct PlacedRows {
 ///
 /// A new row is swept after all old ones, and new blocks are not adjacent to others of their colour. Rows that border on
 /// those that move stay where they are; only their entries are written anew.
-pub(super) fn place(
+pub(super) fn place_rows(
     level: &mut HierarchyLevel,
     touched: TouchedRows,
     block: usize,
@@ -54,10 +54,10 @@ pub(super) fn place(
     }
     dead.iter().for_each(|&i| border.remove(i));
     let border: Vec<u32> = border.iter().collect();
-    clear(level, &dead);
+    clear_rows(level, &dead);
 
     let blocks = RowBlocks::new(&draft, block, threads);
-    let mut rows = append(level, &draft, &foreign, &blocks, threads);
+    let mut rows = append_rows(level, &draft, &foreign, &blocks, threads);
     rows.truncate(draft.rows());
     if !level.aggregates.is_empty() {
         let more = level.rows() - level.aggregates.len();
@@ -73,7 +73,7 @@ pub(super) fn place(
         }
     }
     added.sort_unstable_by_key(|a| (a.0, a.1));
-    inform(level, &border, &added);
+    add_to_border(level, &border, &added);
 
     let mut loose = Vec::new();
     if !level.aggregates.is_empty() {
@@ -98,10 +98,10 @@ pub(super) fn place(
 }
 
 /// Turns the rows `dead` into filling.
-fn clear(level: &mut HierarchyLevel, dead: &[u32]) {
+fn clear_rows(level: &mut HierarchyLevel, dead: &[u32]) {
     let filling = level.filling();
     for i in dead.iter().map(|&i| i as usize) {
-        let (begin, _, end) = level.bundle(i / SLICE_ROWS);
+        let (begin, _, end) = level.slice_extent(i / SLICE_ROWS);
         for e in (begin + i % SLICE_ROWS..end).step_by(SLICE_ROWS) {
             level.neighbours[e] = filling;
             if let Some(w) = &mut level.weights {
@@ -125,12 +125,12 @@ fn clear(level: &mut HierarchyLevel, dead: &[u32]) {
             level.entries -= end - begin;
         }
     }
-    level.occupied -= dead.len();
+    level.occupied_rows -= dead.len();
 }
 
 /// Writes the entries of the rows of `border` anew, without those that lead to rows that are filling now, and with
 /// those of `added`: row, neighbour, weight. Both rise.
-fn inform(level: &mut HierarchyLevel, border: &[u32], added: &[(u32, u32, f32)]) {
+fn add_to_border(level: &mut HierarchyLevel, border: &[u32], added: &[(u32, u32, f32)]) {
     let filling = level.filling();
     let mut added = added.iter().copied().peekable();
     // Neighbours of each row of the bundle at hand, those before it and those after it.

@@ -24,7 +24,7 @@ pub(super) struct NewAggregates {
 ///
 /// Their seeds, as far as they are left, come first, so that groups that the change hardly touches form again. Seeds of
 /// other aggregates count too: rows that they cover need no seed, and may join them.
-pub(super) fn regroup(level: &mut HierarchyLevel, placed: &PlacedRows) -> NewAggregates {
+pub(super) fn regroup_members(level: &mut HierarchyLevel, placed: &PlacedRows) -> NewAggregates {
     let base = level.ranges.len() as u32;
     let broken = &placed.broken;
     let (rows, seeds) = free_rows(level, placed);
@@ -113,7 +113,7 @@ fn free_rows(level: &mut HierarchyLevel, placed: &PlacedRows) -> (Vec<u32>, Vec<
     rows.retain(|&i| level.connected(i as usize));
     if !level.positions.is_empty() {
         let positions: Vec<Lanes> = rows.iter().map(|&i| level.positions[i as usize]).collect();
-        let sequence = along_curve(&positions, Parallelism::one());
+        let sequence = along_curve(&positions, Parallelism::single_threaded());
         rows = sequence.into_iter().map(|k| rows[k as usize]).collect();
     }
     seeds.sort_unstable();

@@ -21,7 +21,7 @@ pub(super) fn coarse_rows(
     let count = members.len();
     let placed = !level.positions.is_empty();
     let centroids: Vec<Lanes> = match placed {
-        true => members.iter().map(|m| centroid(level, m)).collect(),
+        true => members.iter().map(|m| find_centroid(level, m)).collect(),
         false => Vec::new(),
     };
     let centre = |aggregate: u32| match aggregate.checked_sub(*base) {
@@ -46,7 +46,9 @@ pub(super) fn coarse_rows(
                 }
                 let w = f64::from(w);
                 let mut term = match placed {
-                    true => (level.positions[i as usize] - level.positions[j]).wide().map(|d| d * w),
+                    true => (level.positions[i as usize] - level.positions[j])
+                        .to_wide()
+                        .map(|d| d * w),
                     false => [0.0; 4],
                 };
                 term[3] = w;
@@ -69,7 +71,7 @@ pub(super) fn coarse_rows(
     }
 
     let sequence = match placed {
-        true => along_curve(&centroids, Parallelism::one()),
+        true => along_curve(&centroids, Parallelism::single_threaded()),
         false => (0..count as u32).collect(),
     };
     let mut places = vec![0u32; count];
@@ -105,10 +107,10 @@ pub(super) fn coarse_rows(
 }
 
 /// Mean position of `members`.
-fn centroid(level: &HierarchyLevel, members: &[u32]) -> Lanes {
+fn find_centroid(level: &HierarchyLevel, members: &[u32]) -> Lanes {
     let mut sum = [0.0; 4];
     for &i in members {
-        add_wide(&mut sum, level.positions[i as usize].wide());
+        add_wide(&mut sum, level.positions[i as usize].to_wide());
     }
     Lanes::from_wide(sum.map(|s| s / members.len() as f64))
 }

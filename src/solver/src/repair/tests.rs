@@ -208,7 +208,7 @@ fn check_levels(hierarchy: &Hierarchy, graph: &WeightedGraph<'_>) {
         let end = *level.blocks.last().unwrap() as usize;
         assert!(end == rows || (end == filling && filling + SLICE_ROWS == rows));
         for i in 0..rows {
-            let (begin, middle, end) = level.bundle(i / SLICE_ROWS);
+            let (begin, middle, end) = level.slice_extent(i / SLICE_ROWS);
             let mut sum = 0.0f64;
             for e in (begin + i % SLICE_ROWS..end).step_by(SLICE_ROWS) {
                 let j = level.neighbours[e] as usize;

@@ -21,7 +21,7 @@ pub(crate) struct StepNorms {
 }
 
 /// Norms of b, which residuals are compared with.
-pub(crate) fn reference(problem: &ColumnGroup<'_>, x: &[WideLanes]) -> WideLanes {
+pub(crate) fn rhs_reference_norms(problem: &ColumnGroup<'_>, x: &[WideLanes]) -> WideLanes {
     let norms = problem.rhs_norms(x);
     let means = problem.system.floating.mean_norms(|i| problem.rhs(i));
     per_lane(|c| (norms[c] - means[c]).max(0.0).sqrt())
@@ -57,7 +57,7 @@ fn without_means(problem: &ColumnGroup<'_>, fine: &mut FineVectors, scale: WideL
     problem.norms(|rows| {
         let mut norms = [0.0; WIDTH];
         for r in &r[rows] {
-            let r = r.wide();
+            let r = r.to_wide();
             for c in 0..WIDTH {
                 norms[c] += (r[c] / scale[c]) * (r[c] / scale[c]);
             }
@@ -73,7 +73,7 @@ fn without_means(problem: &ColumnGroup<'_>, fine: &mut FineVectors, scale: WideL
 ///
 /// `direction` holds (d, A d), if there was a step. `fresh`: the correction begins here, at 0. `exact`: see there. Lanes that are not
 /// `open` do not move. `weights` are those of [`StepNorms::longest`].
-pub(crate) fn advance(
+pub(crate) fn step_conjugate(
     cycle: &MultigridCycle<'_>,
     grid: &MaskedLevel<'_>,
     fine: &mut FineVectors,
@@ -115,7 +115,7 @@ pub(crate) fn advance(
     let z = &*z;
     let (r_now, e_now) = (&*r, &*e);
     let (r_next, e_next) = (SharedRows::new(last_r), SharedRows::new(last_e));
-    let [mut rr, ee, _] = grid.dots(partials, |rows| {
+    let [mut rr, ee, _] = grid.sum_over_blocks(partials, |rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (r_next, e_next) = unsafe { (r_next.rows(rows.clone()), e_next.rows(rows.clone())) };
         let (mut rr, mut ee, mut longest) = (Lanes::ZERO, Lanes::ZERO, 0.0f32);
@@ -125,7 +125,7 @@ pub(crate) fn advance(
         let now = now.zip(e_now[rows.clone()].as_chunks::<SLICE_ROWS>().0);
         let made = z[rows.clone()].as_chunks::<SLICE_ROWS>().0;
         for (k, (((r_next, e_next), (r, e)), zs)) in (rows.start / SLICE_ROWS..).zip(next.zip(now).zip(made)) {
-            let v = grid.flows(z, k);
+            let v = grid.edge_flows(z, k);
             for d in 0..SLICE_ROWS {
                 let (step, residual) = if first {
                     (zs[d] * alpha, r[d] - v[d] * alpha)
@@ -139,7 +139,7 @@ pub(crate) fn advance(
                 rr += residual * residual;
                 ee += correction * correction;
                 let weighted = step * weights;
-                longest = longest.max((weighted * weighted).sum());
+                longest = longest.max((weighted * weighted).sum_lanes());
             }
         }
         [rr, ee, Lanes::splat(longest)]
@@ -152,7 +152,7 @@ pub(crate) fn advance(
         // was meant, comes a residual that stays true for longer.
         let e = &*e;
         let (r, before) = (SharedRows::new(r), &*last_r);
-        [rr, _, _] = grid.dots(partials, |rows| {
+        [rr, _, _] = grid.sum_over_blocks(partials, |rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let r = unsafe { r.rows(rows.clone()) };
             let before = before[rows.clone()].as_chunks::<SLICE_ROWS>().0;
@@ -160,7 +160,7 @@ pub(crate) fn advance(
             for (k, (r, before)) in
                 (rows.start / SLICE_ROWS..).zip(r.as_chunks_mut::<SLICE_ROWS>().0.iter_mut().zip(before))
             {
-                let v = grid.flows(e, k);
+                let v = grid.edge_flows(e, k);
                 for d in 0..SLICE_ROWS {
                     r[d] = before[d] - v[d];
                     rr += r[d] * r[d];
@@ -178,7 +178,7 @@ pub(crate) fn advance(
 }
 
 fn inner_product(grid: &MaskedLevel<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<LaneDots>) -> WideLanes {
-    let [sum, _, _] = grid.dots(partials, |rows| {
+    let [sum, _, _] = grid.sum_over_blocks(partials, |rows| {
         let mut sum = Lanes::ZERO;
         for (a, b) in a[rows.clone()].iter().zip(&b[rows]) {
             sum += *a * *b;
@@ -195,11 +195,11 @@ pub(crate) fn longest_step(grid: &MaskedLevel<'_>, fine: &mut FineVectors, weigh
         e, last_e, partials, ..
     } = fine;
     let (e, last_e) = (&*e, &*last_e);
-    grid.dots(partials, |rows| {
+    grid.sum_over_blocks(partials, |rows| {
         let mut longest = 0.0f32;
         for (e, last_e) in e[rows.clone()].iter().zip(&last_e[rows]) {
             let step = (*e - *last_e) * weights;
-            longest = longest.max((step * step).sum());
+            longest = longest.max((step * step).sum_lanes());
         }
         [Lanes::ZERO, Lanes::ZERO, Lanes::splat(longest)]
     });
@@ -208,7 +208,7 @@ pub(crate) fn longest_step(grid: &MaskedLevel<'_>, fine: &mut FineVectors, weigh
 }
 
 /// x += e / scale on free rows, and the correction begins at 0 again; residual and direction stay as they are.
-pub(crate) fn fold(grid: &MaskedLevel<'_>, fine: &mut FineVectors, scale: WideLanes, x: &mut [WideLanes]) {
+pub(crate) fn fold_correction(grid: &MaskedLevel<'_>, fine: &mut FineVectors, scale: WideLanes, x: &mut [WideLanes]) {
     let inverse = per_lane(|c| 1.0 / scale[c]);
     let (x, e, last_e) = (
         SharedRows::new(x),
@@ -220,7 +220,7 @@ pub(crate) fn fold(grid: &MaskedLevel<'_>, fine: &mut FineVectors, scale: WideLa
         let (x, e, last_e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone()), last_e.rows(rows)) };
         for ((x, e), last_e) in x.iter_mut().zip(e).zip(last_e) {
             *last_e -= *e;
-            let e = std::mem::replace(e, Lanes::ZERO).wide();
+            let e = std::mem::replace(e, Lanes::ZERO).to_wide();
             for c in 0..WIDTH {
                 x[c] += e[c] * inverse[c];
             }
@@ -259,7 +259,7 @@ pub(crate) fn add_correction(
         for (k, r) in r[rows].iter().enumerate() {
             last_r[k] -= *r;
             last_e[k] -= e[k];
-            let e = std::mem::replace(&mut e[k], Lanes::ZERO).wide();
+            let e = std::mem::replace(&mut e[k], Lanes::ZERO).to_wide();
             for c in 0..WIDTH {
                 x[k][c] += e[c] * inverse[c];
             }
@@ -269,7 +269,7 @@ pub(crate) fn add_correction(
 
 /// After [`add_correction`] and a new residual: makes the differences of residuals and of corrections the last step
 /// again, `factor` times as large.
-pub(crate) fn resume(
+pub(crate) fn resume_direction(
     grid: &MaskedLevel<'_>,
     fine: &mut FineVectors,
     factor: WideLanes,

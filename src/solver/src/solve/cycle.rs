@@ -125,7 +125,7 @@ impl<'a> MultigridCycle<'a> {
             ..
         } = here;
         let [zb, zv, bb] = self.run(l, b, z, t, None, partials, below)?;
-        if self.system.steps[l] < 2 {
+        if self.system.cycles_per_visit[l] < 2 {
             return Ok(());
         }
         let first = per_lane(|c| ratio(zb[c], zv[c]));
@@ -133,21 +133,21 @@ impl<'a> MultigridCycle<'a> {
         std::mem::swap(t, first_v);
         let rr = step(&grid, first, first_z, first_v, b, partials);
         if (0..WIDTH).all(|c| rr[c] <= ENOUGH * bb[c]) {
-            combine(&grid, z, first_z, None, first);
+            combine_steps(&grid, z, first_z, None, first);
             return Ok(());
         }
         let [zr, ww, wv] = self.run(l, b, z, t, Some(first_v), partials, below)?;
         let overlap = per_lane(|c| ratio(wv[c], zv[c]));
         let second = per_lane(|c| ratio(zr[c], ww[c] - overlap[c] * wv[c]));
         let first = per_lane(|c| first[c] - second[c] * overlap[c]);
-        combine(&grid, z, first_z, Some(second), first);
+        combine_steps(&grid, z, first_z, Some(second), first);
         Ok(())
     }
 
     fn solve_coarsest(&self, here: &mut CoarseVectors) {
         let (rows, inverse) = (&self.system.dense_rows, &self.system.inverse);
         here.dense.clear();
-        here.dense.extend(rows.iter().map(|&i| here.b[i as usize].wide()));
+        here.dense.extend(rows.iter().map(|&i| here.b[i as usize].to_wide()));
         here.z.fill(Lanes::ZERO);
         for (k, &i) in rows.iter().enumerate() {
             here.z[i as usize] = Lanes::from_wide(inverse.row_times(k, &here.dense));
@@ -174,7 +174,7 @@ fn step(
 ) -> WideLanes {
     let factor = Lanes::from_wide(factor);
     let (b, v) = (SharedRows::new(b), SharedRows::new(v));
-    let [rr, _, _] = grid.dots(partials, |rows| {
+    let [rr, _, _] = grid.sum_over_blocks(partials, |rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (b, v) = unsafe { (b.rows(rows.clone()), v.rows(rows.clone())) };
         let mut sum = Lanes::ZERO;
@@ -184,7 +184,7 @@ fn step(
             .iter_mut()
             .zip(v.as_chunks_mut::<SLICE_ROWS>().0);
         for ((b, v), k) in bundles.zip(rows.start / SLICE_ROWS..) {
-            *v = grid.products(z, v, k);
+            *v = grid.matrix_products(z, v, k);
             for d in 0..SLICE_ROWS {
                 b[d] -= v[d] * factor;
                 sum += b[d] * b[d];
@@ -196,7 +196,13 @@ fn step(
 }
 
 /// z = second · z + first · first_z; without `second`, z = first · first_z.
-fn combine(grid: &MaskedLevel<'_>, z: &mut [Lanes], first_z: &[Lanes], second: Option<WideLanes>, first: WideLanes) {
+fn combine_steps(
+    grid: &MaskedLevel<'_>,
+    z: &mut [Lanes],
+    first_z: &[Lanes],
+    second: Option<WideLanes>,
+    first: WideLanes,
+) {
     let first = Lanes::from_wide(first);
     let second = second.map(Lanes::from_wide);
     let z = SharedRows::new(z);
@@ -221,7 +227,7 @@ mod tests {
 
     /// M u for the cycle M, with u masked.
     fn apply(hierarchy: &Hierarchy, system: &LinearSystem, u: &[f32]) -> Vec<Lanes> {
-        let threads = Parallelism::of(&pool());
+        let threads = Parallelism::from_pool(&pool());
         let cycle = MultigridCycle {
             hierarchy,
             system,
@@ -248,7 +254,7 @@ mod tests {
         // Both ways to A z give it, and the inner products are those of z.
         let level = &hierarchy.levels[0];
         for (k, t) in t.as_chunks_mut::<SLICE_ROWS>().0.iter_mut().enumerate() {
-            *t = cycle.grid(0).flows(&z, k);
+            *t = cycle.grid(0).edge_flows(&z, k);
         }
         let mut again = z.clone();
         let mut left = vec![Lanes::ZERO; z.len()];
@@ -257,7 +263,10 @@ mod tests {
             .backward(&b, &mut again, Some(&mut left), None, &mut partials);
         let size = again.iter().fold(1.0, |a: f32, z| a.max(z.0[1].abs()));
         for (k, left) in left.as_chunks::<SLICE_ROWS>().0.iter().enumerate() {
-            let (made, want) = (cycle.grid(0).products(&again, left, k), cycle.grid(0).flows(&again, k));
+            let (made, want) = (
+                cycle.grid(0).matrix_products(&again, left, k),
+                cycle.grid(0).edge_flows(&again, k),
+            );
             for d in 0..SLICE_ROWS {
                 assert!((made[d].0[1] - want[d].0[1]).abs() < 1e-4 * size, "bundle {k}");
             }
@@ -300,12 +309,12 @@ mod tests {
         let hierarchy = block.hierarchy(20);
         let mut system = block.system(&hierarchy);
         let (u, v) = vectors(hierarchy.levels[0].rows());
-        assert!(hierarchy.levels.len() > 3 && system.steps.contains(&2));
+        assert!(hierarchy.levels.len() > 3 && system.cycles_per_visit.contains(&2));
         assert!(
             dot(&u, &apply(&hierarchy, &system, &u)) > 0.0,
             "with inner products it is positive"
         );
-        system.steps.fill(1);
+        system.cycles_per_visit.fill(1);
         let (mu, mv) = (apply(&hierarchy, &system, &u), apply(&hierarchy, &system, &v));
         let (uv, vu) = (dot(&u, &mv), dot(&v, &mu));
         let size = (dot(&u, &mu) * dot(&v, &mv)).sqrt();

@@ -41,7 +41,7 @@ pub(crate) fn conjugate_gradients(
     let mut idle = 0;
     loop {
         // Each stretch starts from the true residual.
-        let norms = threads.enter(pool, || problem.wide_residual(x, r));
+        let norms = threads.run_on(pool, || problem.wide_residual(x, r));
         outcome.relative = per_lane(|c| ratio(norms[c].sqrt(), reference[c]));
         let worst = outcome.relative.iter().fold(0.0f64, |a, &b| a.max(b));
         if norms.iter().any(|v| !v.is_finite()) {
@@ -64,7 +64,7 @@ pub(crate) fn conjugate_gradients(
             let rz = diagonal_product(&problem, r);
             let beta = per_lane(|c| if k == 0 { 0.0 } else { ratio(rz[c], rz_old[c]) });
             rz_old = rz;
-            let stepped = threads.enter(pool, || {
+            let stepped = threads.run_on(pool, || {
                 direction(&problem, r, p, beta);
                 problem.residual(p, false, q, |v| v.map(|v| -v));
                 step(&problem, rz, x, r, p, q)
@@ -78,7 +78,7 @@ pub(crate) fn conjugate_gradients(
         }
         if !floating.is_empty() {
             // Steps are conjugate to constants up to rounding; what drifted goes back.
-            threads.enter(pool, || floating.remove_wide_means(p));
+            threads.run_on(pool, || floating.remove_wide_means(p));
         }
         let unit = problem.unit[..width].iter().fold(0.0f64, |a, &b| a.max(b));
         // All steps of a stretch together may still be to come once more.

@@ -7,7 +7,7 @@ use crate::exec::Exec;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod, SolveOptions, SolveStats};
 use crate::pool::Pool;
-use crate::solve::advance::reference;
+use crate::solve::advance::rhs_reference_norms;
 use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::group::GroupSolve;
@@ -81,9 +81,9 @@ impl LinearSystem {
         };
         for group in 0..groups {
             let given = matches!(options.start, InitialGuess::Given);
-            let threads = Parallelism::of(exec.pool);
+            let threads = Parallelism::from_pool(exec.pool);
             let at = (columns, group * WIDTH);
-            let problem = threads.enter(exec.pool, || {
+            let problem = threads.run_on(exec.pool, || {
                 ColumnGroup::new(hierarchy, self, threads, (rhs, x), at, given)
                     .inspect(|problem| problem.load(x, given, &mut workspace.x))
             })?;
@@ -100,7 +100,7 @@ impl LinearSystem {
                 if let (InitialGuess::FullMultigrid { frames, rest }, None) = (options.start, paper) {
                     problem
                         .threads
-                        .enter(exec.pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
+                        .run_on(exec.pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
                 }
                 let mut outer = GroupSolve {
                     problem,
@@ -117,7 +117,7 @@ impl LinearSystem {
                 }
             };
             problem.store(&workspace.x, None, x);
-            merge(&mut stats, &outcome, problem.width());
+            merge_outcome(&mut stats, &outcome, problem.width());
             if outcome.stopped {
                 break;
             }
@@ -139,6 +139,20 @@ impl LinearSystem {
     /// Components that nothing holds are judged as [`LinearSystem::solve`] solves them, without their mean. A column whose
     /// b is 0 gives 0 if its residual is 0, else infinity.
     ///
+    /// ```
+    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
+    /// # let pool = Pool::new(1)?;
+    /// # let exec = Exec::new(&pool, &Silent);
+    /// # let chain = WeightedGraph { offsets: &[0, 1, 3, 5, 7, 8], neighbours: &[1, 0, 2, 1, 3, 2, 4, 3], weights: None, positions: None };
+    /// let hierarchy = Hierarchy::build(&chain, &BuildOptions::default(), &exec)?;
+    /// let ends = Constraints { fixed: &[true, false, false, false, true], stiffness: None };
+    /// let system = hierarchy.constrain(&ends, &pool)?;
+    /// let relative = system.residual(&hierarchy, 1, &[0.0; 5], &[0.0, 1.0, 2.0, 3.0, 4.0], None, &pool)?;
+    /// assert!(relative[0] < 1e-12, "a straight line is harmonic");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Invalid`] as for [`LinearSystem::solve`].
     pub fn residual(
@@ -157,18 +171,18 @@ impl LinearSystem {
             check_lengths(hierarchy, columns, rhs.len(), out.len())?;
             out.fill(0.0);
         }
-        let threads = Parallelism::of(pool);
+        let threads = Parallelism::from_pool(pool);
         let n = hierarchy.levels[0].rows();
         let (mut values, mut r) = (Vec::new(), vec![[0.0; WIDTH]; n]);
         let mut relative = Vec::with_capacity(columns);
         for first in (0..columns).step_by(WIDTH) {
             let at = (columns, first);
-            let (problem, norms, reference) = threads.enter(pool, || -> Result<_, Error> {
+            let (problem, norms, reference) = threads.run_on(pool, || -> Result<_, Error> {
                 let problem = ColumnGroup::new(hierarchy, self, threads, (rhs, x), at, true)?;
                 problem.load(x, true, &mut values);
                 r.fill([0.0; WIDTH]);
                 let norms = problem.wide_residual(&values, &mut r);
-                let reference = reference(&problem, &values);
+                let reference = rhs_reference_norms(&problem, &values);
                 Ok((problem, norms, reference))
             })?;
             for c in 0..problem.width() {
@@ -227,7 +241,7 @@ fn check_options(hierarchy: &Hierarchy, columns: usize, options: &SolveOptions<'
     Ok(())
 }
 
-fn merge(stats: &mut SolveStats, outcome: &GroupOutcome, width: usize) {
+fn merge_outcome(stats: &mut SolveStats, outcome: &GroupOutcome, width: usize) {
     stats.iterations = stats.iterations.max(outcome.iterations);
     stats.residuals.extend_from_slice(&outcome.relative[..width]);
     stats.max_error = libm::hypot(stats.max_error, outcome.max_error);
@@ -253,12 +267,12 @@ fn solve_directly(
     } = workspace;
     let (threads, width, system) = (problem.threads, problem.width(), problem.system);
     r.resize(x.len(), [0.0; WIDTH]);
-    let mut reference = threads.enter(exec.pool, || reference(problem, x));
+    let mut reference = threads.run_on(exec.pool, || rhs_reference_norms(problem, x));
     let unit = problem.unit;
     let mut outcome = GroupOutcome::new(SolveMethod::Direct);
     loop {
         exec.check()?;
-        let norms = threads.enter(exec.pool, || problem.wide_residual(x, r));
+        let norms = threads.run_on(exec.pool, || problem.wide_residual(x, r));
         if norms.iter().any(|v| !v.is_finite()) {
             return Err(Error::Diverged {
                 iterations: outcome.iterations,

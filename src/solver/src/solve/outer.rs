@@ -10,7 +10,8 @@ use crate::lanes::{Lanes, WIDTH, WideLanes, per_lane, ratio};
 use crate::options::SolveMethod;
 use crate::progress::Cancelled;
 use crate::solve::advance::{
-    StepNorms, add_correction, advance, first_residual, fold, longest_step, reference, residual, resume,
+    StepNorms, add_correction, first_residual, fold_correction, longest_step, residual, resume_direction,
+    rhs_reference_norms, step_conjugate,
 };
 use crate::solve::criteria::GroupOutcome;
 use crate::solve::cycle::{clear_inactive, prepare};
@@ -112,13 +113,13 @@ impl GroupSolve<'_, '_> {
             resting_error: 0.0,
             sound: true,
         };
-        let mut first = Some(threads.enter(pool, || {
+        let mut first = Some(threads.run_on(pool, || {
             if self.from_zero {
                 let norms = first_residual(&problem, x, fine);
                 state.reference = norms.map(f64::sqrt);
                 norms
             } else {
-                state.reference = reference(&problem, x);
+                state.reference = rhs_reference_norms(&problem, x);
                 residual(&problem, x, fine, state.scale)
             }
         }));
@@ -130,10 +131,10 @@ impl GroupSolve<'_, '_> {
             let Workspace { x, fine, .. } = &mut *self.workspace;
             let mut norms = match first.take() {
                 Some(norms) => norms,
-                None => threads.enter(pool, || {
+                None => threads.run_on(pool, || {
                     let norms = residual(&problem, x, fine, state.scale);
                     if let Some(factor) = rescaled.take() {
-                        resume(&grid, fine, factor, &mut state.direction);
+                        resume_direction(&grid, fine, factor, &mut state.direction);
                     }
                     norms
                 }),
@@ -141,7 +142,7 @@ impl GroupSolve<'_, '_> {
             if norms.iter().any(|r| !r.is_finite()) && state.outcome.iterations == 0 {
                 // Frames of absurd size can overflow the full-multigrid start.
                 problem.load(self.caller, false, x);
-                norms = threads.enter(pool, || residual(&problem, x, fine, state.scale));
+                norms = threads.run_on(pool, || residual(&problem, x, fine, state.scale));
             }
             if norms.iter().any(|r| !r.is_finite()) {
                 let iterations = state.outcome.iterations;
@@ -176,7 +177,7 @@ impl GroupSolve<'_, '_> {
                 return crate::solve::fallback::conjugate_gradients(self, state.reference, state.outcome, watch);
             }
 
-            match self.stretch(&mut state, watch)? {
+            match self.inner_iterations(&mut state, watch)? {
                 InnerEnd::Accepted => {
                     let outcome = &mut state.outcome;
                     outcome.factor = mean_factor(beginning, outcome.relative, outcome.iterations);
@@ -207,7 +208,11 @@ impl GroupSolve<'_, '_> {
     }
 
     /// One stretch from the residual in `fine.r`; adds its correction to x.
-    fn stretch(&mut self, state: &mut OuterState, watch: &mut IterationWatcher<'_>) -> Result<InnerEnd, Error> {
+    fn inner_iterations(
+        &mut self,
+        state: &mut OuterState,
+        watch: &mut IterationWatcher<'_>,
+    ) -> Result<InnerEnd, Error> {
         let (problem, threads, pool, criteria) = (self.problem, self.problem.threads, self.pool, self.criteria);
         let width = problem.width();
         let grid = self.cycle.grid(0);
@@ -243,8 +248,8 @@ impl GroupSolve<'_, '_> {
                 longest,
                 broken,
             } = threads
-                .enter(pool, || {
-                    advance(
+                .run_on(pool, || {
+                    step_conjugate(
                         &self.cycle,
                         &grid,
                         fine,
@@ -280,7 +285,7 @@ impl GroupSolve<'_, '_> {
             state.sound = share <= SPOILT;
             let step = longest * largest_unit;
             let shrinkage = state.last_step.replace(step).map(|last| ratio(step, last));
-            let moving = estimate(history, step, shrinkage, share);
+            let moving = estimate_error(history, step, shrinkage, share);
             state.outcome.relative = now;
             state.outcome.max_error = libm::hypot(state.resting_error, moving);
 
@@ -321,8 +326,8 @@ impl GroupSolve<'_, '_> {
             if (0..width).any(rests) {
                 let weights = per_lane(|c| if rests(c) { weights[c] } else { 0.0 });
                 let Workspace { fine, history, .. } = &mut *self.workspace;
-                let longest = threads.enter(pool, || longest_step(&grid, fine, weights));
-                let left = estimate(history, longest * largest_unit, shrinkage, share);
+                let longest = threads.run_on(pool, || longest_step(&grid, fine, weights));
+                let left = estimate_error(history, longest * largest_unit, shrinkage, share);
                 state.resting_error = libm::hypot(state.resting_error, left);
                 let still = per_lane(|c| if rests(c) { 0.0 } else { open[c] });
                 state.resting = per_lane(|c| if rests(c) { 1.0 } else { state.resting[c] });
@@ -330,7 +335,7 @@ impl GroupSolve<'_, '_> {
             }
             if deep && fresh {
                 let Workspace { x, fine, .. } = &mut *self.workspace;
-                threads.enter(pool, || fold(&grid, fine, scale, x));
+                threads.run_on(pool, || fold_correction(&grid, fine, scale, x));
             }
             fresh = false;
             let spent = (0..width).any(|c| open[c] > 0.0 && now[c] <= (STRETCH * start[c]).max(FLOOR));
@@ -351,7 +356,7 @@ impl GroupSolve<'_, '_> {
             }
         };
         let Workspace { x, fine, .. } = &mut *self.workspace;
-        threads.enter(pool, || add_correction(&problem, &grid, fine, scale, x));
+        threads.run_on(pool, || add_correction(&problem, &grid, fine, scale, x));
         Ok(verdict)
     }
 }
@@ -401,7 +406,7 @@ fn mean_factor(from: WideLanes, to: WideLanes, iterations: usize) -> f64 {
 /// `shrinkage` says that it fell faster, it has a part in ρ only. The error falls unevenly too, hence a floor: on volume graphs, a step is followed
 /// by 0.1 to 0.5 times its length. Where rounding makes up a large `share` of the residual, its smooth part keeps the
 /// error from falling with it.
-fn estimate(history: &[f64], step: f64, shrinkage: Option<f64>, share: f64) -> f64 {
+fn estimate_error(history: &[f64], step: f64, shrinkage: Option<f64>, share: f64) -> f64 {
     const LEAST: f64 = 0.22;
     const MOST: f64 = 0.95;
     const BY_STEPS: f64 = 0.3;

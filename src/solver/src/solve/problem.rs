@@ -7,7 +7,7 @@ use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::storage::{NO_ROW, SLICE_ROWS};
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Bundles whose right-hand sides are fetched together.
 const FETCH: usize = 16;
@@ -52,7 +52,7 @@ impl<'a> ColumnGroup<'a> {
         // Sums instead of maxima would overflow; a value that is not finite shows up as an infinite maximum.
         let most_of = |k: usize| {
             let mut most = [[0.0f64; WIDTH]; 2];
-            for v in piece(k, n, PIECE) {
+            for v in piece_rows(k, n, PIECE) {
                 let fixed = system.is_fixed(v);
                 let at = v * columns + first;
                 for c in 0..width {
@@ -69,7 +69,7 @@ impl<'a> ColumnGroup<'a> {
         };
         let larger =
             |a: [WideLanes; 2], b: [WideLanes; 2]| [0, 1].map(|k| std::array::from_fn(|c| a[k][c].max(b[k][c])));
-        let most: [WideLanes; 2] = in_order(threads, pieces(n, PIECE), [[0.0; WIDTH]; 2], most_of, larger);
+        let most: [WideLanes; 2] = in_order(threads, piece_count(n, PIECE), [[0.0; WIDTH]; 2], most_of, larger);
         let (mut unit, mut rhs_factor) = ([1.0; WIDTH], [1.0; WIDTH]);
         for c in 0..width {
             let most = |what: usize| most[what][c];
@@ -133,10 +133,10 @@ impl<'a> ColumnGroup<'a> {
         out.resize(n, [0.0; WIDTH]);
         let mask = &self.system.masks[0];
         let shared = SharedRows::new(out.as_mut_slice());
-        self.threads.each(0..pieces(n, PIECE), |k| {
+        self.threads.for_each(0..piece_count(n, PIECE), |k| {
             // SAFETY: pieces are disjoint and each is visited once.
-            let out = unsafe { shared.rows(piece(k, n, PIECE)) };
-            for (i, out) in piece(k, n, PIECE).zip(out) {
+            let out = unsafe { shared.rows(piece_rows(k, n, PIECE)) };
+            for (i, out) in piece_rows(k, n, PIECE).zip(out) {
                 *out = [0.0; WIDTH];
                 if self.hierarchy.order[i] != NO_ROW && (given || !mask.free(i)) {
                     let at = self.hierarchy.order[i] as usize * self.columns + self.first;
@@ -155,7 +155,7 @@ impl<'a> ColumnGroup<'a> {
             if mask.free(i) {
                 let mut v = x[i];
                 if let Some((e, e_unit)) = e {
-                    let e = e[i].wide();
+                    let e = e[i].to_wide();
                     for c in 0..WIDTH {
                         v[c] += e[c] * e_unit[c];
                     }
@@ -223,7 +223,7 @@ impl<'a> ColumnGroup<'a> {
     #[inline(always)]
     fn flows(&self, x: &[WideLanes], k: usize) -> [WideLanes; SLICE_ROWS] {
         let level = &self.hierarchy.levels[0];
-        let (begin, _, end) = level.bundle(k);
+        let (begin, _, end) = level.slice_extent(k);
         let first = k * SLICE_ROWS;
         let here: [WideLanes; SLICE_ROWS] = std::array::from_fn(|d| x[first + d]);
         let mut flows = [[0.0; WIDTH]; SLICE_ROWS];

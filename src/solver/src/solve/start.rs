@@ -15,7 +15,7 @@ use crate::solve::problem::ColumnGroup;
 use crate::solve::sweep::MaskedLevel;
 use crate::solve::workspace::Workspace;
 use crate::storage::NO_ROW;
-use crate::threads::{piece, pieces};
+use crate::threads::{piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 1024;
@@ -45,7 +45,7 @@ pub(crate) fn full_multigrid(
     for l in 0..last {
         check(cycle.progress)?;
         let (fine, below) = patches[l..].split_at_mut(1);
-        restrict(&cycle.grid(l), &cycle.grid(l + 1), &fine[0], &mut below[0]);
+        restrict_equations(&cycle.grid(l), &cycle.grid(l + 1), &fine[0], &mut below[0]);
     }
 
     for l in (1..=last).rev() {
@@ -68,7 +68,7 @@ pub(crate) fn full_multigrid(
         prolong(&grid, &mut fine[0], &below[0]);
         for (i, (x, s)) in x.iter_mut().zip(&fine[0].x).enumerate() {
             if grid.mask.free(i) {
-                let s = s.wide();
+                let s = s.to_wide();
                 for c in 0..WIDTH {
                     x[c] = s[c] + middle[c];
                 }
@@ -138,10 +138,10 @@ fn load_equations(
     let mut beta = std::mem::take(&mut finest.beta);
     let shared = SharedRows::new(&mut beta);
     let patches = &*finest;
-    grid.threads.each(0..pieces(n, PIECE), |k| {
+    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
-        let beta = unsafe { shared.rows(piece(k, n, PIECE)) };
-        for (i, beta) in piece(k, n, PIECE).zip(beta) {
+        let beta = unsafe { shared.rows(piece_rows(k, n, PIECE)) };
+        for (i, beta) in piece_rows(k, n, PIECE).zip(beta) {
             *beta = Lanes::ZERO;
             if !grid.mask.free(i) {
                 continue;
@@ -158,7 +158,7 @@ fn load_equations(
                     sum += patches.edge(i, j) * w;
                 }
             }
-            let sum = sum.wide();
+            let sum = sum.to_wide();
             *beta = Lanes::from_wide([0, 1, 2, 3].map(|c| b[c] - sum[c]));
         }
     });
@@ -166,7 +166,12 @@ fn load_equations(
 }
 
 /// The original equations of the next level.
-fn restrict(grid: &MaskedLevel<'_>, below: &MaskedLevel<'_>, fine: &AffinePatches, coarse: &mut AffinePatches) {
+fn restrict_equations(
+    grid: &MaskedLevel<'_>,
+    below: &MaskedLevel<'_>,
+    fine: &AffinePatches,
+    coarse: &mut AffinePatches,
+) {
     let (level, mask) = (grid.level, grid.mask);
     let n = below.level.rows();
     let mapped = !fine.maps.is_empty();
@@ -176,8 +181,8 @@ fn restrict(grid: &MaskedLevel<'_>, below: &MaskedLevel<'_>, fine: &AffinePatche
         SharedRows::new(&mut coarse.positions),
     );
     let (betas, xs) = (SharedRows::new(&mut coarse.beta), SharedRows::new(&mut coarse.x));
-    grid.threads.each(0..pieces(n, PIECE), |k| {
-        for row in piece(k, n, PIECE) {
+    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
+        for row in piece_rows(k, n, PIECE) {
             let members = level.members_of(row);
             let (map, centre) = if mapped {
                 mean_patch(fine, members)
@@ -229,7 +234,7 @@ fn restrict(grid: &MaskedLevel<'_>, below: &MaskedLevel<'_>, fine: &AffinePatche
 fn mean_patch(fine: &AffinePatches, members: &[u32]) -> (PatchMap, Lanes) {
     let size = |m: &PatchMap| {
         let squares = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
-        squares.sum().sqrt()
+        squares.sum_lanes().sqrt()
     };
     let share = 1.0 / members.len().max(1) as f32;
     let (mut map, mut centre, mut sizes) = ([Lanes::ZERO; 3], Lanes::ZERO, 0.0f32);
@@ -254,10 +259,10 @@ fn defect(grid: &MaskedLevel<'_>, patches: &AffinePatches, out: &mut [Lanes]) {
     let (level, mask) = (grid.level, grid.mask);
     let n = level.rows();
     let out = SharedRows::new(out);
-    grid.threads.each(0..pieces(n, PIECE), |k| {
+    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
-        let out = unsafe { out.rows(piece(k, n, PIECE)) };
-        for (i, out) in piece(k, n, PIECE).zip(out) {
+        let out = unsafe { out.rows(piece_rows(k, n, PIECE)) };
+        for (i, out) in piece_rows(k, n, PIECE).zip(out) {
             *out = Lanes::ZERO;
             if !mask.free(i) {
                 continue;
@@ -279,10 +284,10 @@ fn prolong(grid: &MaskedLevel<'_>, fine: &mut AffinePatches, coarse: &AffinePatc
     let mut x = std::mem::take(&mut fine.x);
     let shared = SharedRows::new(&mut x);
     let patches = &*fine;
-    grid.threads.each(0..pieces(n, PIECE), |k| {
+    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
-        let x = unsafe { shared.rows(piece(k, n, PIECE)) };
-        for (i, x) in piece(k, n, PIECE).zip(x) {
+        let x = unsafe { shared.rows(piece_rows(k, n, PIECE)) };
+        for (i, x) in piece_rows(k, n, PIECE).zip(x) {
             let aggregate = level.aggregates[i];
             if !mask.free(i) || aggregate == NO_ROW {
                 continue;

@@ -8,7 +8,7 @@ use crate::build::level::HierarchyLevel;
 use crate::constrain::mask::LevelMask;
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::storage::{NO_ROW, SLICE_ROWS};
-use crate::threads::{Parallelism, piece, pieces};
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows of a vector pass without blocks.
 const PIECE: usize = 1024;
@@ -36,7 +36,7 @@ impl<'a> MaskedLevel<'a> {
     /// Calls `body` with the number and the rows of every active block, in any order.
     #[inline]
     pub(crate) fn each_block(&self, body: impl Fn(usize, std::ops::Range<usize>) + Sync + Send) {
-        self.threads.each(0..self.mask.active.len(), |k| {
+        self.threads.for_each(0..self.mask.active.len(), |k| {
             body(k, self.level.block(self.mask.active[k] as usize))
         });
     }
@@ -49,7 +49,7 @@ impl<'a> MaskedLevel<'a> {
         for c in 0..colours {
             let c = if backward { colours - 1 - c } else { c };
             self.threads
-                .each(self.mask.colours[c] as usize..self.mask.colours[c + 1] as usize, |k| {
+                .for_each(self.mask.colours[c] as usize..self.mask.colours[c + 1] as usize, |k| {
                     body(k, self.level.block(self.mask.active[k] as usize));
                 });
         }
@@ -69,7 +69,7 @@ impl<'a> MaskedLevel<'a> {
         let x = SharedRows::new(x);
         self.sweep(false, |_, rows| {
             for k in rows.start / SLICE_ROWS..rows.end / SLICE_ROWS {
-                let (begin, middle, _) = level.bundle(k);
+                let (begin, middle, _) = level.slice_extent(k);
                 // SAFETY: neighbours are rows of the level; those read lie in this block or in one of a colour that
                 // no thread writes now, or hold filling, which nobody writes; the bundle is written by the one thread
                 // that sweeps its block.
@@ -106,11 +106,11 @@ impl<'a> MaskedLevel<'a> {
                 .iter_mut()
                 .zip(rows.start / SLICE_ROWS..)
             {
-                let (_, middle, end) = level.bundle(k);
+                let (_, middle, end) = level.slice_extent(k);
                 // SAFETY: neighbours are rows of the level, and nobody writes x now.
                 let sums = unsafe { gather(level, w, ReadOnlyRows(x), middle, end) };
                 for d in 0..SLICE_ROWS {
-                    out[d] = sums[d].when(mask.free(k * SLICE_ROWS + d));
+                    out[d] = sums[d].masked_by(mask.free(k * SLICE_ROWS + d));
                 }
             }
         });
@@ -134,7 +134,7 @@ impl<'a> MaskedLevel<'a> {
             // SAFETY: one thread sweeps this block.
             let t = unsafe { t.rows(rows.clone()) };
             for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
-                let (_, middle, end) = level.bundle(k);
+                let (_, middle, end) = level.slice_extent(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
                     let after = gather(level, w, x, middle, end);
@@ -164,9 +164,9 @@ impl<'a> MaskedLevel<'a> {
                 .zip(b)
                 .zip(rows.start / SLICE_ROWS..)
             {
-                let product = self.products(x, t, k);
+                let product = self.matrix_products(x, t, k);
                 for d in 0..SLICE_ROWS {
-                    t[d] = (b[d] - product[d]).when(self.mask.free(k * SLICE_ROWS + d));
+                    t[d] = (b[d] - product[d]).masked_by(self.mask.free(k * SLICE_ROWS + d));
                 }
             }
         });
@@ -189,7 +189,7 @@ impl<'a> MaskedLevel<'a> {
             // SAFETY: one thread sweeps this block.
             let t = unsafe { t.rows(rows.clone()) };
             for k in rows.start / SLICE_ROWS..rows.end / SLICE_ROWS {
-                let (begin, middle, end) = level.bundle(k);
+                let (begin, middle, end) = level.slice_extent(k);
                 // SAFETY: as in the sweep from zero.
                 unsafe {
                     let before = gather(level, w, x, begin, middle);
@@ -239,7 +239,7 @@ impl<'a> MaskedLevel<'a> {
         self.sweep(true, |number, rows| {
             let mut sums = [Lanes::ZERO; 3];
             for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
-                let (_, middle, end) = level.bundle(k);
+                let (_, middle, end) = level.slice_extent(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
                     let after = gather(level, w, x, middle, end);
@@ -304,7 +304,7 @@ impl<'a> MaskedLevel<'a> {
             // SAFETY: one thread sweeps this block.
             let t = unsafe { t.rows(if KEEP { rows.clone() } else { 0..0 }) };
             for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
-                let (begin, middle, end) = level.bundle(k);
+                let (begin, middle, end) = level.slice_extent(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
                     let before = gather(level, w, x, begin, middle);
@@ -332,10 +332,10 @@ impl<'a> MaskedLevel<'a> {
 
     /// A x of the rows of bundle `k`, from differences x_i − x_j: rounding stays relative to these, not to x.
     #[inline(always)]
-    pub(crate) fn flows(&self, x: &[Lanes], k: usize) -> [Lanes; SLICE_ROWS] {
+    pub(crate) fn edge_flows(&self, x: &[Lanes], k: usize) -> [Lanes; SLICE_ROWS] {
         let level = self.level;
         assert!(x.len() == level.rows());
-        let (begin, _, end) = level.bundle(k);
+        let (begin, _, end) = level.slice_extent(k);
         let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
         let here: &[Lanes] = &x[k * SLICE_ROWS..(k + 1) * SLICE_ROWS];
         let here: [Lanes; SLICE_ROWS] = std::array::from_fn(|d| here[d]);
@@ -367,15 +367,15 @@ impl<'a> MaskedLevel<'a> {
         }
         std::array::from_fn(|d| {
             let i = k * SLICE_ROWS + d;
-            (sums[d] + here[d] * self.mask.alpha(i)).when(self.mask.free(i))
+            (sums[d] + here[d] * self.mask.alpha(i)).masked_by(self.mask.free(i))
         })
     }
 
     /// A x of the rows of bundle `k`, from x and the `t` that [`MaskedLevel::backward`] left.
     #[inline(always)]
-    pub(crate) fn products(&self, x: &[Lanes], t: &[Lanes; SLICE_ROWS], k: usize) -> [Lanes; SLICE_ROWS] {
+    pub(crate) fn matrix_products(&self, x: &[Lanes], t: &[Lanes; SLICE_ROWS], k: usize) -> [Lanes; SLICE_ROWS] {
         assert!(x.len() == self.level.rows());
-        let (begin, middle, _) = self.level.bundle(k);
+        let (begin, middle, _) = self.level.slice_extent(k);
         // SAFETY: neighbours are rows of the level, and nobody writes x now.
         let before = unsafe {
             match &self.level.weights {
@@ -383,11 +383,11 @@ impl<'a> MaskedLevel<'a> {
                 Some(w) => gather(self.level, &StoredWeights(w), ReadOnlyRows(x), begin, middle),
             }
         };
-        std::array::from_fn(|d| (t[d] - before[d]).when(self.mask.free(k * SLICE_ROWS + d)))
+        std::array::from_fn(|d| (t[d] - before[d]).masked_by(self.mask.free(k * SLICE_ROWS + d)))
     }
 
     /// Adds up what `body` returns for each active block, always in the same order.
-    pub(crate) fn dots(
+    pub(crate) fn sum_over_blocks(
         &self,
         partials: &mut Vec<LaneDots>,
         body: impl Fn(std::ops::Range<usize>) -> LaneDots + Sync + Send,
@@ -405,8 +405,8 @@ impl<'a> MaskedLevel<'a> {
         let level = self.level;
         let n = coarse.len();
         let out = SharedRows::new(coarse);
-        self.threads.each(0..pieces(n, PIECE), |k| {
-            let rows = piece(k, n, PIECE);
+        self.threads.for_each(0..piece_count(n, PIECE), |k| {
+            let rows = piece_rows(k, n, PIECE);
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { out.rows(rows.clone()) };
             for (row, out) in rows.zip(out) {
@@ -441,7 +441,7 @@ fn sum_up(partials: &[LaneDots]) -> [WideLanes; 3] {
     let mut sums = [[0.0; WIDTH]; 3];
     for partial in partials {
         for (sum, p) in sums.iter_mut().zip(partial) {
-            add_wide(sum, p.wide());
+            add_wide(sum, p.to_wide());
         }
     }
     sums

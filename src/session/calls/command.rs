@@ -1,10 +1,11 @@
 //! What a session's task is asked to do.
 
-use super::idempotency::Claim;
-use super::{Error, Exported, SolvedFrames};
 use crate::asset::{FileSet, Format};
 use crate::engine::{HandlePose, HandlePoses};
 use crate::progress::CancelFlag;
+use crate::session::answers::{ExportedModel, SolvedFrames};
+use crate::session::calls::idempotency::KeyClaim;
+use crate::session::error::{Error, ErrorCode};
 use crate::wire::frames::FrameRequest;
 use crate::wire::{DeformOptions, handle_pose_message, pb};
 use std::sync::Arc;
@@ -12,41 +13,41 @@ use tokio::sync::oneshot;
 
 /// A request and where its answer goes.
 #[derive(Debug)]
-pub(super) enum Command {
-    SetHandles(Change, Call<pb::Session>),
-    Solve(Box<(pb::Pose, DeformOptions)>, Call<SolvedFrames>),
+pub(in crate::session) enum SessionCommand {
+    SetHandles(HandleChange, PendingCall<pb::Session>),
+    Solve(Box<(pb::Pose, DeformOptions)>, PendingCall<SolvedFrames>),
     /// One commit forward or back.
-    Step(Direction, Call<pb::Session>),
-    Edit(Box<Edit>, Call<pb::EditResult>),
-    Export(Option<Format>, Call<Exported>),
+    Step(HistoryDirection, PendingCall<pb::Session>),
+    Edit(Box<EditCall>, PendingCall<pb::EditResult>),
+    Export(Option<Format>, PendingCall<ExportedModel>),
 }
 
 /// An edit, with the model of the session that it merges with.
 #[derive(Debug)]
-pub(super) struct Edit {
+pub(in crate::session) struct EditCall {
     pub request: pb::EditRequest,
     pub other: Option<FileSet>,
 }
 
 /// Along the commits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Direction {
+pub(in crate::session) enum HistoryDirection {
     Undo,
     Redo,
 }
 
 /// Somebody who waits for an answer.
 #[derive(Debug)]
-pub(super) struct Call<T> {
+pub(in crate::session) struct PendingCall<T> {
     pub reply: oneshot::Sender<Result<T, Error>>,
     /// Raised when nobody waits any more.
     pub cancel: Arc<CancelFlag>,
-    pub claim: Option<Claim<Stored>>,
+    pub claim: Option<KeyClaim<StoredAnswer>>,
 }
 
 /// An answer kept by idempotency key.
 #[derive(Debug, Clone)]
-pub(super) enum Stored {
+pub(in crate::session) enum StoredAnswer {
     Session(Box<pb::Session>),
     Edited(Box<pb::EditResult>),
     Solved {
@@ -56,9 +57,9 @@ pub(super) enum Stored {
     },
 }
 
-impl Stored {
+impl StoredAnswer {
     /// Bytes held, about.
-    pub fn bytes(&self) -> u64 {
+    pub fn byte_size(&self) -> u64 {
         use prost::Message as _;
         match self {
             Self::Session(session) => session.encoded_len() as u64,
@@ -76,7 +77,7 @@ impl Stored {
 
 /// A change of the handles.
 #[derive(Debug)]
-pub(super) enum Change {
+pub(in crate::session) enum HandleChange {
     /// All are replaced; those without a pose are at rest.
     Replace(pb::SetHandlesRequest),
     /// The named fields of one handle are replaced, or it is added. Everything else stays where it is.
@@ -85,12 +86,16 @@ pub(super) enum Change {
     Remove(String),
 }
 
-impl Change {
+impl HandleChange {
     /// The handles after the change; `poses` are those in force.
     ///
     /// # Errors
     /// `NOT_FOUND` when the handle to remove does not exist.
-    pub fn apply(self, current: &pb::SetHandlesRequest, poses: &HandlePoses) -> Result<pb::SetHandlesRequest, Error> {
+    pub fn apply_to(
+        self,
+        current: &pb::SetHandlesRequest,
+        poses: &HandlePoses,
+    ) -> Result<pb::SetHandlesRequest, Error> {
         let kept = || {
             let mut next = current.clone();
             for (handle, pose) in next.handles.iter_mut().zip(poses.0.iter()) {
@@ -103,7 +108,7 @@ impl Change {
             Self::Put(handle, fields) => {
                 let mut next = kept();
                 match next.handles.iter_mut().find(|h| h.id == handle.id) {
-                    Some(old) => patch(old, *handle, &fields),
+                    Some(old) => patch_handle(old, *handle, &fields),
                     None => next.handles.push(*handle),
                 }
                 Ok(next)
@@ -113,7 +118,7 @@ impl Change {
                 next.handles.retain(|h| h.id != id);
                 if next.handles.len() == current.handles.len() {
                     let shown: String = id.chars().take(128).collect();
-                    return Err(Error::new(super::Code::NotFound, format!("no handle \"{shown}\"")));
+                    return Err(Error::new(ErrorCode::NotFound, format!("no handle \"{shown}\"")));
                 }
                 Ok(next)
             }
@@ -122,7 +127,7 @@ impl Change {
 }
 
 /// Takes the fields of `new` that `fields` names (JSON names).
-fn patch(old: &mut pb::Handle, new: pb::Handle, fields: &[String]) {
+fn patch_handle(old: &mut pb::Handle, new: pb::Handle, fields: &[String]) {
     let named = |name: &str| fields.iter().any(|f| f == name);
     // Without `..`, so that a field added to the schema cannot be forgotten here.
     let pb::Handle {
@@ -193,28 +198,30 @@ mod tests {
             rigid: true,
             ..Default::default()
         };
-        let next = Change::Put(Box::new(rigid.clone()), vec!["rigid".into()])
-            .apply(&current, &poses)
+        let next = HandleChange::Put(Box::new(rigid.clone()), vec!["rigid".into()])
+            .apply_to(&current, &poses)
             .expect("known");
         assert_eq!((x_of(&next.handles[0]), x_of(&next.handles[1])), (Some(7.0), None));
         assert_eq!((next.handles[1].rigid, next.handles[1].stiffness), (true, Some(2.0)));
 
         let fields = vec!["stiffness".to_owned(), "pose".to_owned()];
-        let next = Change::Put(Box::new(handle("a", Some(3.0))), fields)
-            .apply(&current, &poses)
+        let next = HandleChange::Put(Box::new(handle("a", Some(3.0))), fields)
+            .apply_to(&current, &poses)
             .expect("known");
         assert_eq!(x_of(&next.handles[0]), Some(3.0));
 
-        let next = Change::Put(Box::new(handle("c", None)), Vec::new())
-            .apply(&current, &poses)
+        let next = HandleChange::Put(Box::new(handle("c", None)), Vec::new())
+            .apply_to(&current, &poses)
             .expect("added");
         assert_eq!(next.handles.len(), 3);
 
-        let next = Change::Remove("b".into()).apply(&current, &poses).expect("known");
+        let next = HandleChange::Remove("b".into())
+            .apply_to(&current, &poses)
+            .expect("known");
         assert_eq!((next.handles.len(), x_of(&next.handles[0])), (1, Some(7.0)));
         assert_eq!(
-            Change::Remove("z".into())
-                .apply(&current, &poses)
+            HandleChange::Remove("z".into())
+                .apply_to(&current, &poses)
                 .expect_err("unknown")
                 .http_status(),
             404

@@ -6,13 +6,13 @@ use tokio::time::Instant;
 
 /// The time of a session's last use, renewed by every call.
 #[derive(Debug)]
-pub(super) struct Lease {
+pub(in crate::session) struct SessionLease {
     opened: Instant,
     last_use_ms: AtomicU64,
     ttl: Duration,
 }
 
-impl Lease {
+impl SessionLease {
     /// Used now.
     pub fn new(ttl: Duration) -> Self {
         Self {
@@ -53,13 +53,13 @@ mod tests {
 
     #[tokio::test]
     async fn use_renews_it() {
-        let lease = Lease::new(Duration::ZERO);
+        let lease = SessionLease::new(Duration::ZERO);
         let first = lease.end();
         tokio::time::sleep(Duration::from_millis(5)).await;
         assert!(lease.expired());
         lease.renew();
         assert!(lease.end() > first);
-        let long = Lease::new(Duration::from_secs(3600));
+        let long = SessionLease::new(Duration::from_secs(3600));
         assert!(!long.expired());
         let text = long.end_text();
         let left = humantime::parse_rfc3339(&text)

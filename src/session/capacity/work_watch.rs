@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 /// Raises its flag when dropped: held by whoever waits for the work, so that work nobody waits for stops.
 #[derive(Debug, Default)]
-pub(super) struct CancelOnDrop(pub Arc<CancelFlag>);
+pub(in crate::session) struct CancelOnDrop(pub Arc<CancelFlag>);
 
 impl Drop for CancelOnDrop {
     fn drop(&mut self) {
@@ -18,14 +18,14 @@ impl Drop for CancelOnDrop {
 
 /// Watches one piece of work: stops it when any of its flags is raised or its time is over, and measures its stages.
 #[derive(Debug)]
-pub(super) struct Stop {
+pub(in crate::session) struct WorkWatch {
     flags: Vec<Arc<CancelFlag>>,
     started: Instant,
     limit: Duration,
     stages: StageClock<'static>,
 }
 
-impl Stop {
+impl WorkWatch {
     /// The time starts running now.
     pub fn new(flags: Vec<Arc<CancelFlag>>, limit: Duration) -> Self {
         let started = Instant::now();
@@ -58,7 +58,7 @@ impl Stop {
     }
 }
 
-impl Progress for Stop {
+impl Progress for WorkWatch {
     fn cancelled(&self) -> bool {
         self.abandoned() || self.started.elapsed() >= self.limit
     }
@@ -76,11 +76,11 @@ mod tests {
     fn any_flag_or_the_clock_stops_the_work() {
         let guard = CancelOnDrop::default();
         let flags = vec![Arc::new(CancelFlag::default()), Arc::clone(&guard.0)];
-        let stop = Stop::new(flags, Duration::from_secs(3600));
+        let stop = WorkWatch::new(flags, Duration::from_secs(3600));
         assert!(!stop.cancelled());
         drop(guard);
         assert!(stop.cancelled() && stop.abandoned());
-        let late = Stop::new(Vec::new(), Duration::ZERO);
+        let late = WorkWatch::new(Vec::new(), Duration::ZERO);
         assert!(late.cancelled() && !late.abandoned());
     }
 }

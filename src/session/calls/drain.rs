@@ -1,6 +1,7 @@
 //! How a server stops: nothing new, a word to those inside, then wait, then an end.
 
-use super::{Error, Manager};
+use crate::session::calls::manager::Manager;
+use crate::session::error::Error;
 use std::sync::atomic::Ordering::SeqCst;
 
 impl Manager {
@@ -18,7 +19,7 @@ impl Manager {
         }
         for session in self.shared.registry.all() {
             for mailbox in session.streams.all() {
-                mailbox.notice(
+                mailbox.send_notice(
                     "going-away",
                     "the server is shutting down; commit and open the stream again elsewhere",
                 );

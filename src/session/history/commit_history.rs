@@ -5,6 +5,9 @@
 //! engine and no task: it is told what was solved.
 
 use crate::engine::{HandlePoses, SolveSettings, TopologyState};
+use crate::session::history::session_state::{
+    CommittedHandles, EditedState, HandleSetId, RecordedShapeId, SessionState, ShapeRecipe,
+};
 use crate::wire::pb;
 use glam::DVec3;
 use prost::Message as _;
@@ -14,108 +17,82 @@ use std::sync::Arc;
 /// Bytes of handles and poses that one session's commits may hold; the oldest are folded before there are more.
 const LOG_BYTES: u64 = 64 << 20;
 
-/// Names a shape of one session.
-pub(super) type ShapeId = u64;
-
-/// What a commit leaves the session in.
+/// A commit that can be gone back to, with the state that it left.
 #[derive(Debug, Clone)]
-pub(super) struct State {
-    /// What edits have made of the model.
-    pub trail: Option<TopologyState>,
-    /// Length of its bounding box's diagonal.
-    pub diagonal: f64,
-    /// The handles in force.
-    pub handles: Arc<pb::SetHandlesRequest>,
-    /// Their poses.
-    pub poses: HandlePoses,
-    /// What the engine says about model, solver and handles.
-    pub facts: Arc<pb::Session>,
-    /// The shape.
-    pub shape: ShapeId,
-    /// Digest of its positions.
-    pub digest: String,
-}
-
-/// How to make a shape again.
-#[derive(Debug, Clone)]
-pub(super) enum Recipe {
-    /// It is the rest shape.
-    Rest { trail: Option<TopologyState> },
-    /// It is the solution of these poses.
-    Solved {
-        trail: Option<TopologyState>,
-        handles: Arc<pb::SetHandlesRequest>,
-        poses: HandlePoses,
-        settings: SolveSettings,
-    },
-}
-
-/// A commit that can be gone back to.
-#[derive(Debug, Clone)]
-struct Record {
+struct CommitRecord {
     revision: u64,
     kind: &'static str,
-    state: State,
+    state: SessionState,
 }
 
 #[derive(Debug)]
-struct Shape {
-    recipe: Recipe,
+struct RecordedShape {
+    recipe: ShapeRecipe,
     snapshot: Option<Arc<Vec<DVec3>>>,
 }
 
 /// The commits of one session. Never empty: the first is the session's creation, or what older commits were folded into.
 #[derive(Debug)]
-pub(super) struct History {
-    records: VecDeque<Record>,
+pub(in crate::session) struct CommitHistory {
+    records: VecDeque<CommitRecord>,
     at: usize,
     revision: u64,
-    shapes: BTreeMap<ShapeId, Shape>,
-    next_shape: ShapeId,
+    shapes: BTreeMap<RecordedShapeId, RecordedShape>,
+    next_shape: u64,
+    next_handle_set: u64,
     limit: usize,
     snapshot_bytes: u64,
 }
 
-impl History {
-    /// A session just created, at rest. At most `limit` commits can be undone.
-    pub fn new(
-        facts: pb::Session,
-        poses: HandlePoses,
-        rest: Arc<Vec<DVec3>>,
-        digest: String,
-        (trail, diagonal): (Option<TopologyState>, f64),
-        limit: usize,
-        snapshot_bytes: u64,
-    ) -> Self {
-        let recipe = Recipe::Rest { trail: trail.clone() };
-        let state = State {
-            trail,
-            diagonal,
-            handles: Arc::default(),
-            poses,
-            facts: Arc::new(facts),
-            shape: 0,
-            digest,
+impl CommitHistory {
+    /// The history of a session just created, at rest, on an engine in the state `opened`. At most `limit` commits can be
+    /// undone.
+    pub fn new(opened: EditedState, rest: Arc<Vec<DVec3>>, limit: usize, snapshot_bytes: u64) -> Self {
+        let (shape, topology) = (RecordedShapeId(0), opened.topology.clone());
+        let state = SessionState {
+            topology: opened.topology,
+            diagonal: opened.diagonal,
+            handles: Arc::new(CommittedHandles {
+                id: HandleSetId(0),
+                request: opened.handles,
+            }),
+            poses: opened.poses,
+            facts: Arc::new(opened.facts),
+            shape,
+            digest: opened.digest,
+        };
+        let recorded = RecordedShape {
+            recipe: ShapeRecipe::Rest { topology },
+            snapshot: Some(rest),
         };
         Self {
-            records: VecDeque::from([Record {
+            records: VecDeque::from([CommitRecord {
                 revision: 1,
                 kind: "create",
                 state,
             }]),
             at: 0,
             revision: 1,
-            shapes: BTreeMap::from([(
-                0,
-                Shape {
-                    recipe,
-                    snapshot: Some(rest),
-                },
-            )]),
+            shapes: BTreeMap::from([(shape, recorded)]),
             next_shape: 1,
+            next_handle_set: 1,
             limit,
             snapshot_bytes,
         }
+    }
+
+    fn number_handles(&mut self, request: pb::SetHandlesRequest) -> Arc<CommittedHandles> {
+        let id = HandleSetId(self.next_handle_set);
+        self.next_handle_set += 1;
+        Arc::new(CommittedHandles { id, request })
+    }
+
+    fn record_shape(&mut self, recipe: ShapeRecipe, positions: Arc<Vec<DVec3>>) -> RecordedShapeId {
+        let id = RecordedShapeId(self.next_shape);
+        self.next_shape += 1;
+        let snapshot = Some(positions);
+        self.shapes.insert(id, RecordedShape { recipe, snapshot });
+        id
     }
 
     /// Number of the newest change.
@@ -124,60 +101,51 @@ impl History {
     }
 
     /// The state that the session is in.
-    pub fn current(&self) -> &State {
+    pub fn current(&self) -> &SessionState {
         &self.records[self.at].state
     }
 
     /// Where undo would lead.
-    pub fn behind(&self) -> Option<usize> {
+    pub fn undo_target(&self) -> Option<usize> {
         self.at.checked_sub(1)
     }
 
     /// Where redo would lead.
-    pub fn ahead(&self) -> Option<usize> {
+    pub fn redo_target(&self) -> Option<usize> {
         (self.at + 1 < self.records.len()).then_some(self.at + 1)
     }
 
     /// The state after commit `index`.
-    pub fn state(&self, index: usize) -> Option<&State> {
+    pub fn state(&self, index: usize) -> Option<&SessionState> {
         self.records.get(index).map(|r| &r.state)
     }
 
     /// A shape's positions, or how to solve them again.
-    pub fn shape(&self, id: ShapeId) -> Result<Arc<Vec<DVec3>>, Recipe> {
+    pub fn shape(&self, id: RecordedShapeId) -> Result<Arc<Vec<DVec3>>, ShapeRecipe> {
         let snapshot = self.shapes.get(&id).and_then(|s| s.snapshot.as_ref());
         snapshot.map(Arc::clone).ok_or_else(|| self.recipe(id))
     }
 
     /// How to make a shape again.
-    pub fn recipe(&self, id: ShapeId) -> Recipe {
+    pub fn recipe(&self, id: RecordedShapeId) -> ShapeRecipe {
         match self.shapes.get(&id) {
             Some(shape) => shape.recipe.clone(),
-            None => Recipe::Rest {
-                trail: self.current().trail.clone(),
+            None => ShapeRecipe::Rest {
+                topology: self.current().topology.clone(),
             },
         }
     }
 
     /// Records new handles; the shape stays as it is. What was undone is gone.
     pub fn commit_handles(&mut self, handles: pb::SetHandlesRequest, poses: HandlePoses, facts: pb::Session) {
-        let State {
-            trail,
-            diagonal,
-            shape,
-            digest,
-            ..
-        } = self.current().clone();
-        let state = State {
-            trail,
-            diagonal,
-            handles: Arc::new(handles),
+        let handles = self.number_handles(handles);
+        let state = SessionState {
+            handles,
             poses,
             facts: Arc::new(facts),
-            shape,
-            digest,
+            ..self.current().clone()
         };
-        self.push("handles", state);
+        self.push_commit("handles", state);
     }
 
     /// Records a solved pose. What was undone is gone.
@@ -188,101 +156,88 @@ impl History {
         positions: Arc<Vec<DVec3>>,
         digest: String,
     ) {
-        let State {
-            trail,
-            diagonal,
-            handles,
-            facts,
-            ..
-        } = self.current().clone();
-        let shape = self.next_shape;
-        self.next_shape += 1;
-        let recipe = Recipe::Solved {
-            trail: trail.clone(),
-            handles: Arc::clone(&handles),
+        let state = self.current().clone();
+        let recipe = ShapeRecipe::Solved {
+            topology: state.topology.clone(),
+            handles: Arc::clone(&state.handles),
             poses: poses.clone(),
             settings,
         };
-        self.shapes.insert(
+        let shape = self.record_shape(recipe, positions);
+        let state = SessionState {
+            poses,
             shape,
-            Shape {
-                recipe,
-                snapshot: Some(positions),
-            },
-        );
-        self.push(
-            "pose",
-            State {
-                trail,
-                diagonal,
-                handles,
-                poses,
-                facts,
-                shape,
-                digest,
-            },
-        );
+            digest,
+            ..state
+        };
+        self.push_commit("pose", state);
     }
 
-    /// Records an edit: the state that it left, and how its shape came about. What was undone is gone.
-    pub fn commit_edit(&mut self, mut state: State, positions: Arc<Vec<DVec3>>, solved: Option<SolveSettings>) {
-        state.shape = self.next_shape;
-        self.next_shape += 1;
-        let trail = state.trail.clone();
-        let recipe = match solved {
-            None => Recipe::Rest { trail },
-            Some(settings) => Recipe::Solved {
-                trail,
-                handles: Arc::clone(&state.handles),
-                poses: state.poses.clone(),
+    /// Records an edit: the state that it left, and its shape. What was undone is gone.
+    pub fn commit_edit(&mut self, edited: EditedState, positions: Arc<Vec<DVec3>>) {
+        let handles = self.number_handles(edited.handles);
+        let topology = edited.topology.clone();
+        let recipe = match edited.solved_with {
+            None => ShapeRecipe::Rest { topology },
+            Some(settings) => ShapeRecipe::Solved {
+                topology,
+                handles: Arc::clone(&handles),
+                poses: edited.poses.clone(),
                 settings,
             },
         };
-        let snapshot = Some(positions);
-        self.shapes.insert(state.shape, Shape { recipe, snapshot });
-        self.push("edit", state);
+        let state = SessionState {
+            topology: edited.topology,
+            diagonal: edited.diagonal,
+            handles,
+            poses: edited.poses,
+            facts: Arc::new(edited.facts),
+            shape: self.record_shape(recipe, positions),
+            digest: edited.digest,
+        };
+        self.push_commit("edit", state);
     }
 
     /// Goes to commit `index`, whose shape is `positions`.
-    pub fn go(&mut self, index: usize, positions: Arc<Vec<DVec3>>) {
+    pub fn go_to_commit(&mut self, index: usize, positions: Arc<Vec<DVec3>>) {
         self.at = index.min(self.records.len() - 1);
         self.revision += 1;
         if let Some(shape) = self.shapes.get_mut(&self.records[self.at].state.shape) {
             shape.snapshot = Some(positions);
         }
-        self.trim();
+        self.fold_oldest();
     }
 
-    fn push(&mut self, kind: &'static str, state: State) {
+    fn push_commit(&mut self, kind: &'static str, state: SessionState) {
         self.records.truncate(self.at + 1);
         self.revision += 1;
-        self.records.push_back(Record {
+        self.records.push_back(CommitRecord {
             revision: self.revision,
             kind,
             state,
         });
         self.at += 1;
-        self.trim();
+        self.fold_oldest();
     }
 
     /// Folds the oldest commits away and drops snapshots until the limits hold.
-    fn trim(&mut self) {
+    fn fold_oldest(&mut self) {
         let too_many = |h: &Self| h.records.len() > h.limit.saturating_add(1);
         let too_large = |h: &Self| h.log_bytes() > LOG_BYTES || h.edit_bytes() > h.snapshot_bytes.max(LOG_BYTES);
         while self.at > 0 && (too_many(self) || (self.at > 1 && too_large(self))) {
             self.records.pop_front();
             self.at -= 1;
         }
-        let used: std::collections::BTreeSet<ShapeId> = self.records.iter().map(|r| r.state.shape).collect();
+        let used: std::collections::BTreeSet<RecordedShapeId> = self.records.iter().map(|r| r.state.shape).collect();
         self.shapes.retain(|id, _| used.contains(id));
         let current = self.current().shape;
-        let mut bytes = self.snapshots();
+        let mut bytes = self.snapshot_bytes_held();
         // Undo goes from new to old, so the oldest snapshots are missed last.
         for (_, shape) in self.shapes.iter_mut().filter(|(id, _)| **id != current) {
             if bytes <= self.snapshot_bytes {
                 break;
             }
-            let evictable = matches!(shape.recipe, Recipe::Solved { .. });
+            let evictable = matches!(shape.recipe, ShapeRecipe::Solved { .. });
             if evictable && let Some(positions) = shape.snapshot.take() {
                 bytes = bytes.saturating_sub(size_of_val(positions.as_slice()) as u64);
             }
@@ -290,11 +245,11 @@ impl History {
     }
 
     /// Bytes of the snapshots; the rest shape is the engine's.
-    fn snapshots(&self) -> u64 {
+    fn snapshot_bytes_held(&self) -> u64 {
         let solved = self
             .shapes
             .values()
-            .filter(|s| matches!(s.recipe, Recipe::Solved { .. }));
+            .filter(|s| matches!(s.recipe, ShapeRecipe::Solved { .. }));
         solved
             .filter_map(|s| s.snapshot.as_ref())
             .map(|p| size_of_val(p.as_slice()) as u64)
@@ -303,15 +258,15 @@ impl History {
 
     /// Bytes of what edits have made of the model, beyond what the engine holds itself.
     fn edit_bytes(&self) -> u64 {
-        let now = self.current().trail.as_ref();
+        let now = self.current().topology.as_ref();
         let mut last = None;
         let mut bytes = 0;
-        for trail in self.records.iter().filter_map(|r| r.state.trail.as_ref()) {
-            let known = |other: Option<&TopologyState>| other.is_some_and(|t| t.is_same(trail));
-            if !known(now) && !known(last) {
-                bytes += trail.byte_size();
+        for topology in self.records.iter().filter_map(|r| r.state.topology.as_ref()) {
+            let is_same = |other: Option<&TopologyState>| other.is_some_and(|t| t.is_same(topology));
+            if !is_same(now) && !is_same(last) {
+                bytes += topology.byte_size();
             }
-            last = Some(trail);
+            last = Some(topology);
         }
         bytes
     }
@@ -319,25 +274,25 @@ impl History {
     /// Bytes of the handles and poses recorded, about.
     fn log_bytes(&self) -> u64 {
         let mut bytes = 0;
-        let mut last: Option<&Arc<pb::SetHandlesRequest>> = None;
-        for State { handles, poses, .. } in self.records.iter().map(|r| &r.state) {
-            if last.is_none_or(|l| !Arc::ptr_eq(l, handles)) {
-                bytes += handles.encoded_len() as u64;
+        let mut last = None;
+        for SessionState { handles, poses, .. } in self.records.iter().map(|r| &r.state) {
+            if last != Some(handles.id) {
+                bytes += handles.request.encoded_len() as u64;
             }
-            last = Some(handles);
+            last = Some(handles.id);
             bytes += poses.0.len() as u64 * 256;
         }
         bytes
     }
 
     /// Bytes held.
-    pub fn bytes(&self) -> u64 {
-        self.snapshots() + self.log_bytes() + self.edit_bytes()
+    pub fn byte_size(&self) -> u64 {
+        self.snapshot_bytes_held() + self.log_bytes() + self.edit_bytes()
     }
 
     /// The commits as clients see them.
     pub fn describe(&self) -> pb::HistoryResponse {
-        let commit = |r: &Record| pb::Commit {
+        let commit = |r: &CommitRecord| pb::Commit {
             revision: r.revision,
             kind: r.kind.into(),
             digest: r.state.digest.clone(),
@@ -358,20 +313,25 @@ mod tests {
         SolveSettings::default()
     }
 
-    fn history(limit: usize, snapshot_bytes: u64) -> History {
+    fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
         let rest = Arc::new(vec![DVec3::ZERO; 10]);
-        History::new(
-            pb::Session::default(),
-            HandlePoses::default(),
+        CommitHistory::new(
+            EditedState {
+                topology: None,
+                diagonal: 1.0,
+                handles: pb::SetHandlesRequest::default(),
+                poses: HandlePoses::default(),
+                facts: pb::Session::default(),
+                digest: "rest".into(),
+                solved_with: None,
+            },
             rest,
-            "rest".into(),
-            (None, 1.0),
             limit,
             snapshot_bytes,
         )
     }
 
-    fn pose(history: &mut History, x: f64) {
+    fn pose(history: &mut CommitHistory, x: f64) {
         let positions = Arc::new(vec![DVec3::splat(x); 10]);
         history.commit_pose(HandlePoses::default(), settings(), positions, format!("{x}"));
     }
@@ -386,26 +346,26 @@ mod tests {
             pb::Session::default(),
         );
         assert_eq!(history.current().digest, "1");
-        let back = history.behind().expect("two commits");
+        let back = history.undo_target().expect("two commits");
         let shape = history
             .shape(history.state(back).expect("kept").shape)
             .expect("snapshot");
-        history.go(back, shape);
-        assert_eq!(history.ahead(), Some(2));
+        history.go_to_commit(back, shape);
+        assert_eq!(history.redo_target(), Some(2));
         pose(&mut history, 2.0);
         let said = history.describe();
         let kinds: Vec<&str> = said.commits.iter().map(|c| c.kind.as_str()).collect();
         assert_eq!((kinds, said.current), (vec!["create", "pose", "pose"], 5));
-        assert!(history.ahead().is_none());
+        assert!(history.redo_target().is_none());
     }
 
     #[test]
     fn old_snapshots_give_way_to_their_recipes_but_not_the_current_one() {
         let mut history = history(10, 500);
         (1..=4).for_each(|x| pose(&mut history, f64::from(x)));
-        assert!(history.bytes() <= 500);
+        assert!(history.byte_size() <= 500);
         let shape = |index: usize| history.shape(history.state(index).expect("kept").shape);
-        assert!(matches!(shape(1), Err(Recipe::Solved { .. })));
+        assert!(matches!(shape(1), Err(ShapeRecipe::Solved { .. })));
         assert_eq!(shape(4).expect("current")[0], DVec3::splat(4.0));
         assert_eq!(shape(0).expect("the rest shape costs nothing")[0], DVec3::ZERO);
     }
@@ -437,20 +397,20 @@ mod tests {
                         Some(model[at].0.clone())
                     }
                     2 => {
-                        prop_assert_eq!(history.behind().is_some(), at > 0);
-                        if let Some(back) = history.behind() {
+                        prop_assert_eq!(history.undo_target().is_some(), at > 0);
+                        if let Some(back) = history.undo_target() {
                             let shape = history.shape(history.state(back).expect("kept").shape).unwrap_or_default();
-                            history.go(back, shape);
+                            history.go_to_commit(back, shape);
                             at -= 1;
                             revision += 1;
                         }
                         None
                     }
                     _ => {
-                        prop_assert_eq!(history.ahead().is_some(), at + 1 < model.len());
-                        if let Some(next) = history.ahead() {
+                        prop_assert_eq!(history.redo_target().is_some(), at + 1 < model.len());
+                        if let Some(next) = history.redo_target() {
                             let shape = history.shape(history.state(next).expect("kept").shape).unwrap_or_default();
-                            history.go(next, shape);
+                            history.go_to_commit(next, shape);
                             at += 1;
                             revision += 1;
                         }

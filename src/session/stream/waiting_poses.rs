@@ -1,19 +1,19 @@
 //! Poses that wait on a stream: which are let in, and how many become few.
 
-use super::Error;
+use crate::session::error::Error;
 use crate::wire::{DeformOptions, pb};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 /// Drag poses that wait one by one; more are merged, oldest first.
-pub(super) const WAITING_DRAGS: usize = 64;
+pub(in crate::session) const WAITING_DRAGS: usize = 64;
 
 /// Poses by handle.
-pub(super) type Overlay = BTreeMap<String, Option<pb::HandlePose>>;
+pub(in crate::session) type DraggedPoses = BTreeMap<String, Option<pb::HandlePose>>;
 
 /// A pose that waits to be solved.
 #[derive(Debug, Clone)]
-pub(super) struct Waiting {
+pub(in crate::session) struct WaitingPose {
     pub seq: u64,
     pub entries: Vec<pb::pose::Entry>,
     pub commit: bool,
@@ -25,7 +25,7 @@ pub(super) struct Waiting {
 
 /// Refuses what no engine would take and what would make waiting poses large. Everything else is checked when the pose's turn
 /// comes, by the engine.
-pub(super) fn fits(pose: &pb::Pose, max_entries: usize) -> Result<(), Error> {
+pub(in crate::session) fn check_pose_size(pose: &pb::Pose, max_entries: usize) -> Result<(), Error> {
     if pose.handles.len() > max_entries {
         let text = format!("has {} entries, at most {max_entries} are allowed", pose.handles.len());
         return Err(Error::invalid("pose.handles", text));
@@ -55,7 +55,7 @@ pub(super) fn fits(pose: &pb::Pose, max_entries: usize) -> Result<(), Error> {
 }
 
 /// Merges the oldest neighbouring drags while too much waits. Which of them was wrong, if any, is then not told.
-pub(super) fn merge(waiting: &mut VecDeque<Waiting>, max_entries: usize) {
+pub(in crate::session) fn merge_waiting_drags(waiting: &mut VecDeque<WaitingPose>, max_entries: usize) {
     let most = 2 * max_entries + WAITING_DRAGS;
     loop {
         let drags = waiting.iter().filter(|w| !w.commit);
@@ -69,7 +69,7 @@ pub(super) fn merge(waiting: &mut VecDeque<Waiting>, max_entries: usize) {
         };
         let Some(old) = waiting.remove(at) else { return };
         let Some(new) = waiting.get_mut(at) else { return };
-        let mut union = Overlay::new();
+        let mut union = DraggedPoses::new();
         union.extend(
             old.entries
                 .into_iter()

@@ -1,5 +1,6 @@
 //! Direct solution of small dense systems.
 
+use crate::cholesky::{dot, factor_rows};
 use crate::lanes::{WIDTH, WideLanes};
 
 /// A pivot below this part of its diagonal entry belongs to a part of the graph that nothing holds.
@@ -11,33 +12,21 @@ const SINGULAR: f64 = 1e-9;
 /// takes its place, which pins that unknown softly. For right-hand sides that sum to zero over the part this still
 /// gives a solution.
 #[derive(Debug, Default)]
-pub(crate) struct Inverse {
+pub(crate) struct DenseInverse {
     size: usize,
     entries: Vec<f64>,
 }
 
-impl Inverse {
+impl DenseInverse {
     /// Inverts the `size` × `size` matrix, row-major, of which only the lower triangle is read.
     pub(crate) fn new(mut matrix: Vec<f64>, size: usize) -> Self {
         let n = size;
         let a = &mut matrix;
-        // Cholesky, row by row: rows are contiguous in both factors of each inner product.
-        for i in 0..n {
-            let (above, row) = a.split_at_mut(i * n);
-            for j in 0..i {
-                let other = &above[j * n..j * n + j + 1];
-                row[j] = (row[j] - dot(&row[..j], &other[..j])) / other[j];
-            }
-            let diagonal = row[i];
-            let pivot = diagonal - dot(&row[..i], &row[..i]);
-            // Not a plain comparison: a pivot that is not a number must be replaced too.
-            let sound = pivot > SINGULAR * diagonal;
-            row[i] = if sound {
-                pivot.sqrt()
-            } else {
-                diagonal.max(f64::MIN_POSITIVE).sqrt()
-            };
-        }
+        // Not a plain comparison: a pivot that is not a number must be replaced too.
+        factor_rows(a, n, 0..n, |diagonal, pivot| match pivot > SINGULAR * diagonal {
+            true => pivot,
+            false => diagonal.max(f64::MIN_POSITIVE),
+        });
         // The transposed inverse of the factor, row by row, in the upper triangle of a second matrix.
         let mut inverse = vec![0.0; n * n];
         for j in 0..n {
@@ -81,25 +70,6 @@ impl Inverse {
     }
 }
 
-/// Inner product in four interleaved sums.
-#[inline]
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 4];
-    let (fours_a, fours_b) = (a.chunks_exact(4), b.chunks_exact(4));
-    let rest: f64 = fours_a
-        .remainder()
-        .iter()
-        .zip(fours_b.remainder())
-        .map(|(x, y)| x * y)
-        .sum();
-    for (x, y) in fours_a.zip(fours_b) {
-        for c in 0..4 {
-            sums[c] += x[c] * y[c];
-        }
-    }
-    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -120,7 +90,7 @@ mod tests {
     fn the_inverse_undoes_the_matrix() {
         for n in [1usize, 2, 3, 7, 40] {
             let a = laplacian(n, 0.5);
-            let inverse = Inverse::new(a.clone(), n);
+            let inverse = DenseInverse::new(a.clone(), n);
             for k in 0..n {
                 let column: Vec<WideLanes> = (0..n).map(|i| [a[i * n + k], 0.0, -a[i * n + k], 0.0]).collect();
                 for i in 0..n {
@@ -139,7 +109,7 @@ mod tests {
     fn a_singular_part_still_solves_consistent_systems() {
         let n = 12;
         let a = laplacian(n, 0.0);
-        let inverse = Inverse::new(a.clone(), n);
+        let inverse = DenseInverse::new(a.clone(), n);
         let mut b = vec![[0.0; WIDTH]; n];
         b[2] = [1.0; WIDTH];
         b[9] = [-1.0; WIDTH];
@@ -148,6 +118,9 @@ mod tests {
             let ax: f64 = (0..n).map(|j| a[i * n + j] * x[j][1]).sum();
             assert!((ax - b[i][1]).abs() < 1e-9, "row {i}: {ax}");
         }
-        assert_eq!(Inverse::new(vec![0.0], 1).row_times(0, &[[0.0; WIDTH]]), [0.0; WIDTH]);
+        assert_eq!(
+            DenseInverse::new(vec![0.0], 1).row_times(0, &[[0.0; WIDTH]]),
+            [0.0; WIDTH]
+        );
     }
 }

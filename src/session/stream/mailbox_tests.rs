@@ -1,13 +1,13 @@
-//! The books of a stream, driven without a session: whatever the order of events, they balance and stay bounded.
+//! The state of a stream, driven without a session: whatever the order of events, its counts balance and it stays bounded.
 
-use super::super::waiting::WAITING_DRAGS;
+use super::super::waiting_poses::WAITING_DRAGS;
 use super::*;
 use glam::DVec3;
 use pb::deform_request::Message as Ask;
 use pb::deform_response::Message as Tell;
 use proptest::prelude::*;
 
-fn mailbox(config: &Config) -> Mailbox {
+fn mailbox(config: &SessionConfig) -> Mailbox {
     Mailbox::new("here", config, Arc::default(), Arc::default()).expect("default options are valid")
 }
 
@@ -29,8 +29,8 @@ fn pose(seq: u64, ids: &[&str], commit: bool) -> pb::DeformRequest {
     ask(Ask::Pose(pb::Pose { seq, handles, commit }))
 }
 
-fn frame(seq: u64, last: bool) -> Outgoing {
-    Outgoing {
+fn frame(seq: u64, last: bool) -> OutboundFrame {
+    OutboundFrame {
         header: pb::Frame {
             seq,
             r#final: last,
@@ -44,12 +44,12 @@ fn frame(seq: u64, last: bool) -> Outgoing {
 }
 
 /// Does work as a session would, with every pose being right.
-fn complete(mailbox: &Mailbox, work: Work) -> u64 {
+fn complete(mailbox: &Mailbox, work: StreamWork) -> u64 {
     let merged: u32 = work.poses.iter().map(|p| p.poses - 1).sum();
     let seq = work.poses.last().expect("never empty").seq;
-    mailbox.settle(Vec::new(), merged + work.poses.len() as u32 - 1);
-    mailbox.complete(Done {
-        overlay: work.overlay,
+    mailbox.settle_unsolved(Vec::new(), merged + work.poses.len() as u32 - 1);
+    mailbox.complete_work(StreamWorkResult {
+        dragged: work.dragged,
         frame: Some(frame(seq, true)),
         refused: None,
     });
@@ -57,22 +57,22 @@ fn complete(mailbox: &Mailbox, work: Work) -> u64 {
 }
 
 fn collect_frame(mailbox: &Mailbox) -> Option<pb::Frame> {
-    match mailbox.collect()? {
-        Letter::Frame(frame) => Some(frame.header),
+    match mailbox.next_item()? {
+        OutboundItem::Frame(frame) => Some(frame.header),
         other => panic!("a frame was expected, not {other:?}"),
     }
 }
 
 #[test]
 fn commits_bar_the_poses_behind_them() {
-    let mailbox = mailbox(&Config::default());
+    let mailbox = mailbox(&SessionConfig::default());
     for (seq, commit) in [(1, false), (2, true), (3, false), (4, true), (5, false)] {
         mailbox.push(pose(seq, &["a"], commit)).expect("open");
     }
-    let seqs = |work: &Work| work.poses.iter().map(|p| p.seq).collect::<Vec<_>>();
+    let seqs = |work: &StreamWork| work.poses.iter().map(|p| p.seq).collect::<Vec<_>>();
     for expected in [vec![1, 2], vec![3, 4], vec![5]] {
-        let work = mailbox.take().expect("work waits and the window is open");
-        assert!(mailbox.take().is_none(), "one piece of work at a time");
+        let work = mailbox.take_work().expect("work waits and the window is open");
+        assert!(mailbox.take_work().is_none(), "one piece of work at a time");
         assert_eq!(seqs(&work), expected);
         let seq = complete(&mailbox, work);
         collect_frame(&mailbox).expect("its frame");
@@ -82,28 +82,28 @@ fn commits_bar_the_poses_behind_them() {
 
 #[test]
 fn an_acknowledgement_counts_for_frames_that_were_taken_only() {
-    let mailbox = mailbox(&Config::default());
+    let mailbox = mailbox(&SessionConfig::default());
     for seq in 1..=2 {
         mailbox.push(pose(seq, &["a"], false)).expect("open");
-        complete(&mailbox, mailbox.take().expect("room for two"));
+        complete(&mailbox, mailbox.take_work().expect("room for two"));
     }
     mailbox.push(ask(Ask::Ack(pb::Ack { seq: 9 }))).expect("open");
     mailbox.push(pose(3, &["a"], false)).expect("open");
-    assert!(mailbox.take().is_none(), "two frames wait to be taken");
+    assert!(mailbox.take_work().is_none(), "two frames wait to be taken");
     assert_eq!(collect_frame(&mailbox).map(|f| f.seq), Some(1));
-    assert!(mailbox.take().is_none(), "taken, not acknowledged");
+    assert!(mailbox.take_work().is_none(), "taken, not acknowledged");
     mailbox.push(ask(Ask::Ack(pb::Ack { seq: 1 }))).expect("open");
-    assert!(mailbox.take().is_some());
+    assert!(mailbox.take_work().is_some());
 }
 
 #[test]
 fn the_last_place_of_the_window_is_for_the_final_frame() {
-    let mailbox = mailbox(&Config::default());
+    let mailbox = mailbox(&SessionConfig::default());
     mailbox.push(pose(1, &["a"], false)).expect("open");
-    let work = mailbox.take().expect("work");
-    assert!(mailbox.wants_more());
-    mailbox.send(frame(1, false));
-    assert!(!mailbox.wants_more());
+    let work = mailbox.take_work().expect("work");
+    assert!(mailbox.wants_intermediate_frame());
+    mailbox.send_frame(frame(1, false));
+    assert!(!mailbox.wants_intermediate_frame());
     complete(&mailbox, work);
     assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(false));
     assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(true));
@@ -111,7 +111,7 @@ fn the_last_place_of_the_window_is_for_the_final_frame() {
 
 #[test]
 fn a_window_of_one_holds_the_final_frame_until_the_first_is_acknowledged() {
-    let mailbox = mailbox(&Config::default());
+    let mailbox = mailbox(&SessionConfig::default());
     mailbox
         .push(ask(Ask::Options(pb::Options {
             window: 1,
@@ -119,22 +119,22 @@ fn a_window_of_one_holds_the_final_frame_until_the_first_is_acknowledged() {
         })))
         .expect("open");
     mailbox.push(pose(1, &["a"], false)).expect("open");
-    let work = mailbox.take().expect("work");
-    assert!(mailbox.wants_more());
-    mailbox.send(frame(1, false));
+    let work = mailbox.take_work().expect("work");
+    assert!(mailbox.wants_intermediate_frame());
+    mailbox.send_frame(frame(1, false));
     complete(&mailbox, work);
     assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(false));
     mailbox.push(pose(2, &["a"], false)).expect("open");
-    assert!(mailbox.collect().is_none() && mailbox.take().is_none());
+    assert!(mailbox.next_item().is_none() && mailbox.take_work().is_none());
     mailbox.push(ask(Ask::Ack(pb::Ack { seq: 1 }))).expect("open");
     assert_eq!(collect_frame(&mailbox).map(|f| (f.seq, f.r#final)), Some((1, true)));
 }
 
 #[test]
 fn a_flood_is_merged_and_the_newest_entry_of_a_handle_wins() {
-    let mailbox = mailbox(&Config {
+    let mailbox = mailbox(&SessionConfig {
         handles: 4,
-        ..Config::default()
+        ..SessionConfig::default()
     });
     for seq in 1..=5000u64 {
         let x = Some(pb::HandlePose {
@@ -151,10 +151,10 @@ fn a_flood_is_merged_and_the_newest_entry_of_a_handle_wins() {
             })))
             .expect("open");
     }
-    let work = mailbox.take().expect("work");
+    let work = mailbox.take_work().expect("work");
     assert!(work.poses.len() <= WAITING_DRAGS + 1);
     assert_eq!(work.poses.iter().map(|p| p.poses).sum::<u32>(), 5000);
-    let mut merged = Overlay::new();
+    let mut merged = DraggedPoses::new();
     for pose in work.poses {
         merged.extend(pose.entries.into_iter().map(|e| (e.id, e.pose)));
     }
@@ -164,26 +164,26 @@ fn a_flood_is_merged_and_the_newest_entry_of_a_handle_wins() {
 
 #[test]
 fn what_waits_is_bounded_whatever_is_sent() {
-    let config = Config {
+    let config = SessionConfig {
         handles: 4,
         stream_commits: 2,
-        ..Config::default()
+        ..SessionConfig::default()
     };
     let mailbox = mailbox(&config);
     for seq in 1..=2000u64 {
         let ids: Vec<String> = (0..4).map(|k| format!("{}", seq * 10 + k)).collect();
         let ids: Vec<&str> = ids.iter().map(String::as_str).collect();
         mailbox.push(pose(seq, &ids, seq % 500 == 0)).expect("open");
-        let entries: usize = mailbox.books().waiting.iter().map(|w| w.entries.len()).sum();
+        let entries: usize = mailbox.lock_state().waiting.iter().map(|w| w.entries.len()).sum();
         assert!(
             entries <= 2 * 4 + WAITING_DRAGS + 3 * 4,
             "{entries} entries wait after {seq} poses"
         );
         mailbox.push(ask(Ask::Ping(pb::Ping { nonce: seq }))).expect("open");
     }
-    assert_eq!(mailbox.books().pongs.len(), WAITING_PONGS);
+    assert_eq!(mailbox.lock_state().pongs.len(), WAITING_PONGS);
     let told: Vec<u64> = mailbox
-        .books()
+        .lock_state()
         .notes
         .iter()
         .map(|n| if let Tell::Error(e) = n { e.seq } else { 0 })
@@ -208,25 +208,25 @@ fn what_waits_is_bounded_whatever_is_sent() {
         .push(pose(3001, &["a", "b", "c", "d", "e"], false))
         .expect("open");
     mailbox.push(pose(3002, &[&"x".repeat(129)], false)).expect("open");
-    assert_eq!(mailbox.books().notes.len(), 5);
+    assert_eq!(mailbox.lock_state().notes.len(), 5);
 }
 
 #[test]
 fn errors_that_nobody_reads_end_the_stream() {
-    let mailbox = mailbox(&Config::default());
+    let mailbox = mailbox(&SessionConfig::default());
     mailbox.push(pose(5, &[], false)).expect("open");
     let refused = (0..1000)
         .take_while(|_| mailbox.push(pose(1, &[], false)).is_ok())
         .count();
     assert_eq!(refused, WAITING_NOTES + 1);
-    let letters: Vec<Letter> = std::iter::from_fn(|| mailbox.collect())
+    let letters: Vec<OutboundItem> = std::iter::from_fn(|| mailbox.next_item())
         .take(WAITING_NOTES + 2)
         .collect();
-    let Some(Letter::Message(Tell::Error(last))) = letters.get(WAITING_NOTES) else {
+    let Some(OutboundItem::Message(Tell::Error(last))) = letters.get(WAITING_NOTES) else {
         panic!("an error comes last")
     };
     assert_eq!((last.seq, last.code), (0, 8));
-    assert!(matches!(letters.last(), Some(Letter::End)));
+    assert!(matches!(letters.last(), Some(OutboundItem::End)));
 }
 
 #[test]
@@ -235,9 +235,9 @@ fn wrong_options_and_a_strange_session_end_the_stream() {
         session_id: "there".into(),
         message: None,
     };
-    let narrow = Config {
+    let narrow = SessionConfig {
         window: 2,
-        ..Config::default()
+        ..SessionConfig::default()
     };
     for request in [
         strange,
@@ -248,11 +248,11 @@ fn wrong_options_and_a_strange_session_end_the_stream() {
     ] {
         let mailbox = mailbox(&narrow);
         mailbox.push(request).expect("told on the stream");
-        let Some(Letter::Message(Tell::Error(error))) = mailbox.collect() else {
+        let Some(OutboundItem::Message(Tell::Error(error))) = mailbox.next_item() else {
             panic!("an error was expected")
         };
         assert_eq!((error.seq, error.code), (0, 3));
-        assert!(matches!(mailbox.collect(), Some(Letter::End)));
+        assert!(matches!(mailbox.next_item(), Some(OutboundItem::End)));
         assert!(mailbox.push(pose(1, &[], false)).is_err());
     }
 }
@@ -282,15 +282,15 @@ proptest! {
     /// Final frames plus errors plus the sum of `superseded` is the number of poses received, the window holds at all times,
     /// every commit that was taken in is answered, in order, and the last pose has a final frame.
     #[test]
-    fn books_balance(events in prop::collection::vec(event(), 0..120), window in 1u32..4) {
-        let mailbox = mailbox(&Config { stream_commits: 3, ..Config::default() });
+    fn every_pose_is_counted_once(events in prop::collection::vec(event(), 0..120), window in 1u32..4) {
+        let mailbox = mailbox(&SessionConfig { stream_commits: 3, ..SessionConfig::default() });
         mailbox.push(ask(Ask::Options(pb::Options { window, ..Default::default() }))).expect("open");
         let (mut seq, mut sent, mut finals, mut errors, mut superseded) = (0u64, 0u32, Vec::new(), Vec::new(), 0u32);
         let mut commits = Vec::new();
-        let (mut work, mut in_flight): (Option<Work>, Vec<u64>) = (None, Vec::new());
+        let (mut work, mut in_flight): (Option<StreamWork>, Vec<u64>) = (None, Vec::new());
         let mut collect = |in_flight: &mut Vec<u64>| -> bool {
-            match mailbox.collect() {
-                Some(Letter::Frame(frame)) => {
+            match mailbox.next_item() {
+                Some(OutboundItem::Frame(frame)) => {
                     superseded += frame.header.superseded;
                     in_flight.push(frame.header.seq);
                     if frame.header.r#final {
@@ -298,24 +298,24 @@ proptest! {
                     }
                     true
                 }
-                Some(Letter::Message(Tell::Error(error))) => {
+                Some(OutboundItem::Message(Tell::Error(error))) => {
                     errors.push(error.seq);
                     true
                 }
-                Some(Letter::Message(_)) => true,
-                Some(Letter::End) | None => false,
+                Some(OutboundItem::Message(_)) => true,
+                Some(OutboundItem::End) | None => false,
             }
         };
-        let finish = |work: Work, fails: bool| {
+        let finish = |work: StreamWork, fails: bool| {
             let newest = work.poses.last().map(|p| (p.seq, p.poses)).expect("never empty");
             let others: u32 = work.poses.iter().map(|p| p.poses).sum::<u32>() - 1;
-            mailbox.settle(Vec::new(), others);
+            mailbox.settle_unsolved(Vec::new(), others);
             let done = if fails {
-                Done { refused: Some((newest.0, Error::malformed("no"))), ..Done::default() }
+                StreamWorkResult { refused: Some((newest.0, Error::malformed("no"))), ..StreamWorkResult::default() }
             } else {
-                Done { frame: Some(frame(newest.0, true)), ..Done::default() }
+                StreamWorkResult { frame: Some(frame(newest.0, true)), ..StreamWorkResult::default() }
             };
-            mailbox.complete(done);
+            mailbox.complete_work(done);
         };
         for event in events {
             match event {
@@ -333,12 +333,12 @@ proptest! {
                 }
                 Event::Take => {
                     if work.is_none() {
-                        work = mailbox.take();
+                        work = mailbox.take_work();
                     }
                 }
                 Event::More => {
-                    if work.is_some() && mailbox.wants_more() {
-                        mailbox.send(frame(work.as_ref().and_then(|w| w.poses.last()).map_or(0, |p| p.seq), false));
+                    if work.is_some() && mailbox.wants_intermediate_frame() {
+                        mailbox.send_frame(frame(work.as_ref().and_then(|w| w.poses.last()).map_or(0, |p| p.seq), false));
                     }
                 }
                 Event::Complete { fails } => {
@@ -355,16 +355,16 @@ proptest! {
                     mailbox.push(ask(Ask::Ack(pb::Ack { seq: acknowledged }))).expect("open");
                 }
             }
-            let books = mailbox.books();
-            prop_assert!(books.frames.len() + in_flight.len() <= window as usize);
+            let state = mailbox.lock_state();
+            prop_assert!(state.frames.len() + in_flight.len() <= window as usize);
         }
         mailbox.finish();
         let mut ended = false;
         for _ in 0..1000 {
-            if let Some(work) = work.take().or_else(|| mailbox.take()) {
+            if let Some(work) = work.take().or_else(|| mailbox.take_work()) {
                 finish(work, false);
             }
-            if !collect(&mut in_flight) && matches!(mailbox.collect(), Some(Letter::End)) {
+            if !collect(&mut in_flight) && matches!(mailbox.next_item(), Some(OutboundItem::End)) {
                 ended = true;
                 break;
             }

@@ -4,21 +4,21 @@ use tokio::sync::watch;
 
 /// Counts calls and streams under way.
 #[derive(Debug)]
-pub(super) struct Gate(watch::Sender<usize>);
+pub(in crate::session) struct CallGate(watch::Sender<usize>);
 
 /// One call or stream under way.
 #[derive(Debug)]
-pub(super) struct Inside(watch::Sender<usize>);
+pub(in crate::session) struct CallGuard(watch::Sender<usize>);
 
-impl Gate {
+impl CallGate {
     pub fn new() -> Self {
         Self(watch::Sender::new(0))
     }
 
     /// One more is inside until the guard is dropped.
-    pub fn enter(&self) -> Inside {
+    pub fn enter(&self) -> CallGuard {
         self.0.send_modify(|n| *n += 1);
-        Inside(self.0.clone())
+        CallGuard(self.0.clone())
     }
 
     /// Waits until nobody is inside.
@@ -31,7 +31,7 @@ impl Gate {
     }
 }
 
-impl Drop for Inside {
+impl Drop for CallGuard {
     fn drop(&mut self) {
         self.0.send_modify(|n| *n = n.saturating_sub(1));
     }
@@ -43,7 +43,7 @@ mod tests {
 
     #[tokio::test]
     async fn empty_once_the_last_has_left() {
-        let gate = Gate::new();
+        let gate = CallGate::new();
         gate.empty().await;
         let (a, b) = (gate.enter(), gate.enter());
         drop(a);

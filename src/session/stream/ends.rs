@@ -1,17 +1,19 @@
 //! The client's two ends of an interactive deform stream.
 
-use super::gate::Inside;
-use super::mailbox::Mailbox;
-use super::outgoing::{Letter, Packer};
-use super::registry::Session;
-use super::{Error, Metrics};
+use crate::session::capacity::call_gate::CallGuard;
+use crate::session::error::Error;
+use crate::session::metrics::Metrics;
+use crate::session::registry::OpenSession;
+use crate::session::stream::frame_packer::FramePacker;
+use crate::session::stream::mailbox::Mailbox;
+use crate::session::stream::outbound_frame::OutboundItem;
 use crate::wire::frames::Parts;
 use crate::wire::pb;
 use std::sync::Arc;
 
 /// One interactive deform stream. Dropping it stops its solve within one cycle and frees its place.
 #[derive(Debug)]
-pub struct Stream {
+pub struct DeformStream {
     input: StreamInput,
     output: StreamOutput,
 }
@@ -27,21 +29,21 @@ pub struct StreamInput {
 #[derive(Debug)]
 pub struct StreamOutput {
     mailbox: Arc<Mailbox>,
-    session: Arc<Session>,
-    packer: Packer,
+    session: Arc<OpenSession>,
+    packer: FramePacker,
     parts: Option<Parts>,
     ended: bool,
     metrics: Arc<Metrics>,
-    _inside: Inside,
+    _inside: CallGuard,
 }
 
-impl Stream {
-    pub(super) fn new(
+impl DeformStream {
+    pub(in crate::session) fn new(
         mailbox: Arc<Mailbox>,
-        session: Arc<Session>,
+        session: Arc<OpenSession>,
         part_bytes: usize,
         metrics: Arc<Metrics>,
-        inside: Inside,
+        inside: CallGuard,
     ) -> Self {
         metrics.streams.inc();
         Self {
@@ -51,7 +53,7 @@ impl Stream {
             output: StreamOutput {
                 mailbox,
                 session,
-                packer: Packer::new(part_bytes),
+                packer: FramePacker::new(part_bytes),
                 parts: None,
                 ended: false,
                 metrics,
@@ -101,17 +103,19 @@ impl StreamOutput {
                     self.metrics.frames_sent.inc();
                 }
                 self.metrics.frame_bytes.inc_by(frame.data.len() as u64);
-                return Some(response(pb::deform_response::Message::Frame(frame)));
+                return Some(response_with(pb::deform_response::Message::Frame(frame)));
             }
             self.parts = None;
             if self.ended {
                 return None;
             }
-            match self.mailbox.collect() {
-                Some(Letter::Message(message)) => return Some(response(message)),
-                Some(Letter::Frame(frame)) => self.parts = Some(self.packer.pack(*frame, self.mailbox.acknowledged())),
-                Some(Letter::End) => self.ended = true,
-                None => self.mailbox.changed().await,
+            match self.mailbox.next_item() {
+                Some(OutboundItem::Message(message)) => return Some(response_with(message)),
+                Some(OutboundItem::Frame(frame)) => {
+                    self.parts = Some(self.packer.pack_frame(*frame, self.mailbox.acknowledged()))
+                }
+                Some(OutboundItem::End) => self.ended = true,
+                None => self.mailbox.wait_for_change().await,
             }
         }
     }
@@ -126,6 +130,6 @@ impl Drop for StreamOutput {
     }
 }
 
-fn response(message: pb::deform_response::Message) -> pb::DeformResponse {
+fn response_with(message: pb::deform_response::Message) -> pb::DeformResponse {
     pb::DeformResponse { message: Some(message) }
 }

@@ -1,19 +1,22 @@
 //! Opens sessions: checks what can be checked for nothing, takes a seat and memory, builds the engine, starts the task.
 
-use super::actor::Actor;
-use super::bench::Bench;
-use super::budget::Reservation;
-use super::commits::History;
-use super::expiry::Lease;
-use super::idempotency::{Claimed, Fingerprint};
-use super::manager::Shared;
-use super::registry::{Session, Streams, View};
-use super::requests::Stored;
-use super::stop::{CancelOnDrop, Stop};
-use super::{Answer, Code, Engine, Error, Tenant};
 use crate::asset::FileSet;
 use crate::engine::digest;
 use crate::exec::Exec;
+use crate::session::answers::{KeyedAnswer, Tenant};
+use crate::session::calls::command::StoredAnswer;
+use crate::session::calls::idempotency::{ClaimOutcome, RequestFingerprint};
+use crate::session::capacity::memory_budget::MemoryReservation;
+use crate::session::capacity::session_lease::SessionLease;
+use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
+use crate::session::engine::Engine;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::history::commit_history::CommitHistory;
+use crate::session::history::loaded_deformer::LoadedDeformer;
+use crate::session::history::session_state::EditedState;
+use crate::session::registry::{OpenSession, OpenStreams, SessionView};
+use crate::session::shared::SharedResources;
+use crate::session::task::session_task::SessionTask;
 use crate::wire;
 use crate::wire::pb;
 use prost::Message as _;
@@ -32,13 +35,13 @@ const LEAST_BYTES: u64 = 1 << 20;
 ///
 /// # Cancel safety
 /// Dropping the future stops the build; nothing exists then.
-pub(super) async fn create(
-    shared: &Arc<Shared>,
+pub(in crate::session) async fn create_session(
+    shared: &Arc<SharedResources>,
     tenant: &Tenant,
     files: FileSet,
     options: pb::CreateOptions,
     key: Option<&str>,
-) -> Result<Answer<pb::Session>, Error> {
+) -> Result<KeyedAnswer<pb::Session>, Error> {
     if shared.draining.load(SeqCst) {
         return Err(Error::draining());
     }
@@ -49,13 +52,13 @@ pub(super) async fn create(
             "the upload is {upload} bytes, at most {} are allowed",
             config.upload_bytes
         );
-        return Err(Error::new(Code::TooLarge, text));
+        return Err(Error::new(ErrorCode::TooLarge, text));
     }
     if options.label.len() > 256 {
         let text = format!("is {} bytes, at most 256 are allowed", options.label.len());
         return Err(Error::invalid("label", text));
     }
-    let ttl = config.ttl(&options.ttl)?;
+    let ttl = config.parse_ttl(&options.ttl)?;
     let inside = shared.gate.enter();
     let claim = match key {
         None => None,
@@ -63,14 +66,16 @@ pub(super) async fn create(
             let (named, made) = (files.clone(), options.encode_to_vec());
             let fingerprint = shared.compute.offload(move || fingerprint(&named, &made)).await?;
             match shared.idempotency.claim(tenant, key, fingerprint)? {
-                Claimed::Done(Stored::Session(value)) => {
-                    return Ok(Answer {
+                ClaimOutcome::Done(StoredAnswer::Session(value)) => {
+                    return Ok(KeyedAnswer {
                         value: *value,
                         repeated: true,
                     });
                 }
-                Claimed::Done(_) => return Err(Error::new(Code::Internal, "the kept answer is of another call")),
-                Claimed::New(claim) => Some(claim),
+                ClaimOutcome::Done(_) => {
+                    return Err(Error::new(ErrorCode::Internal, "the kept answer is of another call"));
+                }
+                ClaimOutcome::New(claim) => Some(claim),
             }
         }
     };
@@ -95,38 +100,38 @@ pub(super) async fn create(
     })?;
 
     let guard = CancelOnDrop::default();
-    let opened = open(shared, &memory, files, options.clone(), &guard).await?;
-    let Opened {
-        bench,
+    let opened = open_model(shared, &memory, files, options.clone(), &guard).await?;
+    let OpenedModel {
+        deformer,
         facts,
         history,
         build_ms,
         held,
     } = opened;
     if !memory.resize(held) {
-        shared.compute.discard(bench);
+        shared.compute.discard(deformer);
         return Err(refuse(format!(
             "the session needs {held} bytes and {} are in use",
             shared.budget.used() - held
         )));
     }
-    let positions = bench.engine.rest();
+    let positions = deformer.engine.rest();
     let (send, commands) = mpsc::channel(config.session_queue);
-    let session = Arc::new(Session {
+    let session = Arc::new(OpenSession {
         id: new_id()?,
         tenant: tenant.clone(),
         number: shared.numbers.fetch_add(1, SeqCst),
         label: options.label,
-        format: bench.engine.format(),
+        format: deformer.engine.format(),
         limits: config.limits(),
-        lease: Lease::new(ttl),
+        lease: SessionLease::new(ttl),
         commands: send,
-        streams: Streams::new(config),
+        streams: OpenStreams::new(config),
         wake: Arc::new(Notify::new()),
         cancel: Arc::default(),
         closing: CancellationToken::new(),
         ended: CancellationToken::new(),
-        view: RwLock::new(Arc::new(View {
+        view: RwLock::new(Arc::new(SessionView {
             revision: history.revision(),
             facts: Arc::new(facts),
             poses: history.current().poses.clone(),
@@ -140,16 +145,16 @@ pub(super) async fn create(
     shared.registry.insert(Arc::clone(&session));
     shared.metrics.sessions.inc();
     shared.metrics.sessions_created.inc();
-    let actor = Actor {
+    let actor = SessionTask {
         session: Arc::clone(&session),
         shared: Arc::clone(shared),
         commands,
-        bench: Some(bench),
+        deformer: Some(deformer),
         history,
         build_ms,
         memory,
         seat,
-        turn: 0,
+        next_stream: 0,
     };
     tokio::spawn(actor.run());
     // An abort that began meanwhile may have missed this session.
@@ -159,31 +164,31 @@ pub(super) async fn create(
     }
     let value = session.describe();
     if let Some(claim) = claim {
-        let stored = Stored::Session(Box::new(value.clone()));
-        let bytes = stored.bytes();
+        let stored = StoredAnswer::Session(Box::new(value.clone()));
+        let bytes = stored.byte_size();
         claim.complete(stored, bytes);
     }
     tracing::info!(session.id = %session.id, size_bytes = upload, "session opened");
     drop(inside);
-    Ok(Answer { value, repeated: false })
+    Ok(KeyedAnswer { value, repeated: false })
 }
 
-struct Opened {
-    bench: Bench,
+struct OpenedModel {
+    deformer: LoadedDeformer,
     facts: pb::Session,
-    history: History,
+    history: CommitHistory,
     build_ms: std::collections::BTreeMap<String, f64>,
     held: u64,
 }
 
 /// Builds the engine on the compute pool.
-async fn open(
-    shared: &Arc<Shared>,
-    memory: &Reservation,
+async fn open_model(
+    shared: &Arc<SharedResources>,
+    memory: &MemoryReservation,
     files: FileSet,
     options: pb::CreateOptions,
     guard: &CancelOnDrop,
-) -> Result<Opened, Error> {
+) -> Result<OpenedModel, Error> {
     let slot = tokio::select! {
         biased;
         () = shared.aborted.cancelled() => return Err(Error::draining()),
@@ -191,35 +196,35 @@ async fn open(
     };
     let config = &shared.config;
     let room = memory.room();
-    let limits = config.bench_limits(room);
-    let stop = Arc::new(Stop::new(
+    let limits = config.deformer_limits(room);
+    let watch = Arc::new(WorkWatch::new(
         vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)],
         config.build,
     ));
-    let (watch, inside) = (Arc::clone(&stop), Arc::clone(shared));
-    let built = slot.run(move |pool| -> Result<Opened, wire::Error> {
-        crate::progress::check(&*watch)?;
+    let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
+    let built = slot.run(move |pool| -> Result<OpenedModel, wire::Error> {
+        crate::progress::check(&*inner_watch)?;
         let engine: Box<dyn Engine> = inside
             .opener
-            .open(files, &options, &limits, &Exec::new(pool, &*watch))?;
-        let build_ms = watch.take_stage_ms();
+            .open(files, &options, &limits, &Exec::new(pool, &*inner_watch))?;
+        let build_ms = inner_watch.take_stage_ms();
         let facts = engine.facts();
         let rest = engine.rest();
-        let digest = digest(&rest);
+        let state = EditedState {
+            topology: engine.trail(),
+            diagonal: engine.diagonal(),
+            handles: pb::SetHandlesRequest::default(),
+            poses: engine.initial_poses(),
+            facts: facts.clone(),
+            digest: digest(&rest),
+            solved_with: None,
+        };
         let config = &inside.config;
-        let history = History::new(
-            facts.clone(),
-            engine.initial_poses(),
-            rest,
-            digest,
-            (engine.trail(), engine.diagonal()),
-            config.history,
-            config.snapshot_bytes,
-        );
-        let bench = Bench::new(engine, Arc::clone(&history.current().handles));
-        let held = bench.bytes().saturating_add(history.bytes());
-        Ok(Opened {
-            bench,
+        let history = CommitHistory::new(state, rest, config.history, config.snapshot_bytes);
+        let deformer = LoadedDeformer::new(engine, history.current().handles.id);
+        let held = deformer.byte_size().saturating_add(history.byte_size());
+        Ok(OpenedModel {
+            deformer,
             facts,
             history,
             build_ms,
@@ -230,11 +235,11 @@ async fn open(
         tracing::error!(panic = panicked.0, "opening a model panicked");
         Error::from(panicked)
     })?;
-    shared.metrics.build.observe(stop.elapsed().as_secs_f64());
+    shared.metrics.build.observe(watch.elapsed().as_secs_f64());
     built.map_err(|error| match error {
         wire::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining(),
-        wire::Error::Cancelled if stop.abandoned() => Error::new(Code::Cancelled, "the caller gave up"),
-        wire::Error::Cancelled => late(stop.limit()),
+        wire::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up"),
+        wire::Error::Cancelled => build_took_too_long(watch.limit()),
         // Too large for what is free now, not for the server: later it may fit.
         wire::Error::TooLarge { seen, limit, .. } if limit == room && seen <= shared.budget.total() => {
             shared.metrics.refused.inc();
@@ -247,25 +252,25 @@ async fn open(
     })
 }
 
-fn late(limit: Duration) -> Error {
+fn build_took_too_long(limit: Duration) -> Error {
     let text = format!(
         "building the session took longer than the {} ms that are allowed",
         limit.as_millis()
     );
-    Error::new(Code::DeadlineExceeded, text)
+    Error::new(ErrorCode::DeadlineExceeded, text)
 }
 
-fn fingerprint(files: &FileSet, options: &[u8]) -> Fingerprint {
+fn fingerprint(files: &FileSet, options: &[u8]) -> RequestFingerprint {
     let mut parts: Vec<&[u8]> = vec![options, files.name.as_bytes(), &files.main];
     for (uri, bytes) in &files.companions {
         parts.extend([uri.as_bytes(), bytes]);
     }
-    Fingerprint::of("create", &parts)
+    RequestFingerprint::of("create", &parts)
 }
 
 /// 128 random bits as 32 hexadecimal digits.
 fn new_id() -> Result<String, Error> {
     let mut bytes = [0u8; 16];
-    getrandom::fill(&mut bytes).map_err(|e| Error::new(Code::Internal, format!("no random numbers: {e}")))?;
+    getrandom::fill(&mut bytes).map_err(|e| Error::new(ErrorCode::Internal, format!("no random numbers: {e}")))?;
     Ok(format!("{:032x}", u128::from_be_bytes(bytes)))
 }

@@ -3,9 +3,10 @@
 //! A slot is asked for before anything is moved to the pool, so that a refused caller loses nothing. Slots are given in
 //! the order in which they were asked for, to however many sessions there are.
 
-use super::metrics::GaugeUnit;
-use super::{Code, Config, Error, Metrics};
 use crate::pool::Pool;
+use crate::session::config::SessionConfig;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::metrics::{GaugeUnit, Metrics};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -13,7 +14,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
 /// The thread pool and who may use it now.
 #[derive(Debug, Clone)]
-pub(super) struct Compute {
+pub(in crate::session) struct ComputeSlots {
     pool: Pool,
     slots: Arc<Semaphore>,
     /// Bounds those who wait for a slot.
@@ -24,7 +25,7 @@ pub(super) struct Compute {
 
 /// The right to run one piece of work.
 #[derive(Debug)]
-pub(super) struct Slot {
+pub(in crate::session) struct ComputeSlot {
     permit: OwnedSemaphorePermit,
     pool: Pool,
     metrics: Arc<Metrics>,
@@ -34,17 +35,17 @@ pub(super) struct Slot {
 
 /// The work panicked; what it had in hand is lost.
 #[derive(Debug)]
-pub(super) struct Panicked(pub String);
+pub(in crate::session) struct WorkPanicked(pub String);
 
-impl From<Panicked> for Error {
-    fn from(_: Panicked) -> Self {
-        Self::new(Code::Internal, "a defect of the server stopped this work")
+impl From<WorkPanicked> for Error {
+    fn from(_: WorkPanicked) -> Self {
+        Self::new(ErrorCode::Internal, "a defect of the server stopped this work")
     }
 }
 
-impl Compute {
-    pub fn new(config: &Config, metrics: Arc<Metrics>) -> Result<Self, Error> {
-        let pool = Pool::new(config.compute_threads).map_err(|e| Error::new(Code::Internal, e.to_string()))?;
+impl ComputeSlots {
+    pub fn new(config: &SessionConfig, metrics: Arc<Metrics>) -> Result<Self, Error> {
+        let pool = Pool::new(config.compute_threads).map_err(|e| Error::new(ErrorCode::Internal, e.to_string()))?;
         let slots = if config.compute_slots == 0 {
             pool.threads()
         } else {
@@ -66,7 +67,7 @@ impl Compute {
     ///
     /// # Errors
     /// `RESOURCE_EXHAUSTED` when too many wait already, or after the longest wait.
-    pub async fn slot(&self) -> Result<Slot, Error> {
+    pub async fn slot(&self) -> Result<ComputeSlot, Error> {
         let refuse = |text: String| {
             self.metrics.refused.inc();
             Error::exhausted(text, 1)
@@ -91,7 +92,7 @@ impl Compute {
         };
         let queued = asked.elapsed();
         self.metrics.queue.observe(queued.as_secs_f64());
-        Ok(Slot {
+        Ok(ComputeSlot {
             permit,
             pool: self.pool.clone(),
             metrics: Arc::clone(&self.metrics),
@@ -103,31 +104,37 @@ impl Compute {
     ///
     /// # Cancel safety
     /// Dropping the future discards the result.
-    pub async fn offload<R: Send + 'static>(&self, work: impl FnOnce() -> R + Send + 'static) -> Result<R, Panicked> {
+    pub async fn offload<R: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> R + Send + 'static,
+    ) -> Result<R, WorkPanicked> {
         tokio::task::spawn_blocking(move || caught(work))
             .await
-            .unwrap_or_else(|_| Err(Panicked("the runtime is shutting down".into())))
+            .unwrap_or_else(|_| Err(WorkPanicked("the runtime is shutting down".into())))
     }
 
     /// Drops what is large without holding up the caller or waiting for a solve.
     pub fn discard(&self, what: impl Send + 'static) {
         tokio::task::spawn_blocking(move || {
-            if let Err(Panicked(text)) = caught(move || drop(what)) {
+            if let Err(WorkPanicked(text)) = caught(move || drop(what)) {
                 tracing::error!(panic = text, "dropping panicked");
             }
         });
     }
 }
 
-impl Slot {
+impl ComputeSlot {
     /// Runs `work` on the pool. The slot is free again when the work has ended, whether or not anybody waits for it.
     ///
     /// # Cancel safety
     /// Dropping the future discards the result; to stop the work, raise its flag.
     ///
     /// # Errors
-    /// [`Panicked`]; the panic goes no further.
-    pub async fn run<R: Send + 'static>(self, work: impl FnOnce(&Pool) -> R + Send + 'static) -> Result<R, Panicked> {
+    /// [`WorkPanicked`]; the panic goes no further.
+    pub async fn run<R: Send + 'static>(
+        self,
+        work: impl FnOnce(&Pool) -> R + Send + 'static,
+    ) -> Result<R, WorkPanicked> {
         let Self {
             permit, pool, metrics, ..
         } = self;
@@ -143,14 +150,14 @@ impl Slot {
         });
         result
             .await
-            .unwrap_or_else(|_| Err(Panicked("the work was dropped".into())))
+            .unwrap_or_else(|_| Err(WorkPanicked("the work was dropped".into())))
     }
 }
 
-fn caught<R>(work: impl FnOnce() -> R) -> Result<R, Panicked> {
+fn caught<R>(work: impl FnOnce() -> R) -> Result<R, WorkPanicked> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|payload| {
         let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
-        Panicked(
+        WorkPanicked(
             text.or_else(|| payload.downcast_ref::<String>().cloned())
                 .unwrap_or_else(|| "panic".into()),
         )
@@ -161,16 +168,16 @@ fn caught<R>(work: impl FnOnce() -> R) -> Result<R, Panicked> {
 mod tests {
     use super::*;
 
-    fn compute(config: Config) -> Compute {
-        Compute::new(&config, Arc::default()).expect("threads start")
+    fn compute(config: SessionConfig) -> ComputeSlots {
+        ComputeSlots::new(&config, Arc::default()).expect("threads start")
     }
 
     #[tokio::test]
     async fn a_panic_ends_the_work_and_frees_the_slot() {
-        let one = compute(Config {
+        let one = compute(SessionConfig {
             compute_threads: 1,
             compute_slots: 1,
-            ..Config::default()
+            ..SessionConfig::default()
         });
         let slot = one.slot().await.expect("a slot");
         let ended = slot.run(|_| -> u32 { std::panic::panic_any("on purpose") }).await;
@@ -181,11 +188,11 @@ mod tests {
 
     #[tokio::test]
     async fn waiting_is_bounded_in_number() {
-        let one = compute(Config {
+        let one = compute(SessionConfig {
             compute_threads: 1,
             compute_slots: 1,
             compute_queue: 1,
-            ..Config::default()
+            ..SessionConfig::default()
         });
         let held = one.slot().await.expect("a slot");
         let waiter = one.slot();
@@ -201,11 +208,11 @@ mod tests {
     #[tokio::test]
     async fn waiting_is_bounded_in_time() {
         let wait = Duration::from_millis(5);
-        let one = compute(Config {
+        let one = compute(SessionConfig {
             compute_threads: 1,
             compute_slots: 1,
             compute_wait: wait,
-            ..Config::default()
+            ..SessionConfig::default()
         });
         let held = one.slot().await.expect("a slot");
         assert_eq!(one.slot().await.expect_err("waited too long").http_status(), 429);

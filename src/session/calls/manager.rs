@@ -3,19 +3,23 @@
 //! A call finds its session (404), claims its idempotency key, hands a command to the session's task and waits for the answer.
 //! What only reads the published view needs no task. Opening sessions is in `create`, stopping in `drain`.
 
-use super::budget::Budget;
-use super::compute::Compute;
-use super::gate::Gate;
-use super::idempotency::{Claim, Claimed, Fingerprint, Idempotency};
-use super::mailbox::Mailbox;
-use super::registry::{Registry, Session};
-use super::requests::{Call, Change, Command, Direction, Stored};
-use super::stop::CancelOnDrop;
-use super::{
-    Answer, Code, Config, Error, Exported, Metrics, OpenWorkbench, Opener, Positions, SolvedFrames, Stream, Tenant,
-};
 use crate::asset::{FileSet, Format};
-use crate::progress::CancelFlag;
+use crate::session::answers::{ExportedModel, KeyedAnswer, PositionBuffer, SolvedFrames, Tenant};
+use crate::session::calls::command::{HandleChange, HistoryDirection, PendingCall, SessionCommand, StoredAnswer};
+use crate::session::calls::create::create_session;
+use crate::session::calls::idempotency::{ClaimOutcome, IdempotencyKeys, KeyClaim, RequestFingerprint};
+use crate::session::capacity::call_gate::CallGate;
+use crate::session::capacity::compute_slots::ComputeSlots;
+use crate::session::capacity::memory_budget::MemoryBudget;
+use crate::session::capacity::work_watch::CancelOnDrop;
+use crate::session::config::SessionConfig;
+use crate::session::engine::{EngineOpener, OpenDeformer};
+use crate::session::error::{Error, ErrorCode};
+use crate::session::metrics::Metrics;
+use crate::session::registry::{OpenSession, SessionRegistry};
+use crate::session::shared::SharedResources;
+use crate::session::stream::ends::DeformStream;
+use crate::session::stream::mailbox::Mailbox;
 use crate::wire::{DeformOptions, pb};
 use crate::wire::{frames::encode, frames::f32_bytes};
 use prost::Message as _;
@@ -27,26 +31,7 @@ use tokio_util::sync::CancellationToken;
 /// Every session of this process. Cloning shares them.
 #[derive(Clone)]
 pub struct Manager {
-    pub(super) shared: Arc<Shared>,
-}
-
-/// What all sessions share.
-pub(super) struct Shared {
-    pub config: Config,
-    pub metrics: Arc<Metrics>,
-    pub compute: Compute,
-    pub budget: Arc<Budget>,
-    /// One permit for each session that may be held.
-    pub seats: Arc<Semaphore>,
-    pub registry: Registry,
-    pub idempotency: Idempotency<Stored>,
-    pub opener: Box<dyn Opener>,
-    pub gate: Gate,
-    pub numbers: AtomicU64,
-    pub draining: AtomicBool,
-    /// Raised by `abort`.
-    pub aborted: CancellationToken,
-    pub abort_flag: Arc<CancelFlag>,
+    pub(in crate::session) shared: Arc<SharedResources>,
 }
 
 impl Manager {
@@ -54,22 +39,22 @@ impl Manager {
     ///
     /// # Errors
     /// `INVALID_ARGUMENT` for a configuration that makes no sense, `INTERNAL` when threads cannot be started.
-    pub fn new(config: Config) -> Result<Self, Error> {
-        Self::with_opener(config, OpenWorkbench)
+    pub fn new(config: SessionConfig) -> Result<Self, Error> {
+        Self::with_opener(config, OpenDeformer)
     }
 
     /// As [`Manager::new`], with another engine.
-    pub fn with_opener(config: Config, opener: impl Opener) -> Result<Self, Error> {
+    pub fn with_opener(config: SessionConfig, opener: impl EngineOpener) -> Result<Self, Error> {
         config.validate()?;
         let metrics = Arc::new(Metrics::default());
-        let shared = Shared {
-            compute: Compute::new(&config, Arc::clone(&metrics))?,
-            budget: Budget::new(config.memory_bytes, Arc::clone(&metrics)),
+        let shared = SharedResources {
+            compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
+            budget: MemoryBudget::new(config.memory_bytes, Arc::clone(&metrics)),
             seats: Arc::new(Semaphore::new(config.sessions)),
-            registry: Registry::default(),
-            idempotency: Idempotency::new(&config),
+            registry: SessionRegistry::default(),
+            idempotency: IdempotencyKeys::new(&config),
             opener: Box::new(opener),
-            gate: Gate::new(),
+            gate: CallGate::new(),
             numbers: AtomicU64::new(1),
             draining: AtomicBool::new(false),
             aborted: CancellationToken::new(),
@@ -88,7 +73,7 @@ impl Manager {
     }
 
     /// The configuration.
-    pub fn config(&self) -> &Config {
+    pub fn config(&self) -> &SessionConfig {
         &self.shared.config
     }
 
@@ -111,8 +96,8 @@ impl Manager {
         files: FileSet,
         options: pb::CreateOptions,
         key: Option<&str>,
-    ) -> Result<Answer<pb::Session>, Error> {
-        super::create::create(&self.shared, tenant, files, options, key).await
+    ) -> Result<KeyedAnswer<pb::Session>, Error> {
+        create_session(&self.shared, tenant, files, options, key).await
     }
 
     /// Describes a session and renews its lease.
@@ -167,7 +152,7 @@ impl Manager {
         let _inside = self.shared.gate.enter();
         self.shared.registry.remove(id);
         let text = format!("session \"{id}\" was deleted");
-        session.close(Error::new(Code::NotFound, text));
+        session.close(Error::new(ErrorCode::NotFound, text));
         session.ended.cancelled().await;
         tracing::info!(session.id = %id, "session deleted");
         Ok(())
@@ -188,7 +173,8 @@ impl Manager {
     ) -> Result<pb::Session, Error> {
         let session = self.find(tenant, &request.session_id)?;
         let claim = self.claim(tenant, key, "set_handles", &[&request.encode_to_vec()])?;
-        self.change(&session, Change::Replace(request), claim).await
+        self.change_handles(&session, HandleChange::Replace(request), claim)
+            .await
     }
 
     /// Changes the fields of one handle that `fields` names (in JSON names), or adds it; one commit. Everything else,
@@ -211,7 +197,7 @@ impl Manager {
         let names = fields.join(",");
         let parts: [&[u8]; 3] = [id.as_bytes(), names.as_bytes(), &handle.encode_to_vec()];
         let claim = self.claim(tenant, key, "put_handle", &parts)?;
-        self.change(&session, Change::Put(Box::new(handle), fields.to_vec()), claim)
+        self.change_handles(&session, HandleChange::Put(Box::new(handle), fields.to_vec()), claim)
             .await
     }
 
@@ -231,7 +217,8 @@ impl Manager {
     ) -> Result<pb::Session, Error> {
         let session = self.find(tenant, id)?;
         let claim = self.claim(tenant, key, "remove_handle", &[id.as_bytes(), handle_id.as_bytes()])?;
-        self.change(&session, Change::Remove(handle_id.to_owned()), claim).await
+        self.change_handles(&session, HandleChange::Remove(handle_id.to_owned()), claim)
+            .await
     }
 
     /// Solves one pose and commits it.
@@ -252,7 +239,7 @@ impl Manager {
         let options = request.options.unwrap_or_default();
         let settings = DeformOptions::check(&options, "options", self.shared.config.window)?;
         let claim = match self.claim(tenant, key, "solve", &[&request.encode_to_vec()])? {
-            Some(Claimed::Done(Stored::Solved {
+            Some(ClaimOutcome::Done(StoredAnswer::Solved {
                 frame,
                 revision,
                 digest,
@@ -266,14 +253,18 @@ impl Manager {
                     digest,
                 });
             }
-            Some(Claimed::Done(_)) => return Err(Error::new(Code::Internal, "the kept answer is of another call")),
-            Some(Claimed::New(claim)) => Some(claim),
+            Some(ClaimOutcome::Done(_)) => {
+                return Err(Error::new(ErrorCode::Internal, "the kept answer is of another call"));
+            }
+            Some(ClaimOutcome::New(claim)) => Some(claim),
             None => None,
         };
         self.shared.metrics.poses_received.inc();
         let pose = request.pose.unwrap_or_default();
-        self.call(&session, claim, |call| Command::Solve(Box::new((pose, settings)), call))
-            .await
+        self.call(&session, claim, |call| {
+            SessionCommand::Solve(Box::new((pose, settings)), call)
+        })
+        .await
     }
 
     /// Goes back by one commit; positions are restored to the bit.
@@ -284,7 +275,7 @@ impl Manager {
     /// # Errors
     /// `FAILED_PRECONDITION` when nothing is left to undo.
     pub async fn undo(&self, tenant: &Tenant, id: &str, key: Option<&str>) -> Result<pb::Session, Error> {
-        self.step(tenant, id, Direction::Undo, key).await
+        self.step_history(tenant, id, HistoryDirection::Undo, key).await
     }
 
     /// Goes forward again by one undone commit.
@@ -295,7 +286,7 @@ impl Manager {
     /// # Errors
     /// `FAILED_PRECONDITION` when nothing is left to redo.
     pub async fn redo(&self, tenant: &Tenant, id: &str, key: Option<&str>) -> Result<pb::Session, Error> {
-        self.step(tenant, id, Direction::Redo, key).await
+        self.step_history(tenant, id, HistoryDirection::Redo, key).await
     }
 
     /// The commits that can be gone to, oldest first.
@@ -313,9 +304,10 @@ impl Manager {
     ///
     /// # Errors
     /// `INVALID_ARGUMENT` when the model cannot be written in that format.
-    pub async fn export(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<Exported, Error> {
+    pub async fn export(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<ExportedModel, Error> {
         let session = self.find(tenant, id)?;
-        self.call(&session, None, |call| Command::Export(format, call)).await
+        self.call(&session, None, |call| SessionCommand::Export(format, call))
+            .await
     }
 
     /// The entity tag that [`Manager::export`] would answer with, for nothing.
@@ -324,25 +316,28 @@ impl Manager {
     /// `NOT_FOUND`.
     pub async fn export_etag(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<String, Error> {
         let session = self.find(tenant, id)?;
-        Ok(Session::etag(&session.view(), format.unwrap_or(session.format).name()))
+        Ok(OpenSession::etag(
+            &session.view(),
+            format.unwrap_or(session.format).name(),
+        ))
     }
 
     /// The current committed positions as one buffer.
     ///
     /// # Errors
     /// `NOT_FOUND`.
-    pub async fn positions(&self, tenant: &Tenant, id: &str) -> Result<Positions, Error> {
+    pub async fn positions(&self, tenant: &Tenant, id: &str) -> Result<PositionBuffer, Error> {
         let view = self.find(tenant, id)?.view();
-        let etag = Session::etag(&view, "f32");
+        let etag = OpenSession::etag(&view, "f32");
         let bytes = self.shared.compute.offload(move || f32_bytes(&view.positions)).await?;
-        Ok(Positions { bytes, etag })
+        Ok(PositionBuffer { bytes, etag })
     }
 
     /// Opens an interactive stream on a session. It starts from the committed poses.
     ///
     /// # Errors
     /// `NOT_FOUND`, `RESOURCE_EXHAUSTED` when the session has as many streams as allowed, `UNAVAILABLE` while draining.
-    pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<Stream, Error> {
+    pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<DeformStream, Error> {
         let session = self.find(tenant, id)?;
         if self.shared.draining.load(SeqCst) {
             return Err(Error::draining());
@@ -354,7 +349,7 @@ impl Manager {
             metrics.refused.inc();
         })?;
         let inside = self.shared.gate.enter();
-        let stream = Stream::new(mailbox, session, config.part_bytes, metrics, inside);
+        let stream = DeformStream::new(mailbox, session, config.part_bytes, metrics, inside);
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {
             Err(Error::draining())
@@ -363,60 +358,66 @@ impl Manager {
         }
     }
 
-    pub(super) fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<Session>, Error> {
+    pub(in crate::session) fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<OpenSession>, Error> {
         self.shared.registry.find(tenant, id)
     }
 
-    pub(super) fn claim(
+    pub(in crate::session) fn claim(
         &self,
         tenant: &Tenant,
         key: Option<&str>,
         operation: &str,
         parts: &[&[u8]],
-    ) -> Result<Option<Claimed<Stored>>, Error> {
+    ) -> Result<Option<ClaimOutcome<StoredAnswer>>, Error> {
         let claim = |key| {
             self.shared
                 .idempotency
-                .claim(tenant, key, Fingerprint::of(operation, parts))
+                .claim(tenant, key, RequestFingerprint::of(operation, parts))
         };
         key.map(claim).transpose()
     }
 
-    async fn change(
+    async fn change_handles(
         &self,
-        session: &Arc<Session>,
-        change: Change,
-        claim: Option<Claimed<Stored>>,
+        session: &Arc<OpenSession>,
+        change: HandleChange,
+        claim: Option<ClaimOutcome<StoredAnswer>>,
     ) -> Result<pb::Session, Error> {
-        self.describing(session, claim, |call| Command::SetHandles(change, call))
+        self.call_for_session(session, claim, |call| SessionCommand::SetHandles(change, call))
             .await
     }
 
-    async fn step(
+    async fn step_history(
         &self,
         tenant: &Tenant,
         id: &str,
-        direction: Direction,
+        direction: HistoryDirection,
         key: Option<&str>,
     ) -> Result<pb::Session, Error> {
         let session = self.find(tenant, id)?;
-        let operation = if direction == Direction::Undo { "undo" } else { "redo" };
+        let operation = if direction == HistoryDirection::Undo {
+            "undo"
+        } else {
+            "redo"
+        };
         let claim = self.claim(tenant, key, operation, &[id.as_bytes()])?;
-        self.describing(&session, claim, |call| Command::Step(direction, call))
+        self.call_for_session(&session, claim, |call| SessionCommand::Step(direction, call))
             .await
     }
 
     /// Makes a call that answers with the session, or gives the answer kept for its key.
-    async fn describing(
+    async fn call_for_session(
         &self,
-        session: &Arc<Session>,
-        claim: Option<Claimed<Stored>>,
-        command: impl FnOnce(Call<pb::Session>) -> Command,
+        session: &Arc<OpenSession>,
+        claim: Option<ClaimOutcome<StoredAnswer>>,
+        command: impl FnOnce(PendingCall<pb::Session>) -> SessionCommand,
     ) -> Result<pb::Session, Error> {
         let claim = match claim {
-            Some(Claimed::Done(Stored::Session(session))) => return Ok(*session),
-            Some(Claimed::Done(_)) => return Err(Error::new(Code::Internal, "the kept answer is of another call")),
-            Some(Claimed::New(claim)) => Some(claim),
+            Some(ClaimOutcome::Done(StoredAnswer::Session(session))) => return Ok(*session),
+            Some(ClaimOutcome::Done(_)) => {
+                return Err(Error::new(ErrorCode::Internal, "the kept answer is of another call"));
+            }
+            Some(ClaimOutcome::New(claim)) => Some(claim),
             None => None,
         };
         self.call(session, claim, command).await
@@ -426,16 +427,16 @@ impl Manager {
     ///
     /// # Cancel safety
     /// Dropping the future raises the command's flag.
-    pub(super) async fn call<T>(
+    pub(in crate::session) async fn call<T>(
         &self,
-        session: &Arc<Session>,
-        claim: Option<Claim<Stored>>,
-        command: impl FnOnce(Call<T>) -> Command,
+        session: &Arc<OpenSession>,
+        claim: Option<KeyClaim<StoredAnswer>>,
+        command: impl FnOnce(PendingCall<T>) -> SessionCommand,
     ) -> Result<T, Error> {
         let _inside = self.shared.gate.enter();
         let guard = CancelOnDrop::default();
         let (reply, answer) = oneshot::channel();
-        let command = command(Call {
+        let command = command(PendingCall {
             reply,
             cancel: Arc::clone(&guard.0),
             claim,

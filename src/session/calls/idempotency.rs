@@ -3,7 +3,9 @@
 //! A call claims its key before it does anything and completes the claim with its answer; a claim that is dropped, because
 //! the call failed or was given up, frees the key. Failures are not kept: nothing happened, so a retry may try.
 
-use super::{Code, Config, Error, Tenant};
+use crate::session::answers::Tenant;
+use crate::session::config::SessionConfig;
+use crate::session::error::{Error, ErrorCode};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -17,9 +19,9 @@ const TENANTS: usize = 10_000;
 
 /// What tells two requests apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Fingerprint(u128);
+pub(in crate::session) struct RequestFingerprint(u128);
 
-impl Fingerprint {
+impl RequestFingerprint {
     /// Of an operation and everything that it was given.
     pub fn of(operation: &str, parts: &[&[u8]]) -> Self {
         let mut hasher = Xxh3::new();
@@ -33,21 +35,21 @@ impl Fingerprint {
 
 /// The answers `A` of finished calls, by tenant and key.
 #[derive(Debug)]
-pub(super) struct Idempotency<A> {
-    tenants: Arc<Mutex<BTreeMap<Tenant, Keys<A>>>>,
+pub(in crate::session) struct IdempotencyKeys<A> {
+    tenants: Arc<Mutex<BTreeMap<Tenant, TenantKeys<A>>>>,
     age: Duration,
     keys: usize,
 }
 
 #[derive(Debug)]
-struct Keys<A> {
-    entries: BTreeMap<Arc<str>, Entry<A>>,
+struct TenantKeys<A> {
+    entries: BTreeMap<Arc<str>, KeyEntry<A>>,
     /// Keys of finished calls, oldest first; a number tells a key from its later reuse.
     finished: VecDeque<(Instant, u64, Arc<str>)>,
     bytes: u64,
 }
 
-impl<A> Default for Keys<A> {
+impl<A> Default for TenantKeys<A> {
     fn default() -> Self {
         Self {
             entries: BTreeMap::new(),
@@ -58,32 +60,32 @@ impl<A> Default for Keys<A> {
 }
 
 #[derive(Debug)]
-struct Entry<A> {
-    fingerprint: Fingerprint,
+struct KeyEntry<A> {
+    fingerprint: RequestFingerprint,
     answer: Option<(A, u64)>,
     number: u64,
 }
 
 /// What a key says about a call.
 #[derive(Debug)]
-pub(super) enum Claimed<A> {
+pub(in crate::session) enum ClaimOutcome<A> {
     /// It is new: do it, then complete the claim.
-    New(Claim<A>),
+    New(KeyClaim<A>),
     /// It was done; this was the answer.
     Done(A),
 }
 
 /// The right to answer for one key.
 #[derive(Debug)]
-pub(super) struct Claim<A> {
-    tenants: Arc<Mutex<BTreeMap<Tenant, Keys<A>>>>,
+pub(in crate::session) struct KeyClaim<A> {
+    tenants: Arc<Mutex<BTreeMap<Tenant, TenantKeys<A>>>>,
     tenant: Tenant,
     key: Arc<str>,
     open: bool,
 }
 
-impl<A: Clone> Idempotency<A> {
-    pub fn new(config: &Config) -> Self {
+impl<A: Clone> IdempotencyKeys<A> {
+    pub fn new(config: &SessionConfig) -> Self {
         Self {
             tenants: Arc::default(),
             age: config.idempotency_age,
@@ -96,7 +98,7 @@ impl<A: Clone> Idempotency<A> {
     /// # Errors
     /// `INVALID_ARGUMENT` for a key that is no key or was used for another request, `ABORTED` while the first call runs,
     /// `RESOURCE_EXHAUSTED` when all keys are taken by calls that run.
-    pub fn claim(&self, tenant: &Tenant, key: &str, fingerprint: Fingerprint) -> Result<Claimed<A>, Error> {
+    pub fn claim(&self, tenant: &Tenant, key: &str, fingerprint: RequestFingerprint) -> Result<ClaimOutcome<A>, Error> {
         if key.is_empty() || key.len() > 255 || !key.bytes().all(|b| b.is_ascii_graphic()) {
             return Err(Error::invalid(
                 "idempotency-key",
@@ -124,11 +126,11 @@ impl<A: Clone> Idempotency<A> {
                     "idempotency-key",
                     "was used for a different request; choose a new key",
                 )),
-                Some((answer, _)) => Ok(Claimed::Done(answer.clone())),
+                Some((answer, _)) => Ok(ClaimOutcome::Done(answer.clone())),
                 None => Err(Error {
                     retry_after_s: Some(1),
                     ..Error::new(
-                        Code::Aborted,
+                        ErrorCode::Aborted,
                         "the first call with this idempotency key is still running",
                     )
                 }),
@@ -144,13 +146,13 @@ impl<A: Clone> Idempotency<A> {
         let key: Arc<str> = Arc::from(key);
         keys.entries.insert(
             Arc::clone(&key),
-            Entry {
+            KeyEntry {
                 fingerprint,
                 answer: None,
                 number: 0,
             },
         );
-        Ok(Claimed::New(Claim {
+        Ok(ClaimOutcome::New(KeyClaim {
             tenants: Arc::clone(&self.tenants),
             tenant: tenant.clone(),
             key,
@@ -159,7 +161,7 @@ impl<A: Clone> Idempotency<A> {
     }
 }
 
-impl<A> Keys<A> {
+impl<A> TenantKeys<A> {
     /// Drops answers that are too old, and the oldest ones beyond `keys` and the bytes allowed.
     fn forget(&mut self, age: Duration, keys: usize) {
         while let Some((when, number, _)) = self.finished.front() {
@@ -174,7 +176,7 @@ impl<A> Keys<A> {
                 .entries
                 .get(&key)
                 .is_some_and(|e| e.number == number && e.answer.is_some())
-                && let Some(Entry {
+                && let Some(KeyEntry {
                     answer: Some((_, bytes)),
                     ..
                 }) = self.entries.remove(&key)
@@ -185,7 +187,7 @@ impl<A> Keys<A> {
     }
 }
 
-impl<A> Claim<A> {
+impl<A> KeyClaim<A> {
     /// Keeps the answer, which holds about `bytes`.
     pub fn complete(mut self, answer: A, bytes: u64) {
         self.open = false;
@@ -204,7 +206,7 @@ impl<A> Claim<A> {
     }
 }
 
-impl<A> Drop for Claim<A> {
+impl<A> Drop for KeyClaim<A> {
     fn drop(&mut self) {
         if self.open {
             let mut tenants = self.tenants.lock().unwrap_or_else(PoisonError::into_inner);
@@ -219,19 +221,27 @@ impl<A> Drop for Claim<A> {
 mod tests {
     use super::*;
 
-    fn keep(store: &Idempotency<u32>, key: &str, body: &str, answer: u32) {
+    fn keep(store: &IdempotencyKeys<u32>, key: &str, body: &str, answer: u32) {
         match store
-            .claim(&Tenant::default(), key, Fingerprint::of("op", &[body.as_bytes()]))
+            .claim(
+                &Tenant::default(),
+                key,
+                RequestFingerprint::of("op", &[body.as_bytes()]),
+            )
             .expect("claimed")
         {
-            Claimed::New(claim) => claim.complete(answer, 8),
-            Claimed::Done(_) => panic!("{key} is taken"),
+            ClaimOutcome::New(claim) => claim.complete(answer, 8),
+            ClaimOutcome::Done(_) => panic!("{key} is taken"),
         }
     }
 
-    fn ask(store: &Idempotency<u32>, key: &str, body: &str) -> Result<Option<u32>, Error> {
-        let claimed = store.claim(&Tenant::default(), key, Fingerprint::of("op", &[body.as_bytes()]))?;
-        Ok(if let Claimed::Done(answer) = claimed {
+    fn ask(store: &IdempotencyKeys<u32>, key: &str, body: &str) -> Result<Option<u32>, Error> {
+        let claimed = store.claim(
+            &Tenant::default(),
+            key,
+            RequestFingerprint::of("op", &[body.as_bytes()]),
+        )?;
+        Ok(if let ClaimOutcome::Done(answer) = claimed {
             Some(answer)
         } else {
             None
@@ -240,22 +250,22 @@ mod tests {
 
     #[tokio::test]
     async fn the_first_answer_is_given_again() {
-        let store = Idempotency::new(&Config::default());
+        let store = IdempotencyKeys::new(&SessionConfig::default());
         keep(&store, "a", "x", 1);
         assert_eq!(ask(&store, "a", "x").expect("same request"), Some(1));
         assert_eq!(ask(&store, "a", "y").expect_err("another request").http_status(), 422);
         let other = Tenant(Arc::from("other"));
         let theirs = store
-            .claim(&other, "a", Fingerprint::of("op", &[b"y"]))
+            .claim(&other, "a", RequestFingerprint::of("op", &[b"y"]))
             .expect("keys belong to tenants");
-        assert!(matches!(theirs, Claimed::New(_)));
+        assert!(matches!(theirs, ClaimOutcome::New(_)));
     }
 
     #[tokio::test]
     async fn an_answer_that_is_too_old_is_forgotten() {
-        let store = Idempotency::new(&Config {
+        let store = IdempotencyKeys::new(&SessionConfig {
             idempotency_age: Duration::ZERO,
-            ..Config::default()
+            ..SessionConfig::default()
         });
         keep(&store, "a", "x", 1);
         assert_eq!(ask(&store, "a", "y").expect("forgotten"), None);
@@ -265,26 +275,26 @@ mod tests {
 
     #[tokio::test]
     async fn a_running_call_holds_its_key_and_a_failed_one_frees_it() {
-        let store: Idempotency<u32> = Idempotency::new(&Config::default());
+        let store: IdempotencyKeys<u32> = IdempotencyKeys::new(&SessionConfig::default());
         let claim = store
-            .claim(&Tenant::default(), "a", Fingerprint::of("op", &[]))
+            .claim(&Tenant::default(), "a", RequestFingerprint::of("op", &[]))
             .expect("new");
         let error = store
-            .claim(&Tenant::default(), "a", Fingerprint::of("op", &[]))
+            .claim(&Tenant::default(), "a", RequestFingerprint::of("op", &[]))
             .expect_err("runs");
         assert_eq!((error.http_status(), error.code_name()), (409, "ABORTED"));
         drop(claim);
         assert!(matches!(
-            store.claim(&Tenant::default(), "a", Fingerprint::of("op", &[])),
-            Ok(Claimed::New(_))
+            store.claim(&Tenant::default(), "a", RequestFingerprint::of("op", &[])),
+            Ok(ClaimOutcome::New(_))
         ));
     }
 
     #[tokio::test]
     async fn keys_are_bounded_and_checked() {
-        let store = Idempotency::new(&Config {
+        let store = IdempotencyKeys::new(&SessionConfig {
             idempotency_keys: 2,
-            ..Config::default()
+            ..SessionConfig::default()
         });
         for (k, key) in ["a", "b", "c"].into_iter().enumerate() {
             keep(&store, key, key, k as u32);
@@ -296,10 +306,10 @@ mod tests {
             assert_eq!(ask(&store, bad, "x").expect_err("no key").http_status(), 422, "{bad:?}");
         }
         let _running: Vec<_> = ["p", "q"]
-            .map(|k| store.claim(&Tenant::default(), k, Fingerprint::of("o", &[])))
+            .map(|k| store.claim(&Tenant::default(), k, RequestFingerprint::of("o", &[])))
             .into();
         let full = store
-            .claim(&Tenant::default(), "r", Fingerprint::of("o", &[]))
+            .claim(&Tenant::default(), "r", RequestFingerprint::of("o", &[]))
             .expect_err("both run");
         assert_eq!(full.http_status(), 429);
     }
@@ -307,9 +317,12 @@ mod tests {
     #[test]
     fn requests_differ_by_where_their_parts_end() {
         assert_ne!(
-            Fingerprint::of("a", &[b"bc", b"d"]),
-            Fingerprint::of("a", &[b"b", b"cd"])
+            RequestFingerprint::of("a", &[b"bc", b"d"]),
+            RequestFingerprint::of("a", &[b"b", b"cd"])
         );
-        assert_ne!(Fingerprint::of("ab", &[b""]), Fingerprint::of("a", &[b"b"]));
+        assert_ne!(
+            RequestFingerprint::of("ab", &[b""]),
+            RequestFingerprint::of("a", &[b"b"])
+        );
     }
 }

@@ -1,11 +1,11 @@
 //! The bytes that all sessions together may hold.
 
-use super::Metrics;
+use crate::session::metrics::Metrics;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A number of bytes, handed out in reservations.
 #[derive(Debug)]
-pub(super) struct Budget {
+pub(in crate::session) struct MemoryBudget {
     total: u64,
     used: Mutex<u64>,
     metrics: Arc<Metrics>,
@@ -13,12 +13,12 @@ pub(super) struct Budget {
 
 /// Bytes that one session holds, or one build is expected to need. Given back when dropped.
 #[derive(Debug)]
-pub(super) struct Reservation {
-    budget: Arc<Budget>,
+pub(in crate::session) struct MemoryReservation {
+    budget: Arc<MemoryBudget>,
     bytes: u64,
 }
 
-impl Budget {
+impl MemoryBudget {
     pub fn new(total: u64, metrics: Arc<Metrics>) -> Arc<Self> {
         Arc::new(Self {
             total,
@@ -38,7 +38,7 @@ impl Budget {
     }
 
     /// Takes `wanted` bytes, or what there is if that is at least `least`.
-    pub fn reserve(self: &Arc<Self>, least: u64, wanted: u64) -> Option<Reservation> {
+    pub fn reserve(self: &Arc<Self>, least: u64, wanted: u64) -> Option<MemoryReservation> {
         let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
         let free = self.total.saturating_sub(*used);
         let bytes = wanted.min(free);
@@ -48,14 +48,14 @@ impl Budget {
         *used = used.saturating_add(bytes);
         self.metrics.bytes.inc_by(signed(bytes));
         drop(used);
-        Some(Reservation {
+        Some(MemoryReservation {
             budget: Arc::clone(self),
             bytes,
         })
     }
 }
 
-impl Reservation {
+impl MemoryReservation {
     /// Bytes that this reservation could grow to.
     pub fn room(&self) -> u64 {
         let used = self.budget.used.lock().unwrap_or_else(PoisonError::into_inner);
@@ -72,7 +72,7 @@ impl Reservation {
     }
 }
 
-impl Drop for Reservation {
+impl Drop for MemoryReservation {
     fn drop(&mut self) {
         self.resize(0);
     }
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn what_is_taken_is_gone_until_it_is_given_back() {
         let metrics = Arc::new(Metrics::default());
-        let budget = Budget::new(100, Arc::clone(&metrics));
+        let budget = MemoryBudget::new(100, Arc::clone(&metrics));
         let mut first = budget.reserve(10, 60).expect("60 of 100");
         let second = budget.reserve(10, 60).expect("the 40 that are left");
         assert!(budget.reserve(10, 60).is_none(), "nothing is left");

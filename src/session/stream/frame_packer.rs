@@ -1,38 +1,14 @@
-//! Frames on their way out: what is known of a frame before it is packed, and the packing as a transport pulls it.
+//! Packs frames as a transport pulls them.
 
-use crate::engine::Shading;
-use crate::wire::pb;
-use crate::wire::{frames::FrameRequest, frames::Parts, frames::encode};
-use glam::{DVec3, Vec3};
+use crate::session::stream::outbound_frame::OutboundFrame;
+use crate::wire::{frames::Parts, frames::encode};
+use glam::Vec3;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// A frame that is not packed yet.
-#[derive(Debug, Clone)]
-pub(super) struct Outgoing {
-    /// Everything but the numbers.
-    pub header: pb::Frame,
-    pub positions: Arc<Vec<DVec3>>,
-    pub shading: Option<Arc<Shading>>,
-    pub output: pb::Output,
-    pub diagonal: f64,
-}
-
-/// Something for the transport.
-#[derive(Debug)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one at a time, moved straight on into a response of the same size"
-)]
-pub(super) enum Letter {
-    Message(pb::deform_response::Message),
-    Frame(Box<Outgoing>),
-    End,
-}
-
 /// Packs the frames of one stream. Remembers what the reader holds, for frames that carry changes only.
 #[derive(Debug)]
-pub(super) struct Packer {
+pub(in crate::session) struct FramePacker {
     part_bytes: usize,
     /// The buffer that the reader holds after each frame that it was sent and has not acknowledged, with the frame's seq.
     sent: VecDeque<(u64, Arc<Vec<Vec3>>)>,
@@ -43,7 +19,7 @@ pub(super) struct Packer {
 /// Buffers remembered at most; more than any window.
 const REMEMBERED: usize = 128;
 
-impl Packer {
+impl FramePacker {
     pub fn new(part_bytes: usize) -> Self {
         Self {
             part_bytes,
@@ -53,15 +29,8 @@ impl Packer {
     }
 
     /// Prepares the parts of a frame. `acknowledged` is the newest seq that the reader has acknowledged.
-    pub fn pack(&mut self, frame: Outgoing, acknowledged: Option<u64>) -> Parts {
-        let Outgoing {
-            header,
-            positions,
-            shading,
-            output,
-            diagonal,
-        } = frame;
-        let seq = header.seq;
+    pub fn pack_frame(&mut self, frame: OutboundFrame, acknowledged: Option<u64>) -> Parts {
+        let (seq, output, positions) = (frame.header.seq, frame.output, Arc::clone(&frame.positions));
         let other = |buffer: &Arc<Vec<Vec3>>| buffer.len() != positions.len();
         if self
             .acknowledged
@@ -98,15 +67,7 @@ impl Packer {
             (Some(a), _) => vec![Arc::clone(a)],
             (None, _) => Vec::new(),
         };
-        let parts = encode(FrameRequest {
-            header,
-            positions: Arc::clone(&positions),
-            shading,
-            output,
-            baselines,
-            diagonal,
-            part_bytes: self.part_bytes,
-        });
+        let parts = encode(frame.into_request(baselines, self.part_bytes));
         if delta {
             let buffer = match (parts.selected(), held) {
                 (Some(selected), Some(held)) if held.len() == positions.len() => {
@@ -130,10 +91,12 @@ impl Packer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::pb;
+    use glam::DVec3;
     use proptest::prelude::*;
 
-    fn frame(seq: u64, positions: &[DVec3], threshold: f64) -> Outgoing {
-        Outgoing {
+    fn frame(seq: u64, positions: &[DVec3], threshold: f64) -> OutboundFrame {
+        OutboundFrame {
             header: pb::Frame {
                 seq,
                 ..Default::default()
@@ -156,12 +119,12 @@ mod tests {
             steps in prop::collection::vec((prop::collection::vec(-3i8..4, 6), any::<bool>()), 1..20),
             threshold in 0.0f64..2.5,
         ) {
-            let mut packer = Packer::new(1 << 20);
+            let mut packer = FramePacker::new(1 << 20);
             let mut client = [[f32::NAN; 3]; 6];
             let mut acknowledged = None;
             for (k, (xs, acknowledge)) in steps.iter().enumerate() {
                 let shape: Vec<DVec3> = xs.iter().map(|&x| DVec3::new(x.into(), 0.0, 0.0)).collect();
-                for part in packer.pack(frame(k as u64 + 1, &shape, threshold), acknowledged) {
+                for part in packer.pack_frame(frame(k as u64 + 1, &shape, threshold), acknowledged) {
                     for (at, data) in part.indices.iter().zip(part.data.chunks_exact(12)) {
                         let number = |i: usize| f32::from_le_bytes([data[i], data[i + 1], data[i + 2], data[i + 3]]);
                         client[*at as usize] = [number(0), number(4), number(8)];
@@ -180,14 +143,14 @@ mod tests {
     #[test]
     fn a_shape_at_rest_is_no_change_once_it_is_acknowledged() {
         let shape = vec![DVec3::new(0.1, 0.2, 0.3); 5];
-        let mut packer = Packer::new(1 << 20);
+        let mut packer = FramePacker::new(1 << 20);
         let count = |parts: Parts| parts.map(|p| p.vertex_count).sum::<u32>();
-        assert_eq!(count(packer.pack(frame(1, &shape, 0.0), None)), 5);
+        assert_eq!(count(packer.pack_frame(frame(1, &shape, 0.0), None)), 5);
         assert_eq!(
-            count(packer.pack(frame(2, &shape, 0.0), None)),
+            count(packer.pack_frame(frame(2, &shape, 0.0), None)),
             5,
             "nothing is acknowledged yet"
         );
-        assert_eq!(count(packer.pack(frame(3, &shape, 0.0), Some(1))), 0);
+        assert_eq!(count(packer.pack_frame(frame(3, &shape, 0.0), Some(1))), 0);
     }
 }

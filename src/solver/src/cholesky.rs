@@ -1,23 +1,45 @@
 //! Cholesky factors of dense symmetric positive definite matrices, by blocks, on any number of threads.
+//!
+//! The crate factors dense matrices here alone: [`CholeskyFactor`] block after block, and the inverse of a coarsest level as
+//! one block. What differs is the rule for pivots that the matrix does not determine.
 
 use crate::exec::Exec;
 use crate::progress::Cancelled;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Columns that are eliminated together.
 const BLOCK: usize = 48;
 
 /// The lower triangular factor L of A = L Lᵀ.
+///
+/// ```
+/// use pliant_solver::CholeskyFactor;
+/// use pliant_solver::exec::Exec;
+/// use pliant_solver::pool::Pool;
+/// use pliant_solver::progress::Silent;
+///
+/// let pool = Pool::new(1)?;
+/// let matrix = vec![4.0, 2.0, 2.0, 3.0];
+/// let factor = CholeskyFactor::new(matrix, 2, 1e-12, &Exec::new(&pool, &Silent))?;
+/// let mut x = [[8.0, 4.0, 0.0], [7.0, 2.0, 0.0]];
+/// factor.solve(&mut x);
+/// assert!((x[0][0] - 1.25).abs() < 1e-12 && (x[1][0] - 1.5).abs() < 1e-12);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Default)]
-pub(in crate::deform) struct Cholesky {
+pub struct CholeskyFactor {
     size: usize,
     /// Row-major; only the lower triangle means anything.
     factor: Vec<f64>,
 }
 
-impl Cholesky {
+impl CholeskyFactor {
     /// Factors the `size` × `size` matrix, row-major, of which the lower triangle is read. Pivots below `least` are raised
     /// to it, which keeps unknowns near 0 that the matrix does not determine.
+    ///
+    /// # Errors
+    /// [`Cancelled`], asked between blocks of columns.
     pub fn new(mut matrix: Vec<f64>, size: usize, least: f64, exec: &Exec<'_>) -> Result<Self, Cancelled> {
         let n = size;
         for from in (0..n).step_by(BLOCK) {
@@ -25,15 +47,8 @@ impl Cholesky {
             let to = n.min(from + BLOCK);
             let (above, below) = matrix.split_at_mut(to * n);
             let block = &mut above[from * n..];
-            for i in from..to {
-                let (upper, row) = block.split_at_mut((i - from) * n);
-                for j in from..i {
-                    let other = &upper[(j - from) * n..(j - from) * n + n];
-                    row[j] = (row[j] - dot(&row[from..j], &other[from..j])) / other[j];
-                }
-                // `max` also replaces what is not a number.
-                row[i] = (row[i] - dot(&row[from..i], &row[from..i])).max(least).sqrt();
-            }
+            // `max` also replaces what is not a number.
+            factor_rows(block, n, from..to, |_, pivot| pivot.max(least));
             let block = &*block;
             exec.pool.install(|| {
                 // The block's columns of every row below it.
@@ -83,14 +98,29 @@ impl Cholesky {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         self.factor.capacity() * 8
+    }
+}
+
+/// Factors the square on the diagonal that the columns of `range` have in the rows of `block`, which begin with row
+/// `range.start` and are `n` long. `pivot_rule` turns a diagonal entry and its pivot into the pivot to use.
+pub(crate) fn factor_rows(block: &mut [f64], n: usize, range: Range<usize>, pivot_rule: impl Fn(f64, f64) -> f64) {
+    let from = range.start;
+    for i in range {
+        // Rows are contiguous in both factors of each inner product.
+        let (above, row) = block.split_at_mut((i - from) * n);
+        for j in from..i {
+            let other = &above[(j - from) * n..(j - from) * n + n];
+            row[j] = (row[j] - dot(&row[from..j], &other[from..j])) / other[j];
+        }
+        row[i] = pivot_rule(row[i], row[i] - dot(&row[from..i], &row[from..i])).sqrt();
     }
 }
 
 /// Inner product in four interleaved sums.
 #[inline]
-fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; 4];
     let (fours_a, rest_a) = a.as_chunks::<4>();
     let (fours_b, rest_b) = b.as_chunks::<4>();
@@ -118,7 +148,7 @@ mod tests {
             let b: Vec<[f64; 3]> = (0..n).map(|i| [i as f64, 1.0, -0.5 * (i % 3) as f64]).collect();
             let solutions = [1, 2, 3].map(|threads| {
                 let pool = Pool::new(threads).unwrap();
-                let factor = Cholesky::new(matrix.clone(), n, 0.0, &Exec::new(&pool, &Silent)).unwrap();
+                let factor = CholeskyFactor::new(matrix.clone(), n, 0.0, &Exec::new(&pool, &Silent)).unwrap();
                 let mut x = b.clone();
                 factor.solve(&mut x);
                 x
@@ -136,7 +166,7 @@ mod tests {
     #[test]
     fn what_the_matrix_does_not_determine_stays_finite() {
         let pool = Pool::new(1).unwrap();
-        let factor = Cholesky::new(vec![1.0, 1.0, 1.0, 1.0], 2, 1e-6, &Exec::new(&pool, &Silent)).unwrap();
+        let factor = CholeskyFactor::new(vec![1.0, 1.0, 1.0, 1.0], 2, 1e-6, &Exec::new(&pool, &Silent)).unwrap();
         let mut x = [[1.0; 3]; 2];
         factor.solve(&mut x);
         assert!(x.iter().all(|x| x[0].is_finite() && x[0].abs() < 2.0), "{x:?}");

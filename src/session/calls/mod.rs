@@ -1,0 +1,8 @@
+//! The calls of all transports: a session's handles, poses, commits and edits, asked for by tenant and id.
+
+pub(super) mod command;
+mod create;
+mod drain;
+mod edit;
+pub(super) mod idempotency;
+pub(super) mod manager;

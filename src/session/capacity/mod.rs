@@ -1,0 +1,7 @@
+//! What a server has to give: memory, compute slots and time.
+
+pub(super) mod call_gate;
+pub(super) mod compute_slots;
+pub(super) mod memory_budget;
+pub(super) mod session_lease;
+pub(super) mod work_watch;

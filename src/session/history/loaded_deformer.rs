@@ -1,0 +1,191 @@
+//! An engine together with what it holds now, so that a piece of work that was given up half-way costs nothing but its
+//! time: the next one brings the engine back to the handles that it needs.
+
+use crate::engine::{
+    EditCommand, EditOutcome, HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
+};
+use crate::engine::{Shader, Shading, digest};
+use crate::exec::Exec;
+use crate::pool::Pool;
+use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::engine::Engine;
+use crate::session::history::session_state::{CommittedHandles, HandleSetId, SessionState, ShapeRecipe};
+use crate::wire;
+use crate::wire::{DeformOptions, pb};
+use glam::DVec3;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A solved pose, with what its frame and its commit need.
+pub(in crate::session) struct PoseSolution {
+    pub poses: HandlePoses,
+    pub solved: SolvedShape,
+    pub shading: Option<Arc<Shading>>,
+    /// Digest of the positions of a commit; empty for a drag.
+    pub digest: String,
+    /// How far the shape of a commit is from the rest shape.
+    pub quality: Option<pb::Quality>,
+    pub solve_time: Duration,
+}
+
+/// The engine of one session. Moves to the compute pool and back with every piece of work.
+pub(in crate::session) struct LoadedDeformer {
+    /// The engine.
+    pub engine: Box<dyn Engine>,
+    /// The handles that the engine has; `None` when nobody else knows them, so that whatever comes next loads its own.
+    loaded: Option<HandleSetId>,
+    shader: Option<Arc<Shader>>,
+}
+
+impl LoadedDeformer {
+    /// A fresh engine, without handles; `loaded` names the session's empty set.
+    pub fn new(engine: Box<dyn Engine>, loaded: HandleSetId) -> Self {
+        Self {
+            engine,
+            loaded: Some(loaded),
+            shader: None,
+        }
+    }
+
+    /// Makes `topology` the state that edits have left, and `handles` the ones in force.
+    pub fn load_state(
+        &mut self,
+        topology: Option<&TopologyState>,
+        handles: &CommittedHandles,
+        exec: &Exec<'_>,
+    ) -> Result<(), wire::Error> {
+        self.go_to_topology(topology, exec)?;
+        if self.loaded != Some(handles.id) {
+            self.engine.set_handles(&handles.request, exec)?;
+            self.loaded = Some(handles.id);
+        }
+        Ok(())
+    }
+
+    /// Makes `topology` the state that edits have left.
+    pub fn go_to_topology(&mut self, topology: Option<&TopologyState>, exec: &Exec<'_>) -> Result<(), wire::Error> {
+        let Some(topology) = topology else { return Ok(()) };
+        if self.engine.trail().is_some_and(|now| now.is_same(topology)) {
+            return Ok(());
+        }
+        self.engine.retrace(topology, exec)?;
+        self.forget_derived();
+        Ok(())
+    }
+
+    /// Edits the shape of the state named by `topology` and `handles`, for a commit. Until the commit is stored, `load` with
+    /// the old ones goes back.
+    pub fn edit(
+        &mut self,
+        topology: Option<&TopologyState>,
+        handles: &CommittedHandles,
+        order: &EditCommand<'_>,
+        exec: &Exec<'_>,
+    ) -> Result<EditOutcome, wire::Error> {
+        self.load_state(topology, handles, exec)?;
+        let outcome = self.engine.edit(order, exec)?;
+        self.forget_derived();
+        Ok(outcome)
+    }
+
+    /// What was derived from the engine's state is out of date.
+    fn forget_derived(&mut self) {
+        self.loaded = None;
+        self.shader = None;
+    }
+
+    /// Replaces the handles by new ones, for a commit. Until the commit is stored, `load` with the old ones goes back.
+    pub fn replace_handles(
+        &mut self,
+        topology: Option<&TopologyState>,
+        handles: &pb::SetHandlesRequest,
+        exec: &Exec<'_>,
+    ) -> Result<(HandlePoses, pb::Session), wire::Error> {
+        self.go_to_topology(topology, exec)?;
+        self.engine.set_handles(handles, exec)?;
+        self.loaded = None;
+        Ok((self.engine.initial_poses(), self.engine.facts()))
+    }
+
+    /// Tells which set the handles of the last [`LoadedDeformer::replace_handles`] or edit became.
+    pub fn adopt_handles(&mut self, handles: HandleSetId) {
+        self.loaded = Some(handles);
+    }
+
+    /// Solves a pose for a commit and measures it. This is the one way to a committed shape, for calls and for streams;
+    /// it depends on nothing but the state, the poses and the settings.
+    pub fn solve_for_commit(
+        &mut self,
+        state: &SessionState,
+        change: &pb::Pose,
+        settings: &DeformOptions,
+        watch: &WorkWatch,
+        pool: &Pool,
+    ) -> Result<PoseSolution, wire::Error> {
+        let exec = &Exec::new(pool, watch);
+        self.load_state(state.topology.as_ref(), &state.handles, exec)?;
+        let poses = self.engine.posed(&state.poses, change)?;
+        let solved = self.solve(&poses, &settings.solve, SolveMode::Commit, exec, &mut |_| true)?;
+        let solve_time = watch.elapsed();
+        let quality = self.engine.measure(&solved.positions, &settings.output, exec)?;
+        Ok(PoseSolution {
+            poses,
+            shading: self.shade(&solved.positions, settings),
+            digest: digest(&solved.positions),
+            quality,
+            solve_time,
+            solved,
+        })
+    }
+
+    /// Makes the normals and tangents that `settings` ask for; `None` when they ask for neither.
+    pub fn shade(&mut self, positions: &[DVec3], settings: &DeformOptions) -> Option<Arc<Shading>> {
+        let is_wanted = settings.output.normals || settings.output.tangents;
+        is_wanted.then(|| Arc::new(self.shader().shade(positions)))
+    }
+
+    /// Solves a pose with the handles in force.
+    pub fn solve(
+        &mut self,
+        poses: &HandlePoses,
+        settings: &SolveSettings,
+        mode: SolveMode,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
+    ) -> Result<SolvedShape, wire::Error> {
+        exec.check()?;
+        self.engine.solve(poses, settings, mode, exec, watch)
+    }
+
+    /// Makes a shape again.
+    pub fn solve_recipe(&mut self, recipe: &ShapeRecipe, exec: &Exec<'_>) -> Result<Arc<Vec<DVec3>>, wire::Error> {
+        match recipe {
+            ShapeRecipe::Rest { topology } => {
+                self.go_to_topology(topology.as_ref(), exec)?;
+                Ok(self.engine.rest())
+            }
+            ShapeRecipe::Solved {
+                topology,
+                handles,
+                poses,
+                settings,
+            } => {
+                self.load_state(topology.as_ref(), handles, exec)?;
+                Ok(self
+                    .solve(poses, settings, SolveMode::Commit, exec, &mut |_| true)?
+                    .positions)
+            }
+        }
+    }
+
+    /// What makes normals and tangents; built when first asked for.
+    pub fn shader(&mut self) -> Arc<Shader> {
+        let Self { engine, shader, .. } = self;
+        Arc::clone(shader.get_or_insert_with(|| Arc::new(engine.shader())))
+    }
+
+    /// Bytes held.
+    pub fn byte_size(&self) -> u64 {
+        self.engine.bytes() + self.shader.as_ref().map_or(0, |s| s.bytes())
+    }
+}

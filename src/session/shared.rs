@@ -1,0 +1,35 @@
+//! What all sessions of a process share.
+
+use crate::progress::CancelFlag;
+use crate::session::calls::command::StoredAnswer;
+use crate::session::calls::idempotency::IdempotencyKeys;
+use crate::session::capacity::call_gate::CallGate;
+use crate::session::capacity::compute_slots::ComputeSlots;
+use crate::session::capacity::memory_budget::MemoryBudget;
+use crate::session::config::SessionConfig;
+use crate::session::engine::EngineOpener;
+use crate::session::metrics::Metrics;
+use crate::session::registry::SessionRegistry;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+
+/// What all sessions share.
+pub(super) struct SharedResources {
+    pub config: SessionConfig,
+    pub metrics: Arc<Metrics>,
+    pub compute: ComputeSlots,
+    pub budget: Arc<MemoryBudget>,
+    /// One permit for each session that may be held.
+    pub seats: Arc<Semaphore>,
+    pub registry: SessionRegistry,
+    pub idempotency: IdempotencyKeys<StoredAnswer>,
+    pub opener: Box<dyn EngineOpener>,
+    pub gate: CallGate,
+    pub numbers: AtomicU64,
+    pub draining: AtomicBool,
+    /// Raised by `abort`.
+    pub aborted: CancellationToken,
+    pub abort_flag: Arc<CancelFlag>,
+}

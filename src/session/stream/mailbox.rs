@@ -1,0 +1,350 @@
+//! What lies between the two ends of a deform stream and the task of its session: poses waiting, frames going out.
+//!
+//! Everything here is bounded. Waiting poses are merged when they become many, commits and errors have their number,
+//! and a pose is taken only while a frame may be sent, so a reader that stops costs no more than the window of
+//! frames. One short lock guards the state; it is never held while anything waits or computes.
+//!
+
+use crate::progress::CancelFlag;
+use crate::session::config::SessionConfig;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::metrics::Metrics;
+use crate::session::stream::outbound_frame::{OutboundFrame, OutboundItem};
+use crate::session::stream::stream_state::StreamState;
+use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose, check_pose_size, merge_waiting_drags};
+use crate::wire::{DeformOptions, pb};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::Notify;
+
+/// Errors and notices that wait unread; more end the stream.
+const WAITING_NOTES: usize = 64;
+/// Pongs that wait unread; more replace the oldest.
+const WAITING_PONGS: usize = 16;
+
+/// What a stream gives its session to do: all poses up to the first commit, or all that wait.
+#[derive(Debug)]
+pub(in crate::session) struct StreamWork {
+    /// In the order in which they came; never empty.
+    pub poses: Vec<WaitingPose>,
+    /// What the stream dragged since the last commit.
+    pub dragged: DraggedPoses,
+}
+
+/// How a piece of work ended.
+#[derive(Debug, Default)]
+pub(in crate::session) struct StreamWorkResult {
+    /// What the stream has dragged now.
+    pub dragged: DraggedPoses,
+    /// The frame of the pose that was solved.
+    pub frame: Option<OutboundFrame>,
+    /// Why that pose could not be solved.
+    pub refused: Option<(u64, Error)>,
+}
+
+/// One deform stream as its session sees it.
+#[derive(Debug)]
+pub(in crate::session) struct Mailbox {
+    session: String,
+    state: Mutex<StreamState>,
+    /// Wakes the reader.
+    reader: Notify,
+    /// Wakes the session's task.
+    task: Arc<Notify>,
+    /// Stops the solve of this stream.
+    pub cancel: Arc<CancelFlag>,
+    metrics: Arc<Metrics>,
+    max_window: u32,
+    max_commits: usize,
+    max_entries: usize,
+}
+
+impl Mailbox {
+    pub fn new(session: &str, config: &SessionConfig, metrics: Arc<Metrics>, task: Arc<Notify>) -> Result<Self, Error> {
+        let settings = DeformOptions::check(&pb::Options::default(), "options", config.window)?;
+        Ok(Self {
+            session: session.to_owned(),
+            state: Mutex::new(StreamState::new(Arc::new(settings))),
+            reader: Notify::new(),
+            task,
+            cancel: Arc::default(),
+            metrics,
+            max_window: config.window,
+            max_commits: config.stream_commits,
+            max_entries: config.handles,
+        })
+    }
+
+    fn lock_state(&self) -> MutexGuard<'_, StreamState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    // The client's side.
+
+    /// Takes a request. What is wrong with it is told on the stream.
+    ///
+    /// # Errors
+    /// When the stream has ended.
+    pub fn push(&self, request: pb::DeformRequest) -> Result<(), Error> {
+        let mut state = self.lock_state();
+        if state.ended.is_some() || state.finished {
+            return Err(Error::new(ErrorCode::Cancelled, "the stream has ended"));
+        }
+        if !request.session_id.is_empty() && request.session_id != self.session {
+            let text = "is not the session of this stream; a stream keeps to one session";
+            self.end_with_error(&mut state, Error::invalid("sessionId", text));
+            return Ok(());
+        }
+        match request.message {
+            None => {}
+            Some(pb::deform_request::Message::Ping(ping)) => {
+                if state.pongs.len() >= WAITING_PONGS {
+                    state.pongs.pop_front();
+                }
+                state.pongs.push_back(ping);
+                self.reader.notify_one();
+            }
+            Some(pb::deform_request::Message::Ack(ack)) => {
+                state.unacknowledged.retain(|&seq| seq > ack.seq);
+                state.acknowledged = state.acknowledged.max(Some(ack.seq));
+                state.promote_held_frame();
+                self.reader.notify_one();
+                self.task.notify_one();
+            }
+            Some(pb::deform_request::Message::Options(options)) => {
+                match DeformOptions::check(&options, "options", self.max_window) {
+                    Ok(settings) => {
+                        state.settings = Arc::new(settings);
+                        state.promote_held_frame();
+                        self.reader.notify_one();
+                        self.task.notify_one();
+                    }
+                    Err(error) => self.end_with_error(&mut state, error.into()),
+                }
+            }
+            Some(pb::deform_request::Message::Pose(pose)) => self.push_pose(&mut state, pose),
+        }
+        Ok(())
+    }
+
+    fn push_pose(&self, state: &mut StreamState, pose: pb::Pose) {
+        self.metrics.poses_received.inc();
+        if let Some(last) = state.last_seq.filter(|&last| pose.seq <= last) {
+            let text = format!("is {}, above {last} is allowed: numbers grow along a stream", pose.seq);
+            return self.refuse_pose(state, pose.seq, Error::invalid("pose.seq", text));
+        }
+        state.last_seq = Some(pose.seq);
+        if let Err(error) = check_pose_size(&pose, self.max_entries) {
+            return self.refuse_pose(state, pose.seq, error);
+        }
+        if pose.commit && state.waiting.iter().filter(|w| w.commit).count() >= self.max_commits {
+            let text = format!(
+                "{} commits wait on this stream already; wait for their frames",
+                self.max_commits
+            );
+            return self.refuse_pose(state, pose.seq, Error::exhausted(text, 1));
+        }
+        let settings = Arc::clone(&state.settings);
+        state.waiting.push_back(WaitingPose {
+            seq: pose.seq,
+            entries: pose.handles,
+            commit: pose.commit,
+            settings,
+            poses: 1,
+        });
+        merge_waiting_drags(&mut state.waiting, self.max_entries);
+        self.task.notify_one();
+    }
+
+    fn refuse_pose(&self, state: &mut StreamState, seq: u64, error: Error) {
+        self.metrics.poses_refused.inc();
+        if state.notes.len() >= WAITING_NOTES {
+            let text = format!("{WAITING_NOTES} errors wait unread; read them before sending more");
+            return self.end_with_error(state, Error::exhausted(text, 1));
+        }
+        state
+            .notes
+            .push_back(pb::deform_response::Message::Error(stream_error(error, seq)));
+        self.reader.notify_one();
+    }
+
+    /// Ends the stream with an error.
+    fn end_with_error(&self, state: &mut StreamState, error: Error) {
+        state.end(Some(error));
+        self.cancel.cancel();
+        self.reader.notify_one();
+        self.task.notify_one();
+    }
+
+    /// No more requests will come; what waits is still answered.
+    pub fn finish(&self) {
+        let mut state = self.lock_state();
+        state.finished = true;
+        state.promote_held_frame();
+        self.reader.notify_one();
+        self.task.notify_one();
+    }
+
+    /// What the transport may send next; `None` when there is nothing at the moment.
+    pub fn next_item(&self) -> Option<OutboundItem> {
+        let mut state = self.lock_state();
+        if let Some(pong) = state.pongs.pop_front() {
+            return Some(OutboundItem::Message(pb::deform_response::Message::Pong(pong)));
+        }
+        if let Some(note) = state.notes.pop_front() {
+            return Some(OutboundItem::Message(note));
+        }
+        if let Some(end) = &mut state.ended {
+            return Some(match end.take() {
+                Some(error) => OutboundItem::Message(pb::deform_response::Message::Error(stream_error(error, 0))),
+                None => OutboundItem::End,
+            });
+        }
+        if let Some(frame) = state.frames.pop_front() {
+            state.unacknowledged.push_back(frame.header.seq);
+            if state.finished {
+                // There is room for another now, and nobody left to acknowledge.
+                state.unacknowledged.clear();
+                state.promote_held_frame();
+                self.task.notify_one();
+            }
+            return Some(OutboundItem::Frame(Box::new(frame)));
+        }
+        (state.finished && state.is_idle()).then_some(OutboundItem::End)
+    }
+
+    /// Waits until `next_item` may have something new.
+    ///
+    /// # Cancel safety
+    /// Dropping the future loses no wake-up.
+    pub async fn wait_for_change(&self) {
+        self.reader.notified().await;
+    }
+
+    /// The newest frame that the client has acknowledged.
+    pub fn acknowledged(&self) -> Option<u64> {
+        self.lock_state().acknowledged
+    }
+
+    /// Nobody reads any more: stops the solve and forgets everything.
+    pub fn abandon(&self) {
+        let mut state = self.lock_state();
+        state.end(None);
+        state.notes.clear();
+        state.pongs.clear();
+        self.cancel.cancel();
+        self.task.notify_one();
+    }
+
+    // The session's side.
+
+    /// The next work, when there is some and its frame may be sent. `complete_work` must follow.
+    pub fn take_work(&self) -> Option<StreamWork> {
+        let mut state = self.lock_state();
+        if state.running
+            || state.held.is_some()
+            || state.ended.is_some()
+            || state.waiting.is_empty()
+            || state.frame_room() == 0
+        {
+            return None;
+        }
+        let upto = state
+            .waiting
+            .iter()
+            .position(|w| w.commit)
+            .unwrap_or(state.waiting.len() - 1);
+        let poses = state.waiting.drain(..=upto).collect();
+        state.running = true;
+        Some(StreamWork {
+            poses,
+            dragged: state.dragged.clone(),
+        })
+    }
+
+    /// Whether a newer pose waits.
+    pub fn has_newer_pose(&self) -> bool {
+        !self.lock_state().waiting.is_empty()
+    }
+
+    /// Whether an intermediate frame may be sent. The last place in the window is kept for the final frame.
+    pub fn wants_intermediate_frame(&self) -> bool {
+        let state = self.lock_state();
+        let (room, window) = (state.frame_room(), state.settings.window as usize);
+        state.ended.is_none() && (room >= 2 || (window == 1 && room == 1))
+    }
+
+    /// Tells what became of the poses that are not solved: refused, or skipped because a newer one came.
+    pub fn settle_unsolved(&self, refused: Vec<(u64, Error)>, superseded: u32) {
+        let mut state = self.lock_state();
+        state.superseded = state.superseded.saturating_add(superseded);
+        self.metrics.poses_superseded.inc_by(superseded.into());
+        for (seq, error) in refused {
+            self.refuse_pose(&mut state, seq, error);
+        }
+    }
+
+    /// Sends an intermediate frame.
+    pub fn send_frame(&self, mut frame: OutboundFrame) {
+        let mut state = self.lock_state();
+        if state.ended.is_none() {
+            frame.header.superseded = std::mem::take(&mut state.superseded);
+            state.frames.push_back(frame);
+            self.reader.notify_one();
+        }
+    }
+
+    /// Ends the work that `take_work` gave.
+    pub fn complete_work(&self, done: StreamWorkResult) {
+        let mut state = self.lock_state();
+        state.running = false;
+        state.dragged = done.dragged;
+        if state.ended.is_none()
+            && let Some(mut frame) = done.frame
+        {
+            frame.header.superseded = std::mem::take(&mut state.superseded);
+            state.held = Some(frame);
+            state.promote_held_frame();
+        }
+        if let Some((seq, error)) = done.refused {
+            self.refuse_pose(&mut state, seq, error);
+        }
+        self.reader.notify_one();
+    }
+
+    /// The handles or the commit in force changed under the stream: what it dragged is void.
+    pub fn forget_dragged_poses(&self) {
+        self.lock_state().dragged.clear();
+    }
+
+    /// Tells the client something.
+    pub fn send_notice(&self, code: &str, message: &str) {
+        let mut state = self.lock_state();
+        if state.ended.is_none() && state.notes.len() < WAITING_NOTES {
+            let notice = pb::Notice {
+                code: code.into(),
+                message: message.into(),
+                resume_token: self.session.clone(),
+            };
+            state.notes.push_back(pb::deform_response::Message::Notice(notice));
+            self.reader.notify_one();
+        }
+    }
+
+    /// Ends the stream from the server's side.
+    pub fn close(&self, error: Error) {
+        self.end_with_error(&mut self.lock_state(), error);
+    }
+}
+
+/// An error as a stream tells it.
+fn stream_error(error: Error, seq: u64) -> pb::Error {
+    pb::Error {
+        code: u32::try_from(error.grpc_code()).unwrap_or(2),
+        message: error.message,
+        seq,
+    }
+}
+
+#[cfg(test)]
+#[path = "mailbox_tests.rs"]
+mod tests;

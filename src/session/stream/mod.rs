@@ -1,0 +1,11 @@
+//! Interactive deform streams: poses in, frames out.
+//!
+//! A request goes into a mailbox, waits there as a pose, is solved by the session's task, and leaves as a frame that is
+//! packed when the transport asks for it.
+
+pub(super) mod ends;
+pub(super) mod frame_packer;
+pub(super) mod mailbox;
+pub(super) mod outbound_frame;
+mod stream_state;
+pub(super) mod waiting_poses;

@@ -1,0 +1,84 @@
+//! The state of a stream between its client and its session.
+
+use crate::session::error::Error;
+use crate::session::stream::outbound_frame::OutboundFrame;
+use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
+use crate::wire::{DeformOptions, pb};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// The state of one stream: poses that wait, frames that go out, and what the client has acknowledged. Every pose received
+/// ends as a final frame, as an error, or in the `superseded` of a frame.
+#[derive(Debug)]
+pub(in crate::session) struct StreamState {
+    pub settings: Arc<DeformOptions>,
+    pub waiting: VecDeque<WaitingPose>,
+    pub last_seq: Option<u64>,
+    pub dragged: DraggedPoses,
+    pub running: bool,
+    /// Poses skipped since the last frame was made.
+    pub superseded: u32,
+    /// Frames made and not yet taken by the transport.
+    pub frames: VecDeque<OutboundFrame>,
+    /// A final frame that waits for the window.
+    pub held: Option<OutboundFrame>,
+    /// Seq of every frame taken by the transport and not acknowledged.
+    pub unacknowledged: VecDeque<u64>,
+    pub acknowledged: Option<u64>,
+    pub notes: VecDeque<pb::deform_response::Message>,
+    pub pongs: VecDeque<pb::Ping>,
+    /// No more requests will come.
+    pub finished: bool,
+    /// Nothing more is computed; an error to say, then the end.
+    pub ended: Option<Option<Error>>,
+}
+
+impl StreamState {
+    /// The state of a stream that has just been opened.
+    pub fn new(settings: Arc<DeformOptions>) -> Self {
+        Self {
+            settings,
+            waiting: VecDeque::new(),
+            last_seq: None,
+            dragged: DraggedPoses::new(),
+            running: false,
+            superseded: 0,
+            frames: VecDeque::new(),
+            held: None,
+            unacknowledged: VecDeque::new(),
+            acknowledged: None,
+            notes: VecDeque::new(),
+            pongs: VecDeque::new(),
+            finished: false,
+            ended: None,
+        }
+    }
+
+    /// Frames that may still be made: the window counts what was taken and not acknowledged, and what is not taken yet.
+    /// After the last request no acknowledgement can come, so only the latter counts.
+    pub fn frame_room(&self) -> usize {
+        let waiting_for_acks = if self.finished { 0 } else { self.unacknowledged.len() };
+        (self.settings.window as usize).saturating_sub(self.frames.len() + waiting_for_acks)
+    }
+
+    pub fn promote_held_frame(&mut self) {
+        if self.frame_room() > 0
+            && let Some(frame) = self.held.take()
+        {
+            self.frames.push_back(frame);
+        }
+    }
+
+    pub fn is_idle(&self) -> bool {
+        !self.running && self.waiting.is_empty() && self.held.is_none()
+    }
+
+    pub fn end(&mut self, error: Option<Error>) {
+        if self.ended.is_none() {
+            self.ended = Some(error);
+            self.waiting.clear();
+            self.frames.clear();
+            self.held = None;
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! The calls that a session's task serves, one at a time.
+
+use crate::asset::Format;
+use crate::exec::Exec;
+use crate::pool::Pool;
+use crate::session::answers::{ExportedModel, SolvedFrames};
+use crate::session::calls::command::{HandleChange, HistoryDirection, PendingCall, SessionCommand, StoredAnswer};
+use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::history::loaded_deformer::LoadedDeformer;
+use crate::session::registry::OpenSession;
+use crate::session::stream::outbound_frame::FrameContext;
+use crate::session::task::session_task::{SessionTask, no_handles};
+use crate::wire;
+use crate::wire::frames::encode;
+use crate::wire::{DeformOptions, pb};
+use std::sync::Arc;
+
+impl SessionTask {
+    pub async fn serve_command(&mut self, command: SessionCommand) {
+        match command {
+            SessionCommand::SetHandles(change, call) => {
+                let result = self.set_handles(change, &call).await;
+                send_answer(call, result, |session| {
+                    Some(StoredAnswer::Session(Box::new(session.clone())))
+                });
+            }
+            SessionCommand::Step(direction, call) => {
+                let result = self.step_history(direction, &call).await;
+                send_answer(call, result, |session| {
+                    Some(StoredAnswer::Session(Box::new(session.clone())))
+                });
+            }
+            SessionCommand::Solve(request, call) => {
+                let (pose, settings) = *request;
+                let (result, stored) = match self.solve(pose, settings, &call).await {
+                    Ok((solved, stored)) => (Ok(solved), Some(stored)),
+                    Err(error) => (Err(error), None),
+                };
+                send_answer(call, result, |_| stored);
+            }
+            SessionCommand::Edit(request, call) => {
+                let result = self.edit(*request, &call).await;
+                send_answer(call, result, |result| {
+                    Some(StoredAnswer::Edited(Box::new(result.clone())))
+                });
+            }
+            SessionCommand::Export(format, call) => {
+                let result = self.export(format, &call).await;
+                send_answer(call, result, |_| None);
+            }
+        }
+    }
+
+    async fn set_handles(
+        &mut self,
+        change: HandleChange,
+        call: &PendingCall<pb::Session>,
+    ) -> Result<pb::Session, Error> {
+        let state = self.history.current();
+        let request = change.apply_to(&state.handles.request, &state.poses)?;
+        let limit = self.shared.config.build;
+        let topology = state.topology.clone();
+        let (replaced, watch) = self
+            .compute(&call.cancel, limit, move |deformer, pool, watch, _| {
+                let replaced = deformer.replace_handles(topology.as_ref(), &request, &Exec::new(pool, watch));
+                (replaced, request, watch.take_stage_ms())
+            })
+            .await?;
+        let (replaced, request, stages) = replaced;
+        let (poses, facts) = replaced.map_err(|e| self.failure(e, &watch))?;
+        self.build_ms.extend(stages);
+        self.history.commit_handles(request, poses, facts);
+        if let Some(deformer) = &mut self.deformer {
+            deformer.adopt_handles(self.history.current().handles.id);
+        }
+        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        self.shared.metrics.commits.inc();
+        self.publish_view();
+        Ok(self.session.describe())
+    }
+
+    async fn solve(
+        &mut self,
+        pose: pb::Pose,
+        settings: DeformOptions,
+        call: &PendingCall<SolvedFrames>,
+    ) -> Result<(SolvedFrames, StoredAnswer), Error> {
+        let state = self.history.current().clone();
+        if state.handles.request.handles.is_empty() {
+            return Err(no_handles());
+        }
+        let (limit, part_bytes) = (self.shared.config.solve, self.shared.config.part_bytes);
+        let (revision, diagonal, used) = (self.history.revision() + 1, state.diagonal, settings.clone());
+        let (solved, watch) = self
+            .compute(&call.cancel, limit, move |deformer, pool, watch, queued| {
+                let solution = deformer.solve_for_commit(&state, &pose, &used, watch, pool)?;
+                let context = FrameContext {
+                    revision,
+                    diagonal,
+                    queued,
+                };
+                let frame = context.final_frame(pose.seq, &used, &solution);
+                let request = frame.into_request(Vec::new(), part_bytes);
+                let frames: Vec<pb::Frame> = encode(request.clone()).collect();
+                Ok::<_, wire::Error>((solution, request, frames))
+            })
+            .await?;
+        let (solution, frame, frames) = solved.map_err(|e| self.failure(e, &watch))?;
+        self.commit_solution(&solution, settings.solve);
+        self.shared.metrics.frames_sent.inc();
+        let stored = StoredAnswer::Solved {
+            frame: Box::new(frame),
+            revision,
+            digest: solution.digest.clone(),
+        };
+        let answer = SolvedFrames {
+            frames,
+            revision,
+            positions: solution.solved.positions,
+            digest: solution.digest,
+        };
+        Ok((answer, stored))
+    }
+
+    async fn step_history(
+        &mut self,
+        direction: HistoryDirection,
+        call: &PendingCall<pb::Session>,
+    ) -> Result<pb::Session, Error> {
+        let (target, nothing) = match direction {
+            HistoryDirection::Undo => (self.history.undo_target(), "nothing is left to undo"),
+            HistoryDirection::Redo => (self.history.redo_target(), "nothing is left to redo"),
+        };
+        let nothing = || Error::new(ErrorCode::FailedPrecondition, nothing);
+        let index = target.ok_or_else(nothing)?;
+        let shape = self.history.state(index).ok_or_else(nothing)?.shape;
+        let positions = match self.history.shape(shape) {
+            Ok(positions) => positions,
+            Err(recipe) => {
+                let limit = self.shared.config.build;
+                let replay = move |deformer: &mut LoadedDeformer, pool: &Pool, watch: &WorkWatch, _| {
+                    deformer.solve_recipe(&recipe, &Exec::new(pool, watch))
+                };
+                let (positions, watch) = self.compute(&call.cancel, limit, replay).await?;
+                positions.map_err(|e| self.failure(e, &watch))?
+            }
+        };
+        self.history.go_to_commit(index, positions);
+        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        self.publish_view();
+        Ok(self.session.describe())
+    }
+
+    async fn export(
+        &mut self,
+        format: Option<Format>,
+        call: &PendingCall<ExportedModel>,
+    ) -> Result<ExportedModel, Error> {
+        let view = self.session.view();
+        let format = format.unwrap_or(self.session.format);
+        let etag = OpenSession::etag(&view, format.name());
+        let limit = self.shared.config.build;
+        let positions = Arc::clone(&view.positions);
+        let topology = self.history.current().topology.clone();
+        let (written, watch) = self
+            .compute(&call.cancel, limit, move |deformer, pool, watch, _| {
+                deformer.go_to_topology(topology.as_ref(), &Exec::new(pool, watch))?;
+                deformer.engine.write(&positions, format)
+            })
+            .await?;
+        Ok(ExportedModel {
+            written: written.map_err(|e| self.failure(e, &watch))?,
+            format,
+            etag,
+        })
+    }
+}
+
+/// Keeps the answer for the call's idempotency key and gives it to whoever waits.
+fn send_answer<T>(call: PendingCall<T>, result: Result<T, Error>, store: impl FnOnce(&T) -> Option<StoredAnswer>) {
+    let PendingCall { reply, claim, .. } = call;
+    if let (Some(claim), Ok(value)) = (claim, &result)
+        && let Some(stored) = store(value)
+    {
+        let bytes = stored.byte_size();
+        claim.complete(stored, bytes);
+    }
+    // The caller may have gone; the change stands.
+    let _ = reply.send(result);
+}

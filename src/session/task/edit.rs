@@ -1,0 +1,90 @@
+//! Edits of the topology by a session's task.
+
+use crate::engine::EditCommand;
+use crate::exec::Exec;
+use crate::session::calls::command::{EditCall, PendingCall};
+use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::error::Error;
+use crate::session::history::session_state::{EditedState, ShapeRecipe};
+use crate::session::task::session_task::SessionTask;
+use crate::wire;
+use crate::wire::pb;
+
+impl SessionTask {
+    /// Of an edit that takes more memory than is free now, but not more than the server has, that it may fit later.
+    fn edit_failure(&self, error: wire::Error, room: u64, watch: &WorkWatch) -> Error {
+        match error {
+            wire::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.budget.total() => {
+                self.shared.metrics.refused.inc();
+                Error::exhausted(
+                    format!("the session would need {seen} bytes of memory after the edit, {room} are free"),
+                    5,
+                )
+            }
+            error => self.failure(error, watch),
+        }
+    }
+
+    pub async fn edit(&mut self, edit: EditCall, call: &PendingCall<pb::EditResult>) -> Result<pb::EditResult, Error> {
+        let state = self.history.current().clone();
+        let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
+        let limit = self.shared.config.build;
+        // What the other sessions leave, now: the engine was opened when there was more or less.
+        let room = self.memory.room();
+        let (done, watch) = self
+            .compute(
+                &call.cancel,
+                limit,
+                move |deformer, pool, watch, _| -> Result<_, wire::Error> {
+                    let exec = &Exec::new(pool, watch);
+                    deformer.load_state(state.topology.as_ref(), &state.handles, exec)?;
+                    deformer.engine.limit_memory(room);
+                    // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine
+                    // happens to remember.
+                    let shape = match shape {
+                        Ok(shape) if deformer.engine.remembers(&shape) => shape,
+                        _ => deformer.solve_recipe(&recipe, exec)?,
+                    };
+                    let settings = match &recipe {
+                        ShapeRecipe::Solved { settings, .. } => Some(settings),
+                        ShapeRecipe::Rest { .. } => None,
+                    };
+                    let (what, on) = wire::edit(&edit.request, edit.other.as_ref())?;
+                    let order = EditCommand {
+                        edit: &what,
+                        on,
+                        shape: &shape,
+                        poses: &state.poses,
+                        settings,
+                    };
+                    let topology = state.topology.as_ref();
+                    let outcome = deformer.edit(topology, &state.handles, &order, exec)?;
+                    let engine = &deformer.engine;
+                    Ok((outcome, engine.facts(), engine.trail(), engine.diagonal()))
+                },
+            )
+            .await?;
+        let (outcome, facts, topology, diagonal) = done.map_err(|e| self.edit_failure(e, room, &watch))?;
+        let stages = watch.take_stage_ms();
+        let mut result = wire::edit_result(&outcome.report);
+        let edited = EditedState {
+            topology,
+            diagonal,
+            handles: wire::handle_set_message(&outcome.handles),
+            poses: outcome.poses,
+            facts,
+            digest: result.digest.clone(),
+            solved_with: outcome.solved,
+        };
+        self.history.commit_edit(edited, outcome.positions);
+        if let Some(deformer) = &mut self.deformer {
+            deformer.adopt_handles(self.history.current().handles.id);
+        }
+        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        self.shared.metrics.commits.inc();
+        self.publish_view();
+        result.ms = stages.into_iter().collect();
+        result.revision = self.history.revision();
+        Ok(result)
+    }
+}

@@ -1,0 +1,222 @@
+//! The task that owns one session: the only one that touches its engine and its commits.
+//!
+//! Commands and streams take turns, streams among themselves too. State changes here only, after the work for it has
+//! succeeded, so a call that fails or is given up leaves everything as it was. While work runs on the compute pool the
+//! engine is there too; everything that others read meanwhile is in the session's published view.
+
+use crate::engine::SolveSettings;
+use crate::pool::Pool;
+use crate::progress::{CancelFlag, Progress as _};
+use crate::session::calls::command::SessionCommand;
+use crate::session::capacity::compute_slots::WorkPanicked;
+use crate::session::capacity::memory_budget::MemoryReservation;
+use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::history::commit_history::CommitHistory;
+use crate::session::history::loaded_deformer::{LoadedDeformer, PoseSolution};
+use crate::session::registry::{OpenSession, SessionView};
+use crate::session::shared::SharedResources;
+use crate::session::stream::mailbox::{Mailbox, StreamWork};
+use crate::wire;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
+
+/// The state of one session and its task.
+pub(in crate::session) struct SessionTask {
+    pub session: Arc<OpenSession>,
+    pub shared: Arc<SharedResources>,
+    pub commands: mpsc::Receiver<SessionCommand>,
+    /// Away while work runs; gone for good after a panic.
+    pub deformer: Option<LoadedDeformer>,
+    pub history: CommitHistory,
+    pub build_ms: BTreeMap<String, f64>,
+    pub memory: MemoryReservation,
+    pub seat: OwnedSemaphorePermit,
+    /// Which stream is asked for work first.
+    pub next_stream: usize,
+}
+
+impl SessionTask {
+    /// Serves the session until it is closed or expires.
+    pub async fn run(mut self) {
+        let session = Arc::clone(&self.session);
+        while !session.closing.is_cancelled() {
+            let mut worked = false;
+            if let Ok(command) = self.commands.try_recv() {
+                self.serve_command(command).await;
+                worked = true;
+            }
+            if let Some((mailbox, work)) = self.next_stream_work() {
+                self.serve_stream(mailbox, work).await;
+                worked = true;
+            }
+            if worked {
+                // Work may have taken longer than the lease.
+                session.lease.renew();
+                continue;
+            }
+            tokio::select! {
+                () = session.closing.cancelled() => {}
+                Some(command) = self.commands.recv() => {
+                    self.serve_command(command).await;
+                    session.lease.renew();
+                }
+                () = session.wake.notified() => {}
+                () = tokio::time::sleep_until(session.lease.end()) => {
+                    if !session.streams.all().is_empty() {
+                        session.lease.renew();
+                    } else if session.lease.expired() {
+                        self.shared.metrics.sessions_expired.inc();
+                        tracing::info!(session.id = %session.id, "session expired");
+                        session.close(Error::no_session(&session.id));
+                    }
+                }
+            }
+        }
+        self.end();
+    }
+
+    fn end(self) {
+        let Self {
+            session,
+            shared,
+            commands,
+            deformer,
+            history,
+            memory,
+            seat,
+            ..
+        } = self;
+        session.close(Error::no_session(&session.id));
+        shared.registry.remove(&session.id);
+        shared.metrics.sessions.dec();
+        // Whoever waits for an answer learns of the end by this.
+        drop(commands);
+        // Dropped where it holds nobody up, in this order: what is told last is that memory and seat are free.
+        shared
+            .compute
+            .discard((deformer, history, memory, seat, session.ended.clone().drop_guard()));
+    }
+
+    /// Work of the next stream that has some.
+    fn next_stream_work(&mut self) -> Option<(Arc<Mailbox>, StreamWork)> {
+        let streams = self.session.streams.all();
+        for k in 0..streams.len() {
+            let at = (self.next_stream + k) % streams.len();
+            if let Some(work) = streams[at].take_work() {
+                self.next_stream = at + 1;
+                return Some((Arc::clone(&streams[at]), work));
+            }
+        }
+        None
+    }
+
+    /// Runs work on the compute pool with the engine. The flags and `limit` stop it.
+    pub async fn compute<R: Send + 'static>(
+        &mut self,
+        flag: &Arc<CancelFlag>,
+        limit: Duration,
+        work: impl FnOnce(&mut LoadedDeformer, &Pool, &WorkWatch, Duration) -> R + Send + 'static,
+    ) -> Result<(R, Arc<WorkWatch>), Error> {
+        let slot = tokio::select! {
+            biased;
+            () = self.session.closing.cancelled() => return Err(self.session.why()),
+            slot = self.shared.compute.slot() => slot?,
+        };
+        let lost = || Error::new(ErrorCode::Internal, "the session's engine is gone");
+        let mut deformer = self.deformer.take().ok_or_else(lost)?;
+        let watch = Arc::new(WorkWatch::new(
+            vec![Arc::clone(flag), Arc::clone(&self.session.cancel)],
+            limit,
+        ));
+        let (inside, queued) = (Arc::clone(&watch), slot.queued);
+        let ran = slot.run(move |pool| {
+            let value = work(&mut deformer, pool, &inside, queued);
+            (deformer, value)
+        });
+        match ran.await {
+            Ok((deformer, value)) => {
+                let held = deformer.byte_size().saturating_add(self.history.byte_size());
+                self.memory.resize(held);
+                self.deformer = Some(deformer);
+                Ok((value, watch))
+            }
+            Err(WorkPanicked(text)) => {
+                self.shared.metrics.sessions_failed.inc();
+                tracing::error!(session.id = %self.session.id, panic = text, "work panicked; the session is closed");
+                let error = Error::from(WorkPanicked(text));
+                self.session.close(Error {
+                    message: format!("{error}; the session is closed"),
+                    ..error
+                });
+                Err(self.session.why())
+            }
+        }
+    }
+
+    /// Records a solved pose as a commit, shows it to everybody and counts it.
+    pub fn commit_solution(&mut self, solution: &PoseSolution, settings: SolveSettings) {
+        let (poses, positions) = (solution.poses.clone(), Arc::clone(&solution.solved.positions));
+        self.history
+            .commit_pose(poses, settings, positions, solution.digest.clone());
+        self.publish_view();
+        self.shared.metrics.commits.inc();
+        self.count_solve(solution);
+    }
+
+    /// Counts a solved pose.
+    pub fn count_solve(&self, solution: &PoseSolution) {
+        let metrics = &self.shared.metrics;
+        metrics.solve.observe(solution.solve_time.as_secs_f64());
+        metrics.cycles.inc_by(solution.solved.cycles.into());
+        metrics.poses_solved.inc();
+    }
+
+    /// What the failure of a piece of work means to its caller.
+    pub fn failure(&self, error: wire::Error, watch: &WorkWatch) -> Error {
+        if error != wire::Error::Cancelled {
+            return error.into();
+        }
+        self.shared.metrics.cancelled.inc();
+        if self.session.cancel.cancelled() {
+            self.session.why()
+        } else if watch.abandoned() {
+            Error::new(ErrorCode::Cancelled, "the caller gave up")
+        } else {
+            let text = format!(
+                "took longer than the {} ms that are allowed; nothing has changed",
+                watch.limit().as_millis()
+            );
+            Error::new(ErrorCode::DeadlineExceeded, text)
+        }
+    }
+
+    /// Shows the state to everybody.
+    pub fn publish_view(&mut self) {
+        let state = self.history.current();
+        // The current shape is always at hand; `go_to_commit` and the commits see to it.
+        let positions = self.history.shape(state.shape).unwrap_or_default();
+        let view = SessionView {
+            revision: self.history.revision(),
+            facts: Arc::clone(&state.facts),
+            poses: state.poses.clone(),
+            build_ms: self.build_ms.clone(),
+            positions,
+            digest: state.digest.clone(),
+            history: self.history.describe(),
+        };
+        self.session.publish(view);
+        let engine = self.deformer.as_ref().map_or(0, LoadedDeformer::byte_size);
+        self.memory.resize(engine.saturating_add(self.history.byte_size()));
+    }
+}
+
+/// Deforming needs handles.
+pub(in crate::session) fn no_handles() -> Error {
+    Error::new(
+        ErrorCode::FailedPrecondition,
+        "no handles are set; set them before deforming",
+    )
+}

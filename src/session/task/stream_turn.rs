@@ -1,0 +1,270 @@
+//! One turn of a deform stream: the waiting poses are checked and merged, the newest is solved, its frame goes out.
+
+use crate::engine::{SolveMode, SolveSettings, SolveUpdate};
+use crate::exec::Exec;
+use crate::pool::Pool;
+use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::error::Error;
+use crate::session::history::loaded_deformer::{LoadedDeformer, PoseSolution};
+use crate::session::history::session_state::SessionState;
+use crate::session::stream::mailbox::{Mailbox, StreamWork, StreamWorkResult};
+use crate::session::stream::outbound_frame::FrameContext;
+use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
+use crate::session::task::session_task::{SessionTask, no_handles};
+use crate::wire;
+use crate::wire::{DeformOptions, pb};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// What a turn came to.
+struct StreamTurn {
+    dragged: DraggedPoses,
+    solved: Option<SolvedStreamPose>,
+}
+
+/// The pose that was solved, or why it was not.
+struct SolvedStreamPose {
+    seq: u64,
+    commit: bool,
+    settings: Arc<DeformOptions>,
+    result: Result<PoseSolution, wire::Error>,
+}
+
+/// What a turn works with on a compute thread.
+struct TurnContext {
+    mailbox: Arc<Mailbox>,
+    state: SessionState,
+    frames: FrameContext,
+    /// The longest solve.
+    longest: Duration,
+}
+
+impl SessionTask {
+    /// Serves one stream once.
+    pub async fn serve_stream(&mut self, mailbox: Arc<Mailbox>, work: StreamWork) {
+        let state = self.history.current().clone();
+        let StreamWork { poses, dragged } = work;
+        let before = dragged.clone();
+        if state.handles.request.handles.is_empty() {
+            return refuse_all(&mailbox, &poses, before, &no_handles());
+        }
+        let unsolved: Vec<WaitingPose> = poses
+            .iter()
+            .map(|p| WaitingPose {
+                entries: Vec::new(),
+                ..p.clone()
+            })
+            .collect();
+        let commit = poses.last().is_some_and(|p| p.commit);
+        let longest = self.shared.config.solve;
+        // A drag takes its best result in time; only one that has none after twice the time is given up.
+        let limit = if commit { longest } else { longest.saturating_mul(2) };
+        let (revision, desk) = (self.history.revision(), Arc::clone(&mailbox));
+        let ran = self
+            .compute(&mailbox.cancel, limit, move |deformer, pool, watch, queued| {
+                let frames = FrameContext {
+                    revision,
+                    diagonal: state.diagonal,
+                    queued,
+                };
+                let turn = TurnContext {
+                    mailbox: desk,
+                    state,
+                    frames,
+                    longest,
+                };
+                let result = turn.solve_newest(deformer, pool, watch, poses, dragged);
+                (result, turn.frames)
+            })
+            .await;
+        let ((turn, mut frames), watch) = match ran {
+            Ok(ran) => ran,
+            Err(error) => return refuse_all(&mailbox, &unsolved, before, &error),
+        };
+        let turn = match turn {
+            Ok(turn) => turn,
+            Err(error) => return refuse_all(&mailbox, &unsolved, before, &self.failure(error, &watch)),
+        };
+        let mut dragged = turn.dragged;
+        let Some(SolvedStreamPose {
+            seq,
+            commit,
+            settings,
+            result,
+        }) = turn.solved
+        else {
+            return mailbox.complete_work(StreamWorkResult {
+                dragged,
+                ..StreamWorkResult::default()
+            });
+        };
+        let solution = match result {
+            Ok(solution) => solution,
+            Err(error) => {
+                let refused = Some((seq, self.failure(error, &watch)));
+                return mailbox.complete_work(StreamWorkResult {
+                    dragged: before,
+                    refused,
+                    ..StreamWorkResult::default()
+                });
+            }
+        };
+        if commit {
+            self.commit_solution(&solution, settings.solve.clone());
+            // What was dragged is in the commit now.
+            dragged.clear();
+            frames.revision = self.history.revision();
+        } else {
+            self.count_solve(&solution);
+        }
+        mailbox.complete_work(StreamWorkResult {
+            dragged,
+            frame: Some(frames.final_frame(seq, &settings, &solution)),
+            refused: None,
+        });
+    }
+}
+
+fn refuse_all(mailbox: &Mailbox, poses: &[WaitingPose], dragged: DraggedPoses, error: &Error) {
+    let merged = poses.iter().map(|p| p.poses - 1).sum();
+    mailbox.settle_unsolved(poses.iter().map(|p| (p.seq, error.clone())).collect(), merged);
+    mailbox.complete_work(StreamWorkResult {
+        dragged,
+        ..StreamWorkResult::default()
+    });
+}
+
+impl TurnContext {
+    /// Checks and merges `poses` on top of what is in force, then solves the newest one that is right.
+    fn solve_newest(
+        &self,
+        deformer: &mut LoadedDeformer,
+        pool: &Pool,
+        watch: &WorkWatch,
+        poses: Vec<WaitingPose>,
+        mut dragged: DraggedPoses,
+    ) -> Result<StreamTurn, wire::Error> {
+        let state = &self.state;
+        deformer.load_state(state.topology.as_ref(), &state.handles, &Exec::new(pool, watch))?;
+        let mut refused = Vec::new();
+        let mut superseded = 0u32;
+        let mut newest: Option<WaitingPose> = None;
+        for mut pose in poses {
+            let others = pose.poses.saturating_sub(1);
+            match self.keep_valid_entries(deformer, &mut pose) {
+                Ok(()) => {
+                    dragged.extend(std::mem::take(&mut pose.entries).into_iter().map(|e| (e.id, e.pose)));
+                    let skipped = newest.replace(pose).map_or(0, |_| 1);
+                    superseded = superseded.saturating_add(skipped);
+                }
+                Err(error) => refused.push((pose.seq, error.into())),
+            }
+            superseded = superseded.saturating_add(others);
+        }
+        self.mailbox.settle_unsolved(refused, superseded);
+        let Some(pose) = newest else {
+            return Ok(StreamTurn { dragged, solved: None });
+        };
+        let entries = dragged.iter().map(|(id, pose)| pb::pose::Entry {
+            id: id.clone(),
+            pose: pose.clone(),
+        });
+        let change = pb::Pose {
+            handles: entries.collect(),
+            ..Default::default()
+        };
+        let result = if pose.commit {
+            deformer.solve_for_commit(state, &change, &pose.settings, watch, pool)
+        } else {
+            self.solve_drag(deformer, &change, &pose, watch, pool)
+        };
+        let solved = Some(SolvedStreamPose {
+            seq: pose.seq,
+            commit: pose.commit,
+            settings: pose.settings,
+            result,
+        });
+        Ok(StreamTurn { dragged, solved })
+    }
+
+    /// Checks a pose. Of one that stands for several, only the entries that are wrong are left out.
+    fn keep_valid_entries(&self, deformer: &LoadedDeformer, pose: &mut WaitingPose) -> Result<(), wire::Error> {
+        let in_force = &self.state.poses;
+        let entries = std::mem::take(&mut pose.entries);
+        let whole = pb::Pose {
+            handles: entries,
+            ..Default::default()
+        };
+        let error = match deformer.engine.posed(in_force, &whole) {
+            Ok(_) => {
+                pose.entries = whole.handles;
+                return Ok(());
+            }
+            Err(error) => error,
+        };
+        if pose.poses > 1 {
+            let is_right = |entry: &pb::pose::Entry| {
+                let alone = pb::Pose {
+                    handles: vec![entry.clone()],
+                    ..Default::default()
+                };
+                deformer.engine.posed(in_force, &alone).is_ok()
+            };
+            pose.entries = whole.handles.into_iter().filter(is_right).collect();
+        }
+        if pose.entries.is_empty() { Err(error) } else { Ok(()) }
+    }
+
+    /// Solves a pose that is dragged. It starts from the last result, takes the best one in time, sends intermediate frames
+    /// where they are wanted, and ends early when a newer pose waits.
+    fn solve_drag(
+        &self,
+        deformer: &mut LoadedDeformer,
+        change: &pb::Pose,
+        pose: &WaitingPose,
+        watch: &WorkWatch,
+        pool: &Pool,
+    ) -> Result<PoseSolution, wire::Error> {
+        let settings = pose.settings.as_ref();
+        let poses = deformer.engine.posed(&self.state.poses, change)?;
+        let shader = (settings.output.normals || settings.output.tangents).then(|| deformer.shader());
+        let asked = settings.budget_ms.map_or(self.longest, |ms| {
+            Duration::try_from_secs_f64(ms / 1e3).unwrap_or(self.longest)
+        });
+        let budget = asked.min(self.longest);
+        let mut on_cycle = |now: &SolveUpdate<'_>| {
+            // Refinement goes on from frame to frame, so a newer pose loses nothing by cutting it short.
+            let refining = now.refined > 0;
+            let has_newer = || self.mailbox.has_newer_pose();
+            if watch.elapsed() >= budget || ((settings.progressive || refining) && has_newer()) {
+                return false;
+            }
+            let is_unfinished =
+                !is_good_enough(now, &settings.solve) || now.refined < settings.solve.refine.unwrap_or(0);
+            if settings.progressive && is_unfinished && self.mailbox.wants_intermediate_frame() {
+                let positions = Arc::new((now.positions)());
+                let shading = shader.as_ref().map(|s| Arc::new(s.shade(&positions)));
+                let errors = (now.residual, now.max_error);
+                let frame = (self.frames).build_frame(pose.seq, settings, errors, positions, shading, watch.elapsed());
+                self.mailbox.send_frame(frame);
+            }
+            true
+        };
+        let exec = Exec::new(pool, watch);
+        let solved = deformer.solve(&poses, &settings.solve, SolveMode::Drag, &exec, &mut on_cycle)?;
+        let solve_time = watch.elapsed();
+        Ok(PoseSolution {
+            poses,
+            shading: deformer.shade(&solved.positions, settings),
+            digest: String::new(),
+            quality: None,
+            solve_time,
+            solved,
+        })
+    }
+}
+
+/// Whether a state is good enough, so that the final frame follows at once.
+fn is_good_enough(now: &SolveUpdate<'_>, settings: &SolveSettings) -> bool {
+    settings.tolerance.is_some_and(|t| now.residual <= t) || settings.max_error.is_some_and(|e| now.max_error <= e)
+}
