@@ -5,7 +5,7 @@
 //! `cargo test --test solver_data` and `cargo test --release --test solver_data` runs second on the same sources.
 
 use glam::{DAffine3, DQuat, DVec3};
-use pliant::deform::{Hold, Motion, Rig, Rigging, Transform, carry};
+use pliant::deform::{HandleConstraint, HandleMotion, HandleSetup, HandleSystem, Transform, carry};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -127,8 +127,8 @@ fn carried(rung: &Rung, from: &[f64], pool: &Pool) -> Vec<f64> {
     // A given node tells where solving coordinates have their origin.
     let given = rig.given().iter().position(|g| *g).unwrap();
     let owner = rig
-        .rigging()
-        .holds
+        .setup()
+        .handles
         .iter()
         .position(|h| h.nodes.contains(&(given as u32)))
         .unwrap();
@@ -138,9 +138,9 @@ fn carried(rung: &Rung, from: &[f64], pool: &Pool) -> Vec<f64> {
     let affine =
         |t: &Transform| DAffine3::from_mat3_translation(t.linear(), t.pivot + t.translation - t.linear() * t.pivot);
     let pairs = rung.poses[0].transforms.iter().zip(&rung.poses[1].transforms);
-    let motions: Vec<Motion<'_>> = pairs
+    let motions: Vec<HandleMotion<'_>> = pairs
         .enumerate()
-        .map(|(k, (a, b))| Motion {
+        .map(|(k, (a, b))| HandleMotion {
             field: rig.rotation_fields().of(k),
             map: into.inverse() * affine(b) * affine(a).inverse() * into,
         })
@@ -277,7 +277,7 @@ fn largest_residual(rung: &Rung, x: &[f64]) -> f64 {
 }
 
 /// The rung's handles and one more: a free node in the middle and all its neighbours.
-fn with_another_handle(rung: &Rung) -> Rig {
+fn with_another_handle(rung: &Rung) -> HandleSystem {
     let (body, given) = (rung.body(), rung.rig().given());
     let middle = body
         .rest()
@@ -293,19 +293,19 @@ fn with_another_handle(rung: &Rung) -> Rig {
     nodes.push(middle as u32);
     nodes.retain(|n| !given[*n as usize]);
     nodes.sort_unstable();
-    let mut holds = rung.rig().rigging().holds.clone();
-    holds.push(Hold {
+    let mut holds = rung.rig().setup().handles.clone();
+    holds.push(HandleConstraint {
         nodes,
         position: true,
         rotation: true,
         scale: true,
-        ..Hold::default()
+        ..HandleConstraint::default()
     });
-    let rigging = Rigging {
-        holds,
-        ..rung.rig().rigging().clone()
+    let rigging = HandleSetup {
+        handles: holds,
+        ..rung.rig().setup().clone()
     };
-    Rig::build(body, rigging, &Exec::new(&Pool::new(2).unwrap(), &Silent)).unwrap()
+    HandleSystem::build(body, rigging, &Exec::new(&Pool::new(2).unwrap(), &Silent)).unwrap()
 }
 
 #[test]
@@ -313,9 +313,14 @@ fn fields_are_shares_that_follow_their_equations() {
     for rung in all() {
         let another = with_another_handle(rung);
         for rig in [rung.rig(), &another] {
-            let fields: Vec<&[f32]> = (0..=rig.holds()).map(|k| rig.rotation_fields().of(k)).collect();
+            let fields: Vec<&[f32]> = (0..=rig.handle_count()).map(|k| rig.rotation_fields().of(k)).collect();
             let fields: Vec<&[f32]> = fields.into_iter().filter(|f| !f.is_empty()).collect();
-            assert_eq!(fields.len(), rig.holds(), "{}: every handle has a field", rung.name);
+            assert_eq!(
+                fields.len(),
+                rig.handle_count(),
+                "{}: every handle has a field",
+                rung.name
+            );
             let exact = exact_fields(rung, rig);
             let mut farthest = 0.0f64;
             for i in 0..rung.nodes() {
@@ -330,30 +335,41 @@ fn fields_are_shares_that_follow_their_equations() {
                     farthest = farthest.max((f64::from(field[i]) - exact[i * fields.len() + k]).abs());
                 }
             }
-            println!("{}, {} handles: fields are {farthest:.1e} off", rung.name, rig.holds());
+            println!(
+                "{}, {} handles: fields are {farthest:.1e} off",
+                rung.name,
+                rig.handle_count()
+            );
             assert!(farthest < 1e-3, "{}: fields are {farthest:e} off", rung.name);
         }
     }
 }
 
 /// All fields of a rig's hard handles, each solved for, to the last digits.
-fn exact_fields(rung: &Rung, rig: &Rig) -> Vec<f64> {
+fn exact_fields(rung: &Rung, rig: &HandleSystem) -> Vec<f64> {
     let (columns, mut x) = field_columns(rung, rig);
     solve_fields(rung, rig, columns, &mut x, Start::Zero, 1e-10);
     x
 }
 
 /// Fields with 1 on their handles and 0 elsewhere.
-fn field_columns(rung: &Rung, rig: &Rig) -> (usize, Vec<f64>) {
-    let columns = rig.holds();
+fn field_columns(rung: &Rung, rig: &HandleSystem) -> (usize, Vec<f64>) {
+    let columns = rig.handle_count();
     let mut x = vec![0.0; rung.nodes() * columns];
-    for (k, hold) in rig.rigging().holds.iter().enumerate() {
+    for (k, hold) in rig.setup().handles.iter().enumerate() {
         hold.nodes.iter().for_each(|&n| x[n as usize * columns + k] = 1.0);
     }
     (columns, x)
 }
 
-fn solve_fields(rung: &Rung, rig: &Rig, columns: usize, x: &mut [f64], start: Start<'_>, tolerance: f64) -> Stats {
+fn solve_fields(
+    rung: &Rung,
+    rig: &HandleSystem,
+    columns: usize,
+    x: &mut [f64],
+    start: Start<'_>,
+    tolerance: f64,
+) -> Stats {
     let pool = Pool::new(2).unwrap();
     let hierarchy = &rung.body().hierarchy;
     let constraints = Constraints {
@@ -397,7 +413,7 @@ fn fields_that_start_from_those_before_come_out_the_same() {
         // Those before, where nobody holds; nothing yet for the new handle.
         let (_, mut again) = field_columns(rung, &another);
         for i in (0..rung.nodes()).filter(|&i| !another.given()[i]) {
-            for k in 0..rung.rig().holds() {
+            for k in 0..rung.rig().handle_count() {
                 again[i * columns + k] = f64::from(rung.rig().rotation_fields().of(k)[i]);
             }
         }

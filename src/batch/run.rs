@@ -3,7 +3,7 @@
 use crate::asset::{FileSet, Format, Written};
 use crate::engine::{Deformer, DeformerLimits, EditCommand, SolveMode, digest};
 use crate::exec::Exec;
-use crate::mesh::Report;
+use crate::mesh::MeshReport;
 use crate::progress::Progress as _;
 use crate::stage_clock::StageClock;
 use crate::wire::{DeformOptions, Error, edit_name, pb};
@@ -282,7 +282,7 @@ pub fn inspect(
 ) -> Result<pb::Inspection, Error> {
     let bench = Deformer::open(files, create, limits, exec)?;
     let facts = bench.facts();
-    let report: &Report = bench.report();
+    let report: &MeshReport = bench.report();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     let renders = report.render_vertices - report.unreferenced_vertices;
     Ok(pb::Inspection {

@@ -37,7 +37,7 @@ pub(super) struct PlacesText {
 impl Places {
     /// The cells in which finite positions lie.
     pub fn of(positions: &[DVec3]) -> Self {
-        let bounds = crate::mesh::Bounds::of(positions);
+        let bounds = crate::mesh::BoundingBox::of(positions);
         let places = Self {
             min: bounds.min,
             max: bounds.max,

@@ -1,7 +1,7 @@
 //! Pictures of a case: before, after, expected, and where the two differ.
 
 use super::{Comparison, Found};
-use crate::mesh::Bounds;
+use crate::mesh::BoundingBox;
 use crate::mesh::query::TriangleBvh;
 use crate::pool::Pool;
 use crate::render::{Camera, Error, Key, Mark, Picture, Ramp, Size, Surface, Up, View, displacements, draw, ground};
@@ -94,7 +94,7 @@ fn differences(
     let colours: Vec<Vec3> = far.iter().map(|d| Ramp::Amount.light(d / unit)).collect();
     let coloured = after.coloured(&colours)?;
     let tree = TriangleBvh::build(&found.positions, &found.triangles, pool);
-    let diagonal = Bounds::of(&found.positions).diagonal();
+    let diagonal = BoundingBox::of(&found.positions).diagonal();
     let mark = |(&v, k): (&u32, u32)| {
         let at = found.positions[v as usize];
         let way = camera.towards() * diagonal;

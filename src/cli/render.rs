@@ -3,7 +3,7 @@
 use super::files::{read_model, write_file};
 use super::{Failure, Threads};
 use crate::asset::{Limits, Model};
-use crate::mesh::Bounds;
+use crate::mesh::BoundingBox;
 use crate::pool::Pool;
 use crate::render::{
     self, Key, Mark, Plate, Ramp, STRETCH_RANGE, Size, Surface, Up, View, displacements, edge_stretch,
@@ -143,7 +143,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<(), Failure> {
         }
         count => {
             let positions = &model.model.positions;
-            let apart = APART * Bounds::of(positions).diagonal();
+            let apart = APART * BoundingBox::of(positions).diagonal();
             let sizes: Vec<f64> = values.iter().map(|x| x.abs()).collect();
             Mark::largest(positions, &sizes, count as usize, apart)
         }

@@ -1,14 +1,14 @@
 //! What a deformation works on whatever the handles are: the graph and its hierarchy.
 
-use super::Error;
+use crate::deform::error::Error;
 use crate::exec::Exec;
-use crate::graph::{self, Graph};
+use crate::graph::{self, MeshGraph};
 use crate::mesh::Mesh;
 use crate::solver::{self, Hierarchy};
 use glam::DVec3;
 use rayon::prelude::*;
 
-pub use crate::graph::Weights;
+pub use crate::graph::EdgeWeights;
 pub use crate::solver::Operators;
 
 /// When interior nodes are built.
@@ -23,7 +23,7 @@ pub enum VolumeMode {
     Required,
 }
 
-/// How a [`Body`] is built.
+/// How a [`DeformableBody`] is built.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BodyOptions {
     /// When interior nodes are built.
@@ -40,26 +40,26 @@ pub struct BodyOptions {
 ///
 /// Solving happens in centred coordinates of about unit size, scaled by a power of two: neither tiny nor huge models
 /// lose digits, and going there and back changes no bit by scaling.
-pub struct Body {
+pub struct DeformableBody {
     /// The graph; its first nodes are the mesh's vertices.
-    pub graph: Graph,
+    pub graph: MeshGraph,
     /// The multigrid hierarchy over all nodes.
     pub hierarchy: Hierarchy,
     /// Rest positions of all nodes in solving coordinates.
-    pub(super) rest: Vec<[f64; 3]>,
+    pub(in crate::deform) rest: Vec<[f64; 3]>,
     /// Σ w (p_i − p_j) over neighbours: the first sum of equation (8)'s right-hand side.
-    pub(super) laplacian: Vec<[f64; 3]>,
+    pub(in crate::deform) laplacian: Vec<[f64; 3]>,
     /// Where solving coordinates have their origin, in model space.
-    pub(super) origin: DVec3,
+    pub(in crate::deform) origin: DVec3,
     /// Model units of one solving unit; a power of two.
-    pub(super) unit: f64,
+    pub(in crate::deform) unit: f64,
     /// Length of the mesh's bounding box diagonal, model units; above 0.
     pub diagonal: f64,
     /// Why there are no interior nodes although mode [`VolumeMode::Auto`] would have them: there would be too many.
     pub too_large: Option<String>,
 }
 
-impl Body {
+impl DeformableBody {
     /// Builds graph and hierarchy. Reports the stages "graph" and "hierarchy".
     ///
     /// # Errors
@@ -146,17 +146,17 @@ impl Body {
     }
 
     /// From model space to solving coordinates.
-    pub(super) fn solving_from_model(&self, p: DVec3) -> DVec3 {
+    pub(in crate::deform) fn solving_from_model(&self, p: DVec3) -> DVec3 {
         (p - self.origin) / self.unit
     }
 
     /// From solving coordinates to model space.
-    pub(super) fn model_from_solving(&self, p: DVec3) -> DVec3 {
+    pub(in crate::deform) fn model_from_solving(&self, p: DVec3) -> DVec3 {
         p * self.unit + self.origin
     }
 
     /// Neighbours of a node with the weights of the edges.
-    pub(super) fn edges(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+    pub(in crate::deform) fn edges(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         let row = self.graph.offsets[node] as usize..self.graph.offsets[node + 1] as usize;
         let weights = self.graph.weights.as_deref();
         row.map(move |e| {
@@ -173,13 +173,13 @@ fn power_of_two_near(length: f64) -> f64 {
 }
 
 /// Model space to solving coordinates.
-pub(super) fn place(positions: &[DVec3], origin: DVec3, unit: f64) -> Vec<[f64; 3]> {
+pub(in crate::deform) fn place(positions: &[DVec3], origin: DVec3, unit: f64) -> Vec<[f64; 3]> {
     let to_solving = |p: &DVec3| ((*p - origin) / unit).to_array();
     positions.par_iter().map(to_solving).collect()
 }
 
 /// Σ w (p_i − p_j) over the neighbours of every node.
-pub(super) fn laplacian(graph: &Graph, rest: &[[f64; 3]]) -> Vec<[f64; 3]> {
+pub(in crate::deform) fn laplacian(graph: &MeshGraph, rest: &[[f64; 3]]) -> Vec<[f64; 3]> {
     (0..rest.len())
         .into_par_iter()
         .map(|i| differential(graph, rest, i))
@@ -187,7 +187,7 @@ pub(super) fn laplacian(graph: &Graph, rest: &[[f64; 3]]) -> Vec<[f64; 3]> {
 }
 
 /// Σ w (p_i − p_j) over the neighbours of one node.
-pub(super) fn differential(graph: &Graph, rest: &[[f64; 3]], i: usize) -> [f64; 3] {
+pub(in crate::deform) fn differential(graph: &MeshGraph, rest: &[[f64; 3]], i: usize) -> [f64; 3] {
     let p = DVec3::from_array(rest[i]);
     let mut sum = DVec3::ZERO;
     for e in graph.offsets[i] as usize..graph.offsets[i + 1] as usize {

@@ -5,46 +5,38 @@
 //! with those local frames. Both solve on one multigrid hierarchy, which depends on the graph alone. Beyond the paper,
 //! [`Refinement`] fits the frames to the result and solves again.
 //!
-//! Data flows one way: [`Body`] (graph and hierarchy) → [`Rig`] (a set of handles with its fields and systems) →
-//! [`Solution`] (positions for the handles' transforms). This module knows no model, no request and no clock.
+//! Data flows one way: [`DeformableBody`] (graph and hierarchy) → [`HandleSystem`] (a set of handles with its fields and
+//! systems) → [`PoseSolution`] (positions for the handles' transforms). This module knows no model, no request and no clock.
+//!
+//! | room | what |
+//! |---|---|
+//! | `body`, `edited_body` | graph, hierarchy and rest shape of a mesh, and how they follow an edit |
+//! | `handles` | which handle holds which node, loose parts, how nodes are carried along and placed |
+//! | `fields` | bounded harmonic fields of the handles, and how they begin again after an edit |
+//! | `rotation` | rotation vectors, fits and blends of rotations |
+//! | `first_pass` | the local frame of each node |
+//! | `second_pass` | equation (8), solving it, and fitting rotations to the result |
+//! | `comparison` | other methods, to compare with: orientation diffusion, linear frames, radial basis functions |
 
-mod blending;
 mod body;
-mod carry;
-mod cholesky;
-mod diffusion;
-mod equations;
+mod comparison;
+mod edited_body;
 mod error;
 mod fields;
 mod first_pass;
-mod fit;
-mod follow;
-mod linear_frames;
-mod nearest;
-mod parts;
-mod placing;
-mod refine;
-mod restart;
-mod rig;
+mod handles;
 mod rotation;
 mod second_pass;
-mod spatial_rbf;
 mod transform;
 
-pub use blending::blend_rotations;
-pub use body::{Body, BodyOptions, Operators, VolumeMode, Weights};
-pub use carry::{Motion, carry};
-pub use equations::Equations;
+pub use body::{BodyOptions, DeformableBody, EdgeWeights, Operators, VolumeMode};
+pub use edited_body::EditedBody;
 pub use error::Error;
-pub use fields::Fields;
-pub use first_pass::{FirstPass, Frame, frames};
-pub use fit::rigid_fit;
-pub use follow::Followed;
-pub use nearest::NearestPoints;
-pub use parts::Policy;
-pub use refine::Refinement;
-pub use restart::{KeptFields, Restart};
-pub use rig::{Hold, Rig, Rigging};
-pub use rotation::{exp_rotation, log_rotation};
-pub use second_pass::{Cycle, Method, Request, Solution, Start, State};
+pub use fields::{FieldRestart, HarmonicFields, KeptFields};
+pub use first_pass::{FirstPass, LocalFrame, frames};
+pub use handles::{FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleSystem, carry};
+pub use rotation::{blend_rotations, exp_rotation, fit_rigid_motion, log_rotation};
+pub use second_pass::{
+    CycleReport, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolveStart, SolveState,
+};
 pub use transform::Transform;

@@ -6,9 +6,9 @@ use super::model_topology::{ModelTopology, primitive};
 use super::quality::quality;
 use super::region::RegionContext;
 use crate::asset::{self, FileSet, Format, Geometry, Model, Written};
-use crate::deform::{Body, Restart, Rig, State};
+use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
 use crate::exec::Exec;
-use crate::mesh::{Mesh, Report, self_intersections};
+use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
 use crate::wire::OpenOptions;
 use crate::wire::{Error, pb};
@@ -48,8 +48,8 @@ pub struct Deformer {
     /// Bytes that it may hold after an edit. How a graph is built depends on `limits` alone, which never change.
     pub(super) room: u64,
     pub(super) handles: ResolvedHandles,
-    pub(super) rig: Option<Rig>,
-    pub(super) state: State,
+    pub(super) rig: Option<HandleSystem>,
+    pub(super) state: SolveState,
     /// The shape that was committed last, and all nodes of the graph in it.
     pub(super) committed: Option<CommittedShape>,
     /// What it was before edits, and after those that were undone; the last one left comes last.
@@ -91,7 +91,7 @@ impl Deformer {
             room: limits.memory_bytes,
             handles: ResolvedHandles::default(),
             rig: None,
-            state: State::default(),
+            state: SolveState::default(),
             committed: None,
             past: Vec::new(),
         })
@@ -120,7 +120,7 @@ impl Deformer {
             room: self.room,
             handles: ResolvedHandles::default(),
             rig: None,
-            state: State::default(),
+            state: SolveState::default(),
             committed: None,
             past,
         }
@@ -175,17 +175,17 @@ impl Deformer {
     }
 
     /// What was found about the mesh.
-    pub fn report(&self) -> &Report {
+    pub fn report(&self) -> &MeshReport {
         self.derived.report()
     }
 
     /// The graph and hierarchy.
-    pub fn body(&self) -> &Body {
+    pub fn body(&self) -> &DeformableBody {
         &self.derived.body
     }
 
     /// The handles on the body, once set.
-    pub fn rig(&self) -> Option<&Rig> {
+    pub fn rig(&self) -> Option<&HandleSystem> {
         self.rig.as_ref()
     }
 
@@ -202,7 +202,7 @@ impl Deformer {
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
         let committed = self.committed.as_ref().map_or(0, |c| size_of_val(c.nodes.as_slice()));
-        let parts = self.rig.as_ref().map_or(0, Rig::bytes) + self.state.bytes() + committed;
+        let parts = self.rig.as_ref().map_or(0, HandleSystem::bytes) + self.state.bytes() + committed;
         // The files are one and the same.
         let files = self.model().files.total_bytes();
         let past: u64 = self.past.iter().map(|d| d.bytes().saturating_sub(files)).sum();
@@ -283,25 +283,25 @@ impl Deformer {
         // What an edit carried over, whoever asks for it.
         let carried = path.restart.as_ref().filter(|c| c.request == *request);
         let before = carried.map(|c| HandlesBeforeEdit {
-            rigging: c.fields.rigging(),
+            rigging: c.fields.setup(),
             old_from_new: &followed.old_from_new,
         });
         let (ground, most) = (self.ground(), self.limits.handles);
         let (set, rigging) = resolve_handles(&ground, body, request, self.choices.policy, before, most)?;
-        let field_bytes = (rigging.holds.len() as u64 + 1) * body.nodes() as u64 * 12;
+        let field_bytes = (rigging.handles.len() as u64 + 1) * body.nodes() as u64 * 12;
         admit(self.estimate() + field_bytes, &self.limits)?;
-        let restart = carried.map(|c| Restart {
+        let restart = carried.map(|c| FieldRestart {
             before: &c.fields,
             old_from_new: &followed.old_from_new,
             touched: &followed.touched,
         });
         let rig = match request.handles.is_empty() {
             true => None,
-            false => Some(Rig::restart(body, rigging, restart.as_ref(), exec)?),
+            false => Some(HandleSystem::restart(body, rigging, restart.as_ref(), exec)?),
         };
         self.handles = set;
         self.rig = rig;
-        self.state = State::default();
+        self.state = SolveState::default();
         Ok(())
     }
 

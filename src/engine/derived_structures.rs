@@ -6,11 +6,11 @@ use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
 use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyLineage, TopologyState};
 use crate::asset::Model;
-use crate::deform::{Body, BodyOptions, Followed, VolumeMode};
+use crate::deform::{BodyOptions, DeformableBody, EditedBody, VolumeMode};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
-use crate::mesh::{Adjacency, Components, Mesh, Report, inspect};
+use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
 use crate::wire::OpenOptions;
 use crate::wire::{Error, pb};
 use glam::DVec3;
@@ -24,11 +24,11 @@ pub(super) struct DerivedStructures {
     pub path: Arc<TopologyLineage>,
     pub mesh: Mesh,
     pub parts: Components,
-    pub body: Body,
+    pub body: DeformableBody,
     /// How the nodes of the graph came about when the body has followed an edit.
     pub followed: FollowedNodes,
     volume: VolumeMode,
-    report: OnceLock<Report>,
+    report: OnceLock<MeshReport>,
 }
 
 /// How the nodes of a graph that has followed an edit came about; empty when it was built.
@@ -74,7 +74,7 @@ impl DerivedStructures {
             mesh.positions.len()
         };
         admit(estimate(vertices, nodes as u64) + files, limits)?;
-        let body = Body::build(&mesh, &options(&foundation, choices, limits), exec)?;
+        let body = DeformableBody::build(&mesh, &options(&foundation, choices, limits), exec)?;
         let parts = parts_of(&mesh);
         Ok(Self::new(
             TopologyLineage::built(foundation),
@@ -117,7 +117,7 @@ impl DerivedStructures {
                 }
             };
             if let Some((step, followed, parts)) = followed {
-                let Followed {
+                let EditedBody {
                     body,
                     old_from_new,
                     touched,
@@ -173,7 +173,7 @@ impl DerivedStructures {
         path: TopologyLineage,
         mesh: Mesh,
         parts: Components,
-        body: Body,
+        body: DeformableBody,
         followed: FollowedNodes,
         choices: &OpenOptions,
     ) -> Self {
@@ -198,7 +198,7 @@ impl DerivedStructures {
     }
 
     /// What is to be said about the mesh; looked for when first asked.
-    pub fn report(&self) -> &Report {
+    pub fn report(&self) -> &MeshReport {
         self.report.get_or_init(|| {
             let adjacency = Adjacency::build(self.mesh.positions.len(), &self.mesh.triangles);
             inspect(&self.mesh, &adjacency)
@@ -261,7 +261,7 @@ pub(super) fn admit(bytes: u64, limits: &DeformerLimits) -> Result<(), Error> {
     })
 }
 
-fn warnings_of(model: &Model, report: &Report) -> Vec<pb::Warning> {
+fn warnings_of(model: &Model, report: &MeshReport) -> Vec<pb::Warning> {
     let read = model.warnings.iter().map(|(code, message, place)| pb::Warning {
         code: code.clone(),
         message: message.clone(),

@@ -14,7 +14,7 @@ use super::{Deformer, HandlePoses, SolveMode};
 use crate::asset::FileSet;
 use crate::edit::{EditSubject, EditWarning, ErrorPlace, PatchedSurface, apply_patch};
 use crate::exec::Exec;
-use crate::graph::{Graph, Recipe, Stats};
+use crate::graph::{GraphRecipe, GraphStats, MeshGraph};
 use crate::wire::check::enumerated;
 use crate::wire::{DeformOptions, Error, pb};
 use glam::DVec3;
@@ -269,8 +269,8 @@ impl Deformer {
     }
 
     /// A graph of which regions hold no node.
-    fn without_nodes(&self) -> Graph {
-        Graph {
+    fn without_nodes(&self) -> MeshGraph {
+        MeshGraph {
             offsets: vec![0],
             neighbours: Vec::new(),
             weights: None,
@@ -279,8 +279,8 @@ impl Deformer {
             nearest_surface: Vec::new(),
             component: Vec::new(),
             components: 0,
-            stats: Stats::default(),
-            recipe: Recipe::default(),
+            stats: GraphStats::default(),
+            recipe: GraphRecipe::default(),
         }
     }
 

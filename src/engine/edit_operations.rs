@@ -9,7 +9,7 @@ use crate::edit::{
     self, CutOptions, CutPlane, KeptSide, LoopPair, MOST_POINTS, PatchedSurface, RemeshTarget, SubdivisionScheme,
     SurfaceCurve, SurfacePatch,
 };
-use crate::mesh::{Adjacency, Bounds, NONE, Weld, mean_edge_length};
+use crate::mesh::{Adjacency, BoundingBox, NONE, Weld, mean_edge_length};
 use crate::progress::Progress;
 use crate::wire::check::{enumerated, number, plane, positive};
 use crate::wire::{Error, pb};
@@ -335,8 +335,8 @@ fn merge(scene: &mut EditContext<'_>, merge: &wire::Merge, progress: &dyn Progre
 
 /// Refuses a model that is so much larger than the other, or so far off, that the smaller one would be lost in rounding.
 fn check_sizes(own: &[DVec3], placed: &[DVec3]) -> Result<(), Error> {
-    let (own, placed) = (Bounds::of(own), Bounds::of(placed));
-    let size = |b: &Bounds| (b.max - b.min).length();
+    let (own, placed) = (BoundingBox::of(own), BoundingBox::of(placed));
+    let size = |b: &BoundingBox| (b.max - b.min).length();
     let both = (own.max.max(placed.max) - own.min.min(placed.min)).length();
     let least = size(&own).min(size(&placed));
     if least > 0.0 && both <= LARGEST * least {

@@ -1,7 +1,7 @@
 //! A set of handles as requested, resolved to what the engine takes.
 
 use super::region::{MirrorPlane, RegionContext, ResolvedRegion, resolve};
-use crate::deform::{Body, Hold, Policy, Rigging, Transform};
+use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, Transform};
 use crate::mesh::NONE;
 use crate::wire::check::{enumerated, number, optional_within, plane, positive, transform};
 use crate::wire::{Error, pb};
@@ -29,7 +29,7 @@ pub(super) struct ResolvedHandles {
 /// What handles held before an edit that carried them over.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct HandlesBeforeEdit<'a> {
-    pub rigging: &'a Rigging,
+    pub rigging: &'a HandleSetup,
     /// For each node its number before the edit, or [`NONE`].
     pub old_from_new: &'a [u32],
 }
@@ -50,12 +50,12 @@ impl HandlesBeforeEdit<'_> {
 /// inside that they held: a list of vertices, as which they come back, does not tell them.
 pub(super) fn resolve_handles(
     ground: &RegionContext<'_>,
-    body: &Body,
+    body: &DeformableBody,
     request: &pb::SetHandlesRequest,
-    policy: Policy,
+    policy: FreePartPolicy,
     before: Option<HandlesBeforeEdit<'_>>,
     most: usize,
-) -> Result<(ResolvedHandles, Rigging), Error> {
+) -> Result<(ResolvedHandles, HandleSetup), Error> {
     if request.handles.len() > most {
         return Err(Error::TooLarge {
             what: "handles",
@@ -69,7 +69,7 @@ pub(super) fn resolve_handles(
         .map(|p| plane(p, "symmetryPlane"))
         .transpose()?;
     // MirrorPlane images are found from what handles hold, so those stay as they are listed.
-    let before = before.filter(|b| mirror.is_none() && b.rigging.holds.len() == request.handles.len());
+    let before = before.filter(|b| mirror.is_none() && b.rigging.handles.len() == request.handles.len());
     let numbers = before.map(|b| b.new_from_old()).unwrap_or_default();
     let mut ids = BTreeSet::new();
     let mut set = ResolvedHandles {
@@ -98,7 +98,7 @@ pub(super) fn resolve_handles(
             let surface = ground.graph.surface as u32;
             let is_new = |n: &u32| before.old_from_new.get(*n as usize).is_none_or(|o| *o == NONE);
             region.nodes.retain(|n| *n < surface || is_new(n));
-            let held = before.rigging.holds[k].nodes.iter();
+            let held = before.rigging.handles[k].nodes.iter();
             let still = held.filter_map(|&old| numbers.get(old as usize).copied());
             region.nodes.extend(still.filter(|&n| n != NONE && n >= surface));
             region.nodes.sort_unstable();
@@ -144,7 +144,14 @@ pub(super) fn resolve_handles(
             r#where: format!("handles[{k}]"),
         });
     }
-    Ok((set, Rigging { holds, frozen, policy }))
+    Ok((
+        set,
+        HandleSetup {
+            handles: holds,
+            frozen,
+            policy,
+        },
+    ))
 }
 
 impl ResolvedHandles {
@@ -166,7 +173,12 @@ impl ResolvedHandles {
     }
 }
 
-fn hold(body: &Body, handle: &pb::Handle, region: &ResolvedRegion, field: &str) -> Result<Hold, Error> {
+fn hold(
+    body: &DeformableBody,
+    handle: &pb::Handle,
+    region: &ResolvedRegion,
+    field: &str,
+) -> Result<HandleConstraint, Error> {
     let (mut position, mut rotation, mut scale) = (false, false, false);
     for (k, &c) in handle.constrains.iter().enumerate() {
         match enumerated(c, &format!("{field}.constrains[{k}]"))? {
@@ -212,7 +224,7 @@ fn hold(body: &Body, handle: &pb::Handle, region: &ResolvedRegion, field: &str) 
             pulls.sort_by_key(|p| p.0);
         }
     }
-    Ok(Hold {
+    Ok(HandleConstraint {
         nodes: region.nodes.clone(),
         pulls,
         stiffness,
@@ -224,7 +236,7 @@ fn hold(body: &Body, handle: &pb::Handle, region: &ResolvedRegion, field: &str) 
 }
 
 /// Weights around a region by distance along the graph's edges, so that a falloff does not jump between fingers.
-fn fade(body: &Body, core: &[u32], radius: f64, kind: pb::falloff::Kind) -> Vec<(u32, f64)> {
+fn fade(body: &DeformableBody, core: &[u32], radius: f64, kind: pb::falloff::Kind) -> Vec<(u32, f64)> {
     #[derive(PartialEq)]
     struct Reached(f64, u32);
     impl Eq for Reached {}
@@ -290,7 +302,7 @@ fn stray_vertices(ground: &RegionContext<'_>, region: &ResolvedRegion, hold: u32
 }
 
 /// Who holds each node in the end; the frozen surroundings count as nobody.
-fn last_holders(holds: &[Hold], nodes: usize, frozen: &[bool]) -> Vec<u32> {
+fn last_holders(holds: &[HandleConstraint], nodes: usize, frozen: &[bool]) -> Vec<u32> {
     let mut owner = vec![u32::MAX; nodes];
     for (k, hold) in holds.iter().enumerate() {
         hold.nodes.iter().for_each(|&n| owner[n as usize] = k as u32);
@@ -303,7 +315,7 @@ fn last_holders(holds: &[Hold], nodes: usize, frozen: &[bool]) -> Vec<u32> {
     owner
 }
 
-fn render_counts(ground: &RegionContext<'_>, holds: &[Hold], handles: usize, frozen: &[bool]) -> Vec<u32> {
+fn render_counts(ground: &RegionContext<'_>, holds: &[HandleConstraint], handles: usize, frozen: &[bool]) -> Vec<u32> {
     let owner = last_holders(holds, ground.graph.positions.len(), frozen);
     let mut counts = vec![0; handles];
     for &solver in ground.mesh.solver_from_render.iter().filter(|s| **s != NONE) {
@@ -320,12 +332,18 @@ fn render_counts(ground: &RegionContext<'_>, holds: &[Hold], handles: usize, fro
     counts
 }
 
-fn overlaps(request: &pb::SetHandlesRequest, holds: &[Hold], images: &[Hold], frozen: &[bool]) -> Vec<pb::Warning> {
+fn overlaps(
+    request: &pb::SetHandlesRequest,
+    holds: &[HandleConstraint],
+    images: &[HandleConstraint],
+    frozen: &[bool],
+) -> Vec<pb::Warning> {
     let mut warnings = Vec::new();
     let name = |k: usize| &request.handles[k % request.handles.len()].id;
-    let all: Vec<&Hold> = holds.iter().chain(images).collect();
-    let same_kind =
-        |a: &Hold, b: &Hold| (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale);
+    let all: Vec<&HandleConstraint> = holds.iter().chain(images).collect();
+    let same_kind = |a: &HandleConstraint, b: &HandleConstraint| {
+        (a.position && b.position) || (a.rotation && b.rotation) || (a.scale && b.scale)
+    };
     let most = all
         .iter()
         .flat_map(|h| h.nodes.last())

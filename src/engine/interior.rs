@@ -1,7 +1,7 @@
 //! Interior nodes within the memory that there is, and what a user should know of them.
 
 use super::DeformerLimits;
-use crate::deform::{Body, BodyOptions, VolumeMode};
+use crate::deform::{BodyOptions, DeformableBody, VolumeMode};
 use crate::wire::pb;
 
 /// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
@@ -20,7 +20,7 @@ pub(super) fn fit(options: &mut BodyOptions, other: u64, limits: &DeformerLimits
 }
 
 /// What is unusual about the interior of a body that was built in `mode`.
-pub(super) fn warnings(body: &Body, mode: VolumeMode) -> Vec<pb::Warning> {
+pub(super) fn warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<pb::Warning> {
     let warning = |code: &str, message: String, place: String| pb::Warning {
         code: code.into(),
         message,

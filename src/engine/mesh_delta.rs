@@ -1,7 +1,7 @@
 //! What an edit changed of the solver's mesh, small enough to be kept: enough to make the mesh after it from that before.
 
 use crate::edit::PatchedSurface;
-use crate::graph::Change;
+use crate::graph::MeshChange;
 use crate::mesh::{Mesh, NONE};
 use glam::DVec3;
 
@@ -160,8 +160,8 @@ impl MeshDelta {
 
 impl MeshChangeLists {
     /// The change, with the points and triangles after it.
-    pub fn change<'a>(&'a self, positions: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Change<'a> {
-        Change {
+    pub fn change<'a>(&'a self, positions: &'a [DVec3], triangles: &'a [[u32; 3]]) -> MeshChange<'a> {
+        MeshChange {
             positions,
             triangles,
             old_from_new: &self.old_from_new,

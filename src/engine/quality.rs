@@ -1,7 +1,7 @@
 //! How far a shape is from the rest shape, in numbers.
 
 use super::{Deformer, HandlePoses};
-use crate::mesh::{Bounds, Mesh, shading};
+use crate::mesh::{BoundingBox, Mesh, shading};
 use crate::pool::Pool;
 use crate::wire::{Error, pb};
 use glam::{DMat2, DMat3, DVec2, DVec3};
@@ -16,7 +16,7 @@ impl Deformer {
     pub fn constraint_error(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<f64, Error> {
         let Some(rig) = self.rig() else { return Ok(0.0) };
         let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
-        let farthest = rig.misplaced(self.body(), &self.transforms(poses)?, now);
+        let farthest = rig.largest_misplacement(self.body(), &self.transforms(poses)?, now);
         let diagonal = self.diagonal();
         Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
     }
@@ -32,7 +32,7 @@ const RUN: usize = 1 << 16;
 /// A triangle counts as flipped when its normal opposes the rest normal turned by the mean rotation around it, which is
 /// taken from its neighbours' normals: a fold shows, a part that was turned over as a whole does not.
 pub(super) fn quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> pb::Quality {
-    let centers = [&mesh.positions, deformed].map(|p| Bounds::of(p).center());
+    let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
     let (sums, flipped_triangles) = pool.install(|| {
         let blocks: Vec<QualitySums> = mesh
             .triangles

@@ -1,8 +1,8 @@
 //! Regions to vertices: which render vertices and which graph nodes a handle holds.
 
 use crate::asset::Primitive;
-use crate::deform::NearestPoints;
-use crate::graph::Graph;
+use crate::graph::MeshGraph;
+use crate::mesh::query::NearestPoints;
 use crate::mesh::query::closest_point::closest_point_on_segment;
 use crate::mesh::{Components, Mesh, NONE};
 use crate::wire::check::{number, plane, positive, vector};
@@ -17,7 +17,7 @@ pub(super) struct RegionContext<'a> {
     pub primitives: &'a [Primitive],
     pub mesh: &'a Mesh,
     pub parts: &'a Components,
-    pub graph: &'a Graph,
+    pub graph: &'a MeshGraph,
 }
 
 /// A mirror: unit normal and a point of the plane.

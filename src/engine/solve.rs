@@ -3,7 +3,9 @@
 use super::deformer::CommittedShape;
 use super::handles::ResolvedHandles;
 use super::{Deformer, HandlePoses};
-use crate::deform::{Body, Cycle, Refinement, Request, Rig, Solution, Start, Transform};
+use crate::deform::{
+    CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
+};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, NONE};
 use crate::wire::check::{COMMIT_REFINE, DeformOptions, transform};
@@ -71,7 +73,7 @@ impl Deformer {
         Ok(HandlePoses(Arc::new(all)))
     }
 
-    fn require_handles(&self) -> Result<&Rig, Error> {
+    fn require_handles(&self) -> Result<&HandleSystem, Error> {
         self.rig
             .as_ref()
             .ok_or_else(|| Error::Precondition("no handles are set; set them before deforming".into()))
@@ -115,14 +117,14 @@ impl Deformer {
             return Err(Error::Internal("handles without a rig".into()));
         };
         let body = &derived.body;
-        let request = Request {
+        let request = PoseRequest {
             transforms: &transforms,
             tolerance: settings.tolerance,
             max_error: settings.max_error,
             start: if mode == SolveMode::Drag {
-                Start::Warm
+                SolveStart::Warm
             } else {
-                Start::Fresh
+                SolveStart::Fresh
             },
             first_pass: settings.first_pass,
             refinement: Refinement {
@@ -139,7 +141,7 @@ impl Deformer {
             rest: &derived.foundation().rest,
             handles,
         };
-        let mut on_cycle = |cycle: &Cycle<'_>| {
+        let mut on_cycle = |cycle: &CycleReport<'_>| {
             let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
             watch(&SolveUpdate {
                 cycle: u32::try_from(cycle.index).unwrap_or(u32::MAX),
@@ -150,7 +152,7 @@ impl Deformer {
             })
         };
         let solution = match settings.spatial_rbf {
-            true => rig.solve_in_space(body, &transforms, state, exec)?,
+            true => rig.solve_by_spatial_rbf(body, &transforms, state, exec)?,
             false => rig.solve(body, &request, state, exec, &mut on_cycle)?,
         };
         let solver = method_name(&solution);
@@ -173,7 +175,7 @@ impl Deformer {
 
 /// From graph nodes back to render vertices.
 struct ShapeTransfer<'a> {
-    body: &'a Body,
+    body: &'a DeformableBody,
     mesh: &'a Mesh,
     rest: &'a [DVec3],
     handles: &'a ResolvedHandles,
@@ -211,8 +213,8 @@ impl ShapeTransfer<'_> {
     }
 }
 
-fn method_name(solution: &Solution) -> &'static str {
-    use crate::deform::Method::{Graph, SpatialRbf};
+fn method_name(solution: &PoseSolution) -> &'static str {
+    use crate::deform::PoseMethod::{Graph, SpatialRbf};
     use crate::solver::Method as Solver;
     match solution.method {
         Graph(Solver::Trivial) => "trivial",

@@ -7,7 +7,7 @@
 use super::derived_structures::FollowedNodes;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
-use crate::deform::{Body, Followed, KeptFields};
+use crate::deform::{DeformableBody, EditedBody, KeptFields};
 use crate::exec::Exec;
 use crate::wire::OpenOptions;
 use crate::wire::{Error, pb};
@@ -131,7 +131,7 @@ impl LineageOrigin {
             }
         };
         let mesh = start.mesh(choices.weld)?;
-        let body = Body::build(&mesh, &fit(start), exec)?;
+        let body = DeformableBody::build(&mesh, &fit(start), exec)?;
         let mut now = RetracedBody {
             body,
             nodes: FollowedNodes::default(),
@@ -147,7 +147,7 @@ impl LineageOrigin {
             let Some(followed) = now.body.follow(&change, nodes, exec)? else {
                 return Ok(None);
             };
-            let Followed {
+            let EditedBody {
                 body,
                 old_from_new,
                 touched,
@@ -165,7 +165,7 @@ impl LineageOrigin {
 
 /// A body made again.
 pub(super) struct RetracedBody {
-    pub body: Body,
+    pub body: DeformableBody,
     pub nodes: FollowedNodes,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,

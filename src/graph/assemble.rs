@@ -1,11 +1,13 @@
-//! From shell, lattice and ties to the rows of a [`Graph`].
+//! From shell, lattice and ties to the rows of a [`MeshGraph`].
 //!
 //! Every row can be written on its own, already rising: a vertex's neighbours on the mesh come before their shell
 //! copies, and these before the lattice. So rows are counted, then filled, both in parallel.
 
-use super::neighbours::{NONE, Row};
-use super::recipe::Recipe;
-use super::{Graph, Stats, Weights, weights};
+use crate::graph::mesh_graph::{GraphStats, MeshGraph};
+use crate::graph::recipe::GraphRecipe;
+use crate::graph::volume::neighbours::{LatticeRow, NONE};
+use crate::graph::weights;
+use crate::graph::weights::EdgeWeights;
 use crate::mesh::{Adjacency, Components, Lists, Mesh};
 use crate::pool::Pool;
 use glam::DVec3;
@@ -13,7 +15,7 @@ use rayon::prelude::*;
 
 /// Nodes and edges beyond the mesh's own.
 #[derive(Default)]
-pub(super) struct Inner {
+pub(super) struct InteriorNodes {
     /// For each vertex, the node number of its shell copy, or [`NONE`]; empty without a shell.
     pub(super) shell: Vec<u32>,
     /// Number of shell nodes.
@@ -24,20 +26,20 @@ pub(super) struct Inner {
     pub(super) nearest_surface: Vec<u32>,
     /// For each lattice node its neighbours in the lattice, counted from the first lattice node, rising up to the first
     /// [`NONE`].
-    pub(super) lattice: Vec<Row>,
+    pub(super) lattice: Vec<LatticeRow>,
     /// Lattice node, counted from the first one, and the surface or shell node that it is tied to; rising, each once.
     pub(super) ties: Vec<[u32; 2]>,
     /// What edits need to know of how these nodes were placed.
-    pub(super) recipe: Recipe,
+    pub(super) recipe: GraphRecipe,
 }
 
 /// Rows handled in one go.
 const BLOCK: usize = 1 << 12;
 
 /// What rows are made from.
-struct Rows<'a> {
+struct GraphRows<'a> {
     adjacency: &'a Adjacency,
-    inner: &'a Inner,
+    inner: &'a InteriorNodes,
     positions: &'a [DVec3],
     surface: usize,
     /// Shell nodes' vertices come first in `nearest_surface`.
@@ -47,7 +49,7 @@ struct Rows<'a> {
     to_lattice: Lists,
 }
 
-impl Rows<'_> {
+impl GraphRows<'_> {
     fn shell_of(&self, vertex: u32) -> Option<u32> {
         self.inner.shell.get(vertex as usize).copied().filter(|&s| s != NONE)
     }
@@ -109,11 +111,11 @@ pub(super) fn assemble(
     mesh: &Mesh,
     adjacency: &Adjacency,
     parts: &Components,
-    mut inner: Inner,
-    weighting: Weights,
-    mut stats: Stats,
+    mut inner: InteriorNodes,
+    weighting: EdgeWeights,
+    mut stats: GraphStats,
     pool: Option<&Pool>,
-) -> Graph {
+) -> MeshGraph {
     let surface = mesh.positions.len();
     let mut recipe = std::mem::take(&mut inner.recipe);
     let nodes = surface + inner.positions.len();
@@ -121,7 +123,7 @@ pub(super) fn assemble(
     positions.extend_from_slice(&mesh.positions);
     positions.extend_from_slice(&inner.positions);
     let first_lattice = surface + inner.copies;
-    let rows = Rows {
+    let rows = GraphRows {
         adjacency,
         inner: &inner,
         positions: &positions,
@@ -141,8 +143,8 @@ pub(super) fn assemble(
         .iter()
         .for_each(|&c| stats.component_has_volume[c as usize] = true);
     let weights = match weighting {
-        Weights::Uniform => None,
-        Weights::Cotangent => {
+        EdgeWeights::Uniform => None,
+        EdgeWeights::Cotangent => {
             let (of_edge, scale) = weights::cotangents(&mesh.positions, &mesh.triangles, adjacency);
             recipe.cotangent_scale = scale;
             Some(spread(&offsets, &neighbours, adjacency, &of_edge))
@@ -150,7 +152,7 @@ pub(super) fn assemble(
     };
     let mut nearest_surface: Vec<u32> = (0..surface as u32).collect();
     nearest_surface.extend_from_slice(&inner.nearest_surface);
-    Graph {
+    MeshGraph {
         offsets,
         neighbours,
         weights,
@@ -165,7 +167,7 @@ pub(super) fn assemble(
 }
 
 /// Offsets and neighbours of all rows.
-fn filled(nodes: usize, rows: &Rows) -> (Vec<u32>, Vec<u32>) {
+fn filled(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
     let mut offsets = vec![0u32; nodes + 1];
     let counted = offsets[1..].par_iter_mut().enumerate().with_min_len(BLOCK);
     counted.for_each(|(node, count)| rows.each(node, |_| *count += 1));
@@ -195,7 +197,7 @@ fn filled(nodes: usize, rows: &Rows) -> (Vec<u32>, Vec<u32>) {
 }
 
 /// As [`filled`], on the caller's thread.
-fn filled_alone(nodes: usize, rows: &Rows) -> (Vec<u32>, Vec<u32>) {
+fn filled_alone(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
     let mut offsets = Vec::with_capacity(nodes + 1);
     offsets.push(0);
     let mut neighbours = Vec::new();
@@ -208,7 +210,7 @@ fn filled_alone(nodes: usize, rows: &Rows) -> (Vec<u32>, Vec<u32>) {
 }
 
 /// The components of the graph: parts of the mesh, joined where one lattice is tied to several.
-fn components(inner: &Inner, parts: &Components, surface: usize) -> Components {
+fn components(inner: &InteriorNodes, parts: &Components, surface: usize) -> Components {
     let lattice = parts.count as u32;
     let part = |node: u32| {
         let vertex = match (node as usize).checked_sub(surface) {

@@ -4,16 +4,16 @@ use glam::DVec3;
 
 /// What [`super::resample`] needs beside nodes and edges.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Recipe {
+pub struct GraphRecipe {
     /// What raw cotangents of mesh edges were multiplied by; 0 with uniform weights.
     pub(super) cotangent_scale: f64,
     /// How interior nodes were placed; `None` for the graph of a surface alone.
-    pub(super) inside: Option<Inside>,
+    pub(super) inside: Option<InteriorRecipe>,
 }
 
 /// How interior nodes were placed.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Inside {
+pub(super) struct InteriorRecipe {
     /// Place of grid A's node (0, 0, 0).
     pub(super) origin: DVec3,
     /// Side of a lattice cell.
@@ -31,7 +31,7 @@ pub(super) struct Inside {
     pub(super) open: Vec<[u32; 2]>,
 }
 
-impl Recipe {
+impl GraphRecipe {
     /// Bytes held on the heap.
     pub(super) fn bytes(&self) -> usize {
         self.inside.as_ref().map_or(0, |inside| {

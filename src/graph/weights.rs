@@ -5,7 +5,7 @@ use glam::DVec3;
 
 /// How much each edge of the mesh counts. Edges of the shell and the lattice always count 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Weights {
+pub enum EdgeWeights {
     /// All the same, which the paper found sufficient (section 2.2).
     #[default]
     Uniform,

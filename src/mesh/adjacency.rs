@@ -1,10 +1,10 @@
 //! What is next to what: faces around a vertex, vertices around a vertex, edges with the faces on either side.
 
-use super::Lists;
+use crate::mesh::lists::Lists;
 
 /// An edge and how many faces run along it in each direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Edge {
+pub struct MeshEdge {
     /// Its ends, the smaller index first.
     pub vertices: [u32; 2],
     /// Faces that pass it from the smaller to the larger end; counts stop at 65,535.
@@ -13,7 +13,7 @@ pub struct Edge {
     pub backward: u16,
 }
 
-impl Edge {
+impl MeshEdge {
     /// Number of faces along it: 1 on a boundary, 2 in the inside of a manifold surface.
     pub fn faces(&self) -> u32 {
         u32::from(self.forward) + u32::from(self.backward)
@@ -28,7 +28,7 @@ pub struct Adjacency {
     /// Vertices that share an edge with each vertex, in rising order, each once.
     pub neighbours: Lists,
     /// All edges, each once, sorted by their ends.
-    pub edges: Vec<Edge>,
+    pub edges: Vec<MeshEdge>,
 }
 
 impl Adjacency {
@@ -62,12 +62,12 @@ impl Adjacency {
 
     /// Bytes held on the heap.
     pub fn bytes(&self) -> usize {
-        self.faces.bytes() + self.neighbours.bytes() + self.edges.capacity() * size_of::<Edge>()
+        self.faces.bytes() + self.neighbours.bytes() + self.edges.capacity() * size_of::<MeshEdge>()
     }
 }
 
 /// All edges of `triangles`, sorted: half edges are gathered at their smaller end and each short row is sorted.
-fn edges(vertices: usize, triangles: &[[u32; 3]]) -> Vec<Edge> {
+fn edges(vertices: usize, triangles: &[[u32; 3]]) -> Vec<MeshEdge> {
     let half_edge = |h: u32| {
         let t = triangles[h as usize / 3];
         (t[h as usize % 3], t[(h as usize + 1) % 3])
@@ -78,7 +78,7 @@ fn edges(vertices: usize, triangles: &[[u32; 3]]) -> Vec<Edge> {
             (from != to).then_some((from.min(to), h))
         })
     });
-    let mut edges: Vec<Edge> = Vec::with_capacity(rows.items().len() / 2 + 1);
+    let mut edges: Vec<MeshEdge> = Vec::with_capacity(rows.items().len() / 2 + 1);
     let mut row: Vec<(u32, bool)> = Vec::new();
     for v in 0..vertices as u32 {
         row.clear();
@@ -90,7 +90,7 @@ fn edges(vertices: usize, triangles: &[[u32; 3]]) -> Vec<Edge> {
         for same in row.chunk_by(|a, b| a.0 == b.0) {
             let backward = same.iter().filter(|s| s.1).count();
             let count = |n: usize| u16::try_from(n).unwrap_or(u16::MAX);
-            edges.push(Edge {
+            edges.push(MeshEdge {
                 vertices: [v, same[0].0],
                 forward: count(same.len() - backward),
                 backward: count(backward),

@@ -1,6 +1,7 @@
 //! The rims of holes: loops of edges that have one face only.
 
-use super::{Adjacency, Edge, Lists};
+use crate::mesh::adjacency::{Adjacency, MeshEdge};
+use crate::mesh::lists::Lists;
 use glam::DVec3;
 
 /// One rim.
@@ -22,14 +23,14 @@ pub struct BoundaryLoop {
 /// # Panics
 /// When `adjacency` belongs to a mesh with more vertices than there are positions.
 pub fn boundary_loops(positions: &[DVec3], adjacency: &Adjacency) -> Vec<BoundaryLoop> {
-    let rim: Vec<Edge> = adjacency.edges.iter().filter(|e| e.faces() == 1).copied().collect();
+    let rim: Vec<MeshEdge> = adjacency.edges.iter().filter(|e| e.faces() == 1).copied().collect();
     if rim.is_empty() {
         return Vec::new();
     }
     let at = Lists::gather(positions.len(), || {
         rim.iter().zip(0u32..).flat_map(|(e, i)| e.vertices.map(|v| (v, i)))
     });
-    let mut walk = Walk {
+    let mut walk = BoundaryWalk {
         positions,
         rim: &rim,
         at: &at,
@@ -52,9 +53,9 @@ pub fn boundary_loops(positions: &[DVec3], adjacency: &Adjacency) -> Vec<Boundar
 
 const NOWHERE: u32 = u32::MAX;
 
-struct Walk<'a> {
+struct BoundaryWalk<'a> {
     positions: &'a [DVec3],
-    rim: &'a [Edge],
+    rim: &'a [MeshEdge],
     at: &'a Lists,
     /// Per vertex, how many of its rim edges have been looked at.
     next: Vec<u32>,
@@ -64,9 +65,9 @@ struct Walk<'a> {
     loops: Vec<BoundaryLoop>,
 }
 
-impl Walk<'_> {
+impl BoundaryWalk<'_> {
     /// The first unused rim edge at `v`.
-    fn take(&mut self, v: u32) -> Option<Edge> {
+    fn take(&mut self, v: u32) -> Option<MeshEdge> {
         let edges = self.at.of(v);
         while let Some(&e) = edges.get(self.next[v as usize] as usize) {
             self.next[v as usize] += 1;

@@ -15,7 +15,7 @@ impl Components {
     /// # Panics
     /// When a triangle names a vertex that is not below `vertices`.
     pub fn of_triangles(vertices: usize, triangles: &[[u32; 3]]) -> Self {
-        let mut sets = Sets::new(vertices);
+        let mut sets = DisjointSets::new(vertices);
         for &[a, b, c] in triangles {
             sets.join(a, b);
             sets.join(b, c);
@@ -28,7 +28,7 @@ impl Components {
     /// # Panics
     /// When an edge names a vertex that is not below `vertices`.
     pub fn of_edges(vertices: usize, edges: impl Iterator<Item = (u32, u32)>) -> Self {
-        let mut sets = Sets::new(vertices);
+        let mut sets = DisjointSets::new(vertices);
         edges.for_each(|(a, b)| sets.join(a, b));
         sets.components()
     }
@@ -47,11 +47,11 @@ impl Components {
 }
 
 /// Disjoint sets whose root is always the smallest member.
-struct Sets {
+struct DisjointSets {
     parent: Vec<u32>,
 }
 
-impl Sets {
+impl DisjointSets {
     fn new(count: usize) -> Self {
         Self {
             parent: (0..count as u32).collect(),

@@ -1,9 +1,14 @@
 //! The inspection report: what a mesh is made of and what is unusual about it. Nothing here is fatal.
 
-use super::boundary::{BoundaryLoop, boundary_loops};
-use super::measure::{cone_volume, mean_edge_length, signed_volume, surface_area, triangle_area};
-use super::query::fan::group_fans;
-use super::{Adjacency, Bounds, Components, Mesh, NONE, Weld, weld};
+use crate::mesh::adjacency::Adjacency;
+use crate::mesh::boundary::{BoundaryLoop, boundary_loops};
+use crate::mesh::components::Components;
+use crate::mesh::measure::BoundingBox;
+use crate::mesh::measure::{cone_volume, mean_edge_length, signed_volume, surface_area, triangle_area};
+use crate::mesh::query::fan::group_fans;
+use crate::mesh::weld;
+use crate::mesh::weld::Weld;
+use crate::mesh::welded_mesh::{Mesh, NONE};
 
 /// A face is a sliver when its longest edge is more than this many times its height over that edge.
 const SLIVER: f64 = 100.0;
@@ -14,7 +19,7 @@ const CRACK: f64 = 1e-5;
 
 /// Something unusual that a user may want to know of.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Warning {
+pub struct MeshWarning {
     /// What kind, in kebab-case; stable.
     pub code: &'static str,
     /// What, how many, and where the first one is.
@@ -25,7 +30,7 @@ pub struct Warning {
 
 /// One connected part.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Part {
+pub struct PartReport {
     /// Its smallest solver vertex.
     pub first_vertex: u32,
     /// Number of its solver vertices.
@@ -42,7 +47,7 @@ pub struct Part {
 
 /// Counts and measures of a mesh. Vertices and faces are the solver's unless said otherwise.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Report {
+pub struct MeshReport {
     /// Render vertices.
     pub render_vertices: usize,
     /// Solver vertices.
@@ -74,11 +79,11 @@ pub struct Report {
     /// Boundary vertices so close to another that they are probably meant to be one.
     pub cracked_vertices: usize,
     /// Connected parts in the order of their smallest vertex.
-    pub parts: Vec<Part>,
+    pub parts: Vec<PartReport>,
     /// Whether each edge has exactly two faces.
     pub closed: bool,
     /// The smallest box around the vertices.
-    pub bounds: Bounds,
+    pub bounds: BoundingBox,
     /// Area of all faces.
     pub area: f64,
     /// Signed volume; meaningful when `closed`.
@@ -86,14 +91,14 @@ pub struct Report {
     /// Mean length of the edges.
     pub mean_edge_length: f64,
     /// What a user may want to know of, at most one entry per code.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<MeshWarning>,
 }
 
 /// Examines `mesh`; `adjacency` must be its own.
 ///
 /// # Panics
 /// When `adjacency` belongs to another mesh.
-pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> Report {
+pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> MeshReport {
     let edges = &adjacency.edges;
     let parts = parts(mesh, adjacency);
     let loops = boundary_loops(&mesh.positions, adjacency);
@@ -107,7 +112,7 @@ pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> Report {
         .map(|s| s.0)
         .collect();
     let edge_places =
-        |wanted: fn(&super::Edge) -> bool| edges.iter().filter(|e| wanted(e)).map(|e| e.vertices).collect();
+        |wanted: fn(&super::MeshEdge) -> bool| edges.iter().filter(|e| wanted(e)).map(|e| e.vertices).collect();
     let non_manifold: Vec<[u32; 2]> = edge_places(|e| e.faces() > 2);
     let conflicts: Vec<[u32; 2]> = edge_places(|e| e.faces() == 2 && e.forward != e.backward);
     let cracked = cracked_vertices(mesh, adjacency);
@@ -122,7 +127,7 @@ pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> Report {
             if count > PLACES {
                 places.push(format!("and {} more", count - PLACES));
             }
-            warnings.push(Warning {
+            warnings.push(MeshWarning {
                 code,
                 message,
                 place: places.join("; "),
@@ -197,7 +202,7 @@ pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> Report {
         warn("components", "connected part", "connected parts", parts.len(), &part);
     }
 
-    Report {
+    MeshReport {
         render_vertices: mesh.solver_from_render.len(),
         vertices: mesh.positions.len(),
         triangles: mesh.triangles.len(),
@@ -247,12 +252,12 @@ fn merged(a: &[u32], b: &[u32]) -> Vec<u32> {
     all
 }
 
-fn parts(mesh: &Mesh, adjacency: &Adjacency) -> Vec<Part> {
+fn parts(mesh: &Mesh, adjacency: &Adjacency) -> Vec<PartReport> {
     let components = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
-    let mut parts: Vec<Part> = components
+    let mut parts: Vec<PartReport> = components
         .first_vertices()
         .into_iter()
-        .map(|first_vertex| Part {
+        .map(|first_vertex| PartReport {
             first_vertex,
             vertices: 0,
             triangles: 0,
@@ -279,13 +284,13 @@ fn parts(mesh: &Mesh, adjacency: &Adjacency) -> Vec<Part> {
 }
 
 /// Faces worth a warning, as input triangles.
-struct Thin {
+struct ThinFaces {
     flat: Vec<u32>,
     slivers: Vec<u32>,
 }
 
-fn thin_faces(mesh: &Mesh) -> Thin {
-    let mut thin = Thin {
+fn thin_faces(mesh: &Mesh) -> ThinFaces {
+    let mut thin = ThinFaces {
         flat: Vec::new(),
         slivers: Vec::new(),
     };
@@ -328,7 +333,7 @@ mod tests {
     use super::*;
     use glam::DVec3;
 
-    fn report(positions: &[[f64; 3]], faces: &[[u32; 3]]) -> Report {
+    fn report(positions: &[[f64; 3]], faces: &[[u32; 3]]) -> MeshReport {
         let positions: Vec<DVec3> = positions.iter().copied().map(DVec3::from_array).collect();
         let mesh = Mesh::build(&positions, faces, Weld::Exact).expect("a mesh");
         inspect(&mesh, &Adjacency::build(mesh.positions.len(), &mesh.triangles))

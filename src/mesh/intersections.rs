@@ -3,9 +3,9 @@
 //! Positions are rounded to 32 bits first, which is what frames and most formats carry; differences of such numbers
 //! and the signs of the volumes made of them are then taken in 64 bits. Touching is not crossing.
 
-use super::Bounds;
-use super::query::TriangleBvh;
 use crate::exec::Exec;
+use crate::mesh::measure::BoundingBox;
+use crate::mesh::query::bvh::TriangleBvh;
 use crate::progress::Cancelled;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -50,14 +50,14 @@ pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Ex
 struct BoxedTriangles<'a> {
     bvh: TriangleBvh<'a>,
     /// The box of each triangle, in the order of the hierarchy's leaves.
-    boxes: Vec<Bounds>,
+    boxes: Vec<BoundingBox>,
 }
 
 impl<'a> BoxedTriangles<'a> {
     fn build(points: &'a [DVec3], triangles: &'a [[u32; 3]], exec: &Exec<'_>) -> Self {
         let bvh = TriangleBvh::build(points, triangles, exec.pool);
         let places = (0..triangles.len()).into_par_iter();
-        let boxes = places.map(|place| Bounds::of(&bvh.corners(place))).collect();
+        let boxes = places.map(|place| BoundingBox::of(&bvh.corners(place))).collect();
         Self { bvh, boxes }
     }
 

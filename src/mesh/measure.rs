@@ -1,18 +1,18 @@
 //! Lengths, areas and volumes. Sums run in the order of the input.
 
-use super::Edge;
+use crate::mesh::adjacency::MeshEdge;
 use glam::DVec3;
 
 /// An axis-aligned box.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bounds {
+pub struct BoundingBox {
     /// The corner with the smallest coordinates.
     pub min: DVec3,
     /// The corner with the largest coordinates.
     pub max: DVec3,
 }
 
-impl Bounds {
+impl BoundingBox {
     /// The smallest box around `points`; the origin when there are none.
     pub fn of(points: &[DVec3]) -> Self {
         let Some(&first) = points.first() else {
@@ -68,7 +68,7 @@ pub(super) fn triangle_area(positions: &[DVec3], triangle: [u32; 3]) -> f64 {
 /// # Panics
 /// When a triangle names a position that does not exist.
 pub fn signed_volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
-    let origin = Bounds::of(positions).center();
+    let origin = BoundingBox::of(positions).center();
     triangles.iter().map(|&t| cone_volume(positions, t, origin)).sum()
 }
 
@@ -82,8 +82,8 @@ pub(super) fn cone_volume(positions: &[DVec3], triangle: [u32; 3], origin: DVec3
 ///
 /// # Panics
 /// When an edge names a position that does not exist.
-pub fn mean_edge_length(positions: &[DVec3], edges: &[Edge]) -> f64 {
-    let length = |e: &Edge| positions[e.vertices[0] as usize].distance(positions[e.vertices[1] as usize]);
+pub fn mean_edge_length(positions: &[DVec3], edges: &[MeshEdge]) -> f64 {
+    let length = |e: &MeshEdge| positions[e.vertices[0] as usize].distance(positions[e.vertices[1] as usize]);
     let total: f64 = edges.iter().map(length).sum();
     if edges.is_empty() {
         0.0
@@ -95,7 +95,7 @@ pub fn mean_edge_length(positions: &[DVec3], edges: &[Edge]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::Adjacency;
+    use crate::mesh::adjacency::Adjacency;
 
     #[test]
     fn a_corner_tetrahedron_has_the_textbook_measures_wherever_it_lies() {
@@ -111,7 +111,7 @@ mod tests {
             assert!((signed_volume(&p, &inside_out) + 1.0 / 6.0).abs() < 1e-9);
             let mean = mean_edge_length(&p, &Adjacency::build(4, &faces).edges);
             assert!((mean - (3.0 + 3.0 * 2f64.sqrt()) / 6.0).abs() < 1e-9);
-            assert_eq!(Bounds::of(&p).size(), DVec3::ONE);
+            assert_eq!(BoundingBox::of(&p).size(), DVec3::ONE);
         }
     }
 
@@ -119,7 +119,7 @@ mod tests {
     fn nothing_has_no_size() {
         assert_eq!(
             (
-                Bounds::of(&[]).diagonal(),
+                BoundingBox::of(&[]).diagonal(),
                 mean_edge_length(&[], &[]),
                 surface_area(&[], &[])
             ),

@@ -4,7 +4,7 @@
 //! each vertex the smallest index of its class, or of the class member that it was found close to, and depend on
 //! nothing but the order of the input.
 
-use super::Error;
+use crate::mesh::error::Error;
 use glam::DVec3;
 
 /// How render vertices are joined into solver vertices.

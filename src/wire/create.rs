@@ -3,7 +3,7 @@
 use super::check::{enumerated, number};
 use super::{Error, pb};
 use crate::asset::Format;
-use crate::deform::{BodyOptions, Operators, Policy, VolumeMode, Weights};
+use crate::deform::{BodyOptions, EdgeWeights, FreePartPolicy, Operators, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
@@ -12,7 +12,7 @@ use crate::mesh::Weld;
 pub(crate) struct OpenOptions {
     pub format: Option<Format>,
     pub weld: Weld,
-    pub policy: Policy,
+    pub policy: FreePartPolicy,
     pub body: BodyOptions,
 }
 
@@ -38,13 +38,13 @@ impl OpenOptions {
             None => Weld::Exact,
         };
         let policy = match enumerated(create.components, "components")? {
-            pb::create_options::Components::Follow => Policy::Follow,
-            pb::create_options::Components::Hold => Policy::Hold,
-            pb::create_options::Components::Free => Policy::Free,
+            pb::create_options::Components::Follow => FreePartPolicy::Follow,
+            pb::create_options::Components::Hold => FreePartPolicy::Hold,
+            pb::create_options::Components::Free => FreePartPolicy::Free,
         };
         let weights = match enumerated(create.weights, "weights")? {
-            pb::create_options::Weights::Uniform => Weights::Uniform,
-            pb::create_options::Weights::Cotangent => Weights::Cotangent,
+            pb::create_options::Weights::Uniform => EdgeWeights::Uniform,
+            pb::create_options::Weights::Cotangent => EdgeWeights::Cotangent,
         };
         let operators = match enumerated(create.operators, "operators")? {
             pb::create_options::Operators::FiniteVolume => Operators::FiniteVolume,

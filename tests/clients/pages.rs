@@ -14,9 +14,17 @@ use std::io::Write as _;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 8] = [
+const PAGES: [&str; 16] = [
     "README.md",
+    "CONTRIBUTING.md",
     "deploy/README.md",
+    "deploy/docs/architecture.md",
+    "deploy/docs/command-line.md",
+    "deploy/docs/concepts.md",
+    "deploy/docs/formats.md",
+    "deploy/docs/glossary.md",
+    "deploy/docs/quality.md",
+    "deploy/docs/speed.md",
     "deploy/docs/cookbook-assets.md",
     "deploy/docs/cookbook-ci.md",
     "deploy/docs/cookbook-web.md",
@@ -82,7 +90,12 @@ fn play(page: &str) -> Checkout {
 
 #[test]
 fn readme() {
-    let checkout = play("README.md");
+    play("README.md");
+}
+
+#[test]
+fn command_line() {
+    let checkout = play("deploy/docs/command-line.md");
     if checkout.path("target/turned.glb").exists() {
         assert!(checkout.path("target/turned.png").exists(), "the picture is drawn");
     }

@@ -6,8 +6,8 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use pliant::deform::{
-    Body, BodyOptions, Hold, Refinement, Request, Rig, Rigging, Start, State, Transform, VolumeMode, exp_rotation,
-    log_rotation,
+    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, Refinement, SolveStart,
+    SolveState, Transform, VolumeMode, exp_rotation, log_rotation,
 };
 use pliant::exec::Exec;
 use pliant::mesh::Mesh;
@@ -84,14 +84,14 @@ impl Place {
     }
 }
 
-fn hold(body: &Body, place: &Place, region: fn(DVec3) -> bool) -> Hold {
+fn hold(body: &DeformableBody, place: &Place, region: fn(DVec3) -> bool) -> HandleConstraint {
     let at = |n: u32| place.back(body.graph.positions[n as usize]);
-    Hold {
+    HandleConstraint {
         nodes: (0..body.nodes() as u32).filter(|&n| region(at(n))).collect(),
         position: true,
         rotation: true,
         scale: true,
-        ..Hold::default()
+        ..HandleConstraint::default()
     }
 }
 
@@ -103,24 +103,24 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
         volume,
         ..BodyOptions::default()
     };
-    let body = Body::build(&mesh, &options, &Exec::new(&pool, &Silent)).expect("a body");
+    let body = DeformableBody::build(&mesh, &options, &Exec::new(&pool, &Silent)).expect("a body");
     let interior = body.nodes() > body.graph.surface;
     assert_eq!(interior, volume != VolumeMode::Off, "the shape has an inside");
-    let rigging = Rigging {
-        holds: handles.iter().map(|h| hold(&body, place, h.region)).collect(),
-        ..Rigging::default()
+    let rigging = HandleSetup {
+        handles: handles.iter().map(|h| hold(&body, place, h.region)).collect(),
+        ..HandleSetup::default()
     };
     assert!(
-        rigging.holds.iter().all(|h| !h.nodes.is_empty()),
+        rigging.handles.iter().all(|h| !h.nodes.is_empty()),
         "each handle holds something"
     );
-    let rig = Rig::build(&body, rigging, &Exec::new(&pool, &Silent)).expect("a rig");
+    let rig = HandleSystem::build(&body, rigging, &Exec::new(&pool, &Silent)).expect("a rig");
     let transforms: Vec<Transform> = handles.iter().map(|h| place.transform(&h.transform)).collect();
-    let request = Request {
+    let request = PoseRequest {
         transforms: &transforms,
         tolerance: Some(1e-9),
         max_error: None,
-        start: Start::Fresh,
+        start: SolveStart::Fresh,
         first_pass: Default::default(),
         refinement: Refinement {
             steps: refine,
@@ -131,7 +131,7 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
         .solve(
             &body,
             &request,
-            &mut State::default(),
+            &mut SolveState::default(),
             &Exec::new(&pool, &Silent),
             &mut |_| true,
         )

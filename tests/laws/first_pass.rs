@@ -120,7 +120,7 @@ fn space_moves_affinely_with_its_handles() {
             log_scale: DMat3::from_diagonal(DVec3::splat(0.3)),
             pivot: DVec3::ONE,
         };
-        let solution = scene.solve(Way::Space, &vec![motion; scene.rig.holds()], 1e-4);
+        let solution = scene.solve(Way::Space, &vec![motion; scene.rig.handle_count()], 1e-4);
         let expected: Vec<DVec3> = scene.shape.0.iter().map(|p| motion.map()(*p)).collect();
         let worst = largest_distance(&solution.positions[..expected.len()], &expected) / scene.body.diagonal;
         // A flat sheet says nothing about what leaves it, but its own vertices do not.
@@ -163,7 +163,7 @@ fn every_way_turns_and_moves_the_handles_themselves_exactly() {
     for way in WAYS {
         let solution = scene.solve(way, &transforms, 1e-4);
         for (k, transform) in transforms.iter().enumerate() {
-            for &n in &scene.rig.rigging().holds[k].nodes {
+            for &n in &scene.rig.setup().handles[k].nodes {
                 let (rest, now) = (scene.body.graph.positions[n as usize], solution.positions[n as usize]);
                 assert_eq!(now, transform.map()(rest), "{way:?}, handle {k}");
                 if way != Way::Space {

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use pliant::exec::Exec;
-use pliant::graph::{Error, Graph, VolumeOptions, Weights, WindingTree, surface, volume};
+use pliant::graph::{EdgeWeights, Error, MeshGraph, VolumeOptions, WindingTree, surface, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::pool::Pool;
 use pliant::progress::{CancelFlag, Cancelled, Silent};
@@ -15,11 +15,11 @@ fn pool(threads: usize) -> Pool {
     Pool::new(threads).expect("threads start")
 }
 
-fn volume_with(shape: &Shape, options: &VolumeOptions, threads: usize) -> Option<Graph> {
+fn volume_with(shape: &Shape, options: &VolumeOptions, threads: usize) -> Option<MeshGraph> {
     volume(&shapes::mesh(shape), options, &Exec::new(&pool(threads), &Silent)).expect("valid options")
 }
 
-fn volume_of(shape: &Shape) -> Option<Graph> {
+fn volume_of(shape: &Shape) -> Option<MeshGraph> {
     volume_with(shape, &VolumeOptions::default(), 2)
 }
 
@@ -160,7 +160,7 @@ fn sheets_enclose_nothing() {
     for sheet in [shapes::sheet(12, 5), bent] {
         assert!(volume_of(&sheet).is_none());
         let mesh = shapes::mesh(&sheet);
-        let graph = surface(&mesh, Weights::Uniform);
+        let graph = surface(&mesh, EdgeWeights::Uniform);
         shapes::check_graph(&graph, &mesh);
         assert_eq!(
             (
@@ -300,12 +300,12 @@ fn the_same_bits_for_one_two_and_three_threads() {
         shapes::moved(shapes::sheet(25, 25), |p| p * 0.1 + DVec3::new(0.3, 0.1, 0.2)),
     );
     for shape in [shapes::sphere(5, 1.0), scene] {
-        for weights in [Weights::Uniform, Weights::Cotangent] {
+        for weights in [EdgeWeights::Uniform, EdgeWeights::Cotangent] {
             let options = VolumeOptions {
                 weights,
                 ..VolumeOptions::default()
             };
-            let bits = |g: &Graph| -> Vec<u64> {
+            let bits = |g: &MeshGraph| -> Vec<u64> {
                 g.positions
                     .iter()
                     .flat_map(|p| p.to_array())
@@ -368,7 +368,7 @@ fn options_do_what_they_say() {
     let eight = volume_with(&shape, &VolumeOptions { valence: 8, ..base }, 2).expect("an inside");
     shapes::check_graph(&eight, &mesh);
     assert_eq!(eight.nodes(), rest.nodes());
-    let most = |g: &Graph| {
+    let most = |g: &MeshGraph| {
         let first = g.surface + g.stats.shell_nodes;
         (first..g.nodes())
             .map(|i| g.row(i as u32).iter().filter(|&&j| j as usize >= first).count())
@@ -389,7 +389,7 @@ fn options_do_what_they_say() {
         assert!((way - 0.01).abs() < 1e-9);
     }
     let cotangent = VolumeOptions {
-        weights: Weights::Cotangent,
+        weights: EdgeWeights::Cotangent,
         ..base
     };
     shapes::check_graph(&volume_with(&shape, &cotangent, 2).expect("an inside"), &mesh);
@@ -500,7 +500,7 @@ fn extreme_sizes_and_flat_boxes_are_no_trouble() {
         let Ok(mesh) = Mesh::build(&shape.0, &shape.1, Weld::Exact) else {
             continue;
         };
-        shapes::check_graph(&surface(&mesh, Weights::Cotangent), &mesh);
+        shapes::check_graph(&surface(&mesh, EdgeWeights::Cotangent), &mesh);
         let built = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool(2), &Silent)).expect("valid options");
         if let Some(graph) = &built {
             shapes::check_graph(graph, &mesh);
@@ -533,8 +533,8 @@ proptest! {
         let n = points.len() as u32;
         let faces: Vec<[u32; 3]> = faces.into_iter().map(|f| f.map(|v| v % n)).collect();
         if let Ok(mesh) = Mesh::build(&points, &faces, Weld::Exact) {
-            shapes::check_graph(&surface(&mesh, Weights::Cotangent), &mesh);
-            let options = VolumeOptions { valence, interval, max_nodes, weights: Weights::Cotangent, shell_offset: None };
+            shapes::check_graph(&surface(&mesh, EdgeWeights::Cotangent), &mesh);
+            let options = VolumeOptions { valence, interval, max_nodes, weights: EdgeWeights::Cotangent, shell_offset: None };
             if let Ok(Some(graph)) = volume(&mesh, &options, &Exec::new(&pool(1), &Silent)) {
                 shapes::check_graph(&graph, &mesh);
                 prop_assert!(graph.nodes() <= max_nodes);

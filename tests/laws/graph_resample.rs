@@ -5,7 +5,7 @@ use glam::DVec3;
 use laws::*;
 use pliant::asset::{FileSet, Limits, Model};
 use pliant::exec::Exec;
-use pliant::graph::{Graph, VolumeOptions, Weights, WindingTree, resample, surface, volume};
+use pliant::graph::{EdgeWeights, MeshGraph, VolumeOptions, WindingTree, resample, surface, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::progress::Silent;
 use resampling::{Plan, Surface};
@@ -86,7 +86,7 @@ fn pulling_out_and_pushing_in_make_and_take_nodes() {
         });
         let there = follow(&after.graph, &again);
         check(&after.graph, &again, &there);
-        let sorted = |g: &Graph| {
+        let sorted = |g: &MeshGraph| {
             let mut all: Vec<[u64; 3]> = g.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();
             all.sort_unstable();
             all
@@ -269,7 +269,7 @@ fn wide_openings_and_large_edits_are_left_to_a_new_graph() {
 fn weights_near_the_edit_are_found_again() {
     let ball = ball();
     let options = VolumeOptions {
-        weights: Weights::Cotangent,
+        weights: EdgeWeights::Cotangent,
         ..VolumeOptions::default()
     };
     let mesh = mesh_of(&ball);
@@ -277,13 +277,13 @@ fn weights_near_the_edit_are_found_again() {
         volume(&mesh, &options, &Exec::new(&pool(2), &Silent))
             .expect("valid")
             .expect("an inside"),
-        surface(&mesh, Weights::Cotangent),
+        surface(&mesh, EdgeWeights::Cotangent),
     ] {
         let edited = ball.apply(&ball.refill(100, 5, DVec3::splat(0.005)));
         let after = follow(&graph, &edited);
         check(&graph, &edited, &after);
-        let fresh = surface(&mesh_of(&edited.surface), Weights::Cotangent);
-        let scale = |g: &Graph, from: u32, to: u32| {
+        let fresh = surface(&mesh_of(&edited.surface), EdgeWeights::Cotangent);
+        let scale = |g: &MeshGraph, from: u32, to: u32| {
             let at = g.row(from).binary_search(&to).expect("an edge");
             g.weights.as_ref().expect("weights")[g.offsets[from as usize] as usize + at]
         };
@@ -299,7 +299,7 @@ fn weights_near_the_edit_are_found_again() {
 #[test]
 fn a_surface_without_inside_is_followed() {
     let sheet = Surface::of(shapes::sheet(40, 40));
-    let graph = surface(&mesh_of(&sheet), Weights::Uniform);
+    let graph = surface(&mesh_of(&sheet), EdgeWeights::Uniform);
     for plan in [
         sheet.subdivide(800, 4),
         sheet.collapse(800, 4),
@@ -315,7 +315,7 @@ fn a_surface_without_inside_is_followed() {
         let edited = sheet.apply(&plan);
         let after = follow(&graph, &edited);
         check(&graph, &edited, &after);
-        let fresh = surface(&mesh_of(&edited.surface), Weights::Uniform);
+        let fresh = surface(&mesh_of(&edited.surface), EdgeWeights::Uniform);
         assert_eq!(
             (&after.graph.neighbours, &after.graph.offsets),
             (&fresh.neighbours, &fresh.offsets)

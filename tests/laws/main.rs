@@ -9,6 +9,7 @@ mod handles;
 mod mesh;
 mod paper;
 mod refinement;
+mod solver_slivers;
 #[path = "../support/mod.rs"]
 mod support;
 mod winding;

@@ -5,7 +5,10 @@ use crate::support::bench;
 use bench::*;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
-use pliant::deform::{Body, BodyOptions, Hold, Request, Rig, Rigging, Start, State, Transform, exp_rotation, frames};
+use pliant::deform::{
+    BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, SolveStart, SolveState,
+    Transform, exp_rotation, frames,
+};
 use pliant::engine::{SolveMode, digest};
 use pliant::exec::Exec;
 use pliant::mesh::{Mesh, Weld};
@@ -22,7 +25,7 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
         ("sheet", shapes::grid(1.0, 1.0, [24, 24])),
     ] {
         let mesh = Mesh::build(&shape.0, &shape.1, Weld::Exact).expect("a mesh");
-        let body = Body::build(&mesh, &BodyOptions::default(), &Exec::new(&pool, &Silent)).expect("a body");
+        let body = DeformableBody::build(&mesh, &BodyOptions::default(), &Exec::new(&pool, &Silent)).expect("a body");
         let bounds = mesh.bounds();
         let reach = bounds.max.x - 0.15 * (bounds.max.x - bounds.min.x);
         let region = |keep: &dyn Fn(DVec3) -> bool| {
@@ -32,7 +35,7 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
                 .map(|(n, _)| n)
                 .collect::<Vec<_>>()
         };
-        let hold = |nodes| Hold {
+        let hold = |nodes| HandleConstraint {
             nodes,
             position: true,
             rotation: true,
@@ -41,10 +44,10 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
         };
         let low = bounds.min.x + 0.15 * (bounds.max.x - bounds.min.x);
         let holds = vec![hold(region(&|p| p.x <= low)), hold(region(&|p| p.x >= reach))];
-        let rig = Rig::build(
+        let rig = HandleSystem::build(
             &body,
-            Rigging {
-                holds,
+            HandleSetup {
+                handles: holds,
                 ..Default::default()
             },
             &Exec::new(&pool, &Silent),
@@ -58,11 +61,11 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
         };
         let transforms = [Transform::IDENTITY, moved];
         for tolerance in [1e-3, 1e-5, 1e-8] {
-            let request = Request {
+            let request = PoseRequest {
                 transforms: &transforms,
                 tolerance: Some(tolerance),
                 max_error: None,
-                start: Start::Fresh,
+                start: SolveStart::Fresh,
                 first_pass: Default::default(),
                 refinement: Default::default(),
             };
@@ -70,7 +73,7 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
                 .solve(
                     &body,
                     &request,
-                    &mut State::default(),
+                    &mut SolveState::default(),
                     &Exec::new(&pool, &Silent),
                     &mut |_| true,
                 )
@@ -86,7 +89,7 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
 }
 
 /// ‖b − A x‖ / ‖b‖, the largest over coordinates, with given values moved into b around their mean.
-fn equation_8_residual(body: &Body, rig: &Rig, frames: &[[f32; 9]], x: &[DVec3]) -> f64 {
+fn equation_8_residual(body: &DeformableBody, rig: &HandleSystem, frames: &[[f32; 9]], x: &[DVec3]) -> f64 {
     let graph = &body.graph;
     let matrix = |i: usize| glam::Mat3::from_cols_array(&frames[i]).as_dmat3();
     let given: Vec<DVec3> = x

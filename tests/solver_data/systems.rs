@@ -3,7 +3,7 @@
 use glam::DVec3;
 use pliant::asset::FileSet;
 use pliant::batch::pose_steps;
-use pliant::deform::{Body, Rig, Transform};
+use pliant::deform::{DeformableBody, HandleSystem, Transform};
 use pliant::engine::{Deformer, DeformerLimits};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -84,11 +84,11 @@ impl Rung {
         }
     }
 
-    pub fn body(&self) -> &Body {
+    pub fn body(&self) -> &DeformableBody {
         self.bench.body()
     }
 
-    pub fn rig(&self) -> &Rig {
+    pub fn rig(&self) -> &HandleSystem {
         self.bench.rig().unwrap()
     }
 
@@ -146,7 +146,7 @@ impl Rung {
 }
 
 /// The transforms moved further along their way by about [`STEP`].
-fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Vec<Transform> {
+fn one_step_on(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform]) -> Vec<Transform> {
     let scaled = |by: f64| -> Vec<Transform> {
         let further = |t: &Transform| Transform {
             translation: t.translation * by,
@@ -158,7 +158,7 @@ fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Vec<Transfor
     };
     let next = scaled(1.0 + STEP);
     let mut moved = 0.0f64;
-    for (hold, (a, b)) in rig.rigging().holds.iter().zip(transforms.iter().zip(&next)) {
+    for (hold, (a, b)) in rig.setup().handles.iter().zip(transforms.iter().zip(&next)) {
         let (from, to) = (a.map(), b.map());
         let nodes = hold.nodes.iter().map(|n| body.graph.positions[*n as usize]);
         moved = nodes.map(|p| from(p).distance(to(p))).fold(moved, f64::max);

@@ -1,8 +1,8 @@
 //! Shapes generated for tests, wound counter-clockwise seen from outside.
 
 use glam::DVec3;
-use pliant::graph::Graph;
-use pliant::mesh::{Adjacency, Mesh, Report, Weld, inspect};
+use pliant::graph::MeshGraph;
+use pliant::mesh::{Adjacency, Mesh, MeshReport, Weld, inspect};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
@@ -120,7 +120,7 @@ pub fn mesh(shape: &Shape) -> Mesh {
 }
 
 /// Welded exactly and inspected.
-pub fn report(points: &[DVec3], faces: &[[u32; 3]]) -> Report {
+pub fn report(points: &[DVec3], faces: &[[u32; 3]]) -> MeshReport {
     let mesh = Mesh::build(points, faces, Weld::Exact).expect("a generated shape is a mesh");
     inspect(&mesh, &Adjacency::build(mesh.positions.len(), &mesh.triangles))
 }
@@ -137,7 +137,7 @@ pub fn winding_by_sum((points, faces): &Shape, q: DVec3) -> f64 {
 }
 
 /// Panics unless the graph keeps everything that its type promises.
-pub fn check_graph(graph: &Graph, mesh: &Mesh) {
+pub fn check_graph(graph: &MeshGraph, mesh: &Mesh) {
     let n = graph.nodes();
     assert_eq!(graph.surface, mesh.positions.len());
     assert_eq!(graph.positions[..graph.surface], mesh.positions);

@@ -3,11 +3,12 @@
 //! It reads `src/` as tokens, without comments and texts, so it needs no compiler and finds `crate::`, `super::` and
 //! grouped `use` alike. Every failure says what to do about it.
 
+use super::source::tokens::{Token, tokens};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in README.md.
+/// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in deploy/docs/architecture.md.
 const FLOORS: [(&str, u8); 18] = [
     ("mesh", 0),
     ("asset", 0),
@@ -97,90 +98,6 @@ const LONGEST: usize = 600;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
-/// A word, or one character of punctuation.
-#[derive(Debug, Clone, PartialEq, Eq)]
-enum Token {
-    Word(String),
-    Sign(char),
-}
-
-/// Splits Rust source into tokens with their lines; comments, texts, characters and numbers are left out.
-fn tokens(source: &str) -> Vec<(Token, usize)> {
-    let chars: Vec<char> = source.chars().collect();
-    let at = |i: usize| chars.get(i).copied().unwrap_or('\0');
-    let starts = |i: usize, text: &str| text.chars().enumerate().all(|(k, c)| at(i + k) == c);
-    let (mut found, mut i, mut line) = (Vec::new(), 0, 1);
-    // Moves on to `end`, counting lines.
-    let skip = |i: &mut usize, end: usize, line: &mut usize| {
-        let end = end.min(chars.len());
-        *line += chars[*i..end].iter().filter(|&&c| c == '\n').count();
-        *i = end;
-    };
-    let find = |from: usize, text: &str| (from..chars.len()).find(|&k| starts(k, text)).unwrap_or(chars.len());
-    while i < chars.len() {
-        let c = chars[i];
-        if starts(i, "//") {
-            let end = find(i, "\n");
-            skip(&mut i, end, &mut line);
-        } else if starts(i, "/*") {
-            let (mut depth, mut end) = (1, i + 2);
-            while depth > 0 && end < chars.len() {
-                let step = if starts(end, "/*") {
-                    1
-                } else if starts(end, "*/") {
-                    -1
-                } else {
-                    0
-                };
-                depth += step;
-                end += if step == 0 { 1 } else { 2 };
-            }
-            skip(&mut i, end, &mut line);
-        } else if c == '"' {
-            let mut end = i + 1;
-            while end < chars.len() && chars[end] != '"' {
-                end += if chars[end] == '\\' { 2 } else { 1 };
-            }
-            skip(&mut i, end + 1, &mut line);
-        } else if c == '\'' {
-            // A character ends with a quote; of a lifetime, the name is left over as a word, which harms nothing.
-            let end = if at(i + 1) == '\\' {
-                find(i + 3, "'") + 1
-            } else if at(i + 2) == '\'' {
-                i + 3
-            } else {
-                i + 1
-            };
-            skip(&mut i, end, &mut line);
-        } else if c.is_alphabetic() || c == '_' {
-            let end = (i..chars.len())
-                .find(|&k| !(chars[k].is_alphanumeric() || chars[k] == '_'))
-                .unwrap_or(chars.len());
-            let word: String = chars[i..end].iter().collect();
-            let hashes = (end..chars.len()).take_while(|&k| chars[k] == '#').count();
-            if matches!(word.as_str(), "r" | "br" | "cr") && at(end + hashes) == '"' {
-                let close = format!("\"{}", "#".repeat(hashes));
-                let close = find(end + hashes + 1, &close) + 1 + hashes;
-                skip(&mut i, close, &mut line);
-            } else {
-                found.push((Token::Word(word), line));
-                i = end;
-            }
-        } else if c.is_ascii_digit() {
-            while at(i).is_alphanumeric() || at(i) == '_' {
-                i += 1;
-            }
-        } else {
-            if !c.is_whitespace() {
-                found.push((Token::Sign(c), line));
-            }
-            let end = i + 1;
-            skip(&mut i, end, &mut line);
-        }
-    }
-    found
 }
 
 /// A path that a file names, resolved to the crate's root where it starts with `crate`, `self` or `super`.
@@ -443,7 +360,7 @@ fn every_module_has_a_floor() {
     let mut problems = Vec::new();
     for module in &modules {
         if floor(module).is_none() {
-            problems.push(format!("src/{module} has no floor: add it to FLOORS in tests/tools/floors.rs, to the table in src/lib.rs and to README.md"));
+            problems.push(format!("src/{module} has no floor: add it to FLOORS in tests/tools/floors.rs, to the table in src/lib.rs and to deploy/docs/architecture.md"));
         }
     }
     for (module, _) in FLOORS {

@@ -6,6 +6,7 @@ mod cli;
 mod floors;
 mod readme;
 mod render;
+mod source;
 #[path = "../support/mod.rs"]
 mod support;
 mod sweep;

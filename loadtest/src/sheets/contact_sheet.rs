@@ -10,7 +10,7 @@ use pliant::asset::{FileSet, Format, Limits, Model};
 use pliant::batch;
 use pliant::engine;
 use pliant::exec::Exec;
-use pliant::mesh::{Bounds, Mesh, Weld, self_intersections};
+use pliant::mesh::{BoundingBox, Mesh, Weld, self_intersections};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::render::{Camera, Key, Picture, Ramp, Rgb, STRETCH_RANGE, Size, Surface, Up, View, draw, edge_stretch};
@@ -143,13 +143,13 @@ fn read_model_files(path: &Path) -> Result<FileSet, std::io::Error> {
 }
 
 /// The longest side of a box.
-fn longest_side(bounds: &Bounds) -> usize {
+fn longest_side(bounds: &BoundingBox) -> usize {
     let size = bounds.size();
     (0..3).fold(0, |best, k| if size[k] > size[best] { k } else { best })
 }
 
 /// Holds one end along the longest side, turns and shifts the other.
-fn automatic_job(bounds: &Bounds, refine: Option<u32>) -> pb::Job {
+fn automatic_job(bounds: &BoundingBox, refine: Option<u32>) -> pb::Job {
     let axis = longest_side(bounds);
     let unit = |k: usize, x: f64| {
         let mut v = vec![0.0; 3];
@@ -191,7 +191,7 @@ fn automatic_job(bounds: &Bounds, refine: Option<u32>) -> pb::Job {
 }
 
 /// Where the bend is seen best: almost along the axis of the turn.
-fn bend_view(bounds: &Bounds) -> Option<View> {
+fn bend_view(bounds: &BoundingBox) -> Option<View> {
     let (azimuth, up) = match (longest_side(bounds) + 1) % 3 {
         0 => (65.0, Up::Y),
         // From above, where models that stand on y = 0 show more.

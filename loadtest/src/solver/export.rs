@@ -8,7 +8,7 @@ use crate::shared::input_files::{read_job_file, read_model_file};
 use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use glam::DVec3;
 use pliant::batch::pose_steps;
-use pliant::deform::{Body, Equations, Rig, Transform};
+use pliant::deform::{DeformableBody, HandleSystem, SecondPassEquations, Transform};
 use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -60,7 +60,7 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
         "n {} nnz {} handles {} given {} of {} nodes -> {}",
         problem.matrix.rows(),
         problem.matrix.entries(),
-        rig.holds(),
+        rig.handle_count(),
         companion.fixed.iter().filter(|f| **f).count(),
         companion.rest.len(),
         args.output.display()
@@ -92,8 +92,8 @@ fn open_posed(
 
 /// The system of a pose over its free nodes, and over all nodes with the pose one step on.
 fn pose_systems(
-    body: &Body,
-    rig: &Rig,
+    body: &DeformableBody,
+    rig: &HandleSystem,
     transforms: &[Transform],
     pool: &Pool,
 ) -> Result<(LinearProblem, CompanionFile), String> {
@@ -116,7 +116,7 @@ fn pose_systems(
 }
 
 /// The transforms moved further along their way, so that the handle that moves most does so by [`STEP`].
-fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<Transform>, String> {
+fn one_step_on(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform]) -> Result<Vec<Transform>, String> {
     let scaled = |by: f64| -> Vec<Transform> {
         let further = |t: &Transform| Transform {
             translation: t.translation * by,
@@ -128,7 +128,7 @@ fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<T
     };
     let moved = |by: f64| -> f64 {
         let next = scaled(by);
-        let holds = rig.rigging().holds.iter().zip(transforms.iter().zip(&next));
+        let holds = rig.setup().handles.iter().zip(transforms.iter().zip(&next));
         let farthest = holds.filter(|(hold, _)| hold.position).map(|(hold, (a, b))| {
             let (from, to) = (a.map(), b.map());
             let apart = |n: &u32| {
@@ -153,7 +153,7 @@ fn one_step_on(body: &Body, rig: &Rig, transforms: &[Transform]) -> Result<Vec<T
 }
 
 /// The same equations around another centre.
-fn equations_around(mut equations: Equations, center: [f64; 3], rig: &Rig) -> Equations {
+fn equations_around(mut equations: SecondPassEquations, center: [f64; 3], rig: &HandleSystem) -> SecondPassEquations {
     let shift = DVec3::from_array(equations.center) - DVec3::from_array(center);
     let moved = |v: &mut [f64; 3], by: f64| *v = (DVec3::from_array(*v) + shift * by).to_array();
     equations.given.iter_mut().for_each(|v| moved(v, 1.0));
@@ -209,7 +209,7 @@ fn free_system(all: &CompanionFile) -> Result<LinearProblem, String> {
 pub(super) mod tests {
     use super::*;
     use pliant::asset::{FileSet, sample};
-    use pliant::deform::{Request, Start, State};
+    use pliant::deform::{PoseRequest, SolveStart, SolveState};
 
     /// The creature with its feet held hard, its head turned, and a soft tail.
     const JOB: &str = r#"{"handles": [
@@ -246,15 +246,15 @@ pub(super) mod tests {
         let center = DVec3::from_array(rig.equations(body, &transforms, &pool).center);
         let next = one_step_on(body, rig, &transforms).unwrap();
         for (k, transforms) in [&transforms, &next].into_iter().enumerate() {
-            let request = Request {
+            let request = PoseRequest {
                 transforms,
                 tolerance: Some(1e-11),
                 max_error: None,
-                start: Start::Fresh,
+                start: SolveStart::Fresh,
                 first_pass: Default::default(),
                 refinement: Default::default(),
             };
-            let mut state = State::default();
+            let mut state = SolveState::default();
             let solution = rig
                 .solve(body, &request, &mut state, &Exec::new(&pool, &Silent), &mut |_| true)
                 .unwrap();

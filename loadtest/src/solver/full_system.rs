@@ -6,7 +6,7 @@ use crate::failure::LoadtestFailure;
 use crate::shared::measurements::Measurements;
 use crate::shared::timing::time_best_of;
 use glam::{DAffine3, DVec3};
-use pliant::deform::{Motion, carry, rigid_fit};
+use pliant::deform::{HandleMotion, carry, fit_rigid_motion};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Iteration, SolveOptions, Start, Workspace};
@@ -111,7 +111,7 @@ fn time_drag(
     // Sessions have the fields before the first drag; carrying the last frame along is part of every frame.
     let (field, map) = follow_field(all, ready, workspace, terms)?;
     let start = |mut x: Vec<[f64; 3]>| {
-        let motion = Motion { field: &field, map };
+        let motion = HandleMotion { field: &field, map };
         carry(x.as_flattened_mut(), &[motion], &terms.pool);
         Ok::<_, LoadtestFailure>(x)
     };
@@ -156,7 +156,7 @@ fn follow_field(
         let moved = (0..given.len()).filter(|&i| moved(i));
         moved.map(|i| DVec3::from_array(given[i])).collect()
     };
-    let fit = rigid_fit(&at(from), &at(to));
+    let fit = fit_rigid_motion(&at(from), &at(to));
     let linear = fit.linear();
     let shift = fit.pivot + fit.translation - linear * fit.pivot;
     let field = field.into_iter().map(|u| u as f32).collect();

@@ -1,6 +1,6 @@
 //! Which boundary points of two parts lie close together.
 
-use crate::mesh::Bounds;
+use crate::mesh::BoundingBox;
 use glam::DVec3;
 use std::collections::BTreeSet;
 
@@ -12,7 +12,7 @@ const ROUNDS: usize = 8;
 pub(super) fn find_close_pairs(from: &[u32], to: &[u32], tolerance: f64, at: impl Fn(u32) -> DVec3) -> Vec<(u32, u32)> {
     // Sorted along the axis in which they are spread most, so that a rim in a plane does not fall together.
     let places: Vec<DVec3> = to.iter().map(|&p| at(p)).collect();
-    let size = Bounds::of(&places).size();
+    let size = BoundingBox::of(&places).size();
     let axis = (0..3).max_by(|&i, &j| size[i].total_cmp(&size[j])).unwrap_or(0);
     let mut order: Vec<(f64, u32)> = to.iter().map(|&p| (at(p)[axis], p)).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

@@ -1,7 +1,7 @@
 //! Connected components after an edit: from the old ones, and from a search where something may have been cut loose.
 
-use super::Before;
-use super::rows::Fresh;
+use crate::graph::resample::change::GraphBefore;
+use crate::graph::resample::graph_edit::FreshRows;
 use crate::mesh::{Components, NONE};
 use crate::pool::Pool;
 use rayon::prelude::*;
@@ -10,8 +10,8 @@ use rayon::prelude::*;
 const TURN: usize = 256;
 
 /// What is looked at.
-pub(super) struct View<'a> {
-    pub(super) old: &'a Before<'a>,
+pub(super) struct ComponentView<'a> {
+    pub(super) old: &'a GraphBefore<'a>,
     /// Old numbers of all nodes.
     pub(super) from: &'a [u32],
     pub(super) offsets: &'a [u32],
@@ -20,7 +20,7 @@ pub(super) struct View<'a> {
 }
 
 /// The component of each node, numbered in the order of their smallest nodes.
-pub(super) struct Followed {
+pub(super) struct FollowedComponents {
     pub(super) of_node: Vec<u32>,
     pub(super) count: usize,
 }
@@ -28,8 +28,8 @@ pub(super) struct Followed {
 /// Every edge that is gone ran between nodes that are gone and nodes with fresh rows. So where all nodes with fresh rows
 /// that were one component hang together by those rows, the component has not been split; where they do not, each of
 /// their pieces is searched from.
-pub(super) fn follow(view: &View, fresh: &Fresh) -> Followed {
-    let View { old, from, pool, .. } = *view;
+pub(super) fn follow(view: &ComponentView, fresh: &FreshRows) -> FollowedComponents {
+    let ComponentView { old, from, pool, .. } = *view;
     let mut near: Vec<u32> = (0..fresh.nodes.len()).flat_map(|k| fresh.row(k)).copied().collect();
     near.extend_from_slice(&fresh.nodes);
     near.sort_unstable();
@@ -51,12 +51,12 @@ pub(super) fn follow(view: &View, fresh: &Fresh) -> Followed {
     known.sort_unstable();
     known.dedup();
     if old.components == 1 && pieces.count == 1 && known.len() == 1 {
-        return Followed {
+        return FollowedComponents {
             of_node: vec![0; from.len()],
             count: 1,
         };
     }
-    let search = Search::run(view, &near, &pieces, &known);
+    let search = PieceSearch::run(view, &near, &pieces, &known);
     // Old components and pieces, joined where a piece has nodes of a component and has not been cut loose from it.
     let before = old.components as u32;
     let rests = known.iter().filter(|&&(_, piece)| !search.is_loose(piece));
@@ -93,7 +93,7 @@ pub(super) fn follow(view: &View, fresh: &Fresh) -> Followed {
         }
         *label = *number;
     }
-    Followed {
+    FollowedComponents {
         of_node,
         count: count as usize,
     }
@@ -101,7 +101,7 @@ pub(super) fn follow(view: &View, fresh: &Fresh) -> Followed {
 
 /// Searches from pieces of components that may have been split, in turns, until those of each component have met, or all
 /// but one have nowhere left to go: that takes time in proportion to what was cut loose.
-struct Search {
+struct PieceSearch {
     /// Pieces that have met have the same root.
     parent: Vec<u32>,
     /// For each piece the nodes that its search reached, in order; empty for pieces that are not searched from.
@@ -114,8 +114,8 @@ struct Search {
     loose: Vec<bool>,
 }
 
-impl Search {
-    fn run(view: &View, near: &[u32], pieces: &Components, known: &[(u32, u32)]) -> Self {
+impl PieceSearch {
+    fn run(view: &ComponentView, near: &[u32], pieces: &Components, known: &[(u32, u32)]) -> Self {
         let mut search = Self {
             parent: (0..pieces.count as u32).collect(),
             queues: vec![Vec::new(); pieces.count],
@@ -176,7 +176,7 @@ impl Search {
     }
 
     /// One turn of the search from a piece.
-    fn go_on(&mut self, view: &View, piece: u32) {
+    fn go_on(&mut self, view: &ComponentView, piece: u32) {
         let mut queue = std::mem::take(&mut self.queues[piece as usize]);
         let first = self.visited[piece as usize];
         let mut visited = first;

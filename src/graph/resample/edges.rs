@@ -1,13 +1,13 @@
 //! Edges of the lattice around an edit.
 
-use super::Before;
-use super::Link;
-use super::grid::{Grid, Node, Table};
-use super::local::Local;
-use crate::graph::lattice::CERTAIN;
-use crate::graph::neighbours::{Key, directions, toward};
-use crate::graph::recipe::Inside;
-use crate::graph::shell::walk;
+use crate::graph::recipe::InteriorRecipe;
+use crate::graph::resample::change::GraphBefore;
+use crate::graph::resample::change::NewEdge;
+use crate::graph::resample::grid::{NodeTable, ZoneGrid, ZoneNode};
+use crate::graph::resample::local::LocalMesh;
+use crate::graph::volume::lattice_grid::CERTAIN;
+use crate::graph::volume::neighbours::{LatticeKey, directions, toward};
+use crate::graph::volume::shell::walk;
 use crate::mesh::query::TriangleBvh;
 use glam::DVec3;
 
@@ -19,32 +19,32 @@ const INSTEAD: f64 = 0.75;
 
 /// What one node's edges turned out to be.
 #[derive(Default)]
-pub(super) struct Edges {
-    pub(super) links: Vec<Link>,
+pub(super) struct FoundEdges {
+    pub(super) links: Vec<NewEdge>,
     /// Ways that lead out of the lattice: from which node, and whereto.
     pub(super) leaving: Vec<(u32, DVec3)>,
 }
 
 /// Finds edges of nodes near an edit.
-pub(super) struct Finder<'a> {
-    pub(super) old: &'a Before<'a>,
-    pub(super) inside: &'a Inside,
+pub(super) struct EdgeFinder<'a> {
+    pub(super) old: &'a GraphBefore<'a>,
+    pub(super) inside: &'a InteriorRecipe,
     /// The first old lattice node.
     pub(super) first: usize,
-    pub(super) nodes: &'a [Node],
+    pub(super) nodes: &'a [ZoneNode],
     /// How many of them are old; these rise.
     pub(super) kept: usize,
     pub(super) gone: &'a [u32],
-    pub(super) grid: &'a Grid,
-    pub(super) table: &'a Table,
+    pub(super) grid: &'a ZoneGrid,
+    pub(super) table: &'a NodeTable,
     pub(super) surface: &'a TriangleBvh<'a>,
 }
 
-impl Finder<'_> {
+impl EdgeFinder<'_> {
     /// The edges of a node, and its ways out of the lattice.
-    pub(super) fn edges(&self, index: u32) -> Edges {
+    pub(super) fn edges(&self, index: u32) -> FoundEdges {
         let node = &self.nodes[index as usize];
-        let mut edges = Edges::default();
+        let mut edges = FoundEdges::default();
         if let Some(key) = node.key {
             self.along_grid(index, key, &mut edges);
         }
@@ -55,7 +55,7 @@ impl Finder<'_> {
     }
 
     /// Edges in the directions of the grid.
-    fn along_grid(&self, index: u32, key: Key, edges: &mut Edges) {
+    fn along_grid(&self, index: u32, key: LatticeKey, edges: &mut FoundEdges) {
         let node = &self.nodes[index as usize];
         for direction in directions(self.inside.valence) {
             let there = toward(key, direction);
@@ -81,7 +81,7 @@ impl Finder<'_> {
     }
 
     /// Edges that an old node had to moved ones, or as a moved one.
-    fn as_before(&self, index: u32, edges: &mut Edges) {
+    fn as_before(&self, index: u32, edges: &mut FoundEdges) {
         let node = &self.nodes[index as usize];
         for &m in self.old.row(node.number).iter().filter(|&&m| m as usize >= self.first) {
             if let Ok(other) = self.nodes[..self.kept].binary_search_by_key(&m, |n| n.number) {
@@ -92,7 +92,7 @@ impl Finder<'_> {
                 }
             } else if self.gone.binary_search(&m).is_err() {
                 // Beyond the faces looked at nothing changed.
-                edges.links.push(Link::new(node.number, m));
+                edges.links.push(NewEdge::new(node.number, m));
             } else if node.key.is_none() {
                 let end = self.old.positions[m as usize];
                 let within = INSTEAD * self.inside.interval;
@@ -107,10 +107,10 @@ impl Finder<'_> {
     }
 
     /// Joins two nodes that see each other; else each that is looked at is to be tied to what stands between.
-    fn join(&self, [a, b]: [&Node; 2], index: u32, other: u32, edges: &mut Edges) {
+    fn join(&self, [a, b]: [&ZoneNode; 2], index: u32, other: u32, edges: &mut FoundEdges) {
         let clear = (a.clearance + b.clearance) * CERTAIN > a.at.distance(b.at);
         if clear || self.surface.first_hit(a.at, b.at, None).is_none() {
-            edges.links.push(Link::new(a.number, b.number));
+            edges.links.push(NewEdge::new(a.number, b.number));
             return;
         }
         edges.leaving.push((index, self.nodes[other as usize].at));
@@ -120,7 +120,7 @@ impl Finder<'_> {
     }
 
     /// The vertex of `local` nearest to where the way from a node to `end` leaves the inside.
-    pub(super) fn crossed(&self, local: &Local, node: u32, end: DVec3) -> Option<u32> {
+    pub(super) fn crossed(&self, local: &LocalMesh, node: u32, end: DVec3) -> Option<u32> {
         let node = &self.nodes[node as usize];
         let way = end - node.at;
         // No face reaches into the clear ball around a node.
@@ -134,7 +134,7 @@ impl Finder<'_> {
 
     /// The vertex of `local` nearest to `end`, if it is no further than that of an end that was left out for being too
     /// near to the surface can be.
-    pub(super) fn beside(&self, local: &Local, end: DVec3) -> Option<u32> {
+    pub(super) fn beside(&self, local: &LocalMesh, end: DVec3) -> Option<u32> {
         let near = self
             .surface
             .closest_point_within(end, 1.5 * (self.inside.depth + self.inside.interval))?;

@@ -1,17 +1,17 @@
 //! Lattice nodes by their places, around an edit.
 
-use super::zone::Zone;
-use crate::graph::neighbours::{Key, LAST, key, place, toward};
-use crate::graph::recipe::Inside;
+use crate::graph::recipe::InteriorRecipe;
+use crate::graph::resample::zone::ChangeZone;
+use crate::graph::volume::neighbours::{LAST, LatticeKey, key, place, toward};
 use glam::DVec3;
 
 /// A node that is left, or a new one.
-pub(super) struct Node {
-    /// As in [`Numbers`].
+pub(super) struct ZoneNode {
+    /// As in [`NodeNumbers`].
     pub(super) number: u32,
     pub(super) at: DVec3,
     /// Its place in the grid, unless it was moved.
-    pub(super) key: Option<Key>,
+    pub(super) key: Option<LatticeKey>,
     /// No face is nearer.
     pub(super) clearance: f64,
     /// Whether its edges are found again.
@@ -19,15 +19,15 @@ pub(super) struct Node {
 }
 
 /// The grid around a zone, with keys of its own.
-pub(super) struct Grid {
+pub(super) struct ZoneGrid {
     origin: DVec3,
     interval: f64,
     /// Coordinates of the place that would have the key (0, 0, 0).
     base: [i64; 3],
 }
 
-impl Grid {
-    pub(super) fn around(inside: &Inside, zone: &Zone) -> Self {
+impl ZoneGrid {
+    pub(super) fn around(inside: &InteriorRecipe, zone: &ChangeZone) -> Self {
         Self {
             origin: inside.origin,
             interval: inside.interval,
@@ -35,13 +35,13 @@ impl Grid {
         }
     }
 
-    pub(super) fn position(&self, key: Key) -> DVec3 {
+    pub(super) fn position(&self, key: LatticeKey) -> DVec3 {
         let base = DVec3::from_array(self.base.map(|b| b as f64));
         // Whole and half numbers: the same bits as with the keys of the whole lattice.
         self.origin + (place(key) + base) * self.interval
     }
 
-    pub(super) fn key(&self, cell: [i64; 3], in_b: bool) -> Option<Key> {
+    pub(super) fn key(&self, cell: [i64; 3], in_b: bool) -> Option<LatticeKey> {
         let mut at = [0u32; 3];
         for axis in 0..3 {
             let own = cell[axis] - self.base[axis];
@@ -51,13 +51,13 @@ impl Grid {
     }
 
     /// The key of the place nearest to `p` in grid A.
-    pub(super) fn near(&self, p: DVec3) -> Option<Key> {
+    pub(super) fn near(&self, p: DVec3) -> Option<LatticeKey> {
         let cell = ((p - self.origin) / self.interval).round().to_array();
         self.key(cell.map(|c| c as i64), false)
     }
 
     /// The key of a node that is where the grid puts it.
-    pub(super) fn key_at(&self, p: DVec3) -> Option<Key> {
+    pub(super) fn key_at(&self, p: DVec3) -> Option<LatticeKey> {
         let unit = (p - self.origin) / self.interval;
         let found = [(0.0, false), (0.5, true)].map(|(shift, in_b)| {
             let cell = (unit - DVec3::splat(shift)).round().to_array();
@@ -69,15 +69,15 @@ impl Grid {
 }
 
 /// Nodes by place.
-pub(super) struct Table {
+pub(super) struct NodeTable {
     /// Unmoved nodes by key.
-    pub(super) fixed: Vec<(Key, u32)>,
+    pub(super) fixed: Vec<(LatticeKey, u32)>,
     /// Moved nodes by the nearest place of grid A.
-    pub(super) adrift: Vec<(Key, u32)>,
+    pub(super) adrift: Vec<(LatticeKey, u32)>,
 }
 
-impl Table {
-    pub(super) fn fixed(&self, key: Key) -> Option<usize> {
+impl NodeTable {
+    pub(super) fn fixed(&self, key: LatticeKey) -> Option<usize> {
         self.fixed
             .binary_search_by_key(&key, |f| f.0)
             .ok()
@@ -85,7 +85,14 @@ impl Table {
     }
 
     /// The nearest node within less than an interval of `p` among the moved ones, or among all.
-    pub(super) fn nearest(&self, nodes: &[Node], grid: &Grid, p: DVec3, within: f64, all: bool) -> Option<usize> {
+    pub(super) fn nearest(
+        &self,
+        nodes: &[ZoneNode],
+        grid: &ZoneGrid,
+        p: DVec3,
+        within: f64,
+        all: bool,
+    ) -> Option<usize> {
         if self.adrift.is_empty() && !all {
             return None;
         }

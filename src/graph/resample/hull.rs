@@ -1,12 +1,12 @@
 //! What an edit does to the parts that enclose space: which new points belong to them, and which passages along edges
 //! they lack to be closed.
 
-use super::Before;
-use super::{Change, Points};
-use crate::graph::caps::{missing_of, rings};
-use crate::graph::recipe::Inside;
-use crate::graph::solid::{OPEN, SOUP, sample};
-use crate::graph::winding::WindingTree;
+use crate::graph::recipe::InteriorRecipe;
+use crate::graph::resample::change::GraphBefore;
+use crate::graph::resample::change::{ChangedPoints, MeshChange};
+use crate::graph::volume::caps::{missing_of, rings};
+use crate::graph::volume::solid::{OPEN, SOUP, sample};
+use crate::graph::winding::tree::WindingTree;
 use crate::mesh::{Components, NONE};
 use crate::pool::Pool;
 use glam::DVec3;
@@ -19,10 +19,10 @@ const LARGEST_CAP: f64 = 0.15;
 pub(super) const BESIDE: f64 = 1.0 / 64.0;
 
 /// Parts that enclose space after an edit.
-pub(super) struct Hull {
-    /// As in [`Inside`].
+pub(super) struct HullChange {
+    /// As in [`InteriorRecipe`].
     pub(super) reach: Vec<f32>,
-    /// As in [`Inside`].
+    /// As in [`InteriorRecipe`].
     pub(super) open: Vec<[u32; 2]>,
     /// New parts whose sides are not known yet: their points, by new number.
     pub(super) unsided: Vec<Vec<u32>>,
@@ -41,7 +41,13 @@ pub(super) fn fan(ring: &[u32], at: impl Fn(u32) -> DVec3) -> (DVec3, impl Itera
 }
 
 /// Follows an edit. `None` when only the whole surface tells what it encloses now.
-pub(super) fn follow(old: &Before<'_>, inside: &Inside, change: &Change, points: &Points, pool: &Pool) -> Option<Hull> {
+pub(super) fn follow(
+    old: &GraphBefore<'_>,
+    inside: &InteriorRecipe,
+    change: &MeshChange,
+    points: &ChangedPoints,
+    pool: &Pool,
+) -> Option<HullChange> {
     let (assigned, fresh) = assign(inside, change, points)?;
     let mut reach: Vec<f32> = pool.install(|| {
         let of = |&o: &u32| if o == NONE { 0.0 } else { inside.reach[o as usize] };
@@ -85,7 +91,7 @@ pub(super) fn follow(old: &Before<'_>, inside: &Inside, change: &Change, points:
     let lost_loops = before.iter().filter(lost).cloned().collect();
     let is_new = |ring: &&Vec<u32>| known.binary_search(&turned((*ring).clone())).is_err();
     let new_loops: Vec<Vec<u32>> = loops.iter().filter(is_new).cloned().collect();
-    let hull = Hull {
+    let hull = HullChange {
         reach,
         open,
         unsided,
@@ -97,17 +103,17 @@ pub(super) fn follow(old: &Before<'_>, inside: &Inside, change: &Change, points:
 }
 
 /// New points with their reach.
-type Reach = Vec<(u32, f32)>;
+type NewReach = Vec<(u32, f32)>;
 
 /// Triangles and points that are new and hang together with no old point.
-struct Fresh {
+struct NewPart {
     triangles: Vec<[u32; 3]>,
     points: Vec<u32>,
 }
 
 /// The reach of new points that hang together with old ones, and the new parts. `None` where an edit joins what encloses
 /// space with what does not.
-fn assign(inside: &Inside, change: &Change, points: &Points) -> Option<(Reach, Vec<Fresh>)> {
+fn assign(inside: &InteriorRecipe, change: &MeshChange, points: &ChangedPoints) -> Option<(NewReach, Vec<NewPart>)> {
     let faces: Vec<[u32; 3]> = change.added.iter().map(|&t| change.triangles[t as usize]).collect();
     let mut used: Vec<u32> = faces.iter().flatten().copied().collect();
     used.sort_unstable();
@@ -128,10 +134,10 @@ fn assign(inside: &Inside, change: &Change, points: &Points) -> Option<(Reach, V
         }
     }
     let mut assigned = Vec::new();
-    let mut fresh: Vec<Option<Fresh>> = seen
+    let mut fresh: Vec<Option<NewPart>> = seen
         .iter()
         .map(|s| {
-            s.is_none().then(|| Fresh {
+            s.is_none().then(|| NewPart {
                 triangles: Vec::new(),
                 points: Vec::new(),
             })
@@ -153,7 +159,7 @@ fn assign(inside: &Inside, change: &Change, points: &Points) -> Option<(Reach, V
 }
 
 /// The mean edge length of a new part when it encloses space, else 0; `None` when only its winding number tells.
-fn solid(change: &Change, part: &Fresh, pool: &Pool) -> Option<f64> {
+fn solid(change: &MeshChange, part: &NewPart, pool: &Pool) -> Option<f64> {
     let at = |v: u32| change.positions[v as usize];
     let mut length = 0.0;
     let mut passed: Vec<([u32; 2], i32)> = Vec::with_capacity(3 * part.triangles.len());
@@ -192,7 +198,12 @@ fn solid(change: &Change, part: &Fresh, pool: &Pool) -> Option<f64> {
 
 /// The passages that enclosing parts lack after an edit. `None` when an edge of a point that is gone keeps a face, so
 /// that the edit contradicts itself.
-fn passages(inside: &Inside, change: &Change, points: &Points, reach: &[f32]) -> Option<Vec<[u32; 2]>> {
+fn passages(
+    inside: &InteriorRecipe,
+    change: &MeshChange,
+    points: &ChangedPoints,
+    reach: &[f32],
+) -> Option<Vec<[u32; 2]>> {
     let beyond = change.positions.len() as u32;
     let name = |old: u32| match points.new_from_old[old as usize] {
         NONE => beyond + old,
@@ -241,7 +252,7 @@ fn loops(open: &[[u32; 2]]) -> Vec<Vec<u32>> {
 }
 
 /// Whether holes grew by much against the surface that they are in.
-fn too_open(old: &Before<'_>, change: &Change, hull: &Hull) -> bool {
+fn too_open(old: &GraphBefore<'_>, change: &MeshChange, hull: &HullChange) -> bool {
     let now = |v: u32| change.positions[v as usize];
     let before = |v: u32| old.positions[v as usize];
     let mut caps: Vec<(u32, f64)> = Vec::new();

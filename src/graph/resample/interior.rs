@@ -1,17 +1,18 @@
 //! Lattice nodes around an edit: which stay, which places get new ones, and the edges of both.
 
-use super::Before;
-use super::edges::{Finder, TAKEN};
-use super::grid::{Grid, Node, Table};
-use super::local::Local;
-use super::places::{Copies, Site};
-use super::zone::{CORE, NEAR, RIM};
-use super::{Change, Link, Numbers, Points};
-use crate::graph::neighbours::Key;
+use crate::graph::error::Error;
+use crate::graph::mesh_graph::MeshGraph;
 use crate::graph::parallel::map;
-use crate::graph::recipe::Inside;
-use crate::graph::shell::walk;
-use crate::graph::{Error, Graph};
+use crate::graph::recipe::InteriorRecipe;
+use crate::graph::resample::change::GraphBefore;
+use crate::graph::resample::change::{ChangedPoints, MeshChange, NewEdge, NodeNumbers};
+use crate::graph::resample::edges::{EdgeFinder, TAKEN};
+use crate::graph::resample::grid::{NodeTable, ZoneGrid, ZoneNode};
+use crate::graph::resample::local::LocalMesh;
+use crate::graph::resample::places::{ShellCopies, ShellSite};
+use crate::graph::resample::zone::{CORE, NEAR, RIM};
+use crate::graph::volume::neighbours::LatticeKey;
+use crate::graph::volume::shell::walk;
 use crate::mesh::NONE;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -24,7 +25,7 @@ const SHALLOW: f64 = 0.6;
 const CLEARLY: f64 = 0.9;
 
 /// What an edit does to the lattice.
-pub(super) struct Interior {
+pub(super) struct InteriorChange {
     /// Old nodes that are no more, rising.
     pub(super) gone: Vec<u32>,
     /// Old nodes whose edges within the lattice have been found again.
@@ -34,23 +35,23 @@ pub(super) struct Interior {
     /// Places of new nodes.
     pub(super) born: Vec<DVec3>,
     /// Edges found.
-    pub(super) links: Vec<Link>,
+    pub(super) links: Vec<NewEdge>,
     /// The nearest vertex, by new number, where it changed.
     pub(super) nearest: Vec<(u32, u32)>,
 }
 
 /// Follows an edit. `None` when no vertex is left to tie nodes to, or there is too much to look at.
 pub(super) fn follow(
-    site: &Site,
-    old: &Before<'_>,
-    inside: &Inside,
-    change: &Change,
-    points: &Points,
-    copies: &Copies,
+    site: &ShellSite,
+    old: &GraphBefore<'_>,
+    inside: &InteriorRecipe,
+    change: &MeshChange,
+    points: &ChangedPoints,
+    copies: &ShellCopies,
     old_shell: &[u32],
-    numbers: &mut Numbers,
-) -> Result<Option<Interior>, Error> {
-    let Site {
+    numbers: &mut NodeNumbers,
+) -> Result<Option<InteriorChange>, Error> {
+    let ShellSite {
         local,
         surface,
         zone,
@@ -58,7 +59,7 @@ pub(super) fn follow(
         exec,
     } = *site;
     let first = old.surface + old.stats.shell_nodes;
-    let grid = Grid::around(inside, zone);
+    let grid = ZoneGrid::around(inside, zone);
     let bounds = zone.bounds();
     // One look at all nodes: those near the edit, and those whose nearest vertex is gone or moved.
     let mut lost = vec![false; old.surface];
@@ -86,11 +87,11 @@ pub(super) fn follow(
             .map_or(reach, |near| near.distance)
     };
     let near: Vec<(u32, u8)> = seen.iter().filter(|s| s.1 != 0).map(|s| (s.0, s.1)).collect();
-    let judged: Vec<Option<Node>> = map(&near, exec, |&(number, marks)| {
+    let judged: Vec<Option<ZoneNode>> = map(&near, exec, |&(number, marks)| {
         let at = old.positions[number as usize];
         let key = grid.key_at(at);
         if marks & CORE == 0 {
-            return Some(Node {
+            return Some(ZoneNode {
                 number,
                 at,
                 key,
@@ -107,7 +108,7 @@ pub(super) fn follow(
             return None;
         }
         let clearance = clear(at);
-        (clearance > depth).then_some(Node {
+        (clearance > depth).then_some(ZoneNode {
             number,
             at,
             key,
@@ -121,8 +122,8 @@ pub(super) fn follow(
         .filter(|j| j.1.is_none())
         .map(|j| j.0.0)
         .collect();
-    let mut nodes: Vec<Node> = judged.into_iter().flatten().collect();
-    let find = |nodes: &[Node], number: u32| nodes.binary_search_by_key(&number, |n| n.number).ok();
+    let mut nodes: Vec<ZoneNode> = judged.into_iter().flatten().collect();
+    let find = |nodes: &[ZoneNode], number: u32| nodes.binary_search_by_key(&number, |n| n.number).ok();
     for &g in &gone {
         for &m in old.row(g).iter().filter(|&&m| m as usize >= first) {
             if let Some(at) = find(&nodes, m) {
@@ -132,7 +133,7 @@ pub(super) fn follow(
     }
     let kept = nodes.len();
 
-    let mut table = Table {
+    let mut table = NodeTable {
         fixed: Vec::new(),
         adrift: Vec::new(),
     };
@@ -152,7 +153,7 @@ pub(super) fn follow(
         return Ok(None);
     }
     let cells = zone.lattice_cells(mark);
-    let free: Vec<[Option<(Key, f64)>; 2]> = map(&cells, exec, |&cell| {
+    let free: Vec<[Option<(LatticeKey, f64)>; 2]> = map(&cells, exec, |&cell| {
         [false, true].map(|in_b| {
             let key = grid.key(cell, in_b)?;
             let p = grid.position(key);
@@ -168,12 +169,12 @@ pub(super) fn follow(
             (clearance > inside.depth).then_some((key, clearance))
         })
     })?;
-    let mut free: Vec<(Key, f64)> = free.into_iter().flatten().flatten().collect();
+    let mut free: Vec<(LatticeKey, f64)> = free.into_iter().flatten().flatten().collect();
     free.sort_unstable_by_key(|f| f.0);
     let born: Vec<DVec3> = free.iter().map(|f| grid.position(f.0)).collect();
     for ((key, clearance), &at) in free.into_iter().zip(&born) {
         table.fixed.push((key, nodes.len() as u32));
-        nodes.push(Node {
+        nodes.push(ZoneNode {
             number: numbers.lattice(),
             at,
             key: Some(key),
@@ -183,7 +184,7 @@ pub(super) fn follow(
     }
     table.fixed.sort_unstable();
 
-    let finder = Finder {
+    let finder = EdgeFinder {
         old,
         inside,
         first,
@@ -196,7 +197,7 @@ pub(super) fn follow(
     };
     let again: Vec<u32> = (0u32..).zip(&nodes).filter(|n| n.1.again).map(|n| n.0).collect();
     let found = map(&again, exec, |&node| finder.edges(node))?;
-    let mut links: Vec<Link> = Vec::new();
+    let mut links: Vec<NewEdge> = Vec::new();
     let mut leaving: Vec<(u32, DVec3)> = Vec::new();
     for mut edges in found {
         links.append(&mut edges.links);
@@ -227,7 +228,7 @@ pub(super) fn follow(
     };
     links.extend(
         ties.iter()
-            .map(|&(n, v)| Link::new(nodes[n as usize].number, node_of(v))),
+            .map(|&(n, v)| NewEdge::new(nodes[n as usize].number, node_of(v))),
     );
 
     // What was tied to a vertex or copy that is gone is tied to the vertex nearest to where it was.
@@ -259,7 +260,7 @@ pub(super) fn follow(
     let parents = map(&orphans, exec, |&(_, g)| instead(old.nearest_surface[g as usize]))?;
     for (&(m, _), parent) in orphans.iter().zip(parents) {
         match parent {
-            Some(v) => links.push(Link::new(m, node_of(v))),
+            Some(v) => links.push(NewEdge::new(m, node_of(v))),
             None => return Ok(None),
         }
     }
@@ -300,7 +301,7 @@ pub(super) fn follow(
         return Ok(None);
     }
     let old_again = || nodes[..kept].iter().filter(|n| n.again);
-    Ok(Some(Interior {
+    Ok(Some(InteriorChange {
         again: old_again().map(|n| n.number).collect(),
         retied: old_again().filter(|n| n.key.is_some()).map(|n| n.number).collect(),
         nearest: asked.iter().zip(nearest).filter_map(|(a, v)| Some((a.0, v?))).collect(),
@@ -312,7 +313,7 @@ pub(super) fn follow(
 
 /// Takes nearest vertices that changed on to nodes that they are clearly nearer to than those they have: a surface that
 /// was pushed in comes near to nodes whose own surroundings did not change.
-pub(super) fn spread_nearest(graph: &mut Graph, local: &Local, asked: Vec<u32>) {
+pub(super) fn spread_nearest(graph: &mut MeshGraph, local: &LocalMesh, asked: Vec<u32>) {
     let first = graph.surface + graph.stats.shell_nodes;
     let mut waiting = asked;
     let mut next = 0;

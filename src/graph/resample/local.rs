@@ -1,11 +1,11 @@
 //! The faces around an edit, as a small mesh of their own, and those that tell what lies inside there.
 
-use super::Before;
-use super::hull::{Hull, fan};
-use super::zone::{RIM, Zone};
-use super::{Change, Points};
-use crate::graph::columns::Columns;
-use crate::mesh::{Adjacency, Bounds, NONE};
+use crate::graph::resample::change::GraphBefore;
+use crate::graph::resample::change::{ChangedPoints, MeshChange};
+use crate::graph::resample::hull::{HullChange, fan};
+use crate::graph::resample::zone::{ChangeZone, RIM};
+use crate::graph::volume::columns::FaceColumns;
+use crate::mesh::{Adjacency, BoundingBox, NONE};
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ const FAN: u8 = 64;
 const ACROSS: [u8; 3] = [0b11_1100, 0b11_0011, 0b00_1111];
 
 /// Faces that an edit may have to do with.
-pub(super) struct Found {
+pub(super) struct FoundFaces {
     /// Those that may meet the zone or have a point whose fan changed; rising.
     near: Vec<u32>,
     /// Those that lines through the zone along `along` may cross; rising.
@@ -27,8 +27,8 @@ pub(super) struct Found {
 }
 
 /// One look at all points and one at all faces.
-pub(super) fn find(change: &Change, points: &Points, zone: Option<&Zone>, pool: &Pool) -> Found {
-    let bounds = zone.map(Zone::bounds);
+pub(super) fn find(change: &MeshChange, points: &ChangedPoints, zone: Option<&ChangeZone>, pool: &Pool) -> FoundFaces {
+    let bounds = zone.map(ChangeZone::bounds);
     let code = |p: &DVec3| match &bounds {
         None => 1,
         Some(b) => {
@@ -62,7 +62,7 @@ pub(super) fn find(change: &Change, points: &Points, zone: Option<&Zone>, pool: 
     let near = seen
         .iter()
         .filter(|s| s.1 == 0 || both(&change.triangles[s.0 as usize]).1);
-    Found {
+    FoundFaces {
         near: near.map(|s| s.0).collect(),
         beyond: if zone.is_some() {
             crossing(along).map(|s| s.0).collect()
@@ -73,16 +73,16 @@ pub(super) fn find(change: &Change, points: &Points, zone: Option<&Zone>, pool: 
     }
 }
 
-impl Found {
+impl FoundFaces {
     /// The faces with a corner among `wanted` (by point).
-    pub(super) fn with_corner(&self, change: &Change, wanted: &[bool]) -> Vec<[u32; 3]> {
+    pub(super) fn with_corner(&self, change: &MeshChange, wanted: &[bool]) -> Vec<[u32; 3]> {
         let faces = self.near.iter().map(|&t| change.triangles[t as usize]);
         faces.filter(|t| t.iter().any(|&v| wanted[v as usize])).collect()
     }
 }
 
 /// A mesh of the faces around an edit.
-pub(super) struct Local {
+pub(super) struct LocalMesh {
     /// New numbers of its points, rising.
     pub(super) points: Vec<u32>,
     pub(super) positions: Vec<DVec3>,
@@ -92,13 +92,19 @@ pub(super) struct Local {
     pub(super) fan_changed: Vec<bool>,
 }
 
-impl Local {
-    pub(super) fn gather(change: &Change, points: &Points, found: &Found, zone: Option<&Zone>, pool: &Pool) -> Self {
+impl LocalMesh {
+    pub(super) fn gather(
+        change: &MeshChange,
+        points: &ChangedPoints,
+        found: &FoundFaces,
+        zone: Option<&ChangeZone>,
+        pool: &Pool,
+    ) -> Self {
         let at = |v: u32| change.positions[v as usize];
         let has_fan = |v: u32| points.fans.binary_search(&v).is_ok();
         let wanted = |&&t: &&u32| {
             let t = change.triangles[t as usize];
-            zone.is_some_and(|zone| zone.meets(&Bounds::of(&t.map(at)), RIM)) || t.into_iter().any(has_fan)
+            zone.is_some_and(|zone| zone.meets(&BoundingBox::of(&t.map(at)), RIM)) || t.into_iter().any(has_fan)
         };
         let faces: Vec<[u32; 3]> = pool.install(|| {
             let near = found.near.par_iter().with_min_len(1024).filter(|t| wanted(t));
@@ -127,12 +133,12 @@ impl Local {
 
 /// Faces with corners of their own.
 #[derive(Default)]
-pub(super) struct Faces {
+pub(super) struct LocalFaces {
     pub(super) positions: Vec<DVec3>,
     pub(super) triangles: Vec<[u32; 3]>,
 }
 
-impl Faces {
+impl LocalFaces {
     /// Numbers the corners of named faces in the order of their names, so that an edge runs the same way in all of them.
     fn of(faces: Vec<[u64; 3]>, at: impl Fn(u64) -> DVec3) -> Self {
         let mut names: Vec<u64> = faces.iter().flatten().copied().collect();
@@ -146,7 +152,7 @@ impl Faces {
     }
 
     /// All faces that lines through the zone may cross, closed by caps.
-    pub(super) fn around(change: &Change, hull: &Hull, found: &Found) -> Self {
+    pub(super) fn around(change: &MeshChange, hull: &HullChange, found: &FoundFaces) -> Self {
         let points = change.positions.len() as u64;
         let faces = found.beyond.iter().map(|&t| change.triangles[t as usize]);
         let enclosing = faces.filter(|t| hull.reach[t[0] as usize] != 0.0);
@@ -166,7 +172,13 @@ impl Faces {
 
     /// What the edit added to the enclosing faces, and what it took from them, turned round: together they are closed, and
     /// enclose what became inside or outside.
-    pub(super) fn between(old: &Before<'_>, change: &Change, points: &Points, hull: &Hull, found: &Found) -> Self {
+    pub(super) fn between(
+        old: &GraphBefore<'_>,
+        change: &MeshChange,
+        points: &ChangedPoints,
+        hull: &HullChange,
+        found: &FoundFaces,
+    ) -> Self {
         let reach = old.recipe.inside.as_ref().map_or(&[][..], |inside| &inside.reach);
         let (new, before) = (change.positions.len() as u64, old.surface as u64);
         // Old points that stay where they were have the names of new ones.
@@ -219,12 +231,12 @@ impl Faces {
     }
 
     /// Sorted to tell what lies inside, along the given axis or the best one.
-    pub(super) fn columns(&self, along: usize, pool: &Pool) -> Columns<'_> {
-        Columns::along(along, &self.positions, &self.triangles, pool)
+    pub(super) fn columns(&self, along: usize, pool: &Pool) -> FaceColumns<'_> {
+        FaceColumns::along(along, &self.positions, &self.triangles, pool)
     }
 }
 
-impl Found {
+impl FoundFaces {
     /// The axis along which the fewest faces lie beyond the zone.
     pub(super) fn along(&self) -> usize {
         self.along

@@ -1,15 +1,16 @@
 //! Copies of vertices and the edges among vertices and copies, around an edit.
 
-use super::local::Local;
-use super::zone::{NEAR, Zone};
-use super::{Before, hull};
-use super::{Change, Link, Numbers};
 use crate::exec::Exec;
-use crate::graph::Error;
-use crate::graph::columns::Columns;
+use crate::graph::error::Error;
 use crate::graph::parallel::map;
-use crate::graph::shell::{copy, has_room};
-use crate::graph::solid::{normal, sample, turn};
+use crate::graph::resample::change::GraphBefore;
+use crate::graph::resample::change::{MeshChange, NewEdge, NodeNumbers};
+use crate::graph::resample::hull;
+use crate::graph::resample::local::LocalMesh;
+use crate::graph::resample::zone::{ChangeZone, NEAR};
+use crate::graph::volume::columns::FaceColumns;
+use crate::graph::volume::shell::{copy, has_room};
+use crate::graph::volume::solid::{normal, sample, turn};
 use crate::graph::weights::cotangent_of;
 use crate::mesh::NONE;
 use crate::mesh::query::TriangleBvh;
@@ -18,9 +19,9 @@ use glam::DVec3;
 /// Places no further apart than this part of an offset are the same.
 const SAME: f64 = 1e-6;
 
-/// The copies of the vertices of a [`Local`] mesh.
-pub(super) struct Copies {
-    /// For each vertex its shell node: an old number, or one from [`Numbers::shell`] on; or [`NONE`].
+/// The copies of the vertices of a [`LocalMesh`] mesh.
+pub(super) struct ShellCopies {
+    /// For each vertex its shell node: an old number, or one from [`NodeNumbers::shell`] on; or [`NONE`].
     pub(super) node: Vec<u32>,
     /// Where each of them is; anything without a copy.
     at: Vec<DVec3>,
@@ -35,16 +36,16 @@ pub(super) struct Copies {
 }
 
 /// What copies are placed by.
-pub(super) struct Site<'a> {
-    pub(super) local: &'a Local,
+pub(super) struct ShellSite<'a> {
+    pub(super) local: &'a LocalMesh,
     pub(super) surface: &'a TriangleBvh<'a>,
-    pub(super) zone: &'a Zone,
-    pub(super) columns: &'a Columns<'a>,
+    pub(super) zone: &'a ChangeZone,
+    pub(super) columns: &'a FaceColumns<'a>,
     pub(super) exec: &'a Exec<'a>,
 }
 
 /// Which way copies of new parts go: turns the reach of those that are wound inside out.
-pub(super) fn sides(site: &Site, parts: &[Vec<u32>], reach: &mut [f32]) {
+pub(super) fn sides(site: &ShellSite, parts: &[Vec<u32>], reach: &mut [f32]) {
     for part in parts {
         let members: Vec<u32> = part.iter().filter_map(|&p| site.local.find(p)).collect();
         let mut votes = (0, 0);
@@ -63,13 +64,13 @@ pub(super) fn sides(site: &Site, parts: &[Vec<u32>], reach: &mut [f32]) {
 
 /// Keeps copies that the edit leaves room, places the others anew.
 pub(super) fn place(
-    site: &Site,
-    old: &Before<'_>,
-    change: &Change,
+    site: &ShellSite,
+    old: &GraphBefore<'_>,
+    change: &MeshChange,
     reach: &[f32],
     old_shell: &[u32],
-    numbers: &mut Numbers,
-) -> Result<Copies, Error> {
+    numbers: &mut NodeNumbers,
+) -> Result<ShellCopies, Error> {
     let local = site.local;
     let own_of = |v: u32| {
         let o = change.old_from_new[local.points[v as usize] as usize];
@@ -105,7 +106,7 @@ pub(super) fn place(
                 .unwrap_or(now),
         )
     })?;
-    let mut copies = Copies {
+    let mut copies = ShellCopies {
         node: vec![NONE; local.points.len()],
         at: vec![DVec3::ZERO; local.points.len()],
         again: local.fan_changed.clone(),
@@ -138,8 +139,8 @@ pub(super) fn place(
 }
 
 /// Only the surface: no vertex has a copy.
-pub(super) fn bare(local: &Local) -> Copies {
-    Copies {
+pub(super) fn bare(local: &LocalMesh) -> ShellCopies {
+    ShellCopies {
         node: vec![NONE; local.points.len()],
         at: vec![DVec3::ZERO; local.points.len()],
         again: local.fan_changed.clone(),
@@ -149,7 +150,7 @@ pub(super) fn bare(local: &Local) -> Copies {
     }
 }
 
-impl Copies {
+impl ShellCopies {
     /// The vertices whose edges are found again.
     pub(super) fn again(&self) -> impl Iterator<Item = u32> + '_ {
         (0u32..).zip(&self.again).filter(|a| *a.1).map(|a| a.0)
@@ -157,12 +158,12 @@ impl Copies {
 
     /// Edges among these vertices, their neighbours and the copies of both, as [`crate::graph::assemble`] has them. `name`
     /// gives a vertex its number among nodes.
-    pub(super) fn links(&self, local: &Local, name: impl Fn(u32) -> u32, cotangent_scale: f64) -> Vec<Link> {
+    pub(super) fn links(&self, local: &LocalMesh, name: impl Fn(u32) -> u32, cotangent_scale: f64) -> Vec<NewEdge> {
         let mut links = Vec::new();
         let copy = |v: u32| self.node[v as usize];
         for v in self.again() {
             if copy(v) != NONE {
-                links.push(Link::new(name(v), copy(v)));
+                links.push(NewEdge::new(name(v), copy(v)));
             }
             for &w in local.adjacency.neighbours.of(v) {
                 // An edge between two of them is looked at from its smaller end.
@@ -181,7 +182,7 @@ impl Copies {
                 } else {
                     1.0
                 };
-                links.push(Link {
+                links.push(NewEdge {
                     ends: [name(a), name(b)],
                     weight,
                 });
@@ -189,15 +190,15 @@ impl Copies {
                     |from: u32, to: u32| local.positions[from as usize].distance_squared(self.at[to as usize]);
                 match (copy(a), copy(b)) {
                     (NONE, NONE) => {}
-                    (sa, NONE) => links.push(Link::new(name(b), sa)),
-                    (NONE, sb) => links.push(Link::new(name(a), sb)),
+                    (sa, NONE) => links.push(NewEdge::new(name(b), sa)),
+                    (NONE, sb) => links.push(NewEdge::new(name(a), sb)),
                     (sa, sb) => {
-                        links.push(Link::new(sa, sb));
+                        links.push(NewEdge::new(sa, sb));
                         let toward_b = diagonal(a, b) <= diagonal(b, a);
                         links.push(if toward_b {
-                            Link::new(name(a), sb)
+                            NewEdge::new(name(a), sb)
                         } else {
-                            Link::new(name(b), sa)
+                            NewEdge::new(name(b), sa)
                         });
                     }
                 }

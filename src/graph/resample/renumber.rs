@@ -1,7 +1,7 @@
 //! Old and new numbers of nodes.
 
-use super::Numbers;
-use super::rows::{BLOCK, Edit};
+use crate::graph::resample::change::NodeNumbers;
+use crate::graph::resample::graph_edit::{BLOCK, GraphEdit};
 use crate::mesh::NONE;
 use crate::pool::Pool;
 use rayon::prelude::*;
@@ -23,7 +23,7 @@ pub(super) struct Renumbered {
 }
 
 impl Renumbered {
-    pub(super) fn of(edit: &Edit, pool: &Pool) -> Self {
+    pub(super) fn of(edit: &GraphEdit, pool: &Pool) -> Self {
         let old = edit.old;
         let before = [old.surface, old.surface + old.stats.shell_nodes, old.nodes()];
         let born = [edit.numbers.points, edit.numbers.shells, edit.numbers.lattice].map(|n| n as usize);
@@ -111,7 +111,7 @@ impl Renumbered {
     }
 
     /// The number of a node from its number during the edit.
-    pub(super) fn of_any(&self, numbers: &Numbers, node: u32) -> u32 {
+    pub(super) fn of_any(&self, numbers: &NodeNumbers, node: u32) -> u32 {
         let Some(born) = node.checked_sub(numbers.old) else {
             return self.new_from_old[node as usize];
         };

@@ -1,70 +1,32 @@
 //! Writes the graph after an edit: rows that changed one by one, all others copied in runs with their nodes renumbered.
 
-use super::Before;
-use super::components::Followed;
-use super::renumber::Renumbered;
-use super::{Change, Link, Numbers, Points, Resampled, components};
-use crate::graph::recipe::Recipe;
-use crate::graph::{Graph, Stats};
+use crate::graph::mesh_graph::{GraphStats, MeshGraph};
+use crate::graph::recipe::GraphRecipe;
+use crate::graph::resample::change::GraphBefore;
+use crate::graph::resample::change::ResampledGraph;
+use crate::graph::resample::components;
+use crate::graph::resample::components::FollowedComponents;
+use crate::graph::resample::graph_edit::{BLOCK, FreshRows, GraphEdit};
+use crate::graph::resample::renumber::Renumbered;
 use crate::mesh::NONE;
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
-use std::ops::Range;
-
-/// Nodes copied in one go.
-pub(super) const BLOCK: usize = 1 << 15;
 
 const GONE: u8 = 1;
 const OUTER: u8 = 2;
 const LATTICE: u8 = 4;
 const UNTIED: u8 = 8;
 
-/// What changes, in numbers as in [`Numbers`].
-pub(super) struct Edit<'a> {
-    pub(super) old: &'a Before<'a>,
-    pub(super) change: &'a Change<'a>,
-    pub(super) points: &'a Points,
-    pub(super) numbers: &'a Numbers,
-    /// Old nodes that are gone, rising.
-    pub(super) gone: Vec<u32>,
-    /// Old vertices and copies that lose all edges to others of them.
-    pub(super) outer: Vec<u32>,
-    /// Old lattice nodes that lose all edges to others.
-    pub(super) lattice: Vec<u32>,
-    /// Old lattice nodes that lose their ties.
-    pub(super) untied: Vec<u32>,
-    /// Edges that come, or come back.
-    pub(super) links: Vec<Link>,
-    /// Places of shell and lattice nodes that are new or moved.
-    pub(super) placed: Vec<(u32, DVec3)>,
-    /// The solver vertex, by new number, of shell and lattice nodes that are new or have another one.
-    pub(super) nearest: Vec<(u32, u32)>,
-}
-
-/// Rows that are written anew, by rising node.
-pub(super) struct Fresh {
-    /// Nodes after the edit.
-    pub(super) nodes: Vec<u32>,
-    offsets: Vec<u32>,
-    neighbours: Vec<u32>,
-    weights: Vec<f32>,
-}
-
-impl Fresh {
-    fn range(&self, index: usize) -> Range<usize> {
-        self.offsets[index] as usize..self.offsets[index + 1] as usize
-    }
-
-    pub(super) fn row(&self, index: usize) -> &[u32] {
-        &self.neighbours[self.range(index)]
-    }
-}
-
 /// Carries out an edit.
 ///
 /// Also answers the numbers after it of the nodes in `edit.nearest`, in their order.
-pub(super) fn write(edit: &Edit, mut stats: Stats, recipe: Recipe, pool: &Pool) -> (Resampled, Vec<u32>) {
+pub(super) fn write(
+    edit: &GraphEdit,
+    mut stats: GraphStats,
+    recipe: GraphRecipe,
+    pool: &Pool,
+) -> (ResampledGraph, Vec<u32>) {
     let (old, change) = (edit.old, edit.change);
     let renumbered = Renumbered::of(edit, pool);
     let any = |node: u32| renumbered.of_any(edit.numbers, node);
@@ -102,14 +64,14 @@ pub(super) fn write(edit: &Edit, mut stats: Stats, recipe: Recipe, pool: &Pool) 
     touched.sort_unstable();
     touched.dedup();
 
-    let view = components::View {
+    let view = components::ComponentView {
         old,
         from,
         offsets: &offsets,
         neighbours: &neighbours,
         pool,
     };
-    let Followed { of_node, count } = components::follow(&view, &fresh);
+    let FollowedComponents { of_node, count } = components::follow(&view, &fresh);
     stats.shell_nodes = renumbered.after[1] - surface;
     stats.lattice_nodes = nodes - renumbered.after[1];
     stats.component_has_volume = vec![false; count];
@@ -125,8 +87,8 @@ pub(super) fn write(edit: &Edit, mut stats: Stats, recipe: Recipe, pool: &Pool) 
         old_from_new,
         ..
     } = renumbered;
-    let resampled = Resampled {
-        graph: Graph {
+    let resampled = ResampledGraph {
+        graph: MeshGraph {
             offsets,
             neighbours,
             weights,
@@ -146,7 +108,7 @@ pub(super) fn write(edit: &Edit, mut stats: Stats, recipe: Recipe, pool: &Pool) 
 }
 
 /// The rows that differ from those of the old graph.
-fn fresh_rows(edit: &Edit, renumbered: &Renumbered, pool: &Pool) -> Fresh {
+fn fresh_rows(edit: &GraphEdit, renumbered: &Renumbered, pool: &Pool) -> FreshRows {
     let old = edit.old;
     let mut flags = vec![0u8; old.nodes()];
     let flagged = [
@@ -220,7 +182,7 @@ fn fresh_rows(edit: &Edit, renumbered: &Renumbered, pool: &Pool) -> Fresh {
     let mut rows = rows;
     rows.extend(born.map(|node| (node, own_links(node).collect())));
     rows.sort_unstable_by_key(|r: &Row| r.0);
-    let mut fresh = Fresh {
+    let mut fresh = FreshRows {
         nodes: Vec::new(),
         offsets: vec![0],
         neighbours: Vec::new(),
@@ -236,16 +198,16 @@ fn fresh_rows(edit: &Edit, renumbered: &Renumbered, pool: &Pool) -> Fresh {
 }
 
 /// Where a run of rows comes from.
-enum Source {
+enum RowSource {
     /// Old nodes from this one on.
     Old(usize),
     /// Fresh rows from this one on.
-    Fresh(usize),
+    FreshRows(usize),
 }
 
 /// A run of rows to be written.
-struct Run<'a> {
-    source: Source,
+struct RowRun<'a> {
+    source: RowSource,
     /// Where the first row starts.
     start: u32,
     /// Where each row ends.
@@ -254,11 +216,15 @@ struct Run<'a> {
     weights: &'a mut [f32],
 }
 
-fn copy_rows(old: &Before<'_>, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u32>, Vec<u32>, Option<Vec<f32>>) {
+fn copy_rows(
+    old: &GraphBefore<'_>,
+    renumbered: &Renumbered,
+    fresh: &FreshRows,
+) -> (Vec<u32>, Vec<u32>, Option<Vec<f32>>) {
     let from = &renumbered.old_from_new;
     let nodes = from.len();
     // Runs of nodes with the source of their rows: fresh, or one old node after the other.
-    let mut sources: Vec<(Source, usize)> = Vec::new();
+    let mut sources: Vec<(RowSource, usize)> = Vec::new();
     let (mut node, mut next) = (0, 0);
     let first_gap = |node: usize, end: usize| {
         // Old numbers rise along a run without gap, as numbers do.
@@ -280,7 +246,7 @@ fn copy_rows(old: &Before<'_>, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u
                 .take_while(|&k| fresh.nodes.get(next + k) == Some(&((node + k) as u32)))
                 .count()
                 + 1;
-            sources.push((Source::Fresh(next), run));
+            sources.push((RowSource::FreshRows(next), run));
             next += run;
             node += run;
             continue;
@@ -292,12 +258,12 @@ fn copy_rows(old: &Before<'_>, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u
             .map_or(nodes, |&f| f as usize)
             .min(renumbered.after[kind]);
         let end = first_gap(node, end.min(node + BLOCK));
-        sources.push((Source::Old(from[node] as usize), end - node));
+        sources.push((RowSource::Old(from[node] as usize), end - node));
         node = end;
     }
-    let entries = |source: &Source, run: usize| match *source {
-        Source::Old(o) => (old.offsets[o + run] - old.offsets[o]) as usize,
-        Source::Fresh(f) => (fresh.offsets[f + run] - fresh.offsets[f]) as usize,
+    let entries = |source: &RowSource, run: usize| match *source {
+        RowSource::Old(o) => (old.offsets[o + run] - old.offsets[o]) as usize,
+        RowSource::FreshRows(f) => (fresh.offsets[f + run] - fresh.offsets[f]) as usize,
     };
     let total: usize = sources.iter().map(|(source, run)| entries(source, *run)).sum();
     let mut offsets = vec![0u32; nodes + 1];
@@ -314,7 +280,7 @@ fn copy_rows(old: &Before<'_>, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u
         let weights_here = count.min(weighed.len());
         let (own_weights, lighter) = std::mem::take(&mut weighed).split_at_mut(weights_here);
         (rest, more, weighed) = (after, others, lighter);
-        runs.push(Run {
+        runs.push(RowRun {
             source,
             start,
             ends,
@@ -325,7 +291,7 @@ fn copy_rows(old: &Before<'_>, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u
     }
     runs.into_par_iter().for_each(|run| {
         let (lengths, numbers, before) = match run.source {
-            Source::Old(o) => {
+            RowSource::Old(o) => {
                 let entries = old.offsets[o] as usize..old.offsets[o + run.ends.len()] as usize;
                 let weights = old.weights.as_ref().map(|w| &w[entries.clone()]);
                 (
@@ -334,7 +300,7 @@ fn copy_rows(old: &Before<'_>, renumbered: &Renumbered, fresh: &Fresh) -> (Vec<u
                     weights,
                 )
             }
-            Source::Fresh(f) => {
+            RowSource::FreshRows(f) => {
                 let entries = fresh.offsets[f] as usize..fresh.offsets[f + run.ends.len()] as usize;
                 run.neighbours.copy_from_slice(&fresh.neighbours[entries.clone()]);
                 let weights = old.weights.as_ref().map(|_| &fresh.weights[entries]);

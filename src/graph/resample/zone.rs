@@ -3,7 +3,7 @@
 //! Cells are those of the lattice, shifted by a quarter so that no node lies on a side; where the edit is spread so wide
 //! that they would be too many, a cell is a block of them.
 
-use crate::mesh::Bounds;
+use crate::mesh::BoundingBox;
 use crate::mesh::query::closest_point::closest_point_on_triangle;
 use glam::DVec3;
 
@@ -20,7 +20,7 @@ pub(super) const RIM: u8 = 8;
 const MOST: f64 = (1 << 22) as f64;
 
 /// A box of cells with marks.
-pub(super) struct Zone {
+pub(super) struct ChangeZone {
     origin: DVec3,
     interval: f64,
     /// Lattice cells along a side of a cell, as a power of two.
@@ -32,28 +32,28 @@ pub(super) struct Zone {
 }
 
 /// How far marks spread, in lengths.
-pub(super) struct Spread {
+pub(super) struct SpreadLengths {
     pub(super) near: f64,
     pub(super) core: f64,
     pub(super) rim: f64,
 }
 
-impl Zone {
+impl ChangeZone {
     /// Marks the cells that `faces` and `boxes` pass through. `None` without any, or where they are too far apart for
     /// lattice cells to be numbered.
     pub(super) fn around(
         faces: &[[DVec3; 3]],
-        boxes: &[Bounds],
+        boxes: &[BoundingBox],
         origin: DVec3,
         interval: f64,
-        spread: &Spread,
+        spread: &SpreadLengths,
     ) -> Option<Self> {
         let corners = faces.iter().flatten().copied();
         let all: Vec<DVec3> = corners.chain(boxes.iter().flat_map(|b| [b.min, b.max])).collect();
         if all.is_empty() {
             return None;
         }
-        let bounds = Bounds::of(&all);
+        let bounds = BoundingBox::of(&all);
         let reach = spread.core + spread.rim;
         let mut zone = Self {
             origin,
@@ -119,17 +119,17 @@ impl Zone {
     }
 
     /// The box of all cells.
-    pub(super) fn bounds(&self) -> Bounds {
+    pub(super) fn bounds(&self) -> BoundingBox {
         let half = DVec3::splat(0.5 * self.side());
         let last = self.count.map(|c| c - 1);
-        Bounds {
+        BoundingBox {
             min: self.middle([0; 3]) - half,
             max: self.middle(last) + half,
         }
     }
 
     /// The cells that a box passes through.
-    fn each_in(&mut self, b: &Bounds, mut see: impl FnMut(&mut [u8], usize, [usize; 3])) {
+    fn each_in(&mut self, b: &BoundingBox, mut see: impl FnMut(&mut [u8], usize, [usize; 3])) {
         let (low, high) = (self.units(b.min), self.units(b.max));
         let cell = |unit: f64, axis: usize| {
             let at = unit.floor() - self.base[axis] as f64;
@@ -147,7 +147,7 @@ impl Zone {
     }
 
     fn mark_face(&mut self, face: [DVec3; 3]) {
-        let bounds = Bounds::of(&face);
+        let bounds = BoundingBox::of(&face);
         // A face much larger than a cell misses most cells of its box.
         if bounds.size().max_element() < 3.0 * self.side() {
             self.each_in(&bounds, |marks, cell, _| marks[cell] |= CHANGED);
@@ -179,7 +179,7 @@ impl Zone {
     }
 
     /// Whether any cell that a box passes through has the mark.
-    pub(super) fn meets(&self, b: &Bounds, mark: u8) -> bool {
+    pub(super) fn meets(&self, b: &BoundingBox, mark: u8) -> bool {
         let (low, high) = (self.units(b.min), self.units(b.max));
         let mut ranges = [[0usize; 2]; 3];
         for axis in 0..3 {
@@ -204,7 +204,7 @@ impl Zone {
     }
 
     /// Marks what changed cells enclose, as far as `enclosed` says so of a place in it, and then spreads all marks.
-    pub(super) fn fill(&mut self, spread: &Spread, enclosed: impl Fn(DVec3) -> bool) {
+    pub(super) fn fill(&mut self, spread: &SpreadLengths, enclosed: impl Fn(DVec3) -> bool) {
         let mut seen: Vec<bool> = self.marks.iter().map(|m| m & CHANGED != 0).collect();
         let mut pocket: Vec<usize> = Vec::new();
         for first in 0..self.marks.len() {

@@ -6,6 +6,6 @@
 
 mod moments;
 mod number;
-mod tree;
+pub(super) mod tree;
 
 pub use tree::WindingTree;

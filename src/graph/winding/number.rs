@@ -1,6 +1,6 @@
 //! The generalised winding number.
 
-use super::WindingTree;
+use crate::graph::winding::tree::WindingTree;
 use crate::mesh::query::bvh::NodeStack;
 use glam::DVec3;
 use std::f64::consts::PI;

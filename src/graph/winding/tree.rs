@@ -1,6 +1,6 @@
 //! The tree: a bounding-volume hierarchy whose nodes know their far fields.
 
-use super::moments::{FarField, Moments};
+use crate::graph::winding::moments::{FarField, Moments};
 use crate::mesh::query::TriangleBvh;
 use crate::pool::Pool;
 use glam::DVec3;

@@ -1,6 +1,6 @@
 //! The bounding-volume hierarchy: triangles sorted along a Morton curve, four to a leaf, four nodes to a node above.
 
-use crate::mesh::Bounds;
+use crate::mesh::measure::BoundingBox;
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -72,7 +72,7 @@ impl<'a> TriangleBvh<'a> {
                 leaves: triangles.len().div_ceil(FAN),
                 boxes: Vec::new(),
             };
-            let mut level: Vec<Bounds> = (0..bvh.leaves).into_par_iter().map(|i| bvh.leaf_bounds(i)).collect();
+            let mut level: Vec<BoundingBox> = (0..bvh.leaves).into_par_iter().map(|i| bvh.leaf_bounds(i)).collect();
             let (mut first, mut below) = (0, triangles.len());
             while !level.is_empty() {
                 bvh.nodes.extend(group_nodes(first, below));
@@ -134,10 +134,10 @@ impl<'a> TriangleBvh<'a> {
     }
 
     /// The box around a node that is no leaf.
-    pub(crate) fn inner_bounds(&self, node: usize) -> Bounds {
+    pub(crate) fn inner_bounds(&self, node: usize) -> BoundingBox {
         let boxes = &self.boxes[node - self.leaves];
         let corner = |of: &[[f64; FAN]; 3], child: usize| DVec3::from_array([0, 1, 2].map(|axis| of[axis][child]));
-        let children: [Bounds; FAN] = std::array::from_fn(|child| Bounds {
+        let children: [BoundingBox; FAN] = std::array::from_fn(|child| BoundingBox {
             min: corner(&boxes.min, child),
             max: corner(&boxes.max, child),
         });
@@ -145,7 +145,7 @@ impl<'a> TriangleBvh<'a> {
     }
 
     /// Shows `see` the places from `from` on, in the order of the leaves, of leaves whose box overlaps or touches `bounds`.
-    pub(crate) fn visit_overlapping(&self, bounds: &Bounds, from: usize, mut see: impl FnMut(usize)) {
+    pub(crate) fn visit_overlapping(&self, bounds: &BoundingBox, from: usize, mut see: impl FnMut(usize)) {
         let Some(root) = self.nodes.len().checked_sub(1) else {
             return;
         };
@@ -179,10 +179,10 @@ impl<'a> TriangleBvh<'a> {
 }
 
 impl TriangleBvh<'_> {
-    fn leaf_bounds(&self, leaf: usize) -> Bounds {
+    fn leaf_bounds(&self, leaf: usize) -> BoundingBox {
         let places = leaf * FAN..((leaf + 1) * FAN).min(self.order.len());
         let points: Vec<DVec3> = places.flat_map(|place| self.corners(place)).collect();
-        Bounds::of(&points)
+        BoundingBox::of(&points)
     }
 }
 
@@ -194,7 +194,7 @@ fn group_nodes(first: usize, below: usize) -> impl Iterator<Item = BvhNode> {
     })
 }
 
-fn join_bounds(parts: &[Bounds]) -> Bounds {
+fn join_bounds(parts: &[BoundingBox]) -> BoundingBox {
     let mut all = parts[0];
     for part in parts {
         all.min = all.min.min(part.min);
@@ -204,8 +204,8 @@ fn join_bounds(parts: &[Bounds]) -> Bounds {
 }
 
 impl ChildBoxes {
-    fn around(children: &[Bounds]) -> Self {
-        let by = |of: fn(&Bounds) -> DVec3| {
+    fn around(children: &[BoundingBox]) -> Self {
+        let by = |of: fn(&BoundingBox) -> DVec3| {
             let corner = |child: usize| children.get(child).map_or(DVec3::NAN, of);
             std::array::from_fn(|axis| std::array::from_fn(|child| corner(child)[axis]))
         };
@@ -233,7 +233,7 @@ impl ChildBoxes {
 
     /// Which of the boxes overlap or touch `bounds`.
     #[inline]
-    fn overlap(&self, bounds: &Bounds) -> [bool; FAN] {
+    fn overlap(&self, bounds: &BoundingBox) -> [bool; FAN] {
         let mut overlaps = [true; FAN];
         for axis in 0..3 {
             for child in 0..FAN {
@@ -249,7 +249,7 @@ impl ChildBoxes {
 fn morton_order(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<u32> {
     let middle = |t: &[u32; 3]| t.iter().map(|&v| positions[v as usize]).sum::<DVec3>() / 3.0;
     let middles: Vec<DVec3> = triangles.par_iter().map(middle).collect();
-    let bounds = Bounds::of(&middles);
+    let bounds = BoundingBox::of(&middles);
     let longest = bounds.size().max_element();
     let scale = if longest > 0.0 { 2_097_151.0 / longest } else { 0.0 };
     let code = |p: DVec3| {
@@ -320,7 +320,7 @@ mod tests {
             let triangles: Vec<[u32; 3]> = (0..count).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
             let bvh = TriangleBvh::build(&positions, &triangles, &Pool::new(1).expect("a thread"));
             let middle = positions[3 * (count as usize / 2)];
-            let near = Bounds {
+            let near = BoundingBox {
                 min: middle,
                 max: middle,
             };
@@ -332,7 +332,7 @@ mod tests {
                 assert_eq!(seen.contains(&own), own >= from, "{count} triangles from {from}");
             }
             let mut all = Vec::new();
-            bvh.visit_overlapping(&Bounds::of(&positions), 0, |place| all.push(place));
+            bvh.visit_overlapping(&BoundingBox::of(&positions), 0, |place| all.push(place));
             assert!(all.into_iter().eq(0..count as usize));
         }
     }

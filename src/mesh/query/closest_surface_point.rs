@@ -1,7 +1,7 @@
 //! The closest point and the closest vertex of many triangles.
 
-use super::bvh::{FAN, TriangleBvh};
-use super::closest_point::closest_point_on_triangle;
+use crate::mesh::query::bvh::{FAN, TriangleBvh};
+use crate::mesh::query::closest_point::closest_point_on_triangle;
 use glam::DVec3;
 
 /// A point of a surface that was found closest to a query.
@@ -128,8 +128,8 @@ impl TriangleBvh<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::segment_hit::crossing;
     use super::*;
+    use crate::mesh::query::segment_hit::crossing;
     use crate::pool::Pool;
 
     fn soup(count: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {

@@ -1,6 +1,6 @@
 //! Fans: the groups into which the faces around a vertex fall when neighbours share an edge at that vertex.
 
-use crate::mesh::Components;
+use crate::mesh::components::Components;
 
 /// Groups the faces around a vertex: answers the fan of each face, numbered in the order of the first face of each, and how
 /// many fans there are.

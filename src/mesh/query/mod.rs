@@ -8,8 +8,10 @@ pub mod bvh;
 pub mod closest_point;
 mod closest_surface_point;
 pub mod fan;
+mod nearest_points;
 mod segment_hit;
 
 pub use bvh::TriangleBvh;
 pub use closest_surface_point::SurfacePoint;
+pub use nearest_points::NearestPoints;
 pub use segment_hit::SegmentHit;

@@ -1,6 +1,6 @@
 //! Where a segment first meets many triangles.
 
-use super::bvh::{ChildBoxes, FAN, NodeStack, TriangleBvh};
+use crate::mesh::query::bvh::{ChildBoxes, FAN, NodeStack, TriangleBvh};
 use glam::DVec3;
 
 /// The place where a segment first meets a triangle.

@@ -1,6 +1,6 @@
 //! Direct solution of small dense systems.
 
-use super::lanes::{WIDTH, Wide};
+use crate::lanes::{WIDTH, Wide};
 
 /// A pivot below this part of its diagonal entry belongs to a part of the graph that nothing holds.
 const SINGULAR: f64 = 1e-9;

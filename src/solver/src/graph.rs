@@ -1,7 +1,7 @@
 //! The weighted graph that the solver works on.
 
-use super::Error;
-use super::threads::{Threads, piece, pieces};
+use crate::error::Error;
+use crate::threads::{Threads, piece, pieces};
 
 /// A symmetric weighted graph in compressed rows.
 ///

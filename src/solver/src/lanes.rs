@@ -105,6 +105,16 @@ pub(crate) fn add_wide(a: &mut Wide, b: Wide) {
     }
 }
 
+pub(crate) fn per_lane(mut value: impl FnMut(usize) -> f64) -> Wide {
+    [value(0), value(1), value(2), value(3)]
+}
+
+/// a / b, or 0 where that makes no sense: a lane without residual takes no step.
+pub(crate) fn ratio(a: f64, b: f64) -> f64 {
+    let q = a / b;
+    if b > 0.0 && q.is_finite() { q } else { 0.0 }
+}
+
 /// A slice whose elements several threads read and write, each element by one thread at a time.
 ///
 /// This is the solver's one unsafe tool. A Gauss–Seidel sweep writes the rows of one block while it reads rows of

@@ -125,42 +125,25 @@ pub mod exec;
 pub mod pool;
 pub mod progress;
 
-mod advance;
-mod bundling;
-mod coarsen;
-mod cycle;
+mod build;
+mod constrain;
 mod dense;
-mod draft;
 mod error;
-mod fallback;
-mod floating;
 mod graph;
-mod hierarchy;
 mod lanes;
-mod layout;
-mod level;
-mod operator;
 mod options;
-mod order;
-mod outer;
 mod paper;
-mod problem;
 mod repair;
 mod solve;
-mod start;
-mod sweep;
-mod system;
+mod storage;
 #[cfg(test)]
 mod testing;
 mod threads;
-mod workspace;
 
+pub use build::Hierarchy;
+pub use constrain::System;
 pub use error::Error;
 pub use graph::Graph;
-pub use hierarchy::Hierarchy;
-pub use options::{
-    BuildOptions, Constraints, Control, Iteration, LevelFacts, Method, Operators, SolveOptions, Start, Stats,
-};
+pub use options::{BuildOptions, Constraints, LevelFacts, Method, Operators, SolveOptions, Start, Stats};
 pub use repair::{Change, Repair};
-pub use system::System;
-pub use workspace::Workspace;
+pub use solve::{Control, Iteration, Workspace};

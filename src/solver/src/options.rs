@@ -1,9 +1,5 @@
 //! What the caller chooses and what it gets told: options, constraints, iterations, statistics.
 
-use std::ops::Range;
-
-use super::outer::Snapshot;
-
 /// Which coarse equations a hierarchy uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Operators {
@@ -102,42 +98,6 @@ impl Default for SolveOptions<'_> {
             max_iterations: 200,
         }
     }
-}
-
-/// Where a solve stands after one iteration; handed to the caller's `watch`.
-#[derive(Debug)]
-pub struct Iteration<'a> {
-    /// Iterations done for these columns, from 1.
-    pub index: usize,
-    /// The columns that are being iterated (columns are solved in groups of four).
-    pub columns: Range<usize>,
-    /// Relative residual, the largest of these columns.
-    pub residual: f64,
-    /// Estimate of the largest distance of any vertex from the exact solution, in the units of `x`. From the second
-    /// iteration on it is usually between the true distance and three times that, rarely less than 0.7 of it; where
-    /// few vertices hold many it can be ten times too large at first.
-    pub max_error: f64,
-    pub(crate) snapshot: Snapshot<'a>,
-}
-
-impl Iteration<'_> {
-    /// Writes the present solution, all vertices and columns, row-major as `x` of the solve. Fixed rows are copied
-    /// bit for bit; columns whose turn has not come hold what `x` held.
-    ///
-    /// # Panics
-    /// If `out` is not as long as the solve's `x`.
-    pub fn copy_to(&self, out: &mut [f64]) {
-        self.snapshot.copy_to(out);
-    }
-}
-
-/// The answer of `watch`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Control {
-    /// Go on until the criteria hold.
-    Continue,
-    /// Accept the present solution.
-    Stop,
 }
 
 /// Which algorithm produced the solution.

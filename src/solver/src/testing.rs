@@ -1,7 +1,10 @@
 //! Small graphs and hierarchies for unit tests.
 
-use super::{BuildOptions, Constraints, Graph, Hierarchy, System};
+use crate::build::hierarchy::Hierarchy;
+use crate::constrain::system::System;
 use crate::exec::Exec;
+use crate::graph::Graph;
+use crate::options::{BuildOptions, Constraints};
 use crate::pool::Pool;
 use crate::progress::Silent;
 

@@ -105,7 +105,8 @@ fn fields_begin_where_they_ended_and_come_to_the_same() {
     set(&mut bench, handles());
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
     let (body, rig) = (bench.body(), bench.rig().expect("handles"));
-    let anew = pliant::deform::Rig::build(body, rig.rigging().clone(), &Exec::new(&pool(2), &Silent)).expect("a rig");
+    let anew =
+        pliant::deform::HandleSystem::build(body, rig.setup().clone(), &Exec::new(&pool(2), &Silent)).expect("a rig");
     assert!(
         rig.field_iterations < anew.field_iterations,
         "{} iterations, {} from nothing",
@@ -125,8 +126,8 @@ fn handles_go_on_to_hold_what_is_inside_of_them() {
     set(&mut bench, handles());
     let inside = |bench: &Deformer| {
         let surface = bench.body().graph.surface as u32;
-        let holds = &bench.rig().expect("handles").rigging().holds;
-        let count = |h: &pliant::deform::Hold| h.nodes.iter().filter(|n| **n >= surface).count();
+        let holds = &bench.rig().expect("handles").setup().handles;
+        let count = |h: &pliant::deform::HandleConstraint| h.nodes.iter().filter(|n| **n >= surface).count();
         holds.iter().map(count).collect::<Vec<_>>()
     };
     let before = inside(&bench);

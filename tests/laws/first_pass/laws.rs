@@ -2,18 +2,18 @@
 
 use super::scene::*;
 use glam::{DQuat, DVec3};
-use pliant::deform::{FirstPass, Start, State, Transform, exp_rotation};
+use pliant::deform::{FirstPass, SolveStart, SolveState, Transform, exp_rotation};
 
 #[test]
 fn at_rest_every_way_returns_the_bits_of_the_model() {
     let scene = Scene::many();
-    let mut state = State::default();
+    let mut state = SolveState::default();
     for way in WAYS {
         let still = vec![Transform::IDENTITY; 5];
-        let solution = scene.solve_in(&mut state, Start::Warm, way, &still, 1e-4);
+        let solution = scene.solve_in(&mut state, SolveStart::Warm, way, &still, 1e-4);
         assert_eq!(solution.positions, scene.body.graph.positions, "{way:?}");
-        scene.solve_in(&mut state, Start::Warm, way, &scene.turned(1.0), 1e-4);
-        let back = scene.solve_in(&mut state, Start::Warm, way, &still, 1e-4);
+        scene.solve_in(&mut state, SolveStart::Warm, way, &scene.turned(1.0), 1e-4);
+        let back = scene.solve_in(&mut state, SolveStart::Warm, way, &still, 1e-4);
         assert_eq!(back.positions, scene.body.graph.positions, "{way:?}, after a drag");
     }
 }
@@ -90,14 +90,14 @@ fn a_rigid_motion_of_all_handles_moves_everything_rigidly() {
 #[test]
 fn ways_can_be_changed_during_a_drag() {
     let scene = Scene::many();
-    let mut state = State::default();
+    let mut state = SolveState::default();
     let transforms = scene.turned(1.0);
     for way in WAYS.into_iter().chain(WAYS) {
         let near = scene.turned(0.97);
-        scene.solve_in(&mut state, Start::Warm, way, &near, 1e-7);
+        scene.solve_in(&mut state, SolveStart::Warm, way, &near, 1e-7);
         let other = Way::Graph(FirstPass::Harmonic);
         let warm = scene
-            .solve_in(&mut state, Start::Warm, other, &transforms, 1e-7)
+            .solve_in(&mut state, SolveStart::Warm, other, &transforms, 1e-7)
             .positions;
         let fresh = scene.solve(other, &transforms, 1e-7).positions;
         let far = largest_distance(&warm, &fresh) / scene.body.diagonal;

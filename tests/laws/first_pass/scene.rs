@@ -3,8 +3,8 @@
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
 use pliant::deform::{
-    Body, BodyOptions, FirstPass, Hold, Request, Rig, Rigging, Solution, Start, State, Transform, VolumeMode,
-    exp_rotation, log_rotation,
+    BodyOptions, DeformableBody, FirstPass, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, PoseSolution,
+    SolveStart, SolveState, Transform, VolumeMode, exp_rotation, log_rotation,
 };
 use pliant::exec::Exec;
 use pliant::mesh::{Mesh, Weld};
@@ -29,35 +29,40 @@ pub const WAYS: [Way; 4] = [
 
 pub struct Scene {
     pub shape: Shape,
-    pub body: Body,
-    pub rig: Rig,
+    pub body: DeformableBody,
+    pub rig: HandleSystem,
     pub pool: Pool,
 }
 
 impl Scene {
     /// Handles that hold positions and rotations of the vertices and inner nodes that `regions` say.
     pub fn new(shape: Shape, volume: VolumeMode, regions: &[&dyn Fn(DVec3) -> bool], threads: usize) -> Self {
-        let nodes = |body: &Body, region: &dyn Fn(DVec3) -> bool| {
+        let nodes = |body: &DeformableBody, region: &dyn Fn(DVec3) -> bool| {
             let nodes = (0u32..).zip(&body.graph.positions);
             nodes.filter(|(_, p)| region(**p)).map(|(n, _)| n).collect::<Vec<_>>()
         };
-        let holds = |body: &Body| regions.iter().map(|region| hold(nodes(body, region), None)).collect();
+        let holds = |body: &DeformableBody| regions.iter().map(|region| hold(nodes(body, region), None)).collect();
         Self::with(shape, volume, holds, threads)
     }
 
-    pub fn with(shape: Shape, volume: VolumeMode, holds: impl Fn(&Body) -> Vec<Hold>, threads: usize) -> Self {
+    pub fn with(
+        shape: Shape,
+        volume: VolumeMode,
+        holds: impl Fn(&DeformableBody) -> Vec<HandleConstraint>,
+        threads: usize,
+    ) -> Self {
         let pool = Pool::new(threads).expect("threads start");
         let mesh = Mesh::build(&shape.0, &shape.1, Weld::Exact).expect("a mesh");
         let options = BodyOptions {
             volume,
             ..Default::default()
         };
-        let body = Body::build(&mesh, &options, &Exec::new(&pool, &Silent)).expect("a body");
-        let rigging = Rigging {
-            holds: holds(&body),
+        let body = DeformableBody::build(&mesh, &options, &Exec::new(&pool, &Silent)).expect("a body");
+        let rigging = HandleSetup {
+            handles: holds(&body),
             ..Default::default()
         };
-        let rig = Rig::build(&body, rigging, &Exec::new(&pool, &Silent)).expect("a rig");
+        let rig = HandleSystem::build(&body, rigging, &Exec::new(&pool, &Silent)).expect("a rig");
         Self { shape, body, rig, pool }
     }
 
@@ -96,7 +101,7 @@ impl Scene {
             })
             .collect();
         let positions = shape.0.iter().map(|p| turn * *p + shift).collect();
-        let holds = |_: &Body| chosen.iter().map(|nodes| hold(nodes.clone(), None)).collect();
+        let holds = |_: &DeformableBody| chosen.iter().map(|nodes| hold(nodes.clone(), None)).collect();
         Self::with((positions, shape.1), VolumeMode::Off, holds, threads)
     }
 
@@ -129,7 +134,7 @@ impl Scene {
     /// A handle on each of some vertices of the bar's surface; the last one soft when it has a stiffness.
     pub fn of_vertices(vertices: &[u32], stiffness: Option<f64>) -> Self {
         let last = vertices.len() - 1;
-        let holds = |_: &Body| {
+        let holds = |_: &DeformableBody| {
             let of = |(k, v): (usize, &u32)| hold(vec![*v], stiffness.filter(|_| k == last));
             vertices.iter().enumerate().map(of).collect()
         };
@@ -158,30 +163,36 @@ impl Scene {
 
     pub fn is_held(&self, node: usize) -> bool {
         self.rig
-            .rigging()
-            .holds
+            .setup()
+            .handles
             .iter()
             .any(|h| h.nodes.contains(&(node as u32)))
     }
 
-    pub fn solve(&self, way: Way, transforms: &[Transform], tolerance: f64) -> Solution {
-        self.solve_in(&mut State::default(), Start::Fresh, way, transforms, tolerance)
+    pub fn solve(&self, way: Way, transforms: &[Transform], tolerance: f64) -> PoseSolution {
+        self.solve_in(
+            &mut SolveState::default(),
+            SolveStart::Fresh,
+            way,
+            transforms,
+            tolerance,
+        )
     }
 
     pub fn solve_in(
         &self,
-        state: &mut State,
-        start: Start,
+        state: &mut SolveState,
+        start: SolveStart,
         way: Way,
         transforms: &[Transform],
         tolerance: f64,
-    ) -> Solution {
+    ) -> PoseSolution {
         let solved = match way {
             Way::Space => self
                 .rig
-                .solve_in_space(&self.body, transforms, state, &Exec::new(&self.pool, &Silent)),
+                .solve_by_spatial_rbf(&self.body, transforms, state, &Exec::new(&self.pool, &Silent)),
             Way::Graph(first_pass) => {
-                let request = Request {
+                let request = PoseRequest {
                     transforms,
                     tolerance: Some(tolerance),
                     max_error: None,
@@ -211,7 +222,7 @@ impl Scene {
             (DVec3::new(0.9, 0.0, 0.7), DVec3::new(-0.1, 0.1, 0.0)),
         ];
         let transform = |(k, (rotation, translation)): (usize, &(DVec3, DVec3))| {
-            let nodes = &self.rig.rigging().holds[k].nodes;
+            let nodes = &self.rig.setup().handles[k].nodes;
             let places = nodes.iter().map(|n| self.body.graph.positions[*n as usize]);
             Transform {
                 rotation: *rotation * size,
@@ -224,8 +235,8 @@ impl Scene {
     }
 }
 
-pub fn hold(nodes: Vec<u32>, stiffness: Option<f64>) -> Hold {
-    Hold {
+pub fn hold(nodes: Vec<u32>, stiffness: Option<f64>) -> HandleConstraint {
+    HandleConstraint {
         pulls: match stiffness {
             Some(_) => nodes.iter().map(|n| (*n, 1.0)).collect(),
             None => Vec::new(),

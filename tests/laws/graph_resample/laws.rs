@@ -5,7 +5,7 @@ use super::resampling::{Edited, NONE, Plan, Surface};
 use super::shapes;
 use glam::DVec3;
 use pliant::exec::Exec;
-use pliant::graph::{Graph, Resampled, VolumeOptions, WindingTree, resample, volume};
+use pliant::graph::{MeshGraph, ResampledGraph, VolumeOptions, WindingTree, resample, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -20,7 +20,7 @@ pub fn mesh_of(surface: &Surface) -> Mesh {
     mesh
 }
 
-pub fn volume_of(surface: &Surface) -> Graph {
+pub fn volume_of(surface: &Surface) -> MeshGraph {
     volume(
         &mesh_of(surface),
         &VolumeOptions::default(),
@@ -30,19 +30,19 @@ pub fn volume_of(surface: &Surface) -> Graph {
     .expect("an inside")
 }
 
-pub fn follow(graph: &Graph, edited: &Edited) -> Resampled {
+pub fn follow(graph: &MeshGraph, edited: &Edited) -> ResampledGraph {
     resample(graph, &graph.positions, &edited.change(), &Exec::new(&pool(2), &Silent))
         .expect("not cancelled")
         .expect("can be followed")
 }
 
 /// What must hold after any edit.
-pub fn check(before: &Graph, edited: &Edited, after: &Resampled) {
+pub fn check(before: &MeshGraph, edited: &Edited, after: &ResampledGraph) {
     let graph = &after.graph;
     shapes::check_graph(graph, &mesh_of(&edited.surface));
     // Maps are inverse to each other, keep the order of each kind, and agree with the points'.
-    let kinds = |g: &Graph| [g.surface, g.surface + g.stats.shell_nodes, g.nodes()];
-    let kind = |g: &Graph, node: u32| kinds(g).partition_point(|&end| end <= node as usize);
+    let kinds = |g: &MeshGraph| [g.surface, g.surface + g.stats.shell_nodes, g.nodes()];
+    let kind = |g: &MeshGraph, node: u32| kinds(g).partition_point(|&end| end <= node as usize);
     assert_eq!(
         (after.new_from_old.len(), after.old_from_new.len()),
         (before.nodes(), graph.nodes())
@@ -94,7 +94,7 @@ pub fn check(before: &Graph, edited: &Edited, after: &Resampled) {
     }
     // What is not touched is as it was.
     assert!(after.touched.windows(2).all(|w| w[0] < w[1]));
-    let weights = |g: &Graph, i: u32| {
+    let weights = |g: &MeshGraph, i: u32| {
         g.weights
             .as_ref()
             .map(|w| w[g.offsets[i as usize] as usize..g.offsets[i as usize + 1] as usize].to_vec())
@@ -110,7 +110,7 @@ pub fn check(before: &Graph, edited: &Edited, after: &Resampled) {
 }
 
 /// Interior nodes lie inside, and as deep as in a new graph.
-pub fn check_places(edited: &Edited, graph: &Graph, depth: f64) {
+pub fn check_places(edited: &Edited, graph: &MeshGraph, depth: f64) {
     let (points, faces) = (&edited.surface.points, &edited.surface.faces);
     let tree = WindingTree::build(points, faces, &pool(2));
     for i in graph.surface..graph.nodes() {
@@ -138,7 +138,7 @@ pub fn check_places(edited: &Edited, graph: &Graph, depth: f64) {
 }
 
 /// Nodes no further than some edges from what changed.
-pub fn near(graph: &Graph, places: &[DVec3], within: f64) -> [usize; 2] {
+pub fn near(graph: &MeshGraph, places: &[DVec3], within: f64) -> [usize; 2] {
     let mut count = [0; 2];
     for i in graph.surface..graph.nodes() {
         if places.iter().any(|q| q.distance(graph.positions[i]) < within) {
@@ -149,7 +149,7 @@ pub fn near(graph: &Graph, places: &[DVec3], within: f64) -> [usize; 2] {
 }
 
 /// Follows an edit and checks it against the graph before and against a new one.
-pub fn try_edit(name: &str, before: &Surface, graph: &Graph, plan: &Plan) -> (Edited, Resampled) {
+pub fn try_edit(name: &str, before: &Surface, graph: &MeshGraph, plan: &Plan) -> (Edited, ResampledGraph) {
     let edited = before.apply(plan);
     let after = follow(graph, &edited);
     check(graph, &edited, &after);
@@ -158,7 +158,7 @@ pub fn try_edit(name: &str, before: &Surface, graph: &Graph, plan: &Plan) -> (Ed
     let places = edited.changed_places(before);
     let within = 4.0 * graph.stats.interval;
     // Far from the edit nothing is touched, and nobody is gone.
-    let bounds = pliant::mesh::Bounds::of(&places);
+    let bounds = pliant::mesh::BoundingBox::of(&places);
     let far = |p: DVec3| (p - p.clamp(bounds.min, bounds.max)).length() > 6.0 * graph.stats.interval;
     for &n in &after.touched {
         assert!(

@@ -2,7 +2,7 @@
 #![allow(dead_code)]
 
 use glam::DVec3;
-use pliant::graph::{Change, Graph};
+use pliant::graph::{MeshChange, MeshGraph};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Points and triangles; every point is used.
@@ -33,8 +33,8 @@ pub struct Edited {
 pub const NONE: u32 = u32::MAX;
 
 impl Edited {
-    pub fn change(&self) -> Change<'_> {
-        Change {
+    pub fn change(&self) -> MeshChange<'_> {
+        MeshChange {
             positions: &self.surface.points,
             triangles: &self.surface.faces,
             old_from_new: &self.old_from_new,
@@ -313,7 +313,7 @@ impl Surface {
 }
 
 /// A graph as if a deformation had become the rest shape.
-pub fn warped(graph: &Graph, to: impl Fn(DVec3) -> DVec3) -> Graph {
+pub fn warped(graph: &MeshGraph, to: impl Fn(DVec3) -> DVec3) -> MeshGraph {
     let mut graph = graph.clone();
     graph.positions.iter_mut().for_each(|p| *p = to(*p));
     graph

@@ -1,6 +1,6 @@
 //! Section 4: which vertices are elevated, and which of them are joined.
 
-use super::level::{Level, RETAINED};
+use crate::paper::level::{Level, RETAINED};
 
 /// Vertices with more neighbours than this are asked first whether they become seeds.
 const HUB: usize = 64;
@@ -113,9 +113,9 @@ fn joined(level: &Level) -> Option<Level> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::lattice;
     use super::*;
     use crate::paper::graph::tests::level_of;
+    use crate::paper::testing::lattice;
 
     #[test]
     fn seeds_are_independent_and_reach_everyone() {

@@ -1,9 +1,9 @@
 //! Algorithm 1 with γ = 1: a V-cycle on the defect equations.
 
-use super::PaperHierarchy;
-use super::restrict::{Reading, correct, restrict_defect};
-use super::smooth::{defect, sweep};
 use crate::lanes::{WIDTH, Wide};
+use crate::paper::hierarchy::PaperHierarchy;
+use crate::paper::restrict::{Reading, correct, restrict_defect};
+use crate::paper::smooth::{defect, sweep};
 use crate::progress::{Cancelled, Progress, check};
 
 /// Sweeps before and after the coarse correction (section 6).

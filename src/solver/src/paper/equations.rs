@@ -1,7 +1,7 @@
 //! Numbers on a level's graph: the weights and α of equations of the form (12).
 
-use super::level::Level;
 use crate::dense::Inverse;
+use crate::paper::level::Level;
 
 /// Σ_j w_ij (x_i − x_j) + α_i x_i = b_i for all vertices of a level, without the right-hand sides.
 ///

@@ -1,36 +1,12 @@
 //! The caller's graph, kept so that constraints can cut it, and the finest level that is left.
 
-use super::equations::Equations;
-use super::level::Level;
-use crate::level::NONE;
-use crate::{BuildOptions, Graph, Hierarchy};
-
-/// A copy of the caller's graph. The paper builds its hierarchy after the constraints are known.
-#[derive(Debug, Clone)]
-pub(crate) struct Kept {
-    offsets: Vec<u32>,
-    neighbours: Vec<u32>,
-    weights: Option<Vec<f32>>,
-    pub(super) positions: Vec<[f64; 3]>,
-    pub(super) options: BuildOptions,
-}
+use crate::build::hierarchy::Hierarchy;
+use crate::paper::equations::Equations;
+use crate::paper::kept::Kept;
+use crate::paper::level::Level;
+use crate::storage::NONE;
 
 impl Kept {
-    pub(crate) fn new(graph: &Graph<'_>, options: &BuildOptions) -> Kept {
-        Kept {
-            offsets: graph.offsets.to_vec(),
-            neighbours: graph.neighbours.to_vec(),
-            weights: graph.weights.map(<[f32]>::to_vec),
-            positions: graph.positions.map(<[_]>::to_vec).unwrap_or_default(),
-            options: options.clone(),
-        }
-    }
-
-    pub(crate) fn bytes(&self) -> usize {
-        let weights = self.weights.as_ref().map_or(0, Vec::len);
-        4 * (self.offsets.len() + self.neighbours.len() + weights) + 24 * self.positions.len()
-    }
-
     /// Equation (11): the graph of the free vertices. Fixed neighbours are counted in α, and so is stiffness.
     ///
     /// Returns the vertex and the row in `hierarchy` of each free vertex, their graph, and its equations with weights
@@ -83,6 +59,7 @@ impl Kept {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::graph::Graph;
     use crate::paper::testing::{built, lattice};
 
     /// The graph of all vertices.

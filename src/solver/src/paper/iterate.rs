@@ -1,15 +1,18 @@
 //! Cycles until the criteria hold, and what happens when they never would.
 
-use super::cycle::vectors;
-use super::smooth::Steps;
-use super::start::{Framed, Still};
-use super::{Kept, PaperHierarchy};
-use crate::advance::reference;
-use crate::cycle::{per_lane, ratio};
-use crate::fallback::conjugate_gradients;
-use crate::lanes::{WIDTH, Wide};
-use crate::outer::{Outcome, Outer, Snapshot, Watch};
-use crate::{Control, Error, Iteration, Method, Start};
+use crate::error::Error;
+use crate::lanes::{WIDTH, Wide, per_lane, ratio};
+use crate::options::{Method, Start};
+use crate::paper::cycle::vectors;
+use crate::paper::hierarchy::PaperHierarchy;
+use crate::paper::kept::Kept;
+use crate::paper::smooth::Steps;
+use crate::paper::start::{Framed, Still};
+use crate::solve::advance::reference;
+use crate::solve::criteria::Outcome;
+use crate::solve::fallback::conjugate_gradients;
+use crate::solve::group::Outer;
+use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
 
 /// Cycles that must at least halve the residual.
 const PATIENCE: usize = 12;

@@ -3,9 +3,9 @@
 //! Both prolongations have one form, x_i = (Σ_{j∈R(i)} w_ij (x_j + d_ji) + β_i) / Z_i, without d and with ζ for β in
 //! the defect equations. They differ in the pivot Z alone. So does all that follows from substituting them.
 
-use super::equations::Equations;
-use super::level::{Level, RETAINED};
 use crate::lanes::{WIDTH, Wide};
+use crate::paper::equations::Equations;
+use crate::paper::level::{Level, RETAINED};
 
 /// What is done about a retained vertex's retained neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

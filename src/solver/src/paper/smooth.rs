@@ -1,10 +1,9 @@
 //! The smoothing operator (7), residuals, and the conjugate-gradient steps of section 6.
 
-use super::equations::Equations;
-use super::level::Level;
-use super::restrict::add;
-use crate::cycle::{per_lane, ratio};
-use crate::lanes::{WIDTH, Wide};
+use crate::lanes::{WIDTH, Wide, per_lane, ratio};
+use crate::paper::equations::Equations;
+use crate::paper::level::Level;
+use crate::paper::restrict::add;
 use crate::progress::{Cancelled, Progress, check};
 
 /// Sets x_i to what its equation says, given the present neighbours (7).

@@ -1,9 +1,9 @@
 //! Full multigrid (figure 4): the original equations, restricted to the coarsest level, solved and brought back up.
 
-use super::PaperHierarchy;
-use super::cycle::Vectors;
-use super::restrict::{Offsets, add, prolong, restricted_constants};
 use crate::lanes::{WIDTH, Wide};
+use crate::paper::cycle::Vectors;
+use crate::paper::hierarchy::PaperHierarchy;
+use crate::paper::restrict::{Offsets, add, prolong, restricted_constants};
 use crate::progress::{Cancelled, Progress};
 
 /// d of the finest level, ½ (F_i + F_j) (p_i − p_j) per unit of the columns; equation (6) in terms of the linear maps F.

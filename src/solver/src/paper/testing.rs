@@ -1,10 +1,12 @@
 //! Graphs and systems for the tests of this module.
 
-use super::PaperHierarchy;
+use crate::build::hierarchy::Hierarchy;
+use crate::constrain::system::System;
 use crate::exec::Exec;
+use crate::options::{BuildOptions, Constraints, Operators};
+use crate::paper::hierarchy::PaperHierarchy;
 use crate::progress::Silent;
 use crate::testing::{Block, pool};
-use crate::{BuildOptions, Constraints, Hierarchy, Operators, System};
 
 /// A body-centred cubic lattice of `n` cells a side: 14 neighbours inside, as in volume graphs.
 pub(crate) fn lattice(n: i32) -> Block {

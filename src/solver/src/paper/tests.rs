@@ -1,15 +1,19 @@
 //! Laws of the operators, and what cycles of the several readings do.
 
-use super::cycle::{Vectors, vectors};
-use super::restrict::{Offsets, Reading, correct, prolong, restrict_defect, restricted_constants};
-use super::smooth::defect;
-use super::testing::{held, lattice, paper, path, sheet};
-use super::*;
+use crate::build::hierarchy::Hierarchy;
 use crate::exec::Exec;
 use crate::lanes::{WIDTH, Wide};
+use crate::options::{BuildOptions, Constraints, Method, Operators, SolveOptions, Start, Stats};
+use crate::paper::cycle::{Vectors, vectors};
+use crate::paper::equations::Equations;
+use crate::paper::hierarchy::PaperHierarchy;
+use crate::paper::restrict::{Offsets, Reading, correct, prolong, restrict_defect, restricted_constants};
+use crate::paper::smooth::defect;
+use crate::paper::testing::{held, lattice, paper, path, sheet};
 use crate::progress::Silent;
+use crate::solve::iteration::Control;
+use crate::solve::workspace::Workspace;
 use crate::testing::{Block, pool};
-use crate::{Constraints, Control, Method, Operators, SolveOptions, Start, Stats, Workspace};
 
 /// Reproducible numbers between −1 and 1.
 fn noise(count: usize) -> Vec<Wide> {
@@ -127,7 +131,7 @@ fn without_constraints_near_by_constants_are_prolonged_and_corrections_are_dampe
     correct((level, fine, Reading::Held), &ones, &zero, &mut correction);
     for i in (0..level.vertices()).filter(|&i| fine.alphas[i] == 0.0) {
         assert!((harmonic[i][0] - 1.0).abs() < 1e-15, "(14) keeps constants");
-        let all = level.to_retained(i).count() == 0 || level.elevated[i] != level::RETAINED;
+        let all = level.to_retained(i).count() == 0 || level.elevated[i] != crate::paper::level::RETAINED;
         assert!(
             correction[i][0] <= 1.0 + 1e-15 && (all || correction[i][0] < 1.0),
             "(17) does not"

@@ -1,19 +1,45 @@
 //! Reading a change: which rows of the finest level it moves, and whether it is consistent.
 
-use super::super::draft::Draft;
-use super::super::hierarchy::block_size;
-use super::super::lanes::{Lanes, Shared};
-use super::super::level::{Level, NONE};
-use super::super::order::{along_curve, breadth_first};
-use super::super::threads::{Threads, piece, pieces};
-use super::super::{Error, Graph, Hierarchy};
-use super::Change;
-use super::marks::Marks;
+use crate::build::draft::Draft;
+use crate::build::hierarchy::{Hierarchy, block_size};
+use crate::build::level::Level;
+use crate::build::order::{along_curve, breadth_first};
+use crate::error::Error;
+use crate::graph::Graph;
+use crate::lanes::{Lanes, Shared};
+use crate::repair::marks::Marks;
+use crate::storage::NONE;
+use crate::threads::{Threads, piece, pieces};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 1 << 14;
 /// Scaled weights above this one lie too far from 1 for the scale that the hierarchy has.
 const HEAVIEST: f32 = 65536.0;
+
+/// What a topology change does to the vertices of a graph.
+#[derive(Debug, Clone, Copy)]
+pub struct Change<'a> {
+    /// For each vertex of the old graph its number in the new one, `u32::MAX` if it is gone. No two have the same.
+    pub new_from_old: &'a [u32],
+    /// Vertices of the new graph, rising: all that are new, and all whose neighbours, weights or position are not what
+    /// they were. A neighbour that merely has another number is no change. Positions of other vertices are not read.
+    pub touched: &'a [u32],
+}
+
+/// What a repair did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Repair {
+    /// True if the hierarchy was built anew: more than a quarter of the vertices was touched or is gone, or the graph
+    /// is small, or it changed in a way that cannot be followed.
+    pub rebuilt: bool,
+    /// Vertices of all levels that were given new places, those of levels that were built anew not counted.
+    pub moved: usize,
+}
+
+/// True if a change of `rows` rows of `all` is not worth following.
+fn is_large(rows: usize, all: usize) -> bool {
+    4 * rows > all
+}
 
 /// Rows of one level that come, move or change, and have no place yet.
 #[derive(Debug)]
@@ -92,7 +118,7 @@ pub(super) fn read(
             near_rows[near.rank(v)] = row;
         }
     }
-    if super::is_large(touched.len() + gone.len(), n.max(level.occupied())) {
+    if is_large(touched.len() + gone.len(), n.max(level.occupied())) {
         return Ok(None);
     }
     let new = origins.iter().filter(|&&row| row == NONE).count();

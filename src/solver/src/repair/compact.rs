@@ -1,10 +1,11 @@
 //! Levels without gaps: what repairs leave behind is arranged anew, aggregates and all.
 
-use super::super::draft::{Blocks, Draft, Rows};
-use super::super::layout::arrange;
-use super::super::level::{Level, NONE};
-use super::super::order::{along_curve, breadth_first};
-use super::super::threads::Threads;
+use crate::build::draft::{Blocks, Draft, Rows};
+use crate::build::layout::arrange;
+use crate::build::level::Level;
+use crate::build::order::{along_curve, breadth_first};
+use crate::storage::NONE;
+use crate::threads::Threads;
 
 /// The graph of a level in an order that keeps neighbours close, and the row of the level that each of its rows is.
 /// `lives` tells which rows are not filling.

@@ -1,12 +1,13 @@
 //! Moving rows of a level: touched ones to new blocks at its end, and their old neighbours informed.
 
-use super::super::draft::Blocks;
-use super::super::lanes::Lanes;
-use super::super::layout::{append, grow};
-use super::super::level::{BUNDLE, Bundle, Level, NONE};
-use super::super::threads::Threads;
-use super::change::Touched;
-use super::marks::Marks;
+use crate::build::draft::Blocks;
+use crate::build::layout::append;
+use crate::build::level::{Bundle, Level};
+use crate::lanes::Lanes;
+use crate::repair::change::Touched;
+use crate::repair::marks::Marks;
+use crate::storage::{BUNDLE, NONE, grow};
+use crate::threads::Threads;
 
 /// Touched rows in their places.
 #[derive(Debug)]

@@ -1,11 +1,12 @@
 //! Coarsening what has lost its aggregates, by the rule that the whole level was coarsened by.
 
-use super::super::coarsen::{WEAK, distance2};
-use super::super::lanes::Lanes;
-use super::super::level::{Level, NONE};
-use super::super::order::along_curve;
-use super::super::threads::Threads;
-use super::place::Placed;
+use crate::build::coarsen::{WEAK, distance2};
+use crate::build::level::Level;
+use crate::build::order::along_curve;
+use crate::lanes::Lanes;
+use crate::repair::place::Placed;
+use crate::storage::NONE;
+use crate::threads::Threads;
 
 /// New aggregates of a level. Until they have rows, members of group `g` have the aggregate `base + g`.
 #[derive(Debug)]

@@ -1,13 +1,14 @@
 //! Rows of the next level for new aggregates.
 
-use super::super::draft::Draft;
-use super::super::lanes::{Lanes, Wide, add_wide};
-use super::super::level::{Level, NONE};
-use super::super::operator::coarse_weight;
-use super::super::order::along_curve;
-use super::super::threads::Threads;
-use super::change::Touched;
-use super::regroup::Regrouped;
+use crate::build::draft::Draft;
+use crate::build::level::Level;
+use crate::build::operator::coarse_weight;
+use crate::build::order::along_curve;
+use crate::lanes::{Lanes, Wide, add_wide};
+use crate::repair::change::Touched;
+use crate::repair::regroup::Regrouped;
+use crate::storage::NONE;
+use crate::threads::Threads;
 
 /// The rows that the groups of `level` become on `next`, in blocks of `block` rows.
 pub(super) fn coarse_rows(level: &Level, next: &Level, groups: &Regrouped, block: usize) -> Touched {

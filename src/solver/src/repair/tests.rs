@@ -1,10 +1,15 @@
 //! What a built hierarchy promises, a repaired one keeps.
 
-use super::super::level::{BUNDLE, NONE};
-use super::super::testing::{Block, pool};
-use super::super::{BuildOptions, Constraints, Control, Graph, Hierarchy, Iteration, Method, SolveOptions, Workspace};
-use super::*;
+use crate::build::hierarchy::Hierarchy;
 use crate::exec::Exec;
+use crate::graph::Graph;
+use crate::options::{BuildOptions, Constraints, Method, SolveOptions};
+use crate::progress::Silent;
+use crate::repair::change::{Change, Repair};
+use crate::solve::iteration::{Control, Iteration};
+use crate::solve::workspace::Workspace;
+use crate::storage::{BUNDLE, NONE};
+use crate::testing::{Block, pool};
 
 /// A graph that tests change: weights by pair of ids that never change, dead vertices left out of views.
 struct Clay {

@@ -1,0 +1,25 @@
+//! Linear frames (Lipman et al. 2005), for comparison with the paper's first pass (its figure 2).
+//!
+//! They ask for frames B_i that change along every edge as the rest frames do: Σ w ‖B_j − (I + Γ_ij) B_i‖² is to be least,
+//! with the handles' frames given. Written as B_i = M_i B_i⁰ this is Σ w ‖M_j − M_i‖², so each of the nine entries of M is
+//! harmonic between the handles' rotations. The bounded fields are what harmonic functions between the same handles are
+//! made of, hence M_i = Σ_k u_k(i) R_k, and nothing has to be solved. M is no rotation: half-way through a turn by θ it has
+//! shrunk to cos(θ/2) across the axis. The nearest rotation takes its place.
+
+use crate::deform::first_pass::blend::PoseBlend;
+use crate::deform::first_pass::frame::{LocalRotation, turn};
+use crate::deform::rotation::fit::fit_rotation;
+use crate::pool::Pool;
+use glam::DQuat;
+use rayon::prelude::*;
+
+/// The rotations of all nodes.
+pub(in crate::deform) fn linear_frames(blend: &PoseBlend<'_>, nodes: usize, pool: &Pool) -> Vec<LocalRotation> {
+    pool.install(|| {
+        (0..nodes)
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|i| turn(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation)))
+            .collect()
+    })
+}

@@ -1,0 +1,161 @@
+//! A body after an edit of its mesh, at the price of the edit: the graph is sampled anew around the change, the hierarchy
+//! repaired, the rest pose and its differential coordinates copied where nothing changed.
+
+use crate::deform::body::{DeformableBody, differential, laplacian, place};
+use crate::deform::error::Error;
+use crate::exec::Exec;
+use crate::graph::{self, MeshChange};
+use crate::mesh::BoundingBox;
+use crate::solver::{self, Hierarchy};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::ops::RangeInclusive;
+
+/// A body after an edit, and which of its nodes are which.
+pub struct EditedBody {
+    /// Graph and hierarchy of the mesh after the edit.
+    pub body: DeformableBody,
+    /// For each node its number before, or `u32::MAX` when it is new.
+    pub old_from_new: Vec<u32>,
+    /// Nodes that are new, or whose place or neighbours changed; rising.
+    pub touched: Vec<u32>,
+}
+
+/// A followed body keeps solving coordinates while the mesh's diagonal is this many units long,
+const LENGTHS: RangeInclusive<f64> = 0.125..=8.0;
+/// and its middle within so many units of their origin.
+const FARTHEST: f64 = 8.0;
+
+/// Lattice edges that a deformation has stretched or squeezed beyond this share of their length at rest are strained.
+const STRAIN: RangeInclusive<f64> = 0.6..=1.6;
+/// A lattice with more than this part of its edges strained is not worth keeping.
+const MOST_STRAINED: f64 = 0.05;
+/// Every so manieth lattice node is asked.
+const SAMPLE: usize = 8;
+
+impl DeformableBody {
+    /// The body of the mesh after `change`; `None` where a new one is to be built: where [`graph::resample`] says so, when the
+    /// mesh has grown or moved out of the solving coordinates, or when a deformation has strained the lattice.
+    ///
+    /// `moved` has all nodes, in model space, where a deformation that has become the rest shape left them; `None` when
+    /// the shape at rest was edited. Edges keep their weights but around the change. The result depends on the arguments alone.
+    /// Reports the stages "graph" and "hierarchy".
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn follow(
+        &self,
+        change: &MeshChange<'_>,
+        moved: Option<&[DVec3]>,
+        exec: &Exec<'_>,
+    ) -> Result<Option<EditedBody>, Error> {
+        exec.progress.report("graph", 0.0);
+        let bounds = exec.pool.install(|| bounds(change.positions));
+        let middle = bounds.min + (bounds.max - bounds.min) * 0.5;
+        let lost = !LENGTHS.contains(&((bounds.max - bounds.min).length() / self.unit))
+            || (middle - self.origin).length() > FARTHEST * self.unit;
+        if lost || moved.is_some_and(|m| m.len() != self.nodes() || self.is_strained(m)) {
+            return Ok(None);
+        }
+        let at = moved.unwrap_or(&self.graph.positions);
+        let Some(resampled) = graph::resample(&self.graph, at, change, exec)? else {
+            return Ok(None);
+        };
+        let graph = resampled.graph;
+        let rest = exec.pool.install(|| place(&graph.positions, self.origin, self.unit));
+
+        exec.check()?;
+        exec.progress.report("hierarchy", 0.0);
+        let view = solver::Graph {
+            offsets: &graph.offsets,
+            neighbours: &graph.neighbours,
+            weights: graph.weights.as_deref(),
+            positions: Some(&rest),
+        };
+        let hierarchy = if self.hierarchy.is_worn() {
+            Hierarchy::build(&view, self.hierarchy.options(), exec)?
+        } else {
+            let mut hierarchy = self.hierarchy.duplicate(exec.pool);
+            let change = solver::Change {
+                new_from_old: &resampled.new_from_old,
+                touched: &resampled.touched,
+            };
+            hierarchy.repair(&view, &change, exec)?;
+            hierarchy
+        };
+        let old_from_new = resampled.old_from_new;
+        let laplacian = exec.pool.install(|| match moved {
+            Some(_) => laplacian(&graph, &rest),
+            None => self.carried_laplacian(&graph, &rest, &old_from_new, &resampled.touched),
+        });
+        let body = Self {
+            diagonal: self.diagonal_of(&bounds),
+            too_large: self.too_large.clone(),
+            hierarchy,
+            rest,
+            laplacian,
+            origin: self.origin,
+            unit: self.unit,
+            graph,
+        };
+        Ok(Some(EditedBody {
+            body,
+            old_from_new,
+            touched: resampled.touched,
+        }))
+    }
+
+    fn diagonal_of(&self, bounds: &BoundingBox) -> f64 {
+        match (bounds.max - bounds.min).length() {
+            length if length > 0.0 => length,
+            _ => self.diagonal,
+        }
+    }
+
+    /// Whether a deformation has strained too many edges of the lattice.
+    fn is_strained(&self, moved: &[DVec3]) -> bool {
+        let lattice = self.graph.surface + self.graph.stats.shell_nodes;
+        let (mut all, mut strained) = (0usize, 0usize);
+        for node in (lattice..self.nodes()).step_by(SAMPLE) {
+            for &other in self.graph.row(node as u32) {
+                let other = other as usize;
+                if other < lattice {
+                    continue;
+                }
+                let before = self.graph.positions[node].distance_squared(self.graph.positions[other]);
+                let now = moved[node].distance_squared(moved[other]);
+                let (least, most) = (STRAIN.start(), STRAIN.end());
+                all += 1;
+                strained += usize::from(!(least * least * before..=most * most * before).contains(&now));
+            }
+        }
+        strained as f64 > MOST_STRAINED * all as f64
+    }
+
+    /// Differential coordinates that nothing near has changed are those of old.
+    fn carried_laplacian(
+        &self,
+        graph: &graph::MeshGraph,
+        rest: &[[f64; 3]],
+        old_from_new: &[u32],
+        touched: &[u32],
+    ) -> Vec<[f64; 3]> {
+        let old = |&o: &u32| self.laplacian.get(o as usize).copied().unwrap_or_default();
+        let mut carried: Vec<[f64; 3]> = old_from_new.par_iter().map(old).collect();
+        let mut again: Vec<u32> = touched.to_vec();
+        again.extend(touched.iter().flat_map(|&t| graph.row(t)));
+        again.sort_unstable();
+        again.dedup();
+        for &node in &again {
+            carried[node as usize] = differential(graph, rest, node as usize);
+        }
+        carried
+    }
+}
+
+fn bounds(positions: &[DVec3]) -> BoundingBox {
+    const BLOCK: usize = 1 << 15;
+    let parts: Vec<BoundingBox> = positions.par_chunks(BLOCK).map(BoundingBox::of).collect();
+    let corners: Vec<DVec3> = parts.iter().flat_map(|b| [b.min, b.max]).collect();
+    BoundingBox::of(&corners)
+}

@@ -1,0 +1,9 @@
+//! Bounded harmonic fields: how much each handle has to say at each node (paper section 2.1; Zayer et al. 2005).
+
+pub(super) mod equations;
+pub(super) mod harmonic;
+pub(super) mod restart;
+pub(super) mod solve;
+
+pub use harmonic::HarmonicFields;
+pub use restart::{FieldRestart, KeptFields};

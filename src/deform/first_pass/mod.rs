@@ -1,0 +1,8 @@
+//! The first pass: every node's rotation and scale, blended from the handles' by their fields (paper section 2.1).
+
+pub(super) mod blend;
+pub(super) mod frame;
+pub(super) mod spread;
+
+pub use frame::LocalFrame;
+pub use spread::{FirstPass, frames};

@@ -1,0 +1,73 @@
+//! The first pass: every node's rotation and scale, blended from the handles' by their fields (paper section 2.1).
+//!
+//! Rotations are blended as rotation vectors relative to a base handle, so any number of turns is spread evenly; how
+//! several axes go together is [`super::blending`]'s. Scales are blended as logarithms, so that halving and doubling
+//! weigh the same. [`FirstPass`] says what may replace the blend of rotations; scales stay as they are.
+use crate::deform::body::DeformableBody;
+use crate::deform::comparison::{linear_frames, orientation_diffusion};
+use crate::deform::error::Error;
+use crate::deform::first_pass::blend::PoseBlend;
+use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation, frame};
+use crate::deform::handles::system::HandleSystem;
+use crate::deform::transform::Transform;
+use crate::exec::Exec;
+use crate::pool::Pool;
+use glam::DQuat;
+use rayon::prelude::*;
+
+/// How rotations are spread from the handles over the nodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum FirstPass {
+    /// Blended with bounded harmonic fields (the paper's choice, after Zayer et al. 2005). Any number of turns.
+    #[default]
+    Harmonic,
+    /// The state at rest of the paper's orientation diffusion, equation (2), begun at the blend. Unit quaternions do not
+    /// tell one full turn from two: where a handle has turned further than that, the blend stays as it is.
+    Diffusion,
+    /// The linear frames of Lipman et al. 2005, made orthogonal afterwards, for comparison: they pile turns up half-way
+    /// between handles and know none beyond half a circle.
+    LinearFrames,
+}
+
+/// The frames of all nodes for the holds' transforms (`transforms[k]` belongs to hold k of the rig), by harmonic fields.
+pub fn frames(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform], pool: &Pool) -> Vec<LocalFrame> {
+    blend_frames_with(body, rig, transforms, None, pool)
+}
+
+/// As [`frames`], with other rotations where there are any.
+pub(in crate::deform) fn blend_frames_with(
+    body: &DeformableBody,
+    rig: &HandleSystem,
+    transforms: &[Transform],
+    instead: Option<&[LocalRotation]>,
+    pool: &Pool,
+) -> Vec<LocalFrame> {
+    let blend = PoseBlend::new(body, rig, transforms, instead);
+    pool.install(|| {
+        (0..body.nodes())
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|i| match (blend.rotation(i), blend.scale(i)) {
+                (None, None) => IDENTITY_FRAME,
+                (rotation, scale) => frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
+            })
+            .collect()
+    })
+}
+
+/// The rotations that take the blend's place: none for [`FirstPass::Harmonic`], nor where nothing is turned.
+pub(in crate::deform) fn instead(
+    body: &DeformableBody,
+    rig: &HandleSystem,
+    transforms: &[Transform],
+    how: FirstPass,
+    exec: &Exec<'_>,
+) -> Result<Option<Vec<LocalRotation>>, Error> {
+    let blend = PoseBlend::new(body, rig, transforms, None);
+    match how {
+        FirstPass::Harmonic => Ok(None),
+        _ if blend.is_unturned() => Ok(None),
+        FirstPass::Diffusion => orientation_diffusion::diffuse(body, rig, &blend, exec).map(Some),
+        FirstPass::LinearFrames => Ok(Some(linear_frames::linear_frames(&blend, body.nodes(), exec.pool))),
+    }
+}

@@ -1,0 +1,113 @@
+//! The start of a drag: the last solution, carried along by what the handles did since.
+//!
+//! A harmonic field tells how much each node follows a handle. Moving every node by its share of each handle's motion
+//! gives, for translations, the very solution of the second pass where the fields' handles are those that hold
+//! positions; for small rotations it leaves an error of second order. It costs one pass over the nodes.
+
+use crate::deform::body::DeformableBody;
+use crate::deform::handles::system::HandleSystem;
+use crate::deform::transform::Transform;
+use crate::pool::Pool;
+use glam::{DAffine3, DVec3};
+use rayon::prelude::*;
+
+/// How one handle moved, and how much each node follows it.
+#[derive(Debug, Clone, Copy)]
+pub struct HandleMotion<'a> {
+    /// One value in 0 … 1 per node.
+    pub field: &'a [f32],
+    /// From where the handle's nodes were to where they are, in the coordinates of what is carried.
+    pub map: DAffine3,
+}
+
+/// Adds to every position its share of all motions: x_i += Σ_k u_k(i) (D_k(x_i) − x_i). `x` holds three numbers a node.
+pub fn carry(x: &mut [f64], motions: &[HandleMotion<'_>], pool: &Pool) {
+    if motions.is_empty() {
+        return;
+    }
+    pool.install(|| {
+        x.as_chunks_mut::<3>()
+            .0
+            .par_iter_mut()
+            .with_min_len(4096)
+            .enumerate()
+            .for_each(|(i, x)| {
+                let here = DVec3::from_array(*x);
+                let mut there = here;
+                for motion in motions {
+                    let share = motion.field.get(i).map_or(0.0, |u| f64::from(*u));
+                    there += (motion.map.transform_point3(here) - here) * share;
+                }
+                *x = there.to_array();
+            });
+    });
+}
+
+impl HandleSystem {
+    /// Carries solving coordinates from one pose to the next. Where a handle's scale was close to nothing, nodes stay.
+    pub(in crate::deform) fn carry(
+        &self,
+        body: &DeformableBody,
+        from: &[Transform],
+        to: &[Transform],
+        x: &mut [f64],
+        pool: &Pool,
+    ) {
+        let into = DAffine3::from_scale_rotation_translation(
+            DVec3::splat(body.unit()),
+            glam::DQuat::IDENTITY,
+            body.model_from_solving(DVec3::ZERO),
+        );
+        let motions: Vec<HandleMotion<'_>> = from
+            .iter()
+            .zip(to)
+            .enumerate()
+            .filter(|(k, (from, to))| from != to && self.setup.handles[*k].position)
+            .map(|(k, (from, to))| HandleMotion {
+                field: self.rotation_fields.of(k),
+                map: into.inverse() * affine(to) * affine(from).inverse() * into,
+            })
+            .filter(|motion| motion.map.is_finite() && !motion.field.is_empty())
+            .collect();
+        carry(x, &motions, pool);
+    }
+}
+
+fn affine(transform: &Transform) -> DAffine3 {
+    let linear = transform.linear();
+    DAffine3::from_mat3_translation(
+        linear,
+        transform.pivot + transform.translation - linear * transform.pivot,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nodes_follow_by_their_share() {
+        let field = [0.0f32, 0.5, 1.0];
+        let mut x = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0];
+        let map = DAffine3::from_translation(DVec3::new(0.0, 4.0, 0.0));
+        let pool = Pool::new(1).unwrap();
+        carry(&mut x, &[HandleMotion { field: &field, map }], &pool);
+        assert_eq!(x, [0.0, 0.0, 0.0, 1.0, 2.0, 0.0, 2.0, 4.0, 0.0]);
+        let again = x;
+        carry(&mut x, &[], &pool);
+        assert_eq!(x, again);
+    }
+
+    #[test]
+    fn the_affine_map_is_that_of_the_transform() {
+        let transform = Transform {
+            translation: DVec3::new(1.0, -2.0, 0.5),
+            rotation: DVec3::new(0.3, 0.2, -0.9),
+            pivot: DVec3::new(0.1, 5.0, 2.0),
+            ..Transform::IDENTITY
+        };
+        let p = DVec3::new(0.7, -0.2, 3.0);
+        let far = (affine(&transform).transform_point3(p) - transform.map()(p)).length();
+        assert!(far < 1e-12, "{far}");
+    }
+}

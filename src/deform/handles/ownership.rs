@@ -1,0 +1,103 @@
+//! Which handle constrains which node, after overlaps are settled.
+
+use crate::deform::body::DeformableBody;
+use crate::deform::handles::setup::{HandleConstraint, HandleSetup};
+use std::sync::Arc;
+
+/// In an owner list: nobody holds the node.
+pub(in crate::deform) const NOBODY: u32 = u32::MAX;
+
+/// Who constrains one kind of quantity, node by node.
+#[derive(Debug, Clone, Default)]
+pub(in crate::deform) struct NodeOwnership {
+    /// By node: the hard holder, or [`NOBODY`].
+    pub hard: Arc<Vec<u32>>,
+    /// Soft pulls (node, hold, stiffness) on nodes without a hard holder, by node then hold.
+    pub soft: Vec<(u32, u32, f64)>,
+}
+
+impl NodeOwnership {
+    /// Settles overlaps for the holds that `constrains` says: of those whose region contains a node the last one has it,
+    /// hard or soft; falloff never takes a node from a hard holder, and pulls of several falloffs add up.
+    pub(in crate::deform) fn settle(
+        setup: &HandleSetup,
+        nodes: usize,
+        constrains: impl Fn(&HandleConstraint) -> bool,
+    ) -> Self {
+        let frozen_holder = setup.handles.len() as u32;
+        let mut core = vec![NOBODY; nodes];
+        for (k, hold) in setup.handles.iter().enumerate().filter(|(_, h)| constrains(h)) {
+            hold.nodes.iter().for_each(|&n| core[n as usize] = k as u32);
+        }
+        for (owner, _) in core.iter_mut().zip(&setup.frozen).filter(|(_, frozen)| **frozen) {
+            *owner = frozen_holder;
+        }
+        let is_hard = |k: u32| k == frozen_holder || setup.handles[k as usize].stiffness.is_none();
+        let mut soft = Vec::new();
+        for (k, hold) in setup.handles.iter().enumerate().filter(|(_, h)| constrains(h)) {
+            let Some(stiffness) = hold.stiffness else { continue };
+            let mut in_core = hold.nodes.iter().copied().peekable();
+            for &(node, weight) in &hold.pulls {
+                while in_core.peek().is_some_and(|&c| c < node) {
+                    in_core.next();
+                }
+                let mine = in_core.peek() == Some(&node);
+                let owner = core[node as usize];
+                let allowed = owner == NOBODY || owner == k as u32 || (!mine && !is_hard(owner));
+                if allowed && weight > 0.0 {
+                    soft.push((node, k as u32, stiffness * weight));
+                }
+            }
+        }
+        soft.sort_by_key(|&(node, hold, _)| (node, hold));
+        let hard = core
+            .into_iter()
+            .map(|k| if k != NOBODY && is_hard(k) { k } else { NOBODY })
+            .collect();
+        Self {
+            hard: Arc::new(hard),
+            soft,
+        }
+    }
+
+    /// Which holds constrain any node; the frozen surroundings come last.
+    pub fn active(&self, holds: usize) -> Vec<bool> {
+        let mut active = vec![false; holds + 1];
+        self.hard
+            .iter()
+            .filter(|&&k| k != NOBODY)
+            .for_each(|&k| active[k as usize] = true);
+        self.soft.iter().for_each(|&(_, k, _)| active[k as usize] = true);
+        active
+    }
+
+    /// Which components hold any constraint.
+    pub fn covered(&self, body: &DeformableBody) -> Vec<bool> {
+        let mut covered = vec![false; body.graph.components];
+        for (node, _) in self.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {
+            covered[body.graph.component[node] as usize] = true;
+        }
+        for &(node, ..) in &self.soft {
+            covered[body.graph.component[node as usize] as usize] = true;
+        }
+        covered
+    }
+
+    /// Extra diagonal by node, `None` without soft pulls.
+    pub fn stiffness(&self) -> Option<Vec<f64>> {
+        if self.soft.is_empty() {
+            return None;
+        }
+        let mut sum = vec![0.0; self.hard.len()];
+        self.soft.iter().for_each(|&(node, _, s)| sum[node as usize] += s);
+        Some(sum)
+    }
+
+    pub(in crate::deform) fn bytes(&self) -> usize {
+        self.hard.capacity() * 4 + self.soft.capacity() * 24
+    }
+
+    pub(in crate::deform) fn same_as(&self, other: &Self) -> bool {
+        self.hard == other.hard && self.soft == other.soft
+    }
+}

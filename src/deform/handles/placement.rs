@@ -1,0 +1,80 @@
+//! From the solver's coordinates to positions: what nobody moved keeps its bits, what is held is where it is held, loose
+//! parts are placed, rigid regions keep their shape.
+
+use crate::deform::body::DeformableBody;
+use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::system::HandleSystem;
+use crate::deform::rotation::fit::fit_rigid_motion;
+use crate::deform::transform::Transform;
+use glam::DVec3;
+
+impl HandleSystem {
+    /// By component: whether any hold that has moved has a say in it.
+    pub(in crate::deform) fn moved_parts(&self, body: &DeformableBody, transforms: &[Transform]) -> Vec<bool> {
+        let mut moved = vec![false; body.graph.components];
+        for (hold, _) in self
+            .setup
+            .handles
+            .iter()
+            .zip(transforms)
+            .filter(|(_, t)| !t.is_identity())
+        {
+            let nodes = hold.nodes.iter().copied().chain(hold.pulls.iter().map(|p| p.0));
+            nodes.for_each(|n| moved[body.graph.component[n as usize] as usize] = true);
+        }
+        moved
+    }
+
+    /// Model-space positions of all nodes from solving coordinates around `center`: parts that nothing moved and nodes
+    /// held by handles are set to the bit, loose parts are placed.
+    pub(in crate::deform) fn place(
+        &self,
+        body: &DeformableBody,
+        moved_parts: &[bool],
+        transforms: &[Transform],
+        center: DVec3,
+        x: &[f64],
+    ) -> Vec<DVec3> {
+        let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
+        let mut positions: Vec<DVec3> = (0..body.nodes())
+            .map(|i| {
+                let rest = body.graph.positions[i];
+                if !moved_parts[body.graph.component[i] as usize] {
+                    return rest;
+                }
+                match self.position.hard[i] {
+                    NOBODY if self.positions.fixed[i] => rest,
+                    NOBODY => body.model_from_solving(DVec3::from_slice(&x[i * 3..i * 3 + 3]) + center),
+                    k => maps.get(k as usize).map_or(rest, |map| map(rest)),
+                }
+            })
+            .collect();
+        self.parts.place(body, &mut positions);
+        positions
+    }
+
+    /// Replaces the solution on rigid regions by the rigid motion that fits it best.
+    pub(in crate::deform) fn make_regions_rigid(&self, body: &DeformableBody, x: &mut [f64]) {
+        for hold in self
+            .setup
+            .handles
+            .iter()
+            .filter(|h| h.rigid && !(h.position && h.stiffness.is_none()))
+        {
+            let at = |n: &u32| DVec3::from_slice(&x[*n as usize * 3..*n as usize * 3 + 3]);
+            let rest: Vec<_> = hold
+                .nodes
+                .iter()
+                .map(|n| DVec3::from_array(body.rest[*n as usize]))
+                .collect();
+            let now: Vec<_> = hold.nodes.iter().map(at).collect();
+            let map = fit_rigid_motion(&rest, &now).map();
+            for (n, p) in hold.nodes.iter().zip(&rest) {
+                let n = *n as usize;
+                if self.position.hard[n] == NOBODY {
+                    x[n * 3..n * 3 + 3].copy_from_slice(&map(*p).to_array());
+                }
+            }
+        }
+    }
+}

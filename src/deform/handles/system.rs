@@ -1,0 +1,239 @@
+//! A set of handles on a body: who holds which node, the first-pass fields and the constrained systems.
+
+use crate::deform::body::DeformableBody;
+use crate::deform::error::Error;
+use crate::deform::fields::harmonic::HarmonicFields;
+use crate::deform::fields::restart::{FieldRestart, KeptFields};
+use crate::deform::fields::solve;
+use crate::deform::handles::free_parts::FreeParts;
+use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
+use crate::deform::handles::setup::{HandleConstraint, HandleSetup};
+use crate::deform::transform::Transform;
+use crate::exec::Exec;
+use crate::pool::Pool;
+use crate::solver::{Constraints, System};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// A system with the nodes that it takes as given.
+pub(in crate::deform) struct ConstrainedSystem {
+    pub fixed: Vec<bool>,
+    pub system: System,
+}
+
+/// Handles on a body, ready for any number of poses.
+pub struct HandleSystem {
+    pub(in crate::deform) setup: Arc<HandleSetup>,
+    pub(in crate::deform) position: NodeOwnership,
+    pub(in crate::deform) rotation: NodeOwnership,
+    /// Fields of the handles that constrain rotation.
+    pub(in crate::deform) rotation_fields: Arc<HarmonicFields>,
+    /// What rotations are blended with instead, when a handle is small.
+    pub(in crate::deform) blending_fields: Option<HarmonicFields>,
+    /// Fields of those that constrain scale; `None` when they are the same as for rotation.
+    pub(in crate::deform) scale_fields: Option<Arc<HarmonicFields>>,
+    pub(in crate::deform) positions: ConstrainedSystem,
+    /// With rigid regions that nothing holds hard: the system in which they are given too.
+    pub(in crate::deform) rigid: Option<ConstrainedSystem>,
+    pub(in crate::deform) parts: FreeParts,
+    /// Iterations that the fields took, for reports.
+    pub field_iterations: usize,
+}
+
+impl HandleSystem {
+    /// Solves the first-pass fields and prepares the second pass (paper sections 2.1 and 4). Reports the stages
+    /// "fields" and "constrain".
+    ///
+    /// # Errors
+    /// [`Error::NoPosition`], [`Error::FreePart`], [`Error::Solver`], [`Error::Cancelled`].
+    pub fn build(body: &DeformableBody, setup: HandleSetup, exec: &Exec<'_>) -> Result<Self, Error> {
+        Self::restart(body, setup, None, exec)
+    }
+
+    /// As [`HandleSystem::build`], with fields that begin from those of the same holds before an edit.
+    ///
+    /// # Errors
+    /// As [`HandleSystem::build`].
+    pub fn restart(
+        body: &DeformableBody,
+        setup: HandleSetup,
+        restart: Option<&FieldRestart<'_>>,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
+        exec.progress.report("fields", 0.0);
+        let nodes = body.nodes();
+        let position = NodeOwnership::settle(&setup, nodes, |h| h.position);
+        // Mostly all of them constrain the same handles.
+        let like = |a: &NodeOwnership,
+                    same: &dyn Fn(&HandleConstraint) -> bool,
+                    constrains: fn(&HandleConstraint) -> bool| match setup.handles.iter().all(same) {
+            true => a.clone(),
+            false => NodeOwnership::settle(&setup, nodes, constrains),
+        };
+        let rotation = like(&position, &|h| h.rotation == h.position, |h| h.rotation);
+        let scale = like(&rotation, &|h| h.scale == h.rotation, |h| h.scale);
+        let covered = position.covered(body);
+        if !covered.contains(&true) {
+            return Err(Error::NoPosition);
+        }
+        let parts = FreeParts::settle(body, &covered, setup.policy)?;
+
+        let holds = setup.handles.len();
+        let begin = restart.map(|r| (r, r.before.rotation.as_ref()));
+        let (rotation_fields, system) = solve::solve(body, &rotation, holds, begin, exec)?;
+        let blending_fields = rotation_fields.around_small(body, &rotation, exec.pool);
+        let shared = scale.same_as(&rotation);
+        let scale_fields = match shared {
+            true => None,
+            false => {
+                let begin = restart.and_then(|r| Some((r, r.before.scale.as_deref()?)));
+                Some(solve::solve(body, &scale, holds, begin, exec)?.0)
+            }
+        };
+        let field_iterations = rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);
+
+        exec.progress.report("constrain", 0.0);
+        let fixed: Vec<bool> = (0..nodes)
+            .map(|i| position.hard[i] != NOBODY || !covered[body.graph.component[i] as usize])
+            .collect();
+        let stiffness = position.stiffness();
+        // What holds rotations mostly holds positions too, and then both have one system.
+        let positions = match system.filter(|_| position.same_as(&rotation)) {
+            Some(system) => ConstrainedSystem { fixed, system },
+            None => constrained(body, fixed, stiffness.as_deref(), exec.pool)?,
+        };
+        let loose: Vec<&HandleConstraint> = setup
+            .handles
+            .iter()
+            .filter(|h| h.rigid && !(h.position && h.stiffness.is_none()))
+            .collect();
+        let rigid = if loose.is_empty() {
+            None
+        } else {
+            let mut fixed = positions.fixed.clone();
+            loose
+                .iter()
+                .flat_map(|h| &h.nodes)
+                .for_each(|&n| fixed[n as usize] = true);
+            Some(constrained(body, fixed, stiffness.as_deref(), exec.pool)?)
+        };
+        Ok(Self {
+            setup: Arc::new(setup),
+            position,
+            rotation,
+            rotation_fields: Arc::new(rotation_fields),
+            blending_fields,
+            scale_fields: scale_fields.map(Arc::new),
+            positions,
+            rigid,
+            parts,
+            field_iterations,
+        })
+    }
+
+    /// What it was built from.
+    pub fn setup(&self) -> &HandleSetup {
+        &self.setup
+    }
+
+    /// Number of handles.
+    pub fn handle_count(&self) -> usize {
+        self.setup.handles.len()
+    }
+
+    /// The fields of the handles that constrain rotation.
+    pub fn rotation_fields(&self) -> &HarmonicFields {
+        &self.rotation_fields
+    }
+
+    /// Its fields, to begin those after an edit from.
+    pub fn keep_fields(&self) -> KeptFields {
+        KeptFields {
+            rotation: Arc::clone(&self.rotation_fields),
+            scale: self.scale_fields.clone(),
+            setup: Arc::clone(&self.setup),
+        }
+    }
+
+    /// By node: whether its position is given (held hard, frozen, or in a part that is placed by policy).
+    pub fn given(&self) -> &[bool] {
+        &self.positions.fixed
+    }
+
+    /// By node: extra diagonal of soft handles, in units of edge weights; `None` without soft handles.
+    pub fn stiffness(&self) -> Option<Vec<f64>> {
+        self.position.stiffness()
+    }
+
+    /// By hold: how many of the body's surface nodes it constrains in place, after overlaps are settled.
+    pub fn count_held_surface_nodes(&self, body: &DeformableBody) -> Vec<usize> {
+        let mut count = vec![0; self.handle_count() + 1];
+        self.position.hard[..body.graph.surface]
+            .iter()
+            .filter(|&&k| k != NOBODY)
+            .for_each(|&k| count[k as usize] += 1);
+        self.position
+            .soft
+            .iter()
+            .filter(|s| (s.0 as usize) < body.graph.surface)
+            .for_each(|s| count[s.1 as usize] += 1);
+        count.truncate(self.handle_count());
+        count
+    }
+
+    /// Largest distance of a surface node that is held hard from where its handle puts it (or from rest, where nothing may
+    /// move). `now` tells where a surface node is; `transforms` has one for each hold.
+    pub fn largest_misplacement(
+        &self,
+        body: &DeformableBody,
+        transforms: &[Transform],
+        now: impl Fn(usize) -> DVec3,
+    ) -> f64 {
+        let maps: Vec<_> = transforms
+            .iter()
+            .chain([&Transform::IDENTITY])
+            .map(Transform::map)
+            .collect();
+        let held = self.position.hard[..body.graph.surface].iter().enumerate();
+        let distances = held.filter_map(|(node, &holder)| {
+            let place = maps.get(holder as usize)?(body.graph.positions[node]);
+            Some(place.distance(now(node)))
+        });
+        distances.fold(0.0, f64::max)
+    }
+
+    /// Bytes held on the heap.
+    pub fn bytes(&self) -> usize {
+        let holds: usize = self
+            .setup
+            .handles
+            .iter()
+            .map(|h| h.nodes.capacity() * 4 + h.pulls.capacity() * 16)
+            .sum();
+        holds
+            + self.rotation_fields.bytes()
+            + self.blending_fields.as_ref().map_or(0, HarmonicFields::bytes)
+            + self.scale_fields.as_ref().map_or(0, |f| f.bytes())
+            + self.position.bytes()
+            + self.rotation.bytes()
+            + self.positions.fixed.capacity()
+            + self.positions.system.bytes()
+            + self.rigid.as_ref().map_or(0, |r| r.fixed.capacity() + r.system.bytes())
+    }
+}
+
+fn constrained(
+    body: &DeformableBody,
+    fixed: Vec<bool>,
+    stiffness: Option<&[f64]>,
+    pool: &Pool,
+) -> Result<ConstrainedSystem, Error> {
+    let system = body.hierarchy.constrain(
+        &Constraints {
+            fixed: &fixed,
+            stiffness,
+        },
+        pool,
+    )?;
+    Ok(ConstrainedSystem { fixed, system })
+}

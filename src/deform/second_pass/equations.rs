@@ -1,0 +1,153 @@
+//! The second pass as a system of equations, before anything solves it (paper equations 8 and 11).
+//!
+//! With d_ij = ½ (M_i + M_j)(p_i − p_j), where M = R S is a node's frame, the right-hand side needs no d:
+//! b_i = ½ M_i Σ w (p_i − p_j) + ½ Σ w M_j (p_i − p_j), and the first sum does not change with the pose. Constrained
+//! neighbours enter through α and β inside the solver; soft handles add their stiffness.
+
+use crate::deform::body::DeformableBody;
+use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation};
+use crate::deform::first_pass::spread::blend_frames_with;
+use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::system::HandleSystem;
+use crate::deform::transform::Transform;
+use crate::pool::Pool;
+use glam::{DMat3, DVec3, Mat3};
+use rayon::prelude::*;
+
+/// What the second pass solves for one pose, apart from the matrix, which is the graph's Laplacian plus
+/// [`HandleSystem::stiffness`] on the diagonal. Coordinates are [`DeformableBody::rest`]'s, around `center`.
+#[derive(Debug, Clone)]
+pub struct SecondPassEquations {
+    /// Right-hand side by node, with the soft pulls and before given neighbours are moved into it; 0 on given nodes.
+    pub rhs: Vec<[f64; 3]>,
+    /// Positions by node: of given nodes where they are held, of all others at rest.
+    pub given: Vec<[f64; 3]>,
+    /// The first-pass frames by node.
+    pub frames: Vec<LocalFrame>,
+    /// What `rhs` and `given` are relative to: the mean of what is held.
+    pub center: [f64; 3],
+}
+
+/// A pose as the second pass sees it.
+pub(in crate::deform) struct PosedHandles {
+    pub frames: Vec<LocalFrame>,
+    /// Solving coordinates of given nodes; rest elsewhere.
+    pub targets: Vec<DVec3>,
+    /// Solving around the mean of what is held makes the residual independent of where in space the model is.
+    pub center: DVec3,
+}
+
+impl HandleSystem {
+    /// The equations of a pose (`transforms[k]` belongs to hold k), for those who want to solve or store them
+    /// themselves. Rigid regions that nothing holds are taken as free, as in the first of their two solves.
+    pub fn equations(&self, body: &DeformableBody, transforms: &[Transform], pool: &Pool) -> SecondPassEquations {
+        let posed = self.posed(body, transforms, None, pool);
+        let mut rhs = vec![0.0; body.nodes() * 3];
+        self.assemble(body, &posed, transforms, &mut rhs, pool);
+        SecondPassEquations {
+            rhs: rhs.as_chunks().0.to_vec(),
+            given: posed.targets.iter().map(|p| (*p - posed.center).to_array()).collect(),
+            frames: posed.frames,
+            center: posed.center.to_array(),
+        }
+    }
+
+    /// Frames and given positions of a pose; `instead` are rotations in place of the blend by harmonic fields.
+    pub(in crate::deform) fn posed(
+        &self,
+        body: &DeformableBody,
+        transforms: &[Transform],
+        instead: Option<&[LocalRotation]>,
+        pool: &Pool,
+    ) -> PosedHandles {
+        let frames = blend_frames_with(body, self, transforms, instead, pool);
+        let targets = self.targets(body, transforms);
+        let center = mean_of(&targets, self.given());
+        PosedHandles {
+            frames,
+            targets,
+            center,
+        }
+    }
+
+    /// Fills `rhs` on the nodes that are not given, three numbers each.
+    pub(in crate::deform) fn assemble(
+        &self,
+        body: &DeformableBody,
+        posed: &PosedHandles,
+        transforms: &[Transform],
+        rhs: &mut [f64],
+        pool: &Pool,
+    ) {
+        let given = self.given();
+        pool.install(|| {
+            rhs.par_chunks_exact_mut(3)
+                .with_min_len(1024)
+                .enumerate()
+                .for_each(|(i, rhs)| {
+                    if !given[i] {
+                        rhs.copy_from_slice(&right_hand_side(body, &posed.frames, i).to_array());
+                    }
+                });
+        });
+        if self.position.soft.is_empty() {
+            return;
+        }
+        let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
+        for &(node, k, stiffness) in &self.position.soft {
+            let node = node as usize;
+            if given[node] {
+                continue;
+            }
+            let target = maps
+                .get(k as usize)
+                .map_or(body.graph.positions[node], |map| map(body.graph.positions[node]));
+            let pull = (body.solving_from_model(target) - posed.center) * stiffness;
+            rhs[node * 3..node * 3 + 3]
+                .iter_mut()
+                .zip(pull.to_array())
+                .for_each(|(r, p)| *r += p);
+        }
+    }
+
+    /// Solving coordinates of all given nodes; rest elsewhere.
+    fn targets(&self, body: &DeformableBody, transforms: &[Transform]) -> Vec<DVec3> {
+        let mut targets: Vec<DVec3> = body.rest.iter().map(|p| DVec3::from_array(*p)).collect();
+        let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
+        for (node, &k) in self.position.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {
+            if let Some(map) = maps.get(k as usize).filter(|_| !transforms[k as usize].is_identity()) {
+                targets[node] = body.solving_from_model(map(body.graph.positions[node]));
+            }
+        }
+        targets
+    }
+}
+
+/// Equation (8)'s right-hand side at one node.
+fn right_hand_side(body: &DeformableBody, frames: &[LocalFrame], i: usize) -> DVec3 {
+    let p = DVec3::from_array(body.rest[i]);
+    let own = linear(&frames[i]) * DVec3::from_array(body.laplacian[i]);
+    let others: DVec3 = body
+        .edges(i)
+        .map(|(j, w)| linear(&frames[j]) * (p - DVec3::from_array(body.rest[j])) * w)
+        .sum();
+    0.5 * (own + others)
+}
+
+fn linear(frame: &LocalFrame) -> DMat3 {
+    if *frame == IDENTITY_FRAME {
+        DMat3::IDENTITY
+    } else {
+        Mat3::from_cols_array(frame).as_dmat3()
+    }
+}
+
+/// Mean of the values on given nodes, in a fixed order; the origin when nothing is given.
+fn mean_of(values: &[DVec3], given: &[bool]) -> DVec3 {
+    let (sum, count) = values
+        .iter()
+        .zip(given)
+        .filter(|(_, given)| **given)
+        .fold((DVec3::ZERO, 0usize), |(sum, count), (v, _)| (sum + *v, count + 1));
+    if count == 0 { DVec3::ZERO } else { sum / count as f64 }
+}

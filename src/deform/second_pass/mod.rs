@@ -1,0 +1,12 @@
+//! The second pass: positions that agree best with the local frames (paper section 2.2, equations 8 and 11).
+
+mod equations;
+pub(super) mod pose;
+pub(super) mod refine;
+mod solve;
+pub(super) mod state;
+
+pub use equations::SecondPassEquations;
+pub use pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart};
+pub use refine::Refinement;
+pub use state::SolveState;

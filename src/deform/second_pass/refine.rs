@@ -1,0 +1,154 @@
+//! Fitting every node's rotation to the shape that the last solve gave it.
+//!
+//! The second pass is the global step of as-rigid-as-possible energy (Sorkine & Alexa 2007): with positions held, the
+//! best rotation of a node is the rotational part of Σ w (x_i − x_j)(S_i (p_i − p_j))ᵀ, and with rotations held, the best
+//! positions solve equation (8). Alternating the two on one hierarchy makes rotations follow what handles do by being
+//! moved, to which the first pass is blind. Smoothing adds each node's neighbours' rotations to its own fit (Levi &
+//! Gotsman 2015).
+
+use crate::deform::body::DeformableBody;
+use crate::deform::first_pass::blend::PoseBlend;
+use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation, frame, rotation, turn};
+use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::system::HandleSystem;
+use crate::deform::rotation::vector::{exp_rotation, nearest_rotation};
+use crate::deform::transform::Transform;
+use crate::pool::Pool;
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+
+/// How rotations are fitted after the second pass.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Refinement {
+    /// How often they are fitted, with a solve after each. 0: the paper's two passes.
+    pub steps: u32,
+    /// What the mean rotation of a node's neighbours weighs in its fit, relative to its own edges. 0: nothing.
+    pub smoothing: f64,
+}
+
+/// Fits the rotations of one pose.
+pub(in crate::deform) struct RotationFit<'a> {
+    body: &'a DeformableBody,
+    rig: &'a HandleSystem,
+    blend: PoseBlend<'a>,
+    /// Rotations of the holds.
+    holds: Vec<DQuat>,
+    /// By component: whether any handle that moved has a say in it.
+    moved_parts: &'a [bool],
+    smoothing: f64,
+    /// The pull of soft handles on rotations: where each node's begin in the list.
+    soft: Vec<u32>,
+}
+
+impl<'a> RotationFit<'a> {
+    pub fn new(
+        body: &'a DeformableBody,
+        rig: &'a HandleSystem,
+        transforms: &[Transform],
+        moved_parts: &'a [bool],
+        instead: Option<&'a [LocalRotation]>,
+        smoothing: f64,
+    ) -> Self {
+        let mut soft = Vec::new();
+        if !rig.rotation.soft.is_empty() {
+            soft = vec![0; body.nodes() + 1];
+            rig.rotation.soft.iter().for_each(|s| soft[s.0 as usize + 1] += 1);
+            (0..body.nodes()).for_each(|i| soft[i + 1] += soft[i]);
+        }
+        Self {
+            body,
+            rig,
+            blend: PoseBlend::new(body, rig, transforms, instead),
+            holds: transforms.iter().map(|t| exp_rotation(t.rotation)).collect(),
+            moved_parts,
+            smoothing,
+            soft,
+        }
+    }
+
+    /// Whether a node's rotation is open: it is in a part that moves, and no handle says how it is turned.
+    fn is_open(&self, node: usize) -> bool {
+        self.moved_parts[self.body.graph.component[node] as usize] && self.rig.rotation.hard[node] == NOBODY
+    }
+
+    fn first(&self, node: usize) -> DQuat {
+        self.blend.rotation(node).unwrap_or(DQuat::IDENTITY)
+    }
+
+    /// The first pass's rotations.
+    pub fn start(&self, pool: &Pool) -> Vec<LocalRotation> {
+        self.each(pool, |i| turn(self.first(i)))
+    }
+
+    /// The first pass's rotations, turned by what refinement had added to them in the pose before (`extra`).
+    pub fn resume(&self, extra: &[LocalRotation], pool: &Pool) -> Vec<LocalRotation> {
+        self.each(pool, |i| match self.is_open(i) {
+            true => turn(rotation(extra[i]) * self.first(i)),
+            false => turn(self.first(i)),
+        })
+    }
+
+    /// What refinement has added to the first pass's rotations.
+    pub fn extra(&self, turns: &[LocalRotation], pool: &Pool) -> Vec<LocalRotation> {
+        self.each(pool, |i| turn(rotation(turns[i]) * self.first(i).inverse()))
+    }
+
+    /// Frames with these rotations and the first pass's scales.
+    pub fn frames(&self, turns: &[LocalRotation], pool: &Pool) -> Vec<LocalFrame> {
+        self.each(pool, |i| match (self.blend.scale(i), self.is_open(i)) {
+            (None, false) if turns[i] == [0.0, 0.0, 0.0, 1.0] => IDENTITY_FRAME,
+            (scale, _) => frame(rotation(turns[i]), scale),
+        })
+    }
+
+    /// One fit of all open nodes to `x` (solving coordinates, three numbers a node, any origin).
+    pub fn step(&self, turns: &[LocalRotation], x: &[f64], pool: &Pool) -> Vec<LocalRotation> {
+        self.each(pool, |i| match self.is_open(i) {
+            true => turn(self.fitted(i, turns, x)),
+            false => turns[i],
+        })
+    }
+
+    fn fitted(&self, i: usize, turns: &[LocalRotation], x: &[f64]) -> DQuat {
+        let body = self.body;
+        let at = |j: usize| DVec3::new(x[3 * j], x[3 * j + 1], x[3 * j + 2]);
+        let (here, rest) = (at(i), DVec3::from_array(body.rest[i]));
+        let (mut sum, mut size, mut weights) = (DMat3::ZERO, 0.0, 0.0);
+        let mut around = DMat3::ZERO;
+        for (j, w) in body.edges(i) {
+            let (edge, now) = (rest - DVec3::from_array(body.rest[j]), (here - at(j)) * w);
+            sum += DMat3::from_cols(now * edge.x, now * edge.y, now * edge.z);
+            size += w * edge.length_squared();
+            weights += w;
+            if self.smoothing > 0.0 {
+                around += DMat3::from_quat(rotation(turns[j])) * w;
+            }
+        }
+        if let Some(scale) = self.blend.scale(i) {
+            // (x_i − x_j)(S e)ᵀ = (x_i − x_j) eᵀ S, S being symmetric.
+            sum *= scale;
+        }
+        if weights > 0.0 {
+            let unit = size / weights;
+            sum += around * (self.smoothing * unit);
+            if !self.soft.is_empty() {
+                let pulls = self.soft[i] as usize..self.soft[i + 1] as usize;
+                for &(_, k, stiffness) in &self.rig.rotation.soft[pulls] {
+                    let held = self.holds.get(k as usize).copied().unwrap_or(DQuat::IDENTITY);
+                    sum += DMat3::from_quat(held) * (stiffness * unit);
+                }
+            }
+        }
+        nearest_rotation(sum, rotation(turns[i]))
+    }
+
+    fn each<T: Send>(&self, pool: &Pool, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+        pool.install(|| {
+            (0..self.body.nodes())
+                .into_par_iter()
+                .with_min_len(1024)
+                .map(value)
+                .collect()
+        })
+    }
+}

@@ -1,0 +1,257 @@
+//! The second pass: positions that agree best with the local frames (paper section 2.2, equations 8 and 11).
+
+use crate::deform::body::DeformableBody;
+use crate::deform::error::Error;
+use crate::deform::first_pass::frame::LocalRotation;
+use crate::deform::first_pass::spread;
+use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
+use crate::deform::second_pass::equations::PosedHandles;
+use crate::deform::second_pass::pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart};
+use crate::deform::second_pass::refine::Refinement;
+use crate::deform::second_pass::refine::RotationFit;
+use crate::deform::second_pass::state::SolveState;
+use crate::exec::Exec;
+use crate::pool::Pool;
+use crate::progress::check;
+use crate::solver::{self, Control, SolveOptions};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Largest missing displacement, as a fraction of the diagonal, with which rotations are fitted, unless a smaller residual
+/// is asked for. Less would be lost on rotations that change again; with more, results would show how each coordinate was
+/// solved.
+const BETWEEN_FITS: f64 = 1e-4;
+
+impl HandleSystem {
+    /// Solves a pose. `watch` is called after every iteration; `false` takes the result as it is.
+    ///
+    /// # Errors
+    /// [`Error::Solver`], [`Error::Cancelled`]. `state` stays usable after either.
+    pub fn solve(
+        &self,
+        body: &DeformableBody,
+        request: &PoseRequest<'_>,
+        state: &mut SolveState,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+    ) -> Result<PoseSolution, Error> {
+        let moved_parts = self.moved_parts(body, request.transforms);
+        if !moved_parts.contains(&true) {
+            return Ok(PoseSolution::at_rest(body));
+        }
+        let instead = spread::instead(body, self, request.transforms, request.first_pass, exec)?;
+        let instead = instead.as_deref();
+        let pose = PoseSolve {
+            rig: self,
+            body,
+            request,
+            instead,
+            moved_parts: &moved_parts,
+            exec,
+        };
+        let mut posed = self.posed(body, request.transforms, instead, exec.pool);
+        let result = pose.solve(&mut posed, state, watch);
+        if result.is_err() {
+            // A solution that was interrupted is no start for the next one.
+            state.forget();
+        }
+        result.map(|solution| PoseSolution {
+            frames: posed.frames,
+            ..solution
+        })
+    }
+}
+
+/// One pose under way.
+struct PoseSolve<'a> {
+    rig: &'a HandleSystem,
+    body: &'a DeformableBody,
+    request: &'a PoseRequest<'a>,
+    /// Rotations in place of the blend by harmonic fields.
+    instead: Option<&'a [LocalRotation]>,
+    moved_parts: &'a [bool],
+    exec: &'a Exec<'a>,
+}
+
+/// What the solves of one pose came to so far.
+struct SolveTally {
+    iterations: usize,
+    refined: u32,
+    /// `watch` has had enough.
+    stopped: bool,
+}
+
+impl PoseSolve<'_> {
+    /// Solves for positions, and fits rotations as often as asked for. Leaves `posed.frames` as last solved with.
+    fn solve(
+        &self,
+        posed: &mut PosedHandles,
+        state: &mut SolveState,
+        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+    ) -> Result<PoseSolution, Error> {
+        let Self {
+            rig,
+            body,
+            request,
+            exec: Exec { pool, .. },
+            ..
+        } = *self;
+        let Refinement { steps, smoothing } = request.refinement;
+        let warm = request.start == SolveStart::Warm;
+        if warm {
+            state.begin(body, request.transforms.len());
+            rig.carry(body, &state.transforms, request.transforms, &mut state.x, pool);
+        }
+        state.transforms.clear();
+        state.transforms.extend_from_slice(request.transforms);
+        prepare(body, rig, posed, warm, state, pool);
+        let fit = (steps > 0)
+            .then(|| RotationFit::new(body, rig, request.transforms, self.moved_parts, self.instead, smoothing));
+        let mut turns = match &fit {
+            Some(fit) if warm && state.extra.len() == body.nodes() => {
+                let turns = fit.resume(&state.extra, pool);
+                posed.frames = fit.frames(&turns, pool);
+                turns
+            }
+            Some(fit) => fit.start(pool),
+            None => Vec::new(),
+        };
+        rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
+
+        let mut tally = SolveTally {
+            iterations: 0,
+            refined: 0,
+            stopped: false,
+        };
+        let first = match warm {
+            true => solver::Start::Given,
+            false => solver::Start::FullMultigrid {
+                frames: Some(&posed.frames),
+                rest: Some(&body.rest),
+            },
+        };
+        let between = request.tolerance.map_or(BETWEEN_FITS, |t| t.min(BETWEEN_FITS));
+        let rough = if steps > 0 { between } else { 0.0 };
+        let mut stats = self.run(&rig.positions, posed.center, first, rough, state, &mut tally, watch)?;
+        if let Some(fit) = &fit {
+            while tally.refined < steps && !tally.stopped {
+                check(self.exec.progress)?;
+                turns = fit.step(&turns, &state.x, pool);
+                posed.frames = fit.frames(&turns, pool);
+                rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
+                tally.refined += 1;
+                let rough = if tally.refined < steps { between } else { 0.0 };
+                let start = solver::Start::Given;
+                stats = self.run(&rig.positions, posed.center, start, rough, state, &mut tally, watch)?;
+            }
+            state.extra = fit.extra(&turns, pool);
+        } else {
+            state.extra.clear();
+        }
+        if let Some(rigid) = &rig.rigid {
+            rig.make_regions_rigid(body, &mut state.x);
+            let start = solver::Start::Given;
+            stats = self.run(rigid, posed.center, start, 0.0, state, &mut tally, watch)?;
+        }
+
+        let positions = rig.place(body, self.moved_parts, request.transforms, posed.center, &state.x);
+        if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
+            return Err(Error::Solver(format!("node {node} left the range of numbers")));
+        }
+        // Kept relative to nothing, so that the next solve may centre elsewhere.
+        let center = posed.center.to_array();
+        state
+            .x
+            .chunks_exact_mut(3)
+            .for_each(|row| row.iter_mut().zip(center).for_each(|(v, c)| *v += c));
+        Ok(PoseSolution {
+            positions,
+            frames: Vec::new(),
+            refined: tally.refined,
+            iterations: tally.iterations,
+            residual: stats.residual,
+            max_error: stats.max_error * body.unit / body.diagonal,
+            method: PoseMethod::Graph(stats.method),
+        })
+    }
+
+    /// Solves the equations in `state`: to what the request asks for, or only to the error `rough`.
+    fn run(
+        &self,
+        constrained: &ConstrainedSystem,
+        center: DVec3,
+        start: solver::Start<'_>,
+        rough: f64,
+        state: &mut SolveState,
+        tally: &mut SolveTally,
+        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+    ) -> Result<solver::Stats, Error> {
+        let Self { rig, body, request, .. } = *self;
+        let unit_per_diagonal = body.unit / body.diagonal;
+        let options = SolveOptions {
+            start,
+            tolerance: request.tolerance,
+            max_error: request.max_error.map(|e| e / unit_per_diagonal),
+            ..Default::default()
+        };
+        let before = tally.iterations;
+        let SolveState { x, rhs, workspace, .. } = state;
+        let stats = constrained.system.solve(
+            &body.hierarchy,
+            3,
+            rhs,
+            x,
+            &options,
+            workspace,
+            self.exec,
+            &mut |iteration| {
+                let positions = || {
+                    let mut now = vec![0.0; body.nodes() * 3];
+                    iteration.copy_to(&mut now);
+                    rig.place(body, self.moved_parts, request.transforms, center, &now)
+                };
+                let cycle = CycleReport {
+                    index: before + iteration.index,
+                    refined: tally.refined,
+                    residual: iteration.residual,
+                    max_error: iteration.max_error * unit_per_diagonal,
+                    positions: &positions,
+                };
+                tally.stopped = !watch(&cycle);
+                match tally.stopped || (iteration.index > 1 && cycle.max_error <= rough) {
+                    true => Control::Stop,
+                    false => Control::Continue,
+                }
+            },
+        )?;
+        tally.iterations += stats.iterations;
+        Ok(stats)
+    }
+}
+
+/// Sizes `state` and fills `state.x`, around the pose's centre: given values, and the start of a warm solve.
+fn prepare(
+    body: &DeformableBody,
+    rig: &HandleSystem,
+    posed: &PosedHandles,
+    warm: bool,
+    state: &mut SolveState,
+    pool: &Pool,
+) {
+    let nodes = body.nodes();
+    state.x.resize(nodes * 3, 0.0);
+    state.rhs.resize(nodes * 3, 0.0);
+    let x = &mut state.x;
+    pool.install(|| {
+        x.par_chunks_exact_mut(3)
+            .with_min_len(4096)
+            .enumerate()
+            .for_each(|(i, x)| {
+                let value = match rig.positions.fixed[i] || !warm {
+                    true => posed.targets[i],
+                    false => DVec3::from_slice(x),
+                };
+                x.copy_from_slice(&(value - posed.center).to_array());
+            });
+    });
+}

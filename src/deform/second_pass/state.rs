@@ -1,0 +1,48 @@
+//! What one solve of a pose leaves to the next.
+
+use crate::deform::body::DeformableBody;
+use crate::deform::comparison::spatial_rbf::RbfSpace;
+use crate::deform::first_pass::frame::LocalRotation;
+use crate::deform::transform::Transform;
+use crate::solver::Workspace;
+
+/// What a solve keeps for the next one: the last solution and scratch memory.
+#[derive(Default)]
+pub struct SolveState {
+    /// Solving coordinates by node; empty before the first solve.
+    pub(in crate::deform) x: Vec<f64>,
+    /// Where the handles were for `x`.
+    pub(in crate::deform) transforms: Vec<Transform>,
+    /// What refinement had added to the first pass's rotations in `x`; empty when it had not been asked for.
+    pub(in crate::deform) extra: Vec<LocalRotation>,
+    pub(in crate::deform) rhs: Vec<f64>,
+    pub(in crate::deform) workspace: Workspace,
+    /// What [`HandleSystem::solve_by_spatial_rbf`] made of the handles.
+    pub(in crate::deform) space: Option<Box<RbfSpace>>,
+}
+
+impl SolveState {
+    /// Bytes held on the heap.
+    pub fn bytes(&self) -> usize {
+        (self.x.capacity() + self.rhs.capacity()) * 8
+            + self.extra.capacity() * 16
+            + self.workspace.bytes()
+            + self.space.as_ref().map_or(0, |space| space.bytes())
+    }
+
+    /// Where there is no last solution the rest shape is one, with all handles at rest.
+    pub(in crate::deform) fn begin(&mut self, body: &DeformableBody, holds: usize) {
+        if self.x.len() != body.nodes() * 3 {
+            self.x.clear();
+            self.x.extend_from_slice(body.rest.as_flattened());
+            self.extra.clear();
+            self.transforms = vec![Transform::IDENTITY; holds];
+        }
+    }
+
+    /// Lets go of the last solution.
+    pub(in crate::deform) fn forget(&mut self) {
+        self.x.clear();
+        self.extra.clear();
+    }
+}

@@ -1,0 +1,21 @@
+//! The volume graph of a mesh: surface, shell and lattice (Zhou et al. 2005).
+//!
+//! `build` goes through the stages in order: `solid` tells which parts enclose space, `caps` closes their holes, `shell`
+//! moves a copy of each vertex inwards, `lattice` (by `scan` or `octree`) fills the inside with nodes and joins them, and
+//! `nearest` gives each of them its vertex. `apart` builds one graph for each part.
+
+mod apart;
+mod build;
+pub(super) mod caps;
+pub(super) mod columns;
+mod lattice;
+pub(super) mod lattice_grid;
+mod nearest;
+pub(super) mod neighbours;
+mod octree;
+mod scan;
+pub(super) mod shell;
+pub(super) mod solid;
+
+pub use apart::volume_apart;
+pub use build::{VolumeOptions, estimate_nodes, volume};

@@ -1,0 +1,127 @@
+//! The inner shell: a copy of each vertex moved inwards, wherever there is room inside (Zhou et al. 2005).
+//!
+//! A copy is accepted only where it lies inside, at least half its offset away from the whole surface, and reached from
+//! its vertex without crossing the surface; the offset is halved up to six times until that holds. A vertex without
+//! such a place has no copy.
+
+use crate::exec::Exec;
+use crate::graph::error::Error;
+use crate::graph::parallel::map;
+use crate::graph::volume::columns::FaceColumns;
+use crate::graph::volume::solid::ClassifiedParts;
+use crate::graph::winding::tree::WindingTree;
+use crate::mesh::query::TriangleBvh;
+use crate::mesh::{Adjacency, Mesh};
+use glam::DVec3;
+
+/// How often the offset may be halved.
+const HALVINGS: i32 = 6;
+
+/// For each vertex its copy, or `None`.
+pub(in crate::graph) type ShellNodes = Vec<Option<DVec3>>;
+
+/// What shell and lattice are built from.
+pub(in crate::graph) struct VolumeSite<'a> {
+    pub(in crate::graph) mesh: &'a Mesh,
+    pub(in crate::graph) adjacency: &'a Adjacency,
+    /// The whole surface, for distances and crossings.
+    pub(in crate::graph) surface: &'a TriangleBvh<'a>,
+    pub(in crate::graph) parts: &'a ClassifiedParts,
+    /// Closed parts and those whose holes have been closed, if there are any.
+    pub(in crate::graph) hull: Option<&'a WindingTree<'a>>,
+    /// The same, to be asked what lies inside.
+    pub(in crate::graph) columns: Option<FaceColumns<'a>>,
+    /// Soups that enclose space, if there are any.
+    pub(in crate::graph) soup: Option<&'a WindingTree<'a>>,
+    pub(in crate::graph) exec: &'a Exec<'a>,
+}
+
+impl VolumeSite<'_> {
+    /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
+    pub(in crate::graph) fn walk(&self, start: u32, p: DVec3) -> u32 {
+        walk(&self.mesh.positions, self.adjacency, start, p)
+    }
+
+    /// Soups that are worth a lattice; beside a hull of many more faces they have a shell only.
+    pub(in crate::graph) fn large_soup(&self) -> Option<&WindingTree<'_>> {
+        let faces = |tree: &WindingTree| tree.bvh().triangles().len();
+        self.soup
+            .filter(|soup| self.hull.is_none_or(|hull| faces(soup) >= faces(hull) / 4))
+    }
+
+    /// Whether a place lies inside the hull, or inside soups.
+    pub(in crate::graph) fn contains(&self, p: DVec3) -> bool {
+        self.columns.as_ref().is_some_and(|columns| columns.contains(p))
+            || self.soup.is_some_and(|soup| soup.contains(p))
+    }
+}
+
+/// Moves each vertex along its `inward` direction by the offset of its part, or by less where there is less room;
+/// vertices whose direction is zero have no copy.
+pub(in crate::graph) fn shell(site: &VolumeSite, inward: &[DVec3], offsets: &[f64]) -> Result<ShellNodes, Error> {
+    let mut placed: ShellNodes = vec![None; site.mesh.positions.len()];
+    // In the order of the tree, so that one query finds in the cache what the last one read.
+    let mut waiting = site.surface.vertices_in_space_order();
+    waiting.retain(|&v| inward[v as usize] != DVec3::ZERO);
+    let found = map(&waiting, site.exec, |&v| {
+        let offset = offsets[site.parts.components.of_vertex[v as usize] as usize];
+        let p = site.mesh.positions[v as usize];
+        copy(site.surface, v, p, inward[v as usize], offset, |p| site.contains(p))
+    })?;
+    for (v, copy) in waiting.into_iter().zip(found) {
+        placed[v as usize] = copy;
+    }
+    Ok(placed)
+}
+
+/// Where the copy of vertex `v`, at `p`, is put: `offset` along `inward`, or less where there is less room.
+pub(in crate::graph) fn copy(
+    surface: &TriangleBvh,
+    v: u32,
+    p: DVec3,
+    inward: DVec3,
+    offset: f64,
+    contains: impl Fn(DVec3) -> bool,
+) -> Option<DVec3> {
+    let at = |by: f64| p + inward * by;
+    let mut by = offset;
+    for halving in 0..=HALVINGS {
+        if has_room(surface, v, at(0.0), at(0.5 * by), at(by), 0.5 * by) && contains(at(by)) {
+            return Some(at(by));
+        }
+        // Where not even the smallest offset leads inside, those between need not be tried.
+        let smallest = offset * 0.5f64.powi(HALVINGS);
+        if halving == 0 && !contains(at(smallest)) {
+            return None;
+        }
+        by *= 0.5;
+    }
+    None
+}
+
+/// Whether no face is nearer to `end` than `half`, and none but those around vertex `v` crosses the way from `start` to
+/// `middle`; only this half of the way, outside the clear ball, can meet the surface.
+pub(in crate::graph) fn has_room(
+    surface: &TriangleBvh,
+    v: u32,
+    start: DVec3,
+    middle: DVec3,
+    end: DVec3,
+    half: f64,
+) -> bool {
+    !surface.has_triangle_within(end, half) && surface.first_hit(start, middle, Some(v)).is_none()
+}
+
+/// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
+pub(in crate::graph) fn walk(positions: &[DVec3], adjacency: &Adjacency, start: u32, p: DVec3) -> u32 {
+    let distance = |v: u32| positions[v as usize].distance_squared(p);
+    let nearer = |a: u32, b: u32| if distance(b) < distance(a) { b } else { a };
+    let mut here = start;
+    loop {
+        let next = adjacency.neighbours.of(here).iter().copied().fold(here, nearer);
+        if next == here {
+            return here;
+        }
+        here = next;
+    }
+}

@@ -1,0 +1,293 @@
+//! Seeds and aggregates: which rows become one row of the next level (paper section 4).
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use crate::build::aggregates::Groups;
+use crate::build::draft::{Blocks, Draft};
+use crate::lanes::{Lanes, Shared};
+use crate::storage::NONE;
+use crate::threads::{Threads, piece, pieces};
+
+/// Rows that one piece of work handles.
+const PIECE: usize = 4096;
+
+/// Rows whose edges make the sample for the mean edge length.
+const SAMPLE: usize = 4096;
+
+/// A neighbour whose edge weighs less than this part of a row's heaviest edge says too little about the row to stand
+/// for it on the next level.
+pub(crate) const WEAK: f32 = 0.02;
+
+/// Seeds must leave at most this part of the rows, or the level is paired instead.
+pub(crate) const SHRINK: f64 = 0.8;
+
+/// Groups the rows of `draft`.
+///
+/// Groups are connected, and at most 80 % as many as there are rows with neighbours. They are numbered along the draft,
+/// so that the next level inherits its order.
+pub(crate) fn aggregates(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Threads) -> Groups {
+    let threads = threads.for_rows(draft.rows());
+    let reach2 = reach2(draft, ratio);
+    let nearest = nearest_seeds(draft, blocks, reach2, threads);
+    // Neighbours come in pairs, so a row is connected exactly when it has joined something.
+    let parts = threads.map(
+        0..pieces(draft.rows(), PIECE),
+        || (),
+        |(), k| {
+            let range = piece(k, draft.rows(), PIECE);
+            let seeds: Vec<u32> = range
+                .clone()
+                .filter(|&i| nearest[i] == i as u32)
+                .map(|i| i as u32)
+                .collect();
+            (seeds, nearest[range].iter().filter(|seed| **seed != NONE).count())
+        },
+    );
+    let connected: usize = parts.iter().map(|p| p.1).sum();
+    let seeds: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
+    if seeds.len() as f64 > SHRINK * connected as f64 {
+        let (of_row, count) = pair(draft);
+        return Groups::new(of_row, count);
+    }
+    let mut numbers = vec![0u32; draft.rows()];
+    for (number, &seed) in seeds.iter().enumerate() {
+        numbers[seed as usize] = number as u32;
+    }
+    let mut aggregates = nearest;
+    let shared = Shared::new(&mut aggregates);
+    threads.each(0..pieces(draft.rows(), PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        for seed in unsafe { shared.rows(piece(k, draft.rows(), PIECE)) } {
+            if *seed != NONE {
+                *seed = numbers[*seed as usize];
+            }
+        }
+    });
+    Groups::around(&seeds, aggregates, reach2, draft, threads)
+}
+
+#[inline(always)]
+pub(crate) fn distance2(a: Lanes, b: Lanes) -> f32 {
+    let d = a - b;
+    let [x, y, z, _] = (d * d).0;
+    x + y + z
+}
+
+/// Mean length of the edges of evenly spread rows.
+fn mean_edge(draft: &Draft) -> f64 {
+    let n = draft.rows();
+    let samples = n.min(SAMPLE);
+    let (mut total, mut edges) = (0.0, 0usize);
+    for s in 0..samples {
+        let i = (s as u64 * n as u64 / samples as u64) as usize;
+        for &j in draft.row(i) {
+            total += f64::from(distance2(draft.positions[i], draft.positions[j as usize])).sqrt();
+        }
+        edges += draft.row(i).len();
+    }
+    if edges > 0 { total / edges as f64 } else { 0.0 }
+}
+
+/// Largest (squared) distance of neighbours of which only one can be a seed: the paper's δ.
+fn reach2(draft: &Draft, ratio: f64) -> f32 {
+    if draft.positions.is_empty() {
+        return f32::INFINITY;
+    }
+    let delta = mean_edge(draft) * libm::cbrt(1.0 / ratio);
+    (delta * delta) as f32
+}
+
+/// The paper's maximal δ-independent set, and for every row the seed it joins (a seed itself, [`NONE`] for a row without
+/// neighbours).
+///
+/// In sweep order, a row becomes a seed unless a seed before it is a (not weak) neighbour within δ. Each row joins the
+/// adjacent seed with the least (squared distance) / weight, ties to the earlier one. Seeds tell their neighbours of
+/// both, so that only the rows of seeds are read. The outcome does not depend on who tells first: a block hears of
+/// seeds in blocks of other colours before or after it is swept, never while, and joining takes a minimum.
+fn nearest_seeds(draft: &Draft, blocks: &Blocks, reach2: f32, threads: Threads) -> Vec<u32> {
+    let n = draft.rows();
+    let placed = !draft.positions.is_empty();
+    let weak: Vec<f32> = match &draft.weights {
+        None => Vec::new(),
+        Some(w) => (0..n)
+            .map(|i| WEAK * w[draft.entries(i)].iter().fold(0.0f32, |a, &b| a.max(b)))
+            .collect(),
+    };
+    let covered: Vec<AtomicBool> = (0..n).map(|_| AtomicBool::new(false)).collect();
+    // Cost in the upper half, seed in the lower one: the order of these numbers is that of costs, then of seeds.
+    let offers: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(u64::MAX)).collect();
+    for c in blocks.colours.windows(2) {
+        threads.each(c[0] as usize..c[1] as usize, |k| {
+            for i in blocks.range(blocks.by_colour[k] as usize) {
+                if !draft.connected(i) || covered[i].load(Ordering::Relaxed) {
+                    continue;
+                }
+                offers[i].store(i as u64, Ordering::Relaxed);
+                let here = if placed { draft.positions[i] } else { Lanes::ZERO };
+                for e in draft.entries(i) {
+                    let (j, w) = (draft.neighbours[e] as usize, draft.weight(e));
+                    let length2 = if placed {
+                        distance2(here, draft.positions[j])
+                    } else {
+                        1.0
+                    };
+                    // Rows before this one have had their turn: what they hear now changes nothing.
+                    if (!placed || length2 <= reach2) && weak.get(j).is_none_or(|weak| w >= *weak) {
+                        covered[j].store(true, Ordering::Relaxed);
+                    }
+                    let cost = (length2 / w).min(f32::MAX);
+                    // Above every cost of a seed to itself.
+                    let offer = (u64::from(cost.to_bits()) + 1) << 32 | i as u64;
+                    if offer < offers[j].load(Ordering::Relaxed) {
+                        if threads.parallel() {
+                            offers[j].fetch_min(offer, Ordering::Relaxed);
+                        } else {
+                            offers[j].store(offer, Ordering::Relaxed);
+                        }
+                    }
+                }
+            }
+        });
+    }
+    offers.into_iter().map(|offer| offer.into_inner() as u32).collect()
+}
+
+/// Greedy pairing along the heaviest edges, for graphs where seeds hardly thin out (stars, edges of very different
+/// lengths): each row pairs with its heaviest unpaired neighbour, or joins its heaviest neighbour. Every aggregate has
+/// at least two rows.
+fn pair(draft: &Draft) -> (Vec<u32>, usize) {
+    let mut aggregates = vec![NONE; draft.rows()];
+    let mut count = 0;
+    for i in 0..draft.rows() {
+        if aggregates[i] != NONE || !draft.connected(i) {
+            continue;
+        }
+        let (mut open, mut any) = ((0.0, NONE), (0.0, NONE));
+        for e in draft.entries(i) {
+            let (j, w) = (draft.neighbours[e], draft.weight(e));
+            let heavier = |best: (f32, u32)| w > best.0 || (w == best.0 && j < best.1);
+            if heavier(any) {
+                any = (w, j);
+            }
+            if aggregates[j as usize] == NONE && heavier(open) {
+                open = (w, j);
+            }
+        }
+        if open.1 != NONE {
+            aggregates[i] = count;
+            aggregates[open.1 as usize] = count;
+            count += 1;
+        } else {
+            aggregates[i] = aggregates[any.1 as usize];
+        }
+    }
+    (aggregates, count as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::draft::Rows;
+    use crate::build::order::Frame;
+    use crate::testing::{Block, pool};
+
+    fn threads() -> Threads {
+        Threads::of(&pool())
+    }
+
+    fn draft_of(offsets: &[u32], neighbours: &[u32], weights: Option<&[f32]>, positions: &[Lanes]) -> Draft {
+        let rows = Rows {
+            offsets,
+            neighbours,
+            weights,
+            scale: 1.0,
+            positions,
+        };
+        let sequence: Vec<u32> = (0..offsets.len() as u32 - 1).collect();
+        Draft::new(&rows, &sequence, threads())
+    }
+
+    fn draft_of_block(block: &Block) -> Draft {
+        let frame = Frame::around(&block.positions);
+        let positions: Vec<Lanes> = block.positions.iter().map(|&p| frame.apply(p)).collect();
+        draft_of(&block.offsets, &block.neighbours, block.weights.as_deref(), &positions)
+    }
+
+    fn nearest(draft: &Draft, ratio: f64) -> Vec<u32> {
+        let reach2 = reach2(draft, ratio);
+        nearest_seeds(draft, &Blocks::new(draft, 64, threads()), reach2, threads())
+    }
+
+    fn row(draft: &Draft, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+        draft
+            .entries(i)
+            .map(|e| (draft.neighbours[e] as usize, draft.weight(e)))
+    }
+
+    #[test]
+    fn seeds_are_a_maximal_independent_set() {
+        let level = &draft_of_block(&Block::new(12, 11, 10));
+        // δ between the edge lengths 1 and √2: diagonal neighbours may both be seeds.
+        for (ratio, separate) in [(0.99, 1.01), (0.1, 10.0)] {
+            let nearest = nearest(level, ratio);
+            let reach2 = reach2(level, ratio);
+            let length2 = |i: usize, j: usize| distance2(level.positions[i], level.positions[j]);
+            let unit2 = row(level, 0).map(|(j, _)| length2(0, j)).fold(f32::MAX, f32::min);
+            assert!(separate < 2.0 || reach2 > 3.0 * unit2);
+            for i in 0..level.rows() {
+                let seed = |j: usize| nearest[j] == j as u32;
+                let near = |j: usize| seed(j) && length2(i, j) <= reach2;
+                let covered = row(level, i).any(|(j, _)| near(j));
+                assert_eq!(seed(i), !covered, "row {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_join_an_adjacent_seed() {
+        let level = &draft_of_block(&Block::new(12, 11, 10).weighted());
+        let nearest = nearest(level, 0.1);
+        for i in 0..level.rows() {
+            if !level.connected(i) {
+                assert_eq!(nearest[i], NONE);
+            } else if nearest[i] != i as u32 {
+                let cost = |j: usize, w: f32| distance2(level.positions[i], level.positions[j]) / w;
+                let seeds = row(level, i).filter(|&(j, _)| nearest[j] == j as u32);
+                let best = seeds.map(|(j, w)| cost(j, w)).fold(f32::MAX, f32::min);
+                let taken = row(level, i).find(|&(j, _)| j as u32 == nearest[i]).unwrap();
+                assert_eq!(cost(taken.0, taken.1), best);
+            }
+        }
+    }
+
+    #[test]
+    fn stars_and_lone_rows_shrink() {
+        // A star whose hub comes last, where seeds would be all its leaves, and a row without neighbours.
+        let leaves = 100u32;
+        let mut offsets: Vec<u32> = (0..=leaves).collect();
+        offsets.extend([leaves, 2 * leaves]);
+        let hub = leaves + 1;
+        let mut neighbours = vec![hub; leaves as usize];
+        neighbours.extend(0..leaves);
+        let level = draft_of(&offsets, &neighbours, None, &[]);
+        let groups = aggregates(&level, &Blocks::new(&level, 64, threads()), 0.1, threads());
+        assert_eq!(groups.len(), 1);
+        let lone = groups.of_row.iter().filter(|&&g| g == NONE).count();
+        assert_eq!(lone, 1, "the lone row needs no coarse row");
+        assert_eq!(groups.members_of(0).len(), 101);
+    }
+
+    #[test]
+    fn pairs_follow_heavy_edges() {
+        // A path of six with heavy edges 0-1, 2-3, 4-5.
+        let weights = [9.0, 9.0, 1.0, 1.0, 9.0, 9.0, 1.0, 1.0, 9.0, 9.0];
+        let neighbours = [1, 0, 2, 1, 3, 2, 4, 3, 5, 4];
+        let level = draft_of(&[0, 1, 3, 5, 7, 9, 10], &neighbours, Some(&weights), &[]);
+        let (groups, count) = pair(&level);
+        assert_eq!(count, 3);
+        for i in (0..level.rows()).filter(|&i| level.connected(i)) {
+            let heavy = row(&level, i).find(|(_, w)| *w == 9.0).unwrap().0;
+            assert_eq!(groups[i], groups[heavy]);
+        }
+    }
+}

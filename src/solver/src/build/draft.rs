@@ -1,0 +1,242 @@
+//! A level on its way: rows in an order that keeps neighbours close, and its blocks coloured.
+//!
+//! Coarsening works on this form, where the neighbours of a row lie side by side.
+
+use crate::lanes::{Lanes, Shared};
+use crate::storage::NONE;
+use crate::threads::{Threads, piece, pieces};
+
+/// Rows of a graph in any order.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Rows<'a> {
+    pub(crate) offsets: &'a [u32],
+    pub(crate) neighbours: &'a [u32],
+    pub(crate) weights: Option<&'a [f32]>,
+    /// Factor on every weight.
+    pub(crate) scale: f32,
+    /// One per row, or empty.
+    pub(crate) positions: &'a [Lanes],
+}
+
+/// A graph in compressed rows, neighbours close to each other.
+///
+/// Rows that join a level that exists may have neighbours there: `k` stands for the *foreign* row number
+/// `k − padded(size)` where it is not below the number of rows, `size` being that of the blocks.
+#[derive(Debug, Default)]
+pub(crate) struct Draft {
+    pub(crate) offsets: Vec<u32>,
+    pub(crate) neighbours: Vec<u32>,
+    /// `None`: all 1.
+    pub(crate) weights: Option<Vec<f32>>,
+    /// Positions in the unit box, or empty.
+    pub(crate) positions: Vec<Lanes>,
+}
+
+impl Draft {
+    /// Copies `rows` in the order of `sequence`.
+    pub(crate) fn new(rows: &Rows<'_>, sequence: &[u32], threads: Threads) -> Draft {
+        const PIECE: usize = 2048;
+        let n = sequence.len();
+        let threads = threads.for_rows(n);
+        let mut ranks = vec![0u32; n];
+        let mut offsets = vec![0u32; n + 1];
+        let (shared_ranks, lengths) = (Shared::new(&mut ranks), Shared::new(&mut offsets));
+        let totals = threads.map(
+            0..pieces(n, PIECE),
+            || (),
+            |(), k| {
+                let range = piece(k, n, PIECE);
+                let mut total = 0;
+                for (&i, k) in sequence[range.clone()].iter().zip(range) {
+                    let length = rows.offsets[i as usize + 1] - rows.offsets[i as usize];
+                    // SAFETY: a sequence holds every row once, and pieces are disjoint.
+                    unsafe {
+                        shared_ranks.set(i as usize, k as u32);
+                        lengths.set(k, length);
+                    }
+                    total += length;
+                }
+                total
+            },
+        );
+        let mut total = 0;
+        let mut bases = Vec::with_capacity(totals.len());
+        for t in &totals {
+            bases.push(total);
+            total += t;
+        }
+        offsets[n] = total;
+        let mut draft = Draft {
+            neighbours: vec![0; total as usize],
+            weights: rows.weights.map(|w| vec![0.0; w.len()]),
+            positions: vec![Lanes::ZERO; if rows.positions.is_empty() { 0 } else { n }],
+            offsets,
+        };
+        let offsets = Shared::new(&mut draft.offsets[..n]);
+        let neighbours = Shared::new(&mut draft.neighbours);
+        let positions = Shared::new(&mut draft.positions);
+        let weights = draft.weights.as_mut().map(|w| Shared::new(w));
+        threads.each(0..pieces(n, PIECE), |k| {
+            let range = piece(k, n, PIECE);
+            let entries = bases[k] as usize..(bases[k] + totals[k]) as usize;
+            // SAFETY: pieces hold disjoint rows and entries, and each is visited once.
+            let out = unsafe { neighbours.rows(entries.clone()) };
+            // SAFETY: as above.
+            let mut out_weights = weights.map(|w| unsafe { w.rows(entries.clone()) });
+            if !rows.positions.is_empty() {
+                // SAFETY: as above.
+                let out = unsafe { positions.rows(range.clone()) };
+                for (out, &i) in out.iter_mut().zip(&sequence[range.clone()]) {
+                    *out = rows.positions[i as usize];
+                }
+            }
+            // SAFETY: as above.
+            let lengths = unsafe { offsets.rows(range.clone()) };
+            let mut to = 0;
+            for (&i, length) in sequence[range].iter().zip(lengths) {
+                *length = bases[k] + to as u32;
+                let from = rows.offsets[i as usize] as usize..rows.offsets[i as usize + 1] as usize;
+                if let (Some(out), Some(w)) = (out_weights.as_deref_mut(), rows.weights) {
+                    for (out, w) in out[to..].iter_mut().zip(&w[from.clone()]) {
+                        *out = w * rows.scale;
+                    }
+                }
+                for (out, &j) in out[to..].iter_mut().zip(&rows.neighbours[from.clone()]) {
+                    *out = ranks[j as usize];
+                }
+                to += from.len();
+            }
+        });
+        draft
+    }
+
+    pub(crate) fn rows(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// Entries of row `i`.
+    #[inline(always)]
+    pub(crate) fn entries(&self, i: usize) -> std::ops::Range<usize> {
+        self.offsets[i] as usize..self.offsets[i + 1] as usize
+    }
+
+    /// Neighbours of row `i`.
+    #[inline(always)]
+    pub(crate) fn row(&self, i: usize) -> &[u32] {
+        &self.neighbours[self.entries(i)]
+    }
+
+    #[inline(always)]
+    pub(crate) fn weight(&self, entry: usize) -> f32 {
+        self.weights.as_ref().map_or(1.0, |w| w[entry])
+    }
+
+    /// True if row `i` has a neighbour.
+    #[inline(always)]
+    pub(crate) fn connected(&self, i: usize) -> bool {
+        self.offsets[i] < self.offsets[i + 1]
+    }
+}
+
+/// Blocks of consecutive rows of a [`Draft`], coloured so that two blocks of one colour are not adjacent.
+#[derive(Debug)]
+pub(crate) struct Blocks {
+    /// Rows per block, a power of two; the last block may have fewer.
+    pub(crate) size: usize,
+    rows: usize,
+    /// First of `by_colour` for each colour, and the number of blocks.
+    pub(crate) colours: Vec<u32>,
+    /// Blocks colour by colour.
+    pub(crate) by_colour: Vec<u32>,
+}
+
+impl Blocks {
+    /// Cuts `draft` into blocks of `size` rows and colours them greedily in their order.
+    pub(crate) fn new(draft: &Draft, size: usize, threads: Threads) -> Blocks {
+        let rows = draft.rows();
+        let count = rows.div_ceil(size);
+        let shift = size.trailing_zeros();
+        let adjacency = threads.for_rows(rows).map(
+            0..count,
+            || vec![NONE; count],
+            |stamps, b| {
+                let entries = draft.offsets[b * size] as usize..draft.offsets[((b + 1) * size).min(rows)] as usize;
+                stamps[b] = b as u32;
+                let mut touched = Vec::new();
+                for &j in &draft.neighbours[entries] {
+                    let other = (j >> shift) as usize;
+                    // Foreign rows are in no block.
+                    if other < count && stamps[other] != b as u32 {
+                        stamps[other] = b as u32;
+                        touched.push(other as u32);
+                    }
+                }
+                touched
+            },
+        );
+        let (colours, by_colour) = colour(&both_ways(adjacency));
+        Blocks {
+            size,
+            rows,
+            colours,
+            by_colour,
+        }
+    }
+
+    /// The number that the first foreign row goes by.
+    pub(crate) fn padded(&self) -> usize {
+        self.rows.next_multiple_of(self.size)
+    }
+
+    /// Rows of block `b`.
+    pub(crate) fn range(&self, b: usize) -> std::ops::Range<usize> {
+        b * self.size..((b + 1) * self.size).min(self.rows)
+    }
+}
+
+/// Adds to every list of adjacent blocks those that name its block. In a symmetric graph they are there already; that
+/// blocks of one colour can be swept at the same time must not hang on a caller's promise.
+fn both_ways(mut adjacency: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
+    let named: Vec<(u32, u32)> = (0u32..)
+        .zip(&adjacency)
+        .flat_map(|(b, others)| others.iter().map(move |&other| (b, other)))
+        .filter(|&(b, other)| !adjacency[other as usize].contains(&b))
+        .collect();
+    for (b, other) in named {
+        adjacency[other as usize].push(b);
+    }
+    adjacency
+}
+
+/// Colours blocks greedily in their order. Returns the first block of each colour and the blocks colour by colour.
+fn colour(adjacency: &[Vec<u32>]) -> (Vec<u32>, Vec<u32>) {
+    let mut colour_of = vec![NONE; adjacency.len()];
+    let mut taken: Vec<usize> = Vec::new();
+    for (b, others) in adjacency.iter().enumerate() {
+        for &other in others {
+            let c = colour_of[other as usize];
+            if c != NONE {
+                taken[c as usize] = b + 1;
+            }
+        }
+        let free = taken.iter().position(|&t| t != b + 1).unwrap_or(taken.len());
+        if free == taken.len() {
+            taken.push(0);
+        }
+        colour_of[b] = free as u32;
+    }
+    let mut begins = vec![0u32; taken.len() + 1];
+    for &c in &colour_of {
+        begins[c as usize + 1] += 1;
+    }
+    for c in 0..taken.len() {
+        begins[c + 1] += begins[c];
+    }
+    let mut cursor = begins.clone();
+    let mut by_colour = vec![0u32; adjacency.len()];
+    for (b, &c) in colour_of.iter().enumerate() {
+        by_colour[cursor[c as usize] as usize] = b as u32;
+        cursor[c as usize] += 1;
+    }
+    (begins, by_colour)
+}

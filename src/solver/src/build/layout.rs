@@ -1,0 +1,274 @@
+//! Bringing a graph into sweep order: blocks by colour, the rows of each in bundles.
+//!
+//! A sweep over irregular rows is bound by mispredicted branches and by waiting, not by arithmetic. Here the rows of a
+//! block are coloured in turn, and four rows of one colour with (nearly) equal numbers of neighbours before and after
+//! them make a *bundle*: one loop serves four rows, and four independent sums are under way at any time.
+
+use crate::build::bundling::Scratch;
+use crate::build::draft::{Blocks, Draft};
+use crate::build::level::{Bundle, Level};
+use crate::lanes::{Lanes, Shared};
+use crate::storage::{BUNDLE, grow};
+use crate::threads::{Threads, piece, pieces};
+
+/// Rows that one piece of work handles where there are no blocks.
+const PIECE: usize = 4096;
+
+/// Brings `draft` into sweep order. Returns the level, without aggregates, and the row that each row of the draft has
+/// become.
+pub(crate) fn arrange(draft: &Draft, blocks: &Blocks, threads: Threads) -> (Level, Vec<u32>) {
+    let mut level = Level {
+        weights: draft.weights.as_ref().map(|_| Vec::new()),
+        blocks: vec![0],
+        colours: vec![0],
+        ..Level::default()
+    };
+    let ranks = append(&mut level, draft, &[], blocks, threads);
+    (level, ranks)
+}
+
+/// Puts the rows of `draft` behind all that `level` has, in blocks and colours of their own. Returns the row that each
+/// has become, and from [`Blocks::padded`] on the rows of `foreign`, which the draft's foreign neighbours stand for.
+///
+/// The rows of `foreign` are not told of their new neighbours, and new rows have no aggregates.
+pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: &Blocks, threads: Threads) -> Vec<u32> {
+    let n = draft.rows();
+    let threads = threads.for_rows(n);
+    let (block, by_colour) = (blocks.size, &blocks.by_colour);
+    // Foreign rows come before all.
+    let mut places = vec![0u32; by_colour.len() + foreign.len().div_ceil(block)];
+    for (place, &b) in (1..).zip(by_colour) {
+        places[b as usize] = place;
+    }
+
+    let mut ranks = vec![0u32; n];
+    let shared = Shared::new(&mut ranks);
+    let plans = threads.map(0..by_colour.len(), Scratch::new, |scratch, b| {
+        let range = blocks.range(b);
+        // SAFETY: blocks hold disjoint rows and each is visited once.
+        let slots = unsafe { shared.rows(range.clone()) };
+        scratch.plan(draft, &places, b, range, block, slots)
+    });
+
+    let first = level.bundles.len();
+    if first > 0 && level.blocks.last() == Some(&level.filling) {
+        // The bundle of filling gets a block, so that others can follow.
+        level.blocks.push(level.filling + BUNDLE as u32);
+        level.colours.push(level.blocks.len() as u32 - 1);
+    }
+    // Rows and entries block by block in the order of colours.
+    let first_block = level.blocks.len() - 1;
+    let mut bases = vec![0u32; by_colour.len()];
+    let bundles: usize = plans.iter().map(Vec::len).sum();
+    level.bundles.reserve_exact(bundles + 1);
+    let begin = level.neighbours.len() as u32;
+    let mut total = begin;
+    for &b in by_colour {
+        bases[b as usize] = (level.bundles.len() * BUNDLE) as u32;
+        for &[before, after] in &plans[b as usize] {
+            let middle = total + BUNDLE as u32 * before;
+            let end = middle + BUNDLE as u32 * after;
+            level.bundles.push(Bundle {
+                begin: total,
+                middle,
+                end,
+            });
+            total = end;
+        }
+        level.blocks.push((level.bundles.len() * BUNDLE) as u32);
+    }
+    drop(plans);
+    let colours = blocks.colours[1..].iter().map(|&c| first_block as u32 + c);
+    level.colours.extend(colours);
+    if first == 0 {
+        // One bundle of nothing but filling, which no block holds.
+        level.filling = (level.bundles.len() * BUNDLE) as u32;
+        level.bundles.push(Bundle {
+            begin: total,
+            middle: total,
+            end: total,
+        });
+    }
+    let (rows, entries) = ((level.bundles.len() - first) * BUNDLE, (total - begin) as usize);
+    level.occupied += n;
+    level.entries += entries;
+    grow(&mut level.neighbours, entries, 0);
+    if let Some(weights) = &mut level.weights {
+        grow(weights, entries, 0.0);
+    }
+    grow(&mut level.diagonal, rows, 0.0);
+    let placed = !draft.positions.is_empty();
+    if placed {
+        grow(&mut level.positions, rows, Lanes::ZERO);
+    }
+
+    let shift = block.trailing_zeros();
+    let (ranks_out, positions_out) = (Shared::new(&mut ranks), Shared::new(&mut level.positions));
+    threads.each(0..pieces(n, PIECE), |k| {
+        for k in piece(k, n, PIECE) {
+            // SAFETY: every row of the draft has its own row of the level; each is visited once.
+            unsafe {
+                let row = bases[k >> shift] + ranks_out.get(k);
+                ranks_out.set(k, row);
+                if placed {
+                    positions_out.set(row as usize, draft.positions[k]);
+                }
+            }
+        }
+    });
+    if !foreign.is_empty() {
+        ranks.resize(blocks.padded(), 0);
+        ranks.extend(foreign);
+    }
+    fill(level, first_block, draft, blocks, &ranks, threads);
+    ranks
+}
+
+/// Copies the draft block by block into bundles, renames neighbours and puts those before each row first.
+fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, ranks: &[u32], threads: Threads) {
+    let filling = level.filling();
+    let (bundles, block_rows) = (&level.bundles, &level.blocks[first_block..]);
+    let diagonal = Shared::new(&mut level.diagonal);
+    let neighbours = Shared::new(&mut level.neighbours);
+    let weights = level.weights.as_mut().map(|w| Shared::new(w));
+    threads.each(0..blocks.by_colour.len(), |k| {
+        let rows = block_rows[k] as usize..block_rows[k + 1] as usize;
+        let entries = bundles[rows.start / BUNDLE].begin as usize..bundles[rows.end / BUNDLE - 1].end as usize;
+        // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
+        let (diagonal, out) = unsafe { (diagonal.rows(rows.clone()), neighbours.rows(entries.clone())) };
+        // SAFETY: as above.
+        let mut out_weights = weights.map(|w| unsafe { w.rows(entries.clone()) });
+        out.fill(filling);
+        for from in blocks.range(blocks.by_colour[k] as usize) {
+            let rank = ranks[from];
+            let i = rank as usize;
+            let source = draft.entries(from);
+            let (bundle, lane) = (bundles[i / BUNDLE], i % BUNDLE);
+            // From both ends: every entry is written at both, and the end that does not advance is written again.
+            let mut low = bundle.begin as usize - entries.start + lane;
+            let mut high = bundle.end as usize - entries.start + lane;
+            let mut sum = 0.0f64;
+            match (out_weights.as_deref_mut(), &draft.weights) {
+                (Some(out_weights), Some(w)) => {
+                    for s in source.clone() {
+                        let j = ranks[draft.neighbours[s] as usize];
+                        let before = usize::from(j < rank);
+                        out[low] = j;
+                        out[high - BUNDLE] = j;
+                        out_weights[low] = w[s];
+                        out_weights[high - BUNDLE] = w[s];
+                        sum += f64::from(w[s]);
+                        low += BUNDLE * before;
+                        high -= BUNDLE * (1 - before);
+                    }
+                    for e in (low..high).step_by(BUNDLE) {
+                        out_weights[e] = 0.0;
+                    }
+                }
+                _ => {
+                    for &s in &draft.neighbours[source.clone()] {
+                        let j = ranks[s as usize];
+                        let before = usize::from(j < rank);
+                        out[low] = j;
+                        out[high - BUNDLE] = j;
+                        low += BUNDLE * before;
+                        high -= BUNDLE * (1 - before);
+                    }
+                    sum = source.len() as f64;
+                }
+            }
+            for e in (low..high).step_by(BUNDLE) {
+                out[e] = filling;
+            }
+            debug_assert!(low <= bundle.middle as usize - entries.start + lane);
+            diagonal[i - rows.start] = sum as f32;
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::storage::NONE;
+    use crate::testing::Block;
+
+    #[test]
+    fn arranging_keeps_the_graph() {
+        let block = Block::new(9, 8, 7).weighted();
+        let hierarchy = block.hierarchy(1);
+        let level = &hierarchy.levels[0];
+        let mut ranks = vec![0; block.positions.len()];
+        for (row, &vertex) in hierarchy.order.iter().enumerate().filter(|o| *o.1 != NONE) {
+            ranks[vertex as usize] = row as u32;
+        }
+        let mut filling = 0;
+        for (row, &vertex) in hierarchy.order.iter().enumerate() {
+            if vertex == NONE {
+                filling += 1;
+                assert_eq!(level.row(row).count(), 0);
+                assert_eq!(level.diagonal[row], 0.0);
+                continue;
+            }
+            let vertex = vertex as usize;
+            let source = block.offsets[vertex] as usize..block.offsets[vertex + 1] as usize;
+            let weights = block.weights.as_ref().unwrap();
+            let scale = hierarchy.weight_scale as f32;
+            let mut want: Vec<(u32, f32)> = source
+                .map(|e| (ranks[block.neighbours[e] as usize], weights[e] * scale))
+                .collect();
+            let mut seen: Vec<(u32, f32)> = level.row(row).map(|(j, w)| (j as u32, w)).collect();
+            want.sort_by_key(|w| w.0);
+            seen.sort_by_key(|w| w.0);
+            assert_eq!(seen, want);
+            let (begin, middle, end) = level.bundle(row / BUNDLE);
+            for e in (begin + row % BUNDLE..end).step_by(BUNDLE) {
+                let j = level.neighbours[e] as usize;
+                assert!(j == level.filling() as usize || (j < row) == (e < middle));
+            }
+            let sum: f32 = want.iter().map(|w| w.1).sum();
+            assert!((sum - level.diagonal[row]).abs() < 1e-4 * sum);
+        }
+        assert!(filling < level.rows() / 10, "{filling} of {}", level.rows());
+    }
+
+    /// The promise on which parallel sweeps and their unsafe code rest, and that of sweeping four rows at a time.
+    #[test]
+    fn blocks_of_one_colour_and_rows_of_one_bundle_do_not_touch() {
+        let block = Block::new(14, 13, 12);
+        let hierarchy = block.hierarchy(1);
+        for level in &hierarchy.levels {
+            assert_eq!(level.blocks.first(), Some(&0));
+            assert_eq!(*level.blocks.last().unwrap() as usize + BUNDLE, level.rows());
+            assert_eq!(*level.colours.last().unwrap() as usize, level.blocks.len() - 1);
+            let block_of = |row: usize| level.blocks.partition_point(|&b| b as usize <= row) - 1;
+            let colour_of = |row: usize| level.colours.partition_point(|&c| c as usize <= block_of(row)) - 1;
+            for row in 0..level.rows() {
+                for (j, _) in level.row(row) {
+                    assert!(block_of(row) == block_of(j) || colour_of(row) != colour_of(j));
+                    assert_ne!(row / BUNDLE, j / BUNDLE, "rows {row} and {j} are adjacent");
+                }
+            }
+        }
+        assert!(hierarchy.levels[0].colours.len() > 2 && hierarchy.levels.len() > 2);
+    }
+
+    #[test]
+    fn graphs_without_independent_rows_are_bundled_one_by_one() {
+        // A complete graph: no two rows can share a bundle.
+        let n = 70u32;
+        let offsets: Vec<u32> = (0..=n).map(|i| i * (n - 1)).collect();
+        let neighbours: Vec<u32> = (0..n).flat_map(|i| (0..n).filter(move |&j| j != i)).collect();
+        let draft = Draft {
+            offsets,
+            neighbours,
+            ..Draft::default()
+        };
+        let threads = Threads::of(&crate::testing::pool());
+        let (level, mut ranks) = arrange(&draft, &Blocks::new(&draft, 64, threads), threads);
+        ranks.sort_unstable();
+        ranks.dedup();
+        assert_eq!(ranks.len(), 70);
+        let filled = (0..level.rows()).filter(|&i| level.diagonal[i] == 69.0).count();
+        assert_eq!(filled, 70);
+    }
+}

@@ -1,0 +1,13 @@
+//! From a graph to its hierarchy: order, aggregates, coarse edges, and rows laid out for sweeps.
+
+pub(crate) mod aggregates;
+mod bundling;
+pub(crate) mod coarsen;
+pub(crate) mod draft;
+pub(crate) mod hierarchy;
+pub(crate) mod layout;
+pub(crate) mod level;
+pub(crate) mod operator;
+pub(crate) mod order;
+
+pub use self::hierarchy::Hierarchy;

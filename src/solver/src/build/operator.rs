@@ -1,0 +1,292 @@
+//! Coarse equations: a finite-volume view of the graph Laplacian on aggregates.
+//!
+//! Between two aggregates I and J flows Σ w (x_i − x_j) over the edges that cross. If x is an affine function of
+//! position, this is g·v with v = Σ w (p_i − p_j), while a single coarse edge of weight S = Σ w between the centroids
+//! would carry S g·D with D = c_I − c_J. Their ratio φ = v·D / (S |D|²) makes the coarse edge carry the right flow, so
+//! coarse corrections have the right length and need no over-correction factor.
+
+use crate::build::aggregates::Groups;
+use crate::build::draft::Draft;
+use crate::lanes::{Lanes, Wide};
+use crate::storage::NONE;
+use crate::threads::{Threads, piece, pieces};
+
+/// Bounds of φ. Below, a coarse vertex could lose its connection (φ can even be negative on folded surfaces); above 1
+/// the coarse equations would be stiffer than the sums of the fine ones, and corrections only shorter.
+const RATIO: (f64, f64) = (0.3, 1.0);
+
+/// φ where positions are unknown or coincide pairwise.
+const RATIO_WITHOUT_POSITIONS: f64 = 0.55;
+
+/// Coarse rows that one piece of work handles.
+const PIECE: usize = 1024;
+
+/// Scratch of one thread: the groups that the present one touches, and the sums towards them.
+///
+/// Every entry is added somewhere without asking where it leads, since such questions cost more than the sums: those
+/// inside the group get a sum of their own, which nobody reads.
+struct Slots {
+    /// For each group the one whose slot numbers were written last, in the upper half, and the slot in the lower one.
+    table: Vec<u64>,
+    /// Group of each slot in use; longer than that.
+    others: Vec<u32>,
+    /// Σ w (p_i − p_j) in the first three lanes, Σ w in the last; 0 beyond those in use.
+    sums: Vec<Lanes>,
+    used: usize,
+}
+
+impl Slots {
+    fn new(count: usize) -> Slots {
+        Slots {
+            table: vec![u64::MAX; count],
+            others: Vec::new(),
+            sums: Vec::new(),
+            used: 0,
+        }
+    }
+
+    fn begin(&mut self) {
+        self.sums[..self.used].fill(Lanes::ZERO);
+        self.used = 0;
+    }
+
+    /// Makes sure that `more` slots can be taken.
+    fn reserve(&mut self, more: usize) {
+        let want = self.used + more + 1;
+        if self.sums.len() < want {
+            self.sums.resize(2 * want, Lanes::ZERO);
+            self.others.resize(2 * want, NONE);
+        }
+    }
+}
+
+/// Builds the next level from the groups of `draft`, a row for each group.
+pub(crate) fn coarse_rows(draft: &Draft, groups: &Groups, threads: Threads) -> Draft {
+    let count = groups.len();
+    let threads = threads.for_rows(draft.rows());
+    let positions = if draft.positions.is_empty() {
+        Vec::new()
+    } else {
+        centroids(draft, groups, threads)
+    };
+
+    // Each pair of aggregates is summed once, from its smaller number, so the result is symmetric to the bit.
+    let halves = threads.map(
+        0..pieces(count, PIECE),
+        || Slots::new(count),
+        |slots, k| {
+            let rows = piece(k, count, PIECE);
+            let mut entries: Vec<(u32, f32)> = Vec::with_capacity(8 * rows.len());
+            let mut ends = Vec::with_capacity(rows.len());
+            for coarse in rows {
+                match (&draft.weights, positions.is_empty()) {
+                    (None, false) => sum_crossing::<false, true>(draft, groups, coarse, slots),
+                    (Some(_), false) => sum_crossing::<true, true>(draft, groups, coarse, slots),
+                    (None, true) => sum_crossing::<false, false>(draft, groups, coarse, slots),
+                    (Some(_), true) => sum_crossing::<true, false>(draft, groups, coarse, slots),
+                }
+                for (&other, &sum) in slots.others[..slots.used].iter().zip(&slots.sums) {
+                    if other as usize > coarse {
+                        entries.push((other, weight(&positions, coarse, other as usize, sum)));
+                    }
+                }
+                ends.push(entries.len());
+            }
+            (entries, ends)
+        },
+    );
+    mirror(count, &halves, positions)
+}
+
+/// Mean position of each aggregate's members.
+fn centroids(draft: &Draft, groups: &Groups, threads: Threads) -> Vec<Lanes> {
+    let count = groups.len();
+    let parts = threads.map(
+        0..pieces(count, PIECE),
+        || (),
+        |(), k| {
+            let mean = |coarse: usize| {
+                let members = groups.members_of(coarse);
+                let mut sum = [0.0f64; 4];
+                for &i in members {
+                    crate::lanes::add_wide(&mut sum, draft.positions[i as usize].wide());
+                }
+                Lanes::from_wide(sum.map(|s| s / members.len() as f64))
+            };
+            piece(k, count, PIECE).map(mean).collect::<Vec<_>>()
+        },
+    );
+    parts.concat()
+}
+
+/// Sums over the edges from aggregate `coarse` to each aggregate that they lead to.
+fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(
+    draft: &Draft,
+    groups: &Groups,
+    coarse: usize,
+    slots: &mut Slots,
+) {
+    let weights: &[f32] = draft.weights.as_deref().unwrap_or(&[]);
+    let of_row = groups.of_row.as_slice();
+    let owner = (coarse as u64) << 32;
+    slots.begin();
+    for &i in groups.members_of(coarse) {
+        let i = i as usize;
+        let mut here = if PLACED { draft.positions[i] } else { Lanes::ZERO };
+        here.0[3] = 1.0;
+        let entries = draft.entries(i);
+        slots.reserve(entries.len());
+        let neighbours = &draft.neighbours[entries.clone()];
+        let weights = if WEIGHTED { &weights[entries] } else { &[] };
+        let (table, others, sums) = (&mut slots.table[..], &mut slots.others[..], &mut slots.sums[..]);
+        let mut used = slots.used;
+        for (e, &j) in neighbours.iter().enumerate() {
+            let j = j as usize;
+            let there = if PLACED { draft.positions[j] } else { Lanes::ZERO };
+            let difference = here - there;
+            let term = if WEIGHTED { difference * weights[e] } else { difference };
+            let other = of_row[j];
+            let known = table[other as usize];
+            let fresh = known ^ owner > u64::from(u32::MAX);
+            let slot = if fresh { used } else { known as u32 as usize };
+            // What a known slot writes at the end, the next fresh one replaces.
+            others[used] = other;
+            used += usize::from(fresh);
+            table[other as usize] = owner | slot as u64;
+            sums[slot] += term;
+        }
+        slots.used = used;
+    }
+}
+
+/// The coarse weight S·φ of two aggregates of the present draft.
+fn weight(positions: &[Lanes], coarse: usize, other: usize, sum: Lanes) -> f32 {
+    let apart = (!positions.is_empty()).then(|| positions[coarse] - positions[other]);
+    coarse_weight(apart, sum.wide())
+}
+
+/// The coarse weight S·φ, never 0. `apart` is the way between the centroids, where there are positions; `sum` holds
+/// Σ w (p_i − p_j) and S.
+pub(crate) fn coarse_weight(apart: Option<Lanes>, sum: Wide) -> f32 {
+    let [vx, vy, vz, s] = sum;
+    let ratio = match apart {
+        None => RATIO_WITHOUT_POSITIONS,
+        Some(apart) => {
+            let [dx, dy, dz, _] = apart.wide();
+            let ratio = (vx * dx + vy * dy + vz * dz) / (s * (dx * dx + dy * dy + dz * dz));
+            if ratio.is_finite() {
+                ratio.clamp(RATIO.0, RATIO.1)
+            } else {
+                1.0
+            }
+        }
+    };
+    ((s * ratio) as f32).max(f32::MIN_POSITIVE)
+}
+
+type Half = (Vec<(u32, f32)>, Vec<usize>);
+
+/// Turns the entries towards larger numbers into full rows.
+fn mirror(count: usize, halves: &[Half], positions: Vec<Lanes>) -> Draft {
+    let each = |visit: &mut dyn FnMut(usize, u32, f32)| {
+        for (k, (entries, ends)) in halves.iter().enumerate() {
+            let mut begin = 0;
+            for (local, &end) in ends.iter().enumerate() {
+                for &(other, w) in &entries[begin..end] {
+                    visit(k * PIECE + local, other, w);
+                }
+                begin = end;
+            }
+        }
+    };
+    let mut offsets = vec![0u32; count + 1];
+    each(&mut |i, j, _| {
+        offsets[i + 1] += 1;
+        offsets[j as usize + 1] += 1;
+    });
+    for i in 0..count {
+        offsets[i + 1] += offsets[i];
+    }
+    let mut cursor = offsets.clone();
+    let mut neighbours = vec![0u32; offsets[count] as usize];
+    let mut weights = vec![0.0f32; offsets[count] as usize];
+    let mut put = |i: usize, j: u32, w: f32| {
+        let slot = cursor[i] as usize;
+        neighbours[slot] = j;
+        weights[slot] = w;
+        cursor[i] += 1;
+    };
+    each(&mut |i, j, w| {
+        put(i, j, w);
+        put(j as usize, i as u32, w);
+    });
+    Draft {
+        offsets,
+        neighbours,
+        weights: Some(weights),
+        positions,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Block, pool};
+
+    #[test]
+    fn coarse_weights_are_symmetric_and_bounded_by_their_sums() {
+        let hierarchy = Block::new(12, 11, 10).weighted().hierarchy(1);
+        assert!(hierarchy.levels.len() > 2);
+        for pair in hierarchy.levels.windows(2) {
+            let (fine, coarse) = (&pair[0], &pair[1]);
+            for row in 0..coarse.rows() {
+                for (other, w) in coarse.row(row) {
+                    let back = coarse.row(other).find(|(k, _)| *k == row).unwrap().1;
+                    assert_eq!(w.to_bits(), back.to_bits());
+                    let mut sum = 0.0;
+                    for &i in fine.members_of(row) {
+                        let cross = |(j, _): &(usize, f32)| fine.aggregates[*j] as usize == other;
+                        sum += fine.row(i as usize).filter(cross).map(|(_, w)| w).sum::<f32>();
+                    }
+                    let ratio = w / sum;
+                    assert!((0.2999..=1.0001).contains(&ratio), "{ratio}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_affine_field_flows_alike_on_both_levels() {
+        // Along a chain cut into equal pieces the coarse edge must carry the flow of the one edge it replaces:
+        // one fine edge of length 1 against a coarse edge of length 2.
+        let at = |x: f32| Lanes([x, 0.0, 0.0, 0.0]);
+        let draft = Draft {
+            offsets: vec![0, 1, 3, 5, 6],
+            neighbours: vec![1, 0, 2, 1, 3, 2],
+            weights: None,
+            positions: vec![at(0.0), at(1.0), at(2.0), at(3.0)],
+        };
+        let groups = Groups::new(vec![0, 0, 1, 1], 2);
+        let coarse = coarse_rows(&draft, &groups, Threads::of(&pool()));
+        assert_eq!(coarse.neighbours, [1, 0]);
+        assert!((coarse.weight(0) - 0.5).abs() < 1e-6, "{:?}", coarse.weights);
+    }
+
+    #[test]
+    fn positions_that_say_nothing_keep_the_sum() {
+        let sum = Lanes([0.0, 0.0, 0.0, 7.0]);
+        assert_eq!(weight(&[Lanes::ZERO; 2], 0, 1, sum), 7.0);
+        assert!(
+            (weight(&[], 0, 1, sum) - 3.85).abs() < 1e-6,
+            "0.55 of the sum where nothing is known"
+        );
+        let apart = [Lanes([1.0, 0.0, 0.0, 0.0]), Lanes::ZERO];
+        assert_eq!(
+            weight(&apart, 0, 1, Lanes([-5.0, 0.0, 0.0, 10.0])),
+            3.0,
+            "a flow backwards is clamped"
+        );
+        assert_eq!(weight(&apart, 0, 1, Lanes([25.0, 0.0, 0.0, 10.0])), 10.0);
+        assert!(weight(&[], 0, 1, Lanes([0.0, 0.0, 0.0, f32::MIN_POSITIVE])) > 0.0);
+    }
+}

@@ -1,0 +1,165 @@
+//! Which rows of one level are solved for, and with which diagonal.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::build::level::Level;
+use crate::lanes::Shared;
+use crate::storage::NONE;
+use crate::threads::{Threads, piece, pieces};
+
+/// Rows that one piece of work handles.
+const PIECE: usize = 4096;
+
+/// One level under constraints. The level's off-diagonal entries stay as they are; a constrained row is *masked*: its
+/// unknown is 0 in every correction, which takes it out of the equations of its neighbours.
+#[derive(Debug, Default)]
+pub(crate) struct Mask {
+    /// 1 / (Σ w + α) of rows that are solved for, 0 of masked ones.
+    pub(crate) inverses: Vec<f32>,
+    /// α of each row, or empty where it is 0 everywhere.
+    pub(crate) alphas: Vec<f32>,
+    /// Blocks that hold a row to solve for, in sweep order.
+    pub(crate) active: Vec<u32>,
+    /// First of `active` for each colour, and their number.
+    pub(crate) colours: Vec<u32>,
+    /// Free rows that have a masked neighbour, one bit each.
+    pub(crate) border: Vec<u64>,
+}
+
+impl Mask {
+    #[inline(always)]
+    pub(crate) fn free(&self, row: usize) -> bool {
+        self.inverses[row] != 0.0
+    }
+
+    #[inline]
+    pub(crate) fn alpha(&self, row: usize) -> f32 {
+        self.alphas.get(row).copied().unwrap_or(0.0)
+    }
+
+    /// Fills in what follows from `inverses`.
+    pub(crate) fn list_active(&mut self, level: &Level, threads: Threads) {
+        const BLOCKS: usize = 256;
+        let count = level.colours.last().map_or(0, |&end| end as usize);
+        let is_active = |b: &u32| level.block(*b as usize).any(|i| self.free(i));
+        let lists = threads.for_rows(level.rows()).map(
+            0..pieces(count, BLOCKS),
+            || (),
+            |(), k| {
+                let blocks = piece(k, count, BLOCKS);
+                (blocks.start as u32..blocks.end as u32)
+                    .filter(is_active)
+                    .collect::<Vec<u32>>()
+            },
+        );
+        self.active = lists.concat();
+        let before = |&end: &u32| self.active.partition_point(|b| *b < end) as u32;
+        self.colours = level.colours.iter().map(before).collect();
+    }
+
+    #[inline(always)]
+    pub(crate) fn on_border(&self, row: usize) -> bool {
+        self.border[row >> 6] >> (row & 63) & 1 == 1
+    }
+
+    /// Fills in `border`, from whichever side has fewer rows. Filling counts as neither.
+    pub(crate) fn find_border(&mut self, level: &Level, threads: Threads) {
+        let n = level.rows();
+        let threads = threads.for_rows(n);
+        let count = |k| piece(k, n, PIECE).filter(|&i| self.free(i)).count();
+        let free: usize = threads.map(0..pieces(n, PIECE), || (), |(), k| count(k)).iter().sum();
+        let from_free = free < level.occupied() / 2;
+        let border: Vec<AtomicU64> = (0..n.div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
+        threads.each(0..pieces(n, PIECE), |k| {
+            for i in piece(k, n, PIECE).filter(|&i| self.free(i) == from_free && level.connected(i)) {
+                for (j, _) in level.row(i) {
+                    if self.free(j) != from_free {
+                        let row = if from_free { i } else { j };
+                        // Bits are only ever set, so the order makes no difference.
+                        border[row >> 6].fetch_or(1 << (row & 63), Ordering::Relaxed);
+                    }
+                }
+            }
+        });
+        self.border = border.into_iter().map(AtomicU64::into_inner).collect();
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        let words = self.inverses.len() + self.alphas.len() + self.active.len() + self.colours.len();
+        4 * words + 8 * self.border.len()
+    }
+}
+
+/// The mask of the level below `fine`. An aggregate without free members is masked. Another one sums α over its free
+/// members, and the weights that tie these to masked rows ([`tie_share`]). Always from scratch: nothing accumulates over
+/// changes of constraints.
+pub(crate) fn coarser(fine: &Level, coarse: &Level, fine_mask: &Mask, threads: Threads) -> Mask {
+    let n = coarse.rows();
+    let threads = threads.for_rows(fine.rows());
+    let mut mask = Mask {
+        inverses: vec![0.0; n],
+        alphas: vec![0.0; n],
+        ..Mask::default()
+    };
+    // 1 marks aggregates with free members until all of them are known.
+    let inverses = Shared::new(&mut mask.inverses);
+    threads.each(0..pieces(n, PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        let inverses = unsafe { inverses.rows(piece(k, n, PIECE)) };
+        for (inverse, row) in inverses.iter_mut().zip(piece(k, n, PIECE)) {
+            let free = fine.members_of(row).iter().any(|&i| fine_mask.free(i as usize));
+            *inverse = f32::from(u8::from(free));
+        }
+    });
+    let mut alphas = std::mem::take(&mut mask.alphas);
+    let shared = Shared::new(&mut alphas);
+    threads.each(0..pieces(n, PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        let alphas = unsafe { shared.rows(piece(k, n, PIECE)) };
+        for (alpha, row) in alphas.iter_mut().zip(piece(k, n, PIECE)) {
+            if !mask.free(row) {
+                continue;
+            }
+            let mut sum = 0.0f64;
+            for &i in fine.members_of(row) {
+                let i = i as usize;
+                if !fine_mask.free(i) {
+                    continue;
+                }
+                sum += f64::from(fine_mask.alpha(i));
+                if !fine_mask.on_border(i) {
+                    continue;
+                }
+                for (j, w) in fine.row(i).filter(|&(j, _)| !fine_mask.free(j)) {
+                    sum += f64::from(w) * f64::from(tie_share(fine, &mask, row, j));
+                }
+            }
+            *alpha = sum as f32;
+        }
+    });
+    mask.alphas = alphas;
+    for (row, inverse) in mask.inverses.iter_mut().enumerate().filter(|(_, v)| **v != 0.0) {
+        let diagonal = coarse.diagonal[row] + mask.alphas[row];
+        *inverse = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
+    }
+    mask.list_active(coarse, threads);
+    mask.find_border(coarse, threads);
+    mask
+}
+
+/// How much of an edge from a free member of aggregate `row` to the masked row `j` becomes α of the aggregate.
+///
+/// All of it inside the aggregate. Nothing if `j`'s aggregate is masked: the coarse edge to it says it all. Otherwise
+/// that aggregate moves in the coarse equations, and what the edge holds would be lost; it counts as much as crossing
+/// edges do on average. Handles of a few vertices are held by such edges alone.
+pub(crate) fn tie_share(fine: &Level, coarse_mask: &Mask, row: usize, j: usize) -> f32 {
+    const CROSSING: f32 = 0.6;
+    let aggregate = fine.aggregates[j];
+    if aggregate == row as u32 {
+        1.0
+    } else if aggregate != NONE && coarse_mask.free(aggregate as usize) {
+        CROSSING
+    } else {
+        0.0
+    }
+}

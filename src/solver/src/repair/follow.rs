@@ -1,0 +1,207 @@
+//! Following a change from the finest level up.
+
+use std::sync::Arc;
+
+use crate::build::coarsen::SHRINK;
+use crate::build::draft::Blocks;
+use crate::build::hierarchy::{Hierarchy, block_size, coarsen};
+use crate::error::Error;
+use crate::exec::Exec;
+use crate::graph::Graph;
+use crate::progress::Silent;
+use crate::repair::change::{Change, Plan, Repair, read};
+use crate::repair::compact::{draft_of, gather, rearrange, renumber_aggregates};
+use crate::repair::place::{Placed, place};
+use crate::repair::regroup::{Regrouped, regroup};
+use crate::repair::rows::coarse_rows;
+use crate::storage::{NONE, grow};
+use crate::threads::Threads;
+
+/// Levels above the first one with at most this many vertices are built anew rather than repaired.
+const SMALL: usize = 4096;
+/// A level is arranged anew once it holds this many times as many rows or entries as it uses,
+const WASTE: usize = 2;
+/// and this many more.
+const WASTE_AT_LEAST: usize = 512;
+/// Entries of a level beyond which repairs do not add to it.
+const ROOM: usize = u32::MAX as usize / 4;
+
+impl Hierarchy {
+    /// Follows a topology change. `graph` is the graph after it, in the new numbers. Costs what the change touches, but
+    /// for one pass over the numbers of all vertices; the result depends on the hierarchy and the arguments alone.
+    ///
+    /// [`System`](super::System)s that were made before belong to the old hierarchy and fail with this one. To keep
+    /// both, repair a clone.
+    ///
+    /// Weights keep the scale and positions the box that the hierarchy was built with. With
+    /// [`Operators::Paper`](super::Operators::Paper) a repair is a build.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a change that contradicts the graphs and for malformed touched rows,
+    /// [`Error::Cancelled`]. The hierarchy is then as it was.
+    pub fn repair(&mut self, graph: &Graph<'_>, change: &Change<'_>, exec: &Exec<'_>) -> Result<Repair, Error> {
+        self.repair_above(SMALL, graph, change, exec)
+    }
+
+    /// The same where `small` is the number of vertices up to which levels are built anew.
+    pub(super) fn repair_above(
+        &mut self,
+        small: usize,
+        graph: &Graph<'_>,
+        change: &Change<'_>,
+        exec: &Exec<'_>,
+    ) -> Result<Repair, Error> {
+        exec.check()?;
+        let threads = Threads::of(exec.pool);
+        let least = self.vertices().min(graph.vertices());
+        let full = |l: &crate::build::level::Level| l.neighbours.len() > ROOM || l.rows() > ROOM;
+        let mut plan = None;
+        if least > small && self.paper.is_none() && !self.levels.iter().any(full) {
+            plan = threads.enter(exec.pool, || read(self, graph, change, threads))?;
+        }
+        let Some(plan) = plan else {
+            *self = Hierarchy::build(graph, &self.options, exec)?;
+            return Ok(Repair {
+                rebuilt: true,
+                moved: 0,
+            });
+        };
+        exec.check()?;
+        let moved = threads.enter(exec.pool, || self.follow(plan, small, threads));
+        self.token = Arc::new(());
+        Ok(Repair { rebuilt: false, moved })
+    }
+
+    /// True once repairs have left so much behind that a build pays off, because solves take about a quarter longer than
+    /// after one: an eighth of the finest level's rows stands in blocks that were appended, a fifth is empty, or it holds
+    /// a quarter as many unused entries as used ones. The number of iterations does not suffer, and repairs go on to
+    /// work: where more than half of a level lies waste, they arrange it anew.
+    pub fn is_worn(&self) -> bool {
+        let level = &self.levels[0];
+        let (filling, rows, vertices) = (level.filling() as usize, level.rows(), level.occupied());
+        let unused = level.neighbours.len() - level.entries;
+        8 * (rows - filling) > rows || 5 * (rows - vertices) > rows || 4 * unused > level.entries
+    }
+
+    /// Changes the levels from the finest one up. Returns the number of rows that moved.
+    fn follow(&mut self, plan: Plan, small: usize, threads: Threads) -> usize {
+        let Plan {
+            mut touched,
+            vertices,
+            order,
+        } = plan;
+        // The first level that is small; levels are repaired up to there.
+        let top = self.levels.iter().position(|l| l.occupied() <= small);
+        let top = top.unwrap_or(self.levels.len() - 1);
+        self.order = order;
+        let mut moved = 0;
+        let mut groups: Option<Regrouped> = None;
+        for l in 0..=top {
+            if touched.draft.rows() == 0 && touched.dead.is_empty() {
+                break;
+            }
+            moved += touched.draft.rows();
+            let sequence = std::mem::take(&mut touched.sequence);
+            let placed = place(&mut self.levels[l], touched, block_size(l), threads);
+            match groups.take() {
+                Some(groups) => self.adopt(l - 1, &groups, &sequence, &placed),
+                None => self.name(&vertices, &placed),
+            }
+            let coarsened = self.levels.get(l + 1).map(|next| next.occupied());
+            if l == top || self.levels[l].grouping.paired || coarsened.is_none() {
+                self.coarsen_anew(l, threads);
+                break;
+            }
+            let (fine, coarse) = self.levels.split_at_mut(l + 1);
+            let (level, next) = (&mut fine[l], &coarse[0]);
+            let regrouped = regroup(level, &placed);
+            let count = next.occupied() + regrouped.members.len() - regrouped.dead.len();
+            if count as f64 > SHRINK * level.occupied() as f64 {
+                self.coarsen_anew(l, threads);
+                break;
+            }
+            touched = coarse_rows(level, next, &regrouped, block_size(l + 1));
+            groups = Some(regrouped);
+        }
+        for l in 0..self.levels.len().min(top + 1) {
+            self.tidy(l, threads);
+        }
+        moved
+    }
+
+    /// Arranges level `l` anew where most of it lies waste.
+    fn tidy(&mut self, l: usize, threads: Threads) {
+        let level = &self.levels[l];
+        let much = |all: usize, used: usize| all > WASTE * used + WASTE_AT_LEAST;
+        if much(level.rows(), level.occupied()) || much(level.neighbours.len(), level.entries) {
+            let (finer, coarser) = self.levels.split_at_mut(l);
+            let level = &mut coarser[0];
+            match finer.last_mut() {
+                Some(finer) => {
+                    let lives = |i: usize| !finer.members_of(i).is_empty();
+                    let rank_of = rearrange(level, lives, block_size(l), threads);
+                    renumber_aggregates(finer, &rank_of, level.rows());
+                }
+                None => {
+                    let before = std::mem::take(&mut self.order);
+                    let rank_of = rearrange(level, |i| before[i] != NONE, block_size(l), threads);
+                    self.order = vec![NONE; level.rows()];
+                    for (&rank, &vertex) in rank_of.iter().zip(&before).filter(|(rank, _)| **rank != NONE) {
+                        self.order[rank as usize] = vertex;
+                    }
+                }
+            }
+        } else if much(level.members.len(), level.occupied()) {
+            gather(&mut self.levels[l], |i| i);
+        }
+    }
+
+    /// Tells new rows of the finest level their vertices.
+    fn name(&mut self, vertices: &[u32], placed: &Placed) {
+        let level = &self.levels[0];
+        let more = level.rows() - self.order.len();
+        grow(&mut self.order, more, NONE);
+        for (&row, &vertex) in placed.rows.iter().zip(vertices) {
+            self.order[row as usize] = vertex;
+            let diagonal = f64::from(level.diagonal[row as usize]);
+            self.largest_diagonal = self.largest_diagonal.max(diagonal);
+        }
+    }
+
+    /// Tells the members of new groups of level `l` the rows that these have become, in the order of `sequence`.
+    fn adopt(&mut self, l: usize, groups: &Regrouped, sequence: &[u32], placed: &Placed) {
+        let rows = self.levels[l + 1].rows();
+        let level = &mut self.levels[l];
+        for &row in &groups.dead {
+            level.ranges[row as usize] = [0; 2];
+        }
+        let more = rows - level.ranges.len();
+        grow(&mut level.ranges, more, [0; 2]);
+        for (&g, &row) in sequence.iter().zip(&placed.rows) {
+            let members = &groups.members[g as usize];
+            let begin = level.members.len() as u32;
+            grow(&mut level.members, members.len(), 0);
+            level.members[begin as usize..].copy_from_slice(members);
+            level.ranges[row as usize] = [begin, begin + members.len() as u32];
+            for &i in members {
+                level.aggregates[i as usize] = row;
+            }
+        }
+    }
+
+    /// Builds all levels above level `l` anew.
+    fn coarsen_anew(&mut self, l: usize, threads: Threads) {
+        self.levels.truncate(l + 1);
+        let (finer, last) = self.levels.split_at_mut(l);
+        let lives = |i: usize| match finer.last() {
+            Some(finer) => !finer.members_of(i).is_empty(),
+            None => self.order[i] != NONE,
+        };
+        let level = &mut last[0];
+        (level.aggregates, level.ranges, level.members) = Default::default();
+        let (draft, rows) = draft_of(level, lives, threads);
+        let blocks = Blocks::new(&draft, block_size(l), threads);
+        // Halfway through there is no way back, so nobody is asked whether to go on.
+        let _ = coarsen(&mut self.levels, draft, blocks, rows, &self.options, threads, &Silent);
+    }
+}

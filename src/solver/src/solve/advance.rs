@@ -1,0 +1,264 @@
+//! Vector work of the outer iteration: the residual of a stretch, one step, adding the correction.
+
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, per_lane, ratio};
+use crate::progress::Cancelled;
+use crate::solve::cycle::{Coarse, Cycle};
+use crate::solve::problem::Problem;
+use crate::solve::sweep::{Dots, Grid};
+use crate::solve::workspace::Fine;
+use crate::storage::BUNDLE;
+
+/// What one step leaves.
+pub(crate) struct Advance {
+    /// Squared norms of the residual.
+    pub(crate) rr: Wide,
+    /// Squared norms of the correction.
+    pub(crate) ee: Wide,
+    /// Largest row of the step, as a vector of weighted lanes.
+    pub(crate) longest: f64,
+    /// True if the matrix or the preconditioner looked indefinite to an open lane.
+    pub(crate) broken: bool,
+}
+
+/// Norms of b, which residuals are compared with.
+pub(crate) fn reference(problem: &Problem<'_>, x: &[Wide]) -> Wide {
+    let norms = problem.rhs_norms(x);
+    let means = problem.system.floating.mean_norms(|i| problem.rhs(i));
+    per_lane(|c| (norms[c] - means[c]).max(0.0).sqrt())
+}
+
+/// Fills `fine.r` with the residual of an x that is 0 on free rows; returns the squared norms.
+pub(crate) fn first_residual(problem: &Problem<'_>, x: &[Wide], fine: &mut Fine) -> Wide {
+    let norms = problem.first_residual(x, &mut fine.r, Lanes::from_wide);
+    without_means(problem, fine, [1.0; WIDTH], norms)
+}
+
+/// Fills `fine.r` with the residual of x, times `scale`; returns the squared norms without that factor.
+pub(crate) fn residual(problem: &Problem<'_>, x: &[Wide], fine: &mut Fine, scale: Wide) -> Wide {
+    let convert = |r: Wide| Lanes::from_wide(per_lane(|c| r[c] * scale[c]));
+    let norms = problem.residual(x, true, &mut fine.r, convert);
+    without_means(problem, fine, scale, norms)
+}
+
+/// Takes the means of floating components out of `fine.r`; returns the squared norms of what is left, over `scale`.
+fn without_means(problem: &Problem<'_>, fine: &mut Fine, scale: Wide, norms: Wide) -> Wide {
+    let floating = &problem.system.floating;
+    if floating.is_empty() {
+        return norms;
+    }
+    // Not norms minus means: of a right-hand side that is mostly mean that would leave nothing but rounding.
+    floating.remove_means(&mut fine.r);
+    let r = &fine.r;
+    problem.norms(|rows| {
+        let mut norms = [0.0; WIDTH];
+        for r in &r[rows] {
+            let r = r.wide();
+            for c in 0..WIDTH {
+                norms[c] += (r[c] / scale[c]) * (r[c] / scale[c]);
+            }
+        }
+        norms
+    })
+}
+
+/// One iteration: precondition, make the direction conjugate to the last step, step.
+///
+/// With d the last step, the new one is α (z + β d), β making it conjugate to d. d and A d are kept as differences of
+/// corrections and residuals, which saves two vectors' traffic over the usual form.
+///
+/// `direction` holds (d, A d), if there was a step. `fresh`: the correction begins here, at 0. `exact`: see there. Lanes that are not
+/// `open` do not move. `weights` are those of [`Advance::longest`].
+pub(crate) fn advance(
+    cycle: &Cycle<'_>,
+    grid: &Grid<'_>,
+    fine: &mut Fine,
+    coarse: &mut [Coarse],
+    direction: &mut Option<Wide>,
+    (fresh, exact): (bool, bool),
+    open: Wide,
+    weights: Wide,
+) -> Result<Advance, Cancelled> {
+    let first = direction.is_none();
+    let Fine {
+        r,
+        z,
+        t,
+        e,
+        last_r,
+        last_e,
+        partials,
+    } = fine;
+    let last = (!first).then_some(last_r.as_slice());
+    let [zr, zv, zl] = cycle.run(0, r, z, t, last, partials, coarse)?;
+    let dd = direction.unwrap_or([0.0; WIDTH]);
+    let zd = per_lane(|c| if first { 0.0 } else { zl[c] - zr[c] });
+    let beta = per_lane(|c| -ratio(zd[c], dd[c]));
+    let pp = per_lane(|c| zv[c] + 2.0 * beta[c] * zd[c] + beta[c] * beta[c] * dd[c]);
+    // Within a stretch the last step is orthogonal to r; the true residual that began this one may differ.
+    let dr = if fresh && !first {
+        inner_product(grid, last_e, r, partials).map(|v| -v)
+    } else {
+        [0.0; WIDTH]
+    };
+    let alpha = per_lane(|c| open[c] * ratio(zr[c] + beta[c] * dr[c], pp[c]));
+    let broken = (0..WIDTH).any(|c| open[c] > 0.0 && alpha[c] <= 0.0);
+    *direction = Some(per_lane(|c| alpha[c] * alpha[c] * pp[c]));
+    let gamma = Lanes::from_wide(per_lane(|c| alpha[c] * beta[c]));
+    let alpha = Lanes::from_wide(alpha);
+    let weights = Lanes::from_wide(weights);
+
+    let z = &*z;
+    let (r_now, e_now) = (&*r, &*e);
+    let (r_next, e_next) = (Shared::new(last_r), Shared::new(last_e));
+    let [mut rr, ee, _] = grid.dots(partials, |rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let (r_next, e_next) = unsafe { (r_next.rows(rows.clone()), e_next.rows(rows.clone())) };
+        let (mut rr, mut ee, mut longest) = (Lanes::ZERO, Lanes::ZERO, 0.0f32);
+        let next = r_next.as_chunks_mut::<BUNDLE>().0.iter_mut();
+        let next = next.zip(e_next.as_chunks_mut::<BUNDLE>().0);
+        let now = r_now[rows.clone()].as_chunks::<BUNDLE>().0.iter();
+        let now = now.zip(e_now[rows.clone()].as_chunks::<BUNDLE>().0);
+        let made = z[rows.clone()].as_chunks::<BUNDLE>().0;
+        for (k, (((r_next, e_next), (r, e)), zs)) in (rows.start / BUNDLE..).zip(next.zip(now).zip(made)) {
+            let v = grid.flows(z, k);
+            for d in 0..BUNDLE {
+                let (step, residual) = if first {
+                    (zs[d] * alpha, r[d] - v[d] * alpha)
+                } else {
+                    let step = zs[d] * alpha + (e[d] - e_next[d]) * gamma;
+                    (step, r[d] - v[d] * alpha + (r[d] - r_next[d]) * gamma)
+                };
+                let correction = if fresh { step } else { e[d] + step };
+                r_next[d] = residual;
+                e_next[d] = correction;
+                rr += residual * residual;
+                ee += correction * correction;
+                let weighted = step * weights;
+                longest = longest.max((weighted * weighted).sum());
+            }
+        }
+        [rr, ee, Lanes::splat(longest)]
+    });
+    std::mem::swap(r, last_r);
+    std::mem::swap(e, last_e);
+    let longest = partials.iter().fold(0.0f32, |a, p| a.max(p[2].0[0]));
+    if fresh && exact {
+        // The first correction is the largest by far. From what single precision makes of it, not from the step that
+        // was meant, comes a residual that stays true for longer.
+        let e = &*e;
+        let (r, before) = (Shared::new(r), &*last_r);
+        [rr, _, _] = grid.dots(partials, |rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let r = unsafe { r.rows(rows.clone()) };
+            let before = before[rows.clone()].as_chunks::<BUNDLE>().0;
+            let mut rr = Lanes::ZERO;
+            for (k, (r, before)) in (rows.start / BUNDLE..).zip(r.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(before)) {
+                let v = grid.flows(e, k);
+                for d in 0..BUNDLE {
+                    r[d] = before[d] - v[d];
+                    rr += r[d] * r[d];
+                }
+            }
+            [rr, Lanes::ZERO, Lanes::ZERO]
+        });
+    }
+    Ok(Advance {
+        rr,
+        ee,
+        longest: f64::from(longest).sqrt(),
+        broken,
+    })
+}
+
+fn inner_product(grid: &Grid<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<Dots>) -> Wide {
+    let [sum, _, _] = grid.dots(partials, |rows| {
+        let mut sum = Lanes::ZERO;
+        for (a, b) in a[rows.clone()].iter().zip(&b[rows]) {
+            sum += *a * *b;
+        }
+        [sum, Lanes::ZERO, Lanes::ZERO]
+    });
+    sum
+}
+
+/// Largest row of the last step, as a vector of weighted lanes.
+pub(crate) fn longest_step(grid: &Grid<'_>, fine: &mut Fine, weights: Wide) -> f64 {
+    let weights = Lanes::from_wide(weights);
+    let Fine {
+        e, last_e, partials, ..
+    } = fine;
+    let (e, last_e) = (&*e, &*last_e);
+    grid.dots(partials, |rows| {
+        let mut longest = 0.0f32;
+        for (e, last_e) in e[rows.clone()].iter().zip(&last_e[rows]) {
+            let step = (*e - *last_e) * weights;
+            longest = longest.max((step * step).sum());
+        }
+        [Lanes::ZERO, Lanes::ZERO, Lanes::splat(longest)]
+    });
+    let longest = partials.iter().fold(0.0f32, |a, p| a.max(p[2].0[0]));
+    f64::from(longest).sqrt()
+}
+
+/// x += e / scale on free rows, and the correction begins at 0 again; residual and direction stay as they are.
+pub(crate) fn fold(grid: &Grid<'_>, fine: &mut Fine, scale: Wide, x: &mut [Wide]) {
+    let inverse = per_lane(|c| 1.0 / scale[c]);
+    let (x, e, last_e) = (Shared::new(x), Shared::new(&mut fine.e), Shared::new(&mut fine.last_e));
+    grid.each_block(|_, rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let (x, e, last_e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone()), last_e.rows(rows)) };
+        for ((x, e), last_e) in x.iter_mut().zip(e).zip(last_e) {
+            *last_e -= *e;
+            let e = std::mem::replace(e, Lanes::ZERO).wide();
+            for c in 0..WIDTH {
+                x[c] += e[c] * inverse[c];
+            }
+        }
+    });
+}
+
+/// x += e / scale on free rows. Floating components keep their means. Then the correction is 0 again, and `last_e`
+/// and `last_r` hold the last step, negative, and A times it.
+pub(crate) fn add_correction(problem: &Problem<'_>, grid: &Grid<'_>, fine: &mut Fine, scale: Wide, x: &mut [Wide]) {
+    let Fine {
+        r, e, last_r, last_e, ..
+    } = fine;
+    if !problem.system.floating.is_empty() {
+        problem.system.floating.remove_means(e);
+    }
+    let inverse = per_lane(|c| 1.0 / scale[c]);
+    let r = &*r;
+    let (x, e, last_r, last_e) = (Shared::new(x), Shared::new(e), Shared::new(last_r), Shared::new(last_e));
+    grid.each_block(|_, rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let (x, e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone())) };
+        // SAFETY: as above.
+        let (last_r, last_e) = unsafe { (last_r.rows(rows.clone()), last_e.rows(rows.clone())) };
+        for (k, r) in r[rows].iter().enumerate() {
+            last_r[k] -= *r;
+            last_e[k] -= e[k];
+            let e = std::mem::replace(&mut e[k], Lanes::ZERO).wide();
+            for c in 0..WIDTH {
+                x[k][c] += e[c] * inverse[c];
+            }
+        }
+    });
+}
+
+/// After [`add_correction`] and a new residual: makes the differences of residuals and of corrections the last step
+/// again, `factor` times as large.
+pub(crate) fn resume(grid: &Grid<'_>, fine: &mut Fine, factor: Wide, direction: &mut Option<Wide>) {
+    let Some(dd) = direction else { return };
+    *dd = per_lane(|c| dd[c] * factor[c] * factor[c]);
+    let factor = Lanes::from_wide(factor);
+    let r = &fine.r;
+    let (last_r, last_e) = (Shared::new(&mut fine.last_r), Shared::new(&mut fine.last_e));
+    grid.each_block(|_, rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let (last_r, last_e) = unsafe { (last_r.rows(rows.clone()), last_e.rows(rows.clone())) };
+        for (k, r) in r[rows].iter().enumerate() {
+            last_r[k] = *r + last_r[k] * factor;
+            last_e[k] = last_e[k] * factor;
+        }
+    });
+}

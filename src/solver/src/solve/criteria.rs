@@ -1,0 +1,52 @@
+//! When a solve stops, and what became of a group of columns.
+
+use crate::lanes::{WIDTH, Wide};
+use crate::options::Method;
+
+/// When to stop.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Criteria {
+    pub(crate) tolerance: Option<f64>,
+    pub(crate) max_error: Option<f64>,
+    pub(crate) max_iterations: usize,
+}
+
+impl Criteria {
+    /// True if all criteria that were given hold, and at least one was.
+    pub(crate) fn hold(&self, relative: &[f64], max_error: f64) -> bool {
+        let residual = relative.iter().all(|r| self.tolerance.is_none_or(|t| *r <= t));
+        let error = self.max_error.is_none_or(|m| max_error <= m);
+        residual && error && (self.tolerance.is_some() || self.max_error.is_some())
+    }
+
+    /// True if a column at this relative residual needs no more iterations, whatever the others need.
+    pub(crate) fn rests(&self, relative: f64) -> bool {
+        self.max_error.is_none() && self.tolerance.is_some_and(|t| relative <= t)
+    }
+}
+
+/// What became of a group of columns.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Outcome {
+    pub(crate) iterations: usize,
+    pub(crate) relative: Wide,
+    pub(crate) max_error: f64,
+    pub(crate) factor: f64,
+    pub(crate) method: Method,
+    pub(crate) stopped: bool,
+    pub(crate) converged: bool,
+}
+
+impl Outcome {
+    pub(crate) fn new(method: Method) -> Self {
+        Self {
+            iterations: 0,
+            relative: [0.0; WIDTH],
+            max_error: f64::INFINITY,
+            factor: 0.0,
+            method,
+            stopped: false,
+            converged: false,
+        }
+    }
+}

@@ -1,0 +1,326 @@
+//! The multigrid cycle that preconditions the outer iteration (paper section 5, Algorithm 1).
+
+use crate::build::hierarchy::Hierarchy;
+use crate::constrain::system::System;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, per_lane, ratio};
+use crate::progress::{Cancelled, Progress, check};
+use crate::solve::sweep::{Dots, Grid};
+use crate::storage::BUNDLE;
+use crate::threads::Threads;
+
+/// The second step of a K-cycle is left out once the first one has brought the squared residual down by this factor.
+const ENOUGH: f64 = 1.0 / 16.0;
+
+/// Vectors of one coarse level.
+#[derive(Debug, Default)]
+pub(crate) struct Coarse {
+    pub(crate) b: Vec<Lanes>,
+    pub(crate) z: Vec<Lanes>,
+    t: Vec<Lanes>,
+    first_z: Vec<Lanes>,
+    first_v: Vec<Lanes>,
+    dense: Vec<Wide>,
+    partials: Vec<Dots>,
+}
+
+impl Coarse {
+    /// Sizes the vectors for a level and clears what sweeps will read without having written it.
+    pub(crate) fn prepare(&mut self, grid: &Grid<'_>) {
+        let n = grid.level.rows();
+        self.b.resize(n, Lanes::ZERO);
+        for v in [&mut self.z, &mut self.t, &mut self.first_z, &mut self.first_v] {
+            v.resize(n, Lanes::ZERO);
+            clear_inactive(grid, v);
+        }
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        let lanes = self.b.capacity() + self.z.capacity() + self.t.capacity();
+        let lanes = lanes + self.first_z.capacity() + self.first_v.capacity() + 3 * self.partials.capacity();
+        16 * lanes + 32 * self.dense.capacity()
+    }
+}
+
+/// Sets the rows of inactive blocks to 0.
+pub(crate) fn clear_inactive(grid: &Grid<'_>, v: &mut [Lanes]) {
+    let mut active = grid.mask.active.iter().peekable();
+    for b in 0..grid.level.blocks.len() - 1 {
+        if active.next_if(|a| **a as usize == b).is_none() {
+            v[grid.level.block(b)].fill(Lanes::ZERO);
+        }
+    }
+    let filling = grid.level.filling() as usize;
+    v[filling..filling + BUNDLE].fill(Lanes::ZERO);
+}
+
+/// Runs cycles on a constrained hierarchy.
+pub(crate) struct Cycle<'a> {
+    pub(crate) hierarchy: &'a Hierarchy,
+    pub(crate) system: &'a System,
+    pub(crate) threads: Threads,
+    pub(crate) progress: &'a dyn Progress,
+}
+
+impl<'a> Cycle<'a> {
+    pub(crate) fn grid(&self, l: usize) -> Grid<'a> {
+        Grid::new(&self.hierarchy.levels[l], &self.system.masks[l], self.threads)
+    }
+
+    /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle. Returns
+    /// (z, b), (z, A z) and (z, c), or (b, b) without `c`. `t` is scratch, on coarse levels left as [`Grid::products`]
+    /// wants it. `below` holds the vectors of the coarser levels.
+    pub(crate) fn run(
+        &self,
+        l: usize,
+        b: &[Lanes],
+        z: &mut [Lanes],
+        t: &mut [Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+        below: &mut [Coarse],
+    ) -> Result<[Wide; 3], Cancelled> {
+        let grid = self.grid(l);
+        check(self.progress)?;
+        let twice = l == 0 && self.system.twice;
+        grid.forward(b, z);
+        check(self.progress)?;
+        if twice {
+            grid.backward_after_forward(z, t);
+            grid.residual_after_both(b, z, t);
+        } else {
+            grid.residual(z, t);
+        }
+        grid.restrict(t, &mut below[0].b);
+        self.solve(l + 1, below)?;
+        check(self.progress)?;
+        grid.prolong(&below[0].z, z);
+        if twice {
+            grid.forward_full(b, z, t);
+            check(self.progress)?;
+            return Ok(grid.backward_from(b, z, t, c, partials));
+        }
+        Ok(grid.backward(b, z, (l > 0).then_some(t), c, partials))
+    }
+
+    /// Solves level `l` roughly: `levels[0].z` ≈ A⁻¹ `levels[0].b`; b is used up.
+    ///
+    /// Two steps of flexible conjugate gradients per column, each preconditioned by a cycle (a K-cycle): their inner
+    /// products keep the whole operation positive where plain recursion can fail.
+    pub(crate) fn solve(&self, l: usize, levels: &mut [Coarse]) -> Result<(), Cancelled> {
+        let Some((here, below)) = levels.split_first_mut() else {
+            return Ok(());
+        };
+        if below.is_empty() {
+            self.solve_coarsest(here);
+            return Ok(());
+        }
+        let grid = self.grid(l);
+        let Coarse {
+            b,
+            z,
+            t,
+            first_z,
+            first_v,
+            partials,
+            ..
+        } = here;
+        let [zb, zv, bb] = self.run(l, b, z, t, None, partials, below)?;
+        if self.system.steps[l] < 2 {
+            return Ok(());
+        }
+        let first = per_lane(|c| ratio(zb[c], zv[c]));
+        std::mem::swap(z, first_z);
+        std::mem::swap(t, first_v);
+        let rr = step(&grid, first, first_z, first_v, b, partials);
+        if (0..WIDTH).all(|c| rr[c] <= ENOUGH * bb[c]) {
+            combine(&grid, z, first_z, None, first);
+            return Ok(());
+        }
+        let [zr, ww, wv] = self.run(l, b, z, t, Some(first_v), partials, below)?;
+        let overlap = per_lane(|c| ratio(wv[c], zv[c]));
+        let second = per_lane(|c| ratio(zr[c], ww[c] - overlap[c] * wv[c]));
+        let first = per_lane(|c| first[c] - second[c] * overlap[c]);
+        combine(&grid, z, first_z, Some(second), first);
+        Ok(())
+    }
+
+    fn solve_coarsest(&self, here: &mut Coarse) {
+        let (rows, inverse) = (&self.system.dense_rows, &self.system.inverse);
+        here.dense.clear();
+        here.dense.extend(rows.iter().map(|&i| here.b[i as usize].wide()));
+        here.z.fill(Lanes::ZERO);
+        for (k, &i) in rows.iter().enumerate() {
+            here.z[i as usize] = Lanes::from_wide(inverse.row_times(k, &here.dense));
+        }
+    }
+}
+
+/// The vectors of all levels below the finest, sized for a system.
+pub(crate) fn prepare(cycle: &Cycle<'_>, levels: &mut Vec<Coarse>) {
+    levels.resize_with(cycle.system.masks.len() - 1, Coarse::default);
+    for (k, coarse) in levels.iter_mut().enumerate() {
+        coarse.prepare(&cycle.grid(k + 1));
+    }
+}
+
+/// v becomes A z, b −= factor · v; returns (b, b). `v` comes as the sweep left it that made z.
+fn step(
+    grid: &Grid<'_>,
+    factor: Wide,
+    z: &[Lanes],
+    v: &mut [Lanes],
+    b: &mut [Lanes],
+    partials: &mut Vec<Dots>,
+) -> Wide {
+    let factor = Lanes::from_wide(factor);
+    let (b, v) = (Shared::new(b), Shared::new(v));
+    let [rr, _, _] = grid.dots(partials, |rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let (b, v) = unsafe { (b.rows(rows.clone()), v.rows(rows.clone())) };
+        let mut sum = Lanes::ZERO;
+        let bundles = b
+            .as_chunks_mut::<BUNDLE>()
+            .0
+            .iter_mut()
+            .zip(v.as_chunks_mut::<BUNDLE>().0);
+        for ((b, v), k) in bundles.zip(rows.start / BUNDLE..) {
+            *v = grid.products(z, v, k);
+            for d in 0..BUNDLE {
+                b[d] -= v[d] * factor;
+                sum += b[d] * b[d];
+            }
+        }
+        [sum, Lanes::ZERO, Lanes::ZERO]
+    });
+    rr
+}
+
+/// z = second · z + first · first_z; without `second`, z = first · first_z.
+fn combine(grid: &Grid<'_>, z: &mut [Lanes], first_z: &[Lanes], second: Option<Wide>, first: Wide) {
+    let first = Lanes::from_wide(first);
+    let second = second.map(Lanes::from_wide);
+    let z = Shared::new(z);
+    grid.each_block(|_, rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let z = unsafe { z.rows(rows.clone()) };
+        for (z, f) in z.iter_mut().zip(&first_z[rows]) {
+            *z = match second {
+                Some(second) => *z * second + *f * first,
+                None => *f * first,
+            };
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::Silent;
+    use crate::solve::workspace::Workspace;
+    use crate::testing::{Block, pool};
+
+    /// M u for the cycle M, with u masked.
+    fn apply(hierarchy: &Hierarchy, system: &System, u: &[f32]) -> Vec<Lanes> {
+        let threads = Threads::of(&pool());
+        let cycle = Cycle {
+            hierarchy,
+            system,
+            threads,
+            progress: &Silent,
+        };
+        let mut workspace = Workspace::default();
+        prepare(&cycle, &mut workspace.coarse);
+        let mask = &system.masks[0];
+        let b: Vec<Lanes> = u
+            .iter()
+            .enumerate()
+            .map(|(i, v)| if mask.free(i) { Lanes::splat(*v) } else { Lanes::ZERO })
+            .collect();
+        let (mut z, mut t) = (b.clone(), b.clone());
+        clear_inactive(&cycle.grid(0), &mut z);
+        clear_inactive(&cycle.grid(0), &mut t);
+        let mut partials = Vec::new();
+        let c = Some(b.as_slice());
+        let dots = cycle
+            .run(0, &b, &mut z, &mut t, c, &mut partials, &mut workspace.coarse)
+            .unwrap();
+
+        // Both ways to A z give it, and the inner products are those of z.
+        let level = &hierarchy.levels[0];
+        for (k, t) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().enumerate() {
+            *t = cycle.grid(0).flows(&z, k);
+        }
+        let mut again = z.clone();
+        let mut left = vec![Lanes::ZERO; z.len()];
+        cycle
+            .grid(0)
+            .backward(&b, &mut again, Some(&mut left), None, &mut partials);
+        let size = again.iter().fold(1.0, |a: f32, z| a.max(z.0[1].abs()));
+        for (k, left) in left.as_chunks::<BUNDLE>().0.iter().enumerate() {
+            let (made, want) = (cycle.grid(0).products(&again, left, k), cycle.grid(0).flows(&again, k));
+            for d in 0..BUNDLE {
+                assert!((made[d].0[1] - want[d].0[1]).abs() < 1e-4 * size, "bundle {k}");
+            }
+        }
+        let dot = |a: &[Lanes]| {
+            a.iter()
+                .zip(&z)
+                .map(|(a, z)| f64::from(a.0[1]) * f64::from(z.0[1]))
+                .sum::<f64>()
+        };
+        for (seen, want) in dots.iter().zip([dot(&b), dot(&t), dot(&b)]) {
+            assert!((seen[1] - want).abs() < 1e-4 * want.abs(), "{} against {want}", seen[1]);
+        }
+        for i in 0..level.rows() {
+            let flow = |(j, w): (usize, f32)| w * (z[i].0[1] - z[j].0[1]);
+            let want: f32 = level.row(i).map(flow).sum();
+            let want = if mask.free(i) { want } else { 0.0 };
+            assert!(
+                (t[i].0[1] - want).abs() < 1e-4 * size,
+                "row {i}: {} against {want}",
+                t[i].0[1]
+            );
+        }
+        z
+    }
+
+    fn vectors(n: usize) -> (Vec<f32>, Vec<f32>) {
+        let u = (0..n).map(|i| ((i * 7919) % 101) as f32 / 50.0 - 1.0).collect();
+        let v = (0..n).map(|i| ((i * 104_729) % 97) as f32 / 48.0 - 1.0).collect();
+        (u, v)
+    }
+
+    fn dot(a: &[f32], b: &[Lanes]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(b.0[2])).sum()
+    }
+
+    #[test]
+    fn the_cycle_is_symmetric_and_positive() {
+        let block = Block::new(14, 12, 12).weighted();
+        let hierarchy = block.hierarchy(20);
+        let mut system = block.system(&hierarchy);
+        let (u, v) = vectors(hierarchy.levels[0].rows());
+        assert!(hierarchy.levels.len() > 3 && system.steps.contains(&2));
+        assert!(
+            dot(&u, &apply(&hierarchy, &system, &u)) > 0.0,
+            "with inner products it is positive"
+        );
+        system.steps.fill(1);
+        let (mu, mv) = (apply(&hierarchy, &system, &u), apply(&hierarchy, &system, &v));
+        let (uv, vu) = (dot(&u, &mv), dot(&v, &mu));
+        let size = (dot(&u, &mu) * dot(&v, &mv)).sqrt();
+        assert!((uv - vu).abs() < 1e-5 * size, "{uv} against {vu}, size {size}");
+        assert!(dot(&u, &mu) > 0.0 && dot(&v, &mv) > 0.0);
+    }
+
+    #[test]
+    fn masked_rows_stay_zero() {
+        let block = Block::new(14, 12, 12);
+        let hierarchy = block.hierarchy(20);
+        let system = block.system(&hierarchy);
+        let z = apply(&hierarchy, &system, &vec![1.0; hierarchy.levels[0].rows()]);
+        for (i, z) in z.iter().enumerate() {
+            assert_eq!(system.masks[0].free(i), *z != Lanes::ZERO, "row {i}");
+        }
+    }
+}

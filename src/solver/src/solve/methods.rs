@@ -1,0 +1,310 @@
+//! Solving a constrained system: arguments, groups of columns, the choice of method.
+
+use crate::build::hierarchy::Hierarchy;
+use crate::constrain::system::System;
+use crate::error::Error;
+use crate::exec::Exec;
+use crate::lanes::{WIDTH, Wide, per_lane, ratio};
+use crate::options::{Method, SolveOptions, Start, Stats};
+use crate::pool::Pool;
+use crate::solve::advance::reference;
+use crate::solve::criteria::{Criteria, Outcome};
+use crate::solve::cycle::Cycle;
+use crate::solve::group::Outer;
+use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
+use crate::solve::problem::Problem;
+use crate::solve::start::full_multigrid;
+use crate::solve::workspace::Workspace;
+use crate::storage::NONE;
+use crate::threads::Threads;
+
+/// Refinements of the direct method at most.
+const REFINEMENTS: usize = 4;
+
+impl System {
+    /// Solves, for every free vertex i and every column,
+    ///
+    /// Σ_j w_ij (x_i − x_j) + stiffness_i x_i = rhs_i,
+    ///
+    /// where x_j of a fixed neighbour is the value that `x` gives it.
+    ///
+    /// `rhs` and `x` are row-major, vertices × `columns`. Fixed rows of `x` are never written; free rows are the start
+    /// (with [`Start::Given`]) and receive the solution. `rhs` of fixed rows is not read. `watch` is called after
+    /// every iteration, from the calling thread. At least one iteration is done unless the start is exact, so that
+    /// every result has an error estimate.
+    ///
+    /// A component with neither fixed vertex nor stiffness determines its values up to a constant: its right-hand
+    /// side is projected to sum zero, and the mean of its start is kept (with starts other than `Given`: 0).
+    ///
+    /// If the criteria are not reached (`max_iterations`, or rounding) the best solution is in `x` and
+    /// [`Stats::converged`] is false: that is no error.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for lengths that do not fit, numbers that are not finite, or another hierarchy's system;
+    /// [`Error::Cancelled`], checked between sweeps; [`Error::Diverged`] if nothing finite came out. Free rows of `x`
+    /// may then hold solutions of some columns; they stay finite.
+    pub fn solve(
+        &self,
+        hierarchy: &Hierarchy,
+        columns: usize,
+        rhs: &[f64],
+        x: &mut [f64],
+        options: &SolveOptions<'_>,
+        workspace: &mut Workspace,
+        exec: &Exec<'_>,
+        watch: &mut dyn FnMut(&Iteration<'_>) -> Control,
+    ) -> Result<Stats, Error> {
+        self.check_hierarchy(hierarchy)?;
+        check_lengths(hierarchy, columns, rhs.len(), x.len())?;
+        check_options(hierarchy, columns, options)?;
+        exec.check()?;
+        let mut stats = Stats {
+            iterations: 0,
+            residual: 0.0,
+            residuals: Vec::with_capacity(columns),
+            max_error: 0.0,
+            factor: 0.0,
+            method: Method::Trivial,
+            stopped: false,
+            converged: true,
+        };
+        if self.free() == 0 {
+            stats.residuals.resize(columns, 0.0);
+            return Ok(stats);
+        }
+        let groups = columns.div_ceil(WIDTH);
+        let criteria = Criteria {
+            tolerance: options.tolerance,
+            // The groups' errors add up as a vector.
+            max_error: options.max_error.map(|e| e / (groups.max(1) as f64).sqrt()),
+            max_iterations: options.max_iterations,
+        };
+        for group in 0..groups {
+            let given = matches!(options.start, Start::Given);
+            let threads = Threads::of(exec.pool);
+            let at = (columns, group * WIDTH);
+            let problem = threads.enter(exec.pool, || {
+                Problem::new(hierarchy, self, threads, (rhs, x), at, given)
+                    .inspect(|problem| problem.load(x, given, &mut workspace.x))
+            })?;
+            let outcome = if self.is_direct() {
+                solve_directly(&problem, criteria, workspace, x, exec, watch)?
+            } else {
+                let cycle = Cycle {
+                    hierarchy,
+                    system: self,
+                    threads,
+                    progress: exec.progress,
+                };
+                let paper = hierarchy.paper.as_ref().zip(self.paper.as_ref());
+                if let (Start::FullMultigrid { frames, rest }, None) = (options.start, paper) {
+                    problem
+                        .threads
+                        .enter(exec.pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
+                }
+                let mut outer = Outer {
+                    problem,
+                    cycle,
+                    pool: exec.pool,
+                    criteria,
+                    workspace,
+                    caller: x,
+                    from_zero: matches!(options.start, Start::Zero),
+                };
+                match paper {
+                    Some((kept, paper)) => crate::paper::solve(&mut outer, paper, kept, options.start, watch)?,
+                    None => outer.solve(watch)?,
+                }
+            };
+            problem.store(&workspace.x, None, x);
+            merge(&mut stats, &outcome, problem.width());
+            if outcome.stopped {
+                break;
+            }
+        }
+        // Columns that were not reached because the caller stopped.
+        if stats.residuals.len() < columns {
+            let rest = self.residual(hierarchy, columns, rhs, x, None, exec.pool)?;
+            let known = stats.residuals.len();
+            stats.residuals.extend_from_slice(&rest[known..]);
+            stats.converged = false;
+        }
+        stats.residual = stats.residuals.iter().fold(0.0, |a, &b| a.max(b));
+        Ok(stats)
+    }
+
+    /// The true relative residual ‖b − A x‖₂ / ‖b‖₂ per column, computed in double precision from the equations
+    /// alone. With `rows`, also b − A x itself, in the shape of `x`, 0 on fixed rows.
+    ///
+    /// Components that nothing holds are judged as [`System::solve`] solves them, without their mean. A column whose
+    /// b is 0 gives 0 if its residual is 0, else infinity.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] as for [`System::solve`].
+    pub fn residual(
+        &self,
+        hierarchy: &Hierarchy,
+        columns: usize,
+        rhs: &[f64],
+        x: &[f64],
+        rows: Option<&mut [f64]>,
+        pool: &Pool,
+    ) -> Result<Vec<f64>, Error> {
+        self.check_hierarchy(hierarchy)?;
+        check_lengths(hierarchy, columns, rhs.len(), x.len())?;
+        let mut rows = rows;
+        if let Some(out) = rows.as_deref_mut() {
+            check_lengths(hierarchy, columns, rhs.len(), out.len())?;
+            out.fill(0.0);
+        }
+        let threads = Threads::of(pool);
+        let n = hierarchy.levels[0].rows();
+        let (mut values, mut r) = (Vec::new(), vec![[0.0; WIDTH]; n]);
+        let mut relative = Vec::with_capacity(columns);
+        for first in (0..columns).step_by(WIDTH) {
+            let at = (columns, first);
+            let (problem, norms, reference) = threads.enter(pool, || -> Result<_, Error> {
+                let problem = Problem::new(hierarchy, self, threads, (rhs, x), at, true)?;
+                problem.load(x, true, &mut values);
+                r.fill([0.0; WIDTH]);
+                let norms = problem.wide_residual(&values, &mut r);
+                let reference = reference(&problem, &values);
+                Ok((problem, norms, reference))
+            })?;
+            for c in 0..problem.width() {
+                let norm = norms[c].sqrt();
+                relative.push(if norm == 0.0 { 0.0 } else { norm / reference[c] });
+                if let Some(out) = rows.as_deref_mut() {
+                    for (r, &v) in r.iter().zip(&hierarchy.order).filter(|(_, v)| **v != NONE) {
+                        out[v as usize * columns + first + c] = problem.outer_residual(r[c], c);
+                    }
+                }
+            }
+        }
+        Ok(relative)
+    }
+}
+
+fn check_lengths(hierarchy: &Hierarchy, columns: usize, rhs: usize, x: usize) -> Result<(), Error> {
+    let n = hierarchy.vertices();
+    match n.checked_mul(columns) {
+        Some(want) if want == rhs && want == x => Ok(()),
+        _ => Err(Error::Invalid(format!(
+            "right-hand side of {rhs} and solution of {x} numbers for {n} vertices and {columns} columns"
+        ))),
+    }
+}
+
+fn check_options(hierarchy: &Hierarchy, columns: usize, options: &SolveOptions<'_>) -> Result<(), Error> {
+    let n = hierarchy.vertices();
+    for (value, name) in [(options.tolerance, "tolerance"), (options.max_error, "max_error")] {
+        if let Some(v) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
+            return Err(Error::Invalid(format!("{name} is {v}, it must be positive")));
+        }
+    }
+    let Start::FullMultigrid { frames, rest } = options.start else {
+        return Ok(());
+    };
+    let Some(frames) = frames else { return Ok(()) };
+    if columns != 3 {
+        return Err(Error::Invalid(format!("frames are for 3 columns, there are {columns}")));
+    }
+    if frames.len() != n || rest.is_some_and(|r| r.len() != n) {
+        let (f, r) = (frames.len(), rest.map_or(n, <[_]>::len));
+        return Err(Error::Invalid(format!(
+            "{f} frames and {r} rest positions for {n} vertices"
+        )));
+    }
+    if rest.is_none() && hierarchy.levels[0].positions.is_empty() {
+        return Err(Error::Invalid(
+            "frames need rest positions, the hierarchy was built without".into(),
+        ));
+    }
+    let finite = frames.iter().all(|f| f.iter().all(|v| v.is_finite()));
+    if !finite || rest.is_some_and(|r| r.iter().any(|p| p.iter().any(|v| !v.is_finite()))) {
+        return Err(Error::Invalid("frames and rest positions must be finite".into()));
+    }
+    Ok(())
+}
+
+fn merge(stats: &mut Stats, outcome: &Outcome, width: usize) {
+    stats.iterations = stats.iterations.max(outcome.iterations);
+    stats.residuals.extend_from_slice(&outcome.relative[..width]);
+    stats.max_error = libm::hypot(stats.max_error, outcome.max_error);
+    stats.factor = stats.factor.max(outcome.factor);
+    stats.method = stats.method.max(outcome.method);
+    stats.stopped |= outcome.stopped;
+    stats.converged &= outcome.converged;
+}
+
+/// Few free vertices: the dense inverse, refined until the residual is as small as asked.
+fn solve_directly(
+    problem: &Problem<'_>,
+    criteria: Criteria,
+    workspace: &mut Workspace,
+    caller: &[f64],
+    exec: &Exec<'_>,
+    watch: &mut Watch<'_>,
+) -> Result<Outcome, Error> {
+    let Workspace {
+        x,
+        wide: [r, gathered, z],
+        ..
+    } = workspace;
+    let (threads, width, system) = (problem.threads, problem.width(), problem.system);
+    r.resize(x.len(), [0.0; WIDTH]);
+    let mut reference = threads.enter(exec.pool, || reference(problem, x));
+    let unit = problem.unit;
+    let mut outcome = Outcome::new(Method::Direct);
+    loop {
+        exec.check()?;
+        let norms = threads.enter(exec.pool, || problem.wide_residual(x, r));
+        if norms.iter().any(|v| !v.is_finite()) {
+            return Err(Error::Diverged {
+                iterations: outcome.iterations,
+                residual: f64::INFINITY,
+            });
+        }
+        for c in 0..WIDTH {
+            if reference[c] == 0.0 {
+                reference[c] = norms[c].sqrt();
+            }
+        }
+        outcome.relative = per_lane(|c| ratio(norms[c].sqrt(), reference[c]));
+        // The inverse turns the residual into the error itself.
+        gathered.clear();
+        gathered.extend(system.dense_rows.iter().map(|&i| r[i as usize]));
+        z.clear();
+        z.extend((0..system.inverse.size()).map(|k| system.inverse.row_times(k, gathered)));
+        let length = |z: &Wide| (0..WIDTH).map(|c| (z[c] * unit[c]).powi(2)).sum::<f64>().sqrt();
+        outcome.max_error = z.iter().map(length).fold(0.0, f64::max);
+        outcome.converged = criteria.hold(&outcome.relative[..width], outcome.max_error);
+        if outcome.iterations > 0 {
+            let iteration = Iteration {
+                index: outcome.iterations,
+                columns: problem.columns(),
+                residual: outcome.relative[..width].iter().fold(0.0, |a, &b| a.max(b)),
+                max_error: outcome.max_error,
+                snapshot: Snapshot {
+                    problem: *problem,
+                    x,
+                    e: None,
+                    caller,
+                },
+            };
+            outcome.stopped = watch(&iteration) == Control::Stop;
+        }
+        let exact = norms.iter().all(|v| *v == 0.0);
+        let most = REFINEMENTS.min(criteria.max_iterations);
+        if outcome.stopped || exact || outcome.iterations >= most || (outcome.converged && outcome.iterations > 0) {
+            outcome.converged |= exact;
+            return Ok(outcome);
+        }
+        for (&i, z) in system.dense_rows.iter().zip(&*z) {
+            for c in 0..WIDTH {
+                x[i as usize][c] += z[c];
+            }
+        }
+        outcome.iterations += 1;
+    }
+}

@@ -1,0 +1,18 @@
+//! From a system and right-hand sides to solutions: cycles, outer iteration, starts and fallbacks.
+
+pub(crate) mod advance;
+pub(crate) mod criteria;
+pub(crate) mod cycle;
+pub(crate) mod fallback;
+pub(crate) mod group;
+pub(crate) mod iteration;
+mod methods;
+mod outer;
+mod patches;
+pub(crate) mod problem;
+mod start;
+mod sweep;
+pub(crate) mod workspace;
+
+pub use self::iteration::{Control, Iteration};
+pub use self::workspace::Workspace;

@@ -1,0 +1,54 @@
+//! The original equations on one level, whose rows carry their members along as affine patches.
+
+use crate::lanes::Lanes;
+
+/// A linear map by its columns.
+pub(crate) type Map = [Lanes; 3];
+
+/// The original equations on one level.
+#[derive(Debug, Default)]
+pub(crate) struct Patches {
+    /// F of each row, or empty.
+    pub(crate) maps: Vec<Map>,
+    pub(crate) positions: Vec<Lanes>,
+    /// β of equation (12).
+    pub(crate) beta: Vec<Lanes>,
+    /// Given values on masked rows, the solution on free ones.
+    pub(crate) x: Vec<Lanes>,
+}
+
+impl Patches {
+    pub(crate) fn bytes(&self) -> usize {
+        48 * self.maps.capacity() + 16 * (self.positions.capacity() + self.beta.capacity() + self.x.capacity())
+    }
+
+    pub(crate) fn resize(&mut self, rows: usize, mapped: bool) {
+        let mapped = if mapped { rows } else { 0 };
+        self.maps.resize(mapped, [Lanes::ZERO; 3]);
+        self.positions.resize(mapped, Lanes::ZERO);
+        self.beta.resize(rows, Lanes::ZERO);
+        self.x.resize(rows, Lanes::ZERO);
+    }
+
+    /// map · (p − centre) for a row's position p.
+    #[inline(always)]
+    pub(crate) fn offset(&self, map: &Map, row: usize, centre: Lanes) -> Lanes {
+        times(map, self.positions[row] - centre)
+    }
+
+    /// d_ij = ½ (F_i + F_j) (p_i − p_j), 0 without maps.
+    #[inline(always)]
+    pub(crate) fn edge(&self, i: usize, j: usize) -> Lanes {
+        if self.maps.is_empty() {
+            return Lanes::ZERO;
+        }
+        let (a, b) = (&self.maps[i], &self.maps[j]);
+        let sum = [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+        times(&sum, self.positions[i] - self.positions[j]) * 0.5
+    }
+}
+
+#[inline(always)]
+fn times(map: &Map, v: Lanes) -> Lanes {
+    map[0] * v.0[0] + map[1] * v.0[1] + map[2] * v.0[2]
+}

@@ -1,0 +1,361 @@
+//! One group of up to four columns in double precision: scaling, residual, right-hand side.
+
+use std::ops::Range;
+
+use crate::build::hierarchy::{Hierarchy, power_of_two_below};
+use crate::constrain::system::System;
+use crate::error::Error;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
+use crate::storage::{BUNDLE, NONE};
+use crate::threads::{Threads, piece, pieces};
+
+/// Bundles whose right-hand sides are fetched together.
+const FETCH: usize = 16;
+
+/// Rows that one piece of work handles where there are no blocks.
+const PIECE: usize = 4096;
+
+/// A group of columns of `A x = b`.
+///
+/// Inside, every column is divided by a power of two (its `unit`) so that all numbers are moderate whatever the
+/// caller's units are; that loses nothing.
+#[derive(Clone, Copy)]
+pub(crate) struct Problem<'a> {
+    pub(crate) hierarchy: &'a Hierarchy,
+    pub(crate) system: &'a System,
+    pub(crate) threads: Threads,
+    rhs: &'a [f64],
+    columns: usize,
+    first: usize,
+    width: usize,
+    /// The caller's value of an inner 1, per column.
+    pub(crate) unit: Wide,
+    rhs_factor: Wide,
+}
+
+impl<'a> Problem<'a> {
+    /// Looks at the columns from `first` on. `given`: the free rows of `x` count too.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if a number that matters is not finite.
+    pub(crate) fn new(
+        hierarchy: &'a Hierarchy,
+        system: &'a System,
+        threads: Threads,
+        (rhs, x): (&'a [f64], &[f64]),
+        (columns, first): (usize, usize),
+        given: bool,
+    ) -> Result<Self, Error> {
+        let width = WIDTH.min(columns - first);
+        let n = hierarchy.vertices();
+        let threads = threads.for_rows(n);
+        // Sums instead of maxima would overflow; a value that is not finite shows up as an infinite maximum.
+        let most_of = |k: usize| {
+            let mut most = [[0.0f64; WIDTH]; 2];
+            for v in piece(k, n, PIECE) {
+                let fixed = system.is_fixed(v);
+                let at = v * columns + first;
+                for c in 0..width {
+                    let size = |v: f64| if v.is_finite() { v.abs() } else { f64::INFINITY };
+                    if !fixed {
+                        most[0][c] = most[0][c].max(size(rhs[at + c]));
+                    }
+                    if fixed || given {
+                        most[1][c] = most[1][c].max(size(x[at + c]));
+                    }
+                }
+            }
+            most
+        };
+        let larger = |a: [Wide; 2], b: [Wide; 2]| [0, 1].map(|k| std::array::from_fn(|c| a[k][c].max(b[k][c])));
+        let most: [Wide; 2] = in_order(threads, pieces(n, PIECE), [[0.0; WIDTH]; 2], most_of, larger);
+        let (mut unit, mut rhs_factor) = ([1.0; WIDTH], [1.0; WIDTH]);
+        for c in 0..width {
+            let most = |what: usize| most[what][c];
+            for (what, name) in ["right-hand side", "start or fixed value"].into_iter().enumerate() {
+                if most(what).is_infinite() {
+                    return Err(Error::Invalid(format!(
+                        "column {} of the {name} holds a number that is not finite",
+                        first + c
+                    )));
+                }
+            }
+            unit[c] = power_of_two_below((most(0) * hierarchy.weight_scale).max(most(1)).min(f64::MAX));
+            rhs_factor[c] = hierarchy.weight_scale / unit[c];
+        }
+        Ok(Self {
+            hierarchy,
+            system,
+            threads,
+            rhs,
+            columns,
+            first,
+            width,
+            unit,
+            rhs_factor,
+        })
+    }
+
+    pub(crate) fn width(&self) -> usize {
+        self.width
+    }
+
+    pub(crate) fn columns(&self) -> Range<usize> {
+        self.first..self.first + self.width
+    }
+
+    /// A residual of column `c` of the group in the caller's units.
+    pub(crate) fn outer_residual(&self, r: f64, c: usize) -> f64 {
+        r / self.rhs_factor[c]
+    }
+
+    /// Right-hand side of a row.
+    #[inline(always)]
+    pub(crate) fn rhs(&self, row: usize) -> Wide {
+        let at = self.hierarchy.order[row] as usize * self.columns + self.first;
+        let f = &self.rhs_factor;
+        match &self.rhs[at..at + self.width] {
+            [a, b, c] => [a * f[0], b * f[1], c * f[2], 0.0],
+            some => {
+                let mut v = [0.0; WIDTH];
+                for (v, (a, f)) in v.iter_mut().zip(some.iter().zip(f)) {
+                    *v = a * f;
+                }
+                v
+            }
+        }
+    }
+
+    /// Copies `x` into row order; free rows become 0 unless `given`.
+    pub(crate) fn load(&self, x: &[f64], given: bool, out: &mut Vec<Wide>) {
+        let n = self.hierarchy.levels[0].rows();
+        out.resize(n, [0.0; WIDTH]);
+        let mask = &self.system.masks[0];
+        let shared = Shared::new(out.as_mut_slice());
+        self.threads.each(0..pieces(n, PIECE), |k| {
+            // SAFETY: pieces are disjoint and each is visited once.
+            let out = unsafe { shared.rows(piece(k, n, PIECE)) };
+            for (i, out) in piece(k, n, PIECE).zip(out) {
+                *out = [0.0; WIDTH];
+                if self.hierarchy.order[i] != NONE && (given || !mask.free(i)) {
+                    let at = self.hierarchy.order[i] as usize * self.columns + self.first;
+                    for c in 0..self.width {
+                        out[c] = x[at + c] / self.unit[c];
+                    }
+                }
+            }
+        });
+    }
+
+    /// Writes free rows back in the caller's order and units: x + e · e_unit, or x alone.
+    pub(crate) fn store(&self, x: &[Wide], e: Option<(&[Lanes], Wide)>, out: &mut [f64]) {
+        let mask = &self.system.masks[0];
+        for (i, &vertex) in self.hierarchy.order.iter().enumerate() {
+            if mask.free(i) {
+                let mut v = x[i];
+                if let Some((e, e_unit)) = e {
+                    let e = e[i].wide();
+                    for c in 0..WIDTH {
+                        v[c] += e[c] * e_unit[c];
+                    }
+                }
+                let at = vertex as usize * self.columns + self.first;
+                for c in 0..self.width {
+                    out[at + c] = v[c] * self.unit[c];
+                }
+            }
+        }
+    }
+
+    /// b − A x of every free row, handed to `convert` and written to `out`; masked rows get `convert` of 0, rows of
+    /// inactive blocks are not touched. Returns the squared norms. Without `with_rhs`, b is 0.
+    ///
+    /// The products are taken of differences x_i − x_j, which keeps full precision for bodies far from the origin.
+    pub(crate) fn residual<T: Copy + Send + Sync>(
+        &self,
+        x: &[Wide],
+        with_rhs: bool,
+        out: &mut [T],
+        convert: impl Fn(Wide) -> T + Sync + Send,
+    ) -> Wide {
+        let mask = &self.system.masks[0];
+        let stiffness = &self.system.stiffness;
+        assert!(x.len() == self.hierarchy.levels[0].rows());
+        let out = Shared::new(out);
+        self.norms(|rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let out = unsafe { out.rows(rows.clone()) };
+            let mut norms = [0.0; WIDTH];
+            // The caller's rows lie far apart. Fetched by themselves, many are under way at a time.
+            let mut fetched = [[0.0; WIDTH]; FETCH * BUNDLE];
+            for (n, (out, k)) in out
+                .as_chunks_mut::<BUNDLE>()
+                .0
+                .iter_mut()
+                .zip(rows.start / BUNDLE..)
+                .enumerate()
+            {
+                if with_rhs && n % FETCH == 0 {
+                    for (b, i) in fetched.iter_mut().zip(k * BUNDLE..rows.end) {
+                        *b = if mask.free(i) { self.rhs(i) } else { [0.0; WIDTH] };
+                    }
+                }
+                let flows = self.flows(x, k);
+                for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                    let mut r = [0.0; WIDTH];
+                    if mask.free(i) {
+                        r = fetched[(n % FETCH) * BUNDLE + d];
+                        let s = stiffness.get(i).copied().unwrap_or(0.0);
+                        for c in 0..WIDTH {
+                            r[c] -= flows[d][c] + s * x[i][c];
+                            norms[c] += r[c] * r[c];
+                        }
+                    }
+                    out[d] = convert(r);
+                }
+            }
+            norms
+        })
+    }
+
+    /// Σ w (x_i − x_j) of the rows of bundle `k`.
+    #[inline(always)]
+    fn flows(&self, x: &[Wide], k: usize) -> [Wide; BUNDLE] {
+        let level = &self.hierarchy.levels[0];
+        let (begin, _, end) = level.bundle(k);
+        let first = k * BUNDLE;
+        let here: [Wide; BUNDLE] = std::array::from_fn(|d| x[first + d]);
+        let mut flows = [[0.0; WIDTH]; BUNDLE];
+        let neighbours = level.neighbours[begin..end].as_chunks::<BUNDLE>().0;
+        match &level.weights {
+            None => {
+                let filling = level.filling();
+                for j in neighbours {
+                    for d in 0..BUNDLE {
+                        // Filling has weight 0: to itself, a row has no difference.
+                        let j = if j[d] == filling { first + d } else { j[d] as usize };
+                        let there = x[j];
+                        for c in 0..WIDTH {
+                            flows[d][c] += here[d][c] - there[c];
+                        }
+                    }
+                }
+            }
+            Some(w) => {
+                for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<BUNDLE>().0) {
+                    for d in 0..BUNDLE {
+                        let there = x[j[d] as usize];
+                        for c in 0..WIDTH {
+                            flows[d][c] += f64::from(w[d]) * (here[d][c] - there[c]);
+                        }
+                    }
+                }
+            }
+        }
+        flows
+    }
+
+    /// Squared norms of b, the right-hand side with the fixed values moved into it (β of the paper's equation (11)).
+    pub(crate) fn rhs_norms(&self, x: &[Wide]) -> Wide {
+        self.norms(|rows| {
+            let mut norms = [0.0; WIDTH];
+            for i in rows {
+                let b = self.moved_rhs(x, i);
+                for c in 0..WIDTH {
+                    norms[c] += b[c] * b[c];
+                }
+            }
+            norms
+        })
+    }
+
+    /// The same, and b itself handed to `convert` and written to `out`: the residual of an `x` that is 0 on free rows.
+    pub(crate) fn first_residual(
+        &self,
+        x: &[Wide],
+        out: &mut [Lanes],
+        convert: impl Fn(Wide) -> Lanes + Sync + Send,
+    ) -> Wide {
+        let out = Shared::new(out);
+        self.norms(|rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let out = unsafe { out.rows(rows.clone()) };
+            let mut norms = [0.0; WIDTH];
+            for (i, out) in rows.zip(out) {
+                let b = self.moved_rhs(x, i);
+                for c in 0..WIDTH {
+                    norms[c] += b[c] * b[c];
+                }
+                *out = convert(b);
+            }
+            norms
+        })
+    }
+
+    /// b of row `i`, 0 if that is masked.
+    #[inline(always)]
+    fn moved_rhs(&self, x: &[Wide], i: usize) -> Wide {
+        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        if !mask.free(i) {
+            return [0.0; WIDTH];
+        }
+        let mut b = self.rhs(i);
+        if mask.on_border(i) {
+            for (j, w) in level.row(i) {
+                if !mask.free(j) {
+                    for c in 0..WIDTH {
+                        b[c] += f64::from(w) * x[j][c];
+                    }
+                }
+            }
+        }
+        b
+    }
+
+    /// b − A x in double precision, floating components without their means; returns the squared norms.
+    pub(crate) fn wide_residual(&self, x: &[Wide], r: &mut [Wide]) -> Wide {
+        let norms = self.residual(x, true, r, |v| v);
+        if self.system.floating.is_empty() {
+            return norms;
+        }
+        self.system.floating.remove_wide_means(r);
+        let r = &*r;
+        self.norms(|rows| {
+            let mut norms = [0.0; WIDTH];
+            for r in &r[rows] {
+                for c in 0..WIDTH {
+                    norms[c] += r[c] * r[c];
+                }
+            }
+            norms
+        })
+    }
+
+    /// Adds up what `body` returns for each active block, always in the same order.
+    pub(crate) fn norms(&self, body: impl Fn(Range<usize>) -> Wide + Sync + Send) -> Wide {
+        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        let active = &mask.active;
+        let of_block = |k: usize| body(level.block(active[k] as usize));
+        let add = |mut sum: Wide, part: Wide| {
+            add_wide(&mut sum, part);
+            sum
+        };
+        in_order(self.threads, active.len(), [0.0; WIDTH], of_block, add)
+    }
+}
+
+/// Joins what `body` makes of 0, 1, … `count` − 1, always in this order. One thread needs no memory for that.
+fn in_order<T: Copy + Send>(
+    threads: Threads,
+    count: usize,
+    zero: T,
+    body: impl Fn(usize) -> T + Sync + Send,
+    join: impl Fn(T, T) -> T,
+) -> T {
+    if threads.parallel() {
+        let parts = threads.map(0..count, || (), |(), k| body(k));
+        parts.into_iter().fold(zero, join)
+    } else {
+        (0..count).fold(zero, |sum, k| join(sum, body(k)))
+    }
+}

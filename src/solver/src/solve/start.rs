@@ -1,0 +1,289 @@
+//! The full-multigrid start: the original equations solved from the coarsest level down (paper section 5, figure 4).
+//!
+//! The paper prolongs by equation (14): a vertex lies where its coarse neighbours predict it through d. The same idea
+//! on aggregates: a coarse vertex carries its members along as an affine patch, x_i = x_I + F_I (p_i − c_I), with F_I
+//! the mean of the members' maps s_i R_i. Equation (12) keeps its form on every level, with
+//! d_IJ = ½ (F_I + F_J) (c_I − c_J) and β_I summed over the members. Without maps the patches are rigid points.
+
+use crate::build::order::Frame;
+use crate::constrain::mask::tie_share;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
+use crate::progress::{Cancelled, check};
+use crate::solve::cycle::Cycle;
+use crate::solve::patches::{Map, Patches};
+use crate::solve::problem::Problem;
+use crate::solve::sweep::Grid;
+use crate::solve::workspace::Workspace;
+use crate::storage::NONE;
+use crate::threads::{piece, pieces};
+
+/// Rows that one piece of work handles.
+const PIECE: usize = 1024;
+
+/// Fills the free rows of `workspace.x`, whose masked rows hold their values, with the full-multigrid start.
+pub(crate) fn full_multigrid(
+    problem: &Problem<'_>,
+    cycle: &Cycle<'_>,
+    frames: Option<&[[f32; 9]]>,
+    rest: Option<&[[f64; 3]]>,
+    workspace: &mut Workspace,
+) -> Result<(), Cancelled> {
+    let system = problem.system;
+    let Workspace { x, patches, coarse, .. } = workspace;
+    let last = system.masks.len() - 1;
+    patches.resize_with(last + 1, Patches::default);
+    crate::solve::cycle::prepare(cycle, coarse);
+
+    let middle = mean_of_masked(problem, x);
+    let grid = cycle.grid(0);
+    let finest = &mut patches[0];
+    finest.resize(grid.level.rows(), frames.is_some());
+    if let Some(frames) = frames {
+        load_maps(problem, frames, rest, finest);
+    }
+    load_equations(&grid, problem, x, middle, finest);
+    for l in 0..last {
+        check(cycle.progress)?;
+        let (fine, below) = patches[l..].split_at_mut(1);
+        restrict(&cycle.grid(l), &cycle.grid(l + 1), &fine[0], &mut below[0]);
+    }
+
+    for l in (1..=last).rev() {
+        check(cycle.progress)?;
+        let grid = cycle.grid(l);
+        let vectors = &mut coarse[l - 1..];
+        defect(&grid, &patches[l], &mut vectors[0].b);
+        cycle.solve(l, vectors)?;
+        let here = &mut patches[l];
+        for (x, z) in here.x.iter_mut().zip(&vectors[0].z) {
+            *x += *z;
+        }
+        if l > 1 {
+            let (fine, below) = patches[l - 1..].split_at_mut(1);
+            prolong(&cycle.grid(l - 1), &mut fine[0], &below[0]);
+        }
+    }
+    if last > 0 {
+        let (fine, below) = patches.split_at_mut(1);
+        prolong(&grid, &mut fine[0], &below[0]);
+        for (i, (x, s)) in x.iter_mut().zip(&fine[0].x).enumerate() {
+            if grid.mask.free(i) {
+                let s = s.wide();
+                for c in 0..WIDTH {
+                    x[c] = s[c] + middle[c];
+                }
+            }
+        }
+    }
+    if !system.floating.is_empty() {
+        system.floating.remove_wide_means(x);
+    }
+    Ok(())
+}
+
+/// Mean of the given values. The start works on differences to it, which single precision can hold.
+fn mean_of_masked(problem: &Problem<'_>, x: &[Wide]) -> Wide {
+    let mask = &problem.system.masks[0];
+    let (mut sum, mut count) = ([0.0; WIDTH], 0usize);
+    for (i, x) in x.iter().enumerate() {
+        if !mask.free(i) && problem.hierarchy.order[i] != NONE {
+            add_wide(&mut sum, *x);
+            count += 1;
+        }
+    }
+    sum.map(|s| s / count.max(1) as f64)
+}
+
+/// Maps and positions of the finest level, in row order, from unit-box positions to the problem's inner units.
+fn load_maps(problem: &Problem<'_>, frames: &[[f32; 9]], rest: Option<&[[f64; 3]]>, finest: &mut Patches) {
+    let hierarchy = problem.hierarchy;
+    let frame = rest.map_or(hierarchy.frame, Frame::around);
+    let scale = |c: usize| frame.size / problem.unit[c];
+    let scale = Lanes([scale(0) as f32, scale(1) as f32, scale(2) as f32, 0.0]);
+    for (i, &v) in hierarchy.order.iter().enumerate() {
+        if v == NONE {
+            finest.maps[i] = [Lanes::ZERO; 3];
+            continue;
+        }
+        let f = &frames[v as usize];
+        finest.maps[i] = [0, 3, 6].map(|k| Lanes([f[k], f[k + 1], f[k + 2], 0.0]) * scale);
+    }
+    match rest {
+        None => finest.positions.copy_from_slice(&hierarchy.levels[0].positions),
+        Some(rest) => {
+            for (p, &v) in finest.positions.iter_mut().zip(&hierarchy.order) {
+                *p = rest.get(v as usize).map_or(Lanes::ZERO, |&p| frame.apply(p));
+            }
+        }
+    }
+}
+
+/// β and given values of the finest level: what the right-hand side holds beyond Σ w d.
+fn load_equations(grid: &Grid<'_>, problem: &Problem<'_>, x: &[Wide], middle: Wide, finest: &mut Patches) {
+    let n = grid.level.rows();
+    for (i, (out, x)) in finest.x.iter_mut().zip(x).enumerate() {
+        let shifted = [0, 1, 2, 3].map(|c| x[c] - middle[c]);
+        *out = if grid.mask.free(i) {
+            Lanes::ZERO
+        } else {
+            Lanes::from_wide(shifted)
+        };
+    }
+    let mut beta = std::mem::take(&mut finest.beta);
+    let shared = Shared::new(&mut beta);
+    let patches = &*finest;
+    grid.threads.each(0..pieces(n, PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        let beta = unsafe { shared.rows(piece(k, n, PIECE)) };
+        for (i, beta) in piece(k, n, PIECE).zip(beta) {
+            *beta = Lanes::ZERO;
+            if !grid.mask.free(i) {
+                continue;
+            }
+            let mut b = problem.rhs(i);
+            if let Some(s) = problem.system.stiffness.get(i) {
+                for c in 0..WIDTH {
+                    b[c] -= s * middle[c];
+                }
+            }
+            let mut sum = Lanes::ZERO;
+            if !patches.maps.is_empty() {
+                for (j, w) in grid.level.row(i) {
+                    sum += patches.edge(i, j) * w;
+                }
+            }
+            let sum = sum.wide();
+            *beta = Lanes::from_wide([0, 1, 2, 3].map(|c| b[c] - sum[c]));
+        }
+    });
+    finest.beta = beta;
+}
+
+/// The original equations of the next level.
+fn restrict(grid: &Grid<'_>, below: &Grid<'_>, fine: &Patches, coarse: &mut Patches) {
+    let (level, mask) = (grid.level, grid.mask);
+    let n = below.level.rows();
+    let mapped = !fine.maps.is_empty();
+    coarse.resize(n, mapped);
+    let (maps, positions) = (Shared::new(&mut coarse.maps), Shared::new(&mut coarse.positions));
+    let (betas, xs) = (Shared::new(&mut coarse.beta), Shared::new(&mut coarse.x));
+    grid.threads.each(0..pieces(n, PIECE), |k| {
+        for row in piece(k, n, PIECE) {
+            let members = level.members_of(row);
+            let (map, centre) = if mapped {
+                mean_patch(fine, members)
+            } else {
+                ([Lanes::ZERO; 3], Lanes::ZERO)
+            };
+            let (mut beta, mut given) = (Lanes::ZERO, Lanes::ZERO);
+            for &i in members {
+                let i = i as usize;
+                if !mask.free(i) {
+                    given += fine.x[i];
+                    continue;
+                }
+                let offset = if mapped {
+                    fine.offset(&map, i, centre)
+                } else {
+                    Lanes::ZERO
+                };
+                beta += fine.beta[i] - offset * mask.alpha(i);
+                for (j, w) in level.row(i) {
+                    if !mask.free(j) {
+                        let share = tie_share(level, below.mask, row, j);
+                        beta += (fine.x[j] + fine.edge(i, j) - offset) * (w * share);
+                    }
+                }
+            }
+            let free = below.mask.free(row);
+            // SAFETY: each row is visited once.
+            unsafe {
+                if mapped {
+                    maps.set(row, map);
+                    positions.set(row, centre);
+                }
+                betas.set(row, if free { beta } else { Lanes::ZERO });
+                xs.set(
+                    row,
+                    if free {
+                        Lanes::ZERO
+                    } else {
+                        given * (1.0 / members.len().max(1) as f32)
+                    },
+                );
+            }
+        }
+    });
+}
+
+/// Mean map and centroid of an aggregate. Averaging different rotations shrinks; the mean size is restored.
+fn mean_patch(fine: &Patches, members: &[u32]) -> (Map, Lanes) {
+    let size = |m: &Map| {
+        let squares = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
+        squares.sum().sqrt()
+    };
+    let share = 1.0 / members.len().max(1) as f32;
+    let (mut map, mut centre, mut sizes) = ([Lanes::ZERO; 3], Lanes::ZERO, 0.0f32);
+    for &i in members {
+        let m = &fine.maps[i as usize];
+        for c in 0..3 {
+            map[c] += m[c] * share;
+        }
+        centre += fine.positions[i as usize] * share;
+        sizes += size(m) * share;
+    }
+    let mean = size(&map);
+    if mean > 1e-3 * sizes {
+        (map.map(|column| column * (sizes / mean)), centre)
+    } else {
+        (members.first().map_or(map, |&i| fine.maps[i as usize]), centre)
+    }
+}
+
+/// β − α x − Σ w (x_i − x_j − d_ij) of free rows, 0 elsewhere.
+fn defect(grid: &Grid<'_>, patches: &Patches, out: &mut [Lanes]) {
+    let (level, mask) = (grid.level, grid.mask);
+    let n = level.rows();
+    let out = Shared::new(out);
+    grid.threads.each(0..pieces(n, PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        let out = unsafe { out.rows(piece(k, n, PIECE)) };
+        for (i, out) in piece(k, n, PIECE).zip(out) {
+            *out = Lanes::ZERO;
+            if !mask.free(i) {
+                continue;
+            }
+            let here = patches.x[i];
+            let mut r = patches.beta[i] - here * mask.alpha(i);
+            for (j, w) in level.row(i) {
+                r -= (here - patches.x[j] - patches.edge(i, j)) * w;
+            }
+            *out = r;
+        }
+    });
+}
+
+/// x_i = x_I + F_I (p_i − c_I) on free rows; given values stay.
+fn prolong(grid: &Grid<'_>, fine: &mut Patches, coarse: &Patches) {
+    let (level, mask) = (grid.level, grid.mask);
+    let n = level.rows();
+    let mut x = std::mem::take(&mut fine.x);
+    let shared = Shared::new(&mut x);
+    let patches = &*fine;
+    grid.threads.each(0..pieces(n, PIECE), |k| {
+        // SAFETY: pieces are disjoint and each is visited once.
+        let x = unsafe { shared.rows(piece(k, n, PIECE)) };
+        for (i, x) in piece(k, n, PIECE).zip(x) {
+            let aggregate = level.aggregates[i];
+            if !mask.free(i) || aggregate == NONE {
+                continue;
+            }
+            let aggregate = aggregate as usize;
+            *x = coarse.x[aggregate];
+            if let Some(map) = coarse.maps.get(aggregate) {
+                *x += patches.offset(map, i, coarse.positions[aggregate]);
+            }
+        }
+    });
+    fine.x = x;
+}

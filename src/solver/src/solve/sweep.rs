@@ -1,0 +1,523 @@
+//! The passes over one level: Gauss–Seidel sweeps, residuals, restriction, prolongation.
+//!
+//! All vectors have one [`Lanes`] per row and hold 0 on masked rows. A cycle starts from zero, which halves the first
+//! two passes: in the forward sweep the neighbours after a row are still 0, and the residual it leaves is made of just
+//! these neighbours.
+
+use crate::build::level::Level;
+use crate::constrain::mask::Mask;
+use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
+use crate::storage::{BUNDLE, NONE};
+use crate::threads::{Threads, piece, pieces};
+
+/// Rows of a vector pass without blocks.
+const PIECE: usize = 1024;
+
+/// A level under constraints, and the threads to use on it.
+#[derive(Clone, Copy)]
+pub(crate) struct Grid<'a> {
+    pub(crate) level: &'a Level,
+    pub(crate) mask: &'a Mask,
+    pub(crate) threads: Threads,
+}
+
+/// Sums of one block: three inner products per lane.
+pub(crate) type Dots = [Lanes; 3];
+
+impl<'a> Grid<'a> {
+    pub(crate) fn new(level: &'a Level, mask: &'a Mask, threads: Threads) -> Self {
+        Self {
+            level,
+            mask,
+            threads: threads.for_rows(level.rows()),
+        }
+    }
+
+    /// Calls `body` with the number and the rows of every active block, in any order.
+    #[inline]
+    pub(crate) fn each_block(&self, body: impl Fn(usize, std::ops::Range<usize>) + Sync + Send) {
+        self.threads.each(0..self.mask.active.len(), |k| {
+            body(k, self.level.block(self.mask.active[k] as usize))
+        });
+    }
+
+    /// Calls `body` with the number and the rows of every active block, colour by colour; those of one colour in any
+    /// order.
+    #[inline]
+    fn sweep(&self, backward: bool, body: impl Fn(usize, std::ops::Range<usize>) + Sync + Send) {
+        let colours = self.mask.colours.len() - 1;
+        for c in 0..colours {
+            let c = if backward { colours - 1 - c } else { c };
+            self.threads
+                .each(self.mask.colours[c] as usize..self.mask.colours[c + 1] as usize, |k| {
+                    body(k, self.level.block(self.mask.active[k] as usize));
+                });
+        }
+    }
+
+    /// x = (D − L)⁻¹ b, where L holds the entries before the diagonal: a forward sweep from x = 0.
+    pub(crate) fn forward(&self, b: &[Lanes], x: &mut [Lanes]) {
+        match &self.level.weights {
+            None => self.forward_with(b, x, &Unit),
+            Some(w) => self.forward_with(b, x, &Values(w)),
+        }
+    }
+
+    fn forward_with<W: Weight>(&self, b: &[Lanes], x: &mut [Lanes], w: &W) {
+        let (level, inverses) = (self.level, &self.mask.inverses);
+        assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
+        let x = Shared::new(x);
+        self.sweep(false, |_, rows| {
+            for k in rows.start / BUNDLE..rows.end / BUNDLE {
+                let (begin, middle, _) = level.bundle(k);
+                // SAFETY: neighbours are rows of the level; those read lie in this block or in one of a colour that
+                // no thread writes now, or hold filling, which nobody writes; the bundle is written by the one thread
+                // that sweeps its block.
+                unsafe {
+                    let sums = gather(level, w, x, begin, middle);
+                    let rows = k * BUNDLE..(k + 1) * BUNDLE;
+                    let (b, inverses) = (&b[rows.clone()], &inverses[rows.clone()]);
+                    for (d, i) in rows.enumerate() {
+                        x.set(i, (b[d] + sums[d]) * inverses[d]);
+                    }
+                }
+            }
+        });
+    }
+
+    /// The residual that the forward sweep leaves.
+    pub(crate) fn residual(&self, x: &[Lanes], r: &mut [Lanes]) {
+        match &self.level.weights {
+            None => self.residual_with(x, r, &Unit),
+            Some(w) => self.residual_with(x, r, &Values(w)),
+        }
+    }
+
+    fn residual_with<W: Weight>(&self, x: &[Lanes], r: &mut [Lanes], w: &W) {
+        let (level, mask) = (self.level, self.mask);
+        assert!(x.len() == level.rows());
+        let r = Shared::new(r);
+        self.each_block(|_, rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let out = unsafe { r.rows(rows.clone()) };
+            for (out, k) in out.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(rows.start / BUNDLE..) {
+                let (_, middle, end) = level.bundle(k);
+                // SAFETY: neighbours are rows of the level, and nobody writes x now.
+                let sums = unsafe { gather(level, w, Frozen(x), middle, end) };
+                for d in 0..BUNDLE {
+                    out[d] = sums[d].when(mask.free(k * BUNDLE + d));
+                }
+            }
+        });
+    }
+
+    /// The backward sweep that makes a forward sweep from zero symmetric. The neighbours before a row have not changed
+    /// since that was swept, and D x_i says what it saw of them: only those after it are read. `t` receives D x_i.
+    pub(crate) fn backward_after_forward(&self, x: &mut [Lanes], t: &mut [Lanes]) {
+        match &self.level.weights {
+            None => self.backward_after_forward_with(x, t, &Unit),
+            Some(w) => self.backward_after_forward_with(x, t, &Values(w)),
+        }
+    }
+
+    fn backward_after_forward_with<W: Weight>(&self, x: &mut [Lanes], t: &mut [Lanes], w: &W) {
+        let (level, mask) = (self.level, self.mask);
+        assert!(x.len() == level.rows());
+        let (x, t) = (Shared::new(x), Shared::new(t));
+        self.sweep(true, |_, rows| {
+            let first = rows.start;
+            // SAFETY: one thread sweeps this block.
+            let t = unsafe { t.rows(rows.clone()) };
+            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
+                let (_, middle, end) = level.bundle(k);
+                // SAFETY: as in the forward sweep.
+                unsafe {
+                    let after = gather(level, w, x, middle, end);
+                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                        let seen = x.get(i) * (level.diagonal[i] + mask.alpha(i));
+                        t[i - first] = seen;
+                        x.set(i, (seen + after[d]) * mask.inverses[i]);
+                    }
+                }
+            }
+        });
+    }
+
+    /// The residual that these two sweeps leave: only the neighbours before a row have changed since it was swept. `t`
+    /// holds D x_i as of then, and receives the residual.
+    pub(crate) fn residual_after_both(&self, b: &[Lanes], x: &[Lanes], t: &mut [Lanes]) {
+        assert!(b.len() == self.level.rows());
+        let t = Shared::new(t);
+        self.each_block(|_, rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let t = unsafe { t.rows(rows.clone()) };
+            let b = b[rows.clone()].as_chunks::<BUNDLE>().0;
+            for ((t, b), k) in t
+                .as_chunks_mut::<BUNDLE>()
+                .0
+                .iter_mut()
+                .zip(b)
+                .zip(rows.start / BUNDLE..)
+            {
+                let product = self.products(x, t, k);
+                for d in 0..BUNDLE {
+                    t[d] = (b[d] - product[d]).when(self.mask.free(k * BUNDLE + d));
+                }
+            }
+        });
+    }
+
+    /// A full forward sweep on x. `t` receives what each row saw of b and of the neighbours before it.
+    pub(crate) fn forward_full(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes]) {
+        match &self.level.weights {
+            None => self.forward_full_with(b, x, t, &Unit),
+            Some(w) => self.forward_full_with(b, x, t, &Values(w)),
+        }
+    }
+
+    fn forward_full_with<W: Weight>(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes], w: &W) {
+        let (level, inverses) = (self.level, &self.mask.inverses);
+        assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
+        let (x, t) = (Shared::new(x), Shared::new(t));
+        self.sweep(false, |_, rows| {
+            let first = rows.start;
+            // SAFETY: one thread sweeps this block.
+            let t = unsafe { t.rows(rows.clone()) };
+            for k in rows.start / BUNDLE..rows.end / BUNDLE {
+                let (begin, middle, end) = level.bundle(k);
+                // SAFETY: as in the sweep from zero.
+                unsafe {
+                    let before = gather(level, w, x, begin, middle);
+                    let after = gather(level, w, x, middle, end);
+                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                        let seen = b[i] + before[d];
+                        t[i - first] = seen;
+                        x.set(i, (seen + after[d]) * inverses[i]);
+                    }
+                }
+            }
+        });
+    }
+
+    /// The backward sweep after [`Grid::forward_full`], which left `t`. Returns what [`Grid::backward`] returns.
+    pub(crate) fn backward_from(
+        &self,
+        b: &[Lanes],
+        x: &mut [Lanes],
+        t: &[Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+    ) -> [Wide; 3] {
+        match &self.level.weights {
+            None => self.backward_from_with(b, x, t, c, partials, &Unit),
+            Some(w) => self.backward_from_with(b, x, t, c, partials, &Values(w)),
+        }
+    }
+
+    fn backward_from_with<W: Weight>(
+        &self,
+        b: &[Lanes],
+        x: &mut [Lanes],
+        t: &[Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+        w: &W,
+    ) -> [Wide; 3] {
+        let (level, inverses) = (self.level, &self.mask.inverses);
+        let (with_x, c) = (c.is_some(), c.unwrap_or(b));
+        let n = level.rows();
+        assert!(b.len() == n && c.len() == n && t.len() == n && x.len() == n && inverses.len() == n);
+        let x = Shared::new(x);
+        partials.clear();
+        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
+        let shared = Shared::new(partials.as_mut_slice());
+        self.sweep(true, |number, rows| {
+            let mut sums = [Lanes::ZERO; 3];
+            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
+                let (_, middle, end) = level.bundle(k);
+                // SAFETY: as in the forward sweep.
+                unsafe {
+                    let after = gather(level, w, x, middle, end);
+                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                        let value = (t[i] + after[d]) * inverses[i];
+                        x.set(i, value);
+                        sums[0] += value * b[i];
+                        sums[1] += value * (t[i] - after[d]);
+                        sums[2] += if with_x { value } else { b[i] } * c[i];
+                    }
+                }
+            }
+            // SAFETY: each block has a number of its own.
+            unsafe { shared.set(number, sums) };
+        });
+        sum_up(partials)
+    }
+
+    /// A full backward sweep on x. Returns (x, b), (x, A x) and (x, c), or (b, b) without `c`.
+    ///
+    /// `t`, if given, receives what each row saw of b and of the neighbours before it, from which [`Grid::products`]
+    /// makes A x.
+    /// With it, D x_i = t_i + (neighbours after i, final when i is swept), and (A x)_i = t_i − Σ_before w x_j. Every edge
+    /// leads once to an earlier and once to a later row, so (x, A x) is also the sum of x_i (t_i − Σ_after w x_j): all
+    /// inner products come with the sweep.
+    pub(crate) fn backward(
+        &self,
+        b: &[Lanes],
+        x: &mut [Lanes],
+        t: Option<&mut [Lanes]>,
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+    ) -> [Wide; 3] {
+        match (&self.level.weights, t) {
+            (None, None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &Unit),
+            (None, Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &Unit),
+            (Some(w), None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &Values(w)),
+            (Some(w), Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &Values(w)),
+        }
+    }
+
+    fn backward_with<W: Weight, const KEEP: bool>(
+        &self,
+        b: &[Lanes],
+        x: &mut [Lanes],
+        t: &mut [Lanes],
+        c: Option<&[Lanes]>,
+        partials: &mut Vec<Dots>,
+        w: &W,
+    ) -> [Wide; 3] {
+        let (level, inverses) = (self.level, &self.mask.inverses);
+        let (with_x, c) = (c.is_some(), c.unwrap_or(b));
+        let n = level.rows();
+        assert!(b.len() == n && c.len() == n && x.len() == n && inverses.len() == n);
+        let (x, t) = (Shared::new(x), Shared::new(t));
+        partials.clear();
+        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
+        let shared = Shared::new(partials.as_mut_slice());
+        self.sweep(true, |number, rows| {
+            let mut sums = [Lanes::ZERO; 3];
+            let first = rows.start;
+            // SAFETY: one thread sweeps this block.
+            let t = unsafe { t.rows(if KEEP { rows.clone() } else { 0..0 }) };
+            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
+                let (begin, middle, end) = level.bundle(k);
+                // SAFETY: as in the forward sweep.
+                unsafe {
+                    let before = gather(level, w, x, begin, middle);
+                    let after = gather(level, w, x, middle, end);
+                    let rows = k * BUNDLE..(k + 1) * BUNDLE;
+                    let (b, c, inverses) = (&b[rows.clone()], &c[rows.clone()], &inverses[rows.clone()]);
+                    for (d, i) in rows.enumerate() {
+                        let before = b[d] + before[d];
+                        let value = (before + after[d]) * inverses[d];
+                        if KEEP {
+                            t[i - first] = before;
+                        }
+                        x.set(i, value);
+                        sums[0] += value * b[d];
+                        sums[1] += value * (before - after[d]);
+                        sums[2] += if with_x { value } else { b[d] } * c[d];
+                    }
+                }
+            }
+            // SAFETY: each block has a number of its own.
+            unsafe { shared.set(number, sums) };
+        });
+        sum_up(partials)
+    }
+
+    /// A x of the rows of bundle `k`, from differences x_i − x_j: rounding stays relative to these, not to x.
+    #[inline(always)]
+    pub(crate) fn flows(&self, x: &[Lanes], k: usize) -> [Lanes; BUNDLE] {
+        let level = self.level;
+        assert!(x.len() == level.rows());
+        let (begin, _, end) = level.bundle(k);
+        let neighbours = level.neighbours[begin..end].as_chunks::<BUNDLE>().0;
+        let here: &[Lanes] = &x[k * BUNDLE..(k + 1) * BUNDLE];
+        let here: [Lanes; BUNDLE] = std::array::from_fn(|d| here[d]);
+        let mut sums = [Lanes::ZERO; BUNDLE];
+        match &level.weights {
+            None => {
+                let filling = level.filling();
+                for j in neighbours {
+                    for d in 0..BUNDLE {
+                        // Filling has weight 0: to itself, a row has no difference.
+                        let j = if j[d] == filling { k * BUNDLE + d } else { j[d] as usize };
+                        // SAFETY: neighbours are rows of the level, and nobody writes x now.
+                        sums[d] += here[d] - unsafe { Frozen(x).at(j) };
+                    }
+                }
+            }
+            Some(w) => {
+                for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<BUNDLE>().0) {
+                    for d in 0..BUNDLE {
+                        // SAFETY: as above.
+                        sums[d] += (here[d] - unsafe { Frozen(x).at(j[d] as usize) }) * w[d];
+                    }
+                }
+            }
+        }
+        std::array::from_fn(|d| {
+            let i = k * BUNDLE + d;
+            (sums[d] + here[d] * self.mask.alpha(i)).when(self.mask.free(i))
+        })
+    }
+
+    /// A x of the rows of bundle `k`, from x and the `t` that [`Grid::backward`] left.
+    #[inline(always)]
+    pub(crate) fn products(&self, x: &[Lanes], t: &[Lanes; BUNDLE], k: usize) -> [Lanes; BUNDLE] {
+        assert!(x.len() == self.level.rows());
+        let (begin, middle, _) = self.level.bundle(k);
+        // SAFETY: neighbours are rows of the level, and nobody writes x now.
+        let before = unsafe {
+            match &self.level.weights {
+                None => gather(self.level, &Unit, Frozen(x), begin, middle),
+                Some(w) => gather(self.level, &Values(w), Frozen(x), begin, middle),
+            }
+        };
+        std::array::from_fn(|d| (t[d] - before[d]).when(self.mask.free(k * BUNDLE + d)))
+    }
+
+    /// Adds up what `body` returns for each active block, always in the same order.
+    pub(crate) fn dots(
+        &self,
+        partials: &mut Vec<Dots>,
+        body: impl Fn(std::ops::Range<usize>) -> Dots + Sync + Send,
+    ) -> [Wide; 3] {
+        partials.clear();
+        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
+        let shared = Shared::new(partials.as_mut_slice());
+        // SAFETY: element k is written by the one thread that visits block k.
+        self.each_block(|k, rows| unsafe { shared.set(k, body(rows)) });
+        sum_up(partials)
+    }
+
+    /// Sums `r` over the members of each row of the next level.
+    pub(crate) fn restrict(&self, r: &[Lanes], coarse: &mut [Lanes]) {
+        let level = self.level;
+        let n = coarse.len();
+        let out = Shared::new(coarse);
+        self.threads.each(0..pieces(n, PIECE), |k| {
+            let rows = piece(k, n, PIECE);
+            // SAFETY: pieces are disjoint and each is visited once.
+            let out = unsafe { out.rows(rows.clone()) };
+            for (row, out) in rows.zip(out) {
+                let mut sum = Lanes::ZERO;
+                for &i in level.members_of(row) {
+                    sum += r[i as usize];
+                }
+                *out = sum;
+            }
+        });
+    }
+
+    /// Adds to each free row the value of its aggregate.
+    pub(crate) fn prolong(&self, coarse: &[Lanes], x: &mut [Lanes]) {
+        let (level, mask) = (self.level, self.mask);
+        let x = Shared::new(x);
+        self.each_block(|_, rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let out = unsafe { x.rows(rows.clone()) };
+            for (i, out) in rows.zip(out) {
+                let aggregate = level.aggregates[i];
+                if mask.free(i) && aggregate != NONE {
+                    *out += coarse[aggregate as usize];
+                }
+            }
+        });
+    }
+}
+
+/// Sums over all blocks, always in the same order.
+fn sum_up(partials: &[Dots]) -> [Wide; 3] {
+    let mut sums = [[0.0; WIDTH]; 3];
+    for partial in partials {
+        for (sum, p) in sums.iter_mut().zip(partial) {
+            add_wide(sum, p.wide());
+        }
+    }
+    sums
+}
+
+/// Weights of the entries of a level.
+trait Weight: Sync {
+    /// Adds w x_j for entries `from..to` of one bundle to its four sums.
+    ///
+    /// # Safety
+    /// The entries exist, and `x` can be read at all their neighbours.
+    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE];
+}
+
+/// All weights are 1 and none is stored; filling reads a row that holds 0.
+struct Unit;
+
+impl Weight for Unit {
+    #[inline(always)]
+    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
+        let mut sums = [Lanes::ZERO; BUNDLE];
+        for j in neighbours[from..to].as_chunks::<BUNDLE>().0 {
+            for d in 0..BUNDLE {
+                // SAFETY: by the caller's promise.
+                sums[d] += unsafe { x.at(j[d] as usize) };
+            }
+        }
+        sums
+    }
+}
+
+/// One stored weight per entry.
+struct Values<'a>(&'a [f32]);
+
+impl Weight for Values<'_> {
+    #[inline(always)]
+    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
+        let mut sums = [Lanes::ZERO; BUNDLE];
+        let neighbours = neighbours[from..to].as_chunks::<BUNDLE>().0;
+        for (j, w) in neighbours.iter().zip(self.0[from..to].as_chunks::<BUNDLE>().0) {
+            for d in 0..BUNDLE {
+                // SAFETY: by the caller's promise.
+                sums[d] += unsafe { x.at(j[d] as usize) } * w[d];
+            }
+        }
+        sums
+    }
+}
+
+/// A vector to gather from.
+trait Vector: Copy {
+    /// Row `i`.
+    ///
+    /// # Safety
+    /// The row exists and no thread writes it now.
+    unsafe fn at(self, i: usize) -> Lanes;
+}
+
+impl Vector for Shared<'_, Lanes> {
+    #[inline(always)]
+    unsafe fn at(self, i: usize) -> Lanes {
+        // SAFETY: by the caller's promise.
+        unsafe { self.get(i) }
+    }
+}
+
+/// A vector that nobody writes.
+#[derive(Clone, Copy)]
+struct Frozen<'a>(&'a [Lanes]);
+
+impl Vector for Frozen<'_> {
+    #[inline(always)]
+    unsafe fn at(self, i: usize) -> Lanes {
+        debug_assert!(i < self.0.len());
+        // SAFETY: by the caller's promise.
+        unsafe { *self.0.get_unchecked(i) }
+    }
+}
+
+/// Σ w x_j over entries of one bundle, for each of its rows.
+///
+/// # Safety
+/// `x` has all rows of the level, and no thread writes those of the neighbours now.
+#[inline(always)]
+unsafe fn gather<W: Weight, X: Vector>(level: &Level, w: &W, x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
+    // SAFETY: neighbours are rows of the level, the rest by the caller's promise.
+    unsafe { w.gather(&level.neighbours, x, from, to) }
+}

@@ -1,0 +1,70 @@
+//! Scratch that solves share.
+
+use crate::lanes::{Lanes, Wide};
+use crate::solve::cycle::Coarse;
+use crate::solve::patches::Patches;
+use crate::solve::sweep::Dots;
+
+/// Vectors that a solve needs; reuse it and solves of the same size allocate next to nothing.
+///
+/// It belongs to no hierarchy: one workspace can serve systems of any size, one solve at a time.
+#[derive(Debug, Default)]
+pub struct Workspace {
+    /// The solution so far, in row order.
+    pub(crate) x: Vec<Wide>,
+    pub(crate) fine: Fine,
+    pub(crate) coarse: Vec<Coarse>,
+    pub(crate) patches: Vec<Patches>,
+    /// Reduction of the residual by each iteration of the present solve, slowest column.
+    pub(crate) history: Vec<f64>,
+    /// Vectors in double precision for the direct method and the fallback.
+    pub(crate) wide: [Vec<Wide>; 3],
+}
+
+/// Single-precision vectors of the outer iteration on the finest level.
+#[derive(Debug, Default)]
+pub(crate) struct Fine {
+    /// Residual.
+    pub(crate) r: Vec<Lanes>,
+    /// Preconditioned residual.
+    pub(crate) z: Vec<Lanes>,
+    /// What A z is made from, and scratch on the way there.
+    pub(crate) t: Vec<Lanes>,
+    /// Correction to the solution.
+    pub(crate) e: Vec<Lanes>,
+    /// Residual and correction before the last step. Their differences to the present ones are that step and A times
+    /// it: the search direction.
+    pub(crate) last_r: Vec<Lanes>,
+    pub(crate) last_e: Vec<Lanes>,
+    pub(crate) partials: Vec<Dots>,
+}
+
+impl Fine {
+    pub(crate) fn resize(&mut self, rows: usize) {
+        for v in [
+            &mut self.r,
+            &mut self.z,
+            &mut self.t,
+            &mut self.e,
+            &mut self.last_r,
+            &mut self.last_e,
+        ] {
+            v.resize(rows, Lanes::ZERO);
+        }
+    }
+}
+
+impl Workspace {
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        let f = &self.fine;
+        let lanes: usize = [&f.r, &f.z, &f.t, &f.e, &f.last_r, &f.last_e]
+            .iter()
+            .map(|v| v.capacity())
+            .sum();
+        let wide = self.x.capacity() + self.wide.iter().map(Vec::capacity).sum::<usize>();
+        let coarse: usize = self.coarse.iter().map(Coarse::bytes).sum();
+        let patches: usize = self.patches.iter().map(Patches::bytes).sum();
+        16 * (lanes + 3 * f.partials.capacity()) + 32 * wide + coarse + patches + 8 * self.history.capacity()
+    }
+}

@@ -1,0 +1,254 @@
+//! Once its workspace has grown, a solve asks the allocator for nothing: counted by an allocator that counts.
+//!
+//! One thread: the returned [`Stats::residuals`](pliant_solver::Stats::residuals) is the only memory asked for. More
+//! threads: what handing out work costs, which is bounded per iteration. A pool of one thread is never entered, so a
+//! solve on it allocates nothing on its behalf either, from whichever thread it is called.
+
+use case::{Case, to, twist};
+use graphs::{lattice, surface};
+use pliant_solver::exec::Exec;
+use pliant_solver::progress::Silent;
+use pliant_solver::{Control, Iteration, Method, SolveOptions, Start, Stats, Workspace};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
+
+#[allow(dead_code)]
+#[path = "laws/case.rs"]
+mod case;
+#[allow(dead_code)]
+#[path = "laws/graphs.rs"]
+mod graphs;
+
+/// Hands everything to the system's allocator, and counts while [`COUNTING`].
+struct Counter;
+
+static COUNTING: AtomicBool = AtomicBool::new(false);
+static CALLS: AtomicUsize = AtomicUsize::new(0);
+static BYTES: AtomicUsize = AtomicUsize::new(0);
+/// Where the first few calls came from.
+static TRACES: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+thread_local! {
+    /// Set while a trace is taken, which allocates itself.
+    static TRACING: Cell<bool> = const { Cell::new(false) };
+}
+
+impl Counter {
+    fn count(size: usize) {
+        if !COUNTING.load(SeqCst) || TRACING.get() {
+            return;
+        }
+        BYTES.fetch_add(size, SeqCst);
+        if CALLS.fetch_add(1, SeqCst) < 8 {
+            TRACING.set(true);
+            let trace = std::backtrace::Backtrace::force_capture().to_string();
+            let solver = trace
+                .lines()
+                .filter(|l| l.contains("pliant_solver::") || l.contains("rayon"));
+            let solver: Vec<&str> = solver.take(6).collect();
+            TRACES
+                .lock()
+                .unwrap()
+                .push(format!("{size} bytes from\n{}", solver.join("\n")));
+            TRACING.set(false);
+        }
+    }
+}
+
+// SAFETY: every call goes to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counter {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        Self::count(layout.size());
+        // SAFETY: by the caller's promise.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        Self::count(layout.size());
+        // SAFETY: by the caller's promise.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        Self::count(size);
+        // SAFETY: by the caller's promise.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: by the caller's promise.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counter = Counter;
+
+/// What the third of three equal solves asked for.
+struct Asked {
+    calls: usize,
+    bytes: usize,
+    traces: Vec<String>,
+    stats: Stats,
+}
+
+fn third_solve(case: &Case, columns: usize, rhs: &[f64], from: &[f64], options: &SolveOptions<'_>) -> Asked {
+    let mut workspace = Workspace::default();
+    let (mut x, mut shown) = (from.to_vec(), from.to_vec());
+    let mut asked = None;
+    for round in 0..3 {
+        x.copy_from_slice(from);
+        let mut watch = |iteration: &Iteration<'_>| {
+            iteration.copy_to(&mut shown);
+            Control::Continue
+        };
+        CALLS.store(0, SeqCst);
+        BYTES.store(0, SeqCst);
+        COUNTING.store(round == 2, SeqCst);
+        let stats = case.system.solve(
+            &case.hierarchy,
+            columns,
+            rhs,
+            &mut x,
+            options,
+            &mut workspace,
+            &Exec::new(&case.pool, &Silent),
+            &mut watch,
+        );
+        COUNTING.store(false, SeqCst);
+        asked = Some(Asked {
+            calls: CALLS.load(SeqCst),
+            bytes: BYTES.load(SeqCst),
+            traces: std::mem::take(&mut *TRACES.lock().unwrap()),
+            stats: stats.unwrap(),
+        });
+    }
+    asked.unwrap()
+}
+
+/// One kind of solve.
+struct Kind<'a> {
+    name: &'static str,
+    columns: usize,
+    rhs: Vec<f64>,
+    from: Vec<f64>,
+    options: SolveOptions<'a>,
+}
+
+/// Cold, warm and full-multigrid solves, to residuals that single precision reaches and beyond, and to errors.
+fn kinds<'a>(case: &Case, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
+    let (rhs, start, _) = twist(case, 1.0);
+    let mut near = start.clone();
+    case.solve_to(3, &rhs, &mut near, 1e-3);
+    let full = Start::FullMultigrid {
+        frames: Some(frames),
+        rest: None,
+    };
+    let error = SolveOptions {
+        tolerance: None,
+        max_error: Some(1e-4),
+        ..SolveOptions::default()
+    };
+    let kind = |name, from: &Vec<f64>, start, options: SolveOptions<'a>| Kind {
+        name,
+        columns: 3,
+        rhs: rhs.clone(),
+        from: from.clone(),
+        options: SolveOptions { start, ..options },
+    };
+    let mut kinds = vec![
+        kind("zero to 1e-3", &start, Start::Zero, to(1e-3)),
+        kind("zero to 1e-9", &start, Start::Zero, to(1e-9)),
+        kind("warm to 1e-6", &near, Start::Given, to(1e-6)),
+        kind("warm to an error", &near, Start::Given, error.clone()),
+        kind("full multigrid to 1e-4", &start, full, to(1e-4)),
+        kind("full multigrid to an error", &start, full, error),
+    ];
+    // Two groups of columns.
+    kinds.push(Kind {
+        name: "five columns",
+        columns: 5,
+        rhs: (0..5 * case.n()).map(|k| (k % 11) as f64 - 5.0).collect(),
+        from: (0..5 * case.n()).map(|k| (k % 7) as f64).collect(),
+        options: to(1e-6),
+    });
+    kinds
+}
+
+fn one_thread() {
+    let soft = lattice(10, 10, 14);
+    let pulls = soft.ends(2, 0.9).iter().map(|e| f64::from(u8::from(*e))).collect();
+    let loose = lattice(12, 12, 12);
+    let few = lattice(9, 9, 9);
+    let cases = [
+        ("lattice", Case::ends(lattice(16, 16, 20), 2)),
+        ("surface", Case::ends(surface(80, 90), 0)),
+        ("weighted", Case::ends(lattice(12, 12, 16).weighted(-1.0, 1.0, 5), 2)),
+        ("soft", Case::new(soft.clone(), vec![false; soft.len()], Some(pulls), 1)),
+        ("loose", Case::new(loose.clone(), vec![false; loose.len()], None, 1)),
+        (
+            "direct",
+            Case::new(few.clone(), (0..few.len()).map(|i| i % 12 != 1).collect(), None, 1),
+        ),
+    ];
+    for (name, case) in &cases {
+        let (_, _, frames) = twist(case, 1.0);
+        for mut kind in kinds(case, &frames) {
+            // Where nothing or little is held, targets leave the start undefined.
+            kind.from.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = 0.0);
+            let asked = third_solve(case, kind.columns, &kind.rhs, &kind.from, &kind.options);
+            let iterations = asked.stats.iterations;
+            println!(
+                "{name}, {}: {} calls in {iterations} iterations",
+                kind.name, asked.calls
+            );
+            assert!(iterations > 0, "{name}, {}: something is solved", kind.name);
+            assert_ne!(asked.stats.method, Method::ConjugateGradients, "{name}, {}", kind.name);
+            assert_eq!(
+                (asked.calls, asked.bytes),
+                (1, 8 * kind.columns),
+                "{name}, {}: more than the residuals that are returned:\n{}",
+                kind.name,
+                asked.traces.join("\n")
+            );
+        }
+    }
+}
+
+/// Calls of the allocator that handing out work may cost: for each iteration, and besides for each group of columns.
+const PER_ITERATION: usize = 1;
+const PER_GROUP: usize = 8;
+
+fn more_threads() {
+    for threads in [2, 4] {
+        let graph = lattice(26, 26, 30);
+        let fixed = graph.ends(2, 0.9);
+        let case = Case::new(graph, fixed, None, threads);
+        let (_, _, frames) = twist(&case, 1.0);
+        for mut kind in kinds(&case, &frames) {
+            kind.from.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = 0.0);
+            let asked = third_solve(&case, kind.columns, &kind.rhs, &kind.from, &kind.options);
+            let (calls, iterations) = (asked.calls, asked.stats.iterations);
+            let groups = kind.columns.div_ceil(4);
+            println!(
+                "{threads} threads, {}: {calls} calls in {iterations} iterations, {} bytes",
+                kind.name, asked.bytes
+            );
+            assert!(
+                calls <= groups * (PER_GROUP + PER_ITERATION * iterations),
+                "{threads} threads, {}: {calls} calls in {iterations} iterations:\n{}",
+                kind.name,
+                asked.traces.join("\n")
+            );
+        }
+    }
+}
+
+// One test, so that nothing else in the process allocates meanwhile.
+#[test]
+fn solves_ask_for_no_memory_once_warm() {
+    one_thread();
+    more_threads();
+}

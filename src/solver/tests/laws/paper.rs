@@ -1,0 +1,276 @@
+//! The paper's own operators: slow, but they keep every promise of a solve.
+
+use pliant_solver::exec::Exec;
+use pliant_solver::pool::Pool;
+use pliant_solver::progress::{Progress, Silent};
+use pliant_solver::{
+    BuildOptions, Constraints, Control, Error, Hierarchy, Iteration, Method, Operators, SolveOptions, Start, Workspace,
+};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+use super::case::{Case, largest_distance, to, twist};
+use super::graphs::{Lattice, lattice, random_graph, star, surface};
+
+/// The same case with the paper's operators.
+fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
+    let options = BuildOptions {
+        operators: Operators::Paper,
+        interleave,
+        ..BuildOptions::default()
+    };
+    let pool = Pool::new(threads).unwrap();
+    let hierarchy = Hierarchy::build(&case.graph.view(), &options, &Exec::new(&pool, &Silent)).unwrap();
+    let constraints = Constraints {
+        fixed: &case.fixed,
+        stiffness: case.stiffness.as_deref(),
+    };
+    let system = hierarchy.constrain(&constraints, &pool).unwrap();
+    Case {
+        hierarchy,
+        system,
+        pool,
+        ..case
+    }
+}
+
+/// A body that hangs at its lower end by hard constraints and at its upper end by soft ones.
+fn soft(graph: Lattice) -> Case {
+    let ends = graph.ends(2, 0.9);
+    let up = |i: usize| graph.positions[i][2] > 2.0;
+    let fixed = (0..graph.len()).map(|i| ends[i] && !up(i)).collect();
+    let stiffness = (0..graph.len())
+        .map(|i| if ends[i] && up(i) { 0.5 } else { 0.0 })
+        .collect();
+    Case::new(graph, fixed, Some(stiffness), 1)
+}
+
+fn framed<'a>(frames: &'a [[f32; 9]], options: SolveOptions<'a>) -> SolveOptions<'a> {
+    let frames = Some(frames);
+    SolveOptions {
+        start: Start::FullMultigrid { frames, rest: None },
+        ..options
+    }
+}
+
+#[test]
+fn cycles_reach_what_is_asked_where_that_is_little() {
+    for case in [Case::ends(lattice(12, 12, 24), 2), Case::ends(surface(40, 30), 0)] {
+        let case = paper(case, None, 1);
+        let (rhs, start, frames) = twist(&case, 0.3);
+        let mut x = start.clone();
+        let stats = case.solve(3, &rhs, &mut x, &framed(&frames, to(1e-2)));
+        assert!(stats.converged && stats.method == Method::PaperCycles, "{stats:?}");
+        let recomputed = case.residuals(3, &rhs, &x).into_iter().fold(0.0, f64::max);
+        assert!(recomputed <= 1e-2 && (recomputed - stats.residual).abs() <= 1e-6 * recomputed);
+        for i in (0..3 * case.n()).filter(|i| case.fixed[i / 3]) {
+            assert_eq!(x[i].to_bits(), start[i].to_bits(), "given values stay");
+        }
+    }
+}
+
+#[test]
+fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
+    let graphs = [
+        Case::ends(lattice(12, 12, 16), 2),
+        Case::ends(surface(40, 30), 0),
+        Case::ends(lattice(10, 10, 12).weighted(-2.0, 2.0, 3), 2),
+        soft(lattice(9, 9, 14)),
+        Case::ends(lattice(9, 9, 12), 2).without_positions(),
+    ];
+    for (k, case) in graphs.into_iter().enumerate() {
+        let (rhs, start, _) = twist(&case, 1.0);
+        let mut exact = start.clone();
+        assert!(case.solve_to(3, &rhs, &mut exact, 1e-11).converged);
+        for (interleave, begin) in [
+            (None, Start::Zero),
+            (Some(0), Start::Zero),
+            (
+                Some(0),
+                Start::FullMultigrid {
+                    frames: None,
+                    rest: None,
+                },
+            ),
+        ] {
+            let case = paper(
+                Case::new(case.graph.clone(), case.fixed.clone(), case.stiffness.clone(), 1),
+                interleave,
+                1,
+            );
+            let mut x = start.clone();
+            let options = SolveOptions {
+                start: begin,
+                ..to(1e-8)
+            };
+            let stats = case.solve(3, &rhs, &mut x, &options);
+            assert!(stats.converged, "{stats:?}");
+            // Some get there without, above all with two steps after each cycle.
+            let gave_up = stats.method == Method::ConjugateGradients;
+            assert!(gave_up || k > 1 || interleave.is_none(), "graph {k}: {stats:?}");
+            assert!(case.residuals(3, &rhs, &x).iter().all(|r| *r <= 1.01e-8));
+            let size = start
+                .iter()
+                .filter(|v| v.is_finite())
+                .fold(0.0f64, |a, v| a.max(v.abs()));
+            assert!(largest_distance(3, &x, &exact) < 1e-4 * size);
+        }
+    }
+}
+
+#[test]
+fn an_error_that_is_asked_for_is_kept() {
+    let case = Case::ends(lattice(12, 12, 24), 2);
+    let (rhs, start, frames) = twist(&case, 1.0);
+    let mut exact = start.clone();
+    assert!(case.solve_to(3, &rhs, &mut exact, 1e-11).converged);
+    let case = paper(case, None, 1);
+    for asked in [1.0, 1e-2, 1e-5] {
+        let options = SolveOptions {
+            tolerance: None,
+            max_error: Some(asked),
+            ..SolveOptions::default()
+        };
+        let mut x = start.clone();
+        let stats = case.solve(3, &rhs, &mut x, &framed(&frames, options));
+        let missing = largest_distance(3, &x, &exact);
+        assert!(stats.converged && missing <= asked, "{missing} of {asked}: {stats:?}");
+    }
+}
+
+#[test]
+fn conjugate_gradient_steps_in_between_help() {
+    let case = Case::ends(lattice(16, 16, 24), 2);
+    let (rhs, start, frames) = twist(&case, 1.0);
+    let mut exact = start.clone();
+    case.solve_to(3, &rhs, &mut exact, 1e-11);
+    let mut case = case;
+    let mut missing = Vec::new();
+    for steps in [0, 2] {
+        case = paper(case, Some(steps), 1);
+        let options = SolveOptions {
+            max_iterations: 10,
+            ..to(1e-12)
+        };
+        let mut x = start.clone();
+        let stats = case.solve(3, &rhs, &mut x, &framed(&frames, options));
+        assert!(!stats.converged && stats.iterations == 10 && stats.method == Method::PaperCycles);
+        missing.push(largest_distance(3, &x, &exact));
+    }
+    assert!(missing[1] < 0.9 * missing[0], "{missing:?}");
+}
+
+#[test]
+fn the_bits_do_not_depend_on_the_pool() {
+    let solve = |threads: usize| {
+        let case = paper(Case::ends(lattice(14, 14, 20), 2), None, threads);
+        let (rhs, mut x, frames) = twist(&case, 1.0);
+        let stats = case.solve(3, &rhs, &mut x, &framed(&frames, to(1e-6)));
+        (x.iter().map(|v| v.to_bits()).collect::<Vec<_>>(), stats)
+    };
+    let one = solve(1);
+    assert!(one.1.converged);
+    for threads in [2, 3] {
+        assert!(solve(threads) == one, "{threads} threads");
+    }
+}
+
+/// Cancels at the n-th question.
+struct After(AtomicUsize);
+
+impl Progress for After {
+    fn cancelled(&self) -> bool {
+        let asked = self.0.fetch_update(Relaxed, Relaxed, |n| Some(n.saturating_sub(1)));
+        asked.unwrap_or(0) == 0
+    }
+}
+
+#[test]
+fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
+    let case = paper(Case::ends(lattice(12, 12, 16), 2), Some(2), 1);
+    let (rhs, start, _) = twist(&case, 1.0);
+    let run = |progress: &dyn Progress, most: usize| {
+        let (mut x, mut shown) = (start.clone(), start.clone());
+        let mut seen = 0;
+        let mut watch = |iteration: &Iteration<'_>| {
+            seen += 1;
+            assert_eq!(iteration.index, seen);
+            iteration.copy_to(&mut shown);
+            if seen == most { Control::Stop } else { Control::Continue }
+        };
+        let mut workspace = Workspace::default();
+        let result = case.system.solve(
+            &case.hierarchy,
+            3,
+            &rhs,
+            &mut x,
+            &to(1e-12),
+            &mut workspace,
+            &Exec::new(&case.pool, progress),
+            &mut watch,
+        );
+        (result, seen, x, shown)
+    };
+    // Four sweeps on each of several levels and two conjugate-gradient steps ask at least ten times per cycle.
+    for questions in [0, 1, 2, 5, 9, 20, 40] {
+        let (result, seen, ..) = run(&After(questions.into()), usize::MAX);
+        assert_eq!(result, Err(Error::Cancelled));
+        assert!(seen <= questions / 10, "{seen} cycles after {questions} questions");
+    }
+    let (result, seen, x, shown) = run(&Silent, 3);
+    let stats = result.unwrap();
+    assert!(stats.stopped && !stats.converged && stats.iterations == 3 && seen == 3);
+    assert_eq!(stats.method, Method::PaperCycles);
+    assert_eq!(shown, x, "the last thing shown is what the caller gets");
+}
+
+#[test]
+fn hard_graphs_end_with_a_result() {
+    let held = |graph: Lattice| {
+        let fixed = (0..graph.len()).map(|i| i % 97 == 0).collect();
+        Case::new(graph, fixed, None, 1)
+    };
+    let free = |graph: Lattice| {
+        let fixed = vec![false; graph.len()];
+        Case::new(graph, fixed, None, 1)
+    };
+    let cases = [
+        held(random_graph(3000, 40, 5)),
+        held(lattice(10, 10, 10).disconnected(9)),
+        held(lattice(10, 10, 10).weighted(-12.0, 12.0, 4)),
+        held(star(4000)),
+        free(lattice(9, 9, 9)),
+        free(surface(30, 30).disconnected(2)),
+        held(lattice(10, 10, 10).moved(|_| [1.0; 3])),
+    ];
+    for (k, case) in cases.into_iter().enumerate() {
+        let case = paper(case, None, 1);
+        let rhs: Vec<f64> = (0..2 * case.n()).map(|i| libm::sin(i as f64)).collect();
+        for tolerance in [1e-2, 1e-6] {
+            let mut x = vec![0.0; rhs.len()];
+            let stats = case.solve(2, &rhs, &mut x, &to(tolerance));
+            assert!(
+                x.iter().all(|v| v.is_finite()) && stats.residual.is_finite(),
+                "case {k}: {stats:?}"
+            );
+            assert!(stats.converged || k == 2, "case {k}: {stats:?}");
+            if stats.converged {
+                let own = case
+                    .system
+                    .residual(&case.hierarchy, 2, &rhs, &x, None, &case.pool)
+                    .unwrap();
+                assert!(own.iter().all(|r| *r <= 1.01 * tolerance), "case {k}: {own:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn too_many_steps_are_refused_by_name() {
+    let case = Case::ends(lattice(4, 4, 4), 2);
+    let options = BuildOptions {
+        interleave: Some(101),
+        ..BuildOptions::default()
+    };
+    let refused = Hierarchy::build(&case.graph.view(), &options, &Exec::new(&case.pool, &Silent)).unwrap_err();
+    assert!(refused.to_string().contains("interleave is 101"), "{refused}");
+}

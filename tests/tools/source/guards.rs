@@ -1,0 +1,228 @@
+//! What the source keeps: each guard says what to do about what it found.
+//!
+//! Where a guard was broken when it was written, a number says how much of that is left. It may only sink: whoever mends
+//! one lowers it, and at 0 the line goes.
+
+use super::counts::protobuf_below_wire;
+use super::functions::{DefinedFunction, defined_functions};
+use super::imports::{circles, imported_files, shortest_circle};
+use super::modules::crate_files;
+use super::types::defined_types;
+use std::path::Path;
+
+/// Type names that stand more than once, each with its reason.
+const SHARED_TYPE_NAMES: [(&str, &str); 1] = [("Error", "one per module, named by its module: `mesh::Error`")];
+
+/// Type names without a reason that are left.
+const SHARED_TYPE_NAMES_LEFT: usize = 110;
+
+/// Files that import in a circle that are left.
+const FILES_IN_CIRCLES_LEFT: usize = 146;
+
+/// How often protobuf is named below `wire` still.
+const PROTOBUF_BELOW_WIRE_LEFT: usize = 170;
+
+/// The longest function, in lines.
+const LONGEST_FUNCTION: usize = 100;
+
+/// Longer functions that are left.
+const LONG_FUNCTIONS_LEFT: usize = 14;
+
+/// The most parameters of a function, `self` among them.
+const MOST_PARAMETERS: usize = 6;
+
+/// Functions with more that are left.
+const WIDE_FUNCTIONS_LEFT: usize = 34;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Fails when more is wrong than is known, or less, so that the number follows.
+fn check_left(found: usize, left: usize, left_name: &str, advice: &str, problems: &[String]) {
+    let list = problems.join("\n");
+    assert!(found <= left, "{found}, at most {left} of them known: {advice}\n{list}");
+    if found < left {
+        println!("{found} of {left} are left: lower {left_name} in {}", file!());
+    }
+}
+
+#[test]
+fn no_file_imports_in_a_circle() {
+    let files = crate_files(root());
+    let imported = imported_files(&files);
+    let tangles = circles(&imported);
+    let problems: Vec<String> = tangles
+        .iter()
+        .map(|tangle| {
+            let way = shortest_circle(&imported, tangle[0]);
+            let names: Vec<&str> = way.iter().map(|&k| files[k].place.as_str()).collect();
+            format!("{} files, such as {}", tangle.len(), names.join(" → "))
+        })
+        .collect();
+    check_left(
+        tangles.iter().map(Vec::len).sum(),
+        FILES_IN_CIRCLES_LEFT,
+        "FILES_IN_CIRCLES_LEFT",
+        "files import from each other: move what both need into a file of its own, or pass it as an argument",
+        &problems,
+    );
+}
+
+#[test]
+fn no_type_name_stands_twice_without_a_reason() {
+    let types = defined_types(&crate_files(root()));
+    for (name, _) in SHARED_TYPE_NAMES {
+        let shared = types.get(name).is_some_and(|places| places.len() > 1);
+        assert!(shared, "{name} stands once now: take it out of SHARED_TYPE_NAMES");
+    }
+    let problems: Vec<String> = types
+        .iter()
+        .filter(|(name, places)| places.len() > 1 && !SHARED_TYPE_NAMES.iter().any(|(known, _)| known == name))
+        .map(|(name, places)| format!("{name}: {}", places.join(", ")))
+        .collect();
+    check_left(
+        problems.len(),
+        SHARED_TYPE_NAMES_LEFT,
+        "SHARED_TYPE_NAMES_LEFT",
+        "one name for two things: name each by what it is, or give the reason in SHARED_TYPE_NAMES",
+        &problems,
+    );
+}
+
+#[test]
+fn protobuf_ends_at_wire() {
+    let found = protobuf_below_wire(&crate_files(root()));
+    let problems: Vec<String> = found
+        .iter()
+        .map(|(place, names)| format!("{place}: {names} times"))
+        .collect();
+    check_left(
+        found.iter().map(|f| f.1).sum(),
+        PROTOBUF_BELOW_WIRE_LEFT,
+        "PROTOBUF_BELOW_WIRE_LEFT",
+        "messages are turned into values of the engine in src/wire: take the value as an argument",
+        &problems,
+    );
+}
+
+#[test]
+fn no_function_is_too_long() {
+    let problems = too_much(|f| f.lines > LONGEST_FUNCTION, |f| format!("{} lines", f.lines));
+    check_left(
+        problems.len(),
+        LONG_FUNCTIONS_LEFT,
+        "LONG_FUNCTIONS_LEFT",
+        "give the stages of a long function functions of their own, named by what they do",
+        &problems,
+    );
+}
+
+#[test]
+fn no_function_takes_too_many_parameters() {
+    let problems = too_much(
+        |f| f.parameters > MOST_PARAMETERS,
+        |f| format!("{} parameters", f.parameters),
+    );
+    check_left(
+        problems.len(),
+        WIDE_FUNCTIONS_LEFT,
+        "WIDE_FUNCTIONS_LEFT",
+        "parameters that always go together are one thing: give it a type and a name",
+        &problems,
+    );
+}
+
+fn too_much(is_too_much: impl Fn(&DefinedFunction) -> bool, told: impl Fn(&DefinedFunction) -> String) -> Vec<String> {
+    let functions = defined_functions(&crate_files(root()));
+    let found = functions.iter().filter(|f| is_too_much(f));
+    found.map(|f| format!("{} {}: {}", f.place, f.name, told(f))).collect()
+}
+
+/// The reader itself: what it must see.
+mod reader {
+    use super::super::functions::defined_functions;
+    use super::super::imports::{circles, imported_files};
+    use super::super::modules::{SourceFile, crate_files};
+    use super::super::types::defined_types;
+    use std::fs;
+
+    /// A crate of these files.
+    fn crate_of(files: &[(&str, &str)]) -> Vec<SourceFile> {
+        let name = files.iter().map(|(_, text)| text.len()).sum::<usize>();
+        let folder = std::env::temp_dir().join(format!("pliant-source-{}-{name}", std::process::id()));
+        fs::create_dir_all(folder.join("src")).expect("a folder");
+        fs::write(folder.join("Cargo.toml"), "[package]\n").expect("a file");
+        for (place, text) in files {
+            let path = folder.join("src").join(place);
+            fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+            fs::write(path, text).expect("a file");
+        }
+        let read = crate_files(&folder);
+        fs::remove_dir_all(folder).expect("removed");
+        read
+    }
+
+    #[test]
+    fn names_are_followed_to_the_files_that_define_them() {
+        let files = crate_of(&[
+            ("lib.rs", "pub mod a; pub mod b; pub mod c;"),
+            // A re-export is no import: `b` uses what `one` defines, and `one` uses nothing of `a/mod.rs`.
+            ("a/mod.rs", "mod one; pub use one::One; pub(crate) use self::one::go;"),
+            ("a/one.rs", "use crate::c; pub struct One; pub fn go() { c::turn() }"),
+            (
+                "b.rs",
+                "use crate::a::{One, go as start}; pub(crate) struct Back; fn f(_: One) { start() }",
+            ),
+            (
+                "c.rs",
+                "pub fn turn() {} #[cfg(test)] mod tests { use crate::b::Back; }",
+            ),
+        ]);
+        let imported = imported_files(&files);
+        let at = |place: &str| {
+            files
+                .iter()
+                .position(|f| f.place == format!("src/{place}"))
+                .expect("read")
+        };
+        assert_eq!(imported[at("b.rs")], [at("a/one.rs")].into());
+        assert_eq!(imported[at("a/one.rs")], [at("c.rs")].into());
+        assert!(imported[at("c.rs")].is_empty() && circles(&imported).is_empty());
+    }
+
+    #[test]
+    fn circles_are_found_through_modules_and_globs() {
+        let files = crate_of(&[
+            ("lib.rs", "pub mod a;"),
+            ("a/mod.rs", "mod child; pub struct Parent; fn f() { child::work() }"),
+            ("a/child.rs", "use super::*; pub fn work() { let _ = Parent; }"),
+        ]);
+        let found = circles(&imported_files(&files));
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].len(), 2);
+    }
+
+    #[test]
+    fn types_and_functions_are_counted_as_they_stand() {
+        let text = "pub struct A<'a>(&'a str); trait B { type Item; fn b(&self, x: (u8, u8)); }
+            impl<T: Fn(u8, u8) -> u8> B for T { type Item = u8; fn b(&self, x: (u8, u8)) {} }
+            fn two_words<const N: usize>(
+                a: [u8; N], b: std::collections::BTreeMap<u8, u8>,
+            ) -> impl Fn(u8) { move |_| { let _ = (a, &b); } }
+            #[cfg(test)] mod tests { struct A; }";
+        let files = crate_of(&[("lib.rs", text)]);
+        let types = defined_types(&files);
+        assert_eq!(types.keys().collect::<Vec<_>>(), ["A", "B"]);
+        assert_eq!(types["A"].len(), 1);
+        let functions = defined_functions(&files);
+        let seen: Vec<_> = functions
+            .iter()
+            .map(|f| (f.name.as_str(), f.parameters, f.lines, f.named_by_trait))
+            .collect();
+        assert_eq!(
+            seen,
+            [("b", 2, 1, false), ("b", 2, 1, true), ("two_words", 2, 3, false)]
+        );
+    }
+}
