@@ -10,7 +10,8 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{
-    BuildOptions, Constraints, Control, Hierarchy, Iteration, Method, SolveOptions, Start, Stats, System, Workspace,
+    BuildOptions, Constraints, Hierarchy, InitialGuess, IterationReport, LinearSystem, SolveControl, SolveMethod,
+    SolveOptions, SolveStats, Workspace,
 };
 use sha2::{Digest, Sha256};
 use std::sync::OnceLock;
@@ -45,7 +46,7 @@ fn all() -> &'static [Rung] {
 struct Ready<'a> {
     rung: &'a Rung,
     hierarchy: Hierarchy,
-    system: System,
+    system: LinearSystem,
     workspace: Workspace,
     pool: Pool,
 }
@@ -70,13 +71,13 @@ impl Ready<'_> {
         pose: usize,
         x: &mut [f64],
         options: &SolveOptions<'_>,
-        watch: &mut dyn FnMut(&Iteration<'_>),
-    ) -> Stats {
+        watch: &mut dyn FnMut(&IterationReport<'_>),
+    ) -> SolveStats {
         let (rung, workspace) = (self.rung, &mut self.workspace);
         let rhs = &rung.poses[pose].rhs;
-        let mut watch = |iteration: &Iteration<'_>| {
+        let mut watch = |iteration: &IterationReport<'_>| {
             watch(iteration);
-            Control::Continue
+            SolveControl::Continue
         };
         let (hierarchy, pool) = (&self.hierarchy, &self.pool);
         let stats = self
@@ -104,9 +105,9 @@ impl Ready<'_> {
             tolerance: Some(tolerance),
             ..Default::default()
         };
-        self.solve(pose, &mut x, &tight(1e-11, Start::Zero), &mut |_| {});
+        self.solve(pose, &mut x, &tight(1e-11, InitialGuess::Zero), &mut |_| {});
         let before = x.clone();
-        self.solve(pose, &mut x, &tight(1e-12, Start::Given), &mut |_| {});
+        self.solve(pose, &mut x, &tight(1e-12, InitialGuess::Given), &mut |_| {});
         let change = self.rung.apart(&before, &x);
         assert!(change < 1e-8, "{}: still moving by {change:e}", self.rung.name);
         x
@@ -114,8 +115,8 @@ impl Ready<'_> {
 }
 
 /// The full-multigrid start with all that the second pass knows.
-fn full_multigrid(rung: &Rung) -> Start<'_> {
-    Start::FullMultigrid {
+fn full_multigrid(rung: &Rung) -> InitialGuess<'_> {
+    InitialGuess::FullMultigrid {
         frames: Some(&rung.frames),
         rest: Some(rung.body().rest()),
     }
@@ -171,7 +172,7 @@ fn run(rung: &Rung, threads: usize) -> Vec<String> {
     digests.push(digest(&x));
     for (tolerance, max_error) in [(None, Some(1e-3 * rung.diagonal)), (Some(1e-6), None)] {
         let options = SolveOptions {
-            start: Start::Given,
+            start: InitialGuess::Given,
             tolerance,
             max_error,
             ..Default::default()
@@ -212,10 +213,10 @@ fn error_estimates_keep_within_their_bounds() {
         );
         let rest = rung.placed(0, vec![0.0; 3 * rung.nodes()]);
         let starts = [
-            ("zero", 0, Start::Zero, rest.clone()),
+            ("zero", 0, InitialGuess::Zero, rest.clone()),
             ("full multigrid", 0, full_multigrid(rung), rest),
-            ("last frame", 1, Start::Given, rung.placed(1, exact[0].clone())),
-            ("carried", 1, Start::Given, carried(rung, &exact[0], &ready.pool)),
+            ("last frame", 1, InitialGuess::Given, rung.placed(1, exact[0].clone())),
+            ("carried", 1, InitialGuess::Given, carried(rung, &exact[0], &ready.pool)),
         ];
         for (start_name, pose, start, from) in starts {
             for (by, tolerance, max_error) in [
@@ -238,7 +239,7 @@ fn error_estimates_keep_within_their_bounds() {
                         seen.push((iteration.index, iteration.max_error / rung.diagonal, truth));
                     }
                 });
-                assert_eq!(stats.method, Method::Multigrid);
+                assert_eq!(stats.method, SolveMethod::Multigrid);
                 let ratios: Vec<f64> = seen.iter().map(|(_, e, t)| e / t).collect();
                 let (least, most) = ratios
                     .iter()
@@ -348,7 +349,7 @@ fn fields_are_shares_that_follow_their_equations() {
 /// All fields of a rig's hard handles, each solved for, to the last digits.
 fn exact_fields(rung: &Rung, rig: &HandleSystem) -> Vec<f64> {
     let (columns, mut x) = field_columns(rung, rig);
-    solve_fields(rung, rig, columns, &mut x, Start::Zero, 1e-10);
+    solve_fields(rung, rig, columns, &mut x, InitialGuess::Zero, 1e-10);
     x
 }
 
@@ -367,9 +368,9 @@ fn solve_fields(
     rig: &HandleSystem,
     columns: usize,
     x: &mut [f64],
-    start: Start<'_>,
+    start: InitialGuess<'_>,
     tolerance: f64,
-) -> Stats {
+) -> SolveStats {
     let pool = Pool::new(2).unwrap();
     let hierarchy = &rung.body().hierarchy;
     let constraints = Constraints {
@@ -383,7 +384,7 @@ fn solve_fields(
         ..Default::default()
     };
     let (rhs, mut workspace) = (vec![0.0; x.len()], Workspace::default());
-    let mut watch = |_: &Iteration<'_>| Control::Continue;
+    let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     let stats = system
         .solve(
             hierarchy,
@@ -405,7 +406,7 @@ fn fields_that_start_from_those_before_come_out_the_same() {
     for rung in all() {
         let another = with_another_handle(rung);
         let (columns, mut fresh) = field_columns(rung, &another);
-        let coarse = Start::FullMultigrid {
+        let coarse = InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
         };
@@ -417,7 +418,7 @@ fn fields_that_start_from_those_before_come_out_the_same() {
                 again[i * columns + k] = f64::from(rung.rig().rotation_fields().of(k)[i]);
             }
         }
-        solve_fields(rung, &another, columns, &mut again, Start::Given, 1e-7);
+        solve_fields(rung, &another, columns, &mut again, InitialGuess::Given, 1e-7);
         let most = fresh.iter().zip(&again).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         println!("{}: restarted fields differ by {most:.1e}", rung.name);
         assert!(most < 1e-4, "{}: restarted fields differ by {most:e}", rung.name);

@@ -80,9 +80,28 @@ fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
 
 /// A model written to bytes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Written {
+pub struct WrittenFiles {
     /// The main file.
     pub main: Vec<u8>,
     /// Companions by URI, for glTF with external buffers; empty for every other case.
     pub companions: BTreeMap<String, Vec<u8>>,
+}
+
+impl WrittenFiles {
+    /// A model of one file.
+    pub(super) fn single(main: Vec<u8>) -> Self {
+        Self {
+            main,
+            ..Self::default()
+        }
+    }
+
+    /// The uploaded files as they came.
+    pub(super) fn from_upload(files: &FileSet) -> Self {
+        let companions = files.companions.iter();
+        Self {
+            main: files.main.to_vec(),
+            companions: companions.map(|(uri, bytes)| (uri.clone(), bytes.to_vec())).collect(),
+        }
+    }
 }

@@ -1,8 +1,40 @@
 //! What every reader hands back: the mesh that the file describes, free of its format.
 
-use super::{Error, Format, Limits, Primitive};
+use super::{Error, Format, Limits};
 use crate::mesh::shading;
 use glam::{DVec3, Vec3, Vec4};
+use std::ops::Range;
+
+/// One run of render vertices: a glTF primitive under one node, or the whole of any other format.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Primitive {
+    /// Index of the node that places it; 0 without nodes.
+    pub node: u32,
+    /// Index of its mesh in the file; 0 without meshes.
+    pub mesh: u32,
+    /// Index inside that mesh.
+    pub primitive: u32,
+    /// Name of the node, else of the mesh, else empty.
+    pub name: String,
+    /// Its first render vertex.
+    pub first_vertex: u32,
+    /// Number of its render vertices.
+    pub vertex_count: u32,
+    /// Number of its triangle-corner indices after conversion to triangles (three per triangle).
+    pub index_count: u32,
+    /// Whether the model gives normals for it.
+    pub has_normals: bool,
+    /// Whether the model gives tangents for it.
+    pub has_tangents: bool,
+}
+
+impl Primitive {
+    /// Its render vertices.
+    pub fn vertices(&self) -> Range<usize> {
+        let first = self.first_vertex as usize;
+        first..first.saturating_add(self.vertex_count as usize)
+    }
+}
 
 /// Render vertices, triangles and primitives of a model, whatever format they came in.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -25,7 +57,7 @@ pub struct Geometry {
 impl Geometry {
     /// The geometry of a format that knows one mesh only: a single primitive with all vertices. `normals` is empty or
     /// has one per position.
-    pub(super) fn of_one_mesh(positions: Vec<DVec3>, normals: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Self {
+    pub(super) fn from_one_mesh(positions: Vec<DVec3>, normals: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Self {
         let primitive = Primitive {
             vertex_count: positions.len() as u32,
             index_count: (triangles.len() * 3) as u32,
@@ -46,7 +78,7 @@ impl Geometry {
     }
 
     /// Tells of polygons that were cut into a plain fan although they are concave.
-    pub(super) fn warn_of_crude_polygons(&mut self, count: usize) {
+    pub(super) fn warn_about_crude_polygons(&mut self, count: usize) {
         if count > 0 {
             self.warn(
                 "polygon-too-large",

@@ -3,32 +3,39 @@
 //! Owns formats. Knows nothing of welding, graphs or solving. A [`Model`] keeps the uploaded files; writing it with new
 //! positions changes those places only that the deformation changed.
 //!
-//! Each format has a reader (bytes to [`Geometry`] and what the writer must remember), a writer that edits the uploaded
-//! bytes in place, a builder that makes a fresh file from a model of another format, and a writer for models whose
-//! triangles an edit has remade ([`Remade`]), which takes every attribute along. [`sample`] and [`shapes`] make models
-//! where no file is at hand.
+//! # Layout
+//! On the ground are the types that every format shares and that know no format: [`Error`], [`Format`], [`FileSet`] and
+//! [`WrittenFiles`], [`Geometry`], [`Model`], [`EditedModel`] (a model whose triangles an edit has changed), and
+//! `NeutralModel` (a model on its way from one format to another). Above them stands the trait `FormatCodec` in
+//! [`codec`], which each format implements once. [`formats`] is the registry and holds one folder or file for each
+//! format; its page says how to add one. [`write`] is on top: [`Model::read`], [`Model::write`] and
+//! [`write_edited_model`] choose the codec. [`sample`] and [`shapes`] make models where no file is at hand. A file
+//! imports files below its own only.
+//!
+//! # Four ways through a format
+//! - *Read*: bytes become a [`Geometry`] and notes for the writers.
+//! - *Patch positions*: the uploaded bytes, with those numbers replaced that a deformation changed.
+//! - *Build*: a fresh file of a neutral model that came in another format.
+//! - *Write an edited model*: every attribute follows its vertices into a file of the first base's format.
 
+mod codec;
+mod edited;
 mod error;
 mod files;
 mod format;
+mod formats;
 mod geometry;
-mod gltf;
 mod model;
-mod obj;
-mod off;
-mod plain;
-mod ply;
-mod polygons;
-mod remade;
+mod neutral;
 pub mod sample;
 pub mod shapes;
-mod stl;
 mod surface_nets;
-mod text;
+mod write;
 
+pub use edited::{BaseModel, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
 pub use error::Error;
-pub use files::{FileSet, Limits, Written};
+pub use files::{FileSet, Limits, WrittenFiles};
 pub use format::Format;
-pub use geometry::Geometry;
-pub use model::{Model, Primitive};
-pub use remade::{Base, Recipe, Recipes, Remade, Run, write_remade};
+pub use geometry::{Geometry, Primitive};
+pub use model::Model;
+pub use write::write_edited_model;

@@ -3,9 +3,10 @@
 //! It is about two units long, stands on the ground y = 0 with the origin between its feet, y up, looking along +x. Its
 //! skin is one closed manifold: the zero of a field that blends rounded limbs.
 
-use super::plain::Plain;
+use super::formats::codec_of;
+use super::neutral::NeutralModel;
 use super::surface_nets::{Lattice, gradient, polygonise, relax};
-use super::{Format, Geometry, gltf};
+use super::{Format, Geometry};
 use glam::{DVec2, DVec3, USizeVec3};
 
 /// Useful regions of the creature, in its rest pose.
@@ -44,7 +45,7 @@ pub fn creature() -> Geometry {
         .iter()
         .map(|&p| gradient(&field, p, CELL).normalize_or_zero().as_vec3())
         .collect();
-    let mut geometry = Geometry::of_one_mesh(positions, normals, triangles);
+    let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
     for primitive in &mut geometry.primitives {
         primitive.name = "creature".into();
     }
@@ -56,7 +57,8 @@ pub fn creature() -> Geometry {
 /// # Panics
 /// Never: a mesh of a few thousand finite vertices fits the format.
 pub fn creature_glb() -> Vec<u8> {
-    gltf::build(&Plain::of(creature()), Format::Glb)
+    codec_of(Format::GLB)
+        .build(&NeutralModel::from_geometry(creature()), Format::GLB)
         .expect("a small finite mesh fits the format")
         .main
 }

@@ -1,6 +1,6 @@
 //! Runs a whole job in process: open, set handles, solve every step, write.
 
-use crate::asset::{FileSet, Format, Written};
+use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::{Deformer, DeformerLimits, EditCommand, SolveMode, digest};
 use crate::exec::Exec;
 use crate::mesh::MeshReport;
@@ -23,7 +23,7 @@ pub struct BatchOutcome {
     /// box's diagonal.
     pub constraint_error: f64,
     /// The model in its final shape, in the format asked for.
-    pub written: Written,
+    pub written: WrittenFiles,
     /// Expectations of the job that do not hold, one sentence each.
     pub unmet: Vec<String>,
     /// Expectations that only a comparison with a stored result can check.

@@ -1,7 +1,7 @@
 //! Models from disk and back: the only place where the command line touches model files.
 
 use super::Failure;
-use crate::asset::{FileSet, Format, Written};
+use crate::asset::{FileSet, Format, WrittenFiles};
 use percent_encoding::percent_decode_str;
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,7 +16,7 @@ pub(super) fn read_model(path: &Path) -> Result<FileSet, Failure> {
     let main = read(path)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut set = FileSet::single(name, main);
-    let is_gltf = Format::from_bytes(&set.main).or_else(|| Format::from_file_name(&set.name)) == Some(Format::Gltf);
+    let is_gltf = Format::from_bytes(&set.main).or_else(|| Format::from_file_name(&set.name)) == Some(Format::GLTF);
     if is_gltf {
         let folder = path.parent().unwrap_or(Path::new(""));
         for uri in named_files(&set.main) {
@@ -98,7 +98,7 @@ pub(super) fn output_format(path: &Path) -> Result<Format, Failure> {
 /// Refuses to replace a companion of the model that was read by different bytes.
 pub(super) fn write_model(
     path: &Path,
-    written: &Written,
+    written: &WrittenFiles,
     model: &Path,
     read: &FileSet,
 ) -> Result<Vec<PathBuf>, Failure> {

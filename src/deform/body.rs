@@ -9,7 +9,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 pub use crate::graph::EdgeWeights;
-pub use crate::solver::Operators;
+pub use crate::solver::CoarseOperators;
 
 /// When interior nodes are built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -31,7 +31,7 @@ pub struct BodyOptions {
     /// Interior nodes: lattice interval, valence, shell offset, edge weights, most nodes.
     pub graph: graph::VolumeOptions,
     /// Operators of the hierarchy.
-    pub operators: Operators,
+    pub operators: CoarseOperators,
     /// Whether parts that touch have nothing to do with each other, as after a cut.
     pub apart: bool,
 }
@@ -101,7 +101,7 @@ impl DeformableBody {
         let rest = exec.pool.install(|| place(&graph.positions, origin, unit));
 
         exec.progress.report("hierarchy", 0.0);
-        let view = solver::Graph {
+        let view = solver::WeightedGraph {
             offsets: &graph.offsets,
             neighbours: &graph.neighbours,
             weights: graph.weights.as_deref(),
@@ -142,7 +142,7 @@ impl DeformableBody {
 
     /// Bytes held on the heap.
     pub fn bytes(&self) -> usize {
-        self.graph.bytes() + self.hierarchy.bytes() + (self.rest.capacity() + self.laplacian.capacity()) * 24
+        self.graph.bytes() + self.hierarchy.byte_size() + (self.rest.capacity() + self.laplacian.capacity()) * 24
     }
 
     /// From model space to solving coordinates.

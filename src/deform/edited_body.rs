@@ -66,7 +66,7 @@ impl DeformableBody {
 
         exec.check()?;
         exec.progress.report("hierarchy", 0.0);
-        let view = solver::Graph {
+        let view = solver::WeightedGraph {
             offsets: &graph.offsets,
             neighbours: &graph.neighbours,
             weights: graph.weights.as_deref(),
@@ -75,8 +75,8 @@ impl DeformableBody {
         let hierarchy = if self.hierarchy.is_worn() {
             Hierarchy::build(&view, self.hierarchy.options(), exec)?
         } else {
-            let mut hierarchy = self.hierarchy.duplicate(exec.pool);
-            let change = solver::Change {
+            let mut hierarchy = self.hierarchy.clone_in_parallel(exec.pool);
+            let change = solver::GraphChange {
                 new_from_old: &resampled.new_from_old,
                 touched: &resampled.touched,
             };

@@ -29,7 +29,7 @@ mod rotation;
 mod second_pass;
 mod transform;
 
-pub use body::{BodyOptions, DeformableBody, EdgeWeights, Operators, VolumeMode};
+pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, VolumeMode};
 pub use edited_body::EditedBody;
 pub use error::Error;
 pub use fields::{FieldRestart, HarmonicFields, KeptFields};

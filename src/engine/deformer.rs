@@ -5,7 +5,7 @@ use super::handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
 use super::model_topology::{ModelTopology, primitive};
 use super::quality::quality;
 use super::region::RegionContext;
-use crate::asset::{self, FileSet, Format, Geometry, Model, Written};
+use crate::asset::{self, FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
@@ -170,7 +170,7 @@ impl Deformer {
     ///
     /// # Errors
     /// Those of [`Model::write`].
-    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, Error> {
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         self.foundation().write(positions, format)
     }
 
@@ -220,7 +220,7 @@ impl Deformer {
         let DerivedStructures { mesh, parts, body, .. } = self.derived.as_ref();
         let levels = body
             .hierarchy
-            .levels()
+            .level_sizes()
             .iter()
             .map(|l| pb::solver_facts::Level {
                 vertices: count(l.vertices),

@@ -1,7 +1,7 @@
 //! What everything on a bench is derived from: the model as it was read, or as edits have left it.
 
 use super::vertex_origins::VertexOrigins;
-use crate::asset::{self, Format, Geometry, Model, Primitive, Written};
+use crate::asset::{self, Format, Geometry, Model, Primitive, WrittenFiles};
 use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, Weld};
 use crate::wire::{Error, pb};
@@ -87,7 +87,7 @@ impl ModelTopology {
     }
 
     /// The model at `positions` as files.
-    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, Error> {
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         Ok(match &self.edited {
             None => self.model.write(positions, format)?,
             Some(edited) => edited.origins.write(&edited.geometry, positions, format)?,

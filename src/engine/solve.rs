@@ -215,7 +215,7 @@ impl ShapeTransfer<'_> {
 
 fn method_name(solution: &PoseSolution) -> &'static str {
     use crate::deform::PoseMethod::{Graph, SpatialRbf};
-    use crate::solver::Method as Solver;
+    use crate::solver::SolveMethod as Solver;
     match solution.method {
         Graph(Solver::Trivial) => "trivial",
         Graph(Solver::Direct) => "direct",

@@ -1,7 +1,9 @@
 //! What the vertices of an edited model are made of, so that attributes can be read from the files they came in when the
 //! model is written.
 
-use crate::asset::{Base, Error, Format, Model, Recipes, Remade, Run, Written, write_remade};
+use crate::asset::{
+    BaseModel, EditedModel, Error, Format, Model, PrimitiveRun, VertexBlends, WrittenFiles, write_edited_model,
+};
 use crate::edit::{PatchedSurface, SurfacePatch};
 use crate::mesh::NONE;
 use glam::{DAffine3, DVec3};
@@ -14,7 +16,7 @@ struct PrimitiveOrigin {
     primitive: u32,
 }
 
-/// The recipes of all render vertices, and the models that they refer to.
+/// The blends of all render vertices, and the models that they refer to.
 #[derive(Debug, Clone)]
 pub(super) struct VertexOrigins {
     /// The uploaded model first, then those that were merged in, with their places.
@@ -22,7 +24,7 @@ pub(super) struct VertexOrigins {
     /// Of each primitive.
     sources: Vec<PrimitiveOrigin>,
     /// Of each render vertex, over the vertices of its primitive's base.
-    recipes: Recipes,
+    blends: VertexBlends,
     /// Whether a vertex lies on surface that an edit has made.
     bare: Vec<bool>,
     /// The triangle of the base that each triangle was.
@@ -35,7 +37,7 @@ impl VertexOrigins {
         let mut origins = Self {
             bases: Vec::new(),
             sources: Vec::new(),
-            recipes: Recipes::default(),
+            blends: VertexBlends::default(),
             bare: Vec::new(),
             triangles: Vec::new(),
         };
@@ -49,27 +51,27 @@ impl VertexOrigins {
         let primitives = 0..model.primitives.len() as u32;
         self.sources
             .extend(primitives.map(|primitive| PrimitiveOrigin { base, primitive }));
-        (0..model.positions.len() as u32).for_each(|v| self.recipes.push_vertex(v));
-        self.bare.resize(self.recipes.len(), false);
+        (0..model.positions.len() as u32).for_each(|v| self.blends.push_vertex(v));
+        self.bare.resize(self.blends.len(), false);
         self.triangles.extend(source_triangle);
         self.bases.push((Arc::clone(model), placement));
     }
 
     /// What the vertices are made of after an edit. `bare` tells of new vertices whether their surface is the edit's own.
     pub fn after(&self, applied: &PatchedSurface, patch: &SurfacePatch, bare: impl Fn(usize) -> bool) -> Self {
-        let old = self.recipes.len();
-        let mut recipes = Recipes::default();
+        let old = self.blends.len();
+        let mut blends = VertexBlends::default();
         let mut flags = Vec::with_capacity(applied.old_from_vertex.len());
         for (now, &was) in applied.old_from_vertex.iter().enumerate() {
             match (was as usize).checked_sub(old).and_then(|k| patch.vertices.get(k)) {
                 None => {
-                    recipes.push_composed(&self.recipes, &[(was, 1.0)]);
+                    blends.push_composed(&self.blends, &[(was, 1.0)]);
                     flags.push(self.bare[was as usize]);
                 }
                 Some(new) => {
                     let parts = new.of.into_iter().zip(new.weights).filter(|p| p.1 > 0.0);
                     let parts: Vec<(u32, f64)> = parts.collect();
-                    recipes.push_composed(&self.recipes, &parts);
+                    blends.push_composed(&self.blends, &parts);
                     let inherited = parts.iter().all(|p| self.bare[p.0 as usize]);
                     flags.push(inherited || bare(now));
                 }
@@ -79,7 +81,7 @@ impl VertexOrigins {
         Self {
             bases: self.bases.clone(),
             sources: self.sources.clone(),
-            recipes,
+            blends,
             bare: flags,
             triangles: applied.old_from_triangle.iter().map(was).collect(),
         }
@@ -91,17 +93,17 @@ impl VertexOrigins {
         geometry: &crate::asset::Geometry,
         positions: &[DVec3],
         format: Format,
-    ) -> Result<Written, Error> {
-        let bases: Vec<Base<'_>> = (self.bases.iter())
-            .map(|(model, placement)| Base {
+    ) -> Result<WrittenFiles, Error> {
+        let bases: Vec<BaseModel<'_>> = (self.bases.iter())
+            .map(|(model, placement)| BaseModel {
                 model,
                 world_from_model: *placement,
             })
             .collect();
         let mut first_triangle = 0;
-        let runs: Vec<Run> = (self.sources.iter().zip(&geometry.primitives))
+        let runs: Vec<PrimitiveRun> = (self.sources.iter().zip(&geometry.primitives))
             .map(|(source, p)| {
-                let run = Run {
+                let run = PrimitiveRun {
                     base: source.base,
                     primitive: source.primitive,
                     first_vertex: p.first_vertex,
@@ -113,20 +115,20 @@ impl VertexOrigins {
                 run
             })
             .collect();
-        let remade = Remade {
+        let edited = EditedModel {
             bases: &bases,
             runs: &runs,
-            recipes: &self.recipes,
+            blends: &self.blends,
             triangles: &geometry.triangles,
             origins: &self.triangles,
             bare: &self.bare,
         };
-        write_remade(&remade, positions, format)
+        write_edited_model(&edited, positions, format)
     }
 
     /// Bytes held, with those of the models that were merged in.
     pub fn bytes(&self) -> u64 {
         let merged: u64 = self.bases.iter().skip(1).map(|(model, _)| model.bytes_held()).sum();
-        self.recipes.bytes_held() + (self.bare.capacity() + 4 * self.triangles.capacity()) as u64 + merged
+        self.blends.bytes_held() + (self.bare.capacity() + 4 * self.triangles.capacity()) as u64 + merged
     }
 }

@@ -1,6 +1,6 @@
 //! What the calls of a manager answer, beside the messages of the schema.
 
-use crate::asset::{Format, Written};
+use crate::asset::{Format, WrittenFiles};
 use crate::wire::pb;
 use bytes::Bytes;
 use glam::DVec3;
@@ -42,7 +42,7 @@ pub struct SolvedFrames {
 #[derive(Debug, Clone)]
 pub struct Exported {
     /// The files.
-    pub written: Written,
+    pub written: WrittenFiles,
     /// Their format.
     pub format: Format,
     /// Strong entity tag, with its quotes.

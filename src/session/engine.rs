@@ -3,7 +3,7 @@
 //! The one real engine is [`Deformer`]; the seam exists so that the rules of sessions and streams can be tested with
 //! an engine whose every cycle the test controls.
 
-use crate::asset::{FileSet, Format, Written};
+use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::Shader;
 use crate::engine::{
     Deformer, DeformerLimits, EditCommand, EditOutcome, HandlePoses, SolveMode, SolveUpdate, SolvedShape, TopologyState,
@@ -76,7 +76,7 @@ pub trait Engine: Send + 'static {
         )))
     }
     /// Writes the model with new positions.
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error>;
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, wire::Error>;
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
 }
@@ -182,7 +182,7 @@ impl Engine for Deformer {
         Self::edit(self, order, exec)
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error> {
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, wire::Error> {
         Self::write(self, positions, format)
     }
 

@@ -279,7 +279,7 @@ mod tests {
             ),
             (
                 asset::Error::NoMesh {
-                    format: Format::Obj,
+                    format: Format::OBJ,
                     problem: text("only points"),
                 }
                 .into(),

@@ -3,7 +3,7 @@
 use super::check::{enumerated, number};
 use super::{Error, pb};
 use crate::asset::Format;
-use crate::deform::{BodyOptions, EdgeWeights, FreePartPolicy, Operators, VolumeMode};
+use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
@@ -47,8 +47,8 @@ impl OpenOptions {
             pb::create_options::Weights::Cotangent => EdgeWeights::Cotangent,
         };
         let operators = match enumerated(create.operators, "operators")? {
-            pb::create_options::Operators::FiniteVolume => Operators::FiniteVolume,
-            pb::create_options::Operators::Paper => Operators::Paper,
+            pb::create_options::Operators::FiniteVolume => CoarseOperators::FiniteVolume,
+            pb::create_options::Operators::Paper => CoarseOperators::Paper,
         };
         let volume = create.volume_graph.unwrap_or_default();
         let mode = match enumerated(volume.mode, "volumeGraph.mode")? {
@@ -95,8 +95,8 @@ mod tests {
     fn all_operators_can_be_chosen() {
         use pb::create_options::Operators as Wanted;
         for (wanted, chosen) in [
-            (Wanted::FiniteVolume, Operators::FiniteVolume),
-            (Wanted::Paper, Operators::Paper),
+            (Wanted::FiniteVolume, CoarseOperators::FiniteVolume),
+            (Wanted::Paper, CoarseOperators::Paper),
         ] {
             let create = pb::CreateOptions {
                 operators: wanted.into(),

@@ -89,7 +89,7 @@ fn exercise(files: FileSet, format: Format) -> Result<Model, Error> {
     assert!(model.positions.iter().all(|p| p.is_finite()));
     assert!(model.normals.iter().all(|n| n.is_finite()));
     assert!(model.tangents.iter().all(|t| t.is_finite()));
-    for format in [Format::Glb, Format::Gltf] {
+    for format in [Format::GLB, Format::GLTF] {
         match model.write(&nudged(&model), format) {
             Ok(written) => {
                 let companions = written.companions.into_iter().map(|(n, b)| (n, b.into())).collect();
@@ -113,9 +113,9 @@ fn exercise(files: FileSet, format: Format) -> Result<Model, Error> {
 
 fn format_of(name: &str) -> Format {
     if name.ends_with(".glb") {
-        Format::Glb
+        Format::GLB
     } else {
-        Format::Gltf
+        Format::GLTF
     }
 }
 
@@ -203,9 +203,9 @@ fn moving_under_a_flattening_node_is_refused_when_writing() {
     )
     .expect("readable");
     assert!(model.warnings.iter().any(|(code, ..)| code == "singular-transform"));
-    assert!(model.write(&model.positions, Format::Glb).is_ok());
+    assert!(model.write(&model.positions, Format::GLB).is_ok());
     let text = model
-        .write(&nudged(&model), Format::Glb)
+        .write(&nudged(&model), Format::GLB)
         .expect_err("not invertible")
         .to_string();
     assert!(text.contains("cannot be inverted"), "{text}");
@@ -282,7 +282,7 @@ fn a_small_file_cannot_ask_for_endless_work() {
     let model = Model::read(document(10_000, &long, THREE), None, &Limits::default()).expect("readable");
     let apart: Vec<DVec3> = (0..model.positions.len()).map(|i| DVec3::splat(i as f64)).collect();
     let text = model
-        .write(&apart, Format::Glb)
+        .write(&apart, Format::GLB)
         .expect_err("a gigabyte of copies")
         .to_string();
     assert!(text.contains("9999 instances"), "{text}");
@@ -297,7 +297,7 @@ fn a_small_file_cannot_ask_for_endless_work() {
     );
     let model = model.expect("readable");
     let apart: Vec<DVec3> = (0..model.positions.len()).map(|i| DVec3::splat(i as f64)).collect();
-    let written = model.write(&apart, Format::Glb).expect("writable");
+    let written = model.write(&apart, Format::GLB).expect("writable");
     let again = Model::read(FileSet::single("again.glb", written.main), None, &Limits::default()).expect("readable");
     assert!(again.positions == apart);
 }
@@ -421,7 +421,7 @@ fn seeds() -> Vec<(&'static str, Vec<u8>)> {
 
 #[test]
 fn the_seeds_are_read_whole() {
-    let read = |i: usize| exercise(FileSet::single("seed.glb", seeds().remove(i).1), Format::Glb).expect("readable");
+    let read = |i: usize| exercise(FileSet::single("seed.glb", seeds().remove(i).1), Format::GLB).expect("readable");
     let rich = read(0);
     assert_eq!(
         rich.primitives.len(),
@@ -502,25 +502,25 @@ proptest! {
         let mut file = seeds().remove(seed).1;
         let length = file.len() as u32;
         changes.into_iter().for_each(|(at, byte)| file[(at % length) as usize] = byte);
-        let _ = exercise(FileSet::single("mutant.glb", file), Format::Glb);
+        let _ = exercise(FileSet::single("mutant.glb", file), Format::GLB);
     }
 
     #[test]
     fn changed_numbers_never_panic(seed in 0_usize..2, changes in prop::collection::vec((any::<u32>(), 0_usize..8), 1..5)) {
         let changes = changes.into_iter().map(|(at, with)| (at as usize, with));
         let mutant = with_other_digits(&seeds().remove(seed).1, changes);
-        let _ = exercise(FileSet::single("mutant.glb", mutant), Format::Glb);
+        let _ = exercise(FileSet::single("mutant.glb", mutant), Format::GLB);
     }
 
     #[test]
     fn cut_files_never_panic(seed in 0_usize..2, keep in 0.0..1.0_f64) {
         let file = seeds().remove(seed).1;
         let mut cut = file[..(keep * file.len() as f64) as usize].to_vec();
-        prop_assert!(Model::read(FileSet::single("cut.glb", cut.clone()), Some(Format::Glb), &Limits::default()).is_err());
+        prop_assert!(Model::read(FileSet::single("cut.glb", cut.clone()), Some(Format::GLB), &Limits::default()).is_err());
         if cut.len() >= 12 {
             let length = cut.len() as u32;
             cut[8..12].copy_from_slice(&length.to_le_bytes());
-            prop_assert!(Model::read(FileSet::single("cut.glb", cut), Some(Format::Glb), &Limits::default()).is_err());
+            prop_assert!(Model::read(FileSet::single("cut.glb", cut), Some(Format::GLB), &Limits::default()).is_err());
         }
     }
 }

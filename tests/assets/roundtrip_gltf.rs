@@ -7,16 +7,16 @@ use crate::support::khronos;
 use glam::DVec3;
 use gltf_parsed::{Parsed, parse};
 use gltf_sets::{data_folder, file_set, gltf_files};
-use pliant::asset::{FileSet, Format, Limits, Model, Primitive, Written};
+use pliant::asset::{FileSet, Format, Limits, Model, Primitive, WrittenFiles};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 fn format_of(path: &Path) -> Format {
     if path.extension().is_some_and(|e| e == "glb") {
-        Format::Glb
+        Format::GLB
     } else {
-        Format::Gltf
+        Format::GLTF
     }
 }
 
@@ -51,7 +51,7 @@ fn swayed(model: &Model) -> Vec<DVec3> {
     model.positions.iter().map(sway).collect()
 }
 
-fn read_back(written: &Written, format: Format) -> Model {
+fn read_back(written: &WrittenFiles, format: Format) -> Model {
     let companions = written
         .companions
         .iter()
@@ -118,7 +118,7 @@ fn an_unmoved_model_is_written_byte_for_byte() {
 fn moved_positions_are_read_back_to_float_precision() {
     for (path, model) in models("moved round trips") {
         let wanted = swayed(&model);
-        for format in [Format::Glb, Format::Gltf] {
+        for format in [Format::GLB, Format::GLTF] {
             let again = read_back(&model.write(&wanted, format).expect("writable"), format);
             assert!(again.triangles == model.triangles, "{}", path.display());
             // Instances have parted, so the mesh may be another; all else is the same.
@@ -373,7 +373,7 @@ fn the_khronos_validator_finds_nothing_new() {
     let mut all = Vec::new();
     for (i, (path, model)) in models.iter().enumerate() {
         let moved = swayed(model);
-        for format in [Format::Glb, Format::Gltf] {
+        for format in [Format::GLB, Format::GLTF] {
             let at = folder
                 .path()
                 .join(format!("{i}-{}/model.{}", format.name(), format.name()));
@@ -394,7 +394,7 @@ fn the_khronos_validator_finds_nothing_new() {
             continue;
         };
         let model = Model::read(FileSet::single(name, bytes), None, &Limits::default()).expect("readable");
-        for format in [Format::Glb, Format::Gltf] {
+        for format in [Format::GLB, Format::GLTF] {
             let at = folder
                 .path()
                 .join(format!("fresh-{i}-{}/model.{}", format.name(), format.name()));

@@ -9,7 +9,7 @@ use crate::support::recipes;
 use glam::{DAffine3, DVec3};
 use gltf_parsed::{Parsed, parse};
 use gltf_sets::{data_folder, file_set, gltf_files};
-use pliant::asset::{Base, FileSet, Format, Limits, Model, write_remade};
+use pliant::asset::{BaseModel, FileSet, Format, Limits, Model, write_edited_model};
 use proptest::prelude::*;
 use recipes::{Edited, at_rest, read_back, size};
 use serde_json::{Value, json};
@@ -197,10 +197,10 @@ fn attributes(parsed: &Parsed, primitive: &Value) -> BTreeMap<String, Vec<f64>> 
 
 #[test]
 fn every_attribute_of_a_middle_is_between_those_of_its_ends() {
-    let model = open(figure(), Format::Glb);
+    let model = open(figure(), Format::GLB);
     assert_eq!(model.triangles, [[0, 1, 3], [1, 2, 3], [4, 7, 5], [5, 7, 6]]);
     let edited = Edited::of(&model, true);
-    let written = edited.write(&model, Format::Glb).expect("writable");
+    let written = edited.write(&model, Format::GLB).expect("writable");
     let parsed = parse(&written.main, &written.companions);
     let primitive = &parsed.json["meshes"][0]["primitives"][0];
     let all = attributes(&parsed, &primitive["attributes"]);
@@ -258,7 +258,7 @@ fn every_attribute_of_a_middle_is_between_those_of_its_ends() {
         "points pass untouched"
     );
 
-    let again = read_back(&written, Format::Glb);
+    let again = read_back(&written, Format::GLB);
     assert_eq!(again.triangles, edited.triangles);
     let off = again
         .positions
@@ -271,25 +271,25 @@ fn every_attribute_of_a_middle_is_between_those_of_its_ends() {
 
 #[test]
 fn a_mesh_that_lost_all_triangles_goes_with_its_reference_and_its_animation() {
-    let model = open(figure(), Format::Glb);
+    let model = open(figure(), Format::GLB);
     let mut edited = Edited::of(&model, false);
     edited.runs[0].triangle_count = 0;
     edited.runs[1].first_triangle = 0;
     edited.triangles.drain(..2);
-    let written = edited.write(&model, Format::Glb).expect("writable");
+    let written = edited.write(&model, Format::GLB).expect("writable");
     let json = parse(&written.main, &written.companions).json;
     assert_eq!(json["nodes"][0], json!({"name": "skinned"}));
     assert_eq!(json["nodes"][1]["mesh"], 0);
     assert_eq!(json["meshes"].as_array().map(Vec::len), Some(1));
     assert!(json.get("animations").is_none());
-    assert_eq!(read_back(&written, Format::Glb).triangles.len(), 2);
+    assert_eq!(read_back(&written, Format::GLB).triangles.len(), 2);
 
     edited.runs.truncate(1);
     edited.runs[0].vertex_count = 8;
     edited.triangles.clear();
     assert!(
         edited
-            .write(&model, Format::Glb)
+            .write(&model, Format::GLB)
             .expect_err("nothing is left")
             .to_string()
             .contains("triangle")
@@ -334,7 +334,7 @@ fn instances(more: &Value) -> Vec<u8> {
 fn second_cut(model: &Model) -> Edited {
     let mut edited = Edited {
         runs: Vec::new(),
-        recipes: pliant::asset::Recipes::identity(model.positions.len() as u32),
+        recipes: pliant::asset::VertexBlends::identity(model.positions.len() as u32),
         triangles: model.triangles.clone(),
         positions: model.positions.clone(),
     };
@@ -347,9 +347,9 @@ fn second_cut(model: &Model) -> Edited {
 
 #[test]
 fn only_the_nodes_that_were_edited_get_a_mesh_of_their_own() {
-    let model = open(instances(&json!({})), Format::Glb);
+    let model = open(instances(&json!({})), Format::GLB);
     let edited = second_cut(&model);
-    let written = edited.write(&model, Format::Glb).expect("writable");
+    let written = edited.write(&model, Format::GLB).expect("writable");
     let json = parse(&written.main, &written.companions).json;
     let meshes: Vec<&Value> = json["nodes"]
         .as_array()
@@ -361,11 +361,11 @@ fn only_the_nodes_that_were_edited_get_a_mesh_of_their_own() {
     let (stored, cut) = (&json["meshes"][0]["primitives"][0], &json["meshes"][1]["primitives"][0]);
     assert_eq!(stored["attributes"]["TEXCOORD_0"], 1);
     assert_ne!(stored["indices"], cut["indices"]);
-    same_shape(&read_back(&written, Format::Glb), &edited, "instances");
+    same_shape(&read_back(&written, Format::GLB), &edited, "instances");
 
     // The same edit at all three nodes: one mesh for them, the old one for the node outside the scene.
     let all = Edited::of(&model, true);
-    let written = all.write(&model, Format::Glb).expect("writable");
+    let written = all.write(&model, Format::GLB).expect("writable");
     let json = parse(&written.main, &written.companions).json;
     let meshes: Vec<&Value> = json["nodes"]
         .as_array()
@@ -374,7 +374,7 @@ fn only_the_nodes_that_were_edited_get_a_mesh_of_their_own() {
         .map(|n| &n["mesh"])
         .collect();
     assert_eq!(meshes, [1, 1, 1, 0]);
-    same_shape(&read_back(&written, Format::Glb), &all, "all instances");
+    same_shape(&read_back(&written, Format::GLB), &all, "all instances");
 }
 
 #[test]
@@ -384,11 +384,11 @@ fn numbers_stay_where_an_unknown_extension_may_name_them() {
     for (more, kept) in [(known, false), (unknown, true)] {
         let document = instances(&more);
         let before = parse(&document, &BTreeMap::new());
-        let model = open(document, Format::Glb);
+        let model = open(document, Format::GLB);
         let mut edited = Edited::of(&model, true);
         // Without the node outside the scene nothing would use the old data.
         edited.positions.iter_mut().for_each(|p| p.z += 1.0);
-        for format in [Format::Glb, Format::Gltf] {
+        for format in [Format::GLB, Format::GLTF] {
             let written = edited.write(&model, format).expect("writable");
             let after = parse(&written.main, &written.companions);
             let list = |parsed: &Parsed, key: &str| parsed.json[key].as_array().expect("a list").clone();
@@ -399,11 +399,11 @@ fn numbers_stay_where_an_unknown_extension_may_name_them() {
             assert_eq!(after.json["extensionsUsed"], before.json["extensionsUsed"]);
             same_shape(&read_back(&written, format), &edited, "kept");
         }
-        let other = open(figure(), Format::Glb);
+        let other = open(figure(), Format::GLB);
         edited.merge(&Edited::of(&other, true));
         let bases = [at_rest(&model), at_rest(&other)];
-        let written = write_remade(&edited.remade(&bases), &edited.positions, Format::Glb).expect("writable");
-        same_shape(&read_back(&written, Format::Glb), &edited, "merged");
+        let written = write_edited_model(&edited.remade(&bases), &edited.positions, Format::GLB).expect("writable");
+        same_shape(&read_back(&written, Format::GLB), &edited, "merged");
         let json = parse(&written.main, &written.companions).json;
         assert_eq!(json["materials"], json!([{"name": "paint"}]));
     }
@@ -428,7 +428,7 @@ fn compressed_and_quantised_files_come_back_as_floats_without_the_extensions() {
             continue;
         }
         seen += 1;
-        let written = Edited::of(&model, true).write(&model, Format::Glb).expect("writable");
+        let written = Edited::of(&model, true).write(&model, Format::GLB).expect("writable");
         let after = parse(&written.main, &written.companions).json;
         for name in packed {
             assert!(!uses(&after, name), "{}: {name}", path.display());
@@ -443,7 +443,7 @@ fn compressed_and_quantised_files_come_back_as_floats_without_the_extensions() {
 
 #[test]
 fn a_primitive_that_the_edit_left_alone_keeps_its_accessors() {
-    let model = open(figure(), Format::Glb);
+    let model = open(figure(), Format::GLB);
     let mut edited = Edited::of(&model, true);
     // The first primitive as it was, the second cut into four.
     let plain = Edited::of(&model, false);
@@ -451,7 +451,7 @@ fn a_primitive_that_the_edit_left_alone_keeps_its_accessors() {
         edited.runs[1].first_vertex as usize,
         edited.runs[1].first_triangle as usize,
     );
-    let mut recipes = pliant::asset::Recipes::identity(4);
+    let mut recipes = pliant::asset::VertexBlends::identity(4);
     (v..edited.positions.len()).for_each(|i| recipes.push_composed(&edited.recipes, &[(i as u32, 1.0)]));
     let shift = (v - 4) as u32;
     edited.triangles = (model.triangles[..2].iter().copied())
@@ -462,7 +462,7 @@ fn a_primitive_that_the_edit_left_alone_keeps_its_accessors() {
     (edited.runs[1].first_vertex, edited.runs[1].first_triangle) = (4, 2);
     let (before, written) = (
         parse(&figure(), &BTreeMap::new()),
-        edited.write(&model, Format::Glb).expect("writable"),
+        edited.write(&model, Format::GLB).expect("writable"),
     );
     let after = parse(&written.main, &written.companions);
     let first = |parsed: &Parsed| parsed.json["meshes"][0]["primitives"][0].clone();
@@ -476,13 +476,13 @@ fn a_primitive_that_the_edit_left_alone_keeps_its_accessors() {
         };
         assert_eq!(accessor(&after, new), accessor(&before, old), "{name}");
     }
-    same_shape(&read_back(&written, Format::Glb), &edited, "half");
+    same_shape(&read_back(&written, Format::GLB), &edited, "half");
 
     // Moved as well, it has new positions, normals and tangents, and the rest of its accessors.
     edited.positions[..4]
         .iter_mut()
         .for_each(|p| *p = DVec3::new(p.z, p.y, -p.x));
-    let written = edited.write(&model, Format::Glb).expect("writable");
+    let written = edited.write(&model, Format::GLB).expect("writable");
     let parsed = parse(&written.main, &written.companions);
     let all = attributes(&parsed, &first(&parsed)["attributes"]);
     assert_eq!(first(&parsed)["mode"], 5);
@@ -496,7 +496,7 @@ fn a_primitive_that_the_edit_left_alone_keeps_its_accessors() {
             .chunks(4)
             .all(|t| (t[2] + 1.0).abs() < 1e-6 && t[3] == -1.0)
     );
-    same_shape(&read_back(&written, Format::Glb), &edited, "half and moved");
+    same_shape(&read_back(&written, Format::GLB), &edited, "half and moved");
 }
 
 proptest! {
@@ -515,11 +515,11 @@ proptest! {
         for (at, digit) in digits {
             bytes[places[at as usize % places.len()]] = b'0' + digit;
         }
-        let Ok(model) = Model::read(FileSet::single("odd", bytes), Some(Format::Glb), &Limits::default()) else {
+        let Ok(model) = Model::read(FileSet::single("odd", bytes), Some(Format::GLB), &Limits::default()) else {
             return Ok(());
         };
         let mut edited = Edited::of(&model, true);
-        let figure = open(figure(), Format::Glb);
+        let figure = open(figure(), Format::GLB);
         let bases = if merged {
             let mut first = Edited::of(&figure, false);
             first.merge(&edited);
@@ -528,8 +528,8 @@ proptest! {
         } else {
             vec![at_rest(&model)]
         };
-        for format in [Format::Glb, Format::Gltf, Format::Obj] {
-            if let Ok(written) = write_remade(&edited.remade(&bases), &edited.positions, format) {
+        for format in [Format::GLB, Format::GLTF, Format::OBJ] {
+            if let Ok(written) = write_edited_model(&edited.remade(&bases), &edited.positions, format) {
                 prop_assert_eq!(read_back(&written, format).triangles.len(), edited.triangles.len());
             }
         }

@@ -5,7 +5,9 @@ use crate::support::khronos;
 use crate::support::recipes;
 
 use glam::{DAffine3, DVec3};
-use pliant::asset::{Base, FileSet, Format, Limits, Model, Recipes, Remade, Run, sample, write_remade};
+use pliant::asset::{
+    BaseModel, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends, sample, write_edited_model,
+};
 use proptest::prelude::*;
 use recipes::{Edited, at_rest, read_back, size};
 use std::path::{Path, PathBuf};
@@ -233,7 +235,7 @@ fn an_off_and_an_stl_keep_colours_and_attributes() {
     }
     let model = open("square.stl", bytes);
     let out = Edited::of(&model, true)
-        .write(&model, Format::Stl)
+        .write(&model, Format::STL)
         .expect("writable")
         .main;
     assert!(out.starts_with(b"a header") && out.len() == 84 + 8 * 50);
@@ -285,7 +287,7 @@ fn real_meshes_come_back_as_they_were_edited() {
                 .write(&model, model.format)
                 .unwrap_or_else(|e| panic!("{name}: {e}"));
             let again = read_back(&written, model.format);
-            if model.format == Format::Stl {
+            if model.format == Format::STL {
                 assert_eq!(again.triangles.len(), edited.triangles.len(), "{name}");
                 continue;
             }
@@ -297,7 +299,7 @@ fn real_meshes_come_back_as_they_were_edited() {
                 .map(|(a, b)| a.distance(*b))
                 .fold(0.0, f64::max);
             assert!(off <= 1e-6 * size(&edited.positions), "{name}: {off}");
-            if model.format == Format::Obj {
+            if model.format == Format::OBJ {
                 let sorted = |list: &[[u32; 3]]| {
                     let mut list = list.to_vec();
                     list.sort_unstable();
@@ -348,7 +350,7 @@ fn same_corners(name: &str, before: &[u8], after: &[u8]) {
 #[test]
 fn coordinates_colours_and_materials_go_from_one_format_to_another() {
     let model = open("seam.obj", SEAM);
-    let written = model.write(&model.positions, Format::Glb).expect("writable");
+    let written = model.write(&model.positions, Format::GLB).expect("writable");
     let parsed = gltf_parsed::parse(&written.main, &written.companions);
     assert_eq!(parsed.buffers.len(), 1);
     let names: Vec<&str> = parsed.json["materials"]
@@ -358,10 +360,10 @@ fn coordinates_colours_and_materials_go_from_one_format_to_another() {
         .filter_map(|m| m["name"].as_str())
         .collect();
     assert_eq!(names, ["left", "right"]);
-    let glb = read_back(&written, Format::Glb);
+    let glb = read_back(&written, Format::GLB);
     assert_eq!((glb.positions.len(), glb.triangles.len()), (8, 4), "parted at the seam");
 
-    let back = glb.write(&glb.positions, Format::Obj).expect("writable");
+    let back = glb.write(&glb.positions, Format::OBJ).expect("writable");
     let seen = faces(&String::from_utf8(back.main).expect("text"));
     for (i, (material, corners)) in seen.iter().enumerate() {
         let left = i < 2;
@@ -378,16 +380,16 @@ fn coordinates_colours_and_materials_go_from_one_format_to_another() {
     }
 
     let model = open("square.ply", PLY);
-    let written = model.write(&model.positions, Format::Glb).expect("writable");
+    let written = model.write(&model.positions, Format::GLB).expect("writable");
     let parsed = gltf_parsed::parse(&written.main, &written.companions);
     let colour = parsed.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]
         .as_u64()
         .expect("colours");
     assert_eq!(parsed.json["accessors"][colour as usize]["type"], "VEC4");
-    let glb = read_back(&written, Format::Glb);
-    let back = glb.write(&glb.positions, Format::Ply).expect("writable").main;
+    let glb = read_back(&written, Format::GLB);
+    let back = glb.write(&glb.positions, Format::PLY).expect("writable").main;
     let again = Edited::of(&open("back.ply", back.clone()), false)
-        .write(&open("back.ply", back), Format::Ply)
+        .write(&open("back.ply", back), Format::PLY)
         .expect("writable");
     let text = String::from_utf8_lossy(&again.main).into_owned();
     assert!(text.contains("property uchar red"), "{text}");
@@ -436,7 +438,7 @@ fn models_of_any_format_merge_into_any_other() {
             edited.merge(&other);
             let bases = [
                 at_rest(first),
-                Base {
+                BaseModel {
                     model: second,
                     world_from_model: put,
                 },
@@ -445,7 +447,7 @@ fn models_of_any_format_merge_into_any_other() {
             for format in Format::ALL {
                 let place = format!("{i} and {k} as {format}");
                 let written =
-                    write_remade(&remade, &edited.positions, format).unwrap_or_else(|e| panic!("{place}: {e}"));
+                    write_edited_model(&remade, &edited.positions, format).unwrap_or_else(|e| panic!("{place}: {e}"));
                 let again = read_back(&written, format);
                 assert_eq!(again.triangles.len(), edited.triangles.len(), "{place}");
                 let wanted = moments(&edited.positions, &edited.triangles);
@@ -456,7 +458,7 @@ fn models_of_any_format_merge_into_any_other() {
                     .map(|(a, b)| (a - b).abs().max_element())
                     .fold(0.0, f64::max);
                 assert!(off < 1e-4, "{place}: {seen:?} is not {wanted:?}");
-                if matches!(format, Format::Glb | Format::Gltf) {
+                if [Format::GLB, Format::GLTF].contains(&format) {
                     let at = folder.path().join(format!("{i}{k}/model.{format}"));
                     khronos::store(&written, &at);
                     files.push(at);
@@ -482,11 +484,11 @@ fn a_bare_surface_has_the_normals_of_its_triangles() {
     edited.runs[0].triangle_count += 1;
     let bases = [at_rest(&model)];
     let bare = [false, false, false, false, false, false, true, true, true];
-    let remade = Remade {
+    let remade = EditedModel {
         bare: &bare,
         ..edited.remade(&bases)
     };
-    let written = write_remade(&remade, &edited.positions, Format::Obj).expect("writable");
+    let written = write_edited_model(&remade, &edited.positions, Format::OBJ).expect("writable");
     let seen = faces(&String::from_utf8(written.main).expect("text"));
     let below: Vec<_> = seen.iter().flat_map(|f| &f.1).filter(|c| c.0[2] < 0.0).collect();
     assert!(
@@ -501,7 +503,7 @@ fn descriptions_that_do_not_hold_together_are_refused_with_the_reason() {
     let refusal = |change: &dyn Fn(&mut Edited)| {
         let mut edited = Edited::of(&model, true);
         change(&mut edited);
-        edited.write(&model, Format::Off).expect_err("refused").to_string()
+        edited.write(&model, Format::OFF).expect_err("refused").to_string()
     };
     type Change<'a> = &'a dyn Fn(&mut Edited);
     let cases: [(&str, Change<'_>); 7] = [
@@ -540,11 +542,11 @@ proptest! {
         let model = match which {
             0 => open("a.obj", SEAM),
             1 => open("b.ply", PLY),
-            _ => open("d.glb", open("b.ply", PLY).write(&open("b.ply", PLY).positions, Format::Glb).expect("writable").main),
+            _ => open("d.glb", open("b.ply", PLY).write(&open("b.ply", PLY).positions, Format::GLB).expect("writable").main),
         };
         // Nearly all wild descriptions are refused; the tame ones are all written.
         let most = if wild { 6 } else { model.primitives[0].vertex_count };
-        let mut recipes = Recipes::default();
+        let mut recipes = VertexBlends::default();
         for blend in &blends {
             recipes.push_blend(&blend.iter().map(|&(v, w)| (v % most, w)).collect::<Vec<_>>());
         }
@@ -553,19 +555,19 @@ proptest! {
         let origins = if wild { origins } else { origins.iter().copied().cycle().take(if origins.is_empty() { 0 } else { triangles.len() }).collect() };
         let positions: Vec<DVec3> = (0..count).map(|i| DVec3::new(f64::from(i), f64::from(i * i % 7), f64::from(i % 3))).collect();
         let runs = if wild && split.0 < 9 {
-            let run = |first_vertex, vertex_count, first_triangle, triangle_count| Run {
+            let run = |first_vertex, vertex_count, first_triangle, triangle_count| PrimitiveRun {
                 base: 0, primitive: 0, first_vertex, vertex_count, first_triangle, triangle_count,
             };
             let (v, t) = (split.0.min(count), split.1.min(triangles.len() as u32));
             vec![run(0, v, 0, t), run(v, count - v, t, triangles.len() as u32 - t)]
         } else {
-            vec![Run {
+            vec![PrimitiveRun {
                 base: 0, primitive: 0, first_vertex: 0, vertex_count: count, first_triangle: 0, triangle_count: triangles.len() as u32,
             }]
         };
         let bases = [at_rest(&model)];
-        let remade = Remade { bases: &bases, runs: &runs, recipes: &recipes, triangles: &triangles, origins: &origins, bare: &[] };
-        match write_remade(&remade, &positions, Format::ALL[format]) {
+        let remade = EditedModel { bases: &bases, runs: &runs, blends: &recipes, triangles: &triangles, origins: &origins, bare: &[] };
+        match write_edited_model(&remade, &positions, Format::ALL[format]) {
             // A triangle with a corner twice is no error, but the readers may leave it out.
             Ok(written) => drop(Model::read(
                 FileSet::single("written", written.main), Some(Format::ALL[format]), &Limits::default()

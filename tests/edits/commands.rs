@@ -99,7 +99,7 @@ fn both_halves_of_a_filled_cut_add_up() {
     for (keep, height) in [(cut::Keep::Above, 2.6), (cut::Keep::Below, 1.4)] {
         let mut bench = bench(&bar());
         let outcome = edited(&mut bench, &cut_at(-0.6, keep, true));
-        let half = read_back(&bench, Format::Obj);
+        let half = read_back(&bench, Format::OBJ);
         assert_eq!(half.positions.len(), outcome.positions.len());
         let facts = bench.facts();
         assert!(

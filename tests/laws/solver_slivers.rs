@@ -1,8 +1,8 @@
 //! The solver on graphs of degenerate meshes: slivers and coincident vertices.
 
-use case::{Case, noise};
+use case::{SolverCase, noise};
 use glam::DVec3;
-use graphs::Lattice;
+use graphs::TestGraph;
 use pliant::exec::Exec;
 use pliant::graph::{EdgeWeights, VolumeOptions, volume};
 use pliant::mesh::{Mesh, Weld};
@@ -59,7 +59,7 @@ fn graphs_of_slivers_and_coincident_vertices_converge() {
                 let rows = (0..graph.nodes() as u32).flat_map(|i| graph.row(i).iter().map(move |&j| (i, j)));
                 let positions: Vec<[f64; 3]> = graph.positions.iter().map(|p| p.to_array()).collect();
                 let n = graph.nodes();
-                let same = Lattice::from_edges(positions, rows.collect());
+                let same = TestGraph::from_edges(positions, rows.collect());
                 let same = match &graph.weights {
                     Some(w) => same.with_weights(w.clone()),
                     None => same,
@@ -67,7 +67,7 @@ fn graphs_of_slivers_and_coincident_vertices_converge() {
                 let fixed: Vec<bool> = (0..n)
                     .map(|i| i < 8 || (graph.surface - 8..graph.surface).contains(&i))
                     .collect();
-                let case = Case::new(same, fixed, None, 1);
+                let case = SolverCase::new(same, fixed, None, 1);
                 let (rhs, mut x) = (vec![0.0; n], noise(n, 3));
                 let stats = case.solve_to(1, &rhs, &mut x, 1e-8);
                 assert!(

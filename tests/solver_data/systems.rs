@@ -8,7 +8,7 @@ use pliant::engine::{Deformer, DeformerLimits};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::solver::{Constraints, Graph, Hierarchy, System};
+use pliant::solver::{Constraints, Hierarchy, LinearSystem, WeightedGraph};
 use pliant::wire::{json, pb};
 use std::path::{Path, PathBuf};
 
@@ -101,9 +101,9 @@ impl Rung {
     }
 
     /// The graph as the solver sees it.
-    pub fn graph(&self) -> Graph<'_> {
+    pub fn graph(&self) -> WeightedGraph<'_> {
         let graph = &self.body().graph;
-        Graph {
+        WeightedGraph {
             offsets: &graph.offsets,
             neighbours: &graph.neighbours,
             weights: graph.weights.as_deref(),
@@ -111,7 +111,7 @@ impl Rung {
         }
     }
 
-    pub fn constrain(&self, hierarchy: &Hierarchy, pool: &Pool) -> System {
+    pub fn constrain(&self, hierarchy: &Hierarchy, pool: &Pool) -> LinearSystem {
         let constraints = Constraints {
             fixed: self.rig().given(),
             stiffness: self.stiffness.as_deref(),

@@ -1,6 +1,6 @@
 //! Asks the Khronos glTF validator, where it can be had.
 
-use pliant::asset::Written;
+use pliant::asset::WrittenFiles;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -60,7 +60,7 @@ pub fn validate(files: &[PathBuf]) -> Option<Findings> {
 }
 
 /// Writes a model and its companions beside it.
-pub fn store(written: &Written, at: &Path) {
+pub fn store(written: &WrittenFiles, at: &Path) {
     std::fs::create_dir_all(at.parent().expect("a folder")).expect("a writable folder");
     std::fs::write(at, &written.main).expect("a writable folder");
     for (name, bytes) in &written.companions {

@@ -1,13 +1,16 @@
 //! Edits of a model made by hand: which vertices are made of which, without the edit operations.
 
 use glam::{DAffine3, DVec3};
-use pliant::asset::{Base, Error, FileSet, Format, Limits, Model, Recipes, Remade, Run, Written, write_remade};
+use pliant::asset::{
+    BaseModel, EditedModel, Error, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends, WrittenFiles,
+    write_edited_model,
+};
 use std::collections::BTreeMap;
 
-/// The parts of a [`Remade`] of one base.
+/// The parts of a [`EditedModel`] of one base.
 pub struct Edited {
-    pub runs: Vec<Run>,
-    pub recipes: Recipes,
+    pub runs: Vec<PrimitiveRun>,
+    pub recipes: VertexBlends,
     pub triangles: Vec<[u32; 3]>,
     pub positions: Vec<DVec3>,
 }
@@ -18,7 +21,7 @@ impl Edited {
     pub fn of(model: &Model, subdivide: bool) -> Self {
         let mut edited = Self {
             runs: Vec::new(),
-            recipes: Recipes::default(),
+            recipes: VertexBlends::default(),
             triangles: Vec::new(),
             positions: Vec::new(),
         };
@@ -57,7 +60,7 @@ impl Edited {
                     .triangles
                     .extend(own[1..].iter().chain(&own[..1]).map(|t| t.map(shift)));
             }
-            edited.runs.push(Run {
+            edited.runs.push(PrimitiveRun {
                 base: 0,
                 primitive: i as u32,
                 first_vertex,
@@ -73,7 +76,7 @@ impl Edited {
     pub fn merge(&mut self, other: &Self) {
         let base = self.runs.iter().map(|r| r.base + 1).max().unwrap_or(0);
         let (vertices, triangles) = (self.positions.len() as u32, self.triangles.len() as u32);
-        self.runs.extend(other.runs.iter().map(|run| Run {
+        self.runs.extend(other.runs.iter().map(|run| PrimitiveRun {
             base,
             first_vertex: run.first_vertex + vertices,
             first_triangle: run.first_triangle + triangles,
@@ -88,33 +91,33 @@ impl Edited {
     }
 
     /// The description over these models.
-    pub fn remade<'a>(&'a self, bases: &'a [Base<'a>]) -> Remade<'a> {
-        Remade {
+    pub fn remade<'a>(&'a self, bases: &'a [BaseModel<'a>]) -> EditedModel<'a> {
+        EditedModel {
             bases,
             runs: &self.runs,
-            recipes: &self.recipes,
+            blends: &self.recipes,
             triangles: &self.triangles,
             origins: &[],
             bare: &[],
         }
     }
 
-    pub fn write(&self, model: &Model, format: Format) -> Result<Written, Error> {
+    pub fn write(&self, model: &Model, format: Format) -> Result<WrittenFiles, Error> {
         let bases = [at_rest(model)];
-        write_remade(&self.remade(&bases), &self.positions, format)
+        write_edited_model(&self.remade(&bases), &self.positions, format)
     }
 }
 
 /// A base where it was uploaded.
-pub fn at_rest(model: &Model) -> Base<'_> {
-    Base {
+pub fn at_rest(model: &Model) -> BaseModel<'_> {
+    BaseModel {
         model,
         world_from_model: DAffine3::IDENTITY,
     }
 }
 
 /// What was written, read again.
-pub fn read_back(written: &Written, format: Format) -> Model {
+pub fn read_back(written: &WrittenFiles, format: Format) -> Model {
     let companions = written
         .companions
         .iter()

@@ -334,7 +334,7 @@ impl EditBench<'_> {
             cycles: solved.cycles,
             field_cycles: bench.rig().map_or(0, |rig| rig.field_iterations),
             nodes: bench.body().nodes(),
-            levels: bench.body().hierarchy.levels().len(),
+            levels: bench.body().hierarchy.level_sizes().len(),
         })
     }
 }

@@ -9,7 +9,7 @@
 
 use super::number_file::{NumberReader, NumberWriter};
 use crate::failure::LoadtestFailure;
-use pliant::solver::Graph;
+use pliant::solver::WeightedGraph;
 use std::path::{Path, PathBuf};
 
 /// First eight bytes: "PLIANTAX".
@@ -62,8 +62,8 @@ impl CompanionFile {
     }
 
     /// The graph as the solver takes it.
-    pub fn graph(&self) -> Graph<'_> {
-        Graph {
+    pub fn graph(&self) -> WeightedGraph<'_> {
+        WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
             weights: self.weights.as_deref(),

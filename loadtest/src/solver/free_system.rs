@@ -9,7 +9,9 @@ use crate::shared::measurements::Measurements;
 use crate::shared::timing::{RunTimes, time_once};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
-use pliant::solver::{BuildOptions, Constraints, Graph, Hierarchy, Method, SolveOptions, Start, Workspace};
+use pliant::solver::{
+    BuildOptions, Constraints, Hierarchy, InitialGuess, SolveMethod, SolveOptions, WeightedGraph, Workspace,
+};
 use sha2::{Digest, Sha256};
 
 /// How far above its tolerance a recomputed residual may be, as for the peers.
@@ -93,7 +95,7 @@ fn build_ready_system(
     problem: &LinearProblem,
     terms: &BenchTerms,
 ) -> Result<ReadySystem, LoadtestFailure> {
-    let view = Graph {
+    let view = WeightedGraph {
         offsets: &graph.offsets,
         neighbours: &graph.neighbours,
         weights: graph.weights.as_deref(),
@@ -110,13 +112,13 @@ fn build_ready_system(
 }
 
 fn note_memory(ready: &ReadySystem, workspace: &Workspace, problem: &LinearProblem, measurements: &mut Measurements) {
-    let held = (ready.hierarchy.bytes() + ready.system.bytes()) as f64;
+    let held = (ready.hierarchy.byte_size() + ready.system.byte_size()) as f64;
     let matrix = problem.matrix.byte_size() as f64;
     measurements.set_megabytes("mem_MB", held);
     measurements.set_value("mem_what", "reported by the solver");
     measurements.set_number("mem_ratio", held / matrix);
-    measurements.set_number("mem_all_ratio", (held + workspace.bytes() as f64) / matrix);
-    let levels = ready.hierarchy.levels();
+    measurements.set_number("mem_all_ratio", (held + workspace.byte_size() as f64) / matrix);
+    let levels = ready.hierarchy.level_sizes();
     measurements.set_value("levels", levels.len());
     let vertices: Vec<usize> = levels.iter().map(|l| l.vertices).collect();
     measurements.set_value("level_vertices", vertices);
@@ -161,7 +163,7 @@ fn note_errors(
         return Ok(());
     }
     let options = SolveOptions {
-        start: Start::Given,
+        start: InitialGuess::Given,
         ..options_to_residual(EXACT_RESIDUAL)
     };
     let stats = ready.solve(&problem.rhs, &mut x, &options, workspace, terms, None)?;
@@ -186,13 +188,13 @@ fn box_diagonal(points: &[[f64; 3]]) -> f64 {
     if length > 0.0 { length } else { 1.0 }
 }
 
-fn method_name(method: Method) -> &'static str {
+fn method_name(method: SolveMethod) -> &'static str {
     match method {
-        Method::Trivial => "trivial",
-        Method::Direct => "direct",
-        Method::Multigrid => "multigrid",
-        Method::PaperCycles => "paper-cycles",
-        Method::ConjugateGradients => "conjugate-gradients",
+        SolveMethod::Trivial => "trivial",
+        SolveMethod::Direct => "direct",
+        SolveMethod::Multigrid => "multigrid",
+        SolveMethod::PaperCycles => "paper-cycles",
+        SolveMethod::ConjugateGradients => "conjugate-gradients",
     }
 }
 

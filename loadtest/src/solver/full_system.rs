@@ -9,7 +9,9 @@ use glam::{DAffine3, DVec3};
 use pliant::deform::{HandleMotion, carry, fit_rigid_motion};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
-use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Iteration, SolveOptions, Start, Workspace};
+use pliant::solver::{
+    BuildOptions, Constraints, Hierarchy, InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace,
+};
 
 /// Largest missing displacement that a drag's frame may have, fraction of the diagonal.
 const DRAG_ERROR: f64 = 1e-3;
@@ -74,7 +76,7 @@ fn time_full_multigrid(
 ) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
     let pose = &all.poses[0];
     let options = SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: Some(&all.frames),
             rest: Some(&all.rest),
         },
@@ -103,7 +105,7 @@ fn time_drag(
 ) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
     let pose = &all.poses[1];
     let options = SolveOptions {
-        start: Start::Given,
+        start: InitialGuess::Given,
         tolerance: None,
         max_error: Some(DRAG_ERROR * all.diagonal),
         ..Default::default()
@@ -139,7 +141,7 @@ fn follow_field(
     let rhs = vec![0.0; field.len()];
     let (hierarchy, system) = (&ready.hierarchy, &ready.system);
     let options = options_to_residual(1e-5);
-    let mut watch = |_: &Iteration<'_>| Control::Continue;
+    let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     system
         .solve(
             hierarchy,
@@ -180,7 +182,7 @@ fn solve_on(
     terms: &BenchTerms,
 ) -> Result<(Vec<[f64; 3]>, f64), LoadtestFailure> {
     let options = SolveOptions {
-        start: Start::Given,
+        start: InitialGuess::Given,
         ..options_to_residual(tolerance)
     };
     let mut x = x.to_vec();

@@ -6,16 +6,18 @@ use crate::failure::LoadtestFailure;
 use crate::shared::measurements::Measurements;
 use pliant::exec::Exec;
 use pliant::progress::Silent;
-use pliant::solver::{BuildOptions, Constraints, Control, Hierarchy, Operators, SolveOptions, Start, Workspace};
+use pliant::solver::{
+    BuildOptions, CoarseOperators, Constraints, Hierarchy, InitialGuess, SolveControl, SolveOptions, Workspace,
+};
 
 /// Iterations that are shown: the paper's cycles give up soon after.
 const SHOWN: usize = 12;
 
 /// Operators and conjugate-gradient steps after each cycle, by the prefix of their keys.
-const RUNS: [(&str, Operators, Option<usize>); 3] = [
-    ("default", Operators::FiniteVolume, None),
-    ("paper", Operators::Paper, Some(0)),
-    ("paper_cg", Operators::Paper, Some(2)),
+const RUNS: [(&str, CoarseOperators, Option<usize>); 3] = [
+    ("default", CoarseOperators::FiniteVolume, None),
+    ("paper", CoarseOperators::Paper, Some(0)),
+    ("paper_cg", CoarseOperators::Paper, Some(2)),
 ];
 
 /// Residual, largest column, and largest missing displacement over the diagonal; from the full-multigrid start on.
@@ -37,7 +39,7 @@ pub(super) fn measure_paper_cycles(
     for (name, operators, interleave) in RUNS {
         let ready = build_ready_system(all, operators, interleave, terms)?;
         let mut workspace = Workspace::default();
-        if operators == Operators::FiniteVolume {
+        if operators == CoarseOperators::FiniteVolume {
             let stats = ready.solve(
                 &pose.rhs,
                 &mut exact,
@@ -57,7 +59,7 @@ pub(super) fn measure_paper_cycles(
 
 fn build_ready_system(
     all: &CompanionFile,
-    operators: Operators,
+    operators: CoarseOperators,
     interleave: Option<usize>,
     terms: &BenchTerms,
 ) -> Result<ReadySystem, LoadtestFailure> {
@@ -86,7 +88,7 @@ fn log_cycles(
 ) -> Result<CycleLog, LoadtestFailure> {
     let pose = &all.poses[0];
     let options = |most: usize| SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: Some(&all.frames),
             rest: Some(&all.rest),
         },
@@ -100,11 +102,11 @@ fn log_cycles(
         errors: vec![largest_distance(&x, exact) / all.diagonal],
     };
     let mut now = pose.given.clone();
-    let mut watch = |iteration: &pliant::solver::Iteration<'_>| {
+    let mut watch = |iteration: &pliant::solver::IterationReport<'_>| {
         iteration.copy_to(now.as_flattened_mut());
         log.residuals.push(iteration.residual);
         log.errors.push(largest_distance(&now, exact) / all.diagonal);
-        Control::Continue
+        SolveControl::Continue
     };
     let mut x = pose.given.clone();
     ready

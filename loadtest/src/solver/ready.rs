@@ -5,7 +5,7 @@ use crate::shared::timing::{RunTimes, time_best_of};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::solver::{Control, Hierarchy, SolveOptions, Stats, System, Workspace};
+use pliant::solver::{Hierarchy, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace};
 
 /// Most iterations of a solve that must reach the limits of double precision.
 const MOST_ITERATIONS: usize = 1000;
@@ -26,7 +26,7 @@ pub(super) struct BenchTerms {
 /// A system ready to solve, with what solves share.
 pub(super) struct ReadySystem {
     pub hierarchy: Hierarchy,
-    pub system: System,
+    pub system: LinearSystem,
 }
 
 impl ReadySystem {
@@ -39,7 +39,7 @@ impl ReadySystem {
         workspace: &mut Workspace,
         terms: &BenchTerms,
         residuals: Option<&mut Vec<f64>>,
-    ) -> Result<Stats, LoadtestFailure> {
+    ) -> Result<SolveStats, LoadtestFailure> {
         let mut log = residuals;
         let (rhs, x) = (rhs.as_flattened(), x.as_flattened_mut());
         self.system
@@ -55,7 +55,7 @@ impl ReadySystem {
                     if let Some(log) = log.as_deref_mut() {
                         log.push(iteration.residual);
                     }
-                    Control::Continue
+                    SolveControl::Continue
                 },
             )
             .map_err(solver_failure)
@@ -69,7 +69,7 @@ impl ReadySystem {
         options: &SolveOptions<'_>,
         workspace: &mut Workspace,
         terms: &BenchTerms,
-    ) -> Result<(Vec<[f64; 3]>, Stats, RunTimes), LoadtestFailure> {
+    ) -> Result<(Vec<[f64; 3]>, SolveStats, RunTimes), LoadtestFailure> {
         let solve = |mut x: Vec<[f64; 3]>| -> Result<_, LoadtestFailure> {
             let stats = self.solve(rhs, &mut x, options, workspace, terms, None)?;
             Ok((x, stats))

@@ -15,7 +15,7 @@ use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
 use crate::deform::rotation::blending::fade;
 use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::solver::{Constraints, Control, SolveOptions, Start, Workspace};
+use crate::solver::{Constraints, InitialGuess, SolveControl, SolveOptions, Workspace};
 use glam::{DQuat, DVec4};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
@@ -88,7 +88,7 @@ fn relax(
         }
     };
     let options = SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
         },
@@ -110,7 +110,7 @@ fn relax(
             &options,
             &mut workspace,
             exec,
-            &mut |_| Control::Continue,
+            &mut |_| SolveControl::Continue,
         )?;
         let step: &[[f64; 4]] = step.as_chunks().0;
         let next = each(exec.pool, nodes, |i| match diffusion.is_open(i) {

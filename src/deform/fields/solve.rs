@@ -7,7 +7,7 @@ use crate::deform::fields::harmonic::HarmonicFields;
 use crate::deform::fields::restart::FieldRestart;
 use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
 use crate::exec::Exec;
-use crate::solver::{Constraints, Control, SolveOptions, Start, System, Workspace};
+use crate::solver::{Constraints, InitialGuess, LinearSystem, SolveControl, SolveOptions, Workspace};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ pub(in crate::deform) fn solve(
     holds: usize,
     restart: Option<(&FieldRestart<'_>, &HarmonicFields)>,
     exec: &Exec<'_>,
-) -> Result<(HarmonicFields, Option<System>), Error> {
+) -> Result<(HarmonicFields, Option<LinearSystem>), Error> {
     let nodes = body.nodes();
     let covered = ownership.covered(body);
     let active: Vec<usize> = (0..=holds)
@@ -93,12 +93,12 @@ pub(in crate::deform) fn solve(
             None => vec![f64::INFINITY; columns],
         };
         if reached.iter().any(|r| *r > RESTARTED_TOLERANCE) {
-            let from_nothing = Start::FullMultigrid {
+            let from_nothing = InitialGuess::FullMultigrid {
                 frames: None,
                 rest: None,
             };
             let (start, tolerance) = match guess {
-                Some(_) => (Start::Given, RESTARTED_TOLERANCE),
+                Some(_) => (InitialGuess::Given, RESTARTED_TOLERANCE),
                 None => (from_nothing, FIELD_TOLERANCE),
             };
             let options = SolveOptions {
@@ -115,7 +115,7 @@ pub(in crate::deform) fn solve(
                 &options,
                 &mut workspace,
                 exec,
-                &mut |_| Control::Continue,
+                &mut |_| SolveControl::Continue,
             )?;
             iterations = stats.iterations;
             reached = stats.residuals;

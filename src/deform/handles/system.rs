@@ -11,14 +11,14 @@ use crate::deform::handles::setup::{HandleConstraint, HandleSetup};
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::solver::{Constraints, System};
+use crate::solver::{Constraints, LinearSystem};
 use glam::DVec3;
 use std::sync::Arc;
 
 /// A system with the nodes that it takes as given.
 pub(in crate::deform) struct ConstrainedSystem {
     pub fixed: Vec<bool>,
-    pub system: System,
+    pub system: LinearSystem,
 }
 
 /// Handles on a body, ready for any number of poses.
@@ -217,8 +217,11 @@ impl HandleSystem {
             + self.position.bytes()
             + self.rotation.bytes()
             + self.positions.fixed.capacity()
-            + self.positions.system.bytes()
-            + self.rigid.as_ref().map_or(0, |r| r.fixed.capacity() + r.system.bytes())
+            + self.positions.system.byte_size()
+            + self
+                .rigid
+                .as_ref()
+                .map_or(0, |r| r.fixed.capacity() + r.system.byte_size())
     }
 }
 

@@ -71,7 +71,7 @@ pub struct PoseSolution {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PoseMethod {
     /// By two passes on the graph, and how the solver ended.
-    Graph(solver::Method),
+    Graph(solver::SolveMethod),
     /// By radial basis functions in space.
     SpatialRbf,
 }
@@ -86,7 +86,7 @@ impl PoseSolution {
             iterations: 0,
             residual: 0.0,
             max_error: 0.0,
-            method: PoseMethod::Graph(solver::Method::Trivial),
+            method: PoseMethod::Graph(solver::SolveMethod::Trivial),
         }
     }
 }

@@ -13,7 +13,7 @@ use crate::deform::second_pass::state::SolveState;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::check;
-use crate::solver::{self, Control, SolveOptions};
+use crate::solver::{self, SolveControl, SolveOptions};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -124,8 +124,8 @@ impl PoseSolve<'_> {
             stopped: false,
         };
         let first = match warm {
-            true => solver::Start::Given,
-            false => solver::Start::FullMultigrid {
+            true => solver::InitialGuess::Given,
+            false => solver::InitialGuess::FullMultigrid {
                 frames: Some(&posed.frames),
                 rest: Some(&body.rest),
             },
@@ -141,7 +141,7 @@ impl PoseSolve<'_> {
                 rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
                 tally.refined += 1;
                 let rough = if tally.refined < steps { between } else { 0.0 };
-                let start = solver::Start::Given;
+                let start = solver::InitialGuess::Given;
                 stats = self.run(&rig.positions, posed.center, start, rough, state, &mut tally, watch)?;
             }
             state.extra = fit.extra(&turns, pool);
@@ -150,7 +150,7 @@ impl PoseSolve<'_> {
         }
         if let Some(rigid) = &rig.rigid {
             rig.make_regions_rigid(body, &mut state.x);
-            let start = solver::Start::Given;
+            let start = solver::InitialGuess::Given;
             stats = self.run(rigid, posed.center, start, 0.0, state, &mut tally, watch)?;
         }
 
@@ -180,12 +180,12 @@ impl PoseSolve<'_> {
         &self,
         constrained: &ConstrainedSystem,
         center: DVec3,
-        start: solver::Start<'_>,
+        start: solver::InitialGuess<'_>,
         rough: f64,
         state: &mut SolveState,
         tally: &mut SolveTally,
         watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
-    ) -> Result<solver::Stats, Error> {
+    ) -> Result<solver::SolveStats, Error> {
         let Self { rig, body, request, .. } = *self;
         let unit_per_diagonal = body.unit / body.diagonal;
         let options = SolveOptions {
@@ -219,8 +219,8 @@ impl PoseSolve<'_> {
                 };
                 tally.stopped = !watch(&cycle);
                 match tally.stopped || (iteration.index > 1 && cycle.max_error <= rough) {
-                    true => Control::Stop,
-                    false => Control::Continue,
+                    true => SolveControl::Stop,
+                    false => SolveControl::Continue,
                 }
             },
         )?;

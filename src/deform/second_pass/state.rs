@@ -26,7 +26,7 @@ impl SolveState {
     pub fn bytes(&self) -> usize {
         (self.x.capacity() + self.rhs.capacity()) * 8
             + self.extra.capacity() * 16
-            + self.workspace.bytes()
+            + self.workspace.byte_size()
             + self.space.as_ref().map_or(0, |space| space.bytes())
     }
 

@@ -53,7 +53,7 @@ pub(super) async fn sample(_: Caller, headers: HeaderMap) -> Result<Response, Pr
     let etag = sample::etag(&bytes);
     let download = Download {
         bytes,
-        media_type: crate::asset::Format::Glb.media_type(),
+        media_type: crate::asset::Format::GLB.media_type(),
         etag,
         file_name: format!("{}.glb", sample::NAME),
     };

@@ -1,6 +1,6 @@
 //! Direct solution of small dense systems.
 
-use crate::lanes::{WIDTH, Wide};
+use crate::lanes::{WIDTH, WideLanes};
 
 /// A pivot below this part of its diagonal entry belongs to a part of the graph that nothing holds.
 const SINGULAR: f64 = 1e-9;
@@ -66,7 +66,7 @@ impl Inverse {
 
     /// Row `i` of the inverse times `b`.
     #[inline]
-    pub(crate) fn row_times(&self, i: usize, b: &[Wide]) -> Wide {
+    pub(crate) fn row_times(&self, i: usize, b: &[WideLanes]) -> WideLanes {
         let mut sum = [0.0; WIDTH];
         for (a, b) in self.entries[i * self.size..(i + 1) * self.size].iter().zip(b) {
             for c in 0..WIDTH {
@@ -76,7 +76,7 @@ impl Inverse {
         sum
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         8 * self.entries.len()
     }
 }
@@ -122,7 +122,7 @@ mod tests {
             let a = laplacian(n, 0.5);
             let inverse = Inverse::new(a.clone(), n);
             for k in 0..n {
-                let column: Vec<Wide> = (0..n).map(|i| [a[i * n + k], 0.0, -a[i * n + k], 0.0]).collect();
+                let column: Vec<WideLanes> = (0..n).map(|i| [a[i * n + k], 0.0, -a[i * n + k], 0.0]).collect();
                 for i in 0..n {
                     let v = inverse.row_times(i, &column);
                     let want = f64::from(u8::from(i == k));
@@ -143,7 +143,7 @@ mod tests {
         let mut b = vec![[0.0; WIDTH]; n];
         b[2] = [1.0; WIDTH];
         b[9] = [-1.0; WIDTH];
-        let x: Vec<Wide> = (0..n).map(|i| inverse.row_times(i, &b)).collect();
+        let x: Vec<WideLanes> = (0..n).map(|i| inverse.row_times(i, &b)).collect();
         for i in 0..n {
             let ax: f64 = (0..n).map(|j| a[i * n + j] * x[j][1]).sum();
             assert!((ax - b[i][1]).abs() < 1e-9, "row {i}: {ax}");

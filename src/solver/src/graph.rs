@@ -1,15 +1,15 @@
 //! The weighted graph that the solver works on.
 
 use crate::error::Error;
-use crate::threads::{Threads, piece, pieces};
+use crate::threads::{Parallelism, piece, pieces};
 
 /// A symmetric weighted graph in compressed rows.
 ///
 /// Row `i` lists the neighbours `neighbours[offsets[i]..offsets[i + 1]]`, strictly ascending, without `i` itself. For
-/// every entry `(i, j)` there is an entry `(j, i)` of the same weight. [`Graph::check`] verifies all of this;
+/// every entry `(i, j)` there is an entry `(j, i)` of the same weight. [`WeightedGraph::check`] verifies all of this;
 /// [`Hierarchy::build`](super::Hierarchy::build) checks what memory safety needs and trusts the symmetry.
 #[derive(Debug, Clone, Copy)]
-pub struct Graph<'a> {
+pub struct WeightedGraph<'a> {
     /// Where each row begins, `vertices + 1` entries, first 0.
     pub offsets: &'a [u32],
     /// Neighbours of all rows, one after the other.
@@ -20,7 +20,7 @@ pub struct Graph<'a> {
     pub positions: Option<&'a [[f64; 3]]>,
 }
 
-impl Graph<'_> {
+impl WeightedGraph<'_> {
     /// Number of vertices.
     pub fn vertices(&self) -> usize {
         self.offsets.len().saturating_sub(1)
@@ -30,7 +30,7 @@ impl Graph<'_> {
     ///
     /// # Errors
     /// [`Error::Invalid`] names the first row that breaks a rule.
-    pub(crate) fn check_rows(&self, threads: Threads) -> Result<(), Error> {
+    pub(crate) fn check_rows(&self, threads: Parallelism) -> Result<(), Error> {
         let invalid = |text: String| Err(Error::Invalid(text));
         let n = self.vertices();
         if self.offsets.is_empty() || self.offsets[0] != 0 {
@@ -91,11 +91,11 @@ impl Graph<'_> {
             self.offsets.get(n).map(|&end| end as usize),
         );
         if n >= u32::MAX as usize || ends != (Some(0), Some(self.neighbours.len())) {
-            return self.check_rows(Threads::one());
+            return self.check_rows(Parallelism::one());
         }
         let fits = |len: Option<usize>, want: usize| len.is_none_or(|len| len == want);
         if !fits(self.weights.map(<[f32]>::len), self.neighbours.len()) || !fits(self.positions.map(<[_]>::len), n) {
-            return self.check_rows(Threads::one());
+            return self.check_rows(Parallelism::one());
         }
         for i in vertices.iter().map(|&v| v as usize) {
             if !self.are_sound(i..i + 1) {
@@ -172,7 +172,7 @@ impl Graph<'_> {
     /// # Errors
     /// [`Error::Invalid`] names the first place that breaks a rule.
     pub fn check(&self) -> Result<(), Error> {
-        self.check_rows(Threads::one())?;
+        self.check_rows(Parallelism::one())?;
         // Rows ascend and are read in order, so the transpose of a symmetric graph appears in its own order.
         let mut cursor: Vec<u32> = self.offsets[..self.vertices()].to_vec();
         for i in 0..self.vertices() {
@@ -200,14 +200,14 @@ impl Graph<'_> {
 mod tests {
     use super::*;
 
-    const PATH: Graph<'static> = Graph {
+    const PATH: WeightedGraph<'static> = WeightedGraph {
         offsets: &[0, 1, 3, 4],
         neighbours: &[1, 0, 2, 1],
         weights: None,
         positions: None,
     };
 
-    fn text(graph: Graph<'_>) -> String {
+    fn text(graph: WeightedGraph<'_>) -> String {
         graph.check().unwrap_err().to_string()
     }
 
@@ -215,7 +215,7 @@ mod tests {
     fn a_symmetric_graph_passes() {
         assert_eq!(PATH.check(), Ok(()));
         assert_eq!(
-            Graph {
+            WeightedGraph {
                 offsets: &[0],
                 neighbours: &[],
                 ..PATH
@@ -227,51 +227,51 @@ mod tests {
 
     #[test]
     fn broken_rows_are_named() {
-        assert!(text(Graph { offsets: &[], ..PATH }).contains("begin with 0"));
+        assert!(text(WeightedGraph { offsets: &[], ..PATH }).contains("begin with 0"));
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 offsets: &[0, 1, 3, 5],
                 ..PATH
             })
             .contains("end at 5")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 offsets: &[0, 3, 1, 4],
                 ..PATH
             })
             .contains("row 0")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 offsets: &[0, 9, 3, 4],
                 ..PATH
             })
             .contains("row 0")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 neighbours: &[1, 0, 3, 1],
                 ..PATH
             })
             .contains("neighbour 3")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 neighbours: &[1, 2, 0, 1],
                 ..PATH
             })
             .contains("row 1")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 neighbours: &[0, 0, 2, 1],
                 ..PATH
             })
             .contains("row 0")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 neighbours: &[2, 0, 2, 1],
                 ..PATH
             })
@@ -282,28 +282,28 @@ mod tests {
     #[test]
     fn bad_weights_and_positions_are_named() {
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 weights: Some(&[1.0; 3]),
                 ..PATH
             })
             .contains("3 weights for 4")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 weights: Some(&[1.0, 1.0, 0.0, 1.0]),
                 ..PATH
             })
             .contains("weight 2")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 weights: Some(&[1.0, 1.0, 2.0, 1.0]),
                 ..PATH
             })
             .contains("two different weights")
         );
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 positions: Some(&[[0.0; 3]; 2]),
                 ..PATH
             })
@@ -311,7 +311,7 @@ mod tests {
         );
         let nan = [[0.0; 3], [0.0, f64::NAN, 0.0], [0.0; 3]];
         assert!(
-            text(Graph {
+            text(WeightedGraph {
                 positions: Some(&nan),
                 ..PATH
             })

@@ -12,7 +12,7 @@ pub(crate) const WIDTH: usize = 4;
 pub(crate) struct Lanes(pub [f32; WIDTH]);
 
 /// One row of up to four columns in double precision.
-pub(crate) type Wide = [f64; WIDTH];
+pub(crate) type WideLanes = [f64; WIDTH];
 
 impl Lanes {
     pub(crate) const ZERO: Lanes = Lanes([0.0; WIDTH]);
@@ -23,12 +23,12 @@ impl Lanes {
     }
 
     #[inline(always)]
-    pub(crate) fn from_wide(v: Wide) -> Lanes {
+    pub(crate) fn from_wide(v: WideLanes) -> Lanes {
         Lanes([v[0] as f32, v[1] as f32, v[2] as f32, v[3] as f32])
     }
 
     #[inline(always)]
-    pub(crate) fn wide(self) -> Wide {
+    pub(crate) fn wide(self) -> WideLanes {
         let a = self.0;
         [f64::from(a[0]), f64::from(a[1]), f64::from(a[2]), f64::from(a[3])]
     }
@@ -99,13 +99,13 @@ impl SubAssign for Lanes {
 
 /// Adds `b` to `a` lane by lane.
 #[inline(always)]
-pub(crate) fn add_wide(a: &mut Wide, b: Wide) {
+pub(crate) fn add_wide(a: &mut WideLanes, b: WideLanes) {
     for c in 0..WIDTH {
         a[c] += b[c];
     }
 }
 
-pub(crate) fn per_lane(mut value: impl FnMut(usize) -> f64) -> Wide {
+pub(crate) fn per_lane(mut value: impl FnMut(usize) -> f64) -> WideLanes {
     [value(0), value(1), value(2), value(3)]
 }
 
@@ -119,27 +119,27 @@ pub(crate) fn ratio(a: f64, b: f64) -> f64 {
 ///
 /// This is the solver's one unsafe tool. A Gauss–Seidel sweep writes the rows of one block while it reads rows of
 /// blocks of other colours, which borrows cannot express.
-pub(crate) struct Shared<'a, T> {
+pub(crate) struct SharedRows<'a, T> {
     pointer: *mut T,
     len: usize,
     marker: PhantomData<&'a mut [T]>,
 }
 
-// SAFETY: a `Shared` only hands out elements through unsafe functions whose callers promise that no element is written
+// SAFETY: a `SharedRows` only hands out elements through unsafe functions whose callers promise that no element is written
 // by one thread while another one uses it.
-unsafe impl<T: Send + Sync> Send for Shared<'_, T> {}
+unsafe impl<T: Send + Sync> Send for SharedRows<'_, T> {}
 // SAFETY: as above.
-unsafe impl<T: Send + Sync> Sync for Shared<'_, T> {}
+unsafe impl<T: Send + Sync> Sync for SharedRows<'_, T> {}
 
-impl<T> Clone for Shared<'_, T> {
+impl<T> Clone for SharedRows<'_, T> {
     fn clone(&self) -> Self {
         *self
     }
 }
 
-impl<T> Copy for Shared<'_, T> {}
+impl<T> Copy for SharedRows<'_, T> {}
 
-impl<'a, T: Copy> Shared<'a, T> {
+impl<'a, T: Copy> SharedRows<'a, T> {
     /// Takes the whole slice for as long as the borrow lasts.
     pub(crate) fn new(slice: &'a mut [T]) -> Self {
         Self {

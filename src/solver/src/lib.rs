@@ -28,7 +28,7 @@
 //! ratio φ of the flow that they carry under an affine field and the flow that one edge of weight S between the
 //! centroids would carry, kept within 0.3 and 1. Every level thus has equations of the same form (12), and corrections
 //! have the right size by construction. The paper's own operators, (14) with (19), prune the edges between vertices
-//! that are not kept; on volume graphs that drops two thirds of them, and the cycle diverges. [`Operators::Paper`] selects
+//! that are not kept; on volume graphs that drops two thirds of them, and the cycle diverges. [`CoarseOperators::Paper`] selects
 //! the paper's operators all the same, in the reading that comes closest to what it reports; see the page of `paper`.
 //!
 //! # Constraints come last
@@ -36,7 +36,7 @@
 //! The hierarchy holds *all* vertices. [`Hierarchy::constrain`] turns a set of constraints into masks: a fixed vertex
 //! has correction 0 on every level, an aggregate of fixed vertices is itself fixed one level up, and one with free and
 //! fixed members is tied by the weights between them, which become part of its α. So a new handle costs a fraction of
-//! a build, and several [`System`]s (one for the fields, one for the positions) share one hierarchy. Edges from the
+//! a build, and several [`LinearSystem`]s (one for the fields, one for the positions) share one hierarchy. Edges from the
 //! free members of an aggregate to fixed ones of the same or of a fixed aggregate tie it with 0.6 of their weight: the
 //! aggregate's members near the handle hardly move while the others do, and with the whole weight corrections around
 //! tiny handles would be too short.
@@ -58,7 +58,7 @@
 //! columns go together, four at a time, each with its own step lengths. Cycles run in single precision; the residual
 //! is renewed in double precision as often as needed to reach any tolerance that f64 allows.
 //!
-//! [`Start::FullMultigrid`] solves the original equations on the coarsest level first and brings the solution down
+//! [`InitialGuess::FullMultigrid`] solves the original equations on the coarsest level first and brings the solution down
 //! (the paper's figure 4). The affine prolongation (14) lives on in its patches: each coarse vertex carries its
 //! members along, rotated and scaled.
 //!
@@ -75,7 +75,7 @@
 //! refers to and entries of weight 0.
 //!
 //! When multigrid does not converge (weights over many orders of magnitude), plain conjugate gradients take over and
-//! [`Stats::method`] says so. Up to 200 free vertices are solved directly.
+//! [`SolveStats::method`] says so. Up to 200 free vertices are solved directly.
 //!
 //! # Promises
 //!
@@ -92,9 +92,9 @@
 //! use pliant_solver::exec::Exec;
 //! use pliant_solver::pool::Pool;
 //! use pliant_solver::progress::Silent;
-//! use pliant_solver::{BuildOptions, Constraints, Control, Graph, Hierarchy, SolveOptions, Workspace};
+//! use pliant_solver::{BuildOptions, Constraints, SolveControl, WeightedGraph, Hierarchy, SolveOptions, Workspace};
 //!
-//! let graph = Graph {
+//! let graph = WeightedGraph {
 //!     offsets: &[0, 1, 3, 5, 7, 8],
 //!     neighbours: &[1, 0, 2, 1, 3, 2, 4, 3],
 //!     weights: None,
@@ -111,7 +111,7 @@
 //! let options = SolveOptions { tolerance: Some(1e-9), ..SolveOptions::default() };
 //! let mut workspace = Workspace::default();
 //! let stats = system.solve(
-//!     &hierarchy, 2, &rhs, &mut x, &options, &mut workspace, &Exec::new(&pool, &Silent), &mut |_| Control::Continue,
+//!     &hierarchy, 2, &rhs, &mut x, &options, &mut workspace, &Exec::new(&pool, &Silent), &mut |_| SolveControl::Continue,
 //! )?;
 //! assert!(stats.converged);
 //! let expected = [0.0, 0.0, 1.0, -1.5, 2.0, -2.0, 3.0, -1.5, 4.0, 0.0];
@@ -141,9 +141,11 @@ mod testing;
 mod threads;
 
 pub use build::Hierarchy;
-pub use constrain::System;
+pub use constrain::LinearSystem;
 pub use error::Error;
-pub use graph::Graph;
-pub use options::{BuildOptions, Constraints, LevelFacts, Method, Operators, SolveOptions, Start, Stats};
-pub use repair::{Change, Repair};
-pub use solve::{Control, Iteration, Workspace};
+pub use graph::WeightedGraph;
+pub use options::{
+    BuildOptions, CoarseOperators, Constraints, InitialGuess, LevelSize, SolveMethod, SolveOptions, SolveStats,
+};
+pub use repair::{GraphChange, RepairReport};
+pub use solve::{IterationReport, SolveControl, Workspace};

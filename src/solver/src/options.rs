@@ -2,12 +2,12 @@
 
 /// Which coarse equations a hierarchy uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Operators {
+pub enum CoarseOperators {
     /// A finite-volume re-discretisation of the graph Laplacian on aggregates (see the module page). Needs no tuning.
     #[default]
     FiniteVolume,
     /// The operators of the paper's section 5.3, equations (14) to (22), for comparison. They converge slowly on volume
-    /// graphs; conjugate gradients then finish the work and [`Stats::method`] says so. Constraints cost a whole build.
+    /// graphs; conjugate gradients then finish the work and [`SolveStats::method`] says so. Constraints cost a whole build.
     Paper,
 }
 
@@ -15,13 +15,13 @@ pub enum Operators {
 #[derive(Debug, Clone, PartialEq)]
 pub struct BuildOptions {
     /// Which coarse equations to use.
-    pub operators: Operators,
+    pub operators: CoarseOperators,
     /// The paper's r: seeds that are neighbours lie further apart than (mean edge length) · r^(−1/3). Above 0, at
     /// most 1. Smaller means fewer coarse vertices. Without positions it has no effect.
     pub coarsening: f64,
     /// Coarsening stops once a level has at most this many vertices; they are then solved directly. 1 to 1000.
     pub coarsest: usize,
-    /// With [`Operators::Paper`]: conjugate-gradient steps after each V-cycle (the paper's section 6). `None` means as
+    /// With [`CoarseOperators::Paper`]: conjugate-gradient steps after each V-cycle (the paper's section 6). `None` means as
     /// the paper recommends: two where a tolerance of 1e-5 or less is asked for, else none. At most 100.
     pub interleave: Option<usize>,
 }
@@ -29,7 +29,7 @@ pub struct BuildOptions {
 impl Default for BuildOptions {
     fn default() -> Self {
         Self {
-            operators: Operators::FiniteVolume,
+            operators: CoarseOperators::FiniteVolume,
             coarsening: 0.1,
             coarsest: 200,
             interleave: None,
@@ -39,7 +39,7 @@ impl Default for BuildOptions {
 
 /// Size of one level of a hierarchy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct LevelFacts {
+pub struct LevelSize {
     /// Vertices of the level, constrained ones included.
     pub vertices: usize,
     /// Undirected edges of the level.
@@ -57,7 +57,7 @@ pub struct Constraints<'a> {
 
 /// Where the iteration begins.
 #[derive(Debug, Clone, Copy, Default)]
-pub enum Start<'a> {
+pub enum InitialGuess<'a> {
     /// Free vertices begin at 0; what `x` holds there is not read.
     #[default]
     Zero,
@@ -78,7 +78,7 @@ pub enum Start<'a> {
 #[derive(Debug, Clone)]
 pub struct SolveOptions<'a> {
     /// Where the iteration begins.
-    pub start: Start<'a>,
+    pub start: InitialGuess<'a>,
     /// Largest ‖b − A x‖₂ / ‖b‖₂ of any column, where b is the right-hand side with fixed values moved into it
     /// (the paper's β of equation (11)).
     pub tolerance: Option<f64>,
@@ -92,7 +92,7 @@ pub struct SolveOptions<'a> {
 impl Default for SolveOptions<'_> {
     fn default() -> Self {
         Self {
-            start: Start::Zero,
+            start: InitialGuess::Zero,
             tolerance: Some(1e-4),
             max_error: None,
             max_iterations: 200,
@@ -102,7 +102,7 @@ impl Default for SolveOptions<'_> {
 
 /// Which algorithm produced the solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Method {
+pub enum SolveMethod {
     /// Nothing was free.
     Trivial,
     /// Few enough free vertices for a dense factorisation.
@@ -117,7 +117,7 @@ pub enum Method {
 
 /// What a solve did.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Stats {
+pub struct SolveStats {
     /// Iterations of the group of columns that took most.
     pub iterations: usize,
     /// Relative residual, the largest column.
@@ -129,7 +129,7 @@ pub struct Stats {
     /// Observed reduction of the residual per iteration (geometric mean, slowest group); 0 without iterations.
     pub factor: f64,
     /// The algorithm (the last resort that any column needed).
-    pub method: Method,
+    pub method: SolveMethod,
     /// True if `watch` asked to stop before the criteria held.
     pub stopped: bool,
     /// True if all criteria that were given hold.

@@ -1,10 +1,10 @@
 //! Numbers that every room shares about how rows are stored, and vectors with room to grow.
 
 /// No aggregate: the row has no neighbours, so its own equation already determines it. Also: no vertex, a row of filling.
-pub(crate) const NONE: u32 = u32::MAX;
+pub(crate) const NO_ROW: u32 = u32::MAX;
 
 /// Rows that are swept together. No two of them are adjacent.
-pub(crate) const BUNDLE: usize = 4;
+pub(crate) const SLICE_ROWS: usize = 4;
 
 /// One part in this many of a vector is kept as room for more.
 pub(crate) const SLACK: usize = 16;

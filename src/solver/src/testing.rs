@@ -1,24 +1,24 @@
 //! Small graphs and hierarchies for unit tests.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::constrain::system::System;
+use crate::constrain::system::LinearSystem;
 use crate::exec::Exec;
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::options::{BuildOptions, Constraints};
 use crate::pool::Pool;
 use crate::progress::Silent;
 
 /// A block of a cubic lattice, 26 neighbours inside.
-pub(crate) struct Block {
+pub(crate) struct BoxLattice {
     pub(crate) offsets: Vec<u32>,
     pub(crate) neighbours: Vec<u32>,
     pub(crate) weights: Option<Vec<f32>>,
     pub(crate) positions: Vec<[f64; 3]>,
 }
 
-impl Block {
-    pub(crate) fn new(nx: i32, ny: i32, nz: i32) -> Block {
-        let mut block = Block {
+impl BoxLattice {
+    pub(crate) fn new(nx: i32, ny: i32, nz: i32) -> BoxLattice {
+        let mut block = BoxLattice {
             offsets: vec![0],
             neighbours: Vec::new(),
             weights: None,
@@ -45,7 +45,7 @@ impl Block {
     }
 
     /// Weights between 1/8 and 8 that depend on the pair of ids.
-    pub(crate) fn weighted(mut self) -> Block {
+    pub(crate) fn weighted(mut self) -> BoxLattice {
         let n = self.positions.len();
         let weight = |a: u32, b: u32| (1 + (a.min(b) * 31 + a.max(b) * 17) % 64) as f32 / 8.0;
         let row = |i: usize| self.offsets[i] as usize..self.offsets[i + 1] as usize;
@@ -56,8 +56,8 @@ impl Block {
         self
     }
 
-    pub(crate) fn view(&self) -> Graph<'_> {
-        Graph {
+    pub(crate) fn view(&self) -> WeightedGraph<'_> {
+        WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
             weights: self.weights.as_deref(),
@@ -74,7 +74,7 @@ impl Block {
     }
 
     /// The first vertices, those of the plane i = 0, are fixed.
-    pub(crate) fn system(&self, hierarchy: &Hierarchy) -> System {
+    pub(crate) fn system(&self, hierarchy: &Hierarchy) -> LinearSystem {
         let fixed: Vec<bool> = self.positions.iter().map(|p| p[0] == 0.0).collect();
         hierarchy
             .constrain(

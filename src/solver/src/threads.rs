@@ -9,14 +9,14 @@ use crate::pool::Pool;
 /// Whether loops may use more than one thread. Every loop below writes disjoint outputs, so the answer never shows in
 /// the results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Threads {
+pub(crate) struct Parallelism {
     parallel: bool,
 }
 
 /// Rows below which starting other threads costs more than it saves.
 const WORTHWHILE: usize = 8192;
 
-impl Threads {
+impl Parallelism {
     pub(crate) fn of(pool: &Pool) -> Self {
         Self {
             parallel: pool.threads() > 1,

@@ -1,14 +1,14 @@
 //! Once its workspace has grown, a solve asks the allocator for nothing: counted by an allocator that counts.
 //!
-//! One thread: the returned [`Stats::residuals`](pliant_solver::Stats::residuals) is the only memory asked for. More
+//! One thread: the returned [`SolveStats::residuals`](pliant_solver::SolveStats::residuals) is the only memory asked for. More
 //! threads: what handing out work costs, which is bounded per iteration. A pool of one thread is never entered, so a
 //! solve on it allocates nothing on its behalf either, from whichever thread it is called.
 
-use case::{Case, to, twist};
+use case::{SolverCase, to, twist};
 use graphs::{lattice, surface};
 use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
-use pliant_solver::{Control, Iteration, Method, SolveOptions, Start, Stats, Workspace};
+use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveMethod, SolveOptions, SolveStats, Workspace};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Mutex;
@@ -22,7 +22,7 @@ mod case;
 mod graphs;
 
 /// Hands everything to the system's allocator, and counts while [`COUNTING`].
-struct Counter;
+struct CountingAllocator;
 
 static COUNTING: AtomicBool = AtomicBool::new(false);
 static CALLS: AtomicUsize = AtomicUsize::new(0);
@@ -35,7 +35,7 @@ thread_local! {
     static TRACING: Cell<bool> = const { Cell::new(false) };
 }
 
-impl Counter {
+impl CountingAllocator {
     fn count(size: usize) {
         if !COUNTING.load(SeqCst) || TRACING.get() {
             return;
@@ -58,7 +58,7 @@ impl Counter {
 }
 
 // SAFETY: every call goes to the system's allocator as it came.
-unsafe impl GlobalAlloc for Counter {
+unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         Self::count(layout.size());
         // SAFETY: by the caller's promise.
@@ -84,25 +84,25 @@ unsafe impl GlobalAlloc for Counter {
 }
 
 #[global_allocator]
-static ALLOCATOR: Counter = Counter;
+static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// What the third of three equal solves asked for.
 struct Asked {
     calls: usize,
     bytes: usize,
     traces: Vec<String>,
-    stats: Stats,
+    stats: SolveStats,
 }
 
-fn third_solve(case: &Case, columns: usize, rhs: &[f64], from: &[f64], options: &SolveOptions<'_>) -> Asked {
+fn third_solve(case: &SolverCase, columns: usize, rhs: &[f64], from: &[f64], options: &SolveOptions<'_>) -> Asked {
     let mut workspace = Workspace::default();
     let (mut x, mut shown) = (from.to_vec(), from.to_vec());
     let mut asked = None;
     for round in 0..3 {
         x.copy_from_slice(from);
-        let mut watch = |iteration: &Iteration<'_>| {
+        let mut watch = |iteration: &IterationReport<'_>| {
             iteration.copy_to(&mut shown);
-            Control::Continue
+            SolveControl::Continue
         };
         CALLS.store(0, SeqCst);
         BYTES.store(0, SeqCst);
@@ -129,7 +129,7 @@ fn third_solve(case: &Case, columns: usize, rhs: &[f64], from: &[f64], options: 
 }
 
 /// One kind of solve.
-struct Kind<'a> {
+struct CountedSolve<'a> {
     name: &'static str,
     columns: usize,
     rhs: Vec<f64>,
@@ -138,11 +138,11 @@ struct Kind<'a> {
 }
 
 /// Cold, warm and full-multigrid solves, to residuals that single precision reaches and beyond, and to errors.
-fn kinds<'a>(case: &Case, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
+fn kinds<'a>(case: &SolverCase, frames: &'a [[f32; 9]]) -> Vec<CountedSolve<'a>> {
     let (rhs, start, _) = twist(case, 1.0);
     let mut near = start.clone();
     case.solve_to(3, &rhs, &mut near, 1e-3);
-    let full = Start::FullMultigrid {
+    let full = InitialGuess::FullMultigrid {
         frames: Some(frames),
         rest: None,
     };
@@ -151,7 +151,7 @@ fn kinds<'a>(case: &Case, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
         max_error: Some(1e-4),
         ..SolveOptions::default()
     };
-    let kind = |name, from: &Vec<f64>, start, options: SolveOptions<'a>| Kind {
+    let kind = |name, from: &Vec<f64>, start, options: SolveOptions<'a>| CountedSolve {
         name,
         columns: 3,
         rhs: rhs.clone(),
@@ -159,15 +159,15 @@ fn kinds<'a>(case: &Case, frames: &'a [[f32; 9]]) -> Vec<Kind<'a>> {
         options: SolveOptions { start, ..options },
     };
     let mut kinds = vec![
-        kind("zero to 1e-3", &start, Start::Zero, to(1e-3)),
-        kind("zero to 1e-9", &start, Start::Zero, to(1e-9)),
-        kind("warm to 1e-6", &near, Start::Given, to(1e-6)),
-        kind("warm to an error", &near, Start::Given, error.clone()),
+        kind("zero to 1e-3", &start, InitialGuess::Zero, to(1e-3)),
+        kind("zero to 1e-9", &start, InitialGuess::Zero, to(1e-9)),
+        kind("warm to 1e-6", &near, InitialGuess::Given, to(1e-6)),
+        kind("warm to an error", &near, InitialGuess::Given, error.clone()),
         kind("full multigrid to 1e-4", &start, full, to(1e-4)),
         kind("full multigrid to an error", &start, full, error),
     ];
     // Two groups of columns.
-    kinds.push(Kind {
+    kinds.push(CountedSolve {
         name: "five columns",
         columns: 5,
         rhs: (0..5 * case.n()).map(|k| (k % 11) as f64 - 5.0).collect(),
@@ -183,14 +183,23 @@ fn one_thread() {
     let loose = lattice(12, 12, 12);
     let few = lattice(9, 9, 9);
     let cases = [
-        ("lattice", Case::ends(lattice(16, 16, 20), 2)),
-        ("surface", Case::ends(surface(80, 90), 0)),
-        ("weighted", Case::ends(lattice(12, 12, 16).weighted(-1.0, 1.0, 5), 2)),
-        ("soft", Case::new(soft.clone(), vec![false; soft.len()], Some(pulls), 1)),
-        ("loose", Case::new(loose.clone(), vec![false; loose.len()], None, 1)),
+        ("lattice", SolverCase::ends(lattice(16, 16, 20), 2)),
+        ("surface", SolverCase::ends(surface(80, 90), 0)),
+        (
+            "weighted",
+            SolverCase::ends(lattice(12, 12, 16).weighted(-1.0, 1.0, 5), 2),
+        ),
+        (
+            "soft",
+            SolverCase::new(soft.clone(), vec![false; soft.len()], Some(pulls), 1),
+        ),
+        (
+            "loose",
+            SolverCase::new(loose.clone(), vec![false; loose.len()], None, 1),
+        ),
         (
             "direct",
-            Case::new(few.clone(), (0..few.len()).map(|i| i % 12 != 1).collect(), None, 1),
+            SolverCase::new(few.clone(), (0..few.len()).map(|i| i % 12 != 1).collect(), None, 1),
         ),
     ];
     for (name, case) in &cases {
@@ -205,7 +214,12 @@ fn one_thread() {
                 kind.name, asked.calls
             );
             assert!(iterations > 0, "{name}, {}: something is solved", kind.name);
-            assert_ne!(asked.stats.method, Method::ConjugateGradients, "{name}, {}", kind.name);
+            assert_ne!(
+                asked.stats.method,
+                SolveMethod::ConjugateGradients,
+                "{name}, {}",
+                kind.name
+            );
             assert_eq!(
                 (asked.calls, asked.bytes),
                 (1, 8 * kind.columns),
@@ -225,7 +239,7 @@ fn more_threads() {
     for threads in [2, 4] {
         let graph = lattice(26, 26, 30);
         let fixed = graph.ends(2, 0.9);
-        let case = Case::new(graph, fixed, None, threads);
+        let case = SolverCase::new(graph, fixed, None, threads);
         let (_, _, frames) = twist(&case, 1.0);
         for mut kind in kinds(&case, &frames) {
             kind.from.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = 0.0);

@@ -25,7 +25,7 @@ fn real_gltf_files_come_back_as_they_were_edited_and_valid() {
     let (mut pairs, mut all) = (Vec::new(), Vec::new());
     for (i, (path, model)) in models("edited glTF files").iter().enumerate() {
         let name = path.display().to_string();
-        for (subdivide, format) in [(true, Format::Glb), (false, Format::Gltf)] {
+        for (subdivide, format) in [(true, Format::GLB), (false, Format::GLTF)] {
             let edited = Edited::of(model, subdivide);
             let written = match edited.write(model, format) {
                 Ok(written) => written,
@@ -82,7 +82,7 @@ fn merged_models_bring_their_materials_and_stand_where_they_were_put() {
     let models = models("merged glTF files");
     let folder = tempfile::tempdir().expect("a temporary folder");
     let (mut pairs, mut all) = (Vec::new(), Vec::new());
-    let first = open(figure(), Format::Glb);
+    let first = open(figure(), Format::GLB);
     let start = folder.path().join("first.glb");
     std::fs::write(&start, figure()).expect("a writable folder");
     all.push(start.clone());
@@ -99,19 +99,19 @@ fn merged_models_bring_their_materials_and_stand_where_they_were_put() {
         edited.merge(&other);
         let bases = [
             at_rest(&first),
-            Base {
+            BaseModel {
                 model,
                 world_from_model: put,
             },
         ];
-        let written = match write_remade(&edited.remade(&bases), &edited.positions, Format::Glb) {
+        let written = match write_edited_model(&edited.remade(&bases), &edited.positions, Format::GLB) {
             Ok(written) => written,
             Err(e) => {
                 assert!(e.to_string().contains("flattens"), "{name}: {e}");
                 continue;
             }
         };
-        let again = read_back(&written, Format::Glb);
+        let again = read_back(&written, Format::GLB);
         assert_eq!(again.triangles.len(), edited.triangles.len(), "{name}");
         let tolerance = 2e-6 * size(&edited.positions).max(size(&model.positions));
         let off = again

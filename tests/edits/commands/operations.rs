@@ -27,7 +27,7 @@ fn sound(bench: &mut Deformer, outcome: &EditOutcome) {
     let triangles = bench.geometry().triangles.clone();
     triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
     assert!(used.iter().all(|u| *u), "no vertex is left over");
-    for format in [Format::Glb, Format::Ply] {
+    for format in [Format::GLB, Format::PLY] {
         let back = read_back(bench, format);
         assert_eq!(back.triangles.len(), triangles.len(), "{format}");
     }
@@ -237,7 +237,7 @@ fn another_model_is_welded_or_stitched_on() {
     // The same bar without its bottom, upon the first one without its top.
     let mut donor = held();
     edited(&mut donor, &delete(half_space([0.0, 0.0, -1.0], 2.0 - 1e-9), false));
-    let upper = donor.write(donor.rest(), Format::Obj).expect("written").main;
+    let upper = donor.write(donor.rest(), Format::OBJ).expect("written").main;
     let lid = delete(half_space([0.0, 0.0, 1.0], 2.0 - 1e-9), false);
     for (how, gap) in [(merge::How::Weld, 4.0), (merge::How::Stitch, 4.3)] {
         let mut bench = held();

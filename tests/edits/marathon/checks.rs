@@ -191,10 +191,10 @@ fn curve(bench: &Deformer, curve: &[u32]) {
 
 /// What is written is read back, and all its numbers are finite.
 pub fn written(bench: &Deformer, shape: &[DVec3]) {
-    let written = bench.write(shape, Format::Glb).expect("written");
+    let written = bench.write(shape, Format::GLB).expect("written");
     finite(&written.main);
     let files = FileSet::single("back.glb", written.main);
-    let back = Model::read(files, Some(Format::Glb), &Limits::default()).expect("read back");
+    let back = Model::read(files, Some(Format::GLB), &Limits::default()).expect("read back");
     assert_eq!(back.triangles.len(), bench.geometry().triangles.len());
     assert_eq!(back.positions.len(), shape.len());
 }

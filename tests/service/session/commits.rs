@@ -166,7 +166,7 @@ async fn a_call_that_fails_changes_nothing() {
         (422, Some("options.tolerance"))
     );
     let error = manager
-        .export(tenant(), &id, Some(Format::Stl))
+        .export(tenant(), &id, Some(Format::STL))
         .await
         .expect_err("cannot be written");
     assert_eq!(error.http_status(), 422);
@@ -239,12 +239,12 @@ async fn exports_and_positions_are_of_the_committed_shape() {
         2.0
     );
     let own = manager.export(tenant(), &id, None).await.expect("written");
-    assert!(own.format == Format::Obj && own.written.main.starts_with(b"obj [DVec3(2.0"));
-    let other = manager.export(tenant(), &id, Some(Format::Ply)).await.expect("written");
+    assert!(own.format == Format::OBJ && own.written.main.starts_with(b"obj [DVec3(2.0"));
+    let other = manager.export(tenant(), &id, Some(Format::PLY)).await.expect("written");
     assert!(own.etag != other.etag && own.etag.starts_with('"') && own.etag.ends_with('"'));
     assert_eq!(
         manager
-            .export_etag(tenant(), &id, Some(Format::Ply))
+            .export_etag(tenant(), &id, Some(Format::PLY))
             .await
             .expect("open"),
         other.etag
@@ -255,7 +255,7 @@ async fn exports_and_positions_are_of_the_committed_shape() {
         .expect("solved");
     assert_ne!(
         manager
-            .export_etag(tenant(), &id, Some(Format::Ply))
+            .export_etag(tenant(), &id, Some(Format::PLY))
             .await
             .expect("open"),
         other.etag

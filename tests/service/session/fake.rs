@@ -6,7 +6,7 @@
 
 use bytes::Bytes;
 use glam::DVec3;
-use pliant::asset::{self, FileSet, Format, Written};
+use pliant::asset::{self, FileSet, Format, WrittenFiles};
 use pliant::engine::Shader;
 use pliant::engine::{DeformerLimits, HandlePoses, SolveMode, SolveUpdate, SolvedShape};
 use pliant::exec::Exec;
@@ -121,7 +121,7 @@ impl Opener for OpenFake {
                 });
             }
             _ => {
-                let (format, place) = (Format::Obj, "line 1".to_owned());
+                let (format, place) = (Format::OBJ, "line 1".to_owned());
                 return Err(asset::Error::Malformed {
                     format,
                     place,
@@ -167,7 +167,7 @@ impl Engine for Fake {
     }
 
     fn format(&self) -> Format {
-        Format::Obj
+        Format::OBJ
     }
 
     fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error> {
@@ -274,15 +274,15 @@ impl Engine for Fake {
         })
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<Written, wire::Error> {
-        if format == Format::Stl {
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, wire::Error> {
+        if format == Format::STL {
             return Err(asset::Error::Unwritable {
                 format,
                 problem: "this engine writes no stl".into(),
             }
             .into());
         }
-        Ok(Written {
+        Ok(WrittenFiles {
             main: format!("{format} {positions:?}").into_bytes(),
             ..Default::default()
         })

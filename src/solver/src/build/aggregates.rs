@@ -1,40 +1,40 @@
 //! The rows of a level in groups, each of which becomes one row of the next level.
 
-use crate::build::draft::Draft;
-use crate::lanes::Shared;
-use crate::storage::NONE;
-use crate::threads::{Threads, piece, pieces};
+use crate::build::draft::LevelDraft;
+use crate::lanes::SharedRows;
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Groups that one piece of work gathers.
 const SEED_PIECE: usize = 1024;
 
 /// How the rows of a level were grouped, which a repair goes on with.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Grouping {
+pub(crate) struct AggregationRule {
     /// Largest (squared) distance of neighbours of which only one can be a seed.
     pub(crate) reach2: f32,
     /// True if there are no seeds: see [`coarsen`](super::coarsen).
     pub(crate) paired: bool,
 }
 
-/// The rows of a [`Draft`] in groups, each of which becomes one row of the next level.
+/// The rows of a [`LevelDraft`] in groups, each of which becomes one row of the next level.
 #[derive(Debug, Default)]
-pub(crate) struct Groups {
-    /// Number of the group of each row, or [`NONE`] for a row without neighbours.
+pub(crate) struct Aggregates {
+    /// Number of the group of each row, or [`NO_ROW`] for a row without neighbours.
     pub(crate) of_row: Vec<u32>,
     /// Where the members of each group begin; ends with their number.
     pub(crate) offsets: Vec<u32>,
     /// Rows by group; the seed, if there is one, comes first.
     pub(crate) members: Vec<u32>,
-    pub(crate) grouping: Grouping,
+    pub(crate) grouping: AggregationRule,
 }
 
-impl Groups {
+impl Aggregates {
     /// Groups without seeds.
-    pub(crate) fn new(of_row: Vec<u32>, count: usize) -> Groups {
+    pub(crate) fn new(of_row: Vec<u32>, count: usize) -> Aggregates {
         let mut offsets = vec![0u32; count + 1];
         for &g in &of_row {
-            if g != NONE {
+            if g != NO_ROW {
                 offsets[g as usize + 1] += 1;
             }
         }
@@ -44,16 +44,16 @@ impl Groups {
         let mut cursor = offsets.clone();
         let mut members = vec![0u32; offsets[count] as usize];
         for (i, &g) in of_row.iter().enumerate() {
-            if g != NONE {
+            if g != NO_ROW {
                 members[cursor[g as usize] as usize] = i as u32;
                 cursor[g as usize] += 1;
             }
         }
-        let grouping = Grouping {
+        let grouping = AggregationRule {
             reach2: 0.0,
             paired: true,
         };
-        Groups {
+        Aggregates {
             of_row,
             offsets,
             members,
@@ -63,7 +63,13 @@ impl Groups {
 
     /// Groups of seeds and neighbours that have joined them; `seeds` ascend. Only the rows of seeds are
     /// read.
-    pub(crate) fn around(seeds: &[u32], of_row: Vec<u32>, reach2: f32, draft: &Draft, threads: Threads) -> Groups {
+    pub(crate) fn around(
+        seeds: &[u32],
+        of_row: Vec<u32>,
+        reach2: f32,
+        draft: &LevelDraft,
+        threads: Parallelism,
+    ) -> Aggregates {
         let count = seeds.len();
         let parts = threads.map(
             0..pieces(count, SEED_PIECE),
@@ -101,15 +107,15 @@ impl Groups {
             base += members.len() as u32;
         }
         let mut members = vec![0u32; base as usize];
-        let out = Shared::new(&mut members);
+        let out = SharedRows::new(&mut members);
         threads.each(0..parts.len(), |k| {
             let range = piece(k, count, SEED_PIECE);
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { out.rows(offsets[range.start] as usize..offsets[range.end] as usize) };
             out.copy_from_slice(&parts[k].0);
         });
-        let grouping = Grouping { reach2, paired: false };
-        Groups {
+        let grouping = AggregationRule { reach2, paired: false };
+        Aggregates {
             of_row,
             offsets,
             members,

@@ -1,7 +1,7 @@
 //! The order of rows inside a block: colours, and bundles of four rows with nearly equal numbers of neighbours.
 
-use crate::build::draft::Draft;
-use crate::storage::BUNDLE;
+use crate::build::draft::LevelDraft;
+use crate::storage::SLICE_ROWS;
 
 /// Largest colour inside a block; rows that would need a higher one are bundled one by one.
 const LAST_COLOUR: u8 = 62;
@@ -14,7 +14,7 @@ const OPEN_BUNDLES: usize = 16;
 
 /// What rows of a block are sorted by.
 #[derive(Debug, Clone, Copy, Default)]
-struct Key {
+struct SliceKey {
     class: u16,
     before: u8,
     after: u8,
@@ -25,17 +25,17 @@ struct Key {
 const WIDEST: u32 = 255;
 
 /// Scratch for ordering the rows of one block. Rows are numbered from the first of the block.
-pub(crate) struct Scratch {
+pub(crate) struct SlicePlanner {
     colours: [u8; MOST_ROWS],
     /// Classes are swept one after the other; rows of one class are not adjacent.
     classes: [u16; MOST_ROWS],
     /// Neighbours of each row that are swept before it, at first only those in blocks before this one.
     before: Vec<u32>,
     /// Left-over rows in bundles of their own.
-    rest: Vec<[u16; BUNDLE]>,
+    rest: Vec<[u16; SLICE_ROWS]>,
     stamps: Vec<u16>,
-    keys: Vec<Key>,
-    spare: Vec<Key>,
+    keys: Vec<SliceKey>,
+    spare: Vec<SliceKey>,
     tally: Vec<u16>,
     counts: [u16; LAST_COLOUR as usize + 1],
 }
@@ -43,9 +43,9 @@ pub(crate) struct Scratch {
 /// No row in this place of a bundle.
 const EMPTY: u16 = u16::MAX;
 
-impl Scratch {
-    pub(crate) fn new() -> Scratch {
-        Scratch {
+impl SlicePlanner {
+    pub(crate) fn new() -> SlicePlanner {
+        SlicePlanner {
             colours: [NO_COLOUR; MOST_ROWS],
             classes: [0; MOST_ROWS],
             before: Vec::new(),
@@ -62,7 +62,7 @@ impl Scratch {
     /// the largest number of neighbours of its rows before and after them.
     pub(crate) fn plan(
         &mut self,
-        draft: &Draft,
+        draft: &LevelDraft,
         places: &[u32],
         b: usize,
         range: std::ops::Range<usize>,
@@ -92,7 +92,7 @@ impl Scratch {
             self.before[k] = before;
             let (before, after) = (before.min(WIDEST), after.min(WIDEST));
             let after = if before % 2 == 1 { WIDEST - after } else { after };
-            self.keys.push(Key {
+            self.keys.push(SliceKey {
                 class,
                 before: before as u8,
                 after: after as u8,
@@ -100,15 +100,15 @@ impl Scratch {
             });
         }
         self.sort_keys();
-        let mut widths: Vec<[u32; 2]> = Vec::with_capacity(range.len().div_ceil(BUNDLE) + self.rest.len());
-        let (mut filled, mut last) = (BUNDLE, u16::MAX);
-        for &Key { class, row: k, .. } in &self.keys {
+        let mut widths: Vec<[u32; 2]> = Vec::with_capacity(range.len().div_ceil(SLICE_ROWS) + self.rest.len());
+        let (mut filled, mut last) = (SLICE_ROWS, u16::MAX);
+        for &SliceKey { class, row: k, .. } in &self.keys {
             let k = usize::from(k);
-            if filled == BUNDLE || class != last {
+            if filled == SLICE_ROWS || class != last {
                 widths.push([0; 2]);
                 (filled, last) = (0, class);
             }
-            slots[k] = ((widths.len() - 1) * BUNDLE + filled) as u32;
+            slots[k] = ((widths.len() - 1) * SLICE_ROWS + filled) as u32;
             filled += 1;
             let before = self.before[k];
             let after = row(k).len() as u32 - before;
@@ -121,26 +121,27 @@ impl Scratch {
 
     /// Sorts by class, then by neighbours before, then by neighbours after; equal keys keep their order.
     fn sort_keys(&mut self) {
-        let pass = |from: &[Key], to: &mut Vec<Key>, counts: &mut Vec<u16>, digit: &dyn Fn(&Key) -> usize| {
-            counts.clear();
-            for key in from {
-                let d = digit(key);
-                if counts.len() <= d + 1 {
-                    counts.resize(d + 2, 0);
+        let pass =
+            |from: &[SliceKey], to: &mut Vec<SliceKey>, counts: &mut Vec<u16>, digit: &dyn Fn(&SliceKey) -> usize| {
+                counts.clear();
+                for key in from {
+                    let d = digit(key);
+                    if counts.len() <= d + 1 {
+                        counts.resize(d + 2, 0);
+                    }
+                    counts[d + 1] += 1;
                 }
-                counts[d + 1] += 1;
-            }
-            for d in 1..counts.len() {
-                counts[d] += counts[d - 1];
-            }
-            to.clear();
-            to.resize(from.len(), Key::default());
-            for key in from {
-                let slot = &mut counts[digit(key)];
-                to[usize::from(*slot)] = *key;
-                *slot += 1;
-            }
-        };
+                for d in 1..counts.len() {
+                    counts[d] += counts[d - 1];
+                }
+                to.clear();
+                to.resize(from.len(), SliceKey::default());
+                for key in from {
+                    let slot = &mut counts[digit(key)];
+                    to[usize::from(*slot)] = *key;
+                    *slot += 1;
+                }
+            };
         pass(&self.keys, &mut self.spare, &mut self.tally, &|k| usize::from(k.after));
         pass(&self.spare, &mut self.keys, &mut self.tally, &|k| usize::from(k.before));
         pass(&self.keys, &mut self.spare, &mut self.tally, &|k| usize::from(k.class));
@@ -183,7 +184,7 @@ impl Scratch {
     ) {
         for (colour, count) in self.counts.iter_mut().enumerate() {
             if colour != usize::from(LAST_COLOUR) {
-                *count %= BUNDLE as u16;
+                *count %= SLICE_ROWS as u16;
             }
         }
         self.classes = self.colours.map(u16::from);
@@ -200,13 +201,13 @@ impl Scratch {
                 self.stamps[j] = k as u16;
             }
             let first = self.rest.len().saturating_sub(OPEN_BUNDLES);
-            let fits = |bundle: &[u16; BUNDLE]| {
+            let fits = |bundle: &[u16; SLICE_ROWS]| {
                 let apart = |&m: &u16| m == EMPTY || self.stamps[usize::from(m)] != k as u16;
-                bundle[BUNDLE - 1] == EMPTY && bundle.iter().all(apart)
+                bundle[SLICE_ROWS - 1] == EMPTY && bundle.iter().all(apart)
             };
             let at = self.rest[first..].iter().position(fits).map(|at| first + at);
             let at = at.unwrap_or_else(|| {
-                self.rest.push([EMPTY; BUNDLE]);
+                self.rest.push([EMPTY; SLICE_ROWS]);
                 self.rest.len() - 1
             });
             if let Some(place) = self.rest[at].iter_mut().find(|m| **m == EMPTY) {

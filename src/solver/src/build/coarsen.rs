@@ -2,11 +2,11 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use crate::build::aggregates::Groups;
-use crate::build::draft::{Blocks, Draft};
-use crate::lanes::{Lanes, Shared};
-use crate::storage::NONE;
-use crate::threads::{Threads, piece, pieces};
+use crate::build::aggregates::Aggregates;
+use crate::build::draft::{LevelDraft, RowBlocks};
+use crate::lanes::{Lanes, SharedRows};
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
@@ -25,7 +25,7 @@ pub(crate) const SHRINK: f64 = 0.8;
 ///
 /// Groups are connected, and at most 80 % as many as there are rows with neighbours. They are numbered along the draft,
 /// so that the next level inherits its order.
-pub(crate) fn aggregates(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Threads) -> Groups {
+pub(crate) fn aggregates(draft: &LevelDraft, blocks: &RowBlocks, ratio: f64, threads: Parallelism) -> Aggregates {
     let threads = threads.for_rows(draft.rows());
     let reach2 = reach2(draft, ratio);
     let nearest = nearest_seeds(draft, blocks, reach2, threads);
@@ -40,30 +40,30 @@ pub(crate) fn aggregates(draft: &Draft, blocks: &Blocks, ratio: f64, threads: Th
                 .filter(|&i| nearest[i] == i as u32)
                 .map(|i| i as u32)
                 .collect();
-            (seeds, nearest[range].iter().filter(|seed| **seed != NONE).count())
+            (seeds, nearest[range].iter().filter(|seed| **seed != NO_ROW).count())
         },
     );
     let connected: usize = parts.iter().map(|p| p.1).sum();
     let seeds: Vec<u32> = parts.into_iter().flat_map(|p| p.0).collect();
     if seeds.len() as f64 > SHRINK * connected as f64 {
         let (of_row, count) = pair(draft);
-        return Groups::new(of_row, count);
+        return Aggregates::new(of_row, count);
     }
     let mut numbers = vec![0u32; draft.rows()];
     for (number, &seed) in seeds.iter().enumerate() {
         numbers[seed as usize] = number as u32;
     }
     let mut aggregates = nearest;
-    let shared = Shared::new(&mut aggregates);
+    let shared = SharedRows::new(&mut aggregates);
     threads.each(0..pieces(draft.rows(), PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
         for seed in unsafe { shared.rows(piece(k, draft.rows(), PIECE)) } {
-            if *seed != NONE {
+            if *seed != NO_ROW {
                 *seed = numbers[*seed as usize];
             }
         }
     });
-    Groups::around(&seeds, aggregates, reach2, draft, threads)
+    Aggregates::around(&seeds, aggregates, reach2, draft, threads)
 }
 
 #[inline(always)]
@@ -74,7 +74,7 @@ pub(crate) fn distance2(a: Lanes, b: Lanes) -> f32 {
 }
 
 /// Mean length of the edges of evenly spread rows.
-fn mean_edge(draft: &Draft) -> f64 {
+fn mean_edge(draft: &LevelDraft) -> f64 {
     let n = draft.rows();
     let samples = n.min(SAMPLE);
     let (mut total, mut edges) = (0.0, 0usize);
@@ -89,7 +89,7 @@ fn mean_edge(draft: &Draft) -> f64 {
 }
 
 /// Largest (squared) distance of neighbours of which only one can be a seed: the paper's δ.
-fn reach2(draft: &Draft, ratio: f64) -> f32 {
+fn reach2(draft: &LevelDraft, ratio: f64) -> f32 {
     if draft.positions.is_empty() {
         return f32::INFINITY;
     }
@@ -97,14 +97,14 @@ fn reach2(draft: &Draft, ratio: f64) -> f32 {
     (delta * delta) as f32
 }
 
-/// The paper's maximal δ-independent set, and for every row the seed it joins (a seed itself, [`NONE`] for a row without
+/// The paper's maximal δ-independent set, and for every row the seed it joins (a seed itself, [`NO_ROW`] for a row without
 /// neighbours).
 ///
 /// In sweep order, a row becomes a seed unless a seed before it is a (not weak) neighbour within δ. Each row joins the
 /// adjacent seed with the least (squared distance) / weight, ties to the earlier one. Seeds tell their neighbours of
 /// both, so that only the rows of seeds are read. The outcome does not depend on who tells first: a block hears of
 /// seeds in blocks of other colours before or after it is swept, never while, and joining takes a minimum.
-fn nearest_seeds(draft: &Draft, blocks: &Blocks, reach2: f32, threads: Threads) -> Vec<u32> {
+fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: Parallelism) -> Vec<u32> {
     let n = draft.rows();
     let placed = !draft.positions.is_empty();
     let weak: Vec<f32> = match &draft.weights {
@@ -155,25 +155,25 @@ fn nearest_seeds(draft: &Draft, blocks: &Blocks, reach2: f32, threads: Threads) 
 /// Greedy pairing along the heaviest edges, for graphs where seeds hardly thin out (stars, edges of very different
 /// lengths): each row pairs with its heaviest unpaired neighbour, or joins its heaviest neighbour. Every aggregate has
 /// at least two rows.
-fn pair(draft: &Draft) -> (Vec<u32>, usize) {
-    let mut aggregates = vec![NONE; draft.rows()];
+fn pair(draft: &LevelDraft) -> (Vec<u32>, usize) {
+    let mut aggregates = vec![NO_ROW; draft.rows()];
     let mut count = 0;
     for i in 0..draft.rows() {
-        if aggregates[i] != NONE || !draft.connected(i) {
+        if aggregates[i] != NO_ROW || !draft.connected(i) {
             continue;
         }
-        let (mut open, mut any) = ((0.0, NONE), (0.0, NONE));
+        let (mut open, mut any) = ((0.0, NO_ROW), (0.0, NO_ROW));
         for e in draft.entries(i) {
             let (j, w) = (draft.neighbours[e], draft.weight(e));
             let heavier = |best: (f32, u32)| w > best.0 || (w == best.0 && j < best.1);
             if heavier(any) {
                 any = (w, j);
             }
-            if aggregates[j as usize] == NONE && heavier(open) {
+            if aggregates[j as usize] == NO_ROW && heavier(open) {
                 open = (w, j);
             }
         }
-        if open.1 != NONE {
+        if open.1 != NO_ROW {
             aggregates[i] = count;
             aggregates[open.1 as usize] = count;
             count += 1;
@@ -187,16 +187,16 @@ fn pair(draft: &Draft) -> (Vec<u32>, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::build::draft::Rows;
-    use crate::build::order::Frame;
-    use crate::testing::{Block, pool};
+    use crate::build::draft::UnorderedRows;
+    use crate::build::order::UnitBoxMap;
+    use crate::testing::{BoxLattice, pool};
 
-    fn threads() -> Threads {
-        Threads::of(&pool())
+    fn threads() -> Parallelism {
+        Parallelism::of(&pool())
     }
 
-    fn draft_of(offsets: &[u32], neighbours: &[u32], weights: Option<&[f32]>, positions: &[Lanes]) -> Draft {
-        let rows = Rows {
+    fn draft_of(offsets: &[u32], neighbours: &[u32], weights: Option<&[f32]>, positions: &[Lanes]) -> LevelDraft {
+        let rows = UnorderedRows {
             offsets,
             neighbours,
             weights,
@@ -204,21 +204,21 @@ mod tests {
             positions,
         };
         let sequence: Vec<u32> = (0..offsets.len() as u32 - 1).collect();
-        Draft::new(&rows, &sequence, threads())
+        LevelDraft::new(&rows, &sequence, threads())
     }
 
-    fn draft_of_block(block: &Block) -> Draft {
-        let frame = Frame::around(&block.positions);
+    fn draft_of_block(block: &BoxLattice) -> LevelDraft {
+        let frame = UnitBoxMap::around(&block.positions);
         let positions: Vec<Lanes> = block.positions.iter().map(|&p| frame.apply(p)).collect();
         draft_of(&block.offsets, &block.neighbours, block.weights.as_deref(), &positions)
     }
 
-    fn nearest(draft: &Draft, ratio: f64) -> Vec<u32> {
+    fn nearest(draft: &LevelDraft, ratio: f64) -> Vec<u32> {
         let reach2 = reach2(draft, ratio);
-        nearest_seeds(draft, &Blocks::new(draft, 64, threads()), reach2, threads())
+        nearest_seeds(draft, &RowBlocks::new(draft, 64, threads()), reach2, threads())
     }
 
-    fn row(draft: &Draft, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+    fn row(draft: &LevelDraft, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
         draft
             .entries(i)
             .map(|e| (draft.neighbours[e] as usize, draft.weight(e)))
@@ -226,7 +226,7 @@ mod tests {
 
     #[test]
     fn seeds_are_a_maximal_independent_set() {
-        let level = &draft_of_block(&Block::new(12, 11, 10));
+        let level = &draft_of_block(&BoxLattice::new(12, 11, 10));
         // δ between the edge lengths 1 and √2: diagonal neighbours may both be seeds.
         for (ratio, separate) in [(0.99, 1.01), (0.1, 10.0)] {
             let nearest = nearest(level, ratio);
@@ -245,11 +245,11 @@ mod tests {
 
     #[test]
     fn rows_join_an_adjacent_seed() {
-        let level = &draft_of_block(&Block::new(12, 11, 10).weighted());
+        let level = &draft_of_block(&BoxLattice::new(12, 11, 10).weighted());
         let nearest = nearest(level, 0.1);
         for i in 0..level.rows() {
             if !level.connected(i) {
-                assert_eq!(nearest[i], NONE);
+                assert_eq!(nearest[i], NO_ROW);
             } else if nearest[i] != i as u32 {
                 let cost = |j: usize, w: f32| distance2(level.positions[i], level.positions[j]) / w;
                 let seeds = row(level, i).filter(|&(j, _)| nearest[j] == j as u32);
@@ -270,9 +270,9 @@ mod tests {
         let mut neighbours = vec![hub; leaves as usize];
         neighbours.extend(0..leaves);
         let level = draft_of(&offsets, &neighbours, None, &[]);
-        let groups = aggregates(&level, &Blocks::new(&level, 64, threads()), 0.1, threads());
+        let groups = aggregates(&level, &RowBlocks::new(&level, 64, threads()), 0.1, threads());
         assert_eq!(groups.len(), 1);
-        let lone = groups.of_row.iter().filter(|&&g| g == NONE).count();
+        let lone = groups.of_row.iter().filter(|&&g| g == NO_ROW).count();
         assert_eq!(lone, 1, "the lone row needs no coarse row");
         assert_eq!(groups.members_of(0).len(), 101);
     }

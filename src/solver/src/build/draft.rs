@@ -2,13 +2,13 @@
 //!
 //! Coarsening works on this form, where the neighbours of a row lie side by side.
 
-use crate::lanes::{Lanes, Shared};
-use crate::storage::NONE;
-use crate::threads::{Threads, piece, pieces};
+use crate::lanes::{Lanes, SharedRows};
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Rows of a graph in any order.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Rows<'a> {
+pub(crate) struct UnorderedRows<'a> {
     pub(crate) offsets: &'a [u32],
     pub(crate) neighbours: &'a [u32],
     pub(crate) weights: Option<&'a [f32]>,
@@ -23,7 +23,7 @@ pub(crate) struct Rows<'a> {
 /// Rows that join a level that exists may have neighbours there: `k` stands for the *foreign* row number
 /// `k − padded(size)` where it is not below the number of rows, `size` being that of the blocks.
 #[derive(Debug, Default)]
-pub(crate) struct Draft {
+pub(crate) struct LevelDraft {
     pub(crate) offsets: Vec<u32>,
     pub(crate) neighbours: Vec<u32>,
     /// `None`: all 1.
@@ -32,15 +32,15 @@ pub(crate) struct Draft {
     pub(crate) positions: Vec<Lanes>,
 }
 
-impl Draft {
+impl LevelDraft {
     /// Copies `rows` in the order of `sequence`.
-    pub(crate) fn new(rows: &Rows<'_>, sequence: &[u32], threads: Threads) -> Draft {
+    pub(crate) fn new(rows: &UnorderedRows<'_>, sequence: &[u32], threads: Parallelism) -> LevelDraft {
         const PIECE: usize = 2048;
         let n = sequence.len();
         let threads = threads.for_rows(n);
         let mut ranks = vec![0u32; n];
         let mut offsets = vec![0u32; n + 1];
-        let (shared_ranks, lengths) = (Shared::new(&mut ranks), Shared::new(&mut offsets));
+        let (shared_ranks, lengths) = (SharedRows::new(&mut ranks), SharedRows::new(&mut offsets));
         let totals = threads.map(
             0..pieces(n, PIECE),
             || (),
@@ -66,16 +66,16 @@ impl Draft {
             total += t;
         }
         offsets[n] = total;
-        let mut draft = Draft {
+        let mut draft = LevelDraft {
             neighbours: vec![0; total as usize],
             weights: rows.weights.map(|w| vec![0.0; w.len()]),
             positions: vec![Lanes::ZERO; if rows.positions.is_empty() { 0 } else { n }],
             offsets,
         };
-        let offsets = Shared::new(&mut draft.offsets[..n]);
-        let neighbours = Shared::new(&mut draft.neighbours);
-        let positions = Shared::new(&mut draft.positions);
-        let weights = draft.weights.as_mut().map(|w| Shared::new(w));
+        let offsets = SharedRows::new(&mut draft.offsets[..n]);
+        let neighbours = SharedRows::new(&mut draft.neighbours);
+        let positions = SharedRows::new(&mut draft.positions);
+        let weights = draft.weights.as_mut().map(|w| SharedRows::new(w));
         threads.each(0..pieces(n, PIECE), |k| {
             let range = piece(k, n, PIECE);
             let entries = bases[k] as usize..(bases[k] + totals[k]) as usize;
@@ -138,9 +138,9 @@ impl Draft {
     }
 }
 
-/// Blocks of consecutive rows of a [`Draft`], coloured so that two blocks of one colour are not adjacent.
+/// Blocks of consecutive rows of a [`LevelDraft`], coloured so that two blocks of one colour are not adjacent.
 #[derive(Debug)]
-pub(crate) struct Blocks {
+pub(crate) struct RowBlocks {
     /// Rows per block, a power of two; the last block may have fewer.
     pub(crate) size: usize,
     rows: usize,
@@ -150,15 +150,15 @@ pub(crate) struct Blocks {
     pub(crate) by_colour: Vec<u32>,
 }
 
-impl Blocks {
+impl RowBlocks {
     /// Cuts `draft` into blocks of `size` rows and colours them greedily in their order.
-    pub(crate) fn new(draft: &Draft, size: usize, threads: Threads) -> Blocks {
+    pub(crate) fn new(draft: &LevelDraft, size: usize, threads: Parallelism) -> RowBlocks {
         let rows = draft.rows();
         let count = rows.div_ceil(size);
         let shift = size.trailing_zeros();
         let adjacency = threads.for_rows(rows).map(
             0..count,
-            || vec![NONE; count],
+            || vec![NO_ROW; count],
             |stamps, b| {
                 let entries = draft.offsets[b * size] as usize..draft.offsets[((b + 1) * size).min(rows)] as usize;
                 stamps[b] = b as u32;
@@ -175,7 +175,7 @@ impl Blocks {
             },
         );
         let (colours, by_colour) = colour(&both_ways(adjacency));
-        Blocks {
+        RowBlocks {
             size,
             rows,
             colours,
@@ -210,12 +210,12 @@ fn both_ways(mut adjacency: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
 
 /// Colours blocks greedily in their order. Returns the first block of each colour and the blocks colour by colour.
 fn colour(adjacency: &[Vec<u32>]) -> (Vec<u32>, Vec<u32>) {
-    let mut colour_of = vec![NONE; adjacency.len()];
+    let mut colour_of = vec![NO_ROW; adjacency.len()];
     let mut taken: Vec<usize> = Vec::new();
     for (b, others) in adjacency.iter().enumerate() {
         for &other in others {
             let c = colour_of[other as usize];
-            if c != NONE {
+            if c != NO_ROW {
                 taken[c as usize] = b + 1;
             }
         }

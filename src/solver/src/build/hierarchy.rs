@@ -3,21 +3,21 @@
 use std::sync::Arc;
 
 use crate::build::coarsen::aggregates;
-use crate::build::draft::{Blocks, Draft, Rows};
+use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
 use crate::build::layout::arrange;
-use crate::build::level::Level;
+use crate::build::level::HierarchyLevel;
 use crate::build::operator::coarse_rows;
-use crate::build::order::{Frame, along_curve, breadth_first};
+use crate::build::order::{UnitBoxMap, along_curve, breadth_first};
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::lanes::Lanes;
-use crate::options::{BuildOptions, LevelFacts, Operators};
-use crate::paper::kept::Kept;
+use crate::options::{BuildOptions, CoarseOperators, LevelSize};
+use crate::paper::kept::UncutGraph;
 use crate::pool::Pool;
 use crate::progress::{Cancelled, Progress, check};
-use crate::storage::{BUNDLE, NONE};
-use crate::threads::Threads;
+use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::threads::Parallelism;
 
 /// Rows per block on the finest level; halved from level to level.
 const BLOCK: usize = 512;
@@ -28,16 +28,16 @@ const STAGE: &str = "hierarchy";
 
 /// A graph and its coarser versions (paper section 4), over all vertices and without constraints.
 ///
-/// It owns all it needs and changes by nothing but [`Hierarchy::repair`]; any number of [`System`]s can use it at the
+/// It owns all it needs and changes by nothing but [`Hierarchy::repair`]; any number of [`LinearSystem`]s can use it at the
 /// same time.
 #[derive(Debug, Clone)]
 pub struct Hierarchy {
     /// Finest first; never empty.
-    pub(crate) levels: Vec<Level>,
+    pub(crate) levels: Vec<HierarchyLevel>,
     /// Vertex that each row of the finest level stands for, none (`u32::MAX`) for filling.
     pub(crate) order: Vec<u32>,
     /// From the caller's positions to those of the levels.
-    pub(crate) frame: Frame,
+    pub(crate) frame: UnitBoxMap,
     /// Factor on the caller's weights, a power of two: inside, the heaviest edge weighs 1 to 2.
     pub(crate) weight_scale: f64,
     /// Largest Σ w of a vertex, scaled.
@@ -49,7 +49,7 @@ pub struct Hierarchy {
     /// Tells systems of this hierarchy from those of others.
     pub(crate) token: Arc<()>,
     /// With the paper's operators: the graph itself, to be cut by constraints and then coarsened.
-    pub(crate) paper: Option<Kept>,
+    pub(crate) paper: Option<UncutGraph>,
 }
 
 impl Hierarchy {
@@ -58,7 +58,7 @@ impl Hierarchy {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a malformed graph or options out of range, [`Error::Cancelled`].
-    pub fn build(graph: &Graph<'_>, options: &BuildOptions, exec: &Exec<'_>) -> Result<Hierarchy, Error> {
+    pub fn build(graph: &WeightedGraph<'_>, options: &BuildOptions, exec: &Exec<'_>) -> Result<Hierarchy, Error> {
         if !(options.coarsening > 0.0 && options.coarsening <= 1.0) {
             let seen = options.coarsening;
             return Err(Error::Invalid(format!(
@@ -73,10 +73,10 @@ impl Hierarchy {
             return Err(Error::Invalid(format!("interleave is {seen}, at most 100 are allowed")));
         }
         exec.check()?;
-        let threads = Threads::of(exec.pool);
+        let threads = Parallelism::of(exec.pool);
         threads.enter(exec.pool, || graph.check_rows(threads))?;
         // Bundles hold up to four times as many entries as there are neighbours.
-        let most = u32::MAX as usize / (2 * BUNDLE);
+        let most = u32::MAX as usize / (2 * SLICE_ROWS);
         if graph.neighbours.len() > most {
             let seen = graph.neighbours.len();
             return Err(Error::Invalid(format!(
@@ -87,9 +87,9 @@ impl Hierarchy {
 
         let heaviest = graph.weights.map_or(1.0, |w| w.iter().fold(0.0f32, |a, &b| a.max(b)));
         let weight_scale = 1.0 / power_of_two_below(f64::from(heaviest));
-        let frame = Frame::around(graph.positions.unwrap_or(&[]));
+        let frame = UnitBoxMap::around(graph.positions.unwrap_or(&[]));
         let positions: Vec<Lanes> = graph.positions.unwrap_or(&[]).iter().map(|&p| frame.apply(p)).collect();
-        let rows = Rows {
+        let rows = UnorderedRows {
             offsets: graph.offsets,
             neighbours: graph.neighbours,
             weights: graph.weights,
@@ -102,9 +102,9 @@ impl Hierarchy {
                 false => along_curve(&positions, threads),
             };
             exec.check()?;
-            let draft = Draft::new(&rows, &sequence, threads);
+            let draft = LevelDraft::new(&rows, &sequence, threads);
             let (levels, ranks) = levels(draft, options, threads, exec.progress)?;
-            let mut order = vec![NONE; levels[0].rows()];
+            let mut order = vec![NO_ROW; levels[0].rows()];
             for (&row, &vertex) in ranks.iter().zip(&sequence) {
                 order[row as usize] = vertex;
             }
@@ -122,13 +122,13 @@ impl Hierarchy {
             thin,
             options: options.clone(),
             token: Arc::new(()),
-            paper: (options.operators == Operators::Paper).then(|| Kept::new(graph, options)),
+            paper: (options.operators == CoarseOperators::Paper).then(|| UncutGraph::new(graph, options)),
         })
     }
 
     /// A copy, made by all threads of the pool.
-    pub fn duplicate(&self, pool: &Pool) -> Self {
-        let levels = pool.install(|| self.levels.iter().map(Level::duplicate).collect());
+    pub fn clone_in_parallel(&self, pool: &Pool) -> Self {
+        let levels = pool.install(|| self.levels.iter().map(HierarchyLevel::clone_in_parallel).collect());
         Self {
             levels,
             order: self.order.clone(),
@@ -150,8 +150,8 @@ impl Hierarchy {
     }
 
     /// Sizes of the levels, finest first.
-    pub fn levels(&self) -> Vec<LevelFacts> {
-        let facts = |l: &Level| LevelFacts {
+    pub fn level_sizes(&self) -> Vec<LevelSize> {
+        let facts = |l: &HierarchyLevel| LevelSize {
             vertices: l.occupied(),
             edges: l.edges(),
         };
@@ -160,21 +160,21 @@ impl Hierarchy {
     }
 
     /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        let kept = self.paper.as_ref().map_or(0, Kept::bytes);
-        self.levels.iter().map(Level::bytes).sum::<usize>() + 4 * self.order.len() + kept
+    pub fn byte_size(&self) -> usize {
+        let kept = self.paper.as_ref().map_or(0, UncutGraph::byte_size);
+        self.levels.iter().map(HierarchyLevel::byte_size).sum::<usize>() + 4 * self.order.len() + kept
     }
 }
 
 /// Builds all levels from the finest one. Returns them and the row that each row of `draft` has become.
 fn levels(
-    draft: Draft,
+    draft: LevelDraft,
     options: &BuildOptions,
-    threads: Threads,
+    threads: Parallelism,
     progress: &dyn Progress,
-) -> Result<(Vec<Level>, Vec<u32>), Cancelled> {
+) -> Result<(Vec<HierarchyLevel>, Vec<u32>), Cancelled> {
     check(progress)?;
-    let blocks = Blocks::new(&draft, block_size(0), threads);
+    let blocks = RowBlocks::new(&draft, block_size(0), threads);
     let (level, ranks) = arrange(&draft, &blocks, threads);
     let mut levels = vec![level];
     coarsen(&mut levels, draft, blocks, ranks.clone(), options, threads, progress)?;
@@ -188,12 +188,12 @@ pub(crate) fn block_size(l: usize) -> usize {
 
 /// Adds all levels above the last of `levels`, whose rows `ranks` the rows of `draft` have become.
 pub(crate) fn coarsen(
-    levels: &mut Vec<Level>,
-    mut draft: Draft,
-    mut blocks: Blocks,
+    levels: &mut Vec<HierarchyLevel>,
+    mut draft: LevelDraft,
+    mut blocks: RowBlocks,
     mut ranks: Vec<u32>,
     options: &BuildOptions,
-    threads: Threads,
+    threads: Parallelism,
     progress: &dyn Progress,
 ) -> Result<(), Cancelled> {
     loop {
@@ -207,7 +207,7 @@ pub(crate) fn coarsen(
         check(progress)?;
         draft = coarse_rows(&draft, &groups, threads);
         check(progress)?;
-        blocks = Blocks::new(&draft, block_size(levels.len()), threads);
+        blocks = RowBlocks::new(&draft, block_size(levels.len()), threads);
         let (level, coarse_ranks) = arrange(&draft, &blocks, threads);
         if let Some(last) = levels.last_mut() {
             last.set_aggregates(&groups, &ranks, &coarse_ranks, level.rows(), threads);
@@ -219,7 +219,7 @@ pub(crate) fn coarsen(
 
 /// True for graphs with few neighbours per row, such as those of surfaces. A sweep does less there and costs less:
 /// twice as many pay (measured: 0.25 per iteration instead of 0.33 for a third more work; on volume graphs they do not).
-fn is_thin(level: &Level) -> bool {
+fn is_thin(level: &HierarchyLevel) -> bool {
     const VALENCE: usize = 9;
     level.entries < VALENCE * level.occupied()
 }
@@ -236,11 +236,11 @@ pub(crate) fn power_of_two_below(v: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::Block;
+    use crate::testing::BoxLattice;
 
     #[test]
     fn aggregates_partition_the_rows() {
-        let hierarchy = Block::new(15, 14, 13).hierarchy(10);
+        let hierarchy = BoxLattice::new(15, 14, 13).hierarchy(10);
         assert!(
             hierarchy
                 .levels

@@ -4,34 +4,40 @@
 //! block are coloured in turn, and four rows of one colour with (nearly) equal numbers of neighbours before and after
 //! them make a *bundle*: one loop serves four rows, and four independent sums are under way at any time.
 
-use crate::build::bundling::Scratch;
-use crate::build::draft::{Blocks, Draft};
-use crate::build::level::{Bundle, Level};
-use crate::lanes::{Lanes, Shared};
-use crate::storage::{BUNDLE, grow};
-use crate::threads::{Threads, piece, pieces};
+use crate::build::bundling::SlicePlanner;
+use crate::build::draft::{LevelDraft, RowBlocks};
+use crate::build::level::{HierarchyLevel, SliceExtent};
+use crate::lanes::{Lanes, SharedRows};
+use crate::storage::{SLICE_ROWS, grow};
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
 
 /// Brings `draft` into sweep order. Returns the level, without aggregates, and the row that each row of the draft has
 /// become.
-pub(crate) fn arrange(draft: &Draft, blocks: &Blocks, threads: Threads) -> (Level, Vec<u32>) {
-    let mut level = Level {
+pub(crate) fn arrange(draft: &LevelDraft, blocks: &RowBlocks, threads: Parallelism) -> (HierarchyLevel, Vec<u32>) {
+    let mut level = HierarchyLevel {
         weights: draft.weights.as_ref().map(|_| Vec::new()),
         blocks: vec![0],
         colours: vec![0],
-        ..Level::default()
+        ..HierarchyLevel::default()
     };
     let ranks = append(&mut level, draft, &[], blocks, threads);
     (level, ranks)
 }
 
 /// Puts the rows of `draft` behind all that `level` has, in blocks and colours of their own. Returns the row that each
-/// has become, and from [`Blocks::padded`] on the rows of `foreign`, which the draft's foreign neighbours stand for.
+/// has become, and from [`RowBlocks::padded`] on the rows of `foreign`, which the draft's foreign neighbours stand for.
 ///
 /// The rows of `foreign` are not told of their new neighbours, and new rows have no aggregates.
-pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: &Blocks, threads: Threads) -> Vec<u32> {
+pub(crate) fn append(
+    level: &mut HierarchyLevel,
+    draft: &LevelDraft,
+    foreign: &[u32],
+    blocks: &RowBlocks,
+    threads: Parallelism,
+) -> Vec<u32> {
     let n = draft.rows();
     let threads = threads.for_rows(n);
     let (block, by_colour) = (blocks.size, &blocks.by_colour);
@@ -42,8 +48,8 @@ pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: 
     }
 
     let mut ranks = vec![0u32; n];
-    let shared = Shared::new(&mut ranks);
-    let plans = threads.map(0..by_colour.len(), Scratch::new, |scratch, b| {
+    let shared = SharedRows::new(&mut ranks);
+    let plans = threads.map(0..by_colour.len(), SlicePlanner::new, |scratch, b| {
         let range = blocks.range(b);
         // SAFETY: blocks hold disjoint rows and each is visited once.
         let slots = unsafe { shared.rows(range.clone()) };
@@ -53,7 +59,7 @@ pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: 
     let first = level.bundles.len();
     if first > 0 && level.blocks.last() == Some(&level.filling) {
         // The bundle of filling gets a block, so that others can follow.
-        level.blocks.push(level.filling + BUNDLE as u32);
+        level.blocks.push(level.filling + SLICE_ROWS as u32);
         level.colours.push(level.blocks.len() as u32 - 1);
     }
     // Rows and entries block by block in the order of colours.
@@ -64,32 +70,32 @@ pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: 
     let begin = level.neighbours.len() as u32;
     let mut total = begin;
     for &b in by_colour {
-        bases[b as usize] = (level.bundles.len() * BUNDLE) as u32;
+        bases[b as usize] = (level.bundles.len() * SLICE_ROWS) as u32;
         for &[before, after] in &plans[b as usize] {
-            let middle = total + BUNDLE as u32 * before;
-            let end = middle + BUNDLE as u32 * after;
-            level.bundles.push(Bundle {
+            let middle = total + SLICE_ROWS as u32 * before;
+            let end = middle + SLICE_ROWS as u32 * after;
+            level.bundles.push(SliceExtent {
                 begin: total,
                 middle,
                 end,
             });
             total = end;
         }
-        level.blocks.push((level.bundles.len() * BUNDLE) as u32);
+        level.blocks.push((level.bundles.len() * SLICE_ROWS) as u32);
     }
     drop(plans);
     let colours = blocks.colours[1..].iter().map(|&c| first_block as u32 + c);
     level.colours.extend(colours);
     if first == 0 {
         // One bundle of nothing but filling, which no block holds.
-        level.filling = (level.bundles.len() * BUNDLE) as u32;
-        level.bundles.push(Bundle {
+        level.filling = (level.bundles.len() * SLICE_ROWS) as u32;
+        level.bundles.push(SliceExtent {
             begin: total,
             middle: total,
             end: total,
         });
     }
-    let (rows, entries) = ((level.bundles.len() - first) * BUNDLE, (total - begin) as usize);
+    let (rows, entries) = ((level.bundles.len() - first) * SLICE_ROWS, (total - begin) as usize);
     level.occupied += n;
     level.entries += entries;
     grow(&mut level.neighbours, entries, 0);
@@ -103,7 +109,7 @@ pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: 
     }
 
     let shift = block.trailing_zeros();
-    let (ranks_out, positions_out) = (Shared::new(&mut ranks), Shared::new(&mut level.positions));
+    let (ranks_out, positions_out) = (SharedRows::new(&mut ranks), SharedRows::new(&mut level.positions));
     threads.each(0..pieces(n, PIECE), |k| {
         for k in piece(k, n, PIECE) {
             // SAFETY: every row of the draft has its own row of the level; each is visited once.
@@ -125,15 +131,22 @@ pub(crate) fn append(level: &mut Level, draft: &Draft, foreign: &[u32], blocks: 
 }
 
 /// Copies the draft block by block into bundles, renames neighbours and puts those before each row first.
-fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, ranks: &[u32], threads: Threads) {
+fn fill(
+    level: &mut HierarchyLevel,
+    first_block: usize,
+    draft: &LevelDraft,
+    blocks: &RowBlocks,
+    ranks: &[u32],
+    threads: Parallelism,
+) {
     let filling = level.filling();
     let (bundles, block_rows) = (&level.bundles, &level.blocks[first_block..]);
-    let diagonal = Shared::new(&mut level.diagonal);
-    let neighbours = Shared::new(&mut level.neighbours);
-    let weights = level.weights.as_mut().map(|w| Shared::new(w));
+    let diagonal = SharedRows::new(&mut level.diagonal);
+    let neighbours = SharedRows::new(&mut level.neighbours);
+    let weights = level.weights.as_mut().map(|w| SharedRows::new(w));
     threads.each(0..blocks.by_colour.len(), |k| {
         let rows = block_rows[k] as usize..block_rows[k + 1] as usize;
-        let entries = bundles[rows.start / BUNDLE].begin as usize..bundles[rows.end / BUNDLE - 1].end as usize;
+        let entries = bundles[rows.start / SLICE_ROWS].begin as usize..bundles[rows.end / SLICE_ROWS - 1].end as usize;
         // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
         let (diagonal, out) = unsafe { (diagonal.rows(rows.clone()), neighbours.rows(entries.clone())) };
         // SAFETY: as above.
@@ -143,7 +156,7 @@ fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, r
             let rank = ranks[from];
             let i = rank as usize;
             let source = draft.entries(from);
-            let (bundle, lane) = (bundles[i / BUNDLE], i % BUNDLE);
+            let (bundle, lane) = (bundles[i / SLICE_ROWS], i % SLICE_ROWS);
             // From both ends: every entry is written at both, and the end that does not advance is written again.
             let mut low = bundle.begin as usize - entries.start + lane;
             let mut high = bundle.end as usize - entries.start + lane;
@@ -154,14 +167,14 @@ fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, r
                         let j = ranks[draft.neighbours[s] as usize];
                         let before = usize::from(j < rank);
                         out[low] = j;
-                        out[high - BUNDLE] = j;
+                        out[high - SLICE_ROWS] = j;
                         out_weights[low] = w[s];
-                        out_weights[high - BUNDLE] = w[s];
+                        out_weights[high - SLICE_ROWS] = w[s];
                         sum += f64::from(w[s]);
-                        low += BUNDLE * before;
-                        high -= BUNDLE * (1 - before);
+                        low += SLICE_ROWS * before;
+                        high -= SLICE_ROWS * (1 - before);
                     }
-                    for e in (low..high).step_by(BUNDLE) {
+                    for e in (low..high).step_by(SLICE_ROWS) {
                         out_weights[e] = 0.0;
                     }
                 }
@@ -170,14 +183,14 @@ fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, r
                         let j = ranks[s as usize];
                         let before = usize::from(j < rank);
                         out[low] = j;
-                        out[high - BUNDLE] = j;
-                        low += BUNDLE * before;
-                        high -= BUNDLE * (1 - before);
+                        out[high - SLICE_ROWS] = j;
+                        low += SLICE_ROWS * before;
+                        high -= SLICE_ROWS * (1 - before);
                     }
                     sum = source.len() as f64;
                 }
             }
-            for e in (low..high).step_by(BUNDLE) {
+            for e in (low..high).step_by(SLICE_ROWS) {
                 out[e] = filling;
             }
             debug_assert!(low <= bundle.middle as usize - entries.start + lane);
@@ -189,21 +202,21 @@ fn fill(level: &mut Level, first_block: usize, draft: &Draft, blocks: &Blocks, r
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::storage::NONE;
-    use crate::testing::Block;
+    use crate::storage::NO_ROW;
+    use crate::testing::BoxLattice;
 
     #[test]
     fn arranging_keeps_the_graph() {
-        let block = Block::new(9, 8, 7).weighted();
+        let block = BoxLattice::new(9, 8, 7).weighted();
         let hierarchy = block.hierarchy(1);
         let level = &hierarchy.levels[0];
         let mut ranks = vec![0; block.positions.len()];
-        for (row, &vertex) in hierarchy.order.iter().enumerate().filter(|o| *o.1 != NONE) {
+        for (row, &vertex) in hierarchy.order.iter().enumerate().filter(|o| *o.1 != NO_ROW) {
             ranks[vertex as usize] = row as u32;
         }
         let mut filling = 0;
         for (row, &vertex) in hierarchy.order.iter().enumerate() {
-            if vertex == NONE {
+            if vertex == NO_ROW {
                 filling += 1;
                 assert_eq!(level.row(row).count(), 0);
                 assert_eq!(level.diagonal[row], 0.0);
@@ -220,8 +233,8 @@ mod tests {
             want.sort_by_key(|w| w.0);
             seen.sort_by_key(|w| w.0);
             assert_eq!(seen, want);
-            let (begin, middle, end) = level.bundle(row / BUNDLE);
-            for e in (begin + row % BUNDLE..end).step_by(BUNDLE) {
+            let (begin, middle, end) = level.bundle(row / SLICE_ROWS);
+            for e in (begin + row % SLICE_ROWS..end).step_by(SLICE_ROWS) {
                 let j = level.neighbours[e] as usize;
                 assert!(j == level.filling() as usize || (j < row) == (e < middle));
             }
@@ -234,18 +247,18 @@ mod tests {
     /// The promise on which parallel sweeps and their unsafe code rest, and that of sweeping four rows at a time.
     #[test]
     fn blocks_of_one_colour_and_rows_of_one_bundle_do_not_touch() {
-        let block = Block::new(14, 13, 12);
+        let block = BoxLattice::new(14, 13, 12);
         let hierarchy = block.hierarchy(1);
         for level in &hierarchy.levels {
             assert_eq!(level.blocks.first(), Some(&0));
-            assert_eq!(*level.blocks.last().unwrap() as usize + BUNDLE, level.rows());
+            assert_eq!(*level.blocks.last().unwrap() as usize + SLICE_ROWS, level.rows());
             assert_eq!(*level.colours.last().unwrap() as usize, level.blocks.len() - 1);
             let block_of = |row: usize| level.blocks.partition_point(|&b| b as usize <= row) - 1;
             let colour_of = |row: usize| level.colours.partition_point(|&c| c as usize <= block_of(row)) - 1;
             for row in 0..level.rows() {
                 for (j, _) in level.row(row) {
                     assert!(block_of(row) == block_of(j) || colour_of(row) != colour_of(j));
-                    assert_ne!(row / BUNDLE, j / BUNDLE, "rows {row} and {j} are adjacent");
+                    assert_ne!(row / SLICE_ROWS, j / SLICE_ROWS, "rows {row} and {j} are adjacent");
                 }
             }
         }
@@ -258,13 +271,13 @@ mod tests {
         let n = 70u32;
         let offsets: Vec<u32> = (0..=n).map(|i| i * (n - 1)).collect();
         let neighbours: Vec<u32> = (0..n).flat_map(|i| (0..n).filter(move |&j| j != i)).collect();
-        let draft = Draft {
+        let draft = LevelDraft {
             offsets,
             neighbours,
-            ..Draft::default()
+            ..LevelDraft::default()
         };
-        let threads = Threads::of(&crate::testing::pool());
-        let (level, mut ranks) = arrange(&draft, &Blocks::new(&draft, 64, threads), threads);
+        let threads = Parallelism::of(&crate::testing::pool());
+        let (level, mut ranks) = arrange(&draft, &RowBlocks::new(&draft, 64, threads), threads);
         ranks.sort_unstable();
         ranks.dedup();
         assert_eq!(ranks.len(), 70);

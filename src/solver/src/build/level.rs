@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use crate::build::aggregates::{Grouping, Groups};
-use crate::lanes::{Lanes, Shared};
-use crate::storage::{BUNDLE, NONE, SLACK};
-use crate::threads::{Threads, piece, pieces};
+use crate::build::aggregates::{Aggregates, AggregationRule};
+use crate::lanes::{Lanes, SharedRows};
+use crate::storage::{NO_ROW, SLACK, SLICE_ROWS};
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
@@ -18,14 +18,14 @@ const PIECE: usize = 4096;
 ///
 /// The entries of a bundle are stored side by side: the first neighbour of each of its rows, then the second, and so
 /// on; those before the row first. Where rows differ in their numbers of neighbours, and where no fourth row was left
-/// for a bundle, there is *filling*: entries of weight 0 that lead to the row [`Level::filling`], and rows without
+/// for a bundle, there is *filling*: entries of weight 0 that lead to the row [`HierarchyLevel::filling`], and rows without
 /// neighbours. Rows of filling hold 0 in every vector.
 ///
 /// A level that was built stands without gaps, and the bundle of filling comes last. A repair moves rows: their old
 /// places become filling, and new blocks follow after that bundle, each colour behind all earlier ones.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Level {
-    pub(crate) bundles: Vec<Bundle>,
+pub(crate) struct HierarchyLevel {
+    pub(crate) bundles: Vec<SliceExtent>,
     /// Entries of all bundles. After a repair there are gaps that no bundle refers to.
     pub(crate) neighbours: Vec<u32>,
     /// `None`: all 1, except filling.
@@ -44,28 +44,28 @@ pub(crate) struct Level {
     pub(crate) colours: Vec<u32>,
     /// Positions in the unit box, or empty.
     pub(crate) positions: Vec<Lanes>,
-    /// Row of the next level that each row belongs to, or [`NONE`]. Empty on the coarsest level.
+    /// Row of the next level that each row belongs to, or [`NO_ROW`]. Empty on the coarsest level.
     pub(crate) aggregates: Vec<u32>,
     /// Where the members of each row of the next level begin in `members`, and where they end.
     pub(crate) ranges: Vec<[u32; 2]>,
     /// Rows of this level by aggregate; the seed comes first. After a repair there are gaps.
     pub(crate) members: Vec<u32>,
     /// How the next level was chosen.
-    pub(crate) grouping: Grouping,
+    pub(crate) grouping: AggregationRule,
 }
 
 /// Where the entries of a bundle stand.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Bundle {
+pub(crate) struct SliceExtent {
     pub(crate) begin: u32,
     /// First entry that leads to a later row.
     pub(crate) middle: u32,
     pub(crate) end: u32,
 }
 
-impl Level {
+impl HierarchyLevel {
     /// A copy with room to grow, made by all threads: most of what it costs is memory that is touched for the first time.
-    pub(crate) fn duplicate(&self) -> Self {
+    pub(crate) fn clone_in_parallel(&self) -> Self {
         fn all<T: Copy + Send + Sync>(of: &[T]) -> Vec<T> {
             let mut copy = Vec::with_capacity(of.len() + of.len() / SLACK);
             copy.par_extend(of.par_iter().with_min_len(1 << 15).copied());
@@ -99,17 +99,17 @@ impl Level {
     /// Where the entries of bundle `k` begin, where those to later rows begin, and where they end.
     #[inline(always)]
     pub(crate) fn bundle(&self, k: usize) -> (usize, usize, usize) {
-        let Bundle { begin, middle, end } = self.bundles[k];
+        let SliceExtent { begin, middle, end } = self.bundles[k];
         (begin as usize, middle as usize, end as usize)
     }
 
     /// Neighbours of row `i` and their weights, without filling.
     #[inline(always)]
     pub(crate) fn row(&self, i: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
-        let (begin, _, end) = self.bundle(i / BUNDLE);
+        let (begin, _, end) = self.bundle(i / SLICE_ROWS);
         let filling = self.filling();
-        (begin + i % BUNDLE..end)
-            .step_by(BUNDLE)
+        (begin + i % SLICE_ROWS..end)
+            .step_by(SLICE_ROWS)
             .map(move |e| (self.neighbours[e], self.weight(e)))
             .filter(move |&(j, _)| j != filling)
             .map(|(j, w)| (j as usize, w))
@@ -134,7 +134,7 @@ impl Level {
     /// Undirected edges.
     pub(crate) fn edges(&self) -> usize {
         let filling = self.filling();
-        let entries = |b: &Bundle| &self.neighbours[b.begin as usize..b.end as usize];
+        let entries = |b: &SliceExtent| &self.neighbours[b.begin as usize..b.end as usize];
         let of_bundle = |b| entries(b).iter().filter(|&&j| j != filling).count();
         self.bundles.iter().map(of_bundle).sum::<usize>() / 2
     }
@@ -157,7 +157,7 @@ impl Level {
         self.ranges.len()
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         let words = 3 * self.bundles.len() + self.neighbours.len() + self.diagonal.len();
         let words = words + self.blocks.len() + self.colours.len() + self.aggregates.len();
         let words = words + 2 * self.ranges.len() + self.members.len();
@@ -168,20 +168,20 @@ impl Level {
     /// the two drafts have become; `coarse_rows` is the number of rows of the next level, filling included.
     pub(crate) fn set_aggregates(
         &mut self,
-        groups: &Groups,
+        groups: &Aggregates,
         ranks: &[u32],
         coarse_ranks: &[u32],
         coarse_rows: usize,
-        threads: Threads,
+        threads: Parallelism,
     ) {
         let n = ranks.len();
         let threads = threads.for_rows(n);
-        self.aggregates = vec![NONE; self.rows()];
-        let aggregates = Shared::new(&mut self.aggregates);
+        self.aggregates = vec![NO_ROW; self.rows()];
+        let aggregates = SharedRows::new(&mut self.aggregates);
         threads.each(0..pieces(n, PIECE), |k| {
             for k in piece(k, n, PIECE) {
                 let group = groups.of_row[k];
-                if group != NONE {
+                if group != NO_ROW {
                     // SAFETY: every row of the draft has its own row of the level; each is visited once.
                     unsafe { aggregates.set(ranks[k] as usize, coarse_ranks[group as usize]) };
                 }
@@ -197,7 +197,7 @@ impl Level {
             end = range[1];
         }
         self.members = vec![0; groups.members.len()];
-        let members = Shared::new(&mut self.members);
+        let members = SharedRows::new(&mut self.members);
         threads.each(0..pieces(coarse_ranks.len(), PIECE), |k| {
             for group in piece(k, coarse_ranks.len(), PIECE) {
                 let [begin, end] = ranges[coarse_ranks[group] as usize];

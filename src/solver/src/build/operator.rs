@@ -5,11 +5,11 @@
 //! would carry S g·D with D = c_I − c_J. Their ratio φ = v·D / (S |D|²) makes the coarse edge carry the right flow, so
 //! coarse corrections have the right length and need no over-correction factor.
 
-use crate::build::aggregates::Groups;
-use crate::build::draft::Draft;
-use crate::lanes::{Lanes, Wide};
-use crate::storage::NONE;
-use crate::threads::{Threads, piece, pieces};
+use crate::build::aggregates::Aggregates;
+use crate::build::draft::LevelDraft;
+use crate::lanes::{Lanes, WideLanes};
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Bounds of φ. Below, a coarse vertex could lose its connection (φ can even be negative on folded surfaces); above 1
 /// the coarse equations would be stiffer than the sums of the fine ones, and corrections only shorter.
@@ -25,7 +25,7 @@ const PIECE: usize = 1024;
 ///
 /// Every entry is added somewhere without asking where it leads, since such questions cost more than the sums: those
 /// inside the group get a sum of their own, which nobody reads.
-struct Slots {
+struct RowAccumulator {
     /// For each group the one whose slot numbers were written last, in the upper half, and the slot in the lower one.
     table: Vec<u64>,
     /// Group of each slot in use; longer than that.
@@ -35,9 +35,9 @@ struct Slots {
     used: usize,
 }
 
-impl Slots {
-    fn new(count: usize) -> Slots {
-        Slots {
+impl RowAccumulator {
+    fn new(count: usize) -> RowAccumulator {
+        RowAccumulator {
             table: vec![u64::MAX; count],
             others: Vec::new(),
             sums: Vec::new(),
@@ -55,13 +55,13 @@ impl Slots {
         let want = self.used + more + 1;
         if self.sums.len() < want {
             self.sums.resize(2 * want, Lanes::ZERO);
-            self.others.resize(2 * want, NONE);
+            self.others.resize(2 * want, NO_ROW);
         }
     }
 }
 
 /// Builds the next level from the groups of `draft`, a row for each group.
-pub(crate) fn coarse_rows(draft: &Draft, groups: &Groups, threads: Threads) -> Draft {
+pub(crate) fn coarse_rows(draft: &LevelDraft, groups: &Aggregates, threads: Parallelism) -> LevelDraft {
     let count = groups.len();
     let threads = threads.for_rows(draft.rows());
     let positions = if draft.positions.is_empty() {
@@ -73,7 +73,7 @@ pub(crate) fn coarse_rows(draft: &Draft, groups: &Groups, threads: Threads) -> D
     // Each pair of aggregates is summed once, from its smaller number, so the result is symmetric to the bit.
     let halves = threads.map(
         0..pieces(count, PIECE),
-        || Slots::new(count),
+        || RowAccumulator::new(count),
         |slots, k| {
             let rows = piece(k, count, PIECE);
             let mut entries: Vec<(u32, f32)> = Vec::with_capacity(8 * rows.len());
@@ -99,7 +99,7 @@ pub(crate) fn coarse_rows(draft: &Draft, groups: &Groups, threads: Threads) -> D
 }
 
 /// Mean position of each aggregate's members.
-fn centroids(draft: &Draft, groups: &Groups, threads: Threads) -> Vec<Lanes> {
+fn centroids(draft: &LevelDraft, groups: &Aggregates, threads: Parallelism) -> Vec<Lanes> {
     let count = groups.len();
     let parts = threads.map(
         0..pieces(count, PIECE),
@@ -121,10 +121,10 @@ fn centroids(draft: &Draft, groups: &Groups, threads: Threads) -> Vec<Lanes> {
 
 /// Sums over the edges from aggregate `coarse` to each aggregate that they lead to.
 fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(
-    draft: &Draft,
-    groups: &Groups,
+    draft: &LevelDraft,
+    groups: &Aggregates,
     coarse: usize,
-    slots: &mut Slots,
+    slots: &mut RowAccumulator,
 ) {
     let weights: &[f32] = draft.weights.as_deref().unwrap_or(&[]);
     let of_row = groups.of_row.as_slice();
@@ -167,7 +167,7 @@ fn weight(positions: &[Lanes], coarse: usize, other: usize, sum: Lanes) -> f32 {
 
 /// The coarse weight S·φ, never 0. `apart` is the way between the centroids, where there are positions; `sum` holds
 /// Σ w (p_i − p_j) and S.
-pub(crate) fn coarse_weight(apart: Option<Lanes>, sum: Wide) -> f32 {
+pub(crate) fn coarse_weight(apart: Option<Lanes>, sum: WideLanes) -> f32 {
     let [vx, vy, vz, s] = sum;
     let ratio = match apart {
         None => RATIO_WITHOUT_POSITIONS,
@@ -184,10 +184,10 @@ pub(crate) fn coarse_weight(apart: Option<Lanes>, sum: Wide) -> f32 {
     ((s * ratio) as f32).max(f32::MIN_POSITIVE)
 }
 
-type Half = (Vec<(u32, f32)>, Vec<usize>);
+type HalfRows = (Vec<(u32, f32)>, Vec<usize>);
 
 /// Turns the entries towards larger numbers into full rows.
-fn mirror(count: usize, halves: &[Half], positions: Vec<Lanes>) -> Draft {
+fn mirror(count: usize, halves: &[HalfRows], positions: Vec<Lanes>) -> LevelDraft {
     let each = |visit: &mut dyn FnMut(usize, u32, f32)| {
         for (k, (entries, ends)) in halves.iter().enumerate() {
             let mut begin = 0;
@@ -220,7 +220,7 @@ fn mirror(count: usize, halves: &[Half], positions: Vec<Lanes>) -> Draft {
         put(i, j, w);
         put(j as usize, i as u32, w);
     });
-    Draft {
+    LevelDraft {
         offsets,
         neighbours,
         weights: Some(weights),
@@ -231,11 +231,11 @@ fn mirror(count: usize, halves: &[Half], positions: Vec<Lanes>) -> Draft {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Block, pool};
+    use crate::testing::{BoxLattice, pool};
 
     #[test]
     fn coarse_weights_are_symmetric_and_bounded_by_their_sums() {
-        let hierarchy = Block::new(12, 11, 10).weighted().hierarchy(1);
+        let hierarchy = BoxLattice::new(12, 11, 10).weighted().hierarchy(1);
         assert!(hierarchy.levels.len() > 2);
         for pair in hierarchy.levels.windows(2) {
             let (fine, coarse) = (&pair[0], &pair[1]);
@@ -260,14 +260,14 @@ mod tests {
         // Along a chain cut into equal pieces the coarse edge must carry the flow of the one edge it replaces:
         // one fine edge of length 1 against a coarse edge of length 2.
         let at = |x: f32| Lanes([x, 0.0, 0.0, 0.0]);
-        let draft = Draft {
+        let draft = LevelDraft {
             offsets: vec![0, 1, 3, 5, 6],
             neighbours: vec![1, 0, 2, 1, 3, 2],
             weights: None,
             positions: vec![at(0.0), at(1.0), at(2.0), at(3.0)],
         };
-        let groups = Groups::new(vec![0, 0, 1, 1], 2);
-        let coarse = coarse_rows(&draft, &groups, Threads::of(&pool()));
+        let groups = Aggregates::new(vec![0, 0, 1, 1], 2);
+        let coarse = coarse_rows(&draft, &groups, Parallelism::of(&pool()));
         assert_eq!(coarse.neighbours, [1, 0]);
         assert!((coarse.weight(0) - 0.5).abs() < 1e-6, "{:?}", coarse.weights);
     }

@@ -1,14 +1,14 @@
 //! Sequences of vertices: along a space-filling curve, or breadth first where no positions are known.
 
-use crate::lanes::{Lanes, Shared};
-use crate::threads::{Threads, piece, pieces};
+use crate::lanes::{Lanes, SharedRows};
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Bits per axis of the curve.
 const BITS: u32 = 10;
 
 /// Moves and scales positions into a unit box around 0: `p = (position - centre) / size`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Frame {
+pub(crate) struct UnitBoxMap {
     /// Middle of the bounding box.
     pub(crate) centre: [f64; 3],
     /// Longest side of the bounding box, 1 if it has none.
@@ -16,8 +16,8 @@ pub(crate) struct Frame {
     inverse: f64,
 }
 
-impl Frame {
-    pub(crate) fn around(positions: &[[f64; 3]]) -> Frame {
+impl UnitBoxMap {
+    pub(crate) fn around(positions: &[[f64; 3]]) -> UnitBoxMap {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for p in positions {
             for c in 0..3 {
@@ -26,18 +26,18 @@ impl Frame {
             }
         }
         if positions.is_empty() {
-            return Frame::new([0.0; 3], 1.0);
+            return UnitBoxMap::new([0.0; 3], 1.0);
         }
         let centre = [0, 1, 2].map(|c| 0.5 * low[c] + 0.5 * high[c]);
         let half = (0..3).map(|c| 0.5 * high[c] - 0.5 * low[c]).fold(0.0, f64::max);
         // Twice the half may overflow for boxes that fill the range of f64; a box half as large serves as well.
         let size = if (2.0 * half).is_finite() { 2.0 * half } else { half };
-        Frame::new(centre, size)
+        UnitBoxMap::new(centre, size)
     }
 
-    fn new(centre: [f64; 3], size: f64) -> Frame {
+    fn new(centre: [f64; 3], size: f64) -> UnitBoxMap {
         let size = if (1.0 / size).is_finite() { size } else { 1.0 };
-        Frame {
+        UnitBoxMap {
             centre,
             size,
             inverse: 1.0 / size,
@@ -68,7 +68,7 @@ const PIECE: usize = 1 << 15;
 ///
 /// A radix sort by three digits. Every piece counts its digits, and from the counts of all pieces follows where each
 /// of its items belongs, so that pieces move their items independently.
-pub(crate) fn along_curve(positions: &[Lanes], threads: Threads) -> Vec<u32> {
+pub(crate) fn along_curve(positions: &[Lanes], threads: Parallelism) -> Vec<u32> {
     const DIGITS: usize = 1 << BITS;
     let n = positions.len();
     let threads = threads.for_rows(n);
@@ -79,7 +79,7 @@ pub(crate) fn along_curve(positions: &[Lanes], threads: Threads) -> Vec<u32> {
     let mut spare = vec![(0u32, 0u32); n];
     let mut order = vec![0u32; n];
     for pass in 0..3 {
-        let from = Shared::new(&mut items);
+        let from = SharedRows::new(&mut items);
         let counts = threads.map(
             0..pieces(n, PIECE),
             || (),
@@ -110,9 +110,9 @@ pub(crate) fn along_curve(positions: &[Lanes], threads: Threads) -> Vec<u32> {
             }
         }
         let (cursors, to, order) = (
-            Shared::new(&mut cursors),
-            Shared::new(&mut spare),
-            Shared::new(&mut order),
+            SharedRows::new(&mut cursors),
+            SharedRows::new(&mut spare),
+            SharedRows::new(&mut order),
         );
         threads.each(0..pieces(n, PIECE), |k| {
             // SAFETY: pieces are disjoint, each is visited once, and so is every place that their cursors pass.
@@ -169,7 +169,7 @@ mod tests {
             let c = |s: u32| ((((k * 7 + 3) % 512) >> s) & 7) as f32 / 8.0 - 0.5 + 1.0 / 32.0;
             points.push(Lanes([c(0), c(3), c(6), 0.0]));
         }
-        let order = along_curve(&points, Threads::one());
+        let order = along_curve(&points, Parallelism::one());
         let octant = |i: u32| {
             points[i as usize]
                 .0
@@ -191,8 +191,8 @@ mod tests {
 
     #[test]
     fn equal_cells_keep_their_order() {
-        assert_eq!(along_curve(&[Lanes::ZERO; 5], Threads::one()), [0, 1, 2, 3, 4]);
-        assert!(along_curve(&[], Threads::one()).is_empty());
+        assert_eq!(along_curve(&[Lanes::ZERO; 5], Parallelism::one()), [0, 1, 2, 3, 4]);
+        assert!(along_curve(&[], Parallelism::one()).is_empty());
     }
 
     #[test]
@@ -207,10 +207,10 @@ mod tests {
     #[test]
     fn frames_survive_extreme_boxes() {
         for s in [1e-300, 1e-30, 1.0, 1e30, 1e308] {
-            let frame = Frame::around(&[[-s, 0.0, 0.0], [s, s, 0.0]]);
+            let frame = UnitBoxMap::around(&[[-s, 0.0, 0.0], [s, s, 0.0]]);
             let p = frame.apply([s, 0.0, 0.0]);
             assert!(p.0.iter().all(|v| v.abs() <= 1.0), "{s}: {p:?}");
         }
-        assert_eq!(Frame::around(&[[3.0; 3]; 2]).size, 1.0);
+        assert_eq!(UnitBoxMap::around(&[[3.0; 3]; 2]).size, 1.0);
     }
 }

@@ -4,21 +4,24 @@
 //! sides sum to zero. The solver solves the projected equations and leaves the mean of the start as it is.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::constrain::mask::Mask;
-use crate::lanes::{Lanes, WIDTH, Wide, add_wide};
+use crate::constrain::mask::LevelMask;
+use crate::lanes::{Lanes, WIDTH, WideLanes, add_wide};
 
 /// The rows of the finest level that belong to floating components.
 #[derive(Debug, Default)]
-pub(crate) struct Floating {
+pub(crate) struct FloatingComponents {
     rows: Vec<u32>,
     /// End of each component in `rows`.
     ends: Vec<u32>,
 }
 
-impl Floating {
+impl FloatingComponents {
     /// Looks at the top of the hierarchy, where each component has shrunk to a few rows, and only expands those found.
-    pub(crate) fn find(hierarchy: &Hierarchy, (masks, stiffness, dense_rows): (&[Mask], &[f64], &[u32])) -> Floating {
-        let mut floating = Floating::default();
+    pub(crate) fn find(
+        hierarchy: &Hierarchy,
+        (masks, stiffness, dense_rows): (&[LevelMask], &[f64], &[u32]),
+    ) -> FloatingComponents {
+        let mut floating = FloatingComponents::default();
         let last = masks.len() - 1;
         let finest = &hierarchy.levels[0];
         for row in 0..finest.rows() {
@@ -83,7 +86,7 @@ impl Floating {
         self.ends.is_empty()
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         4 * (self.rows.len() + self.ends.len())
     }
 
@@ -95,7 +98,7 @@ impl Floating {
     }
 
     /// How much the squared norm of `v` shrinks when the means are taken out.
-    pub(crate) fn mean_norms(&self, v: impl Fn(usize) -> Wide) -> Wide {
+    pub(crate) fn mean_norms(&self, v: impl Fn(usize) -> WideLanes) -> WideLanes {
         let mut norms = [0.0; WIDTH];
         for rows in self.components() {
             let mut sum = [0.0; WIDTH];
@@ -124,7 +127,7 @@ impl Floating {
     }
 
     /// The same in double precision.
-    pub(crate) fn remove_wide_means(&self, v: &mut [Wide]) {
+    pub(crate) fn remove_wide_means(&self, v: &mut [WideLanes]) {
         for rows in self.components() {
             let mut sum = [0.0; WIDTH];
             for &i in rows {

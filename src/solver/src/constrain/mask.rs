@@ -2,10 +2,10 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::build::level::Level;
-use crate::lanes::Shared;
-use crate::storage::NONE;
-use crate::threads::{Threads, piece, pieces};
+use crate::build::level::HierarchyLevel;
+use crate::lanes::SharedRows;
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
@@ -13,7 +13,7 @@ const PIECE: usize = 4096;
 /// One level under constraints. The level's off-diagonal entries stay as they are; a constrained row is *masked*: its
 /// unknown is 0 in every correction, which takes it out of the equations of its neighbours.
 #[derive(Debug, Default)]
-pub(crate) struct Mask {
+pub(crate) struct LevelMask {
     /// 1 / (Σ w + α) of rows that are solved for, 0 of masked ones.
     pub(crate) inverses: Vec<f32>,
     /// α of each row, or empty where it is 0 everywhere.
@@ -26,7 +26,7 @@ pub(crate) struct Mask {
     pub(crate) border: Vec<u64>,
 }
 
-impl Mask {
+impl LevelMask {
     #[inline(always)]
     pub(crate) fn free(&self, row: usize) -> bool {
         self.inverses[row] != 0.0
@@ -38,7 +38,7 @@ impl Mask {
     }
 
     /// Fills in what follows from `inverses`.
-    pub(crate) fn list_active(&mut self, level: &Level, threads: Threads) {
+    pub(crate) fn list_active(&mut self, level: &HierarchyLevel, threads: Parallelism) {
         const BLOCKS: usize = 256;
         let count = level.colours.last().map_or(0, |&end| end as usize);
         let is_active = |b: &u32| level.block(*b as usize).any(|i| self.free(i));
@@ -63,7 +63,7 @@ impl Mask {
     }
 
     /// Fills in `border`, from whichever side has fewer rows. Filling counts as neither.
-    pub(crate) fn find_border(&mut self, level: &Level, threads: Threads) {
+    pub(crate) fn find_border(&mut self, level: &HierarchyLevel, threads: Parallelism) {
         let n = level.rows();
         let threads = threads.for_rows(n);
         let count = |k| piece(k, n, PIECE).filter(|&i| self.free(i)).count();
@@ -84,7 +84,7 @@ impl Mask {
         self.border = border.into_iter().map(AtomicU64::into_inner).collect();
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         let words = self.inverses.len() + self.alphas.len() + self.active.len() + self.colours.len();
         4 * words + 8 * self.border.len()
     }
@@ -93,16 +93,21 @@ impl Mask {
 /// The mask of the level below `fine`. An aggregate without free members is masked. Another one sums α over its free
 /// members, and the weights that tie these to masked rows ([`tie_share`]). Always from scratch: nothing accumulates over
 /// changes of constraints.
-pub(crate) fn coarser(fine: &Level, coarse: &Level, fine_mask: &Mask, threads: Threads) -> Mask {
+pub(crate) fn coarser(
+    fine: &HierarchyLevel,
+    coarse: &HierarchyLevel,
+    fine_mask: &LevelMask,
+    threads: Parallelism,
+) -> LevelMask {
     let n = coarse.rows();
     let threads = threads.for_rows(fine.rows());
-    let mut mask = Mask {
+    let mut mask = LevelMask {
         inverses: vec![0.0; n],
         alphas: vec![0.0; n],
-        ..Mask::default()
+        ..LevelMask::default()
     };
     // 1 marks aggregates with free members until all of them are known.
-    let inverses = Shared::new(&mut mask.inverses);
+    let inverses = SharedRows::new(&mut mask.inverses);
     threads.each(0..pieces(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
         let inverses = unsafe { inverses.rows(piece(k, n, PIECE)) };
@@ -112,7 +117,7 @@ pub(crate) fn coarser(fine: &Level, coarse: &Level, fine_mask: &Mask, threads: T
         }
     });
     let mut alphas = std::mem::take(&mut mask.alphas);
-    let shared = Shared::new(&mut alphas);
+    let shared = SharedRows::new(&mut alphas);
     threads.each(0..pieces(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
         let alphas = unsafe { shared.rows(piece(k, n, PIECE)) };
@@ -152,12 +157,12 @@ pub(crate) fn coarser(fine: &Level, coarse: &Level, fine_mask: &Mask, threads: T
 /// All of it inside the aggregate. Nothing if `j`'s aggregate is masked: the coarse edge to it says it all. Otherwise
 /// that aggregate moves in the coarse equations, and what the edge holds would be lost; it counts as much as crossing
 /// edges do on average. Handles of a few vertices are held by such edges alone.
-pub(crate) fn tie_share(fine: &Level, coarse_mask: &Mask, row: usize, j: usize) -> f32 {
+pub(crate) fn tie_share(fine: &HierarchyLevel, coarse_mask: &LevelMask, row: usize, j: usize) -> f32 {
     const CROSSING: f32 = 0.6;
     let aggregate = fine.aggregates[j];
     if aggregate == row as u32 {
         1.0
-    } else if aggregate != NONE && coarse_mask.free(aggregate as usize) {
+    } else if aggregate != NO_ROW && coarse_mask.free(aggregate as usize) {
         CROSSING
     } else {
         0.0

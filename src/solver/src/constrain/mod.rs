@@ -4,4 +4,4 @@ pub(crate) mod floating;
 pub(crate) mod mask;
 pub(crate) mod system;
 
-pub use self::system::System;
+pub use self::system::LinearSystem;

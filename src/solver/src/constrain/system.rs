@@ -3,17 +3,17 @@
 use std::sync::Arc;
 
 use crate::build::hierarchy::Hierarchy;
-use crate::build::level::Level;
-use crate::constrain::floating::Floating;
-use crate::constrain::mask::{Mask, coarser};
+use crate::build::level::HierarchyLevel;
+use crate::constrain::floating::FloatingComponents;
+use crate::constrain::mask::{LevelMask, coarser};
 use crate::dense::Inverse;
 use crate::error::Error;
-use crate::lanes::Shared;
-use crate::options::{Constraints, LevelFacts};
+use crate::lanes::SharedRows;
+use crate::options::{Constraints, LevelSize};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::pool::Pool;
-use crate::storage::NONE;
-use crate::threads::{Threads, piece, pieces};
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Up to this many free vertices are solved directly.
 const DIRECT: usize = 200;
@@ -28,11 +28,11 @@ const PIECE: usize = 4096;
 ///
 /// It refers to its hierarchy by identity and borrows nothing; pass the hierarchy to every call.
 #[derive(Debug)]
-pub struct System {
+pub struct LinearSystem {
     token: Arc<()>,
     free: usize,
     /// One per level; only the finest where the direct method applies.
-    pub(crate) masks: Vec<Mask>,
+    pub(crate) masks: Vec<LevelMask>,
     /// Scaled stiffness in row order, or empty.
     pub(crate) stiffness: Vec<f64>,
     /// Fixed vertices, in the caller's order, one bit each.
@@ -44,7 +44,7 @@ pub struct System {
     pub(crate) steps: Vec<u8>,
     /// Whether the finest level is swept forth and back on either side of the coarse correction, not just once.
     pub(crate) twice: bool,
-    pub(crate) floating: Floating,
+    pub(crate) floating: FloatingComponents,
     /// With the paper's operators: its own levels.
     pub(crate) paper: Option<PaperHierarchy>,
 }
@@ -56,14 +56,18 @@ impl Hierarchy {
     /// # Errors
     /// [`Error::Invalid`] if the lengths do not fit the graph or a stiffness is negative, not finite or larger than
     /// 1e12 times the heaviest edge (a harder one is a fixed vertex).
-    pub fn constrain(&self, constraints: &Constraints<'_>, pool: &Pool) -> Result<System, Error> {
-        System::new(self, constraints, pool)
+    pub fn constrain(&self, constraints: &Constraints<'_>, pool: &Pool) -> Result<LinearSystem, Error> {
+        LinearSystem::new(self, constraints, pool)
     }
 }
 
-impl System {
-    pub(crate) fn new(hierarchy: &Hierarchy, constraints: &Constraints<'_>, pool: &Pool) -> Result<System, Error> {
-        let threads = Threads::of(pool);
+impl LinearSystem {
+    pub(crate) fn new(
+        hierarchy: &Hierarchy,
+        constraints: &Constraints<'_>,
+        pool: &Pool,
+    ) -> Result<LinearSystem, Error> {
+        let threads = Parallelism::of(pool);
         check(hierarchy, constraints)?;
         let scale = hierarchy.weight_scale;
         let stiffness: Vec<f64> = match constraints.stiffness {
@@ -71,7 +75,7 @@ impl System {
                 .order
                 .iter()
                 .map(|&v| {
-                    if v == NONE || constraints.fixed[v as usize] {
+                    if v == NO_ROW || constraints.fixed[v as usize] {
                         0.0
                     } else {
                         s[v as usize] * scale
@@ -81,7 +85,7 @@ impl System {
             _ => Vec::new(),
         };
         let free = constraints.fixed.iter().filter(|f| !**f).count();
-        let mut system = System {
+        let mut system = LinearSystem {
             token: hierarchy.token.clone(),
             free,
             masks: Vec::with_capacity(hierarchy.levels.len()),
@@ -91,7 +95,7 @@ impl System {
             inverse: Inverse::default(),
             steps: Vec::new(),
             twice: hierarchy.thin,
-            floating: Floating::default(),
+            floating: FloatingComponents::default(),
             paper: None,
         };
         threads.enter(pool, || {
@@ -108,7 +112,8 @@ impl System {
                 }
             }
             system.factor(hierarchy);
-            system.floating = Floating::find(hierarchy, (&system.masks, &system.stiffness, &system.dense_rows));
+            system.floating =
+                FloatingComponents::find(hierarchy, (&system.masks, &system.stiffness, &system.dense_rows));
         });
         system.steps = steps(hierarchy);
         if let (Some(kept), false) = (&hierarchy.paper, system.is_direct()) {
@@ -119,22 +124,22 @@ impl System {
     }
 
     /// Number of free vertices.
-    pub fn free(&self) -> usize {
+    pub fn free_count(&self) -> usize {
         self.free
     }
 
     /// Sizes of the levels over free vertices, finest first, where constraints have a hierarchy of their own: with
-    /// [`Operators::Paper`](super::Operators::Paper) and more free vertices than are solved directly.
-    pub fn levels(&self) -> Option<Vec<LevelFacts>> {
-        self.paper.as_ref().map(PaperHierarchy::facts)
+    /// [`CoarseOperators::Paper`](super::CoarseOperators::Paper) and more free vertices than are solved directly.
+    pub fn level_sizes(&self) -> Option<Vec<LevelSize>> {
+        self.paper.as_ref().map(PaperHierarchy::level_sizes)
     }
 
     /// Bytes held, without the hierarchy's.
-    pub fn bytes(&self) -> usize {
-        let masks: usize = self.masks.iter().map(Mask::bytes).sum();
-        let paper = self.paper.as_ref().map_or(0, PaperHierarchy::bytes);
+    pub fn byte_size(&self) -> usize {
+        let masks: usize = self.masks.iter().map(LevelMask::byte_size).sum();
+        let paper = self.paper.as_ref().map_or(0, PaperHierarchy::byte_size);
         let vectors = 8 * (self.stiffness.len() + self.fixed.len());
-        masks + vectors + self.inverse.bytes() + self.floating.bytes() + paper
+        masks + vectors + self.inverse.byte_size() + self.floating.byte_size() + paper
     }
 
     /// True if the dense inverse covers the finest level itself.
@@ -156,22 +161,22 @@ impl System {
         self.fixed[vertex >> 6] >> (vertex & 63) & 1 == 1
     }
 
-    fn mask_finest(&mut self, hierarchy: &Hierarchy, fixed: &[bool], threads: Threads) {
+    fn mask_finest(&mut self, hierarchy: &Hierarchy, fixed: &[bool], threads: Parallelism) {
         let level = &hierarchy.levels[0];
-        let mut mask = Mask {
+        let mut mask = LevelMask {
             inverses: vec![0.0; level.rows()],
-            ..Mask::default()
+            ..LevelMask::default()
         };
         mask.alphas = self.stiffness.iter().map(|&s| s as f32).collect();
         let n = level.rows();
-        let out = Shared::new(&mut mask.inverses);
+        let out = SharedRows::new(&mut mask.inverses);
         let alphas = &mask.alphas;
         threads.for_rows(n).each(0..pieces(n, PIECE), |k| {
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { out.rows(piece(k, n, PIECE)) };
             for (i, out) in piece(k, n, PIECE).zip(out) {
                 let vertex = hierarchy.order[i];
-                if vertex != NONE && !fixed[vertex as usize] {
+                if vertex != NO_ROW && !fixed[vertex as usize] {
                     let diagonal = level.diagonal[i] + alphas.get(i).copied().unwrap_or(0.0);
                     // A free vertex that touches nothing has diagonal 0. It stays free; see `floating`.
                     *out = if diagonal > 0.0 { 1.0 / diagonal } else { 1.0 };
@@ -245,7 +250,7 @@ fn check(hierarchy: &Hierarchy, constraints: &Constraints<'_>) -> Result<(), Err
 /// Two cycles per visit (the K-cycle) wherever all cycles of the level together stay cheaper than the finest level.
 fn steps(hierarchy: &Hierarchy) -> Vec<u8> {
     const SHARE: f64 = 0.6;
-    let work = |l: &Level| (l.rows() + l.entries) as f64;
+    let work = |l: &HierarchyLevel| (l.rows() + l.entries) as f64;
     let budget = SHARE * work(&hierarchy.levels[0]).max(1e6);
     let mut cycles = 1.0;
     let mut steps = vec![1];
@@ -264,7 +269,7 @@ fn steps(hierarchy: &Hierarchy) -> Vec<u8> {
     debug_assert!(hierarchy.levels.iter().all(|l| {
         l.aggregates
             .iter()
-            .all(|&a| a == NONE || (a as usize) < l.coarse_rows())
+            .all(|&a| a == NO_ROW || (a as usize) < l.coarse_rows())
     }));
     steps
 }
@@ -272,11 +277,11 @@ fn steps(hierarchy: &Hierarchy) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Block, pool};
+    use crate::testing::{BoxLattice, pool};
 
     #[test]
     fn masks_follow_their_members() {
-        let block = Block::new(12, 11, 10).weighted();
+        let block = BoxLattice::new(12, 11, 10).weighted();
         let hierarchy = block.hierarchy(30);
         let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] < 4.0).collect();
         let stiffness: Vec<f64> = block
@@ -289,10 +294,10 @@ mod tests {
             stiffness: Some(&stiffness),
         };
         let system = hierarchy.constrain(&constraints, &pool()).unwrap();
-        assert_eq!(system.free(), fixed.iter().filter(|f| !**f).count());
+        assert_eq!(system.free_count(), fixed.iter().filter(|f| !**f).count());
         let (mut masked, mut mixed) = (0, 0);
         for (row, &vertex) in hierarchy.order.iter().enumerate() {
-            let free = vertex != NONE && !fixed[vertex as usize];
+            let free = vertex != NO_ROW && !fixed[vertex as usize];
             assert_eq!(system.masks[0].free(row), free);
         }
         for l in 1..hierarchy.levels.len() {
@@ -331,7 +336,7 @@ mod tests {
 
     #[test]
     fn cycles_stay_within_their_budget() {
-        let hierarchy = Block::new(40, 40, 24).hierarchy(20);
+        let hierarchy = BoxLattice::new(40, 40, 24).hierarchy(20);
         let steps = steps(&hierarchy);
         assert_eq!(steps.len(), hierarchy.levels.len());
         assert!(steps.contains(&2), "coarse levels run twice: {steps:?}");

@@ -1,6 +1,6 @@
 //! Section 4: which vertices are elevated, and which of them are joined.
 
-use crate::paper::level::{Level, RETAINED};
+use crate::paper::level::{PaperLevel, RETAINED};
 
 /// Vertices with more neighbours than this are asked first whether they become seeds.
 const HUB: usize = 64;
@@ -11,7 +11,7 @@ const DENSER: usize = 8;
 
 /// Elevates a maximal δ-independent set of `level` and returns the graph of the elevated vertices, or `None` if that
 /// would be hardly smaller or far denser. δ is the mean edge length times r^(−1/3).
-pub(super) fn coarsen(level: &mut Level, r: f64) -> Option<Level> {
+pub(super) fn coarsen(level: &mut PaperLevel, r: f64) -> Option<PaperLevel> {
     let n = level.vertices();
     let most = |seeds: &[bool]| seeds.iter().filter(|s| **s).count() as f64 <= SHRINKS * n as f64;
     let mut seeds = independent_set(level, threshold(level, r));
@@ -27,7 +27,7 @@ pub(super) fn coarsen(level: &mut Level, r: f64) -> Option<Level> {
 }
 
 /// δ of section 4. Without positions, infinite: all neighbours are close.
-fn threshold(level: &Level, r: f64) -> f64 {
+fn threshold(level: &PaperLevel, r: f64) -> f64 {
     if level.positions.is_empty() || level.neighbours.is_empty() {
         return f64::INFINITY;
     }
@@ -38,7 +38,7 @@ fn threshold(level: &Level, r: f64) -> f64 {
     total / level.neighbours.len() as f64 * libm::pow(r, -1.0 / 3.0)
 }
 
-fn distance(level: &Level, i: usize, j: usize) -> f64 {
+fn distance(level: &PaperLevel, i: usize, j: usize) -> f64 {
     let (a, b) = (level.positions[i], level.positions[j]);
     let d = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt()
@@ -47,7 +47,7 @@ fn distance(level: &Level, i: usize, j: usize) -> f64 {
 /// A maximal set of vertices of which no two neighbours are within `delta` of each other, by one sweep: a vertex joins
 /// unless it is within `delta` of a neighbour that has. Every other vertex with neighbours thus has one in the set.
 /// Vertices without neighbours stay out.
-fn independent_set(level: &Level, delta: f64) -> Vec<bool> {
+fn independent_set(level: &PaperLevel, delta: f64) -> Vec<bool> {
     let n = level.vertices();
     let (mut seeds, mut taken) = (vec![false; n], vec![false; n]);
     for hubs in [true, false] {
@@ -67,7 +67,7 @@ fn independent_set(level: &Level, delta: f64) -> Vec<bool> {
     seeds
 }
 
-fn elevate(level: &mut Level, seeds: &[bool]) {
+fn elevate(level: &mut PaperLevel, seeds: &[bool]) {
     level.seeds = (0..seeds.len()).filter(|&i| seeds[i]).map(|i| i as u32).collect();
     level.elevated = vec![RETAINED; seeds.len()];
     for (c, &i) in level.seeds.iter().enumerate() {
@@ -76,7 +76,7 @@ fn elevate(level: &mut Level, seeds: &[bool]) {
 }
 
 /// The graph of the elevated vertices: joined if they were neighbours, or if both neighbour one retained vertex.
-fn joined(level: &Level) -> Option<Level> {
+fn joined(level: &PaperLevel) -> Option<PaperLevel> {
     let retained = (0..level.vertices()).filter(|&i| level.elevated[i] == RETAINED);
     let pairs = retained
         .map(|i| level.to_elevated(i).count())
@@ -84,13 +84,13 @@ fn joined(level: &Level) -> Option<Level> {
     if pairs > DENSER.saturating_mul(level.neighbours.len()) {
         return None;
     }
-    let mut coarse = Level {
+    let mut coarse = PaperLevel {
         offsets: vec![0],
         positions: match level.positions.is_empty() {
             true => Vec::new(),
             false => level.seeds.iter().map(|&j| level.positions[j as usize]).collect(),
         },
-        ..Level::default()
+        ..PaperLevel::default()
     };
     let mut last_row = vec![u32::MAX; level.seeds.len()];
     for (c, &j) in level.seeds.iter().enumerate() {
@@ -160,11 +160,11 @@ mod tests {
     }
 
     /// A star: rows of `leaves` leaves around a centre that comes last.
-    fn star(leaves: u32) -> Level {
-        let mut level = Level {
+    fn star(leaves: u32) -> PaperLevel {
+        let mut level = PaperLevel {
             offsets: (0..=leaves as usize).collect(),
             neighbours: vec![leaves; leaves as usize],
-            ..Level::default()
+            ..PaperLevel::default()
         };
         level.neighbours.extend(0..leaves);
         level.offsets.push(level.neighbours.len());

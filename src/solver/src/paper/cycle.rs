@@ -1,8 +1,8 @@
 //! Algorithm 1 with γ = 1: a V-cycle on the defect equations.
 
-use crate::lanes::{WIDTH, Wide};
+use crate::lanes::{WIDTH, WideLanes};
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::paper::restrict::{Reading, correct, restrict_defect};
+use crate::paper::restrict::{OperatorReading, correct, restrict_defect};
 use crate::paper::smooth::{defect, sweep};
 use crate::progress::{Cancelled, Progress, check};
 
@@ -11,15 +11,15 @@ const SWEEPS: usize = 2;
 
 /// Vectors of one level.
 #[derive(Debug, Default)]
-pub(super) struct Vectors {
-    pub(super) b: Vec<Wide>,
-    pub(super) x: Vec<Wide>,
-    defect: Vec<Wide>,
+pub(super) struct PaperVectors {
+    pub(super) b: Vec<WideLanes>,
+    pub(super) x: Vec<WideLanes>,
+    defect: Vec<WideLanes>,
 }
 
 /// Vectors of all levels, finest first.
-pub(super) fn vectors(paper: &PaperHierarchy) -> Vec<Vectors> {
-    let vectors = |n: usize| Vectors {
+pub(super) fn vectors(paper: &PaperHierarchy) -> Vec<PaperVectors> {
+    let vectors = |n: usize| PaperVectors {
         b: vec![[0.0; WIDTH]; n],
         x: vec![[0.0; WIDTH]; n],
         defect: vec![[0.0; WIDTH]; n],
@@ -30,8 +30,13 @@ pub(super) fn vectors(paper: &PaperHierarchy) -> Vec<Vectors> {
 impl PaperHierarchy {
     /// One V(2,2) cycle on the original equations of level `s`: improves `vectors[0].x` for `vectors[0].b`. `vectors`
     /// begins at that level.
-    pub(super) fn cycle(&self, s: usize, vectors: &mut [Vectors], progress: &dyn Progress) -> Result<(), Cancelled> {
-        self.descend(s, 0, Reading::Held, vectors, progress)
+    pub(super) fn cycle(
+        &self,
+        s: usize,
+        vectors: &mut [PaperVectors],
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        self.descend(s, 0, OperatorReading::Held, vectors, progress)
     }
 
     /// The same on step `k` of chain `s`.
@@ -39,8 +44,8 @@ impl PaperHierarchy {
         &self,
         s: usize,
         k: usize,
-        reading: Reading,
-        vectors: &mut [Vectors],
+        reading: OperatorReading,
+        vectors: &mut [PaperVectors],
         progress: &dyn Progress,
     ) -> Result<(), Cancelled> {
         let Some((here, below)) = vectors.split_first_mut() else {
@@ -68,7 +73,7 @@ impl PaperHierarchy {
     }
 
     /// The coarsest equations of chain `s`, solved exactly.
-    pub(super) fn solve_coarsest(&self, s: usize, vectors: &mut Vectors) {
+    pub(super) fn solve_coarsest(&self, s: usize, vectors: &mut PaperVectors) {
         let inverse = &self.inverses[s];
         for (i, x) in vectors.x.iter_mut().enumerate() {
             *x = inverse.row_times(i, &vectors.b);

@@ -1,12 +1,12 @@
 //! The caller's graph, kept so that constraints can cut it, and the finest level that is left.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::paper::equations::Equations;
-use crate::paper::kept::Kept;
-use crate::paper::level::Level;
-use crate::storage::NONE;
+use crate::paper::equations::LevelEquations;
+use crate::paper::kept::UncutGraph;
+use crate::paper::level::PaperLevel;
+use crate::storage::NO_ROW;
 
-impl Kept {
+impl UncutGraph {
     /// Equation (11): the graph of the free vertices. Fixed neighbours are counted in α, and so is stiffness.
     ///
     /// Returns the vertex and the row in `hierarchy` of each free vertex, their graph, and its equations with weights
@@ -16,24 +16,24 @@ impl Kept {
         hierarchy: &Hierarchy,
         fixed: &[bool],
         stiffness: &[f64],
-    ) -> (Vec<u32>, Vec<u32>, Level, Equations) {
-        let mut row_of = vec![NONE; fixed.len()];
-        for (row, &vertex) in hierarchy.order.iter().enumerate().filter(|(_, v)| **v != NONE) {
+    ) -> (Vec<u32>, Vec<u32>, PaperLevel, LevelEquations) {
+        let mut row_of = vec![NO_ROW; fixed.len()];
+        for (row, &vertex) in hierarchy.order.iter().enumerate().filter(|(_, v)| **v != NO_ROW) {
             row_of[vertex as usize] = row as u32;
         }
         let vertices: Vec<u32> = (0..fixed.len()).filter(|&v| !fixed[v]).map(|v| v as u32).collect();
         let rows: Vec<u32> = vertices.iter().map(|&v| row_of[v as usize]).collect();
-        let mut number = vec![NONE; fixed.len()];
+        let mut number = vec![NO_ROW; fixed.len()];
         for (i, &v) in vertices.iter().enumerate() {
             number[v as usize] = i as u32;
         }
-        let mut level = Level {
+        let mut level = PaperLevel {
             offsets: vec![0],
             positions: match self.positions.is_empty() {
                 true => Vec::new(),
                 false => vertices.iter().map(|&v| self.positions[v as usize]).collect(),
             },
-            ..Level::default()
+            ..PaperLevel::default()
         };
         let (mut weights, mut alphas) = (Vec::new(), Vec::with_capacity(vertices.len()));
         for (&v, &row) in vertices.iter().zip(&rows) {
@@ -41,7 +41,7 @@ impl Kept {
             for e in self.offsets[v as usize] as usize..self.offsets[v as usize + 1] as usize {
                 let j = number[self.neighbours[e] as usize];
                 let w = self.weights.as_ref().map_or(1.0, |w| f64::from(w[e])) * hierarchy.weight_scale;
-                if j == NONE {
+                if j == NO_ROW {
                     alpha += w;
                 } else {
                     level.neighbours.push(j);
@@ -51,7 +51,7 @@ impl Kept {
             level.offsets.push(level.neighbours.len());
             alphas.push(alpha);
         }
-        let equations = Equations::new(&level, weights, alphas);
+        let equations = LevelEquations::new(&level, weights, alphas);
         (vertices, rows, level, equations)
     }
 }
@@ -59,16 +59,16 @@ impl Kept {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::graph::Graph;
+    use crate::graph::WeightedGraph;
     use crate::paper::testing::{built, lattice};
 
     /// The graph of all vertices.
-    pub(crate) fn level_of(graph: &Graph<'_>) -> Level {
-        Level {
+    pub(crate) fn level_of(graph: &WeightedGraph<'_>) -> PaperLevel {
+        PaperLevel {
             offsets: graph.offsets.iter().map(|&o| o as usize).collect(),
             neighbours: graph.neighbours.to_vec(),
             positions: graph.positions.map(<[_]>::to_vec).unwrap_or_default(),
-            ..Level::default()
+            ..PaperLevel::default()
         }
     }
 

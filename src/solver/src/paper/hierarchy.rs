@@ -2,12 +2,12 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::dense::Inverse;
-use crate::options::{BuildOptions, LevelFacts};
+use crate::options::{BuildOptions, LevelSize};
 use crate::paper::coarsen::coarsen;
-use crate::paper::equations::Equations;
-use crate::paper::kept::Kept;
-use crate::paper::level::Level;
-use crate::paper::restrict::{Reading, restricted};
+use crate::paper::equations::LevelEquations;
+use crate::paper::kept::UncutGraph;
+use crate::paper::level::PaperLevel;
+use crate::paper::restrict::{OperatorReading, restricted};
 
 /// Most vertices of a coarsest level that could not be coarsened any further.
 const DENSE: usize = 1000;
@@ -20,10 +20,10 @@ pub(crate) struct PaperHierarchy {
     /// Its row in the parent module's order.
     pub(super) rows: Vec<u32>,
     /// Finest first; at least one.
-    pub(super) levels: Vec<Level>,
+    pub(super) levels: Vec<PaperLevel>,
     /// `chains[s][k]`: on level s + k, the defect equations of the original equations of level s; those themselves for
     /// k = 0. Pairs of equal s + k share their graph.
-    pub(super) chains: Vec<Vec<Equations>>,
+    pub(super) chains: Vec<Vec<LevelEquations>>,
     /// The coarsest equations of each chain.
     pub(super) inverses: Vec<Inverse>,
     /// Conjugate-gradient steps after each cycle; `None`: two where a tolerance of 1e-5 or less is asked for.
@@ -36,7 +36,7 @@ impl PaperHierarchy {
     /// Builds the levels over the free vertices: those that `fixed` does not hold.
     ///
     /// `stiffness` is α of soft constraints in row order of `hierarchy`, whose scaling of weights is adopted.
-    pub(crate) fn build(kept: &Kept, hierarchy: &Hierarchy, fixed: &[bool], stiffness: &[f64]) -> PaperHierarchy {
+    pub(crate) fn build(kept: &UncutGraph, hierarchy: &Hierarchy, fixed: &[bool], stiffness: &[f64]) -> PaperHierarchy {
         let options = &kept.options;
         let (vertices, rows, finest, original) = kept.free(hierarchy, fixed, stiffness);
         let (levels, usable) = levels(finest, options);
@@ -56,14 +56,19 @@ impl PaperHierarchy {
     }
 
     /// Equations of every chain: originals from level to level, and from each of them its defect equations.
-    fn fill_chains(&mut self, mut original: Equations) {
+    fn fill_chains(&mut self, mut original: LevelEquations) {
         for s in 0..self.levels.len() {
             let next = self
                 .below(s)
-                .map(|c| restricted(&self.levels[s], &original, c, Reading::Pruned));
+                .map(|c| restricted(&self.levels[s], &original, c, OperatorReading::Pruned));
             let mut chain = vec![original];
             for k in s..self.levels.len() - 1 {
-                let equations = restricted(&self.levels[k], &chain[k - s], &self.levels[k + 1], Reading::Held);
+                let equations = restricted(
+                    &self.levels[k],
+                    &chain[k - s],
+                    &self.levels[k + 1],
+                    OperatorReading::Held,
+                );
                 chain.push(equations);
             }
             let last = (&self.levels[self.levels.len() - 1], &chain[chain.len() - 1]);
@@ -76,13 +81,13 @@ impl PaperHierarchy {
         }
     }
 
-    fn below(&self, level: usize) -> Option<&Level> {
+    fn below(&self, level: usize) -> Option<&PaperLevel> {
         self.levels.get(level + 1)
     }
 
     /// Sizes of the levels, finest first.
-    pub(crate) fn facts(&self) -> Vec<LevelFacts> {
-        let facts = |l: &Level| LevelFacts {
+    pub(crate) fn level_sizes(&self) -> Vec<LevelSize> {
+        let facts = |l: &PaperLevel| LevelSize {
             vertices: l.vertices(),
             edges: l.neighbours.len() / 2,
         };
@@ -90,16 +95,16 @@ impl PaperHierarchy {
     }
 
     /// Bytes held.
-    pub(crate) fn bytes(&self) -> usize {
-        let levels: usize = self.levels.iter().map(Level::bytes).sum();
-        let chains: usize = self.chains.iter().flatten().map(Equations::bytes).sum();
-        let inverses: usize = self.inverses.iter().map(Inverse::bytes).sum();
+    pub(crate) fn byte_size(&self) -> usize {
+        let levels: usize = self.levels.iter().map(PaperLevel::byte_size).sum();
+        let chains: usize = self.chains.iter().flatten().map(LevelEquations::byte_size).sum();
+        let inverses: usize = self.inverses.iter().map(Inverse::byte_size).sum();
         levels + chains + inverses + 4 * (self.vertices.len() + self.rows.len())
     }
 }
 
 /// Coarsens until a level is small enough to be solved directly. False if that was given up.
-fn levels(finest: Level, options: &BuildOptions) -> (Vec<Level>, bool) {
+fn levels(finest: PaperLevel, options: &BuildOptions) -> (Vec<PaperLevel>, bool) {
     let mut levels = vec![finest];
     loop {
         let last = levels.len() - 1;

@@ -1,18 +1,18 @@
 //! Cycles until the criteria hold, and what happens when they never would.
 
 use crate::error::Error;
-use crate::lanes::{WIDTH, Wide, per_lane, ratio};
-use crate::options::{Method, Start};
+use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
+use crate::options::{InitialGuess, SolveMethod};
 use crate::paper::cycle::vectors;
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::paper::kept::Kept;
-use crate::paper::smooth::Steps;
-use crate::paper::start::{Framed, Still};
+use crate::paper::kept::UncutGraph;
+use crate::paper::smooth::ConjugateSteps;
+use crate::paper::start::{FrameOffsets, ZeroOffsets};
 use crate::solve::advance::reference;
-use crate::solve::criteria::Outcome;
+use crate::solve::criteria::GroupOutcome;
 use crate::solve::fallback::conjugate_gradients;
-use crate::solve::group::Outer;
-use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
+use crate::solve::group::GroupSolve;
+use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
 
 /// Cycles that must at least halve the residual.
 const PATIENCE: usize = 12;
@@ -29,19 +29,19 @@ const STEPS: (usize, f64) = (2, 1e-5);
 ///
 /// Unlike the rest of the solver it allocates its vectors anew.
 pub(crate) fn solve(
-    outer: &mut Outer<'_, '_>,
+    outer: &mut GroupSolve<'_, '_>,
     paper: &PaperHierarchy,
-    kept: &Kept,
-    start: Start<'_>,
-    watch: &mut Watch<'_>,
-) -> Result<Outcome, Error> {
+    kept: &UncutGraph,
+    start: InitialGuess<'_>,
+    watch: &mut IterationWatcher<'_>,
+) -> Result<GroupOutcome, Error> {
     let (problem, pool, criteria) = (outer.problem, outer.pool, outer.criteria);
     let (threads, progress, width) = (problem.threads, outer.cycle.progress, problem.width());
     let floating = &problem.system.floating;
     let mut reference = threads.enter(pool, || reference(&problem, &outer.workspace.x));
-    let mut outcome = Outcome::new(Method::PaperCycles);
-    let (mut levels, mut conjugate) = (vectors(paper), Steps::default());
-    if let (Start::FullMultigrid { frames, rest }, true) = (start, paper.usable) {
+    let mut outcome = GroupOutcome::new(SolveMethod::PaperCycles);
+    let (mut levels, mut conjugate) = (vectors(paper), ConjugateSteps::default());
+    if let (InitialGuess::FullMultigrid { frames, rest }, true) = (start, paper.usable) {
         let [r, ..] = &mut outer.workspace.wide;
         let x = &mut outer.workspace.x;
         r.resize(x.len(), [0.0; WIDTH]);
@@ -50,7 +50,7 @@ pub(crate) fn solve(
         gather(paper, r, &mut levels[0].b);
         match frames {
             Some(frames) => {
-                let framed = Framed {
+                let framed = FrameOffsets {
                     vertices: &paper.vertices,
                     frames,
                     rest: rest.unwrap_or(&kept.positions),
@@ -58,7 +58,7 @@ pub(crate) fn solve(
                 };
                 paper.full_multigrid(&framed, &mut levels, progress)?;
             }
-            None => paper.full_multigrid(&Still, &mut levels, progress)?,
+            None => paper.full_multigrid(&ZeroOffsets, &mut levels, progress)?,
         }
         // Frames of absurd size can overflow; then 0 is the better start.
         if finite(&levels[0].x) {
@@ -70,7 +70,7 @@ pub(crate) fn solve(
         Some(t) if t <= STEPS.1 => STEPS.0,
         _ => 0,
     });
-    let mut history = History::default();
+    let mut history = CycleHistory::default();
     let mut beginning = None;
     loop {
         let x = &mut outer.workspace.x;
@@ -98,19 +98,19 @@ pub(crate) fn solve(
         } else {
             outcome.max_error = history.estimate();
             outcome.factor = libm::pow(ratio(worst, from), 1.0 / outcome.iterations as f64);
-            let iteration = Iteration {
+            let iteration = IterationReport {
                 index: outcome.iterations,
                 columns: problem.columns(),
                 residual: worst,
                 max_error: outcome.max_error,
-                snapshot: Snapshot {
+                snapshot: SolutionSnapshot {
                     problem,
                     x,
                     e: None,
                     caller: outer.caller,
                 },
             };
-            outcome.stopped = watch(&iteration) == Control::Stop;
+            outcome.stopped = watch(&iteration) == SolveControl::Stop;
         }
         let holds = outcome.iterations > 0 && criteria.hold(&outcome.relative[..width], outcome.max_error);
         outcome.converged = exact || holds;
@@ -145,36 +145,36 @@ pub(crate) fn solve(
 }
 
 /// Values of the finest level's vertices from those in row order.
-fn gather(paper: &PaperHierarchy, rows: &[Wide], out: &mut [Wide]) {
+fn gather(paper: &PaperHierarchy, rows: &[WideLanes], out: &mut [WideLanes]) {
     for (&row, out) in paper.rows.iter().zip(out) {
         *out = rows[row as usize];
     }
 }
 
-fn scatter(paper: &PaperHierarchy, values: &[Wide], rows: &mut [Wide]) {
+fn scatter(paper: &PaperHierarchy, values: &[WideLanes], rows: &mut [WideLanes]) {
     for (&row, v) in paper.rows.iter().zip(values) {
         rows[row as usize] = *v;
     }
 }
 
-fn finite(x: &[Wide]) -> bool {
+fn finite(x: &[WideLanes]) -> bool {
     x.iter().flatten().all(|v| v.is_finite())
 }
 
 /// The longest row of a step, in the caller's units.
-fn longest(e: &[Wide], unit: Wide) -> f64 {
-    let square = |e: &Wide| (0..WIDTH).map(|c| (e[c] * unit[c]).powi(2)).sum::<f64>();
+fn longest(e: &[WideLanes], unit: WideLanes) -> f64 {
+    let square = |e: &WideLanes| (0..WIDTH).map(|c| (e[c] * unit[c]).powi(2)).sum::<f64>();
     e.iter().map(square).fold(0.0, f64::max).sqrt()
 }
 
 /// How residuals and steps went.
 #[derive(Debug, Default)]
-struct History {
+struct CycleHistory {
     residuals: Vec<f64>,
     steps: Vec<f64>,
 }
 
-impl History {
+impl CycleHistory {
     /// True if cycles have become useless.
     fn fails(&self) -> bool {
         let Some((&last, before)) = self.residuals.split_last() else {

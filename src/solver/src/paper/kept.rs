@@ -1,11 +1,11 @@
 //! The caller's graph, kept so that constraints can cut it.
 
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::options::BuildOptions;
 
 /// A copy of the caller's graph. The paper builds its hierarchy after the constraints are known.
 #[derive(Debug, Clone)]
-pub(crate) struct Kept {
+pub(crate) struct UncutGraph {
     pub(super) offsets: Vec<u32>,
     pub(super) neighbours: Vec<u32>,
     pub(super) weights: Option<Vec<f32>>,
@@ -13,9 +13,9 @@ pub(crate) struct Kept {
     pub(super) options: BuildOptions,
 }
 
-impl Kept {
-    pub(crate) fn new(graph: &Graph<'_>, options: &BuildOptions) -> Kept {
-        Kept {
+impl UncutGraph {
+    pub(crate) fn new(graph: &WeightedGraph<'_>, options: &BuildOptions) -> UncutGraph {
+        UncutGraph {
             offsets: graph.offsets.to_vec(),
             neighbours: graph.neighbours.to_vec(),
             weights: graph.weights.map(<[f32]>::to_vec),
@@ -24,7 +24,7 @@ impl Kept {
         }
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         let weights = self.weights.as_ref().map_or(0, Vec::len);
         4 * (self.offsets.len() + self.neighbours.len() + weights) + 24 * self.positions.len()
     }

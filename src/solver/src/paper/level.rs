@@ -1,11 +1,11 @@
 //! One graph G^l of the hierarchy: who is joined to whom, and who is elevated to the next level.
 
-/// In [`Level::elevated`]: the vertex is retained.
+/// In [`PaperLevel::elevated`]: the vertex is retained.
 pub(super) const RETAINED: u32 = u32::MAX;
 
 /// A graph without numbers on its edges, and its split into elevated and retained vertices.
 #[derive(Debug, Default)]
-pub(super) struct Level {
+pub(super) struct PaperLevel {
     /// Where each row of `neighbours` begins, and the end.
     pub(super) offsets: Vec<usize>,
     /// Neighbours of all rows, ascending within a row.
@@ -18,7 +18,7 @@ pub(super) struct Level {
     pub(super) seeds: Vec<u32>,
 }
 
-impl Level {
+impl PaperLevel {
     pub(super) fn vertices(&self) -> usize {
         self.offsets.len() - 1
     }
@@ -50,7 +50,7 @@ impl Level {
         self.edges(i).filter(|(_, j)| self.elevated[*j] == RETAINED)
     }
 
-    pub(super) fn bytes(&self) -> usize {
+    pub(super) fn byte_size(&self) -> usize {
         8 * self.offsets.len()
             + 24 * self.positions.len()
             + 4 * (self.neighbours.len() + self.elevated.len() + self.seeds.len())

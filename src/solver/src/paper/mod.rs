@@ -1,7 +1,7 @@
 //! The paper's own multigrid: section 4's graphs, the operators (12) to (22), full multigrid, V(2,2) cycles.
 //!
 //! This module exists so that the method can be reproduced and compared. It is what
-//! [`Operators::Paper`](super::Operators::Paper) selects. It stays close to the printed text, in double precision, with
+//! [`CoarseOperators::Paper`](super::CoarseOperators::Paper) selects. It stays close to the printed text, in double precision, with
 //! sequential loops (so the bits cannot depend on the number of threads) and without the arrangements that make the
 //! rest of the solver fast. All of it is linear in the size of the graph. It knows nothing of aggregates; the true
 //! residual and the last resort come from the parent module, so that both are judged by the same measure.
@@ -20,8 +20,8 @@
 //!
 //! | | prolongation | couplings within K | pivot | α of the coarse equations |
 //! |---|---|---|---|---|
-//! | [`Reading::Pruned`] | (14) | removed | Z = Σ_R w + α | grows by w α / Z, (21) |
-//! | [`Reading::Held`] | (17) | their far ends stay at 0 | Z = Σ_N w + α | grows by w (α + Σ_K w) / Z |
+//! | [`OperatorReading::Pruned`] | (14) | removed | Z = Σ_R w + α | grows by w α / Z, (21) |
+//! | [`OperatorReading::Held`] | (17) | their far ends stay at 0 | Z = Σ_N w + α | grows by w (α + Σ_K w) / Z |
 //!
 //! Substituting either prolongation into the equations of the elevated vertices gives equations of the same form (12)
 //! with the weights (19). For (14) these are (18) to (22). For (17) the paper says only that "a corresponding

@@ -3,27 +3,27 @@
 //! Both prolongations have one form, x_i = (Σ_{j∈R(i)} w_ij (x_j + d_ji) + β_i) / Z_i, without d and with ζ for β in
 //! the defect equations. They differ in the pivot Z alone. So does all that follows from substituting them.
 
-use crate::lanes::{WIDTH, Wide};
-use crate::paper::equations::Equations;
-use crate::paper::level::{Level, RETAINED};
+use crate::lanes::{WIDTH, WideLanes};
+use crate::paper::equations::LevelEquations;
+use crate::paper::level::{PaperLevel, RETAINED};
 
 /// What is done about a retained vertex's retained neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Reading {
+pub(super) enum OperatorReading {
     /// Their edges are removed: equation (14), for original equations.
     Pruned,
     /// Their unknowns are set to 0: equation (17), for defect equations.
     Held,
 }
 
-impl Reading {
+impl OperatorReading {
     /// Z of retained vertex `i`, and the part of it that no elevated neighbour accounts for.
-    fn pivot(self, level: &Level, equations: &Equations, i: usize) -> (f64, f64) {
+    fn pivot(self, level: &PaperLevel, equations: &LevelEquations, i: usize) -> (f64, f64) {
         let weight = |e: usize| equations.weights[e];
         let alpha = equations.alphas[i];
         let lost = match self {
-            Reading::Pruned => alpha,
-            Reading::Held => alpha + level.to_retained(i).map(|(e, _)| weight(e)).sum::<f64>(),
+            OperatorReading::Pruned => alpha,
+            OperatorReading::Held => alpha + level.to_retained(i).map(|(e, _)| weight(e)).sum::<f64>(),
         };
         (level.to_elevated(i).map(|(e, _)| weight(e)).sum::<f64>() + lost, lost)
     }
@@ -36,7 +36,12 @@ fn over(a: f64, z: f64) -> f64 {
 }
 
 /// The equations of the elevated vertices: the weights (19) and α (21), with the pivot of `reading`.
-pub(super) fn restricted(level: &Level, fine: &Equations, coarse: &Level, reading: Reading) -> Equations {
+pub(super) fn restricted(
+    level: &PaperLevel,
+    fine: &LevelEquations,
+    coarse: &PaperLevel,
+    reading: OperatorReading,
+) -> LevelEquations {
     let pivots = pivots(level, fine, reading);
     let mut weights = vec![0.0; coarse.neighbours.len()];
     let mut alphas = Vec::with_capacity(coarse.vertices());
@@ -58,11 +63,11 @@ pub(super) fn restricted(level: &Level, fine: &Equations, coarse: &Level, readin
         }
         alphas.push(alpha);
     }
-    Equations::new(coarse, weights, alphas)
+    LevelEquations::new(coarse, weights, alphas)
 }
 
-/// [`Reading::pivot`] of every retained vertex.
-fn pivots(level: &Level, equations: &Equations, reading: Reading) -> Vec<(f64, f64)> {
+/// [`OperatorReading::pivot`] of every retained vertex.
+fn pivots(level: &PaperLevel, equations: &LevelEquations, reading: OperatorReading) -> Vec<(f64, f64)> {
     let pivot = |i: usize| match level.elevated[i] {
         RETAINED => reading.pivot(level, equations, i),
         _ => (0.0, 0.0),
@@ -71,17 +76,17 @@ fn pivots(level: &Level, equations: &Equations, reading: Reading) -> Vec<(f64, f
 }
 
 /// d on the edges of a level: where one end of an edge should lie, seen from the other.
-pub(super) trait Offsets {
+pub(super) trait EdgeOffsets {
     /// d_ji, the wanted x_i − x_j, for entry `e` of row `i`, which names `j`.
-    fn d(&self, e: usize, i: usize, j: usize) -> Wide;
+    fn d(&self, e: usize, i: usize, j: usize) -> WideLanes;
 }
 
 /// β and d of the elevated vertices, (22) and (20).
 pub(super) fn restricted_constants(
-    (level, fine, beta, offsets): (&Level, &Equations, &[Wide], &dyn Offsets),
-    (coarse, restricted): (&Level, &Equations),
-) -> (Vec<Wide>, Vec<Wide>) {
-    let pivots = pivots(level, fine, Reading::Pruned);
+    (level, fine, beta, offsets): (&PaperLevel, &LevelEquations, &[WideLanes], &dyn EdgeOffsets),
+    (coarse, restricted): (&PaperLevel, &LevelEquations),
+) -> (Vec<WideLanes>, Vec<WideLanes>) {
+    let pivots = pivots(level, fine, OperatorReading::Pruned);
     let mut betas = Vec::with_capacity(coarse.vertices());
     let mut ds = vec![[0.0; WIDTH]; coarse.neighbours.len()];
     let mut place = vec![0; coarse.vertices()];
@@ -118,14 +123,14 @@ pub(super) fn restricted_constants(
 
 /// Prolongation (14) of a solution of the original equations.
 pub(super) fn prolong(
-    (level, fine, beta, offsets): (&Level, &Equations, &[Wide], &dyn Offsets),
-    coarse: &[Wide],
-    x: &mut [Wide],
+    (level, fine, beta, offsets): (&PaperLevel, &LevelEquations, &[WideLanes], &dyn EdgeOffsets),
+    coarse: &[WideLanes],
+    x: &mut [WideLanes],
 ) {
     for i in 0..level.vertices() {
         x[i] = match level.elevated[i] {
             RETAINED => {
-                let (z, _) = Reading::Pruned.pivot(level, fine, i);
+                let (z, _) = OperatorReading::Pruned.pivot(level, fine, i);
                 let mut sum = beta[i];
                 for (e, k) in level.to_elevated(i) {
                     add(&mut sum, fine.weights[e], coarse[k]);
@@ -140,8 +145,14 @@ pub(super) fn prolong(
 
 /// Restriction of a defect ζ: with (17) substituted, each retained neighbour i hands on w ζ_i / Z_i.
 ///
-/// `reading` is [`Reading::Held`] in the cycle; the other one is what tests compare with.
-pub(super) fn restrict_defect(level: &Level, fine: &Equations, reading: Reading, defect: &[Wide], coarse: &mut [Wide]) {
+/// `reading` is [`OperatorReading::Held`] in the cycle; the other one is what tests compare with.
+pub(super) fn restrict_defect(
+    level: &PaperLevel,
+    fine: &LevelEquations,
+    reading: OperatorReading,
+    defect: &[WideLanes],
+    coarse: &mut [WideLanes],
+) {
     for (out, &j) in coarse.iter_mut().zip(&level.seeds) {
         *out = defect[j as usize];
         for (e, i) in level.to_retained(j as usize) {
@@ -153,10 +164,10 @@ pub(super) fn restrict_defect(level: &Level, fine: &Equations, reading: Reading,
 
 /// Adds the prolongation (17) of a coarse correction to `x`.
 pub(super) fn correct(
-    (level, fine, reading): (&Level, &Equations, Reading),
-    coarse: &[Wide],
-    defect: &[Wide],
-    x: &mut [Wide],
+    (level, fine, reading): (&PaperLevel, &LevelEquations, OperatorReading),
+    coarse: &[WideLanes],
+    defect: &[WideLanes],
+    x: &mut [WideLanes],
 ) {
     for i in 0..level.vertices() {
         let correction = match level.elevated[i] {
@@ -176,16 +187,16 @@ pub(super) fn correct(
 
 /// Z of a retained vertex. For (17) it is the diagonal.
 #[inline]
-fn defect_pivot(level: &Level, fine: &Equations, reading: Reading, i: usize) -> f64 {
+fn defect_pivot(level: &PaperLevel, fine: &LevelEquations, reading: OperatorReading, i: usize) -> f64 {
     match reading {
-        Reading::Held => fine.diagonal[i],
-        Reading::Pruned => reading.pivot(level, fine, i).0,
+        OperatorReading::Held => fine.diagonal[i],
+        OperatorReading::Pruned => reading.pivot(level, fine, i).0,
     }
 }
 
 /// a += f b
 #[inline]
-pub(super) fn add(a: &mut Wide, f: f64, b: Wide) {
+pub(super) fn add(a: &mut WideLanes, f: f64, b: WideLanes) {
     for c in 0..WIDTH {
         a[c] += f * b[c];
     }

@@ -1,14 +1,14 @@
 //! The smoothing operator (7), residuals, and the conjugate-gradient steps of section 6.
 
-use crate::lanes::{WIDTH, Wide, per_lane, ratio};
-use crate::paper::equations::Equations;
-use crate::paper::level::Level;
+use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
+use crate::paper::equations::LevelEquations;
+use crate::paper::level::PaperLevel;
 use crate::paper::restrict::add;
 use crate::progress::{Cancelled, Progress, check};
 
 /// Sets x_i to what its equation says, given the present neighbours (7).
 #[inline]
-fn relax(level: &Level, equations: &Equations, b: &[Wide], x: &mut [Wide], i: usize) {
+fn relax(level: &PaperLevel, equations: &LevelEquations, b: &[WideLanes], x: &mut [WideLanes], i: usize) {
     let diagonal = equations.diagonal[i];
     if diagonal > 0.0 {
         let mut sum = b[i];
@@ -20,7 +20,7 @@ fn relax(level: &Level, equations: &Equations, b: &[Wide], x: &mut [Wide], i: us
 }
 
 /// One Gauss–Seidel sweep in storage order.
-pub(super) fn sweep(level: &Level, equations: &Equations, b: &[Wide], x: &mut [Wide]) {
+pub(super) fn sweep(level: &PaperLevel, equations: &LevelEquations, b: &[WideLanes], x: &mut [WideLanes]) {
     for i in 0..level.vertices() {
         relax(level, equations, b, x, i);
     }
@@ -28,14 +28,20 @@ pub(super) fn sweep(level: &Level, equations: &Equations, b: &[Wide], x: &mut [W
 
 /// One Gauss–Seidel sweep against storage order. The paper sweeps one way only; the other way makes the conjugate
 /// gradients' preconditioner symmetric.
-fn sweep_back(level: &Level, equations: &Equations, b: &[Wide], x: &mut [Wide]) {
+fn sweep_back(level: &PaperLevel, equations: &LevelEquations, b: &[WideLanes], x: &mut [WideLanes]) {
     for i in (0..level.vertices()).rev() {
         relax(level, equations, b, x, i);
     }
 }
 
 /// The defect ζ of (16) in terms of b = β + Σ w d: b_i − Σ_j w_ij (x_i − x_j) − α_i x_i.
-pub(super) fn defect(level: &Level, equations: &Equations, b: &[Wide], x: &[Wide], out: &mut [Wide]) {
+pub(super) fn defect(
+    level: &PaperLevel,
+    equations: &LevelEquations,
+    b: &[WideLanes],
+    x: &[WideLanes],
+    out: &mut [WideLanes],
+) {
     for i in 0..level.vertices() {
         let mut r = b[i];
         add(&mut r, -equations.alphas[i], x[i]);
@@ -50,20 +56,20 @@ pub(super) fn defect(level: &Level, equations: &Equations, b: &[Wide], x: &[Wide
 
 /// Vectors of the conjugate-gradient steps.
 #[derive(Debug, Default)]
-pub(super) struct Steps {
-    r: Vec<Wide>,
-    z: Vec<Wide>,
-    p: Vec<Wide>,
-    q: Vec<Wide>,
+pub(super) struct ConjugateSteps {
+    r: Vec<WideLanes>,
+    z: Vec<WideLanes>,
+    p: Vec<WideLanes>,
+    q: Vec<WideLanes>,
 }
 
-impl Steps {
+impl ConjugateSteps {
     /// Improves `x` by `steps` steps of conjugate gradients, all columns with their own step lengths.
     pub(super) fn run(
         &mut self,
-        (level, equations): (&Level, &Equations),
-        b: &[Wide],
-        x: &mut [Wide],
+        (level, equations): (&PaperLevel, &LevelEquations),
+        b: &[WideLanes],
+        x: &mut [WideLanes],
         steps: usize,
         progress: &dyn Progress,
     ) -> Result<(), Cancelled> {
@@ -71,7 +77,7 @@ impl Steps {
             return Ok(());
         }
         let n = level.vertices();
-        let Steps { r, z, p, q } = self;
+        let ConjugateSteps { r, z, p, q } = self;
         for v in [&mut *r, &mut *z, &mut *p, &mut *q] {
             v.clear();
             v.resize(n, [0.0; WIDTH]);
@@ -107,7 +113,7 @@ impl Steps {
     }
 }
 
-fn dot(a: &[Wide], b: &[Wide]) -> Wide {
+fn dot(a: &[WideLanes], b: &[WideLanes]) -> WideLanes {
     let mut sum = [0.0; WIDTH];
     for (a, b) in a.iter().zip(b) {
         for c in 0..WIDTH {

@@ -1,22 +1,22 @@
 //! Full multigrid (figure 4): the original equations, restricted to the coarsest level, solved and brought back up.
 
-use crate::lanes::{WIDTH, Wide};
-use crate::paper::cycle::Vectors;
+use crate::lanes::{WIDTH, WideLanes};
+use crate::paper::cycle::PaperVectors;
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::paper::restrict::{Offsets, add, prolong, restricted_constants};
+use crate::paper::restrict::{EdgeOffsets, add, prolong, restricted_constants};
 use crate::progress::{Cancelled, Progress};
 
 /// d of the finest level, ½ (F_i + F_j) (p_i − p_j) per unit of the columns; equation (6) in terms of the linear maps F.
-pub(super) struct Framed<'a> {
+pub(super) struct FrameOffsets<'a> {
     /// Vertex of the caller's arrays for each vertex of the level.
     pub(super) vertices: &'a [u32],
     pub(super) frames: &'a [[f32; 9]],
     pub(super) rest: &'a [[f64; 3]],
-    pub(super) unit: Wide,
+    pub(super) unit: WideLanes,
 }
 
-impl Offsets for Framed<'_> {
-    fn d(&self, _: usize, i: usize, j: usize) -> Wide {
+impl EdgeOffsets for FrameOffsets<'_> {
+    fn d(&self, _: usize, i: usize, j: usize) -> WideLanes {
         let (i, j) = (self.vertices[i] as usize, self.vertices[j] as usize);
         let (f, g) = (&self.frames[i], &self.frames[j]);
         let v: [f64; 3] = std::array::from_fn(|c| self.rest[i][c] - self.rest[j][c]);
@@ -30,19 +30,19 @@ impl Offsets for Framed<'_> {
 }
 
 /// d of a coarser level, one per entry.
-struct Stored(Vec<Wide>);
+struct StoredOffsets(Vec<WideLanes>);
 
-impl Offsets for Stored {
-    fn d(&self, e: usize, _: usize, _: usize) -> Wide {
+impl EdgeOffsets for StoredOffsets {
+    fn d(&self, e: usize, _: usize, _: usize) -> WideLanes {
         self.0[e]
     }
 }
 
 /// No d: each vertex wants to lie where its neighbours do, as in the Laplace equation (1).
-pub(super) struct Still;
+pub(super) struct ZeroOffsets;
 
-impl Offsets for Still {
-    fn d(&self, _: usize, _: usize, _: usize) -> Wide {
+impl EdgeOffsets for ZeroOffsets {
+    fn d(&self, _: usize, _: usize, _: usize) -> WideLanes {
         [0.0; WIDTH]
     }
 }
@@ -53,27 +53,27 @@ impl PaperHierarchy {
     /// every level in between. The finest level's own cycles are the caller's.
     pub(super) fn full_multigrid(
         &self,
-        finest: &dyn Offsets,
-        vectors: &mut [Vectors],
+        finest: &dyn EdgeOffsets,
+        vectors: &mut [PaperVectors],
         progress: &dyn Progress,
     ) -> Result<(), Cancelled> {
         let last = self.levels.len() - 1;
         let mut betas = vec![self.with_offsets(0, finest, -1.0, &vectors[0].b)];
-        let mut stored: Vec<Stored> = Vec::new();
+        let mut stored: Vec<StoredOffsets> = Vec::new();
         for l in 0..last {
-            let offsets: &dyn Offsets = if l == 0 { finest } else { &stored[l - 1] };
+            let offsets: &dyn EdgeOffsets = if l == 0 { finest } else { &stored[l - 1] };
             let (beta, d) = restricted_constants(
                 (&self.levels[l], &self.chains[l][0], &betas[l], offsets),
                 (&self.levels[l + 1], &self.chains[l + 1][0]),
             );
-            stored.push(Stored(d));
+            stored.push(StoredOffsets(d));
             vectors[l + 1].b = self.with_offsets(l + 1, &stored[l], 1.0, &beta);
             betas.push(beta);
         }
         self.solve_coarsest(last, &mut vectors[last]);
         for l in (0..last).rev() {
             let (fine, coarse) = vectors.split_at_mut(l + 1);
-            let offsets: &dyn Offsets = if l == 0 { finest } else { &stored[l - 1] };
+            let offsets: &dyn EdgeOffsets = if l == 0 { finest } else { &stored[l - 1] };
             prolong(
                 (&self.levels[l], &self.chains[l][0], &betas[l], offsets),
                 &coarse[0].x,
@@ -88,7 +88,7 @@ impl PaperHierarchy {
     }
 
     /// v_i + sign · Σ_j w_ij d_ji on level `l`: from β to b and back.
-    fn with_offsets(&self, l: usize, offsets: &dyn Offsets, sign: f64, v: &[Wide]) -> Vec<Wide> {
+    fn with_offsets(&self, l: usize, offsets: &dyn EdgeOffsets, sign: f64, v: &[WideLanes]) -> Vec<WideLanes> {
         let (level, equations) = (&self.levels[l], &self.chains[l][0]);
         let mut out = v.to_vec();
         for (i, out) in out.iter_mut().enumerate() {

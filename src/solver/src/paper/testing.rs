@@ -1,15 +1,15 @@
 //! Graphs and systems for the tests of this module.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::constrain::system::System;
+use crate::constrain::system::LinearSystem;
 use crate::exec::Exec;
-use crate::options::{BuildOptions, Constraints, Operators};
+use crate::options::{BuildOptions, CoarseOperators, Constraints};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::progress::Silent;
-use crate::testing::{Block, pool};
+use crate::testing::{BoxLattice, pool};
 
 /// A body-centred cubic lattice of `n` cells a side: 14 neighbours inside, as in volume graphs.
-pub(crate) fn lattice(n: i32) -> Block {
+pub(crate) fn lattice(n: i32) -> BoxLattice {
     let mut points = Vec::new();
     for x in 0..2 * n {
         for y in 0..2 * n {
@@ -35,7 +35,7 @@ pub(crate) fn lattice(n: i32) -> Block {
 }
 
 /// A square of the triangular mesh kind, bent to half a cylinder: six neighbours inside, as in surface graphs.
-pub(crate) fn sheet(n: i32) -> Block {
+pub(crate) fn sheet(n: i32) -> BoxLattice {
     let points: Vec<[i32; 3]> = (0..n).flat_map(|x| (0..n).map(move |y| [x, y, 0])).collect();
     let steps = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [1, 1, 0], [-1, -1, 0]];
     let mut block = joined(&points, |p| {
@@ -50,13 +50,13 @@ pub(crate) fn sheet(n: i32) -> Block {
 }
 
 /// Vertices in a row.
-pub(crate) fn path(n: i32) -> Block {
+pub(crate) fn path(n: i32) -> BoxLattice {
     let points: Vec<[i32; 3]> = (0..n).map(|x| [x, 0, 0]).collect();
     joined(&points, |p| vec![[p[0] - 1, 0, 0], [p[0] + 1, 0, 0]])
 }
 
-fn joined(points: &[[i32; 3]], neighbours: impl Fn([i32; 3]) -> Vec<[i32; 3]>) -> Block {
-    let mut block = Block {
+fn joined(points: &[[i32; 3]], neighbours: impl Fn([i32; 3]) -> Vec<[i32; 3]>) -> BoxLattice {
+    let mut block = BoxLattice {
         offsets: vec![0],
         neighbours: Vec::new(),
         weights: None,
@@ -76,25 +76,30 @@ fn joined(points: &[[i32; 3]], neighbours: impl Fn([i32; 3]) -> Vec<[i32; 3]>) -
 /// Options with the paper's ratio of level sizes.
 pub(crate) fn options(coarsest: usize) -> BuildOptions {
     BuildOptions {
-        operators: Operators::Paper,
+        operators: CoarseOperators::Paper,
         coarsening: 0.2,
         coarsest,
         ..BuildOptions::default()
     }
 }
 
-pub(crate) fn built(block: &Block, fixed: &[bool], stiffness: Option<&[f64]>, coarsest: usize) -> (Hierarchy, System) {
+pub(crate) fn built(
+    block: &BoxLattice,
+    fixed: &[bool],
+    stiffness: Option<&[f64]>,
+    coarsest: usize,
+) -> (Hierarchy, LinearSystem) {
     let hierarchy = Hierarchy::build(&block.view(), &options(coarsest), &Exec::new(&pool(), &Silent)).unwrap();
     let system = hierarchy.constrain(&Constraints { fixed, stiffness }, &pool()).unwrap();
     (hierarchy, system)
 }
 
 /// The paper's hierarchy of a block whose first plane is fixed.
-pub(crate) fn held(block: &Block, coarsest: usize) -> (Hierarchy, System) {
+pub(crate) fn held(block: &BoxLattice, coarsest: usize) -> (Hierarchy, LinearSystem) {
     let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] == 0.0).collect();
     built(block, &fixed, None, coarsest)
 }
 
-pub(crate) fn paper(system: &System) -> &PaperHierarchy {
+pub(crate) fn paper(system: &LinearSystem) -> &PaperHierarchy {
     system.paper.as_ref().unwrap()
 }

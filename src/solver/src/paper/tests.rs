@@ -2,21 +2,21 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::exec::Exec;
-use crate::lanes::{WIDTH, Wide};
-use crate::options::{BuildOptions, Constraints, Method, Operators, SolveOptions, Start, Stats};
-use crate::paper::cycle::{Vectors, vectors};
-use crate::paper::equations::Equations;
+use crate::lanes::{WIDTH, WideLanes};
+use crate::options::{BuildOptions, CoarseOperators, Constraints, InitialGuess, SolveMethod, SolveOptions, SolveStats};
+use crate::paper::cycle::{PaperVectors, vectors};
+use crate::paper::equations::LevelEquations;
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::paper::restrict::{Offsets, Reading, correct, prolong, restrict_defect, restricted_constants};
+use crate::paper::restrict::{EdgeOffsets, OperatorReading, correct, prolong, restrict_defect, restricted_constants};
 use crate::paper::smooth::defect;
 use crate::paper::testing::{held, lattice, paper, path, sheet};
 use crate::progress::Silent;
-use crate::solve::iteration::Control;
+use crate::solve::iteration::SolveControl;
 use crate::solve::workspace::Workspace;
-use crate::testing::{Block, pool};
+use crate::testing::{BoxLattice, pool};
 
 /// Reproducible numbers between −1 and 1.
-fn noise(count: usize) -> Vec<Wide> {
+fn noise(count: usize) -> Vec<WideLanes> {
     let mut state = 1u64;
     let mut next = || {
         state = state
@@ -28,29 +28,29 @@ fn noise(count: usize) -> Vec<Wide> {
 }
 
 /// d that a field of positions satisfies exactly.
-struct Of<'a>(&'a [Wide]);
+struct FieldOffsets<'a>(&'a [WideLanes]);
 
-impl Offsets for Of<'_> {
-    fn d(&self, _: usize, i: usize, j: usize) -> Wide {
+impl EdgeOffsets for FieldOffsets<'_> {
+    fn d(&self, _: usize, i: usize, j: usize) -> WideLanes {
         std::array::from_fn(|c| self.0[i][c] - self.0[j][c])
     }
 }
 
 /// d that were stored.
-struct Kept(Vec<Wide>);
+struct KeptOffsets(Vec<WideLanes>);
 
-impl Offsets for Kept {
-    fn d(&self, e: usize, _: usize, _: usize) -> Wide {
+impl EdgeOffsets for KeptOffsets {
+    fn d(&self, e: usize, _: usize, _: usize) -> WideLanes {
         self.0[e]
     }
 }
 
-fn apart(a: &[Wide], b: &[Wide]) -> f64 {
+fn apart(a: &[WideLanes], b: &[WideLanes]) -> f64 {
     let far = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| (a - b).abs());
     far.fold(0.0, f64::max)
 }
 
-fn norm(v: &[Wide]) -> f64 {
+fn norm(v: &[WideLanes]) -> f64 {
     v.iter().flatten().map(|v| v * v).sum::<f64>().sqrt()
 }
 
@@ -82,7 +82,7 @@ fn holding_neighbours_at_zero_makes_stiffer_and_less_joined_equations() {
     assert!(pruned.weights.iter().zip(&still.weights).all(|(p, h)| h <= p));
     assert!(pruned.alphas.iter().zip(&still.alphas).all(|(p, h)| h >= p));
     // α of the pruned equations comes from the constraints alone, here one plane.
-    let total = |e: &Equations| e.alphas.iter().sum::<f64>() / e.weights.iter().sum::<f64>();
+    let total = |e: &LevelEquations| e.alphas.iter().sum::<f64>() / e.weights.iter().sum::<f64>();
     assert!(
         total(still) > 0.3 && total(pruned) < 0.2,
         "{} {}",
@@ -99,15 +99,15 @@ fn a_field_that_satisfies_all_d_survives_restriction_and_prolongation() {
     let (level, coarse) = (&paper.levels[0], &paper.levels[1]);
     let (fine, restricted) = (&paper.chains[0][0], &paper.chains[1][0]);
     let field = noise(level.vertices());
-    let beta: Vec<Wide> = field.iter().zip(&fine.alphas).map(|(x, a)| x.map(|x| a * x)).collect();
-    let given = (level, fine, beta.as_slice(), &Of(&field) as &dyn Offsets);
+    let beta: Vec<WideLanes> = field.iter().zip(&fine.alphas).map(|(x, a)| x.map(|x| a * x)).collect();
+    let given = (level, fine, beta.as_slice(), &FieldOffsets(&field) as &dyn EdgeOffsets);
     let (b, d) = restricted_constants(given, (coarse, restricted));
-    let elevated: Vec<Wide> = level.seeds.iter().map(|&j| field[j as usize]).collect();
-    let kept = Kept(d);
+    let elevated: Vec<WideLanes> = level.seeds.iter().map(|&j| field[j as usize]).collect();
+    let kept = KeptOffsets(d);
     for (c, b) in b.iter().enumerate() {
         // Each difference is met on its own, and so is what the constraints ask.
         for (e, k) in coarse.edges(c) {
-            let want = Of(&elevated).d(e, c, k);
+            let want = FieldOffsets(&elevated).d(e, c, k);
             assert!(apart(&[kept.d(e, c, k)], &[want]) < 1e-12);
         }
         assert!(apart(&[*b], &[elevated[c].map(|x| restricted.alphas[c] * x)]) < 1e-11);
@@ -127,8 +127,8 @@ fn without_constraints_near_by_constants_are_prolonged_and_corrections_are_dampe
         vec![[0.0; WIDTH]; level.vertices()],
     );
     let (mut harmonic, mut correction) = (zero.clone(), zero.clone());
-    prolong((level, fine, &zero, &super::start::Still), &ones, &mut harmonic);
-    correct((level, fine, Reading::Held), &ones, &zero, &mut correction);
+    prolong((level, fine, &zero, &super::start::ZeroOffsets), &ones, &mut harmonic);
+    correct((level, fine, OperatorReading::Held), &ones, &zero, &mut correction);
     for i in (0..level.vertices()).filter(|&i| fine.alphas[i] == 0.0) {
         assert!((harmonic[i][0] - 1.0).abs() < 1e-15, "(14) keeps constants");
         let all = level.to_retained(i).count() == 0 || level.elevated[i] != crate::paper::level::RETAINED;
@@ -144,20 +144,20 @@ fn restriction_of_defects_is_the_transpose_of_their_prolongation() {
     let (_, system) = held(&lattice(6).weighted(), 10);
     let paper = paper(&system);
     let (level, fine) = (&paper.levels[0], &paper.chains[0][0]);
-    for reading in [Reading::Held, Reading::Pruned] {
+    for reading in [OperatorReading::Held, OperatorReading::Pruned] {
         let (zeta, e) = (noise(level.vertices()), noise(paper.levels[1].vertices()));
         let mut down = vec![[0.0; WIDTH]; e.len()];
         restrict_defect(level, fine, reading, &zeta, &mut down);
         let (still, mut up) = (vec![[0.0; WIDTH]; zeta.len()], vec![[0.0; WIDTH]; zeta.len()]);
         correct((level, fine, reading), &e, &still, &mut up);
-        let product = |a: &[Wide], b: &[Wide]| a.iter().zip(b).map(|(a, b)| a[0] * b[0]).sum::<f64>();
+        let product = |a: &[WideLanes], b: &[WideLanes]| a.iter().zip(b).map(|(a, b)| a[0] * b[0]).sum::<f64>();
         assert!((product(&down, &e) - product(&zeta, &up)).abs() < 1e-10);
     }
 }
 
 /// Residuals of the finest equations over b after each of `cycles` cycles from 0.
-fn residuals(paper: &PaperHierarchy, reading: Reading, cycles: usize) -> Vec<f64> {
-    let mut levels: Vec<Vectors> = vectors(paper);
+fn residuals(paper: &PaperHierarchy, reading: OperatorReading, cycles: usize) -> Vec<f64> {
+    let mut levels: Vec<PaperVectors> = vectors(paper);
     let (level, equations) = (&paper.levels[0], &paper.chains[0][0]);
     let b = noise(level.vertices());
     levels[0].b.clone_from(&b);
@@ -182,17 +182,17 @@ fn factor(history: &[f64]) -> f64 {
 fn on_a_path_nothing_is_simplified_and_one_cycle_is_exact() {
     let block = path(1001);
     let (_, system) = held(&block, 10);
-    let history = residuals(paper(&system), Reading::Held, 2);
+    let history = residuals(paper(&system), OperatorReading::Held, 2);
     assert!(history[1] < 1e-10, "{history:?}");
 }
 
 #[test]
 fn cycles_hardly_reduce_smooth_errors_of_volumes_and_surfaces() {
     let (_, system) = held(&lattice(16), 50);
-    let volume = factor(&residuals(paper(&system), Reading::Held, 40));
+    let volume = factor(&residuals(paper(&system), OperatorReading::Held, 40));
     assert!((0.95..0.99).contains(&volume), "{volume}");
     let (_, system) = held(&sheet(60), 50);
-    let surface = factor(&residuals(paper(&system), Reading::Held, 40));
+    let surface = factor(&residuals(paper(&system), OperatorReading::Held, 40));
     assert!((0.95..0.995).contains(&surface), "{surface}");
 }
 
@@ -209,15 +209,15 @@ fn with_the_pruned_operators_for_defects_cycles_diverge_on_volume_graphs() {
     paper.chains = vec![originals];
     let last = paper.inverses.pop().unwrap();
     paper.inverses = vec![last];
-    let pruned = factor(&residuals(&paper, Reading::Pruned, 6));
+    let pruned = factor(&residuals(&paper, OperatorReading::Pruned, 6));
     assert!(pruned > 10.0, "{pruned}");
     // (17) for the transfer but (19) as printed: slow here, and it diverges on larger graphs.
-    let mixed = factor(&residuals(&paper, Reading::Held, 20));
+    let mixed = factor(&residuals(&paper, OperatorReading::Held, 20));
     assert!(mixed > 0.9, "{mixed}");
 }
 
 /// Solves for the map x → R x + t, prescribed where vertices are fixed, with frames that say the same.
-fn rigid(block: &Block, start: bool, most: usize) -> (f64, Stats) {
+fn rigid(block: &BoxLattice, start: bool, most: usize) -> (f64, SolveStats) {
     let (hierarchy, system) = held(block, 10);
     let (s, c) = (libm::sin(1.1), libm::cos(1.1));
     // Frames are single precision; so must be what they are compared with.
@@ -245,16 +245,16 @@ fn rigid(block: &Block, start: bool, most: usize) -> (f64, Stats) {
     }
     let options = SolveOptions {
         start: match start {
-            true => Start::FullMultigrid {
+            true => InitialGuess::FullMultigrid {
                 frames: Some(&frames),
                 rest: None,
             },
-            false => Start::Zero,
+            false => InitialGuess::Zero,
         },
         max_iterations: most,
         ..SolveOptions::default()
     };
-    let mut go_on = |_: &crate::Iteration<'_>| Control::Continue;
+    let mut go_on = |_: &crate::IterationReport<'_>| SolveControl::Continue;
     let mut workspace = Workspace::default();
     let stats = system
         .solve(
@@ -285,8 +285,8 @@ fn full_multigrid_begins_with_a_rigid_motion_exactly() {
 #[test]
 fn levels_are_told_and_shrink_as_the_paper_says() {
     let (hierarchy, system) = held(&lattice(14), 100);
-    let facts = system.levels().unwrap();
-    assert_eq!(facts[0].vertices, system.free());
+    let facts = system.level_sizes().unwrap();
+    assert_eq!(facts[0].vertices, system.free_count());
     for pair in facts.windows(2) {
         let ratio = pair[0].vertices as f64 / pair[1].vertices as f64;
         assert!((2.5..9.0).contains(&ratio), "{facts:?}");
@@ -301,9 +301,9 @@ fn levels_are_told_and_shrink_as_the_paper_says() {
 
 #[test]
 fn few_free_vertices_are_solved_directly() {
-    let block = Block::new(5, 5, 5);
+    let block = BoxLattice::new(5, 5, 5);
     let options = BuildOptions {
-        operators: Operators::Paper,
+        operators: CoarseOperators::Paper,
         ..BuildOptions::default()
     };
     let hierarchy = Hierarchy::build(&block.view(), &options, &Exec::new(&pool(), &Silent)).unwrap();
@@ -313,7 +313,7 @@ fn few_free_vertices_are_solved_directly() {
         stiffness: None,
     };
     let system = hierarchy.constrain(&constraints, &pool()).unwrap();
-    assert!(system.levels().is_none());
+    assert!(system.level_sizes().is_none());
     let (n, mut workspace) = (block.positions.len(), Workspace::default());
     let mut x = vec![0.0; n];
     let stats = system
@@ -325,8 +325,8 @@ fn few_free_vertices_are_solved_directly() {
             &SolveOptions::default(),
             &mut workspace,
             &Exec::new(&pool(), &Silent),
-            &mut |_| Control::Continue,
+            &mut |_| SolveControl::Continue,
         )
         .unwrap();
-    assert!(stats.converged && stats.method == Method::Direct);
+    assert!(stats.converged && stats.method == SolveMethod::Direct);
 }

@@ -1,15 +1,15 @@
 //! Reading a change: which rows of the finest level it moves, and whether it is consistent.
 
-use crate::build::draft::Draft;
+use crate::build::draft::LevelDraft;
 use crate::build::hierarchy::{Hierarchy, block_size};
-use crate::build::level::Level;
+use crate::build::level::HierarchyLevel;
 use crate::build::order::{along_curve, breadth_first};
 use crate::error::Error;
-use crate::graph::Graph;
-use crate::lanes::{Lanes, Shared};
-use crate::repair::marks::Marks;
-use crate::storage::NONE;
-use crate::threads::{Threads, piece, pieces};
+use crate::graph::WeightedGraph;
+use crate::lanes::{Lanes, SharedRows};
+use crate::repair::marks::MarkedRows;
+use crate::storage::NO_ROW;
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 1 << 14;
@@ -18,7 +18,7 @@ const HEAVIEST: f32 = 65536.0;
 
 /// What a topology change does to the vertices of a graph.
 #[derive(Debug, Clone, Copy)]
-pub struct Change<'a> {
+pub struct GraphChange<'a> {
     /// For each vertex of the old graph its number in the new one, `u32::MAX` if it is gone. No two have the same.
     pub new_from_old: &'a [u32],
     /// Vertices of the new graph, rising: all that are new, and all whose neighbours, weights or position are not what
@@ -28,7 +28,7 @@ pub struct Change<'a> {
 
 /// What a repair did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Repair {
+pub struct RepairReport {
     /// True if the hierarchy was built anew: more than a quarter of the vertices was touched or is gone, or the graph
     /// is small, or it changed in a way that cannot be followed.
     pub rebuilt: bool,
@@ -43,12 +43,12 @@ fn is_large(rows: usize, all: usize) -> bool {
 
 /// Rows of one level that come, move or change, and have no place yet.
 #[derive(Debug)]
-pub(super) struct Touched {
+pub(super) struct TouchedRows {
     /// In the order in which they are to be placed; neighbours that stay are foreign.
-    pub(super) draft: Draft,
+    pub(super) draft: LevelDraft,
     /// The rows of the level that foreign neighbours stand for.
     pub(super) foreign: Vec<u32>,
-    /// The row that each of the draft has been, or [`NONE`].
+    /// The row that each of the draft has been, or [`NO_ROW`].
     pub(super) origins: Vec<u32>,
     /// Rows of the level that leave their places, rising.
     pub(super) dead: Vec<u32>,
@@ -57,11 +57,11 @@ pub(super) struct Touched {
 }
 
 /// What a change does to the finest level.
-pub(super) struct Plan {
-    pub(super) touched: Touched,
+pub(super) struct RepairPlan {
+    pub(super) touched: TouchedRows,
     /// The vertex of each row of the draft.
     pub(super) vertices: Vec<u32>,
-    /// The new vertex of each present row; [`NONE`] for those that leave.
+    /// The new vertex of each present row; [`NO_ROW`] for those that leave.
     pub(super) order: Vec<u32>,
 }
 
@@ -71,12 +71,12 @@ pub(super) struct Plan {
 /// [`Error::Invalid`] if the parts that are read contradict each other.
 pub(super) fn read(
     hierarchy: &Hierarchy,
-    graph: &Graph<'_>,
-    change: &Change<'_>,
-    threads: Threads,
-) -> Result<Option<Plan>, Error> {
+    graph: &WeightedGraph<'_>,
+    change: &GraphChange<'_>,
+    threads: Parallelism,
+) -> Result<Option<RepairPlan>, Error> {
     let level = &hierarchy.levels[0];
-    let Change { new_from_old, touched } = *change;
+    let GraphChange { new_from_old, touched } = *change;
     check_map(hierarchy, graph, change, threads)?;
     graph.check_some(touched)?;
     let scale = hierarchy.weight_scale as f32;
@@ -92,7 +92,7 @@ pub(super) fn read(
     }
 
     let n = graph.vertices();
-    let (mut own, mut near) = (Marks::new(n), Marks::new(n));
+    let (mut own, mut near) = (MarkedRows::new(n), MarkedRows::new(n));
     for &v in touched {
         own.insert(v);
     }
@@ -105,7 +105,7 @@ pub(super) fn read(
             }
         }
     }
-    let (mut origins, mut near_rows) = (vec![NONE; touched.len()], vec![NONE; near.count()]);
+    let (mut origins, mut near_rows) = (vec![NO_ROW; touched.len()], vec![NO_ROW; near.count()]);
     let (order, found) = renumber(&hierarchy.order, new_from_old, &own, &any, threads);
     let (mut gone, mut left) = (Vec::new(), 0);
     for found in found {
@@ -121,7 +121,7 @@ pub(super) fn read(
     if is_large(touched.len() + gone.len(), n.max(level.occupied())) {
         return Ok(None);
     }
-    let new = origins.iter().filter(|&&row| row == NONE).count();
+    let new = origins.iter().filter(|&&row| row == NO_ROW).count();
     if left + new != n {
         return Err(Error::Invalid(format!(
             "of {n} vertices {left} were there before and {new} of the touched ones were not: all new vertices must \
@@ -133,7 +133,7 @@ pub(super) fn read(
     let present = |v: u32| outside(v).map(|e| (near_row(graph.neighbours[e]), weight(e))).collect();
     check_border(level, touched, &gone, &origins, present, &order)?;
     let mut dead = gone;
-    dead.extend(origins.iter().filter(|&&row| row != NONE));
+    dead.extend(origins.iter().filter(|&&row| row != NO_ROW));
     dead.sort_unstable();
 
     // Into the order in which they are to be placed.
@@ -150,10 +150,10 @@ pub(super) fn read(
         places[k as usize] = place;
     }
     let padded = touched.len().next_multiple_of(block_size(0));
-    let mut draft = Draft {
+    let mut draft = LevelDraft {
         offsets: vec![0],
         weights: graph.weights.map(|_| Vec::new()),
-        ..Draft::default()
+        ..LevelDraft::default()
     };
     let mut foreign = Vec::new();
     for &k in &sequence {
@@ -174,8 +174,8 @@ pub(super) fn read(
         draft.positions.extend(positions.get(k as usize));
     }
     let of_sequence = |all: &[u32]| sequence.iter().map(|&k| all[k as usize]).collect();
-    Ok(Some(Plan {
-        touched: Touched {
+    Ok(Some(RepairPlan {
+        touched: TouchedRows {
             draft,
             foreign,
             origins: of_sequence(&origins),
@@ -188,9 +188,14 @@ pub(super) fn read(
 }
 
 /// Checks lengths and ranges, and that no two old vertices become one.
-fn check_map(hierarchy: &Hierarchy, graph: &Graph<'_>, change: &Change<'_>, threads: Threads) -> Result<(), Error> {
+fn check_map(
+    hierarchy: &Hierarchy,
+    graph: &WeightedGraph<'_>,
+    change: &GraphChange<'_>,
+    threads: Parallelism,
+) -> Result<(), Error> {
     let (n, before) = (graph.vertices(), hierarchy.vertices());
-    let Change { new_from_old, touched } = *change;
+    let GraphChange { new_from_old, touched } = *change;
     if new_from_old.len() != before {
         let seen = new_from_old.len();
         return Err(Error::Invalid(format!(
@@ -216,8 +221,8 @@ fn check_map(hierarchy: &Hierarchy, graph: &Graph<'_>, change: &Change<'_>, thre
     let mut last = None;
     let rising = ends.iter().all(|ends| match *ends {
         Some((first, end)) => {
-            let rises = first == NONE || last.is_none_or(|last| first > last);
-            last = if first == NONE { last } else { Some(end) };
+            let rises = first == NO_ROW || last.is_none_or(|last| first > last);
+            last = if first == NO_ROW { last } else { Some(end) };
             rises
         }
         None => false,
@@ -225,8 +230,8 @@ fn check_map(hierarchy: &Hierarchy, graph: &Graph<'_>, change: &Change<'_>, thre
     if rising && last.is_none_or(|last| (last as usize) < n) {
         return Ok(());
     }
-    let mut seen = Marks::new(n);
-    for (old, &v) in new_from_old.iter().enumerate().filter(|(_, v)| **v != NONE) {
+    let mut seen = MarkedRows::new(n);
+    for (old, &v) in new_from_old.iter().enumerate().filter(|(_, v)| **v != NO_ROW) {
         if v as usize >= n {
             return Err(Error::Invalid(format!(
                 "old vertex {old} becomes {v}, which is not one of {n} vertices"
@@ -241,25 +246,25 @@ fn check_map(hierarchy: &Hierarchy, graph: &Graph<'_>, change: &Change<'_>, thre
     Ok(())
 }
 
-/// The first and the last number of `map` that is not [`NONE`], which stands for both where there is none; `None` unless
+/// The first and the last number of `map` that is not [`NO_ROW`], which stands for both where there is none; `None` unless
 /// these numbers rise.
 fn rising_ends(map: &[u32]) -> Option<(u32, u32)> {
     const STEP: usize = 64;
-    let (mut first, mut last) = (NONE, NONE);
+    let (mut first, mut last) = (NO_ROW, NO_ROW);
     for part in map.chunks(STEP) {
         // Most parts rise all the way, which is seen without a branch per number.
         let rises = part.iter().zip(&part[1..]).fold(true, |r, (a, b)| r & (a < b));
-        let all = rises && part[part.len() - 1] != NONE;
-        let own = |v: &&u32| **v != NONE;
+        let all = rises && part[part.len() - 1] != NO_ROW;
+        let own = |v: &&u32| **v != NO_ROW;
         let rest = if all { &part[part.len() - 1..] } else { part };
-        if all && last != NONE && part[0] <= last {
+        if all && last != NO_ROW && part[0] <= last {
             return None;
         }
-        if first == NONE {
-            first = part.iter().find(own).copied().unwrap_or(NONE);
+        if first == NO_ROW {
+            first = part.iter().find(own).copied().unwrap_or(NO_ROW);
         }
         for &v in rest.iter().filter(own) {
-            if last != NONE && v <= last {
+            if last != NO_ROW && v <= last {
                 return None;
             }
             last = v;
@@ -269,7 +274,7 @@ fn rising_ends(map: &[u32]) -> Option<(u32, u32)> {
 }
 
 /// Rows of one piece that concern the change.
-struct Found {
+struct RenumberedPiece {
     /// Rows whose vertices are gone.
     gone: Vec<u32>,
     /// Touched vertices and their rows.
@@ -282,10 +287,16 @@ struct Found {
 
 /// The one pass over all rows: their new vertices, and the rows of the vertices that matter, `any`: touched ones, which
 /// are `own`, and their neighbours.
-fn renumber(order: &[u32], new_from_old: &[u32], own: &Marks, any: &Marks, threads: Threads) -> (Vec<u32>, Vec<Found>) {
+fn renumber(
+    order: &[u32],
+    new_from_old: &[u32],
+    own: &MarkedRows,
+    any: &MarkedRows,
+    threads: Parallelism,
+) -> (Vec<u32>, Vec<RenumberedPiece>) {
     let n = order.len();
     let mut next = vec![0u32; n];
-    let out = Shared::new(&mut next);
+    let out = SharedRows::new(&mut next);
     let found = threads.for_rows(n).map(
         0..pieces(n, PIECE),
         || (),
@@ -293,7 +304,7 @@ fn renumber(order: &[u32], new_from_old: &[u32], own: &Marks, any: &Marks, threa
             let rows = piece(k, n, PIECE);
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { out.rows(rows.clone()) };
-            let mut found = Found {
+            let mut found = RenumberedPiece {
                 gone: Vec::new(),
                 own: Vec::new(),
                 near: Vec::new(),
@@ -301,12 +312,12 @@ fn renumber(order: &[u32], new_from_old: &[u32], own: &Marks, any: &Marks, threa
             };
             for (row, out) in rows.zip(out) {
                 let old = order[row];
-                *out = NONE;
-                if old == NONE {
+                *out = NO_ROW;
+                if old == NO_ROW {
                     continue;
                 }
                 let v = new_from_old[old as usize];
-                if v == NONE {
+                if v == NO_ROW {
                     found.gone.push(row as u32);
                     continue;
                 }
@@ -332,16 +343,16 @@ fn renumber(order: &[u32], new_from_old: &[u32], own: &Marks, any: &Marks, threa
 /// `gone` are the rows whose vertices are gone, `origins` those that the touched vertices have had, `present` the
 /// neighbours of each touched vertex that are not touched, as (row, weight); `order` tells new numbers.
 fn check_border(
-    level: &Level,
+    level: &HierarchyLevel,
     touched: &[u32],
     gone: &[u32],
     origins: &[u32],
     present: impl Fn(u32) -> Vec<(u32, f32)>,
     order: &[u32],
 ) -> Result<(), Error> {
-    let stays = |row: usize| order[row] != NONE;
+    let stays = |row: usize| order[row] != NO_ROW;
     let changed = |row: u32, to: &str| {
-        let vertex = order.get(row as usize).copied().unwrap_or(NONE);
+        let vertex = order.get(row as usize).copied().unwrap_or(NO_ROW);
         Err(Error::Invalid(format!(
             "vertex {vertex} is not among the touched ones, but its edge to {to} is not what it was"
         )))
@@ -358,7 +369,7 @@ fn check_border(
     for (&v, &origin) in touched.iter().zip(origins) {
         let now = sorted(present(v));
         let before = match origin {
-            NONE => Vec::new(),
+            NO_ROW => Vec::new(),
             row => sorted(
                 level
                     .row(row as usize)
@@ -370,7 +381,7 @@ fn check_border(
         if now != before {
             let other = now.iter().zip(&before).find(|(a, b)| a != b).map(|(a, b)| a.0.min(b.0));
             let longer = now.get(before.len()).or(before.get(now.len())).map(|e| e.0);
-            let row = other.or(longer).unwrap_or(NONE);
+            let row = other.or(longer).unwrap_or(NO_ROW);
             return changed(row, &format!("vertex {v}"));
         }
     }
@@ -378,7 +389,7 @@ fn check_border(
 }
 
 /// Breadth first through the touched vertices; positions among them.
-fn sequence_of<'g>(touched: &[u32], own: &Marks, row: impl Fn(u32) -> &'g [u32]) -> Vec<u32> {
+fn sequence_of<'g>(touched: &[u32], own: &MarkedRows, row: impl Fn(u32) -> &'g [u32]) -> Vec<u32> {
     let (mut offsets, mut neighbours) = (vec![0], Vec::new());
     for &v in touched {
         let inside = row(v).iter().filter(|&&j| own.contains(j));

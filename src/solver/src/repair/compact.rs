@@ -1,16 +1,20 @@
 //! Levels without gaps: what repairs leave behind is arranged anew, aggregates and all.
 
-use crate::build::draft::{Blocks, Draft, Rows};
+use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
 use crate::build::layout::arrange;
-use crate::build::level::Level;
+use crate::build::level::HierarchyLevel;
 use crate::build::order::{along_curve, breadth_first};
-use crate::storage::NONE;
-use crate::threads::Threads;
+use crate::storage::NO_ROW;
+use crate::threads::Parallelism;
 
 /// The graph of a level in an order that keeps neighbours close, and the row of the level that each of its rows is.
 /// `lives` tells which rows are not filling.
-pub(super) fn draft_of(level: &Level, lives: impl Fn(usize) -> bool, threads: Threads) -> (Draft, Vec<u32>) {
-    let mut numbers = vec![NONE; level.rows()];
+pub(super) fn draft_of(
+    level: &HierarchyLevel,
+    lives: impl Fn(usize) -> bool,
+    threads: Parallelism,
+) -> (LevelDraft, Vec<u32>) {
+    let mut numbers = vec![NO_ROW; level.rows()];
     let mut rows = Vec::with_capacity(level.occupied());
     for i in (0..level.rows()).filter(|&i| lives(i)) {
         numbers[i] = rows.len() as u32;
@@ -36,31 +40,36 @@ pub(super) fn draft_of(level: &Level, lives: impl Fn(usize) -> bool, threads: Th
         true => breadth_first(&offsets, &neighbours),
         false => along_curve(&positions, threads),
     };
-    let graph = Rows {
+    let graph = UnorderedRows {
         offsets: &offsets,
         neighbours: &neighbours,
         weights: level.weights.is_some().then_some(weights.as_slice()),
         scale: 1.0,
         positions: &positions,
     };
-    let draft = Draft::new(&graph, &sequence, threads);
+    let draft = LevelDraft::new(&graph, &sequence, threads);
     let rows = sequence.iter().map(|&k| rows[k as usize]).collect();
     (draft, rows)
 }
 
 /// Arranges `level` as if it had just been built; its aggregates stay what they are. `lives` tells which rows are not
-/// filling. Returns what each row has become, [`NONE`] for filling.
-pub(super) fn rearrange(level: &mut Level, lives: impl Fn(usize) -> bool, block: usize, threads: Threads) -> Vec<u32> {
+/// filling. Returns what each row has become, [`NO_ROW`] for filling.
+pub(super) fn rearrange(
+    level: &mut HierarchyLevel,
+    lives: impl Fn(usize) -> bool,
+    block: usize,
+    threads: Parallelism,
+) -> Vec<u32> {
     let (draft, rows) = draft_of(level, lives, threads);
-    let blocks = Blocks::new(&draft, block, threads);
+    let blocks = RowBlocks::new(&draft, block, threads);
     let (mut fresh, ranks) = arrange(&draft, &blocks, threads);
-    let mut rank_of = vec![NONE; level.rows()];
+    let mut rank_of = vec![NO_ROW; level.rows()];
     for (&row, &rank) in rows.iter().zip(&ranks) {
         rank_of[row as usize] = rank;
     }
     fresh.grouping = level.grouping;
     if !level.aggregates.is_empty() {
-        fresh.aggregates = vec![NONE; fresh.rows()];
+        fresh.aggregates = vec![NO_ROW; fresh.rows()];
         for (&row, &rank) in rows.iter().zip(&ranks) {
             fresh.aggregates[rank as usize] = level.aggregates[row as usize];
         }
@@ -73,20 +82,20 @@ pub(super) fn rearrange(level: &mut Level, lives: impl Fn(usize) -> bool, block:
 }
 
 /// Tells `level` that the rows of the next one, `rows` in all, have become what `rank_of` says.
-pub(super) fn renumber_aggregates(level: &mut Level, rank_of: &[u32], rows: usize) {
+pub(super) fn renumber_aggregates(level: &mut HierarchyLevel, rank_of: &[u32], rows: usize) {
     let mut ranges = vec![[0; 2]; rows];
-    for (&rank, range) in rank_of.iter().zip(&level.ranges).filter(|(rank, _)| **rank != NONE) {
+    for (&rank, range) in rank_of.iter().zip(&level.ranges).filter(|(rank, _)| **rank != NO_ROW) {
         ranges[rank as usize] = *range;
     }
     level.ranges = ranges;
     gather(level, |i| i);
-    for a in level.aggregates.iter_mut().filter(|a| **a != NONE) {
+    for a in level.aggregates.iter_mut().filter(|a| **a != NO_ROW) {
         *a = rank_of[*a as usize];
     }
 }
 
 /// Brings the members of a level together in the order of their aggregates, under new numbers.
-pub(super) fn gather(level: &mut Level, number: impl Fn(u32) -> u32) {
+pub(super) fn gather(level: &mut HierarchyLevel, number: impl Fn(u32) -> u32) {
     let mut members = Vec::with_capacity(level.occupied());
     for range in &mut level.ranges {
         let begin = members.len() as u32;

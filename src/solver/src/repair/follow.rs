@@ -3,19 +3,19 @@
 use std::sync::Arc;
 
 use crate::build::coarsen::SHRINK;
-use crate::build::draft::Blocks;
+use crate::build::draft::RowBlocks;
 use crate::build::hierarchy::{Hierarchy, block_size, coarsen};
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::graph::Graph;
+use crate::graph::WeightedGraph;
 use crate::progress::Silent;
-use crate::repair::change::{Change, Plan, Repair, read};
+use crate::repair::change::{GraphChange, RepairPlan, RepairReport, read};
 use crate::repair::compact::{draft_of, gather, rearrange, renumber_aggregates};
-use crate::repair::place::{Placed, place};
-use crate::repair::regroup::{Regrouped, regroup};
+use crate::repair::place::{PlacedRows, place};
+use crate::repair::regroup::{NewAggregates, regroup};
 use crate::repair::rows::coarse_rows;
-use crate::storage::{NONE, grow};
-use crate::threads::Threads;
+use crate::storage::{NO_ROW, grow};
+use crate::threads::Parallelism;
 
 /// Levels above the first one with at most this many vertices are built anew rather than repaired.
 const SMALL: usize = 4096;
@@ -30,16 +30,21 @@ impl Hierarchy {
     /// Follows a topology change. `graph` is the graph after it, in the new numbers. Costs what the change touches, but
     /// for one pass over the numbers of all vertices; the result depends on the hierarchy and the arguments alone.
     ///
-    /// [`System`](super::System)s that were made before belong to the old hierarchy and fail with this one. To keep
+    /// [`LinearSystem`](super::LinearSystem)s that were made before belong to the old hierarchy and fail with this one. To keep
     /// both, repair a clone.
     ///
     /// Weights keep the scale and positions the box that the hierarchy was built with. With
-    /// [`Operators::Paper`](super::Operators::Paper) a repair is a build.
+    /// [`CoarseOperators::Paper`](super::CoarseOperators::Paper) a repair is a build.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a change that contradicts the graphs and for malformed touched rows,
     /// [`Error::Cancelled`]. The hierarchy is then as it was.
-    pub fn repair(&mut self, graph: &Graph<'_>, change: &Change<'_>, exec: &Exec<'_>) -> Result<Repair, Error> {
+    pub fn repair(
+        &mut self,
+        graph: &WeightedGraph<'_>,
+        change: &GraphChange<'_>,
+        exec: &Exec<'_>,
+    ) -> Result<RepairReport, Error> {
         self.repair_above(SMALL, graph, change, exec)
     }
 
@@ -47,21 +52,21 @@ impl Hierarchy {
     pub(super) fn repair_above(
         &mut self,
         small: usize,
-        graph: &Graph<'_>,
-        change: &Change<'_>,
+        graph: &WeightedGraph<'_>,
+        change: &GraphChange<'_>,
         exec: &Exec<'_>,
-    ) -> Result<Repair, Error> {
+    ) -> Result<RepairReport, Error> {
         exec.check()?;
-        let threads = Threads::of(exec.pool);
+        let threads = Parallelism::of(exec.pool);
         let least = self.vertices().min(graph.vertices());
-        let full = |l: &crate::build::level::Level| l.neighbours.len() > ROOM || l.rows() > ROOM;
+        let full = |l: &crate::build::level::HierarchyLevel| l.neighbours.len() > ROOM || l.rows() > ROOM;
         let mut plan = None;
         if least > small && self.paper.is_none() && !self.levels.iter().any(full) {
             plan = threads.enter(exec.pool, || read(self, graph, change, threads))?;
         }
         let Some(plan) = plan else {
             *self = Hierarchy::build(graph, &self.options, exec)?;
-            return Ok(Repair {
+            return Ok(RepairReport {
                 rebuilt: true,
                 moved: 0,
             });
@@ -69,7 +74,7 @@ impl Hierarchy {
         exec.check()?;
         let moved = threads.enter(exec.pool, || self.follow(plan, small, threads));
         self.token = Arc::new(());
-        Ok(Repair { rebuilt: false, moved })
+        Ok(RepairReport { rebuilt: false, moved })
     }
 
     /// True once repairs have left so much behind that a build pays off, because solves take about a quarter longer than
@@ -84,8 +89,8 @@ impl Hierarchy {
     }
 
     /// Changes the levels from the finest one up. Returns the number of rows that moved.
-    fn follow(&mut self, plan: Plan, small: usize, threads: Threads) -> usize {
-        let Plan {
+    fn follow(&mut self, plan: RepairPlan, small: usize, threads: Parallelism) -> usize {
+        let RepairPlan {
             mut touched,
             vertices,
             order,
@@ -95,7 +100,7 @@ impl Hierarchy {
         let top = top.unwrap_or(self.levels.len() - 1);
         self.order = order;
         let mut moved = 0;
-        let mut groups: Option<Regrouped> = None;
+        let mut groups: Option<NewAggregates> = None;
         for l in 0..=top {
             if touched.draft.rows() == 0 && touched.dead.is_empty() {
                 break;
@@ -130,7 +135,7 @@ impl Hierarchy {
     }
 
     /// Arranges level `l` anew where most of it lies waste.
-    fn tidy(&mut self, l: usize, threads: Threads) {
+    fn tidy(&mut self, l: usize, threads: Parallelism) {
         let level = &self.levels[l];
         let much = |all: usize, used: usize| all > WASTE * used + WASTE_AT_LEAST;
         if much(level.rows(), level.occupied()) || much(level.neighbours.len(), level.entries) {
@@ -144,9 +149,9 @@ impl Hierarchy {
                 }
                 None => {
                     let before = std::mem::take(&mut self.order);
-                    let rank_of = rearrange(level, |i| before[i] != NONE, block_size(l), threads);
-                    self.order = vec![NONE; level.rows()];
-                    for (&rank, &vertex) in rank_of.iter().zip(&before).filter(|(rank, _)| **rank != NONE) {
+                    let rank_of = rearrange(level, |i| before[i] != NO_ROW, block_size(l), threads);
+                    self.order = vec![NO_ROW; level.rows()];
+                    for (&rank, &vertex) in rank_of.iter().zip(&before).filter(|(rank, _)| **rank != NO_ROW) {
                         self.order[rank as usize] = vertex;
                     }
                 }
@@ -157,10 +162,10 @@ impl Hierarchy {
     }
 
     /// Tells new rows of the finest level their vertices.
-    fn name(&mut self, vertices: &[u32], placed: &Placed) {
+    fn name(&mut self, vertices: &[u32], placed: &PlacedRows) {
         let level = &self.levels[0];
         let more = level.rows() - self.order.len();
-        grow(&mut self.order, more, NONE);
+        grow(&mut self.order, more, NO_ROW);
         for (&row, &vertex) in placed.rows.iter().zip(vertices) {
             self.order[row as usize] = vertex;
             let diagonal = f64::from(level.diagonal[row as usize]);
@@ -169,7 +174,7 @@ impl Hierarchy {
     }
 
     /// Tells the members of new groups of level `l` the rows that these have become, in the order of `sequence`.
-    fn adopt(&mut self, l: usize, groups: &Regrouped, sequence: &[u32], placed: &Placed) {
+    fn adopt(&mut self, l: usize, groups: &NewAggregates, sequence: &[u32], placed: &PlacedRows) {
         let rows = self.levels[l + 1].rows();
         let level = &mut self.levels[l];
         for &row in &groups.dead {
@@ -190,17 +195,17 @@ impl Hierarchy {
     }
 
     /// Builds all levels above level `l` anew.
-    fn coarsen_anew(&mut self, l: usize, threads: Threads) {
+    fn coarsen_anew(&mut self, l: usize, threads: Parallelism) {
         self.levels.truncate(l + 1);
         let (finer, last) = self.levels.split_at_mut(l);
         let lives = |i: usize| match finer.last() {
             Some(finer) => !finer.members_of(i).is_empty(),
-            None => self.order[i] != NONE,
+            None => self.order[i] != NO_ROW,
         };
         let level = &mut last[0];
         (level.aggregates, level.ranges, level.members) = Default::default();
         let (draft, rows) = draft_of(level, lives, threads);
-        let blocks = Blocks::new(&draft, block_size(l), threads);
+        let blocks = RowBlocks::new(&draft, block_size(l), threads);
         // Halfway through there is no way back, so nobody is asked whether to go on.
         let _ = coarsen(&mut self.levels, draft, blocks, rows, &self.options, threads, &Silent);
     }

@@ -2,15 +2,15 @@
 
 /// A set of numbers below a bound. Once complete, it knows how many of its numbers lie below each.
 #[derive(Debug, Clone)]
-pub(super) struct Marks {
+pub(super) struct MarkedRows {
     words: Vec<u64>,
     /// Numbers in the words before each.
     ranks: Vec<u32>,
 }
 
-impl Marks {
-    pub(super) fn new(bound: usize) -> Marks {
-        Marks {
+impl MarkedRows {
+    pub(super) fn new(bound: usize) -> MarkedRows {
+        MarkedRows {
             words: vec![0; bound.div_ceil(64)],
             ranks: Vec::new(),
         }
@@ -44,7 +44,7 @@ impl Marks {
         self.words[i as usize / 64] >> (i % 64) & 1 == 1
     }
 
-    /// Counts; [`Marks::rank`] answers for what is in the set now. Returns the size.
+    /// Counts; [`MarkedRows::rank`] answers for what is in the set now. Returns the size.
     pub(super) fn count(&mut self) -> usize {
         let mut total = 0;
         self.ranks.clear();
@@ -69,7 +69,7 @@ mod tests {
 
     #[test]
     fn ranks_count_what_is_below() {
-        let mut marks = Marks::new(200);
+        let mut marks = MarkedRows::new(200);
         for i in [3, 64, 65, 199, 0] {
             assert!(marks.insert(i));
         }

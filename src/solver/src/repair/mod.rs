@@ -19,4 +19,4 @@ mod rows;
 #[cfg(test)]
 mod tests;
 
-pub use self::change::{Change, Repair};
+pub use self::change::{GraphChange, RepairReport};

@@ -1,20 +1,20 @@
 //! Moving rows of a level: touched ones to new blocks at its end, and their old neighbours informed.
 
-use crate::build::draft::Blocks;
+use crate::build::draft::RowBlocks;
 use crate::build::layout::append;
-use crate::build::level::{Bundle, Level};
+use crate::build::level::{HierarchyLevel, SliceExtent};
 use crate::lanes::Lanes;
-use crate::repair::change::Touched;
-use crate::repair::marks::Marks;
-use crate::storage::{BUNDLE, NONE, grow};
-use crate::threads::Threads;
+use crate::repair::change::TouchedRows;
+use crate::repair::marks::MarkedRows;
+use crate::storage::{NO_ROW, SLICE_ROWS, grow};
+use crate::threads::Parallelism;
 
 /// Touched rows in their places.
 #[derive(Debug)]
-pub(super) struct Placed {
+pub(super) struct PlacedRows {
     /// Rows in the order of the draft.
     pub(super) rows: Vec<u32>,
-    /// The row that each has been, or [`NONE`].
+    /// The row that each has been, or [`NO_ROW`].
     pub(super) origins: Vec<u32>,
     /// Aggregates that have lost a member, rising.
     pub(super) broken: Vec<u32>,
@@ -26,8 +26,13 @@ pub(super) struct Placed {
 ///
 /// A new row is swept after all old ones, and new blocks are not adjacent to others of their colour. Rows that border on
 /// those that move stay where they are; only their entries are written anew.
-pub(super) fn place(level: &mut Level, touched: Touched, block: usize, threads: Threads) -> Placed {
-    let Touched {
+pub(super) fn place(
+    level: &mut HierarchyLevel,
+    touched: TouchedRows,
+    block: usize,
+    threads: Parallelism,
+) -> PlacedRows {
+    let TouchedRows {
         draft,
         foreign,
         origins,
@@ -38,7 +43,7 @@ pub(super) fn place(level: &mut Level, touched: Touched, block: usize, threads: 
         true => Vec::new(),
         false => dead.iter().map(|&i| level.aggregates[i as usize]).collect(),
     };
-    let mut border = Marks::new(level.rows());
+    let mut border = MarkedRows::new(level.rows());
     for &i in &foreign {
         border.insert(i);
     }
@@ -51,12 +56,12 @@ pub(super) fn place(level: &mut Level, touched: Touched, block: usize, threads: 
     let border: Vec<u32> = border.iter().collect();
     clear(level, &dead);
 
-    let blocks = Blocks::new(&draft, block, threads);
+    let blocks = RowBlocks::new(&draft, block, threads);
     let mut rows = append(level, &draft, &foreign, &blocks, threads);
     rows.truncate(draft.rows());
     if !level.aggregates.is_empty() {
         let more = level.rows() - level.aggregates.len();
-        grow(&mut level.aggregates, more, NONE);
+        grow(&mut level.aggregates, more, NO_ROW);
     }
     let padded = blocks.padded() as u32;
     let mut added: Vec<(u32, u32, f32)> = Vec::with_capacity(foreign.len());
@@ -75,16 +80,16 @@ pub(super) fn place(level: &mut Level, touched: Touched, block: usize, threads: 
         for &j in &border {
             let aggregate = level.aggregates[j as usize];
             match (level.connected(j as usize), aggregate) {
-                (true, NONE) => loose.push(j),
-                (true, _) | (false, NONE) => {}
+                (true, NO_ROW) => loose.push(j),
+                (true, _) | (false, NO_ROW) => {}
                 (false, _) => broken.push(aggregate),
             }
         }
     }
     broken.sort_unstable();
     broken.dedup();
-    broken.retain(|&a| a != NONE);
-    Placed {
+    broken.retain(|&a| a != NO_ROW);
+    PlacedRows {
         rows,
         origins,
         broken,
@@ -93,11 +98,11 @@ pub(super) fn place(level: &mut Level, touched: Touched, block: usize, threads: 
 }
 
 /// Turns the rows `dead` into filling.
-fn clear(level: &mut Level, dead: &[u32]) {
+fn clear(level: &mut HierarchyLevel, dead: &[u32]) {
     let filling = level.filling();
     for i in dead.iter().map(|&i| i as usize) {
-        let (begin, _, end) = level.bundle(i / BUNDLE);
-        for e in (begin + i % BUNDLE..end).step_by(BUNDLE) {
+        let (begin, _, end) = level.bundle(i / SLICE_ROWS);
+        for e in (begin + i % SLICE_ROWS..end).step_by(SLICE_ROWS) {
             level.neighbours[e] = filling;
             if let Some(w) = &mut level.weights {
                 w[e] = 0.0;
@@ -108,11 +113,11 @@ fn clear(level: &mut Level, dead: &[u32]) {
             *p = Lanes::ZERO;
         }
         if let Some(a) = level.aggregates.get_mut(i) {
-            *a = NONE;
+            *a = NO_ROW;
         }
-        let k = i / BUNDLE;
-        if level.diagonal[k * BUNDLE..(k + 1) * BUNDLE] == [0.0; BUNDLE] {
-            level.bundles[k] = Bundle {
+        let k = i / SLICE_ROWS;
+        if level.diagonal[k * SLICE_ROWS..(k + 1) * SLICE_ROWS] == [0.0; SLICE_ROWS] {
+            level.bundles[k] = SliceExtent {
                 begin: begin as u32,
                 middle: begin as u32,
                 end: begin as u32,
@@ -125,15 +130,15 @@ fn clear(level: &mut Level, dead: &[u32]) {
 
 /// Writes the entries of the rows of `border` anew, without those that lead to rows that are filling now, and with
 /// those of `added`: row, neighbour, weight. Both rise.
-fn inform(level: &mut Level, border: &[u32], added: &[(u32, u32, f32)]) {
+fn inform(level: &mut HierarchyLevel, border: &[u32], added: &[(u32, u32, f32)]) {
     let filling = level.filling();
     let mut added = added.iter().copied().peekable();
     // Neighbours of each row of the bundle at hand, those before it and those after it.
-    let mut sides: [[Vec<(u32, f32)>; 2]; BUNDLE] = Default::default();
-    for same in border.chunk_by(|a, b| a / BUNDLE as u32 == b / BUNDLE as u32) {
-        let k = same[0] as usize / BUNDLE;
+    let mut sides: [[Vec<(u32, f32)>; 2]; SLICE_ROWS] = Default::default();
+    for same in border.chunk_by(|a, b| a / SLICE_ROWS as u32 == b / SLICE_ROWS as u32) {
+        let k = same[0] as usize / SLICE_ROWS;
         for (lane, sides) in sides.iter_mut().enumerate() {
-            let i = (k * BUNDLE + lane) as u32;
+            let i = (k * SLICE_ROWS + lane) as u32;
             sides.iter_mut().for_each(Vec::clear);
             let stays = |&(j, _): &(usize, f32)| level.connected(j);
             let kept = level.row(i as usize).filter(stays).map(|(j, w)| (j as u32, w));
@@ -143,11 +148,11 @@ fn inform(level: &mut Level, border: &[u32], added: &[(u32, u32, f32)]) {
             }
         }
         for &i in same {
-            let sides = &sides[i as usize % BUNDLE];
+            let sides = &sides[i as usize % SLICE_ROWS];
             let sum: f64 = sides.iter().flatten().map(|e| f64::from(e.1)).sum();
             level.diagonal[i as usize] = sum as f32;
         }
-        let width = |side: usize| sides.iter().map(|s| s[side].len()).max().unwrap_or(0) * BUNDLE;
+        let width = |side: usize| sides.iter().map(|s| s[side].len()).max().unwrap_or(0) * SLICE_ROWS;
         let (before, size) = (width(0), width(0) + width(1));
         let old = level.bundles[k];
         let mut begin = old.begin as usize;
@@ -158,7 +163,7 @@ fn inform(level: &mut Level, border: &[u32], added: &[(u32, u32, f32)]) {
                 grow(w, size, 0.0);
             }
         }
-        level.bundles[k] = Bundle {
+        level.bundles[k] = SliceExtent {
             begin: begin as u32,
             middle: (begin + before) as u32,
             end: (begin + size) as u32,
@@ -170,7 +175,7 @@ fn inform(level: &mut Level, border: &[u32], added: &[(u32, u32, f32)]) {
         }
         for (lane, sides) in sides.iter().enumerate() {
             for (side, first) in sides.iter().zip([begin, begin + before]) {
-                for (&(j, weight), e) in side.iter().zip((first + lane..).step_by(BUNDLE)) {
+                for (&(j, weight), e) in side.iter().zip((first + lane..).step_by(SLICE_ROWS)) {
                     level.neighbours[e] = j;
                     if let Some(w) = &mut level.weights {
                         w[e] = weight;

@@ -1,20 +1,20 @@
 //! Coarsening what has lost its aggregates, by the rule that the whole level was coarsened by.
 
 use crate::build::coarsen::{WEAK, distance2};
-use crate::build::level::Level;
+use crate::build::level::HierarchyLevel;
 use crate::build::order::along_curve;
 use crate::lanes::Lanes;
-use crate::repair::place::Placed;
-use crate::storage::NONE;
-use crate::threads::Threads;
+use crate::repair::place::PlacedRows;
+use crate::storage::NO_ROW;
+use crate::threads::Parallelism;
 
 /// New aggregates of a level. Until they have rows, members of group `g` have the aggregate `base + g`.
 #[derive(Debug)]
-pub(super) struct Regrouped {
+pub(super) struct NewAggregates {
     pub(super) base: u32,
     /// Rows of each group, the seed first.
     pub(super) members: Vec<Vec<u32>>,
-    /// The row of the next level that each group replaces, or [`NONE`].
+    /// The row of the next level that each group replaces, or [`NO_ROW`].
     pub(super) origins: Vec<u32>,
     /// Rows of the next level that no longer stand for anything, rising: those replaced among them.
     pub(super) dead: Vec<u32>,
@@ -24,7 +24,7 @@ pub(super) struct Regrouped {
 ///
 /// Their seeds, as far as they are left, come first, so that groups that the change hardly touches form again. Seeds of
 /// other aggregates count too: rows that they cover need no seed, and may join them.
-pub(super) fn regroup(level: &mut Level, placed: &Placed) -> Regrouped {
+pub(super) fn regroup(level: &mut HierarchyLevel, placed: &PlacedRows) -> NewAggregates {
     let base = level.ranges.len() as u32;
     let broken = &placed.broken;
     let (rows, seeds) = free_rows(level, placed);
@@ -34,13 +34,13 @@ pub(super) fn regroup(level: &mut Level, placed: &Placed) -> Regrouped {
     let nearest = nearest_seeds(level, &rows, &seeds, base);
 
     // Groups of rows that are seeds in their order, then those that rows outside lead.
-    let mut groups = Regrouped {
+    let mut groups = NewAggregates {
         base,
         members: Vec::new(),
         origins: Vec::new(),
         dead: broken.clone(),
     };
-    let mut group_of = vec![NONE; rows.len()];
+    let mut group_of = vec![NO_ROW; rows.len()];
     for (k, &i) in rows.iter().enumerate() {
         if nearest[k] == i {
             group_of[k] = groups.members.len() as u32;
@@ -83,8 +83,8 @@ pub(super) fn regroup(level: &mut Level, placed: &Placed) -> Regrouped {
 }
 
 /// Rows with neighbours and without aggregate, along the curve, and for those that are seeds of broken aggregates these
-/// aggregates, else [`NONE`]. Rows without neighbours lose their aggregate.
-fn free_rows(level: &mut Level, placed: &Placed) -> (Vec<u32>, Vec<u32>) {
+/// aggregates, else [`NO_ROW`]. Rows without neighbours lose their aggregate.
+fn free_rows(level: &mut HierarchyLevel, placed: &PlacedRows) -> (Vec<u32>, Vec<u32>) {
     let mut successors: Vec<(u32, u32)> = placed
         .origins
         .iter()
@@ -108,18 +108,18 @@ fn free_rows(level: &mut Level, placed: &Placed) -> (Vec<u32>, Vec<u32>) {
         rows.extend(members.iter().copied().filter(stays));
     }
     for &i in &rows {
-        level.aggregates[i as usize] = NONE;
+        level.aggregates[i as usize] = NO_ROW;
     }
     rows.retain(|&i| level.connected(i as usize));
     if !level.positions.is_empty() {
         let positions: Vec<Lanes> = rows.iter().map(|&i| level.positions[i as usize]).collect();
-        let sequence = along_curve(&positions, Threads::one());
+        let sequence = along_curve(&positions, Parallelism::one());
         rows = sequence.into_iter().map(|k| rows[k as usize]).collect();
     }
     seeds.sort_unstable();
     let of_row = |&i: &u32| {
         let at = seeds.binary_search_by_key(&i, |s| s.0);
-        at.map_or(NONE, |at| seeds[at].1)
+        at.map_or(NO_ROW, |at| seeds[at].1)
     };
     let seeds = rows.iter().map(of_row).collect();
     (rows, seeds)
@@ -127,7 +127,7 @@ fn free_rows(level: &mut Level, placed: &Placed) -> (Vec<u32>, Vec<u32>) {
 
 /// The seed that each of `rows` joins, itself if it is one; the aggregate of row k of them is `base` + k. As in building
 /// a level, but that those of `seeds` come before the others.
-fn nearest_seeds(level: &Level, rows: &[u32], seeds: &[u32], base: u32) -> Vec<u32> {
+fn nearest_seeds(level: &HierarchyLevel, rows: &[u32], seeds: &[u32], base: u32) -> Vec<u32> {
     let placed = !level.positions.is_empty();
     let reach2 = level.grouping.reach2;
     let length2 = |i: u32, j: usize| match placed {
@@ -156,7 +156,7 @@ fn nearest_seeds(level: &Level, rows: &[u32], seeds: &[u32], base: u32) -> Vec<u
     }
     for old in [true, false] {
         for (k, &i) in rows.iter().enumerate() {
-            if covered[k] || (seeds[k] != NONE) != old {
+            if covered[k] || (seeds[k] != NO_ROW) != old {
                 continue;
             }
             offers[k] = u64::from(i);

@@ -1,18 +1,23 @@
 //! Rows of the next level for new aggregates.
 
-use crate::build::draft::Draft;
-use crate::build::level::Level;
+use crate::build::draft::LevelDraft;
+use crate::build::level::HierarchyLevel;
 use crate::build::operator::coarse_weight;
 use crate::build::order::along_curve;
-use crate::lanes::{Lanes, Wide, add_wide};
-use crate::repair::change::Touched;
-use crate::repair::regroup::Regrouped;
-use crate::storage::NONE;
-use crate::threads::Threads;
+use crate::lanes::{Lanes, WideLanes, add_wide};
+use crate::repair::change::TouchedRows;
+use crate::repair::regroup::NewAggregates;
+use crate::storage::NO_ROW;
+use crate::threads::Parallelism;
 
 /// The rows that the groups of `level` become on `next`, in blocks of `block` rows.
-pub(super) fn coarse_rows(level: &Level, next: &Level, groups: &Regrouped, block: usize) -> Touched {
-    let Regrouped { base, members, .. } = groups;
+pub(super) fn coarse_rows(
+    level: &HierarchyLevel,
+    next: &HierarchyLevel,
+    groups: &NewAggregates,
+    block: usize,
+) -> TouchedRows {
+    let NewAggregates { base, members, .. } = groups;
     let count = members.len();
     let placed = !level.positions.is_empty();
     let centroids: Vec<Lanes> = match placed {
@@ -28,7 +33,7 @@ pub(super) fn coarse_rows(level: &Level, next: &Level, groups: &Regrouped, block
     let mut edges: Vec<Vec<(u32, f32)>> = vec![Vec::new(); count];
     // For each aggregate the group that met it last, in the upper half and from 1, and where its sum stands.
     let mut slots = vec![0u64; *base as usize + count];
-    let mut sums: Vec<(u32, Wide)> = Vec::new();
+    let mut sums: Vec<(u32, WideLanes)> = Vec::new();
     for (g, members) in members.iter().enumerate() {
         let own = base + g as u32;
         let mark = (g as u64 + 1) << 32;
@@ -36,7 +41,7 @@ pub(super) fn coarse_rows(level: &Level, next: &Level, groups: &Regrouped, block
         for &i in members {
             for (j, w) in level.row(i as usize) {
                 let other = level.aggregates[j];
-                if (*base..=own).contains(&other) || other == NONE {
+                if (*base..=own).contains(&other) || other == NO_ROW {
                     continue;
                 }
                 let w = f64::from(w);
@@ -64,7 +69,7 @@ pub(super) fn coarse_rows(level: &Level, next: &Level, groups: &Regrouped, block
     }
 
     let sequence = match placed {
-        true => along_curve(&centroids, Threads::one()),
+        true => along_curve(&centroids, Parallelism::one()),
         false => (0..count as u32).collect(),
     };
     let mut places = vec![0u32; count];
@@ -72,7 +77,7 @@ pub(super) fn coarse_rows(level: &Level, next: &Level, groups: &Regrouped, block
         places[g as usize] = place;
     }
     let padded = count.next_multiple_of(block);
-    let (mut draft, mut foreign) = (Draft::default(), Vec::new());
+    let (mut draft, mut foreign) = (LevelDraft::default(), Vec::new());
     let mut weights = Vec::new();
     draft.offsets.push(0);
     for &g in &sequence {
@@ -90,7 +95,7 @@ pub(super) fn coarse_rows(level: &Level, next: &Level, groups: &Regrouped, block
         draft.positions.extend(centroids.get(g as usize));
     }
     draft.weights = Some(weights);
-    Touched {
+    TouchedRows {
         draft,
         foreign,
         origins: sequence.iter().map(|&g| groups.origins[g as usize]).collect(),
@@ -100,7 +105,7 @@ pub(super) fn coarse_rows(level: &Level, next: &Level, groups: &Regrouped, block
 }
 
 /// Mean position of `members`.
-fn centroid(level: &Level, members: &[u32]) -> Lanes {
+fn centroid(level: &HierarchyLevel, members: &[u32]) -> Lanes {
     let mut sum = [0.0; 4];
     for &i in members {
         add_wide(&mut sum, level.positions[i as usize].wide());

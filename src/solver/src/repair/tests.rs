@@ -2,17 +2,17 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::exec::Exec;
-use crate::graph::Graph;
-use crate::options::{BuildOptions, Constraints, Method, SolveOptions};
+use crate::graph::WeightedGraph;
+use crate::options::{BuildOptions, Constraints, SolveMethod, SolveOptions};
 use crate::progress::Silent;
-use crate::repair::change::{Change, Repair};
-use crate::solve::iteration::{Control, Iteration};
+use crate::repair::change::{GraphChange, RepairReport};
+use crate::solve::iteration::{IterationReport, SolveControl};
 use crate::solve::workspace::Workspace;
-use crate::storage::{BUNDLE, NONE};
-use crate::testing::{Block, pool};
+use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::testing::{BoxLattice, pool};
 
 /// A graph that tests change: weights by pair of ids that never change, dead vertices left out of views.
-struct Clay {
+struct EditableRows {
     positions: Vec<[f64; 3]>,
     edges: std::collections::BTreeMap<(u32, u32), f32>,
     lives: Vec<bool>,
@@ -20,7 +20,7 @@ struct Clay {
 }
 
 /// A view of clay in dense numbers.
-struct Cast {
+struct RowsCast {
     offsets: Vec<u32>,
     neighbours: Vec<u32>,
     weights: Option<Vec<f32>>,
@@ -29,9 +29,9 @@ struct Cast {
     numbers: Vec<u32>,
 }
 
-impl Cast {
-    fn view(&self) -> Graph<'_> {
-        Graph {
+impl RowsCast {
+    fn view(&self) -> WeightedGraph<'_> {
+        WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
             weights: self.weights.as_deref(),
@@ -40,8 +40,8 @@ impl Cast {
     }
 }
 
-impl Clay {
-    fn of(block: &Block) -> Clay {
+impl EditableRows {
+    fn of(block: &BoxLattice) -> EditableRows {
         let mut edges = std::collections::BTreeMap::new();
         for i in 0..block.positions.len() {
             for e in block.offsets[i] as usize..block.offsets[i + 1] as usize {
@@ -49,7 +49,7 @@ impl Clay {
                 edges.insert((i as u32, block.neighbours[e]), w);
             }
         }
-        Clay {
+        EditableRows {
             positions: block.positions.clone(),
             edges,
             lives: vec![true; block.positions.len()],
@@ -57,8 +57,8 @@ impl Clay {
         }
     }
 
-    fn cast(&self) -> Cast {
-        let mut numbers = vec![NONE; self.lives.len()];
+    fn cast(&self) -> RowsCast {
+        let mut numbers = vec![NO_ROW; self.lives.len()];
         let alive: Vec<usize> = (0..self.lives.len()).filter(|&i| self.lives[i]).collect();
         for (n, &i) in alive.iter().enumerate() {
             numbers[i] = n as u32;
@@ -73,7 +73,7 @@ impl Clay {
         for i in 0..alive.len() {
             offsets[i + 1] += offsets[i];
         }
-        Cast {
+        RowsCast {
             offsets,
             neighbours,
             weights: self.weighted.then_some(weights),
@@ -125,12 +125,12 @@ impl Clay {
 }
 
 /// The change between two casts of one piece of clay.
-fn difference(before: &Cast, after: &Cast) -> (Vec<u32>, Vec<u32>) {
+fn difference(before: &RowsCast, after: &RowsCast) -> (Vec<u32>, Vec<u32>) {
     let old: Vec<usize> = (0..before.numbers.len())
-        .filter(|&i| before.numbers[i] != NONE)
+        .filter(|&i| before.numbers[i] != NO_ROW)
         .collect();
     let new_from_old: Vec<u32> = old.iter().map(|&i| after.numbers[i]).collect();
-    let row = |cast: &Cast, v: usize, all: &[u32]| {
+    let row = |cast: &RowsCast, v: usize, all: &[u32]| {
         let range = cast.offsets[v] as usize..cast.offsets[v + 1] as usize;
         let mut row: Vec<(u32, u32)> = range
             .map(|e| {
@@ -143,10 +143,10 @@ fn difference(before: &Cast, after: &Cast) -> (Vec<u32>, Vec<u32>) {
     };
     let same: Vec<u32> = (0..after.positions.len() as u32).collect();
     let touched = (0..after.numbers.len())
-        .filter(|&i| after.numbers[i] != NONE)
+        .filter(|&i| after.numbers[i] != NO_ROW)
         .filter(|&i| {
             let v = after.numbers[i] as usize;
-            let Some(old) = before.numbers.get(i).filter(|o| **o != NONE).map(|&o| o as usize) else {
+            let Some(old) = before.numbers.get(i).filter(|o| **o != NO_ROW).map(|&o| o as usize) else {
                 return true;
             };
             before.positions[old] != after.positions[v] || row(before, old, &new_from_old) != row(after, v, &same)
@@ -156,14 +156,14 @@ fn difference(before: &Cast, after: &Cast) -> (Vec<u32>, Vec<u32>) {
 }
 
 /// Everything that a level promises.
-fn check_levels(hierarchy: &Hierarchy, graph: &Graph<'_>) {
+fn check_levels(hierarchy: &Hierarchy, graph: &WeightedGraph<'_>) {
     let n = graph.vertices();
-    let mut row_of = vec![NONE; n];
+    let mut row_of = vec![NO_ROW; n];
     assert_eq!(hierarchy.order.len(), hierarchy.levels[0].rows());
-    for (row, &v) in hierarchy.order.iter().enumerate().filter(|(_, v)| **v != NONE) {
-        assert_eq!(std::mem::replace(&mut row_of[v as usize], row as u32), NONE);
+    for (row, &v) in hierarchy.order.iter().enumerate().filter(|(_, v)| **v != NO_ROW) {
+        assert_eq!(std::mem::replace(&mut row_of[v as usize], row as u32), NO_ROW);
     }
-    assert!(row_of.iter().all(|&r| r != NONE), "every vertex has a row");
+    assert!(row_of.iter().all(|&r| r != NO_ROW), "every vertex has a row");
     let scale = hierarchy.weight_scale as f32;
     for v in 0..n {
         let mut want: Vec<(usize, f32)> = (graph.offsets[v] as usize..graph.offsets[v + 1] as usize)
@@ -179,11 +179,11 @@ fn check_levels(hierarchy: &Hierarchy, graph: &Graph<'_>) {
     }
     for (l, level) in hierarchy.levels.iter().enumerate() {
         let lives = |i: usize| match l {
-            0 => hierarchy.order[i] != NONE,
+            0 => hierarchy.order[i] != NO_ROW,
             _ => !hierarchy.levels[l - 1].members_of(i).is_empty(),
         };
         let rows = level.rows();
-        assert_eq!(level.bundles.len() * BUNDLE, rows);
+        assert_eq!(level.bundles.len() * SLICE_ROWS, rows);
         assert_eq!(level.occupied(), (0..rows).filter(|&i| lives(i)).count());
         assert_eq!(
             level.entries,
@@ -206,11 +206,11 @@ fn check_levels(hierarchy: &Hierarchy, graph: &Graph<'_>) {
         assert!(level.blocks.is_sorted() && level.colours.is_sorted());
         assert_eq!(*level.colours.last().unwrap() as usize, level.blocks.len() - 1);
         let end = *level.blocks.last().unwrap() as usize;
-        assert!(end == rows || (end == filling && filling + BUNDLE == rows));
+        assert!(end == rows || (end == filling && filling + SLICE_ROWS == rows));
         for i in 0..rows {
-            let (begin, middle, end) = level.bundle(i / BUNDLE);
+            let (begin, middle, end) = level.bundle(i / SLICE_ROWS);
             let mut sum = 0.0f64;
-            for e in (begin + i % BUNDLE..end).step_by(BUNDLE) {
+            for e in (begin + i % SLICE_ROWS..end).step_by(SLICE_ROWS) {
                 let j = level.neighbours[e] as usize;
                 if j == filling {
                     assert_eq!(level.weights.as_ref().map_or(0.0, |w| w[e]), 0.0);
@@ -219,7 +219,7 @@ fn check_levels(hierarchy: &Hierarchy, graph: &Graph<'_>) {
                 sum += f64::from(level.weight(e));
                 assert!(lives(i) && lives(j), "level {l} row {i} to {j}");
                 assert_eq!(j < i, e < middle, "on the right side");
-                assert_ne!(i / BUNDLE, j / BUNDLE, "adjacent rows in one bundle");
+                assert_ne!(i / SLICE_ROWS, j / SLICE_ROWS, "adjacent rows in one bundle");
                 assert!(block_of(i) == block_of(j) || colour_of(i) != colour_of(j));
                 let back: Vec<f32> = level.row(j).filter(|b| b.0 == i).map(|b| b.1).collect();
                 assert_eq!(back.len(), 1, "level {l}: one edge between {i} and {j}");
@@ -258,14 +258,14 @@ fn check_levels(hierarchy: &Hierarchy, graph: &Graph<'_>) {
         }
         for i in 0..rows {
             assert_eq!(seen[i], level.connected(i), "level {l} row {i}");
-            assert_eq!(seen[i], level.aggregates[i] != NONE);
+            assert_eq!(seen[i], level.aggregates[i] != NO_ROW);
         }
     }
 }
 
-fn repair(hierarchy: &mut Hierarchy, before: &Cast, after: &Cast) -> Repair {
+fn repair(hierarchy: &mut Hierarchy, before: &RowsCast, after: &RowsCast) -> RepairReport {
     let (new_from_old, touched) = difference(before, after);
-    let change = Change {
+    let change = GraphChange {
         new_from_old: &new_from_old,
         touched: &touched,
     };
@@ -275,8 +275,8 @@ fn repair(hierarchy: &mut Hierarchy, before: &Cast, after: &Cast) -> Repair {
         .unwrap()
 }
 
-fn run(block: Block) {
-    let mut clay = Clay::of(&block);
+fn run(block: BoxLattice) {
+    let mut clay = EditableRows::of(&block);
     let mut before = clay.cast();
     let mut hierarchy = Hierarchy::build(&before.view(), &Default::default(), &Exec::new(&pool(), &Silent)).unwrap();
     check_levels(&hierarchy, &before.view());
@@ -307,16 +307,16 @@ fn run(block: Block) {
 
 #[test]
 fn levels_keep_their_promises() {
-    run(Block::new(20, 18, 18));
+    run(BoxLattice::new(20, 18, 18));
 }
 
 #[test]
 fn weighted_levels_keep_their_promises() {
-    run(Block::new(20, 18, 18).weighted());
+    run(BoxLattice::new(20, 18, 18).weighted());
 }
 
 /// Iterations to 1e-6 with the lowest vertices along x held at 0 and the highest at 1.
-fn iterations(hierarchy: &Hierarchy, cast: &Cast) -> usize {
+fn iterations(hierarchy: &Hierarchy, cast: &RowsCast) -> usize {
     let along = |p: &[f64; 3]| p[0];
     let low = cast.positions.iter().map(along).fold(f64::MAX, f64::min);
     let high = cast.positions.iter().map(along).fold(f64::MIN, f64::max);
@@ -333,7 +333,7 @@ fn iterations(hierarchy: &Hierarchy, cast: &Cast) -> usize {
         tolerance: Some(1e-6),
         ..SolveOptions::default()
     };
-    let mut watch = |_: &Iteration<'_>| Control::Continue;
+    let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     let mut workspace = Workspace::default();
     let stats = system.solve(
         hierarchy,
@@ -346,11 +346,11 @@ fn iterations(hierarchy: &Hierarchy, cast: &Cast) -> usize {
         &mut watch,
     );
     let stats = stats.unwrap();
-    assert!(stats.converged && stats.method == Method::Multigrid, "{stats:?}");
+    assert!(stats.converged && stats.method == SolveMethod::Multigrid, "{stats:?}");
     stats.iterations
 }
 
-fn converges(hierarchy: &Hierarchy, cast: &Cast) {
+fn converges(hierarchy: &Hierarchy, cast: &RowsCast) {
     let fresh = Hierarchy::build(&cast.view(), &hierarchy.options, &Exec::new(&pool(), &Silent)).unwrap();
     let (seen, want) = (iterations(hierarchy, cast), iterations(&fresh, cast));
     assert!(seen <= want + 1, "{seen} iterations, {want} after a build");
@@ -362,8 +362,8 @@ fn converges(hierarchy: &Hierarchy, cast: &Cast) {
 }
 
 /// Deletes and fills holes at the places that `place` names; every level is repaired, down to small ones.
-fn holes(block: Block, edits: u32, place: impl Fn(u32) -> [f64; 3]) -> Hierarchy {
-    let mut clay = Clay::of(&block);
+fn holes(block: BoxLattice, edits: u32, place: impl Fn(u32) -> [f64; 3]) -> Hierarchy {
+    let mut clay = EditableRows::of(&block);
     let mut before = clay.cast();
     let options = BuildOptions {
         coarsest: 20,
@@ -392,18 +392,18 @@ fn holes(block: Block, edits: u32, place: impl Fn(u32) -> [f64; 3]) -> Hierarchy
 #[test]
 fn hundreds_of_edits_leave_a_sound_hierarchy() {
     let anywhere = |k: u32| [f64::from(k * 37 % 16), f64::from(k * 53 % 14), f64::from(k * 29 % 13)];
-    holes(Block::new(16, 14, 13).weighted(), 200, anywhere);
+    holes(BoxLattice::new(16, 14, 13).weighted(), 200, anywhere);
 }
 
 #[test]
 fn hundreds_of_edits_leave_a_sound_sheet() {
     let anywhere = |k: u32| [f64::from(k * 37 % 60), f64::from(k * 53 % 40), 0.0];
-    holes(Block::new(60, 40, 1), 200, anywhere);
+    holes(BoxLattice::new(60, 40, 1), 200, anywhere);
 }
 
 #[test]
 fn a_place_can_be_edited_forever() {
-    let hierarchy = holes(Block::new(16, 14, 13), 150, |_| [8.0, 7.0, 6.0]);
+    let hierarchy = holes(BoxLattice::new(16, 14, 13), 150, |_| [8.0, 7.0, 6.0]);
     for level in &hierarchy.levels {
         assert!(level.rows() <= 2 * level.occupied() + 512 + 64, "no level wastes more");
         assert!(level.neighbours.len() <= 2 * level.entries + 8192);
@@ -412,13 +412,13 @@ fn a_place_can_be_edited_forever() {
 
 #[test]
 fn wear_is_seen() {
-    let mut hierarchy = Block::new(20, 18, 18).hierarchy(100);
-    let cast = Clay::of(&Block::new(20, 18, 18)).cast();
+    let mut hierarchy = BoxLattice::new(20, 18, 18).hierarchy(100);
+    let cast = EditableRows::of(&BoxLattice::new(20, 18, 18)).cast();
     let same: Vec<u32> = (0..cast.positions.len() as u32).collect();
     let mut repairs = 0;
     while !hierarchy.is_worn() {
         let touched: Vec<u32> = (repairs * 200..repairs * 200 + 200).collect();
-        let change = Change {
+        let change = GraphChange {
             new_from_old: &same,
             touched: &touched,
         };
@@ -434,14 +434,14 @@ fn wear_is_seen() {
 #[test]
 fn numbers_may_change_in_any_order() {
     // Vertices trade numbers in a way that does not rise, at places where parts of the map meet.
-    let block = Block::new(20, 18, 18);
+    let block = BoxLattice::new(20, 18, 18);
     let n = block.positions.len();
     for (a, b) in [(63, 64), (127, 191), (0, n - 1), (640, 703), (200, 4000)] {
         let mut map: Vec<u32> = (0..n as u32).collect();
         map.swap(a, b);
         let mut order: Vec<usize> = (0..n).collect();
         order.swap(a, b);
-        let mut graph = Cast {
+        let mut graph = RowsCast {
             offsets: vec![0],
             neighbours: Vec::new(),
             weights: None,
@@ -456,7 +456,7 @@ fn numbers_may_change_in_any_order() {
             graph.offsets.push(graph.neighbours.len() as u32);
         }
         let mut hierarchy = block.hierarchy(100);
-        let change = Change {
+        let change = GraphChange {
             new_from_old: &map,
             touched: &[5, 6000],
         };
@@ -466,7 +466,7 @@ fn numbers_may_change_in_any_order() {
         assert!(!report.rebuilt);
         check_levels(&hierarchy, &graph.view());
         map[a] = map[b];
-        let change = Change {
+        let change = GraphChange {
             new_from_old: &map,
             touched: &[5],
         };

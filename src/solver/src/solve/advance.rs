@@ -1,19 +1,19 @@
 //! Vector work of the outer iteration: the residual of a stretch, one step, adding the correction.
 
-use crate::lanes::{Lanes, Shared, WIDTH, Wide, per_lane, ratio};
+use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane, ratio};
 use crate::progress::Cancelled;
-use crate::solve::cycle::{Coarse, Cycle};
-use crate::solve::problem::Problem;
-use crate::solve::sweep::{Dots, Grid};
-use crate::solve::workspace::Fine;
-use crate::storage::BUNDLE;
+use crate::solve::cycle::{CoarseVectors, MultigridCycle};
+use crate::solve::problem::ColumnGroup;
+use crate::solve::sweep::{LaneDots, MaskedLevel};
+use crate::solve::workspace::FineVectors;
+use crate::storage::SLICE_ROWS;
 
 /// What one step leaves.
-pub(crate) struct Advance {
+pub(crate) struct StepNorms {
     /// Squared norms of the residual.
-    pub(crate) rr: Wide,
+    pub(crate) rr: WideLanes,
     /// Squared norms of the correction.
-    pub(crate) ee: Wide,
+    pub(crate) ee: WideLanes,
     /// Largest row of the step, as a vector of weighted lanes.
     pub(crate) longest: f64,
     /// True if the matrix or the preconditioner looked indefinite to an open lane.
@@ -21,27 +21,32 @@ pub(crate) struct Advance {
 }
 
 /// Norms of b, which residuals are compared with.
-pub(crate) fn reference(problem: &Problem<'_>, x: &[Wide]) -> Wide {
+pub(crate) fn reference(problem: &ColumnGroup<'_>, x: &[WideLanes]) -> WideLanes {
     let norms = problem.rhs_norms(x);
     let means = problem.system.floating.mean_norms(|i| problem.rhs(i));
     per_lane(|c| (norms[c] - means[c]).max(0.0).sqrt())
 }
 
 /// Fills `fine.r` with the residual of an x that is 0 on free rows; returns the squared norms.
-pub(crate) fn first_residual(problem: &Problem<'_>, x: &[Wide], fine: &mut Fine) -> Wide {
+pub(crate) fn first_residual(problem: &ColumnGroup<'_>, x: &[WideLanes], fine: &mut FineVectors) -> WideLanes {
     let norms = problem.first_residual(x, &mut fine.r, Lanes::from_wide);
     without_means(problem, fine, [1.0; WIDTH], norms)
 }
 
 /// Fills `fine.r` with the residual of x, times `scale`; returns the squared norms without that factor.
-pub(crate) fn residual(problem: &Problem<'_>, x: &[Wide], fine: &mut Fine, scale: Wide) -> Wide {
-    let convert = |r: Wide| Lanes::from_wide(per_lane(|c| r[c] * scale[c]));
+pub(crate) fn residual(
+    problem: &ColumnGroup<'_>,
+    x: &[WideLanes],
+    fine: &mut FineVectors,
+    scale: WideLanes,
+) -> WideLanes {
+    let convert = |r: WideLanes| Lanes::from_wide(per_lane(|c| r[c] * scale[c]));
     let norms = problem.residual(x, true, &mut fine.r, convert);
     without_means(problem, fine, scale, norms)
 }
 
 /// Takes the means of floating components out of `fine.r`; returns the squared norms of what is left, over `scale`.
-fn without_means(problem: &Problem<'_>, fine: &mut Fine, scale: Wide, norms: Wide) -> Wide {
+fn without_means(problem: &ColumnGroup<'_>, fine: &mut FineVectors, scale: WideLanes, norms: WideLanes) -> WideLanes {
     let floating = &problem.system.floating;
     if floating.is_empty() {
         return norms;
@@ -67,19 +72,19 @@ fn without_means(problem: &Problem<'_>, fine: &mut Fine, scale: Wide, norms: Wid
 /// corrections and residuals, which saves two vectors' traffic over the usual form.
 ///
 /// `direction` holds (d, A d), if there was a step. `fresh`: the correction begins here, at 0. `exact`: see there. Lanes that are not
-/// `open` do not move. `weights` are those of [`Advance::longest`].
+/// `open` do not move. `weights` are those of [`StepNorms::longest`].
 pub(crate) fn advance(
-    cycle: &Cycle<'_>,
-    grid: &Grid<'_>,
-    fine: &mut Fine,
-    coarse: &mut [Coarse],
-    direction: &mut Option<Wide>,
+    cycle: &MultigridCycle<'_>,
+    grid: &MaskedLevel<'_>,
+    fine: &mut FineVectors,
+    coarse: &mut [CoarseVectors],
+    direction: &mut Option<WideLanes>,
     (fresh, exact): (bool, bool),
-    open: Wide,
-    weights: Wide,
-) -> Result<Advance, Cancelled> {
+    open: WideLanes,
+    weights: WideLanes,
+) -> Result<StepNorms, Cancelled> {
     let first = direction.is_none();
-    let Fine {
+    let FineVectors {
         r,
         z,
         t,
@@ -109,19 +114,19 @@ pub(crate) fn advance(
 
     let z = &*z;
     let (r_now, e_now) = (&*r, &*e);
-    let (r_next, e_next) = (Shared::new(last_r), Shared::new(last_e));
+    let (r_next, e_next) = (SharedRows::new(last_r), SharedRows::new(last_e));
     let [mut rr, ee, _] = grid.dots(partials, |rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (r_next, e_next) = unsafe { (r_next.rows(rows.clone()), e_next.rows(rows.clone())) };
         let (mut rr, mut ee, mut longest) = (Lanes::ZERO, Lanes::ZERO, 0.0f32);
-        let next = r_next.as_chunks_mut::<BUNDLE>().0.iter_mut();
-        let next = next.zip(e_next.as_chunks_mut::<BUNDLE>().0);
-        let now = r_now[rows.clone()].as_chunks::<BUNDLE>().0.iter();
-        let now = now.zip(e_now[rows.clone()].as_chunks::<BUNDLE>().0);
-        let made = z[rows.clone()].as_chunks::<BUNDLE>().0;
-        for (k, (((r_next, e_next), (r, e)), zs)) in (rows.start / BUNDLE..).zip(next.zip(now).zip(made)) {
+        let next = r_next.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
+        let next = next.zip(e_next.as_chunks_mut::<SLICE_ROWS>().0);
+        let now = r_now[rows.clone()].as_chunks::<SLICE_ROWS>().0.iter();
+        let now = now.zip(e_now[rows.clone()].as_chunks::<SLICE_ROWS>().0);
+        let made = z[rows.clone()].as_chunks::<SLICE_ROWS>().0;
+        for (k, (((r_next, e_next), (r, e)), zs)) in (rows.start / SLICE_ROWS..).zip(next.zip(now).zip(made)) {
             let v = grid.flows(z, k);
-            for d in 0..BUNDLE {
+            for d in 0..SLICE_ROWS {
                 let (step, residual) = if first {
                     (zs[d] * alpha, r[d] - v[d] * alpha)
                 } else {
@@ -146,15 +151,17 @@ pub(crate) fn advance(
         // The first correction is the largest by far. From what single precision makes of it, not from the step that
         // was meant, comes a residual that stays true for longer.
         let e = &*e;
-        let (r, before) = (Shared::new(r), &*last_r);
+        let (r, before) = (SharedRows::new(r), &*last_r);
         [rr, _, _] = grid.dots(partials, |rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let r = unsafe { r.rows(rows.clone()) };
-            let before = before[rows.clone()].as_chunks::<BUNDLE>().0;
+            let before = before[rows.clone()].as_chunks::<SLICE_ROWS>().0;
             let mut rr = Lanes::ZERO;
-            for (k, (r, before)) in (rows.start / BUNDLE..).zip(r.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(before)) {
+            for (k, (r, before)) in
+                (rows.start / SLICE_ROWS..).zip(r.as_chunks_mut::<SLICE_ROWS>().0.iter_mut().zip(before))
+            {
                 let v = grid.flows(e, k);
-                for d in 0..BUNDLE {
+                for d in 0..SLICE_ROWS {
                     r[d] = before[d] - v[d];
                     rr += r[d] * r[d];
                 }
@@ -162,7 +169,7 @@ pub(crate) fn advance(
             [rr, Lanes::ZERO, Lanes::ZERO]
         });
     }
-    Ok(Advance {
+    Ok(StepNorms {
         rr,
         ee,
         longest: f64::from(longest).sqrt(),
@@ -170,7 +177,7 @@ pub(crate) fn advance(
     })
 }
 
-fn inner_product(grid: &Grid<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<Dots>) -> Wide {
+fn inner_product(grid: &MaskedLevel<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<LaneDots>) -> WideLanes {
     let [sum, _, _] = grid.dots(partials, |rows| {
         let mut sum = Lanes::ZERO;
         for (a, b) in a[rows.clone()].iter().zip(&b[rows]) {
@@ -182,9 +189,9 @@ fn inner_product(grid: &Grid<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<D
 }
 
 /// Largest row of the last step, as a vector of weighted lanes.
-pub(crate) fn longest_step(grid: &Grid<'_>, fine: &mut Fine, weights: Wide) -> f64 {
+pub(crate) fn longest_step(grid: &MaskedLevel<'_>, fine: &mut FineVectors, weights: WideLanes) -> f64 {
     let weights = Lanes::from_wide(weights);
-    let Fine {
+    let FineVectors {
         e, last_e, partials, ..
     } = fine;
     let (e, last_e) = (&*e, &*last_e);
@@ -201,9 +208,13 @@ pub(crate) fn longest_step(grid: &Grid<'_>, fine: &mut Fine, weights: Wide) -> f
 }
 
 /// x += e / scale on free rows, and the correction begins at 0 again; residual and direction stay as they are.
-pub(crate) fn fold(grid: &Grid<'_>, fine: &mut Fine, scale: Wide, x: &mut [Wide]) {
+pub(crate) fn fold(grid: &MaskedLevel<'_>, fine: &mut FineVectors, scale: WideLanes, x: &mut [WideLanes]) {
     let inverse = per_lane(|c| 1.0 / scale[c]);
-    let (x, e, last_e) = (Shared::new(x), Shared::new(&mut fine.e), Shared::new(&mut fine.last_e));
+    let (x, e, last_e) = (
+        SharedRows::new(x),
+        SharedRows::new(&mut fine.e),
+        SharedRows::new(&mut fine.last_e),
+    );
     grid.each_block(|_, rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (x, e, last_e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone()), last_e.rows(rows)) };
@@ -219,8 +230,14 @@ pub(crate) fn fold(grid: &Grid<'_>, fine: &mut Fine, scale: Wide, x: &mut [Wide]
 
 /// x += e / scale on free rows. Floating components keep their means. Then the correction is 0 again, and `last_e`
 /// and `last_r` hold the last step, negative, and A times it.
-pub(crate) fn add_correction(problem: &Problem<'_>, grid: &Grid<'_>, fine: &mut Fine, scale: Wide, x: &mut [Wide]) {
-    let Fine {
+pub(crate) fn add_correction(
+    problem: &ColumnGroup<'_>,
+    grid: &MaskedLevel<'_>,
+    fine: &mut FineVectors,
+    scale: WideLanes,
+    x: &mut [WideLanes],
+) {
+    let FineVectors {
         r, e, last_r, last_e, ..
     } = fine;
     if !problem.system.floating.is_empty() {
@@ -228,7 +245,12 @@ pub(crate) fn add_correction(problem: &Problem<'_>, grid: &Grid<'_>, fine: &mut 
     }
     let inverse = per_lane(|c| 1.0 / scale[c]);
     let r = &*r;
-    let (x, e, last_r, last_e) = (Shared::new(x), Shared::new(e), Shared::new(last_r), Shared::new(last_e));
+    let (x, e, last_r, last_e) = (
+        SharedRows::new(x),
+        SharedRows::new(e),
+        SharedRows::new(last_r),
+        SharedRows::new(last_e),
+    );
     grid.each_block(|_, rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (x, e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone())) };
@@ -247,12 +269,17 @@ pub(crate) fn add_correction(problem: &Problem<'_>, grid: &Grid<'_>, fine: &mut 
 
 /// After [`add_correction`] and a new residual: makes the differences of residuals and of corrections the last step
 /// again, `factor` times as large.
-pub(crate) fn resume(grid: &Grid<'_>, fine: &mut Fine, factor: Wide, direction: &mut Option<Wide>) {
+pub(crate) fn resume(
+    grid: &MaskedLevel<'_>,
+    fine: &mut FineVectors,
+    factor: WideLanes,
+    direction: &mut Option<WideLanes>,
+) {
     let Some(dd) = direction else { return };
     *dd = per_lane(|c| dd[c] * factor[c] * factor[c]);
     let factor = Lanes::from_wide(factor);
     let r = &fine.r;
-    let (last_r, last_e) = (Shared::new(&mut fine.last_r), Shared::new(&mut fine.last_e));
+    let (last_r, last_e) = (SharedRows::new(&mut fine.last_r), SharedRows::new(&mut fine.last_e));
     grid.each_block(|_, rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (last_r, last_e) = unsafe { (last_r.rows(rows.clone()), last_e.rows(rows.clone())) };

@@ -1,17 +1,17 @@
 //! When a solve stops, and what became of a group of columns.
 
-use crate::lanes::{WIDTH, Wide};
-use crate::options::Method;
+use crate::lanes::{WIDTH, WideLanes};
+use crate::options::SolveMethod;
 
 /// When to stop.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Criteria {
+pub(crate) struct StoppingCriteria {
     pub(crate) tolerance: Option<f64>,
     pub(crate) max_error: Option<f64>,
     pub(crate) max_iterations: usize,
 }
 
-impl Criteria {
+impl StoppingCriteria {
     /// True if all criteria that were given hold, and at least one was.
     pub(crate) fn hold(&self, relative: &[f64], max_error: f64) -> bool {
         let residual = relative.iter().all(|r| self.tolerance.is_none_or(|t| *r <= t));
@@ -27,18 +27,18 @@ impl Criteria {
 
 /// What became of a group of columns.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Outcome {
+pub(crate) struct GroupOutcome {
     pub(crate) iterations: usize,
-    pub(crate) relative: Wide,
+    pub(crate) relative: WideLanes,
     pub(crate) max_error: f64,
     pub(crate) factor: f64,
-    pub(crate) method: Method,
+    pub(crate) method: SolveMethod,
     pub(crate) stopped: bool,
     pub(crate) converged: bool,
 }
 
-impl Outcome {
-    pub(crate) fn new(method: Method) -> Self {
+impl GroupOutcome {
+    pub(crate) fn new(method: SolveMethod) -> Self {
         Self {
             iterations: 0,
             relative: [0.0; WIDTH],

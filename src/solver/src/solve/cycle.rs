@@ -1,31 +1,31 @@
 //! The multigrid cycle that preconditions the outer iteration (paper section 5, Algorithm 1).
 
 use crate::build::hierarchy::Hierarchy;
-use crate::constrain::system::System;
-use crate::lanes::{Lanes, Shared, WIDTH, Wide, per_lane, ratio};
+use crate::constrain::system::LinearSystem;
+use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane, ratio};
 use crate::progress::{Cancelled, Progress, check};
-use crate::solve::sweep::{Dots, Grid};
-use crate::storage::BUNDLE;
-use crate::threads::Threads;
+use crate::solve::sweep::{LaneDots, MaskedLevel};
+use crate::storage::SLICE_ROWS;
+use crate::threads::Parallelism;
 
 /// The second step of a K-cycle is left out once the first one has brought the squared residual down by this factor.
 const ENOUGH: f64 = 1.0 / 16.0;
 
 /// Vectors of one coarse level.
 #[derive(Debug, Default)]
-pub(crate) struct Coarse {
+pub(crate) struct CoarseVectors {
     pub(crate) b: Vec<Lanes>,
     pub(crate) z: Vec<Lanes>,
     t: Vec<Lanes>,
     first_z: Vec<Lanes>,
     first_v: Vec<Lanes>,
-    dense: Vec<Wide>,
-    partials: Vec<Dots>,
+    dense: Vec<WideLanes>,
+    partials: Vec<LaneDots>,
 }
 
-impl Coarse {
+impl CoarseVectors {
     /// Sizes the vectors for a level and clears what sweeps will read without having written it.
-    pub(crate) fn prepare(&mut self, grid: &Grid<'_>) {
+    pub(crate) fn prepare(&mut self, grid: &MaskedLevel<'_>) {
         let n = grid.level.rows();
         self.b.resize(n, Lanes::ZERO);
         for v in [&mut self.z, &mut self.t, &mut self.first_z, &mut self.first_v] {
@@ -34,7 +34,7 @@ impl Coarse {
         }
     }
 
-    pub(crate) fn bytes(&self) -> usize {
+    pub(crate) fn byte_size(&self) -> usize {
         let lanes = self.b.capacity() + self.z.capacity() + self.t.capacity();
         let lanes = lanes + self.first_z.capacity() + self.first_v.capacity() + 3 * self.partials.capacity();
         16 * lanes + 32 * self.dense.capacity()
@@ -42,7 +42,7 @@ impl Coarse {
 }
 
 /// Sets the rows of inactive blocks to 0.
-pub(crate) fn clear_inactive(grid: &Grid<'_>, v: &mut [Lanes]) {
+pub(crate) fn clear_inactive(grid: &MaskedLevel<'_>, v: &mut [Lanes]) {
     let mut active = grid.mask.active.iter().peekable();
     for b in 0..grid.level.blocks.len() - 1 {
         if active.next_if(|a| **a as usize == b).is_none() {
@@ -50,24 +50,24 @@ pub(crate) fn clear_inactive(grid: &Grid<'_>, v: &mut [Lanes]) {
         }
     }
     let filling = grid.level.filling() as usize;
-    v[filling..filling + BUNDLE].fill(Lanes::ZERO);
+    v[filling..filling + SLICE_ROWS].fill(Lanes::ZERO);
 }
 
 /// Runs cycles on a constrained hierarchy.
-pub(crate) struct Cycle<'a> {
+pub(crate) struct MultigridCycle<'a> {
     pub(crate) hierarchy: &'a Hierarchy,
-    pub(crate) system: &'a System,
-    pub(crate) threads: Threads,
+    pub(crate) system: &'a LinearSystem,
+    pub(crate) threads: Parallelism,
     pub(crate) progress: &'a dyn Progress,
 }
 
-impl<'a> Cycle<'a> {
-    pub(crate) fn grid(&self, l: usize) -> Grid<'a> {
-        Grid::new(&self.hierarchy.levels[l], &self.system.masks[l], self.threads)
+impl<'a> MultigridCycle<'a> {
+    pub(crate) fn grid(&self, l: usize) -> MaskedLevel<'a> {
+        MaskedLevel::new(&self.hierarchy.levels[l], &self.system.masks[l], self.threads)
     }
 
     /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle. Returns
-    /// (z, b), (z, A z) and (z, c), or (b, b) without `c`. `t` is scratch, on coarse levels left as [`Grid::products`]
+    /// (z, b), (z, A z) and (z, c), or (b, b) without `c`. `t` is scratch, on coarse levels left as [`MaskedLevel::products`]
     /// wants it. `below` holds the vectors of the coarser levels.
     pub(crate) fn run(
         &self,
@@ -76,9 +76,9 @@ impl<'a> Cycle<'a> {
         z: &mut [Lanes],
         t: &mut [Lanes],
         c: Option<&[Lanes]>,
-        partials: &mut Vec<Dots>,
-        below: &mut [Coarse],
-    ) -> Result<[Wide; 3], Cancelled> {
+        partials: &mut Vec<LaneDots>,
+        below: &mut [CoarseVectors],
+    ) -> Result<[WideLanes; 3], Cancelled> {
         let grid = self.grid(l);
         check(self.progress)?;
         let twice = l == 0 && self.system.twice;
@@ -106,7 +106,7 @@ impl<'a> Cycle<'a> {
     ///
     /// Two steps of flexible conjugate gradients per column, each preconditioned by a cycle (a K-cycle): their inner
     /// products keep the whole operation positive where plain recursion can fail.
-    pub(crate) fn solve(&self, l: usize, levels: &mut [Coarse]) -> Result<(), Cancelled> {
+    pub(crate) fn solve(&self, l: usize, levels: &mut [CoarseVectors]) -> Result<(), Cancelled> {
         let Some((here, below)) = levels.split_first_mut() else {
             return Ok(());
         };
@@ -115,7 +115,7 @@ impl<'a> Cycle<'a> {
             return Ok(());
         }
         let grid = self.grid(l);
-        let Coarse {
+        let CoarseVectors {
             b,
             z,
             t,
@@ -144,7 +144,7 @@ impl<'a> Cycle<'a> {
         Ok(())
     }
 
-    fn solve_coarsest(&self, here: &mut Coarse) {
+    fn solve_coarsest(&self, here: &mut CoarseVectors) {
         let (rows, inverse) = (&self.system.dense_rows, &self.system.inverse);
         here.dense.clear();
         here.dense.extend(rows.iter().map(|&i| here.b[i as usize].wide()));
@@ -156,8 +156,8 @@ impl<'a> Cycle<'a> {
 }
 
 /// The vectors of all levels below the finest, sized for a system.
-pub(crate) fn prepare(cycle: &Cycle<'_>, levels: &mut Vec<Coarse>) {
-    levels.resize_with(cycle.system.masks.len() - 1, Coarse::default);
+pub(crate) fn prepare(cycle: &MultigridCycle<'_>, levels: &mut Vec<CoarseVectors>) {
+    levels.resize_with(cycle.system.masks.len() - 1, CoarseVectors::default);
     for (k, coarse) in levels.iter_mut().enumerate() {
         coarse.prepare(&cycle.grid(k + 1));
     }
@@ -165,27 +165,27 @@ pub(crate) fn prepare(cycle: &Cycle<'_>, levels: &mut Vec<Coarse>) {
 
 /// v becomes A z, b −= factor · v; returns (b, b). `v` comes as the sweep left it that made z.
 fn step(
-    grid: &Grid<'_>,
-    factor: Wide,
+    grid: &MaskedLevel<'_>,
+    factor: WideLanes,
     z: &[Lanes],
     v: &mut [Lanes],
     b: &mut [Lanes],
-    partials: &mut Vec<Dots>,
-) -> Wide {
+    partials: &mut Vec<LaneDots>,
+) -> WideLanes {
     let factor = Lanes::from_wide(factor);
-    let (b, v) = (Shared::new(b), Shared::new(v));
+    let (b, v) = (SharedRows::new(b), SharedRows::new(v));
     let [rr, _, _] = grid.dots(partials, |rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (b, v) = unsafe { (b.rows(rows.clone()), v.rows(rows.clone())) };
         let mut sum = Lanes::ZERO;
         let bundles = b
-            .as_chunks_mut::<BUNDLE>()
+            .as_chunks_mut::<SLICE_ROWS>()
             .0
             .iter_mut()
-            .zip(v.as_chunks_mut::<BUNDLE>().0);
-        for ((b, v), k) in bundles.zip(rows.start / BUNDLE..) {
+            .zip(v.as_chunks_mut::<SLICE_ROWS>().0);
+        for ((b, v), k) in bundles.zip(rows.start / SLICE_ROWS..) {
             *v = grid.products(z, v, k);
-            for d in 0..BUNDLE {
+            for d in 0..SLICE_ROWS {
                 b[d] -= v[d] * factor;
                 sum += b[d] * b[d];
             }
@@ -196,10 +196,10 @@ fn step(
 }
 
 /// z = second · z + first · first_z; without `second`, z = first · first_z.
-fn combine(grid: &Grid<'_>, z: &mut [Lanes], first_z: &[Lanes], second: Option<Wide>, first: Wide) {
+fn combine(grid: &MaskedLevel<'_>, z: &mut [Lanes], first_z: &[Lanes], second: Option<WideLanes>, first: WideLanes) {
     let first = Lanes::from_wide(first);
     let second = second.map(Lanes::from_wide);
-    let z = Shared::new(z);
+    let z = SharedRows::new(z);
     grid.each_block(|_, rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let z = unsafe { z.rows(rows.clone()) };
@@ -217,12 +217,12 @@ mod tests {
     use super::*;
     use crate::progress::Silent;
     use crate::solve::workspace::Workspace;
-    use crate::testing::{Block, pool};
+    use crate::testing::{BoxLattice, pool};
 
     /// M u for the cycle M, with u masked.
-    fn apply(hierarchy: &Hierarchy, system: &System, u: &[f32]) -> Vec<Lanes> {
-        let threads = Threads::of(&pool());
-        let cycle = Cycle {
+    fn apply(hierarchy: &Hierarchy, system: &LinearSystem, u: &[f32]) -> Vec<Lanes> {
+        let threads = Parallelism::of(&pool());
+        let cycle = MultigridCycle {
             hierarchy,
             system,
             threads,
@@ -247,7 +247,7 @@ mod tests {
 
         // Both ways to A z give it, and the inner products are those of z.
         let level = &hierarchy.levels[0];
-        for (k, t) in t.as_chunks_mut::<BUNDLE>().0.iter_mut().enumerate() {
+        for (k, t) in t.as_chunks_mut::<SLICE_ROWS>().0.iter_mut().enumerate() {
             *t = cycle.grid(0).flows(&z, k);
         }
         let mut again = z.clone();
@@ -256,9 +256,9 @@ mod tests {
             .grid(0)
             .backward(&b, &mut again, Some(&mut left), None, &mut partials);
         let size = again.iter().fold(1.0, |a: f32, z| a.max(z.0[1].abs()));
-        for (k, left) in left.as_chunks::<BUNDLE>().0.iter().enumerate() {
+        for (k, left) in left.as_chunks::<SLICE_ROWS>().0.iter().enumerate() {
             let (made, want) = (cycle.grid(0).products(&again, left, k), cycle.grid(0).flows(&again, k));
-            for d in 0..BUNDLE {
+            for d in 0..SLICE_ROWS {
                 assert!((made[d].0[1] - want[d].0[1]).abs() < 1e-4 * size, "bundle {k}");
             }
         }
@@ -296,7 +296,7 @@ mod tests {
 
     #[test]
     fn the_cycle_is_symmetric_and_positive() {
-        let block = Block::new(14, 12, 12).weighted();
+        let block = BoxLattice::new(14, 12, 12).weighted();
         let hierarchy = block.hierarchy(20);
         let mut system = block.system(&hierarchy);
         let (u, v) = vectors(hierarchy.levels[0].rows());
@@ -315,7 +315,7 @@ mod tests {
 
     #[test]
     fn masked_rows_stay_zero() {
-        let block = Block::new(14, 12, 12);
+        let block = BoxLattice::new(14, 12, 12);
         let hierarchy = block.hierarchy(20);
         let system = block.system(&hierarchy);
         let z = apply(&hierarchy, &system, &vec![1.0; hierarchy.levels[0].rows()]);

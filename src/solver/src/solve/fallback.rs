@@ -2,13 +2,13 @@
 //! hierarchy. Used when multigrid stagnates.
 
 use crate::error::Error;
-use crate::lanes::{Shared, WIDTH, Wide, per_lane, ratio};
-use crate::options::Method;
+use crate::lanes::{SharedRows, WIDTH, WideLanes, per_lane, ratio};
+use crate::options::SolveMethod;
 use crate::progress::check;
-use crate::solve::criteria::Outcome;
-use crate::solve::group::Outer;
-use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
-use crate::solve::problem::Problem;
+use crate::solve::criteria::GroupOutcome;
+use crate::solve::group::GroupSolve;
+use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::problem::ColumnGroup;
 
 /// Iterations per iteration that the caller allows: they are cheap compared with a cycle.
 const ALLOWANCE: usize = 10;
@@ -19,11 +19,11 @@ const PATIENCE: usize = 4;
 
 /// Goes on from `outer.workspace.x`.
 pub(crate) fn conjugate_gradients(
-    outer: &mut Outer<'_, '_>,
-    reference: Wide,
-    mut outcome: Outcome,
-    watch: &mut Watch<'_>,
-) -> Result<Outcome, Error> {
+    outer: &mut GroupSolve<'_, '_>,
+    reference: WideLanes,
+    mut outcome: GroupOutcome,
+    watch: &mut IterationWatcher<'_>,
+) -> Result<GroupOutcome, Error> {
     let (problem, pool, criteria) = (outer.problem, outer.pool, outer.criteria);
     let threads = problem.threads;
     let n = problem.hierarchy.levels[0].rows();
@@ -35,7 +35,7 @@ pub(crate) fn conjugate_gradients(
     }
     let x = &mut outer.workspace.x;
     let floating = &problem.system.floating;
-    outcome.method = Method::ConjugateGradients;
+    outcome.method = SolveMethod::ConjugateGradients;
     let limit = outcome.iterations + criteria.max_iterations.saturating_mul(ALLOWANCE);
     let mut best = f64::INFINITY;
     let mut idle = 0;
@@ -83,24 +83,24 @@ pub(crate) fn conjugate_gradients(
         let unit = problem.unit[..width].iter().fold(0.0f64, |a, &b| a.max(b));
         // All steps of a stretch together may still be to come once more.
         outcome.max_error = longest * unit * LOOK as f64;
-        let iteration = Iteration {
+        let iteration = IterationReport {
             index: outcome.iterations,
             columns: problem.columns(),
             residual: worst,
             max_error: outcome.max_error,
-            snapshot: Snapshot {
+            snapshot: SolutionSnapshot {
                 problem,
                 x,
                 e: None,
                 caller: outer.caller,
             },
         };
-        outcome.stopped = watch(&iteration) == Control::Stop;
+        outcome.stopped = watch(&iteration) == SolveControl::Stop;
     }
 }
 
 /// (r, D⁻¹ r)
-fn diagonal_product(problem: &Problem<'_>, r: &[Wide]) -> Wide {
+fn diagonal_product(problem: &ColumnGroup<'_>, r: &[WideLanes]) -> WideLanes {
     let mask = &problem.system.masks[0];
     let mut sum = [0.0; WIDTH];
     for (r, d) in r.iter().zip(&mask.inverses) {
@@ -112,7 +112,7 @@ fn diagonal_product(problem: &Problem<'_>, r: &[Wide]) -> Wide {
 }
 
 /// p = D⁻¹ r + β p
-fn direction(problem: &Problem<'_>, r: &[Wide], p: &mut [Wide], beta: Wide) {
+fn direction(problem: &ColumnGroup<'_>, r: &[WideLanes], p: &mut [WideLanes], beta: WideLanes) {
     for ((p, r), d) in p.iter_mut().zip(r).zip(&problem.system.masks[0].inverses) {
         for c in 0..WIDTH {
             p[c] = r[c] * f64::from(*d) + beta[c] * p[c];
@@ -121,7 +121,14 @@ fn direction(problem: &Problem<'_>, r: &[Wide], p: &mut [Wide], beta: Wide) {
 }
 
 /// x += α p, r −= α q; returns the largest row of the step.
-fn step(problem: &Problem<'_>, rz: Wide, x: &mut [Wide], r: &mut [Wide], p: &[Wide], q: &[Wide]) -> f64 {
+fn step(
+    problem: &ColumnGroup<'_>,
+    rz: WideLanes,
+    x: &mut [WideLanes],
+    r: &mut [WideLanes],
+    p: &[WideLanes],
+    q: &[WideLanes],
+) -> f64 {
     let mut pq = [0.0; WIDTH];
     for (p, q) in p.iter().zip(q) {
         for c in 0..WIDTH {
@@ -129,7 +136,7 @@ fn step(problem: &Problem<'_>, rz: Wide, x: &mut [Wide], r: &mut [Wide], p: &[Wi
         }
     }
     let alpha = per_lane(|c| ratio(rz[c], pq[c]));
-    let (x, r) = (Shared::new(x), Shared::new(r));
+    let (x, r) = (SharedRows::new(x), SharedRows::new(r));
     let longest = problem.threads.map(
         0..problem.system.masks[0].active.len(),
         || (),
@@ -157,16 +164,20 @@ fn step(problem: &Problem<'_>, rz: Wide, x: &mut [Wide], r: &mut [Wide], p: &[Wi
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::constrain::system::System;
+    use crate::constrain::system::LinearSystem;
     use crate::error::Error;
     use crate::exec::Exec;
-    use crate::options::{SolveOptions, Stats};
+    use crate::options::{SolveOptions, SolveStats};
     use crate::progress::Silent;
-    use crate::solve::iteration::Control;
+    use crate::solve::iteration::SolveControl;
     use crate::solve::workspace::Workspace;
-    use crate::testing::{Block, pool};
+    use crate::testing::{BoxLattice, pool};
 
-    fn solve(block: &Block, break_it: impl Fn(&mut System), tolerance: f64) -> (Result<Stats, Error>, Vec<f64>) {
+    fn solve(
+        block: &BoxLattice,
+        break_it: impl Fn(&mut LinearSystem),
+        tolerance: f64,
+    ) -> (Result<SolveStats, Error>, Vec<f64>) {
         let hierarchy = block.hierarchy(100);
         let mut system = block.system(&hierarchy);
         break_it(&mut system);
@@ -177,7 +188,7 @@ mod tests {
             ..SolveOptions::default()
         };
         let mut workspace = Workspace::default();
-        let mut watch = |_: &Iteration<'_>| Control::Continue;
+        let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
         let stats = system.solve(
             &hierarchy,
             2,
@@ -193,14 +204,18 @@ mod tests {
 
     #[test]
     fn a_broken_hierarchy_still_gives_the_solution() {
-        let block = Block::new(12, 10, 10).weighted();
+        let block = BoxLattice::new(12, 10, 10).weighted();
         let (sound, want) = solve(&block, |_| {}, 1e-10);
-        assert_eq!(sound.unwrap().method, Method::Multigrid);
-        let scale =
-            |factor: f32| move |system: &mut System| system.masks[1].inverses.iter_mut().for_each(|v| *v *= factor);
+        assert_eq!(sound.unwrap().method, SolveMethod::Multigrid);
+        let scale = |factor: f32| {
+            move |system: &mut LinearSystem| system.masks[1].inverses.iter_mut().for_each(|v| *v *= factor)
+        };
         let (nan, x) = solve(&block, scale(f32::NAN), 1e-10);
         let nan = nan.unwrap();
-        assert!(nan.converged && nan.method == Method::ConjugateGradients, "{nan:?}");
+        assert!(
+            nan.converged && nan.method == SolveMethod::ConjugateGradients,
+            "{nan:?}"
+        );
         assert!(x.iter().zip(&want).all(|(a, b)| (a - b).abs() < 1e-7));
         // Inner products make up for a coarse level that points the wrong way, or something else takes over.
         let (negative, x) = solve(&block, scale(-1.0), 1e-10);
@@ -210,7 +225,7 @@ mod tests {
 
     #[test]
     fn what_rounding_forbids_is_reported_not_chased() {
-        let (stats, x) = solve(&Block::new(12, 10, 10), |_| {}, 1e-17);
+        let (stats, x) = solve(&BoxLattice::new(12, 10, 10), |_| {}, 1e-17);
         let stats = stats.unwrap();
         assert!(stats.residual < 1e-13 && stats.iterations < 100, "{stats:?}");
         assert!(x.iter().all(|v| v.is_finite()));

@@ -1,17 +1,17 @@
 //! One group of columns and everything that iterating it needs.
 
 use crate::pool::Pool;
-use crate::solve::criteria::Criteria;
-use crate::solve::cycle::Cycle;
-use crate::solve::problem::Problem;
+use crate::solve::criteria::StoppingCriteria;
+use crate::solve::cycle::MultigridCycle;
+use crate::solve::problem::ColumnGroup;
 use crate::solve::workspace::Workspace;
 
 /// One group of columns under iteration.
-pub(crate) struct Outer<'a, 'w> {
-    pub(crate) problem: Problem<'a>,
-    pub(crate) cycle: Cycle<'a>,
+pub(crate) struct GroupSolve<'a, 'w> {
+    pub(crate) problem: ColumnGroup<'a>,
+    pub(crate) cycle: MultigridCycle<'a>,
     pub(crate) pool: &'a Pool,
-    pub(crate) criteria: Criteria,
+    pub(crate) criteria: StoppingCriteria,
     pub(crate) workspace: &'w mut Workspace,
     /// The caller's x, for snapshots.
     pub(crate) caller: &'w [f64],

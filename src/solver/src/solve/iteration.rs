@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
-use crate::lanes::{Lanes, Wide};
-use crate::solve::problem::Problem;
+use crate::lanes::{Lanes, WideLanes};
+use crate::solve::problem::ColumnGroup;
 
 /// Where a solve stands after one iteration; handed to the caller's `watch`.
 #[derive(Debug)]
-pub struct Iteration<'a> {
+pub struct IterationReport<'a> {
     /// Iterations done for these columns, from 1.
     pub index: usize,
     /// The columns that are being iterated (columns are solved in groups of four).
@@ -18,10 +18,10 @@ pub struct Iteration<'a> {
     /// iteration on it is usually between the true distance and three times that, rarely less than 0.7 of it; where
     /// few vertices hold many it can be ten times too large at first.
     pub max_error: f64,
-    pub(crate) snapshot: Snapshot<'a>,
+    pub(crate) snapshot: SolutionSnapshot<'a>,
 }
 
-impl Iteration<'_> {
+impl IterationReport<'_> {
     /// Writes the present solution, all vertices and columns, row-major as `x` of the solve. Fixed rows are copied
     /// bit for bit; columns whose turn has not come hold what `x` held.
     ///
@@ -34,7 +34,7 @@ impl Iteration<'_> {
 
 /// The answer of `watch`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Control {
+pub enum SolveControl {
     /// Go on until the criteria hold.
     Continue,
     /// Accept the present solution.
@@ -42,26 +42,26 @@ pub enum Control {
 }
 
 /// The solution at one moment.
-pub(crate) struct Snapshot<'a> {
-    pub(crate) problem: Problem<'a>,
-    pub(crate) x: &'a [Wide],
+pub(crate) struct SolutionSnapshot<'a> {
+    pub(crate) problem: ColumnGroup<'a>,
+    pub(crate) x: &'a [WideLanes],
     /// A correction that x lacks, and its unit per column.
-    pub(crate) e: Option<(&'a [Lanes], Wide)>,
+    pub(crate) e: Option<(&'a [Lanes], WideLanes)>,
     pub(crate) caller: &'a [f64],
 }
 
-impl Snapshot<'_> {
+impl SolutionSnapshot<'_> {
     pub(crate) fn copy_to(&self, out: &mut [f64]) {
         out.copy_from_slice(self.caller);
         self.problem.store(self.x, self.e, out);
     }
 }
 
-impl std::fmt::Debug for Snapshot<'_> {
+impl std::fmt::Debug for SolutionSnapshot<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Snapshot({} rows)", self.x.len())
     }
 }
 
 /// Called after every iteration.
-pub(crate) type Watch<'a> = dyn FnMut(&Iteration<'_>) -> Control + 'a;
+pub(crate) type IterationWatcher<'a> = dyn FnMut(&IterationReport<'_>) -> SolveControl + 'a;

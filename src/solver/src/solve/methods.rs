@@ -1,27 +1,27 @@
 //! Solving a constrained system: arguments, groups of columns, the choice of method.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::constrain::system::System;
+use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::lanes::{WIDTH, Wide, per_lane, ratio};
-use crate::options::{Method, SolveOptions, Start, Stats};
+use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
+use crate::options::{InitialGuess, SolveMethod, SolveOptions, SolveStats};
 use crate::pool::Pool;
 use crate::solve::advance::reference;
-use crate::solve::criteria::{Criteria, Outcome};
-use crate::solve::cycle::Cycle;
-use crate::solve::group::Outer;
-use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
-use crate::solve::problem::Problem;
+use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
+use crate::solve::cycle::MultigridCycle;
+use crate::solve::group::GroupSolve;
+use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::problem::ColumnGroup;
 use crate::solve::start::full_multigrid;
 use crate::solve::workspace::Workspace;
-use crate::storage::NONE;
-use crate::threads::Threads;
+use crate::storage::NO_ROW;
+use crate::threads::Parallelism;
 
 /// Refinements of the direct method at most.
 const REFINEMENTS: usize = 4;
 
-impl System {
+impl LinearSystem {
     /// Solves, for every free vertex i and every column,
     ///
     /// Σ_j w_ij (x_i − x_j) + stiffness_i x_i = rhs_i,
@@ -29,7 +29,7 @@ impl System {
     /// where x_j of a fixed neighbour is the value that `x` gives it.
     ///
     /// `rhs` and `x` are row-major, vertices × `columns`. Fixed rows of `x` are never written; free rows are the start
-    /// (with [`Start::Given`]) and receive the solution. `rhs` of fixed rows is not read. `watch` is called after
+    /// (with [`InitialGuess::Given`]) and receive the solution. `rhs` of fixed rows is not read. `watch` is called after
     /// every iteration, from the calling thread. At least one iteration is done unless the start is exact, so that
     /// every result has an error estimate.
     ///
@@ -37,7 +37,7 @@ impl System {
     /// side is projected to sum zero, and the mean of its start is kept (with starts other than `Given`: 0).
     ///
     /// If the criteria are not reached (`max_iterations`, or rounding) the best solution is in `x` and
-    /// [`Stats::converged`] is false: that is no error.
+    /// [`SolveStats::converged`] is false: that is no error.
     ///
     /// # Errors
     /// [`Error::Invalid`] for lengths that do not fit, numbers that are not finite, or another hierarchy's system;
@@ -52,64 +52,64 @@ impl System {
         options: &SolveOptions<'_>,
         workspace: &mut Workspace,
         exec: &Exec<'_>,
-        watch: &mut dyn FnMut(&Iteration<'_>) -> Control,
-    ) -> Result<Stats, Error> {
+        watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
+    ) -> Result<SolveStats, Error> {
         self.check_hierarchy(hierarchy)?;
         check_lengths(hierarchy, columns, rhs.len(), x.len())?;
         check_options(hierarchy, columns, options)?;
         exec.check()?;
-        let mut stats = Stats {
+        let mut stats = SolveStats {
             iterations: 0,
             residual: 0.0,
             residuals: Vec::with_capacity(columns),
             max_error: 0.0,
             factor: 0.0,
-            method: Method::Trivial,
+            method: SolveMethod::Trivial,
             stopped: false,
             converged: true,
         };
-        if self.free() == 0 {
+        if self.free_count() == 0 {
             stats.residuals.resize(columns, 0.0);
             return Ok(stats);
         }
         let groups = columns.div_ceil(WIDTH);
-        let criteria = Criteria {
+        let criteria = StoppingCriteria {
             tolerance: options.tolerance,
             // The groups' errors add up as a vector.
             max_error: options.max_error.map(|e| e / (groups.max(1) as f64).sqrt()),
             max_iterations: options.max_iterations,
         };
         for group in 0..groups {
-            let given = matches!(options.start, Start::Given);
-            let threads = Threads::of(exec.pool);
+            let given = matches!(options.start, InitialGuess::Given);
+            let threads = Parallelism::of(exec.pool);
             let at = (columns, group * WIDTH);
             let problem = threads.enter(exec.pool, || {
-                Problem::new(hierarchy, self, threads, (rhs, x), at, given)
+                ColumnGroup::new(hierarchy, self, threads, (rhs, x), at, given)
                     .inspect(|problem| problem.load(x, given, &mut workspace.x))
             })?;
             let outcome = if self.is_direct() {
                 solve_directly(&problem, criteria, workspace, x, exec, watch)?
             } else {
-                let cycle = Cycle {
+                let cycle = MultigridCycle {
                     hierarchy,
                     system: self,
                     threads,
                     progress: exec.progress,
                 };
                 let paper = hierarchy.paper.as_ref().zip(self.paper.as_ref());
-                if let (Start::FullMultigrid { frames, rest }, None) = (options.start, paper) {
+                if let (InitialGuess::FullMultigrid { frames, rest }, None) = (options.start, paper) {
                     problem
                         .threads
                         .enter(exec.pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
                 }
-                let mut outer = Outer {
+                let mut outer = GroupSolve {
                     problem,
                     cycle,
                     pool: exec.pool,
                     criteria,
                     workspace,
                     caller: x,
-                    from_zero: matches!(options.start, Start::Zero),
+                    from_zero: matches!(options.start, InitialGuess::Zero),
                 };
                 match paper {
                     Some((kept, paper)) => crate::paper::solve(&mut outer, paper, kept, options.start, watch)?,
@@ -136,11 +136,11 @@ impl System {
     /// The true relative residual ‖b − A x‖₂ / ‖b‖₂ per column, computed in double precision from the equations
     /// alone. With `rows`, also b − A x itself, in the shape of `x`, 0 on fixed rows.
     ///
-    /// Components that nothing holds are judged as [`System::solve`] solves them, without their mean. A column whose
+    /// Components that nothing holds are judged as [`LinearSystem::solve`] solves them, without their mean. A column whose
     /// b is 0 gives 0 if its residual is 0, else infinity.
     ///
     /// # Errors
-    /// [`Error::Invalid`] as for [`System::solve`].
+    /// [`Error::Invalid`] as for [`LinearSystem::solve`].
     pub fn residual(
         &self,
         hierarchy: &Hierarchy,
@@ -157,14 +157,14 @@ impl System {
             check_lengths(hierarchy, columns, rhs.len(), out.len())?;
             out.fill(0.0);
         }
-        let threads = Threads::of(pool);
+        let threads = Parallelism::of(pool);
         let n = hierarchy.levels[0].rows();
         let (mut values, mut r) = (Vec::new(), vec![[0.0; WIDTH]; n]);
         let mut relative = Vec::with_capacity(columns);
         for first in (0..columns).step_by(WIDTH) {
             let at = (columns, first);
             let (problem, norms, reference) = threads.enter(pool, || -> Result<_, Error> {
-                let problem = Problem::new(hierarchy, self, threads, (rhs, x), at, true)?;
+                let problem = ColumnGroup::new(hierarchy, self, threads, (rhs, x), at, true)?;
                 problem.load(x, true, &mut values);
                 r.fill([0.0; WIDTH]);
                 let norms = problem.wide_residual(&values, &mut r);
@@ -175,7 +175,7 @@ impl System {
                 let norm = norms[c].sqrt();
                 relative.push(if norm == 0.0 { 0.0 } else { norm / reference[c] });
                 if let Some(out) = rows.as_deref_mut() {
-                    for (r, &v) in r.iter().zip(&hierarchy.order).filter(|(_, v)| **v != NONE) {
+                    for (r, &v) in r.iter().zip(&hierarchy.order).filter(|(_, v)| **v != NO_ROW) {
                         out[v as usize * columns + first + c] = problem.outer_residual(r[c], c);
                     }
                 }
@@ -202,7 +202,7 @@ fn check_options(hierarchy: &Hierarchy, columns: usize, options: &SolveOptions<'
             return Err(Error::Invalid(format!("{name} is {v}, it must be positive")));
         }
     }
-    let Start::FullMultigrid { frames, rest } = options.start else {
+    let InitialGuess::FullMultigrid { frames, rest } = options.start else {
         return Ok(());
     };
     let Some(frames) = frames else { return Ok(()) };
@@ -227,7 +227,7 @@ fn check_options(hierarchy: &Hierarchy, columns: usize, options: &SolveOptions<'
     Ok(())
 }
 
-fn merge(stats: &mut Stats, outcome: &Outcome, width: usize) {
+fn merge(stats: &mut SolveStats, outcome: &GroupOutcome, width: usize) {
     stats.iterations = stats.iterations.max(outcome.iterations);
     stats.residuals.extend_from_slice(&outcome.relative[..width]);
     stats.max_error = libm::hypot(stats.max_error, outcome.max_error);
@@ -239,13 +239,13 @@ fn merge(stats: &mut Stats, outcome: &Outcome, width: usize) {
 
 /// Few free vertices: the dense inverse, refined until the residual is as small as asked.
 fn solve_directly(
-    problem: &Problem<'_>,
-    criteria: Criteria,
+    problem: &ColumnGroup<'_>,
+    criteria: StoppingCriteria,
     workspace: &mut Workspace,
     caller: &[f64],
     exec: &Exec<'_>,
-    watch: &mut Watch<'_>,
-) -> Result<Outcome, Error> {
+    watch: &mut IterationWatcher<'_>,
+) -> Result<GroupOutcome, Error> {
     let Workspace {
         x,
         wide: [r, gathered, z],
@@ -255,7 +255,7 @@ fn solve_directly(
     r.resize(x.len(), [0.0; WIDTH]);
     let mut reference = threads.enter(exec.pool, || reference(problem, x));
     let unit = problem.unit;
-    let mut outcome = Outcome::new(Method::Direct);
+    let mut outcome = GroupOutcome::new(SolveMethod::Direct);
     loop {
         exec.check()?;
         let norms = threads.enter(exec.pool, || problem.wide_residual(x, r));
@@ -276,23 +276,23 @@ fn solve_directly(
         gathered.extend(system.dense_rows.iter().map(|&i| r[i as usize]));
         z.clear();
         z.extend((0..system.inverse.size()).map(|k| system.inverse.row_times(k, gathered)));
-        let length = |z: &Wide| (0..WIDTH).map(|c| (z[c] * unit[c]).powi(2)).sum::<f64>().sqrt();
+        let length = |z: &WideLanes| (0..WIDTH).map(|c| (z[c] * unit[c]).powi(2)).sum::<f64>().sqrt();
         outcome.max_error = z.iter().map(length).fold(0.0, f64::max);
         outcome.converged = criteria.hold(&outcome.relative[..width], outcome.max_error);
         if outcome.iterations > 0 {
-            let iteration = Iteration {
+            let iteration = IterationReport {
                 index: outcome.iterations,
                 columns: problem.columns(),
                 residual: outcome.relative[..width].iter().fold(0.0, |a, &b| a.max(b)),
                 max_error: outcome.max_error,
-                snapshot: Snapshot {
+                snapshot: SolutionSnapshot {
                     problem: *problem,
                     x,
                     e: None,
                     caller,
                 },
             };
-            outcome.stopped = watch(&iteration) == Control::Stop;
+            outcome.stopped = watch(&iteration) == SolveControl::Stop;
         }
         let exact = norms.iter().all(|v| *v == 0.0);
         let most = REFINEMENTS.min(criteria.max_iterations);

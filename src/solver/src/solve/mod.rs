@@ -14,5 +14,5 @@ mod start;
 mod sweep;
 pub(crate) mod workspace;
 
-pub use self::iteration::{Control, Iteration};
+pub use self::iteration::{IterationReport, SolveControl};
 pub use self::workspace::Workspace;

@@ -6,17 +6,17 @@
 
 use crate::build::hierarchy::power_of_two_below;
 use crate::error::Error;
-use crate::lanes::{Lanes, WIDTH, Wide, per_lane, ratio};
-use crate::options::Method;
+use crate::lanes::{Lanes, WIDTH, WideLanes, per_lane, ratio};
+use crate::options::SolveMethod;
 use crate::progress::Cancelled;
 use crate::solve::advance::{
-    Advance, add_correction, advance, first_residual, fold, longest_step, reference, residual, resume,
+    StepNorms, add_correction, advance, first_residual, fold, longest_step, reference, residual, resume,
 };
-use crate::solve::criteria::Outcome;
+use crate::solve::criteria::GroupOutcome;
 use crate::solve::cycle::{clear_inactive, prepare};
-use crate::solve::group::Outer;
-use crate::solve::iteration::{Control, Iteration, Snapshot, Watch};
-use crate::solve::problem::Problem;
+use crate::solve::group::GroupSolve;
+use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::problem::ColumnGroup;
 use crate::solve::workspace::Workspace;
 
 /// A stretch ends once the residual fell by this factor: single precision has few digits left.
@@ -48,18 +48,18 @@ const USUAL: usize = 64;
 const POOR_STRETCHES: usize = 2;
 
 /// What is carried from iteration to iteration.
-struct State {
-    outcome: Outcome,
+struct OuterState {
+    outcome: GroupOutcome,
     /// Norms of b, which residuals are relative to.
-    reference: Wide,
+    reference: WideLanes,
     /// Power of two by which the vectors of a stretch are multiplied.
-    scale: Wide,
+    scale: WideLanes,
     /// (p, A p) of the last direction.
-    direction: Option<Wide>,
+    direction: Option<WideLanes>,
     /// Largest row of the last step.
     last_step: Option<f64>,
     /// 1 for columns that have stopped.
-    resting: Wide,
+    resting: WideLanes,
     /// Error estimate of those.
     resting_error: f64,
     /// False if rounding may have spoilt the last error estimate.
@@ -67,7 +67,7 @@ struct State {
 }
 
 /// How a stretch ended.
-enum Stretch {
+enum InnerEnd {
     /// The caller can have x as it is.
     Accepted,
     /// Look at the true residual and go on.
@@ -78,9 +78,9 @@ enum Stretch {
     Ruined,
 }
 
-impl Outer<'_, '_> {
+impl GroupSolve<'_, '_> {
     /// Iterates on `workspace.x` from the values it holds.
-    pub(crate) fn solve(&mut self, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
+    pub(crate) fn solve(&mut self, watch: &mut IterationWatcher<'_>) -> Result<GroupOutcome, Error> {
         let (problem, threads, pool) = (self.problem, self.problem.threads, self.pool);
         let n = problem.hierarchy.levels[0].rows();
         let width = problem.width();
@@ -102,8 +102,8 @@ impl Outer<'_, '_> {
         clear_inactive(&grid, &mut fine.last_e);
         prepare(&self.cycle, coarse);
 
-        let mut state = State {
-            outcome: Outcome::new(Method::Multigrid),
+        let mut state = OuterState {
+            outcome: GroupOutcome::new(SolveMethod::Multigrid),
             reference: [0.0; WIDTH],
             scale: [1.0; WIDTH],
             direction: None,
@@ -122,9 +122,9 @@ impl Outer<'_, '_> {
                 residual(&problem, x, fine, state.scale)
             }
         }));
-        let mut beginning: Option<Wide> = None;
-        let mut last: Option<Wide> = None;
-        let mut rescaled: Option<Wide> = None;
+        let mut beginning: Option<WideLanes> = None;
+        let mut last: Option<WideLanes> = None;
+        let mut rescaled: Option<WideLanes> = None;
         let mut poor = 0;
         loop {
             let Workspace { x, fine, .. } = &mut *self.workspace;
@@ -177,17 +177,17 @@ impl Outer<'_, '_> {
             }
 
             match self.stretch(&mut state, watch)? {
-                Stretch::Accepted => {
+                InnerEnd::Accepted => {
                     let outcome = &mut state.outcome;
                     outcome.factor = mean_factor(beginning, outcome.relative, outcome.iterations);
                     return Ok(*outcome);
                 }
-                Stretch::Ended => {}
-                Stretch::Troubled => {
+                InnerEnd::Ended => {}
+                InnerEnd::Troubled => {
                     poor += 1;
                     state.direction = None;
                 }
-                Stretch::Ruined => {
+                InnerEnd::Ruined => {
                     state.outcome.relative = relative;
                     return crate::solve::fallback::conjugate_gradients(self, state.reference, state.outcome, watch);
                 }
@@ -207,7 +207,7 @@ impl Outer<'_, '_> {
     }
 
     /// One stretch from the residual in `fine.r`; adds its correction to x.
-    fn stretch(&mut self, state: &mut State, watch: &mut Watch<'_>) -> Result<Stretch, Error> {
+    fn stretch(&mut self, state: &mut OuterState, watch: &mut IterationWatcher<'_>) -> Result<InnerEnd, Error> {
         let (problem, threads, pool, criteria) = (self.problem, self.problem.threads, self.pool, self.criteria);
         let width = problem.width();
         let grid = self.cycle.grid(0);
@@ -237,7 +237,7 @@ impl Outer<'_, '_> {
         let verdict = loop {
             let weights = per_lane(|c| if open[c] > 0.0 { unit[c] / largest_unit } else { 0.0 });
             let Workspace { fine, coarse, .. } = &mut *self.workspace;
-            let Advance {
+            let StepNorms {
                 rr,
                 ee,
                 longest,
@@ -258,7 +258,7 @@ impl Outer<'_, '_> {
                 .map_err(|Cancelled| Error::Cancelled)?;
             state.outcome.iterations += 1;
             if rr.iter().any(|v| !v.is_finite()) || !longest.is_finite() {
-                return Ok(Stretch::Ruined);
+                return Ok(InnerEnd::Ruined);
             }
             let before = state.outcome.relative;
             let now = per_lane(|c| {
@@ -286,22 +286,22 @@ impl Outer<'_, '_> {
 
             let claimed = per_lane(|c| now[c] + 2.0 * noise[c]);
             let holds = criteria.hold(&claimed[..width], state.outcome.max_error);
-            let iteration = Iteration {
+            let iteration = IterationReport {
                 index: state.outcome.iterations,
                 columns: problem.columns(),
                 residual: now[..width].iter().fold(0.0, |a, &b| a.max(b)),
                 max_error: state.outcome.max_error,
-                snapshot: Snapshot {
+                snapshot: SolutionSnapshot {
                     problem,
                     x: &self.workspace.x,
                     e: Some((&self.workspace.fine.e, per_lane(|c| 1.0 / scale[c]))),
                     caller: self.caller,
                 },
             };
-            if watch(&iteration) == Control::Stop {
+            if watch(&iteration) == SolveControl::Stop {
                 state.outcome.stopped = true;
                 state.outcome.converged = holds;
-                break Stretch::Accepted;
+                break InnerEnd::Accepted;
             }
             if holds {
                 let quiet = |c: usize| criteria.tolerance.is_none_or(|t| noise[c] <= TRUSTED * t);
@@ -311,9 +311,9 @@ impl Outer<'_, '_> {
                 let sound = state.sound || criteria.max_error.is_none_or(ample);
                 state.outcome.converged = trusted && sound;
                 break if state.outcome.converged {
-                    Stretch::Accepted
+                    InnerEnd::Accepted
                 } else {
-                    Stretch::Ended
+                    InnerEnd::Ended
                 };
             }
             // Before the second iteration nothing is known about the error of what would rest.
@@ -341,13 +341,13 @@ impl Outer<'_, '_> {
                     SPOILT
                 };
             if spoilt || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
-                break Stretch::Ended;
+                break InnerEnd::Ended;
             }
             let history = &self.workspace.history;
             let recent = history.len().saturating_sub(PATIENCE);
             let slow = recent > 0 && history[recent..].iter().product::<f64>() > 0.5;
             if broken || slow {
-                break Stretch::Troubled;
+                break InnerEnd::Troubled;
             }
         };
         let Workspace { x, fine, .. } = &mut *self.workspace;
@@ -357,7 +357,7 @@ impl Outer<'_, '_> {
 }
 
 /// Residual norms relative to those of b. A column without right-hand side is measured against its first residual.
-fn relative_norms(squares: Wide, reference: &mut Wide) -> Wide {
+fn relative_norms(squares: WideLanes, reference: &mut WideLanes) -> WideLanes {
     per_lane(|c| {
         let norm = squares[c].sqrt();
         if reference[c] == 0.0 {
@@ -368,7 +368,7 @@ fn relative_norms(squares: Wide, reference: &mut Wide) -> Wide {
 }
 
 /// True if the residual is about what computing it in double precision leaves, so that no method can go on.
-fn at_rounding(problem: &Problem<'_>, x: &[Wide], relative: Wide, reference: Wide) -> bool {
+fn at_rounding(problem: &ColumnGroup<'_>, x: &[WideLanes], relative: WideLanes, reference: WideLanes) -> bool {
     const PRODUCT: f64 = 100.0 * f64::EPSILON;
     let mut squares = [0.0; WIDTH];
     for x in x {
@@ -381,7 +381,7 @@ fn at_rounding(problem: &Problem<'_>, x: &[Wide], relative: Wide, reference: Wid
 }
 
 /// Geometric mean of the reduction per iteration, slowest column.
-fn mean_factor(from: Wide, to: Wide, iterations: usize) -> f64 {
+fn mean_factor(from: WideLanes, to: WideLanes, iterations: usize) -> f64 {
     let worst = (0..WIDTH)
         .filter(|&c| from[c] > 0.0)
         .map(|c| to[c] / from[c])

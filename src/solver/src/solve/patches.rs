@@ -3,13 +3,13 @@
 use crate::lanes::Lanes;
 
 /// A linear map by its columns.
-pub(crate) type Map = [Lanes; 3];
+pub(crate) type PatchMap = [Lanes; 3];
 
 /// The original equations on one level.
 #[derive(Debug, Default)]
-pub(crate) struct Patches {
+pub(crate) struct AffinePatches {
     /// F of each row, or empty.
-    pub(crate) maps: Vec<Map>,
+    pub(crate) maps: Vec<PatchMap>,
     pub(crate) positions: Vec<Lanes>,
     /// β of equation (12).
     pub(crate) beta: Vec<Lanes>,
@@ -17,8 +17,8 @@ pub(crate) struct Patches {
     pub(crate) x: Vec<Lanes>,
 }
 
-impl Patches {
-    pub(crate) fn bytes(&self) -> usize {
+impl AffinePatches {
+    pub(crate) fn byte_size(&self) -> usize {
         48 * self.maps.capacity() + 16 * (self.positions.capacity() + self.beta.capacity() + self.x.capacity())
     }
 
@@ -32,7 +32,7 @@ impl Patches {
 
     /// map · (p − centre) for a row's position p.
     #[inline(always)]
-    pub(crate) fn offset(&self, map: &Map, row: usize, centre: Lanes) -> Lanes {
+    pub(crate) fn offset(&self, map: &PatchMap, row: usize, centre: Lanes) -> Lanes {
         times(map, self.positions[row] - centre)
     }
 
@@ -49,6 +49,6 @@ impl Patches {
 }
 
 #[inline(always)]
-fn times(map: &Map, v: Lanes) -> Lanes {
+fn times(map: &PatchMap, v: Lanes) -> Lanes {
     map[0] * v.0[0] + map[1] * v.0[1] + map[2] * v.0[2]
 }

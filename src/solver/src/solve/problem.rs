@@ -3,11 +3,11 @@
 use std::ops::Range;
 
 use crate::build::hierarchy::{Hierarchy, power_of_two_below};
-use crate::constrain::system::System;
+use crate::constrain::system::LinearSystem;
 use crate::error::Error;
-use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
-use crate::storage::{BUNDLE, NONE};
-use crate::threads::{Threads, piece, pieces};
+use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
+use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Bundles whose right-hand sides are fetched together.
 const FETCH: usize = 16;
@@ -20,28 +20,28 @@ const PIECE: usize = 4096;
 /// Inside, every column is divided by a power of two (its `unit`) so that all numbers are moderate whatever the
 /// caller's units are; that loses nothing.
 #[derive(Clone, Copy)]
-pub(crate) struct Problem<'a> {
+pub(crate) struct ColumnGroup<'a> {
     pub(crate) hierarchy: &'a Hierarchy,
-    pub(crate) system: &'a System,
-    pub(crate) threads: Threads,
+    pub(crate) system: &'a LinearSystem,
+    pub(crate) threads: Parallelism,
     rhs: &'a [f64],
     columns: usize,
     first: usize,
     width: usize,
     /// The caller's value of an inner 1, per column.
-    pub(crate) unit: Wide,
-    rhs_factor: Wide,
+    pub(crate) unit: WideLanes,
+    rhs_factor: WideLanes,
 }
 
-impl<'a> Problem<'a> {
+impl<'a> ColumnGroup<'a> {
     /// Looks at the columns from `first` on. `given`: the free rows of `x` count too.
     ///
     /// # Errors
     /// [`Error::Invalid`] if a number that matters is not finite.
     pub(crate) fn new(
         hierarchy: &'a Hierarchy,
-        system: &'a System,
-        threads: Threads,
+        system: &'a LinearSystem,
+        threads: Parallelism,
         (rhs, x): (&'a [f64], &[f64]),
         (columns, first): (usize, usize),
         given: bool,
@@ -67,8 +67,9 @@ impl<'a> Problem<'a> {
             }
             most
         };
-        let larger = |a: [Wide; 2], b: [Wide; 2]| [0, 1].map(|k| std::array::from_fn(|c| a[k][c].max(b[k][c])));
-        let most: [Wide; 2] = in_order(threads, pieces(n, PIECE), [[0.0; WIDTH]; 2], most_of, larger);
+        let larger =
+            |a: [WideLanes; 2], b: [WideLanes; 2]| [0, 1].map(|k| std::array::from_fn(|c| a[k][c].max(b[k][c])));
+        let most: [WideLanes; 2] = in_order(threads, pieces(n, PIECE), [[0.0; WIDTH]; 2], most_of, larger);
         let (mut unit, mut rhs_factor) = ([1.0; WIDTH], [1.0; WIDTH]);
         for c in 0..width {
             let most = |what: usize| most[what][c];
@@ -111,7 +112,7 @@ impl<'a> Problem<'a> {
 
     /// Right-hand side of a row.
     #[inline(always)]
-    pub(crate) fn rhs(&self, row: usize) -> Wide {
+    pub(crate) fn rhs(&self, row: usize) -> WideLanes {
         let at = self.hierarchy.order[row] as usize * self.columns + self.first;
         let f = &self.rhs_factor;
         match &self.rhs[at..at + self.width] {
@@ -127,17 +128,17 @@ impl<'a> Problem<'a> {
     }
 
     /// Copies `x` into row order; free rows become 0 unless `given`.
-    pub(crate) fn load(&self, x: &[f64], given: bool, out: &mut Vec<Wide>) {
+    pub(crate) fn load(&self, x: &[f64], given: bool, out: &mut Vec<WideLanes>) {
         let n = self.hierarchy.levels[0].rows();
         out.resize(n, [0.0; WIDTH]);
         let mask = &self.system.masks[0];
-        let shared = Shared::new(out.as_mut_slice());
+        let shared = SharedRows::new(out.as_mut_slice());
         self.threads.each(0..pieces(n, PIECE), |k| {
             // SAFETY: pieces are disjoint and each is visited once.
             let out = unsafe { shared.rows(piece(k, n, PIECE)) };
             for (i, out) in piece(k, n, PIECE).zip(out) {
                 *out = [0.0; WIDTH];
-                if self.hierarchy.order[i] != NONE && (given || !mask.free(i)) {
+                if self.hierarchy.order[i] != NO_ROW && (given || !mask.free(i)) {
                     let at = self.hierarchy.order[i] as usize * self.columns + self.first;
                     for c in 0..self.width {
                         out[c] = x[at + c] / self.unit[c];
@@ -148,7 +149,7 @@ impl<'a> Problem<'a> {
     }
 
     /// Writes free rows back in the caller's order and units: x + e · e_unit, or x alone.
-    pub(crate) fn store(&self, x: &[Wide], e: Option<(&[Lanes], Wide)>, out: &mut [f64]) {
+    pub(crate) fn store(&self, x: &[WideLanes], e: Option<(&[Lanes], WideLanes)>, out: &mut [f64]) {
         let mask = &self.system.masks[0];
         for (i, &vertex) in self.hierarchy.order.iter().enumerate() {
             if mask.free(i) {
@@ -173,38 +174,38 @@ impl<'a> Problem<'a> {
     /// The products are taken of differences x_i − x_j, which keeps full precision for bodies far from the origin.
     pub(crate) fn residual<T: Copy + Send + Sync>(
         &self,
-        x: &[Wide],
+        x: &[WideLanes],
         with_rhs: bool,
         out: &mut [T],
-        convert: impl Fn(Wide) -> T + Sync + Send,
-    ) -> Wide {
+        convert: impl Fn(WideLanes) -> T + Sync + Send,
+    ) -> WideLanes {
         let mask = &self.system.masks[0];
         let stiffness = &self.system.stiffness;
         assert!(x.len() == self.hierarchy.levels[0].rows());
-        let out = Shared::new(out);
+        let out = SharedRows::new(out);
         self.norms(|rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let out = unsafe { out.rows(rows.clone()) };
             let mut norms = [0.0; WIDTH];
             // The caller's rows lie far apart. Fetched by themselves, many are under way at a time.
-            let mut fetched = [[0.0; WIDTH]; FETCH * BUNDLE];
+            let mut fetched = [[0.0; WIDTH]; FETCH * SLICE_ROWS];
             for (n, (out, k)) in out
-                .as_chunks_mut::<BUNDLE>()
+                .as_chunks_mut::<SLICE_ROWS>()
                 .0
                 .iter_mut()
-                .zip(rows.start / BUNDLE..)
+                .zip(rows.start / SLICE_ROWS..)
                 .enumerate()
             {
                 if with_rhs && n % FETCH == 0 {
-                    for (b, i) in fetched.iter_mut().zip(k * BUNDLE..rows.end) {
+                    for (b, i) in fetched.iter_mut().zip(k * SLICE_ROWS..rows.end) {
                         *b = if mask.free(i) { self.rhs(i) } else { [0.0; WIDTH] };
                     }
                 }
                 let flows = self.flows(x, k);
-                for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                for (d, i) in (k * SLICE_ROWS..(k + 1) * SLICE_ROWS).enumerate() {
                     let mut r = [0.0; WIDTH];
                     if mask.free(i) {
-                        r = fetched[(n % FETCH) * BUNDLE + d];
+                        r = fetched[(n % FETCH) * SLICE_ROWS + d];
                         let s = stiffness.get(i).copied().unwrap_or(0.0);
                         for c in 0..WIDTH {
                             r[c] -= flows[d][c] + s * x[i][c];
@@ -220,18 +221,18 @@ impl<'a> Problem<'a> {
 
     /// Σ w (x_i − x_j) of the rows of bundle `k`.
     #[inline(always)]
-    fn flows(&self, x: &[Wide], k: usize) -> [Wide; BUNDLE] {
+    fn flows(&self, x: &[WideLanes], k: usize) -> [WideLanes; SLICE_ROWS] {
         let level = &self.hierarchy.levels[0];
         let (begin, _, end) = level.bundle(k);
-        let first = k * BUNDLE;
-        let here: [Wide; BUNDLE] = std::array::from_fn(|d| x[first + d]);
-        let mut flows = [[0.0; WIDTH]; BUNDLE];
-        let neighbours = level.neighbours[begin..end].as_chunks::<BUNDLE>().0;
+        let first = k * SLICE_ROWS;
+        let here: [WideLanes; SLICE_ROWS] = std::array::from_fn(|d| x[first + d]);
+        let mut flows = [[0.0; WIDTH]; SLICE_ROWS];
+        let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
         match &level.weights {
             None => {
                 let filling = level.filling();
                 for j in neighbours {
-                    for d in 0..BUNDLE {
+                    for d in 0..SLICE_ROWS {
                         // Filling has weight 0: to itself, a row has no difference.
                         let j = if j[d] == filling { first + d } else { j[d] as usize };
                         let there = x[j];
@@ -242,8 +243,8 @@ impl<'a> Problem<'a> {
                 }
             }
             Some(w) => {
-                for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<BUNDLE>().0) {
-                    for d in 0..BUNDLE {
+                for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<SLICE_ROWS>().0) {
+                    for d in 0..SLICE_ROWS {
                         let there = x[j[d] as usize];
                         for c in 0..WIDTH {
                             flows[d][c] += f64::from(w[d]) * (here[d][c] - there[c]);
@@ -256,7 +257,7 @@ impl<'a> Problem<'a> {
     }
 
     /// Squared norms of b, the right-hand side with the fixed values moved into it (β of the paper's equation (11)).
-    pub(crate) fn rhs_norms(&self, x: &[Wide]) -> Wide {
+    pub(crate) fn rhs_norms(&self, x: &[WideLanes]) -> WideLanes {
         self.norms(|rows| {
             let mut norms = [0.0; WIDTH];
             for i in rows {
@@ -272,11 +273,11 @@ impl<'a> Problem<'a> {
     /// The same, and b itself handed to `convert` and written to `out`: the residual of an `x` that is 0 on free rows.
     pub(crate) fn first_residual(
         &self,
-        x: &[Wide],
+        x: &[WideLanes],
         out: &mut [Lanes],
-        convert: impl Fn(Wide) -> Lanes + Sync + Send,
-    ) -> Wide {
-        let out = Shared::new(out);
+        convert: impl Fn(WideLanes) -> Lanes + Sync + Send,
+    ) -> WideLanes {
+        let out = SharedRows::new(out);
         self.norms(|rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let out = unsafe { out.rows(rows.clone()) };
@@ -294,7 +295,7 @@ impl<'a> Problem<'a> {
 
     /// b of row `i`, 0 if that is masked.
     #[inline(always)]
-    fn moved_rhs(&self, x: &[Wide], i: usize) -> Wide {
+    fn moved_rhs(&self, x: &[WideLanes], i: usize) -> WideLanes {
         let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
         if !mask.free(i) {
             return [0.0; WIDTH];
@@ -313,7 +314,7 @@ impl<'a> Problem<'a> {
     }
 
     /// b − A x in double precision, floating components without their means; returns the squared norms.
-    pub(crate) fn wide_residual(&self, x: &[Wide], r: &mut [Wide]) -> Wide {
+    pub(crate) fn wide_residual(&self, x: &[WideLanes], r: &mut [WideLanes]) -> WideLanes {
         let norms = self.residual(x, true, r, |v| v);
         if self.system.floating.is_empty() {
             return norms;
@@ -332,11 +333,11 @@ impl<'a> Problem<'a> {
     }
 
     /// Adds up what `body` returns for each active block, always in the same order.
-    pub(crate) fn norms(&self, body: impl Fn(Range<usize>) -> Wide + Sync + Send) -> Wide {
+    pub(crate) fn norms(&self, body: impl Fn(Range<usize>) -> WideLanes + Sync + Send) -> WideLanes {
         let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
         let active = &mask.active;
         let of_block = |k: usize| body(level.block(active[k] as usize));
-        let add = |mut sum: Wide, part: Wide| {
+        let add = |mut sum: WideLanes, part: WideLanes| {
             add_wide(&mut sum, part);
             sum
         };
@@ -346,7 +347,7 @@ impl<'a> Problem<'a> {
 
 /// Joins what `body` makes of 0, 1, … `count` − 1, always in this order. One thread needs no memory for that.
 fn in_order<T: Copy + Send>(
-    threads: Threads,
+    threads: Parallelism,
     count: usize,
     zero: T,
     body: impl Fn(usize) -> T + Sync + Send,

@@ -5,16 +5,16 @@
 //! the mean of the members' maps s_i R_i. Equation (12) keeps its form on every level, with
 //! d_IJ = ½ (F_I + F_J) (c_I − c_J) and β_I summed over the members. Without maps the patches are rigid points.
 
-use crate::build::order::Frame;
+use crate::build::order::UnitBoxMap;
 use crate::constrain::mask::tie_share;
-use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
+use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::progress::{Cancelled, check};
-use crate::solve::cycle::Cycle;
-use crate::solve::patches::{Map, Patches};
-use crate::solve::problem::Problem;
-use crate::solve::sweep::Grid;
+use crate::solve::cycle::MultigridCycle;
+use crate::solve::patches::{AffinePatches, PatchMap};
+use crate::solve::problem::ColumnGroup;
+use crate::solve::sweep::MaskedLevel;
 use crate::solve::workspace::Workspace;
-use crate::storage::NONE;
+use crate::storage::NO_ROW;
 use crate::threads::{piece, pieces};
 
 /// Rows that one piece of work handles.
@@ -22,8 +22,8 @@ const PIECE: usize = 1024;
 
 /// Fills the free rows of `workspace.x`, whose masked rows hold their values, with the full-multigrid start.
 pub(crate) fn full_multigrid(
-    problem: &Problem<'_>,
-    cycle: &Cycle<'_>,
+    problem: &ColumnGroup<'_>,
+    cycle: &MultigridCycle<'_>,
     frames: Option<&[[f32; 9]]>,
     rest: Option<&[[f64; 3]]>,
     workspace: &mut Workspace,
@@ -31,7 +31,7 @@ pub(crate) fn full_multigrid(
     let system = problem.system;
     let Workspace { x, patches, coarse, .. } = workspace;
     let last = system.masks.len() - 1;
-    patches.resize_with(last + 1, Patches::default);
+    patches.resize_with(last + 1, AffinePatches::default);
     crate::solve::cycle::prepare(cycle, coarse);
 
     let middle = mean_of_masked(problem, x);
@@ -82,11 +82,11 @@ pub(crate) fn full_multigrid(
 }
 
 /// Mean of the given values. The start works on differences to it, which single precision can hold.
-fn mean_of_masked(problem: &Problem<'_>, x: &[Wide]) -> Wide {
+fn mean_of_masked(problem: &ColumnGroup<'_>, x: &[WideLanes]) -> WideLanes {
     let mask = &problem.system.masks[0];
     let (mut sum, mut count) = ([0.0; WIDTH], 0usize);
     for (i, x) in x.iter().enumerate() {
-        if !mask.free(i) && problem.hierarchy.order[i] != NONE {
+        if !mask.free(i) && problem.hierarchy.order[i] != NO_ROW {
             add_wide(&mut sum, *x);
             count += 1;
         }
@@ -95,13 +95,13 @@ fn mean_of_masked(problem: &Problem<'_>, x: &[Wide]) -> Wide {
 }
 
 /// Maps and positions of the finest level, in row order, from unit-box positions to the problem's inner units.
-fn load_maps(problem: &Problem<'_>, frames: &[[f32; 9]], rest: Option<&[[f64; 3]]>, finest: &mut Patches) {
+fn load_maps(problem: &ColumnGroup<'_>, frames: &[[f32; 9]], rest: Option<&[[f64; 3]]>, finest: &mut AffinePatches) {
     let hierarchy = problem.hierarchy;
-    let frame = rest.map_or(hierarchy.frame, Frame::around);
+    let frame = rest.map_or(hierarchy.frame, UnitBoxMap::around);
     let scale = |c: usize| frame.size / problem.unit[c];
     let scale = Lanes([scale(0) as f32, scale(1) as f32, scale(2) as f32, 0.0]);
     for (i, &v) in hierarchy.order.iter().enumerate() {
-        if v == NONE {
+        if v == NO_ROW {
             finest.maps[i] = [Lanes::ZERO; 3];
             continue;
         }
@@ -119,7 +119,13 @@ fn load_maps(problem: &Problem<'_>, frames: &[[f32; 9]], rest: Option<&[[f64; 3]
 }
 
 /// β and given values of the finest level: what the right-hand side holds beyond Σ w d.
-fn load_equations(grid: &Grid<'_>, problem: &Problem<'_>, x: &[Wide], middle: Wide, finest: &mut Patches) {
+fn load_equations(
+    grid: &MaskedLevel<'_>,
+    problem: &ColumnGroup<'_>,
+    x: &[WideLanes],
+    middle: WideLanes,
+    finest: &mut AffinePatches,
+) {
     let n = grid.level.rows();
     for (i, (out, x)) in finest.x.iter_mut().zip(x).enumerate() {
         let shifted = [0, 1, 2, 3].map(|c| x[c] - middle[c]);
@@ -130,7 +136,7 @@ fn load_equations(grid: &Grid<'_>, problem: &Problem<'_>, x: &[Wide], middle: Wi
         };
     }
     let mut beta = std::mem::take(&mut finest.beta);
-    let shared = Shared::new(&mut beta);
+    let shared = SharedRows::new(&mut beta);
     let patches = &*finest;
     grid.threads.each(0..pieces(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
@@ -160,13 +166,16 @@ fn load_equations(grid: &Grid<'_>, problem: &Problem<'_>, x: &[Wide], middle: Wi
 }
 
 /// The original equations of the next level.
-fn restrict(grid: &Grid<'_>, below: &Grid<'_>, fine: &Patches, coarse: &mut Patches) {
+fn restrict(grid: &MaskedLevel<'_>, below: &MaskedLevel<'_>, fine: &AffinePatches, coarse: &mut AffinePatches) {
     let (level, mask) = (grid.level, grid.mask);
     let n = below.level.rows();
     let mapped = !fine.maps.is_empty();
     coarse.resize(n, mapped);
-    let (maps, positions) = (Shared::new(&mut coarse.maps), Shared::new(&mut coarse.positions));
-    let (betas, xs) = (Shared::new(&mut coarse.beta), Shared::new(&mut coarse.x));
+    let (maps, positions) = (
+        SharedRows::new(&mut coarse.maps),
+        SharedRows::new(&mut coarse.positions),
+    );
+    let (betas, xs) = (SharedRows::new(&mut coarse.beta), SharedRows::new(&mut coarse.x));
     grid.threads.each(0..pieces(n, PIECE), |k| {
         for row in piece(k, n, PIECE) {
             let members = level.members_of(row);
@@ -217,8 +226,8 @@ fn restrict(grid: &Grid<'_>, below: &Grid<'_>, fine: &Patches, coarse: &mut Patc
 }
 
 /// Mean map and centroid of an aggregate. Averaging different rotations shrinks; the mean size is restored.
-fn mean_patch(fine: &Patches, members: &[u32]) -> (Map, Lanes) {
-    let size = |m: &Map| {
+fn mean_patch(fine: &AffinePatches, members: &[u32]) -> (PatchMap, Lanes) {
+    let size = |m: &PatchMap| {
         let squares = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
         squares.sum().sqrt()
     };
@@ -241,10 +250,10 @@ fn mean_patch(fine: &Patches, members: &[u32]) -> (Map, Lanes) {
 }
 
 /// β − α x − Σ w (x_i − x_j − d_ij) of free rows, 0 elsewhere.
-fn defect(grid: &Grid<'_>, patches: &Patches, out: &mut [Lanes]) {
+fn defect(grid: &MaskedLevel<'_>, patches: &AffinePatches, out: &mut [Lanes]) {
     let (level, mask) = (grid.level, grid.mask);
     let n = level.rows();
-    let out = Shared::new(out);
+    let out = SharedRows::new(out);
     grid.threads.each(0..pieces(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
         let out = unsafe { out.rows(piece(k, n, PIECE)) };
@@ -264,18 +273,18 @@ fn defect(grid: &Grid<'_>, patches: &Patches, out: &mut [Lanes]) {
 }
 
 /// x_i = x_I + F_I (p_i − c_I) on free rows; given values stay.
-fn prolong(grid: &Grid<'_>, fine: &mut Patches, coarse: &Patches) {
+fn prolong(grid: &MaskedLevel<'_>, fine: &mut AffinePatches, coarse: &AffinePatches) {
     let (level, mask) = (grid.level, grid.mask);
     let n = level.rows();
     let mut x = std::mem::take(&mut fine.x);
-    let shared = Shared::new(&mut x);
+    let shared = SharedRows::new(&mut x);
     let patches = &*fine;
     grid.threads.each(0..pieces(n, PIECE), |k| {
         // SAFETY: pieces are disjoint and each is visited once.
         let x = unsafe { shared.rows(piece(k, n, PIECE)) };
         for (i, x) in piece(k, n, PIECE).zip(x) {
             let aggregate = level.aggregates[i];
-            if !mask.free(i) || aggregate == NONE {
+            if !mask.free(i) || aggregate == NO_ROW {
                 continue;
             }
             let aggregate = aggregate as usize;

@@ -4,28 +4,28 @@
 //! two passes: in the forward sweep the neighbours after a row are still 0, and the residual it leaves is made of just
 //! these neighbours.
 
-use crate::build::level::Level;
-use crate::constrain::mask::Mask;
-use crate::lanes::{Lanes, Shared, WIDTH, Wide, add_wide};
-use crate::storage::{BUNDLE, NONE};
-use crate::threads::{Threads, piece, pieces};
+use crate::build::level::HierarchyLevel;
+use crate::constrain::mask::LevelMask;
+use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
+use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::threads::{Parallelism, piece, pieces};
 
 /// Rows of a vector pass without blocks.
 const PIECE: usize = 1024;
 
 /// A level under constraints, and the threads to use on it.
 #[derive(Clone, Copy)]
-pub(crate) struct Grid<'a> {
-    pub(crate) level: &'a Level,
-    pub(crate) mask: &'a Mask,
-    pub(crate) threads: Threads,
+pub(crate) struct MaskedLevel<'a> {
+    pub(crate) level: &'a HierarchyLevel,
+    pub(crate) mask: &'a LevelMask,
+    pub(crate) threads: Parallelism,
 }
 
 /// Sums of one block: three inner products per lane.
-pub(crate) type Dots = [Lanes; 3];
+pub(crate) type LaneDots = [Lanes; 3];
 
-impl<'a> Grid<'a> {
-    pub(crate) fn new(level: &'a Level, mask: &'a Mask, threads: Threads) -> Self {
+impl<'a> MaskedLevel<'a> {
+    pub(crate) fn new(level: &'a HierarchyLevel, mask: &'a LevelMask, threads: Parallelism) -> Self {
         Self {
             level,
             mask,
@@ -58,24 +58,24 @@ impl<'a> Grid<'a> {
     /// x = (D − L)⁻¹ b, where L holds the entries before the diagonal: a forward sweep from x = 0.
     pub(crate) fn forward(&self, b: &[Lanes], x: &mut [Lanes]) {
         match &self.level.weights {
-            None => self.forward_with(b, x, &Unit),
-            Some(w) => self.forward_with(b, x, &Values(w)),
+            None => self.forward_with(b, x, &UnitWeights),
+            Some(w) => self.forward_with(b, x, &StoredWeights(w)),
         }
     }
 
-    fn forward_with<W: Weight>(&self, b: &[Lanes], x: &mut [Lanes], w: &W) {
+    fn forward_with<W: SliceWeights>(&self, b: &[Lanes], x: &mut [Lanes], w: &W) {
         let (level, inverses) = (self.level, &self.mask.inverses);
         assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
-        let x = Shared::new(x);
+        let x = SharedRows::new(x);
         self.sweep(false, |_, rows| {
-            for k in rows.start / BUNDLE..rows.end / BUNDLE {
+            for k in rows.start / SLICE_ROWS..rows.end / SLICE_ROWS {
                 let (begin, middle, _) = level.bundle(k);
                 // SAFETY: neighbours are rows of the level; those read lie in this block or in one of a colour that
                 // no thread writes now, or hold filling, which nobody writes; the bundle is written by the one thread
                 // that sweeps its block.
                 unsafe {
                     let sums = gather(level, w, x, begin, middle);
-                    let rows = k * BUNDLE..(k + 1) * BUNDLE;
+                    let rows = k * SLICE_ROWS..(k + 1) * SLICE_ROWS;
                     let (b, inverses) = (&b[rows.clone()], &inverses[rows.clone()]);
                     for (d, i) in rows.enumerate() {
                         x.set(i, (b[d] + sums[d]) * inverses[d]);
@@ -88,24 +88,29 @@ impl<'a> Grid<'a> {
     /// The residual that the forward sweep leaves.
     pub(crate) fn residual(&self, x: &[Lanes], r: &mut [Lanes]) {
         match &self.level.weights {
-            None => self.residual_with(x, r, &Unit),
-            Some(w) => self.residual_with(x, r, &Values(w)),
+            None => self.residual_with(x, r, &UnitWeights),
+            Some(w) => self.residual_with(x, r, &StoredWeights(w)),
         }
     }
 
-    fn residual_with<W: Weight>(&self, x: &[Lanes], r: &mut [Lanes], w: &W) {
+    fn residual_with<W: SliceWeights>(&self, x: &[Lanes], r: &mut [Lanes], w: &W) {
         let (level, mask) = (self.level, self.mask);
         assert!(x.len() == level.rows());
-        let r = Shared::new(r);
+        let r = SharedRows::new(r);
         self.each_block(|_, rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let out = unsafe { r.rows(rows.clone()) };
-            for (out, k) in out.as_chunks_mut::<BUNDLE>().0.iter_mut().zip(rows.start / BUNDLE..) {
+            for (out, k) in out
+                .as_chunks_mut::<SLICE_ROWS>()
+                .0
+                .iter_mut()
+                .zip(rows.start / SLICE_ROWS..)
+            {
                 let (_, middle, end) = level.bundle(k);
                 // SAFETY: neighbours are rows of the level, and nobody writes x now.
-                let sums = unsafe { gather(level, w, Frozen(x), middle, end) };
-                for d in 0..BUNDLE {
-                    out[d] = sums[d].when(mask.free(k * BUNDLE + d));
+                let sums = unsafe { gather(level, w, ReadOnlyRows(x), middle, end) };
+                for d in 0..SLICE_ROWS {
+                    out[d] = sums[d].when(mask.free(k * SLICE_ROWS + d));
                 }
             }
         });
@@ -115,25 +120,25 @@ impl<'a> Grid<'a> {
     /// since that was swept, and D x_i says what it saw of them: only those after it are read. `t` receives D x_i.
     pub(crate) fn backward_after_forward(&self, x: &mut [Lanes], t: &mut [Lanes]) {
         match &self.level.weights {
-            None => self.backward_after_forward_with(x, t, &Unit),
-            Some(w) => self.backward_after_forward_with(x, t, &Values(w)),
+            None => self.backward_after_forward_with(x, t, &UnitWeights),
+            Some(w) => self.backward_after_forward_with(x, t, &StoredWeights(w)),
         }
     }
 
-    fn backward_after_forward_with<W: Weight>(&self, x: &mut [Lanes], t: &mut [Lanes], w: &W) {
+    fn backward_after_forward_with<W: SliceWeights>(&self, x: &mut [Lanes], t: &mut [Lanes], w: &W) {
         let (level, mask) = (self.level, self.mask);
         assert!(x.len() == level.rows());
-        let (x, t) = (Shared::new(x), Shared::new(t));
+        let (x, t) = (SharedRows::new(x), SharedRows::new(t));
         self.sweep(true, |_, rows| {
             let first = rows.start;
             // SAFETY: one thread sweeps this block.
             let t = unsafe { t.rows(rows.clone()) };
-            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
+            for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
                 let (_, middle, end) = level.bundle(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
                     let after = gather(level, w, x, middle, end);
-                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                    for (d, i) in (k * SLICE_ROWS..(k + 1) * SLICE_ROWS).enumerate() {
                         let seen = x.get(i) * (level.diagonal[i] + mask.alpha(i));
                         t[i - first] = seen;
                         x.set(i, (seen + after[d]) * mask.inverses[i]);
@@ -147,21 +152,21 @@ impl<'a> Grid<'a> {
     /// holds D x_i as of then, and receives the residual.
     pub(crate) fn residual_after_both(&self, b: &[Lanes], x: &[Lanes], t: &mut [Lanes]) {
         assert!(b.len() == self.level.rows());
-        let t = Shared::new(t);
+        let t = SharedRows::new(t);
         self.each_block(|_, rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let t = unsafe { t.rows(rows.clone()) };
-            let b = b[rows.clone()].as_chunks::<BUNDLE>().0;
+            let b = b[rows.clone()].as_chunks::<SLICE_ROWS>().0;
             for ((t, b), k) in t
-                .as_chunks_mut::<BUNDLE>()
+                .as_chunks_mut::<SLICE_ROWS>()
                 .0
                 .iter_mut()
                 .zip(b)
-                .zip(rows.start / BUNDLE..)
+                .zip(rows.start / SLICE_ROWS..)
             {
                 let product = self.products(x, t, k);
-                for d in 0..BUNDLE {
-                    t[d] = (b[d] - product[d]).when(self.mask.free(k * BUNDLE + d));
+                for d in 0..SLICE_ROWS {
+                    t[d] = (b[d] - product[d]).when(self.mask.free(k * SLICE_ROWS + d));
                 }
             }
         });
@@ -170,26 +175,26 @@ impl<'a> Grid<'a> {
     /// A full forward sweep on x. `t` receives what each row saw of b and of the neighbours before it.
     pub(crate) fn forward_full(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes]) {
         match &self.level.weights {
-            None => self.forward_full_with(b, x, t, &Unit),
-            Some(w) => self.forward_full_with(b, x, t, &Values(w)),
+            None => self.forward_full_with(b, x, t, &UnitWeights),
+            Some(w) => self.forward_full_with(b, x, t, &StoredWeights(w)),
         }
     }
 
-    fn forward_full_with<W: Weight>(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes], w: &W) {
+    fn forward_full_with<W: SliceWeights>(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes], w: &W) {
         let (level, inverses) = (self.level, &self.mask.inverses);
         assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
-        let (x, t) = (Shared::new(x), Shared::new(t));
+        let (x, t) = (SharedRows::new(x), SharedRows::new(t));
         self.sweep(false, |_, rows| {
             let first = rows.start;
             // SAFETY: one thread sweeps this block.
             let t = unsafe { t.rows(rows.clone()) };
-            for k in rows.start / BUNDLE..rows.end / BUNDLE {
+            for k in rows.start / SLICE_ROWS..rows.end / SLICE_ROWS {
                 let (begin, middle, end) = level.bundle(k);
                 // SAFETY: as in the sweep from zero.
                 unsafe {
                     let before = gather(level, w, x, begin, middle);
                     let after = gather(level, w, x, middle, end);
-                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                    for (d, i) in (k * SLICE_ROWS..(k + 1) * SLICE_ROWS).enumerate() {
                         let seen = b[i] + before[d];
                         t[i - first] = seen;
                         x.set(i, (seen + after[d]) * inverses[i]);
@@ -199,46 +204,46 @@ impl<'a> Grid<'a> {
         });
     }
 
-    /// The backward sweep after [`Grid::forward_full`], which left `t`. Returns what [`Grid::backward`] returns.
+    /// The backward sweep after [`MaskedLevel::forward_full`], which left `t`. Returns what [`MaskedLevel::backward`] returns.
     pub(crate) fn backward_from(
         &self,
         b: &[Lanes],
         x: &mut [Lanes],
         t: &[Lanes],
         c: Option<&[Lanes]>,
-        partials: &mut Vec<Dots>,
-    ) -> [Wide; 3] {
+        partials: &mut Vec<LaneDots>,
+    ) -> [WideLanes; 3] {
         match &self.level.weights {
-            None => self.backward_from_with(b, x, t, c, partials, &Unit),
-            Some(w) => self.backward_from_with(b, x, t, c, partials, &Values(w)),
+            None => self.backward_from_with(b, x, t, c, partials, &UnitWeights),
+            Some(w) => self.backward_from_with(b, x, t, c, partials, &StoredWeights(w)),
         }
     }
 
-    fn backward_from_with<W: Weight>(
+    fn backward_from_with<W: SliceWeights>(
         &self,
         b: &[Lanes],
         x: &mut [Lanes],
         t: &[Lanes],
         c: Option<&[Lanes]>,
-        partials: &mut Vec<Dots>,
+        partials: &mut Vec<LaneDots>,
         w: &W,
-    ) -> [Wide; 3] {
+    ) -> [WideLanes; 3] {
         let (level, inverses) = (self.level, &self.mask.inverses);
         let (with_x, c) = (c.is_some(), c.unwrap_or(b));
         let n = level.rows();
         assert!(b.len() == n && c.len() == n && t.len() == n && x.len() == n && inverses.len() == n);
-        let x = Shared::new(x);
+        let x = SharedRows::new(x);
         partials.clear();
         partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
-        let shared = Shared::new(partials.as_mut_slice());
+        let shared = SharedRows::new(partials.as_mut_slice());
         self.sweep(true, |number, rows| {
             let mut sums = [Lanes::ZERO; 3];
-            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
+            for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
                 let (_, middle, end) = level.bundle(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
                     let after = gather(level, w, x, middle, end);
-                    for (d, i) in (k * BUNDLE..(k + 1) * BUNDLE).enumerate() {
+                    for (d, i) in (k * SLICE_ROWS..(k + 1) * SLICE_ROWS).enumerate() {
                         let value = (t[i] + after[d]) * inverses[i];
                         x.set(i, value);
                         sums[0] += value * b[i];
@@ -255,7 +260,7 @@ impl<'a> Grid<'a> {
 
     /// A full backward sweep on x. Returns (x, b), (x, A x) and (x, c), or (b, b) without `c`.
     ///
-    /// `t`, if given, receives what each row saw of b and of the neighbours before it, from which [`Grid::products`]
+    /// `t`, if given, receives what each row saw of b and of the neighbours before it, from which [`MaskedLevel::products`]
     /// makes A x.
     /// With it, D x_i = t_i + (neighbours after i, final when i is swept), and (A x)_i = t_i − Σ_before w x_j. Every edge
     /// leads once to an earlier and once to a later row, so (x, A x) is also the sum of x_i (t_i − Σ_after w x_j): all
@@ -266,45 +271,45 @@ impl<'a> Grid<'a> {
         x: &mut [Lanes],
         t: Option<&mut [Lanes]>,
         c: Option<&[Lanes]>,
-        partials: &mut Vec<Dots>,
-    ) -> [Wide; 3] {
+        partials: &mut Vec<LaneDots>,
+    ) -> [WideLanes; 3] {
         match (&self.level.weights, t) {
-            (None, None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &Unit),
-            (None, Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &Unit),
-            (Some(w), None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &Values(w)),
-            (Some(w), Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &Values(w)),
+            (None, None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &UnitWeights),
+            (None, Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &UnitWeights),
+            (Some(w), None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &StoredWeights(w)),
+            (Some(w), Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &StoredWeights(w)),
         }
     }
 
-    fn backward_with<W: Weight, const KEEP: bool>(
+    fn backward_with<W: SliceWeights, const KEEP: bool>(
         &self,
         b: &[Lanes],
         x: &mut [Lanes],
         t: &mut [Lanes],
         c: Option<&[Lanes]>,
-        partials: &mut Vec<Dots>,
+        partials: &mut Vec<LaneDots>,
         w: &W,
-    ) -> [Wide; 3] {
+    ) -> [WideLanes; 3] {
         let (level, inverses) = (self.level, &self.mask.inverses);
         let (with_x, c) = (c.is_some(), c.unwrap_or(b));
         let n = level.rows();
         assert!(b.len() == n && c.len() == n && x.len() == n && inverses.len() == n);
-        let (x, t) = (Shared::new(x), Shared::new(t));
+        let (x, t) = (SharedRows::new(x), SharedRows::new(t));
         partials.clear();
         partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
-        let shared = Shared::new(partials.as_mut_slice());
+        let shared = SharedRows::new(partials.as_mut_slice());
         self.sweep(true, |number, rows| {
             let mut sums = [Lanes::ZERO; 3];
             let first = rows.start;
             // SAFETY: one thread sweeps this block.
             let t = unsafe { t.rows(if KEEP { rows.clone() } else { 0..0 }) };
-            for k in (rows.start / BUNDLE..rows.end / BUNDLE).rev() {
+            for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
                 let (begin, middle, end) = level.bundle(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
                     let before = gather(level, w, x, begin, middle);
                     let after = gather(level, w, x, middle, end);
-                    let rows = k * BUNDLE..(k + 1) * BUNDLE;
+                    let rows = k * SLICE_ROWS..(k + 1) * SLICE_ROWS;
                     let (b, c, inverses) = (&b[rows.clone()], &c[rows.clone()], &inverses[rows.clone()]);
                     for (d, i) in rows.enumerate() {
                         let before = b[d] + before[d];
@@ -327,65 +332,69 @@ impl<'a> Grid<'a> {
 
     /// A x of the rows of bundle `k`, from differences x_i − x_j: rounding stays relative to these, not to x.
     #[inline(always)]
-    pub(crate) fn flows(&self, x: &[Lanes], k: usize) -> [Lanes; BUNDLE] {
+    pub(crate) fn flows(&self, x: &[Lanes], k: usize) -> [Lanes; SLICE_ROWS] {
         let level = self.level;
         assert!(x.len() == level.rows());
         let (begin, _, end) = level.bundle(k);
-        let neighbours = level.neighbours[begin..end].as_chunks::<BUNDLE>().0;
-        let here: &[Lanes] = &x[k * BUNDLE..(k + 1) * BUNDLE];
-        let here: [Lanes; BUNDLE] = std::array::from_fn(|d| here[d]);
-        let mut sums = [Lanes::ZERO; BUNDLE];
+        let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
+        let here: &[Lanes] = &x[k * SLICE_ROWS..(k + 1) * SLICE_ROWS];
+        let here: [Lanes; SLICE_ROWS] = std::array::from_fn(|d| here[d]);
+        let mut sums = [Lanes::ZERO; SLICE_ROWS];
         match &level.weights {
             None => {
                 let filling = level.filling();
                 for j in neighbours {
-                    for d in 0..BUNDLE {
+                    for d in 0..SLICE_ROWS {
                         // Filling has weight 0: to itself, a row has no difference.
-                        let j = if j[d] == filling { k * BUNDLE + d } else { j[d] as usize };
+                        let j = if j[d] == filling {
+                            k * SLICE_ROWS + d
+                        } else {
+                            j[d] as usize
+                        };
                         // SAFETY: neighbours are rows of the level, and nobody writes x now.
-                        sums[d] += here[d] - unsafe { Frozen(x).at(j) };
+                        sums[d] += here[d] - unsafe { ReadOnlyRows(x).at(j) };
                     }
                 }
             }
             Some(w) => {
-                for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<BUNDLE>().0) {
-                    for d in 0..BUNDLE {
+                for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<SLICE_ROWS>().0) {
+                    for d in 0..SLICE_ROWS {
                         // SAFETY: as above.
-                        sums[d] += (here[d] - unsafe { Frozen(x).at(j[d] as usize) }) * w[d];
+                        sums[d] += (here[d] - unsafe { ReadOnlyRows(x).at(j[d] as usize) }) * w[d];
                     }
                 }
             }
         }
         std::array::from_fn(|d| {
-            let i = k * BUNDLE + d;
+            let i = k * SLICE_ROWS + d;
             (sums[d] + here[d] * self.mask.alpha(i)).when(self.mask.free(i))
         })
     }
 
-    /// A x of the rows of bundle `k`, from x and the `t` that [`Grid::backward`] left.
+    /// A x of the rows of bundle `k`, from x and the `t` that [`MaskedLevel::backward`] left.
     #[inline(always)]
-    pub(crate) fn products(&self, x: &[Lanes], t: &[Lanes; BUNDLE], k: usize) -> [Lanes; BUNDLE] {
+    pub(crate) fn products(&self, x: &[Lanes], t: &[Lanes; SLICE_ROWS], k: usize) -> [Lanes; SLICE_ROWS] {
         assert!(x.len() == self.level.rows());
         let (begin, middle, _) = self.level.bundle(k);
         // SAFETY: neighbours are rows of the level, and nobody writes x now.
         let before = unsafe {
             match &self.level.weights {
-                None => gather(self.level, &Unit, Frozen(x), begin, middle),
-                Some(w) => gather(self.level, &Values(w), Frozen(x), begin, middle),
+                None => gather(self.level, &UnitWeights, ReadOnlyRows(x), begin, middle),
+                Some(w) => gather(self.level, &StoredWeights(w), ReadOnlyRows(x), begin, middle),
             }
         };
-        std::array::from_fn(|d| (t[d] - before[d]).when(self.mask.free(k * BUNDLE + d)))
+        std::array::from_fn(|d| (t[d] - before[d]).when(self.mask.free(k * SLICE_ROWS + d)))
     }
 
     /// Adds up what `body` returns for each active block, always in the same order.
     pub(crate) fn dots(
         &self,
-        partials: &mut Vec<Dots>,
-        body: impl Fn(std::ops::Range<usize>) -> Dots + Sync + Send,
-    ) -> [Wide; 3] {
+        partials: &mut Vec<LaneDots>,
+        body: impl Fn(std::ops::Range<usize>) -> LaneDots + Sync + Send,
+    ) -> [WideLanes; 3] {
         partials.clear();
         partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
-        let shared = Shared::new(partials.as_mut_slice());
+        let shared = SharedRows::new(partials.as_mut_slice());
         // SAFETY: element k is written by the one thread that visits block k.
         self.each_block(|k, rows| unsafe { shared.set(k, body(rows)) });
         sum_up(partials)
@@ -395,7 +404,7 @@ impl<'a> Grid<'a> {
     pub(crate) fn restrict(&self, r: &[Lanes], coarse: &mut [Lanes]) {
         let level = self.level;
         let n = coarse.len();
-        let out = Shared::new(coarse);
+        let out = SharedRows::new(coarse);
         self.threads.each(0..pieces(n, PIECE), |k| {
             let rows = piece(k, n, PIECE);
             // SAFETY: pieces are disjoint and each is visited once.
@@ -413,13 +422,13 @@ impl<'a> Grid<'a> {
     /// Adds to each free row the value of its aggregate.
     pub(crate) fn prolong(&self, coarse: &[Lanes], x: &mut [Lanes]) {
         let (level, mask) = (self.level, self.mask);
-        let x = Shared::new(x);
+        let x = SharedRows::new(x);
         self.each_block(|_, rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let out = unsafe { x.rows(rows.clone()) };
             for (i, out) in rows.zip(out) {
                 let aggregate = level.aggregates[i];
-                if mask.free(i) && aggregate != NONE {
+                if mask.free(i) && aggregate != NO_ROW {
                     *out += coarse[aggregate as usize];
                 }
             }
@@ -428,7 +437,7 @@ impl<'a> Grid<'a> {
 }
 
 /// Sums over all blocks, always in the same order.
-fn sum_up(partials: &[Dots]) -> [Wide; 3] {
+fn sum_up(partials: &[LaneDots]) -> [WideLanes; 3] {
     let mut sums = [[0.0; WIDTH]; 3];
     for partial in partials {
         for (sum, p) in sums.iter_mut().zip(partial) {
@@ -439,23 +448,23 @@ fn sum_up(partials: &[Dots]) -> [Wide; 3] {
 }
 
 /// Weights of the entries of a level.
-trait Weight: Sync {
+trait SliceWeights: Sync {
     /// Adds w x_j for entries `from..to` of one bundle to its four sums.
     ///
     /// # Safety
     /// The entries exist, and `x` can be read at all their neighbours.
-    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE];
+    unsafe fn gather<X: RowVector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; SLICE_ROWS];
 }
 
 /// All weights are 1 and none is stored; filling reads a row that holds 0.
-struct Unit;
+struct UnitWeights;
 
-impl Weight for Unit {
+impl SliceWeights for UnitWeights {
     #[inline(always)]
-    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
-        let mut sums = [Lanes::ZERO; BUNDLE];
-        for j in neighbours[from..to].as_chunks::<BUNDLE>().0 {
-            for d in 0..BUNDLE {
+    unsafe fn gather<X: RowVector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; SLICE_ROWS] {
+        let mut sums = [Lanes::ZERO; SLICE_ROWS];
+        for j in neighbours[from..to].as_chunks::<SLICE_ROWS>().0 {
+            for d in 0..SLICE_ROWS {
                 // SAFETY: by the caller's promise.
                 sums[d] += unsafe { x.at(j[d] as usize) };
             }
@@ -465,15 +474,15 @@ impl Weight for Unit {
 }
 
 /// One stored weight per entry.
-struct Values<'a>(&'a [f32]);
+struct StoredWeights<'a>(&'a [f32]);
 
-impl Weight for Values<'_> {
+impl SliceWeights for StoredWeights<'_> {
     #[inline(always)]
-    unsafe fn gather<X: Vector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
-        let mut sums = [Lanes::ZERO; BUNDLE];
-        let neighbours = neighbours[from..to].as_chunks::<BUNDLE>().0;
-        for (j, w) in neighbours.iter().zip(self.0[from..to].as_chunks::<BUNDLE>().0) {
-            for d in 0..BUNDLE {
+    unsafe fn gather<X: RowVector>(&self, neighbours: &[u32], x: X, from: usize, to: usize) -> [Lanes; SLICE_ROWS] {
+        let mut sums = [Lanes::ZERO; SLICE_ROWS];
+        let neighbours = neighbours[from..to].as_chunks::<SLICE_ROWS>().0;
+        for (j, w) in neighbours.iter().zip(self.0[from..to].as_chunks::<SLICE_ROWS>().0) {
+            for d in 0..SLICE_ROWS {
                 // SAFETY: by the caller's promise.
                 sums[d] += unsafe { x.at(j[d] as usize) } * w[d];
             }
@@ -483,7 +492,7 @@ impl Weight for Values<'_> {
 }
 
 /// A vector to gather from.
-trait Vector: Copy {
+trait RowVector: Copy {
     /// Row `i`.
     ///
     /// # Safety
@@ -491,7 +500,7 @@ trait Vector: Copy {
     unsafe fn at(self, i: usize) -> Lanes;
 }
 
-impl Vector for Shared<'_, Lanes> {
+impl RowVector for SharedRows<'_, Lanes> {
     #[inline(always)]
     unsafe fn at(self, i: usize) -> Lanes {
         // SAFETY: by the caller's promise.
@@ -501,9 +510,9 @@ impl Vector for Shared<'_, Lanes> {
 
 /// A vector that nobody writes.
 #[derive(Clone, Copy)]
-struct Frozen<'a>(&'a [Lanes]);
+struct ReadOnlyRows<'a>(&'a [Lanes]);
 
-impl Vector for Frozen<'_> {
+impl RowVector for ReadOnlyRows<'_> {
     #[inline(always)]
     unsafe fn at(self, i: usize) -> Lanes {
         debug_assert!(i < self.0.len());
@@ -517,7 +526,13 @@ impl Vector for Frozen<'_> {
 /// # Safety
 /// `x` has all rows of the level, and no thread writes those of the neighbours now.
 #[inline(always)]
-unsafe fn gather<W: Weight, X: Vector>(level: &Level, w: &W, x: X, from: usize, to: usize) -> [Lanes; BUNDLE] {
+unsafe fn gather<W: SliceWeights, X: RowVector>(
+    level: &HierarchyLevel,
+    w: &W,
+    x: X,
+    from: usize,
+    to: usize,
+) -> [Lanes; SLICE_ROWS] {
     // SAFETY: neighbours are rows of the level, the rest by the caller's promise.
     unsafe { w.gather(&level.neighbours, x, from, to) }
 }

@@ -1,9 +1,9 @@
 //! Scratch that solves share.
 
-use crate::lanes::{Lanes, Wide};
-use crate::solve::cycle::Coarse;
-use crate::solve::patches::Patches;
-use crate::solve::sweep::Dots;
+use crate::lanes::{Lanes, WideLanes};
+use crate::solve::cycle::CoarseVectors;
+use crate::solve::patches::AffinePatches;
+use crate::solve::sweep::LaneDots;
 
 /// Vectors that a solve needs; reuse it and solves of the same size allocate next to nothing.
 ///
@@ -11,19 +11,19 @@ use crate::solve::sweep::Dots;
 #[derive(Debug, Default)]
 pub struct Workspace {
     /// The solution so far, in row order.
-    pub(crate) x: Vec<Wide>,
-    pub(crate) fine: Fine,
-    pub(crate) coarse: Vec<Coarse>,
-    pub(crate) patches: Vec<Patches>,
+    pub(crate) x: Vec<WideLanes>,
+    pub(crate) fine: FineVectors,
+    pub(crate) coarse: Vec<CoarseVectors>,
+    pub(crate) patches: Vec<AffinePatches>,
     /// Reduction of the residual by each iteration of the present solve, slowest column.
     pub(crate) history: Vec<f64>,
     /// Vectors in double precision for the direct method and the fallback.
-    pub(crate) wide: [Vec<Wide>; 3],
+    pub(crate) wide: [Vec<WideLanes>; 3],
 }
 
 /// Single-precision vectors of the outer iteration on the finest level.
 #[derive(Debug, Default)]
-pub(crate) struct Fine {
+pub(crate) struct FineVectors {
     /// Residual.
     pub(crate) r: Vec<Lanes>,
     /// Preconditioned residual.
@@ -36,10 +36,10 @@ pub(crate) struct Fine {
     /// it: the search direction.
     pub(crate) last_r: Vec<Lanes>,
     pub(crate) last_e: Vec<Lanes>,
-    pub(crate) partials: Vec<Dots>,
+    pub(crate) partials: Vec<LaneDots>,
 }
 
-impl Fine {
+impl FineVectors {
     pub(crate) fn resize(&mut self, rows: usize) {
         for v in [
             &mut self.r,
@@ -56,15 +56,15 @@ impl Fine {
 
 impl Workspace {
     /// Bytes held.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         let f = &self.fine;
         let lanes: usize = [&f.r, &f.z, &f.t, &f.e, &f.last_r, &f.last_e]
             .iter()
             .map(|v| v.capacity())
             .sum();
         let wide = self.x.capacity() + self.wide.iter().map(Vec::capacity).sum::<usize>();
-        let coarse: usize = self.coarse.iter().map(Coarse::bytes).sum();
-        let patches: usize = self.patches.iter().map(Patches::bytes).sum();
+        let coarse: usize = self.coarse.iter().map(CoarseVectors::byte_size).sum();
+        let patches: usize = self.patches.iter().map(AffinePatches::byte_size).sum();
         16 * (lanes + 3 * f.partials.capacity()) + 32 * wide + coarse + patches + 8 * self.history.capacity()
     }
 }

@@ -3,22 +3,24 @@
 use pliant_solver::exec::Exec;
 use pliant_solver::pool::Pool;
 use pliant_solver::progress::Silent;
-use pliant_solver::{BuildOptions, Constraints, Control, Hierarchy, SolveOptions, Stats, System, Workspace};
+use pliant_solver::{
+    BuildOptions, Constraints, Hierarchy, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace,
+};
 
-use super::graphs::{Lattice, Random};
+use super::graphs::{SplitMix, TestGraph};
 
 /// A graph with its hierarchy and a constraint set.
-pub struct Case {
-    pub graph: Lattice,
+pub struct SolverCase {
+    pub graph: TestGraph,
     pub fixed: Vec<bool>,
     pub stiffness: Option<Vec<f64>>,
     pub hierarchy: Hierarchy,
-    pub system: System,
+    pub system: LinearSystem,
     pub pool: Pool,
 }
 
-impl Case {
-    pub fn new(graph: Lattice, fixed: Vec<bool>, stiffness: Option<Vec<f64>>, threads: usize) -> Case {
+impl SolverCase {
+    pub fn new(graph: TestGraph, fixed: Vec<bool>, stiffness: Option<Vec<f64>>, threads: usize) -> SolverCase {
         graph.view().check().unwrap();
         let pool = Pool::new(threads).unwrap();
         let hierarchy = Hierarchy::build(&graph.view(), &BuildOptions::default(), &Exec::new(&pool, &Silent)).unwrap();
@@ -27,7 +29,7 @@ impl Case {
             stiffness: stiffness.as_deref(),
         };
         let system = hierarchy.constrain(&constraints, &pool).unwrap();
-        Case {
+        SolverCase {
             graph,
             fixed,
             stiffness,
@@ -38,16 +40,16 @@ impl Case {
     }
 
     /// Both ends along `axis` are fixed.
-    pub fn ends(graph: Lattice, axis: usize) -> Case {
+    pub fn ends(graph: TestGraph, axis: usize) -> SolverCase {
         let fixed = graph.ends(axis, 0.9);
-        Case::new(graph, fixed, None, 1)
+        SolverCase::new(graph, fixed, None, 1)
     }
 
     pub fn n(&self) -> usize {
         self.fixed.len()
     }
 
-    pub fn solve(&self, columns: usize, rhs: &[f64], x: &mut [f64], options: &SolveOptions<'_>) -> Stats {
+    pub fn solve(&self, columns: usize, rhs: &[f64], x: &mut [f64], options: &SolveOptions<'_>) -> SolveStats {
         let mut workspace = Workspace::default();
         self.system
             .solve(
@@ -58,13 +60,13 @@ impl Case {
                 options,
                 &mut workspace,
                 &Exec::new(&self.pool, &Silent),
-                &mut |_| Control::Continue,
+                &mut |_| SolveControl::Continue,
             )
             .unwrap()
     }
 
     /// Solves to `tolerance` from zero.
-    pub fn solve_to(&self, columns: usize, rhs: &[f64], x: &mut [f64], tolerance: f64) -> Stats {
+    pub fn solve_to(&self, columns: usize, rhs: &[f64], x: &mut [f64], tolerance: f64) -> SolveStats {
         self.solve(columns, rhs, x, &to(tolerance))
     }
 
@@ -93,9 +95,9 @@ impl Case {
     }
 }
 
-impl Case {
-    pub fn without_positions(self) -> Case {
-        Case::new(self.graph.without_positions(), self.fixed, self.stiffness, 1)
+impl SolverCase {
+    pub fn without_positions(self) -> SolverCase {
+        SolverCase::new(self.graph.without_positions(), self.fixed, self.stiffness, 1)
     }
 }
 
@@ -108,12 +110,12 @@ pub fn to(tolerance: f64) -> SolveOptions<'static> {
 
 /// Reproducible numbers between −1 and 1.
 pub fn noise(count: usize, seed: u64) -> Vec<f64> {
-    let mut random = Random::new(seed);
+    let mut random = SplitMix::new(seed);
     (0..count).map(|_| 2.0 * random.unit() - 1.0).collect()
 }
 
 /// Right-hand side and fixed values of a twisted and stretched body, 3 columns; free rows of x are NaN.
-pub fn twist(case: &Case, angle: f64) -> (Vec<f64>, Vec<f64>, Vec<[f32; 9]>) {
+pub fn twist(case: &SolverCase, angle: f64) -> (Vec<f64>, Vec<f64>, Vec<[f32; 9]>) {
     let g = &case.graph;
     let height = g.positions.iter().map(|p| p[2]).fold(1e-9, f64::max);
     let turn = |i: usize| {

@@ -1,13 +1,13 @@
 //! Fixed vertices, springs, loose parts, changed handles.
 
-use pliant_solver::{Constraints, Method, SolveOptions, Start};
+use pliant_solver::{Constraints, InitialGuess, SolveMethod, SolveOptions};
 
-use super::case::{Case, largest_distance, noise, to, twist};
-use super::graphs::{Lattice, lattice};
+use super::case::{SolverCase, largest_distance, noise, to, twist};
+use super::graphs::{TestGraph, lattice};
 
 #[test]
 fn fixed_rows_are_never_written() {
-    let case = Case::ends(lattice(10, 10, 16), 2);
+    let case = SolverCase::ends(lattice(10, 10, 16), 2);
     let (mut rhs, start, _) = twist(&case, 1.0);
     // What the right-hand side holds on fixed rows does not matter.
     for i in (0..case.n()).filter(|&i| case.fixed[i]) {
@@ -32,13 +32,13 @@ fn stiffness_pulls_towards_its_target() {
     // Harder and harder springs approach the hard constraint.
     let mut hard: Vec<f64> = graph.positions.iter().map(|p| p[2] / height * 5.0).collect();
     let targets = hard.clone();
-    let reference = Case::new(graph.clone(), soft.clone(), None, 1);
+    let reference = SolverCase::new(graph.clone(), soft.clone(), None, 1);
     reference.solve_to(1, &vec![0.0; graph.len()], &mut hard, 1e-10);
     let mut last = f64::INFINITY;
     for stiffness in [1e-3, 0.1, 10.0, 1e4, 1e8] {
         let alpha: Vec<f64> = soft.iter().map(|s| if *s { stiffness } else { 0.0 }).collect();
         let rhs: Vec<f64> = alpha.iter().zip(&targets).map(|(a, t)| a * t).collect();
-        let case = Case::new(graph.clone(), none.clone(), Some(alpha), 1);
+        let case = SolverCase::new(graph.clone(), none.clone(), Some(alpha), 1);
         let mut x = vec![0.0; graph.len()];
         let options = SolveOptions {
             max_error: Some(1e-6),
@@ -68,7 +68,7 @@ fn loose_parts_keep_their_mean() {
     positions.extend([[50.0, 0.0, 0.0], [51.0, 0.0, 0.0], [60.0, 0.0, 0.0], [70.0, 1.0, 0.0]]);
     edges.push((pair, pair + 1));
     let fixed: Vec<bool> = (0..positions.len()).map(|i| i < 30).collect();
-    let case = Case::new(Lattice::from_edges(positions, edges), fixed, None, 1);
+    let case = SolverCase::new(TestGraph::from_edges(positions, edges), fixed, None, 1);
     let n = case.n();
     let mut rhs = noise(n, 4);
     // Consistent on the pair; on the block and the points it is not, which must do no harm.
@@ -80,7 +80,7 @@ fn loose_parts_keep_their_mean() {
         &rhs,
         &mut x,
         &SolveOptions {
-            start: Start::Given,
+            start: InitialGuess::Given,
             ..to(1e-8)
         },
     );
@@ -103,8 +103,8 @@ fn loose_parts_keep_their_mean() {
         .unwrap();
     assert!(relative[0] < 1e-7);
     for start in [
-        Start::Zero,
-        Start::FullMultigrid {
+        InitialGuess::Zero,
+        InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
         },
@@ -122,33 +122,33 @@ fn loose_parts_keep_their_mean() {
 fn nothing_free_and_little_free() {
     let graph = lattice(10, 10, 10);
     let n = graph.len();
-    let all = Case::new(graph.clone(), vec![true; n], None, 1);
+    let all = SolverCase::new(graph.clone(), vec![true; n], None, 1);
     let mut x = noise(3 * n, 1);
     let before = x.clone();
     let stats = all.solve_to(3, &vec![0.0; 3 * n], &mut x, 1e-6);
-    assert!(stats.method == Method::Trivial && stats.converged && x == before && all.system.free() == 0);
+    assert!(stats.method == SolveMethod::Trivial && stats.converged && x == before && all.system.free_count() == 0);
 
-    let few = Case::new(graph.clone(), (0..n).map(|i| i % 50 != 7).collect(), None, 1);
+    let few = SolverCase::new(graph.clone(), (0..n).map(|i| i % 50 != 7).collect(), None, 1);
     let stats = few.solve_to(3, &vec![0.0; 3 * n], &mut x, 1e-12);
     assert!(
-        stats.method == Method::Direct && stats.converged && few.system.free() == 40,
+        stats.method == SolveMethod::Direct && stats.converged && few.system.free_count() == 40,
         "{stats:?}"
     );
     assert!(few.residuals(3, &vec![0.0; 3 * n], &x).iter().all(|r| *r <= 1e-12));
 
-    let some = Case::new(graph, (0..n).map(|i| i % 4 != 1).collect(), None, 1);
+    let some = SolverCase::new(graph, (0..n).map(|i| i % 4 != 1).collect(), None, 1);
     let stats = some.solve_to(3, &vec![0.0; 3 * n], &mut x, 1e-10);
-    assert!(stats.method == Method::Multigrid && stats.converged, "{stats:?}");
+    assert!(stats.method == SolveMethod::Multigrid && stats.converged, "{stats:?}");
 
-    let empty = Case::new(Lattice::from_edges(Vec::new(), Vec::new()), Vec::new(), None, 1);
+    let empty = SolverCase::new(TestGraph::from_edges(Vec::new(), Vec::new()), Vec::new(), None, 1);
     assert!(empty.solve_to(3, &[], &mut [], 1e-6).converged);
     assert_eq!(few.solve_to(0, &[], &mut [], 1e-6).residuals.len(), 0);
 }
 
 #[test]
 fn a_changed_handle_uses_the_same_hierarchy() {
-    let case = Case::ends(lattice(12, 12, 20), 2);
-    let before = case.hierarchy.levels();
+    let case = SolverCase::ends(lattice(12, 12, 20), 2);
+    let before = case.hierarchy.level_sizes();
     assert!(
         before.windows(2).all(|w| w[1].vertices * 2 < w[0].vertices),
         "levels shrink: {before:?}"
@@ -165,7 +165,7 @@ fn a_changed_handle_uses_the_same_hierarchy() {
         stiffness: None,
     };
     let system = case.hierarchy.constrain(&constraints, &case.pool).unwrap();
-    let changed = Case {
+    let changed = SolverCase {
         fixed: other,
         system,
         ..case

@@ -2,25 +2,27 @@
 
 use pliant_solver::exec::Exec;
 use pliant_solver::progress::{CancelFlag, Progress, Silent};
-use pliant_solver::{BuildOptions, Constraints, Control, Error, Hierarchy, Iteration, SolveOptions, Start, Workspace};
+use pliant_solver::{
+    BuildOptions, Constraints, Error, Hierarchy, InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace,
+};
 
-use super::case::{Case, to, twist};
+use super::case::{SolverCase, to, twist};
 use super::graphs::lattice;
 
 #[test]
 fn watchers_see_every_iteration_and_can_stop() {
-    let case = Case::ends(lattice(12, 12, 16), 2);
+    let case = SolverCase::ends(lattice(12, 12, 16), 2);
     let (rhs, start, _) = twist(&case, 1.0);
     let (mut x, mut shown) = (start.clone(), start.clone());
     let mut indices = Vec::new();
     let mut workspace = Workspace::default();
-    let mut watch = |iteration: &Iteration<'_>| {
+    let mut watch = |iteration: &IterationReport<'_>| {
         indices.push(iteration.index);
         iteration.copy_to(&mut shown);
         if iteration.index == 3 {
-            Control::Stop
+            SolveControl::Stop
         } else {
-            Control::Continue
+            SolveControl::Continue
         }
     };
     let stats = case
@@ -52,9 +54,9 @@ fn watchers_see_every_iteration_and_can_stop() {
 }
 
 /// Cancels at the n-th question.
-struct After(std::sync::atomic::AtomicUsize);
+struct CancelAfter(std::sync::atomic::AtomicUsize);
 
-impl Progress for After {
+impl Progress for CancelAfter {
     fn cancelled(&self) -> bool {
         use std::sync::atomic::Ordering::Relaxed;
         self.0
@@ -66,7 +68,7 @@ impl Progress for After {
 
 #[test]
 fn cancelling_stops_within_a_cycle() {
-    let case = Case::ends(lattice(12, 12, 16), 2);
+    let case = SolverCase::ends(lattice(12, 12, 16), 2);
     let (rhs, start, _) = twist(&case, 1.0);
     let flag = CancelFlag::default();
     flag.cancel();
@@ -76,12 +78,12 @@ fn cancelling_stops_within_a_cycle() {
         Err(Error::Cancelled)
     ));
     for questions in [0, 1, 2, 5, 20] {
-        let progress = After(questions.into());
+        let progress = CancelAfter(questions.into());
         let mut x = start.clone();
         let mut iterations = 0;
-        let mut watch = |_: &Iteration<'_>| {
+        let mut watch = |_: &IterationReport<'_>| {
             iterations += 1;
-            Control::Continue
+            SolveControl::Continue
         };
         let mut workspace = Workspace::default();
         let result = case.system.solve(
@@ -104,13 +106,13 @@ fn cancelling_stops_within_a_cycle() {
 
 #[test]
 fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable() {
-    let case = Case::ends(lattice(12, 12, 16), 2);
+    let case = SolverCase::ends(lattice(12, 12, 16), 2);
     let (rhs, start, frames) = twist(&case, 1.0);
-    let full = Start::FullMultigrid {
+    let full = InitialGuess::FullMultigrid {
         frames: Some(&frames),
         rest: None,
     };
-    for start_at in [Start::Zero, full] {
+    for start_at in [InitialGuess::Zero, full] {
         let options = SolveOptions {
             start: start_at,
             ..to(1e-9)
@@ -118,20 +120,21 @@ fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable()
         let mut want = start.clone();
         case.solve(3, &rhs, &mut want, &options);
         let mut workspace = Workspace::default();
-        let mut solve = |x: &mut [f64], progress: &dyn Progress, watch: &mut dyn FnMut(&Iteration<'_>) -> Control| {
-            let (hierarchy, pool) = (&case.hierarchy, &case.pool);
-            let system = &case.system;
-            system.solve(
-                hierarchy,
-                3,
-                &rhs,
-                x,
-                &options,
-                &mut workspace,
-                &Exec::new(pool, progress),
-                watch,
-            )
-        };
+        let mut solve =
+            |x: &mut [f64], progress: &dyn Progress, watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl| {
+                let (hierarchy, pool) = (&case.hierarchy, &case.pool);
+                let system = &case.system;
+                system.solve(
+                    hierarchy,
+                    3,
+                    &rhs,
+                    x,
+                    &options,
+                    &mut workspace,
+                    &Exec::new(pool, progress),
+                    watch,
+                )
+            };
         for at in [1, 2, 4] {
             // Raised while iteration `at` is shown: the next one is not finished.
             let flag = CancelFlag::default();
@@ -141,7 +144,7 @@ fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable()
                 if last == at {
                     flag.cancel();
                 }
-                Control::Continue
+                SolveControl::Continue
             });
             assert_eq!((result, last), (Err(Error::Cancelled), at));
             let given = |i: &usize| case.fixed[*i / 3];
@@ -150,11 +153,11 @@ fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable()
         // At any question, also inside the start and between the sweeps of a cycle.
         for questions in 0..40 {
             let mut x = start.clone();
-            let result = solve(&mut x, &After(questions.into()), &mut |_| Control::Continue);
+            let result = solve(&mut x, &CancelAfter(questions.into()), &mut |_| SolveControl::Continue);
             assert_eq!(result, Err(Error::Cancelled), "after {questions} questions");
         }
         let mut x = start.clone();
-        solve(&mut x, &Silent, &mut |_| Control::Continue).unwrap();
+        solve(&mut x, &Silent, &mut |_| SolveControl::Continue).unwrap();
         assert!(
             x.iter().zip(&want).all(|(a, b)| a.to_bits() == b.to_bits()),
             "what was cancelled leaves no trace"
@@ -164,27 +167,31 @@ fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable()
 
 #[test]
 fn bad_arguments_are_named() {
-    let case = Case::ends(lattice(12, 12, 12), 2);
-    let other = Case::ends(lattice(12, 12, 12), 2);
+    let case = SolverCase::ends(lattice(12, 12, 12), 2);
+    let other = SolverCase::ends(lattice(12, 12, 12), 2);
     let n = case.n();
-    let solve =
-        |case: &Case, hierarchy: &Hierarchy, columns: usize, rhs: &[f64], x: &mut [f64], options: &SolveOptions<'_>| {
-            let mut workspace = Workspace::default();
-            let mut watch = |_: &Iteration<'_>| Control::Continue;
-            case.system
-                .solve(
-                    hierarchy,
-                    columns,
-                    rhs,
-                    x,
-                    options,
-                    &mut workspace,
-                    &Exec::new(&case.pool, &Silent),
-                    &mut watch,
-                )
-                .unwrap_err()
-                .to_string()
-        };
+    let solve = |case: &SolverCase,
+                 hierarchy: &Hierarchy,
+                 columns: usize,
+                 rhs: &[f64],
+                 x: &mut [f64],
+                 options: &SolveOptions<'_>| {
+        let mut workspace = Workspace::default();
+        let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
+        case.system
+            .solve(
+                hierarchy,
+                columns,
+                rhs,
+                x,
+                options,
+                &mut workspace,
+                &Exec::new(&case.pool, &Silent),
+                &mut watch,
+            )
+            .unwrap_err()
+            .to_string()
+    };
     let zeros = vec![0.0; 3 * n];
     let h = &case.hierarchy;
     assert!(solve(&case, &other.hierarchy, 3, &zeros, &mut zeros.clone(), &to(1e-3)).contains("another hierarchy"));
@@ -197,13 +204,13 @@ fn bad_arguments_are_named() {
     bad[3 * inside + 1] = f64::INFINITY;
     assert!(solve(&case, h, 3, &bad, &mut zeros.clone(), &to(1e-3)).contains("column 1 of the right-hand side"));
     let given = SolveOptions {
-        start: Start::Given,
+        start: InitialGuess::Given,
         ..to(1e-3)
     };
     assert!(solve(&case, h, 3, &zeros, &mut bad, &given).contains("column 1 of the start"));
     let frames = vec![[f32::NAN; 9]; n];
     let framed = |frames| SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: Some(frames),
             rest: None,
         },

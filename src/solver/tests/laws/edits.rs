@@ -1,8 +1,8 @@
 //! Graphs that change, and what a change of them is in the solver's terms.
 
-use pliant_solver::Change;
+use pliant_solver::GraphChange;
 
-use super::graphs::{Lattice, Random};
+use super::graphs::{SplitMix, TestGraph};
 
 /// No vertex.
 const NONE: u32 = u32::MAX;
@@ -10,7 +10,7 @@ const NONE: u32 = u32::MAX;
 /// A graph whose vertices come and go. Vertices have kinds, and dense numbers go by kind first: what is new stands
 /// between old vertices.
 #[derive(Clone)]
-pub struct Clay {
+pub struct EditableGraph {
     positions: Vec<[f64; 3]>,
     rows: Vec<Vec<(u32, f32)>>,
     kinds: Vec<u8>,
@@ -18,31 +18,31 @@ pub struct Clay {
     /// Changed since the last cast.
     dirty: Vec<bool>,
     weighted: bool,
-    random: Random,
+    random: SplitMix,
 }
 
 /// A graph in dense numbers, and the change that led to it.
-pub struct Cast {
-    pub graph: Lattice,
+pub struct EditedGraph {
+    pub graph: TestGraph,
     pub new_from_old: Vec<u32>,
     pub touched: Vec<u32>,
     /// Clay's vertex of each dense one.
     pub ids: Vec<u32>,
 }
 
-impl Cast {
-    pub fn change(&self) -> Change<'_> {
-        Change {
+impl EditedGraph {
+    pub fn change(&self) -> GraphChange<'_> {
+        GraphChange {
             new_from_old: &self.new_from_old,
             touched: &self.touched,
         }
     }
 }
 
-impl Clay {
-    pub fn new(graph: &Lattice, weighted: bool, seed: u64) -> Clay {
+impl EditableGraph {
+    pub fn new(graph: &TestGraph, weighted: bool, seed: u64) -> EditableGraph {
         let n = graph.len();
-        Clay {
+        EditableGraph {
             positions: graph.positions.clone(),
             rows: (0..n)
                 .map(|i| graph.row(i).map(|(j, w)| (j as u32, w as f32)).collect())
@@ -51,12 +51,12 @@ impl Clay {
             lives: vec![true; n],
             dirty: vec![false; n],
             weighted,
-            random: Random::new(seed),
+            random: SplitMix::new(seed),
         }
     }
 
     /// The present graph; `before` holds the vertices of the last one in its dense order.
-    pub fn cast(&mut self, before: &[u32]) -> Cast {
+    pub fn cast(&mut self, before: &[u32]) -> EditedGraph {
         let mut ids: Vec<u32> = (0..self.lives.len() as u32)
             .filter(|&i| self.lives[i as usize])
             .collect();
@@ -73,12 +73,12 @@ impl Clay {
         edges.sort_unstable_by_key(|e| (e.0, e.1));
         let positions = ids.iter().map(|&i| self.positions[i as usize]).collect();
         let one_way = edges.iter().filter(|e| e.0 < e.1).map(|e| (e.0, e.1)).collect();
-        let mut graph = Lattice::from_edges(positions, one_way);
+        let mut graph = TestGraph::from_edges(positions, one_way);
         if self.weighted {
             graph = graph.with_weights(edges.iter().map(|e| e.2).collect());
         }
         let touched = ids.iter().filter(|&&i| self.dirty[i as usize]);
-        let cast = Cast {
+        let cast = EditedGraph {
             graph,
             new_from_old: before.iter().map(|&i| numbers[i as usize]).collect(),
             touched: touched.map(|&i| numbers[i as usize]).collect(),
@@ -160,7 +160,7 @@ impl Clay {
     pub fn edit(&mut self, degree: usize) {
         let at = self.any();
         let p = self.positions[at as usize];
-        let shifted = |random: &mut Random, p: [f64; 3], by: f64| p.map(|c| c + by * (2.0 * random.unit() - 1.0));
+        let shifted = |random: &mut SplitMix, p: [f64; 3], by: f64| p.map(|c| c + by * (2.0 * random.unit() - 1.0));
         match (5.0 * self.random.unit()) as u32 {
             0 => {
                 let radius = 0.8 + 2.0 * self.random.unit();

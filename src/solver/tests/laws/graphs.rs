@@ -1,10 +1,10 @@
 //! Graphs to solve on.
 
-use pliant_solver::Graph;
+use pliant_solver::WeightedGraph;
 
 /// A graph with owned arrays.
 #[derive(Debug, Clone)]
-pub struct Lattice {
+pub struct TestGraph {
     offsets: Vec<u32>,
     neighbours: Vec<u32>,
     weights: Option<Vec<f32>>,
@@ -13,9 +13,9 @@ pub struct Lattice {
     positioned: bool,
 }
 
-impl Lattice {
+impl TestGraph {
     /// Builds rows from undirected edges; repeated edges count once.
-    pub fn from_edges(positions: Vec<[f64; 3]>, edges: Vec<(u32, u32)>) -> Lattice {
+    pub fn from_edges(positions: Vec<[f64; 3]>, edges: Vec<(u32, u32)>) -> TestGraph {
         let mut both: Vec<(u32, u32)> = edges
             .iter()
             .flat_map(|&(a, b)| [(a, b), (b, a)])
@@ -31,7 +31,7 @@ impl Lattice {
             offsets[i + 1] += offsets[i];
         }
         let neighbours = both.into_iter().map(|(_, b)| b).collect();
-        Lattice {
+        TestGraph {
             offsets,
             neighbours,
             weights: None,
@@ -40,8 +40,8 @@ impl Lattice {
         }
     }
 
-    pub fn view(&self) -> Graph<'_> {
-        Graph {
+    pub fn view(&self) -> WeightedGraph<'_> {
+        WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
             weights: self.weights.as_deref(),
@@ -83,22 +83,22 @@ impl Lattice {
             .collect()
     }
 
-    pub fn without_positions(self) -> Lattice {
-        Lattice {
+    pub fn without_positions(self) -> TestGraph {
+        TestGraph {
             positioned: false,
             ..self
         }
     }
 
-    pub fn moved(mut self, f: impl Fn([f64; 3]) -> [f64; 3]) -> Lattice {
+    pub fn moved(mut self, f: impl Fn([f64; 3]) -> [f64; 3]) -> TestGraph {
         self.positions.iter_mut().for_each(|p| *p = f(*p));
         self
     }
 
     /// Symmetric weights 10^e with e spread evenly from `low` to `high`.
-    pub fn weighted(mut self, low: f64, high: f64, seed: u64) -> Lattice {
+    pub fn weighted(mut self, low: f64, high: f64, seed: u64) -> TestGraph {
         let weight = |a: u32, b: u32| {
-            let mut random = Random::new(seed ^ ((u64::from(a.min(b)) << 32) | u64::from(a.max(b))));
+            let mut random = SplitMix::new(seed ^ ((u64::from(a.min(b)) << 32) | u64::from(a.max(b))));
             libm::pow(10.0, low + (high - low) * random.unit()) as f32
         };
         let mut weights = Vec::with_capacity(self.neighbours.len());
@@ -112,22 +112,22 @@ impl Lattice {
     }
 
     /// With a weight for every entry of the rows.
-    pub fn with_weights(mut self, weights: Vec<f32>) -> Lattice {
+    pub fn with_weights(mut self, weights: Vec<f32>) -> TestGraph {
         assert_eq!(weights.len(), self.neighbours.len());
         self.weights = Some(weights);
         self
     }
 
     /// Drops about a third of the edges.
-    pub fn disconnected(self, seed: u64) -> Lattice {
-        let mut random = Random::new(seed);
+    pub fn disconnected(self, seed: u64) -> TestGraph {
+        let mut random = SplitMix::new(seed);
         let edges: Vec<(u32, u32)> = self.edges().filter(|_| random.unit() > 0.33).collect();
-        Lattice::from_edges(self.positions, edges)
+        TestGraph::from_edges(self.positions, edges)
     }
 }
 
 /// A body-centred cubic lattice, 8 + 6 neighbours per vertex.
-pub fn lattice(nx: usize, ny: usize, nz: usize) -> Lattice {
+pub fn lattice(nx: usize, ny: usize, nz: usize) -> TestGraph {
     let id = |s: usize, i: usize, j: usize, k: usize| (((s * nx + i) * ny + j) * nz + k) as u32;
     let (mut positions, mut edges) = (Vec::new(), Vec::new());
     for s in 0..2 {
@@ -155,11 +155,11 @@ pub fn lattice(nx: usize, ny: usize, nz: usize) -> Lattice {
             }
         }
     }
-    Lattice::from_edges(positions, edges)
+    TestGraph::from_edges(positions, edges)
 }
 
 /// A triangulated, gently curved sheet.
-pub fn surface(nx: usize, ny: usize) -> Lattice {
+pub fn surface(nx: usize, ny: usize) -> TestGraph {
     let id = |i: usize, j: usize| (i * ny + j) as u32;
     let (mut positions, mut edges) = (Vec::new(), Vec::new());
     for i in 0..nx {
@@ -177,12 +177,12 @@ pub fn surface(nx: usize, ny: usize) -> Lattice {
             }
         }
     }
-    Lattice::from_edges(positions, edges)
+    TestGraph::from_edges(positions, edges)
 }
 
 /// A connected graph: each vertex is tied to `degree` random earlier ones, near ones more often.
-pub fn random_graph(n: usize, degree: usize, seed: u64) -> Lattice {
-    let mut random = Random::new(seed);
+pub fn random_graph(n: usize, degree: usize, seed: u64) -> TestGraph {
+    let mut random = SplitMix::new(seed);
     let positions = (0..n)
         .map(|_| [random.unit() * 10.0, random.unit() * 10.0, random.unit() * 10.0])
         .collect();
@@ -196,24 +196,24 @@ pub fn random_graph(n: usize, degree: usize, seed: u64) -> Lattice {
             ));
         }
     }
-    Lattice::from_edges(positions, edges)
+    TestGraph::from_edges(positions, edges)
 }
 
 /// One hub with `leaves` neighbours.
-pub fn star(leaves: usize) -> Lattice {
-    let mut random = Random::new(1);
+pub fn star(leaves: usize) -> TestGraph {
+    let mut random = SplitMix::new(1);
     let mut positions = vec![[0.0; 3]];
     positions.extend((0..leaves).map(|_| [random.unit() - 0.5, random.unit() - 0.5, random.unit() - 0.5]));
-    Lattice::from_edges(positions, (1..=leaves as u32).map(|i| (0, i)).collect())
+    TestGraph::from_edges(positions, (1..=leaves as u32).map(|i| (0, i)).collect())
 }
 
 /// A small reproducible generator (splitmix64).
 #[derive(Clone)]
-pub struct Random(u64);
+pub struct SplitMix(u64);
 
-impl Random {
+impl SplitMix {
     pub fn new(seed: u64) -> Self {
-        Random(seed)
+        SplitMix(seed)
     }
 
     /// Evenly spread over 0 to 1.

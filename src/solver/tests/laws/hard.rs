@@ -1,21 +1,21 @@
 //! Graphs that multigrid does not like.
 
-use pliant_solver::Method;
+use pliant_solver::SolveMethod;
 use proptest::prelude::*;
 
-use super::case::{Case, largest_distance, noise, twist};
-use super::graphs::{Lattice, Random, lattice, random_graph, star, surface};
+use super::case::{SolverCase, largest_distance, noise, twist};
+use super::graphs::{SplitMix, TestGraph, lattice, random_graph, star, surface};
 
 #[test]
 fn hard_graphs_converge_or_fall_back() {
     let line = |n: usize| {
-        Lattice::from_edges(
+        TestGraph::from_edges(
             (0..n).map(|i| [i as f64, 0.0, 0.0]).collect(),
             (1..n as u32).map(|i| (i - 1, i)).collect(),
         )
     };
     let squeezed = |s: f64| lattice(12, 12, 14).moved(|p| p.map(|c| c * s));
-    let graphs: Vec<(&str, Lattice, f64)> = vec![
+    let graphs: Vec<(&str, TestGraph, f64)> = vec![
         ("star", star(10_000), 1e-9),
         ("star without positions", star(10_000).without_positions(), 1e-9),
         ("line", line(4000), 1e-9),
@@ -47,7 +47,7 @@ fn hard_graphs_converge_or_fall_back() {
         let n = graph.len();
         for handle in [n / 20, 3] {
             let fixed: Vec<bool> = (0..n).map(|i| i < handle || i >= n - handle).collect();
-            let case = Case::new(graph.clone(), fixed, None, 1);
+            let case = SolverCase::new(graph.clone(), fixed, None, 1);
             let mut x = noise(2 * n, 17);
             let scale = case.graph.row(0).map(|(_, w)| w).fold(0.0, f64::max);
             let rhs: Vec<f64> = noise(2 * n, 18).iter().map(|v| v * scale * 1e-3).collect();
@@ -84,9 +84,9 @@ fn hubs_and_thin_bridges_converge() {
         edges.push((if k == 0 { 100 } else { id - 1 }, id));
     }
     edges.push((hub + 30, half + 100));
-    let graph = Lattice::from_edges(positions, edges);
+    let graph = TestGraph::from_edges(positions, edges);
     let fixed: Vec<bool> = (0..graph.len()).map(|i| i < 40).collect();
-    let case = Case::new(graph, fixed, None, 1);
+    let case = SolverCase::new(graph, fixed, None, 1);
     let (rhs, start, _) = twist(&case, 1.0);
     let mut x = start;
     let stats = case.solve_to(3, &rhs, &mut x, 1e-9);
@@ -108,7 +108,7 @@ fn many_components_are_solved_each_by_itself() {
             edges.extend((0..k).map(|j| (base + j, base + k)));
         }
     }
-    let case = Case::new(Lattice::from_edges(positions, edges), fixed, None, 1);
+    let case = SolverCase::new(TestGraph::from_edges(positions, edges), fixed, None, 1);
     let mut x: Vec<f64> = case.graph.positions.iter().map(|p| p[0]).collect();
     let stats = case.solve_to(1, &vec![0.0; case.n()], &mut x, 1e-12);
     assert!(stats.converged, "{stats:?}");
@@ -125,11 +125,11 @@ fn all_but_one_vertex_may_be_held() {
     // The last free vertex is the mean of its neighbours, in a block, as the hub and as a leaf of a star.
     for (graph, free) in [(lattice(9, 9, 9), 700), (star(10_000), 0), (star(10_000), 77)] {
         let fixed: Vec<bool> = (0..graph.len()).map(|i| i != free).collect();
-        let case = Case::new(graph, fixed, None, 1);
+        let case = SolverCase::new(graph, fixed, None, 1);
         let mut x = noise(3 * case.n(), 6);
         let before = x.clone();
         let stats = case.solve_to(3, &vec![0.0; x.len()], &mut x, 1e-12);
-        assert!(stats.converged && stats.method == Method::Direct, "{stats:?}");
+        assert!(stats.converged && stats.method == SolveMethod::Direct, "{stats:?}");
         let row: Vec<usize> = case.graph.row(free).map(|(j, _)| j).collect();
         for c in 0..3 {
             let mean = row.iter().map(|j| before[3 * j + c]).sum::<f64>() / row.len() as f64;
@@ -145,7 +145,7 @@ fn all_but_one_vertex_may_be_held() {
 }
 
 /// Solves the same equations by elimination with pivoting.
-fn dense_solution(case: &Case, rhs: &[f64], x: &[f64]) -> Vec<f64> {
+fn dense_solution(case: &SolverCase, rhs: &[f64], x: &[f64]) -> Vec<f64> {
     let free: Vec<usize> = (0..case.n()).filter(|&i| !case.fixed[i]).collect();
     let m = free.len();
     let mut a = vec![vec![0.0; m + 1]; m];
@@ -196,7 +196,7 @@ proptest! {
         let graph = if positioned { graph } else { graph.without_positions() };
         let fixed: Vec<bool> = (0..n).map(|i| !soft && i % (n / held.min(n)) == 0).collect();
         let stiffness: Vec<f64> = (0..n).map(|i| if i % (n / held.min(n)) == 0 { 3.0 } else { 0.0 }).collect();
-        let case = Case::new(graph, fixed, soft.then_some(stiffness), 1);
+        let case = SolverCase::new(graph, fixed, soft.then_some(stiffness), 1);
         let (rhs, mut x) = (noise(n, seed ^ 2), noise(n, seed ^ 3));
         let want = dense_solution(&case, &rhs, &x);
         let stats = case.solve_to(1, &rhs, &mut x, 1e-12);
@@ -220,9 +220,9 @@ proptest! {
         // Unconnected, hardly held, wildly weighted: no promise but an end with finite numbers.
         let graph = random_graph(n, degree, seed).disconnected(seed).weighted(-spread, spread, seed ^ 1);
         let graph = graph.moved(|p| p.map(|c| c * libm::pow(10.0, scale)));
-        let mut random = Random::new(seed ^ 4);
+        let mut random = SplitMix::new(seed ^ 4);
         let fixed: Vec<bool> = (0..n).map(|_| random.unit() < fixed_share * fixed_share).collect();
-        let case = Case::new(graph, fixed, None, 1);
+        let case = SolverCase::new(graph, fixed, None, 1);
         let (rhs, mut x) = (noise(2 * n, seed ^ 2), noise(2 * n, seed ^ 3));
         let stats = case.solve_to(2, &rhs, &mut x, 1e-6);
         prop_assert!(x.iter().all(|v| v.is_finite()));

@@ -4,17 +4,18 @@ use pliant_solver::exec::Exec;
 use pliant_solver::pool::Pool;
 use pliant_solver::progress::{Progress, Silent};
 use pliant_solver::{
-    BuildOptions, Constraints, Control, Error, Hierarchy, Iteration, Method, Operators, SolveOptions, Start, Workspace,
+    BuildOptions, CoarseOperators, Constraints, Error, Hierarchy, InitialGuess, IterationReport, SolveControl,
+    SolveMethod, SolveOptions, Workspace,
 };
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-use super::case::{Case, largest_distance, to, twist};
-use super::graphs::{Lattice, lattice, random_graph, star, surface};
+use super::case::{SolverCase, largest_distance, to, twist};
+use super::graphs::{TestGraph, lattice, random_graph, star, surface};
 
 /// The same case with the paper's operators.
-fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
+fn paper(case: SolverCase, interleave: Option<usize>, threads: usize) -> SolverCase {
     let options = BuildOptions {
-        operators: Operators::Paper,
+        operators: CoarseOperators::Paper,
         interleave,
         ..BuildOptions::default()
     };
@@ -25,7 +26,7 @@ fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
         stiffness: case.stiffness.as_deref(),
     };
     let system = hierarchy.constrain(&constraints, &pool).unwrap();
-    Case {
+    SolverCase {
         hierarchy,
         system,
         pool,
@@ -34,32 +35,35 @@ fn paper(case: Case, interleave: Option<usize>, threads: usize) -> Case {
 }
 
 /// A body that hangs at its lower end by hard constraints and at its upper end by soft ones.
-fn soft(graph: Lattice) -> Case {
+fn soft(graph: TestGraph) -> SolverCase {
     let ends = graph.ends(2, 0.9);
     let up = |i: usize| graph.positions[i][2] > 2.0;
     let fixed = (0..graph.len()).map(|i| ends[i] && !up(i)).collect();
     let stiffness = (0..graph.len())
         .map(|i| if ends[i] && up(i) { 0.5 } else { 0.0 })
         .collect();
-    Case::new(graph, fixed, Some(stiffness), 1)
+    SolverCase::new(graph, fixed, Some(stiffness), 1)
 }
 
 fn framed<'a>(frames: &'a [[f32; 9]], options: SolveOptions<'a>) -> SolveOptions<'a> {
     let frames = Some(frames);
     SolveOptions {
-        start: Start::FullMultigrid { frames, rest: None },
+        start: InitialGuess::FullMultigrid { frames, rest: None },
         ..options
     }
 }
 
 #[test]
 fn cycles_reach_what_is_asked_where_that_is_little() {
-    for case in [Case::ends(lattice(12, 12, 24), 2), Case::ends(surface(40, 30), 0)] {
+    for case in [
+        SolverCase::ends(lattice(12, 12, 24), 2),
+        SolverCase::ends(surface(40, 30), 0),
+    ] {
         let case = paper(case, None, 1);
         let (rhs, start, frames) = twist(&case, 0.3);
         let mut x = start.clone();
         let stats = case.solve(3, &rhs, &mut x, &framed(&frames, to(1e-2)));
-        assert!(stats.converged && stats.method == Method::PaperCycles, "{stats:?}");
+        assert!(stats.converged && stats.method == SolveMethod::PaperCycles, "{stats:?}");
         let recomputed = case.residuals(3, &rhs, &x).into_iter().fold(0.0, f64::max);
         assert!(recomputed <= 1e-2 && (recomputed - stats.residual).abs() <= 1e-6 * recomputed);
         for i in (0..3 * case.n()).filter(|i| case.fixed[i / 3]) {
@@ -71,29 +75,29 @@ fn cycles_reach_what_is_asked_where_that_is_little() {
 #[test]
 fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
     let graphs = [
-        Case::ends(lattice(12, 12, 16), 2),
-        Case::ends(surface(40, 30), 0),
-        Case::ends(lattice(10, 10, 12).weighted(-2.0, 2.0, 3), 2),
+        SolverCase::ends(lattice(12, 12, 16), 2),
+        SolverCase::ends(surface(40, 30), 0),
+        SolverCase::ends(lattice(10, 10, 12).weighted(-2.0, 2.0, 3), 2),
         soft(lattice(9, 9, 14)),
-        Case::ends(lattice(9, 9, 12), 2).without_positions(),
+        SolverCase::ends(lattice(9, 9, 12), 2).without_positions(),
     ];
     for (k, case) in graphs.into_iter().enumerate() {
         let (rhs, start, _) = twist(&case, 1.0);
         let mut exact = start.clone();
         assert!(case.solve_to(3, &rhs, &mut exact, 1e-11).converged);
         for (interleave, begin) in [
-            (None, Start::Zero),
-            (Some(0), Start::Zero),
+            (None, InitialGuess::Zero),
+            (Some(0), InitialGuess::Zero),
             (
                 Some(0),
-                Start::FullMultigrid {
+                InitialGuess::FullMultigrid {
                     frames: None,
                     rest: None,
                 },
             ),
         ] {
             let case = paper(
-                Case::new(case.graph.clone(), case.fixed.clone(), case.stiffness.clone(), 1),
+                SolverCase::new(case.graph.clone(), case.fixed.clone(), case.stiffness.clone(), 1),
                 interleave,
                 1,
             );
@@ -105,7 +109,7 @@ fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
             let stats = case.solve(3, &rhs, &mut x, &options);
             assert!(stats.converged, "{stats:?}");
             // Some get there without, above all with two steps after each cycle.
-            let gave_up = stats.method == Method::ConjugateGradients;
+            let gave_up = stats.method == SolveMethod::ConjugateGradients;
             assert!(gave_up || k > 1 || interleave.is_none(), "graph {k}: {stats:?}");
             assert!(case.residuals(3, &rhs, &x).iter().all(|r| *r <= 1.01e-8));
             let size = start
@@ -119,7 +123,7 @@ fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
 
 #[test]
 fn an_error_that_is_asked_for_is_kept() {
-    let case = Case::ends(lattice(12, 12, 24), 2);
+    let case = SolverCase::ends(lattice(12, 12, 24), 2);
     let (rhs, start, frames) = twist(&case, 1.0);
     let mut exact = start.clone();
     assert!(case.solve_to(3, &rhs, &mut exact, 1e-11).converged);
@@ -139,7 +143,7 @@ fn an_error_that_is_asked_for_is_kept() {
 
 #[test]
 fn conjugate_gradient_steps_in_between_help() {
-    let case = Case::ends(lattice(16, 16, 24), 2);
+    let case = SolverCase::ends(lattice(16, 16, 24), 2);
     let (rhs, start, frames) = twist(&case, 1.0);
     let mut exact = start.clone();
     case.solve_to(3, &rhs, &mut exact, 1e-11);
@@ -153,7 +157,7 @@ fn conjugate_gradient_steps_in_between_help() {
         };
         let mut x = start.clone();
         let stats = case.solve(3, &rhs, &mut x, &framed(&frames, options));
-        assert!(!stats.converged && stats.iterations == 10 && stats.method == Method::PaperCycles);
+        assert!(!stats.converged && stats.iterations == 10 && stats.method == SolveMethod::PaperCycles);
         missing.push(largest_distance(3, &x, &exact));
     }
     assert!(missing[1] < 0.9 * missing[0], "{missing:?}");
@@ -162,7 +166,7 @@ fn conjugate_gradient_steps_in_between_help() {
 #[test]
 fn the_bits_do_not_depend_on_the_pool() {
     let solve = |threads: usize| {
-        let case = paper(Case::ends(lattice(14, 14, 20), 2), None, threads);
+        let case = paper(SolverCase::ends(lattice(14, 14, 20), 2), None, threads);
         let (rhs, mut x, frames) = twist(&case, 1.0);
         let stats = case.solve(3, &rhs, &mut x, &framed(&frames, to(1e-6)));
         (x.iter().map(|v| v.to_bits()).collect::<Vec<_>>(), stats)
@@ -175,9 +179,9 @@ fn the_bits_do_not_depend_on_the_pool() {
 }
 
 /// Cancels at the n-th question.
-struct After(AtomicUsize);
+struct CancelAfterChecks(AtomicUsize);
 
-impl Progress for After {
+impl Progress for CancelAfterChecks {
     fn cancelled(&self) -> bool {
         let asked = self.0.fetch_update(Relaxed, Relaxed, |n| Some(n.saturating_sub(1)));
         asked.unwrap_or(0) == 0
@@ -186,16 +190,20 @@ impl Progress for After {
 
 #[test]
 fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
-    let case = paper(Case::ends(lattice(12, 12, 16), 2), Some(2), 1);
+    let case = paper(SolverCase::ends(lattice(12, 12, 16), 2), Some(2), 1);
     let (rhs, start, _) = twist(&case, 1.0);
     let run = |progress: &dyn Progress, most: usize| {
         let (mut x, mut shown) = (start.clone(), start.clone());
         let mut seen = 0;
-        let mut watch = |iteration: &Iteration<'_>| {
+        let mut watch = |iteration: &IterationReport<'_>| {
             seen += 1;
             assert_eq!(iteration.index, seen);
             iteration.copy_to(&mut shown);
-            if seen == most { Control::Stop } else { Control::Continue }
+            if seen == most {
+                SolveControl::Stop
+            } else {
+                SolveControl::Continue
+            }
         };
         let mut workspace = Workspace::default();
         let result = case.system.solve(
@@ -212,26 +220,26 @@ fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
     };
     // Four sweeps on each of several levels and two conjugate-gradient steps ask at least ten times per cycle.
     for questions in [0, 1, 2, 5, 9, 20, 40] {
-        let (result, seen, ..) = run(&After(questions.into()), usize::MAX);
+        let (result, seen, ..) = run(&CancelAfterChecks(questions.into()), usize::MAX);
         assert_eq!(result, Err(Error::Cancelled));
         assert!(seen <= questions / 10, "{seen} cycles after {questions} questions");
     }
     let (result, seen, x, shown) = run(&Silent, 3);
     let stats = result.unwrap();
     assert!(stats.stopped && !stats.converged && stats.iterations == 3 && seen == 3);
-    assert_eq!(stats.method, Method::PaperCycles);
+    assert_eq!(stats.method, SolveMethod::PaperCycles);
     assert_eq!(shown, x, "the last thing shown is what the caller gets");
 }
 
 #[test]
 fn hard_graphs_end_with_a_result() {
-    let held = |graph: Lattice| {
+    let held = |graph: TestGraph| {
         let fixed = (0..graph.len()).map(|i| i % 97 == 0).collect();
-        Case::new(graph, fixed, None, 1)
+        SolverCase::new(graph, fixed, None, 1)
     };
-    let free = |graph: Lattice| {
+    let free = |graph: TestGraph| {
         let fixed = vec![false; graph.len()];
-        Case::new(graph, fixed, None, 1)
+        SolverCase::new(graph, fixed, None, 1)
     };
     let cases = [
         held(random_graph(3000, 40, 5)),
@@ -266,7 +274,7 @@ fn hard_graphs_end_with_a_result() {
 
 #[test]
 fn too_many_steps_are_refused_by_name() {
-    let case = Case::ends(lattice(4, 4, 4), 2);
+    let case = SolverCase::ends(lattice(4, 4, 4), 2);
     let options = BuildOptions {
         interleave: Some(101),
         ..BuildOptions::default()

@@ -3,13 +3,15 @@
 use pliant_solver::exec::Exec;
 use pliant_solver::pool::Pool;
 use pliant_solver::progress::{CancelFlag, Silent};
-use pliant_solver::{BuildOptions, Change, Constraints, Error, Graph, Hierarchy, Operators, Repair};
+use pliant_solver::{
+    BuildOptions, CoarseOperators, Constraints, Error, GraphChange, Hierarchy, RepairReport, WeightedGraph,
+};
 
-use super::case::{Case, largest_distance, twist};
-use super::edits::{Cast, Clay};
-use super::graphs::{Lattice, lattice, surface};
+use super::case::{SolverCase, largest_distance, twist};
+use super::edits::{EditableGraph, EditedGraph};
+use super::graphs::{TestGraph, lattice, surface};
 
-fn built(graph: &Lattice) -> Hierarchy {
+fn built(graph: &TestGraph) -> Hierarchy {
     Hierarchy::build(
         &graph.view(),
         &BuildOptions::default(),
@@ -18,7 +20,7 @@ fn built(graph: &Lattice) -> Hierarchy {
     .unwrap()
 }
 
-fn repaired(hierarchy: &mut Hierarchy, cast: &Cast, threads: usize) -> Repair {
+fn repaired(hierarchy: &mut Hierarchy, cast: &EditedGraph, threads: usize) -> RepairReport {
     cast.graph.view().check().unwrap();
     let pool = Pool::new(threads).unwrap();
     hierarchy
@@ -27,7 +29,7 @@ fn repaired(hierarchy: &mut Hierarchy, cast: &Cast, threads: usize) -> Repair {
 }
 
 /// A case on the graph of `cast`, ends along `axis` held, with that hierarchy.
-fn case_with(graph: &Lattice, axis: usize, hierarchy: Hierarchy) -> Case {
+fn case_with(graph: &TestGraph, axis: usize, hierarchy: Hierarchy) -> SolverCase {
     let fixed = graph.ends(axis, 1.1);
     let pool = Pool::new(1).unwrap();
     let constraints = Constraints {
@@ -35,7 +37,7 @@ fn case_with(graph: &Lattice, axis: usize, hierarchy: Hierarchy) -> Case {
         stiffness: None,
     };
     let system = hierarchy.constrain(&constraints, &pool).unwrap();
-    Case {
+    SolverCase {
         graph: graph.clone(),
         fixed,
         stiffness: None,
@@ -46,7 +48,7 @@ fn case_with(graph: &Lattice, axis: usize, hierarchy: Hierarchy) -> Case {
 }
 
 /// Iterations to 1e-6 and the solution to 1e-10.
-fn solved(case: &Case) -> (usize, Vec<f64>) {
+fn solved(case: &SolverCase) -> (usize, Vec<f64>) {
     let (rhs, start, _) = twist(case, 1.1);
     let mut x = start.clone();
     let stats = case.solve_to(3, &rhs, &mut x, 1e-6);
@@ -57,7 +59,7 @@ fn solved(case: &Case) -> (usize, Vec<f64>) {
 }
 
 /// Compares `hierarchy` with a fresh one of its graph.
-fn compare(graph: &Lattice, axis: usize, hierarchy: &Hierarchy, what: &str) {
+fn compare(graph: &TestGraph, axis: usize, hierarchy: &Hierarchy, what: &str) {
     let fresh = case_with(graph, axis, built(graph));
     let (want, exact) = solved(&fresh);
     let (seen, x) = solved(&case_with(graph, axis, hierarchy.clone()));
@@ -67,8 +69,8 @@ fn compare(graph: &Lattice, axis: usize, hierarchy: &Hierarchy, what: &str) {
 }
 
 /// Edits `graph` at random places and compares once in a while.
-fn many_edits(graph: Lattice, axis: usize, weighted: bool, degree: usize, edits: usize, seed: u64) {
-    let mut clay = Clay::new(&graph, weighted, seed);
+fn many_edits(graph: TestGraph, axis: usize, weighted: bool, degree: usize, edits: usize, seed: u64) {
+    let mut clay = EditableGraph::new(&graph, weighted, seed);
     let mut cast = clay.cast(&[]);
     let mut hierarchy = built(&cast.graph);
     let mut followed = 0;
@@ -78,7 +80,7 @@ fn many_edits(graph: Lattice, axis: usize, weighted: bool, degree: usize, edits:
         cast = clay.cast(&ids);
         followed += usize::from(!repaired(&mut hierarchy, &cast, 1).rebuilt);
         if k % (edits / 4) == 0 {
-            let facts = hierarchy.levels()[0];
+            let facts = hierarchy.level_sizes()[0];
             assert_eq!(facts.vertices, cast.graph.len());
             assert_eq!(facts.edges, cast.graph.edges().count());
             compare(&cast.graph, axis, &hierarchy, &format!("after {k} edits"));
@@ -106,7 +108,7 @@ fn surfaces_converge_as_after_a_build_whatever_was_edited() {
 fn any_number_of_threads_gives_the_same_bits() {
     let digests: Vec<(Vec<u64>, usize)> = [1, 2, 3, 8]
         .map(|threads| {
-            let mut clay = Clay::new(&lattice(20, 20, 30), false, 5);
+            let mut clay = EditableGraph::new(&lattice(20, 20, 30), false, 5);
             let mut cast = clay.cast(&[]);
             let mut hierarchy = built(&cast.graph);
             for _ in 0..6 {
@@ -118,7 +120,7 @@ fn any_number_of_threads_gives_the_same_bits() {
             let mut case = case_with(&cast.graph, 2, hierarchy);
             case.pool = Pool::new(threads).unwrap();
             let bits = solved(&case).1.iter().map(|v| v.to_bits()).collect();
-            (bits, case.hierarchy.bytes())
+            (bits, case.hierarchy.byte_size())
         })
         .into();
     assert!(digests.iter().all(|d| *d == digests[0]));
@@ -130,7 +132,7 @@ fn nothing_changes_nothing() {
     let before = case_with(&graph, 2, built(&graph));
     let mut hierarchy = before.hierarchy.clone();
     let same: Vec<u32> = (0..graph.len() as u32).collect();
-    let change = Change {
+    let change = GraphChange {
         new_from_old: &same,
         touched: &[],
     };
@@ -140,7 +142,7 @@ fn nothing_changes_nothing() {
         .unwrap();
     assert_eq!(
         report,
-        Repair {
+        RepairReport {
             rebuilt: false,
             moved: 0
         }
@@ -152,7 +154,7 @@ fn nothing_changes_nothing() {
 
 #[test]
 fn systems_from_before_are_refused() {
-    let mut clay = Clay::new(&lattice(14, 14, 14), false, 9);
+    let mut clay = EditableGraph::new(&lattice(14, 14, 14), false, 9);
     let first = clay.cast(&[]);
     let mut case = case_with(&first.graph, 2, built(&first.graph));
     clay.edit(14);
@@ -171,15 +173,15 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
     let graph = lattice(14, 14, 14);
     let pool = Pool::new(1).unwrap();
     let same: Vec<u32> = (0..graph.len() as u32).collect();
-    let half = Change {
+    let half = GraphChange {
         new_from_old: &same,
         touched: &same[..graph.len() / 2],
     };
-    let few = Change {
+    let few = GraphChange {
         new_from_old: &same,
         touched: &same[..9],
     };
-    let fresh = |graph: &Lattice| solved(&case_with(graph, 2, built(graph)));
+    let fresh = |graph: &TestGraph| solved(&case_with(graph, 2, built(graph)));
     for (graph, change) in [
         (graph.clone(), half),
         (graph.clone().weighted(0.0, 1.0, 3), few),
@@ -193,7 +195,7 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
         assert!(solved(&case_with(&graph, 2, hierarchy)) == fresh(&graph), "to the bit");
     }
     let options = BuildOptions {
-        operators: Operators::Paper,
+        operators: CoarseOperators::Paper,
         ..BuildOptions::default()
     };
     let mut paper = Hierarchy::build(&graph.view(), &options, &Exec::new(&pool, &Silent)).unwrap();
@@ -208,7 +210,7 @@ fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
 #[test]
 fn graphs_without_positions_are_followed() {
     let graph = lattice(18, 18, 18).without_positions();
-    let mut clay = Clay::new(&graph, false, 4);
+    let mut clay = EditableGraph::new(&graph, false, 4);
     let mut cast = clay.cast(&[]);
     let mut hierarchy = built(&cast.graph.clone().without_positions());
     for _ in 0..20 {
@@ -222,7 +224,7 @@ fn graphs_without_positions_are_followed() {
 }
 
 /// A change that is refused, and what the refusal names.
-fn refused(graph: &Graph<'_>, change: &Change<'_>, named: &str) {
+fn refused(graph: &WeightedGraph<'_>, change: &GraphChange<'_>, named: &str) {
     let before = lattice(14, 14, 14);
     let mut hierarchy = built(&before);
     let want = solved(&case_with(&before, 2, hierarchy.clone()));
@@ -240,7 +242,7 @@ fn contradictions_are_refused_and_change_nothing() {
     let same: Vec<u32> = (0..n).collect();
     let view = graph.view();
     let with = |map: &[u32], touched: &[u32], named: &str| {
-        let change = Change {
+        let change = GraphChange {
             new_from_old: map,
             touched,
         };
@@ -263,15 +265,16 @@ fn contradictions_are_refused_and_change_nothing() {
     map[3000] = 7;
     with(&map, &[7, 3000], "is not among the touched ones");
 
-    let lacks =
-        |drop: (u32, u32)| Lattice::from_edges(graph.positions.clone(), graph.edges().filter(|e| *e != drop).collect());
+    let lacks = |drop: (u32, u32)| {
+        TestGraph::from_edges(graph.positions.clone(), graph.edges().filter(|e| *e != drop).collect())
+    };
     let cut = lacks((0, 1));
-    let change = Change {
+    let change = GraphChange {
         new_from_old: &same,
         touched: &[0],
     };
     refused(&cut.view(), &change, "vertex 1 is not among the touched ones");
-    let short = Graph {
+    let short = WeightedGraph {
         positions: Some(&graph.positions[1..]),
         ..view
     };
@@ -284,7 +287,7 @@ fn cancelled_repairs_change_nothing() {
     let mut hierarchy = built(&graph);
     let want = solved(&case_with(&graph, 2, hierarchy.clone()));
     let same: Vec<u32> = (0..graph.len() as u32).collect();
-    let change = Change {
+    let change = GraphChange {
         new_from_old: &same,
         touched: &[1, 2, 3],
     };

@@ -2,14 +2,14 @@
 
 use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
-use pliant_solver::{Control, Iteration, SolveOptions, Start, Workspace};
+use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace};
 
-use super::case::{Case, largest_distance, to, twist};
+use super::case::{SolverCase, largest_distance, to, twist};
 use super::graphs::{lattice, random_graph, surface};
 
 #[test]
 fn a_warm_start_needs_fewer_iterations() {
-    let case = Case::ends(lattice(16, 16, 20), 2);
+    let case = SolverCase::ends(lattice(16, 16, 20), 2);
     let (rhs, start, _) = twist(&case, 1.0);
     let mut x = start.clone();
     let cold = case.solve_to(3, &rhs, &mut x, 1e-6);
@@ -22,7 +22,7 @@ fn a_warm_start_needs_fewer_iterations() {
         &rhs,
         &mut x,
         &SolveOptions {
-            start: Start::Given,
+            start: InitialGuess::Given,
             ..to(1e-6)
         },
     );
@@ -37,7 +37,7 @@ fn a_warm_start_needs_fewer_iterations() {
         &rhs,
         &mut x,
         &SolveOptions {
-            start: Start::Given,
+            start: InitialGuess::Given,
             ..to(1e-6)
         },
     );
@@ -46,9 +46,12 @@ fn a_warm_start_needs_fewer_iterations() {
 
 #[test]
 fn the_full_multigrid_start_saves_iterations() {
-    for case in [Case::ends(lattice(16, 16, 48), 2), Case::ends(surface(120, 100), 0)] {
+    for case in [
+        SolverCase::ends(lattice(16, 16, 48), 2),
+        SolverCase::ends(surface(120, 100), 0),
+    ] {
         let (rhs, start, frames) = twist(&case, 1.5);
-        let iterations = |start_at: Start<'_>| {
+        let iterations = |start_at: InitialGuess<'_>| {
             let mut x = start.clone();
             let stats = case.solve(
                 3,
@@ -62,13 +65,13 @@ fn the_full_multigrid_start_saves_iterations() {
             assert!(stats.converged && case.residuals(3, &rhs, &x).iter().all(|r| *r <= 1e-3));
             stats.iterations
         };
-        let zero = iterations(Start::Zero);
-        let framed = iterations(Start::FullMultigrid {
+        let zero = iterations(InitialGuess::Zero);
+        let framed = iterations(InitialGuess::FullMultigrid {
             frames: Some(&frames),
             rest: None,
         });
         let rest = Some(case.graph.positions.as_slice());
-        let given = iterations(Start::FullMultigrid {
+        let given = iterations(InitialGuess::FullMultigrid {
             frames: Some(&frames),
             rest,
         });
@@ -80,7 +83,7 @@ fn the_full_multigrid_start_saves_iterations() {
         let mut field: Vec<f64> = (0..case.n())
             .map(|i| if start[3 * i + 2] > 1.0 { 1.0 } else { 0.0 })
             .collect();
-        let start_at = Start::FullMultigrid {
+        let start_at = InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
         };
@@ -99,7 +102,7 @@ fn the_full_multigrid_start_saves_iterations() {
 
 #[test]
 fn a_rigid_motion_is_found_by_the_start_alone() {
-    let case = Case::ends(lattice(16, 16, 20), 2);
+    let case = SolverCase::ends(lattice(16, 16, 20), 2);
     let (c, s) = (0.6f64, 0.8f64);
     let apply = |p: [f64; 3]| [c * p[0] - s * p[1] + 7.0, s * p[0] + c * p[1] - 3.0, p[2] + 1.0];
     let frames = vec![[c as f32, s as f32, 0.0, -s as f32, c as f32, 0.0, 0.0, 0.0, 1.0]; case.n()];
@@ -114,7 +117,7 @@ fn a_rigid_motion_is_found_by_the_start_alone() {
     }
     let mut x = moved.clone();
     let options = SolveOptions {
-        start: Start::FullMultigrid {
+        start: InitialGuess::FullMultigrid {
             frames: Some(&frames),
             rest: None,
         },
@@ -129,25 +132,25 @@ fn error_estimates_are_close_to_the_truth() {
     let mut bar = lattice(8, 8, 60).ends(2, 0.9);
     bar[0] = true;
     let cases = [
-        Case::ends(lattice(16, 16, 20), 2),
-        Case::new(lattice(8, 8, 60), bar, None, 1),
-        Case::ends(surface(90, 100), 0),
-        Case::ends(random_graph(5000, 4, 2), 0),
+        SolverCase::ends(lattice(16, 16, 20), 2),
+        SolverCase::new(lattice(8, 8, 60), bar, None, 1),
+        SolverCase::ends(surface(90, 100), 0),
+        SolverCase::ends(random_graph(5000, 4, 2), 0),
     ];
     for (number, case) in cases.iter().enumerate() {
         let (rhs, start, frames) = twist(case, 1.0);
         let mut exact = start.clone();
         case.solve_to(3, &rhs, &mut exact, 1e-12);
         for start_at in [
-            Start::Zero,
-            Start::FullMultigrid {
+            InitialGuess::Zero,
+            InitialGuess::FullMultigrid {
                 frames: Some(&frames),
                 rest: None,
             },
         ] {
             let (mut x, mut now) = (start.clone(), start.clone());
             let mut ratios = Vec::new();
-            let mut watch = |iteration: &Iteration<'_>| {
+            let mut watch = |iteration: &IterationReport<'_>| {
                 iteration.copy_to(&mut now);
                 if iteration.index >= 2 {
                     // Towards the digits of single precision, and without geometry, only caution is asked for.
@@ -158,7 +161,7 @@ fn error_estimates_are_close_to_the_truth() {
                     };
                     ratios.push((iteration.max_error / largest_distance(3, &now, &exact), most));
                 }
-                Control::Continue
+                SolveControl::Continue
             };
             let options = SolveOptions {
                 start: start_at,
@@ -195,9 +198,9 @@ fn a_solve_can_stop_at_an_error() {
         tiny[i] = true;
     }
     for case in [
-        Case::ends(lattice(16, 16, 20), 2),
-        Case::ends(surface(90, 100), 0),
-        Case::new(lattice(16, 16, 16), tiny, None, 1),
+        SolverCase::ends(lattice(16, 16, 20), 2),
+        SolverCase::ends(surface(90, 100), 0),
+        SolverCase::new(lattice(16, 16, 16), tiny, None, 1),
     ] {
         let (rhs, start, _) = twist(&case, 1.0);
         let mut exact = start.clone();

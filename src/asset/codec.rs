@@ -1,0 +1,80 @@
+//! What every format implements: reading, patching positions, building, and writing an edited model.
+//!
+//! Knows no format. The formats implement [`FormatCodec`] in [`formats`](super::formats); [`write`](super::write) and
+//! [`Model::read`](super::Model::read) call it.
+
+use super::edited::{EditedModel, PrimitiveRun};
+use super::model::FileNotes;
+use super::neutral::{NeutralModel, RunAttributes, SeamPart};
+use super::{Error, FileSet, Format, Geometry, Limits, Model, WrittenFiles};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// What a reader returns: the mesh that the files describe, and what the writers have to remember of the files.
+pub(super) type ReadFile = (Geometry, Arc<dyn FileNotes>);
+
+/// Reads and writes one format, or the forms of one (GLB and glTF).
+pub(super) trait FormatCodec: Sync {
+    /// Whether files of this codec are patched into `format` instead of being built anew.
+    fn handles(&self, format: Format) -> bool;
+
+    /// Reads a model, of which `format` is the form. What it returns is checked by [`Geometry::check`].
+    fn read(&self, files: &FileSet, format: Format, limits: &Limits) -> Result<ReadFile, Error>;
+
+    /// Writes the files of a model of this codec with its vertices at `positions`, one for each vertex and finite.
+    /// Every byte that the deformation does not change stays as it was uploaded.
+    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error>;
+
+    /// Makes fresh files of a model that came in another format.
+    fn build(&self, neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error>;
+
+    /// Whether files built in this format hold more of a model than its geometry.
+    fn takes_attributes(&self) -> bool {
+        true
+    }
+
+    /// Whether [`FormatCodec::write_edited`] takes a model whose first base came in `format`; others are built from
+    /// their neutral form.
+    fn edits(&self, format: Format) -> bool {
+        self.handles(format)
+    }
+
+    /// Writes an edited model.
+    fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error>;
+
+    /// Texture coordinates, colours and materials of runs of one base that this codec has read, for other formats: one
+    /// for each run, or none for any.
+    fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
+        let _ = (edited, runs);
+        Ok(Vec::new())
+    }
+
+    /// A run of a base of this codec, divided so that every vertex has one texture coordinate, normal and material.
+    /// `None` for formats that have no more than that anyway.
+    fn seam_parts(
+        &self,
+        edited: &EditedModel<'_>,
+        run: &PrimitiveRun,
+        positions: &[DVec3],
+    ) -> Result<Option<Vec<SeamPart>>, Error> {
+        let _ = (edited, run, positions);
+        Ok(None)
+    }
+
+    /// Whether models built in this format have their vertices divided at seams, as [`FormatCodec::seam_parts`] does it.
+    fn divides_at_seams(&self) -> bool {
+        false
+    }
+}
+
+/// An edited model on its way to a file. It has been checked.
+pub(super) struct EditedOutput<'a> {
+    /// The model.
+    pub edited: &'a EditedModel<'a>,
+    /// Where its vertices are, in world space.
+    pub positions: &'a [DVec3],
+    /// The format of the file.
+    pub format: Format,
+    /// The neutral form of what comes from the base of that number, for bases of other formats.
+    pub neutral_base: &'a dyn Fn(u32) -> Result<NeutralModel, Error>,
+}

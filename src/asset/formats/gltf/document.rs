@@ -1,0 +1,265 @@
+//! A glTF document: its text, and the sections that geometry needs, item by item.
+
+use super::container::{self, Container};
+use super::fault::Fault;
+use super::schema::{Accessor, Asset, Buffer, Mesh, Node, Scene, View, Whole};
+use super::text::{items, members};
+use crate::asset::format::{FormatDetails, Recognition};
+use crate::asset::{Error, FileSet, Format};
+use serde::de::DeserializeOwned;
+
+/// Binary glTF, by what it is known.
+pub(in super::super) const GLB_FORMAT: Format = Format::new(&FormatDetails {
+    name: "glb",
+    media_types: &["model/gltf-binary"],
+    recognise: |bytes| Recognition::mark(bytes.starts_with(b"glTF")),
+});
+
+/// glTF as JSON, by what it is known.
+pub(in super::super) const GLTF_FORMAT: Format = Format::new(&FormatDetails {
+    name: "gltf",
+    media_types: &["model/gltf+json"],
+    recognise: |bytes| Recognition::mark(bytes.trim_ascii_start().starts_with(b"{")),
+});
+
+/// One top-level array of the document.
+pub(super) struct Section<'a, T> {
+    /// The array as text; `None` when the document has none.
+    pub(super) text: Option<&'a str>,
+    /// Its items as text.
+    pub(super) items: Vec<&'a str>,
+    /// Its items as values.
+    pub(super) values: Vec<T>,
+}
+
+impl<T> Section<'_, T> {
+    pub(super) fn len(&self) -> usize {
+        self.values.len()
+    }
+
+    /// The item of that index, which has been checked to be in range or may be absent.
+    pub(super) fn get(&self, index: usize) -> Option<&T> {
+        self.values.get(index)
+    }
+}
+
+/// A parsed document; borrows the file it came from.
+pub(super) struct Document<'a> {
+    pub(super) fault: Fault,
+    /// The JSON text.
+    pub(super) text: &'a str,
+    /// The GLB parts, when it came in a GLB.
+    pub(super) container: Option<Container<'a>>,
+    pub(super) buffers: Section<'a, Buffer>,
+    pub(super) views: Section<'a, View>,
+    pub(super) accessors: Section<'a, Accessor>,
+    pub(super) meshes: Section<'a, Mesh>,
+    pub(super) nodes: Section<'a, Node>,
+    pub(super) scenes: Section<'a, Scene>,
+    /// The default scene.
+    pub(super) scene: Option<usize>,
+    /// Skins and animations as texts; only their accessor indices are ever looked at.
+    pub(super) skins: Vec<&'a str>,
+    pub(super) animations: Vec<&'a str>,
+    pub(super) extensions_used: Vec<String>,
+    pub(super) extensions_required: Vec<String>,
+}
+
+impl<'a> Document<'a> {
+    /// Parses the main file of a set; references between sections are checked by [`super::check`].
+    pub(super) fn parse(files: &'a FileSet, format: Format) -> Result<Self, Error> {
+        let fault = Fault(format);
+        let container = if format == GLB_FORMAT {
+            Some(container::split(&files.main, fault)?)
+        } else {
+            None
+        };
+        let bytes: &'a [u8] = container.as_ref().map_or(&files.main, |c| c.json);
+        if bytes.starts_with(b"\xef\xbb\xbf") {
+            return Err(fault.malformed("json", "starts with a byte order mark, which glTF does not allow"));
+        }
+        let text = std::str::from_utf8(bytes)
+            .map_err(|e| fault.malformed("json", format!("byte {} is not UTF-8", e.valid_up_to())))?;
+        let root = Root {
+            fault,
+            members: members(text).map_err(|e| fault.malformed("json", e.to_string()))?,
+        };
+
+        // First of all: a document of another version has other rules for everything else.
+        check_version(root.one::<Asset>("asset")?, fault)?;
+        let extensions_used = root.one("extensionsUsed")?.unwrap_or_default();
+        let extensions_required: Vec<String> = root.one("extensionsRequired")?.unwrap_or_default();
+        check_required(&extensions_required, fault)?;
+
+        Ok(Self {
+            fault,
+            text,
+            container,
+            buffers: root.section("buffers")?,
+            views: root.section("bufferViews")?,
+            accessors: root.section("accessors")?,
+            meshes: root.section("meshes")?,
+            nodes: root.section("nodes")?,
+            scenes: root.section("scenes")?,
+            scene: root.one::<Whole>("scene")?.map(Whole::index),
+            skins: root.texts("skins")?,
+            animations: root.texts("animations")?,
+            extensions_used,
+            extensions_required,
+        })
+    }
+
+    /// Whether the document says that it uses an extension.
+    pub(super) fn uses(&self, extension: &str) -> bool {
+        self.extensions_used
+            .iter()
+            .chain(&self.extensions_required)
+            .any(|e| e == extension)
+    }
+}
+
+struct Root<'a> {
+    fault: Fault,
+    members: Vec<super::text::Member<'a>>,
+}
+
+impl<'a> Root<'a> {
+    fn find(&self, key: &str) -> Result<Option<&'a str>, Error> {
+        let mut found = self.members.iter().filter(|m| m.key == key).map(|m| m.value);
+        match (found.next(), found.next()) {
+            (_, Some(_)) => Err(self.fault.malformed(key, "occurs twice")),
+            (value, None) => Ok(value),
+        }
+    }
+
+    fn one<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, Error> {
+        self.find(key)?
+            .map(|text| parse_value(text, key, self.fault))
+            .transpose()
+    }
+
+    fn texts(&self, key: &str) -> Result<Vec<&'a str>, Error> {
+        let Some(text) = self.find(key)? else {
+            return Ok(Vec::new());
+        };
+        items(text).map_err(|e| self.fault.malformed(key, without_position(&e.to_string())))
+    }
+
+    fn section<T: DeserializeOwned>(&self, key: &str) -> Result<Section<'a, T>, Error> {
+        let items = self.texts(key)?;
+        let values = items
+            .iter()
+            .enumerate()
+            .map(|(i, text)| parse_value(text, &format!("{key}/{i}"), self.fault))
+            .collect::<Result<_, _>>()?;
+        Ok(Section {
+            text: self.find(key)?,
+            items,
+            values,
+        })
+    }
+}
+
+/// Reads one value, naming the place inside it that is wrong.
+fn parse_value<T: DeserializeOwned>(text: &str, place: &str, fault: Fault) -> Result<T, Error> {
+    serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_str(text)).map_err(|e| {
+        let inside = e.path().to_string().replace(['.', '['], "/").replace([']', '?'], "");
+        let inside = inside.trim_matches('/');
+        let separator = if inside.is_empty() { "" } else { "/" };
+        fault.malformed(
+            format!("{place}{separator}{inside}"),
+            without_position(&e.inner().to_string()),
+        )
+    })
+}
+
+/// The parser counts lines from the start of the slice it was given, which would mislead.
+fn without_position(text: &str) -> String {
+    text.rfind(" at line ").map_or(text, |at| &text[..at]).to_owned()
+}
+
+fn check_version(asset: Option<Asset>, fault: Fault) -> Result<(), Error> {
+    let Some(asset) = asset else {
+        return Err(fault.malformed("asset", "missing; glTF 2.0 needs asset.version"));
+    };
+    let read = |text: &str, place: &str| {
+        let parts = text
+            .split_once('.')
+            .and_then(|(major, minor)| Some((digits(major)?, digits(minor)?)));
+        parts.ok_or_else(|| fault.malformed(place, format!("{text:?} is not a version such as 2.0")))
+    };
+    let version = read(&asset.version, "asset/version")?;
+    if version.0 != 2 {
+        let problem = format!("glTF version {}, only 2.x is read", asset.version);
+        return Err(fault.unsupported("asset/version", problem, "convert it to glTF 2.0"));
+    }
+    if let Some(text) = &asset.min_version {
+        let least = read(text, "asset/minVersion")?;
+        if least > version {
+            let problem = format!("{text} is above the asset's own version {}", asset.version);
+            return Err(fault.malformed("asset/minVersion", problem));
+        }
+        if least > (2, 0) {
+            let problem = format!("needs a reader of version {text}, this one reads 2.0");
+            return Err(fault.unsupported("asset/minVersion", problem, "export it as glTF 2.0"));
+        }
+    }
+    Ok(())
+}
+
+fn digits(text: &str) -> Option<u32> {
+    text.bytes()
+        .all(|b| b.is_ascii_digit())
+        .then(|| text.parse().ok())
+        .flatten()
+}
+
+/// Families of extensions that say how a model looks, moves or is described, and never how its triangles are stored.
+const HARMLESS: [&str; 21] = [
+    "_materials_",
+    "_texture_",
+    "_lights_",
+    "_node_",
+    "_animation_",
+    "_xmp",
+    "_metadata",
+    "_vrm",
+    "_mesh_features",
+    "_instance_features",
+    "_physics_",
+    "_collision_",
+    "_audio",
+    "_environment",
+    "_lod",
+    "_variants",
+    "_mesh_gpu_instancing",
+    "_ngon_encoding",
+    "cesium_rtc",
+    "_articulations",
+    "_techniques_",
+];
+
+/// Extensions that this reader knows, or that it need not know.
+fn is_readable(extension: &str) -> bool {
+    matches!(
+        extension,
+        "KHR_mesh_quantization"
+            | "EXT_meshopt_compression"
+            | "KHR_meshopt_compression"
+            // Refused later, and only when a triangle primitive of the scene needs it.
+            | "KHR_draco_mesh_compression"
+    ) || HARMLESS
+        .iter()
+        .any(|family| extension.to_ascii_lowercase().contains(family))
+}
+
+fn check_required(required: &[String], fault: Fault) -> Result<(), Error> {
+    match required.iter().position(|e| !is_readable(e)) {
+        None => Ok(()),
+        Some(i) => Err(fault.unsupported(
+            format!("extensionsRequired/{i}"),
+            format!("extension {:?} is required and not known here", required[i]),
+            "export without it",
+        )),
+    }
+}

@@ -1,0 +1,223 @@
+//! The first base's own document: its meshes with edited primitives, and the nodes that draw them.
+
+use super::super::document::Document;
+use super::super::read::GltfNotes;
+use super::super::text::{Edits, items, value_of};
+use super::places::{self, DRACO};
+use super::primitives::{Handle, Made, Maker};
+use crate::asset::Error;
+use crate::asset::edited::PrimitiveRun;
+use std::collections::BTreeMap;
+
+/// Meshes, and what changes about nodes and animations. Accessors are numbered virtually: those of the file as there,
+/// new ones on from their number.
+pub(super) struct Frame {
+    /// By number: the file's meshes, `None` for those that nothing draws any more, and new ones.
+    pub(super) meshes: Vec<Option<String>>,
+    /// Texts of nodes that change.
+    pub(super) nodes: BTreeMap<usize, String>,
+    /// Animations; `None` for those of which nothing is left.
+    pub(super) animations: Vec<Option<String>>,
+}
+
+/// What one node is to draw.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum Version {
+    AsStored,
+    Gone,
+    Text(String),
+}
+
+/// Bytes of JSON that meshes may take: a mesh is described once in a file, but may be placed any number of times.
+const MOST_COPIED: usize = 512 << 20;
+
+/// Primitive extensions that speak of the stored triangles, and are wrong for others.
+const OF_STORED_TRIANGLES: [&str; 2] = [DRACO, "FB_ngon_encoding"];
+
+/// Remakes the meshes. `runs` are those of the first base.
+pub(super) fn frame<'a>(
+    maker: &mut Maker<'a, '_>,
+    notes: &GltfNotes,
+    runs: &[&'a PrimitiveRun],
+) -> Result<Frame, Error> {
+    let doc = maker.doc;
+    let mut runs_of: BTreeMap<usize, Vec<&PrimitiveRun>> = BTreeMap::new();
+    for run in runs.iter().filter(|run| run.triangle_count > 0) {
+        runs_of.entry(run.primitive as usize).or_default().push(run);
+    }
+    let mut rows_of: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (i, row) in notes.rows.iter().enumerate() {
+        rows_of.entry(row.node).or_default().push(i);
+    }
+    let mut versions: BTreeMap<usize, Vec<(usize, Version)>> = BTreeMap::new();
+    let mut copied = 0;
+    for &node in &notes.placed {
+        let Some(mesh) = doc.nodes.values[node].mesh.map(|m| m.index()) else {
+            continue;
+        };
+        let rows = rows_of.get(&node).map_or(&[][..], Vec::as_slice);
+        let version = version(maker, notes, mesh, rows, &runs_of)?;
+        if let Version::Text(text) = &version {
+            copied += text.len();
+        }
+        if copied > MOST_COPIED {
+            let problem = format!("the meshes would need {copied} bytes of JSON, at most {MOST_COPIED} are written");
+            return Err(maker.fault.unwritable(problem));
+        }
+        versions.entry(mesh).or_default().push((node, version));
+    }
+    let mut outside = vec![false; doc.meshes.len()];
+    for (i, node) in doc.nodes.values.iter().enumerate() {
+        if let Some(mesh) = node.mesh.filter(|_| notes.placed.binary_search(&i).is_err()) {
+            outside[mesh.index()] = true;
+        }
+    }
+    let mut frame = Frame {
+        meshes: doc.meshes.items.iter().map(|text| Some((*text).to_owned())).collect(),
+        nodes: BTreeMap::new(),
+        animations: Vec::new(),
+    };
+    for (mesh, nodes) in versions {
+        frame.share(doc, mesh, nodes, outside[mesh]);
+    }
+    let gone = |node: usize| {
+        frame
+            .nodes
+            .get(&node)
+            .is_some_and(|text| value_of(text, "mesh").is_none())
+    };
+    frame.animations = doc.animations.iter().map(|text| animation(text, &gone)).collect();
+    Ok(frame)
+}
+
+fn version<'a>(
+    maker: &mut Maker<'a, '_>,
+    notes: &GltfNotes,
+    mesh: usize,
+    rows: &[usize],
+    runs_of: &BTreeMap<usize, Vec<&'a PrimitiveRun>>,
+) -> Result<Version, Error> {
+    let text = maker.doc.meshes.items[mesh];
+    let stored = value_of(text, "primitives")
+        .and_then(|p| items(p).ok())
+        .unwrap_or_default();
+    let mut primitives = Vec::with_capacity(stored.len());
+    let mut as_stored = true;
+    for (p, &old) in stored.iter().enumerate() {
+        let Some(&row) = rows.iter().find(|&&row| notes.rows[row].primitive == p) else {
+            primitives.push(old.to_owned());
+            continue;
+        };
+        let runs = runs_of.get(&row).map_or(&[][..], Vec::as_slice);
+        as_stored &= runs.len() == 1;
+        for &run in runs {
+            let row = &notes.rows[row];
+            match maker.make(run, row, &row.world_from_mesh)? {
+                None => primitives.push(old.to_owned()),
+                Some(made) => {
+                    as_stored = false;
+                    primitives.push(primitive_text(old, &made, maker.doc.accessors.len()));
+                }
+            }
+        }
+    }
+    Ok(if as_stored {
+        Version::AsStored
+    } else if primitives.is_empty() {
+        Version::Gone
+    } else {
+        Version::Text(places::with(text, "primitives", &places::list(&primitives)))
+    })
+}
+
+/// A stored primitive with other accessors.
+fn primitive_text(stored: &str, made: &Made, old_accessors: usize) -> String {
+    let number = |handle: &Handle| match *handle {
+        Handle::Old(at) => at,
+        Handle::New(at) => old_accessors + at,
+    };
+    let object = |all: &BTreeMap<String, Handle>| {
+        let one =
+            |(name, handle): (&String, &Handle)| format!("{}:{}", super::super::text::quoted(name), number(handle));
+        format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
+    };
+    let mut text = places::without_extensions(stored, &[DRACO]);
+    if let Some(indices) = &made.indices {
+        text = places::without_extensions(&text, &OF_STORED_TRIANGLES);
+        text = places::with(&text, "indices", &number(indices).to_string());
+        if value_of(&text, "mode").is_some() {
+            text = places::with(&text, "mode", "4");
+        }
+    }
+    if !made.targets.is_empty() {
+        let targets: Vec<String> = made.targets.iter().map(object).collect();
+        text = places::with(&text, "targets", &places::list(&targets));
+    }
+    places::with(&text, "attributes", &object(&made.attributes))
+}
+
+impl Frame {
+    /// Gives the nodes of one mesh meshes to draw; equal ones share theirs. `outside`: nodes outside the scene draw the
+    /// mesh too, as it is stored.
+    fn share(&mut self, doc: &Document<'_>, mesh: usize, nodes: Vec<(usize, Version)>, outside: bool) {
+        let mut known: BTreeMap<Version, usize> = BTreeMap::new();
+        let stays = outside || nodes.iter().any(|(_, version)| *version == Version::AsStored);
+        if stays {
+            known.insert(Version::AsStored, mesh);
+        } else {
+            self.meshes[mesh] = None;
+        }
+        for (node, version) in nodes {
+            if version == Version::Gone {
+                let text = places::without(doc.nodes.items[node], &["mesh", "skin", "weights"]);
+                self.nodes.insert(node, text);
+                continue;
+            }
+            let at = match known.get(&version) {
+                Some(&at) => at,
+                None => {
+                    let Version::Text(text) = &version else { continue };
+                    let at = if self.meshes[mesh].is_none() {
+                        self.meshes[mesh] = Some(text.clone());
+                        mesh
+                    } else {
+                        self.meshes.push(Some(text.clone()));
+                        self.meshes.len() - 1
+                    };
+                    known.insert(version, at);
+                    at
+                }
+            };
+            if at != mesh {
+                self.nodes
+                    .insert(node, places::with(doc.nodes.items[node], "mesh", &at.to_string()));
+            }
+        }
+    }
+}
+
+/// An animation without what moves the morph targets of nodes that draw nothing any more.
+fn animation(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String> {
+    let channels = value_of(text, "channels")
+        .and_then(|c| items(c).ok())
+        .unwrap_or_default();
+    let is_lost = |channel: &&str| {
+        let target = value_of(channel, "target");
+        let node = target.and_then(|t| value_of(t, "node")).and_then(places::index);
+        target.and_then(|t| value_of(t, "path")) == Some("\"weights\"") && node.is_some_and(gone)
+    };
+    let left: Vec<String> = channels
+        .iter()
+        .filter(|c| !is_lost(c))
+        .map(|c| (*c).to_owned())
+        .collect();
+    if left.len() == channels.len() {
+        return Some(text.to_owned());
+    }
+    if left.is_empty() {
+        return None;
+    }
+    let mut edits = Edits::new(text);
+    edits.set(text, "channels", &places::list(&left));
+    Some(edits.apply())
+}

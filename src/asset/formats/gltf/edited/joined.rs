@@ -1,0 +1,390 @@
+//! Bases that join the first one's document.
+//!
+//! A glTF base comes with its meshes under one new node, and with the materials, textures, samplers and images that its
+//! edited primitives use. Its hierarchy is flattened: every node that draws a mesh becomes a child of the new node.
+//! Where it has grown together with another base its vertices are written as they stand in the world, since those of two
+//! nodes would round apart and tear the joint.
+//! Skeletons, animations, cameras, lights and extensions that are not about materials stay behind. A base of another
+//! format comes as plain geometry.
+
+use super::super::document::Document;
+use super::super::fault::Fault;
+use super::super::read::{GltfNotes, reopen};
+use super::super::scene;
+use super::super::text::{items, quoted, value_of};
+use super::frame::Frame;
+use super::fresh::{Fresh, Kind};
+use super::kept::section;
+use super::material::Palette;
+use super::places;
+use super::primitives::{Handle, Made, Maker};
+use crate::asset::codec::EditedOutput;
+use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::neutral::NeutralModel;
+use crate::asset::{Error, FileSet};
+use glam::{DAffine3, DVec3};
+use std::collections::BTreeMap;
+
+/// What joins the document. Accessors are numbered virtually, as in the frame.
+#[derive(Default)]
+pub(super) struct Joined {
+    pub(super) meshes: Vec<String>,
+    /// Nodes; their meshes count from 0 among the joined ones.
+    nodes: Vec<(String, Option<usize>)>,
+    /// The new nodes that the scene lists.
+    pub(super) roots: Vec<usize>,
+    pub(super) materials: Vec<String>,
+    pub(super) textures: Vec<String>,
+    pub(super) samplers: Vec<String>,
+    /// Images; with their new view, if they have one.
+    pub(super) images: Vec<(String, Option<usize>)>,
+    pub(super) extensions_used: Vec<String>,
+    pub(super) extensions_required: Vec<String>,
+    pub(super) companions: BTreeMap<String, Vec<u8>>,
+}
+
+impl Joined {
+    pub(super) fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// The new nodes, with joined meshes numbered from `first_mesh` on.
+    pub(super) fn node_texts(&self, first_mesh: usize) -> Vec<String> {
+        let one = |(text, mesh): &(String, Option<usize>)| match mesh {
+            Some(mesh) => places::with(text, "mesh", &(first_mesh + mesh).to_string()),
+            None => text.clone(),
+        };
+        self.nodes.iter().map(one).collect()
+    }
+
+    /// The new images, with new views numbered from `first_view` on.
+    pub(super) fn image_texts(&self, first_view: usize) -> Vec<String> {
+        let one = |(text, view): &(String, Option<usize>)| match view {
+            Some(view) => places::with(text, "bufferView", &(first_view + view).to_string()),
+            None => text.clone(),
+        };
+        self.images.iter().map(one).collect()
+    }
+}
+
+/// Joins all bases but the first. `doc` and `files` are those of the first.
+pub(super) fn joined(
+    doc: &Document<'_>,
+    files: &FileSet,
+    frame: &Frame,
+    output: &EditedOutput<'_>,
+    fresh: &mut Fresh,
+) -> Result<Joined, Error> {
+    let mut joined = Joined::default();
+    let EditedOutput { edited, positions, .. } = *output;
+    for (i, base) in edited.bases.iter().enumerate().skip(1) {
+        let own: Vec<&PrimitiveRun> = edited.runs_with_triangles(i as u32).collect();
+        if own.is_empty() {
+            continue;
+        }
+        let mut joiner = Joiner {
+            frame: doc,
+            edited,
+            positions,
+            fresh: &mut *fresh,
+            joined: &mut joined,
+            fault: Fault(output.format),
+        };
+        match base.model.notes::<GltfNotes>() {
+            Some(notes) => joiner.gltf(i, notes, &own, files)?,
+            None => joiner.neutral(i, &(output.neutral_base)(i as u32)?)?,
+        }
+    }
+    let known = doc.meshes.len() + frame.meshes.len() + joined.meshes.len();
+    debug_assert!(joined.nodes.iter().all(|(_, mesh)| mesh.is_none_or(|m| m < known)));
+    Ok(joined)
+}
+
+struct Joiner<'j, 'a> {
+    frame: &'j Document<'j>,
+    edited: &'a EditedModel<'a>,
+    positions: &'a [DVec3],
+    fresh: &'j mut Fresh,
+    joined: &'j mut Joined,
+    fault: Fault,
+}
+
+impl<'a> Joiner<'_, 'a> {
+    fn gltf(
+        &mut self,
+        base: usize,
+        notes: &GltfNotes,
+        runs: &[&'a PrimitiveRun],
+        first: &FileSet,
+    ) -> Result<(), Error> {
+        let model = self.edited.bases[base].model;
+        let placing = self.edited.bases[base].world_from_model;
+        let (doc, mut buffers) = reopen(model, notes)?;
+        let mut runs_of: BTreeMap<(usize, usize), Vec<&PrimitiveRun>> = BTreeMap::new();
+        for run in runs {
+            let row = &notes.rows[run.primitive as usize];
+            runs_of.entry((row.node, row.primitive)).or_default().push(run);
+        }
+        let grown = self.has_grown(base) && !notes.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
+        let node_for = |transform: &DAffine3| if grown { None } else { Placing::of(transform) };
+        let placed = node_for(&placing);
+        let root = self.add_root(&name_of(&model.files, base), placed.as_ref());
+        let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
+        let mut palette = Palette::new(&doc, &model.files, first, base);
+        let mut children = Vec::new();
+        for placement in scene::placements(&doc, &mut Vec::new())? {
+            let mesh = doc.meshes.items[placement.mesh];
+            // What a node cannot hold is left to the vertices.
+            let root_from_mesh = match placed {
+                Some(_) => placement.world_from_mesh,
+                None => placing * placement.world_from_mesh,
+            };
+            let here = node_for(&root_from_mesh);
+            let root_from_mesh = here.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
+            let mut primitives = Vec::new();
+            let stored = value_of(mesh, "primitives")
+                .and_then(|p| items(p).ok())
+                .unwrap_or_default();
+            for (p, stored) in stored.into_iter().enumerate() {
+                let runs = runs_of.get(&(placement.node, p)).map_or(&[][..], Vec::as_slice);
+                for &run in runs {
+                    let mut maker = Maker {
+                        doc: &doc,
+                        buffers: &mut buffers,
+                        edited: self.edited,
+                        positions: self.positions,
+                        fresh: self.fresh,
+                        fault: self.fault,
+                        is_frame: false,
+                    };
+                    let row = &notes.rows[run.primitive as usize];
+                    let made = maker.make(run, row, &(world_from_root * root_from_mesh))?;
+                    let material = match value_of(stored, "material").and_then(places::index) {
+                        Some(m) => palette.material(m, self.frame, &buffers, self.fresh, self.joined)?,
+                        None => None,
+                    };
+                    // Sheared meshes are written as they stand in the world, for which stored targets are not made.
+                    let targets = here.is_some();
+                    primitives.extend(made.map(|made| self.primitive_text(&made, material, targets)));
+                }
+            }
+            if primitives.is_empty() {
+                continue;
+            }
+            let mut text = format!("{{\"primitives\":{}}}", places::list(&primitives));
+            let keys = if here.is_some() || grown {
+                &["name", "weights", "extras"][..]
+            } else {
+                &["name"]
+            };
+            for key in keys {
+                if let Some(value) = value_of(mesh, key) {
+                    text = places::with(&text, key, value);
+                }
+            }
+            self.joined.meshes.push(text);
+            let mut node = "{}".to_owned();
+            if let Some(name) = value_of(doc.nodes.items[placement.node], "name") {
+                node = places::with(&node, "name", name);
+            }
+            if let Some(here) = &here {
+                node = here.on(node);
+            }
+            children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)).to_string());
+        }
+        self.set_children(root, &children);
+        Ok(())
+    }
+
+    /// Whether a vertex of the base stands where one of another base does.
+    fn has_grown(&self, base: usize) -> bool {
+        let place = |v: usize| Some((*self.positions.get(v)? + DVec3::ZERO).to_array().map(f64::to_bits));
+        let of = |own: bool| {
+            let runs = self.edited.runs.iter();
+            let runs = runs.filter(move |run| (run.base as usize == base) == own);
+            runs.flat_map(|run| run.first_vertex as usize..(run.first_vertex + run.vertex_count) as usize)
+        };
+        let mut own: Vec<[u64; 3]> = of(true).filter_map(place).collect();
+        own.sort_unstable();
+        of(false)
+            .filter_map(place)
+            .any(|place| own.binary_search(&place).is_ok())
+    }
+
+    /// A base of another format, one mesh for each of its parts.
+    fn neutral(&mut self, base: usize, neutral: &NeutralModel) -> Result<(), Error> {
+        let NeutralModel {
+            geometry, uv, colours, ..
+        } = neutral;
+        let root = self.add_root(&name_of(&self.edited.bases[base].model.files, base), None);
+        let mut children = Vec::new();
+        for own in neutral.primitives() {
+            let (primitive, part, range) = (own.primitive, own.attributes, own.vertices);
+            let mut made = Made {
+                attributes: BTreeMap::new(),
+                targets: Vec::new(),
+                indices: None,
+            };
+            let mut add = |name: &str, at: usize| {
+                made.attributes.insert(name.into(), Handle::New(at));
+            };
+            let positions: Vec<f32> = geometry.positions[range.clone()]
+                .iter()
+                .flat_map(|p| p.as_vec3().to_array())
+                .collect();
+            if positions.iter().any(|v| !v.is_finite()) {
+                return Err(self.fault.unwritable("a position is beyond 32-bit floats"));
+            }
+            add("POSITION", self.fresh.floats(&positions, 3, "VEC3", Kind::Positions));
+            if primitive.has_normals {
+                let values: Vec<f32> = geometry.normals[range.clone()]
+                    .iter()
+                    .flat_map(|n| n.to_array())
+                    .collect();
+                add("NORMAL", self.fresh.floats(&values, 3, "VEC3", Kind::Floats));
+            }
+            if part.has_uv {
+                add(
+                    "TEXCOORD_0",
+                    self.fresh
+                        .floats(uv[range.clone()].as_flattened(), 2, "VEC2", Kind::Floats),
+                );
+            }
+            if part.has_colours {
+                add(
+                    "COLOR_0",
+                    self.fresh
+                        .floats(colours[range].as_flattened(), 4, "VEC4", Kind::Floats),
+                );
+            }
+            let local: Vec<[u32; 3]> = own
+                .triangles
+                .iter()
+                .map(|t| t.map(|v| v - primitive.first_vertex))
+                .collect();
+            made.indices = Some(Handle::New(self.fresh.indices(&local, primitive.vertex_count as usize)));
+            let primitives = [self.primitive_text(&made, None, false)];
+            self.joined
+                .meshes
+                .push(format!("{{\"primitives\":{}}}", places::list(&primitives)));
+            let name = if primitive.name.is_empty() {
+                "{}".into()
+            } else {
+                format!("{{\"name\":{}}}", quoted(&primitive.name))
+            };
+            children.push(self.add_node(name, Some(self.joined.meshes.len() - 1)).to_string());
+        }
+        self.set_children(root, &children);
+        Ok(())
+    }
+
+    fn primitive_text(&self, made: &Made, material: Option<usize>, with_targets: bool) -> String {
+        let number = |handle: &Handle| match *handle {
+            // Never: joined primitives have new accessors only.
+            Handle::Old(at) => at,
+            Handle::New(at) => self.frame.accessors.len() + at,
+        };
+        let object = |all: &BTreeMap<String, Handle>| {
+            let one = |(name, handle): (&String, &Handle)| format!("{}:{}", quoted(name), number(handle));
+            format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
+        };
+        let mut text = format!("{{\"attributes\":{}", object(&made.attributes));
+        if let Some(indices) = &made.indices {
+            text += &format!(",\"indices\":{}", number(indices));
+        }
+        if with_targets && !made.targets.is_empty() {
+            let targets: Vec<String> = made.targets.iter().map(object).collect();
+            text += &format!(",\"targets\":{}", places::list(&targets));
+        }
+        if let Some(material) = material {
+            text += &format!(",\"material\":{material}");
+        }
+        text + "}"
+    }
+
+    fn add_root(&mut self, name: &str, placing: Option<&Placing>) -> usize {
+        let text = format!("{{\"name\":{}}}", quoted(name));
+        let text = placing.map_or(text.clone(), |p| p.on(text));
+        let root = self.add_node(text, None);
+        self.joined.roots.push(root);
+        root
+    }
+
+    fn add_node(&mut self, text: String, mesh: Option<usize>) -> usize {
+        self.joined.nodes.push((text, mesh));
+        self.frame.nodes.len() + self.joined.nodes.len() - 1
+    }
+
+    fn set_children(&mut self, root: usize, children: &[String]) {
+        let at = root - self.frame.nodes.len();
+        if let Some((text, _)) = self.joined.nodes.get_mut(at).filter(|_| !children.is_empty()) {
+            *text = places::with(text, "children", &places::list(children));
+        }
+    }
+}
+
+/// Whether a node's primitive has morph targets.
+fn has_targets(doc: &Document<'_>, node: usize, primitive: usize) -> bool {
+    let mesh = doc.nodes.values.get(node).and_then(|n| n.mesh.as_ref());
+    let text = mesh.and_then(|m| doc.meshes.items.get(m.index()));
+    let stored = text.and_then(|text| value_of(text, "primitives"));
+    let stored = stored.and_then(|p| items(p).ok()).unwrap_or_default();
+    stored.get(primitive).is_some_and(|p| value_of(p, "targets").is_some())
+}
+
+fn name_of(files: &FileSet, base: usize) -> String {
+    if files.name.is_empty() {
+        format!("merged {base}")
+    } else {
+        files.name.clone()
+    }
+}
+
+/// A transform as a node can have it, a product of translation, rotation and scale, and what is then exactly that.
+struct Placing {
+    transform: DAffine3,
+    /// The members of the node.
+    text: [(&'static str, String); 3],
+}
+
+impl Placing {
+    /// `None` for a transform that shears or flattens.
+    fn of(transform: &DAffine3) -> Option<Self> {
+        let m = &transform.matrix3;
+        let [x, y, z] = [
+            m.x_axis.try_normalize()?,
+            m.y_axis.try_normalize()?,
+            m.z_axis.try_normalize()?,
+        ];
+        if x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs()) > 1e-6 {
+            return None;
+        }
+        let (scale, rotation, translation) = transform.to_scale_rotation_translation();
+        let rotation = rotation.normalize();
+        let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
+        let list = |numbers: &[f64]| {
+            let texts: Vec<String> = numbers.iter().map(|v| format!("{v:?}")).collect();
+            places::list(&texts)
+        };
+        let text = [
+            ("translation", list(&translation.to_array())),
+            ("rotation", list(&rotation.to_array())),
+            ("scale", list(&scale.to_array())),
+        ];
+        transform.is_finite().then_some(Self { transform, text })
+    }
+
+    fn on(&self, node: String) -> String {
+        if self.transform == DAffine3::IDENTITY {
+            return node;
+        }
+        self.text
+            .iter()
+            .fold(node, |node, (key, value)| places::with(&node, key, value))
+    }
+}
+
+/// The stored items of a section and those that have joined it.
+pub(super) fn next_number(frame: &Document<'_>, key: &str, joined: usize) -> usize {
+    section(frame, key).len() + joined
+}

@@ -1,0 +1,347 @@
+//! glTF out after edits of the topology: the first base's document with edited primitives, other bases joined to it.
+//!
+//! EditedModel primitives get accessors of their own ([`primitives`], stored by [`fresh`]); nodes that drew one mesh and now
+//! differ get meshes of their own ([`frame`]). What nothing uses any more is dropped where that is safe ([`kept`]), so
+//! that compressed and quantised files come back as plain floats without the extensions they needed.
+
+mod channels;
+mod extras;
+mod frame;
+mod fresh;
+mod joined;
+mod kept;
+mod material;
+mod places;
+mod primitives;
+
+pub(super) use extras::run_attributes;
+
+use super::buffers::{BufferOrigin, Buffers};
+use super::container;
+use super::document::{Document, GLB_FORMAT};
+use super::fault::Fault;
+use super::package::package;
+use super::patch::Patched;
+use super::read::{GltfNotes, reopen};
+use super::text::{Edits, members, quoted};
+use super::uri;
+use crate::asset::codec::EditedOutput;
+use crate::asset::edited::PrimitiveRun;
+use crate::asset::{Error, FileSet, WrittenFiles};
+use frame::Frame;
+use fresh::Fresh;
+use joined::Joined;
+use kept::Kept;
+use primitives::Maker;
+use std::collections::BTreeMap;
+
+/// New texts of top-level members; `None` for those that go.
+type Sections = BTreeMap<&'static str, Option<String>>;
+
+/// Writes an edited model of which the first base is a glTF. The description has been checked.
+pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
+    let EditedOutput { edited, positions, .. } = *output;
+    let fault = Fault(output.format);
+    let first = edited.bases.first().map(|base| base.model);
+    let Some((model, notes)) = first.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
+        return Err(fault.unwritable("the first base is no glTF"));
+    };
+    let (doc, mut buffers) = reopen(model, notes)?;
+    let mut fresh = Fresh::default();
+    let own: Vec<&PrimitiveRun> = edited.runs.iter().filter(|run| run.base == 0).collect();
+    let mut maker = Maker {
+        doc: &doc,
+        buffers: &mut buffers,
+        edited,
+        positions,
+        fresh: &mut fresh,
+        fault,
+        is_frame: true,
+    };
+    let frame = frame::frame(&mut maker, notes, &own)?;
+    let joined = joined::joined(&doc, &model.files, &frame, output, &mut fresh)?;
+    let mut writer = Writer {
+        doc: &doc,
+        files: &model.files,
+        frame,
+        fresh,
+        joined,
+        fault,
+    };
+    if kept::may_drop(&doc)
+        && let Some(kept) = kept::kept(&doc, &mut buffers, &writer.frame)?
+    {
+        return writer.packed(kept, &buffers);
+    }
+    writer.added(&buffers)
+}
+
+struct Writer<'a> {
+    doc: &'a Document<'a>,
+    files: &'a FileSet,
+    frame: Frame,
+    fresh: Fresh,
+    joined: Joined,
+    fault: Fault,
+}
+
+impl Writer<'_> {
+    /// The document with all of its data packed into one buffer.
+    fn packed(&mut self, kept: Kept, buffers: &Buffers) -> Result<WrittenFiles, Error> {
+        let doc = self.doc;
+        let unneeded = kept::unneeded(doc, &self.frame.meshes);
+        let old = doc.accessors.len();
+        let new_accessor = |a: usize| match a.checked_sub(old) {
+            Some(fresh) => Some(kept.accessors.len() + fresh),
+            None => kept.accessor_numbers.get(&a).copied(),
+        };
+        let new_view = |v: usize| kept.view_numbers.get(&v).copied();
+        let renumber =
+            |text: &str, of: fn(&str) -> places::Places<'_>| places::renumbered(text, of, new_accessor, new_view);
+
+        // Meshes that nothing draws any more go, so the others move up.
+        let mut meshes = Vec::new();
+        let mut mesh_numbers = vec![None; self.frame.meshes.len()];
+        for (mesh, number) in self.frame.meshes.iter().zip(&mut mesh_numbers) {
+            if let Some(text) = mesh {
+                *number = Some(meshes.len());
+                meshes.push(renumber(text, places::of_mesh));
+            }
+        }
+        let first_joined = meshes.len();
+        meshes.extend(self.joined.meshes.iter().map(|text| renumber(text, places::of_mesh)));
+        let mut nodes: Vec<String> = Vec::with_capacity(doc.nodes.len());
+        for (i, stored) in doc.nodes.items.iter().enumerate() {
+            let text = self.frame.nodes.get(&i).map_or(*stored, String::as_str);
+            let text = renumber(text, places::of_node);
+            let mesh = super::text::value_of(&text, "mesh").and_then(places::index);
+            nodes.push(match mesh.and_then(|m| mesh_numbers.get(m).copied().flatten()) {
+                Some(new) if Some(new) != mesh => places::with(&text, "mesh", &new.to_string()),
+                _ => text,
+            });
+        }
+        nodes.extend(self.joined.node_texts(first_joined));
+
+        let mut sections = Sections::new();
+        sections.insert("meshes", Some(places::list(&meshes)));
+        sections.insert("nodes", Some(places::list(&nodes)));
+        let skins: Vec<String> = doc.skins.iter().map(|text| renumber(text, places::of_skin)).collect();
+        let animations = self.frame.animations.iter().flatten();
+        let animations: Vec<String> = animations.map(|text| renumber(text, places::of_animation)).collect();
+        for (key, list) in [("skins", skins), ("animations", animations)] {
+            sections.insert(key, (!list.is_empty()).then(|| places::list(&list)));
+        }
+        let mut images: Vec<String> = kept::section(doc, "images")
+            .into_iter()
+            .map(|text| renumber(text, places::of_image))
+            .collect();
+        images.extend(self.joined.image_texts(kept.views.len()));
+        sections.insert("images", (!images.is_empty()).then(|| places::list(&images)));
+        self.joined_sections(&mut sections);
+        self.extensions(&mut sections, &unneeded);
+
+        let Kept {
+            mut bytes,
+            mut views,
+            mut accessors,
+            ..
+        } = kept;
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        self.fresh.check_size(bytes.len(), self.fault)?;
+        accessors.extend(self.fresh.accessor_texts(views.len()));
+        views.extend(self.fresh.view_texts(0, bytes.len()));
+        bytes.extend_from_slice(self.fresh.bytes());
+        sections.insert("accessors", Some(places::list(&accessors)));
+        sections.insert("bufferViews", Some(places::list(&views)));
+        self.package(sections, bytes, buffers)
+    }
+
+    /// Puts the files together around one buffer.
+    fn package(&self, mut sections: Sections, bytes: Vec<u8>, buffers: &Buffers) -> Result<WrittenFiles, Error> {
+        let doc = self.doc;
+        let mut companions: BTreeMap<String, Vec<u8>> = self
+            .files
+            .companions
+            .iter()
+            .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
+            .collect();
+        for stored in &buffers.stored {
+            if let BufferOrigin::Companion(name) = &stored.origin {
+                companions.remove(name);
+            }
+        }
+        companions.extend(self.joined.companions.clone());
+        let stored = doc.buffers.items.first().copied().unwrap_or("{}");
+        let mut buffer = places::without_extensions(stored, &["EXT_meshopt_compression", "KHR_meshopt_compression"]);
+        buffer = places::with(&buffer, "byteLength", &bytes.len().to_string());
+        let is_glb = self.fault.0 == GLB_FORMAT;
+        let companion = match buffers.stored.first().map(|s| &s.origin) {
+            Some(BufferOrigin::Companion(name)) if !is_glb && buffers.is_exclusive(0) => Some(name.clone()),
+            _ => None,
+        };
+        if is_glb {
+            buffer = places::without(&buffer, &["uri"]);
+        } else if companion.is_none() {
+            buffer = places::with(&buffer, "uri", &quoted(&uri::embed(&bytes)));
+        }
+        sections.insert("buffers", Some(places::list(&[buffer])));
+        let json = rebuilt(doc.text, sections);
+        let main = if is_glb {
+            let rest = doc.container.as_ref().map_or(&[][..], |c| c.rest);
+            container::join(&json, Some(&bytes), rest, self.fault)?
+        } else {
+            json.into_bytes()
+        };
+        if let Some(name) = companion {
+            companions.insert(name, bytes);
+        }
+        Ok(WrittenFiles { main, companions })
+    }
+
+    /// The document with all of its old data where it was, and new data behind it.
+    fn added(&mut self, buffers: &Buffers) -> Result<WrittenFiles, Error> {
+        let doc = self.doc;
+        let takes_more = |i: &usize| {
+            buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
+        };
+        let target = (0..doc.buffers.len()).find(takes_more);
+        let mut bytes = target
+            .and_then(|i| buffers.stored[i].bytes.as_ref())
+            .map(|b| b.to_vec())
+            .unwrap_or_default();
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        self.fresh.check_size(bytes.len(), self.fault)?;
+        let view_texts = self.fresh.view_texts(target.unwrap_or(doc.buffers.len()), bytes.len());
+        let accessor_texts = self.fresh.accessor_texts(doc.views.len());
+        bytes.extend_from_slice(self.fresh.bytes());
+
+        let whole = |list: Vec<String>| (!list.is_empty()).then(|| places::list(&list));
+        let mut sections = Sections::new();
+        let mut meshes: Vec<String> = Vec::new();
+        for (i, mesh) in self.frame.meshes.iter().enumerate() {
+            // Something unknown may name the mesh by its number, so it stays.
+            let stored = || doc.meshes.items.get(i).map(|text| (*text).to_owned());
+            meshes.extend(mesh.clone().or_else(stored));
+        }
+        let first_joined = meshes.len();
+        meshes.extend(self.joined.meshes.iter().cloned());
+        sections.insert("meshes", whole(meshes));
+        let stored = doc.nodes.items.iter().enumerate();
+        let mut nodes: Vec<String> = stored
+            .map(|(i, text)| self.frame.nodes.get(&i).cloned().unwrap_or_else(|| (*text).to_owned()))
+            .collect();
+        nodes.extend(self.joined.node_texts(first_joined));
+        sections.insert("nodes", whole(nodes));
+        if self.frame.animations.contains(&None) || !self.joined.is_empty() {
+            sections.insert(
+                "animations",
+                whole(self.frame.animations.iter().flatten().cloned().collect()),
+            );
+        }
+        let old = |key: &str| -> Vec<String> { kept::section(doc, key).into_iter().map(str::to_owned).collect() };
+        let mut images = old("images");
+        images.extend(self.joined.image_texts(doc.views.len()));
+        sections.insert("images", whole(images));
+        self.joined_sections(&mut sections);
+        self.extensions(&mut sections, &[]);
+        for (key, mut list, more) in [
+            ("bufferViews", old("bufferViews"), view_texts),
+            ("accessors", old("accessors"), accessor_texts),
+        ] {
+            list.extend(more);
+            sections.insert(key, whole(list));
+        }
+
+        let text = doc.text;
+        let mut edits = Edits::new(text);
+        for (key, value) in &sections {
+            match value {
+                Some(value) => edits.set(text, key, value),
+                None => edits.remove(text, key),
+            }
+        }
+        let mut patched = Patched {
+            edits,
+            buffers: BTreeMap::new(),
+            added_buffer: None,
+        };
+        match target {
+            Some(i) => {
+                patched
+                    .edits
+                    .set(doc.buffers.items[i], "byteLength", &bytes.len().to_string());
+                patched.buffers.insert(i, bytes);
+            }
+            None => patched.added_buffer = Some(bytes),
+        }
+        let mut written = package(doc, self.files, buffers, patched, self.fault.0)?;
+        written.companions.extend(self.joined.companions.clone());
+        Ok(written)
+    }
+
+    /// Materials, textures, samplers and scenes with those of the joined bases.
+    fn joined_sections(&self, sections: &mut Sections) {
+        for (key, more) in [
+            ("materials", &self.joined.materials),
+            ("textures", &self.joined.textures),
+            ("samplers", &self.joined.samplers),
+        ] {
+            if !more.is_empty() {
+                let mut list: Vec<String> = kept::section(self.doc, key).into_iter().map(str::to_owned).collect();
+                list.extend(more.iter().cloned());
+                sections.insert(key, Some(places::list(&list)));
+            }
+        }
+        let roots = &self.joined.roots;
+        let scene = self.doc.scene.unwrap_or(0);
+        if let Some(stored) = self.doc.scenes.items.get(scene).filter(|_| !roots.is_empty()) {
+            let mut nodes: Vec<String> = self.doc.scenes.values[scene]
+                .nodes
+                .iter()
+                .map(|n| n.0.to_string())
+                .collect();
+            nodes.extend(roots.iter().map(ToString::to_string));
+            let mut scenes: Vec<String> = self.doc.scenes.items.iter().map(|text| (*text).to_owned()).collect();
+            scenes[scene] = places::with(stored, "nodes", &places::list(&nodes));
+            sections.insert("scenes", Some(places::list(&scenes)));
+        }
+    }
+
+    /// The lists of extensions, without some and with those of the joined bases.
+    fn extensions(&self, sections: &mut Sections, unneeded: &[&str]) {
+        for (key, stored, more) in [
+            (
+                "extensionsUsed",
+                &self.doc.extensions_used,
+                &self.joined.extensions_used,
+            ),
+            (
+                "extensionsRequired",
+                &self.doc.extensions_required,
+                &self.joined.extensions_required,
+            ),
+        ] {
+            let mut list: Vec<&String> = stored.iter().filter(|e| !unneeded.contains(&e.as_str())).collect();
+            list.extend(more.iter().filter(|e| !stored.contains(e)));
+            if list.len() != stored.len() || !more.is_empty() {
+                let texts: Vec<String> = list.into_iter().map(|e| quoted(e)).collect();
+                sections.insert(key, (!texts.is_empty()).then(|| places::list(&texts)));
+            }
+        }
+    }
+}
+
+/// The document with new values of some members, in the order in which they were; added ones follow.
+fn rebuilt(text: &str, mut sections: Sections) -> String {
+    let mut out = Vec::new();
+    for member in members(text).unwrap_or_default() {
+        match sections.remove(member.key.as_str()) {
+            Some(Some(value)) => out.push(format!("{}:{value}", quoted(&member.key))),
+            Some(None) => {}
+            None => out.push(format!("{}:{}", quoted(&member.key), member.value)),
+        }
+    }
+    let added = sections.into_iter().filter_map(|(key, value)| Some((key, value?)));
+    out.extend(added.map(|(key, value)| format!("{}:{value}", quoted(key))));
+    format!("{{{}}}", out.join(","))
+}

@@ -1,0 +1,216 @@
+//! A new, minimal asset for geometry that came from another format.
+
+use super::container;
+use super::document::GLB_FORMAT;
+use super::fault::Fault;
+use super::patch::json_floats;
+use super::text::quoted;
+use super::uri;
+use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
+use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
+use crate::mesh::shading;
+use glam::Vec3;
+
+/// One buffer, one node and mesh for each primitive, with positions, indices, and normals, texture coordinates and
+/// colours where there are any; and a material for each name.
+pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error> {
+    let fault = Fault(format);
+    let mut asset = Asset {
+        fault,
+        bytes: Vec::new(),
+        views: Vec::new(),
+        accessors: Vec::new(),
+        meshes: Vec::new(),
+        materials: Vec::new(),
+    };
+    let mut nodes = Vec::new();
+    for own in neutral.primitives() {
+        if own.triangles.is_empty() {
+            continue;
+        }
+        asset.add(neutral, &own)?;
+        let name = name_of(own.primitive);
+        nodes.push(format!(r#"{{"mesh":{}{name}}}"#, nodes.len()));
+    }
+    if nodes.is_empty() {
+        return Err(fault.unwritable("there are no triangles"));
+    }
+    let scene: Vec<String> = (0..nodes.len()).map(|i| i.to_string()).collect();
+    let Asset {
+        bytes,
+        views,
+        accessors,
+        meshes,
+        materials,
+        ..
+    } = asset;
+    let materials = if materials.is_empty() {
+        String::new()
+    } else {
+        let one = |name: &String| format!(r#"{{"name":{}}}"#, quoted(name));
+        format!(
+            r#","materials":[{}]"#,
+            materials.iter().map(one).collect::<Vec<_>>().join(",")
+        )
+    };
+    let embedded = if format == GLB_FORMAT {
+        String::new()
+    } else {
+        format!(r#","uri":{}"#, quoted(&uri::embed(&bytes)))
+    };
+    let json = format!(
+        concat!(
+            r#"{{"asset":{{"version":"2.0","generator":"pliant"}},"scene":0,"scenes":[{{"nodes":[{}]}}],"#,
+            r#""nodes":[{}],"meshes":[{}],"accessors":[{}],"bufferViews":[{}],"buffers":[{{"byteLength":{}{}}}]{}}}"#
+        ),
+        scene.join(","),
+        nodes.join(","),
+        meshes.join(","),
+        accessors.join(","),
+        views.join(","),
+        bytes.len(),
+        embedded,
+        materials,
+    );
+    let main = if format == GLB_FORMAT {
+        container::join(&json, Some(&bytes), &[], fault)?
+    } else {
+        json.into_bytes()
+    };
+    Ok(WrittenFiles::single(main))
+}
+
+fn name_of(primitive: &Primitive) -> String {
+    if primitive.name.is_empty() {
+        String::new()
+    } else {
+        format!(r#","name":{}"#, quoted(&primitive.name))
+    }
+}
+
+struct Asset {
+    fault: Fault,
+    bytes: Vec<u8>,
+    views: Vec<String>,
+    accessors: Vec<String>,
+    meshes: Vec<String>,
+    /// Names of materials.
+    materials: Vec<String>,
+}
+
+impl Asset {
+    fn add(&mut self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Result<(), Error> {
+        let NeutralPrimitive {
+            primitive,
+            attributes: part,
+            triangles,
+            ..
+        } = *own;
+        let geometry = &neutral.geometry;
+        let (first, count) = (primitive.first_vertex as usize, primitive.vertex_count as usize);
+        let outside = || self.fault.unwritable("a primitive names vertices that do not exist");
+        let last = first.checked_add(count).ok_or_else(outside)?;
+        let in_world = geometry.positions.get(first..last).ok_or_else(outside)?;
+        let indices: Option<Vec<u32>> = triangles
+            .iter()
+            .flatten()
+            .map(|&v| {
+                v.checked_sub(primitive.first_vertex)
+                    .filter(|&v| v < primitive.vertex_count)
+            })
+            .collect();
+        let indices = indices.ok_or_else(outside)?;
+
+        let positions: Vec<Vec3> = in_world.iter().map(|p| p.as_vec3()).collect();
+        if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
+            let problem = format!(
+                "the position {} of vertex {} is beyond 32-bit floats",
+                in_world[i],
+                first + i
+            );
+            return Err(self.fault.unwritable(problem));
+        }
+        let floats: Vec<f32> = positions.iter().flat_map(|p| p.to_array()).collect();
+        let least = positions.iter().fold(Vec3::INFINITY, |a, &p| a.min(p)).to_array();
+        let most = positions.iter().fold(Vec3::NEG_INFINITY, |a, &p| a.max(p)).to_array();
+        let limits = format!(r#","min":{},"max":{}"#, json_floats(&least), json_floats(&most));
+        let position = self.floats(&floats, 3, &limits);
+        let mut attributes = format!(r#""POSITION":{position}"#);
+        if primitive.has_normals
+            && let Some(normals) = geometry.normals.get(first..last)
+        {
+            let normal = self.floats(&unit_normals(normals, geometry, first, &indices), 3, "");
+            attributes += &format!(r#","NORMAL":{normal}"#);
+        }
+        if let Some(uv) = neutral.uv.get(first..last).filter(|_| part.has_uv) {
+            let uv = self.floats(uv.as_flattened(), 2, "");
+            attributes += &format!(r#","TEXCOORD_0":{uv}"#);
+        }
+        if let Some(colours) = neutral.colours.get(first..last).filter(|_| part.has_colours) {
+            let colour = self.floats(colours.as_flattened(), 4, "");
+            attributes += &format!(r#","COLOR_0":{colour}"#);
+        }
+        let material = part
+            .material
+            .as_ref()
+            .map(|name| format!(r#","material":{}"#, self.material(name)));
+        let material = material.unwrap_or_default();
+        let indices = self.indices(&indices, count);
+        let name = name_of(primitive);
+        self.meshes.push(format!(
+            r#"{{"primitives":[{{"attributes":{{{attributes}}},"indices":{indices},"mode":4{material}}}]{name}}}"#
+        ));
+        Ok(())
+    }
+
+    fn floats(&mut self, values: &[f32], lanes: usize, limits: &str) -> usize {
+        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1];
+        self.accessor(&bytes, 34962, values.len() / lanes.max(1), 5126, shape, limits)
+    }
+
+    fn material(&mut self, name: &str) -> usize {
+        let known = self.materials.iter().position(|n| n == name);
+        known.unwrap_or_else(|| {
+            self.materials.push(name.to_owned());
+            self.materials.len() - 1
+        })
+    }
+
+    fn indices(&mut self, indices: &[u32], vertices: usize) -> usize {
+        // The largest value of a type is the restart mark, which no index may be.
+        let (bytes, component): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
+            (indices.iter().flat_map(|&i| (i as u16).to_le_bytes()).collect(), 5123)
+        } else {
+            (indices.iter().flat_map(|i| i.to_le_bytes()).collect(), 5125)
+        };
+        self.accessor(&bytes, 34963, indices.len(), component, "SCALAR", "")
+    }
+
+    fn accessor(&mut self, bytes: &[u8], target: u32, count: usize, component: u32, shape: &str, more: &str) -> usize {
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        let (offset, length) = (self.bytes.len(), bytes.len());
+        self.bytes.extend_from_slice(bytes);
+        self.views.push(format!(
+            r#"{{"buffer":0,"byteOffset":{offset},"byteLength":{length},"target":{target}}}"#
+        ));
+        self.accessors.push(format!(
+            r#"{{"bufferView":{},"componentType":{component},"count":{count},"type":"{shape}"{more}}}"#,
+            self.views.len() - 1
+        ));
+        self.accessors.len() - 1
+    }
+}
+
+/// Normals of unit length, as glTF demands; where one has no direction, the surface's.
+fn unit_normals(normals: &[Vec3], geometry: &Geometry, first: usize, indices: &[u32]) -> Vec<f32> {
+    let mut unit: Vec<Option<Vec3>> = normals.iter().map(|n| n.try_normalize()).collect();
+    if unit.contains(&None) {
+        let triangles = indices.as_chunks::<3>().0;
+        let smooth = shading::smooth_normals(&geometry.positions[first..first + normals.len()], triangles);
+        unit.iter_mut()
+            .zip(smooth)
+            .for_each(|(n, smooth)| *n = n.or(Some(smooth)));
+    }
+    unit.into_iter().flat_map(|n| n.unwrap_or(Vec3::Z).to_array()).collect()
+}

@@ -1,0 +1,97 @@
+//! glTF 2.0 and GLB, patched instead of rebuilt.
+//!
+//! What a deformation does not change comes back as it was: the JSON text outside the changed places to the byte, the
+//! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins, morph
+//! targets. Existing indices never change; what is new is appended.
+//!
+//! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
+//! [`text`], [`check`] checks references and ranges, [`buffers`] finds bytes (with [`uri`] and [`compressed`]),
+//! [`accessors`] reads them, [`scene`] places meshes, [`read`] puts triangles together. Writing: [`deformed`] computes
+//! what each attribute should become, [`sharing`] decides which copies must part, [`patch`] edits text and bytes,
+//! [`package`] makes the files. [`fresh`] makes an asset from other formats' geometry. After edits of the topology,
+//! [`edited`] writes primitives anew.
+//!
+//! # Conventions
+//! - Positions are in world space; a skinned mesh is in its bind pose, its node's transform ignored.
+//! - Triangles of a mesh that is mirrored into the world (negative determinant) are wound the other way round than the
+//!   file's indices, so that the outside is outside. The file's indices are never changed.
+//! - Quantised and sparse attributes that change come back as plain floats in an accessor of their own.
+//! - A vertex whose world position is equal to the rest pose's to the bit keeps its stored bytes.
+//!
+//! Must not: open files, fetch URIs, know of solving.
+
+mod accessors;
+mod buffers;
+mod check;
+mod compressed;
+mod container;
+mod deformed;
+mod document;
+mod edited;
+mod fault;
+mod fresh;
+mod package;
+mod patch;
+mod read;
+mod scene;
+mod schema;
+mod sharing;
+#[cfg(test)]
+mod tests;
+mod text;
+mod uri;
+
+pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
+
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::neutral::{NeutralModel, RunAttributes};
+use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// Reads and writes GLB and glTF.
+pub(super) struct GltfCodec;
+
+impl FormatCodec for GltfCodec {
+    fn handles(&self, format: Format) -> bool {
+        format == GLB_FORMAT || format == GLTF_FORMAT
+    }
+
+    fn read(&self, files: &FileSet, format: Format, limits: &Limits) -> Result<ReadFile, Error> {
+        let (geometry, notes) = read::read(files, format, limits)?;
+        Ok((geometry, Arc::new(notes)))
+    }
+
+    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        let notes = model.notes_or_refuse(format)?;
+        let (doc, mut buffers) = read::reopen(model, notes)?;
+        let wanted = deformed::wanted(
+            &doc,
+            &mut buffers,
+            notes,
+            &model.geometry,
+            positions,
+            fault::Fault(format),
+        )?;
+        let plan = sharing::plan(&doc, &buffers, notes, &model.geometry, wanted);
+        let patched = patch::patch(&doc, &buffers, plan)?;
+        package::package(&doc, &model.files, &buffers, patched, format)
+    }
+
+    fn build(&self, neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error> {
+        fresh::build(neutral, format)
+    }
+
+    fn divides_at_seams(&self) -> bool {
+        true
+    }
+
+    fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
+        edited::write(output)
+    }
+
+    fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
+        edited::run_attributes(edited, runs)
+    }
+}

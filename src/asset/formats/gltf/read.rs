@@ -1,0 +1,404 @@
+//! From a document to world-space triangles.
+
+use super::accessors::{self, Role};
+use super::buffers::Buffers;
+use super::document::Document;
+use super::scene::{self, Placement, Warnings};
+use super::schema::MeshPrimitive;
+use crate::asset::model::FileNotes;
+use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
+use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
+use std::collections::BTreeSet;
+
+/// Placed primitives. A node costs a dozen bytes in a file and places a whole mesh, so their number is not bounded by
+/// the file's size, and each costs far more here than its vertices do.
+const MOST_ROWS: usize = 1 << 18;
+
+/// One row of the primitive table, as the writer needs it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Row {
+    pub(super) node: usize,
+    pub(super) mesh: usize,
+    pub(super) primitive: usize,
+    pub(super) world_from_mesh: DAffine3,
+    /// Its first render vertex, and one past its last.
+    pub(super) vertices: std::ops::Range<usize>,
+    /// Its first triangle, and one past its last.
+    pub(super) triangles: std::ops::Range<usize>,
+}
+
+/// What the writers have to remember of a file: where the rows of the primitive table came from.
+#[derive(Debug)]
+pub(super) struct GltfNotes {
+    pub(super) format: Format,
+    pub(super) rows: Vec<Row>,
+    /// Nodes of the scene that have a mesh, ascending.
+    pub(super) placed: Vec<usize>,
+}
+
+impl FileNotes for GltfNotes {}
+
+/// For reading again what was already read once within the caller's limits.
+const UNLIMITED: Limits = Limits {
+    vertices: u64::MAX,
+    triangles: u64::MAX,
+    decoded_bytes: u64::MAX,
+};
+
+/// Parses the document of a model that was read before, and finds its bytes.
+pub(super) fn reopen<'a>(model: &'a Model, notes: &GltfNotes) -> Result<(Document<'a>, Buffers), Error> {
+    let doc = Document::parse(&model.files, notes.format)?;
+    super::check::check(&doc)?;
+    let buffers = Buffers::load(&doc, &model.files, &UNLIMITED)?;
+    Ok((doc, buffers))
+}
+
+/// Reads a model, checking everything it relies on.
+pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(Geometry, GltfNotes), Error> {
+    let doc = Document::parse(files, format)?;
+    super::check::check(&doc)?;
+    // Tables count with 32 bits, whatever the caller allows.
+    let (vertices, triangles) = (
+        limits.vertices.min(u32::MAX.into()),
+        limits.triangles.min((u32::MAX / 3).into()),
+    );
+    let mut reader = Reader {
+        buffers: Buffers::load(&doc, files, limits)?,
+        doc: &doc,
+        limits: Limits {
+            vertices,
+            triangles,
+            ..*limits
+        },
+        geometry: Geometry::default(),
+        rows: Vec::new(),
+        examined: 0,
+    };
+    let placements = scene::placements(&doc, &mut reader.geometry.warnings)?;
+    // What draws no triangles under one node draws none under any other, and must not cost anything there.
+    let mut drawn: Vec<Option<Vec<usize>>> = vec![None; doc.meshes.len()];
+    for placement in &placements {
+        let primitives = drawn[placement.mesh].take();
+        let primitives =
+            primitives.unwrap_or_else(|| (0..doc.meshes.values[placement.mesh].primitives.len()).collect());
+        let mut kept = Vec::with_capacity(primitives.len());
+        for p in primitives {
+            if reader.add(placement, p)? {
+                kept.push(p);
+            }
+        }
+        drawn[placement.mesh] = Some(kept);
+    }
+    let Reader { mut geometry, rows, .. } = reader;
+    if geometry.triangles.is_empty() {
+        return Err(Error::NoMesh {
+            format,
+            problem: what_is_there(&doc, &placements),
+        });
+    }
+    fill_up(&mut geometry);
+    let mut placed: Vec<usize> = placements.iter().map(|p| p.node).collect();
+    placed.sort_unstable();
+    Ok((geometry, GltfNotes { format, rows, placed }))
+}
+
+fn what_is_there(doc: &Document<'_>, placements: &[Placement]) -> String {
+    if doc.meshes.len() == 0 {
+        "the file has no meshes".into()
+    } else if placements.is_empty() {
+        format!("no node of the scene places any of the {} meshes", doc.meshes.len())
+    } else {
+        "the meshes of the scene have no triangles".into()
+    }
+}
+
+/// Normals and tangents are empty, or one per vertex.
+fn fill_up(geometry: &mut Geometry) {
+    let count = geometry.positions.len();
+    if !geometry.normals.is_empty() {
+        geometry.normals.resize(count, Vec3::ZERO);
+    }
+    if !geometry.tangents.is_empty() {
+        geometry.tangents.resize(count, Vec4::ZERO);
+    }
+}
+
+struct Reader<'d, 'f> {
+    doc: &'d Document<'f>,
+    buffers: Buffers,
+    limits: Limits,
+    geometry: Geometry,
+    rows: Vec<Row>,
+    /// Triangles that were or could have been made of the indices read so far.
+    examined: u64,
+}
+
+impl Reader<'_, '_> {
+    /// Adds a primitive under a node; `false` when it has no triangles.
+    fn add(&mut self, placement: &Placement, p: usize) -> Result<bool, Error> {
+        let doc = self.doc;
+        let mesh = &doc.meshes.values[placement.mesh];
+        let primitive = &mesh.primitives[p];
+        let place = || format!("meshes/{}/primitives/{p}", placement.mesh);
+        if primitive.mode() < 4 {
+            return Ok(false);
+        }
+        if self.rows.len() == MOST_ROWS {
+            let (seen, limit) = (MOST_ROWS as u64 + 1, MOST_ROWS as u64);
+            return Err(Error::TooLarge {
+                what: "number of placed primitives",
+                seen,
+                limit,
+            });
+        }
+        let Some(positions) = primitive.attribute("POSITION") else {
+            self.warn("no-position", "has no POSITION; it is passed through", place());
+            return Ok(false);
+        };
+        check_draco(doc, primitive, place(), &mut self.geometry.warnings)?;
+        let layout = accessors::check_role(doc, positions, Role::Position)?;
+        accessors::check_unbacked(doc, positions, layout)?;
+
+        // Counts against the limits before anything is allocated for them.
+        let count = doc.accessors.values[positions].count.0;
+        let first_vertex = self.geometry.positions.len();
+        self.limits
+            .check_vertices((first_vertex as u64).saturating_add(count))?;
+        let corners = primitive
+            .indices
+            .map_or(count, |i| doc.accessors.values[i.index()].count.0);
+        let most = if primitive.mode() == 4 {
+            corners / 3
+        } else {
+            corners.saturating_sub(2)
+        };
+        self.examined = self.examined.saturating_add(most);
+        self.limits.check_triangles(self.examined)?;
+
+        let used = Role::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
+        let used: BTreeSet<usize> = used.chain(primitive.indices.map(|i| i.index())).collect();
+        self.buffers.decode_for(doc, &used)?;
+
+        let triangles = if most > 0 {
+            self.triangles(primitive, count as usize, &place())?
+        } else {
+            Vec::new()
+        };
+        if triangles.is_empty() {
+            self.warn("no-triangles", "has no triangles; it is passed through", place());
+            return Ok(false);
+        }
+        self.positions(positions, placement, &place())?;
+        let has_normals = self.normals(primitive, placement, first_vertex, &place())?;
+        let has_tangents = self.tangents(primitive, placement, first_vertex, &place())?;
+
+        let first_triangle = self.geometry.triangles.len();
+        let mirrored = placement.world_from_mesh.matrix3.determinant() < 0.0;
+        self.geometry.triangles.extend(triangles.iter().map(|t| {
+            let [a, b, c] = t.map(|v| v + first_vertex as u32);
+            // A mirrored mesh is drawn with its winding turned round, so that its outside stays outside.
+            if mirrored { [a, c, b] } else { [a, b, c] }
+        }));
+        let node_name = doc.nodes.values[placement.node].name.as_ref().filter(|n| !n.is_empty());
+        self.geometry.primitives.push(Primitive {
+            node: placement.node as u32,
+            mesh: placement.mesh as u32,
+            primitive: p as u32,
+            name: node_name.or(mesh.name.as_ref()).cloned().unwrap_or_default(),
+            first_vertex: first_vertex as u32,
+            vertex_count: count as u32,
+            index_count: (triangles.len() * 3) as u32,
+            has_normals,
+            has_tangents,
+        });
+        self.rows.push(Row {
+            node: placement.node,
+            mesh: placement.mesh,
+            primitive: p,
+            world_from_mesh: placement.world_from_mesh,
+            vertices: first_vertex..self.geometry.positions.len(),
+            triangles: first_triangle..self.geometry.triangles.len(),
+        });
+        Ok(true)
+    }
+
+    fn warn(&mut self, code: &str, message: impl Into<String>, place: impl Into<String>) {
+        self.geometry.warnings.push((code.into(), message.into(), place.into()));
+    }
+
+    /// Triangles over the primitive's own vertices, every index in range.
+    fn triangles(&mut self, primitive: &MeshPrimitive, vertices: usize, place: &str) -> Result<Vec<[u32; 3]>, Error> {
+        let corners: Vec<u32> = match primitive.indices {
+            Some(indices) => {
+                let corners = accessors::read_indices(self.doc, &self.buffers, indices.index())?;
+                if let Some(i) = corners.iter().position(|&c| c as usize >= vertices) {
+                    let problem = format!("index {} at {i}, there are {vertices} vertices", corners[i]);
+                    return Err(self.doc.fault.malformed(format!("accessors/{}", indices.0), problem));
+                }
+                corners
+            }
+            None => (0..vertices as u32).collect(),
+        };
+        if primitive.mode() == 4 && !corners.len().is_multiple_of(3) {
+            let message = format!(
+                "{} corners do not make whole triangles; the last ones are left out",
+                corners.len()
+            );
+            self.warn("incomplete-triangle", message, place);
+        }
+        Ok(to_triangles(&corners, primitive.mode()))
+    }
+
+    fn positions(&mut self, accessor: usize, placement: &Placement, place: &str) -> Result<(), Error> {
+        let stored = accessors::read_floats(self.doc, &self.buffers, accessor, Role::Position)?;
+        if invert(&placement.world_from_mesh).is_none() {
+            let message = format!(
+                "node {} flattens its mesh (a scale of zero), so it cannot be deformed",
+                placement.node
+            );
+            self.warn("singular-transform", message, place);
+        }
+        self.geometry.positions.reserve(stored.len() / 3);
+        for (i, &p) in stored.as_chunks::<3>().0.iter().enumerate() {
+            let in_world = placement
+                .world_from_mesh
+                .transform_point3(Vec3::from_array(p).as_dvec3());
+            if !in_world.is_finite() {
+                let problem = format!("POSITION of vertex {i} is {p:?}, in the world {in_world}; it must be finite");
+                return Err(self.doc.fault.malformed(place, problem));
+            }
+            self.geometry.positions.push(in_world);
+        }
+        Ok(())
+    }
+
+    fn normals(
+        &mut self,
+        primitive: &MeshPrimitive,
+        placement: &Placement,
+        first: usize,
+        place: &str,
+    ) -> Result<bool, Error> {
+        let Some(accessor) = primitive.attribute("NORMAL") else {
+            return Ok(false);
+        };
+        let values = accessors::read_floats(self.doc, &self.buffers, accessor, Role::Normal)?;
+        let world_from_normal = normal_matrix(&placement.world_from_mesh.matrix3);
+        self.geometry.normals.resize(first, Vec3::ZERO);
+        let mut odd = 0;
+        for &n in values.as_chunks::<3>().0 {
+            let unit = (world_from_normal * Vec3::from_array(n).as_dvec3()).try_normalize();
+            odd += usize::from(unit.is_none());
+            self.geometry.normals.push(unit.map_or(Vec3::ZERO, |n| n.as_vec3()));
+        }
+        self.warn_odd("normal", odd, place);
+        Ok(true)
+    }
+
+    fn tangents(
+        &mut self,
+        primitive: &MeshPrimitive,
+        placement: &Placement,
+        first: usize,
+        place: &str,
+    ) -> Result<bool, Error> {
+        let Some(accessor) = primitive.attribute("TANGENT") else {
+            return Ok(false);
+        };
+        let values = accessors::read_floats(self.doc, &self.buffers, accessor, Role::Tangent)?;
+        let matrix = placement.world_from_mesh.matrix3;
+        // Mirroring turns the side on which the bitangent lies.
+        let side = if matrix.determinant() < 0.0 { -1.0 } else { 1.0 };
+        self.geometry.tangents.resize(first, Vec4::ZERO);
+        let mut odd = 0;
+        for &[x, y, z, w] in values.as_chunks::<4>().0 {
+            let unit = (matrix * DVec3::new(x.into(), y.into(), z.into()))
+                .try_normalize()
+                .filter(|_| w.is_finite());
+            odd += usize::from(unit.is_none());
+            self.geometry
+                .tangents
+                .push(unit.map_or(Vec4::ZERO, |t| t.as_vec3().extend(w * side)));
+        }
+        self.warn_odd("tangent", odd, place);
+        Ok(true)
+    }
+
+    fn warn_odd(&mut self, what: &str, count: usize, place: &str) {
+        if count > 0 {
+            let message = format!("{count} {what}s have no direction; they are taken as absent");
+            self.warn(&format!("bad-{what}"), message, place);
+        }
+    }
+}
+
+/// The inverse of a transform; `None` when it flattens space, up to rounding.
+pub(super) fn invert(transform: &DAffine3) -> Option<DAffine3> {
+    let m = &transform.matrix3;
+    let size = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
+    (m.determinant().abs() > 1e-12 * size)
+        .then(|| transform.inverse())
+        .filter(DAffine3::is_finite)
+}
+
+/// Takes normals along with the points: the inverse transpose up to a positive factor, also for singular matrices.
+pub(super) fn normal_matrix(m: &DMat3) -> DMat3 {
+    let cofactor = DMat3::from_cols(
+        m.y_axis.cross(m.z_axis),
+        m.z_axis.cross(m.x_axis),
+        m.x_axis.cross(m.y_axis),
+    );
+    if m.determinant() < 0.0 {
+        cofactor * -1.0
+    } else {
+        cofactor
+    }
+}
+
+/// Lists, strips and fans become triangles; those of strips and fans that only stitch pieces together are left out.
+fn to_triangles(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
+    let stitched = |t: &[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0];
+    match (mode, corners) {
+        (4, _) => corners.as_chunks::<3>().0.to_vec(),
+        (5, _) => corners
+            .windows(3)
+            .enumerate()
+            .map(|(i, w)| {
+                if i % 2 == 0 {
+                    [w[0], w[1], w[2]]
+                } else {
+                    [w[0], w[2], w[1]]
+                }
+            })
+            .filter(stitched)
+            .collect(),
+        (_, [center, rim @ ..]) => rim.windows(2).map(|w| [w[0], w[1], *center]).filter(stitched).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// A Draco primitive is readable only when the file also holds it uncompressed.
+fn check_draco(
+    doc: &Document<'_>,
+    primitive: &MeshPrimitive,
+    place: String,
+    warnings: &mut Warnings,
+) -> Result<(), Error> {
+    const DRACO: &str = "KHR_draco_mesh_compression";
+    if !primitive.has_draco() {
+        return Ok(());
+    }
+    let used = Role::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
+    let mut used = used.chain(primitive.indices.map(|i| i.index()));
+    let required = doc.extensions_required.iter().any(|e| e == DRACO);
+    if required || used.any(|a| doc.accessors.values[a].buffer_view.is_none()) {
+        return Err(doc.fault.unsupported(
+            format!("{place}/extensions/{DRACO}"),
+            "Draco-compressed triangles are not read",
+            "export without Draco, or with meshopt",
+        ));
+    }
+    let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";
+    warnings.push(("draco-fallback".into(), message.into(), place));
+    Ok(())
+}

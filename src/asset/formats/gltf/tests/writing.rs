@@ -1,0 +1,253 @@
+//! What a changed file looks like, to the byte.
+
+use super::*;
+
+#[test]
+fn text_outside_the_changed_places_stays_to_the_character() {
+    let mut draft = Draft::default();
+    let view = draft.view(&bytes_of(&SQUARE), "");
+    draft.accessor(
+        view,
+        5126,
+        4,
+        "VEC3",
+        r#", "max" : [ 1,1.0,0e0 ],"min":[0,0,-0.0] ,"extras":{"é":1.50}"#,
+    );
+    let indices = draft.indices(&CORNERS);
+    let primitive = format!(r#"{{"attributes":{{"POSITION":0}} , "indices":{indices},"x":1,"x":2}}"#);
+    let files = draft.glb(&format!(
+        r#""zebra":[ 1E2,"\u00e9\/" ],{},"extras":{{}}"#,
+        one(&primitive)
+    ));
+
+    let written = moved(&files, |i, p| if i == 2 { p + DVec3::new(0.1, 0.0, 2.0) } else { p });
+    let expected = text(&files.main)
+        .replace("[ 1,1.0,0e0 ]", "[1.100000023841858,1.0,2.0]")
+        .replace("[0,0,-0.0]", "[0.0,0.0,0.0]");
+    assert_eq!(text(&written.main), expected);
+
+    let (before, after) = (bin(&files.main), bin(&written.main));
+    let changed: Vec<usize> = (0..before.len()).filter(|&i| before[i] != after[i]).collect();
+    assert_eq!(before.len(), after.len());
+    assert!(
+        !changed.is_empty() && changed.iter().all(|i| (24..36).contains(i)),
+        "vertex 2 only, not {changed:?}"
+    );
+}
+
+#[test]
+fn bounds_read_back_as_the_same_floats_and_are_added_where_missing() {
+    let mut draft = Draft::default();
+    draft.points(&SQUARE);
+    draft.indices(&CORNERS);
+    let files = draft.glb(&one(r#"{"attributes":{"POSITION":0},"indices":1}"#));
+    let odd = DVec3::new(1.0 / 3.0, 1e-30, -1e20);
+    let written = moved(&files, |i, p| if i == 0 { odd } else { p });
+    let accessor = &json(&written)["accessors"][0];
+    let floats = |key: &str| -> Vec<f32> {
+        accessor[key]
+            .as_array()
+            .expect("bounds")
+            .iter()
+            .map(|v| v.to_string().parse().expect("a number"))
+            .collect()
+    };
+    assert_eq!(floats("min"), [0.0, 0.0, -1e20]);
+    assert_eq!(floats("max"), [1.0, 1.0, 0.0]);
+    assert_eq!(open(&again(&written)).positions[0], odd.as_vec3().as_dvec3());
+}
+
+#[test]
+fn interleaved_attributes_are_overwritten_between_the_others() {
+    let mut draft = Draft::default();
+    let vertices: Vec<u8> = (0..4)
+        .flat_map(|i| [&bytes_of(&SQUARE[i..=i])[..], &bytes_of(&UP[..1]), b"uvuvuvuv"].concat())
+        .collect();
+    let view = draft.view(&vertices, r#","byteStride":32"#);
+    draft.accessor(view, 5126, 4, "VEC3", "");
+    draft.accessor(view, 5126, 4, "VEC3", r#","byteOffset":12"#);
+    draft.accessor(view, 5126, 4, "VEC2", r#","byteOffset":24"#);
+    draft.indices(&CORNERS);
+    let files = draft.glb(&one(
+        r#"{"attributes":{"POSITION":0,"NORMAL":1,"TEXCOORD_0":2},"indices":3}"#,
+    ));
+    let written = moved(&files, |_, p| DVec3::new(-p.x, p.z, p.y));
+    let after = bin(&written.main);
+    assert_eq!(after.len(), bin(&files.main).len(), "all in place");
+    assert!(after[..128].chunks(32).all(|vertex| &vertex[24..] == b"uvuvuvuv"));
+    let geometry = open(&again(&written));
+    assert_eq!(geometry.positions[2], DVec3::new(-1.0, 0.0, 1.0));
+    assert!(
+        geometry.normals.iter().all(|n| (n.y - 1.0).abs() < 1e-6),
+        "{:?}",
+        geometry.normals
+    );
+    assert_eq!(json(&written)["accessors"].as_array().map(Vec::len), Some(4));
+}
+
+#[test]
+fn a_translation_leaves_normals_alone() {
+    let mut draft = Draft::default();
+    draft.points(&SQUARE);
+    let tilted = [
+        [0.36, 0.48, 0.8],
+        [-0.6, 0.0, 0.8],
+        [0.0, 0.0, 1.0],
+        [0.1, 0.2, 0.974_679_5],
+    ];
+    draft.points(&tilted);
+    draft.indices(&CORNERS);
+    let files = draft.glb(&one(r#"{"attributes":{"POSITION":0,"NORMAL":1},"indices":2}"#));
+    let written = moved(&files, |_, p| p + DVec3::new(0.1, 0.7, -1.3));
+    assert_eq!(bin(&written.main)[48..96], bin(&files.main)[48..96]);
+}
+
+#[test]
+fn sparse_positions_become_an_accessor_of_their_own() {
+    let mut draft = Draft::default();
+    let base = draft.view(&bytes_of(&SQUARE), "");
+    let at = draft.view(&[1, 3], "");
+    let to = draft.view(&bytes_of(&[[2.0, 0.0, 0.0], [0.0, 3.0, 0.0]]), "");
+    let sparse = format!(
+        r#","sparse":{{"count":2,"indices":{{"bufferView":{at},"componentType":5121}},"values":{{"bufferView":{to}}}}}"#
+    );
+    draft.accessor(base, 5126, 4, "VEC3", &sparse);
+    draft.indices(&CORNERS);
+    let files = draft.glb(&one(r#"{"attributes":{"POSITION":0},"indices":1}"#));
+    let rest = open(&files);
+    assert_eq!(rest.positions[1], DVec3::new(2.0, 0.0, 0.0));
+    assert_eq!(rest.positions[3], DVec3::new(0.0, 3.0, 0.0));
+
+    let written = moved(&files, |_, p| p + DVec3::Z);
+    let (before, after) = (bin(&files.main), bin(&written.main));
+    assert_eq!(after[..before.len()], before[..], "the old data stays");
+    assert_eq!(
+        json(&written)["meshes"][0]["primitives"][0]["attributes"]["POSITION"],
+        2
+    );
+    assert_eq!(json(&written)["accessors"][0]["sparse"]["count"], 2);
+    assert_eq!(
+        json(&written)["accessors"][2]["max"],
+        serde_json::json!([2.0, 3.0, 1.0])
+    );
+    assert_eq!(open(&again(&written)).positions[3], DVec3::new(0.0, 3.0, 1.0));
+}
+
+#[test]
+fn quantised_positions_come_back_as_floats() {
+    let mut draft = Draft::default();
+    let steps: Vec<u8> = SQUARE
+        .iter()
+        .flat_map(|p| [p[0] as u8 * 255, p[1] as u8 * 51, 0, 0])
+        .collect();
+    let view = draft.view(&steps, r#","byteStride":4"#);
+    draft.accessor(view, 5121, 4, "VEC3", r#","normalized":true"#);
+    draft.indices(&CORNERS);
+    let body = one(r#"{"attributes":{"POSITION":0},"indices":1}"#);
+    let files = draft.glb(&format!(r#""extensionsUsed":["KHR_mesh_quantization"],{body}"#));
+    let rest = open(&files);
+    assert_eq!(rest.positions[2], DVec3::new(1.0, f64::from(0.2_f32), 0.0));
+
+    let written = moved(&files, |i, p| if i == 0 { p - DVec3::Y } else { p });
+    let after = open(&again(&written));
+    assert_eq!(
+        after.positions[1..],
+        rest.positions[1..],
+        "unmoved vertices keep their values"
+    );
+    assert_eq!(after.positions[0], DVec3::new(0.0, -1.0, 0.0));
+    assert_eq!(json(&written)["accessors"][2]["componentType"], 5126);
+    assert!(
+        refusal(&draft.glb(&body)).contains("KHR_mesh_quantization"),
+        "only with the extension"
+    );
+}
+
+#[test]
+fn an_invalid_normal_is_kept_until_its_primitive_changes() {
+    let mut draft = Draft::default();
+    draft.points(&SQUARE);
+    draft.points(&[[f32::NAN, 0.0, 0.0], [0.0; 3], UP[0], UP[0]]);
+    let handed: Vec<u8> = [
+        [1.0, 0.0, 0.0, -1.0],
+        [0.0, f32::INFINITY, 0.0, 1.0],
+        [1.0, 0.0, 0.0, 1.0],
+        [1.0, 0.0, 0.0, 1.0_f32],
+    ]
+    .iter()
+    .flatten()
+    .flat_map(|v| v.to_le_bytes())
+    .collect();
+    let view = draft.view(&handed, "");
+    draft.accessor(view, 5126, 4, "VEC4", "");
+    draft.indices(&CORNERS);
+    let files = draft.glb(&one(
+        r#"{"attributes":{"POSITION":0,"NORMAL":1,"TANGENT":2},"indices":3}"#,
+    ));
+    let rest = open(&files);
+    assert!(rest.normals.iter().all(|n| n.is_finite()) && rest.tangents.iter().all(|t| t.is_finite()));
+    let codes: Vec<&str> = rest.warnings.iter().map(|w| w.0.as_str()).collect();
+    assert_eq!(codes, ["bad-normal", "bad-tangent"]);
+
+    assert_eq!(moved(&files, |_, p| p).main, files.main);
+    let written = moved(&files, |i, p| if i == 2 { p + DVec3::Z } else { p });
+    let stored = bin(&written.main);
+    assert!(
+        stored[48..160]
+            .chunks(4)
+            .all(|b| f32::from_le_bytes(b.try_into().expect("four")).is_finite())
+    );
+    assert_eq!(open(&again(&written)).tangents[0].w, -1.0, "handedness is kept");
+}
+
+#[test]
+fn a_stale_draco_copy_is_dropped_where_the_mesh_changed() {
+    let mut draft = Draft::default();
+    draft.points(&SQUARE);
+    draft.points(&SQUARE);
+    draft.indices(&CORNERS);
+    let packed = draft.view(b"draco", "");
+    let draco = format!(r#""KHR_draco_mesh_compression":{{"bufferView":{packed},"attributes":{{"POSITION":0}}}}"#);
+    let primitives = format!(
+        r#"{{"attributes":{{"POSITION":0}},"indices":2,"extensions":{{{draco}}}}},{{"attributes":{{"POSITION":1}},"indices":2,"extensions":{{{draco},"X_y":{{}}}}}}"#
+    );
+    let files = draft.glb(&format!(
+        r#""extensionsUsed":["KHR_draco_mesh_compression"],{}"#,
+        one(&primitives)
+    ));
+    let primitives = |written: &WrittenFiles| json(written)["meshes"][0]["primitives"].clone();
+    let first = primitives(&moved(&files, |i, p| if i < 4 { p + DVec3::Z } else { p }));
+    assert!(first[0].get("extensions").is_none());
+    assert!(first[1]["extensions"]["KHR_draco_mesh_compression"].is_object());
+    let second = primitives(&moved(&files, |i, p| if i >= 4 { p + DVec3::Z } else { p }));
+    assert_eq!(second[1]["extensions"], serde_json::json!({"X_y": {}}));
+
+    let required = draft.json(
+        &format!(
+            r#""extensionsRequired":["KHR_draco_mesh_compression"],{}"#,
+            one(&format!(
+                r#"{{"attributes":{{"POSITION":0}},"indices":2,"extensions":{{{draco}}}}}"#
+            ))
+        ),
+        "",
+    );
+    assert!(refusal(&FileSet::single("a.gltf", required)).contains("export without Draco"));
+}
+
+#[test]
+fn positions_that_do_not_fit_are_refused() {
+    let mut draft = Draft::default();
+    draft.points(&SQUARE);
+    draft.indices(&CORNERS);
+    let files = draft.glb(&one(r#"{"attributes":{"POSITION":0},"indices":1}"#));
+    let text = try_moved(&files, |i, p| if i == 1 { DVec3::splat(1e300) } else { p })
+        .expect_err("too far")
+        .to_string();
+    assert!(text.contains("vertex 1") && text.contains("32-bit"), "{text}");
+    let text = try_moved(&files, |_, _| DVec3::NAN)
+        .expect_err("not finite")
+        .to_string();
+    assert!(text.contains("vertex 0"), "{text}");
+    let text = open(&files).write(&[], Format::GLB).expect_err("none").to_string();
+    assert!(text.contains("0 positions") && text.contains("4 vertices"), "{text}");
+}

@@ -1,0 +1,178 @@
+//! Buffer URIs: data that is embedded, and names of companion files. Nothing is ever fetched or opened.
+
+use super::fault::Fault;
+use crate::asset::Error;
+use base64::Engine as _;
+use base64::alphabet::STANDARD;
+use base64::engine::DecodePaddingMode;
+use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
+use percent_encoding::percent_decode_str;
+use std::borrow::Cow;
+
+/// Padding is often forgotten and never needed.
+const BASE64: GeneralPurpose = GeneralPurpose::new(
+    &STANDARD,
+    GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
+);
+
+/// The media types that glTF allows for embedded buffers; the first is the one we write.
+const MEDIA_TYPES: [&str; 2] = ["application/octet-stream", "application/gltf-buffer"];
+
+/// What a buffer's URI means.
+#[derive(Debug, PartialEq)]
+pub(super) enum Target {
+    /// The bytes are in the URI itself.
+    Embedded(Vec<u8>),
+    /// They are in the companion file of this name.
+    Companion(String),
+}
+
+/// Reads a buffer URI.
+pub(super) fn resolve(uri: &str, place: &str, fault: Fault) -> Result<Target, Error> {
+    if uri.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:")) {
+        return embedded(&uri[5..], place, fault).map(Target::Embedded);
+    }
+    companion_name(uri, place, fault).map(Target::Companion)
+}
+
+fn embedded(rest: &str, place: &str, fault: Fault) -> Result<Vec<u8>, Error> {
+    let Some((kind, payload)) = rest.split_once(',') else {
+        return Err(fault.malformed(place, "a data URI without a comma"));
+    };
+    let mut parts = kind.split(';').map(str::trim);
+    let media_type = parts.next().unwrap_or_default();
+    if !MEDIA_TYPES
+        .iter()
+        .any(|allowed| allowed.eq_ignore_ascii_case(media_type))
+    {
+        let problem = format!(
+            "media type {:?}, allowed are {}",
+            shown(media_type),
+            MEDIA_TYPES.join(" and ")
+        );
+        return Err(fault.malformed(place, problem));
+    }
+    if !parts.any(|p| p.eq_ignore_ascii_case("base64")) {
+        return Err(fault.malformed(place, "an embedded buffer must be base64"));
+    }
+    // Some writers escape the + / = of base64.
+    let payload: Cow<'_, [u8]> = if payload.contains('%') {
+        percent_decode_str(payload).into()
+    } else {
+        payload.as_bytes().into()
+    };
+    BASE64.decode(&payload).map_err(|e| {
+        let reason = e.to_string().to_lowercase();
+        fault.malformed(place, format!("not base64: {}", reason.trim_end_matches('.')))
+    })
+}
+
+fn companion_name(uri: &str, place: &str, fault: Fault) -> Result<String, Error> {
+    let refuse = |what: &str| {
+        let problem = format!(
+            "{:?} {what}; a buffer's URI must be a relative name or embedded data",
+            shown(uri)
+        );
+        Err(fault.malformed(place, problem))
+    };
+    let Ok(name) = percent_decode_str(uri).decode_utf8() else {
+        return refuse("is not UTF-8");
+    };
+    let name = name.strip_prefix("./").unwrap_or(&name);
+    let is_scheme = |s: &str| {
+        s.starts_with(|c: char| c.is_ascii_alphabetic())
+            && s.chars()
+                .all(|c| c.is_ascii_alphanumeric() || matches!(c, '+' | '-' | '.'))
+    };
+    if name.is_empty() {
+        return refuse("is empty");
+    }
+    if name.split_once(':').is_some_and(|(scheme, _)| is_scheme(scheme)) {
+        return refuse("has a scheme, and nothing is ever fetched");
+    }
+    if name.starts_with(['/', '\\']) {
+        return refuse("is an absolute path");
+    }
+    if name.split(['/', '\\']).any(|part| part == "..") {
+        return refuse("leads out of the model's folder");
+    }
+    if name.contains(char::is_control) {
+        return refuse("holds control characters");
+    }
+    Ok(name.to_owned())
+}
+
+/// The start of a text that may be long.
+fn shown(text: &str) -> String {
+    let mut out: String = text.chars().take(80).collect();
+    if out.len() < text.len() {
+        out.push('…');
+    }
+    out
+}
+
+/// An embedded buffer's URI.
+pub(super) fn embed(bytes: &[u8]) -> String {
+    let mut uri = format!("data:{};base64,", MEDIA_TYPES[0]);
+    BASE64.encode_string(bytes, &mut uri);
+    uri
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::Format;
+
+    fn read(uri: &str) -> Result<Target, String> {
+        resolve(uri, "buffers/0/uri", Fault(Format::GLTF)).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn embedded_data_comes_back() {
+        for length in 0..5 {
+            let bytes: Vec<u8> = (0..length).collect();
+            assert_eq!(read(&embed(&bytes)), Ok(Target::Embedded(bytes)));
+        }
+        let spellings = [
+            "data:application/gltf-buffer;base64,/+8",
+            "data:application/octet-stream;base64,%2F%2B8%3D",
+        ];
+        for uri in spellings {
+            assert_eq!(read(uri), Ok(Target::Embedded(vec![0xff, 0xef])), "{uri}");
+        }
+    }
+
+    #[test]
+    fn names_are_decoded() {
+        assert_eq!(read("./my%20model.bin"), Ok(Target::Companion("my model.bin".into())));
+        assert!(read("a:b/c.bin").is_err(), "reads as a scheme");
+        assert_eq!(
+            read("sub/dir..x/c.bin"),
+            Ok(Target::Companion("sub/dir..x/c.bin".into()))
+        );
+    }
+
+    #[test]
+    fn nothing_outside_the_set_can_be_named() {
+        let hostile = [
+            "http://127.0.0.1:9/x.bin",
+            "file:///etc/passwd",
+            "/etc/passwd",
+            "../../etc/passwd",
+            "a/%2e%2e/b",
+            "..%5cx",
+            "%2Fetc",
+            "C:\\x",
+            "",
+            "data:text/neutral;base64,AAAA",
+            "data:application/octet-stream,AAAA",
+            "data:application/octet-stream;base64,A*AA",
+            "data:",
+            "a%00b",
+        ];
+        for uri in hostile {
+            let text = read(uri).expect_err(uri);
+            assert!(text.contains("buffers/0/uri"), "{text}");
+        }
+    }
+}

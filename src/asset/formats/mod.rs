@@ -1,0 +1,104 @@
+//! The registry of formats, and one folder or file for each.
+//!
+//! Every format is one row of the table below: the name of its constant, its [`Format`] with everything it is known by
+//! (name and extension, media types, how its files begin), and the [`FormatCodec`] that reads and writes it. Nothing
+//! else in the house lists formats; texts, media types and the API's description are made from [`Format::ALL`].
+//!
+//! # How to add a format
+//! 1. Add a file `NAME.rs` (or a folder) here, and `mod NAME;` below.
+//! 2. In it, say what the format is known by, and pick what the reader has to remember of a file for the writers:
+//!    ```text
+//!    pub(super) const FORMAT: Format = Format::new(&FormatDetails {
+//!        name: "tri",
+//!        media_types: &["model/x.tri"],
+//!        recognise: |bytes| Recognition::mark(bytes.starts_with(b"TRI1")),
+//!    });
+//!
+//!    #[derive(Debug)]
+//!    struct TriNotes { first_vertex: usize }
+//!    impl FileNotes for TriNotes {}
+//!    ```
+//! 3. Implement [`FormatCodec`](super::codec::FormatCodec) for a unit struct `TriCodec`: `read`, `patch_positions`,
+//!    `build`, `write_edited`, `handles`, and `run_attributes` where the format has colours, texture coordinates or materials.
+//!    Errors name the format's `FORMAT`; [`Geometry::check`](super::Geometry) is done for every reader by the caller.
+//!    [`text`] reads and patches words and numbers, [`polygons`] cuts faces into triangles, and
+//!    [`CarriedAttributes`](super::edited::CarriedAttributes) and
+//!    [`TriangleOrigins`](super::edited::TriangleOrigins) carry what an edit moves.
+//! 4. Add the row to the table. The tests of `tests/` that walk over [`Format::ALL`] take it from there.
+
+mod gltf;
+mod obj;
+mod off;
+mod ply;
+mod polygons;
+mod stl;
+mod text;
+
+use super::codec::FormatCodec;
+use super::format::{Format, Recognition};
+
+/// Makes the constants of [`Format`] and the table of codecs from the rows of the registry.
+macro_rules! registry {
+    ($($(#[$about:meta])* $name:ident = $format:expr, $codec:expr;)*) => {
+        impl Format {
+            $($(#[$about])* pub const $name: Self = $format;)*
+
+            /// Every format, in the order in which texts list them.
+            pub const ALL: [Self; [$(stringify!($name)),*].len()] = [$(Self::$name),*];
+        }
+
+        /// The codec of each format, in the order of [`Format::ALL`].
+        static CODECS: [&dyn FormatCodec; Format::ALL.len()] = [$(&$codec),*];
+    };
+}
+
+registry! {
+    /// Binary glTF 2.0.
+    GLB = gltf::GLB_FORMAT, gltf::GltfCodec;
+    /// glTF 2.0 as JSON, with embedded buffers or companions.
+    GLTF = gltf::GLTF_FORMAT, gltf::GltfCodec;
+    /// Wavefront OBJ.
+    OBJ = obj::FORMAT, obj::ObjCodec;
+    /// Stanford PLY, ASCII or binary.
+    PLY = ply::FORMAT, ply::PlyCodec;
+    /// Object File Format.
+    OFF = off::FORMAT, off::OffCodec;
+    /// Stereolithography, ASCII or binary.
+    STL = stl::FORMAT, stl::StlCodec;
+}
+
+/// The codec that reads and writes a format.
+pub(super) fn codec_of(format: Format) -> &'static dyn FormatCodec {
+    // A format is made here only, so the last codec stands for none that exists.
+    let row = Format::ALL.iter().position(|f| *f == format);
+    CODECS[row.unwrap_or(CODECS.len() - 1)]
+}
+
+impl Format {
+    /// The format of that name, in any case.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|f| f.name().eq_ignore_ascii_case(name))
+    }
+
+    /// The format of a media type, parameters ignored; `None` for general ones such as `application/octet-stream`.
+    pub fn from_media_type(media_type: &str) -> Option<Self> {
+        let essence = media_type.split(';').next().unwrap_or_default().trim();
+        let is_named = |f: &Self| f.details().media_types.iter().any(|t| essence.eq_ignore_ascii_case(t));
+        Self::ALL.into_iter().find(is_named)
+    }
+
+    /// The format that a file name's extension says.
+    pub fn from_file_name(name: &str) -> Option<Self> {
+        name.rsplit_once('.')
+            .and_then(|(_, extension)| Self::from_name(extension))
+    }
+
+    /// The format that the content of a file says. OBJ has no mark of its own and is told by its first keyword.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let sureness = |f: &Self| (f.details().recognise)(bytes);
+        // Of two that are as sure the first one is taken.
+        let surest = Self::ALL.into_iter().rev().max_by_key(sureness)?;
+        (sureness(&surest) > Recognition::Unlikely).then_some(surest)
+    }
+}

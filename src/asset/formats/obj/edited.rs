@@ -1,0 +1,299 @@
+//! OBJ out after edits of the topology, and what an edited OBJ gives to other formats.
+
+use super::super::text::{Precision, push_number};
+use super::parted::{Parted, Texture, part};
+use super::read::ObjNotes;
+use super::statements::{State, Statements, name_in, object_numbers, read};
+use super::write::{printable, push_corner, push_line, push_numbers};
+use crate::asset::Error;
+use crate::asset::codec::EditedOutput;
+use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::neutral::{RunAttributes, SeamPart};
+use glam::DVec3;
+use std::collections::BTreeMap;
+
+/// A text of the edited model. Vertices are in the order of the blends; faces are triangles, in order within each
+/// object. Other bases follow with their texture coordinates, normals and material names.
+pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
+    let EditedOutput { edited, positions, .. } = *output;
+    let all = edited.read_bases(|model, _: &ObjNotes| Ok(read(&model.files.main, &model.positions)))?;
+    let mut out = Vec::new();
+    if let Some(Some(first)) = all.first() {
+        out.extend_from_slice(first.head);
+    }
+    let mut libraries: Vec<&[u8]> = Vec::new();
+    for line in all.iter().flatten().flat_map(|s| &s.libraries) {
+        if !libraries.contains(line) {
+            libraries.push(line);
+            out.extend_from_slice(line);
+            out.push(b'\n');
+        }
+    }
+    for run in edited.runs {
+        vertices(
+            &mut out,
+            edited,
+            run,
+            positions,
+            all.get(run.base as usize).and_then(Option::as_ref),
+        );
+    }
+    let mut faces = Faces::default();
+    for run in edited.runs.iter().filter(|r| r.triangle_count > 0) {
+        if let Some(Some(statements)) = all.get(run.base as usize) {
+            faces.add(&mut out, run, part(edited, run, positions, statements), statements);
+        }
+    }
+    faces.write(&mut out);
+    for base in (0..edited.bases.len()).filter(|&b| all[b].is_none()) {
+        foreign_base(&mut out, output, base as u32, &mut faces)?;
+    }
+    Ok(out)
+}
+
+/// `v` lines, with the numbers after the coordinates blended.
+fn vertices(
+    out: &mut Vec<u8>,
+    edited: &EditedModel<'_>,
+    run: &PrimitiveRun,
+    positions: &[DVec3],
+    of: Option<&Statements<'_>>,
+) {
+    let lanes = of.map_or(0, |s| s.more_lanes);
+    for vertex in run.vertices() {
+        push_line(out, b"v ", positions[vertex], Precision::Double, b"");
+        for lane in 0..lanes {
+            let old = |v: u32| {
+                of.and_then(|s| s.more.get(v as usize * lanes + lane))
+                    .copied()
+                    .unwrap_or(0.0)
+            };
+            out.push(b' ');
+            push_number(out, edited.blended(vertex, old), Precision::Single);
+        }
+        out.push(b'\n');
+    }
+}
+
+/// One face to be written: its object and whether it has a material, by which faces are grouped; then its text.
+struct Face<'a> {
+    order: (usize, usize, bool),
+    state: State<'a>,
+    text: Vec<u8>,
+}
+
+#[derive(Default)]
+struct Faces<'a> {
+    list: Vec<Face<'a>>,
+    bases: usize,
+    /// `vt` and `vn` lines written so far.
+    textures: u64,
+    normals: u64,
+}
+
+impl<'a> Faces<'a> {
+    /// Writes the coordinates and normals of a run, and takes note of its faces.
+    fn add(&mut self, out: &mut Vec<u8>, run: &PrimitiveRun, parted: Parted<'a>, statements: &Statements<'a>) {
+        for texture in &parted.textures {
+            out.extend_from_slice(b"vt ");
+            match texture {
+                Texture::Old(text) => out.extend_from_slice(text),
+                Texture::New(numbers) => push_numbers(out, numbers),
+            }
+            out.push(b'\n');
+        }
+        // Corners that turned alike share a line, as they did before.
+        let mut lines: BTreeMap<[u32; 3], u64> = BTreeMap::new();
+        let mut line_of = Vec::with_capacity(parted.normals.len());
+        let first_normal = self.normals;
+        for normal in &parted.normals {
+            let bits = normal.value.to_array().map(f32::to_bits);
+            let next = first_normal + lines.len() as u64 + 1;
+            let line = *lines.entry(bits).or_insert(next);
+            if line == next {
+                match normal.old {
+                    Some(text) => {
+                        out.extend_from_slice(b"vn ");
+                        out.extend_from_slice(text);
+                        out.push(b'\n');
+                    }
+                    None => push_line(out, b"vn ", normal.value.as_dvec3(), Precision::Single, b"\n"),
+                }
+            }
+            line_of.push(line);
+        }
+        let objects = object_numbers(&statements.states);
+        for (i, triangle) in parted.triangles.iter().enumerate() {
+            let mut text = b"f".to_vec();
+            for k in 0..3 {
+                let vertex = u64::from(triangle[k]) + u64::from(run.first_vertex) + 1;
+                let texture = parted.corner_textures[i].map(|t| self.textures + u64::from(t[k]) + 1);
+                let normal = parted.corner_normals[i].map(|n| line_of[n[k] as usize]);
+                push_corner(&mut text, vertex, texture, normal);
+            }
+            let state = parted.states[i];
+            let object = objects.get(&state.object).copied().unwrap_or(0);
+            self.list.push(Face {
+                order: (run.base as usize, object, state.material.is_some()),
+                state,
+                text,
+            });
+        }
+        self.bases = self.bases.max(run.base as usize);
+        self.textures += parted.textures.len() as u64;
+        self.normals += lines.len() as u64;
+    }
+
+    fn write(&mut self, out: &mut Vec<u8>) {
+        // An object that is named twice would be two objects to many readers.
+        self.list.sort_by_key(|face| face.order);
+        let mut last = State::default();
+        let line = |out: &mut Vec<u8>, now: Option<&[u8]>, before: Option<&[u8]>, none: &[u8]| {
+            if now != before {
+                out.extend_from_slice(now.unwrap_or(none));
+                if now.is_some() || !none.is_empty() {
+                    out.push(b'\n');
+                }
+            }
+        };
+        for face in &self.list {
+            let State {
+                object,
+                group,
+                smoothing,
+                material,
+            } = face.state;
+            line(out, object, last.object, b"");
+            line(out, group, last.group, b"g");
+            line(out, smoothing, last.smoothing, b"s off");
+            line(out, material, last.material, b"");
+            last = face.state;
+            out.extend_from_slice(&face.text);
+            out.push(b'\n');
+        }
+    }
+}
+
+/// A base of another format: its vertices stand already.
+fn foreign_base(out: &mut Vec<u8>, output: &EditedOutput<'_>, base: u32, faces: &mut Faces<'_>) -> Result<(), Error> {
+    let neutral = (output.neutral_base)(base)?;
+    for (run, own) in output.edited.runs_with_triangles(base).zip(neutral.primitives()) {
+        let (primitive, has_uv) = (own.primitive, own.attributes.has_uv);
+        if has_uv {
+            for [u, v] in &neutral.uv[own.vertices.clone()] {
+                out.extend_from_slice(b"vt ");
+                push_numbers(out, &[f64::from(*u), 1.0 - f64::from(*v)]);
+                out.push(b'\n');
+            }
+        }
+        if primitive.has_normals {
+            for normal in &neutral.geometry.normals[own.vertices.clone()] {
+                push_line(out, b"vn ", normal.as_dvec3(), Precision::Single, b"\n");
+            }
+        }
+        let mut name = printable(&primitive.name);
+        if name.is_empty() {
+            name = format!("merged{base}");
+        }
+        out.extend(format!("o {name}\n").bytes());
+        if let Some(material) = &own.attributes.material {
+            out.extend(format!("usemtl {}\n", printable(material)).bytes());
+        }
+        for triangle in own.triangles {
+            out.push(b'f');
+            for &v in triangle {
+                let local = u64::from(v - primitive.first_vertex) + 1;
+                let texture = has_uv.then_some(faces.textures + local);
+                let normal = primitive.has_normals.then_some(faces.normals + local);
+                push_corner(out, local + u64::from(run.first_vertex), texture, normal);
+            }
+            out.push(b'\n');
+        }
+        let count = own.vertices.len() as u64;
+        faces.textures += if has_uv { count } else { 0 };
+        faces.normals += if primitive.has_normals { count } else { 0 };
+    }
+    Ok(())
+}
+
+/// Colours and the first material of runs, for formats that know no corners.
+pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Vec<RunAttributes> {
+    let Some(first) = runs.first() else {
+        return Vec::new();
+    };
+    let model = edited.base(first).model;
+    let statements = read(&model.files.main, &model.geometry.positions);
+    let lanes = statements.more_lanes;
+    let colour = |vertex: usize| {
+        let mut colour = [0.0, 0.0, 0.0, 1.0];
+        for (v, weight) in edited.blend(vertex).iter() {
+            for lane in 0..3 {
+                let old = statements.more.get(v as usize * lanes + lane).copied().unwrap_or(0.0);
+                colour[lane] += old * weight;
+            }
+        }
+        colour.map(|c| (c as f32).clamp(0.0, 1.0))
+    };
+    let one = |run: &&PrimitiveRun| RunAttributes {
+        uv: Vec::new(),
+        colours: if lanes == 3 {
+            run.vertices().map(colour).collect()
+        } else {
+            Vec::new()
+        },
+        material: statements.states.first().and_then(|s| s.material).map(name_in),
+    };
+    runs.iter().map(one).collect()
+}
+
+/// A run with its vertices parted where texture coordinates, normals or materials part, one for each material.
+pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions: &[DVec3]) -> Vec<SeamPart> {
+    let model = edited.base(run).model;
+    let statements = read(&model.files.main, &model.geometry.positions);
+    let parted = part(edited, run, positions, &statements);
+    let mut of_material: BTreeMap<Option<&[u8]>, Vec<usize>> = BTreeMap::new();
+    for (i, state) in parted.states.iter().enumerate() {
+        of_material.entry(state.material).or_default().push(i);
+    }
+    // In the order in which the text first uses them.
+    let mut groups: Vec<_> = of_material.into_iter().collect();
+    groups.sort_by_key(|(_, triangles)| triangles.first().copied());
+    let one = |(material, triangles): (Option<&[u8]>, Vec<usize>)| {
+        let with_uv = triangles.iter().any(|&t| parted.corner_textures[t].is_some());
+        let with_normals = triangles.iter().any(|&t| parted.corner_normals[t].is_some());
+        let mut seamed = SeamPart::default();
+        seamed.attributes.material = material.map(name_in);
+        let mut known: BTreeMap<(u32, u32, u32), u32> = BTreeMap::new();
+        for t in triangles {
+            let corner = |k: usize| {
+                let texture = parted.corner_textures[t].map_or(u32::MAX, |c| c[k]);
+                let normal = parted.corner_normals[t].map_or(u32::MAX, |c| c[k]);
+                (parted.triangles[t][k], texture, normal)
+            };
+            let triangle = [0, 1, 2].map(|k| {
+                let here = corner(k);
+                *known.entry(here).or_insert_with(|| {
+                    let (vertex, texture, normal) = here;
+                    seamed.copy_of.push(vertex);
+                    if with_uv {
+                        let numbers = parted
+                            .textures
+                            .get(texture as usize)
+                            .map(Texture::numbers)
+                            .unwrap_or_default();
+                        let at = |i: usize| numbers.get(i).map_or(0.0, |v| *v as f32);
+                        seamed.attributes.uv.push([at(0), 1.0 - at(1)]);
+                    }
+                    if with_normals {
+                        let value = parted.normals.get(normal as usize).map(|n| n.value);
+                        seamed.normals.push(value.unwrap_or_default());
+                    }
+                    seamed.copy_of.len() as u32 - 1
+                })
+            });
+            seamed.triangles.push(triangle);
+        }
+        seamed
+    };
+    groups.into_iter().map(one).collect()
+}

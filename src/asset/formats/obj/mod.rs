@@ -1,0 +1,64 @@
+//! Wavefront OBJ: reading, editing in place, and building.
+//!
+//! A render vertex is a `v` line, in file order, whether a face uses it or not. Lines that the mesh does not need
+//! (materials, groups, curves, whatever is unknown) are never interpreted, so they survive untouched.
+
+mod corner;
+mod edited;
+mod normals;
+mod parted;
+mod read;
+mod statements;
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub(super) use read::FORMAT;
+
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::neutral::{NeutralModel, RunAttributes, SeamPart};
+use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// Reads and writes OBJ.
+pub(super) struct ObjCodec;
+
+impl FormatCodec for ObjCodec {
+    fn handles(&self, format: Format) -> bool {
+        format == FORMAT
+    }
+
+    fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
+        let (geometry, notes) = read::read(&files.main, limits)?;
+        Ok((geometry, Arc::new(notes)))
+    }
+
+    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        let notes = model.notes_or_refuse(format)?;
+        let text = write::patch(&model.files.main, notes, &model.geometry, positions);
+        Ok(WrittenFiles::single(text))
+    }
+
+    fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
+        Ok(WrittenFiles::single(write::build(neutral)))
+    }
+
+    fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
+        edited::write_edited(output).map(WrittenFiles::single)
+    }
+
+    fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
+        Ok(edited::run_attributes(edited, runs))
+    }
+
+    fn seam_parts(
+        &self,
+        edited: &EditedModel<'_>,
+        run: &PrimitiveRun,
+        positions: &[DVec3],
+    ) -> Result<Option<Vec<SeamPart>>, Error> {
+        Ok(Some(edited::seam_parts(edited, run, positions)))
+    }
+}

@@ -1,0 +1,212 @@
+//! Texture coordinates and normals of a edited run, corner by corner.
+
+use super::corner::NO_NORMAL;
+use super::statements::{NO_TEXTURE, State, Statements, numbers};
+use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins, VertexBlends};
+use crate::asset::geometry::unit_or_zero;
+use crate::mesh::{NONE, shading};
+use glam::{DMat3, DVec3, Vec3};
+use std::collections::BTreeMap;
+
+/// Old lines and weights; the same line twice counts twice.
+type Mix = Vec<(u32, f64)>;
+
+/// A run with what its corners have.
+pub(super) struct Parted<'a> {
+    /// Triangles over the run's vertices, from 0.
+    pub triangles: Vec<[u32; 3]>,
+    /// For each triangle the place of its corners' coordinates in `textures`; `None` where one has none.
+    pub corner_textures: Vec<Option<[u32; 3]>>,
+    pub textures: Vec<Texture<'a>>,
+    /// The same for normals.
+    pub corner_normals: Vec<Option<[u32; 3]>>,
+    pub normals: Vec<Normal<'a>>,
+    /// For each triangle what holds for it.
+    pub states: Vec<State<'a>>,
+}
+
+/// Texture coordinates.
+pub(super) enum Texture<'a> {
+    /// The words of an old line.
+    Old(&'a [u8]),
+    /// Blended ones.
+    New(Vec<f64>),
+}
+
+impl Texture<'_> {
+    pub fn numbers(&self) -> Vec<f64> {
+        match self {
+            Self::Old(text) => numbers(text),
+            Self::New(numbers) => numbers.clone(),
+        }
+    }
+}
+
+/// A normal, with the words of its line where it is an old one.
+pub(super) struct Normal<'a> {
+    pub value: Vec3,
+    pub old: Option<&'a [u8]>,
+}
+
+/// A vertex and the old lines that it is blended from, by which corners are the same.
+type Key = (u32, [u32; VertexBlends::MAX_SOURCES]);
+
+fn key(vertex: u32, mix: &Mix) -> Key {
+    let mut lines = [u32::MAX; VertexBlends::MAX_SOURCES];
+    lines.iter_mut().zip(mix).for_each(|(to, (line, _))| *to = *line);
+    // One line alone is the same at every vertex for coordinates, but normals turn with the vertex.
+    (vertex, lines)
+}
+
+/// Parts a run. `statements` are its base's.
+pub(super) fn part<'a>(
+    edited: &EditedModel<'_>,
+    run: &PrimitiveRun,
+    positions: &[DVec3],
+    statements: &Statements<'a>,
+) -> Parted<'a> {
+    let old = &edited.base(run).model.geometry.triangles;
+    let complete = statements.states.len() == old.len();
+    let triangles = edited.local_triangles(run);
+    let origins = TriangleOrigins::new(edited, run, old);
+    let mut parted = Parted {
+        corner_textures: vec![None; triangles.len()],
+        textures: Vec::new(),
+        corner_normals: vec![None; triangles.len()],
+        normals: Vec::new(),
+        states: Vec::new(),
+        triangles,
+    };
+    let state_of = |&origin: &u32| statements.states.get(origin as usize).copied().unwrap_or_default();
+    parted.states = origins.old_triangles().iter().map(state_of).collect();
+    if !complete {
+        return parted;
+    }
+    let has = |lines: &[u32]| lines.iter().any(|&line| line != u32::MAX);
+    let seam = &statements.corner_textures;
+    let mut texture_numbers: BTreeMap<Key, u32> = BTreeMap::new();
+    let mut shade_numbers: BTreeMap<Key, u32> = BTreeMap::new();
+    let mut shades: Vec<(u32, Mix)> = Vec::new();
+    let mut corner_shades = vec![[NONE; 3]; parted.triangles.len()];
+    let (has_textures, has_normals) = (has(seam), has(&statements.corner_normals));
+    for (i, triangle) in parted.triangles.clone().into_iter().enumerate() {
+        if !has_textures && !has_normals {
+            break;
+        }
+        let corners: [Mix; 3] = std::array::from_fn(|k| origins.corner(i, k, seam));
+        let mix = |k: usize, lines: &[u32], none: u32| -> Option<Mix> {
+            let mix: Mix = corners[k]
+                .iter()
+                .map(|&(c, w)| (lines[c as usize], w))
+                .filter(|m| m.0 != none)
+                .collect();
+            let first = mix.first()?.0;
+            let one = mix.iter().all(|m| m.0 == first);
+            Some(if one { vec![(first, 1.0)] } else { mix })
+        };
+        let textures: [Option<Mix>; 3] = std::array::from_fn(|k| mix(k, seam, NO_TEXTURE));
+        if let [Some(a), Some(b), Some(c)] = textures {
+            let mut number = |k: usize, mix: Mix| {
+                let vertex = if mix.len() == 1 { NONE } else { triangle[k] };
+                *texture_numbers.entry(key(vertex, &mix)).or_insert_with(|| {
+                    parted.textures.push(texture(&mix, statements));
+                    parted.textures.len() as u32 - 1
+                })
+            };
+            parted.corner_textures[i] = Some([number(0, a), number(1, b), number(2, c)]);
+        }
+        let normals: [Option<Mix>; 3] = std::array::from_fn(|k| mix(k, &statements.corner_normals, NO_NORMAL));
+        if let [Some(a), Some(b), Some(c)] = normals {
+            let mut number = |k: usize, mix: Mix| {
+                *shade_numbers.entry(key(triangle[k], &mix)).or_insert_with(|| {
+                    shades.push((triangle[k], mix));
+                    shades.len() as u32 - 1
+                })
+            };
+            corner_shades[i] = [number(0, a), number(1, b), number(2, c)];
+            parted.corner_normals[i] = Some(corner_shades[i]);
+        }
+    }
+    if !shades.is_empty() {
+        parted.normals = carried(
+            edited,
+            run,
+            positions,
+            &parted.triangles,
+            &shades,
+            &mut corner_shades,
+            statements,
+        );
+    }
+    parted
+}
+
+fn texture<'a>(mix: &Mix, statements: &Statements<'a>) -> Texture<'a> {
+    if let [(line, _)] = mix.as_slice() {
+        return Texture::Old(statements.textures[*line as usize]);
+    }
+    let total: f64 = mix.iter().map(|m| m.1).sum();
+    let mut sum: Vec<f64> = Vec::new();
+    for &(line, weight) in mix {
+        let numbers = numbers(statements.textures[line as usize]);
+        sum.resize(sum.len().max(numbers.len()), 0.0);
+        let finite = numbers.iter().map(|v| if v.is_finite() { *v } else { 0.0 });
+        sum.iter_mut().zip(finite).for_each(|(to, v)| *to += v * weight / total);
+    }
+    Texture::New(sum)
+}
+
+/// The normals of shading vertices after all edits and deformations.
+fn carried<'a>(
+    edited: &EditedModel<'_>,
+    run: &PrimitiveRun,
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    shades: &[(u32, Mix)],
+    corner_shades: &mut [[u32; 3]],
+    statements: &Statements<'a>,
+) -> Vec<Normal<'a>> {
+    let none = shades.len() as u32;
+    corner_shades
+        .iter_mut()
+        .flatten()
+        .for_each(|shade| *shade = (*shade).min(none));
+    let now = &positions[run.vertices()];
+    let before = CarriedAttributes::before(edited, run);
+    let gradients = shading::gradients(&before, now, triangles, corner_shades, shades.len() + 1);
+    let smooth = shading::smooth_normals(now, triangles);
+    let placing = &edited.base(run).world_from_model.matrix3;
+    let world_from_normal = shading::cofactor(placing) * if placing.determinant() < 0.0 { -1.0 } else { 1.0 };
+    let one = |(i, (vertex, mix)): (usize, &(u32, Mix))| {
+        let vertex = *vertex as usize;
+        let authored = match mix.as_slice() {
+            [(line, _)] => statements.normals[*line as usize].1,
+            _ => unit_or_zero(
+                mix.iter()
+                    .map(|&(n, w)| statements.normals[n as usize].1.as_dvec3() * w)
+                    .sum(),
+            ),
+        };
+        let placed = if *placing == DMat3::IDENTITY {
+            authored
+        } else {
+            unit_or_zero(world_from_normal * authored.as_dvec3())
+        };
+        let bare = edited.is_bare(run.first_vertex as usize + vertex);
+        if placed == Vec3::ZERO || bare {
+            return Normal {
+                value: smooth[vertex],
+                old: None,
+            };
+        }
+        let value = gradients[i]
+            .as_ref()
+            .map_or(placed, |g| shading::carry_normal(g, placed));
+        let stays = mix.len() == 1 && (value - authored).abs().max_element() <= 1e-6;
+        Normal {
+            value,
+            old: stays.then(|| statements.normals[mix[0].0 as usize].0),
+        }
+    };
+    shades.iter().enumerate().map(one).collect()
+}

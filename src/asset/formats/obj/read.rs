@@ -1,0 +1,253 @@
+//! OBJ in: positions, faces and the normals that they name.
+
+use super::super::polygons::Polygons;
+use super::super::text::{Lexer, Precision, Token, coordinate, number, shown};
+use super::corner::{Corner, NO_NORMAL, STYLE, resolve, three_words};
+use super::normals::Normals;
+use crate::asset::files::check_main_size;
+use crate::asset::format::{FormatDetails, Recognition};
+use crate::asset::geometry::unit_or_zero;
+use crate::asset::model::FileNotes;
+use crate::asset::{Error, Format, Geometry, Limits};
+use glam::{DVec3, Vec3};
+
+/// The format, by what it is known.
+pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
+    name: "obj",
+    media_types: &["model/obj"],
+    recognise,
+});
+
+/// What the writers have to remember of a file.
+#[derive(Debug)]
+pub(super) struct ObjNotes {
+    /// Present when a face uses a `vn` line.
+    pub normals: Option<Normals>,
+}
+
+impl FileNotes for ObjNotes {
+    fn bytes_held(&self) -> u64 {
+        self.normals.as_ref().map_or(0, Normals::bytes_held)
+    }
+}
+
+/// OBJ has no mark of its own and is told by its first keyword.
+fn recognise(bytes: &[u8]) -> Recognition {
+    const KEYWORDS: [&[u8]; 9] = [b"v", b"vn", b"vt", b"f", b"o", b"g", b"s", b"mtllib", b"usemtl"];
+    let first_word = bytes
+        .split(|&b| b == b'\n' || b == b'\r')
+        .map(|line| line.trim_ascii())
+        .find(|line| !line.is_empty() && !line.starts_with(b"#"))
+        .and_then(|line| line.split(|b| b.is_ascii_whitespace()).next());
+    Recognition::words(first_word.is_some_and(|word| KEYWORDS.contains(&word)))
+}
+
+/// Reads an OBJ file.
+pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, ObjNotes), Error> {
+    check_main_size(bytes)?;
+    let mut reader = Reader::new(bytes, limits);
+    reader.statements()?;
+    reader.finish()
+}
+
+fn malformed(line: u32, problem: impl Into<String>) -> Error {
+    Error::malformed(FORMAT, format!("line {line}"), problem)
+}
+
+/// Reads the statements that the mesh needs.
+pub(super) struct Reader<'a> {
+    lexer: Lexer<'a>,
+    limits: &'a Limits,
+    positions: Vec<DVec3>,
+    /// Unit normals of the `vn` lines, zero where a line gives none.
+    pub normals: Vec<Vec3>,
+    texture_count: u32,
+    pub faces: Polygons,
+    /// The normal of each corner in `faces`; empty while no face names one.
+    pub corner_normals: Vec<u32>,
+    /// The largest indices that faces name, with their lines: vertex, texture coordinate, normal.
+    largest: [(u32, u32); 3],
+    small_faces: Noted,
+    bad_normals: Noted,
+}
+
+/// How often something was seen, and on which line first.
+#[derive(Debug, Clone, Copy, Default)]
+struct Noted {
+    count: u32,
+    line: u32,
+}
+
+impl Noted {
+    fn note(&mut self, line: u32) {
+        if self.count == 0 {
+            self.line = line;
+        }
+        self.count += 1;
+    }
+}
+
+impl<'a> Reader<'a> {
+    pub fn new(bytes: &'a [u8], limits: &'a Limits) -> Self {
+        Self {
+            lexer: Lexer::new(bytes, STYLE),
+            limits,
+            positions: Vec::new(),
+            normals: Vec::new(),
+            texture_count: 0,
+            faces: Polygons::default(),
+            corner_normals: Vec::new(),
+            largest: [(0, 0); 3],
+            small_faces: Noted::default(),
+            bad_normals: Noted::default(),
+        }
+    }
+
+    /// Reads all statements.
+    pub fn statements(&mut self) -> Result<(), Error> {
+        while let Some(keyword) = self.lexer.token() {
+            match self.lexer.text(keyword) {
+                b"v" => {
+                    let words = self.triple(keyword)?;
+                    let mut position = DVec3::ZERO;
+                    for (i, word) in words.into_iter().enumerate() {
+                        position[i] = coordinate(self.lexer.text(word), Precision::Double)
+                            .map_err(|problem| malformed(word.line, problem))?;
+                    }
+                    self.positions.push(position);
+                    self.limits.check_vertices(self.positions.len() as u64)?;
+                }
+                b"vn" => {
+                    let normal = self.normal(keyword)?;
+                    self.normals.push(normal);
+                }
+                b"vt" => self.texture_count += 1,
+                b"f" => self.face(keyword)?,
+                _ => {}
+            }
+            self.lexer.end_line();
+        }
+        Ok(())
+    }
+
+    fn triple(&mut self, keyword: Token) -> Result<[Token; 3], Error> {
+        three_words(&mut self.lexer).map_err(|count| {
+            let word = String::from_utf8_lossy(self.lexer.text(keyword)).into_owned();
+            malformed(keyword.line, format!("`{word}` with {count} numbers; three are needed"))
+        })
+    }
+
+    /// A normal that is no number is common in exports of degenerate faces; it is kept in the file and not used.
+    fn normal(&mut self, keyword: Token) -> Result<Vec3, Error> {
+        let words = self.triple(keyword)?;
+        let mut normal = DVec3::ZERO;
+        for (i, word) in words.into_iter().enumerate() {
+            let text = self.lexer.text(word);
+            let problem = || {
+                malformed(
+                    word.line,
+                    format!("{} is not a number; a normal needs three", shown(text)),
+                )
+            };
+            normal[i] = number(text).ok_or_else(problem)?;
+        }
+        if !normal.is_finite() {
+            self.bad_normals.note(keyword.line);
+        }
+        Ok(unit_or_zero(normal))
+    }
+
+    fn face(&mut self, keyword: Token) -> Result<(), Error> {
+        let first = self.faces.corners.len();
+        while let Some(word) = self.lexer.token_on_line() {
+            let Some(corner) = Corner::parse(&self.lexer, word) else {
+                let seen = shown(self.lexer.text(word));
+                return Err(malformed(
+                    word.line,
+                    format!("{seen} is no corner; allowed are v, v/vt, v//vn and v/vt/vn"),
+                ));
+            };
+            let counts = [
+                self.positions.len() as u32,
+                self.texture_count,
+                self.normals.len() as u32,
+            ];
+            let indices = [Some(corner.vertex), corner.texture, corner.normal];
+            let mut places = [None; 3];
+            for i in 0..3 {
+                let Some(index) = indices[i] else { continue };
+                let Some(place) = resolve(index, counts[i]) else {
+                    let what = KINDS[i];
+                    let count = counts[i];
+                    let problem =
+                        format!("{what} index {index}; allowed are 1 to their number, or -1 to -{count} here");
+                    return Err(malformed(word.line, problem));
+                };
+                if place >= self.largest[i].0 {
+                    self.largest[i] = (place, word.line);
+                }
+                places[i] = Some(place);
+            }
+            let [Some(vertex), _, normal] = places else { continue };
+            if normal.is_some() && self.corner_normals.is_empty() {
+                self.corner_normals.resize(self.faces.corners.len(), NO_NORMAL);
+            }
+            self.faces.corners.push(vertex);
+            if normal.is_some() || !self.corner_normals.is_empty() {
+                self.corner_normals.push(normal.unwrap_or(NO_NORMAL));
+            }
+        }
+        if self.faces.corners.len() - first < 3 {
+            self.small_faces.note(keyword.line);
+        }
+        self.faces.end_face();
+        self.corner_normals.truncate(self.faces.corners.len());
+        self.limits.check_triangles(self.faces.triangle_count())
+    }
+
+    fn finish(self) -> Result<(Geometry, ObjNotes), Error> {
+        let counts = [
+            self.positions.len() as u32,
+            self.texture_count,
+            self.normals.len() as u32,
+        ];
+        for (i, (place, line)) in self.largest.into_iter().enumerate() {
+            if line > 0 && place >= counts[i] {
+                let (what, count) = (KINDS[i], counts[i]);
+                let seen = u64::from(place) + 1;
+                return Err(malformed(line, format!("{what} index {seen}; the file has {count}")));
+            }
+        }
+        let (slots, crude) = self.faces.triangulate(&self.positions);
+        let triangles: Vec<_> = slots
+            .iter()
+            .map(|t| t.map(|s| self.faces.corners[s as usize]))
+            .collect();
+        let normals = (!self.corner_normals.is_empty())
+            .then(|| Normals::new(self.normals, &self.faces.corners, &self.corner_normals, &slots));
+        let per_vertex = normals
+            .as_ref()
+            .and_then(|n| n.per_vertex(self.positions.len()))
+            .unwrap_or_default();
+        let mut geometry = Geometry::from_one_mesh(self.positions, per_vertex, triangles);
+        let mut warn = |code: &str, seen: Noted, what: &str| {
+            if seen.count > 0 {
+                geometry.warn(code, format!("{} {what}", seen.count), format!("line {}", seen.line));
+            }
+        };
+        warn(
+            "face-too-small",
+            self.small_faces,
+            "faces with less than three corners are kept but not deformed",
+        );
+        warn(
+            "normal-not-finite",
+            self.bad_normals,
+            "normals that are not finite are kept as they are",
+        );
+        geometry.warn_about_crude_polygons(crude);
+        Ok((geometry, ObjNotes { normals }))
+    }
+}
+
+const KINDS: [&str; 3] = ["vertex", "texture coordinate", "normal"];

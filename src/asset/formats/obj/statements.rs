@@ -1,0 +1,212 @@
+//! What an OBJ text holds beyond positions and triangles, read again when it is needed.
+
+use super::super::polygons::Polygons;
+use super::super::text::{Lexer, number};
+use super::corner::{Corner, NO_NORMAL, STYLE, resolve};
+use crate::asset::geometry::unit_or_zero;
+use glam::{DVec3, Vec3};
+use std::collections::BTreeMap;
+
+/// Marks a corner without texture coordinates.
+pub(super) const NO_TEXTURE: u32 = u32::MAX;
+
+/// What holds for a face, as the statements above it say; each as its whole line.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct State<'a> {
+    pub object: Option<&'a [u8]>,
+    pub group: Option<&'a [u8]>,
+    pub smoothing: Option<&'a [u8]>,
+    pub material: Option<&'a [u8]>,
+}
+
+/// The statements of a text.
+pub(super) struct Statements<'a> {
+    /// Comments before the first statement.
+    pub head: &'a [u8],
+    /// `mtllib` lines.
+    pub libraries: Vec<&'a [u8]>,
+    /// The numbers of each `vt` line, as text.
+    pub textures: Vec<&'a [u8]>,
+    /// The numbers of each `vn` line, as text, and as unit vectors; zero where a line gives none.
+    pub normals: Vec<(&'a [u8], Vec3)>,
+    /// Numbers after the coordinates of `v` lines: so many per vertex, for all vertices; empty unless every line has as
+    /// many.
+    pub more: Vec<f64>,
+    pub more_lanes: usize,
+    /// For each triangle corner, in the order of the geometry, its texture coordinates and normal.
+    pub corner_textures: Vec<u32>,
+    pub corner_normals: Vec<u32>,
+    /// For each triangle what holds for it.
+    pub states: Vec<State<'a>>,
+}
+
+/// Reads the statements of a text that was read before, whose vertices rest at `positions`.
+pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Statements<'a> {
+    let mut reader = Reader {
+        bytes,
+        lexer: Lexer::new(bytes, STYLE),
+        out: Statements {
+            head: &[],
+            libraries: Vec::new(),
+            textures: Vec::new(),
+            normals: Vec::new(),
+            more: Vec::new(),
+            more_lanes: 0,
+            corner_textures: Vec::new(),
+            corner_normals: Vec::new(),
+            states: Vec::new(),
+        },
+        vertices: 0,
+        uneven: false,
+        state: State::default(),
+        faces: Polygons::default(),
+        corners: Vec::new(),
+        face_states: Vec::new(),
+    };
+    reader.statements();
+    reader.finish(positions)
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    lexer: Lexer<'a>,
+    out: Statements<'a>,
+    vertices: u32,
+    /// Not every vertex has as many numbers.
+    uneven: bool,
+    state: State<'a>,
+    faces: Polygons,
+    /// Texture coordinates and normal of each corner in `faces`.
+    corners: Vec<[u32; 2]>,
+    face_states: Vec<(State<'a>, usize)>,
+}
+
+impl<'a> Reader<'a> {
+    fn statements(&mut self) {
+        let mut first = true;
+        while let Some(keyword) = self.lexer.token() {
+            if std::mem::take(&mut first) {
+                self.out.head = &self.bytes[..keyword.start];
+            }
+            match self.lexer.text(keyword) {
+                b"v" => self.vertex(),
+                b"vt" => {
+                    let words = self.lexer.rest_of_line();
+                    self.out.textures.push(&self.bytes[words]);
+                }
+                b"vn" => {
+                    let words = self.lexer.rest_of_line();
+                    let text = &self.bytes[words];
+                    let numbers = numbers(text);
+                    let at = |i: usize| numbers.get(i).copied().unwrap_or(f64::NAN);
+                    self.out
+                        .normals
+                        .push((text, unit_or_zero(DVec3::new(at(0), at(1), at(2)))));
+                }
+                b"f" => self.face(),
+                word @ (b"o" | b"g" | b"s" | b"usemtl" | b"mtllib") => {
+                    let line = &self.bytes[keyword.start..self.lexer.rest_of_line().end.max(keyword.end)];
+                    match word {
+                        b"o" => self.state.object = Some(line),
+                        b"g" => self.state.group = Some(line),
+                        b"s" => self.state.smoothing = Some(line),
+                        b"usemtl" => self.state.material = Some(line),
+                        _ => self.out.libraries.push(line),
+                    }
+                }
+                _ => {}
+            }
+            self.lexer.end_line();
+        }
+    }
+
+    fn vertex(&mut self) {
+        let words = self.lexer.rest_of_line();
+        let numbers = numbers(&self.bytes[words]);
+        let more = numbers.get(3..).unwrap_or(&[]);
+        if self.vertices == 0 {
+            self.out.more_lanes = more.len();
+        }
+        self.uneven |= more.len() != self.out.more_lanes || more.iter().any(|v| !v.is_finite());
+        if !self.uneven {
+            self.out.more.extend_from_slice(more);
+        }
+        self.vertices += 1;
+    }
+
+    fn face(&mut self) {
+        let first = self.faces.corners.len();
+        let counts = [
+            self.vertices,
+            self.out.textures.len() as u32,
+            self.out.normals.len() as u32,
+        ];
+        while let Some(word) = self.lexer.token_on_line() {
+            let Some(corner) = Corner::parse(&self.lexer, word) else {
+                continue;
+            };
+            let Some(vertex) = resolve(corner.vertex, counts[0]) else {
+                continue;
+            };
+            let texture = corner.texture.and_then(|t| resolve(t, counts[1])).unwrap_or(NO_TEXTURE);
+            let normal = corner.normal.and_then(|n| resolve(n, counts[2])).unwrap_or(NO_NORMAL);
+            self.faces.corners.push(vertex);
+            self.corners.push([texture, normal]);
+        }
+        let count = self.faces.corners.len() - first;
+        self.faces.end_face();
+        self.corners.truncate(self.faces.corners.len());
+        if count >= 3 {
+            self.face_states.push((self.state, count - 2));
+        }
+    }
+
+    fn finish(mut self, positions: &[DVec3]) -> Statements<'a> {
+        if self.uneven || self.vertices as usize != positions.len() {
+            (self.out.more, self.out.more_lanes) = (Vec::new(), 0);
+        }
+        let known = |corner: &u32| (*corner as usize) < positions.len();
+        if !self.faces.corners.iter().all(known) {
+            return self.out;
+        }
+        let (slots, _) = self.faces.triangulate(positions);
+        let (textures, normals) = (self.out.textures.len() as u32, self.out.normals.len() as u32);
+        for slot in slots.into_iter().flatten() {
+            let [texture, normal] = self.corners[slot as usize];
+            self.out
+                .corner_textures
+                .push(if texture < textures { texture } else { NO_TEXTURE });
+            self.out
+                .corner_normals
+                .push(if normal < normals { normal } else { NO_NORMAL });
+        }
+        for (state, count) in self.face_states {
+            self.out.states.extend(std::iter::repeat_n(state, count));
+        }
+        self.out
+    }
+}
+
+/// The numbers of a line; words that are none end it.
+pub(super) fn numbers(text: &[u8]) -> Vec<f64> {
+    let mut lexer = Lexer::new(text, STYLE);
+    std::iter::from_fn(|| lexer.token())
+        .map_while(|t| number(&text[t.range()]))
+        .collect()
+}
+
+/// The objects in the order in which faces first name them.
+pub(super) fn object_numbers<'a>(states: &[State<'a>]) -> BTreeMap<Option<&'a [u8]>, usize> {
+    let mut numbers = BTreeMap::new();
+    for state in states {
+        let next = numbers.len();
+        numbers.entry(state.object).or_insert(next);
+    }
+    numbers
+}
+
+/// The name in a line such as `usemtl name`.
+pub(super) fn name_in(line: &[u8]) -> String {
+    let start = line.iter().position(|b| b.is_ascii_whitespace()).unwrap_or(line.len());
+    String::from_utf8_lossy(line[start..].trim_ascii()).into_owned()
+}

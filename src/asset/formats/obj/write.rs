@@ -1,0 +1,243 @@
+//! OBJ out: the uploaded text with the changed numbers replaced, or a fresh text.
+
+use super::super::text::{Lexer, Patch, Precision, newline_of, push_number, push_triple};
+use super::corner::{Corner, STYLE, resolve, three_words};
+use super::normals::{Normals, Plan};
+use super::read::ObjNotes;
+use crate::asset::Geometry;
+use crate::asset::model::position_bits;
+use crate::asset::neutral::NeutralModel;
+use glam::{DVec3, Vec3};
+use std::io::Write as _;
+
+/// The uploaded text with the vertices at `positions`.
+pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: &[DVec3]) -> Vec<u8> {
+    let shading = notes
+        .normals
+        .as_ref()
+        .map(|normals| (normals, normals.plan(&rest.positions, positions, &rest.triangles)));
+    let insertion = shading
+        .as_ref()
+        .and_then(|(normals, plan)| insertion_place(bytes, normals, plan));
+    let mut lexer = Lexer::new(bytes, STYLE);
+    let mut patch = Patch::new(bytes);
+    let (mut vertices, mut normal_lines) = (0u32, 0u32);
+    while let Some(keyword) = lexer.token() {
+        if let (Some(place), Some((_, plan))) = (&insertion, &shading)
+            && place.offset == keyword.start
+        {
+            insert(&mut patch, place, plan, newline_of(bytes));
+        }
+        match lexer.text(keyword) {
+            b"v" => {
+                let (old, new) = (rest.positions[vertices as usize], positions[vertices as usize]);
+                if position_bits(old) != position_bits(new)
+                    && let Ok(words) = three_words(&mut lexer)
+                {
+                    patch.replace_changed(words, old, new, Precision::Double);
+                }
+                vertices += 1;
+            }
+            b"vn" => {
+                let new = shading
+                    .as_ref()
+                    .and_then(|(_, plan)| plan.rewritten[normal_lines as usize]);
+                if let (Some(new), Ok(words)) = (new, three_words(&mut lexer)) {
+                    let place = words[0].start..words[2].end;
+                    push_triple(patch.replace(place), new.as_dvec3(), Precision::Single);
+                }
+                normal_lines += 1;
+            }
+            b"f" => {
+                if let (Some(place), Some((normals, plan))) = (&insertion, &shading) {
+                    while let Some(word) = lexer.token_on_line() {
+                        let Some(corner) = Corner::parse(&lexer, word) else {
+                            continue;
+                        };
+                        let renumbered = place.renumber(normals, plan, corner, [vertices, normal_lines], keyword.start);
+                        if let Some(index) = renumbered {
+                            let out = patch.replace(corner.normal_token.range());
+                            out.extend_from_slice(index.to_string().as_bytes());
+                        }
+                    }
+                }
+            }
+            _ => {}
+        }
+        lexer.end_line();
+    }
+    patch.finish()
+}
+
+/// Where new `vn` lines go: before the first face that uses one, because some readers look up normals at once.
+struct Insertion {
+    offset: usize,
+    /// `vn` lines above.
+    lines_above: u32,
+    /// `vn` lines in the whole uploaded file.
+    lines: u32,
+    added: u32,
+}
+
+impl Insertion {
+    /// The number that a corner must now give for its normal, counted from 1, if what is written there is no longer right.
+    fn renumber(
+        &self,
+        normals: &Normals,
+        plan: &Plan,
+        corner: Corner,
+        [vertices, normal_lines]: [u32; 2],
+        face_offset: usize,
+    ) -> Option<u32> {
+        let (vertex, old) = (
+            resolve(corner.vertex, vertices)?,
+            resolve(corner.normal?, normal_lines)?,
+        );
+        let line = normals.line_of(plan, old, vertex);
+        let wanted = if line >= self.lines {
+            self.lines_above + (line - self.lines)
+        } else if line >= self.lines_above {
+            line + self.added
+        } else {
+            line
+        };
+        let lines_now = normal_lines + if face_offset >= self.offset { self.added } else { 0 };
+        (resolve(corner.normal?, lines_now) != Some(wanted)).then_some(wanted + 1)
+    }
+}
+
+fn insertion_place(bytes: &[u8], normals: &Normals, plan: &Plan) -> Option<Insertion> {
+    if plan.added.is_empty() {
+        return None;
+    }
+    let lines = plan.rewritten.len() as u32;
+    let mut lexer = Lexer::new(bytes, STYLE);
+    let (mut vertices, mut normal_lines) = (0u32, 0u32);
+    while let Some(keyword) = lexer.token() {
+        match lexer.text(keyword) {
+            b"v" => vertices += 1,
+            b"vn" => normal_lines += 1,
+            b"f" => {
+                while let Some(word) = lexer.token_on_line() {
+                    let Some(corner) = Corner::parse(&lexer, word) else {
+                        continue;
+                    };
+                    let vertex = resolve(corner.vertex, vertices);
+                    let normal = corner.normal.and_then(|n| resolve(n, normal_lines));
+                    if let (Some(vertex), Some(normal)) = (vertex, normal)
+                        && normals.line_of(plan, normal, vertex) >= lines
+                    {
+                        let added = plan.added.len() as u32;
+                        return Some(Insertion {
+                            offset: keyword.start,
+                            lines_above: normal_lines,
+                            lines,
+                            added,
+                        });
+                    }
+                }
+            }
+            _ => {}
+        }
+        lexer.end_line();
+    }
+    None
+}
+
+fn insert(patch: &mut Patch<'_>, place: &Insertion, plan: &Plan, newline: &[u8]) {
+    let out = patch.replace(place.offset..place.offset);
+    for normal in &plan.added {
+        push_line(out, b"vn ", normal.as_dvec3(), Precision::Single, newline);
+    }
+}
+
+pub(super) fn push_line(out: &mut Vec<u8>, keyword: &[u8], values: DVec3, precision: Precision, newline: &[u8]) {
+    out.extend_from_slice(keyword);
+    push_triple(out, values, precision);
+    out.extend_from_slice(newline);
+}
+
+/// A corner of a face, with a blank before it.
+pub(super) fn push_corner(out: &mut Vec<u8>, vertex: u64, texture: Option<u64>, normal: Option<u64>) {
+    let result = match (texture, normal) {
+        (None, None) => write!(out, " {vertex}"),
+        (Some(texture), None) => write!(out, " {vertex}/{texture}"),
+        (None, Some(normal)) => write!(out, " {vertex}//{normal}"),
+        (Some(texture), Some(normal)) => write!(out, " {vertex}/{texture}/{normal}"),
+    };
+    debug_assert!(result.is_ok(), "writing to memory does not fail");
+}
+
+/// Numbers with blanks between them.
+pub(super) fn push_numbers(out: &mut Vec<u8>, numbers: &[f64]) {
+    for (i, &value) in numbers.iter().enumerate() {
+        if i > 0 {
+            out.push(b' ');
+        }
+        push_number(out, value, Precision::Single);
+    }
+}
+
+/// A name without what would end its line.
+pub(super) fn printable(name: &str) -> String {
+    name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
+/// A fresh text: one object for each primitive, normals where every vertex has one, texture coordinates where the
+/// primitive has them, colours behind the coordinates where any primitive has some, and the names of materials.
+pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
+    let NeutralModel {
+        geometry, uv, colours, ..
+    } = neutral;
+    let mut out = b"# pliant\n".to_vec();
+    for (i, &position) in geometry.positions.iter().enumerate() {
+        push_line(&mut out, b"v ", position, Precision::Double, b"");
+        if let Some([r, g, b, _]) = colours.get(i) {
+            out.push(b' ');
+            push_triple(&mut out, Vec3::new(*r, *g, *b).as_dvec3(), Precision::Single);
+        }
+        out.push(b'\n');
+    }
+    let mut texture_number = Vec::with_capacity(uv.len());
+    for own in neutral.primitives().filter(|own| own.attributes.has_uv) {
+        let range = own.vertices;
+        let next = texture_number.last().map_or(1u32, |&last: &u32| last + 1);
+        texture_number.resize(range.start, 0);
+        for (number, [u, v]) in (next..).zip(uv.get(range).unwrap_or(&[])) {
+            texture_number.push(number);
+            out.extend_from_slice(b"vt ");
+            push_numbers(&mut out, &[f64::from(*u), f64::from(1.0 - v)]);
+            out.push(b'\n');
+        }
+    }
+    let with_normals = geometry.all_have_normals();
+    if with_normals {
+        for &normal in &geometry.normals {
+            let normal: Vec3 = normal;
+            push_line(&mut out, b"vn ", normal.as_dvec3(), Precision::Single, b"\n");
+        }
+    }
+    for own in neutral.primitives() {
+        if geometry.primitives.len() > 1 || !own.primitive.name.is_empty() {
+            out.extend(format!("o {}\n", printable(&own.primitive.name)).bytes());
+        }
+        if let Some(material) = &own.attributes.material {
+            out.extend(format!("usemtl {}\n", printable(material)).bytes());
+        }
+        for triangle in own.triangles {
+            out.push(b'f');
+            for &v in triangle {
+                let number = u64::from(v) + 1;
+                let texture = texture_number.get(v as usize).filter(|_| own.attributes.has_uv);
+                push_corner(
+                    &mut out,
+                    number,
+                    texture.map(|&t| u64::from(t)),
+                    with_normals.then_some(number),
+                );
+            }
+            out.push(b'\n');
+        }
+    }
+    out
+}

@@ -1,0 +1,173 @@
+//! OFF out after edits of the topology, and what an edited OFF gives to other formats.
+
+use super::super::text::{Lexer, Precision, integer, number, push_number, push_triple};
+use super::read::{FORMAT, OffNotes, STYLE, count, header};
+use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins};
+use crate::asset::neutral::RunAttributes;
+use crate::asset::{Error, Model};
+use crate::mesh::NONE;
+use glam::{DVec3, Vec3};
+
+/// What an OFF text holds beyond positions and triangles.
+#[derive(Default)]
+struct OffAttributes<'a> {
+    /// Comments above the keyword, and the keyword.
+    head: &'a [u8],
+    has_normals: bool,
+    /// Numbers after the coordinates (and the normal) of every vertex, so many for each; empty unless all have as many.
+    more: Vec<f64>,
+    lanes: usize,
+    /// All of them are whole.
+    whole: bool,
+    /// For each triangle what follows the corners of its face, such as a colour.
+    of_triangle: Vec<&'a [u8]>,
+}
+
+/// Reads what the text of a model that was read before holds beyond its geometry.
+fn read_attributes<'a>(model: &'a Model, notes: &OffNotes) -> Result<OffAttributes<'a>, Error> {
+    let bytes = &model.files.main[..];
+    let mut lexer = Lexer::new(bytes, STYLE);
+    let start = lexer.at();
+    header(&mut lexer)?;
+    let mut rest = OffAttributes {
+        head: &bytes[start..lexer.at()],
+        has_normals: notes.has_normals,
+        whole: true,
+        ..OffAttributes::default()
+    };
+    let (vertices, _) = count(&mut lexer, "vertices")?;
+    let (faces, _) = count(&mut lexer, "faces")?;
+    lexer.end_line();
+    let mut even = true;
+    for vertex in 0..vertices {
+        for _ in 0..if notes.has_normals { 6 } else { 3 } {
+            lexer.token();
+        }
+        let before = rest.more.len();
+        while let Some(word) = lexer.token_on_line() {
+            let text = lexer.text(word);
+            rest.whole &= integer(text).is_some();
+            rest.more.extend(number(text).filter(|v| v.is_finite()));
+        }
+        let lanes = rest.more.len() - before;
+        even &= vertex == 0 || lanes == rest.lanes;
+        rest.lanes = lanes;
+        lexer.end_line();
+    }
+    if !even || rest.lanes == 0 {
+        (rest.more, rest.lanes) = (Vec::new(), 0);
+    }
+    for face in 0..faces {
+        let (corners, _) = count(&mut lexer, &format!("corners of face {face}"))?;
+        for _ in 0..corners {
+            lexer.token();
+        }
+        let place = lexer.rest_of_line();
+        let triangles = usize::try_from(corners).unwrap_or(0).saturating_sub(2);
+        rest.of_triangle
+            .extend(std::iter::repeat_n(&bytes[place], triangles.min(bytes.len())));
+        lexer.end_line();
+    }
+    Ok(rest)
+}
+
+/// A text of the edited model with the kinds of numbers that the first base has. Faces are triangles and have the
+/// colour of the face that they lie on.
+pub(super) fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
+    let of_bases = edited.read_bases(read_attributes)?;
+    let Some(Some(first)) = of_bases.first() else {
+        return Err(Error::unwritable(FORMAT, "the first base is no OFF"));
+    };
+    let mut out = first.head.to_vec();
+    if out.is_empty() {
+        out.extend_from_slice(b"OFF");
+    }
+    out.extend(format!("\n{} {} 0\n", positions.len(), edited.triangles.len()).bytes());
+    for run in edited.runs {
+        let normals = if first.has_normals {
+            CarriedAttributes::new(edited, run, positions).normals()
+        } else {
+            Vec::new()
+        };
+        let own = of_bases
+            .get(run.base as usize)
+            .and_then(Option::as_ref)
+            .filter(|r| r.lanes == first.lanes);
+        for (i, vertex) in run.vertices().enumerate() {
+            push_triple(&mut out, positions[vertex], Precision::Double);
+            if first.has_normals {
+                out.push(b' ');
+                let normal = normals.get(i).copied().unwrap_or(Vec3::Z);
+                push_triple(&mut out, normal.as_dvec3(), Precision::Single);
+            }
+            for lane in 0..first.lanes {
+                // What another format leaves open is white.
+                let white = if first.whole { 255.0 } else { 1.0 };
+                let value = own.map_or(white, |own| own.blended(edited, vertex, lane));
+                out.push(b' ');
+                let value = if first.whole { value.round() } else { value };
+                push_number(&mut out, value, Precision::Single);
+            }
+            out.push(b'\n');
+        }
+    }
+    for run in edited.runs.iter().filter(|r| r.triangle_count > 0) {
+        let old = &edited.base(run).model.geometry.triangles;
+        let own = of_bases.get(run.base as usize).and_then(Option::as_ref);
+        let own = own.filter(|own| own.of_triangle.len() == old.len() && own.of_triangle.iter().any(|t| !t.is_empty()));
+        let origins = own.map(|_| TriangleOrigins::new(edited, run, old));
+        for (i, [a, b, c]) in edited.triangles[run.triangles()].iter().enumerate() {
+            out.extend(format!("3 {a} {b} {c}").bytes());
+            let origin = origins.as_ref().map_or(NONE, |o| o.old_triangles()[i]);
+            let more = own
+                .and_then(|own| own.of_triangle.get(origin as usize))
+                .copied()
+                .unwrap_or(&[]);
+            if !more.is_empty() {
+                out.push(b' ');
+                out.extend_from_slice(more);
+            }
+            out.push(b'\n');
+        }
+    }
+    Ok(out)
+}
+
+impl OffAttributes<'_> {
+    /// A number after the coordinates of a new vertex.
+    fn blended(&self, edited: &EditedModel<'_>, vertex: usize, lane: usize) -> f64 {
+        let number_of = |v: u32| self.more.get(v as usize * self.lanes + lane).copied();
+        edited.blended(vertex, |v| number_of(v).unwrap_or(0.0))
+    }
+}
+
+/// Colours of the vertices of runs.
+pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
+    let model = runs.first().map(|run| edited.base(run).model);
+    let Some((model, notes)) = model.and_then(|model| Some((model, model.notes::<OffNotes>()?))) else {
+        return Ok(Vec::new());
+    };
+    let rest = read_attributes(model, notes)?;
+    let word = rest.head.rsplit(|b| b.is_ascii_whitespace()).next().unwrap_or_default();
+    let has_colours = word.contains(&b'C') && !word.starts_with(b"ST") && (3..=4).contains(&rest.lanes);
+    let full = if rest.whole { 255.0 } else { 1.0 };
+    let colour = |vertex: usize| {
+        let lane = |lane: usize| {
+            if lane < rest.lanes {
+                rest.blended(edited, vertex, lane) / full
+            } else {
+                1.0
+            }
+        };
+        [0, 1, 2, 3].map(|l| (lane(l) as f32).clamp(0.0, 1.0))
+    };
+    let one = |run: &&PrimitiveRun| RunAttributes {
+        colours: if has_colours {
+            run.vertices().map(colour).collect()
+        } else {
+            Vec::new()
+        },
+        ..RunAttributes::default()
+    };
+    Ok(runs.iter().map(one).collect())
+}

@@ -1,0 +1,55 @@
+//! Object File Format (OFF) with its optional colours, normals and texture coordinates.
+//!
+//! Each vertex and each face begins a line of its own; what follows the numbers that the mesh needs (colours, texture
+//! coordinates) is kept unread.
+
+mod edited;
+mod read;
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub(super) use read::FORMAT;
+
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::neutral::{NeutralModel, RunAttributes};
+use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// Reads and writes OFF.
+pub(super) struct OffCodec;
+
+impl FormatCodec for OffCodec {
+    fn handles(&self, format: Format) -> bool {
+        format == FORMAT
+    }
+
+    fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
+        let (geometry, notes) = read::read(&files.main, limits)?;
+        Ok((geometry, Arc::new(notes)))
+    }
+
+    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        let notes = model.notes_or_refuse(format)?;
+        let text = write::patch(&model.files.main, notes, &model.geometry, positions);
+        Ok(WrittenFiles::single(text))
+    }
+
+    fn takes_attributes(&self) -> bool {
+        false
+    }
+
+    fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
+        Ok(WrittenFiles::single(write::build(&neutral.geometry)))
+    }
+
+    fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
+        edited::write_edited(output.edited, output.positions).map(WrittenFiles::single)
+    }
+
+    fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
+        edited::run_attributes(edited, runs)
+    }
+}

@@ -1,0 +1,228 @@
+//! OFF in: the header, positions, normals and faces.
+
+use super::super::polygons::Polygons;
+use super::super::text::{Lexer, Precision, Style, Token, coordinate, integer, number, shown};
+use crate::asset::files::check_main_size;
+use crate::asset::format::{FormatDetails, Recognition};
+use crate::asset::geometry::unit_or_zero;
+use crate::asset::model::FileNotes;
+use crate::asset::{Error, Format, Geometry, Limits};
+use glam::{DVec3, Vec3};
+
+/// The format, by what it is known.
+pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
+    name: "off",
+    media_types: &["model/off"],
+    recognise,
+});
+
+/// What the writers have to remember of a file.
+#[derive(Debug)]
+pub(super) struct OffNotes {
+    /// Offset of the first vertex.
+    pub vertices_at: u32,
+    /// Whether three numbers of a normal follow each position.
+    pub has_normals: bool,
+}
+
+impl FileNotes for OffNotes {}
+
+fn recognise(bytes: &[u8]) -> Recognition {
+    let text = bytes.trim_ascii_start();
+    let word = text.split(|b| b.is_ascii_whitespace()).next().unwrap_or_default();
+    // ST, C, N, 4 and n may stand before OFF: texture coordinates, colours, normals, dimensions.
+    let is_keyword = |prefix: &[u8]| prefix.iter().all(|b| b"STCN4n".contains(b));
+    Recognition::words(word.strip_suffix(b"OFF").is_some_and(is_keyword))
+}
+
+pub(super) const STYLE: Style = Style {
+    comments: true,
+    continuation: false,
+};
+
+fn malformed(line: u32, problem: impl Into<String>) -> Error {
+    Error::malformed(FORMAT, format!("line {line}"), problem)
+}
+
+/// Reads an OFF file.
+pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes), Error> {
+    check_main_size(bytes)?;
+    let mut lexer = Lexer::new(bytes, STYLE);
+    let has_normals = header(&mut lexer)?;
+    let (vertex_count, vertex_line) = count(&mut lexer, "vertices")?;
+    let (face_count, face_line) = count(&mut lexer, "faces")?;
+    lexer.end_line();
+    limits.check_vertices(vertex_count)?;
+    limits.check_triangles(face_count)?;
+    // A vertex takes three digits, each with a blank or a line end; a face, a digit and a line end.
+    let (left, needed) = (lexer.bytes_left() as u64 + 1, vertex_count * 6 + face_count * 2);
+    if needed > left {
+        let line = vertex_line.max(face_line);
+        let problem =
+            format!("{vertex_count} vertices and {face_count} faces take {needed} bytes at least, {left} are left");
+        return Err(malformed(line, problem));
+    }
+    let vertices_at = lexer.at() as u32;
+    let mut positions = Vec::with_capacity(vertex_count as usize);
+    let mut normals = Vec::with_capacity(if has_normals { vertex_count as usize } else { 0 });
+    for i in 0..vertex_count {
+        positions.push(triple(&mut lexer, &format_args!("vertex {i}"))?);
+        if has_normals {
+            normals.push(normal(&mut lexer, i)?);
+        }
+        lexer.end_line();
+    }
+    let mut faces = Polygons::default();
+    for i in 0..face_count {
+        face(&mut lexer, i, vertex_count, &mut faces, limits)?;
+    }
+    let (slots, crude) = faces.triangulate(&positions);
+    let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
+    let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
+    geometry.warn_about_crude_polygons(crude);
+    Ok((
+        geometry,
+        OffNotes {
+            vertices_at,
+            has_normals,
+        },
+    ))
+}
+
+/// Reads the keyword, which may be missing, and says whether vertices have normals.
+pub(super) fn header(lexer: &mut Lexer<'_>) -> Result<bool, Error> {
+    let mut ahead = lexer.clone();
+    let Some(token) = ahead.token() else {
+        return Err(malformed(lexer.line(), "the file is empty; the keyword OFF is needed"));
+    };
+    let word = lexer.text(token);
+    let Some(prefix) = word.strip_suffix(b"OFF") else {
+        if integer(word).is_some() {
+            return Ok(false);
+        }
+        return Err(malformed(
+            token.line,
+            format!("{} where the keyword OFF is needed", shown(word)),
+        ));
+    };
+    let unsupported = |problem: &str, hint: &str| Error::Unsupported {
+        format: FORMAT,
+        place: format!("line {}", token.line),
+        problem: problem.into(),
+        hint: hint.into(),
+    };
+    let rest = prefix.strip_prefix(b"ST").unwrap_or(prefix);
+    if rest.iter().any(|b| b"4n".contains(b)) {
+        return Err(unsupported(
+            "coordinates that are not three-dimensional",
+            "write the mesh with x, y and z only",
+        ));
+    }
+    if !rest.iter().all(|b| b"CN".contains(b)) {
+        return Err(malformed(
+            token.line,
+            format!("{} where the keyword OFF is needed", shown(word)),
+        ));
+    }
+    *lexer = ahead.clone();
+    if ahead.token_on_line().is_some_and(|t| ahead.text(t) == b"BINARY") {
+        return Err(unsupported("binary OFF", "write it as text, or as PLY or GLB"));
+    }
+    Ok(rest.contains(&b'N'))
+}
+
+/// Reads a count, and says on which line it stands.
+pub(super) fn count(lexer: &mut Lexer<'_>, what: &str) -> Result<(u64, u32), Error> {
+    let Some(token) = lexer.token() else {
+        return Err(malformed(
+            lexer.line(),
+            format!("the file ends where the number of {what} is needed"),
+        ));
+    };
+    let word = lexer.text(token);
+    let number = integer(word)
+        .and_then(|n| u64::try_from(n).ok())
+        .filter(|&n| n <= u64::from(u32::MAX));
+    let problem = || {
+        format!(
+            "{} where the number of {what} is needed, 0 to {}",
+            shown(word),
+            u32::MAX
+        )
+    };
+    number
+        .map(|n| (n, token.line))
+        .ok_or_else(|| malformed(token.line, problem()))
+}
+
+/// The next three words, on whatever lines.
+pub(super) fn three_words(lexer: &mut Lexer<'_>) -> Option<[Token; 3]> {
+    Some([lexer.token()?, lexer.token()?, lexer.token()?])
+}
+
+fn triple(lexer: &mut Lexer<'_>, what: &dyn std::fmt::Display) -> Result<DVec3, Error> {
+    let Some(words) = three_words(lexer) else {
+        return Err(malformed(lexer.line(), format!("the file ends inside {what}")));
+    };
+    let mut values = DVec3::ZERO;
+    for (i, word) in words.into_iter().enumerate() {
+        values[i] = coordinate(lexer.text(word), Precision::Double)
+            .map_err(|problem| malformed(word.line, format!("{what}: {problem}")))?;
+    }
+    Ok(values)
+}
+
+/// A normal that is not finite is common in exports of degenerate faces; it counts as none.
+fn normal(lexer: &mut Lexer<'_>, vertex: u64) -> Result<Vec3, Error> {
+    let Some(words) = three_words(lexer) else {
+        return Err(malformed(
+            lexer.line(),
+            format!("the file ends inside the normal of vertex {vertex}"),
+        ));
+    };
+    let mut values = DVec3::ZERO;
+    for (i, word) in words.into_iter().enumerate() {
+        let text = lexer.text(word);
+        let problem = || format!("the normal of vertex {vertex} has {} for a number", shown(text));
+        values[i] = number(text).ok_or_else(|| malformed(word.line, problem()))?;
+    }
+    Ok(unit_or_zero(values))
+}
+
+fn face(
+    lexer: &mut Lexer<'_>,
+    face: u64,
+    vertex_count: u64,
+    faces: &mut Polygons,
+    limits: &Limits,
+) -> Result<(), Error> {
+    let (corners, line) = count(lexer, &format!("corners of face {face}"))?;
+    let left = lexer.bytes_left() as u64;
+    if corners * 2 > left + 1 {
+        return Err(malformed(
+            line,
+            format!("face {face} declares {corners} corners, {left} bytes are left"),
+        ));
+    }
+    limits.check_triangles(faces.triangle_count() + corners.saturating_sub(2))?;
+    for _ in 0..corners {
+        let Some(token) = lexer.token() else {
+            return Err(malformed(lexer.line(), format!("the file ends inside face {face}")));
+        };
+        let word = lexer.text(token);
+        let vertex = integer(word)
+            .and_then(|v| u64::try_from(v).ok())
+            .filter(|&v| v < vertex_count);
+        let Some(vertex) = vertex else {
+            let problem = format!(
+                "face {face} names vertex {}; there are {vertex_count}, counted from 0",
+                shown(word)
+            );
+            return Err(malformed(token.line, problem));
+        };
+        faces.corners.push(vertex as u32);
+    }
+    faces.end_face();
+    lexer.end_line();
+    Ok(())
+}

@@ -1,0 +1,69 @@
+//! OFF out: the uploaded text with the changed numbers replaced, or a fresh text.
+
+use super::super::text::{Lexer, Patch, Precision, push_triple};
+use super::read::{OffNotes, STYLE, three_words};
+use crate::asset::Geometry;
+use crate::mesh::shading;
+use glam::DVec3;
+use std::io::Write as _;
+
+/// The uploaded text with the vertices at `positions`.
+pub(super) fn patch(bytes: &[u8], notes: &OffNotes, rest: &Geometry, positions: &[DVec3]) -> Vec<u8> {
+    let gradients = notes.has_normals.then(|| {
+        shading::gradients(
+            &rest.positions,
+            positions,
+            &rest.triangles,
+            &rest.triangles,
+            positions.len(),
+        )
+    });
+    let mut lexer = Lexer::starting_at(bytes, notes.vertices_at as usize, 1, STYLE);
+    let mut patch = Patch::new(bytes);
+    for (i, (&old, &new)) in rest.positions.iter().zip(positions).enumerate() {
+        if let Some(words) = three_words(&mut lexer) {
+            patch.replace_changed(words, old, new, Precision::Double);
+        }
+        if let Some(gradients) = &gradients
+            && let Some(words) = three_words(&mut lexer)
+            && let Some(gradient) = &gradients[i]
+        {
+            let (old, new) = (rest.normals[i], shading::carry_normal(gradient, rest.normals[i]));
+            patch.replace_changed(words, old.as_dvec3(), new.as_dvec3(), Precision::Single);
+        }
+        lexer.end_line();
+    }
+    patch.finish()
+}
+
+/// A fresh text, with normals where every vertex has one.
+pub(super) fn build(geometry: &Geometry) -> Vec<u8> {
+    let with_normals = geometry.all_have_normals();
+    let mut out = if with_normals {
+        b"NOFF\n".to_vec()
+    } else {
+        b"OFF\n".to_vec()
+    };
+    let line = |out: &mut Vec<u8>, numbers: [u64; 3], lead: &str| {
+        let [a, b, c] = numbers;
+        let result = writeln!(out, "{lead}{a} {b} {c}");
+        debug_assert!(result.is_ok(), "writing to memory does not fail");
+    };
+    line(
+        &mut out,
+        [geometry.positions.len() as u64, geometry.triangles.len() as u64, 0],
+        "",
+    );
+    for (i, &position) in geometry.positions.iter().enumerate() {
+        push_triple(&mut out, position, Precision::Double);
+        if with_normals {
+            out.push(b' ');
+            push_triple(&mut out, geometry.normals[i].as_dvec3(), Precision::Single);
+        }
+        out.push(b'\n');
+    }
+    for triangle in &geometry.triangles {
+        line(&mut out, triangle.map(u64::from), "3 ");
+    }
+    out
+}

@@ -1,0 +1,181 @@
+//! The numbers after a PLY header, in text or binary, with their places.
+
+use super::super::text::{Lexer, Precision, Style, coordinate, integer, number, push_number, shown};
+use super::header::{Element, Encoding, Property, Scalar};
+use crate::asset::{Error, Format};
+use std::ops::Range;
+
+/// Reads one number after the other.
+pub(super) enum Body<'a> {
+    Text(Lexer<'a>),
+    Binary { bytes: &'a [u8], at: usize, big: bool },
+}
+
+impl<'a> Body<'a> {
+    /// Begins at an offset that, in a text, lies on `line`.
+    pub fn starting_at(bytes: &'a [u8], encoding: Encoding, (at, line): (usize, u32)) -> Self {
+        match encoding {
+            Encoding::Ascii => Self::Text(Lexer::starting_at(bytes, at, line, Style::default())),
+            Encoding::Little => Self::Binary { bytes, at, big: false },
+            Encoding::Big => Self::Binary { bytes, at, big: true },
+        }
+    }
+
+    /// Offset and, in a text, line of the next number.
+    pub fn at(&self) -> (usize, u32) {
+        match self {
+            Self::Text(lexer) => (lexer.at(), lexer.line()),
+            Self::Binary { at, .. } => (*at, 0),
+        }
+    }
+
+    pub fn bytes_left(&self) -> u64 {
+        match self {
+            // The last word needs no blank after it.
+            Self::Text(lexer) => lexer.bytes_left() as u64 + 1,
+            Self::Binary { bytes, at, .. } => (bytes.len() - at) as u64,
+        }
+    }
+
+    pub fn malformed(&self, problem: impl Into<String>) -> Error {
+        let place = match self {
+            Self::Text(lexer) => format!("line {}", lexer.line()),
+            Self::Binary { at, .. } => format!("byte {at}"),
+        };
+        Error::malformed(Format::PLY, place, problem)
+    }
+
+    /// Steps over the next number and says where it stands.
+    pub fn place(&mut self, scalar: Scalar) -> Result<Range<usize>, Error> {
+        let range = match self {
+            Self::Text(lexer) => lexer.token().map(|t| t.range()),
+            Self::Binary { bytes, at, .. } => {
+                let end = at.checked_add(scalar.size()).filter(|&end| end <= bytes.len());
+                end.map(|end| std::mem::replace(at, end)..end)
+            }
+        };
+        range.ok_or_else(|| self.malformed("the file ends where a number is needed"))
+    }
+
+    /// The next number; not finite only if a binary file says so.
+    pub fn number(&mut self, scalar: Scalar) -> Result<f64, Error> {
+        let place = self.place(scalar)?;
+        match self {
+            Self::Text(lexer) => parse(lexer.bytes_at(place), scalar).map_err(|problem| self.malformed(problem)),
+            Self::Binary { bytes, big, .. } => Ok(decode(&bytes[place], scalar, *big)),
+        }
+    }
+
+    /// The next number of a normal. Exports of degenerate faces often say `nan`, which counts as no normal.
+    pub fn normal(&mut self, scalar: Scalar) -> Result<f64, Error> {
+        let place = self.place(scalar)?;
+        match self {
+            Self::Text(lexer) => {
+                let word = lexer.bytes_at(place);
+                let problem = || format!("{} is not a number; a normal is needed", shown(word));
+                number(word).ok_or_else(|| self.malformed(problem()))
+            }
+            Self::Binary { bytes, big, .. } => Ok(decode(&bytes[place], scalar, *big)),
+        }
+    }
+
+    /// The count of a list, of which the items are known to fit the bytes that are left.
+    pub fn list_count(&mut self, count: Scalar, item: Scalar) -> Result<u64, Error> {
+        let number = self.number(count)?;
+        let least = if matches!(self, Self::Text(_)) {
+            2
+        } else {
+            item.size() as u64
+        };
+        let left = self.bytes_left();
+        if !(number >= 0.0 && number * least as f64 <= left as f64) {
+            return Err(self.malformed(format!("a list of {number} items; {left} bytes are left")));
+        }
+        Ok(number as u64)
+    }
+
+    pub fn skip_property(&mut self, property: &Property) -> Result<(), Error> {
+        let Some(count) = property.count else {
+            return self.place(property.scalar).map(drop);
+        };
+        for _ in 0..self.list_count(count, property.scalar)? {
+            self.place(property.scalar)?;
+        }
+        Ok(())
+    }
+
+    pub fn skip_rows(&mut self, element: &Element) -> Result<(), Error> {
+        let fixed = element.properties.iter().all(|p| p.count.is_none());
+        match self {
+            // The caller has checked that they fit.
+            Self::Binary { at, .. } if fixed => {
+                let row: usize = element.properties.iter().map(|p| p.scalar.size()).sum();
+                *at += row * element.rows as usize;
+            }
+            _ if element.properties.is_empty() => {}
+            _ => {
+                for _ in 0..element.rows {
+                    for property in &element.properties {
+                        self.skip_property(property)?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn parse(word: &[u8], scalar: Scalar) -> Result<f64, String> {
+    match scalar {
+        Scalar::F32 => coordinate(word, Precision::Single),
+        Scalar::F64 => coordinate(word, Precision::Double),
+        _ => integer(word)
+            .map(|i| i as f64)
+            .filter(|&i| scalar.holds(i))
+            .ok_or_else(|| format!("{} does not fit the declared whole-number type", shown(word))),
+    }
+}
+
+fn decode(bytes: &[u8], scalar: Scalar, big: bool) -> f64 {
+    let mut little = [0; 8];
+    for (i, &b) in bytes.iter().take(8).enumerate() {
+        little[if big { bytes.len() - 1 - i } else { i }] = b;
+    }
+    let [a, b, c, d, ..] = little;
+    match scalar {
+        Scalar::I8 => f64::from(a as i8),
+        Scalar::U8 => f64::from(a),
+        Scalar::I16 => f64::from(i16::from_le_bytes([a, b])),
+        Scalar::U16 => f64::from(u16::from_le_bytes([a, b])),
+        Scalar::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
+        Scalar::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+        Scalar::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
+        Scalar::F64 => f64::from_le_bytes(little),
+    }
+}
+
+/// Appends a number that the type holds, up to rounding of real numbers.
+pub(super) fn push(out: &mut Vec<u8>, value: f64, scalar: Scalar, encoding: Encoding) {
+    if encoding == Encoding::Ascii {
+        let precision = if scalar == Scalar::F32 {
+            Precision::Single
+        } else {
+            Precision::Double
+        };
+        return push_number(out, value, precision);
+    }
+    let first = out.len();
+    match scalar {
+        Scalar::I8 => out.extend((value as i8).to_le_bytes()),
+        Scalar::U8 => out.extend((value as u8).to_le_bytes()),
+        Scalar::I16 => out.extend((value as i16).to_le_bytes()),
+        Scalar::U16 => out.extend((value as u16).to_le_bytes()),
+        Scalar::I32 => out.extend((value as i32).to_le_bytes()),
+        Scalar::U32 => out.extend((value as u32).to_le_bytes()),
+        Scalar::F32 => out.extend((value as f32).to_le_bytes()),
+        Scalar::F64 => out.extend(value.to_le_bytes()),
+    }
+    if encoding == Encoding::Big {
+        out[first..].reverse();
+    }
+}

@@ -1,0 +1,383 @@
+//! PLY out after edits of the topology, and what an edited PLY gives to other formats.
+
+use super::super::text::newline_of;
+use super::body::push;
+use super::header::{Element, Encoding, Property, Scalar};
+use super::read::{FORMAT, PlyNotes, Role, is_indices};
+use super::table::{Table, read};
+use super::write::stored_types;
+use crate::asset::Error;
+use crate::asset::codec::EditedOutput;
+use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins};
+use crate::asset::neutral::RunAttributes;
+use crate::mesh::NONE;
+use glam::{DVec3, Vec3};
+use std::collections::BTreeMap;
+
+/// Names of colours, from which a lack of alpha means opaque.
+const COLOURS: [[&str; 4]; 2] = [
+    ["red", "green", "blue", "alpha"],
+    ["diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"],
+];
+
+/// Names of texture coordinates of vertices.
+const COORDINATES: [[&str; 2]; 4] = [
+    ["s", "t"],
+    ["u", "v"],
+    ["texture_u", "texture_v"],
+    ["texture_s", "texture_t"],
+];
+
+/// A file of the edited model in the encoding and with the properties of the first base. Faces are triangles and have
+/// the numbers of the face that they lie on; edges are left out.
+pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
+    let EditedOutput { edited, positions, .. } = *output;
+    let tables = edited.read_bases(|model, _: &PlyNotes| read(&model.files.main, &model.positions))?;
+    let notes = edited.bases.first().and_then(|base| base.model.notes::<PlyNotes>());
+    let (Some(Some(first)), Some(notes)) = (tables.first(), notes) else {
+        return Err(Error::unwritable(FORMAT, "the first base is no PLY"));
+    };
+    let mut writer = Writer {
+        output,
+        edited,
+        positions,
+        notes,
+        first,
+        tables: &tables,
+        stored: stored_types(notes, positions)?,
+        out: Vec::new(),
+    };
+    writer.header(&edited.bases[0].model.files.main);
+    let mut faces_written = false;
+    for (e, element) in first.header.elements.iter().enumerate() {
+        match element.name.as_str() {
+            "vertex" => writer.vertices()?,
+            "face" | "tristrips" if !faces_written => {
+                faces_written = true;
+                writer.faces()?;
+            }
+            "face" | "tristrips" | "edge" => {}
+            _ => writer.other(first.others.get(&e).copied().unwrap_or(&[])),
+        }
+    }
+    Ok(writer.out)
+}
+
+struct Writer<'w, 'a> {
+    output: &'w EditedOutput<'a>,
+    edited: &'w EditedModel<'a>,
+    positions: &'w [DVec3],
+    notes: &'w PlyNotes,
+    first: &'w Table<'a>,
+    tables: &'w [Option<Table<'a>>],
+    stored: Vec<Scalar>,
+    out: Vec<u8>,
+}
+
+impl Writer<'_, '_> {
+    fn header(&mut self, bytes: &[u8]) {
+        let text = &bytes[..self.first.header.body.0.min(bytes.len())];
+        let newline = newline_of(bytes);
+        let lines = || text.split(|b| matches!(b, b'\n' | b'\r')).map(|line| line.trim_ascii());
+        let is_kept = |line: &&[u8]| {
+            let word = line.split(u8::is_ascii_whitespace).next().unwrap_or_default();
+            matches!(word, b"format" | b"comment" | b"obj_info")
+        };
+        let mut push = |line: &[u8]| {
+            self.out.extend_from_slice(line);
+            self.out.extend_from_slice(newline);
+        };
+        push(b"ply");
+        lines().filter(|l| l.starts_with(b"format")).take(1).for_each(&mut push);
+        lines()
+            .filter(is_kept)
+            .filter(|l| !l.starts_with(b"format"))
+            .for_each(&mut push);
+        let mut faces_written = false;
+        for element in &self.first.header.elements {
+            match element.name.as_str() {
+                "vertex" => {
+                    push(format!("element vertex {}", self.positions.len()).as_bytes());
+                    for (property, &scalar) in element.properties.iter().zip(&self.stored) {
+                        push(property_line(property, scalar).as_bytes());
+                    }
+                }
+                "face" | "tristrips" => {
+                    if !std::mem::replace(&mut faces_written, true) {
+                        push(format!("element face {}", self.edited.triangles.len()).as_bytes());
+                        for property in face_properties(self.first, self.positions.len()) {
+                            push(property_line(&property, property.scalar).as_bytes());
+                        }
+                    }
+                }
+                "edge" => {}
+                name => {
+                    push(format!("element {name} {}", element.rows).as_bytes());
+                    for property in &element.properties {
+                        push(property_line(property, property.scalar).as_bytes());
+                    }
+                }
+            }
+        }
+        push(b"end_header");
+    }
+
+    fn number(&mut self, value: f64, scalar: Scalar, first: bool) {
+        let encoding = self.first.encoding;
+        if encoding == Encoding::Ascii && !first {
+            self.out.push(b' ');
+        }
+        let value = if scalar.is_integer() {
+            scalar.nearest(value)
+        } else {
+            value
+        };
+        push(&mut self.out, value, scalar, encoding);
+    }
+
+    fn end_row(&mut self) {
+        if self.first.encoding == Encoding::Ascii {
+            self.out.push(b'\n');
+        }
+    }
+
+    fn list(&mut self, items: &[f64], count: Scalar, scalar: Scalar, first: bool) {
+        // A count that its type cannot hold was not read, so it is not here.
+        self.number(items.len() as f64, count, first);
+        items.iter().for_each(|&v| self.number(v, scalar, false));
+    }
+
+    fn vertices(&mut self) -> Result<(), Error> {
+        for run in self.edited.runs {
+            let normals = match self.notes.normal {
+                Some(_) => CarriedAttributes::new(self.edited, run, self.positions).normals(),
+                None => Vec::new(),
+            };
+            let columns = self.columns(run)?;
+            for (i, vertex) in run.vertices().enumerate() {
+                for (p, property) in self.notes.vertex.properties.iter().enumerate() {
+                    let scalar = self.stored[p];
+                    if let Some(count) = property.count {
+                        let lists = self.first.vertex_lists.get(&p).filter(|_| run.base == 0);
+                        let items = lists.and_then(|l| l.get(self.edited.blend(vertex).heaviest() as usize));
+                        self.list(items.map_or(&[], Vec::as_slice), count, scalar, p == 0);
+                        continue;
+                    }
+                    let value = match self.notes.role(p) {
+                        Some(Role::Position(axis)) => self.positions[vertex][axis],
+                        Some(Role::Normal(axis)) => f64::from(normals.get(i).copied().unwrap_or(Vec3::ZERO)[axis]),
+                        None => self.blended(run, vertex, i, &columns[p], scalar, &property.name),
+                    };
+                    self.number(value, scalar, p == 0);
+                }
+                self.end_row();
+            }
+        }
+        Ok(())
+    }
+
+    /// Where each property of the first base finds its numbers in the base of a run.
+    fn columns(&self, run: &PrimitiveRun) -> Result<Vec<Column>, Error> {
+        let names = &self.notes.vertex.properties;
+        let Some(Some(table)) = self.tables.get(run.base as usize) else {
+            let neutral = (self.output.neutral_base)(run.base)?;
+            let before = self.edited.runs_with_triangles(run.base);
+            let own = neutral.primitives().nth(before.take_while(|r| *r != run).count());
+            let own = own.filter(|own| own.attributes.has_colours);
+            let colours = own.and_then(|own| neutral.colours.get(own.vertices)).unwrap_or(&[]);
+            let one = |p: &Property| match COLOURS.iter().find_map(|c| c.iter().position(|n| *n == p.name)) {
+                Some(lane) if !colours.is_empty() => {
+                    Column::Values(colours.iter().map(|c| f64::from(c[lane])).collect())
+                }
+                Some(_) => Column::Constant(1.0),
+                None => Column::Nothing,
+            };
+            return Ok(names.iter().map(one).collect());
+        };
+        let of = |p: &Property| {
+            let found = table
+                .vertex()
+                .and_then(|e| e.scalar(&p.name).map(|at| (at, e.properties[at].scalar)));
+            match found {
+                Some((at, scalar)) => Column::Stored(at, scalar),
+                None if COLOURS.iter().flatten().any(|n| *n == p.name) => Column::Constant(1.0),
+                None => Column::Nothing,
+            }
+        };
+        Ok(names.iter().map(of).collect())
+    }
+
+    fn blended(&self, run: &PrimitiveRun, vertex: usize, i: usize, column: &Column, scalar: Scalar, name: &str) -> f64 {
+        let full = if scalar.is_integer() { scalar.most() } else { 1.0 };
+        let is_colour = COLOURS.iter().flatten().any(|n| *n == name);
+        match column {
+            Column::Nothing => 0.0,
+            Column::Constant(value) => value * full,
+            Column::Values(values) => values.get(i).copied().unwrap_or(1.0) * full,
+            Column::Stored(at, stored) => {
+                let Some(Some(table)) = self.tables.get(run.base as usize) else {
+                    return 0.0;
+                };
+                // Whole numbers of more than a byte are labels more often than quantities.
+                let is_label = !is_colour && stored.is_integer() && stored.size() > 1;
+                let value = if is_label {
+                    table.vertex_number(self.edited.blend(vertex).heaviest(), *at)
+                } else {
+                    self.edited.blended(vertex, |v| table.vertex_number(v, *at))
+                };
+                let scale = match (is_colour, stored.is_integer(), scalar.is_integer()) {
+                    (true, true, false) => 1.0 / stored.most(),
+                    (true, false, true) => full,
+                    _ => 1.0,
+                };
+                value * scale
+            }
+        }
+    }
+
+    fn faces(&mut self) -> Result<(), Error> {
+        let properties = face_properties(self.first, self.positions.len());
+        let coordinates = self.first.corner_coordinates();
+        let corner_list = self.first.corner_list().map(|(at, _)| at);
+        let seam = coordinates.as_ref().map(|c| identities(c)).unwrap_or_default();
+        let needs_origins = properties.len() > 1;
+        for run in self.edited.runs.iter().filter(|r| r.triangle_count > 0) {
+            let old = &self.edited.base(run).model.geometry.triangles;
+            let has_rows = run.base == 0 && needs_origins && self.first.row_of.len() == old.len();
+            let origins = has_rows.then(|| TriangleOrigins::new(self.edited, run, old));
+            for (i, triangle) in self.edited.triangles[run.triangles()].iter().enumerate() {
+                let origin = origins.as_ref().map_or(NONE, |o| o.old_triangles()[i]);
+                let row = self.first.row_of.get(origin as usize).copied().unwrap_or(NONE);
+                for (p, property) in properties.iter().enumerate() {
+                    let Some(count) = property.count else {
+                        self.number(self.first.face_number(row, p), property.scalar, p == 0);
+                        continue;
+                    };
+                    let items: Vec<f64> = if is_indices(&property.name) {
+                        triangle.iter().map(|&v| f64::from(v)).collect()
+                    } else if Some(p) == corner_list {
+                        match (&origins, &coordinates) {
+                            (Some(origins), Some(coordinates)) if origin != NONE => {
+                                let mix = |k| {
+                                    let mut sum = [0.0; 2];
+                                    for (corner, weight) in origins.corner(i, k, &seam) {
+                                        let at = coordinates[corner as usize];
+                                        sum = [sum[0] + at[0] * weight, sum[1] + at[1] * weight];
+                                    }
+                                    sum
+                                };
+                                (0..3).flat_map(mix).collect()
+                            }
+                            _ => vec![0.0; 6],
+                        }
+                    } else {
+                        let whole = self.first.corners_of.get(row as usize) == Some(&3);
+                        let list = self.first.face_lists.get(&p).and_then(|l| l.get(row as usize));
+                        list.filter(|_| whole).cloned().unwrap_or_default()
+                    };
+                    self.list(&items, count, property.scalar, p == 0);
+                }
+                self.end_row();
+            }
+        }
+        Ok(())
+    }
+
+    fn other(&mut self, bytes: &[u8]) {
+        if self.first.encoding == Encoding::Ascii {
+            self.out.extend_from_slice(bytes.trim_ascii());
+            self.end_row();
+        } else {
+            self.out.extend_from_slice(bytes);
+        }
+    }
+}
+
+/// Where the numbers of one property come from.
+enum Column {
+    /// A property of a PLY base, and its type.
+    Stored(usize, Scalar),
+    /// Colours of another format, from 0 to 1.
+    Values(Vec<f64>),
+    /// The same for all, 1 being the whole of the type's range.
+    Constant(f64),
+    Nothing,
+}
+
+/// The properties of faces: those of the first base, the list of vertices in a type that holds their numbers.
+fn face_properties(first: &Table<'_>, vertices: usize) -> Vec<Property> {
+    let of_file = first.face.as_ref().map(|element: &Element| element.properties.clone());
+    let mut properties = of_file.unwrap_or_else(|| {
+        vec![Property {
+            name: "vertex_indices".into(),
+            count: Some(Scalar::U8),
+            scalar: Scalar::I32,
+            type_place: 0..0,
+        }]
+    });
+    for property in properties.iter_mut().filter(|p| is_indices(&p.name)) {
+        if !property.scalar.holds(vertices as f64) {
+            property.scalar = Scalar::U32;
+        }
+    }
+    properties
+}
+
+fn property_line(property: &Property, scalar: Scalar) -> String {
+    let (name, scalar) = (&property.name, scalar.name());
+    match property.count {
+        Some(count) => format!("property list {} {scalar} {name}", count.name()),
+        None => format!("property {scalar} {name}"),
+    }
+}
+
+/// A number for each distinct pair.
+fn identities(pairs: &[[f64; 2]]) -> Vec<u32> {
+    let mut known = BTreeMap::new();
+    let one = |pair: &[f64; 2]| {
+        let next = known.len() as u32;
+        *known.entry(pair.map(f64::to_bits)).or_insert(next)
+    };
+    pairs.iter().map(one).collect()
+}
+
+/// Colours and texture coordinates of the vertices of runs.
+pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
+    let Some(first) = runs.first() else {
+        return Ok(Vec::new());
+    };
+    let model = edited.base(first).model;
+    let table = read(&model.files.main, &model.geometry.positions)?;
+    let Some(vertex) = table.vertex() else {
+        return Ok(Vec::new());
+    };
+    let find = |names: &[&str]| -> Option<Vec<usize>> { names.iter().map(|n| vertex.scalar(n)).collect() };
+    let colour = COLOURS
+        .iter()
+        .find_map(|names| Some((find(&names[..3])?, vertex.scalar(names[3]))));
+    let coordinates = COORDINATES.iter().find_map(|names| find(names));
+    let value = |new: usize, property: usize| edited.blended(new, |v| table.vertex_number(v, property));
+    let share = |new: usize, property: usize| -> f32 {
+        let scalar = vertex.properties[property].scalar;
+        let full = if scalar.is_integer() { scalar.most() } else { 1.0 };
+        ((value(new, property) / full) as f32).clamp(0.0, 1.0)
+    };
+    let one = |run: &&PrimitiveRun| {
+        let mut extras = RunAttributes::default();
+        if let Some((rgb, alpha)) = &colour {
+            let of = |v: usize| {
+                let [r, g, b] = [0, 1, 2].map(|lane| share(v, rgb[lane]));
+                [r, g, b, alpha.map_or(1.0, |a| share(v, a))]
+            };
+            extras.colours = run.vertices().map(of).collect();
+        }
+        if let Some(uv) = &coordinates {
+            extras.uv = run
+                .vertices()
+                .map(|v| [value(v, uv[0]) as f32, (1.0 - value(v, uv[1])) as f32])
+                .collect();
+        }
+        extras
+    };
+    Ok(runs.iter().map(one).collect())
+}

@@ -1,0 +1,53 @@
+//! Stanford PLY, text and binary: reading, editing in place, and building.
+//!
+//! Needed of a file are the numbers x, y and z of element `vertex`, and `vertex_indices` (or `vertex_index`) of element
+//! `face` or `tristrips`. Whatever else it holds is stepped over and survives.
+
+mod body;
+mod edited;
+mod header;
+mod read;
+mod table;
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub(super) use read::FORMAT;
+
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::neutral::{NeutralModel, RunAttributes};
+use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// Reads and writes PLY.
+pub(super) struct PlyCodec;
+
+impl FormatCodec for PlyCodec {
+    fn handles(&self, format: Format) -> bool {
+        format == FORMAT
+    }
+
+    fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
+        let (geometry, notes) = read::read(&files.main, limits)?;
+        Ok((geometry, Arc::new(notes)))
+    }
+
+    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        let notes = model.notes_or_refuse(format)?;
+        write::patch(&model.files.main, notes, &model.geometry, positions).map(WrittenFiles::single)
+    }
+
+    fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
+        Ok(WrittenFiles::single(write::build(neutral)))
+    }
+
+    fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
+        edited::write_edited(output).map(WrittenFiles::single)
+    }
+
+    fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
+        edited::run_attributes(edited, runs)
+    }
+}

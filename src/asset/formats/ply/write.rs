@@ -1,0 +1,128 @@
+//! PLY out: the uploaded file with the changed numbers replaced, or a fresh file.
+
+use super::super::text::Patch;
+use super::body::{Body, push};
+use super::header::{Encoding, Scalar};
+use super::read::{FORMAT, PlyNotes, Role};
+use crate::asset::neutral::NeutralModel;
+use crate::asset::{Error, Geometry};
+use crate::mesh::shading;
+use glam::DVec3;
+use std::io::Write as _;
+
+/// The uploaded file with the vertices at `positions`. Whole-number coordinates become doubles where they must.
+pub(super) fn patch(bytes: &[u8], notes: &PlyNotes, rest: &Geometry, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
+    let properties = &notes.vertex.properties;
+    let stored = stored_types(notes, positions)?;
+    let triangles = &rest.triangles;
+    let gradients = notes
+        .normal
+        .map(|_| shading::gradients(&rest.positions, positions, triangles, triangles, positions.len()));
+    let mut patch = Patch::new(bytes);
+    for (property, &scalar) in properties.iter().zip(&stored) {
+        if property.scalar != scalar {
+            patch.replace(property.type_place.clone()).extend_from_slice(b"double");
+        }
+    }
+    let mut body = Body::starting_at(bytes, notes.encoding, notes.vertices_at);
+    for (i, (&old, &new)) in rest.positions.iter().zip(positions).enumerate() {
+        let gradient = gradients.as_ref().and_then(|g| g[i].as_ref());
+        let normal = gradient.map(|g| shading::carry_normal(g, rest.normals[i]));
+        for (j, (property, &scalar)) in properties.iter().zip(&stored).enumerate() {
+            let (old, new) = match (notes.role(j), normal) {
+                (Some(Role::Position(axis)), _) => (old[axis], new[axis]),
+                (Some(Role::Normal(axis)), Some(normal)) => (f64::from(rest.normals[i][axis]), f64::from(normal[axis])),
+                _ => {
+                    body.skip_property(property)?;
+                    continue;
+                }
+            };
+            let place = body.place(property.scalar)?;
+            let same = match scalar {
+                Scalar::F32 => (old as f32).to_bits() == (new as f32).to_bits(),
+                _ => old.to_bits() == new.to_bits(),
+            };
+            let retyped = property.scalar != scalar && notes.encoding != Encoding::Ascii;
+            if !same || retyped {
+                push(patch.replace(place), new, scalar, notes.encoding);
+            }
+        }
+    }
+    Ok(patch.finish())
+}
+
+/// A fresh binary file with double coordinates, normals where every vertex has one, and colours and texture coordinates
+/// where any has some.
+pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
+    let NeutralModel {
+        geometry, uv, colours, ..
+    } = neutral;
+    let with_normals = geometry.all_have_normals();
+    let mut out = b"ply\nformat binary_little_endian 1.0\ncomment pliant\n".to_vec();
+    let floats = |names: &[&str]| {
+        names
+            .iter()
+            .map(|n| format!("property float {n}\n"))
+            .collect::<String>()
+    };
+    let normals = if with_normals {
+        floats(&["nx", "ny", "nz"])
+    } else {
+        String::new()
+    };
+    let coordinates = if uv.is_empty() {
+        String::new()
+    } else {
+        floats(&["s", "t"])
+    };
+    let bytes = if colours.is_empty() {
+        ""
+    } else {
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nproperty uchar alpha\n"
+    };
+    let result = write!(
+        out,
+        "element vertex {}\nproperty double x\nproperty double y\nproperty double z\n{normals}{coordinates}{bytes}\
+         element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+        geometry.positions.len(),
+        geometry.triangles.len()
+    );
+    debug_assert!(result.is_ok(), "writing to memory does not fail");
+    for (i, position) in geometry.positions.iter().enumerate() {
+        out.extend(position.to_array().into_iter().flat_map(f64::to_le_bytes));
+        if with_normals {
+            out.extend(geometry.normals[i].to_array().into_iter().flat_map(f32::to_le_bytes));
+        }
+        if let Some([u, v]) = uv.get(i) {
+            out.extend([*u, 1.0 - v].into_iter().flat_map(f32::to_le_bytes));
+        }
+        if let Some(colour) = colours.get(i) {
+            out.extend(colour.map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8));
+        }
+    }
+    for triangle in &geometry.triangles {
+        out.push(3);
+        out.extend(triangle.iter().flat_map(|v| v.to_le_bytes()));
+    }
+    out
+}
+
+/// The types of the vertices' numbers: whole coordinates become doubles where they must.
+pub(super) fn stored_types(notes: &PlyNotes, positions: &[DVec3]) -> Result<Vec<Scalar>, Error> {
+    let mut stored: Vec<Scalar> = notes.vertex.properties.iter().map(|p| p.scalar).collect();
+    for (axis, &property) in notes.position.iter().enumerate() {
+        let scalar = &mut stored[property];
+        if scalar.is_integer() && !positions.iter().all(|p| scalar.holds(p[axis])) {
+            *scalar = Scalar::F64;
+        } else if *scalar == Scalar::F32
+            && let Some(i) = positions.iter().position(|p| !(p[axis] as f32).is_finite())
+        {
+            let problem = format!(
+                "the position of vertex {i} is {}, too large for the file's floats",
+                positions[i]
+            );
+            return Err(Error::unwritable(FORMAT, problem));
+        }
+    }
+    Ok(stored)
+}

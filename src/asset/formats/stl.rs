@@ -1,0 +1,524 @@
+//! Stereolithography (STL), binary and text.
+//!
+//! Facets share no vertices: there are three render vertices for each facet, in file order. Welding is the solver's
+//! affair. The facet normal is redundant; it is computed anew for facets that moved.
+
+use super::text::{Lexer, Patch, Precision, Style, Token, coordinate, shown};
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
+use crate::asset::files::check_main_size;
+use crate::asset::format::{FormatDetails, Recognition};
+use crate::asset::model::{FileNotes, is_same};
+use crate::asset::neutral::NeutralModel;
+use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, WrittenFiles};
+use crate::mesh::NONE;
+use glam::DVec3;
+use std::sync::Arc;
+
+/// The format, by what it is known.
+pub(super) const FORMAT: Format = Format::new(&FormatDetails {
+    name: "stl",
+    media_types: &[
+        "model/stl",
+        "model/x.stl-binary",
+        "model/x.stl-ascii",
+        "application/sla",
+    ],
+    recognise,
+});
+
+/// Reads and writes STL.
+pub(super) struct StlCodec;
+
+impl FormatCodec for StlCodec {
+    fn handles(&self, format: Format) -> bool {
+        format == FORMAT
+    }
+
+    fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
+        let (geometry, notes) = read(&files.main, limits)?;
+        Ok((geometry, Arc::new(notes)))
+    }
+
+    fn patch_positions(&self, model: &Model, positions: &[DVec3], _: Format) -> Result<WrittenFiles, Error> {
+        patch(model, positions).map(WrittenFiles::single)
+    }
+
+    fn takes_attributes(&self) -> bool {
+        false
+    }
+
+    fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
+        facets_file(&neutral.geometry.triangles, &neutral.geometry.positions).map(WrittenFiles::single)
+    }
+
+    /// Facets need nothing of the first base but its header.
+    fn edits(&self, _: Format) -> bool {
+        true
+    }
+
+    fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
+        write_edited(output.edited, output.positions).map(WrittenFiles::single)
+    }
+}
+
+/// What the writers have to remember of a file.
+#[derive(Debug)]
+struct StlNotes {
+    binary: bool,
+}
+
+impl FileNotes for StlNotes {}
+
+fn recognise(bytes: &[u8]) -> Recognition {
+    // A binary file says nothing but its triangle count, which must fit the length exactly.
+    let exact = declared_facets(bytes).is_some_and(|count| binary_length(count) == bytes.len() as u64);
+    Recognition::mark(exact).max(Recognition::words(bytes.trim_ascii_start().starts_with(b"solid")))
+}
+
+/// How long a binary file of so many facets is.
+fn binary_length(facets: u64) -> u64 {
+    HEADER as u64 + facets * FACET as u64
+}
+
+/// Bytes before the first facet of a binary file, and of each facet.
+const HEADER: usize = 84;
+const FACET: usize = 50;
+
+const STYLE: Style = Style {
+    comments: false,
+    continuation: false,
+};
+
+/// Reads an STL file.
+fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, StlNotes), Error> {
+    check_main_size(bytes)?;
+    let text = bytes
+        .trim_ascii_start()
+        .get(..5)
+        .is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
+    let declared = declared_facets(bytes);
+    // Some programs begin binary files with the word `solid` too; the length tells them.
+    let exact = declared.is_some_and(|count| binary_length(count) == bytes.len() as u64);
+    let binary = exact || !text;
+    let mut positions = Vec::new();
+    let mut extra = 0;
+    if binary {
+        let count = declared.ok_or_else(|| {
+            Error::malformed(
+                FORMAT,
+                "byte 0",
+                format!("{} bytes; a binary file has at least {HEADER}", bytes.len()),
+            )
+        })?;
+        let room = (bytes.len() - HEADER) / FACET;
+        if count > room as u64 {
+            let problem = format!("{count} facets are declared, the file holds {room}");
+            return Err(Error::malformed(FORMAT, "byte 80", problem));
+        }
+        extra = bytes.len() - HEADER - count as usize * FACET;
+        limits.check_vertices(count * 3)?;
+        limits.check_triangles(count)?;
+        positions.reserve_exact(count as usize * 3);
+        for (i, facet) in bytes[HEADER..].chunks_exact(FACET).take(count as usize).enumerate() {
+            for corner in 0..3 {
+                let position = read_vector(facet, corner + 1);
+                if !position.is_finite() {
+                    let problem = format!("corner {corner} is {position}; finite coordinates are needed");
+                    return Err(Error::malformed(FORMAT, format!("facet {i}"), problem));
+                }
+                positions.push(position);
+            }
+        }
+    } else {
+        let mut facets = Facets {
+            lexer: Lexer::new(bytes, STYLE),
+        };
+        while let Some((_, corners)) = facets.next()? {
+            for words in corners {
+                positions.push(facets.position(words)?);
+            }
+            limits.check_vertices(positions.len() as u64)?;
+        }
+    }
+    let triangles = (0..positions.len() as u32 / 3)
+        .map(|i| [3 * i, 3 * i + 1, 3 * i + 2])
+        .collect();
+    let mut geometry = Geometry::from_one_mesh(positions, Vec::new(), triangles);
+    if extra > 0 {
+        let place = format!("byte {}", bytes.len() - extra);
+        geometry.warn(
+            "trailing-bytes",
+            format!("{extra} bytes after the last facet are kept as they are"),
+            place,
+        );
+    }
+    Ok((geometry, StlNotes { binary }))
+}
+
+fn declared_facets(bytes: &[u8]) -> Option<u64> {
+    let count: [u8; 4] = bytes.get(HEADER - 4..HEADER)?.try_into().ok()?;
+    Some(u64::from(u32::from_le_bytes(count)))
+}
+
+/// Vector 0 of a binary facet is the normal, 1 to 3 are the corners.
+fn read_vector(facet: &[u8], index: usize) -> DVec3 {
+    let number = |i: usize| {
+        let at = index * 12 + i * 4;
+        f64::from(f32::from_le_bytes([
+            facet[at],
+            facet[at + 1],
+            facet[at + 2],
+            facet[at + 3],
+        ]))
+    };
+    DVec3::new(number(0), number(1), number(2))
+}
+
+fn push_vector(out: &mut [u8], index: usize, value: DVec3) {
+    for (i, number) in value.as_vec3().to_array().into_iter().enumerate() {
+        let at = index * 12 + i * 4;
+        out[at..at + 4].copy_from_slice(&number.to_le_bytes());
+    }
+}
+
+/// The facets of a text file.
+struct Facets<'a> {
+    lexer: Lexer<'a>,
+}
+
+/// The words of a facet's normal (absent where the file leaves them out) and of its corners.
+type FacetWords = (Option<[Token; 3]>, [[Token; 3]; 3]);
+
+impl Facets<'_> {
+    fn next(&mut self) -> Result<Option<FacetWords>, Error> {
+        while let Some(token) = self.lexer.token() {
+            let word = self.lexer.text(token);
+            if word.eq_ignore_ascii_case(b"solid") || word.eq_ignore_ascii_case(b"endsolid") {
+                self.lexer.end_line();
+            } else if word.eq_ignore_ascii_case(b"facet") {
+                let normal = self.normal();
+                self.expect(b"outer")?;
+                self.expect(b"loop")?;
+                let corners = [self.vertex()?, self.vertex()?, self.vertex()?];
+                self.expect(b"endloop")?;
+                self.expect(b"endfacet")?;
+                return Ok(Some((normal, corners)));
+            } else {
+                let problem = format!("{} where `facet` or `endsolid` is needed", shown(word));
+                return Err(malformed(token.line, problem));
+            }
+        }
+        Ok(None)
+    }
+
+    fn normal(&mut self) -> Option<[Token; 3]> {
+        let keyword = self.lexer.token_on_line()?;
+        if !self.lexer.text(keyword).eq_ignore_ascii_case(b"normal") {
+            return None;
+        }
+        Some([
+            self.lexer.token_on_line()?,
+            self.lexer.token_on_line()?,
+            self.lexer.token_on_line()?,
+        ])
+    }
+
+    fn vertex(&mut self) -> Result<[Token; 3], Error> {
+        self.expect(b"vertex")?;
+        let mut next = || self.lexer.token();
+        let words = next().zip(next()).zip(next()).map(|((x, y), z)| [x, y, z]);
+        words.ok_or_else(|| malformed(self.lexer.line(), "the file ends inside a vertex"))
+    }
+
+    fn expect(&mut self, keyword: &[u8]) -> Result<(), Error> {
+        let needed = String::from_utf8_lossy(keyword);
+        let Some(token) = self.lexer.token() else {
+            return Err(malformed(
+                self.lexer.line(),
+                format!("the file ends where `{needed}` is needed"),
+            ));
+        };
+        let word = self.lexer.text(token);
+        if word.eq_ignore_ascii_case(keyword) {
+            return Ok(());
+        }
+        Err(malformed(
+            token.line,
+            format!("{} where `{needed}` is needed", shown(word)),
+        ))
+    }
+
+    fn position(&self, words: [Token; 3]) -> Result<DVec3, Error> {
+        let mut position = DVec3::ZERO;
+        for (i, word) in words.into_iter().enumerate() {
+            position[i] = coordinate(self.lexer.text(word), Precision::Double)
+                .map_err(|problem| malformed(word.line, problem))?;
+        }
+        Ok(position)
+    }
+}
+
+fn malformed(line: u32, problem: impl Into<String>) -> Error {
+    Error::malformed(FORMAT, format!("line {line}"), problem)
+}
+
+/// Whether a model came as a binary STL.
+fn is_binary(model: &Model) -> bool {
+    model.notes::<StlNotes>().is_some_and(|notes| notes.binary)
+}
+
+/// The uploaded file with the vertices at `positions`.
+fn patch(model: &Model, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
+    let bytes = &model.files.main[..];
+    let facets = model.positions.chunks_exact(3).zip(positions.chunks_exact(3));
+    if is_binary(model) {
+        check_single(positions)?;
+        let mut out = bytes.to_vec();
+        for ((old, new), facet) in facets.zip(out[HEADER..].chunks_exact_mut(FACET)) {
+            if !is_same(old, new) {
+                push_facet(facet, new);
+            }
+        }
+        return Ok(out);
+    }
+    let mut reader = Facets {
+        lexer: Lexer::new(bytes, STYLE),
+    };
+    let mut patch = Patch::new(bytes);
+    for (old, new) in facets {
+        let Some((normal, corners)) = reader.next()? else { break };
+        if is_same(old, new) {
+            continue;
+        }
+        if let Some(words) = normal {
+            let all_new = DVec3::splat(f64::NAN);
+            patch.replace_changed(words, all_new, facet_normal(new), Precision::Single);
+        }
+        for (i, words) in corners.into_iter().enumerate() {
+            patch.replace_changed(words, old[i], new[i], Precision::Double);
+        }
+    }
+    Ok(patch.finish())
+}
+
+/// A binary file of an edited model; a binary source keeps its header, and facets the attribute of those they lie on.
+fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
+    let mut out = facets_file(edited.triangles, positions)?;
+    let binary = |base: &BaseModel<'_>| is_binary(base.model);
+    if let Some(first) = edited.bases.first().filter(|base| binary(base))
+        && let Some(header) = first.model.files.main.get(..HEADER)
+    {
+        // All of it but the count.
+        out[..HEADER - 4].copy_from_slice(&header[..HEADER - 4]);
+    }
+    for run in edited
+        .runs
+        .iter()
+        .filter(|r| r.triangle_count > 0 && binary(edited.base(r)))
+    {
+        let base = edited.base(run).model;
+        let origins = TriangleOrigins::new(edited, run, &base.geometry.triangles);
+        for (triangle, &origin) in run.triangles().zip(origins.old_triangles()) {
+            let from = HEADER as u64 + u64::from(origin) * FACET as u64 + 48;
+            let from = usize::try_from(from).unwrap_or(usize::MAX);
+            let attribute = base
+                .files
+                .main
+                .get(from..from.saturating_add(2))
+                .filter(|_| origin != NONE);
+            if let Some(attribute) = attribute {
+                out[HEADER + triangle * FACET + 48..][..2].copy_from_slice(attribute);
+            }
+        }
+    }
+    Ok(out)
+}
+
+/// A fresh binary file.
+fn facets_file(triangles: &[[u32; 3]], positions: &[DVec3]) -> Result<Vec<u8>, Error> {
+    check_single(positions)?;
+    let count = u32::try_from(triangles.len())
+        .map_err(|_| Error::unwritable(FORMAT, format!("{} triangles", triangles.len())))?;
+    let mut out = vec![0; HEADER + triangles.len() * FACET];
+    out[..6].copy_from_slice(b"pliant");
+    out[HEADER - 4..HEADER].copy_from_slice(&count.to_le_bytes());
+    for (triangle, facet) in triangles.iter().zip(out[HEADER..].chunks_exact_mut(FACET)) {
+        push_facet(facet, &triangle.map(|v| positions[v as usize]));
+    }
+    Ok(out)
+}
+
+fn push_facet(facet: &mut [u8], corners: &[DVec3]) {
+    push_vector(facet, 0, facet_normal(corners));
+    for (i, &corner) in corners.iter().enumerate() {
+        push_vector(facet, i + 1, corner);
+    }
+}
+
+/// The unit normal by the right-hand rule; zero for a facet without area, as the format asks.
+fn facet_normal(corners: &[DVec3]) -> DVec3 {
+    let (e1, e2) = (corners[1] - corners[0], corners[2] - corners[0]);
+    let size = e1.abs().max(e2.abs()).max_element();
+    if !(size > 0.0 && size.is_finite()) {
+        return DVec3::ZERO;
+    }
+    (e1 / size).cross(e2 / size).normalize_or_zero()
+}
+
+/// Refuses positions beyond what 32 bits hold.
+fn check_single(positions: &[DVec3]) -> Result<(), Error> {
+    match positions.iter().position(|p| !p.as_vec3().is_finite()) {
+        Some(i) => {
+            let problem = format!(
+                "the position of vertex {i} is {}, too large for 32-bit numbers",
+                positions[i]
+            );
+            Err(Error::unwritable(FORMAT, problem))
+        }
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::{FileSet, Model};
+    use glam::Vec3;
+
+    fn read_bytes(bytes: impl Into<Vec<u8>>) -> Result<Model, Error> {
+        Model::read(
+            FileSet::single("test.stl", bytes.into()),
+            Some(Format::STL),
+            &Limits::default(),
+        )
+    }
+
+    /// Two facets, with a header that looks like text and attributes that say something.
+    fn binary() -> Vec<u8> {
+        let mut bytes = b"solid but binary".to_vec();
+        bytes.resize(80, b'x');
+        bytes.extend(2u32.to_le_bytes());
+        for (i, facet) in [
+            [[0., 0., 9.], [0., 0., 0.], [1., 0., 0.], [0., 1., 0.]],
+            [[0., 0., 9.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]],
+        ]
+        .iter()
+        .enumerate()
+        {
+            bytes.extend(facet.iter().flatten().flat_map(|v: &f32| v.to_le_bytes()));
+            bytes.extend([0xab, i as u8]);
+        }
+        bytes
+    }
+
+    const TEXT: &str = "solid a name with vertex and facet\r\n  FACET NORMAL 0 0 9\r\n    outer loop\r\n      vertex 0.0 0.0 0.0\r\n\
+        \t\tVERTEX 1 0 0\r\n      vertex 0 1e0 0\r\n    endloop\r\n  endfacet\r\nfacet normal 0 0 1\nouter loop\nvertex 1 0 0\n\
+        vertex 1 1 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a name\nsolid two\nendsolid";
+
+    #[test]
+    fn both_kinds_keep_facets_that_did_not_move() {
+        let model = read_bytes(binary()).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!((model.positions.len(), model.triangles.len()), (6, 2));
+        let mut moved = model.positions.clone();
+        moved[4].z = 1.0;
+        let out = model.write(&moved, FORMAT).expect("writable").main;
+        let old = binary();
+        assert_eq!(out[..HEADER + FACET], old[..HEADER + FACET]);
+        assert_eq!(out[out.len() - 2..], old[old.len() - 2..]);
+        let normal = read_vector(&out[HEADER + FACET..], 0);
+        assert!(
+            (normal - DVec3::new(-1.0, -1.0, 1.0).normalize()).length() < 1e-6,
+            "{normal}"
+        );
+        assert_eq!(read_bytes(out).expect("valid").positions, moved);
+
+        let model = read_bytes(TEXT).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(model.positions[2], DVec3::Y);
+        assert_eq!(
+            model.write(&model.positions, FORMAT).expect("writable").main,
+            TEXT.as_bytes()
+        );
+        moved[4].z = 0.1;
+        let out = String::from_utf8(model.write(&moved, FORMAT).expect("writable").main).expect("text");
+        let (head, tail) = TEXT.split_at(TEXT.find("facet normal 0 0 1").expect("there"));
+        assert!(out.starts_with(head) && out.contains("\nvertex 1 1 0.1\n"), "{out}");
+        assert!(out.ends_with(&tail[tail.find("endloop").expect("there")..]));
+        assert_eq!(read_bytes(out).expect("valid").positions, moved);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_place() {
+        let nan = {
+            let mut bytes = binary();
+            bytes[HEADER + FACET + 12..HEADER + FACET + 16].copy_from_slice(&f32::NAN.to_le_bytes());
+            bytes
+        };
+        let cut = [b"SOLAR", &binary()[5..150]].concat();
+        for (bytes, place, phrase) in [
+            (b"short".to_vec(), "byte 0", "5 bytes"),
+            (cut, "byte 80", "2 facets are declared, the file holds 1"),
+            (nan, "facet 1", "corner 0"),
+            (
+                b"solid\nfacet normal 0 0 1\nouter\nvertex 0 0 0".to_vec(),
+                "line 4",
+                "`vertex` where `loop`",
+            ),
+            (
+                b"solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0".to_vec(),
+                "line 4",
+                "ends inside a vertex",
+            ),
+            (
+                b"solid\nfacet\nouter loop\nvertex 0 0 a\nvertex 0 0 0 vertex 0 0 0 endloop endfacet".to_vec(),
+                "line 4",
+                "`a` is not a number",
+            ),
+            (b"solid\nfacets".to_vec(), "line 2", "`facets` where `facet`"),
+        ] {
+            match read_bytes(bytes) {
+                Err(Error::Malformed {
+                    place: seen, problem, ..
+                }) => {
+                    assert!(seen == place && problem.contains(phrase), "{seen}: {problem}");
+                }
+                other => panic!("{phrase}: {other:?}"),
+            }
+        }
+        assert!(matches!(
+            read_bytes("solid nothing\nendsolid\n"),
+            Err(Error::NoMesh { .. })
+        ));
+    }
+
+    #[test]
+    fn bytes_after_the_last_facet_are_kept() {
+        let mut bytes = binary();
+        bytes[..5].copy_from_slice(b"SOLAR");
+        bytes.extend(b"more");
+        let model = read_bytes(bytes.clone()).expect("valid");
+        assert_eq!(model.warnings.len(), 1);
+        let moved: Vec<_> = model.positions.iter().map(|p| *p * 2.0).collect();
+        assert!(model.write(&moved, FORMAT).expect("writable").main.ends_with(b"more"));
+    }
+
+    #[test]
+    fn a_fresh_file_has_a_facet_for_each_triangle() {
+        let geometry = read_bytes(TEXT).expect("valid").geometry;
+        let reread = read_bytes(facets_file(&geometry.triangles, &geometry.positions).expect("fits")).expect("valid");
+        assert_eq!(reread.positions, geometry.positions);
+        assert_eq!(
+            read_vector(
+                &facets_file(&geometry.triangles, &geometry.positions).expect("fits")[HEADER..],
+                0
+            )
+            .as_vec3(),
+            Vec3::Z
+        );
+        let far = [DVec3::splat(1e39)];
+        assert!(matches!(
+            facets_file(&geometry.triangles, &far),
+            Err(Error::Unwritable { .. })
+        ));
+    }
+}

@@ -1,0 +1,171 @@
+//! A model as it goes from one format to another: geometry, one set of texture coordinates, colours, material names.
+//!
+//! Texture coordinates count from the upper left corner of the picture, as in glTF.
+
+use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun};
+use super::{Error, Format, Geometry, Primitive};
+use glam::{DVec3, Vec3};
+use std::ops::Range;
+
+/// A model free of its format.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct NeutralModel {
+    pub geometry: Geometry,
+    /// For each primitive of the geometry what else it has.
+    pub attributes: Vec<PrimitiveAttributes>,
+    /// One per vertex, or empty when no primitive has any.
+    pub uv: Vec<[f32; 2]>,
+    /// One per vertex, or empty when no primitive has any.
+    pub colours: Vec<[f32; 4]>,
+}
+
+/// What a primitive has beyond its geometry.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct PrimitiveAttributes {
+    pub has_uv: bool,
+    pub has_colours: bool,
+    /// The name of its material.
+    pub material: Option<String>,
+}
+
+/// What one run of an edited model has beyond its geometry, as its format reads it from the files.
+#[derive(Debug, Clone, Default)]
+pub(super) struct RunAttributes {
+    /// Per vertex of the run; empty when there are none.
+    pub uv: Vec<[f32; 2]>,
+    /// Per vertex of the run; empty when there are none.
+    pub colours: Vec<[f32; 4]>,
+    /// The name of its material.
+    pub material: Option<String>,
+}
+
+/// A part of a run whose corners at one vertex differed, with its vertices copied so that they do not.
+#[derive(Debug, Clone, Default)]
+pub(super) struct SeamPart {
+    /// For each vertex the vertex of the run that it is a copy of.
+    pub copy_of: Vec<u32>,
+    /// Empty, or one per vertex; zero where there is none.
+    pub normals: Vec<Vec3>,
+    pub triangles: Vec<[u32; 3]>,
+    /// Per vertex of this part.
+    pub attributes: RunAttributes,
+}
+
+/// One primitive of a neutral model and everything it has.
+pub(super) struct NeutralPrimitive<'a> {
+    pub primitive: &'a Primitive,
+    pub attributes: &'a PrimitiveAttributes,
+    /// Triangles over the vertices of the whole model.
+    pub triangles: &'a [[u32; 3]],
+    /// Its vertices.
+    pub vertices: Range<usize>,
+}
+
+impl NeutralModel {
+    /// The model of a geometry that has nothing else.
+    pub fn from_geometry(geometry: Geometry) -> Self {
+        Self {
+            attributes: vec![PrimitiveAttributes::default(); geometry.primitives.len()],
+            geometry,
+            ..Self::default()
+        }
+    }
+
+    /// The primitives in order.
+    pub fn primitives(&self) -> impl Iterator<Item = NeutralPrimitive<'_>> {
+        let pairs = self.geometry.triangles_of_primitives().zip(&self.attributes);
+        pairs.map(|((primitive, triangles), attributes)| NeutralPrimitive {
+            primitive,
+            attributes,
+            triangles,
+            vertices: primitive.vertices(),
+        })
+    }
+
+    /// Adds a run of an edited model, with what else it has.
+    pub fn push_run(
+        &mut self,
+        edited: &EditedModel<'_>,
+        run: &PrimitiveRun,
+        positions: &[DVec3],
+        attributes: RunAttributes,
+    ) {
+        let primitive = edited.primitive(run);
+        let carried = CarriedAttributes::new(edited, run, positions);
+        let normals = if primitive.has_normals {
+            carried.normals()
+        } else {
+            Vec::new()
+        };
+        let here = positions[run.vertices()].iter().copied();
+        self.push_primitive(&primitive.name, here, &normals, &carried.triangles);
+        self.push_attributes(attributes);
+    }
+
+    /// Adds a part of a run; `own` are the positions of the run's vertices.
+    pub fn push_seam_part(&mut self, name: &str, own: &[DVec3], part: SeamPart) {
+        let here = part.copy_of.iter().map(|&v| own[v as usize]);
+        self.push_primitive(name, here, &part.normals, &part.triangles);
+        self.push_attributes(part.attributes);
+    }
+
+    /// Refuses more vertices than 32-bit numbers count, which copies at seams may make.
+    pub fn check_room(&self, more: usize, format: Format) -> Result<(), Error> {
+        let count = self.geometry.positions.len() as u64 + more as u64;
+        if count > u64::from(u32::MAX) {
+            return Err(Error::unwritable(format, format!("there would be {count} vertices")));
+        }
+        Ok(())
+    }
+
+    fn push_primitive(
+        &mut self,
+        name: &str,
+        positions: impl Iterator<Item = DVec3>,
+        normals: &[Vec3],
+        triangles: &[[u32; 3]],
+    ) {
+        let geometry = &mut self.geometry;
+        let first = geometry.positions.len();
+        geometry.positions.extend(positions);
+        if !normals.is_empty() {
+            geometry.normals.resize(first, Vec3::ZERO);
+            geometry.normals.extend_from_slice(normals);
+        } else if !geometry.normals.is_empty() {
+            geometry.normals.resize(geometry.positions.len(), Vec3::ZERO);
+        }
+        geometry
+            .triangles
+            .extend(triangles.iter().map(|t| t.map(|v| v + first as u32)));
+        geometry.primitives.push(Primitive {
+            name: name.to_owned(),
+            first_vertex: first as u32,
+            vertex_count: (geometry.positions.len() - first) as u32,
+            index_count: (triangles.len() * 3) as u32,
+            has_normals: !normals.is_empty(),
+            ..Primitive::default()
+        });
+    }
+
+    /// Adds what the last primitive has beyond its geometry.
+    fn push_attributes(&mut self, attributes: RunAttributes) {
+        let RunAttributes { uv, colours, material } = attributes;
+        let count = self.geometry.positions.len();
+        let added = self.geometry.primitives.last().map_or(0, |p| p.vertex_count as usize);
+        self.attributes.push(PrimitiveAttributes {
+            has_uv: !uv.is_empty(),
+            has_colours: !colours.is_empty(),
+            material,
+        });
+        if !uv.is_empty() || !self.uv.is_empty() {
+            self.uv.resize(count - added, [0.0; 2]);
+            self.uv.extend(uv);
+            self.uv.resize(count, [0.0; 2]);
+        }
+        if !colours.is_empty() || !self.colours.is_empty() {
+            self.colours.resize(count - added, [1.0; 4]);
+            self.colours.extend(colours);
+            self.colours.resize(count, [1.0; 4]);
+        }
+    }
+}
