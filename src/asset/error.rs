@@ -6,10 +6,12 @@ use super::Format;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
     /// The bytes belong to no known format, and none was named.
-    #[error("{place}: not a known model format; allowed are glb, gltf, obj, ply, off and stl")]
+    #[error("{place}: not a known model format; allowed are {allowed}")]
     UnknownFormat {
         /// File name as given.
         place: String,
+        /// The names of the formats that there are.
+        allowed: String,
     },
     /// The bytes break the rules of their format.
     #[error("{format}: {place}: {problem}")]

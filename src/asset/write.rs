@@ -35,7 +35,8 @@ impl Model {
             } else {
                 files.name
             };
-            return Err(Error::UnknownFormat { place });
+            let allowed = Format::name_list("and");
+            return Err(Error::UnknownFormat { place, allowed });
         };
         let (geometry, notes) = codec_of(format).read(&files, format, limits)?;
         geometry.check(format, limits)?;

@@ -1,10 +1,9 @@
 //! One case of a suite: a model, a job, and how far the result may be from its golden.
 
-use super::document::{self, Object};
-use super::tolerances::{Tolerances, Written};
-use crate::render::{Up, View};
-use crate::wire;
-use crate::wire::pb;
+use super::suite_json::{self, JsonObject, SuiteError};
+use super::tolerances::{ToleranceEntry, Tolerances};
+use crate::render::{UpAxis, ViewDirection};
+use crate::wire::{self, pb};
 use prost::Message as _;
 use serde::Deserialize;
 use serde_json::value::RawValue;
@@ -17,28 +16,28 @@ pub const GOLDEN_SUFFIX: &str = ".golden.json";
 /// The built-in model.
 const SAMPLE: &str = "creature";
 
-/// A case as its file says it.
+/// A suite case is what the file of a case says.
 #[derive(Debug, Clone)]
-pub struct Case {
+pub struct SuiteCase {
     /// From the name of its file.
     pub name: String,
     /// What it shows, for people; maybe empty.
     pub title: String,
     /// Its model.
-    pub model: Source,
+    pub model: ModelSource,
     /// Its job, or where that is.
     pub job: JobSource,
     /// How far its result may be from the golden.
     pub tolerances: Tolerances,
     /// From where its pictures are taken; `None` = chosen.
-    pub view: Option<View>,
+    pub view: Option<ViewDirection>,
     /// The axis that points up in its pictures.
-    pub up: Up,
+    pub up: UpAxis,
 }
 
-/// Where a model comes from.
+/// A model source says where a case's model comes from.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Source {
+pub enum ModelSource {
     /// The built-in creature.
     Sample,
     /// A file below the suite's folder.
@@ -47,7 +46,7 @@ pub enum Source {
     Data(String),
 }
 
-/// Where a job comes from.
+/// A job source says where a case's job comes from.
 #[derive(Debug, Clone)]
 pub enum JobSource {
     /// The case itself.
@@ -56,44 +55,42 @@ pub enum JobSource {
     File(String),
 }
 
-/// What a suite says that it must not.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{file}: {problem}")]
-pub struct SuiteError {
-    /// The file, from the suite's folder.
-    pub file: String,
-    /// What is wrong, where in the file, and what is allowed.
-    pub problem: String,
-}
-
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File<'a> {
+struct CaseFile<'a> {
     #[serde(default)]
     title: String,
     model: String,
     #[serde(borrow)]
     job: &'a RawValue,
     #[serde(default)]
-    tolerances: Vec<Object<Written>>,
-    view: Option<Object<Angles>>,
+    tolerances: Vec<JsonObject<ToleranceEntry>>,
+    view: Option<JsonObject<ViewAngles>>,
     up: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Angles {
+struct ViewAngles {
     azimuth: f64,
     elevation: f64,
 }
 
-impl Case {
+impl SuiteCase {
     /// Reads the file of a case. `file` is its name in the suite's folder.
+    ///
+    /// ```
+    /// use pliant::check::{ModelSource, SuiteCase};
+    ///
+    /// let case = SuiteCase::from_file("bend.case.json", br#"{"model": "sample:creature", "job": {"handles": []}}"#)?;
+    /// assert_eq!((case.name.as_str(), case.model), ("bend", ModelSource::Sample));
+    /// # Ok::<(), pliant::check::SuiteError>(())
+    /// ```
     ///
     /// # Errors
     /// What is wrong with it and where.
-    pub fn read(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
-        let refuse = |place: &str, problem: String| document::refuse(file, place, problem);
+    pub fn from_file(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
+        let refuse = |place: &str, problem: String| suite_json::suite_error(file, place, problem);
         let name = file.strip_suffix(CASE_SUFFIX).unwrap_or_default();
         let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if name.is_empty() || name.starts_with('.') || name.len() > 100 || !name.chars().all(plain) {
@@ -101,17 +98,19 @@ impl Case {
                 "is no name of a case; letters, digits, \".\", \"_\" and \"-\" are allowed, 100 of them at most";
             return Err(refuse("its name", format!("\"{name}\" {problem}")));
         }
-        let read: File<'_> = document::read(file, text)?;
-        let model = Source::read(&read.model).map_err(|problem| refuse("model", problem))?;
-        let job = JobSource::read(read.job).map_err(|(place, problem)| refuse(&place, problem))?;
-        let tolerances: Vec<Written> = read.tolerances.into_iter().map(|t| t.0).collect();
-        let tolerances = Tolerances::check(&tolerances).map_err(|(place, problem)| refuse(&place, problem))?;
+        let read: CaseFile<'_> = suite_json::from_json_object(file, text)?;
+        let model = ModelSource::from_text(&read.model).map_err(|problem| refuse("model", problem))?;
+        let job = JobSource::from_json(read.job).map_err(|(place, problem)| refuse(&place, problem))?;
+        let tolerances: Vec<ToleranceEntry> = read.tolerances.into_iter().map(|t| t.0).collect();
+        let tolerances = Tolerances::from_entries(&tolerances).map_err(|(place, problem)| refuse(&place, problem))?;
         let up = match read.up.as_deref() {
-            None | Some("y") => Up::Y,
-            Some("z") => Up::Z,
+            None | Some("y") => UpAxis::Y,
+            Some("z") => UpAxis::Z,
             Some(other) => return Err(refuse("up", format!("\"{other}\" is no axis, allowed are y and z"))),
         };
-        let view = read.view.map(|Object(v)| View::new(v.azimuth, v.elevation, up));
+        let view = read
+            .view
+            .map(|JsonObject(v)| ViewDirection::new(v.azimuth, v.elevation, up));
         Ok(Self {
             name: name.to_owned(),
             title: read.title,
@@ -129,8 +128,8 @@ impl Case {
     }
 }
 
-impl Source {
-    fn read(text: &str) -> Result<Self, String> {
+impl ModelSource {
+    fn from_text(text: &str) -> Result<Self, String> {
         let allowed = "allowed are a path below the suite's folder, \"data:\" and a path below the folder of PLIANT_DATA, and \"sample:creature\"";
         if let Some(name) = text.strip_prefix("sample:") {
             return match name {
@@ -149,7 +148,7 @@ impl Source {
     }
 }
 
-impl std::fmt::Display for Source {
+impl std::fmt::Display for ModelSource {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Sample => write!(f, "sample:{SAMPLE}"),
@@ -160,7 +159,7 @@ impl std::fmt::Display for Source {
 }
 
 impl JobSource {
-    fn read(raw: &RawValue) -> Result<Self, (String, String)> {
+    fn from_json(raw: &RawValue) -> Result<Self, (String, String)> {
         let text = raw.get();
         if text.starts_with('"') {
             let path: String = serde_json::from_str(text).map_err(|e| ("job".into(), e.to_string()))?;
@@ -187,23 +186,23 @@ impl JobSource {
     }
 }
 
-/// A relative path of plain names, with "/" between them.
+/// Whether a path is relative, made of plain names with "/" between them.
 fn stays_below(path: &str) -> bool {
     let plain = |part: &str| !part.is_empty() && part != "." && part != "..";
     !path.contains(['\\', ':', '\0']) && path.split('/').all(plain)
 }
 
-/// SHA-256 of a job in lower-case hexadecimal, without what it expects, which changes no result. Models to merge must be
+/// Computes the SHA-256 of a job in lower-case hexadecimal, without what it expects, which changes no result. Models to merge must be
 /// in it.
 pub fn job_hash(job: &pb::Job) -> String {
     let bare = pb::Job {
         expect: None,
         ..job.clone()
     };
-    hex(&Sha256::digest(bare.encode_to_vec()))
+    to_lower_hex(&Sha256::digest(bare.encode_to_vec()))
 }
 
-/// SHA-256 of a model in lower-case hexadecimal: of its file; with companions also of their names and bytes.
+/// Computes the SHA-256 of a model in lower-case hexadecimal: of its file; with companions also of their names and bytes.
 pub fn model_hash(files: &crate::asset::FileSet) -> String {
     let mut hash = Sha256::new();
     hash.update(&files.main);
@@ -213,10 +212,10 @@ pub fn model_hash(files: &crate::asset::FileSet) -> String {
             hash.update(part);
         }
     }
-    hex(&hash.finalize())
+    to_lower_hex(&hash.finalize())
 }
 
-fn hex(bytes: &[u8]) -> String {
+fn to_lower_hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
@@ -225,7 +224,7 @@ mod tests {
     use super::*;
 
     fn refused(text: &str) -> String {
-        Case::read("bend.case.json", text.as_bytes())
+        SuiteCase::from_file("bend.case.json", text.as_bytes())
             .expect_err(text)
             .to_string()
     }
@@ -234,18 +233,18 @@ mod tests {
     fn a_case_says_model_job_and_what_may_differ() {
         let text = r#"{"title": "A bend", "model": "models/bar.obj", "job": {"handles": []}, "view": {"azimuth": 0, "elevation": 10},
             "up": "z", "tolerances": [{"metrics": ["bytes"], "most": 100, "reason": "padding"}]}"#;
-        let case = Case::read("bend.case.json", text.as_bytes()).expect("a case");
+        let case = SuiteCase::from_file("bend.case.json", text.as_bytes()).expect("a case");
         assert_eq!(
             (case.name.as_str(), case.golden_file().as_str()),
             ("bend", "bend.golden.json")
         );
-        assert_eq!(case.model, Source::Suite("models/bar.obj".into()));
-        assert!(matches!(case.job, JobSource::Inline(_)) && case.up == Up::Z && case.view.is_some());
+        assert_eq!(case.model, ModelSource::Suite("models/bar.obj".into()));
+        assert!(matches!(case.job, JobSource::Inline(_)) && case.up == UpAxis::Z && case.view.is_some());
         for (text, source) in [
-            ("sample:creature", Source::Sample),
-            ("data:meshes/arm.off", Source::Data("meshes/arm.off".into())),
+            ("sample:creature", ModelSource::Sample),
+            ("data:meshes/arm.off", ModelSource::Data("meshes/arm.off".into())),
         ] {
-            let read = Source::read(text).expect("a source");
+            let read = ModelSource::from_text(text).expect("a source");
             assert_eq!((read.to_string().as_str(), read), (text, source));
         }
     }
@@ -284,7 +283,7 @@ mod tests {
             assert!(told.contains("job.expect.") && told.contains("at least 0"), "{told}");
         }
         assert!(
-            Case::read("a b.case.json", b"{}")
+            SuiteCase::from_file("a b.case.json", b"{}")
                 .expect_err("a space")
                 .to_string()
                 .contains("no name of a case")

@@ -5,16 +5,27 @@ use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// The symmetric Hausdorff distance of two surfaces and the point of either where it is largest: of all vertices and
+/// Computes the symmetric Hausdorff distance of two surfaces and the point of either where it is largest: of all vertices and
 /// triangle centres of one surface the farthest from the nearest point of the other's triangles, both ways. `None` when
 /// either has no triangle.
 ///
 /// The farthest point of a surface need not be a vertex or a centre, so the true distance may be larger, by no more than
 /// a triangle's size.
 ///
+/// ```
+/// use glam::DVec3;
+/// use pliant::{check::hausdorff_distance, pool::Pool};
+///
+/// let low = [DVec3::ZERO, DVec3::X, DVec3::Y];
+/// let high = low.map(|p| p + DVec3::Z * 0.5);
+/// let distance = hausdorff_distance((&low, &[[0, 1, 2]]), (&high, &[[0, 1, 2]]), &Pool::new(1)?);
+/// assert_eq!(distance.map(|(length, _)| length), Some(0.5));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Panics
 /// When a triangle names a position that does not exist.
-pub fn hausdorff(a: (&[DVec3], &[[u32; 3]]), b: (&[DVec3], &[[u32; 3]]), pool: &Pool) -> Option<(f64, DVec3)> {
+pub fn hausdorff_distance(a: (&[DVec3], &[[u32; 3]]), b: (&[DVec3], &[[u32; 3]]), pool: &Pool) -> Option<(f64, DVec3)> {
     let one = farthest(a, b, pool)?;
     let other = farthest(b, a, pool)?;
     Some(if other.0 > one.0 { other } else { one })
@@ -57,7 +68,9 @@ mod tests {
     }
 
     fn of(a: &shapes::Shape, b: &shapes::Shape) -> f64 {
-        hausdorff((&a.0, &a.1), (&b.0, &b.1), &pool()).expect("surfaces").0
+        hausdorff_distance((&a.0, &a.1), (&b.0, &b.1), &pool())
+            .expect("surfaces")
+            .0
     }
 
     #[test]
@@ -88,6 +101,6 @@ mod tests {
     #[test]
     fn without_triangles_there_is_none() {
         let ball = shapes::icosphere(1.0, 1);
-        assert_eq!(hausdorff((&ball.0, &[]), (&ball.0, &ball.1), &pool()), None);
+        assert_eq!(hausdorff_distance((&ball.0, &[]), (&ball.0, &ball.1), &pool()), None);
     }
 }

@@ -1,9 +1,9 @@
 //! Goldens: what is kept of a result that people have looked at and found right.
 
-use super::document;
-use super::found::{Found, Topology};
-use super::packed::{Places, PlacesText, read_triangles, triangles_text};
-use super::{Metric, SuiteError};
+use super::case_result::{CaseResult, TopologyDigests};
+use super::metric::Metric;
+use super::quantized::{QuantizedPositions, QuantizedPositionsText, read_triangles, triangles_text};
+use super::suite_json::{self, SuiteError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -12,27 +12,27 @@ const LAYOUT: u32 = 1;
 /// Most vertices and triangles that a golden may speak of.
 const MOST: usize = 40_000_000;
 
-/// A stored result.
+/// A golden is a stored result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Golden {
     /// What it was made from.
-    pub inputs: Inputs,
+    pub inputs: InputHashes,
     /// Digest of its positions.
     pub digest: String,
     /// Its counts and connections.
-    pub topology: Topology,
+    pub topology: TopologyDigests,
     /// What the engine told of it.
     pub numbers: BTreeMap<Metric, f64>,
     /// Its positions, up to the cells of a grid.
-    pub places: Places,
+    pub positions: QuantizedPositions,
     /// Its triangles, where they are not the model's.
     pub triangles: Option<Vec<[u32; 3]>>,
 }
 
-/// What a result depends on.
+/// Input hashes name what a result depends on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Inputs {
+pub struct InputHashes {
     /// See [`super::model_hash`].
     pub model: String,
     /// See [`super::job_hash`].
@@ -41,42 +41,42 @@ pub struct Inputs {
 
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct GoldenFile {
     layout: u32,
-    inputs: Inputs,
+    inputs: InputHashes,
     digest: String,
-    topology: Topology,
+    topology: TopologyDigests,
     metrics: BTreeMap<String, f64>,
-    positions: PlacesText,
+    positions: QuantizedPositionsText,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     triangles: Option<Vec<String>>,
 }
 
 impl Golden {
-    /// Of a result whose numbers are all finite.
-    pub fn of(found: &Found, inputs: Inputs) -> Self {
+    /// Makes the golden of a result whose numbers are all finite.
+    pub fn from_result(found: &CaseResult, inputs: InputHashes) -> Self {
         Self {
             inputs,
             digest: found.digest.clone(),
-            topology: Topology::of(found.positions.len(), &found.triangles),
+            topology: TopologyDigests::from_triangles(found.positions.len(), &found.triangles),
             numbers: found.numbers.clone(),
-            places: Places::of(&found.positions),
+            positions: QuantizedPositions::from_positions(&found.positions),
             triangles: (found.triangles != found.before.1).then(|| found.triangles.clone()),
         }
     }
 
-    /// The file's text.
+    /// Writes the text of the golden's file.
     ///
     /// # Errors
     /// In words; never for finite numbers.
-    pub fn text(&self) -> Result<String, String> {
-        let file = File {
+    pub fn to_text(&self) -> Result<String, String> {
+        let file = GoldenFile {
             layout: LAYOUT,
             inputs: self.inputs.clone(),
             digest: self.digest.clone(),
             topology: self.topology.clone(),
             metrics: self.numbers.iter().map(|(m, x)| (m.name().to_owned(), *x)).collect(),
-            positions: self.places.text(),
+            positions: self.positions.to_text(),
             triangles: self.triangles.as_deref().map(triangles_text),
         };
         let text = serde_json::to_string_pretty(&file).map_err(|e| e.to_string())?;
@@ -87,9 +87,9 @@ impl Golden {
     ///
     /// # Errors
     /// What is wrong with it and where.
-    pub fn read(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
-        let refuse = |place: &str, problem: String| document::refuse(file, place, problem);
-        let read: File = document::read(file, text)?;
+    pub fn from_file(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
+        let refuse = |place: &str, problem: String| suite_json::suite_error(file, place, problem);
+        let read: GoldenFile = suite_json::from_json_object(file, text)?;
         if read.layout != LAYOUT {
             let problem = format!("is {}, this version reads {LAYOUT}; bless the suite again", read.layout);
             return Err(refuse("layout", problem));
@@ -106,20 +106,20 @@ impl Golden {
             };
             numbers.insert(metric, value);
         }
-        let places = Places::read(&read.positions, vertices).map_err(|e| refuse("positions", e))?;
+        let positions = QuantizedPositions::from_text(&read.positions, vertices).map_err(|e| refuse("positions", e))?;
         let triangles = read.triangles.map(|text| read_triangles(&text, triangles, vertices));
         Ok(Self {
             inputs: read.inputs,
             digest: read.digest,
             topology: read.topology,
             numbers,
-            places,
+            positions,
             triangles: triangles.transpose().map_err(|e| refuse("triangles", e))?,
         })
     }
 
-    /// Why it is of another case than this one, in words; `None` when it is of this one.
-    pub fn stale(&self, inputs: &Inputs) -> Option<String> {
+    /// Tells in words why the golden belongs to another case than this one; `None` when it belongs to this one.
+    pub fn stale_reason(&self, inputs: &InputHashes) -> Option<String> {
         let changed: Vec<&str> = [
             ("model", self.inputs.model != inputs.model),
             ("job", self.inputs.job != inputs.job),
@@ -143,34 +143,34 @@ mod tests {
     use glam::DVec3;
 
     fn golden() -> Golden {
-        let found = Found {
+        let found = CaseResult {
             positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
             triangles: vec![[0, 1, 2], [0, 2, 3]],
             digest: "xxh3:0011223344556677".into(),
             numbers: [(Metric::EdgeRms, 0.1 + 0.2), (Metric::Cycles, 7.0)].into(),
             ..Default::default()
         };
-        let inputs = Inputs {
+        let inputs = InputHashes {
             model: "a".into(),
             job: "b".into(),
         };
-        Golden::of(&found, inputs)
+        Golden::from_result(&found, inputs)
     }
 
     #[test]
     fn a_golden_comes_back_to_the_bit() {
         let golden = golden();
-        let text = golden.text().expect("finite");
-        assert_eq!(Golden::read("x.golden.json", text.as_bytes()), Ok(golden));
+        let text = golden.to_text().expect("finite");
+        assert_eq!(Golden::from_file("x.golden.json", text.as_bytes()), Ok(golden));
     }
 
     #[test]
     fn a_broken_one_says_where() {
-        let text = golden().text().expect("finite");
+        let text = golden().to_text().expect("finite");
         let refused = |from: &str, to: &str, words: &str| {
             let broken = text.replacen(from, to, 1);
             assert_ne!(broken, text, "{from}");
-            let told = Golden::read("x.golden.json", broken.as_bytes())
+            let told = Golden::from_file("x.golden.json", broken.as_bytes())
                 .expect_err(from)
                 .to_string();
             assert!(told.starts_with("x.golden.json: ") && told.contains(words), "{told}");
@@ -185,12 +185,12 @@ mod tests {
     #[test]
     fn a_stale_one_says_what_has_changed() {
         let golden = golden();
-        assert_eq!(golden.stale(&golden.inputs), None);
-        let other = Inputs {
+        assert_eq!(golden.stale_reason(&golden.inputs), None);
+        let other = InputHashes {
             model: "c".into(),
             job: "d".into(),
         };
-        let told = golden.stale(&other).expect("stale");
+        let told = golden.stale_reason(&other).expect("stale");
         assert!(told.contains("stale") && told.contains("model and its job"), "{told}");
     }
 }

@@ -1,6 +1,8 @@
 //! What is measured of a result, under the names that suites, goldens and reports use.
 
-/// One number that tells how far a result is from its golden.
+use glam::DVec3;
+
+/// A metric is one number that tells how far a result is from its golden.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
     /// Largest distance of a vertex from its stored place.
@@ -39,7 +41,7 @@ pub enum Metric {
 
 /// What a metric's number counts in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Unit {
+pub enum MetricUnit {
     /// Shares of the diagonal of the stored shape's bounding box.
     Diagonal,
     /// Degrees.
@@ -52,7 +54,7 @@ pub enum Unit {
 
 /// How a metric is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum MetricKind {
     /// Against the stored positions: the number is the difference.
     Shape,
     /// Against the stored number, either way.
@@ -62,7 +64,7 @@ pub enum Kind {
 }
 
 impl Metric {
-    /// All, in the order in which they are told.
+    /// All metrics, in the order in which they are told.
     pub const ALL: [Self; 16] = [
         Self::MaxDisplacement,
         Self::MeanDisplacement,
@@ -82,7 +84,7 @@ impl Metric {
         Self::Bytes,
     ];
 
-    /// Its name in files.
+    /// The metric's name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::MaxDisplacement => "maxDisplacement",
@@ -104,32 +106,32 @@ impl Metric {
         }
     }
 
-    /// The metric of a name.
+    /// Finds the metric of a name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|m| m.name() == name)
     }
 
-    /// What its number counts in.
-    pub fn unit(self) -> Unit {
+    /// What the metric's number counts in.
+    pub fn unit(self) -> MetricUnit {
         match self {
             Self::MaxDisplacement
             | Self::MeanDisplacement
             | Self::RmsDisplacement
             | Self::Hausdorff
-            | Self::ConstraintError => Unit::Diagonal,
-            Self::NormalDegrees => Unit::Degrees,
+            | Self::ConstraintError => MetricUnit::Diagonal,
+            Self::NormalDegrees => MetricUnit::Degrees,
             Self::EdgeStretch
             | Self::EdgeRms
             | Self::MaxStretch
             | Self::VolumeChange
             | Self::AreaChange
-            | Self::Residual => Unit::Ratio,
-            Self::FlippedTriangles | Self::FoldedTriangles | Self::Cycles | Self::Bytes => Unit::Count,
+            | Self::Residual => MetricUnit::Ratio,
+            Self::FlippedTriangles | Self::FoldedTriangles | Self::Cycles | Self::Bytes => MetricUnit::Count,
         }
     }
 
-    /// How it is compared.
-    pub fn kind(self) -> Kind {
+    /// How the metric is compared.
+    pub fn kind(self) -> MetricKind {
         match self {
             Self::MaxDisplacement
             | Self::MeanDisplacement
@@ -137,27 +139,29 @@ impl Metric {
             | Self::Hausdorff
             | Self::NormalDegrees
             | Self::FlippedTriangles
-            | Self::EdgeStretch => Kind::Shape,
-            Self::EdgeRms | Self::MaxStretch | Self::VolumeChange | Self::AreaChange => Kind::Change,
-            Self::FoldedTriangles | Self::ConstraintError | Self::Residual | Self::Cycles | Self::Bytes => Kind::Growth,
+            | Self::EdgeStretch => MetricKind::Shape,
+            Self::EdgeRms | Self::MaxStretch | Self::VolumeChange | Self::AreaChange => MetricKind::Change,
+            Self::FoldedTriangles | Self::ConstraintError | Self::Residual | Self::Cycles | Self::Bytes => {
+                MetricKind::Growth
+            }
         }
     }
 
-    /// A number of this metric for people: about three digits, counts whole.
-    pub fn show(self, value: f64) -> String {
-        let number = short(value);
+    /// Writes a number of this metric for people: about three digits, counts whole.
+    pub fn format_value(self, value: f64) -> String {
+        let number = format_short(value);
         match self.unit() {
-            Unit::Degrees => format!("{number}°"),
+            MetricUnit::Degrees => format!("{number}°"),
             // A tolerance may be any number, of which all digits would help nobody.
-            Unit::Count if value.abs() >= 1e15 => number,
-            Unit::Count => format!("{value:.0}"),
-            Unit::Diagonal | Unit::Ratio => number,
+            MetricUnit::Count if value.abs() >= 1e15 => number,
+            MetricUnit::Count => format!("{value:.0}"),
+            MetricUnit::Diagonal | MetricUnit::Ratio => number,
         }
     }
 }
 
-/// A number in about three digits.
-pub(super) fn short(value: f64) -> String {
+/// Writes a number in about three digits.
+pub(super) fn format_short(value: f64) -> String {
     let size = value.abs();
     if size == 0.0 {
         "0".into()
@@ -169,13 +173,19 @@ pub(super) fn short(value: f64) -> String {
     }
 }
 
-/// A number with all that it is, for programs: as digits where those are few, else with an exponent.
-pub(super) fn exact(value: f64) -> String {
+/// Writes a number with all its digits, for programs: as digits where those are few, else with an exponent.
+pub(super) fn format_exact(value: f64) -> String {
     if value == 0.0 || (1e-9..1e15).contains(&value.abs()) {
         value.to_string()
     } else {
         format!("{value:e}")
     }
+}
+
+/// Writes a point for people.
+pub(super) fn format_point(p: DVec3) -> String {
+    let [x, y, z] = p.to_array().map(format_short);
+    format!("[{x}, {y}, {z}]")
 }
 
 #[cfg(test)]
@@ -192,20 +202,20 @@ mod tests {
 
     #[test]
     fn numbers_are_short_and_never_hide_a_difference_as_zero() {
-        assert_eq!(Metric::NormalDegrees.show(0.5), "0.5°");
-        assert_eq!(Metric::Cycles.show(12.0), "12");
-        assert_eq!(Metric::Bytes.show(123_456_789.0), "123456789");
-        assert_eq!(Metric::Hausdorff.show(1.234_56e-7), "1.23e-7");
-        assert_eq!(Metric::Hausdorff.show(0.0), "0");
-        assert_eq!(Metric::VolumeChange.show(-0.25), "-0.25");
+        assert_eq!(Metric::NormalDegrees.format_value(0.5), "0.5°");
+        assert_eq!(Metric::Cycles.format_value(12.0), "12");
+        assert_eq!(Metric::Bytes.format_value(123_456_789.0), "123456789");
+        assert_eq!(Metric::Hausdorff.format_value(1.234_56e-7), "1.23e-7");
+        assert_eq!(Metric::Hausdorff.format_value(0.0), "0");
+        assert_eq!(Metric::VolumeChange.format_value(-0.25), "-0.25");
     }
 
     #[test]
     fn no_number_has_hundreds_of_digits() {
         for metric in Metric::ALL {
-            assert!(metric.show(1e300).len() < 12 && metric.show(1e-300).len() < 12);
+            assert!(metric.format_value(1e300).len() < 12 && metric.format_value(1e-300).len() < 12);
         }
-        assert_eq!(Metric::Bytes.show(1e300), "1.00e300");
+        assert_eq!(Metric::Bytes.format_value(1e300), "1.00e300");
         for (value, text) in [
             (0.0, "0"),
             (1e-6, "0.000001"),
@@ -213,7 +223,7 @@ mod tests {
             (1e300, "1e300"),
             (-1.25e-30, "-1.25e-30"),
         ] {
-            assert_eq!(exact(value), text);
+            assert_eq!(format_exact(value), text);
             assert_eq!(text.parse(), Ok(value));
         }
     }

@@ -1,27 +1,50 @@
 //! Regression checks: a case's result beside its golden, judged and shown.
 //!
-//! Owns the case file, the golden file, what is measured, when a result passes, and the reports. It opens no file and no
-//! connection: who runs the cases, and where, is the command line's.
+//! The module owns the case file, the golden file, what is measured, when a result passes, and the reports. It opens no
+//! file and no connection: who runs the cases, and where, is the command line's.
+//!
+//! ```
+//! use pliant::check::{CaseResult, CaseStatus, Golden, InputHashes, Tolerances, judge_result};
+//! use pliant::pool::Pool;
+//! use glam::DVec3;
+//!
+//! let pool = Pool::new(1)?;
+//! let shape = (vec![DVec3::ZERO, DVec3::X, DVec3::Y], vec![[0, 1, 2]]);
+//! let result = CaseResult {
+//!     positions: shape.0.clone(),
+//!     triangles: shape.1.clone(),
+//!     digest: "xxh3:1".into(),
+//!     before: shape,
+//!     ..CaseResult::default()
+//! };
+//! let hashes = InputHashes { model: "of the model".into(), job: "of the job".into() };
+//! let golden = Golden::from_result(&result, hashes.clone());
+//! let (verdict, _) = judge_result(&result, Some(Ok(golden)), &hashes, &Tolerances::default(), None, &pool);
+//! assert!(verdict.status == CaseStatus::Passed && verdict.identical);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod case;
+mod case_pictures;
+mod case_result;
+mod comparison;
 mod distance;
-mod document;
-mod found;
 mod golden;
-mod measure;
 mod metric;
-mod packed;
-pub mod pictures;
+mod quantized;
 pub mod report;
+mod suite_json;
 mod tolerances;
 mod verdict;
 
-pub use case::{CASE_SUFFIX, Case, GOLDEN_SUFFIX, JobSource, Source, SuiteError, job_hash, model_hash};
-pub use distance::hausdorff;
-pub use found::{Found, Topology};
-pub use golden::{Golden, Inputs};
-pub use measure::{Comparison, compare};
-pub use metric::{Kind, Metric, Unit};
-pub use packed::Places;
+pub use case::{CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, job_hash, model_hash};
+pub use case_pictures::{CasePicture, Viewpoint, draw_case_pictures};
+pub use case_result::{CaseResult, TopologyDigests};
+pub use comparison::{GoldenComparison, compare_with_golden};
+pub use distance::hausdorff_distance;
+pub use golden::{Golden, InputHashes};
+pub use metric::{Metric, MetricKind, MetricUnit};
+pub use quantized::QuantizedPositions;
+pub use suite_json::SuiteError;
 pub use tolerances::{Tolerance, Tolerances};
-pub use verdict::{Measure, Reason, Status, Verdict, judge};
+pub use verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason, judge_result};

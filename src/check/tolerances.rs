@@ -1,25 +1,24 @@
 //! How far a result may be from its golden: nothing, unless the case says more and why.
 
-use super::Metric;
-use super::metric::short;
+use super::metric::{Metric, format_short};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// An entry of a case's list, as written.
+/// A tolerance entry is one entry of a case's list, as written.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Written {
+pub(super) struct ToleranceEntry {
     metrics: Vec<String>,
     most: f64,
     #[serde(default)]
     reason: String,
 }
 
-/// What a case allows, metric by metric.
+/// Tolerances are what a case allows, metric by metric.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tolerances(BTreeMap<Metric, Tolerance>);
 
-/// What is allowed of one metric.
+/// A tolerance is what is allowed of one metric.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tolerance {
     /// The largest difference that passes.
@@ -32,12 +31,15 @@ pub struct Tolerance {
 
 impl Tolerances {
     /// Checks a list. Errors are (place below the list, what is wrong).
-    pub(super) fn check(list: &[Written]) -> Result<Self, (String, String)> {
+    pub(super) fn from_entries(list: &[ToleranceEntry]) -> Result<Self, (String, String)> {
         let mut all = BTreeMap::new();
         for (k, entry) in list.iter().enumerate() {
             let place = |name: &str| format!("tolerances[{k}].{name}");
             if !(entry.most.is_finite() && entry.most >= 0.0) {
-                let problem = format!("is {}, a finite number of at least 0 is needed", short(entry.most));
+                let problem = format!(
+                    "is {}, a finite number of at least 0 is needed",
+                    format_short(entry.most)
+                );
                 return Err((place("most"), problem));
             }
             if entry.most > 0.0 && entry.reason.trim().is_empty() {
@@ -45,12 +47,15 @@ impl Tolerances {
                 return Err((place("reason"), problem.into()));
             }
             if entry.metrics.is_empty() {
-                return Err((place("metrics"), format!("names none, allowed are {}", names())));
+                return Err((place("metrics"), format!("names none, allowed are {}", metric_names())));
             }
             for (i, name) in entry.metrics.iter().enumerate() {
                 let place = place(&format!("metrics[{i}]"));
                 let Some(metric) = Metric::from_name(name) else {
-                    return Err((place, format!("\"{name}\" is no metric, allowed are {}", names())));
+                    return Err((
+                        place,
+                        format!("\"{name}\" is no metric, allowed are {}", metric_names()),
+                    ));
                 };
                 let tolerance = Tolerance {
                     most: entry.most,
@@ -65,9 +70,9 @@ impl Tolerances {
         Ok(Self(all))
     }
 
-    /// What is allowed of a metric. Mean, root mean square and Hausdorff distance are never larger than the largest
+    /// Tells what is allowed of a metric. Mean, root mean square and Hausdorff distance are never larger than the largest
     /// displacement, so what is allowed of that one is allowed of them.
-    pub fn of(&self, metric: Metric) -> Tolerance {
+    pub fn for_metric(&self, metric: Metric) -> Tolerance {
         if let Some(own) = self.0.get(&metric) {
             return own.clone();
         }
@@ -90,7 +95,7 @@ impl Tolerances {
     }
 }
 
-fn names() -> String {
+fn metric_names() -> String {
     Metric::ALL.map(Metric::name).join(", ")
 }
 
@@ -99,7 +104,7 @@ mod tests {
     use super::*;
 
     fn check(text: &str) -> Result<Tolerances, (String, String)> {
-        Tolerances::check(&serde_json::from_str::<Vec<Written>>(text).expect("a list"))
+        Tolerances::from_entries(&serde_json::from_str::<Vec<ToleranceEntry>>(text).expect("a list"))
     }
 
     #[test]
@@ -107,7 +112,7 @@ mod tests {
         let none = check("[]").expect("nothing is wrong");
         assert!(!none.allow_any());
         for metric in Metric::ALL {
-            assert_eq!(none.of(metric), Tolerance::default());
+            assert_eq!(none.for_metric(metric), Tolerance::default());
         }
         assert!(
             !check(r#"[{"metrics": ["bytes"], "most": 0}]"#)
@@ -124,10 +129,10 @@ mod tests {
         )
         .expect("nothing is wrong");
         assert!(some.allow_any());
-        assert_eq!(some.of(Metric::Hausdorff).most, 1e-6);
-        assert!(some.of(Metric::MeanDisplacement).inherited);
-        assert_eq!(some.of(Metric::RmsDisplacement).most, 1e-7);
-        assert_eq!(some.of(Metric::NormalDegrees).most, 0.0);
+        assert_eq!(some.for_metric(Metric::Hausdorff).most, 1e-6);
+        assert!(some.for_metric(Metric::MeanDisplacement).inherited);
+        assert_eq!(some.for_metric(Metric::RmsDisplacement).most, 1e-7);
+        assert_eq!(some.for_metric(Metric::NormalDegrees).most, 0.0);
     }
 
     #[test]

@@ -1,16 +1,16 @@
 //! Whether a result passes, and if not, why: in a fixed order, each reason with a word of its own.
 
-use super::found::{Found, Topology};
-use super::golden::{Golden, Inputs};
-use super::measure::{Comparison, compare};
-use super::metric::{Kind, short};
-use super::{Metric, Tolerances};
+use super::case_result::{CaseResult, TopologyDigests};
+use super::comparison::{GoldenComparison, compare_with_golden};
+use super::golden::{Golden, InputHashes};
+use super::metric::{Metric, MetricKind, format_short};
+use super::tolerances::Tolerances;
 use crate::pool::Pool;
 use crate::wire::pb;
 
 /// How a case ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Status {
+pub enum CaseStatus {
     /// It is the stored result to the bit, or within its tolerances.
     Passed,
     /// It is not.
@@ -23,7 +23,7 @@ pub enum Status {
 
 /// One thing that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Reason {
+pub struct VerdictReason {
     /// A stable kebab-case word: `not-finite`, `missing-golden`, `broken-golden`, `stale-golden`, `not-run`, `skipped`,
     /// `topology`, `winding`, `digest`, `expectation`, or `metric`.
     pub code: &'static str,
@@ -33,7 +33,7 @@ pub struct Reason {
 
 /// One number beside its golden.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Measure {
+pub struct MetricDifference {
     /// What it is.
     pub metric: Metric,
     /// Now; `None` when it could not be told.
@@ -50,29 +50,33 @@ pub struct Measure {
     pub place: String,
 }
 
-impl Measure {
-    /// Whether it is within what is allowed.
-    pub fn holds(&self) -> bool {
+impl MetricDifference {
+    /// Whether the difference is within what is allowed.
+    pub fn is_within_bound(&self) -> bool {
         self.difference.is_none_or(|d| d <= self.allowed)
     }
 
-    /// The difference in units of what is allowed.
-    pub fn share(&self) -> f64 {
+    /// The difference as a share of what is allowed.
+    pub fn share_of_bound(&self) -> f64 {
         match self.difference {
             Some(d) if d > 0.0 => d / self.allowed,
             _ => 0.0,
         }
     }
 
-    /// The difference and what is allowed, for people.
-    pub fn show(&self) -> String {
+    /// Writes the difference and what is allowed, for people.
+    pub fn describe(&self) -> String {
         let name = self.metric.name();
         let Some(difference) = self.difference else {
             return format!("{name} not told");
         };
         let more = match (self.metric.kind(), self.value, self.stored) {
-            (Kind::Shape, ..) => String::new(),
-            (_, Some(value), Some(stored)) => format!(" ({} -> {})", self.metric.show(stored), self.metric.show(value)),
+            (MetricKind::Shape, ..) => String::new(),
+            (_, Some(value), Some(stored)) => format!(
+                " ({} -> {})",
+                self.metric.format_value(stored),
+                self.metric.format_value(value)
+            ),
             _ => String::new(),
         };
         let place = if self.place.is_empty() {
@@ -82,31 +86,31 @@ impl Measure {
         };
         format!(
             "{name} {} of {} allowed{more}{place}",
-            self.metric.show(difference),
-            self.metric.show(self.allowed)
+            self.metric.format_value(difference),
+            self.metric.format_value(self.allowed)
         )
     }
 }
 
-/// What is said of a case.
+/// A case verdict is what is said of a case.
 #[derive(Debug, Clone)]
-pub struct Verdict {
+pub struct CaseVerdict {
     /// How it ended.
-    pub status: Status,
+    pub status: CaseStatus,
     /// What is wrong, most basic first; for a skipped case, why.
-    pub reasons: Vec<Reason>,
+    pub reasons: Vec<VerdictReason>,
     /// Whether the positions are the stored ones to the bit.
     pub identical: bool,
     /// All numbers; empty when there was nothing to compare.
-    pub measures: Vec<Measure>,
+    pub measures: Vec<MetricDifference>,
 }
 
-impl Verdict {
-    /// Of a case that has no result.
-    pub fn without_result(status: Status, code: &'static str, text: impl Into<String>) -> Self {
+impl CaseVerdict {
+    /// Makes the verdict of a case that has no result.
+    pub fn without_result(status: CaseStatus, code: &'static str, text: impl Into<String>) -> Self {
         Self {
             status,
-            reasons: vec![Reason {
+            reasons: vec![VerdictReason {
                 code,
                 text: text.into(),
             }],
@@ -115,11 +119,11 @@ impl Verdict {
         }
     }
 
-    /// The number that is nearest to its bound, or farthest beyond it; `None` when none differs.
-    pub fn worst(&self) -> Option<&Measure> {
-        let mut worst: Option<&Measure> = None;
-        for m in self.measures.iter().filter(|m| m.share() > 0.0) {
-            if worst.is_none_or(|w| m.share() > w.share()) {
+    /// Finds the number that is nearest to its bound, or farthest beyond it; `None` when none differs.
+    pub fn largest_share(&self) -> Option<&MetricDifference> {
+        let mut worst: Option<&MetricDifference> = None;
+        for m in self.measures.iter().filter(|m| m.share_of_bound() > 0.0) {
+            if worst.is_none_or(|w| m.share_of_bound() > w.share_of_bound()) {
                 worst = Some(m);
             }
         }
@@ -128,16 +132,16 @@ impl Verdict {
 }
 
 /// Judges a result. `golden` is what the golden's file holds, or the reason why it cannot be read.
-pub fn judge(
-    found: &Found,
+pub fn judge_result(
+    found: &CaseResult,
     golden: Option<Result<Golden, String>>,
-    inputs: &Inputs,
+    inputs: &InputHashes,
     tolerances: &Tolerances,
     expect: Option<&pb::Expect>,
     pool: &Pool,
-) -> (Verdict, Option<Comparison>) {
-    let failed = |code, text: String| (Verdict::without_result(Status::Failed, code, text), None);
-    if let Some(text) = found.not_finite() {
+) -> (CaseVerdict, Option<GoldenComparison>) {
+    let failed = |code, text: String| (CaseVerdict::without_result(CaseStatus::Failed, code, text), None);
+    if let Some(text) = found.describe_not_finite() {
         return failed("not-finite", text);
     }
     let golden = match golden {
@@ -150,39 +154,43 @@ pub fn judge(
         Some(Err(text)) => return failed("broken-golden", text),
         Some(Ok(golden)) => golden,
     };
-    if let Some(text) = golden.stale(inputs) {
+    if let Some(text) = golden.stale_reason(inputs) {
         return failed("stale-golden", text);
     }
-    let comparison = compare(found, &golden, pool);
+    let comparison = compare_with_golden(found, &golden, pool);
     let same_digest = found.digest == golden.digest;
     let mut reasons = topology_reasons(found, &golden);
-    let measures = measures(found, &golden, &comparison, tolerances);
+    let measures = measure_differences(found, &golden, &comparison, tolerances);
     // Of a server only the digest of what it has is known, so what it sent must be the stored shape too.
     let sent = comparison.numbers.get(&Metric::MaxDisplacement).copied();
     let identical = reasons.is_empty() && same_digest && sent == Some(0.0);
     if reasons.is_empty() && !identical {
-        let over = measures.iter().filter(|m| !m.holds());
-        reasons.extend(over.map(|m| Reason {
+        let over = measures.iter().filter(|m| !m.is_within_bound());
+        reasons.extend(over.map(|m| VerdictReason {
             code: "metric",
-            text: m.show(),
+            text: m.describe(),
         }));
         if same_digest {
             let text = "the digest is the stored one, the positions that came with it are not".into();
-            reasons.insert(0, Reason { code: "digest", text });
+            reasons.insert(0, VerdictReason { code: "digest", text });
         } else if !tolerances.allow_any() {
             reasons.insert(0, digest_reason(found, &golden, sent == Some(0.0)));
         }
     }
-    let expectations = found.unmet.iter().cloned().chain(unmet(expect, &comparison, &golden));
-    reasons.extend(expectations.map(|text| Reason {
+    let expectations = found
+        .unmet
+        .iter()
+        .cloned()
+        .chain(unmet_expectations(expect, &comparison, &golden));
+    reasons.extend(expectations.map(|text| VerdictReason {
         code: "expectation",
         text,
     }));
-    let verdict = Verdict {
+    let verdict = CaseVerdict {
         status: if reasons.is_empty() {
-            Status::Passed
+            CaseStatus::Passed
         } else {
-            Status::Failed
+            CaseStatus::Failed
         },
         reasons,
         identical,
@@ -191,20 +199,20 @@ pub fn judge(
     (verdict, Some(comparison))
 }
 
-fn digest_reason(found: &Found, golden: &Golden, too_small: bool) -> Reason {
+fn digest_reason(found: &CaseResult, golden: &Golden, too_small: bool) -> VerdictReason {
     let mut text = format!(
         "the digest is {}, stored is {}, and no tolerance allows a difference",
         found.digest, golden.digest
     );
     if too_small {
-        let resolution = short(golden.places.resolution());
+        let resolution = format_short(golden.positions.resolution());
         text += &format!("; no vertex has moved by more than the golden can tell, {resolution} of the diagonal");
     }
-    Reason { code: "digest", text }
+    VerdictReason { code: "digest", text }
 }
 
-fn topology_reasons(found: &Found, golden: &Golden) -> Vec<Reason> {
-    let now = Topology::of(found.positions.len(), &found.triangles);
+fn topology_reasons(found: &CaseResult, golden: &Golden) -> Vec<VerdictReason> {
+    let now = TopologyDigests::from_triangles(found.positions.len(), &found.triangles);
     let stored = &golden.topology;
     let (code, text) = if (now.vertices, now.triangles) != (stored.vertices, stored.triangles) {
         let text = format!(
@@ -231,14 +239,19 @@ fn topology_reasons(found: &Found, golden: &Golden) -> Vec<Reason> {
         );
         ("topology", text)
     };
-    vec![Reason { code, text }]
+    vec![VerdictReason { code, text }]
 }
 
-fn measures(found: &Found, golden: &Golden, comparison: &Comparison, tolerances: &Tolerances) -> Vec<Measure> {
+fn measure_differences(
+    found: &CaseResult,
+    golden: &Golden,
+    comparison: &GoldenComparison,
+    tolerances: &Tolerances,
+) -> Vec<MetricDifference> {
     let of = |metric: Metric| {
-        let tolerance = tolerances.of(metric);
+        let tolerance = tolerances.for_metric(metric);
         let (value, stored, difference) = match metric.kind() {
-            Kind::Shape => {
+            MetricKind::Shape => {
                 let value = comparison.numbers.get(&metric).copied();
                 (value, None, value)
             }
@@ -248,13 +261,13 @@ fn measures(found: &Found, golden: &Golden, comparison: &Comparison, tolerances:
                     golden.numbers.get(&metric).copied(),
                 );
                 let difference = value.zip(stored).map(|(now, stored)| match kind {
-                    Kind::Growth => (now - stored).max(0.0),
+                    MetricKind::Growth => (now - stored).max(0.0),
                     _ => (now - stored).abs(),
                 });
                 (value, stored, difference)
             }
         };
-        Measure {
+        MetricDifference {
             metric,
             value,
             stored,
@@ -267,14 +280,14 @@ fn measures(found: &Found, golden: &Golden, comparison: &Comparison, tolerances:
     Metric::ALL.into_iter().map(of).collect()
 }
 
-/// What the job expects of the stored result and does not find. Lengths are model units there.
-fn unmet(expect: Option<&pb::Expect>, comparison: &Comparison, golden: &Golden) -> Vec<String> {
+/// Lists what the job expects of the stored result and does not find. Lengths are model units there.
+fn unmet_expectations(expect: Option<&pb::Expect>, comparison: &GoldenComparison, golden: &Golden) -> Vec<String> {
     let Some(expect) = expect else { return Vec::new() };
     let length = |metric: Metric| {
         comparison
             .numbers
             .get(&metric)
-            .map(|share| share * golden.places.diagonal())
+            .map(|share| share * golden.positions.diagonal())
     };
     let angle = length(Metric::MaxDisplacement).map(|_| comparison.largest_angle);
     let bounds = [
@@ -286,7 +299,13 @@ fn unmet(expect: Option<&pb::Expect>, comparison: &Comparison, golden: &Golden) 
         .into_iter()
         .filter_map(|(name, value, most)| Some((name, value?, most?)));
     over.filter(|(_, value, most)| value > most)
-        .map(|(name, value, most)| format!("{name} is {}, at most {} expected", short(value), short(most)))
+        .map(|(name, value, most)| {
+            format!(
+                "{name} is {}, at most {} expected",
+                format_short(value),
+                format_short(most)
+            )
+        })
         .collect()
 }
 
@@ -297,16 +316,16 @@ mod tests {
     use crate::engine::digest;
     use glam::DVec3;
 
-    fn inputs() -> Inputs {
-        Inputs {
+    fn inputs() -> InputHashes {
+        InputHashes {
             model: "m".into(),
             job: "j".into(),
         }
     }
 
-    fn found() -> Found {
+    fn found() -> CaseResult {
         let (positions, triangles) = shapes::icosphere(1.0, 3);
-        Found {
+        CaseResult {
             digest: digest(&positions),
             before: (positions.clone(), triangles.clone()),
             positions,
@@ -316,7 +335,7 @@ mod tests {
         }
     }
 
-    fn moved(by: f64) -> Found {
+    fn moved(by: f64) -> CaseResult {
         let mut found = found();
         found.positions[7] += DVec3::X * by;
         found.digest = digest(&found.positions);
@@ -324,27 +343,27 @@ mod tests {
     }
 
     fn tolerances(text: &str) -> Tolerances {
-        let list: Vec<crate::check::tolerances::Written> = serde_json::from_str(text).expect("a list");
-        Tolerances::check(&list).expect("nothing is wrong")
+        let list: Vec<crate::check::tolerances::ToleranceEntry> = serde_json::from_str(text).expect("a list");
+        Tolerances::from_entries(&list).expect("nothing is wrong")
     }
 
-    fn judged(now: &Found, tolerances: &Tolerances, expect: Option<&pb::Expect>) -> Verdict {
-        let golden = Golden::of(&found(), inputs());
+    fn judged(now: &CaseResult, tolerances: &Tolerances, expect: Option<&pb::Expect>) -> CaseVerdict {
+        let golden = Golden::from_result(&found(), inputs());
         let pool = Pool::new(1).expect("a thread");
-        judge(now, Some(Ok(golden)), &inputs(), tolerances, expect, &pool).0
+        judge_result(now, Some(Ok(golden)), &inputs(), tolerances, expect, &pool).0
     }
 
-    fn codes(verdict: &Verdict) -> Vec<&str> {
+    fn codes(verdict: &CaseVerdict) -> Vec<&str> {
         verdict.reasons.iter().map(|r| r.code).collect()
     }
 
     #[test]
     fn the_same_bits_pass_whatever_else_is_counted() {
         let verdict = judged(&found(), &Tolerances::default(), None);
-        assert!(verdict.identical && verdict.status == Status::Passed && verdict.worst().is_none());
+        assert!(verdict.identical && verdict.status == CaseStatus::Passed && verdict.largest_share().is_none());
         let mut slower = found();
         slower.numbers.insert(Metric::Cycles, 9.0);
-        assert_eq!(judged(&slower, &Tolerances::default(), None).status, Status::Passed);
+        assert_eq!(judged(&slower, &Tolerances::default(), None).status, CaseStatus::Passed);
     }
 
     #[test]
@@ -364,7 +383,7 @@ mod tests {
                 .iter()
                 .any(|r| r.text.contains("maxDisplacement") && r.text.contains("vertex 7"))
         );
-        assert_eq!(small.worst().map(|m| m.metric), Some(Metric::MaxDisplacement));
+        assert_eq!(small.largest_share().map(|m| m.metric), Some(Metric::MaxDisplacement));
     }
 
     #[test]
@@ -375,15 +394,15 @@ mod tests {
             ))
         };
         let shape = r#""maxDisplacement", "normalDegrees", "edgeStretch""#;
-        assert_eq!(judged(&moved(1e-3), &most(shape, 0.1), None).status, Status::Passed);
+        assert_eq!(judged(&moved(1e-3), &most(shape, 0.1), None).status, CaseStatus::Passed);
         let tight = judged(&moved(1e-3), &most(shape, 1e-5), None);
-        assert!(codes(&tight).iter().all(|c| *c == "metric") && tight.status == Status::Failed);
+        assert!(codes(&tight).iter().all(|c| *c == "metric") && tight.status == CaseStatus::Failed);
         // More cycles are worse, fewer are not; volume counts either way.
         let mut other = moved(1e-13);
         other
             .numbers
             .extend([(Metric::Cycles, 4.0), (Metric::VolumeChange, -0.01)]);
-        assert_eq!(judged(&other, &most(shape, 1e-5), None).status, Status::Passed);
+        assert_eq!(judged(&other, &most(shape, 1e-5), None).status, CaseStatus::Passed);
         other.numbers.insert(Metric::Cycles, 6.0);
         let more = judged(&other, &most(shape, 1e-5), None);
         assert!(more.reasons.len() == 1 && more.reasons[0].text.starts_with("cycles 1 of 0 allowed (5 -> 6)"));
@@ -400,10 +419,10 @@ mod tests {
     #[test]
     fn what_is_basic_is_told_before_what_is_measured() {
         let pool = Pool::new(1).expect("a thread");
-        let golden = || Some(Ok(Golden::of(&found(), inputs())));
-        let code = |found: &Found, golden, inputs: &Inputs| {
-            let verdict = judge(found, golden, inputs, &Tolerances::default(), None, &pool).0;
-            assert_eq!(verdict.status, Status::Failed);
+        let golden = || Some(Ok(Golden::from_result(&found(), inputs())));
+        let code = |found: &CaseResult, golden, inputs: &InputHashes| {
+            let verdict = judge_result(found, golden, inputs, &Tolerances::default(), None, &pool).0;
+            assert_eq!(verdict.status, CaseStatus::Failed);
             verdict.reasons[0].code
         };
         let mut broken = moved(0.5);
@@ -411,7 +430,7 @@ mod tests {
         assert_eq!(code(&broken, None, &inputs()), "not-finite");
         assert_eq!(code(&found(), None, &inputs()), "missing-golden");
         assert_eq!(code(&found(), Some(Err("cut off".into())), &inputs()), "broken-golden");
-        let other = Inputs {
+        let other = InputHashes {
             job: "k".into(),
             ..inputs()
         };
@@ -429,7 +448,7 @@ mod tests {
             r#"[{"metrics": ["maxDisplacement", "normalDegrees", "edgeStretch"], "most": 10, "reason": "a test"}]"#,
         );
         let expect = |text: &str| crate::wire::json::from_json::<pb::Expect>(text.as_bytes()).expect("an expectation");
-        let passes = |text: &str| judged(&moved(1e-3), &loose, Some(&expect(text))).status == Status::Passed;
+        let passes = |text: &str| judged(&moved(1e-3), &loose, Some(&expect(text))).status == CaseStatus::Passed;
         assert!(passes(
             r#"{"maxDistance": 2e-3, "meanDistance": 1e-4, "normalDegrees": 5}"#
         ));

@@ -1,9 +1,11 @@
 //! `pliant deform`: the engine in process, without a server.
 
-use super::files::{output_format, read_model, write_model};
-use super::job::read_job;
-use super::progress::Bar;
-use super::{Failure, Threads, print_json};
+use super::failure::CliFailure;
+use super::job_file::read_job;
+use super::json_output::print_json;
+use super::model_files::{output_format, read_model, write_model};
+use super::stage_spinner::StageSpinner;
+use super::threads::ThreadArgs;
 use crate::batch;
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
@@ -27,16 +29,16 @@ pub struct DeformArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    threads: Threads,
+    threads: ThreadArgs,
 }
 
 /// Runs the command.
-pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
+pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     let format = output_format(&args.output)?;
     let job = read_job(&args.job)?;
-    let pool = args.threads.pool()?;
+    let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
-    let bar = Bar::new(args.json);
+    let spinner = StageSpinner::new(args.json);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
     let limits = DeformerLimits::default();
@@ -45,28 +47,28 @@ pub(super) fn run(args: &DeformArgs) -> Result<(), Failure> {
         &job,
         Some(format),
         &limits,
-        &Exec::new(&pool, &bar),
+        &Exec::new(&pool, &spinner),
         &millis,
     )?;
-    bar.done();
+    spinner.finish();
 
     let written = write_model(&args.output, &outcome.written, &args.model, &files)?;
     outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
     if args.json {
         print_json(&outcome.report)?;
     } else {
-        summarise(&outcome.report, millis());
+        print_summary(&outcome.report, millis());
     }
     for name in &outcome.unchecked {
         eprintln!("expect.{name} needs a stored result and was not checked");
     }
     match outcome.unmet.is_empty() {
         true => Ok(()),
-        false => Err(Failure::Check(outcome.unmet.join("; "))),
+        false => Err(CliFailure::Check(outcome.unmet.join("; "))),
     }
 }
 
-fn summarise(report: &pb::Report, millis: f64) {
+fn print_summary(report: &pb::Report, millis: f64) {
     let solver = report.solver.clone().unwrap_or_default();
     for w in &report.warnings {
         eprintln!("warning {}: {}", w.code, w.message);

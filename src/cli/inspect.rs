@@ -1,8 +1,10 @@
 //! `pliant inspect`: what the solver sees in a model.
 
-use super::files::read_model;
-use super::progress::Bar;
-use super::{Failure, Threads, print_json};
+use super::failure::CliFailure;
+use super::json_output::print_json;
+use super::model_files::read_model;
+use super::stage_spinner::StageSpinner;
+use super::threads::ThreadArgs;
 use crate::batch;
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
@@ -20,29 +22,29 @@ pub struct InspectArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    threads: Threads,
+    threads: ThreadArgs,
 }
 
 /// Runs the command.
-pub(super) fn run(args: &InspectArgs) -> Result<(), Failure> {
-    let pool = args.threads.pool()?;
+pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
+    let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
-    let bar = Bar::new(args.json);
+    let spinner = StageSpinner::new(args.json);
     let found = batch::inspect(
         files,
         &pb::CreateOptions::default(),
         &DeformerLimits::default(),
-        &Exec::new(&pool, &bar),
+        &Exec::new(&pool, &spinner),
     )?;
-    bar.done();
+    spinner.finish();
     if args.json {
         return print_json(&found);
     }
-    let text = describe(&found);
-    write!(std::io::stdout(), "{text}").map_err(|e| Failure::Internal(format!("cannot write to stdout: {e}")))
+    let text = describe_inspection(&found);
+    write!(std::io::stdout(), "{text}").map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
 }
 
-fn describe(found: &pb::Inspection) -> String {
+fn describe_inspection(found: &pb::Inspection) -> String {
     let model = found.model.clone().unwrap_or_default();
     let solver = found.solver.clone().unwrap_or_default();
     let levels: Vec<String> = solver.levels.iter().map(|l| l.vertices.to_string()).collect();

@@ -5,28 +5,30 @@
 
 mod check;
 mod deform;
-mod files;
+mod failure;
 mod inspect;
-mod job;
-mod progress;
+mod job_file;
+mod json_output;
+mod model_files;
 mod render;
 pub mod serve;
+mod stage_spinner;
+mod threads;
 
-use crate::pool::Pool;
-use crate::wire::{Error as JobError, json};
-use clap::{Args, Parser, Subcommand};
+use clap::{Parser, Subcommand};
+use failure::CliFailure;
 use std::process::ExitCode;
 
 /// Bends large meshes: a headless deformation service, and the same engine in process.
 #[derive(Debug, Parser)]
 #[command(name = "pliant", version, about, propagate_version = true)]
-pub struct Cli {
+struct PliantArgs {
     #[command(subcommand)]
-    command: Command,
+    command: PliantCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum PliantCommand {
     /// Run the server
     Serve(serve::ServeArgs),
     /// Deform a model with a job file, in process
@@ -39,91 +41,29 @@ enum Command {
     Render(render::RenderArgs),
 }
 
-/// The thread budget of commands that compute in process.
-#[derive(Debug, Args)]
-struct Threads {
-    /// Compute threads; 0 = one for each core
-    #[arg(long, env = "PLIANT_THREADS", default_value_t = 0)]
-    threads: usize,
-}
-
-impl Threads {
-    fn pool(&self) -> Result<Pool, Failure> {
-        if self.threads > 1024 {
-            return Err(Failure::Input(format!(
-                "--threads is {}, allowed are 0 to 1024",
-                self.threads
-            )));
-        }
-        Pool::new(self.threads).map_err(|e| Failure::Internal(e.to_string()))
-    }
-}
-
-/// Why a command ends with something other than 0.
-#[derive(Debug)]
-pub enum Failure {
-    /// A check did not hold: exit code 1.
-    Check(String),
-    /// Bad input or usage: exit code 2.
-    Input(String),
-    /// A defect or a broken machine: exit code 3.
-    Internal(String),
-}
-
-impl Failure {
-    fn code(&self) -> u8 {
-        match self {
-            Self::Check(_) => 1,
-            Self::Input(_) => 2,
-            Self::Internal(_) => 3,
-        }
-    }
-
-    /// Says why in the last line of stderr.
-    fn end(&self) -> ExitCode {
-        eprintln!("pliant: {}", self.text());
-        ExitCode::from(self.code())
-    }
-
-    pub(crate) fn text(&self) -> &str {
-        match self {
-            Self::Check(text) | Self::Input(text) | Self::Internal(text) => text,
-        }
-    }
-}
-
-impl From<JobError> for Failure {
-    fn from(e: JobError) -> Self {
-        match e {
-            JobError::Internal(_) | JobError::Cancelled => Self::Internal(e.to_string()),
-            other => Self::Input(other.to_string()),
-        }
-    }
-}
-
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
-        Ok(cli) => cli,
+    let args = match PliantArgs::try_parse() {
+        Ok(args) => args,
         Err(e) => {
             let _ = e.print();
             if !e.use_stderr() {
                 // Help and version are answers, not failures.
                 return ExitCode::SUCCESS;
             }
-            return Failure::Input(usage_reason(&e.to_string())).end();
+            return CliFailure::Input(usage_reason(&e.to_string())).report_and_exit();
         }
     };
-    let result = match cli.command {
-        Command::Serve(args) => serve::main(args),
-        Command::Deform(args) => deform::run(&args),
-        Command::Inspect(args) => inspect::run(&args),
-        Command::Check(args) => check::run(&args),
-        Command::Render(args) => render::run(&args),
+    let result = match args.command {
+        PliantCommand::Serve(args) => serve::run_serve(args),
+        PliantCommand::Deform(args) => deform::run_deform(&args),
+        PliantCommand::Inspect(args) => inspect::run_inspect(&args),
+        PliantCommand::Check(args) => check::run_check(&args),
+        PliantCommand::Render(args) => render::run_render(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.end(),
+        Err(failure) => failure.report_and_exit(),
     }
 }
 
@@ -135,12 +75,4 @@ fn usage_reason(message: &str) -> String {
         .map(str::trim)
         .collect();
     paragraph.join(" ").trim_start_matches("error: ").to_owned()
-}
-
-/// Prints one JSON document on stdout. A reader that went away is no failure of ours to report twice.
-fn print_json<M: prost::Message + prost::Name>(message: &M) -> Result<(), Failure> {
-    use std::io::Write as _;
-    let value = json::to_json(message)?;
-    let text = serde_json::to_string_pretty(&value).map_err(|e| Failure::Internal(e.to_string()))?;
-    writeln!(std::io::stdout(), "{text}").map_err(|e| Failure::Internal(format!("cannot write to stdout: {e}")))
 }

@@ -1,12 +1,14 @@
 //! `pliant render`: a picture of a model, drawn without a display.
 
-use super::files::{read_model, write_file};
-use super::{Failure, Threads};
+use super::failure::CliFailure;
+use super::model_files::{read_model, write_file};
+use super::threads::ThreadArgs;
 use crate::asset::{Limits, Model};
 use crate::mesh::BoundingBox;
 use crate::pool::Pool;
 use crate::render::{
-    self, Key, Mark, Plate, Ramp, STRETCH_RANGE, Size, Surface, Up, View, displacements, edge_stretch,
+    self, ColourKey, ColourRamp, PictureSize, RingMark, STRETCH_RANGE, ShadedSurface, UpAxis, ViewDirection, ViewSheet,
+    edge_stretch, vertex_displacements,
 };
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
@@ -27,17 +29,17 @@ pub struct RenderArgs {
     before: Option<PathBuf>,
     /// What colours show [default: distortion with --before where the vertices agree, else plain]
     #[arg(long, value_enum, alias = "colour")]
-    color: Option<Color>,
+    color: Option<ColourChoice>,
     /// Pixels of one view, 16 to 8192 each way
-    #[arg(long, value_name = "WxH", default_value = "800x600", value_parser = size)]
-    size: Size,
+    #[arg(long, value_name = "WxH", default_value = "800x600", value_parser = parse_size)]
+    size: PictureSize,
     /// Degrees around the up axis and above the horizon
-    #[arg(long, value_name = "AZIMUTH,ELEVATION", default_value = "30,20", value_parser = angles)]
+    #[arg(long, value_name = "AZIMUTH,ELEVATION", default_value = "30,20", value_parser = parse_angles)]
     #[arg(allow_hyphen_values = true)]
     view: [f64; 2],
     /// The axis of the model that points up
-    #[arg(long, value_enum, default_value_t = Axis::Y)]
-    up: Axis,
+    #[arg(long, value_enum, default_value_t = UpAxisChoice::Y)]
+    up: UpAxisChoice,
     /// A strip of N views, once around the up axis
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=64))]
     turntable: Option<u32>,
@@ -46,18 +48,18 @@ pub struct RenderArgs {
     wire: bool,
     /// The distance (difference) or factor (distortion) at the end of the colours, so that pictures can be compared
     /// [default: the largest distance; 1.5]
-    #[arg(long, value_name = "NUMBER", value_parser = above_zero)]
+    #[arg(long, value_name = "NUMBER", value_parser = parse_above_zero)]
     range: Option<f64>,
     /// Rings around the N places that differ most
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=9))]
     marks: u32,
     #[command(flatten)]
-    threads: Threads,
+    threads: ThreadArgs,
 }
 
 /// What colours show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Color {
+enum ColourChoice {
     /// Edges longer (red) or shorter (blue) than before
     Distortion,
     /// How far vertices lie from where they were before
@@ -70,99 +72,101 @@ enum Color {
 
 /// An axis that can point up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Axis {
+enum UpAxisChoice {
     Y,
     Z,
 }
 
-fn size(text: &str) -> Result<Size, String> {
+fn parse_size(text: &str) -> Result<PictureSize, String> {
     let sides = text.split_once(['x', 'X']);
     let number = |side: &str| side.trim().parse::<u32>().ok();
     match sides.and_then(|(w, h)| Some((number(w)?, number(h)?))) {
-        Some((w, h)) => Size::new(w, h).map_err(|e| e.to_string()),
+        Some((w, h)) => PictureSize::new(w, h).map_err(|e| e.to_string()),
         None => Err("two whole numbers with an x between them are needed, such as 800x600".into()),
     }
 }
 
-fn above_zero(text: &str) -> Result<f64, String> {
+fn parse_above_zero(text: &str) -> Result<f64, String> {
     let number = text.trim().parse::<f64>().ok().filter(|x| x.is_finite() && *x > 0.0);
     number.ok_or_else(|| "a finite number above 0 is needed".into())
 }
 
-fn angles(text: &str) -> Result<[f64; 2], String> {
+fn parse_angles(text: &str) -> Result<[f64; 2], String> {
     let parts = text.split_once(',');
     let number = |part: &str| part.trim().parse::<f64>().ok();
     match parts.and_then(|(a, e)| Some([number(a)?, number(e)?])) {
         // Whether they are in range does not depend on the up axis.
-        Some([a, e]) => View::new(a, e, Up::Y).map(|_| [a, e]).map_err(|e| e.to_string()),
+        Some([a, e]) => ViewDirection::new(a, e, UpAxis::Y)
+            .map(|_| [a, e])
+            .map_err(|e| e.to_string()),
         None => Err("two numbers with a comma between them are needed, such as 30,20".into()),
     }
 }
 
-/// A model and where it came from, for texts.
-struct Read<'a> {
+/// A model to draw, with the path that it came from, for texts.
+struct ModelToDraw<'a> {
     path: &'a Path,
     model: Model,
 }
 
-impl<'a> Read<'a> {
-    fn open(path: &'a Path) -> Result<Self, Failure> {
+impl<'a> ModelToDraw<'a> {
+    fn open_model(path: &'a Path) -> Result<Self, CliFailure> {
         let files = read_model(path)?;
         let model = Model::read(files, None, &Limits::default())
-            .map_err(|e| Failure::Input(format!("{}: {e}", path.display())))?;
+            .map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))?;
         Ok(Self { path, model })
     }
 
-    fn vertices(&self) -> usize {
+    fn vertex_count(&self) -> usize {
         self.model.positions.len()
     }
 
-    fn surface(&self, pool: &Pool) -> Result<Surface, Failure> {
-        let surface = Surface::new(&self.model.positions, &self.model.triangles, pool);
-        surface.map_err(|e| Failure::Input(format!("{}: {e}", self.path.display())))
+    fn make_surface(&self, pool: &Pool) -> Result<ShadedSurface, CliFailure> {
+        let surface = ShadedSurface::new(&self.model.positions, &self.model.triangles, pool);
+        surface.map_err(|e| CliFailure::Input(format!("{}: {e}", self.path.display())))
     }
 }
 
 /// Runs the command.
-pub(super) fn run(args: &RenderArgs) -> Result<(), Failure> {
+pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
     let is_png = args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
     if !is_png {
         let problem = "a picture is written as png, its extension must say so";
-        return Err(Failure::Input(format!("{}: {problem}", args.output.display())));
+        return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
-    let pool = args.threads.pool()?;
-    let model = Read::open(&args.model)?;
-    let before = args.before.as_deref().map(Read::open).transpose()?;
-    let colour = choose(args.color, &model, before.as_ref())?;
-    let Coloured { mut shape, key, values } = coloured(&model, before.as_ref(), colour, args.range, &pool)?;
+    let pool = args.threads.start_pool()?;
+    let model = ModelToDraw::open_model(&args.model)?;
+    let before = args.before.as_deref().map(ModelToDraw::open_model).transpose()?;
+    let colour = choose_colours(args.color, &model, before.as_ref())?;
+    let ColouredShape { mut shape, key, values } = colour_shape(&model, before.as_ref(), colour, args.range, &pool)?;
     let marks = match args.marks {
         0 => Vec::new(),
         _ if values.is_empty() => {
             let problem = "--marks points at where two shapes differ; ask for --color difference or distortion";
-            return Err(Failure::Input(problem.into()));
+            return Err(CliFailure::Input(problem.into()));
         }
         count => {
             let positions = &model.model.positions;
             let apart = APART * BoundingBox::of(positions).diagonal();
             let sizes: Vec<f64> = values.iter().map(|x| x.abs()).collect();
-            Mark::largest(positions, &sizes, count as usize, apart)
+            RingMark::at_largest_values(positions, &sizes, count as usize, apart)
         }
     };
-    let mut before = before.as_ref().map(|b| b.surface(&pool)).transpose()?;
-    if args.wire || colour == Color::Wire {
+    let mut before = before.as_ref().map(|b| b.make_surface(&pool)).transpose()?;
+    if args.wire || colour == ColourChoice::Wire {
         shape = shape.with_wires();
-        before = before.map(Surface::with_wires);
+        before = before.map(ShadedSurface::with_wires);
     }
     let up = match args.up {
-        Axis::Y => Up::Y,
-        Axis::Z => Up::Z,
+        UpAxisChoice::Y => UpAxis::Y,
+        UpAxisChoice::Z => UpAxis::Z,
     };
-    let first = View::new(args.view[0], args.view[1], up)?;
+    let first = ViewDirection::new(args.view[0], args.view[1], up)?;
     let count = args.turntable.unwrap_or(1);
-    let views: Vec<View> = (0..count)
-        .map(|k| first.turned(360.0 * f64::from(k) / f64::from(count)))
+    let views: Vec<ViewDirection> = (0..count)
+        .map(|k| first.turned_by(360.0 * f64::from(k) / f64::from(count)))
         .collect();
-    let plate = Plate {
+    let sheet = ViewSheet {
         before: before.as_ref(),
         shape: &shape,
         views: &views,
@@ -170,8 +174,8 @@ pub(super) fn run(args: &RenderArgs) -> Result<(), Failure> {
         key,
         marks,
     };
-    let picture = plate.draw(&pool)?;
-    write_file(&args.output, &picture.png()?)?;
+    let picture = sheet.draw_views(&pool)?;
+    write_file(&args.output, &picture.encode_png()?)?;
     eprintln!(
         "{} -> {}, {}x{} pixels",
         args.model.display(),
@@ -182,86 +186,90 @@ pub(super) fn run(args: &RenderArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The colours to draw: those asked for where they make sense.
-fn choose(asked: Option<Color>, model: &Read<'_>, before: Option<&Read<'_>>) -> Result<Color, Failure> {
-    let needs_before = |colour: &Color| matches!(colour, Color::Distortion | Color::Difference);
-    let agree = before.is_some_and(|b| b.vertices() == model.vertices());
+/// Chooses the colours to draw: those asked for where they make sense.
+fn choose_colours(
+    asked: Option<ColourChoice>,
+    model: &ModelToDraw<'_>,
+    before: Option<&ModelToDraw<'_>>,
+) -> Result<ColourChoice, CliFailure> {
+    let needs_before = |colour: &ColourChoice| matches!(colour, ColourChoice::Distortion | ColourChoice::Difference);
+    let agree = before.is_some_and(|b| b.vertex_count() == model.vertex_count());
     match (asked, before) {
         (Some(colour), None) if needs_before(&colour) => {
-            let name = if colour == Color::Distortion {
+            let name = if colour == ColourChoice::Distortion {
                 "distortion"
             } else {
                 "difference"
             };
-            Err(Failure::Input(format!(
+            Err(CliFailure::Input(format!(
                 "--color {name} compares two shapes; name the other one with --before REST"
             )))
         }
-        (Some(colour), Some(before)) if needs_before(&colour) && !agree => Err(Failure::Input(format!(
+        (Some(colour), Some(before)) if needs_before(&colour) && !agree => Err(CliFailure::Input(format!(
             "{} has {} vertices and {} has {}; colours compare models with as many vertices in the same order",
             model.path.display(),
-            model.vertices(),
+            model.vertex_count(),
             before.path.display(),
-            before.vertices()
+            before.vertex_count()
         ))),
         (Some(colour), _) => Ok(colour),
-        (None, Some(_)) if agree => Ok(Color::Distortion),
-        (None, _) => Ok(Color::Plain),
+        (None, Some(_)) if agree => Ok(ColourChoice::Distortion),
+        (None, _) => Ok(ColourChoice::Plain),
     }
 }
 
-/// A shape in its colours.
-struct Coloured {
-    shape: Surface,
-    key: Option<Key>,
+/// A coloured shape is a surface with the key to its colours.
+struct ColouredShape {
+    shape: ShadedSurface,
+    key: Option<ColourKey>,
     /// What the colours say, one for each vertex; empty without colours.
     values: Vec<f64>,
 }
 
-fn coloured(
-    model: &Read<'_>,
-    before: Option<&Read<'_>>,
-    colour: Color,
+fn colour_shape(
+    model: &ModelToDraw<'_>,
+    before: Option<&ModelToDraw<'_>>,
+    colour: ColourChoice,
     range: Option<f64>,
     pool: &Pool,
-) -> Result<Coloured, Failure> {
-    let shape = model.surface(pool)?;
+) -> Result<ColouredShape, CliFailure> {
+    let shape = model.make_surface(pool)?;
     let (now, triangles) = (&model.model.positions, &model.model.triangles);
     let (values, ramp, unit, key) = match (colour, before) {
-        (Color::Distortion, Some(before)) => {
+        (ColourChoice::Distortion, Some(before)) => {
             let factor = range.unwrap_or(STRETCH_RANGE);
             if factor <= 1.0 {
                 let problem = "of distortion it is a factor, which must be above 1";
-                return Err(Failure::Input(format!("--range is {factor}; {problem}")));
+                return Err(CliFailure::Input(format!("--range is {factor}; {problem}")));
             }
             let values = edge_stretch(&before.model.positions, now, triangles)?;
             // Values are logarithms to the base of STRETCH_RANGE.
             let unit = libm::log(factor) / libm::log(STRETCH_RANGE);
-            (values, Ramp::Stretch, unit, Key::stretch(factor))
+            (values, ColourRamp::Stretch, unit, ColourKey::for_stretch(factor))
         }
-        (Color::Difference, Some(before)) => {
-            let values = displacements(&before.model.positions, now)?;
+        (ColourChoice::Difference, Some(before)) => {
+            let values = vertex_displacements(&before.model.positions, now)?;
             let most = range.unwrap_or_else(|| values.iter().copied().fold(0.0, f64::max));
             let unit = if most > 0.0 { most } else { 1.0 };
-            (values, Ramp::Amount, unit, Key::distance(most))
+            (values, ColourRamp::Amount, unit, ColourKey::for_distance(most))
         }
         _ => {
-            return Ok(Coloured {
+            return Ok(ColouredShape {
                 shape,
                 key: None,
                 values: Vec::new(),
             });
         }
     };
-    let colours: Vec<_> = values.iter().map(|x| ramp.light(x / unit)).collect();
-    Ok(Coloured {
-        shape: shape.coloured(&colours)?,
+    let colours: Vec<_> = values.iter().map(|x| ramp.linear_colour(x / unit)).collect();
+    Ok(ColouredShape {
+        shape: shape.with_colours(&colours)?,
         key: Some(key),
         values,
     })
 }
 
-impl From<render::Error> for Failure {
+impl From<render::Error> for CliFailure {
     fn from(e: render::Error) -> Self {
         match e {
             render::Error::Png(_) => Self::Internal(e.to_string()),

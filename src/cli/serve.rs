@@ -1,6 +1,6 @@
 //! `pliant serve`: the server as a program.
 
-use super::Failure;
+use super::failure::CliFailure;
 use crate::asset::FileSet;
 use crate::server::config::{self, ConfigKeys, ServeSettings};
 use crate::server::{self, sample};
@@ -59,17 +59,17 @@ impl ServeError {
 }
 
 /// Runs the server of this process.
-pub(super) fn main(args: ServeArgs) -> Result<(), Failure> {
+pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .thread_name("pliant-serve")
         .build();
-    let runtime = runtime.map_err(|e| Failure::Internal(format!("cannot start threads: {e}")))?;
+    let runtime = runtime.map_err(|e| CliFailure::Internal(format!("cannot start threads: {e}")))?;
     let done = runtime.block_on(run(args)).map_err(|error| {
         if error.is_usage() {
-            Failure::Input(error.to_string())
+            CliFailure::Input(error.to_string())
         } else {
-            Failure::Internal(error.to_string())
+            CliFailure::Internal(error.to_string())
         }
     });
     // Work that ignored the deadline ends with the process; waiting for its threads would undo the deadline.

@@ -272,7 +272,7 @@ fn merge(scene: &mut EditContext<'_>, merge: &wire::Merge, progress: &dyn Progre
     let format = match merge.format.as_str() {
         "" => None,
         name => Some(Format::from_name(name).ok_or_else(|| {
-            let problem = format!("is \"{name}\", allowed are glb, gltf, obj, ply, off and stl");
+            let problem = format!("is \"{name}\", allowed are {}", Format::name_list("and"));
             Error::invalid("merge.format", problem)
         })?),
     };

@@ -1,25 +1,26 @@
 //! Where a picture is taken from: a direction, and a frame that several shapes can share.
 
-use super::{Error, Surface};
+use super::error::Error;
+use super::surface::ShadedSurface;
 use glam::DVec3;
 
 /// Share of a view's sides that the shape may fill.
 const FILL: f64 = 0.92;
 
-/// Pixels of a view, both sides in the range that is allowed.
+/// A picture size is the pixels of a view, both sides in the range that is allowed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Size {
+pub struct PictureSize {
     width: u32,
     height: u32,
 }
 
-impl Size {
+impl PictureSize {
     /// Fewest pixels of a side.
     pub const LEAST: u32 = 16;
     /// Most pixels of a side.
     pub const MOST: u32 = 8192;
 
-    /// A size.
+    /// Checks both sides.
     ///
     /// # Errors
     /// [`Error::Size`] when a side is out of range.
@@ -47,31 +48,31 @@ impl Size {
     }
 }
 
-/// The axis of the model that points up in the picture.
+/// The up axis is the axis of the model that points up in the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Up {
-    /// As in glTF.
+pub enum UpAxis {
+    /// The y axis points up, as in glTF.
     #[default]
     Y,
-    /// As in most scans and drawings.
+    /// The z axis points up, as in most scans and drawings.
     Z,
 }
 
-/// A direction from which a shape is seen, without perspective.
+/// A view direction is the direction from which a shape is seen, without perspective.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct View {
+pub struct ViewDirection {
     azimuth: f64,
     elevation: f64,
-    up: Up,
+    up: UpAxis,
 }
 
-impl View {
-    /// `azimuth` degrees around the up axis (0 looks at the side that faces +z, or -y with [`Up::Z`]; 90 at the one that
+impl ViewDirection {
+    /// Looks from `azimuth` degrees around the up axis (0 looks at the side that faces +z, or -y with [`UpAxis::Z`]; 90 at the one that
     /// faces +x) and `elevation` degrees above the horizon.
     ///
     /// # Errors
     /// [`Error::View`] when the angles are out of range.
-    pub fn new(azimuth: f64, elevation: f64, up: Up) -> Result<Self, Error> {
+    pub fn new(azimuth: f64, elevation: f64, up: UpAxis) -> Result<Self, Error> {
         if azimuth.abs() <= 360.0 && elevation.abs() <= 90.0 {
             Ok(Self { azimuth, elevation, up })
         } else {
@@ -79,13 +80,22 @@ impl View {
         }
     }
 
-    /// From where `direction` looks at the eye, as nearly as an elevation of at most 70° allows, so that up stays up;
-    /// straight ahead when there is no direction.
+    /// Finds the view in which `direction` points at the eye, as nearly as an elevation of at most 70° allows, so that up
+    /// stays up. Without a direction it looks straight ahead.
+    ///
+    /// ```
+    /// use glam::DVec3;
+    /// use pliant::render::{UpAxis, ViewDirection};
+    ///
+    /// let from_the_right = ViewDirection::facing(DVec3::X, UpAxis::Y);
+    /// assert_eq!(from_the_right, ViewDirection::new(90.0, 0.0, UpAxis::Y)?);
+    /// # Ok::<(), pliant::render::Error>(())
+    /// ```
     #[must_use]
-    pub fn facing(direction: DVec3, up: Up) -> Self {
+    pub fn facing(direction: DVec3, up: UpAxis) -> Self {
         let d = match up {
-            Up::Y => direction,
-            Up::Z => DVec3::new(direction.x, direction.z, -direction.y),
+            UpAxis::Y => direction,
+            UpAxis::Z => DVec3::new(direction.x, direction.z, -direction.y),
         };
         let finite = |angle: f64| if angle.is_finite() { angle } else { 0.0 };
         let level = (d.x * d.x + d.z * d.z).sqrt();
@@ -96,9 +106,9 @@ impl View {
         }
     }
 
-    /// The same view after `degrees` more around the up axis.
+    /// Turns the view by `degrees` more around the up axis.
     #[must_use]
-    pub fn turned(self, degrees: f64) -> Self {
+    pub fn turned_by(self, degrees: f64) -> Self {
         Self {
             azimuth: (self.azimuth + degrees) % 360.0,
             ..self
@@ -113,25 +123,25 @@ impl View {
         let towards = DVec3::new(cos_e * sin_a, sin_e, cos_e * cos_a);
         let axes = [right, towards.cross(right), towards];
         match self.up {
-            Up::Y => axes,
-            Up::Z => axes.map(|v| DVec3::new(v.x, -v.z, v.y)),
+            UpAxis::Y => axes,
+            UpAxis::Z => axes.map(|v| DVec3::new(v.x, -v.z, v.y)),
         }
     }
 }
 
-/// A view with a frame: what of the model falls on which pixel.
+/// A camera is a view direction with a scale and a middle: it tells which point of the model falls on which pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
     axes: [DVec3; 3],
     center: DVec3,
     scale: f64,
-    size: Size,
+    size: PictureSize,
 }
 
 impl Camera {
-    /// One camera for each view, with one scale for all, such that every surface fits into every picture. A single
+    /// Makes one camera for each view, with one scale for all, such that every surface fits into every picture. A single
     /// view is centred on what is seen; several turn about the middle of the box around the surfaces.
-    pub fn around(surfaces: &[&Surface], views: &[View], size: Size) -> Vec<Self> {
+    pub fn around_surfaces(surfaces: &[&ShadedSurface], views: &[ViewDirection], size: PictureSize) -> Vec<Self> {
         let points = || surfaces.iter().flat_map(|s| s.positions());
         let mut low = DVec3::INFINITY;
         let mut high = DVec3::NEG_INFINITY;
@@ -179,7 +189,7 @@ impl Camera {
             .collect()
     }
 
-    /// The same view with `at` in the middle and `radius` around it filling the picture.
+    /// Keeps the direction, puts `at` in the middle, and lets `radius` around it fill the picture.
     #[must_use]
     pub fn close_up(&self, at: DVec3, radius: f64) -> Self {
         let side = f64::from(self.size.width.min(self.size.height));
@@ -192,13 +202,13 @@ impl Camera {
         }
     }
 
-    /// Pixels of the picture.
-    pub fn size(&self) -> Size {
+    /// The pixels of the picture.
+    pub fn size(&self) -> PictureSize {
         self.size
     }
 
-    /// Right and down in pixels from the upper left corner, and towards the eye.
-    pub fn project(&self, p: DVec3) -> DVec3 {
+    /// Projects a point: right and down in pixels from the upper left corner, and towards the eye.
+    pub fn project_point(&self, p: DVec3) -> DVec3 {
         let d = p - self.center;
         let [right, up, towards] = self.axes;
         DVec3::new(
@@ -208,8 +218,8 @@ impl Camera {
         )
     }
 
-    /// Unit vector in model space towards the eye.
-    pub fn towards(&self) -> DVec3 {
+    /// The unit vector in model space towards the eye.
+    pub fn towards_eye(&self) -> DVec3 {
         self.axes[2]
     }
 
@@ -225,51 +235,51 @@ mod tests {
 
     #[test]
     fn views_look_where_they_say_and_are_right_handed() {
-        let axes = |a, e, up| View::new(a, e, up).expect("in range").axes();
+        let axes = |a, e, up| ViewDirection::new(a, e, up).expect("in range").axes();
         let near = |a: DVec3, b: DVec3| a.distance(b) < 1e-12;
-        assert!(near(axes(0.0, 0.0, Up::Y)[2], DVec3::Z) && near(axes(90.0, 0.0, Up::Y)[2], DVec3::X));
-        assert!(near(axes(0.0, 0.0, Up::Z)[2], -DVec3::Y) && near(axes(90.0, 0.0, Up::Z)[2], DVec3::X));
-        assert!(near(axes(0.0, 0.0, Up::Y)[1], DVec3::Y) && near(axes(0.0, 0.0, Up::Z)[1], DVec3::Z));
-        for up in [Up::Y, Up::Z] {
+        assert!(near(axes(0.0, 0.0, UpAxis::Y)[2], DVec3::Z) && near(axes(90.0, 0.0, UpAxis::Y)[2], DVec3::X));
+        assert!(near(axes(0.0, 0.0, UpAxis::Z)[2], -DVec3::Y) && near(axes(90.0, 0.0, UpAxis::Z)[2], DVec3::X));
+        assert!(near(axes(0.0, 0.0, UpAxis::Y)[1], DVec3::Y) && near(axes(0.0, 0.0, UpAxis::Z)[1], DVec3::Z));
+        for up in [UpAxis::Y, UpAxis::Z] {
             let [right, above, towards] = axes(37.0, 64.0, up);
             assert!(near(right.cross(above), towards));
         }
-        assert!(near(axes(10.0, 90.0, Up::Y)[2], DVec3::Y), "straight from above");
+        assert!(near(axes(10.0, 90.0, UpAxis::Y)[2], DVec3::Y), "straight from above");
     }
 
     #[test]
     fn a_view_can_face_a_direction_and_a_camera_go_near() {
-        for up in [Up::Y, Up::Z] {
+        for up in [UpAxis::Y, UpAxis::Z] {
             for d in [DVec3::new(1.0, 0.4, -0.7), DVec3::new(-0.2, -0.5, 0.9), DVec3::X] {
-                let [_, _, towards] = View::facing(d, up).axes();
+                let [_, _, towards] = ViewDirection::facing(d, up).axes();
                 assert!(towards.distance(d.normalize()) < 1e-12, "{up:?} {d}");
             }
-            let steep = if up == Up::Y { DVec3::Y } else { DVec3::Z };
-            let [_, above, towards] = View::facing(steep, up).axes();
+            let steep = if up == UpAxis::Y { DVec3::Y } else { DVec3::Z };
+            let [_, above, towards] = ViewDirection::facing(steep, up).axes();
             assert!(towards.dot(steep) > 0.9 && above.dot(steep) > 0.3);
-            assert!(View::facing(DVec3::ZERO, up).axes()[2].is_finite());
+            assert!(ViewDirection::facing(DVec3::ZERO, up).axes()[2].is_finite());
         }
-        let size = Size::new(100, 60).expect("in range");
-        let view = View::new(0.0, 0.0, Up::Y).expect("in range");
-        let near = Camera::around(&[], &[view], size)[0].close_up(DVec3::new(3.0, 2.0, 1.0), 0.5);
+        let size = PictureSize::new(100, 60).expect("in range");
+        let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
+        let near = Camera::around_surfaces(&[], &[view], size)[0].close_up(DVec3::new(3.0, 2.0, 1.0), 0.5);
         assert_eq!(
-            near.project(DVec3::new(3.0, 2.0, 1.0)).truncate(),
+            near.project_point(DVec3::new(3.0, 2.0, 1.0)).truncate(),
             glam::DVec2::new(50.0, 30.0)
         );
-        assert_eq!(near.project(DVec3::new(3.0, 2.5, 1.0)).y, 0.0);
+        assert_eq!(near.project_point(DVec3::new(3.0, 2.5, 1.0)).y, 0.0);
     }
 
     #[test]
     fn sizes_and_views_out_of_range_are_refused_with_what_is_allowed() {
         for (w, h) in [(15, 100), (100, 8193), (0, 0)] {
-            let text = Size::new(w, h).expect_err("out of range").to_string();
+            let text = PictureSize::new(w, h).expect_err("out of range").to_string();
             assert!(
                 text.contains(&format!("{w}x{h}")) && text.contains("16 to 8192"),
                 "{text}"
             );
         }
         for (a, e) in [(f64::NAN, 0.0), (0.0, 91.0), (f64::INFINITY, 0.0)] {
-            assert!(View::new(a, e, Up::Y).is_err());
+            assert!(ViewDirection::new(a, e, UpAxis::Y).is_err());
         }
     }
 }

@@ -8,8 +8,8 @@ use glam::Vec3;
 /// A colour as a screen takes it: sRGB, red, green, blue.
 pub type Rgb = [u8; 3];
 
-/// Linear light of an sRGB colour written as 0xRRGGBB.
-pub(super) fn light(hex: u32) -> Vec3 {
+/// Turns an sRGB colour written as 0xRRGGBB into linear light.
+pub(super) fn linear_from_hex(hex: u32) -> Vec3 {
     let channel = |shift: u32| {
         let s = f64::from(hex >> shift & 0xff) / 255.0;
         let linear = if s <= 0.04045 {
@@ -22,13 +22,13 @@ pub(super) fn light(hex: u32) -> Vec3 {
     Vec3::new(channel(16), channel(8), channel(0))
 }
 
-/// Steps of linear light that a [`Screen`] tells apart.
+/// Steps of linear light that a [`SrgbTable`] tells apart.
 const STEPS: usize = 8192;
 
-/// Turns linear light into bytes, by table.
-pub(super) struct Screen(Vec<u8>);
+/// A table that turns linear light into sRGB bytes.
+pub(super) struct SrgbTable(Vec<u8>);
 
-impl Screen {
+impl SrgbTable {
     pub fn new() -> Self {
         let byte = |k: usize| {
             let linear = k as f64 / STEPS as f64;
@@ -42,7 +42,7 @@ impl Screen {
         Self((0..=STEPS).map(byte).collect())
     }
 
-    pub fn rgb(&self, light: Vec3) -> Rgb {
+    pub fn to_srgb(&self, light: Vec3) -> Rgb {
         // Casts saturate, and take what is no number as 0.
         let byte = |x: f32| self.0[((x * STEPS as f32).round() as usize).min(STEPS)];
         [byte(light.x), byte(light.y), byte(light.z)]
@@ -51,10 +51,10 @@ impl Screen {
 
 /// A colour in Oklab: lightness, then green to red, then blue to yellow.
 #[derive(Debug, Clone, Copy)]
-struct Lab(f64, f64, f64);
+struct OklabColour(f64, f64, f64);
 
-impl Lab {
-    fn mix(self, other: Self, share: f64) -> Self {
+impl OklabColour {
+    fn blend(self, other: Self, share: f64) -> Self {
         let between = |a: f64, b: f64| a + (b - a) * share;
         Self(
             between(self.0, other.0),
@@ -63,7 +63,7 @@ impl Lab {
         )
     }
 
-    fn light(self) -> Vec3 {
+    fn to_linear(self) -> Vec3 {
         let Self(l, a, b) = self;
         let cube = |x: f64| x * x * x;
         let long = cube(l + 0.396_337_777_4 * a + 0.215_803_757_3 * b);
@@ -77,51 +77,59 @@ impl Lab {
     }
 }
 
-/// Gives numbers a colour.
+/// A colour ramp gives every number a colour.
+///
+/// ```
+/// use pliant::render::ColourRamp;
+///
+/// let unchanged = ColourRamp::Stretch.linear_colour(0.0);
+/// assert_eq!(unchanged, ColourRamp::Stretch.linear_colour(f64::NAN));
+/// assert!(ColourRamp::Stretch.linear_colour(1.0).x > ColourRamp::Stretch.linear_colour(1.0).z);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ramp {
-    /// From -1 (blue, squeezed) over 0 (light grey, as it was) to 1 (red, stretched).
+pub enum ColourRamp {
+    /// Runs from -1 (blue, squeezed) over 0 (light grey, as it was) to 1 (red, stretched).
     Stretch,
-    /// From 0 (light) to 1 (dark red).
+    /// Runs from 0 (light) to 1 (dark red).
     Amount,
 }
 
-impl Ramp {
+impl ColourRamp {
     /// The least number with a colour of its own; the greatest is 1.
-    pub fn least(self) -> f64 {
+    pub fn lower_end(self) -> f64 {
         match self {
             Self::Stretch => -1.0,
             Self::Amount => 0.0,
         }
     }
 
-    /// Linear light of a number; numbers beyond the ends have the colour of the end, NaN that of 0.
-    pub fn light(self, value: f64) -> Vec3 {
+    /// The colour of a number, as linear light; numbers beyond the ends have the colour of the end, NaN that of 0.
+    pub fn linear_colour(self, value: f64) -> Vec3 {
         let value = if value.is_nan() {
             0.0
         } else {
-            value.clamp(self.least(), 1.0)
+            value.clamp(self.lower_end(), 1.0)
         };
         match self {
             Self::Stretch => {
-                let middle = Lab(0.93, 0.0, 0.0);
+                let middle = OklabColour(0.93, 0.0, 0.0);
                 let end = if value < 0.0 {
-                    Lab(0.45, -0.045, -0.160)
+                    OklabColour(0.45, -0.045, -0.160)
                 } else {
-                    Lab(0.50, 0.172, 0.092)
+                    OklabColour(0.50, 0.172, 0.092)
                 };
-                middle.mix(end, value.abs()).light()
+                middle.blend(end, value.abs()).to_linear()
             }
             Self::Amount => {
                 let stops = [
-                    Lab(0.95, -0.005, 0.030),
-                    Lab(0.82, 0.030, 0.130),
-                    Lab(0.62, 0.160, 0.100),
-                    Lab(0.36, 0.130, 0.010),
+                    OklabColour(0.95, -0.005, 0.030),
+                    OklabColour(0.82, 0.030, 0.130),
+                    OklabColour(0.62, 0.160, 0.100),
+                    OklabColour(0.36, 0.130, 0.010),
                 ];
                 let at = value * (stops.len() - 1) as f64;
                 let k = (at as usize).min(stops.len() - 2);
-                stops[k].mix(stops[k + 1], at - k as f64).light()
+                stops[k].blend(stops[k + 1], at - k as f64).to_linear()
             }
         }
     }
@@ -133,29 +141,29 @@ mod tests {
 
     #[test]
     fn bytes_come_back_as_they_went() {
-        let screen = Screen::new();
+        let screen = SrgbTable::new();
         for byte in 0..=255u32 {
-            let there = light(byte << 16 | byte << 8 | byte);
-            assert_eq!(screen.rgb(there), [byte as u8; 3]);
+            let there = linear_from_hex(byte << 16 | byte << 8 | byte);
+            assert_eq!(screen.to_srgb(there), [byte as u8; 3]);
         }
-        assert_eq!(screen.rgb(Vec3::new(9.0, -1.0, f32::NAN)), [255, 0, 0]);
+        assert_eq!(screen.to_srgb(Vec3::new(9.0, -1.0, f32::NAN)), [255, 0, 0]);
     }
 
     #[test]
     fn a_ramp_tells_sides_apart_and_knows_every_number() {
-        let screen = Screen::new();
-        let rgb = |ramp: Ramp, x: f64| screen.rgb(ramp.light(x));
-        let [red, blue] = [rgb(Ramp::Stretch, 1.0), rgb(Ramp::Stretch, -1.0)];
+        let screen = SrgbTable::new();
+        let rgb = |ramp: ColourRamp, x: f64| screen.to_srgb(ramp.linear_colour(x));
+        let [red, blue] = [rgb(ColourRamp::Stretch, 1.0), rgb(ColourRamp::Stretch, -1.0)];
         assert!(red[0] > 150 && red[2] < 80, "{red:?}");
         assert!(blue[2] > 130 && blue[0] < 60, "{blue:?}");
-        let [r, g, b] = rgb(Ramp::Stretch, 0.0);
+        let [r, g, b] = rgb(ColourRamp::Stretch, 0.0);
         assert!(r == g && g == b && r > 220);
-        for ramp in [Ramp::Stretch, Ramp::Amount] {
+        for ramp in [ColourRamp::Stretch, ColourRamp::Amount] {
             assert_eq!(rgb(ramp, f64::INFINITY), rgb(ramp, 1.0));
-            assert_eq!(rgb(ramp, f64::NEG_INFINITY), rgb(ramp, ramp.least()));
+            assert_eq!(rgb(ramp, f64::NEG_INFINITY), rgb(ramp, ramp.lower_end()));
             assert_eq!(rgb(ramp, f64::NAN), rgb(ramp, 0.0));
             // Away from 0 it only gets darker.
-            let lightness = |x: f64| ramp.light(x).element_sum();
+            let lightness = |x: f64| ramp.linear_colour(x).element_sum();
             for k in 0..100 {
                 assert!(
                     lightness(f64::from(k + 1) / 100.0) < lightness(f64::from(k) / 100.0),

@@ -1,9 +1,13 @@
 //! A picture in memory: pixels, what is put on it, and its PNG bytes.
 
 use super::colour::Rgb;
-use super::{Error, font};
+use super::error::Error;
+use super::font;
 
-/// Rows of pixels, from the upper left corner.
+/// The colour of words and numbers on a picture.
+pub(super) const INK: Rgb = [52, 58, 66];
+
+/// A picture is rows of pixels, from the upper left corner.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {
     width: u32,
@@ -26,12 +30,12 @@ impl Picture {
             most: Self::MOST,
         };
         match (u32::try_from(width), u32::try_from(height), width.checked_mul(height)) {
-            (Ok(w), Ok(h), Some(pixels @ 1..=Self::MOST)) => Ok(Self::of(w, h, vec![colour; pixels as usize])),
+            (Ok(w), Ok(h), Some(pixels @ 1..=Self::MOST)) => Ok(Self::from_pixels(w, h, vec![colour; pixels as usize])),
             _ => Err(too_large),
         }
     }
 
-    pub(super) fn of(width: u32, height: u32, pixels: Vec<Rgb>) -> Self {
+    pub(super) fn from_pixels(width: u32, height: u32, pixels: Vec<Rgb>) -> Self {
         Self { width, height, pixels }
     }
 
@@ -56,7 +60,7 @@ impl Picture {
     }
 
     /// Colours a rectangle; what lies outside the picture is left out.
-    pub fn fill(&mut self, x: u32, y: u32, width: u32, height: u32, colour: Rgb) {
+    pub fn fill_rectangle(&mut self, x: u32, y: u32, width: u32, height: u32, colour: Rgb) {
         let columns = x.min(self.width) as usize..x.saturating_add(width).min(self.width) as usize;
         for row in y.min(self.height)..y.saturating_add(height).min(self.height) {
             let start = row as usize * self.width as usize;
@@ -65,7 +69,7 @@ impl Picture {
     }
 
     /// Mixes a share (0 to 1) of a colour into a pixel; outside the picture nothing happens.
-    pub(super) fn mix(&mut self, x: u32, y: u32, colour: Rgb, share: f64) {
+    pub(super) fn blend_pixel(&mut self, x: u32, y: u32, colour: Rgb, share: f64) {
         if x < self.width && y < self.height && share > 0.0 {
             let pixel = &mut self.pixels[y as usize * self.width as usize + x as usize];
             for (old, new) in pixel.iter_mut().zip(colour) {
@@ -76,7 +80,7 @@ impl Picture {
     }
 
     /// Puts another picture on this one; what lies outside is left out.
-    pub fn paste(&mut self, other: &Self, x: u32, y: u32) {
+    pub fn paste_picture(&mut self, other: &Self, x: u32, y: u32) {
         let columns = other.width.min(self.width.saturating_sub(x)) as usize;
         for row in 0..other.height.min(self.height.saturating_sub(y)) {
             let from = row as usize * other.width as usize;
@@ -89,14 +93,14 @@ impl Picture {
 
     /// Writes one line of text, each of its dots a square of `dot` pixels, and returns where it ends. Characters without
     /// a shape are boxes.
-    pub fn write(&mut self, x: u32, y: u32, dot: u32, text: &str, colour: Rgb) -> u32 {
+    pub fn write_text(&mut self, x: u32, y: u32, dot: u32, text: &str, colour: Rgb) -> u32 {
         let mut left = x;
         for c in text.chars() {
             for (row, bits) in font::glyph(c).into_iter().enumerate() {
                 for column in 0..font::WIDTH {
                     if bits >> (font::WIDTH - 1 - column) & 1 == 1 {
                         let at = |start: u32, k: u32| start.saturating_add(k.saturating_mul(dot));
-                        self.fill(at(left, column), at(y, row as u32), dot, dot, colour);
+                        self.fill_rectangle(at(left, column), at(y, row as u32), dot, dot, colour);
                     }
                 }
             }
@@ -116,7 +120,7 @@ impl Picture {
     ///
     /// # Errors
     /// [`Error::Png`] when the encoder fails.
-    pub fn png(&self) -> Result<Vec<u8>, Error> {
+    pub fn encode_png(&self) -> Result<Vec<u8>, Error> {
         let failed = |e: png::EncodingError| Error::Png(e.to_string());
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
@@ -138,9 +142,9 @@ mod tests {
     #[test]
     fn a_png_holds_the_pixels_that_were_drawn() {
         let mut picture = Picture::new(40, 20, [9, 8, 7]).expect("small");
-        picture.fill(30, 15, 100, 100, [1, 2, 3]);
-        picture.write(2, 2, 1, "A", [255, 0, 0]);
-        let png = picture.png().expect("encoded");
+        picture.fill_rectangle(30, 15, 100, 100, [1, 2, 3]);
+        picture.write_text(2, 2, 1, "A", [255, 0, 0]);
+        let png = picture.encode_png().expect("encoded");
         let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().expect("a PNG");
         let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
         let facts = reader.next_frame(&mut pixels).expect("an image");
@@ -155,10 +159,10 @@ mod tests {
     fn nothing_is_drawn_outside_and_nothing_too_large_is_made() {
         let mut picture = Picture::new(4, 4, [0; 3]).expect("small");
         let other = Picture::new(3, 3, [5; 3]).expect("small");
-        picture.paste(&other, 3, 3);
-        picture.paste(&other, 9, 9);
-        picture.fill(u32::MAX, u32::MAX, u32::MAX, u32::MAX, [1; 3]);
-        picture.write(u32::MAX, 0, u32::MAX, "gone", [1; 3]);
+        picture.paste_picture(&other, 3, 3);
+        picture.paste_picture(&other, 9, 9);
+        picture.fill_rectangle(u32::MAX, u32::MAX, u32::MAX, u32::MAX, [1; 3]);
+        picture.write_text(u32::MAX, 0, u32::MAX, "gone", [1; 3]);
         assert_eq!(picture.pixels().iter().filter(|p| **p == [5; 3]).count(), 1);
         assert!(picture.pixels().iter().all(|p| *p != [1; 3]));
         for (w, h) in [(0, 5), (u64::MAX, 2), (1 << 14, 1 << 14)] {

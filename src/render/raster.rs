@@ -3,8 +3,10 @@
 //! The picture is made in bands of rows, each by one thread with buffers of its own; what a pixel shows does not depend
 //! on the band that it lies in. Where two triangles are equally near, the earlier one is seen.
 
-use super::colour::{Rgb, Screen, light};
-use super::{Camera, Picture, Surface};
+use super::camera::Camera;
+use super::colour::{Rgb, SrgbTable, linear_from_hex};
+use super::picture::Picture;
+use super::surface::ShadedSurface;
 use crate::pool::Pool;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -24,28 +26,29 @@ const WIRE: f64 = 1.0;
 const CLAY: u32 = 0xe6_df_d4;
 const SKY: [u32; 2] = [0xfa_fb_fc, 0xdc_e1_e7];
 
-/// The colour of the background's lower end.
-pub fn ground() -> Rgb {
-    Screen::new().rgb(light(SKY[1]))
+/// The colour of the background at its lower end.
+pub fn background_end() -> Rgb {
+    SrgbTable::new().to_srgb(linear_from_hex(SKY[1]))
 }
 
-/// Draws a surface.
-pub fn draw(surface: &Surface, camera: &Camera, pool: &Pool) -> Picture {
+/// Draws a surface as the camera sees it.
+pub fn draw_surface(surface: &ShadedSurface, camera: &Camera, pool: &Pool) -> Picture {
     let size = camera.size();
     let (width, height) = (size.width() as usize, size.height() as usize);
     let pixels = pool.install(|| {
-        let scene = Scene::new(surface, camera);
+        let scene = RasterScene::new(surface, camera);
         let bands: Vec<Vec<Rgb>> = (0..height.div_ceil(BAND))
             .into_par_iter()
-            .map(|band| scene.band(band * BAND, BAND.min(height - band * BAND)))
+            .map(|band| scene.draw_band(band * BAND, BAND.min(height - band * BAND)))
             .collect();
         bands.concat()
     });
-    Picture::of(width as u32, height as u32, pixels)
+    Picture::from_pixels(width as u32, height as u32, pixels)
 }
 
-struct Scene<'a> {
-    surface: &'a Surface,
+/// A surface projected by a camera, with what every band of pixels needs.
+struct RasterScene<'a> {
+    surface: &'a ShadedSurface,
     width: usize,
     height: usize,
     /// Welded vertices in samples, right and down, and towards the eye.
@@ -53,24 +56,24 @@ struct Scene<'a> {
     /// First row of samples of each triangle and the one after its last.
     rows: Vec<[i32; 2]>,
     axes: [Vec3; 3],
-    screen: Screen,
+    screen: SrgbTable,
     sky: [Vec3; 2],
     clay: Vec3,
 }
 
-impl<'a> Scene<'a> {
-    fn new(surface: &'a Surface, camera: &Camera) -> Self {
+impl<'a> RasterScene<'a> {
+    fn new(surface: &'a ShadedSurface, camera: &Camera) -> Self {
         let fine = SAMPLES as f64;
         let projected: Vec<DVec3> = surface
             .positions()
             .par_iter()
-            .map(|&p| camera.project(p) * fine)
+            .map(|&p| camera.project_point(p) * fine)
             .collect();
         let rows = surface
             .triangles()
             .par_iter()
             .map(|t| {
-                let [low, high] = reach(t.map(|v| projected[v as usize].y));
+                let [low, high] = sample_range(t.map(|v| projected[v as usize].y));
                 [low as i32, high as i32]
             })
             .collect();
@@ -81,14 +84,14 @@ impl<'a> Scene<'a> {
             projected,
             rows,
             axes: camera.axes().map(|a| a.as_vec3()),
-            screen: Screen::new(),
-            sky: SKY.map(light),
-            clay: light(CLAY),
+            screen: SrgbTable::new(),
+            sky: SKY.map(linear_from_hex),
+            clay: linear_from_hex(CLAY),
         }
     }
 
-    /// The pixels of `rows` rows from row `first` on.
-    fn band(&self, first: usize, rows: usize) -> Vec<Rgb> {
+    /// Draws `rows` rows of pixels from row `first` on.
+    fn draw_band(&self, first: usize, rows: usize) -> Vec<Rgb> {
         let wide = self.width * SAMPLES;
         let (top, bottom) = (first * SAMPLES, (first + rows) * SAMPLES);
         let mut depth = vec![f64::NEG_INFINITY; wide * (bottom - top)];
@@ -97,14 +100,16 @@ impl<'a> Scene<'a> {
             if *high <= top as i32 || *low >= bottom as i32 {
                 continue;
             }
-            let corners = self.corners(t);
-            let Some(share) = Shares::of(corners) else { continue };
-            let [left, right] = reach(corners.map(|c| c.x)).map(|x| x.clamp(0.0, wide as f64) as usize);
+            let corners = self.projected_corners(t);
+            let Some(share) = CornerShares::from_corners(corners) else {
+                continue;
+            };
+            let [left, right] = sample_range(corners.map(|c| c.x)).map(|x| x.clamp(0.0, wide as f64) as usize);
             let y_range = (*low).max(top as i32) as usize..(*high).min(bottom as i32) as usize;
             for y in y_range {
                 let row = (y - top) * wide;
                 for x in left..right {
-                    let weights = share.at(x, y);
+                    let weights = share.at_sample(x, y);
                     if weights.iter().any(|&w| w < -SLACK) {
                         continue;
                     }
@@ -118,7 +123,7 @@ impl<'a> Scene<'a> {
         }
         let mut pixels = Vec::with_capacity(rows * self.width);
         for y in 0..rows {
-            let sky = self.sky(first + y);
+            let sky = self.background_at(first + y);
             for x in 0..self.width {
                 let mut sum = Vec3::ZERO;
                 for down in 0..SAMPLES {
@@ -126,32 +131,32 @@ impl<'a> Scene<'a> {
                         let (sx, sy) = (x * SAMPLES + across, y * SAMPLES + down);
                         sum += match seen[sy * wide + sx] {
                             NOTHING => sky,
-                            t => self.shade(t as usize, sx, top + sy),
+                            t => self.shade_sample(t as usize, sx, top + sy),
                         };
                     }
                 }
-                pixels.push(self.screen.rgb(sum / (SAMPLES * SAMPLES) as f32));
+                pixels.push(self.screen.to_srgb(sum / (SAMPLES * SAMPLES) as f32));
             }
         }
         pixels
     }
 
-    fn corners(&self, t: usize) -> [DVec3; 3] {
+    fn projected_corners(&self, t: usize) -> [DVec3; 3] {
         self.surface.triangles()[t].map(|v| self.projected[v as usize])
     }
 
-    fn sky(&self, row: usize) -> Vec3 {
+    fn background_at(&self, row: usize) -> Vec3 {
         let share = row as f32 / (self.height - 1).max(1) as f32;
         self.sky[0] + (self.sky[1] - self.sky[0]) * share
     }
 
-    /// Light from a triangle at a sample.
-    fn shade(&self, t: usize, x: usize, y: usize) -> Vec3 {
-        let corners = self.corners(t);
-        let Some(share) = Shares::of(corners) else {
+    /// The light that comes from a triangle at a sample.
+    fn shade_sample(&self, t: usize, x: usize, y: usize) -> Vec3 {
+        let corners = self.projected_corners(t);
+        let Some(share) = CornerShares::from_corners(corners) else {
             return self.clay;
         };
-        let weights = share.at(x, y);
+        let weights = share.at_sample(x, y);
         let [a, b, c] = weights.map(|w| w as f32);
         let normals = &self.surface.normals()[t];
         let mixed = normals[0] * a + normals[1] * b + normals[2] * c;
@@ -161,18 +166,18 @@ impl<'a> Scene<'a> {
         let faces_away = share.whole > 0.0;
         let normal = if faces_away { -normal } else { normal };
         let normal = Vec3::new(normal.x, normal.y, normal.z.max(0.0)).normalize_or(Vec3::Z);
-        let behind = faces_away != self.surface.inside_out();
+        let behind = faces_away != self.surface.is_inside_out();
         let mut lit = match self.surface.colours() {
             Some(colours) => {
                 let [p, q, r] = self.surface.triangles()[t].map(|v| colours[v as usize]);
-                matt(normal) * (p * a + q * b + r * c)
+                shade_matt(normal) * (p * a + q * b + r * c)
             }
-            None => glossy(normal, self.clay),
+            None => shade_clay(normal, self.clay),
         };
         if behind {
             lit *= Vec3::new(0.55, 0.47, 0.43);
         }
-        if self.surface.wires() {
+        if self.surface.has_wires() {
             // How far the sample is from the nearest edge, in samples.
             let from_edge = (0..3)
                 .map(|k| weights[k].max(0.0) * share.heights[k])
@@ -185,16 +190,16 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// First row (or column) of samples whose middle is at or after the least number, and the one after the last.
-fn reach(numbers: [f64; 3]) -> [f64; 2] {
+/// The first row (or column) of samples whose middle is at or after the least number, and the one after the last.
+fn sample_range(numbers: [f64; 3]) -> [f64; 2] {
     let [a, b, c] = numbers;
     let (low, high) = (a.min(b).min(c), a.max(b).max(c));
     // Casts of the result saturate.
     [(low - 0.5 - SLACK).ceil(), (high - 0.5 + SLACK).floor() + 1.0]
 }
 
-/// What share each corner of a triangle has in a point of it.
-struct Shares {
+/// The shares that the corners of a triangle have in each of its points (barycentric coordinates).
+struct CornerShares {
     corners: [DVec3; 3],
     /// Twice the signed area in samples.
     whole: f64,
@@ -202,9 +207,9 @@ struct Shares {
     heights: [f64; 3],
 }
 
-impl Shares {
+impl CornerShares {
     /// `None` for a triangle seen edge-on.
-    fn of(corners: [DVec3; 3]) -> Option<Self> {
+    fn from_corners(corners: [DVec3; 3]) -> Option<Self> {
         let [a, b, c] = corners.map(|p| p.truncate());
         let whole = (b - a).perp_dot(c - a);
         let heights = [c - b, a - c, b - a].map(|edge| whole.abs() / edge.length());
@@ -215,7 +220,7 @@ impl Shares {
         })
     }
 
-    fn at(&self, x: usize, y: usize) -> [f64; 3] {
+    fn at_sample(&self, x: usize, y: usize) -> [f64; 3] {
         let [a, b, c] = self.corners.map(|p| p.truncate());
         let p = glam::DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
         let first = (b - p).perp_dot(c - p) / self.whole;
@@ -224,32 +229,32 @@ impl Shares {
     }
 }
 
-/// Light that falls on a place: a large lamp at the upper left, a small one at the right, and the sky. The normal is
+/// The light that a place receives from a large lamp at the upper left, a small one at the right, and the sky. The normal is
 /// right, up, towards the eye.
-fn falling(normal: Vec3) -> f32 {
+fn received_light(normal: Vec3) -> f32 {
     let key = normal.dot(Vec3::new(-0.424, 0.565, 0.707)).max(0.0);
     let fill = normal.dot(Vec3::new(0.842, 0.0, 0.539)).max(0.0);
     let sky = 0.5 + 0.5 * normal.y;
     0.78 * key + 0.16 * fill + 0.13 * sky + 0.06
 }
 
-/// For clay: full contrast, a soft highlight, darker towards the outline.
-fn glossy(normal: Vec3, colour: Vec3) -> Vec3 {
+/// Shades clay: full contrast, a soft highlight, darker towards the outline.
+fn shade_clay(normal: Vec3, colour: Vec3) -> Vec3 {
     // Half-way between the lamp and the eye.
     let shine = normal.dot(Vec3::new(-0.229, 0.306, 0.924)).max(0.0);
     let shine = (0..5).fold(shine, |s, _| s * s);
     let outline = 0.72 + 0.28 * normal.z;
-    colour * falling(normal) * outline + Vec3::splat(0.10 * shine)
+    colour * received_light(normal) * outline + Vec3::splat(0.10 * shine)
 }
 
-/// For colours that stand for numbers: little contrast, no highlight.
-fn matt(normal: Vec3) -> f32 {
-    0.42 + 0.58 * falling(normal)
+/// Shades colours that stand for numbers: little contrast, no highlight.
+fn shade_matt(normal: Vec3) -> f32 {
+    0.42 + 0.58 * received_light(normal)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Size, Up, View};
+    use super::super::camera::{PictureSize, UpAxis, ViewDirection};
     use super::*;
 
     fn pool(threads: usize) -> Pool {
@@ -257,11 +262,11 @@ mod tests {
     }
 
     fn picture(p: &[DVec3], t: &[[u32; 3]], size: (u32, u32), threads: usize) -> Picture {
-        let surface = Surface::new(p, t, &pool(threads)).expect("a surface");
-        let view = View::new(0.0, 0.0, Up::Y).expect("in range");
-        let size = Size::new(size.0, size.1).expect("in range");
-        let camera = &Camera::around(&[&surface], &[view], size)[0];
-        draw(&surface, camera, &pool(threads))
+        let surface = ShadedSurface::new(p, t, &pool(threads)).expect("a surface");
+        let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
+        let size = PictureSize::new(size.0, size.1).expect("in range");
+        let camera = &Camera::around_surfaces(&[&surface], &[view], size)[0];
+        draw_surface(&surface, camera, &pool(threads))
     }
 
     fn square(z: f64, half: f64) -> [DVec3; 4] {
@@ -293,11 +298,11 @@ mod tests {
         let (back, front) = ([[0, 1, 2], [0, 2, 3]], [[4, 5, 6], [4, 6, 7]]);
         let colours: Vec<Vec3> = (0..8).map(|v| if v < 4 { Vec3::X } else { Vec3::Z }).collect();
         for triangles in [[back, front].concat(), [front, back].concat()] {
-            let surface = Surface::new(&p, &triangles, &pool(1)).expect("a surface");
-            let surface = surface.coloured(&colours).expect("one for each");
-            let view = View::new(0.0, 0.0, Up::Y).expect("in range");
-            let camera = &Camera::around(&[&surface], &[view], Size::new(64, 64).expect("in range"))[0];
-            let picture = draw(&surface, camera, &pool(1));
+            let surface = ShadedSurface::new(&p, &triangles, &pool(1)).expect("a surface");
+            let surface = surface.with_colours(&colours).expect("one for each");
+            let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
+            let camera = &Camera::around_surfaces(&[&surface], &[view], PictureSize::new(64, 64).expect("in range"))[0];
+            let picture = draw_surface(&surface, camera, &pool(1));
             let [middle, rim] = [picture.pixel(32, 32), picture.pixel(8, 32)].map(|p| p.expect("inside"));
             assert!(middle[2] > 100 && middle[0] == 0, "{middle:?}");
             assert!(rim[0] > 100 && rim[2] == 0, "{rim:?}");

@@ -1,6 +1,6 @@
 //! A surface made ready to be drawn: welded, with a normal for every corner of every triangle and maybe colours.
 
-use super::Error;
+use super::error::Error;
 use crate::mesh::{Lists, Mesh, Weld};
 use crate::pool::Pool;
 use glam::{DVec3, Vec3};
@@ -11,9 +11,9 @@ const CREASE: f64 = 0.766;
 /// Faces around a vertex from which on they are not compared one by one.
 const MANY: usize = 48;
 
-/// A surface to draw.
+/// A shaded surface is triangles made ready to be drawn.
 #[derive(Debug, Clone)]
-pub struct Surface {
+pub struct ShadedSurface {
     mesh: Mesh,
     vertices: usize,
     normals: Vec<[Vec3; 3]>,
@@ -22,7 +22,7 @@ pub struct Surface {
     wires: bool,
 }
 
-impl Surface {
+impl ShadedSurface {
     /// Takes triangles over positions. Vertices at the same place are one, so that seams of a model do not show.
     ///
     /// # Errors
@@ -66,11 +66,11 @@ impl Surface {
         })
     }
 
-    /// Colours the surface: linear light for every vertex that [`Surface::new`] was given.
+    /// Colours the surface: linear light for every vertex that [`ShadedSurface::new`] was given.
     ///
     /// # Errors
     /// [`Error::Count`] when there are more or fewer.
-    pub fn coloured(mut self, colours: &[Vec3]) -> Result<Self, Error> {
+    pub fn with_colours(mut self, colours: &[Vec3]) -> Result<Self, Error> {
         if colours.len() != self.vertices {
             return Err(Error::Count {
                 what: "colours",
@@ -107,7 +107,7 @@ impl Surface {
     }
 
     /// Whether the faces of a closed surface look inwards.
-    pub(super) fn inside_out(&self) -> bool {
+    pub(super) fn is_inside_out(&self) -> bool {
         self.inside_out
     }
 
@@ -115,12 +115,12 @@ impl Surface {
         (!self.colours.is_empty()).then_some(self.colours.as_slice())
     }
 
-    pub(super) fn wires(&self) -> bool {
+    pub(super) fn has_wires(&self) -> bool {
         self.wires
     }
 }
 
-/// For every corner the mean of the faces around its vertex that are nearly parallel to its own; zero where a face has
+/// Computes for every corner the mean normal of the faces around its vertex that are nearly parallel to its own; zero where a face has
 /// no area.
 fn corner_normals(mesh: &Mesh, faces: &[DVec3]) -> Vec<[Vec3; 3]> {
     let around = Lists::gather(mesh.positions.len(), || {
@@ -181,7 +181,10 @@ mod tests {
     fn seams_are_smooth_and_creases_are_sharp() {
         let normals = |degrees: f64| {
             let (p, t) = fold(degrees);
-            Surface::new(&p, &t, &pool()).expect("a surface").normals().to_vec()
+            ShadedSurface::new(&p, &t, &pool())
+                .expect("a surface")
+                .normals()
+                .to_vec()
         };
         let gentle = normals(20.0);
         // Vertex 1 and vertex 4 lie at the same place and look the same way.
@@ -193,15 +196,15 @@ mod tests {
 
     #[test]
     fn what_is_no_surface_is_refused() {
-        let text = |p: &[DVec3], t: &[[u32; 3]]| Surface::new(p, t, &pool()).expect_err("refused").to_string();
+        let text = |p: &[DVec3], t: &[[u32; 3]]| ShadedSurface::new(p, t, &pool()).expect_err("refused").to_string();
         assert!(text(&[], &[]).contains("nothing to draw"));
         assert!(text(&[DVec3::ONE; 3], &[[0, 1, 2]]).contains("none of 1 triangles"));
         let p = [DVec3::ZERO, DVec3::X, DVec3::NAN];
         assert!(text(&p, &[[0, 1, 2]]).contains("vertex 2"));
         assert!(text(&p, &[[0, 1, 7]]).contains("vertex 7"));
         let (p, t) = fold(10.0);
-        let surface = Surface::new(&p, &t, &pool()).expect("a surface");
-        let count = surface.coloured(&[Vec3::ONE; 3]).expect_err("too few").to_string();
+        let surface = ShadedSurface::new(&p, &t, &pool()).expect("a surface");
+        let count = surface.with_colours(&[Vec3::ONE; 3]).expect_err("too few").to_string();
         assert!(count.contains('3') && count.contains('8'), "{count}");
     }
 }

@@ -266,7 +266,15 @@ mod tests {
             (wire::Error::Unimplemented(text("method SPATIAL_RBF")), 501, None),
             (wire::Error::Cancelled, 499, None),
             (wire::Error::Internal(text("a defect")), 500, None),
-            (asset::Error::UnknownFormat { place: text("a.txt") }.into(), 400, None),
+            (
+                asset::Error::UnknownFormat {
+                    place: text("a.txt"),
+                    allowed: text("glb"),
+                }
+                .into(),
+                400,
+                None,
+            ),
             (
                 asset::Error::TooLarge {
                     what: "triangles",

@@ -24,7 +24,7 @@ impl OpenOptions {
             name => Some(Format::from_name(name).ok_or_else(|| {
                 Error::invalid(
                     "format",
-                    format!("is \"{name}\", allowed are glb, gltf, obj, ply, off and stl"),
+                    format!("is \"{name}\", allowed are {}", Format::name_list("and")),
                 )
             })?),
         };

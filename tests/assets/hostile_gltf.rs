@@ -3,8 +3,9 @@
 
 use crate::support::gltf_sets;
 
+use crate::support::data::data_folder;
 use glam::DVec3;
-use gltf_sets::{data_folder, file_set, gltf_files};
+use gltf_sets::{file_set, gltf_files};
 use pliant::asset::{Error, FileSet, Format, Limits, Model};
 use proptest::prelude::*;
 use std::collections::BTreeMap;

@@ -4,9 +4,10 @@ use crate::support::gltf_parsed;
 use crate::support::gltf_sets;
 use crate::support::khronos;
 
+use crate::support::data::data_folder;
 use glam::DVec3;
 use gltf_parsed::{Parsed, parse};
-use gltf_sets::{data_folder, file_set, gltf_files};
+use gltf_sets::{file_set, gltf_files};
 use pliant::asset::{FileSet, Format, Limits, Model, Primitive, WrittenFiles};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};

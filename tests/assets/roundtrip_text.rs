@@ -1,22 +1,10 @@
 //! OBJ, PLY, OFF and STL in and out: real meshes survive a round trip, hostile files are refused, nothing panics.
 
+use crate::support::data::{data_path, tell_skipped};
 use glam::DVec3;
 use pliant::asset::{Error, FileSet, Format, Geometry, Limits, Model, sample};
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
-
-/// The folder with test data, or `None` after saying what is skipped for lack of it.
-fn data(part: &str) -> Option<PathBuf> {
-    let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let folder = std::env::var_os("PLIANT_DATA")
-        .map_or_else(default, PathBuf::from)
-        .join(part);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {} is not there; set PLIANT_DATA", folder.display());
-    None
-}
 
 fn files_of(folder: &Path, extensions: &[&str]) -> Vec<PathBuf> {
     let mut found: Vec<_> = std::fs::read_dir(folder)
@@ -52,7 +40,9 @@ fn twist(positions: &[DVec3]) -> Vec<DVec3> {
 
 #[test]
 fn every_mesh_comes_back_as_it_was_and_as_it_was_moved() {
-    let Some(folder) = data("meshes") else { return };
+    let Some(folder) = data_path("text formats", "meshes") else {
+        return;
+    };
     let paths = files_of(&folder, &["obj", "ply", "off"]);
     assert!(paths.len() > 30, "only {} meshes in {}", paths.len(), folder.display());
     for path in paths {
@@ -112,7 +102,9 @@ fn every_mesh_comes_back_as_it_was_and_as_it_was_moved() {
 
 #[test]
 fn one_moved_vertex_changes_one_line() {
-    let Some(folder) = data("meshes") else { return };
+    let Some(folder) = data_path("text formats", "meshes") else {
+        return;
+    };
     for path in files_of(&folder, &["obj", "off"]) {
         let files = load(&path);
         let model = read(files.clone()).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
@@ -136,7 +128,9 @@ fn one_moved_vertex_changes_one_line() {
 
 #[test]
 fn conversion_keeps_positions_triangles_and_normals() {
-    let Some(folder) = data("meshes") else { return };
+    let Some(folder) = data_path("text formats", "meshes") else {
+        return;
+    };
     for name in ["spot.obj", "cow.off", "non_manif_hole.ply", "suzanne.obj"] {
         let model = read(load(&folder.join(name))).unwrap_or_else(|e| panic!("{name}: {e}"));
         let moved = twist(&model.positions);
@@ -162,7 +156,9 @@ fn conversion_keeps_positions_triangles_and_normals() {
 /// What the notes beside the data say of each text file: 4xx is an error, 200 is a model.
 #[test]
 fn hostile_texts_get_the_answer_they_should() {
-    let Some(folder) = data("hostile") else { return };
+    let Some(folder) = data_path("hostile text files", "hostile") else {
+        return;
+    };
     for (name, good) in [
         ("text/obj_index_zero.obj", false),
         ("text/obj_negative_indices.obj", true),
@@ -179,7 +175,7 @@ fn hostile_texts_get_the_answer_they_should() {
     ] {
         let path = folder.join(name);
         if !path.is_file() {
-            println!("skipped: {} is not there", path.display());
+            tell_skipped("a hostile text file", &format!("{} is not there", path.display()));
             continue;
         }
         match read(load(&path)) {

@@ -4,6 +4,7 @@
 //! The Python packages go into `target/clients` by the commands that `deploy/docs/other-languages.md` shows. What this machine lacks (bash, curl,
 //! python3, a network to fetch packages) is said and skipped; everything else must hold.
 
+use crate::support::data::{data_root, tell_skipped};
 use pliant::asset::{FileSet, Limits, Model};
 use std::fs;
 use std::io::{BufRead as _, BufReader, Write as _};
@@ -190,7 +191,7 @@ fn assert_bent(rest: &[[f64; 3]], bent: &[[f64; 3]]) {
 fn the_tour_of_the_readme() {
     for program in ["bash", "curl", "python3"] {
         if !has(program) {
-            return println!("skipped: the tour needs {program}, which this machine lacks");
+            return tell_skipped("the tour", &format!("there is no {program}"));
         }
     }
     let server = Server::start();
@@ -215,7 +216,7 @@ fn the_tour_of_the_readme() {
 
     let python = match python() {
         Ok(python) => python,
-        Err(reason) => return println!("skipped: the Python half of the tour, because {reason}"),
+        Err(reason) => return tell_skipped("the Python half of the tour", reason),
     };
     let mut client = Command::new(python);
     client
@@ -239,7 +240,7 @@ fn the_tour_of_the_readme() {
 fn a_pipeline_script_over_grpc() {
     let python = match python() {
         Ok(python) => python,
-        Err(reason) => return println!("skipped: the pipeline script, because {reason}"),
+        Err(reason) => return tell_skipped("the pipeline script", reason),
     };
     let server = Server::start();
     let mut client = Command::new(python);
@@ -273,9 +274,7 @@ fn the_python_package_passes_its_own_tests() {
     {
         tell(line).unwrap_or(());
     }
-    let data = root().join("../shared/data");
-    let data = std::env::var_os("PLIANT_DATA").map_or(data, PathBuf::from);
-    let armadillo = data.join("meshes/armadillo.obj").is_file();
+    let armadillo = data_root().join("meshes/armadillo.obj").is_file();
     let skipped = said.contains("there is no folder of test models") || said.contains("armadillo.obj");
     assert!(
         !armadillo || !skipped,

@@ -6,9 +6,10 @@ use crate::support::khronos;
 mod real;
 use crate::support::recipes;
 
+use crate::support::data::data_folder;
 use glam::{DAffine3, DVec3};
 use gltf_parsed::{Parsed, parse};
-use gltf_sets::{data_folder, file_set, gltf_files};
+use gltf_sets::{file_set, gltf_files};
 use pliant::asset::{BaseModel, FileSet, Format, Limits, Model, write_edited_model};
 use proptest::prelude::*;
 use recipes::{Edited, at_rest, read_back, size};

@@ -4,13 +4,14 @@ use crate::support::gltf_parsed;
 use crate::support::khronos;
 use crate::support::recipes;
 
+use crate::support::data::data_path;
 use glam::{DAffine3, DVec3};
 use pliant::asset::{
     BaseModel, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends, sample, write_edited_model,
 };
 use proptest::prelude::*;
 use recipes::{Edited, at_rest, read_back, size};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 fn open(name: &str, main: impl Into<Vec<u8>>) -> Model {
     Model::read(FileSet::single(name, main.into()), None, &Limits::default()).expect("readable")
@@ -243,21 +244,10 @@ fn an_off_and_an_stl_keep_colours_and_attributes() {
     assert_eq!(attributes, [0, 0, 0, 0, 1, 1, 1, 1]);
 }
 
-/// The folder with meshes, or `None` after saying what is skipped for lack of it.
-fn meshes() -> Option<PathBuf> {
-    let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let folder = std::env::var_os("PLIANT_DATA")
-        .map_or_else(default, PathBuf::from)
-        .join("meshes");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {} is not there; set PLIANT_DATA", folder.display());
-    None
-}
-
 fn real_models() -> Vec<(String, Model)> {
-    let Some(folder) = meshes() else { return Vec::new() };
+    let Some(folder) = data_path("text formats after edits", "meshes") else {
+        return Vec::new();
+    };
     let mut paths: Vec<PathBuf> = std::fs::read_dir(folder)
         .expect("a readable folder")
         .map(|entry| entry.expect("a readable entry").path())

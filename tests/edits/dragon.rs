@@ -1,5 +1,6 @@
 //! A tail pulled to more than four times its length in several commits, with automatic remeshing in between.
 
+use crate::support::data::data_bytes;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode};
@@ -33,10 +34,7 @@ struct Tail {
 
 /// The tail of the dinosaur of the data folder; without it, a ridged horn on a block.
 fn tail() -> (Tail, &'static str) {
-    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data");
-    let folder = std::env::var("PLIANT_DATA").unwrap_or_else(|_| default.to_owned());
-    let path = std::path::Path::new(&folder).join("meshes/arap_dino.off");
-    if let Ok(bytes) = std::fs::read(&path) {
+    if let Some(bytes) = data_bytes("meshes/arap_dino.off") {
         let tail = Tail {
             files: FileSet::single("arap_dino.off", bytes),
             along: DVec3::new(0.9, -0.05, 0.43),
@@ -46,10 +44,6 @@ fn tail() -> (Tail, &'static str) {
         };
         return (tail, "the dinosaur's tail");
     }
-    println!(
-        "skipped the dinosaur: {} cannot be read; a generated horn instead",
-        path.display()
-    );
     (horn(), HORN)
 }
 

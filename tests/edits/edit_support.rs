@@ -1,6 +1,7 @@
 //! Models for tests of edits: generated shapes, and the data meshes in a plain reading.
 #![allow(dead_code)]
 
+use crate::support::data::data_bytes;
 pub use crate::support::shapes;
 
 use glam::DVec3;
@@ -94,13 +95,8 @@ pub fn only_moved(model: &Model, patch: &pliant::edit::SurfacePatch) -> Model {
 /// Reads the vertices and faces of an OFF or OBJ file of the data folder; polygons become fans. `None`, with a line that
 /// says so, when the folder is missing.
 pub fn data(name: &str) -> Option<Model> {
-    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data");
-    let folder = std::env::var("PLIANT_DATA").unwrap_or_else(|_| default.to_owned());
-    let path = std::path::Path::new(&folder).join("meshes").join(name);
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        eprintln!("skipped {name}: {} cannot be read", path.display());
-        return None;
-    };
+    let bytes = data_bytes(&format!("meshes/{name}"))?;
+    let text = String::from_utf8(bytes).expect("a text");
     let shape = if name.ends_with(".obj") { obj(&text) } else { off(&text) };
     Some(Model::of(shape))
 }

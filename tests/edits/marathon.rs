@@ -5,6 +5,7 @@ mod cycles;
 mod script;
 mod sessions;
 
+use crate::support::data::data_bytes;
 use checks::Before;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
@@ -250,14 +251,7 @@ fn an_open_sheet() {
 
 /// A model of the data folder; `None`, and a line that says so, without it.
 fn data(name: &str) -> Option<FileSet> {
-    let path = crate::support::server::data_folder(name)?.join(name);
-    match std::fs::read(&path) {
-        Ok(bytes) => Some(FileSet::single(name, bytes)),
-        Err(e) => {
-            println!("skipped {name}: {e}");
-            None
-        }
-    }
+    data_bytes(name).map(|bytes| FileSet::single(name, bytes))
 }
 
 #[test]

@@ -3,6 +3,7 @@
 
 use crate::support::khronos;
 
+use crate::support::data::{data_root, tell_skipped};
 use glam::DVec3;
 use pliant::asset::FileSet;
 use pliant::engine::{Deformer, DeformerLimits, SolveMode};
@@ -93,14 +94,9 @@ fn whole(bench: &Deformer, name: &str) {
 
 #[test]
 fn four_models_become_one_statue() {
-    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let data = std::env::var_os("PLIANT_DATA").map_or(default, PathBuf::from);
+    let data = data_root();
     if let Some((_, missing)) = PARTS.iter().find(|(_, file)| !data.join(file).is_file()) {
-        println!(
-            "skipped the statue: no {}; PLIANT_DATA names the folder",
-            data.join(missing).display()
-        );
-        return;
+        return tell_skipped("the statue", &format!("{} is not there", data.join(missing).display()));
     }
     let folder = tempfile::tempdir().expect("a folder");
     let folder = folder.path();

@@ -1,5 +1,6 @@
 //! Edits on every model of the data folder, hostile ones included: a result or a reason in one line, never a panic.
 
+use crate::support::data::{data_folder, files_below};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Model};
 use pliant::engine::{Deformer, DeformerLimits, EditCommand, digest};
@@ -18,20 +19,8 @@ const SMALL: usize = 60;
 /// Models with more vertices get two edits each, in rotation, and no inside.
 const LARGE: usize = 12_000;
 
-fn data_folder() -> PathBuf {
-    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    std::env::var_os("PLIANT_DATA").map_or(default, PathBuf::from)
-}
-
-fn models_under(folder: &Path, found: &mut Vec<PathBuf>) {
-    let Ok(entries) = std::fs::read_dir(folder) else { return };
-    for path in entries.flatten().map(|e| e.path()) {
-        if path.is_dir() {
-            models_under(&path, found);
-        } else if Format::from_file_name(&path.to_string_lossy()).is_some() {
-            found.push(path);
-        }
-    }
+fn is_model(path: &Path) -> bool {
+    Format::from_file_name(&path.to_string_lossy()).is_some()
 }
 
 fn files_of(path: &Path) -> Option<FileSet> {
@@ -204,16 +193,16 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
 
 #[test]
 fn every_model_is_edited_or_says_why_not() {
-    let data = data_folder();
-    let mut models = Vec::new();
-    for folder in ["meshes", "gltf", "hostile"] {
-        models_under(&data.join(folder), &mut models);
-    }
-    models.sort();
-    if models.is_empty() {
-        println!("skipped: no models under {}", data.display());
+    let Some(data) = data_folder("edits of every model") else {
         return;
-    }
+    };
+    let folders = ["meshes", "gltf", "hostile"].map(|folder| data.join(folder));
+    let mut models: Vec<PathBuf> = folders
+        .iter()
+        .flat_map(|folder| files_below(folder, is_model))
+        .collect();
+    models.sort();
+    assert!(!models.is_empty(), "no models under {}", data.display());
     let next = Mutex::new(models.iter().enumerate());
     let results = Mutex::new(Vec::new());
     std::thread::scope(|scope| {

@@ -1,5 +1,6 @@
 //! Graphs of real meshes; needs the data folder.
 
+use crate::support::data::data_bytes;
 use glam::DVec3;
 use pliant::exec::Exec;
 use pliant::graph::{VolumeOptions, volume};
@@ -12,15 +13,10 @@ use crate::support::shapes;
 
 #[test]
 fn real_meshes_get_the_node_counts_of_the_paper() {
-    let folder = std::env::var_os("PLIANT_DATA").map_or_else(
-        || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        std::path::PathBuf::from,
-    );
-    let path = folder.join("meshes/armadillo.obj");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        println!("skipped: {} is missing; set PLIANT_DATA", path.display());
+    let Some(bytes) = data_bytes("meshes/armadillo.obj") else {
         return;
     };
+    let text = String::from_utf8(bytes).expect("a text");
     let mut shape: Shape = Default::default();
     for line in text.lines() {
         let mut words = line.split_whitespace();

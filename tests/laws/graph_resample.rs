@@ -1,6 +1,7 @@
 //! Laws of graphs that follow an edit: what the graph promises holds, far nodes keep their bits, near ones are what a new
 //! graph would have.
 
+use crate::support::data::data_bytes;
 use glam::DVec3;
 use laws::*;
 use pliant::asset::{FileSet, Limits, Model};
@@ -477,13 +478,7 @@ fn two_hundred_edits_in_sequence_keep_what_a_graph_promises() {
 
 #[test]
 fn edits_of_a_real_mesh_are_followed() {
-    let folder = std::env::var_os("PLIANT_DATA").map_or_else(
-        || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        std::path::PathBuf::from,
-    );
-    let path = folder.join("meshes/armadillo.obj");
-    let Ok(bytes) = std::fs::read(&path) else {
-        println!("skipped: {} is missing; set PLIANT_DATA", path.display());
+    let Some(bytes) = data_bytes("meshes/armadillo.obj") else {
         return;
     };
     let read = Model::read(FileSet::single("armadillo.obj", bytes), None, &Limits::default()).expect("a model");

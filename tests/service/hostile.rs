@@ -1,6 +1,7 @@
 //! Broken and malicious models through the front door: every one gets a clear answer, the server serves on, and memory
 //! stays bounded. What the right answer is, the data folder's manifest says.
 
+use crate::support::data::data_folder;
 use crate::support::process::{peak_memory, runs_alone};
 use crate::support::server::*;
 use serde_json::{Value, json};

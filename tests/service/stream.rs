@@ -2,6 +2,7 @@
 
 mod sockets;
 
+use crate::support::data::{data_folder, tell_skipped};
 use crate::support::process::{memory, runs_alone};
 use crate::support::server::*;
 use pliant::wire::pb::{self, deform_request, deform_response};
@@ -112,7 +113,7 @@ async fn a_scan_at_60_hz_ends_with_the_last_pose_and_holds_no_growing_memory() {
         return;
     };
     let Ok(model) = std::fs::read_to_string(data.join("meshes/armadillo.obj")) else {
-        println!("skipped the stream on armadillo.obj: it is not in the data folder");
+        tell_skipped("the stream on armadillo.obj", "it is not in the data folder");
         return;
     };
     let server = Server::start().await;

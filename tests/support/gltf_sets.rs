@@ -1,41 +1,15 @@
 //! Finds the glTF files of the data folder, each with the companions that lie beside it.
 
+use super::data::files_below;
 use bytes::Bytes;
 use pliant::asset::FileSet;
 use std::path::{Path, PathBuf};
 
-/// The data folder; `None`, and a line that says so, when it is not there.
-pub fn data_folder(what: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("PLIANT_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        PathBuf::from,
-    );
-    if folder.join("gltf").is_dir() {
-        return Some(folder);
-    }
-    println!(
-        "skipped {what}: no data folder at {}; PLIANT_DATA names it",
-        folder.display()
-    );
-    None
-}
-
 /// Every .glb and .gltf below a folder, in order.
 pub fn gltf_files(folder: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    let mut open = vec![folder.to_path_buf()];
-    while let Some(folder) = open.pop() {
-        for entry in std::fs::read_dir(&folder).expect("a readable folder") {
-            let path = entry.expect("a readable entry").path();
-            if path.is_dir() {
-                open.push(path);
-            } else if path.extension().is_some_and(|e| e == "glb" || e == "gltf") {
-                found.push(path);
-            }
-        }
-    }
-    found.sort();
-    found
+    files_below(folder, |path| {
+        path.extension().is_some_and(|e| e == "glb" || e == "gltf")
+    })
 }
 
 /// The set that an upload of this file would be: for .gltf, with every file beside it that is no model of its own.

@@ -1,9 +1,11 @@
 //! Asks the Khronos glTF validator, where it can be had.
 
+use super::data::tell_skipped;
 use pliant::asset::WrittenFiles;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// Error and warning codes that the validator finds in each file.
 pub type Findings = BTreeMap<PathBuf, BTreeSet<String>>;
@@ -12,6 +14,9 @@ pub type Findings = BTreeMap<PathBuf, BTreeSet<String>>;
 pub fn validate(files: &[PathBuf]) -> Option<Findings> {
     use std::io::Write as _;
     use std::process::{Command, Stdio};
+    // One test installs it; the others wait.
+    static INSTALLING: Mutex<()> = Mutex::new(());
+    let installing = INSTALLING.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("gltf-validator");
     if !folder.join("node_modules/gltf-validator").is_dir() {
         std::fs::create_dir_all(&folder).expect("a writable target folder");
@@ -24,10 +29,11 @@ pub fn validate(files: &[PathBuf]) -> Option<Findings> {
             .stderr(Stdio::null())
             .status();
         if !done.is_ok_and(|status| status.success()) {
-            println!("skipped the Khronos validator: npm is missing or cannot reach its registry");
+            tell_skipped("the Khronos validator", "npm is missing or cannot reach its registry");
             return None;
         }
     }
+    drop(installing);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/validate_gltf.mjs");
     let mut node = Command::new("node");
     let node = node
@@ -37,7 +43,7 @@ pub fn validate(files: &[PathBuf]) -> Option<Findings> {
         .stdout(Stdio::piped())
         .spawn();
     let Ok(mut node) = node else {
-        println!("skipped the Khronos validator: node is missing");
+        tell_skipped("the Khronos validator", "node is missing");
         return None;
     };
     let names: Vec<String> = files.iter().map(|f| f.display().to_string()).collect();

@@ -11,7 +11,6 @@ use prost::Message as _;
 use serde_json::{Value, json};
 use std::future::Future;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
@@ -277,22 +276,6 @@ pub fn floats(bytes: &[u8]) -> Vec<f32> {
         .chunks_exact(4)
         .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
         .collect()
-}
-
-/// The data folder; `None`, and a line that says so, when it is not there.
-pub fn data_folder(what: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("PLIANT_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        PathBuf::from,
-    );
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!(
-        "skipped {what}: no data folder at {}; PLIANT_DATA names it",
-        folder.display()
-    );
-    None
 }
 
 /// Waits until a condition holds; timing does not decide, only whether it ever does.

@@ -1,10 +1,10 @@
 //! The command line as scripts meet it, and what holds the source in shape.
 
+mod architecture;
 mod book;
 mod check;
 mod cli;
 mod floors;
-mod readme;
 mod render;
 mod source;
 #[path = "../support/mod.rs"]

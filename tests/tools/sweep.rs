@@ -1,5 +1,6 @@
 //! Every real model of the data folder through `pliant deform`, the way a pipeline would call it.
 
+use crate::support::data::{data_folder, files_below};
 use pliant::asset::{FileSet, Format, Limits, Model};
 use serde_json::json;
 use std::fs;
@@ -77,20 +78,8 @@ const fn flips(flipped: f64) -> Bounds {
 /// A run that takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-fn data_folder() -> PathBuf {
-    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    std::env::var_os("PLIANT_DATA").map_or(default, PathBuf::from)
-}
-
-fn models_under(folder: &Path, found: &mut Vec<PathBuf>) {
-    let Ok(entries) = fs::read_dir(folder) else { return };
-    for path in entries.flatten().map(|e| e.path()) {
-        if path.is_dir() {
-            models_under(&path, found);
-        } else if Format::from_file_name(&path.to_string_lossy()).is_some() {
-            found.push(path);
-        }
-    }
+fn is_model(path: &Path) -> bool {
+    Format::from_file_name(&path.to_string_lossy()).is_some()
 }
 
 /// Runs the program with a deadline; returns (exit code, stdout, last line of stderr).
@@ -275,15 +264,16 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
 
 #[test]
 fn every_model_is_deformed_or_refused_in_one_line() {
-    let data = data_folder();
-    let mut models = Vec::new();
-    models_under(&data.join("meshes"), &mut models);
-    models_under(&data.join("gltf"), &mut models);
-    models.sort();
-    if models.is_empty() {
-        println!("skipped: no models under {}", data.display());
+    let Some(data) = data_folder("deforming every model") else {
         return;
-    }
+    };
+    let folders = ["meshes", "gltf"].map(|folder| data.join(folder));
+    let mut models: Vec<PathBuf> = folders
+        .iter()
+        .flat_map(|folder| files_below(folder, is_model))
+        .collect();
+    models.sort();
+    assert!(!models.is_empty(), "no models under {}", data.display());
     let work = tempfile::tempdir().expect("a folder");
     let next = Mutex::new(models.iter().enumerate());
     let results = Mutex::new(Vec::new());

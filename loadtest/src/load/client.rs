@@ -20,7 +20,7 @@ const GRACE: Duration = Duration::from_secs(120);
 /// Bytes of one piece of an upload.
 const PIECE: usize = 1 << 20;
 
-/// Runs all clients at once and adds their ledger up.
+/// Runs all clients at once and adds their ledgers up.
 pub(crate) async fn drag_with_all_clients(
     channel: Channel,
     scene: &DragScene,

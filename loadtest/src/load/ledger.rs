@@ -3,10 +3,10 @@
 use pliant::wire::pb;
 use std::time::Duration;
 
-/// The ledger of one client's stream, or of several together.
+/// A pose ledger counts what one client, or several together, sent and got back.
 #[derive(Debug, Default)]
 pub(crate) struct PoseLedger {
-    /// Clients whose ledger these are.
+    /// The clients that the ledger counts.
     pub clients: u32,
     /// Poses sent.
     pub sent: u64,
@@ -39,7 +39,7 @@ pub(crate) struct PoseLedger {
 }
 
 impl PoseLedger {
-    /// Empty ledger of one client.
+    /// Starts an empty ledger of one client.
     pub fn for_one_client() -> Self {
         Self {
             clients: 1,
@@ -47,7 +47,7 @@ impl PoseLedger {
         }
     }
 
-    /// Enters a part of a frame; true when it completes the final frame of a pose. `latency` is that pose's so far.
+    /// Enters a part of a frame; the answer is true when it completes the final frame of a pose. `latency` is that pose's so far.
     pub fn enter_part(&mut self, frame: &pb::Frame, latency: impl FnOnce(u64) -> Duration) -> bool {
         self.parts += 1;
         self.bytes += frame.data.len() as u64;
@@ -108,7 +108,7 @@ impl PoseLedger {
         self.broken.extend(other.broken);
     }
 
-    /// Everything that does not hold.
+    /// Tells everything that does not add up.
     pub fn problems(&self) -> Vec<String> {
         let mut problems = self.broken.clone();
         let answered = self.finals + self.refused + self.superseded;

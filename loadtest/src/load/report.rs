@@ -1,4 +1,4 @@
-//! The ledger as a person or a program reads them.
+//! The ledger as a person or a program reads it.
 
 use super::args::StreamArgs;
 use super::ledger::{PoseLedger, percentile};

@@ -70,7 +70,7 @@ enum BenchedEdit {
     Remesh,
 }
 
-/// A bench in the state that is edited, again and again.
+/// An edit bench holds a deformer in the state that is edited, again and again.
 struct EditBench<'a> {
     bench: Deformer,
     trail: TopologyState,
@@ -82,7 +82,7 @@ struct EditBench<'a> {
     pool: &'a Pool,
 }
 
-/// One edit: milliseconds by stage, and facts.
+/// An edit run is one edit: milliseconds by stage, and facts.
 #[derive(Clone)]
 struct EditRun {
     ms: BTreeMap<String, f64>,
@@ -252,7 +252,7 @@ fn open_edit_bench<'a>(
     Ok((stand, region))
 }
 
-/// A sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
+/// Finds a sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
 fn sphere_around_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere, usize) {
     let (low, high) = shape
         .iter()

@@ -57,7 +57,7 @@ pub(crate) struct PipelineArgs {
     json: bool,
 }
 
-/// One run: seconds by stage, and facts.
+/// A first-frame run is one run: seconds by stage, and facts.
 struct FirstFrameRun {
     seconds: BTreeMap<String, f64>,
     assembly: f64,
@@ -119,7 +119,7 @@ pub(crate) fn run_pipeline(args: &PipelineArgs) -> Result<(), LoadtestFailure> {
     Ok(())
 }
 
-/// The job given, or one for the ends of the model.
+/// Reads the job given, or makes one for the ends of the model.
 fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
     if let Some(path) = &args.job {
         return read_job_file(path);
@@ -135,7 +135,7 @@ fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
     })
 }
 
-/// From files to the bytes of the first frame.
+/// Runs everything from files to the bytes of the first frame.
 fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun, pliant::wire::Error> {
     let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     let start = Instant::now();

@@ -17,7 +17,7 @@ const SWING: f64 = 120.0;
 /// The pose at which the moving end is farthest from rest.
 pub(crate) const FARTHEST_POSE: u64 = SWING as u64 / 4;
 
-/// A model with two handles. Cheap to clone.
+/// A drag scene is a model with two handles. It is cheap to clone.
 #[derive(Debug, Clone)]
 pub(crate) struct DragScene {
     /// The model file.
@@ -83,7 +83,7 @@ impl DragScene {
         ]
     }
 
-    /// The pose number `seq`: the moving end swings about an axis across the model and is lifted with it.
+    /// Makes the pose number `seq`: the moving end swings about an axis across the model and is lifted with it.
     pub fn pose_number(&self, seq: u64) -> pb::Pose {
         let axis = self.longest_axis();
         let swing = (TAU * seq as f64 / SWING).sin();

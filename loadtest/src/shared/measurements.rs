@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-/// Measurements by key, in the order in which they were measured.
+/// Measurements are values by key, in the order in which they were measured.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Measurements(Map<String, Value>);
 

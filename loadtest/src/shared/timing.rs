@@ -5,7 +5,7 @@ use std::time::Instant;
 /// No further run begins once all before it took this many seconds.
 const PATIENCE: f64 = 4.0;
 
-/// What runs of one piece of work took, seconds.
+/// Run times tell how many seconds the runs of one piece of work took.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RunTimes {
     /// The fastest.
@@ -17,7 +17,7 @@ pub(crate) struct RunTimes {
 }
 
 impl RunTimes {
-    /// Of one run.
+    /// Starts with the time of one run.
     pub fn from_one(seconds: f64) -> Self {
         Self {
             best: seconds,

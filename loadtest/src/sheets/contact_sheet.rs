@@ -13,7 +13,10 @@ use pliant::exec::Exec;
 use pliant::mesh::{BoundingBox, Mesh, Weld, self_intersections};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::render::{Camera, Key, Picture, Ramp, Rgb, STRETCH_RANGE, Size, Surface, Up, View, draw, edge_stretch};
+use pliant::render::{
+    Camera, ColourKey, ColourRamp, Picture, PictureSize, Rgb, STRETCH_RANGE, ShadedSurface, UpAxis, ViewDirection,
+    draw_surface, edge_stretch,
+};
 use pliant::wire::pb;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -96,7 +99,9 @@ pub(crate) fn run_sheet(args: &SheetArgs) -> Result<(), LoadtestFailure> {
         entries.push(SheetEntry { name, result });
     }
     let picture = draw_sheet(&entries, args)?;
-    let png = picture.png().map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let png = picture
+        .encode_png()
+        .map_err(|e| LoadtestFailure::Server(e.to_string()))?;
     fs::write(&args.output, png)
         .map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", args.output.display())))?;
     println!(
@@ -126,7 +131,7 @@ fn models_under(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), LoadtestF
     Ok(())
 }
 
-/// The files of a model: for glTF with those beside it.
+/// Reads the files of a model: for glTF with those beside it.
 fn read_model_files(path: &Path) -> Result<FileSet, std::io::Error> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut files = FileSet::single(name, fs::read(path)?);
@@ -142,7 +147,7 @@ fn read_model_files(path: &Path) -> Result<FileSet, std::io::Error> {
     Ok(files)
 }
 
-/// The longest side of a box.
+/// Finds the longest side of a box.
 fn longest_side(bounds: &BoundingBox) -> usize {
     let size = bounds.size();
     (0..3).fold(0, |best, k| if size[k] > size[best] { k } else { best })
@@ -190,15 +195,15 @@ fn automatic_job(bounds: &BoundingBox, refine: Option<u32>) -> pb::Job {
     }
 }
 
-/// Where the bend is seen best: almost along the axis of the turn.
-fn bend_view(bounds: &BoundingBox) -> Option<View> {
+/// Finds the view in which the bend is seen best: almost along the axis of the turn.
+fn bend_view(bounds: &BoundingBox) -> Option<ViewDirection> {
     let (azimuth, up) = match (longest_side(bounds) + 1) % 3 {
-        0 => (65.0, Up::Y),
+        0 => (65.0, UpAxis::Y),
         // From above, where models that stand on y = 0 show more.
-        1 => (205.0, Up::Z),
-        _ => (25.0, Up::Y),
+        1 => (205.0, UpAxis::Z),
+        _ => (25.0, UpAxis::Y),
     };
-    View::new(azimuth, 15.0, up).ok()
+    ViewDirection::new(azimuth, 15.0, up).ok()
 }
 
 /// Deforms one model; `None` when it is too large for the sheet.
@@ -234,19 +239,22 @@ fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Deformed
     let quality = outcome.report.quality.unwrap_or_default();
     let after = u64::from(quality.self_intersections.unwrap_or_default());
 
-    let before = Surface::new(&model.positions, &model.triangles, pool).map_err(|e| text(&e))?;
-    let plain = Surface::new(&outcome.positions, &model.triangles, pool).map_err(|e| text(&e))?;
+    let before = ShadedSurface::new(&model.positions, &model.triangles, pool).map_err(|e| text(&e))?;
+    let plain = ShadedSurface::new(&outcome.positions, &model.triangles, pool).map_err(|e| text(&e))?;
     let stretch = edge_stretch(&model.positions, &outcome.positions, &model.triangles).map_err(|e| text(&e))?;
-    let colours: Vec<_> = stretch.into_iter().map(|x| Ramp::Stretch.light(x)).collect();
-    let coloured = plain.clone().coloured(&colours).map_err(|e| text(&e))?;
-    let size = Size::new(args.tile, args.tile).map_err(|e| text(&e))?;
-    let views: Vec<View> = bend_view(&bounds).into_iter().collect();
-    let cameras = Camera::around(&[&before, &plain], &views, size);
+    let colours: Vec<_> = stretch
+        .into_iter()
+        .map(|x| ColourRamp::Stretch.linear_colour(x))
+        .collect();
+    let coloured = plain.clone().with_colours(&colours).map_err(|e| text(&e))?;
+    let size = PictureSize::new(args.tile, args.tile).map_err(|e| text(&e))?;
+    let views: Vec<ViewDirection> = bend_view(&bounds).into_iter().collect();
+    let cameras = Camera::around_surfaces(&[&before, &plain], &views, size);
     let camera = cameras.first().ok_or("no view")?;
     let moved = outcome.positions.iter().zip(&model.positions).any(|(p, q)| p != q);
     let finite = outcome.positions.iter().all(|p: &DVec3| p.is_finite());
     Ok(DeformedTiles {
-        tiles: [&before, &plain, &coloured].map(|surface| draw(surface, camera, pool)),
+        tiles: [&before, &plain, &coloured].map(|surface| draw_surface(surface, camera, pool)),
         text: format!(
             "{} tri  vol {:+.1}%  area {:+.1}%  edge {:.3}  stretch {:.2}  flips {}  cross {crossed}>{after}",
             model.triangles.len(),
@@ -265,7 +273,7 @@ fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Deformed
     })
 }
 
-/// All models on one picture, with the key to the colours below.
+/// Draws all models on one picture, with the key to the colours below.
 fn draw_sheet(entries: &[SheetEntry], args: &SheetArgs) -> Result<Picture, LoadtestFailure> {
     let tile = args.tile;
     let (width, height) = (3 * tile + 8, tile + LABEL + 8);
@@ -281,18 +289,18 @@ fn draw_sheet(entries: &[SheetEntry], args: &SheetArgs) -> Result<Picture, Loadt
     for (k, entry) in entries.iter().enumerate() {
         let k = u32::try_from(k).unwrap_or(u32::MAX);
         let (x, y) = (k % args.columns * width + 4, k / args.columns * height + 4);
-        picture.write(x, y, 1, &entry.name, INK);
+        picture.write_text(x, y, 1, &entry.name, INK);
         match &entry.result {
             Ok(shown) => {
-                picture.write(x, y + 11, 1, &shown.text, if shown.alarm { ALARM } else { INK });
+                picture.write_text(x, y + 11, 1, &shown.text, if shown.alarm { ALARM } else { INK });
                 for (at, tile_picture) in (0..).zip(&shown.tiles) {
-                    picture.paste(tile_picture, x + at * tile, y + LABEL - 2);
+                    picture.paste_picture(tile_picture, x + at * tile, y + LABEL - 2);
                 }
             }
             Err(reason) => write_wrapped(&mut picture, x, y + 11, 3 * tile, reason),
         }
     }
-    Key::stretch(STRETCH_RANGE).draw(&mut picture, rows * height, LABEL);
+    ColourKey::for_stretch(STRETCH_RANGE).draw_on(&mut picture, rows * height, LABEL);
     Ok(picture)
 }
 
@@ -302,7 +310,7 @@ fn write_wrapped(picture: &mut Picture, x: u32, y: u32, width: u32, text: &str) 
     let letters: Vec<char> = text.chars().collect();
     for (line, part) in (0..).zip(letters.chunks((width / letter).max(1) as usize).take(8)) {
         let part: String = part.iter().collect();
-        picture.write(x, y + 11 * line, 1, &part, ALARM);
+        picture.write_text(x, y + 11 * line, 1, &part, ALARM);
     }
 }
 

@@ -9,7 +9,7 @@ use pliant::engine;
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::render::{Camera, Picture, Rgb, Size, Surface, Up, View, draw};
+use pliant::render::{Camera, Picture, PictureSize, Rgb, ShadedSurface, UpAxis, ViewDirection, draw_surface};
 use pliant::wire::pb;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -128,22 +128,22 @@ fn picture(
 ) -> Result<Vec<u8>, pliant::render::Error> {
     let mut surfaces = Vec::new();
     for (_, positions, _) in shown {
-        surfaces.push(Surface::new(positions, &figure.shape.1, pool)?.with_wires());
+        surfaces.push(ShadedSurface::new(positions, &figure.shape.1, pool)?.with_wires());
     }
-    let view = View::new(figure.view[0], figure.view[1], Up::Z)?;
-    let size = Size::new(TILE[0], TILE[1])?;
-    let cameras = Camera::around(&surfaces.iter().collect::<Vec<_>>(), &[view], size);
+    let view = ViewDirection::new(figure.view[0], figure.view[1], UpAxis::Z)?;
+    let size = PictureSize::new(TILE[0], TILE[1])?;
+    let cameras = Camera::around_surfaces(&surfaces.iter().collect::<Vec<_>>(), &[view], size);
     let width = u64::from(TILE[0]) * shown.len() as u64;
     let mut picture = Picture::new(width, u64::from(TILE[1] + LABEL), PAPER)?;
     for (k, (surface, (name, _, judged))) in surfaces.iter().zip(shown).enumerate() {
         let left = k as u32 * TILE[0];
         if let Some(camera) = cameras.first() {
-            picture.paste(&draw(surface, camera, pool), left, 0);
+            picture.paste_picture(&draw_surface(surface, camera, pool), left, 0);
         }
-        picture.write(left + 8, TILE[1] + 4, 1, name, INK);
-        picture.write(left + 8, TILE[1] + 16, 1, judged, INK);
+        picture.write_text(left + 8, TILE[1] + 4, 1, name, INK);
+        picture.write_text(left + 8, TILE[1] + 16, 1, judged, INK);
     }
-    picture.png()
+    picture.encode_png()
 }
 
 fn obj(positions: &[DVec3], triangles: &[[u32; 3]]) -> String {

@@ -23,7 +23,7 @@ const WEIGHTS: u64 = 1;
 /// Flag: nodes have a stiffness.
 const STIFFNESS: u64 = 2;
 
-/// What one pose asks for, by node.
+/// A pose system is what one pose asks for, node by node.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct PoseSystem {
     /// Right-hand side, before given neighbours are moved into it.
@@ -32,7 +32,7 @@ pub(crate) struct PoseSystem {
     pub given: Vec<[f64; 3]>,
 }
 
-/// A whole second-pass system over all nodes of a graph, for two poses.
+/// A companion file holds a whole second-pass system over all nodes of a graph, for two poses.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct CompanionFile {
     /// Length of the model's bounding box diagonal.

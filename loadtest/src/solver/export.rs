@@ -68,7 +68,7 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
     Ok(())
 }
 
-/// A bench with the job's handles, and the poses after its last step.
+/// Opens a model with the job's handles, and computes the poses after its last step.
 fn open_posed(
     model: pliant::asset::FileSet,
     job: &pb::Job,
@@ -90,7 +90,7 @@ fn open_posed(
     Ok((bench, poses))
 }
 
-/// The system of a pose over its free nodes, and over all nodes with the pose one step on.
+/// Builds the system of a pose over its free nodes, and over all nodes with the pose one step on.
 fn pose_systems(
     body: &DeformableBody,
     rig: &HandleSystem,
@@ -115,7 +115,7 @@ fn pose_systems(
     Ok((free_system(&companion)?, companion))
 }
 
-/// The transforms moved further along their way, so that the handle that moves most does so by [`STEP`].
+/// Moves the transforms further along their way, so that the handle that moves most does so by [`STEP`].
 fn one_step_on(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform]) -> Result<Vec<Transform>, String> {
     let scaled = |by: f64| -> Vec<Transform> {
         let further = |t: &Transform| Transform {
@@ -152,7 +152,7 @@ fn one_step_on(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transfor
     Ok(scaled(1.0 + step))
 }
 
-/// The same equations around another centre.
+/// Writes the same equations around another centre.
 fn equations_around(mut equations: SecondPassEquations, center: [f64; 3], rig: &HandleSystem) -> SecondPassEquations {
     let shift = DVec3::from_array(equations.center) - DVec3::from_array(center);
     let moved = |v: &mut [f64; 3], by: f64| *v = (DVec3::from_array(*v) + shift * by).to_array();
@@ -165,7 +165,7 @@ fn equations_around(mut equations: SecondPassEquations, center: [f64; 3], rig: &
     equations
 }
 
-/// The rows and columns of the nodes that are not given, with given neighbours moved to the right (equation 11).
+/// Takes the rows and columns of the nodes that are not given, with given neighbours moved to the right (equation 11).
 fn free_system(all: &CompanionFile) -> Result<LinearProblem, String> {
     let mut number = vec![-1i32; all.rest.len()];
     let mut free = 0;

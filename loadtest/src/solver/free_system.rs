@@ -19,7 +19,7 @@ const SLACK: f64 = 1.0001;
 /// Residual down to which the convergence factor is observed.
 const FACTOR: f64 = 1e-8;
 
-/// Measures; false when a residual does not hold. `base` is what was resident once the problem was loaded.
+/// Measures the free system; the answer is false when a residual does not hold. `base` is what was resident once the problem was loaded.
 pub(super) fn measure_free_system(
     problem: &LinearProblem,
     base: u64,
@@ -84,12 +84,12 @@ pub(super) fn measure_free_system(
     if let Some((.., x, stats, _)) = solutions.last() {
         measurements.set_value("method", method_name(stats.method));
         measurements.set_value("digest", solution_digest(x));
-        note_errors(problem, &ready, &solutions[0].2, x, &mut workspace, terms, measurements)?;
+        note_errors(problem, &ready, &solutions[0].2, x, terms, measurements)?;
     }
     Ok(good)
 }
 
-/// From the matrix as a graph to ready: the hierarchy, then the stiffness of the tied rows.
+/// Builds the hierarchy of the matrix as a graph, then the stiffness of the tied rows.
 fn build_ready_system(
     graph: &GraphLaplacian,
     problem: &LinearProblem,
@@ -126,7 +126,7 @@ fn note_memory(ready: &ReadySystem, workspace: &Workspace, problem: &LinearProbl
     measurements.set_number("complexity", edges as f64 / levels[0].edges.max(1) as f64);
 }
 
-/// Everything in work units, and the cost of one iteration from the two solves (iterations, seconds).
+/// Notes everything in work units, and the cost of one iteration from the two solves (iterations, seconds).
 fn note_units(solves: &[(usize, f64)], measurements: &mut Measurements) {
     let unit = measurements.number("wu_s").unwrap_or(f64::NAN);
     for key in ["setup", "solve3", "solve5"] {
@@ -141,20 +141,19 @@ fn note_units(solves: &[(usize, f64)], measurements: &mut Measurements) {
     }
 }
 
-/// The convergence factor, and how far the two solutions are from the exact one.
+/// Notes the convergence factor, and how far the two solutions are from the exact one.
 fn note_errors(
     problem: &LinearProblem,
     ready: &ReadySystem,
     x3: &[[f64; 3]],
     x5: &[[f64; 3]],
-    workspace: &mut Workspace,
     terms: &BenchTerms,
     measurements: &mut Measurements,
 ) -> Result<(), LoadtestFailure> {
-    let mut residuals = Vec::new();
+    let mut workspace = Workspace::default();
     let mut x = vec![[0.0; 3]; x5.len()];
     let options = options_to_residual(FACTOR);
-    ready.solve(&problem.rhs, &mut x, &options, workspace, terms, Some(&mut residuals))?;
+    let (_, residuals) = ready.solve_logged(&problem.rhs, &mut x, &options, &mut workspace, terms)?;
     // The first iteration mostly takes away what zero is wrong by everywhere; the rest tell the rate.
     if let [first, .., last] = residuals[..] {
         measurements.set_number("factor", (last / first).powf(1.0 / (residuals.len() - 1) as f64));
@@ -166,7 +165,7 @@ fn note_errors(
         start: InitialGuess::Given,
         ..options_to_residual(EXACT_RESIDUAL)
     };
-    let stats = ready.solve(&problem.rhs, &mut x, &options, workspace, terms, None)?;
+    let stats = ready.solve(&problem.rhs, &mut x, &options, &mut workspace, terms)?;
     let diagonal = box_diagonal(&problem.rest);
     measurements.set_number("err3", largest_distance(x3, &x) / diagonal);
     measurements.set_number("err5", largest_distance(x5, &x) / diagonal);
@@ -174,7 +173,7 @@ fn note_errors(
     Ok(())
 }
 
-/// Length of the bounding box diagonal; 1 for a point.
+/// Computes the length of the bounding box diagonal; 1 for a point.
 fn box_diagonal(points: &[[f64; 3]]) -> f64 {
     let side = |c: usize| {
         let range = points
@@ -198,7 +197,7 @@ fn method_name(method: SolveMethod) -> &'static str {
     }
 }
 
-/// SHA-256 of the bits of a solution, to compare runs on different numbers of threads.
+/// Computes the SHA-256 of the bits of a solution, to compare runs on different numbers of threads.
 fn solution_digest(x: &[[f64; 3]]) -> String {
     let mut hasher = Sha256::new();
     for row in x {

@@ -56,7 +56,7 @@ pub(super) fn measure_full_system(
     Ok(())
 }
 
-/// The given nodes and all their neighbours: another set of handles that is as large and lies as near.
+/// Adds all neighbours to the given nodes: another set of handles that is as large and lies as near.
 fn grow_given_nodes(all: &CompanionFile) -> Vec<bool> {
     let mut grown = all.fixed.clone();
     for i in (0..grown.len()).filter(|i| all.fixed[*i]) {
@@ -128,7 +128,7 @@ fn time_drag(
     Ok(x)
 }
 
-/// How the given nodes that the two poses hold in different places moved, and how much every node follows them.
+/// Computes how the given nodes moved that the two poses hold in different places, and how much every node follows them.
 fn follow_field(
     all: &CompanionFile,
     ready: &ReadySystem,
@@ -165,14 +165,14 @@ fn follow_field(
     Ok((field, DAffine3::from_mat3_translation(linear, shift)))
 }
 
-/// A solution with the given nodes where `pose` holds them.
+/// Puts the given nodes of a solution where `pose` holds them.
 fn place_given_nodes(all: &CompanionFile, pose: &PoseSystem, x: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let rows = x.iter().zip(&pose.given).zip(&all.fixed);
     rows.map(|((x, given), fixed)| if *fixed { *given } else { *x })
         .collect()
 }
 
-/// Goes on from `x` to a residual; with the residual reached.
+/// Solves on from `x` to a residual, and tells the residual reached.
 fn solve_on(
     ready: &ReadySystem,
     pose: &PoseSystem,
@@ -186,7 +186,7 @@ fn solve_on(
         ..options_to_residual(tolerance)
     };
     let mut x = x.to_vec();
-    let stats = ready.solve(&pose.rhs, &mut x, &options, workspace, terms, None)?;
+    let stats = ready.solve(&pose.rhs, &mut x, &options, workspace, terms)?;
     Ok((x, stats.residual))
 }
 

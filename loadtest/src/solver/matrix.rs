@@ -1,6 +1,6 @@
 //! A sparse symmetric matrix in compressed rows, in double precision, as the peers hold it.
 
-/// Square, with rising columns in every row and a positive diagonal.
+/// A matrix in compressed rows is square, has rising columns in every row and a positive diagonal.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CompressedRows {
     starts: Vec<i64>,
@@ -8,7 +8,7 @@ pub(crate) struct CompressedRows {
     values: Vec<f64>,
 }
 
-/// Such a matrix as the graph that it is the GraphLaplacian of, plus a diagonal.
+/// A graph Laplacian is such a matrix seen as a graph, with what its diagonal has beyond the weights of the edges.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct GraphLaplacian {
     /// Where each row of `neighbours` begins, and the end.
@@ -160,7 +160,7 @@ impl CompressedRows {
         )
     }
 
-    /// The graph whose GraphLaplacian, with something on the diagonal, this matrix is.
+    /// The graph whose Laplacian, with something on the diagonal, this matrix is.
     ///
     /// # Errors
     /// When it is none: an off-diagonal entry that is not negative, or a diagonal below the sum of its row's weights.
@@ -191,9 +191,7 @@ impl CompressedRows {
                     continue;
                 }
                 if v >= 0.0 {
-                    return Err(format!(
-                        "entry ({i}, {j}) is {v}, a graph GraphLaplacian's are negative"
-                    ));
+                    return Err(format!("entry ({i}, {j}) is {v}, a graph Laplacian's are negative"));
                 }
                 sum -= v;
                 uniform &= v == -1.0;

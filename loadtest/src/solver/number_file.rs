@@ -8,7 +8,7 @@ use std::path::Path;
 /// Bytes that are read or written at a time.
 const BLOCK: usize = 1 << 20;
 
-/// A number with a fixed little-endian form.
+/// A file number is a number with a fixed little-endian form.
 pub(super) trait FileNumber: Copy + Default {
     /// Bytes that it takes.
     const BYTES: usize;

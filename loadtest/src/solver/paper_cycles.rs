@@ -20,7 +20,7 @@ const RUNS: [(&str, CoarseOperators, Option<usize>); 3] = [
     ("paper_cg", CoarseOperators::Paper, Some(2)),
 ];
 
-/// Residual, largest column, and largest missing displacement over the diagonal; from the full-multigrid start on.
+/// A cycle log holds the residual, largest column, and the largest missing displacement over the diagonal; from the full-multigrid start on.
 #[derive(Debug, Clone, Default)]
 struct CycleLog {
     residuals: Vec<f64>,
@@ -46,7 +46,6 @@ pub(super) fn measure_paper_cycles(
                 &options_to_residual(EXACT_RESIDUAL),
                 &mut workspace,
                 terms,
-                None,
             )?;
             measurements.set_number("exact_res", stats.residual);
         }
@@ -78,7 +77,7 @@ fn build_ready_system(
     Ok(ReadySystem { hierarchy, system })
 }
 
-/// Full multigrid alone, then again with [`SHOWN`] iterations after it.
+/// Runs full multigrid alone, then again with [`SHOWN`] iterations after it.
 fn log_cycles(
     all: &CompanionFile,
     ready: &ReadySystem,
@@ -96,7 +95,7 @@ fn log_cycles(
         ..options_to_residual(EXACT_RESIDUAL)
     };
     let mut x = pose.given.clone();
-    let start = ready.solve(&pose.rhs, &mut x, &options(0), workspace, terms, None)?;
+    let start = ready.solve(&pose.rhs, &mut x, &options(0), workspace, terms)?;
     let mut log = CycleLog {
         residuals: vec![start.residual],
         errors: vec![largest_distance(&x, exact) / all.diagonal],
@@ -128,7 +127,7 @@ fn log_cycles(
     Ok(log)
 }
 
-/// A row for each iteration: residual and error of every run.
+/// Writes a row for each iteration: residual and error of every run.
 pub(super) fn cycle_table(measurements: &Measurements) -> String {
     let column = |name: &str, what: &str| measurements.list(&format!("{name}_{what}"));
     let columns: Vec<Vec<f64>> = RUNS

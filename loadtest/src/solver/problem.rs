@@ -13,7 +13,7 @@ const MAGIC: u64 = 0x4c41_5031;
 /// Bytes before the row starts.
 const HEADER: u64 = 24;
 
-/// A linear system A x = b with three right-hand sides.
+/// A linear problem is a system A x = b with three right-hand sides.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LinearProblem {
     /// A.

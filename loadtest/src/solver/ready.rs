@@ -5,7 +5,7 @@ use crate::shared::timing::{RunTimes, time_best_of};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::solver::{Hierarchy, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace};
+use pliant::solver::{Hierarchy, IterationReport, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace};
 
 /// Most iterations of a solve that must reach the limits of double precision.
 const MOST_ITERATIONS: usize = 1000;
@@ -13,7 +13,7 @@ const MOST_ITERATIONS: usize = 1000;
 /// Relative residual of a solution that errors are measured from.
 pub(super) const EXACT_RESIDUAL: f64 = 1e-11;
 
-/// How things are measured.
+/// Bench terms say how things are measured.
 pub(super) struct BenchTerms {
     /// Where the solver runs.
     pub pool: Pool,
@@ -23,7 +23,7 @@ pub(super) struct BenchTerms {
     pub fast: bool,
 }
 
-/// A system ready to solve, with what solves share.
+/// A ready system is a hierarchy with constraints, ready to solve.
 pub(super) struct ReadySystem {
     pub hierarchy: Hierarchy,
     pub system: LinearSystem,
@@ -38,27 +38,31 @@ impl ReadySystem {
         options: &SolveOptions<'_>,
         workspace: &mut Workspace,
         terms: &BenchTerms,
-        residuals: Option<&mut Vec<f64>>,
     ) -> Result<SolveStats, LoadtestFailure> {
-        let mut log = residuals;
+        let logged = self.solve_logged(rhs, x, options, workspace, terms);
+        logged.map(|(stats, _)| stats)
+    }
+
+    /// Solves for three columns, and tells the residual of every iteration too.
+    pub fn solve_logged(
+        &self,
+        rhs: &[[f64; 3]],
+        x: &mut [[f64; 3]],
+        options: &SolveOptions<'_>,
+        workspace: &mut Workspace,
+        terms: &BenchTerms,
+    ) -> Result<(SolveStats, Vec<f64>), LoadtestFailure> {
+        let mut residuals = Vec::new();
+        let mut watch = |iteration: &IterationReport<'_>| {
+            residuals.push(iteration.residual);
+            SolveControl::Continue
+        };
         let (rhs, x) = (rhs.as_flattened(), x.as_flattened_mut());
-        self.system
-            .solve(
-                &self.hierarchy,
-                3,
-                rhs,
-                x,
-                options,
-                workspace,
-                &Exec::new(&terms.pool, &Silent),
-                &mut |iteration| {
-                    if let Some(log) = log.as_deref_mut() {
-                        log.push(iteration.residual);
-                    }
-                    SolveControl::Continue
-                },
-            )
-            .map_err(solver_failure)
+        let exec = Exec::new(&terms.pool, &Silent);
+        let solved = self
+            .system
+            .solve(&self.hierarchy, 3, rhs, x, options, workspace, &exec, &mut watch);
+        Ok((solved.map_err(solver_failure)?, residuals))
     }
 
     /// Solves several times, each from what `start` makes, and tells the last result and what one solve took.
@@ -71,7 +75,7 @@ impl ReadySystem {
         terms: &BenchTerms,
     ) -> Result<(Vec<[f64; 3]>, SolveStats, RunTimes), LoadtestFailure> {
         let solve = |mut x: Vec<[f64; 3]>| -> Result<_, LoadtestFailure> {
-            let stats = self.solve(rhs, &mut x, options, workspace, terms, None)?;
+            let stats = self.solve(rhs, &mut x, options, workspace, terms)?;
             Ok((x, stats))
         };
         let ((x, stats), times) = time_best_of(terms.repeat, start, solve)?;
@@ -79,12 +83,12 @@ impl ReadySystem {
     }
 }
 
-/// What the solver said when it could not.
+/// Turns what the solver said when it could not solve into a failure of the command.
 pub(super) fn solver_failure(e: pliant::solver::Error) -> LoadtestFailure {
-    LoadtestFailure::Server(format!("the solver solver_failure: {e}"))
+    LoadtestFailure::Server(format!("the solver failed: {e}"))
 }
 
-/// Options of a solve to a relative residual.
+/// Makes the options of a solve to a relative residual.
 pub(super) fn options_to_residual(tolerance: f64) -> SolveOptions<'static> {
     SolveOptions {
         tolerance: Some(tolerance),
@@ -93,7 +97,7 @@ pub(super) fn options_to_residual(tolerance: f64) -> SolveOptions<'static> {
     }
 }
 
-/// The largest distance between rows.
+/// Computes the largest distance between rows.
 pub(super) fn largest_distance(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
     let apart = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).map(|c| (a[c] - b[c]) * (a[c] - b[c])).sum::<f64>();
     a.iter().zip(b).map(apart).fold(0.0, f64::max).sqrt()

@@ -4,7 +4,7 @@ use super::matrix::CompressedRows;
 use crate::shared::timing::time_once;
 use std::time::Instant;
 
-/// Seconds of one work unit: the matrix times three columns on one thread, the fastest of at least 5 runs and as many as
+/// Measures the seconds of one work unit: the matrix times three columns on one thread, the fastest of at least 5 runs and as many as
 /// fit 0.3 s (at most 40), after one that is not counted.
 pub(super) fn measure_work_unit(matrix: &CompressedRows) -> f64 {
     let x: Vec<[f64; 3]> = (0..matrix.rows())

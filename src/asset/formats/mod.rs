@@ -75,6 +75,15 @@ pub(super) fn codec_of(format: Format) -> &'static dyn FormatCodec {
 }
 
 impl Format {
+    /// The names of all formats as texts list them: with `and`, "glb, gltf, obj, ply, off and stl".
+    pub fn name_list(conjunction: &str) -> String {
+        let names = Self::ALL.map(Self::name);
+        match names.split_last() {
+            Some((last, others)) => format!("{} {conjunction} {last}", others.join(", ")),
+            None => String::new(),
+        }
+    }
+
     /// The format of that name, in any case.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|f| f.name().eq_ignore_ascii_case(name))

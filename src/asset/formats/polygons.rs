@@ -38,7 +38,7 @@ impl Polygons {
     /// to cut well. All corners must be indices into `positions`.
     pub fn triangulate(&self, positions: &[DVec3]) -> (Vec<[u32; 3]>, usize) {
         let mut triangles = Vec::with_capacity(self.triangle_count() as usize);
-        let mut cutter = Cutter {
+        let mut cutter = PolygonCutter {
             tests_left: EAR_TESTS,
             points: Vec::new(),
             flat: Vec::new(),
@@ -61,14 +61,14 @@ impl Polygons {
 }
 
 /// Cuts one polygon after the other.
-struct Cutter {
+struct PolygonCutter {
     tests_left: u64,
     points: Vec<DVec3>,
     flat: Vec<DVec2>,
     crude: usize,
 }
 
-impl Cutter {
+impl PolygonCutter {
     fn cut(&mut self, emit: &mut impl FnMut([u32; 3])) {
         let convex = !self.flatten() || {
             let (n, p) = (self.flat.len(), &self.flat);

@@ -3,7 +3,7 @@
 //! Facets share no vertices: there are three render vertices for each facet, in file order. Welding is the solver's
 //! affair. The facet normal is redundant; it is computed anew for facets that moved.
 
-use super::text::{Lexer, Patch, Precision, Style, Token, coordinate, shown};
+use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, shown};
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::asset::files::check_main_size;
@@ -85,7 +85,7 @@ fn binary_length(facets: u64) -> u64 {
 const HEADER: usize = 84;
 const FACET: usize = 50;
 
-const STYLE: Style = Style {
+const STYLE: TextStyle = TextStyle {
     comments: false,
     continuation: false,
 };
@@ -131,8 +131,8 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, StlNotes), Error> {
             }
         }
     } else {
-        let mut facets = Facets {
-            lexer: Lexer::new(bytes, STYLE),
+        let mut facets = FacetReader {
+            lexer: TextLexer::new(bytes, STYLE),
         };
         while let Some((_, corners)) = facets.next()? {
             for words in corners {
@@ -183,14 +183,14 @@ fn push_vector(out: &mut [u8], index: usize, value: DVec3) {
 }
 
 /// The facets of a text file.
-struct Facets<'a> {
-    lexer: Lexer<'a>,
+struct FacetReader<'a> {
+    lexer: TextLexer<'a>,
 }
 
 /// The words of a facet's normal (absent where the file leaves them out) and of its corners.
-type FacetWords = (Option<[Token; 3]>, [[Token; 3]; 3]);
+type FacetWords = (Option<[TextToken; 3]>, [[TextToken; 3]; 3]);
 
-impl Facets<'_> {
+impl FacetReader<'_> {
     fn next(&mut self) -> Result<Option<FacetWords>, Error> {
         while let Some(token) = self.lexer.token() {
             let word = self.lexer.text(token);
@@ -212,7 +212,7 @@ impl Facets<'_> {
         Ok(None)
     }
 
-    fn normal(&mut self) -> Option<[Token; 3]> {
+    fn normal(&mut self) -> Option<[TextToken; 3]> {
         let keyword = self.lexer.token_on_line()?;
         if !self.lexer.text(keyword).eq_ignore_ascii_case(b"normal") {
             return None;
@@ -224,7 +224,7 @@ impl Facets<'_> {
         ])
     }
 
-    fn vertex(&mut self) -> Result<[Token; 3], Error> {
+    fn vertex(&mut self) -> Result<[TextToken; 3], Error> {
         self.expect(b"vertex")?;
         let mut next = || self.lexer.token();
         let words = next().zip(next()).zip(next()).map(|((x, y), z)| [x, y, z]);
@@ -249,10 +249,10 @@ impl Facets<'_> {
         ))
     }
 
-    fn position(&self, words: [Token; 3]) -> Result<DVec3, Error> {
+    fn position(&self, words: [TextToken; 3]) -> Result<DVec3, Error> {
         let mut position = DVec3::ZERO;
         for (i, word) in words.into_iter().enumerate() {
-            position[i] = coordinate(self.lexer.text(word), Precision::Double)
+            position[i] = coordinate(self.lexer.text(word), NumberPrecision::Double)
                 .map_err(|problem| malformed(word.line, problem))?;
         }
         Ok(position)
@@ -282,10 +282,10 @@ fn patch(model: &Model, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
         }
         return Ok(out);
     }
-    let mut reader = Facets {
-        lexer: Lexer::new(bytes, STYLE),
+    let mut reader = FacetReader {
+        lexer: TextLexer::new(bytes, STYLE),
     };
-    let mut patch = Patch::new(bytes);
+    let mut patch = TextPatch::new(bytes);
     for (old, new) in facets {
         let Some((normal, corners)) = reader.next()? else { break };
         if is_same(old, new) {
@@ -293,10 +293,10 @@ fn patch(model: &Model, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
         }
         if let Some(words) = normal {
             let all_new = DVec3::splat(f64::NAN);
-            patch.replace_changed(words, all_new, facet_normal(new), Precision::Single);
+            patch.replace_changed(words, all_new, facet_normal(new), NumberPrecision::Single);
         }
         for (i, words) in corners.into_iter().enumerate() {
-            patch.replace_changed(words, old[i], new[i], Precision::Double);
+            patch.replace_changed(words, old[i], new[i], NumberPrecision::Double);
         }
     }
     Ok(patch.finish())

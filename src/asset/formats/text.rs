@@ -6,7 +6,7 @@ use std::ops::Range;
 
 /// A word of a text file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Token {
+pub(super) struct TextToken {
     /// Offset of its first byte.
     pub start: usize,
     /// Offset past its last byte.
@@ -15,7 +15,7 @@ pub(super) struct Token {
     pub line: u32,
 }
 
-impl Token {
+impl TextToken {
     pub fn range(self) -> Range<usize> {
         self.start..self.end
     }
@@ -23,7 +23,7 @@ impl Token {
 
 /// What separates words beyond blanks.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Style {
+pub(super) struct TextStyle {
     /// `#` begins a comment that runs to the end of the line.
     pub comments: bool,
     /// A backslash at the end of a line joins the next line to it.
@@ -32,27 +32,27 @@ pub(super) struct Style {
 
 /// Reads words one after the other. Lines end with LF, CR LF or CR.
 #[derive(Debug, Clone)]
-pub(super) struct Lexer<'a> {
+pub(super) struct TextLexer<'a> {
     bytes: &'a [u8],
     at: usize,
     line: u32,
-    style: Style,
+    style: TextStyle,
 }
 
-impl<'a> Lexer<'a> {
+impl<'a> TextLexer<'a> {
     /// Starts at the first byte after a byte-order mark, if there is one.
-    pub fn new(bytes: &'a [u8], style: Style) -> Self {
+    pub fn new(bytes: &'a [u8], style: TextStyle) -> Self {
         let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
         Self::starting_at(bytes, at, 1, style)
     }
 
     /// Starts at an offset that lies on `line`.
-    pub fn starting_at(bytes: &'a [u8], at: usize, line: u32, style: Style) -> Self {
+    pub fn starting_at(bytes: &'a [u8], at: usize, line: u32, style: TextStyle) -> Self {
         Self { bytes, at, line, style }
     }
 
     /// The bytes of a token.
-    pub fn text(&self, token: Token) -> &'a [u8] {
+    pub fn text(&self, token: TextToken) -> &'a [u8] {
         &self.bytes[token.range()]
     }
 
@@ -77,7 +77,7 @@ impl<'a> Lexer<'a> {
     }
 
     /// The next word, on whatever line.
-    pub fn token(&mut self) -> Option<Token> {
+    pub fn token(&mut self) -> Option<TextToken> {
         loop {
             if let Some(token) = self.token_on_line() {
                 return Some(token);
@@ -89,7 +89,7 @@ impl<'a> Lexer<'a> {
     }
 
     /// The next word of the present line; `None` at its end.
-    pub fn token_on_line(&mut self) -> Option<Token> {
+    pub fn token_on_line(&mut self) -> Option<TextToken> {
         loop {
             match *self.bytes.get(self.at)? {
                 b'\n' | b'\r' => return None,
@@ -107,7 +107,7 @@ impl<'a> Lexer<'a> {
                         }
                         self.at += 1;
                     }
-                    return Some(Token {
+                    return Some(TextToken {
                         start,
                         end: self.at,
                         line: self.line,
@@ -201,7 +201,7 @@ pub(super) fn integer(word: &[u8]) -> Option<i64> {
 
 /// A coordinate as its format stores it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Precision {
+pub(super) enum NumberPrecision {
     /// 32 bits: written rounded.
     Single,
     /// 64 bits.
@@ -209,13 +209,13 @@ pub(super) enum Precision {
 }
 
 /// A finite coordinate, or what is wrong with it.
-pub(super) fn coordinate(word: &[u8], precision: Precision) -> Result<f64, String> {
+pub(super) fn coordinate(word: &[u8], precision: NumberPrecision) -> Result<f64, String> {
     let value = match precision {
-        Precision::Single => std::str::from_utf8(word)
+        NumberPrecision::Single => std::str::from_utf8(word)
             .ok()
             .and_then(|t| t.parse::<f32>().ok())
             .map(f64::from),
-        Precision::Double => number(word),
+        NumberPrecision::Double => number(word),
     };
     match value {
         Some(value) if value.is_finite() => Ok(value),
@@ -228,21 +228,21 @@ pub(super) fn coordinate(word: &[u8], precision: Precision) -> Result<f64, Strin
 }
 
 /// Appends the shortest text that reads back to the same number.
-pub(super) fn push_number(out: &mut Vec<u8>, value: f64, precision: Precision) {
+pub(super) fn push_number(out: &mut Vec<u8>, value: f64, precision: NumberPrecision) {
     let size = value.abs();
     // Outside this range plain digits would mostly be zeros.
     let plain_digits = size == 0.0 || (1e-5..1e16).contains(&size);
     let result = match (precision, plain_digits) {
-        (Precision::Single, true) => write!(out, "{}", value as f32),
-        (Precision::Single, false) => write!(out, "{:e}", value as f32),
-        (Precision::Double, true) => write!(out, "{value}"),
-        (Precision::Double, false) => write!(out, "{value:e}"),
+        (NumberPrecision::Single, true) => write!(out, "{}", value as f32),
+        (NumberPrecision::Single, false) => write!(out, "{:e}", value as f32),
+        (NumberPrecision::Double, true) => write!(out, "{value}"),
+        (NumberPrecision::Double, false) => write!(out, "{value:e}"),
     };
     debug_assert!(result.is_ok(), "writing to memory does not fail");
 }
 
 /// Appends three numbers with blanks between them.
-pub(super) fn push_triple(out: &mut Vec<u8>, values: DVec3, precision: Precision) {
+pub(super) fn push_triple(out: &mut Vec<u8>, values: DVec3, precision: NumberPrecision) {
     for (i, value) in values.to_array().into_iter().enumerate() {
         if i > 0 {
             out.push(b' ');
@@ -253,13 +253,13 @@ pub(super) fn push_triple(out: &mut Vec<u8>, values: DVec3, precision: Precision
 
 /// A copy of a text in which some words are replaced. Edits come in ascending order of their places.
 #[derive(Debug)]
-pub(super) struct Patch<'a> {
+pub(super) struct TextPatch<'a> {
     source: &'a [u8],
     copied: usize,
     out: Vec<u8>,
 }
 
-impl<'a> Patch<'a> {
+impl<'a> TextPatch<'a> {
     pub fn new(source: &'a [u8]) -> Self {
         Self {
             source,
@@ -277,11 +277,11 @@ impl<'a> Patch<'a> {
     }
 
     /// Replaces those of three numbers that changed. At single precision a number that rounds to its old value did not.
-    pub fn replace_changed(&mut self, tokens: [Token; 3], old: DVec3, new: DVec3, precision: Precision) {
+    pub fn replace_changed(&mut self, tokens: [TextToken; 3], old: DVec3, new: DVec3, precision: NumberPrecision) {
         for (token, (old, new)) in tokens.into_iter().zip(old.to_array().into_iter().zip(new.to_array())) {
             let same = match precision {
-                Precision::Single => (old as f32).to_bits() == (new as f32).to_bits(),
-                Precision::Double => old.to_bits() == new.to_bits(),
+                NumberPrecision::Single => (old as f32).to_bits() == (new as f32).to_bits(),
+                NumberPrecision::Double => old.to_bits() == new.to_bits(),
             };
             if !same {
                 push_number(self.replace(token.range()), new, precision);
@@ -301,13 +301,13 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const ALL: Style = Style {
+    const ALL: TextStyle = TextStyle {
         comments: true,
         continuation: true,
     };
 
-    fn words(text: &str, style: Style) -> Vec<(String, u32)> {
-        let mut lexer = Lexer::new(text.as_bytes(), style);
+    fn words(text: &str, style: TextStyle) -> Vec<(String, u32)> {
+        let mut lexer = TextLexer::new(text.as_bytes(), style);
         std::iter::from_fn(|| {
             lexer
                 .token()
@@ -331,7 +331,7 @@ mod tests {
             [("b", 2), ("c", 2), ("d", 3), ("f#g", 4)].map(|(w, l)| (w.to_string(), l))
         );
         assert_eq!(
-            words("a\\\nb", Style::default())[0].0,
+            words("a\\\nb", TextStyle::default())[0].0,
             "a\\",
             "a backslash is a letter where lines do not continue"
         );
@@ -349,20 +349,20 @@ mod tests {
             let value = f64::from_bits(bits);
             prop_assume!(value.is_finite());
             let mut out = Vec::new();
-            push_number(&mut out, value, Precision::Double);
-            prop_assert_eq!(coordinate(&out, Precision::Double).unwrap().to_bits(), bits);
+            push_number(&mut out, value, NumberPrecision::Double);
+            prop_assert_eq!(coordinate(&out, NumberPrecision::Double).unwrap().to_bits(), bits);
             prop_assert!(out.len() < 30);
             let single = value as f32;
             if single.is_finite() {
                 let mut out = Vec::new();
-                push_number(&mut out, value, Precision::Single);
-                prop_assert_eq!(coordinate(&out, Precision::Single).unwrap() as f32, single);
+                push_number(&mut out, value, NumberPrecision::Single);
+                prop_assert_eq!(coordinate(&out, NumberPrecision::Single).unwrap() as f32, single);
             }
         }
 
         #[test]
         fn words_are_the_text_without_blanks(text in "[ab#\\\\ \t\r\n]{0,60}") {
-            let seen: String = words(&text, Style::default()).into_iter().map(|(w, _)| w).collect();
+            let seen: String = words(&text, TextStyle::default()).into_iter().map(|(w, _)| w).collect();
             let expected: String = text.chars().filter(|c| !c.is_whitespace()).collect();
             prop_assert_eq!(seen, expected);
         }

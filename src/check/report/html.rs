@@ -1,25 +1,32 @@
 //! The report as one page that needs nothing else: no script, no file, no network.
 
-use super::super::{Kind, Measure, Status};
-use super::page::page;
-use super::{CaseReport, SuiteReport, printable, text};
+use super::super::metric::MetricKind;
+use super::super::verdict::{CaseStatus, MetricDifference};
+use super::page::html_page;
+use super::suite_report::{CaseReport, SuiteReport, printable};
+use super::text::verdict_line;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use quick_xml::escape::escape;
 use std::fmt::Write as _;
 
-/// The page.
-pub fn html(report: &SuiteReport) -> String {
+/// Writes the report as one page.
+pub fn html_report(report: &SuiteReport) -> String {
     let mut body = String::new();
-    let suite = safe(&report.suite);
+    let suite = escape_text(&report.suite);
     let _ = writeln!(
         body,
         "<h1>{suite}</h1>\n<p class=\"soft\">pliant check, {}</p>",
-        safe(&report.how)
+        escape_text(&report.how)
     );
     body += "<p class=\"counts\">";
-    for status in [Status::Failed, Status::Passed, Status::Skipped, Status::Blessed] {
-        let count = report.count(status);
+    for status in [
+        CaseStatus::Failed,
+        CaseStatus::Passed,
+        CaseStatus::Skipped,
+        CaseStatus::Blessed,
+    ] {
+        let count = report.count_cases(status);
         if count > 0 {
             let name = status.name();
             let _ = write!(body, "<span class=\"{name}\">{count} {name}</span>");
@@ -27,89 +34,103 @@ pub fn html(report: &SuiteReport) -> String {
     }
     body += "</p>\n<table class=\"cases\">\n<thead><tr><th>case</th><th>result</th><th></th></tr></thead>\n<tbody>\n";
     for case in &report.cases {
-        let (name, status) = (safe(&case.name), case.verdict.status.name());
+        let (name, status) = (escape_text(&case.name), case.verdict.status.name());
         let _ = writeln!(
             body,
             "<tr><td><a href=\"#{name}\">{name}</a></td><td class=\"{status}\">{status}</td><td>{}</td></tr>",
-            safe(&text::said(&case.verdict))
+            escape_text(&verdict_line(&case.verdict))
         );
     }
     body += "</tbody>\n</table>\n";
     // What failed is what people came for.
-    let (failed, rest): (Vec<_>, Vec<_>) = report.cases.iter().partition(|c| c.verdict.status == Status::Failed);
-    failed.into_iter().chain(rest).for_each(|c| case(&mut body, c));
-    page(&format!("{suite}: {} failed", report.count(Status::Failed)), &body)
+    let (failed, rest): (Vec<_>, Vec<_>) = report
+        .cases
+        .iter()
+        .partition(|c| c.verdict.status == CaseStatus::Failed);
+    failed.into_iter().chain(rest).for_each(|c| write_case(&mut body, c));
+    html_page(
+        &format!("{suite}: {} failed", report.count_cases(CaseStatus::Failed)),
+        &body,
+    )
 }
 
-fn case(body: &mut String, case: &CaseReport) {
-    let (name, status) = (safe(&case.name), case.verdict.status.name());
+fn write_case(body: &mut String, case: &CaseReport) {
+    let (name, status) = (escape_text(&case.name), case.verdict.status.name());
     let _ = write!(
         body,
         "<section id=\"{name}\" class=\"{status}\">\n<header><h2>{name}</h2><span class=\"word {status}\">{status}</span></header>\n"
     );
     if !case.title.is_empty() {
-        let _ = writeln!(body, "<p>{}</p>", safe(&case.title));
+        let _ = writeln!(body, "<p>{}</p>", escape_text(&case.title));
     }
     let verdict = &case.verdict;
     if verdict.reasons.is_empty() {
-        let _ = writeln!(body, "<p>{}</p>", safe(&text::said(verdict)));
+        let _ = writeln!(body, "<p>{}</p>", escape_text(&verdict_line(verdict)));
     } else {
         *body += "<ul class=\"reasons\">\n";
         for r in &verdict.reasons {
-            let _ = writeln!(body, "<li><code>{}</code> {}</li>", r.code, safe(&r.text));
+            let _ = writeln!(body, "<li><code>{}</code> {}</li>", r.code, escape_text(&r.text));
         }
         *body += "</ul>\n";
     }
     for note in &case.notes {
-        let _ = writeln!(body, "<p class=\"soft\">{}</p>", safe(note));
+        let _ = writeln!(body, "<p class=\"soft\">{}</p>", escape_text(note));
     }
-    if !case.plates.is_empty() {
+    if !case.pictures.is_empty() {
         *body += "<div class=\"pictures\">\n";
-        for plate in &case.plates {
+        for plate in &case.pictures {
             let _ = writeln!(
                 body,
                 "<figure><img width=\"{}\" height=\"{}\" alt=\"{}: {}\" src=\"data:image/png;base64,{}\"><figcaption><b>{}</b>, {}</figcaption></figure>",
                 plate.size[0],
                 plate.size[1],
                 plate.caption,
-                safe(&plate.description),
+                escape_text(&plate.description),
                 STANDARD.encode(&plate.png),
                 plate.caption,
-                safe(&plate.description)
+                escape_text(&plate.description)
             );
         }
         *body += "</div>\n";
     }
-    facts(body, case);
+    write_facts(body, case);
     *body += "</section>\n";
 }
 
-/// The numbers and digests, open where something is wrong.
-fn facts(body: &mut String, case: &CaseReport) {
-    let open = if case.verdict.status == Status::Failed {
+/// Writes the numbers and digests, open where something is wrong.
+fn write_facts(body: &mut String, case: &CaseReport) {
+    let open = if case.verdict.status == CaseStatus::Failed {
         " open"
     } else {
         ""
     };
     let _ = writeln!(body, "<details{open}><summary>numbers</summary>");
-    let _ = writeln!(body, "<p class=\"soft\">model <code>{}</code></p>", safe(&case.model));
+    let _ = writeln!(
+        body,
+        "<p class=\"soft\">model <code>{}</code></p>",
+        escape_text(&case.model)
+    );
     for (what, digest) in [("digest", &case.digest), ("stored digest", &case.stored_digest)] {
         if !digest.is_empty() {
-            let _ = writeln!(body, "<p class=\"soft\">{what} <code>{}</code></p>", safe(digest));
+            let _ = writeln!(
+                body,
+                "<p class=\"soft\">{what} <code>{}</code></p>",
+                escape_text(digest)
+            );
         }
     }
     if !case.verdict.measures.is_empty() {
         *body += "<table>\n<thead><tr><th>metric</th><th>difference</th><th>allowed</th><th>stored</th><th>now</th><th>where, why allowed</th></tr></thead>\n<tbody>\n";
-        case.verdict.measures.iter().for_each(|m| row(body, m));
+        case.verdict.measures.iter().for_each(|m| write_difference(body, m));
         *body += "</tbody>\n</table>\n";
     }
     *body += "</details>\n";
 }
 
-fn row(body: &mut String, m: &Measure) {
-    let number = |x: Option<f64>| x.map_or("not told".into(), |x| m.metric.show(x));
+fn write_difference(body: &mut String, m: &MetricDifference) {
+    let number = |x: Option<f64>| x.map_or("not told".into(), |x| m.metric.format_value(x));
     let (stored, now) = match m.metric.kind() {
-        Kind::Shape => (String::new(), String::new()),
+        MetricKind::Shape => (String::new(), String::new()),
         _ => (number(m.stored), number(m.value)),
     };
     let words: Vec<&str> = [m.place.as_str(), m.reason.as_str()]
@@ -119,16 +140,16 @@ fn row(body: &mut String, m: &Measure) {
     let _ = writeln!(
         body,
         "<tr{}><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td class=\"number\">{stored}</td><td class=\"number\">{now}</td><td>{}</td></tr>",
-        if m.holds() { "" } else { " class=\"over\"" },
+        if m.is_within_bound() { "" } else { " class=\"over\"" },
         m.metric.name(),
         number(m.difference),
-        m.metric.show(m.allowed),
-        safe(&words.join("; "))
+        m.metric.format_value(m.allowed),
+        escape_text(&words.join("; "))
     );
 }
 
-/// A text that is nothing but text, in an element or an attribute.
-fn safe(text: &str) -> String {
+/// Escapes a text so that it is nothing but text, in an element or an attribute.
+fn escape_text(text: &str) -> String {
     escape(printable(text).as_str()).into_owned()
 }
 
@@ -138,7 +159,7 @@ mod tests {
 
     #[test]
     fn the_page_is_whole_and_texts_stay_texts() {
-        let page = super::html(&samples::suite());
+        let page = super::html_report(&samples::sample_suite());
         assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
         assert!(
             !page.contains("<script") && !page.contains("<i>") && !page.contains("<note>") && !page.contains("<b> &")

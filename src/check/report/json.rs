@@ -1,24 +1,24 @@
 //! The report as one JSON document.
 
-use super::super::{Measure, Status};
-use super::{CaseReport, SuiteReport};
+use super::super::verdict::{CaseStatus, MetricDifference};
+use super::suite_report::{CaseReport, SuiteReport};
 use serde_json::{Map, Value, json};
 
-/// The document that `--json` prints.
-pub fn json(report: &SuiteReport) -> Value {
-    let count = |status| report.count(status);
+/// Writes the document that `--json` prints.
+pub fn json_report(report: &SuiteReport) -> Value {
+    let count = |status| report.count_cases(status);
     json!({
         "suite": report.suite,
         "how": report.how,
-        "passed": count(Status::Passed),
-        "failed": count(Status::Failed),
-        "skipped": count(Status::Skipped),
-        "blessed": count(Status::Blessed),
-        "cases": report.cases.iter().map(case).collect::<Vec<_>>(),
+        "passed": count(CaseStatus::Passed),
+        "failed": count(CaseStatus::Failed),
+        "skipped": count(CaseStatus::Skipped),
+        "blessed": count(CaseStatus::Blessed),
+        "cases": report.cases.iter().map(case_json).collect::<Vec<_>>(),
     })
 }
 
-fn case(case: &CaseReport) -> Value {
+fn case_json(case: &CaseReport) -> Value {
     let reasons = case.verdict.reasons.iter();
     let mut value = json!({
         "name": case.name,
@@ -29,7 +29,7 @@ fn case(case: &CaseReport) -> Value {
         "digest": case.digest,
         "storedDigest": case.stored_digest,
         "reasons": reasons.map(|r| json!({"code": r.code, "text": r.text})).collect::<Vec<_>>(),
-        "metrics": case.verdict.measures.iter().map(measure).collect::<Vec<_>>(),
+        "metrics": case.verdict.measures.iter().map(difference_json).collect::<Vec<_>>(),
         "notes": case.notes,
     });
     if let (Some(inputs), Value::Object(fields)) = (&case.inputs, &mut value) {
@@ -38,27 +38,27 @@ fn case(case: &CaseReport) -> Value {
     value
 }
 
-/// Numbers that could not be told are absent.
-fn measure(measure: &Measure) -> Value {
+/// Writes one metric. Numbers that could not be told are absent.
+fn difference_json(difference: &MetricDifference) -> Value {
     let mut fields = Map::new();
-    fields.insert("name".into(), measure.metric.name().into());
+    fields.insert("name".into(), difference.metric.name().into());
     let numbers = [
-        ("value", measure.value),
-        ("stored", measure.stored),
-        ("difference", measure.difference),
-        ("allowed", Some(measure.allowed)),
+        ("value", difference.value),
+        ("stored", difference.stored),
+        ("difference", difference.difference),
+        ("allowed", Some(difference.allowed)),
     ];
     for (name, number) in numbers {
         if let Some(number) = number {
             fields.insert(name.into(), number.into());
         }
     }
-    for (name, text) in [("reason", &measure.reason), ("place", &measure.place)] {
+    for (name, text) in [("reason", &difference.reason), ("place", &difference.place)] {
         if !text.is_empty() {
             fields.insert(name.into(), text.as_str().into());
         }
     }
-    fields.insert("holds".into(), measure.holds().into());
+    fields.insert("holds".into(), difference.is_within_bound().into());
     Value::Object(fields)
 }
 
@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn the_document_says_what_was_found() {
-        let value = super::json(&samples::suite());
+        let value = super::json_report(&samples::sample_suite());
         assert_eq!(
             (&value["passed"], &value["failed"], &value["skipped"]),
             (&2.into(), &2.into(), &1.into())

@@ -1,34 +1,34 @@
 //! The report as JUnit XML, which CI systems read: a test case for each case, a property for each metric.
 
-use super::super::metric::exact;
-use super::super::{Reason, Status};
-use super::{CaseReport, SuiteReport, printable};
+use super::super::metric::format_exact;
+use super::super::verdict::{CaseStatus, VerdictReason};
+use super::suite_report::{CaseReport, SuiteReport, printable};
 use quick_xml::events::{BytesDecl, BytesText, Event};
 use quick_xml::writer::Writer;
 use std::io;
 
-type Xml = Writer<Vec<u8>>;
+type XmlWriter = Writer<Vec<u8>>;
 
-/// The document, in UTF-8.
+/// Writes the document, in UTF-8.
 ///
 /// # Errors
 /// In words; never for texts in memory.
-pub fn junit(report: &SuiteReport) -> Result<Vec<u8>, String> {
+pub fn junit_report(report: &SuiteReport) -> Result<Vec<u8>, String> {
     let mut xml = Writer::new_with_indent(Vec::new(), b' ', 2);
-    write(report, &mut xml).map_err(|e| e.to_string())?;
+    write_report(report, &mut xml).map_err(|e| e.to_string())?;
     let mut bytes = xml.into_inner();
     bytes.push(b'\n');
     Ok(bytes)
 }
 
-fn write(report: &SuiteReport, xml: &mut Xml) -> io::Result<()> {
+fn write_report(report: &SuiteReport, xml: &mut XmlWriter) -> io::Result<()> {
     xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
     let broken = report.cases.iter().filter(|c| is_error(c)).count();
     let counts = [
         ("tests", report.cases.len()),
-        ("failures", report.count(Status::Failed) - broken),
+        ("failures", report.count_cases(CaseStatus::Failed) - broken),
         ("errors", broken),
-        ("skipped", report.count(Status::Skipped)),
+        ("skipped", report.count_cases(CaseStatus::Skipped)),
     ];
     let counts: Vec<(&str, String)> = counts.map(|(name, n)| (name, n.to_string())).into();
     let counts = || counts.iter().map(|(name, n)| (*name, n.as_str()));
@@ -37,32 +37,32 @@ fn write(report: &SuiteReport, xml: &mut Xml) -> io::Result<()> {
     all.write_inner_content(|xml| {
         let element = xml.create_element("testsuite").with_attribute(("name", suite.as_str()));
         element.with_attributes(counts()).write_inner_content(|xml| {
-            properties(xml, &[("how".into(), report.how.clone())])?;
-            report.cases.iter().try_for_each(|c| case(xml, &suite, c))
+            write_properties(xml, &[("how".into(), report.how.clone())])?;
+            report.cases.iter().try_for_each(|c| write_case(xml, &suite, c))
         })?;
         Ok(())
     })?;
     Ok(())
 }
 
-/// A case that could not be run, other than one whose result is wrong.
+/// Tells a case that could not be run from one whose result is wrong.
 fn is_error(case: &CaseReport) -> bool {
-    case.verdict.status == Status::Failed && case.verdict.reasons.first().is_some_and(|r| r.code == "not-run")
+    case.verdict.status == CaseStatus::Failed && case.verdict.reasons.first().is_some_and(|r| r.code == "not-run")
 }
 
-fn case(xml: &mut Xml, suite: &str, case: &CaseReport) -> io::Result<()> {
+fn write_case(xml: &mut XmlWriter, suite: &str, case: &CaseReport) -> io::Result<()> {
     let class = format!("pliant.check.{suite}");
     let element = xml.create_element("testcase");
     let element = element.with_attributes([("classname", class.as_str()), ("name", case.name.as_str())]);
     element.write_inner_content(|xml| {
-        properties(xml, &facts(case))?;
+        write_properties(xml, &case_properties(case))?;
         let reasons = &case.verdict.reasons;
         let Some(first) = reasons.first() else { return Ok(()) };
         let name = match case.verdict.status {
-            Status::Failed if is_error(case) => "error",
-            Status::Failed => "failure",
-            Status::Skipped => "skipped",
-            Status::Passed | Status::Blessed => return Ok(()),
+            CaseStatus::Failed if is_error(case) => "error",
+            CaseStatus::Failed => "failure",
+            CaseStatus::Skipped => "skipped",
+            CaseStatus::Passed | CaseStatus::Blessed => return Ok(()),
         };
         let message = printable(&first.text);
         let element = xml.create_element(name).with_attribute(("message", message.as_str()));
@@ -70,7 +70,7 @@ fn case(xml: &mut Xml, suite: &str, case: &CaseReport) -> io::Result<()> {
             element.write_empty()?;
             return Ok(());
         }
-        let tell = |r: &Reason| format!("{}: {}", r.code, printable(&r.text));
+        let tell = |r: &VerdictReason| format!("{}: {}", r.code, printable(&r.text));
         let text: Vec<String> = reasons.iter().map(tell).collect();
         let element = element.with_attribute(("type", first.code));
         element.write_text_content(BytesText::new(&text.join("\n")))?;
@@ -81,7 +81,7 @@ fn case(xml: &mut Xml, suite: &str, case: &CaseReport) -> io::Result<()> {
 
 /// What is known of a case: for each metric the difference from the golden, which is what is compared and not the
 /// metric's own value, and what is allowed where that is not 0.
-fn facts(case: &CaseReport) -> Vec<(String, String)> {
+fn case_properties(case: &CaseReport) -> Vec<(String, String)> {
     let mut facts = vec![
         ("title".to_owned(), printable(&case.title)),
         ("model".to_owned(), printable(&case.model)),
@@ -95,16 +95,16 @@ fn facts(case: &CaseReport) -> Vec<(String, String)> {
             facts.push((name.into(), "not told".into()));
             continue;
         };
-        facts.push((name.into(), exact(difference)));
+        facts.push((name.into(), format_exact(difference)));
         if m.allowed > 0.0 {
-            facts.push((format!("{name}.allowed"), exact(m.allowed)));
+            facts.push((format!("{name}.allowed"), format_exact(m.allowed)));
             facts.push((format!("{name}.reason"), printable(&m.reason)));
         }
     }
     facts
 }
 
-fn properties(xml: &mut Xml, facts: &[(String, String)]) -> io::Result<()> {
+fn write_properties(xml: &mut XmlWriter, facts: &[(String, String)]) -> io::Result<()> {
     if facts.is_empty() {
         return Ok(());
     }
@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn the_document_is_well_formed_and_escaped() {
-        let bytes = super::junit(&samples::suite()).expect("written");
+        let bytes = super::junit_report(&samples::sample_suite()).expect("written");
         let text = String::from_utf8(bytes).expect("UTF-8");
         let mut reader = Reader::from_str(&text);
         reader.config_mut().check_end_names = true;

@@ -41,7 +41,7 @@ tr.over td { color: var(--failed); font-weight: 600; }
 ";
 
 /// The page around `body`, both already escaped.
-pub(super) fn page(title: &str, body: &str) -> String {
+pub(super) fn html_page(title: &str, body: &str) -> String {
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\

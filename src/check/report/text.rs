@@ -1,40 +1,42 @@
 //! One line a case, for people at a terminal.
 
-use super::super::{Golden, Kind, Measure, Metric, Reason, Status, Verdict};
-use super::{CaseReport, SuiteReport, printable};
+use super::super::golden::Golden;
+use super::super::metric::{Metric, MetricKind};
+use super::super::verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason};
+use super::suite_report::{CaseReport, SuiteReport, printable};
 
 /// The line of a case; `width` is that of the longest name.
-pub fn line(case: &CaseReport, width: usize) -> String {
+pub fn case_line(case: &CaseReport, width: usize) -> String {
     let word = match case.verdict.status {
-        Status::Failed => "FAILED",
+        CaseStatus::Failed => "FAILED",
         other => other.name(),
     };
-    let text = printable(&said(&case.verdict)).replace(['\n', '\r', '\t'], " ");
+    let text = printable(&verdict_line(&case.verdict)).replace(['\n', '\r', '\t'], " ");
     format!("{word:<8} {:<width$}  {text}", case.name)
 }
 
 /// What matters most of a verdict: what is wrong, or the number that is nearest to its bound.
-pub(super) fn said(verdict: &Verdict) -> String {
+pub(super) fn verdict_line(verdict: &CaseVerdict) -> String {
     let reasons = &verdict.reasons;
     let Some(first) = reasons.first() else {
-        return match verdict.worst() {
-            _ if verdict.status == Status::Blessed && verdict.identical => "as it was".into(),
-            _ if verdict.status == Status::Blessed => "stored".into(),
+        return match verdict.largest_share() {
+            _ if verdict.status == CaseStatus::Blessed && verdict.identical => "as it was".into(),
+            _ if verdict.status == CaseStatus::Blessed => "stored".into(),
             _ if verdict.identical => "identical".into(),
-            Some(worst) => format!("within tolerance: {}", worst.show()),
+            Some(worst) => format!("within tolerance: {}", worst.describe()),
             None => "within tolerance".into(),
         };
     };
     let has = |code: &str| reasons.iter().any(|r| r.code == code);
-    let tell = |r: &Reason| format!("{}: {}", r.code, r.text);
+    let tell = |r: &VerdictReason| format!("{}: {}", r.code, r.text);
     let mut parts = Vec::new();
     // What is more basic than numbers comes before them, as in the list of reasons.
     if !matches!(first.code, "metric" | "expectation") {
         parts.push(tell(first));
     }
-    let over: Vec<&Measure> = verdict.measures.iter().filter(|m| !m.holds()).collect();
-    if let Some(worst) = worst_first(&over).filter(|_| has("metric")) {
-        parts.push(worst.show());
+    let over: Vec<&MetricDifference> = verdict.measures.iter().filter(|m| !m.is_within_bound()).collect();
+    if let Some(worst) = worst_difference(&over).filter(|_| has("metric")) {
+        parts.push(worst.describe());
         let more = over.iter().filter(|m| m.metric != worst.metric);
         let more: Vec<&str> = more.map(|m| m.metric.name()).collect();
         if !more.is_empty() {
@@ -46,14 +48,14 @@ pub(super) fn said(verdict: &Verdict) -> String {
 }
 
 /// Of numbers that are over their bounds the one to tell: what turned over, before how far it is over.
-fn worst_first<'a>(over: &[&'a Measure]) -> Option<&'a Measure> {
-    let turned = |m: &&&Measure| matches!(m.metric, Metric::FlippedTriangles | Metric::FoldedTriangles);
+fn worst_difference<'a>(over: &[&'a MetricDifference]) -> Option<&'a MetricDifference> {
+    let turned = |m: &&&MetricDifference| matches!(m.metric, Metric::FlippedTriangles | Metric::FoldedTriangles);
     if let Some(m) = over.iter().find(turned) {
         return Some(m);
     }
-    let mut worst: Option<&Measure> = None;
+    let mut worst: Option<&MetricDifference> = None;
     for m in over {
-        if worst.is_none_or(|w| m.share() > w.share()) {
+        if worst.is_none_or(|w| m.share_of_bound() > w.share_of_bound()) {
             worst = Some(m);
         }
     }
@@ -61,25 +63,34 @@ fn worst_first<'a>(over: &[&'a Measure]) -> Option<&'a Measure> {
 }
 
 /// The last line: how many cases ended how.
-pub fn summary(report: &SuiteReport) -> String {
-    let counts: Vec<String> = [Status::Passed, Status::Failed, Status::Skipped, Status::Blessed]
-        .into_iter()
-        .map(|status| (report.count(status), status.name()))
-        .filter(|(n, _)| *n > 0)
-        .map(|(n, name)| format!("{n} {name}"))
-        .collect();
+pub fn summary_line(report: &SuiteReport) -> String {
+    let counts: Vec<String> = [
+        CaseStatus::Passed,
+        CaseStatus::Failed,
+        CaseStatus::Skipped,
+        CaseStatus::Blessed,
+    ]
+    .into_iter()
+    .map(|status| (report.count_cases(status), status.name()))
+    .filter(|(n, _)| *n > 0)
+    .map(|(n, name)| format!("{n} {name}"))
+    .collect();
     format!("{} cases {}: {}", report.cases.len(), report.how, counts.join(", "))
 }
 
 /// What a new golden changes, metric by metric; empty when it says the same. `measures` compare the new result with the
 /// old golden.
-pub fn changes(old: Option<&Golden>, new: &Golden, measures: &[Measure]) -> Vec<String> {
+pub fn describe_changes(old: Option<&Golden>, new: &Golden, measures: &[MetricDifference]) -> Vec<String> {
     let Some(old) = old else {
         let mut lines = vec![format!(
             "new: {} vertices, {} triangles, digest {}",
             new.topology.vertices, new.topology.triangles, new.digest
         )];
-        lines.extend(new.numbers.iter().map(|(m, x)| format!("{} {}", m.name(), m.show(*x))));
+        lines.extend(
+            new.numbers
+                .iter()
+                .map(|(m, x)| format!("{} {}", m.name(), m.format_value(*x))),
+        );
         return lines;
     };
     let mut lines = Vec::new();
@@ -99,12 +110,12 @@ pub fn changes(old: Option<&Golden>, new: &Golden, measures: &[Measure]) -> Vec<
         &count(new.topology.triangles),
     );
     changed("topology", &old.topology.digest, &new.topology.digest);
-    for m in measures.iter().filter(|m| m.metric.kind() == Kind::Shape) {
+    for m in measures.iter().filter(|m| m.metric.kind() == MetricKind::Shape) {
         if m.difference.is_some_and(|d| d > 0.0) {
             lines.push(format!(
                 "{} from the old golden {}",
                 m.metric.name(),
-                m.metric.show(m.difference.unwrap_or_default())
+                m.metric.format_value(m.difference.unwrap_or_default())
             ));
         }
     }
@@ -112,7 +123,7 @@ pub fn changes(old: Option<&Golden>, new: &Golden, measures: &[Measure]) -> Vec<
         match (old.numbers.get(&metric), new.numbers.get(&metric)) {
             (a, b) if a == b => {}
             (a, b) => {
-                let show = |x: Option<&f64>| x.map_or("none".into(), |x| metric.show(*x));
+                let show = |x: Option<&f64>| x.map_or("none".into(), |x| metric.format_value(*x));
                 lines.push(format!("{} {} -> {}", metric.name(), show(a), show(b)));
             }
         }
@@ -127,8 +138,8 @@ mod tests {
 
     #[test]
     fn each_case_is_one_line_with_what_matters() {
-        let suite = samples::suite();
-        let lines: Vec<String> = suite.cases.iter().map(|c| line(c, 10)).collect();
+        let suite = samples::sample_suite();
+        let lines: Vec<String> = suite.cases.iter().map(|c| case_line(c, 10)).collect();
         assert_eq!(lines[0], "passed   a-passed    identical");
         assert!(
             lines[1].contains("within tolerance: maxDisplacement 5.00e-7 of 1.00e-6 allowed"),
@@ -146,13 +157,13 @@ mod tests {
         assert!(lines.iter().all(|l| !l.contains('\n')));
         let mut other = suite.cases[3].clone();
         let text = "the digest is xxh3:1, stored is xxh3:2".into();
-        other.verdict.reasons.insert(0, Reason { code: "digest", text });
+        other.verdict.reasons.insert(0, VerdictReason { code: "digest", text });
         let text = "flippedTriangles is 2, at most 0 expected".into();
-        other.verdict.reasons.push(Reason {
+        other.verdict.reasons.push(VerdictReason {
             code: "expectation",
             text,
         });
-        let told = line(&other, 10);
+        let told = case_line(&other, 10);
         assert!(
             told.starts_with(
                 "FAILED   d-failed    digest: the digest is xxh3:1, stored is xxh3:2; flippedTriangles 2 of 0"
@@ -162,10 +173,13 @@ mod tests {
         assert!(told.ends_with("; also maxDisplacement; expectation: flippedTriangles is 2, at most 0 expected"));
         other.verdict.reasons.retain(|r| r.code == "expectation");
         assert_eq!(
-            said(&other.verdict),
+            verdict_line(&other.verdict),
             "expectation: flippedTriangles is 2, at most 0 expected",
             "numbers that are no reason are not told"
         );
-        assert_eq!(summary(&suite), "5 cases in process: 2 passed, 2 failed, 1 skipped");
+        assert_eq!(
+            summary_line(&suite),
+            "5 cases in process: 2 passed, 2 failed, 1 skipped"
+        );
     }
 }

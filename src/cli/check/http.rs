@@ -17,14 +17,14 @@ const TRIES: u32 = 20;
 /// Longest wait before it is repeated.
 const LONGEST_WAIT: u64 = 10;
 
-/// Where a server is, and who asks.
+/// A server address says where a server is, and who asks.
 #[derive(Debug, Clone)]
-pub(super) struct Address {
+pub(super) struct ServerAddress {
     base: String,
     token: Option<String>,
 }
 
-impl Address {
+impl ServerAddress {
     /// Checks a URL such as `http://127.0.0.1:7411`, maybe with a path before the calls' own.
     pub fn new(url: &str, token: Option<&str>) -> Result<Self, String> {
         let wrong = |problem: &str| {
@@ -57,14 +57,14 @@ impl Address {
     }
 }
 
-/// What a server answered.
-pub(super) struct Answer {
+/// An HTTP answer is what a server answered.
+pub(super) struct HttpAnswer {
     pub headers: HeaderMap,
     pub body: Bytes,
 }
 
-/// What is sent.
-pub(super) struct Call<'a> {
+/// An HTTP call is what is sent.
+pub(super) struct HttpCall<'a> {
     pub method: Method,
     /// Below the server's address, percent-encoded.
     pub path: &'a str,
@@ -75,16 +75,16 @@ pub(super) struct Call<'a> {
     pub body: Bytes,
 }
 
-/// Calls one server. Owned by one thread.
-pub(super) struct Client {
-    address: Address,
+/// An HTTP client calls one server. It is owned by one thread.
+pub(super) struct HttpClient {
+    address: ServerAddress,
     connections: Connections<HttpConnector, Full<Bytes>>,
     runtime: tokio::runtime::Runtime,
 }
 
-impl Client {
+impl HttpClient {
     /// Makes a client; nothing is sent yet.
-    pub fn new(address: &Address) -> Result<Self, String> {
+    pub fn new(address: &ServerAddress) -> Result<Self, String> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         Ok(Self {
             address: address.clone(),
@@ -97,10 +97,10 @@ impl Client {
     ///
     /// # Errors
     /// What went wrong, with the server's own words where it gave some.
-    pub fn call(&self, call: &Call<'_>) -> Result<Answer, String> {
+    pub fn send(&self, call: &HttpCall<'_>) -> Result<HttpAnswer, String> {
         let named = |problem: String| format!("{} {}: {problem}", call.method, call.name);
         for _ in 1..TRIES {
-            let (status, answer) = self.once(call).map_err(named)?;
+            let (status, answer) = self.send_once(call).map_err(named)?;
             let busy = matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE);
             let again = answer
                 .headers
@@ -112,17 +112,17 @@ impl Client {
                     self.runtime.block_on(tokio::time::sleep(wait));
                 }
                 _ if status.is_success() => return Ok(answer),
-                _ => return Err(named(problem(status, &answer.body))),
+                _ => return Err(named(server_problem(status, &answer.body))),
             }
         }
-        let (status, answer) = self.once(call).map_err(named)?;
+        let (status, answer) = self.send_once(call).map_err(named)?;
         match status.is_success() {
             true => Ok(answer),
-            false => Err(named(problem(status, &answer.body))),
+            false => Err(named(server_problem(status, &answer.body))),
         }
     }
 
-    fn once(&self, call: &Call<'_>) -> Result<(StatusCode, Answer), String> {
+    fn send_once(&self, call: &HttpCall<'_>) -> Result<(StatusCode, HttpAnswer), String> {
         let uri = format!("{}{}", self.address.base, call.path);
         let mut request = Request::builder().method(call.method.clone()).uri(uri);
         if !call.content_type.is_empty() {
@@ -136,11 +136,11 @@ impl Client {
         }
         let request = request.body(Full::new(call.body.clone())).map_err(|e| e.to_string())?;
         let answered = async {
-            let response = self.connections.request(request).await.map_err(|e| chain(&e))?;
+            let response = self.connections.request(request).await.map_err(|e| error_chain(&e))?;
             let (parts, body) = response.into_parts();
             let body = Limited::new(body, LARGEST).collect().await;
             let body = body.map_err(|e| format!("the answer broke off: {e}"))?.to_bytes();
-            let answer = Answer {
+            let answer = HttpAnswer {
                 headers: parts.headers,
                 body,
             };
@@ -153,8 +153,8 @@ impl Client {
     }
 }
 
-/// An error with what caused it.
-fn chain(error: &dyn std::error::Error) -> String {
+/// Writes an error with what caused it.
+fn error_chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();
     while let Some(cause) = next {
@@ -167,8 +167,8 @@ fn chain(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// What a server says is wrong: the detail of its problem document, or its first words.
-fn problem(status: StatusCode, body: &[u8]) -> String {
+/// Writes what a server says is wrong: the detail of its problem document, or its first words.
+fn server_problem(status: StatusCode, body: &[u8]) -> String {
     let document = serde_json::from_slice::<serde_json::Value>(body).ok();
     let detail = document.as_ref().and_then(|d| d.get("detail")?.as_str());
     let words: String = match detail {
@@ -185,11 +185,11 @@ mod tests {
     #[test]
     fn an_address_is_plain_http() {
         let refused = |url: &str, words: &str| {
-            let told = Address::new(url, None).expect_err(url);
+            let told = ServerAddress::new(url, None).expect_err(url);
             assert!(told.contains(words) && told.contains("--server"), "{told}");
         };
         assert_eq!(
-            Address::new("http://[::1]:80/pliant/", None).map(|a| a.base),
+            ServerAddress::new("http://[::1]:80/pliant/", None).map(|a| a.base),
             Ok("http://[::1]:80/pliant".into())
         );
         refused("https://example.org", "TLS");
@@ -197,7 +197,7 @@ mod tests {
         refused("http://me:secret@host", "host, port");
         refused("http://a b", "no URL");
         assert!(
-            Address::new("http://host", Some("a b"))
+            ServerAddress::new("http://host", Some("a b"))
                 .expect_err("a space")
                 .contains("--token")
         );
@@ -205,11 +205,11 @@ mod tests {
 
     #[test]
     fn what_a_server_says_is_told() {
-        let told = problem(
+        let told = server_problem(
             StatusCode::UNPROCESSABLE_ENTITY,
             br#"{"detail": "handles[0].id: is empty"}"#,
         );
         assert_eq!(told, "422: handles[0].id: is empty");
-        assert_eq!(problem(StatusCode::BAD_GATEWAY, b"upstream"), "502: upstream");
+        assert_eq!(server_problem(StatusCode::BAD_GATEWAY, b"upstream"), "502: upstream");
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::asset::FileSet;
 use crate::batch;
-use crate::check::{Found, Metric};
+use crate::check::{CaseResult, Metric};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
 use crate::pool::Pool;
@@ -13,7 +13,7 @@ use crate::wire::pb;
 ///
 /// # Errors
 /// Why it cannot be run.
-pub(super) fn run(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Found, String> {
+pub(super) fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<CaseResult, String> {
     let no_clock = || 0.0;
     let done = batch::run(
         files,
@@ -25,7 +25,7 @@ pub(super) fn run(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<Found, S
     )
     .map_err(|e| e.to_string())?;
     let poses: Vec<&pb::report::Step> = done.report.steps.iter().filter(|s| s.kind == "pose").collect();
-    let mut found = Found {
+    let mut found = CaseResult {
         positions: done.positions.to_vec(),
         triangles: done.triangles,
         digest: done.report.digest,

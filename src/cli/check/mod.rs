@@ -6,14 +6,15 @@ mod remote;
 mod run;
 mod suite;
 
-use super::files::write_file;
-use super::progress::Bar;
-use super::{Failure, Threads};
-use crate::check::Status;
+use super::failure::CliFailure;
+use super::model_files::write_file;
+use super::stage_spinner::StageSpinner;
+use super::threads::ThreadArgs;
+use crate::check::CaseStatus;
 use crate::check::report::{self, SuiteReport};
 use clap::Args;
-use http::{Address, Client};
-use run::{Plan, run_all};
+use http::{HttpClient, ServerAddress};
+use run::{CheckPlan, run_all_cases};
 use std::io::Write as _;
 use std::path::PathBuf;
 
@@ -47,32 +48,32 @@ pub struct CheckArgs {
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
     #[command(flatten)]
-    threads: Threads,
+    threads: ThreadArgs,
 }
 
 /// Runs the command.
-pub(super) fn run(args: &CheckArgs) -> Result<(), Failure> {
-    let threads = args.threads.pool()?.threads();
+pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
+    let threads = args.threads.start_pool()?.threads();
     let server = args
         .server
         .as_deref()
-        .map(|url| Address::new(url, args.token.as_deref()));
-    let server = server.transpose().map_err(Failure::Input)?;
+        .map(|url| ServerAddress::new(url, args.token.as_deref()));
+    let server = server.transpose().map_err(CliFailure::Input)?;
     let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
-    let suite::Suite { cases, notes } = suite::load(&args.suite, data)?;
+    let suite::LoadedSuite { cases, notes } = suite::load_suite(&args.suite, data)?;
     if let Some(address) = &server {
-        let client = Client::new(address).map_err(Failure::Internal)?;
-        remote::greet(&client).map_err(|e| Failure::Input(format!("the server cannot be used: {e}")))?;
+        let client = HttpClient::new(address).map_err(CliFailure::Internal)?;
+        remote::ask_limits(&client).map_err(|e| CliFailure::Input(format!("the server cannot be used: {e}")))?;
     }
-    let plan = Plan {
+    let plan = CheckPlan {
         server: server.as_ref(),
         bless: args.bless,
         skip_fails: args.no_skip,
         pictures: args.html.is_some(),
     };
-    let bar = Bar::new(args.json);
-    let done = run_all(&cases, &plan, threads, &bar)?;
-    bar.done();
+    let spinner = StageSpinner::new(args.json);
+    let done = run_all_cases(&cases, &plan, threads, &spinner)?;
+    spinner.finish();
 
     let name = args.suite.canonicalize().ok();
     let name = name
@@ -95,27 +96,28 @@ pub(super) fn run(args: &CheckArgs) -> Result<(), Failure> {
         if let Some(golden) = &done.golden {
             write_file(&case.golden_path, golden.as_bytes())?;
         }
-        eprintln!("{}", report::line(&done.report, width));
+        eprintln!("{}", report::case_line(&done.report, width));
         done.changes.iter().for_each(|change| eprintln!("         {change}"));
         done.report
             .notes
             .iter()
             .for_each(|note| eprintln!("         note: {note}"));
     }
-    eprintln!("{}", report::summary(&report));
+    eprintln!("{}", report::summary_line(&report));
     if let Some(path) = &args.junit {
-        write_file(path, &report::junit(&report).map_err(Failure::Internal)?)?;
+        write_file(path, &report::junit_report(&report).map_err(CliFailure::Internal)?)?;
     }
     if let Some(path) = &args.html {
-        write_file(path, report::html(&report).as_bytes())?;
+        write_file(path, report::html_report(&report).as_bytes())?;
     }
     if args.json {
-        let text =
-            serde_json::to_string_pretty(&report::json(&report)).map_err(|e| Failure::Internal(e.to_string()))?;
-        writeln!(std::io::stdout(), "{text}").map_err(|e| Failure::Internal(format!("cannot write to stdout: {e}")))?;
+        let text = serde_json::to_string_pretty(&report::json_report(&report))
+            .map_err(|e| CliFailure::Internal(e.to_string()))?;
+        writeln!(std::io::stdout(), "{text}")
+            .map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))?;
     }
     let failed: Vec<&str> = (report.cases.iter())
-        .filter(|c| c.verdict.status == Status::Failed)
+        .filter(|c| c.verdict.status == CaseStatus::Failed)
         .map(|c| c.name.as_str())
         .collect();
     match failed.as_slice() {
@@ -124,7 +126,7 @@ pub(super) fn run(args: &CheckArgs) -> Result<(), Failure> {
             let some = names.iter().take(10).copied().collect::<Vec<_>>().join(", ");
             let more = if names.len() > 10 { ", …" } else { "" };
             let text = format!("{} of {} cases failed: {some}{more}", names.len(), report.cases.len());
-            Err(Failure::Check(text))
+            Err(CliFailure::Check(text))
         }
     }
 }

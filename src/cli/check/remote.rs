@@ -1,11 +1,10 @@
 //! A case on a server, through its HTTP API: open a session, set handles, do every step, fetch the shape.
 
-use super::http::{Answer, Call, Client};
+use super::http::{HttpAnswer, HttpCall, HttpClient};
 use crate::asset::{self, FileSet, Model};
 use crate::batch;
-use crate::check::{Found, Metric};
-use crate::wire;
-use crate::wire::pb;
+use crate::check::{CaseResult, Metric};
+use crate::wire::{self, pb};
 use bytes::Bytes;
 use glam::DVec3;
 use http::{HeaderMap, Method};
@@ -19,8 +18,8 @@ const BUFFER: &str = "application/octet-stream";
 ///
 /// # Errors
 /// Why not.
-pub(super) fn greet(client: &Client) -> Result<(), String> {
-    get(client, "/v1/limits", "/v1/limits", JSON).map(drop)
+pub(super) fn ask_limits(client: &HttpClient) -> Result<(), String> {
+    get_document(client, "/v1/limits", "/v1/limits", JSON).map(drop)
 }
 
 /// Runs a job on a model. The shape before, and the triangles where no step edits, are the caller's to add. What a
@@ -28,11 +27,11 @@ pub(super) fn greet(client: &Client) -> Result<(), String> {
 ///
 /// # Errors
 /// Why it cannot be run, with the server's words.
-pub(super) fn run(client: &Client, files: &FileSet, job: &pb::Job) -> Result<Found, String> {
+pub(super) fn run_on_server(client: &HttpClient, files: &FileSet, job: &pb::Job) -> Result<CaseResult, String> {
     let create = wire::json::to_json(&job.create.clone().unwrap_or_default()).map_err(|e| e.to_string())?;
     let options = utf8_percent_encode(&create.to_string(), NON_ALPHANUMERIC).to_string();
-    let (content_type, body) = upload(files);
-    let session = client.call(&Call {
+    let (content_type, body) = session_body(files);
+    let session = client.send(&HttpCall {
         method: Method::POST,
         path: &format!("/v1/sessions?options={options}"),
         name: "/v1/sessions",
@@ -40,26 +39,26 @@ pub(super) fn run(client: &Client, files: &FileSet, job: &pb::Job) -> Result<Fou
         accept: JSON,
         body,
     })?;
-    let id = document(&session)?["id"].as_str().unwrap_or_default().to_owned();
+    let id = parse_document(&session)?["id"].as_str().unwrap_or_default().to_owned();
     if id.is_empty() || !id.bytes().all(|b| b.is_ascii_alphanumeric()) {
         return Err("POST /v1/sessions: the answer names no session".into());
     }
-    let session = Session { client, id: &id };
-    let found = session.deform(job);
+    let session = RemoteSession { client, id: &id };
+    let found = session.run_job(job);
     // Also after a failure: a session that nobody closes would only wait for its expiry.
-    let closed = session.send(Method::DELETE, "", JSON, Bytes::new()).map(drop);
+    let closed = session.send_below(Method::DELETE, "", JSON, Bytes::new()).map(drop);
     let found = found?;
     closed.map(|()| found)
 }
 
-struct Session<'a> {
-    client: &'a Client,
+struct RemoteSession<'a> {
+    client: &'a HttpClient,
     id: &'a str,
 }
 
-impl Session<'_> {
-    fn send(&self, method: Method, below: &str, accept: &str, body: Bytes) -> Result<Answer, String> {
-        self.client.call(&Call {
+impl RemoteSession<'_> {
+    fn send_below(&self, method: Method, below: &str, accept: &str, body: Bytes) -> Result<HttpAnswer, String> {
+        self.client.send(&HttpCall {
             method,
             path: &format!("/v1/sessions/{}{below}", self.id),
             name: &format!("/v1/sessions/{{id}}{below}"),
@@ -69,18 +68,18 @@ impl Session<'_> {
         })
     }
 
-    fn post<M: prost::Message + prost::Name>(
+    fn send_message<M: prost::Message + prost::Name>(
         &self,
         method: Method,
         below: &str,
         accept: &str,
         message: &M,
-    ) -> Result<Answer, String> {
+    ) -> Result<HttpAnswer, String> {
         let body = wire::json::to_json(message).map_err(|e| e.to_string())?;
-        self.send(method, below, accept, body.to_string().into())
+        self.send_below(method, below, accept, body.to_string().into())
     }
 
-    fn deform(&self, job: &pb::Job) -> Result<Found, String> {
+    fn run_job(&self, job: &pb::Job) -> Result<CaseResult, String> {
         if !job.handles.is_empty() {
             let request = pb::SetHandlesRequest {
                 session_id: String::new(),
@@ -88,40 +87,43 @@ impl Session<'_> {
                 symmetry_plane: job.symmetry_plane.clone(),
                 region_of_interest: job.region_of_interest.clone(),
             };
-            self.post(Method::PUT, "/handles", JSON, &request)?;
+            self.send_message(Method::PUT, "/handles", JSON, &request)?;
         }
-        let mut found = Found {
+        let mut found = CaseResult {
             rounded: true,
             ..Default::default()
         };
         let mut quality = None;
         let mut edited = false;
-        for (k, step) in steps(job).iter().enumerate() {
+        for (k, step) in remote_steps(job).iter().enumerate() {
             let at_step = |e: String| format!("steps[{k}]: {e}");
             quality = None;
             match step {
-                Todo::Pose(pose) => {
+                RemoteStep::Pose(pose) => {
                     let request = pb::SolveRequest {
                         session_id: String::new(),
                         pose: Some(pose.clone()),
-                        options: Some(plain(job.options.unwrap_or_default())),
+                        options: Some(options_for_floats(job.options.unwrap_or_default())),
                     };
-                    let answer = self.post(Method::POST, "/solve", BUFFER, &request).map_err(at_step)?;
-                    quality = quality_of(&answer.headers);
-                    let residual = number(&answer.headers, "x-pliant-residual").unwrap_or_default();
+                    let answer = self
+                        .send_message(Method::POST, "/solve", BUFFER, &request)
+                        .map_err(at_step)?;
+                    quality = header_quality(&answer.headers);
+                    let residual = header_number(&answer.headers, "x-pliant-residual").unwrap_or_default();
                     let most = found.numbers.entry(Metric::Residual).or_insert(0.0);
                     *most = most.max(residual);
                 }
-                Todo::Edit(edit) => {
-                    self.post(Method::POST, "/edits", JSON, edit).map_err(at_step)?;
+                RemoteStep::Edit(edit) => {
+                    self.send_message(Method::POST, "/edits", JSON, edit).map_err(at_step)?;
                     edited = true;
                 }
             }
         }
-        found.digest = self.digest()?;
-        found.positions = floats(&self.send(Method::GET, "/positions", BUFFER, Bytes::new())?.body)?;
+        found.digest = self.newest_digest()?;
+        found.positions =
+            positions_from_floats(&self.send_below(Method::GET, "/positions", BUFFER, Bytes::new())?.body)?;
         if edited {
-            let model = self.send(Method::GET, "/model?format=ply", "", Bytes::new())?;
+            let model = self.send_below(Method::GET, "/model?format=ply", "", Bytes::new())?;
             let model = Model::read(
                 FileSet::single("model.ply", model.body),
                 None,
@@ -153,8 +155,8 @@ impl Session<'_> {
     }
 
     /// Digest of the newest commit.
-    fn digest(&self) -> Result<String, String> {
-        let history = document(&self.send(Method::GET, "/history", JSON, Bytes::new())?)?;
+    fn newest_digest(&self) -> Result<String, String> {
+        let history = parse_document(&self.send_below(Method::GET, "/history", JSON, Bytes::new())?)?;
         let commits = history["commits"].as_array();
         let current = commits.and_then(|all| all.iter().find(|c| c["revision"] == history["current"]));
         let digest = current.and_then(|c| c["digest"].as_str());
@@ -164,27 +166,27 @@ impl Session<'_> {
     }
 }
 
-enum Todo {
+enum RemoteStep {
     Pose(pb::Pose),
     Edit(pb::EditRequest),
 }
 
-/// As [`batch::run`] does them: without steps the poses that the handles come with are one.
-fn steps(job: &pb::Job) -> Vec<Todo> {
+/// Lists the steps as [`batch::run`] does them: without steps the poses that the handles come with are one.
+fn remote_steps(job: &pb::Job) -> Vec<RemoteStep> {
     if job.steps.is_empty() && job.handles.iter().any(|h| h.pose.is_some()) {
-        return vec![Todo::Pose(pb::Pose::default())];
+        return vec![RemoteStep::Pose(pb::Pose::default())];
     }
     let steps = job.steps.iter().filter_map(|s| s.step.as_ref());
     steps
         .map(|step| match step {
-            pb::step::Step::Pose(pose) => Todo::Pose(pose.clone()),
-            pb::step::Step::Edit(edit) => Todo::Edit(edit.clone()),
+            pb::step::Step::Pose(pose) => RemoteStep::Pose(pose.clone()),
+            pb::step::Step::Edit(edit) => RemoteStep::Edit(edit.clone()),
         })
         .collect()
 }
 
-/// Options of which the answer is a whole buffer of plain floats.
-fn plain(options: pb::Options) -> pb::Options {
+/// Changes options so that the answer is a whole buffer of plain floats.
+fn options_for_floats(options: pb::Options) -> pb::Options {
     let asked = options.output.unwrap_or_default();
     pb::Options {
         progressive: false,
@@ -197,8 +199,8 @@ fn plain(options: pb::Options) -> pb::Options {
     }
 }
 
-/// The body that opens a session: the model, with companions as a form.
-fn upload(files: &FileSet) -> (String, Bytes) {
+/// Builds the body that opens a session: the model, with companions as a form.
+fn session_body(files: &FileSet) -> (String, Bytes) {
     if files.companions.is_empty() {
         return (BUFFER.into(), files.main.clone());
     }
@@ -229,8 +231,8 @@ fn upload(files: &FileSet) -> (String, Bytes) {
     (format!("multipart/form-data; boundary={boundary}"), body.into())
 }
 
-fn get(client: &Client, path: &str, name: &str, accept: &str) -> Result<Answer, String> {
-    client.call(&Call {
+fn get_document(client: &HttpClient, path: &str, name: &str, accept: &str) -> Result<HttpAnswer, String> {
+    client.send(&HttpCall {
         method: Method::GET,
         path,
         name,
@@ -240,27 +242,27 @@ fn get(client: &Client, path: &str, name: &str, accept: &str) -> Result<Answer, 
     })
 }
 
-fn document(answer: &Answer) -> Result<Value, String> {
+fn parse_document(answer: &HttpAnswer) -> Result<Value, String> {
     serde_json::from_slice(&answer.body).map_err(|e| format!("the answer is no JSON: {e}"))
 }
 
-fn number(headers: &HeaderMap, name: &str) -> Option<f64> {
+fn header_number(headers: &HeaderMap, name: &str) -> Option<f64> {
     headers.get(name)?.to_str().ok()?.parse().ok()
 }
 
-fn quality_of(headers: &HeaderMap) -> Option<pb::Quality> {
+fn header_quality(headers: &HeaderMap) -> Option<pb::Quality> {
     Some(pb::Quality {
-        edge_rms: number(headers, "x-pliant-edge-rms")?,
-        volume_change: number(headers, "x-pliant-volume-change")?,
-        area_change: number(headers, "x-pliant-area-change")?,
-        flipped_triangles: number(headers, "x-pliant-flipped-triangles")? as u32,
-        max_stretch: number(headers, "x-pliant-max-stretch")?,
-        self_intersections: number(headers, "x-pliant-self-intersections").map(|n| n as u32),
+        edge_rms: header_number(headers, "x-pliant-edge-rms")?,
+        volume_change: header_number(headers, "x-pliant-volume-change")?,
+        area_change: header_number(headers, "x-pliant-area-change")?,
+        flipped_triangles: header_number(headers, "x-pliant-flipped-triangles")? as u32,
+        max_stretch: header_number(headers, "x-pliant-max-stretch")?,
+        self_intersections: header_number(headers, "x-pliant-self-intersections").map(|n| n as u32),
     })
 }
 
-/// Positions from little-endian 32-bit floats.
-fn floats(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
+/// Reads positions from little-endian 32-bit floats.
+fn positions_from_floats(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
     let (vertices, rest) = bytes.as_chunks::<12>();
     if !rest.is_empty() {
         return Err(format!(

@@ -1,23 +1,25 @@
 //! All cases of a suite, several at a time, with a report that does not depend on how many.
 
-use super::http::{Address, Client};
-use super::suite::Loaded;
+use super::http::{HttpClient, ServerAddress};
+use super::suite::LoadedCase;
 use super::{local, remote};
 use crate::asset::{self, FileSet, Model};
-use crate::check::pictures::{Eye, draw_case};
-use crate::check::report::{CaseReport, changes};
-use crate::check::{Found, Golden, Inputs, Status, Verdict, job_hash, judge, model_hash};
-use crate::cli::Failure;
-use crate::cli::progress::Bar;
+use crate::check::report::{CaseReport, describe_changes};
+use crate::check::{
+    CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Viewpoint, draw_case_pictures, job_hash, judge_result,
+    model_hash,
+};
+use crate::cli::failure::CliFailure;
+use crate::cli::stage_spinner::StageSpinner;
 use crate::pool::Pool;
 use crate::progress::Progress as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What is to be done with every case.
-pub(super) struct Plan<'a> {
+/// A check plan says what is to be done with every case.
+pub(super) struct CheckPlan<'a> {
     /// Where, if not in process.
-    pub server: Option<&'a Address>,
+    pub server: Option<&'a ServerAddress>,
     /// Make goldens instead of comparing.
     pub bless: bool,
     /// A case that cannot be run here fails.
@@ -26,8 +28,8 @@ pub(super) struct Plan<'a> {
     pub pictures: bool,
 }
 
-/// A case done.
-pub(super) struct Done {
+/// A checked case is a case that was run, or could not be.
+pub(super) struct CheckedCase {
     /// What is told of it.
     pub report: CaseReport,
     /// The golden's new text, where it is to be written.
@@ -38,17 +40,26 @@ pub(super) struct Done {
 
 /// Runs all cases on `threads` threads together. Cases run side by side, each with its share of the threads; results
 /// depend on neither.
-pub(super) fn run_all(cases: &[Loaded], plan: &Plan<'_>, threads: usize, bar: &Bar) -> Result<Vec<Done>, Failure> {
+pub(super) fn run_all_cases(
+    cases: &[LoadedCase],
+    plan: &CheckPlan<'_>,
+    threads: usize,
+    spinner: &StageSpinner,
+) -> Result<Vec<CheckedCase>, CliFailure> {
     let workers = threads.min(cases.len()).max(1);
     let next = AtomicUsize::new(0);
-    let done: Mutex<Vec<(usize, Done)>> = Mutex::default();
-    let work = || -> Result<(), Failure> {
-        let pool = Pool::new((threads / workers).max(1)).map_err(|e| Failure::Internal(e.to_string()))?;
-        let client = plan.server.map(Client::new).transpose().map_err(Failure::Internal)?;
+    let done: Mutex<Vec<(usize, CheckedCase)>> = Mutex::default();
+    let work = || -> Result<(), CliFailure> {
+        let pool = Pool::new((threads / workers).max(1)).map_err(|e| CliFailure::Internal(e.to_string()))?;
+        let client = plan
+            .server
+            .map(HttpClient::new)
+            .transpose()
+            .map_err(CliFailure::Internal)?;
         loop {
             let k = next.fetch_add(1, Ordering::Relaxed);
             let Some(case) = cases.get(k) else { return Ok(()) };
-            bar.report("checking", k as f32 / cases.len() as f32);
+            spinner.report("checking", k as f32 / cases.len() as f32);
             let one = run_case(case, plan, client.as_ref(), &pool);
             done.lock().unwrap_or_else(|e| e.into_inner()).push((k, one));
         }
@@ -56,7 +67,7 @@ pub(super) fn run_all(cases: &[Loaded], plan: &Plan<'_>, threads: usize, bar: &B
     std::thread::scope(|scope| {
         let workers: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
         let mut ended = workers.into_iter().map(|w| w.join());
-        let broken = |_| Err(Failure::Internal("a case ended in a defect of the program".into()));
+        let broken = |_| Err(CliFailure::Internal("a case ended in a defect of the program".into()));
         ended.try_for_each(|e| e.unwrap_or_else(broken))
     })?;
     let mut done = done.into_inner().unwrap_or_else(|e| e.into_inner());
@@ -64,9 +75,9 @@ pub(super) fn run_all(cases: &[Loaded], plan: &Plan<'_>, threads: usize, bar: &B
     Ok(done.into_iter().map(|(_, d)| d).collect())
 }
 
-fn run_case(loaded: &Loaded, plan: &Plan<'_>, client: Option<&Client>, pool: &Pool) -> Done {
+fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClient>, pool: &Pool) -> CheckedCase {
     let case = &loaded.case;
-    let mut done = Done {
+    let mut done = CheckedCase {
         report: CaseReport {
             name: case.name.clone(),
             title: case.title.clone(),
@@ -77,59 +88,64 @@ fn run_case(loaded: &Loaded, plan: &Plan<'_>, client: Option<&Client>, pool: &Po
                 Some(Ok(golden)) => golden.digest.clone(),
                 _ => String::new(),
             },
-            verdict: Verdict::without_result(Status::Failed, "not-run", ""),
-            plates: Vec::new(),
+            verdict: CaseVerdict::without_result(CaseStatus::Failed, "not-run", ""),
+            pictures: Vec::new(),
             notes: Vec::new(),
         },
         golden: None,
         changes: Vec::new(),
     };
-    if let Some(why) = loaded.absent() {
+    if let Some(why) = loaded.absent_reason() {
         let status = if plan.skip_fails {
-            Status::Failed
+            CaseStatus::Failed
         } else {
-            Status::Skipped
+            CaseStatus::Skipped
         };
-        done.report.verdict = Verdict::without_result(status, "skipped", why);
+        done.report.verdict = CaseVerdict::without_result(status, "skipped", why);
         return done;
     }
-    let ran = loaded.files().and_then(|files| {
-        let inputs = Inputs {
+    let ran = loaded.model_files().and_then(|files| {
+        let inputs = InputHashes {
             model: model_hash(&files),
             job: job_hash(&loaded.job),
         };
         done.report.inputs = Some(inputs.clone());
-        Ok((result(loaded, files, client, pool)?, inputs))
+        Ok((run_model(loaded, files, client, pool)?, inputs))
     });
     let (found, inputs) = match ran {
         Ok(ran) => ran,
         Err(text) => {
-            done.report.verdict = Verdict::without_result(Status::Failed, "not-run", text);
+            done.report.verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-run", text);
             return done;
         }
     };
     done.report.digest = found.digest.clone();
     let expect = loaded.job.expect.as_ref();
-    let (verdict, comparison) = judge(&found, loaded.golden.clone(), &inputs, &case.tolerances, expect, pool);
+    let (verdict, comparison) = judge_result(&found, loaded.golden.clone(), &inputs, &case.tolerances, expect, pool);
     done.report.verdict = verdict;
     if plan.bless {
-        bless(&mut done, loaded, &found, inputs, pool);
+        bless_case(&mut done, loaded, &found, inputs, pool);
     }
     if plan.pictures {
-        let eye = Eye {
+        let eye = Viewpoint {
             view: case.view,
             up: case.up,
         };
-        match draw_case(&found, comparison.as_ref(), eye, pool) {
-            Ok(plates) => done.report.plates = plates,
+        match draw_case_pictures(&found, comparison.as_ref(), eye, pool) {
+            Ok(pictures) => done.report.pictures = pictures,
             Err(e) => done.report.notes.push(format!("there are no pictures: {e}")),
         }
     }
     done
 }
 
-/// What a case comes to, with the shape before.
-fn result(loaded: &Loaded, files: FileSet, client: Option<&Client>, pool: &Pool) -> Result<Found, String> {
+/// Runs a case's job on its model; the result holds the shape before too.
+fn run_model(
+    loaded: &LoadedCase,
+    files: FileSet,
+    client: Option<&HttpClient>,
+    pool: &Pool,
+) -> Result<CaseResult, String> {
     let format = loaded
         .job
         .create
@@ -143,8 +159,8 @@ fn result(loaded: &Loaded, files: FileSet, client: Option<&Client>, pool: &Pool)
     );
     let before = read.map_err(|e| e.to_string())?.geometry;
     let mut found = match client {
-        Some(client) => remote::run(client, &files, &loaded.job)?,
-        None => local::run(files, &loaded.job, pool)?,
+        Some(client) => remote::run_on_server(client, &files, &loaded.job)?,
+        None => local::run_in_process(files, &loaded.job, pool)?,
     };
     if found.triangles.is_empty() && found.positions.len() == before.positions.len() {
         found.triangles = before.triangles.clone();
@@ -154,14 +170,14 @@ fn result(loaded: &Loaded, files: FileSet, client: Option<&Client>, pool: &Pool)
 }
 
 /// Makes the golden of a result and says what it changes. Nothing is asserted; only what no golden can hold is a failure.
-fn bless(done: &mut Done, loaded: &Loaded, found: &Found, inputs: Inputs, pool: &Pool) {
+fn bless_case(done: &mut CheckedCase, loaded: &LoadedCase, found: &CaseResult, inputs: InputHashes, pool: &Pool) {
     let verdict = &mut done.report.verdict;
-    if let Some(text) = found.not_finite() {
+    if let Some(text) = found.describe_not_finite() {
         let text = format!("{text}; no golden can hold that, and none was written");
-        *verdict = Verdict::without_result(Status::Failed, "not-finite", text);
+        *verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-finite", text);
         return;
     }
-    let golden = Golden::of(found, inputs);
+    let golden = Golden::from_result(found, inputs);
     let old = match &loaded.golden {
         Some(Ok(old)) => Some(old),
         _ => None,
@@ -171,7 +187,7 @@ fn bless(done: &mut Done, loaded: &Loaded, found: &Found, inputs: Inputs, pool: 
     }
     // A stale golden was not compared with; what its shape says of the change is told all the same.
     if let Some(old) = old.filter(|_| verdict.measures.is_empty()) {
-        let (compared, _) = judge(
+        let (compared, _) = judge_result(
             found,
             Some(Ok(old.clone())),
             &old.inputs,
@@ -181,21 +197,21 @@ fn bless(done: &mut Done, loaded: &Loaded, found: &Found, inputs: Inputs, pool: 
         );
         verdict.measures = compared.measures;
     }
-    done.changes.extend(changes(old, &golden, &verdict.measures));
+    done.changes.extend(describe_changes(old, &golden, &verdict.measures));
     done.report.notes.extend(
         found
             .unmet
             .iter()
             .map(|text| format!("the job expects otherwise: {text}")),
     );
-    match golden.text() {
+    match golden.to_text() {
         Ok(text) => {
             let same = old == Some(&golden);
             done.golden = (!same).then_some(text);
-            verdict.status = Status::Blessed;
+            verdict.status = CaseStatus::Blessed;
             verdict.reasons.clear();
             verdict.identical = same;
         }
-        Err(text) => *verdict = Verdict::without_result(Status::Failed, "not-run", text),
+        Err(text) => *verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-run", text),
     }
 }

@@ -122,7 +122,7 @@ impl Suite {
 
     /// Lets the golden of a case say that it was made from the job of this case file.
     pub fn pretend_job(&self, case: &str, text: &str) {
-        let read = pliant::check::Case::read("x.case.json", text.as_bytes()).expect("a case");
+        let read = pliant::check::SuiteCase::from_file("x.case.json", text.as_bytes()).expect("a case");
         let pliant::check::JobSource::Inline(job) = read.job else {
             panic!("the job is in the case");
         };

@@ -1,7 +1,7 @@
 //! What `deploy/ci/` says is so: its example is a case, its tables are complete, its commands and workflows work.
 
 use super::folder::check;
-use pliant::check::{Case, Metric};
+use pliant::check::{Metric, SuiteCase};
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -39,7 +39,7 @@ fn the_page_lists_every_metric_and_its_example_is_a_case() {
         .find(|(language, _)| *language == "json")
         .expect("an example")
         .1;
-    Case::read("example.case.json", example.as_bytes()).expect("the example is a case");
+    SuiteCase::from_file("example.case.json", example.as_bytes()).expect("the example is a case");
     for metric in Metric::ALL {
         assert!(
             page.contains(&format!("`{}`", metric.name())),

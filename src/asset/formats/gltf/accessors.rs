@@ -1,44 +1,44 @@
 //! What an accessor's bytes mean: layout, component types, sparse overrides, dequantisation.
 
-use super::buffers::Buffers;
-use super::document::Document;
-use super::schema::{Accessor, View};
+use super::buffers::BufferBytes;
+use super::document::GltfDocument;
+use super::schema::{BufferView, GltfAccessor};
 use crate::asset::Error;
 
 /// Type of one number, as the `gltf` crate names it.
-pub(super) use gltf::json::accessor::ComponentType as Component;
+pub(super) use gltf::json::accessor::ComponentType;
 
 /// The type that a `componentType` number stands for.
-fn component_of(code: u64) -> Option<Component> {
+fn component_of(code: u64) -> Option<ComponentType> {
     use gltf::json::accessor as known;
     Some(match u32::try_from(code).ok()? {
-        known::BYTE => Component::I8,
-        known::UNSIGNED_BYTE => Component::U8,
-        known::SHORT => Component::I16,
-        known::UNSIGNED_SHORT => Component::U16,
-        known::UNSIGNED_INT => Component::U32,
-        known::FLOAT => Component::F32,
+        known::BYTE => ComponentType::I8,
+        known::UNSIGNED_BYTE => ComponentType::U8,
+        known::SHORT => ComponentType::I16,
+        known::UNSIGNED_SHORT => ComponentType::U16,
+        known::UNSIGNED_INT => ComponentType::U32,
+        known::FLOAT => ComponentType::F32,
         _ => return None,
     })
 }
 
 /// The number that starts `bytes`; integers are scaled to 0..1 or -1..1 when `normalized`.
-fn read_number(component: Component, bytes: &[u8], normalized: bool) -> Option<f32> {
+fn read_number(component: ComponentType, bytes: &[u8], normalized: bool) -> Option<f32> {
     let scaled = |value: f32, largest: f32| if normalized { (value / largest).max(-1.0) } else { value };
     Some(match component {
-        Component::I8 => scaled(f32::from(i8::from_le_bytes(*bytes.first_chunk()?)), 127.0),
-        Component::U8 => scaled(f32::from(*bytes.first()?), 255.0),
-        Component::I16 => scaled(f32::from(i16::from_le_bytes(*bytes.first_chunk()?)), 32_767.0),
-        Component::U16 => scaled(f32::from(u16::from_le_bytes(*bytes.first_chunk()?)), 65_535.0),
-        Component::U32 => u32::from_le_bytes(*bytes.first_chunk()?) as f32,
-        Component::F32 => f32::from_le_bytes(*bytes.first_chunk()?),
+        ComponentType::I8 => scaled(f32::from(i8::from_le_bytes(*bytes.first_chunk()?)), 127.0),
+        ComponentType::U8 => scaled(f32::from(*bytes.first()?), 255.0),
+        ComponentType::I16 => scaled(f32::from(i16::from_le_bytes(*bytes.first_chunk()?)), 32_767.0),
+        ComponentType::U16 => scaled(f32::from(u16::from_le_bytes(*bytes.first_chunk()?)), 65_535.0),
+        ComponentType::U32 => u32::from_le_bytes(*bytes.first_chunk()?) as f32,
+        ComponentType::F32 => f32::from_le_bytes(*bytes.first_chunk()?),
     })
 }
 
 /// How an accessor's elements lie in its view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Layout {
-    pub(super) component: Component,
+pub(super) struct AccessorLayout {
+    pub(super) component: ComponentType,
     /// Numbers per element.
     pub(super) lanes: usize,
     /// Bytes of one element.
@@ -49,9 +49,9 @@ pub(super) struct Layout {
     column: (usize, usize),
 }
 
-impl Layout {
+impl AccessorLayout {
     /// The layout, or `None` for a component type or shape that glTF 2.0 does not know.
-    pub(super) fn of(accessor: &Accessor, views: &[View]) -> Option<Self> {
+    pub(super) fn of(accessor: &GltfAccessor, views: &[BufferView]) -> Option<Self> {
         let component = component_of(accessor.component_type.0)?;
         let (columns, rows) = match accessor.shape.as_str() {
             "SCALAR" => (1, 1),
@@ -86,13 +86,13 @@ impl Layout {
 
 /// Which numbers an attribute may be stored as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Role {
+pub(super) enum ShapeAttribute {
     Position,
     Normal,
     Tangent,
 }
 
-impl Role {
+impl ShapeAttribute {
     /// All roles that a deformation changes.
     pub(super) const ALL: [Self; 3] = [Self::Position, Self::Normal, Self::Tangent];
 
@@ -117,7 +117,7 @@ impl Role {
 }
 
 /// Checks that an accessor may be used in a role, and returns how it lies.
-pub(super) fn check_role(doc: &Document<'_>, index: usize, role: Role) -> Result<Layout, Error> {
+pub(super) fn check_role(doc: &GltfDocument<'_>, index: usize, role: ShapeAttribute) -> Result<AccessorLayout, Error> {
     let place = || format!("accessors/{index}");
     let Some(accessor) = doc.accessors.get(index) else {
         return Err(doc.fault.malformed(place(), "does not exist"));
@@ -131,15 +131,15 @@ pub(super) fn check_role(doc: &Document<'_>, index: usize, role: Role) -> Result
         );
         return Err(doc.fault.malformed(place() + "/type", problem));
     }
-    let Some(layout) = Layout::of(accessor, &doc.views.values) else {
+    let Some(layout) = AccessorLayout::of(accessor, &doc.views.values) else {
         let problem = format!("{} is not a glTF component type", accessor.component_type.0);
         return Err(doc.fault.malformed(place() + "/componentType", problem));
     };
     let quantised = match layout.component {
-        Component::F32 => return Ok(layout),
-        Component::I8 | Component::I16 => role == Role::Position || accessor.normalized,
-        Component::U8 | Component::U16 => role == Role::Position,
-        Component::U32 => false,
+        ComponentType::F32 => return Ok(layout),
+        ComponentType::I8 | ComponentType::I16 => role == ShapeAttribute::Position || accessor.normalized,
+        ComponentType::U8 | ComponentType::U16 => role == ShapeAttribute::Position,
+        ComponentType::U32 => false,
     };
     if quantised && doc.uses("KHR_mesh_quantization") {
         return Ok(layout);
@@ -153,17 +153,22 @@ pub(super) fn check_role(doc: &Document<'_>, index: usize, role: Role) -> Result
 }
 
 /// All elements of an attribute in file order, lane by lane, as floats. Compressed views must be decoded.
-pub(super) fn read_floats(doc: &Document<'_>, buffers: &Buffers, index: usize, role: Role) -> Result<Vec<f32>, Error> {
+pub(super) fn read_floats(
+    doc: &GltfDocument<'_>,
+    buffers: &BufferBytes,
+    index: usize,
+    role: ShapeAttribute,
+) -> Result<Vec<f32>, Error> {
     let layout = check_role(doc, index, role)?;
     read_values(doc, buffers, index, layout)
 }
 
 /// All elements of an accessor of any kind, lane by lane, as floats. Compressed views must be decoded.
 pub(super) fn read_values(
-    doc: &Document<'_>,
-    buffers: &Buffers,
+    doc: &GltfDocument<'_>,
+    buffers: &BufferBytes,
     index: usize,
-    layout: Layout,
+    layout: AccessorLayout,
 ) -> Result<Vec<f32>, Error> {
     let Some(accessor) = doc.accessors.get(index) else {
         return Err(doc.fault.malformed(format!("accessors/{index}"), "does not exist"));
@@ -190,7 +195,7 @@ pub(super) fn read_values(
         return Ok(values);
     };
     let overrides = buffers.view(doc, sparse.values.buffer_view.index())?;
-    let packed = Layout {
+    let packed = AccessorLayout {
         stride: layout.element,
         ..layout
     };
@@ -213,7 +218,7 @@ pub(super) fn read_values(
 
 /// An accessor without a view costs no bytes in the file, so its count proves nothing; what it may take is bounded by
 /// the file that asks for it.
-pub(super) fn check_unbacked(doc: &Document<'_>, index: usize, layout: Layout) -> Result<(), Error> {
+pub(super) fn check_unbacked(doc: &GltfDocument<'_>, index: usize, layout: AccessorLayout) -> Result<(), Error> {
     let accessor = &doc.accessors.values[index];
     if accessor.buffer_view.is_some() {
         return Ok(());
@@ -230,7 +235,7 @@ pub(super) fn check_unbacked(doc: &Document<'_>, index: usize, layout: Layout) -
     Ok(())
 }
 
-fn sparse_indices(doc: &Document<'_>, buffers: &Buffers, index: usize) -> Result<Vec<usize>, Error> {
+fn sparse_indices(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) -> Result<Vec<usize>, Error> {
     let accessor = &doc.accessors.values[index];
     let Some(sparse) = &accessor.sparse else {
         return Ok(Vec::new());
@@ -264,13 +269,13 @@ fn sparse_indices(doc: &Document<'_>, buffers: &Buffers, index: usize) -> Result
 }
 
 /// The indices of a primitive. Compressed views must be decoded.
-pub(super) fn read_indices(doc: &Document<'_>, buffers: &Buffers, index: usize) -> Result<Vec<u32>, Error> {
+pub(super) fn read_indices(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) -> Result<Vec<u32>, Error> {
     let place = || format!("accessors/{index}");
     let Some(accessor) = doc.accessors.get(index) else {
         return Err(doc.fault.malformed(place(), "does not exist"));
     };
-    let layout = Layout::of(accessor, &doc.views.values)
-        .filter(|l| l.lanes == 1 && matches!(l.component, Component::U8 | Component::U16 | Component::U32));
+    let layout = AccessorLayout::of(accessor, &doc.views.values)
+        .filter(|l| l.lanes == 1 && matches!(l.component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32));
     let Some(layout) = layout.filter(|_| !accessor.normalized) else {
         let problem = format!(
             "indices of component type {} and type {:?}; SCALAR of 5121, 5123 or 5125, not normalized, is needed",
@@ -304,10 +309,10 @@ pub(super) fn read_indices(doc: &Document<'_>, buffers: &Buffers, index: usize) 
 }
 
 fn apply_sparse_indices(
-    doc: &Document<'_>,
-    buffers: &Buffers,
+    doc: &GltfDocument<'_>,
+    buffers: &BufferBytes,
     index: usize,
-    layout: Layout,
+    layout: AccessorLayout,
     indices: &mut [u32],
 ) -> Result<(), Error> {
     let Some(sparse) = &doc.accessors.values[index].sparse else {
@@ -328,7 +333,7 @@ fn apply_sparse_indices(
     Ok(())
 }
 
-fn short(doc: &Document<'_>, index: usize) -> Error {
+fn short(doc: &GltfDocument<'_>, index: usize) -> Error {
     doc.fault
         .malformed(format!("accessors/{index}"), "reaches past the end of its buffer view")
 }
@@ -336,7 +341,7 @@ fn short(doc: &Document<'_>, index: usize) -> Error {
 fn read_run(
     bytes: &[u8],
     offset: u64,
-    layout: Layout,
+    layout: AccessorLayout,
     normalized: bool,
     count: usize,
     into: &mut Vec<f32>,
@@ -354,15 +359,15 @@ fn read_run(
     Some(())
 }
 
-fn read_whole(bytes: &[u8], offset: u64, component: Component, stride: u64, count: usize) -> Option<Vec<u32>> {
+fn read_whole(bytes: &[u8], offset: u64, component: ComponentType, stride: u64, count: usize) -> Option<Vec<u32>> {
     let (mut at, stride) = (usize::try_from(offset).ok()?, usize::try_from(stride).ok()?);
     let mut out = Vec::with_capacity(count.min(bytes.len()));
     for _ in 0..count {
         let element = bytes.get(at..)?;
         out.push(match component {
-            Component::U8 => u32::from(*element.first()?),
-            Component::U16 => u32::from(u16::from_le_bytes(*element.first_chunk()?)),
-            Component::U32 => u32::from_le_bytes(*element.first_chunk()?),
+            ComponentType::U8 => u32::from(*element.first()?),
+            ComponentType::U16 => u32::from(u16::from_le_bytes(*element.first_chunk()?)),
+            ComponentType::U32 => u32::from_le_bytes(*element.first_chunk()?),
             _ => return None,
         });
         at = at.checked_add(stride)?;

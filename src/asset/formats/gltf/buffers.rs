@@ -1,8 +1,8 @@
 //! The bytes behind buffers and buffer views, wherever they are kept.
 
 use super::compressed;
-use super::document::Document;
-use super::uri::{self, Target};
+use super::document::GltfDocument;
+use super::uri::{self, UriTarget};
 use crate::asset::{Error, FileSet, Limits};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,23 +21,23 @@ pub(super) enum BufferOrigin {
 }
 
 /// One buffer.
-pub(super) struct Stored {
+pub(super) struct StoredBuffer {
     pub(super) origin: BufferOrigin,
     /// At least as many bytes as the buffer declares; `None` when there are none.
     pub(super) bytes: Option<Bytes>,
 }
 
 /// All buffers of a document, and the decompressed views that were asked for.
-pub(super) struct Buffers {
-    pub(super) stored: Vec<Stored>,
+pub(super) struct BufferBytes {
+    pub(super) stored: Vec<StoredBuffer>,
     decoded: BTreeMap<usize, Vec<u8>>,
     budget: u64,
     limit: u64,
 }
 
-impl Buffers {
+impl BufferBytes {
     /// Finds every buffer's bytes.
-    pub(super) fn load(doc: &Document<'_>, files: &FileSet, limits: &Limits) -> Result<Self, Error> {
+    pub(super) fn load(doc: &GltfDocument<'_>, files: &FileSet, limits: &Limits) -> Result<Self, Error> {
         let mut buffers = Self {
             stored: Vec::with_capacity(doc.buffers.len()),
             decoded: BTreeMap::new(),
@@ -51,7 +51,7 @@ impl Buffers {
         Ok(buffers)
     }
 
-    fn load_one(&mut self, doc: &Document<'_>, files: &FileSet, i: usize) -> Result<Stored, Error> {
+    fn load_one(&mut self, doc: &GltfDocument<'_>, files: &FileSet, i: usize) -> Result<StoredBuffer, Error> {
         let buffer = &doc.buffers.values[i];
         let place = format!("buffers/{i}/uri");
         let fallback = buffer.is_fallback();
@@ -63,20 +63,20 @@ impl Buffers {
                 (BufferOrigin::Bin, files.main.slice_ref(bin))
             }
             None => {
-                return Ok(Stored {
+                return Ok(StoredBuffer {
                     origin: BufferOrigin::Nowhere,
                     bytes: None,
                 });
             }
             Some(text) => match uri::resolve(text, &place, doc.fault)? {
-                Target::Embedded(bytes) => {
+                UriTarget::Embedded(bytes) => {
                     self.spend(bytes.len() as u64)?;
                     (BufferOrigin::Embedded, Bytes::from(bytes))
                 }
-                Target::Companion(name) => match files.companions.get(&name) {
+                UriTarget::Companion(name) => match files.companions.get(&name) {
                     Some(bytes) => (BufferOrigin::Companion(name), bytes.clone()),
                     None if fallback => {
-                        return Ok(Stored {
+                        return Ok(StoredBuffer {
                             origin: BufferOrigin::Nowhere,
                             bytes: None,
                         });
@@ -96,7 +96,7 @@ impl Buffers {
             let problem = format!("{} bytes are declared, there are {}", buffer.byte_length.0, bytes.len());
             return Err(doc.fault.malformed(format!("buffers/{i}/byteLength"), problem));
         }
-        Ok(Stored {
+        Ok(StoredBuffer {
             origin,
             bytes: Some(bytes),
         })
@@ -117,7 +117,7 @@ impl Buffers {
     }
 
     /// Decompresses what the given accessors need.
-    pub(super) fn decode_for(&mut self, doc: &Document<'_>, accessors: &BTreeSet<usize>) -> Result<(), Error> {
+    pub(super) fn decode_for(&mut self, doc: &GltfDocument<'_>, accessors: &BTreeSet<usize>) -> Result<(), Error> {
         let needed: BTreeSet<usize> = accessors
             .iter()
             .filter_map(|&a| doc.accessors.get(a))
@@ -148,8 +148,8 @@ impl Buffers {
         Ok(())
     }
 
-    /// The bytes of a view; compressed ones must have been asked for with [`Buffers::decode_for`].
-    pub(super) fn view(&self, doc: &Document<'_>, index: usize) -> Result<&[u8], Error> {
+    /// The bytes of a view; compressed ones must have been asked for with [`BufferBytes::decode_for`].
+    pub(super) fn view(&self, doc: &GltfDocument<'_>, index: usize) -> Result<&[u8], Error> {
         if let Some(bytes) = self.decoded.get(&index) {
             return Ok(bytes);
         }
@@ -159,7 +159,7 @@ impl Buffers {
         self.bytes_of(doc, view.buffer.index(), view.offset(), view.byte_length.0)
     }
 
-    fn bytes_of(&self, doc: &Document<'_>, buffer: usize, offset: u64, length: u64) -> Result<&[u8], Error> {
+    fn bytes_of(&self, doc: &GltfDocument<'_>, buffer: usize, offset: u64, length: u64) -> Result<&[u8], Error> {
         let place = || format!("buffers/{buffer}");
         let Some(bytes) = self.stored.get(buffer).and_then(|s| s.bytes.as_ref()) else {
             return Err(doc

@@ -1,12 +1,12 @@
 //! Checks of a document's references and ranges, so that nothing later can read past a buffer or miss an index.
 
-use super::accessors::Layout;
-use super::document::Document;
-use super::schema::{Attributes, Compression, View};
+use super::accessors::AccessorLayout;
+use super::document::GltfDocument;
+use super::schema::{Attributes, BufferView, ViewCompression};
 use crate::asset::Error;
 
 /// Checks every reference between buffers, views, accessors, meshes, nodes and scenes, and every byte range.
-pub(super) fn check(doc: &Document<'_>) -> Result<(), Error> {
+pub(super) fn check(doc: &GltfDocument<'_>) -> Result<(), Error> {
     for (i, view) in doc.views.values.iter().enumerate() {
         check_view(doc, i, view)?;
     }
@@ -20,7 +20,7 @@ pub(super) fn check(doc: &Document<'_>) -> Result<(), Error> {
 }
 
 fn in_range(
-    doc: &Document<'_>,
+    doc: &GltfDocument<'_>,
     place: impl Fn() -> String,
     index: usize,
     count: usize,
@@ -39,7 +39,7 @@ fn fits(offset: u64, length: u64, size: u64) -> bool {
     offset.checked_add(length).is_some_and(|end| end <= size)
 }
 
-fn check_view(doc: &Document<'_>, i: usize, view: &View) -> Result<(), Error> {
+fn check_view(doc: &GltfDocument<'_>, i: usize, view: &BufferView) -> Result<(), Error> {
     let place = || format!("bufferViews/{i}");
     in_range(
         doc,
@@ -68,7 +68,7 @@ fn check_view(doc: &Document<'_>, i: usize, view: &View) -> Result<(), Error> {
         .map_or(Ok(()), |c| check_compression(doc, i, view, c))
 }
 
-fn check_compression(doc: &Document<'_>, i: usize, view: &View, c: &Compression) -> Result<(), Error> {
+fn check_compression(doc: &GltfDocument<'_>, i: usize, view: &BufferView, c: &ViewCompression) -> Result<(), Error> {
     let place = || format!("bufferViews/{i}/extensions/meshopt_compression");
     in_range(
         doc,
@@ -97,7 +97,7 @@ fn check_compression(doc: &Document<'_>, i: usize, view: &View, c: &Compression)
     Ok(())
 }
 
-fn check_accessor(doc: &Document<'_>, i: usize) -> Result<(), Error> {
+fn check_accessor(doc: &GltfDocument<'_>, i: usize) -> Result<(), Error> {
     let place = || format!("accessors/{i}");
     let accessor = &doc.accessors.values[i];
     if let Some(view) = accessor.buffer_view {
@@ -110,7 +110,7 @@ fn check_accessor(doc: &Document<'_>, i: usize) -> Result<(), Error> {
         )?;
     }
     // An accessor of a type we do not know is some extension's; whoever uses it as geometry is refused there.
-    let Some(layout) = Layout::of(accessor, &doc.views.values) else {
+    let Some(layout) = AccessorLayout::of(accessor, &doc.views.values) else {
         return Ok(());
     };
     let component = layout.component.size() as u64;
@@ -191,7 +191,7 @@ fn check_accessor(doc: &Document<'_>, i: usize) -> Result<(), Error> {
     Ok(())
 }
 
-fn check_mesh(doc: &Document<'_>, mesh: usize) -> Result<(), Error> {
+fn check_mesh(doc: &GltfDocument<'_>, mesh: usize) -> Result<(), Error> {
     for (p, primitive) in doc.meshes.values[mesh].primitives.iter().enumerate() {
         let place = || format!("meshes/{mesh}/primitives/{p}");
         if primitive.mode() > 6 {
@@ -220,7 +220,7 @@ fn check_mesh(doc: &Document<'_>, mesh: usize) -> Result<(), Error> {
 }
 
 fn check_attributes(
-    doc: &Document<'_>,
+    doc: &GltfDocument<'_>,
     place: impl Fn() -> String,
     attributes: &Attributes,
     vertices: Option<u64>,
@@ -243,7 +243,7 @@ fn check_attributes(
     Ok(())
 }
 
-fn check_nodes(doc: &Document<'_>) -> Result<(), Error> {
+fn check_nodes(doc: &GltfDocument<'_>) -> Result<(), Error> {
     for (i, node) in doc.nodes.values.iter().enumerate() {
         for child in &node.children {
             in_range(

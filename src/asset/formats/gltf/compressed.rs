@@ -3,12 +3,12 @@
 //! Source: the two extensions' specifications; the bit streams are meshoptimizer's. Its decoders are safe on any bytes
 //! but trust counts and strides, so those are checked here before anything is allocated.
 
-use super::fault::Fault;
-use super::schema::Compression;
+use super::fault::GltfFault;
+use super::schema::ViewCompression;
 use crate::asset::Error;
 
 /// Decodes one view. `source` is the compressed range; the result has exactly `count * byteStride` bytes.
-pub(super) fn decode(source: &[u8], c: &Compression, place: &str, fault: Fault) -> Result<Vec<u8>, Error> {
+pub(super) fn decode(source: &[u8], c: &ViewCompression, place: &str, fault: GltfFault) -> Result<Vec<u8>, Error> {
     let place = format!("{place}/extensions/meshopt_compression");
     let malformed = |problem: String| fault.malformed(place.clone(), problem);
     let stride = c.byte_stride.index();
@@ -24,7 +24,7 @@ pub(super) fn decode(source: &[u8], c: &Compression, place: &str, fault: Fault) 
     if !allowed {
         return Err(malformed(format!("stride {stride} does not go with mode {}", c.mode)));
     }
-    let filter = Filter::of(c, stride, &malformed)?;
+    let filter = MeshoptFilter::of(c, stride, &malformed)?;
     let count = c.count.index();
     if count == 0 {
         return Ok(Vec::new());
@@ -55,7 +55,7 @@ pub(super) fn decode(source: &[u8], c: &Compression, place: &str, fault: Fault) 
 
 /// What is done to attributes after the codec.
 #[derive(Clone, Copy)]
-enum Filter {
+enum MeshoptFilter {
     None,
     Octahedral,
     Quaternion,
@@ -63,8 +63,8 @@ enum Filter {
     Color,
 }
 
-impl Filter {
-    fn of(c: &Compression, stride: usize, malformed: &impl Fn(String) -> Error) -> Result<Self, Error> {
+impl MeshoptFilter {
+    fn of(c: &ViewCompression, stride: usize, malformed: &impl Fn(String) -> Error) -> Result<Self, Error> {
         let name = c.filter.as_deref().unwrap_or("NONE");
         let (filter, allowed) = match name {
             "NONE" => (Self::None, true),
@@ -174,7 +174,7 @@ mod tests {
     use super::*;
     use crate::asset::Format;
 
-    fn described(mode: &str, filter: &str, stride: usize, count: usize) -> Compression {
+    fn described(mode: &str, filter: &str, stride: usize, count: usize) -> ViewCompression {
         let json = format!(
             r#"{{"buffer":0,"byteLength":0,"byteStride":{stride},"count":{count},"mode":"{mode}","filter":"{filter}"}}"#
         );
@@ -183,7 +183,7 @@ mod tests {
 
     fn run(source: &[u8], mode: &str, filter: &str, stride: usize, count: usize) -> Result<Vec<u8>, String> {
         let c = described(mode, filter, stride, count);
-        decode(source, &c, "bufferViews/0", Fault(Format::GLB)).map_err(|e| e.to_string())
+        decode(source, &c, "bufferViews/0", GltfFault(Format::GLB)).map_err(|e| e.to_string())
     }
 
     fn attributes<const N: usize>(data: &[[u8; N]], version: i32) -> Vec<u8> {

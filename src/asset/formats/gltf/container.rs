@@ -1,13 +1,13 @@
 //! The GLB container: a header, a JSON chunk, mostly a BIN chunk, and chunks of other kinds that pass through.
 
-use super::fault::Fault;
+use super::fault::GltfFault;
 use crate::asset::Error;
 
 const JSON: [u8; 4] = *b"JSON";
 const BIN: [u8; 4] = *b"BIN\0";
 
 /// A GLB file taken apart. All parts are slices of the file.
-pub(super) struct Container<'a> {
+pub(super) struct GlbContainer<'a> {
     /// The JSON chunk, with its padding.
     pub(super) json: &'a [u8],
     /// The BIN chunk's data, with its padding; `None` without such a chunk.
@@ -17,7 +17,7 @@ pub(super) struct Container<'a> {
 }
 
 /// Takes a GLB apart, checking every length before it is used.
-pub(super) fn split(file: &[u8], fault: Fault) -> Result<Container<'_>, Error> {
+pub(super) fn split(file: &[u8], fault: GltfFault) -> Result<GlbContainer<'_>, Error> {
     let Some(header) = file.first_chunk::<12>() else {
         return Err(fault.malformed("header", format!("{} bytes, a GLB header alone takes 12", file.len())));
     };
@@ -63,14 +63,14 @@ pub(super) fn split(file: &[u8], fault: Fault) -> Result<Container<'_>, Error> {
         }
         second = false;
     }
-    Ok(Container {
+    Ok(GlbContainer {
         json,
         bin,
         rest: &file[rest_start..],
     })
 }
 
-fn next_chunk<'a>(file: &'a [u8], at: &mut usize, fault: Fault) -> Result<([u8; 4], &'a [u8]), Error> {
+fn next_chunk<'a>(file: &'a [u8], at: &mut usize, fault: GltfFault) -> Result<([u8; 4], &'a [u8]), Error> {
     let place = || format!("chunk at byte {at}");
     let left = &file[*at..];
     let Some(([a, b, c, d, kind @ ..], data)) = left.split_first_chunk::<8>() else {
@@ -92,7 +92,7 @@ fn next_chunk<'a>(file: &'a [u8], at: &mut usize, fault: Fault) -> Result<([u8; 
 }
 
 /// Puts a GLB together; pads JSON with spaces and BIN with zeros.
-pub(super) fn join(json: &str, bin: Option<&[u8]>, rest: &[u8], fault: Fault) -> Result<Vec<u8>, Error> {
+pub(super) fn join(json: &str, bin: Option<&[u8]>, rest: &[u8], fault: GltfFault) -> Result<Vec<u8>, Error> {
     let padded = |length: usize| length.next_multiple_of(4);
     let bin_size = bin.map_or(0, |b| 8 + padded(b.len()));
     let total = 12 + 8 + padded(json.len()) + bin_size + rest.len();
@@ -123,7 +123,7 @@ mod tests {
     use super::*;
     use crate::asset::Format;
 
-    const FAULT: Fault = Fault(Format::GLB);
+    const FAULT: GltfFault = GltfFault(Format::GLB);
 
     #[test]
     fn what_is_joined_splits_again() {

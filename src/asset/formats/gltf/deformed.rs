@@ -1,10 +1,10 @@
 //! What each attribute should become: deformed positions back in mesh space, normals and tangents carried along.
 
-use super::accessors::{Role, read_floats};
-use super::buffers::Buffers;
-use super::document::Document;
-use super::fault::Fault;
-use super::read::{GltfNotes, Row, invert};
+use super::accessors::{ShapeAttribute, read_floats};
+use super::buffers::BufferBytes;
+use super::document::GltfDocument;
+use super::fault::GltfFault;
+use super::read::{GltfNotes, PlacedPrimitive, invert};
 use crate::asset::{Error, Geometry};
 use crate::mesh::shading;
 use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
@@ -13,13 +13,13 @@ use std::hash::{Hash as _, Hasher as _};
 
 /// New values of one attribute, all elements, lane by lane.
 #[derive(Debug, Clone)]
-pub(super) struct Channel {
+pub(super) struct ChangedAttribute {
     pub(super) values: Vec<f32>,
     /// Which elements differ from the stored ones.
     pub(super) changed: Vec<bool>,
 }
 
-impl Channel {
+impl ChangedAttribute {
     fn of(stored: &[f32], values: Vec<f32>, lanes: usize) -> Option<Self> {
         let differ = |(a, b): (&[f32], &[f32])| a.iter().zip(b).any(|(a, b)| a.to_bits() != b.to_bits());
         let changed: Vec<bool> = stored
@@ -49,11 +49,11 @@ impl Channel {
 }
 
 /// What one row of the primitive table should become; `None` for what stays as it is stored. In the order of
-/// [`Role::ALL`].
+/// [`ShapeAttribute::ALL`].
 #[derive(Debug, Clone, Default)]
-pub(super) struct Wanted(pub(super) [Option<Channel>; 3]);
+pub(super) struct DeformedAttributes(pub(super) [Option<ChangedAttribute>; 3]);
 
-impl Wanted {
+impl DeformedAttributes {
     pub(super) fn is_changed(&self) -> bool {
         self.0.iter().any(Option::is_some)
     }
@@ -83,23 +83,26 @@ impl Wanted {
 /// What every row should become at `positions`, of which there is one finite one per vertex. `fault` names the format
 /// that is written.
 pub(super) fn wanted(
-    doc: &Document<'_>,
-    buffers: &mut Buffers,
+    doc: &GltfDocument<'_>,
+    buffers: &mut BufferBytes,
     notes: &GltfNotes,
     rest: &Geometry,
     positions: &[DVec3],
-    fault: Fault,
-) -> Result<Vec<Wanted>, Error> {
+    fault: GltfFault,
+) -> Result<Vec<DeformedAttributes>, Error> {
     notes
         .rows
         .iter()
         .map(|row| {
             let moved = moved(&rest.positions[row.vertices.clone()], &positions[row.vertices.clone()]);
             if !moved.contains(&true) {
-                return Ok(Wanted::default());
+                return Ok(DeformedAttributes::default());
             }
             let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
-            let used: BTreeSet<usize> = Role::ALL.iter().filter_map(|r| primitive.attribute(r.name())).collect();
+            let used: BTreeSet<usize> = ShapeAttribute::ALL
+                .iter()
+                .filter_map(|r| primitive.attribute(r.name()))
+                .collect();
             buffers.decode_for(doc, &used)?;
             RowWriter {
                 doc,
@@ -120,16 +123,16 @@ fn moved(rest: &[DVec3], now: &[DVec3]) -> Vec<bool> {
 }
 
 struct RowWriter<'a, 'f> {
-    doc: &'a Document<'f>,
-    buffers: &'a Buffers,
-    row: &'a Row,
+    doc: &'a GltfDocument<'f>,
+    buffers: &'a BufferBytes,
+    row: &'a PlacedPrimitive,
     rest: &'a Geometry,
     positions: &'a [DVec3],
-    fault: Fault,
+    fault: GltfFault,
 }
 
 impl RowWriter<'_, '_> {
-    fn wanted(&self, moved: &[bool]) -> Result<Wanted, Error> {
+    fn wanted(&self, moved: &[bool]) -> Result<DeformedAttributes, Error> {
         let Some(mesh_from_world) = invert(&self.row.world_from_mesh) else {
             return Err(self.fault.unwritable(format!(
                 "vertices under node {} have moved, but its transform flattens space and cannot be inverted",
@@ -137,18 +140,18 @@ impl RowWriter<'_, '_> {
             )));
         };
         let position = self.position(moved, &mesh_from_world)?;
-        let normals = self.stored(Role::Normal)?;
-        let tangents = self.stored(Role::Tangent)?;
+        let normals = self.stored(ShapeAttribute::Normal)?;
+        let tangents = self.stored(ShapeAttribute::Tangent)?;
         if position.is_none() || (normals.is_none() && tangents.is_none()) {
-            return Ok(Wanted([position, None, None]));
+            return Ok(DeformedAttributes([position, None, None]));
         }
         let gradients = self.gradients();
         let normal = normals.and_then(|stored| self.normal(&stored, &gradients));
         let tangent = tangents.and_then(|stored| self.tangent(&stored, &gradients, &mesh_from_world.matrix3));
-        Ok(Wanted([position, normal, tangent]))
+        Ok(DeformedAttributes([position, normal, tangent]))
     }
 
-    fn stored(&self, role: Role) -> Result<Option<Vec<f32>>, Error> {
+    fn stored(&self, role: ShapeAttribute) -> Result<Option<Vec<f32>>, Error> {
         let primitive = &self.doc.meshes.values[self.row.mesh].primitives[self.row.primitive];
         primitive
             .attribute(role.name())
@@ -156,8 +159,8 @@ impl RowWriter<'_, '_> {
             .transpose()
     }
 
-    fn position(&self, moved: &[bool], mesh_from_world: &DAffine3) -> Result<Option<Channel>, Error> {
-        let Some(stored) = self.stored(Role::Position)? else {
+    fn position(&self, moved: &[bool], mesh_from_world: &DAffine3) -> Result<Option<ChangedAttribute>, Error> {
+        let Some(stored) = self.stored(ShapeAttribute::Position)? else {
             return Ok(None);
         };
         let mut values = stored.clone();
@@ -177,12 +180,12 @@ impl RowWriter<'_, '_> {
                 *place = in_mesh.to_array();
             }
         }
-        Ok(Channel::of(&stored, values, 3))
+        Ok(ChangedAttribute::of(&stored, values, 3))
     }
 
     /// Deformation gradients of the row's vertices, in world space.
     fn gradients(&self) -> Vec<Option<DMat3>> {
-        let Row { vertices, .. } = self.row;
+        let PlacedPrimitive { vertices, .. } = self.row;
         let triangles = self.local_triangles();
         let (rest, now) = (
             &self.rest.positions[vertices.clone()],
@@ -204,7 +207,7 @@ impl RowWriter<'_, '_> {
         (rest != Vec3::ZERO).then(|| (rest, shading::carry_normal(gradient, rest)))
     }
 
-    fn normal(&self, stored: &[f32], gradients: &[Option<DMat3>]) -> Option<Channel> {
+    fn normal(&self, stored: &[f32], gradients: &[Option<DMat3>]) -> Option<ChangedAttribute> {
         let mesh_from_normal = self.row.world_from_mesh.matrix3.transpose();
         let to_mesh = |n: Vec3| {
             (mesh_from_normal * n.as_dvec3())
@@ -228,10 +231,15 @@ impl RowWriter<'_, '_> {
                 }
             }
         }
-        Channel::of(stored, values, 3)
+        ChangedAttribute::of(stored, values, 3)
     }
 
-    fn tangent(&self, stored: &[f32], gradients: &[Option<DMat3>], mesh_from_world: &DMat3) -> Option<Channel> {
+    fn tangent(
+        &self,
+        stored: &[f32],
+        gradients: &[Option<DMat3>],
+        mesh_from_world: &DMat3,
+    ) -> Option<ChangedAttribute> {
         let mut values = stored.to_vec();
         for (i, place) in values.as_chunks_mut::<4>().0.iter_mut().enumerate() {
             let rest = self
@@ -259,7 +267,7 @@ impl RowWriter<'_, '_> {
                 *place = across.unwrap_or(DVec3::X).as_vec3().extend(1.0).to_array();
             }
         }
-        Channel::of(stored, values, 4)
+        ChangedAttribute::of(stored, values, 4)
     }
 }
 

@@ -1,8 +1,8 @@
 //! A glTF document: its text, and the sections that geometry needs, item by item.
 
-use super::container::{self, Container};
-use super::fault::Fault;
-use super::schema::{Accessor, Asset, Buffer, Mesh, Node, Scene, View, Whole};
+use super::container::{self, GlbContainer};
+use super::fault::GltfFault;
+use super::schema::{AssetHeader, BufferView, GltfAccessor, GltfBuffer, GltfMesh, GltfNode, GltfScene, WholeNumber};
 use super::text::{items, members};
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::{Error, FileSet, Format};
@@ -23,7 +23,7 @@ pub(in super::super) const GLTF_FORMAT: Format = Format::new(&FormatDetails {
 });
 
 /// One top-level array of the document.
-pub(super) struct Section<'a, T> {
+pub(super) struct DocumentSection<'a, T> {
     /// The array as text; `None` when the document has none.
     pub(super) text: Option<&'a str>,
     /// Its items as text.
@@ -32,7 +32,7 @@ pub(super) struct Section<'a, T> {
     pub(super) values: Vec<T>,
 }
 
-impl<T> Section<'_, T> {
+impl<T> DocumentSection<'_, T> {
     pub(super) fn len(&self) -> usize {
         self.values.len()
     }
@@ -44,18 +44,18 @@ impl<T> Section<'_, T> {
 }
 
 /// A parsed document; borrows the file it came from.
-pub(super) struct Document<'a> {
-    pub(super) fault: Fault,
+pub(super) struct GltfDocument<'a> {
+    pub(super) fault: GltfFault,
     /// The JSON text.
     pub(super) text: &'a str,
     /// The GLB parts, when it came in a GLB.
-    pub(super) container: Option<Container<'a>>,
-    pub(super) buffers: Section<'a, Buffer>,
-    pub(super) views: Section<'a, View>,
-    pub(super) accessors: Section<'a, Accessor>,
-    pub(super) meshes: Section<'a, Mesh>,
-    pub(super) nodes: Section<'a, Node>,
-    pub(super) scenes: Section<'a, Scene>,
+    pub(super) container: Option<GlbContainer<'a>>,
+    pub(super) buffers: DocumentSection<'a, GltfBuffer>,
+    pub(super) views: DocumentSection<'a, BufferView>,
+    pub(super) accessors: DocumentSection<'a, GltfAccessor>,
+    pub(super) meshes: DocumentSection<'a, GltfMesh>,
+    pub(super) nodes: DocumentSection<'a, GltfNode>,
+    pub(super) scenes: DocumentSection<'a, GltfScene>,
     /// The default scene.
     pub(super) scene: Option<usize>,
     /// Skins and animations as texts; only their accessor indices are ever looked at.
@@ -65,10 +65,10 @@ pub(super) struct Document<'a> {
     pub(super) extensions_required: Vec<String>,
 }
 
-impl<'a> Document<'a> {
+impl<'a> GltfDocument<'a> {
     /// Parses the main file of a set; references between sections are checked by [`super::check`].
     pub(super) fn parse(files: &'a FileSet, format: Format) -> Result<Self, Error> {
-        let fault = Fault(format);
+        let fault = GltfFault(format);
         let container = if format == GLB_FORMAT {
             Some(container::split(&files.main, fault)?)
         } else {
@@ -80,13 +80,13 @@ impl<'a> Document<'a> {
         }
         let text = std::str::from_utf8(bytes)
             .map_err(|e| fault.malformed("json", format!("byte {} is not UTF-8", e.valid_up_to())))?;
-        let root = Root {
+        let root = JsonRoot {
             fault,
             members: members(text).map_err(|e| fault.malformed("json", e.to_string()))?,
         };
 
         // First of all: a document of another version has other rules for everything else.
-        check_version(root.one::<Asset>("asset")?, fault)?;
+        check_version(root.one::<AssetHeader>("asset")?, fault)?;
         let extensions_used = root.one("extensionsUsed")?.unwrap_or_default();
         let extensions_required: Vec<String> = root.one("extensionsRequired")?.unwrap_or_default();
         check_required(&extensions_required, fault)?;
@@ -101,7 +101,7 @@ impl<'a> Document<'a> {
             meshes: root.section("meshes")?,
             nodes: root.section("nodes")?,
             scenes: root.section("scenes")?,
-            scene: root.one::<Whole>("scene")?.map(Whole::index),
+            scene: root.one::<WholeNumber>("scene")?.map(WholeNumber::index),
             skins: root.texts("skins")?,
             animations: root.texts("animations")?,
             extensions_used,
@@ -118,12 +118,12 @@ impl<'a> Document<'a> {
     }
 }
 
-struct Root<'a> {
-    fault: Fault,
-    members: Vec<super::text::Member<'a>>,
+struct JsonRoot<'a> {
+    fault: GltfFault,
+    members: Vec<super::text::JsonMember<'a>>,
 }
 
-impl<'a> Root<'a> {
+impl<'a> JsonRoot<'a> {
     fn find(&self, key: &str) -> Result<Option<&'a str>, Error> {
         let mut found = self.members.iter().filter(|m| m.key == key).map(|m| m.value);
         match (found.next(), found.next()) {
@@ -145,14 +145,14 @@ impl<'a> Root<'a> {
         items(text).map_err(|e| self.fault.malformed(key, without_position(&e.to_string())))
     }
 
-    fn section<T: DeserializeOwned>(&self, key: &str) -> Result<Section<'a, T>, Error> {
+    fn section<T: DeserializeOwned>(&self, key: &str) -> Result<DocumentSection<'a, T>, Error> {
         let items = self.texts(key)?;
         let values = items
             .iter()
             .enumerate()
             .map(|(i, text)| parse_value(text, &format!("{key}/{i}"), self.fault))
             .collect::<Result<_, _>>()?;
-        Ok(Section {
+        Ok(DocumentSection {
             text: self.find(key)?,
             items,
             values,
@@ -161,7 +161,7 @@ impl<'a> Root<'a> {
 }
 
 /// Reads one value, naming the place inside it that is wrong.
-fn parse_value<T: DeserializeOwned>(text: &str, place: &str, fault: Fault) -> Result<T, Error> {
+fn parse_value<T: DeserializeOwned>(text: &str, place: &str, fault: GltfFault) -> Result<T, Error> {
     serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_str(text)).map_err(|e| {
         let inside = e.path().to_string().replace(['.', '['], "/").replace([']', '?'], "");
         let inside = inside.trim_matches('/');
@@ -178,7 +178,7 @@ fn without_position(text: &str) -> String {
     text.rfind(" at line ").map_or(text, |at| &text[..at]).to_owned()
 }
 
-fn check_version(asset: Option<Asset>, fault: Fault) -> Result<(), Error> {
+fn check_version(asset: Option<AssetHeader>, fault: GltfFault) -> Result<(), Error> {
     let Some(asset) = asset else {
         return Err(fault.malformed("asset", "missing; glTF 2.0 needs asset.version"));
     };
@@ -253,7 +253,7 @@ fn is_readable(extension: &str) -> bool {
         .any(|family| extension.to_ascii_lowercase().contains(family))
 }
 
-fn check_required(required: &[String], fault: Fault) -> Result<(), Error> {
+fn check_required(required: &[String], fault: GltfFault) -> Result<(), Error> {
     match required.iter().position(|e| !is_readable(e)) {
         None => Ok(()),
         Some(i) => Err(fault.unsupported(

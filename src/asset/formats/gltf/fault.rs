@@ -4,9 +4,9 @@ use crate::asset::{Error, Format};
 
 /// Makes the errors of one file, which all name its format.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fault(pub(super) Format);
+pub(super) struct GltfFault(pub(super) Format);
 
-impl Fault {
+impl GltfFault {
     /// The file breaks a rule of the format at `place`.
     pub(super) fn malformed(self, place: impl Into<String>, problem: impl Into<String>) -> Error {
         Error::Malformed {

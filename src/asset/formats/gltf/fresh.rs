@@ -2,7 +2,7 @@
 
 use super::container;
 use super::document::GLB_FORMAT;
-use super::fault::Fault;
+use super::fault::GltfFault;
 use super::patch::json_floats;
 use super::text::quoted;
 use super::uri;
@@ -14,8 +14,8 @@ use glam::Vec3;
 /// One buffer, one node and mesh for each primitive, with positions, indices, and normals, texture coordinates and
 /// colours where there are any; and a material for each name.
 pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error> {
-    let fault = Fault(format);
-    let mut asset = Asset {
+    let fault = GltfFault(format);
+    let mut asset = BuiltAsset {
         fault,
         bytes: Vec::new(),
         views: Vec::new(),
@@ -36,7 +36,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
         return Err(fault.unwritable("there are no triangles"));
     }
     let scene: Vec<String> = (0..nodes.len()).map(|i| i.to_string()).collect();
-    let Asset {
+    let BuiltAsset {
         bytes,
         views,
         accessors,
@@ -88,8 +88,8 @@ fn name_of(primitive: &Primitive) -> String {
     }
 }
 
-struct Asset {
-    fault: Fault,
+struct BuiltAsset {
+    fault: GltfFault,
     bytes: Vec<u8>,
     views: Vec<String>,
     accessors: Vec<String>,
@@ -98,7 +98,7 @@ struct Asset {
     materials: Vec<String>,
 }
 
-impl Asset {
+impl BuiltAsset {
     fn add(&mut self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Result<(), Error> {
         let NeutralPrimitive {
             primitive,

@@ -18,6 +18,21 @@
 //! - Quantised and sparse attributes that change come back as plain floats in an accessor of their own.
 //! - A vertex whose world position is equal to the rest pose's to the bit keeps its stored bytes.
 //!
+//! # What is taken of the `gltf` crate
+//! Only its component types. Its document types would read files that this module must read otherwise:
+//! - Transforms are 32-bit floats there. Placed positions are computed in 64 bits here, and would change.
+//! - A document is read whole, so a wrong value in an animation is an error of the whole file, and an attribute name
+//!   that is neither the standard's nor begins with `_` is lost. Here, what geometry does not need is never looked at.
+//! - Numbers such as `3.0` are refused where an index is meant; exporters write them, and here they are read.
+//! - Extensions that it does not know become maps of values, whose numbers are written anew (`1e-05` as `1e-5`); only
+//!   `extras` keep their text. Nothing tells where in the text a value stood, which patching needs.
+//! - Its errors name a path but not what is allowed, and `meshopt` compression and fallback buffers are unknown to it.
+//!
+//! # Why edits splice text as well
+//! An edited document is packed anew, but its nodes, materials and whatever else the edit leaves alone keep their text
+//! to the byte: `serde_json::Value` would round-trip numbers (`0.10`, `1e-05`), escapes and white space differently, and
+//! refuses values more than 128 levels deep, which `extras` may be.
+//!
 //! Must not: open files, fetch URIs, know of solving.
 
 mod accessors;
@@ -72,7 +87,7 @@ impl FormatCodec for GltfCodec {
             notes,
             &model.geometry,
             positions,
-            fault::Fault(format),
+            fault::GltfFault(format),
         )?;
         let plan = sharing::plan(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;

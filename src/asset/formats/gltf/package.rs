@@ -1,10 +1,10 @@
 //! From an edited document to files, in the container that it came in or in the other one.
 
-use super::buffers::{BufferOrigin, Buffers};
+use super::buffers::{BufferBytes, BufferOrigin};
 use super::container;
-use super::document::{Document, GLB_FORMAT};
-use super::fault::Fault;
-use super::patch::Patched;
+use super::document::{GLB_FORMAT, GltfDocument};
+use super::fault::GltfFault;
+use super::patch::PatchedDocument;
 use super::text::quoted;
 use super::uri;
 use crate::asset::{Error, FileSet, Format, WrittenFiles};
@@ -12,13 +12,13 @@ use std::borrow::Cow;
 
 /// Writes the files.
 pub(super) fn package(
-    doc: &Document<'_>,
+    doc: &GltfDocument<'_>,
     files: &FileSet,
-    buffers: &Buffers,
-    patched: Patched<'_>,
+    buffers: &BufferBytes,
+    patched: PatchedDocument<'_>,
     format: Format,
 ) -> Result<WrittenFiles, Error> {
-    let Patched {
+    let PatchedDocument {
         mut edits,
         buffers: mut changed,
         added_buffer,
@@ -44,7 +44,7 @@ pub(super) fn package(
         if becomes_bin {
             let Some(bytes) = &stored.bytes else {
                 let problem = "buffer 0 holds no bytes, and in a GLB it would have to be the BIN chunk";
-                return Err(Fault(format).unwritable(problem));
+                return Err(GltfFault(format).unwritable(problem));
             };
             if doc.container.is_none() {
                 edits.remove(text, "uri");
@@ -91,7 +91,7 @@ pub(super) fn package(
         let rest = doc.container.as_ref().map_or(&[][..], |c| c.rest);
         // A chunk that no buffer refers to is kept all the same.
         let unused = doc.container.as_ref().and_then(|c| c.bin);
-        container::join(json.trim_end(), bin.as_deref().or(unused), rest, Fault(format))?
+        container::join(json.trim_end(), bin.as_deref().or(unused), rest, GltfFault(format))?
     } else {
         json.into_bytes()
     };

@@ -1,16 +1,16 @@
 //! Carries out a plan: new bytes in buffers, and edits of the document's text.
 
-use super::accessors::{Layout, Role};
-use super::buffers::Buffers;
-use super::document::Document;
-use super::sharing::{Append, MeshRef, Overwrite, Plan};
-use super::text::{Edits, items, value_of};
+use super::accessors::{AccessorLayout, ShapeAttribute};
+use super::buffers::BufferBytes;
+use super::document::GltfDocument;
+use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
+use super::text::{JsonEdits, items, value_of};
 use crate::asset::Error;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A document with its edits, and the buffers that differ from the stored ones.
-pub(super) struct Patched<'a> {
-    pub(super) edits: Edits<'a>,
+pub(super) struct PatchedDocument<'a> {
+    pub(super) edits: JsonEdits<'a>,
     /// Whole new contents by buffer.
     pub(super) buffers: BTreeMap<usize, Vec<u8>>,
     /// Contents of a buffer that has to be added because no other takes new data.
@@ -18,12 +18,16 @@ pub(super) struct Patched<'a> {
 }
 
 /// Makes the changes of a plan.
-pub(super) fn patch<'a>(doc: &Document<'a>, buffers: &Buffers, plan: Plan) -> Result<Patched<'a>, Error> {
-    let mut patcher = Patcher {
+pub(super) fn patch<'a>(
+    doc: &GltfDocument<'a>,
+    buffers: &BufferBytes,
+    plan: SharingPlan,
+) -> Result<PatchedDocument<'a>, Error> {
+    let mut patcher = DocumentPatcher {
         doc,
         stored: buffers,
-        out: Patched {
-            edits: Edits::new(doc.text),
+        out: PatchedDocument {
+            edits: JsonEdits::new(doc.text),
             buffers: BTreeMap::new(),
             added_buffer: None,
         },
@@ -41,13 +45,13 @@ pub(super) fn patch<'a>(doc: &Document<'a>, buffers: &Buffers, plan: Plan) -> Re
 /// Bytes of JSON that copies of meshes may take: a mesh is described once in a file, but may be placed any number of times.
 const MOST_COPIED: usize = 512 << 20;
 
-struct Patcher<'d, 'a> {
-    doc: &'d Document<'a>,
-    stored: &'d Buffers,
-    out: Patched<'a>,
+struct DocumentPatcher<'d, 'a> {
+    doc: &'d GltfDocument<'a>,
+    stored: &'d BufferBytes,
+    out: PatchedDocument<'a>,
 }
 
-impl<'a> Patcher<'_, 'a> {
+impl<'a> DocumentPatcher<'_, 'a> {
     /// A buffer's bytes, made our own on first use.
     fn bytes(&mut self, buffer: usize) -> &mut Vec<u8> {
         self.out.buffers.entry(buffer).or_insert_with(|| {
@@ -60,15 +64,15 @@ impl<'a> Patcher<'_, 'a> {
         })
     }
 
-    fn overwrite(&mut self, overwrite: &Overwrite) -> Result<(), Error> {
-        let Overwrite {
+    fn overwrite(&mut self, overwrite: &AccessorOverwrite) -> Result<(), Error> {
+        let AccessorOverwrite {
             accessor,
             role,
             channel,
         } = overwrite;
         let described = &self.doc.accessors.values[*accessor];
         let view = described.buffer_view.and_then(|v| self.doc.views.get(v.index()));
-        let layout = Layout::of(described, &self.doc.views.values);
+        let layout = AccessorLayout::of(described, &self.doc.views.values);
         let (Some(view), Some(layout)) = (view, layout) else {
             return Ok(());
         };
@@ -100,7 +104,7 @@ impl<'a> Patcher<'_, 'a> {
         let (least, most) = bounds(&channel.values, role.lanes());
         for (key, value) in [("min", least), ("max", most)] {
             // Only POSITION must have bounds, but bounds that are there must be right.
-            if *role == Role::Position || value_of(text, key).is_some() {
+            if *role == ShapeAttribute::Position || value_of(text, key).is_some() {
                 self.out.edits.set(text, key, &value);
             }
         }
@@ -108,7 +112,7 @@ impl<'a> Patcher<'_, 'a> {
     }
 
     /// Adds accessors, each with a view of its own, to the end of the first buffer that takes more.
-    fn append(&mut self, appends: &[Append]) -> Result<(), Error> {
+    fn append(&mut self, appends: &[AppendedAccessor]) -> Result<(), Error> {
         if appends.is_empty() {
             return Ok(());
         }
@@ -133,7 +137,7 @@ impl<'a> Patcher<'_, 'a> {
             views.push(format!(
                 r#"{{"buffer":{buffer},"byteOffset":{offset},"byteLength":{length},"target":34962}}"#
             ));
-            let limits = if append.role == Role::Position {
+            let limits = if append.role == ShapeAttribute::Position {
                 let (least, most) = bounds(&append.values, 3);
                 format!(r#","min":{least},"max":{most}"#)
             } else {
@@ -173,7 +177,7 @@ impl<'a> Patcher<'_, 'a> {
     }
 
     /// Points attributes at new accessors, in place or in copies of their meshes, and nodes at the copies.
-    fn meshes(&mut self, plan: &Plan) -> Result<(), Error> {
+    fn meshes(&mut self, plan: &SharingPlan) -> Result<(), Error> {
         let copied: usize = plan
             .copies
             .iter()
@@ -187,7 +191,7 @@ impl<'a> Patcher<'_, 'a> {
             return Err(self.doc.fault.unwritable(problem));
         }
         let first_accessor = self.doc.accessors.len();
-        let mut redirects: BTreeMap<MeshRef, Vec<(usize, Role, usize)>> = BTreeMap::new();
+        let mut redirects: BTreeMap<MeshRef, Vec<(usize, ShapeAttribute, usize)>> = BTreeMap::new();
         for (i, append) in plan.appends.iter().enumerate() {
             for &(mesh, primitive) in &append.users {
                 redirects
@@ -216,7 +220,7 @@ impl<'a> Patcher<'_, 'a> {
         let mut copies = Vec::new();
         for (i, copy) in plan.copies.iter().enumerate() {
             let text = self.doc.meshes.items[copy.of];
-            let mut edits = Edits::new(text);
+            let mut edits = JsonEdits::new(text);
             let changes = redirects.get(&MeshRef::Copy(i)).map_or(&[][..], Vec::as_slice);
             edit_mesh(&mut edits, text, changes, stale(MeshRef::Copy(i)));
             copies.push(edits.apply());
@@ -231,9 +235,9 @@ impl<'a> Patcher<'_, 'a> {
 }
 
 fn edit_mesh<'a>(
-    edits: &mut Edits<'a>,
+    edits: &mut JsonEdits<'a>,
     mesh: &'a str,
-    changes: &[(usize, Role, usize)],
+    changes: &[(usize, ShapeAttribute, usize)],
     stale: impl Iterator<Item = usize>,
 ) {
     let primitives = value_of(mesh, "primitives")

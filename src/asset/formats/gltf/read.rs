@@ -1,9 +1,9 @@
 //! From a document to world-space triangles.
 
-use super::accessors::{self, Role};
-use super::buffers::Buffers;
-use super::document::Document;
-use super::scene::{self, Placement, Warnings};
+use super::accessors::{self, ShapeAttribute};
+use super::buffers::BufferBytes;
+use super::document::GltfDocument;
+use super::scene::{self, MeshPlacement, Warnings};
 use super::schema::MeshPrimitive;
 use crate::asset::model::FileNotes;
 use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
@@ -16,7 +16,7 @@ const MOST_ROWS: usize = 1 << 18;
 
 /// One row of the primitive table, as the writer needs it.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Row {
+pub(super) struct PlacedPrimitive {
     pub(super) node: usize,
     pub(super) mesh: usize,
     pub(super) primitive: usize,
@@ -31,7 +31,7 @@ pub(super) struct Row {
 #[derive(Debug)]
 pub(super) struct GltfNotes {
     pub(super) format: Format,
-    pub(super) rows: Vec<Row>,
+    pub(super) rows: Vec<PlacedPrimitive>,
     /// Nodes of the scene that have a mesh, ascending.
     pub(super) placed: Vec<usize>,
 }
@@ -46,24 +46,24 @@ const UNLIMITED: Limits = Limits {
 };
 
 /// Parses the document of a model that was read before, and finds its bytes.
-pub(super) fn reopen<'a>(model: &'a Model, notes: &GltfNotes) -> Result<(Document<'a>, Buffers), Error> {
-    let doc = Document::parse(&model.files, notes.format)?;
+pub(super) fn reopen<'a>(model: &'a Model, notes: &GltfNotes) -> Result<(GltfDocument<'a>, BufferBytes), Error> {
+    let doc = GltfDocument::parse(&model.files, notes.format)?;
     super::check::check(&doc)?;
-    let buffers = Buffers::load(&doc, &model.files, &UNLIMITED)?;
+    let buffers = BufferBytes::load(&doc, &model.files, &UNLIMITED)?;
     Ok((doc, buffers))
 }
 
 /// Reads a model, checking everything it relies on.
 pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(Geometry, GltfNotes), Error> {
-    let doc = Document::parse(files, format)?;
+    let doc = GltfDocument::parse(files, format)?;
     super::check::check(&doc)?;
     // Tables count with 32 bits, whatever the caller allows.
     let (vertices, triangles) = (
         limits.vertices.min(u32::MAX.into()),
         limits.triangles.min((u32::MAX / 3).into()),
     );
-    let mut reader = Reader {
-        buffers: Buffers::load(&doc, files, limits)?,
+    let mut reader = GltfReader {
+        buffers: BufferBytes::load(&doc, files, limits)?,
         doc: &doc,
         limits: Limits {
             vertices,
@@ -89,7 +89,7 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
         }
         drawn[placement.mesh] = Some(kept);
     }
-    let Reader { mut geometry, rows, .. } = reader;
+    let GltfReader { mut geometry, rows, .. } = reader;
     if geometry.triangles.is_empty() {
         return Err(Error::NoMesh {
             format,
@@ -102,7 +102,7 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
     Ok((geometry, GltfNotes { format, rows, placed }))
 }
 
-fn what_is_there(doc: &Document<'_>, placements: &[Placement]) -> String {
+fn what_is_there(doc: &GltfDocument<'_>, placements: &[MeshPlacement]) -> String {
     if doc.meshes.len() == 0 {
         "the file has no meshes".into()
     } else if placements.is_empty() {
@@ -123,19 +123,19 @@ fn fill_up(geometry: &mut Geometry) {
     }
 }
 
-struct Reader<'d, 'f> {
-    doc: &'d Document<'f>,
-    buffers: Buffers,
+struct GltfReader<'d, 'f> {
+    doc: &'d GltfDocument<'f>,
+    buffers: BufferBytes,
     limits: Limits,
     geometry: Geometry,
-    rows: Vec<Row>,
+    rows: Vec<PlacedPrimitive>,
     /// Triangles that were or could have been made of the indices read so far.
     examined: u64,
 }
 
-impl Reader<'_, '_> {
+impl GltfReader<'_, '_> {
     /// Adds a primitive under a node; `false` when it has no triangles.
-    fn add(&mut self, placement: &Placement, p: usize) -> Result<bool, Error> {
+    fn add(&mut self, placement: &MeshPlacement, p: usize) -> Result<bool, Error> {
         let doc = self.doc;
         let mesh = &doc.meshes.values[placement.mesh];
         let primitive = &mesh.primitives[p];
@@ -156,7 +156,7 @@ impl Reader<'_, '_> {
             return Ok(false);
         };
         check_draco(doc, primitive, place(), &mut self.geometry.warnings)?;
-        let layout = accessors::check_role(doc, positions, Role::Position)?;
+        let layout = accessors::check_role(doc, positions, ShapeAttribute::Position)?;
         accessors::check_unbacked(doc, positions, layout)?;
 
         // Counts against the limits before anything is allocated for them.
@@ -175,7 +175,7 @@ impl Reader<'_, '_> {
         self.examined = self.examined.saturating_add(most);
         self.limits.check_triangles(self.examined)?;
 
-        let used = Role::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
+        let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
         let used: BTreeSet<usize> = used.chain(primitive.indices.map(|i| i.index())).collect();
         self.buffers.decode_for(doc, &used)?;
 
@@ -211,7 +211,7 @@ impl Reader<'_, '_> {
             has_normals,
             has_tangents,
         });
-        self.rows.push(Row {
+        self.rows.push(PlacedPrimitive {
             node: placement.node,
             mesh: placement.mesh,
             primitive: p,
@@ -249,8 +249,8 @@ impl Reader<'_, '_> {
         Ok(to_triangles(&corners, primitive.mode()))
     }
 
-    fn positions(&mut self, accessor: usize, placement: &Placement, place: &str) -> Result<(), Error> {
-        let stored = accessors::read_floats(self.doc, &self.buffers, accessor, Role::Position)?;
+    fn positions(&mut self, accessor: usize, placement: &MeshPlacement, place: &str) -> Result<(), Error> {
+        let stored = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Position)?;
         if invert(&placement.world_from_mesh).is_none() {
             let message = format!(
                 "node {} flattens its mesh (a scale of zero), so it cannot be deformed",
@@ -275,14 +275,14 @@ impl Reader<'_, '_> {
     fn normals(
         &mut self,
         primitive: &MeshPrimitive,
-        placement: &Placement,
+        placement: &MeshPlacement,
         first: usize,
         place: &str,
     ) -> Result<bool, Error> {
         let Some(accessor) = primitive.attribute("NORMAL") else {
             return Ok(false);
         };
-        let values = accessors::read_floats(self.doc, &self.buffers, accessor, Role::Normal)?;
+        let values = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Normal)?;
         let world_from_normal = normal_matrix(&placement.world_from_mesh.matrix3);
         self.geometry.normals.resize(first, Vec3::ZERO);
         let mut odd = 0;
@@ -298,14 +298,14 @@ impl Reader<'_, '_> {
     fn tangents(
         &mut self,
         primitive: &MeshPrimitive,
-        placement: &Placement,
+        placement: &MeshPlacement,
         first: usize,
         place: &str,
     ) -> Result<bool, Error> {
         let Some(accessor) = primitive.attribute("TANGENT") else {
             return Ok(false);
         };
-        let values = accessors::read_floats(self.doc, &self.buffers, accessor, Role::Tangent)?;
+        let values = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Tangent)?;
         let matrix = placement.world_from_mesh.matrix3;
         // Mirroring turns the side on which the bitangent lies.
         let side = if matrix.determinant() < 0.0 { -1.0 } else { 1.0 };
@@ -379,7 +379,7 @@ fn to_triangles(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
 
 /// A Draco primitive is readable only when the file also holds it uncompressed.
 fn check_draco(
-    doc: &Document<'_>,
+    doc: &GltfDocument<'_>,
     primitive: &MeshPrimitive,
     place: String,
     warnings: &mut Warnings,
@@ -388,7 +388,7 @@ fn check_draco(
     if !primitive.has_draco() {
         return Ok(());
     }
-    let used = Role::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
+    let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
     let mut used = used.chain(primitive.indices.map(|i| i.index()));
     let required = doc.extensions_required.iter().any(|e| e == DRACO);
     if required || used.any(|a| doc.accessors.values[a].buffer_view.is_none()) {

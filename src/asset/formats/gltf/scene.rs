@@ -1,13 +1,13 @@
 //! Which meshes a scene places, and where: the node tree walked depth first in document order.
 
-use super::document::Document;
-use super::schema::Node;
+use super::document::GltfDocument;
+use super::schema::GltfNode;
 use crate::asset::Error;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 /// One mesh under one node.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Placement {
+pub(super) struct MeshPlacement {
     pub(super) node: usize,
     pub(super) mesh: usize,
     /// Where the node puts its mesh; the identity for a skinned mesh, which is taken in its bind pose.
@@ -19,7 +19,7 @@ pub(super) type Warnings = Vec<(String, String, String)>;
 
 /// The meshes of the default scene, or of all scenes when none is named, or of all nodes when there is no scene.
 /// No recursion: a chain of nodes may be as long as the file likes.
-pub(super) fn placements(doc: &Document<'_>, warnings: &mut Warnings) -> Result<Vec<Placement>, Error> {
+pub(super) fn placements(doc: &GltfDocument<'_>, warnings: &mut Warnings) -> Result<Vec<MeshPlacement>, Error> {
     let nodes = &doc.nodes.values;
     let parents = parents(doc)?;
     let world_from_node = world_transforms(doc, &parents)?;
@@ -63,7 +63,7 @@ pub(super) fn placements(doc: &Document<'_>, warnings: &mut Warnings) -> Result<
         } else {
             world_from_node[index]
         };
-        placements.push(Placement {
+        placements.push(MeshPlacement {
             node: index,
             mesh: mesh.index(),
             world_from_mesh,
@@ -72,7 +72,7 @@ pub(super) fn placements(doc: &Document<'_>, warnings: &mut Warnings) -> Result<
     Ok(placements)
 }
 
-fn parents(doc: &Document<'_>) -> Result<Vec<Option<usize>>, Error> {
+fn parents(doc: &GltfDocument<'_>) -> Result<Vec<Option<usize>>, Error> {
     let mut parents = vec![None; doc.nodes.len()];
     for (i, node) in doc.nodes.values.iter().enumerate() {
         for child in &node.children {
@@ -89,7 +89,7 @@ fn parents(doc: &Document<'_>) -> Result<Vec<Option<usize>>, Error> {
 }
 
 /// Transforms from each node's space to the world's. Roots first, then level by level; what is not reached is in a cycle.
-fn world_transforms(doc: &Document<'_>, parents: &[Option<usize>]) -> Result<Vec<DAffine3>, Error> {
+fn world_transforms(doc: &GltfDocument<'_>, parents: &[Option<usize>]) -> Result<Vec<DAffine3>, Error> {
     let nodes = &doc.nodes.values;
     let mut world_from_node: Vec<Option<DAffine3>> = vec![None; nodes.len()];
     let mut open: Vec<usize> = (0..nodes.len()).filter(|&n| parents[n].is_none()).collect();
@@ -118,7 +118,7 @@ fn world_transforms(doc: &Document<'_>, parents: &[Option<usize>]) -> Result<Vec
         .collect()
 }
 
-fn local_transform(doc: &Document<'_>, index: usize, node: &Node) -> Result<DAffine3, Error> {
+fn local_transform(doc: &GltfDocument<'_>, index: usize, node: &GltfNode) -> Result<DAffine3, Error> {
     let place = || format!("nodes/{index}");
     if let Some(m) = node.matrix {
         if node.translation.is_some() || node.rotation.is_some() || node.scale.is_some() {

@@ -9,35 +9,35 @@ use std::fmt;
 
 /// A whole number from zero; `3.0` and `3e0` are the same number as `3`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Whole(pub(super) u64);
+pub(super) struct WholeNumber(pub(super) u64);
 
-impl Whole {
+impl WholeNumber {
     /// As an index or size; what does not fit is larger than everything there is.
     pub(super) fn index(self) -> usize {
         usize::try_from(self.0).unwrap_or(usize::MAX)
     }
 }
 
-impl<'de> Deserialize<'de> for Whole {
+impl<'de> Deserialize<'de> for WholeNumber {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Read;
         impl Visitor<'_> for Read {
-            type Value = Whole;
+            type Value = WholeNumber;
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 f.write_str("a whole number from 0")
             }
-            fn visit_u64<E: serde::de::Error>(self, v: u64) -> Result<Whole, E> {
-                Ok(Whole(v))
+            fn visit_u64<E: serde::de::Error>(self, v: u64) -> Result<WholeNumber, E> {
+                Ok(WholeNumber(v))
             }
-            fn visit_f64<E: serde::de::Error>(self, v: f64) -> Result<Whole, E> {
+            fn visit_f64<E: serde::de::Error>(self, v: f64) -> Result<WholeNumber, E> {
                 // Above 2^53 a float no longer says which whole number was meant.
                 if (0.0..=9_007_199_254_740_992.0).contains(&v) && v.fract() == 0.0 {
-                    Ok(Whole(v as u64))
+                    Ok(WholeNumber(v as u64))
                 } else {
                     Err(E::custom(format_args!("{v:?} is not a whole number from 0")))
                 }
             }
-            fn visit_i64<E: serde::de::Error>(self, v: i64) -> Result<Whole, E> {
+            fn visit_i64<E: serde::de::Error>(self, v: i64) -> Result<WholeNumber, E> {
                 Err(E::custom(format_args!("{v} is below 0")))
             }
         }
@@ -47,20 +47,20 @@ impl<'de> Deserialize<'de> for Whole {
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct Asset {
+pub(super) struct AssetHeader {
     pub(super) version: String,
     pub(super) min_version: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct Buffer {
+pub(super) struct GltfBuffer {
     pub(super) uri: Option<String>,
-    pub(super) byte_length: Whole,
+    pub(super) byte_length: WholeNumber,
     pub(super) extensions: Option<BufferExtensions>,
 }
 
-impl Buffer {
+impl GltfBuffer {
     /// Whether it only says how large the decompressed data would be.
     pub(super) fn is_fallback(&self) -> bool {
         let marked = |mark: &Option<FallbackMark>| mark.as_ref().is_some_and(|m| m.fallback == Some(true));
@@ -85,21 +85,21 @@ struct FallbackMark {
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct View {
-    pub(super) buffer: Whole,
-    byte_offset: Option<Whole>,
-    pub(super) byte_length: Whole,
-    pub(super) byte_stride: Option<Whole>,
+pub(super) struct BufferView {
+    pub(super) buffer: WholeNumber,
+    byte_offset: Option<WholeNumber>,
+    pub(super) byte_length: WholeNumber,
+    pub(super) byte_stride: Option<WholeNumber>,
     extensions: Option<ViewExtensions>,
 }
 
-impl View {
+impl BufferView {
     pub(super) fn offset(&self) -> u64 {
         self.byte_offset.map_or(0, |o| o.0)
     }
 
     /// How its bytes are compressed, when they are.
-    pub(super) fn compression(&self) -> Option<&Compression> {
+    pub(super) fn compression(&self) -> Option<&ViewCompression> {
         self.extensions.as_ref().and_then(|e| e.khr.as_ref().or(e.ext.as_ref()))
     }
 }
@@ -107,24 +107,24 @@ impl View {
 #[derive(Debug, Deserialize)]
 struct ViewExtensions {
     #[serde(rename = "EXT_meshopt_compression")]
-    ext: Option<Compression>,
+    ext: Option<ViewCompression>,
     #[serde(rename = "KHR_meshopt_compression")]
-    khr: Option<Compression>,
+    khr: Option<ViewCompression>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct Compression {
-    pub(super) buffer: Whole,
-    byte_offset: Option<Whole>,
-    pub(super) byte_length: Whole,
-    pub(super) byte_stride: Whole,
-    pub(super) count: Whole,
+pub(super) struct ViewCompression {
+    pub(super) buffer: WholeNumber,
+    byte_offset: Option<WholeNumber>,
+    pub(super) byte_length: WholeNumber,
+    pub(super) byte_stride: WholeNumber,
+    pub(super) count: WholeNumber,
     pub(super) mode: String,
     pub(super) filter: Option<String>,
 }
 
-impl Compression {
+impl ViewCompression {
     pub(super) fn offset(&self) -> u64 {
         self.byte_offset.map_or(0, |o| o.0)
     }
@@ -132,27 +132,27 @@ impl Compression {
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub(super) struct Accessor {
-    pub(super) buffer_view: Option<Whole>,
-    byte_offset: Option<Whole>,
-    pub(super) component_type: Whole,
+pub(super) struct GltfAccessor {
+    pub(super) buffer_view: Option<WholeNumber>,
+    byte_offset: Option<WholeNumber>,
+    pub(super) component_type: WholeNumber,
     #[serde(default)]
     pub(super) normalized: bool,
-    pub(super) count: Whole,
+    pub(super) count: WholeNumber,
     #[serde(rename = "type")]
     pub(super) shape: String,
-    pub(super) sparse: Option<Sparse>,
+    pub(super) sparse: Option<SparseOverrides>,
 }
 
-impl Accessor {
+impl GltfAccessor {
     pub(super) fn offset(&self) -> u64 {
         self.byte_offset.map_or(0, |o| o.0)
     }
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct Sparse {
-    pub(super) count: Whole,
+pub(super) struct SparseOverrides {
+    pub(super) count: WholeNumber,
     pub(super) indices: SparseIndices,
     pub(super) values: SparseValues,
 }
@@ -160,38 +160,38 @@ pub(super) struct Sparse {
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct SparseIndices {
-    pub(super) buffer_view: Whole,
+    pub(super) buffer_view: WholeNumber,
     #[serde(default = "zero")]
-    pub(super) byte_offset: Whole,
-    pub(super) component_type: Whole,
+    pub(super) byte_offset: WholeNumber,
+    pub(super) component_type: WholeNumber,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct SparseValues {
-    pub(super) buffer_view: Whole,
+    pub(super) buffer_view: WholeNumber,
     #[serde(default = "zero")]
-    pub(super) byte_offset: Whole,
+    pub(super) byte_offset: WholeNumber,
 }
 
-fn zero() -> Whole {
-    Whole(0)
+fn zero() -> WholeNumber {
+    WholeNumber(0)
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct Mesh {
+pub(super) struct GltfMesh {
     pub(super) name: Option<String>,
     pub(super) primitives: Vec<MeshPrimitive>,
 }
 
 /// Accessors by attribute name.
-pub(super) type Attributes = BTreeMap<String, Whole>;
+pub(super) type Attributes = BTreeMap<String, WholeNumber>;
 
 #[derive(Debug, Deserialize)]
 pub(super) struct MeshPrimitive {
     pub(super) attributes: Attributes,
-    pub(super) indices: Option<Whole>,
-    mode: Option<Whole>,
+    pub(super) indices: Option<WholeNumber>,
+    mode: Option<WholeNumber>,
     #[serde(default)]
     pub(super) targets: Vec<Attributes>,
     extensions: Option<PrimitiveExtensions>,
@@ -220,12 +220,12 @@ struct PrimitiveExtensions {
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct Node {
+pub(super) struct GltfNode {
     pub(super) name: Option<String>,
     #[serde(default)]
-    pub(super) children: Vec<Whole>,
-    pub(super) mesh: Option<Whole>,
-    pub(super) skin: Option<Whole>,
+    pub(super) children: Vec<WholeNumber>,
+    pub(super) mesh: Option<WholeNumber>,
+    pub(super) skin: Option<WholeNumber>,
     #[serde(default, deserialize_with = "numbers")]
     pub(super) matrix: Option<[f64; 16]>,
     #[serde(default, deserialize_with = "numbers")]
@@ -237,7 +237,7 @@ pub(super) struct Node {
     extensions: Option<NodeExtensions>,
 }
 
-impl Node {
+impl GltfNode {
     pub(super) fn has_gpu_instances(&self) -> bool {
         self.extensions.as_ref().is_some_and(|e| e.gpu_instancing.is_some())
     }
@@ -250,9 +250,9 @@ struct NodeExtensions {
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct Scene {
+pub(super) struct GltfScene {
     #[serde(default)]
-    pub(super) nodes: Vec<Whole>,
+    pub(super) nodes: Vec<WholeNumber>,
 }
 
 /// A list of exactly `N` numbers.

@@ -1,6 +1,6 @@
 //! JSON text that is read where it lies and edited where it must change.
 //!
-//! A glTF document is never rebuilt: its values are slices of the text, and an [`Edits`] list splices new text over some
+//! A glTF document is never rebuilt: its values are slices of the text, and an [`JsonEdits`] list splices new text over some
 //! of them. Key order, number texts, escapes, duplicate keys and white space of everything else stay as they were.
 
 use serde::Deserialize;
@@ -10,13 +10,13 @@ use std::fmt;
 use std::ops::Range;
 
 /// One key of an object, and its value as a slice of the text.
-pub(super) struct Member<'a> {
+pub(super) struct JsonMember<'a> {
     pub(super) key: String,
     pub(super) value: &'a str,
 }
 
 /// The members of the object that `text` holds, in order, duplicates included.
-pub(super) fn members(text: &str) -> Result<Vec<Member<'_>>, serde_json::Error> {
+pub(super) fn members(text: &str) -> Result<Vec<JsonMember<'_>>, serde_json::Error> {
     serde_json::from_str::<Members<'_>>(text).map(|m| m.0)
 }
 
@@ -41,20 +41,20 @@ pub(super) fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }
 
-struct Members<'a>(Vec<Member<'a>>);
+struct Members<'a>(Vec<JsonMember<'a>>);
 
 impl<'de: 'a, 'a> Deserialize<'de> for Members<'a> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct Collect;
         impl<'de> Visitor<'de> for Collect {
-            type Value = Vec<Member<'de>>;
+            type Value = Vec<JsonMember<'de>>;
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 f.write_str("an object")
             }
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
                 let mut list = Vec::new();
                 while let Some(key) = map.next_key::<String>()? {
-                    list.push(Member {
+                    list.push(JsonMember {
                         key,
                         value: map.next_value::<&'de RawValue>()?.get(),
                     });
@@ -67,12 +67,12 @@ impl<'de: 'a, 'a> Deserialize<'de> for Members<'a> {
 }
 
 /// A list of places of one text and what to put there.
-pub(super) struct Edits<'a> {
+pub(super) struct JsonEdits<'a> {
     text: &'a str,
     list: Vec<(Range<usize>, String)>,
 }
 
-impl<'a> Edits<'a> {
+impl<'a> JsonEdits<'a> {
     /// No edits of `text` yet.
     pub(super) fn new(text: &'a str) -> Self {
         Self { text, list: Vec::new() }
@@ -174,7 +174,7 @@ mod tests {
     #[test]
     fn an_edit_leaves_every_other_byte_alone() {
         let text = "{ \"b\" : 1.50e0,\n\"\\u0061\":[1 , 2.0], \"x\":\"\\/\\u00e9\", \"x\": {\"deep\":[]} }";
-        let mut edits = Edits::new(text);
+        let mut edits = JsonEdits::new(text);
         edits.replace(items(value_of(text, "a").expect("escaped key")).expect("array")[1], "7");
         assert_eq!(edits.apply(), text.replace("2.0", "7"));
     }
@@ -200,10 +200,10 @@ mod tests {
             (r#"{"k" : 5 }"#, r#"{"k" : 1 }"#, "{ }"),
         ];
         for (text, set, removed) in cases {
-            let mut edits = Edits::new(text);
+            let mut edits = JsonEdits::new(text);
             edits.set(text, "k", "1");
             assert_eq!(edits.apply(), set);
-            let mut edits = Edits::new(text);
+            let mut edits = JsonEdits::new(text);
             edits.remove(text, "k");
             assert_eq!(edits.apply(), removed);
         }
@@ -212,7 +212,7 @@ mod tests {
     #[test]
     fn several_additions_in_one_place_keep_their_order() {
         let text = r#"{"list":[ 1 ],"none":[]}"#;
-        let mut edits = Edits::new(text);
+        let mut edits = JsonEdits::new(text);
         edits.push(value_of(text, "list").expect("list"), &["2".into(), "3".into()]);
         edits.push(value_of(text, "none").expect("none"), &["4".into()]);
         edits.set(text, "x", "5");

@@ -1,6 +1,6 @@
 //! Buffer URIs: data that is embedded, and names of companion files. Nothing is ever fetched or opened.
 
-use super::fault::Fault;
+use super::fault::GltfFault;
 use crate::asset::Error;
 use base64::Engine as _;
 use base64::alphabet::STANDARD;
@@ -20,7 +20,7 @@ const MEDIA_TYPES: [&str; 2] = ["application/octet-stream", "application/gltf-bu
 
 /// What a buffer's URI means.
 #[derive(Debug, PartialEq)]
-pub(super) enum Target {
+pub(super) enum UriTarget {
     /// The bytes are in the URI itself.
     Embedded(Vec<u8>),
     /// They are in the companion file of this name.
@@ -28,14 +28,14 @@ pub(super) enum Target {
 }
 
 /// Reads a buffer URI.
-pub(super) fn resolve(uri: &str, place: &str, fault: Fault) -> Result<Target, Error> {
+pub(super) fn resolve(uri: &str, place: &str, fault: GltfFault) -> Result<UriTarget, Error> {
     if uri.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:")) {
-        return embedded(&uri[5..], place, fault).map(Target::Embedded);
+        return embedded(&uri[5..], place, fault).map(UriTarget::Embedded);
     }
-    companion_name(uri, place, fault).map(Target::Companion)
+    companion_name(uri, place, fault).map(UriTarget::Companion)
 }
 
-fn embedded(rest: &str, place: &str, fault: Fault) -> Result<Vec<u8>, Error> {
+fn embedded(rest: &str, place: &str, fault: GltfFault) -> Result<Vec<u8>, Error> {
     let Some((kind, payload)) = rest.split_once(',') else {
         return Err(fault.malformed(place, "a data URI without a comma"));
     };
@@ -67,7 +67,7 @@ fn embedded(rest: &str, place: &str, fault: Fault) -> Result<Vec<u8>, Error> {
     })
 }
 
-fn companion_name(uri: &str, place: &str, fault: Fault) -> Result<String, Error> {
+fn companion_name(uri: &str, place: &str, fault: GltfFault) -> Result<String, Error> {
     let refuse = |what: &str| {
         let problem = format!(
             "{:?} {what}; a buffer's URI must be a relative name or embedded data",
@@ -123,32 +123,35 @@ mod tests {
     use super::*;
     use crate::asset::Format;
 
-    fn read(uri: &str) -> Result<Target, String> {
-        resolve(uri, "buffers/0/uri", Fault(Format::GLTF)).map_err(|e| e.to_string())
+    fn read(uri: &str) -> Result<UriTarget, String> {
+        resolve(uri, "buffers/0/uri", GltfFault(Format::GLTF)).map_err(|e| e.to_string())
     }
 
     #[test]
     fn embedded_data_comes_back() {
         for length in 0..5 {
             let bytes: Vec<u8> = (0..length).collect();
-            assert_eq!(read(&embed(&bytes)), Ok(Target::Embedded(bytes)));
+            assert_eq!(read(&embed(&bytes)), Ok(UriTarget::Embedded(bytes)));
         }
         let spellings = [
             "data:application/gltf-buffer;base64,/+8",
             "data:application/octet-stream;base64,%2F%2B8%3D",
         ];
         for uri in spellings {
-            assert_eq!(read(uri), Ok(Target::Embedded(vec![0xff, 0xef])), "{uri}");
+            assert_eq!(read(uri), Ok(UriTarget::Embedded(vec![0xff, 0xef])), "{uri}");
         }
     }
 
     #[test]
     fn names_are_decoded() {
-        assert_eq!(read("./my%20model.bin"), Ok(Target::Companion("my model.bin".into())));
+        assert_eq!(
+            read("./my%20model.bin"),
+            Ok(UriTarget::Companion("my model.bin".into()))
+        );
         assert!(read("a:b/c.bin").is_err(), "reads as a scheme");
         assert_eq!(
             read("sub/dir..x/c.bin"),
-            Ok(Target::Companion("sub/dir..x/c.bin".into()))
+            Ok(UriTarget::Companion("sub/dir..x/c.bin".into()))
         );
     }
 

@@ -1,9 +1,9 @@
 //! Corners of faces, the words of lines, and what separates them.
 
-use super::super::text::{Lexer, Style, Token, integer};
+use super::super::text::{TextLexer, TextStyle, TextToken, integer};
 
 /// What separates words.
-pub(super) const STYLE: Style = Style {
+pub(super) const STYLE: TextStyle = TextStyle {
     comments: true,
     continuation: true,
 };
@@ -13,21 +13,21 @@ pub(super) const NO_NORMAL: u32 = u32::MAX;
 
 /// One corner of a face as written: vertex, texture coordinate and normal, each counted from 1 or from the end.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Corner {
+pub(super) struct FaceCorner {
     pub vertex: i64,
     pub texture: Option<i64>,
     pub normal: Option<i64>,
     /// Where the number of the normal stands.
-    pub normal_token: Token,
+    pub normal_token: TextToken,
 }
 
-impl Corner {
+impl FaceCorner {
     /// Reads a corner; `None` when the word is none.
-    pub fn parse(lexer: &Lexer<'_>, token: Token) -> Option<Self> {
+    pub fn parse(lexer: &TextLexer<'_>, token: TextToken) -> Option<Self> {
         let mut end = token.start;
         let mut next = || {
             let start = end;
-            let text = lexer.text(Token {
+            let text = lexer.text(TextToken {
                 start: start.min(token.end),
                 ..token
             });
@@ -35,7 +35,7 @@ impl Corner {
             end = start + length + 1;
             (
                 &text[..length],
-                Token {
+                TextToken {
                     start,
                     end: start + length,
                     ..token
@@ -68,8 +68,8 @@ pub(super) fn resolve(index: i64, count: u32) -> Option<u32> {
 }
 
 /// The next three words of the line, or how many there were.
-pub(super) fn three_words(lexer: &mut Lexer<'_>) -> Result<[Token; 3], usize> {
-    let mut words = [Token {
+pub(super) fn three_words(lexer: &mut TextLexer<'_>) -> Result<[TextToken; 3], usize> {
+    let mut words = [TextToken {
         start: 0,
         end: 0,
         line: 0,

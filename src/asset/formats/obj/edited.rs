@@ -1,9 +1,9 @@
 //! OBJ out after edits of the topology, and what an edited OBJ gives to other formats.
 
-use super::super::text::{Precision, push_number};
-use super::parted::{Parted, Texture, part};
+use super::super::text::{NumberPrecision, push_number};
+use super::parted::{CornerAttributes, TextureCoordinate, part};
 use super::read::ObjNotes;
-use super::statements::{State, Statements, name_in, object_numbers, read};
+use super::statements::{FaceState, ObjStatements, name_in, object_numbers, read};
 use super::write::{printable, push_corner, push_line, push_numbers};
 use crate::asset::Error;
 use crate::asset::codec::EditedOutput;
@@ -38,7 +38,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
             all.get(run.base as usize).and_then(Option::as_ref),
         );
     }
-    let mut faces = Faces::default();
+    let mut faces = EditedFaces::default();
     for run in edited.runs.iter().filter(|r| r.triangle_count > 0) {
         if let Some(Some(statements)) = all.get(run.base as usize) {
             faces.add(&mut out, run, part(edited, run, positions, statements), statements);
@@ -57,11 +57,11 @@ fn vertices(
     edited: &EditedModel<'_>,
     run: &PrimitiveRun,
     positions: &[DVec3],
-    of: Option<&Statements<'_>>,
+    of: Option<&ObjStatements<'_>>,
 ) {
     let lanes = of.map_or(0, |s| s.more_lanes);
     for vertex in run.vertices() {
-        push_line(out, b"v ", positions[vertex], Precision::Double, b"");
+        push_line(out, b"v ", positions[vertex], NumberPrecision::Double, b"");
         for lane in 0..lanes {
             let old = |v: u32| {
                 of.and_then(|s| s.more.get(v as usize * lanes + lane))
@@ -69,36 +69,42 @@ fn vertices(
                     .unwrap_or(0.0)
             };
             out.push(b' ');
-            push_number(out, edited.blended(vertex, old), Precision::Single);
+            push_number(out, edited.blended(vertex, old), NumberPrecision::Single);
         }
         out.push(b'\n');
     }
 }
 
 /// One face to be written: its object and whether it has a material, by which faces are grouped; then its text.
-struct Face<'a> {
+struct EditedFace<'a> {
     order: (usize, usize, bool),
-    state: State<'a>,
+    state: FaceState<'a>,
     text: Vec<u8>,
 }
 
 #[derive(Default)]
-struct Faces<'a> {
-    list: Vec<Face<'a>>,
+struct EditedFaces<'a> {
+    list: Vec<EditedFace<'a>>,
     bases: usize,
     /// `vt` and `vn` lines written so far.
     textures: u64,
     normals: u64,
 }
 
-impl<'a> Faces<'a> {
+impl<'a> EditedFaces<'a> {
     /// Writes the coordinates and normals of a run, and takes note of its faces.
-    fn add(&mut self, out: &mut Vec<u8>, run: &PrimitiveRun, parted: Parted<'a>, statements: &Statements<'a>) {
+    fn add(
+        &mut self,
+        out: &mut Vec<u8>,
+        run: &PrimitiveRun,
+        parted: CornerAttributes<'a>,
+        statements: &ObjStatements<'a>,
+    ) {
         for texture in &parted.textures {
             out.extend_from_slice(b"vt ");
             match texture {
-                Texture::Old(text) => out.extend_from_slice(text),
-                Texture::New(numbers) => push_numbers(out, numbers),
+                TextureCoordinate::Old(text) => out.extend_from_slice(text),
+                TextureCoordinate::New(numbers) => push_numbers(out, numbers),
             }
             out.push(b'\n');
         }
@@ -117,7 +123,7 @@ impl<'a> Faces<'a> {
                         out.extend_from_slice(text);
                         out.push(b'\n');
                     }
-                    None => push_line(out, b"vn ", normal.value.as_dvec3(), Precision::Single, b"\n"),
+                    None => push_line(out, b"vn ", normal.value.as_dvec3(), NumberPrecision::Single, b"\n"),
                 }
             }
             line_of.push(line);
@@ -133,7 +139,7 @@ impl<'a> Faces<'a> {
             }
             let state = parted.states[i];
             let object = objects.get(&state.object).copied().unwrap_or(0);
-            self.list.push(Face {
+            self.list.push(EditedFace {
                 order: (run.base as usize, object, state.material.is_some()),
                 state,
                 text,
@@ -147,7 +153,7 @@ impl<'a> Faces<'a> {
     fn write(&mut self, out: &mut Vec<u8>) {
         // An object that is named twice would be two objects to many readers.
         self.list.sort_by_key(|face| face.order);
-        let mut last = State::default();
+        let mut last = FaceState::default();
         let line = |out: &mut Vec<u8>, now: Option<&[u8]>, before: Option<&[u8]>, none: &[u8]| {
             if now != before {
                 out.extend_from_slice(now.unwrap_or(none));
@@ -157,7 +163,7 @@ impl<'a> Faces<'a> {
             }
         };
         for face in &self.list {
-            let State {
+            let FaceState {
                 object,
                 group,
                 smoothing,
@@ -175,7 +181,12 @@ impl<'a> Faces<'a> {
 }
 
 /// A base of another format: its vertices stand already.
-fn foreign_base(out: &mut Vec<u8>, output: &EditedOutput<'_>, base: u32, faces: &mut Faces<'_>) -> Result<(), Error> {
+fn foreign_base(
+    out: &mut Vec<u8>,
+    output: &EditedOutput<'_>,
+    base: u32,
+    faces: &mut EditedFaces<'_>,
+) -> Result<(), Error> {
     let neutral = (output.neutral_base)(base)?;
     for (run, own) in output.edited.runs_with_triangles(base).zip(neutral.primitives()) {
         let (primitive, has_uv) = (own.primitive, own.attributes.has_uv);
@@ -188,7 +199,7 @@ fn foreign_base(out: &mut Vec<u8>, output: &EditedOutput<'_>, base: u32, faces: 
         }
         if primitive.has_normals {
             for normal in &neutral.geometry.normals[own.vertices.clone()] {
-                push_line(out, b"vn ", normal.as_dvec3(), Precision::Single, b"\n");
+                push_line(out, b"vn ", normal.as_dvec3(), NumberPrecision::Single, b"\n");
             }
         }
         let mut name = printable(&primitive.name);
@@ -279,7 +290,7 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions
                         let numbers = parted
                             .textures
                             .get(texture as usize)
-                            .map(Texture::numbers)
+                            .map(TextureCoordinate::numbers)
                             .unwrap_or_default();
                         let at = |i: usize| numbers.get(i).map_or(0.0, |v| *v as f32);
                         seamed.attributes.uv.push([at(0), 1.0 - at(1)]);

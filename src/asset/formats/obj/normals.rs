@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// The normals of a file and who uses them.
 #[derive(Debug, Clone)]
-pub(super) struct Normals {
+pub(super) struct NormalLines {
     /// Unit normal of each `vn` line, zero where the line gives none.
     values: Vec<Vec3>,
     /// Each used (normal, vertex), ascending.
@@ -21,7 +21,7 @@ pub(super) struct Normals {
 }
 
 /// What becomes of the `vn` lines.
-pub(super) struct Plan {
+pub(super) struct NormalPlan {
     /// The new value of each line that is rewritten.
     pub rewritten: Vec<Option<Vec3>>,
     /// Lines to add.
@@ -30,7 +30,7 @@ pub(super) struct Plan {
     line_of_pair: Vec<u32>,
 }
 
-impl Normals {
+impl NormalLines {
     /// `corner_vertices` and `corner_normals` are the faces' corners, `slots` the triangles as places in them.
     pub fn new(values: Vec<Vec3>, corner_vertices: &[u32], corner_normals: &[u32], slots: &[[u32; 3]]) -> Self {
         let pair_at = |slot: usize| [corner_normals[slot], corner_vertices[slot]];
@@ -63,9 +63,9 @@ impl Normals {
     }
 
     /// Decides which lines change when the vertices move.
-    pub fn plan(&self, rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Plan {
+    pub fn plan(&self, rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> NormalPlan {
         let gradients = shading::gradients(rest, deformed, triangles, &self.corners, self.pairs.len() + 1);
-        let mut plan = Plan {
+        let mut plan = NormalPlan {
             rewritten: vec![None; self.values.len()],
             added: Vec::new(),
             line_of_pair: self.pairs.iter().map(|p| p[0]).collect(),
@@ -88,7 +88,7 @@ impl Normals {
     }
 
     /// Gives one line's pairs, of which the first is number `first`, lines that hold their new values.
-    fn share(&self, plan: &mut Plan, line: usize, first: usize, carried: &[Vec3]) {
+    fn share(&self, plan: &mut NormalPlan, line: usize, first: usize, carried: &[Vec3]) {
         let authored = self.values[line];
         // The line stays as authored if anyone still uses it so.
         let kept = if carried.iter().any(|&n| is_same(n, authored)) {
@@ -119,7 +119,7 @@ impl Normals {
     }
 
     /// The line that a corner uses now.
-    pub fn line_of(&self, plan: &Plan, normal: u32, vertex: u32) -> u32 {
+    pub fn line_of(&self, plan: &NormalPlan, normal: u32, vertex: u32) -> u32 {
         self.pairs
             .binary_search(&[normal, vertex])
             .map_or(normal, |pair| plan.line_of_pair[pair])

@@ -1,7 +1,7 @@
-//! Texture coordinates and normals of a edited run, corner by corner.
+//! Texture coordinates and normals of an edited run, corner by corner.
 
 use super::corner::NO_NORMAL;
-use super::statements::{NO_TEXTURE, State, Statements, numbers};
+use super::statements::{FaceState, NO_TEXTURE, ObjStatements, numbers};
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins, VertexBlends};
 use crate::asset::geometry::unit_or_zero;
 use crate::mesh::{NONE, shading};
@@ -9,31 +9,31 @@ use glam::{DMat3, DVec3, Vec3};
 use std::collections::BTreeMap;
 
 /// Old lines and weights; the same line twice counts twice.
-type Mix = Vec<(u32, f64)>;
+type LineMix = Vec<(u32, f64)>;
 
 /// A run with what its corners have.
-pub(super) struct Parted<'a> {
+pub(super) struct CornerAttributes<'a> {
     /// Triangles over the run's vertices, from 0.
     pub triangles: Vec<[u32; 3]>,
     /// For each triangle the place of its corners' coordinates in `textures`; `None` where one has none.
     pub corner_textures: Vec<Option<[u32; 3]>>,
-    pub textures: Vec<Texture<'a>>,
+    pub textures: Vec<TextureCoordinate<'a>>,
     /// The same for normals.
     pub corner_normals: Vec<Option<[u32; 3]>>,
-    pub normals: Vec<Normal<'a>>,
+    pub normals: Vec<CornerNormal<'a>>,
     /// For each triangle what holds for it.
-    pub states: Vec<State<'a>>,
+    pub states: Vec<FaceState<'a>>,
 }
 
 /// Texture coordinates.
-pub(super) enum Texture<'a> {
+pub(super) enum TextureCoordinate<'a> {
     /// The words of an old line.
     Old(&'a [u8]),
     /// Blended ones.
     New(Vec<f64>),
 }
 
-impl Texture<'_> {
+impl TextureCoordinate<'_> {
     pub fn numbers(&self) -> Vec<f64> {
         match self {
             Self::Old(text) => numbers(text),
@@ -43,15 +43,15 @@ impl Texture<'_> {
 }
 
 /// A normal, with the words of its line where it is an old one.
-pub(super) struct Normal<'a> {
+pub(super) struct CornerNormal<'a> {
     pub value: Vec3,
     pub old: Option<&'a [u8]>,
 }
 
 /// A vertex and the old lines that it is blended from, by which corners are the same.
-type Key = (u32, [u32; VertexBlends::MAX_SOURCES]);
+type CornerKey = (u32, [u32; VertexBlends::MAX_SOURCES]);
 
-fn key(vertex: u32, mix: &Mix) -> Key {
+fn key(vertex: u32, mix: &LineMix) -> CornerKey {
     let mut lines = [u32::MAX; VertexBlends::MAX_SOURCES];
     lines.iter_mut().zip(mix).for_each(|(to, (line, _))| *to = *line);
     // One line alone is the same at every vertex for coordinates, but normals turn with the vertex.
@@ -63,13 +63,13 @@ pub(super) fn part<'a>(
     edited: &EditedModel<'_>,
     run: &PrimitiveRun,
     positions: &[DVec3],
-    statements: &Statements<'a>,
-) -> Parted<'a> {
+    statements: &ObjStatements<'a>,
+) -> CornerAttributes<'a> {
     let old = &edited.base(run).model.geometry.triangles;
     let complete = statements.states.len() == old.len();
     let triangles = edited.local_triangles(run);
     let origins = TriangleOrigins::new(edited, run, old);
-    let mut parted = Parted {
+    let mut parted = CornerAttributes {
         corner_textures: vec![None; triangles.len()],
         textures: Vec::new(),
         corner_normals: vec![None; triangles.len()],
@@ -84,18 +84,18 @@ pub(super) fn part<'a>(
     }
     let has = |lines: &[u32]| lines.iter().any(|&line| line != u32::MAX);
     let seam = &statements.corner_textures;
-    let mut texture_numbers: BTreeMap<Key, u32> = BTreeMap::new();
-    let mut shade_numbers: BTreeMap<Key, u32> = BTreeMap::new();
-    let mut shades: Vec<(u32, Mix)> = Vec::new();
+    let mut texture_numbers: BTreeMap<CornerKey, u32> = BTreeMap::new();
+    let mut shade_numbers: BTreeMap<CornerKey, u32> = BTreeMap::new();
+    let mut shades: Vec<(u32, LineMix)> = Vec::new();
     let mut corner_shades = vec![[NONE; 3]; parted.triangles.len()];
     let (has_textures, has_normals) = (has(seam), has(&statements.corner_normals));
     for (i, triangle) in parted.triangles.clone().into_iter().enumerate() {
         if !has_textures && !has_normals {
             break;
         }
-        let corners: [Mix; 3] = std::array::from_fn(|k| origins.corner(i, k, seam));
-        let mix = |k: usize, lines: &[u32], none: u32| -> Option<Mix> {
-            let mix: Mix = corners[k]
+        let corners: [LineMix; 3] = std::array::from_fn(|k| origins.corner(i, k, seam));
+        let mix = |k: usize, lines: &[u32], none: u32| -> Option<LineMix> {
+            let mix: LineMix = corners[k]
                 .iter()
                 .map(|&(c, w)| (lines[c as usize], w))
                 .filter(|m| m.0 != none)
@@ -104,9 +104,9 @@ pub(super) fn part<'a>(
             let one = mix.iter().all(|m| m.0 == first);
             Some(if one { vec![(first, 1.0)] } else { mix })
         };
-        let textures: [Option<Mix>; 3] = std::array::from_fn(|k| mix(k, seam, NO_TEXTURE));
+        let textures: [Option<LineMix>; 3] = std::array::from_fn(|k| mix(k, seam, NO_TEXTURE));
         if let [Some(a), Some(b), Some(c)] = textures {
-            let mut number = |k: usize, mix: Mix| {
+            let mut number = |k: usize, mix: LineMix| {
                 let vertex = if mix.len() == 1 { NONE } else { triangle[k] };
                 *texture_numbers.entry(key(vertex, &mix)).or_insert_with(|| {
                     parted.textures.push(texture(&mix, statements));
@@ -115,9 +115,9 @@ pub(super) fn part<'a>(
             };
             parted.corner_textures[i] = Some([number(0, a), number(1, b), number(2, c)]);
         }
-        let normals: [Option<Mix>; 3] = std::array::from_fn(|k| mix(k, &statements.corner_normals, NO_NORMAL));
+        let normals: [Option<LineMix>; 3] = std::array::from_fn(|k| mix(k, &statements.corner_normals, NO_NORMAL));
         if let [Some(a), Some(b), Some(c)] = normals {
-            let mut number = |k: usize, mix: Mix| {
+            let mut number = |k: usize, mix: LineMix| {
                 *shade_numbers.entry(key(triangle[k], &mix)).or_insert_with(|| {
                     shades.push((triangle[k], mix));
                     shades.len() as u32 - 1
@@ -141,9 +141,9 @@ pub(super) fn part<'a>(
     parted
 }
 
-fn texture<'a>(mix: &Mix, statements: &Statements<'a>) -> Texture<'a> {
+fn texture<'a>(mix: &LineMix, statements: &ObjStatements<'a>) -> TextureCoordinate<'a> {
     if let [(line, _)] = mix.as_slice() {
-        return Texture::Old(statements.textures[*line as usize]);
+        return TextureCoordinate::Old(statements.textures[*line as usize]);
     }
     let total: f64 = mix.iter().map(|m| m.1).sum();
     let mut sum: Vec<f64> = Vec::new();
@@ -153,7 +153,7 @@ fn texture<'a>(mix: &Mix, statements: &Statements<'a>) -> Texture<'a> {
         let finite = numbers.iter().map(|v| if v.is_finite() { *v } else { 0.0 });
         sum.iter_mut().zip(finite).for_each(|(to, v)| *to += v * weight / total);
     }
-    Texture::New(sum)
+    TextureCoordinate::New(sum)
 }
 
 /// The normals of shading vertices after all edits and deformations.
@@ -162,10 +162,10 @@ fn carried<'a>(
     run: &PrimitiveRun,
     positions: &[DVec3],
     triangles: &[[u32; 3]],
-    shades: &[(u32, Mix)],
+    shades: &[(u32, LineMix)],
     corner_shades: &mut [[u32; 3]],
-    statements: &Statements<'a>,
-) -> Vec<Normal<'a>> {
+    statements: &ObjStatements<'a>,
+) -> Vec<CornerNormal<'a>> {
     let none = shades.len() as u32;
     corner_shades
         .iter_mut()
@@ -177,7 +177,7 @@ fn carried<'a>(
     let smooth = shading::smooth_normals(now, triangles);
     let placing = &edited.base(run).world_from_model.matrix3;
     let world_from_normal = shading::cofactor(placing) * if placing.determinant() < 0.0 { -1.0 } else { 1.0 };
-    let one = |(i, (vertex, mix)): (usize, &(u32, Mix))| {
+    let one = |(i, (vertex, mix)): (usize, &(u32, LineMix))| {
         let vertex = *vertex as usize;
         let authored = match mix.as_slice() {
             [(line, _)] => statements.normals[*line as usize].1,
@@ -194,7 +194,7 @@ fn carried<'a>(
         };
         let bare = edited.is_bare(run.first_vertex as usize + vertex);
         if placed == Vec3::ZERO || bare {
-            return Normal {
+            return CornerNormal {
                 value: smooth[vertex],
                 old: None,
             };
@@ -203,7 +203,7 @@ fn carried<'a>(
             .as_ref()
             .map_or(placed, |g| shading::carry_normal(g, placed));
         let stays = mix.len() == 1 && (value - authored).abs().max_element() <= 1e-6;
-        Normal {
+        CornerNormal {
             value,
             old: stays.then(|| statements.normals[mix[0].0 as usize].0),
         }

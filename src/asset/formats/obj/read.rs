@@ -1,9 +1,9 @@
 //! OBJ in: positions, faces and the normals that they name.
 
 use super::super::polygons::Polygons;
-use super::super::text::{Lexer, Precision, Token, coordinate, number, shown};
-use super::corner::{Corner, NO_NORMAL, STYLE, resolve, three_words};
-use super::normals::Normals;
+use super::super::text::{NumberPrecision, TextLexer, TextToken, coordinate, number, shown};
+use super::corner::{FaceCorner, NO_NORMAL, STYLE, resolve, three_words};
+use super::normals::NormalLines;
 use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
@@ -22,12 +22,12 @@ pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
 #[derive(Debug)]
 pub(super) struct ObjNotes {
     /// Present when a face uses a `vn` line.
-    pub normals: Option<Normals>,
+    pub normals: Option<NormalLines>,
 }
 
 impl FileNotes for ObjNotes {
     fn bytes_held(&self) -> u64 {
-        self.normals.as_ref().map_or(0, Normals::bytes_held)
+        self.normals.as_ref().map_or(0, NormalLines::bytes_held)
     }
 }
 
@@ -45,7 +45,7 @@ fn recognise(bytes: &[u8]) -> Recognition {
 /// Reads an OBJ file.
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, ObjNotes), Error> {
     check_main_size(bytes)?;
-    let mut reader = Reader::new(bytes, limits);
+    let mut reader = ObjReader::new(bytes, limits);
     reader.statements()?;
     reader.finish()
 }
@@ -55,8 +55,8 @@ fn malformed(line: u32, problem: impl Into<String>) -> Error {
 }
 
 /// Reads the statements that the mesh needs.
-pub(super) struct Reader<'a> {
-    lexer: Lexer<'a>,
+pub(super) struct ObjReader<'a> {
+    lexer: TextLexer<'a>,
     limits: &'a Limits,
     positions: Vec<DVec3>,
     /// Unit normals of the `vn` lines, zero where a line gives none.
@@ -67,18 +67,18 @@ pub(super) struct Reader<'a> {
     pub corner_normals: Vec<u32>,
     /// The largest indices that faces name, with their lines: vertex, texture coordinate, normal.
     largest: [(u32, u32); 3],
-    small_faces: Noted,
-    bad_normals: Noted,
+    small_faces: Occurrences,
+    bad_normals: Occurrences,
 }
 
 /// How often something was seen, and on which line first.
 #[derive(Debug, Clone, Copy, Default)]
-struct Noted {
+struct Occurrences {
     count: u32,
     line: u32,
 }
 
-impl Noted {
+impl Occurrences {
     fn note(&mut self, line: u32) {
         if self.count == 0 {
             self.line = line;
@@ -87,10 +87,10 @@ impl Noted {
     }
 }
 
-impl<'a> Reader<'a> {
+impl<'a> ObjReader<'a> {
     pub fn new(bytes: &'a [u8], limits: &'a Limits) -> Self {
         Self {
-            lexer: Lexer::new(bytes, STYLE),
+            lexer: TextLexer::new(bytes, STYLE),
             limits,
             positions: Vec::new(),
             normals: Vec::new(),
@@ -98,8 +98,8 @@ impl<'a> Reader<'a> {
             faces: Polygons::default(),
             corner_normals: Vec::new(),
             largest: [(0, 0); 3],
-            small_faces: Noted::default(),
-            bad_normals: Noted::default(),
+            small_faces: Occurrences::default(),
+            bad_normals: Occurrences::default(),
         }
     }
 
@@ -111,7 +111,7 @@ impl<'a> Reader<'a> {
                     let words = self.triple(keyword)?;
                     let mut position = DVec3::ZERO;
                     for (i, word) in words.into_iter().enumerate() {
-                        position[i] = coordinate(self.lexer.text(word), Precision::Double)
+                        position[i] = coordinate(self.lexer.text(word), NumberPrecision::Double)
                             .map_err(|problem| malformed(word.line, problem))?;
                     }
                     self.positions.push(position);
@@ -130,7 +130,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    fn triple(&mut self, keyword: Token) -> Result<[Token; 3], Error> {
+    fn triple(&mut self, keyword: TextToken) -> Result<[TextToken; 3], Error> {
         three_words(&mut self.lexer).map_err(|count| {
             let word = String::from_utf8_lossy(self.lexer.text(keyword)).into_owned();
             malformed(keyword.line, format!("`{word}` with {count} numbers; three are needed"))
@@ -138,7 +138,7 @@ impl<'a> Reader<'a> {
     }
 
     /// A normal that is no number is common in exports of degenerate faces; it is kept in the file and not used.
-    fn normal(&mut self, keyword: Token) -> Result<Vec3, Error> {
+    fn normal(&mut self, keyword: TextToken) -> Result<Vec3, Error> {
         let words = self.triple(keyword)?;
         let mut normal = DVec3::ZERO;
         for (i, word) in words.into_iter().enumerate() {
@@ -157,10 +157,10 @@ impl<'a> Reader<'a> {
         Ok(unit_or_zero(normal))
     }
 
-    fn face(&mut self, keyword: Token) -> Result<(), Error> {
+    fn face(&mut self, keyword: TextToken) -> Result<(), Error> {
         let first = self.faces.corners.len();
         while let Some(word) = self.lexer.token_on_line() {
-            let Some(corner) = Corner::parse(&self.lexer, word) else {
+            let Some(corner) = FaceCorner::parse(&self.lexer, word) else {
                 let seen = shown(self.lexer.text(word));
                 return Err(malformed(
                     word.line,
@@ -224,13 +224,13 @@ impl<'a> Reader<'a> {
             .map(|t| t.map(|s| self.faces.corners[s as usize]))
             .collect();
         let normals = (!self.corner_normals.is_empty())
-            .then(|| Normals::new(self.normals, &self.faces.corners, &self.corner_normals, &slots));
+            .then(|| NormalLines::new(self.normals, &self.faces.corners, &self.corner_normals, &slots));
         let per_vertex = normals
             .as_ref()
             .and_then(|n| n.per_vertex(self.positions.len()))
             .unwrap_or_default();
         let mut geometry = Geometry::from_one_mesh(self.positions, per_vertex, triangles);
-        let mut warn = |code: &str, seen: Noted, what: &str| {
+        let mut warn = |code: &str, seen: Occurrences, what: &str| {
             if seen.count > 0 {
                 geometry.warn(code, format!("{} {what}", seen.count), format!("line {}", seen.line));
             }

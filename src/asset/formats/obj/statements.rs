@@ -1,8 +1,8 @@
 //! What an OBJ text holds beyond positions and triangles, read again when it is needed.
 
 use super::super::polygons::Polygons;
-use super::super::text::{Lexer, number};
-use super::corner::{Corner, NO_NORMAL, STYLE, resolve};
+use super::super::text::{TextLexer, number};
+use super::corner::{FaceCorner, NO_NORMAL, STYLE, resolve};
 use crate::asset::geometry::unit_or_zero;
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ pub(super) const NO_TEXTURE: u32 = u32::MAX;
 
 /// What holds for a face, as the statements above it say; each as its whole line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct State<'a> {
+pub(super) struct FaceState<'a> {
     pub object: Option<&'a [u8]>,
     pub group: Option<&'a [u8]>,
     pub smoothing: Option<&'a [u8]>,
@@ -20,7 +20,7 @@ pub(super) struct State<'a> {
 }
 
 /// The statements of a text.
-pub(super) struct Statements<'a> {
+pub(super) struct ObjStatements<'a> {
     /// Comments before the first statement.
     pub head: &'a [u8],
     /// `mtllib` lines.
@@ -37,15 +37,15 @@ pub(super) struct Statements<'a> {
     pub corner_textures: Vec<u32>,
     pub corner_normals: Vec<u32>,
     /// For each triangle what holds for it.
-    pub states: Vec<State<'a>>,
+    pub states: Vec<FaceState<'a>>,
 }
 
 /// Reads the statements of a text that was read before, whose vertices rest at `positions`.
-pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Statements<'a> {
-    let mut reader = Reader {
+pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> ObjStatements<'a> {
+    let mut reader = StatementReader {
         bytes,
-        lexer: Lexer::new(bytes, STYLE),
-        out: Statements {
+        lexer: TextLexer::new(bytes, STYLE),
+        out: ObjStatements {
             head: &[],
             libraries: Vec::new(),
             textures: Vec::new(),
@@ -58,7 +58,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Statements<'a> {
         },
         vertices: 0,
         uneven: false,
-        state: State::default(),
+        state: FaceState::default(),
         faces: Polygons::default(),
         corners: Vec::new(),
         face_states: Vec::new(),
@@ -67,21 +67,21 @@ pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Statements<'a> {
     reader.finish(positions)
 }
 
-struct Reader<'a> {
+struct StatementReader<'a> {
     bytes: &'a [u8],
-    lexer: Lexer<'a>,
-    out: Statements<'a>,
+    lexer: TextLexer<'a>,
+    out: ObjStatements<'a>,
     vertices: u32,
     /// Not every vertex has as many numbers.
     uneven: bool,
-    state: State<'a>,
+    state: FaceState<'a>,
     faces: Polygons,
     /// Texture coordinates and normal of each corner in `faces`.
     corners: Vec<[u32; 2]>,
-    face_states: Vec<(State<'a>, usize)>,
+    face_states: Vec<(FaceState<'a>, usize)>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> StatementReader<'a> {
     fn statements(&mut self) {
         let mut first = true;
         while let Some(keyword) = self.lexer.token() {
@@ -142,7 +142,7 @@ impl<'a> Reader<'a> {
             self.out.normals.len() as u32,
         ];
         while let Some(word) = self.lexer.token_on_line() {
-            let Some(corner) = Corner::parse(&self.lexer, word) else {
+            let Some(corner) = FaceCorner::parse(&self.lexer, word) else {
                 continue;
             };
             let Some(vertex) = resolve(corner.vertex, counts[0]) else {
@@ -161,7 +161,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn finish(mut self, positions: &[DVec3]) -> Statements<'a> {
+    fn finish(mut self, positions: &[DVec3]) -> ObjStatements<'a> {
         if self.uneven || self.vertices as usize != positions.len() {
             (self.out.more, self.out.more_lanes) = (Vec::new(), 0);
         }
@@ -189,14 +189,14 @@ impl<'a> Reader<'a> {
 
 /// The numbers of a line; words that are none end it.
 pub(super) fn numbers(text: &[u8]) -> Vec<f64> {
-    let mut lexer = Lexer::new(text, STYLE);
+    let mut lexer = TextLexer::new(text, STYLE);
     std::iter::from_fn(|| lexer.token())
         .map_while(|t| number(&text[t.range()]))
         .collect()
 }
 
 /// The objects in the order in which faces first name them.
-pub(super) fn object_numbers<'a>(states: &[State<'a>]) -> BTreeMap<Option<&'a [u8]>, usize> {
+pub(super) fn object_numbers<'a>(states: &[FaceState<'a>]) -> BTreeMap<Option<&'a [u8]>, usize> {
     let mut numbers = BTreeMap::new();
     for state in states {
         let next = numbers.len();

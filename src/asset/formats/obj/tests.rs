@@ -1,4 +1,4 @@
-use super::read::Reader;
+use super::read::ObjReader;
 use super::write::build;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};
@@ -318,7 +318,7 @@ proptest! {
 /// Vertex, number of the `vn` line, and normal of each face corner.
 fn named_corners(text: &str) -> Vec<(u32, u32, Vec3)> {
     let limits = Limits::default();
-    let mut reader = Reader::new(text.as_bytes(), &limits);
+    let mut reader = ObjReader::new(text.as_bytes(), &limits);
     reader.statements().unwrap_or_else(|e| panic!("{e}"));
     let corner = |(&v, &n): (&u32, &u32)| (v, n, reader.normals[n as usize]);
     reader

@@ -1,8 +1,8 @@
 //! OBJ out: the uploaded text with the changed numbers replaced, or a fresh text.
 
-use super::super::text::{Lexer, Patch, Precision, newline_of, push_number, push_triple};
-use super::corner::{Corner, STYLE, resolve, three_words};
-use super::normals::{Normals, Plan};
+use super::super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_number, push_triple};
+use super::corner::{FaceCorner, STYLE, resolve, three_words};
+use super::normals::{NormalLines, NormalPlan};
 use super::read::ObjNotes;
 use crate::asset::Geometry;
 use crate::asset::model::position_bits;
@@ -19,8 +19,8 @@ pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: 
     let insertion = shading
         .as_ref()
         .and_then(|(normals, plan)| insertion_place(bytes, normals, plan));
-    let mut lexer = Lexer::new(bytes, STYLE);
-    let mut patch = Patch::new(bytes);
+    let mut lexer = TextLexer::new(bytes, STYLE);
+    let mut patch = TextPatch::new(bytes);
     let (mut vertices, mut normal_lines) = (0u32, 0u32);
     while let Some(keyword) = lexer.token() {
         if let (Some(place), Some((_, plan))) = (&insertion, &shading)
@@ -34,7 +34,7 @@ pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: 
                 if position_bits(old) != position_bits(new)
                     && let Ok(words) = three_words(&mut lexer)
                 {
-                    patch.replace_changed(words, old, new, Precision::Double);
+                    patch.replace_changed(words, old, new, NumberPrecision::Double);
                 }
                 vertices += 1;
             }
@@ -44,14 +44,14 @@ pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: 
                     .and_then(|(_, plan)| plan.rewritten[normal_lines as usize]);
                 if let (Some(new), Ok(words)) = (new, three_words(&mut lexer)) {
                     let place = words[0].start..words[2].end;
-                    push_triple(patch.replace(place), new.as_dvec3(), Precision::Single);
+                    push_triple(patch.replace(place), new.as_dvec3(), NumberPrecision::Single);
                 }
                 normal_lines += 1;
             }
             b"f" => {
                 if let (Some(place), Some((normals, plan))) = (&insertion, &shading) {
                     while let Some(word) = lexer.token_on_line() {
-                        let Some(corner) = Corner::parse(&lexer, word) else {
+                        let Some(corner) = FaceCorner::parse(&lexer, word) else {
                             continue;
                         };
                         let renumbered = place.renumber(normals, plan, corner, [vertices, normal_lines], keyword.start);
@@ -70,7 +70,7 @@ pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: 
 }
 
 /// Where new `vn` lines go: before the first face that uses one, because some readers look up normals at once.
-struct Insertion {
+struct NormalInsertion {
     offset: usize,
     /// `vn` lines above.
     lines_above: u32,
@@ -79,13 +79,13 @@ struct Insertion {
     added: u32,
 }
 
-impl Insertion {
+impl NormalInsertion {
     /// The number that a corner must now give for its normal, counted from 1, if what is written there is no longer right.
     fn renumber(
         &self,
-        normals: &Normals,
-        plan: &Plan,
-        corner: Corner,
+        normals: &NormalLines,
+        plan: &NormalPlan,
+        corner: FaceCorner,
         [vertices, normal_lines]: [u32; 2],
         face_offset: usize,
     ) -> Option<u32> {
@@ -106,12 +106,12 @@ impl Insertion {
     }
 }
 
-fn insertion_place(bytes: &[u8], normals: &Normals, plan: &Plan) -> Option<Insertion> {
+fn insertion_place(bytes: &[u8], normals: &NormalLines, plan: &NormalPlan) -> Option<NormalInsertion> {
     if plan.added.is_empty() {
         return None;
     }
     let lines = plan.rewritten.len() as u32;
-    let mut lexer = Lexer::new(bytes, STYLE);
+    let mut lexer = TextLexer::new(bytes, STYLE);
     let (mut vertices, mut normal_lines) = (0u32, 0u32);
     while let Some(keyword) = lexer.token() {
         match lexer.text(keyword) {
@@ -119,7 +119,7 @@ fn insertion_place(bytes: &[u8], normals: &Normals, plan: &Plan) -> Option<Inser
             b"vn" => normal_lines += 1,
             b"f" => {
                 while let Some(word) = lexer.token_on_line() {
-                    let Some(corner) = Corner::parse(&lexer, word) else {
+                    let Some(corner) = FaceCorner::parse(&lexer, word) else {
                         continue;
                     };
                     let vertex = resolve(corner.vertex, vertices);
@@ -128,7 +128,7 @@ fn insertion_place(bytes: &[u8], normals: &Normals, plan: &Plan) -> Option<Inser
                         && normals.line_of(plan, normal, vertex) >= lines
                     {
                         let added = plan.added.len() as u32;
-                        return Some(Insertion {
+                        return Some(NormalInsertion {
                             offset: keyword.start,
                             lines_above: normal_lines,
                             lines,
@@ -144,14 +144,14 @@ fn insertion_place(bytes: &[u8], normals: &Normals, plan: &Plan) -> Option<Inser
     None
 }
 
-fn insert(patch: &mut Patch<'_>, place: &Insertion, plan: &Plan, newline: &[u8]) {
+fn insert(patch: &mut TextPatch<'_>, place: &NormalInsertion, plan: &NormalPlan, newline: &[u8]) {
     let out = patch.replace(place.offset..place.offset);
     for normal in &plan.added {
-        push_line(out, b"vn ", normal.as_dvec3(), Precision::Single, newline);
+        push_line(out, b"vn ", normal.as_dvec3(), NumberPrecision::Single, newline);
     }
 }
 
-pub(super) fn push_line(out: &mut Vec<u8>, keyword: &[u8], values: DVec3, precision: Precision, newline: &[u8]) {
+pub(super) fn push_line(out: &mut Vec<u8>, keyword: &[u8], values: DVec3, precision: NumberPrecision, newline: &[u8]) {
     out.extend_from_slice(keyword);
     push_triple(out, values, precision);
     out.extend_from_slice(newline);
@@ -174,7 +174,7 @@ pub(super) fn push_numbers(out: &mut Vec<u8>, numbers: &[f64]) {
         if i > 0 {
             out.push(b' ');
         }
-        push_number(out, value, Precision::Single);
+        push_number(out, value, NumberPrecision::Single);
     }
 }
 
@@ -191,10 +191,10 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
     } = neutral;
     let mut out = b"# pliant\n".to_vec();
     for (i, &position) in geometry.positions.iter().enumerate() {
-        push_line(&mut out, b"v ", position, Precision::Double, b"");
+        push_line(&mut out, b"v ", position, NumberPrecision::Double, b"");
         if let Some([r, g, b, _]) = colours.get(i) {
             out.push(b' ');
-            push_triple(&mut out, Vec3::new(*r, *g, *b).as_dvec3(), Precision::Single);
+            push_triple(&mut out, Vec3::new(*r, *g, *b).as_dvec3(), NumberPrecision::Single);
         }
         out.push(b'\n');
     }
@@ -214,7 +214,7 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
     if with_normals {
         for &normal in &geometry.normals {
             let normal: Vec3 = normal;
-            push_line(&mut out, b"vn ", normal.as_dvec3(), Precision::Single, b"\n");
+            push_line(&mut out, b"vn ", normal.as_dvec3(), NumberPrecision::Single, b"\n");
         }
     }
     for own in neutral.primitives() {

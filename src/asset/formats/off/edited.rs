@@ -1,6 +1,6 @@
 //! OFF out after edits of the topology, and what an edited OFF gives to other formats.
 
-use super::super::text::{Lexer, Precision, integer, number, push_number, push_triple};
+use super::super::text::{NumberPrecision, TextLexer, integer, number, push_number, push_triple};
 use super::read::{FORMAT, OffNotes, STYLE, count, header};
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins};
 use crate::asset::neutral::RunAttributes;
@@ -26,7 +26,7 @@ struct OffAttributes<'a> {
 /// Reads what the text of a model that was read before holds beyond its geometry.
 fn read_attributes<'a>(model: &'a Model, notes: &OffNotes) -> Result<OffAttributes<'a>, Error> {
     let bytes = &model.files.main[..];
-    let mut lexer = Lexer::new(bytes, STYLE);
+    let mut lexer = TextLexer::new(bytes, STYLE);
     let start = lexer.at();
     header(&mut lexer)?;
     let mut rest = OffAttributes {
@@ -94,11 +94,11 @@ pub(super) fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Res
             .and_then(Option::as_ref)
             .filter(|r| r.lanes == first.lanes);
         for (i, vertex) in run.vertices().enumerate() {
-            push_triple(&mut out, positions[vertex], Precision::Double);
+            push_triple(&mut out, positions[vertex], NumberPrecision::Double);
             if first.has_normals {
                 out.push(b' ');
                 let normal = normals.get(i).copied().unwrap_or(Vec3::Z);
-                push_triple(&mut out, normal.as_dvec3(), Precision::Single);
+                push_triple(&mut out, normal.as_dvec3(), NumberPrecision::Single);
             }
             for lane in 0..first.lanes {
                 // What another format leaves open is white.
@@ -106,7 +106,7 @@ pub(super) fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Res
                 let value = own.map_or(white, |own| own.blended(edited, vertex, lane));
                 out.push(b' ');
                 let value = if first.whole { value.round() } else { value };
-                push_number(&mut out, value, Precision::Single);
+                push_number(&mut out, value, NumberPrecision::Single);
             }
             out.push(b'\n');
         }

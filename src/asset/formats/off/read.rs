@@ -1,7 +1,7 @@
 //! OFF in: the header, positions, normals and faces.
 
 use super::super::polygons::Polygons;
-use super::super::text::{Lexer, Precision, Style, Token, coordinate, integer, number, shown};
+use super::super::text::{NumberPrecision, TextLexer, TextStyle, TextToken, coordinate, integer, number, shown};
 use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
@@ -35,7 +35,7 @@ fn recognise(bytes: &[u8]) -> Recognition {
     Recognition::words(word.strip_suffix(b"OFF").is_some_and(is_keyword))
 }
 
-pub(super) const STYLE: Style = Style {
+pub(super) const STYLE: TextStyle = TextStyle {
     comments: true,
     continuation: false,
 };
@@ -47,7 +47,7 @@ fn malformed(line: u32, problem: impl Into<String>) -> Error {
 /// Reads an OFF file.
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes), Error> {
     check_main_size(bytes)?;
-    let mut lexer = Lexer::new(bytes, STYLE);
+    let mut lexer = TextLexer::new(bytes, STYLE);
     let has_normals = header(&mut lexer)?;
     let (vertex_count, vertex_line) = count(&mut lexer, "vertices")?;
     let (face_count, face_line) = count(&mut lexer, "faces")?;
@@ -90,7 +90,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes)
 }
 
 /// Reads the keyword, which may be missing, and says whether vertices have normals.
-pub(super) fn header(lexer: &mut Lexer<'_>) -> Result<bool, Error> {
+pub(super) fn header(lexer: &mut TextLexer<'_>) -> Result<bool, Error> {
     let mut ahead = lexer.clone();
     let Some(token) = ahead.token() else {
         return Err(malformed(lexer.line(), "the file is empty; the keyword OFF is needed"));
@@ -132,7 +132,7 @@ pub(super) fn header(lexer: &mut Lexer<'_>) -> Result<bool, Error> {
 }
 
 /// Reads a count, and says on which line it stands.
-pub(super) fn count(lexer: &mut Lexer<'_>, what: &str) -> Result<(u64, u32), Error> {
+pub(super) fn count(lexer: &mut TextLexer<'_>, what: &str) -> Result<(u64, u32), Error> {
     let Some(token) = lexer.token() else {
         return Err(malformed(
             lexer.line(),
@@ -156,24 +156,24 @@ pub(super) fn count(lexer: &mut Lexer<'_>, what: &str) -> Result<(u64, u32), Err
 }
 
 /// The next three words, on whatever lines.
-pub(super) fn three_words(lexer: &mut Lexer<'_>) -> Option<[Token; 3]> {
+pub(super) fn three_words(lexer: &mut TextLexer<'_>) -> Option<[TextToken; 3]> {
     Some([lexer.token()?, lexer.token()?, lexer.token()?])
 }
 
-fn triple(lexer: &mut Lexer<'_>, what: &dyn std::fmt::Display) -> Result<DVec3, Error> {
+fn triple(lexer: &mut TextLexer<'_>, what: &dyn std::fmt::Display) -> Result<DVec3, Error> {
     let Some(words) = three_words(lexer) else {
         return Err(malformed(lexer.line(), format!("the file ends inside {what}")));
     };
     let mut values = DVec3::ZERO;
     for (i, word) in words.into_iter().enumerate() {
-        values[i] = coordinate(lexer.text(word), Precision::Double)
+        values[i] = coordinate(lexer.text(word), NumberPrecision::Double)
             .map_err(|problem| malformed(word.line, format!("{what}: {problem}")))?;
     }
     Ok(values)
 }
 
 /// A normal that is not finite is common in exports of degenerate faces; it counts as none.
-fn normal(lexer: &mut Lexer<'_>, vertex: u64) -> Result<Vec3, Error> {
+fn normal(lexer: &mut TextLexer<'_>, vertex: u64) -> Result<Vec3, Error> {
     let Some(words) = three_words(lexer) else {
         return Err(malformed(
             lexer.line(),
@@ -190,7 +190,7 @@ fn normal(lexer: &mut Lexer<'_>, vertex: u64) -> Result<Vec3, Error> {
 }
 
 fn face(
-    lexer: &mut Lexer<'_>,
+    lexer: &mut TextLexer<'_>,
     face: u64,
     vertex_count: u64,
     faces: &mut Polygons,

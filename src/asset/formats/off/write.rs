@@ -1,6 +1,6 @@
 //! OFF out: the uploaded text with the changed numbers replaced, or a fresh text.
 
-use super::super::text::{Lexer, Patch, Precision, push_triple};
+use super::super::text::{NumberPrecision, TextLexer, TextPatch, push_triple};
 use super::read::{OffNotes, STYLE, three_words};
 use crate::asset::Geometry;
 use crate::mesh::shading;
@@ -18,18 +18,18 @@ pub(super) fn patch(bytes: &[u8], notes: &OffNotes, rest: &Geometry, positions: 
             positions.len(),
         )
     });
-    let mut lexer = Lexer::starting_at(bytes, notes.vertices_at as usize, 1, STYLE);
-    let mut patch = Patch::new(bytes);
+    let mut lexer = TextLexer::starting_at(bytes, notes.vertices_at as usize, 1, STYLE);
+    let mut patch = TextPatch::new(bytes);
     for (i, (&old, &new)) in rest.positions.iter().zip(positions).enumerate() {
         if let Some(words) = three_words(&mut lexer) {
-            patch.replace_changed(words, old, new, Precision::Double);
+            patch.replace_changed(words, old, new, NumberPrecision::Double);
         }
         if let Some(gradients) = &gradients
             && let Some(words) = three_words(&mut lexer)
             && let Some(gradient) = &gradients[i]
         {
             let (old, new) = (rest.normals[i], shading::carry_normal(gradient, rest.normals[i]));
-            patch.replace_changed(words, old.as_dvec3(), new.as_dvec3(), Precision::Single);
+            patch.replace_changed(words, old.as_dvec3(), new.as_dvec3(), NumberPrecision::Single);
         }
         lexer.end_line();
     }
@@ -55,10 +55,10 @@ pub(super) fn build(geometry: &Geometry) -> Vec<u8> {
         "",
     );
     for (i, &position) in geometry.positions.iter().enumerate() {
-        push_triple(&mut out, position, Precision::Double);
+        push_triple(&mut out, position, NumberPrecision::Double);
         if with_normals {
             out.push(b' ');
-            push_triple(&mut out, geometry.normals[i].as_dvec3(), Precision::Single);
+            push_triple(&mut out, geometry.normals[i].as_dvec3(), NumberPrecision::Single);
         }
         out.push(b'\n');
     }

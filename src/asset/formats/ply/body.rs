@@ -1,23 +1,23 @@
 //! The numbers after a PLY header, in text or binary, with their places.
 
-use super::super::text::{Lexer, Precision, Style, coordinate, integer, number, push_number, shown};
-use super::header::{Element, Encoding, Property, Scalar};
+use super::super::text::{NumberPrecision, TextLexer, TextStyle, coordinate, integer, number, push_number, shown};
+use super::header::{PlyElement, PlyEncoding, PlyProperty, PlyScalar};
 use crate::asset::{Error, Format};
 use std::ops::Range;
 
 /// Reads one number after the other.
-pub(super) enum Body<'a> {
-    Text(Lexer<'a>),
+pub(super) enum PlyBody<'a> {
+    Text(TextLexer<'a>),
     Binary { bytes: &'a [u8], at: usize, big: bool },
 }
 
-impl<'a> Body<'a> {
+impl<'a> PlyBody<'a> {
     /// Begins at an offset that, in a text, lies on `line`.
-    pub fn starting_at(bytes: &'a [u8], encoding: Encoding, (at, line): (usize, u32)) -> Self {
+    pub fn starting_at(bytes: &'a [u8], encoding: PlyEncoding, (at, line): (usize, u32)) -> Self {
         match encoding {
-            Encoding::Ascii => Self::Text(Lexer::starting_at(bytes, at, line, Style::default())),
-            Encoding::Little => Self::Binary { bytes, at, big: false },
-            Encoding::Big => Self::Binary { bytes, at, big: true },
+            PlyEncoding::Ascii => Self::Text(TextLexer::starting_at(bytes, at, line, TextStyle::default())),
+            PlyEncoding::Little => Self::Binary { bytes, at, big: false },
+            PlyEncoding::Big => Self::Binary { bytes, at, big: true },
         }
     }
 
@@ -46,7 +46,7 @@ impl<'a> Body<'a> {
     }
 
     /// Steps over the next number and says where it stands.
-    pub fn place(&mut self, scalar: Scalar) -> Result<Range<usize>, Error> {
+    pub fn place(&mut self, scalar: PlyScalar) -> Result<Range<usize>, Error> {
         let range = match self {
             Self::Text(lexer) => lexer.token().map(|t| t.range()),
             Self::Binary { bytes, at, .. } => {
@@ -58,7 +58,7 @@ impl<'a> Body<'a> {
     }
 
     /// The next number; not finite only if a binary file says so.
-    pub fn number(&mut self, scalar: Scalar) -> Result<f64, Error> {
+    pub fn number(&mut self, scalar: PlyScalar) -> Result<f64, Error> {
         let place = self.place(scalar)?;
         match self {
             Self::Text(lexer) => parse(lexer.bytes_at(place), scalar).map_err(|problem| self.malformed(problem)),
@@ -67,7 +67,7 @@ impl<'a> Body<'a> {
     }
 
     /// The next number of a normal. Exports of degenerate faces often say `nan`, which counts as no normal.
-    pub fn normal(&mut self, scalar: Scalar) -> Result<f64, Error> {
+    pub fn normal(&mut self, scalar: PlyScalar) -> Result<f64, Error> {
         let place = self.place(scalar)?;
         match self {
             Self::Text(lexer) => {
@@ -80,7 +80,7 @@ impl<'a> Body<'a> {
     }
 
     /// The count of a list, of which the items are known to fit the bytes that are left.
-    pub fn list_count(&mut self, count: Scalar, item: Scalar) -> Result<u64, Error> {
+    pub fn list_count(&mut self, count: PlyScalar, item: PlyScalar) -> Result<u64, Error> {
         let number = self.number(count)?;
         let least = if matches!(self, Self::Text(_)) {
             2
@@ -94,7 +94,7 @@ impl<'a> Body<'a> {
         Ok(number as u64)
     }
 
-    pub fn skip_property(&mut self, property: &Property) -> Result<(), Error> {
+    pub fn skip_property(&mut self, property: &PlyProperty) -> Result<(), Error> {
         let Some(count) = property.count else {
             return self.place(property.scalar).map(drop);
         };
@@ -104,7 +104,7 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    pub fn skip_rows(&mut self, element: &Element) -> Result<(), Error> {
+    pub fn skip_rows(&mut self, element: &PlyElement) -> Result<(), Error> {
         let fixed = element.properties.iter().all(|p| p.count.is_none());
         match self {
             // The caller has checked that they fit.
@@ -125,10 +125,10 @@ impl<'a> Body<'a> {
     }
 }
 
-fn parse(word: &[u8], scalar: Scalar) -> Result<f64, String> {
+fn parse(word: &[u8], scalar: PlyScalar) -> Result<f64, String> {
     match scalar {
-        Scalar::F32 => coordinate(word, Precision::Single),
-        Scalar::F64 => coordinate(word, Precision::Double),
+        PlyScalar::F32 => coordinate(word, NumberPrecision::Single),
+        PlyScalar::F64 => coordinate(word, NumberPrecision::Double),
         _ => integer(word)
             .map(|i| i as f64)
             .filter(|&i| scalar.holds(i))
@@ -136,46 +136,46 @@ fn parse(word: &[u8], scalar: Scalar) -> Result<f64, String> {
     }
 }
 
-fn decode(bytes: &[u8], scalar: Scalar, big: bool) -> f64 {
+fn decode(bytes: &[u8], scalar: PlyScalar, big: bool) -> f64 {
     let mut little = [0; 8];
     for (i, &b) in bytes.iter().take(8).enumerate() {
         little[if big { bytes.len() - 1 - i } else { i }] = b;
     }
     let [a, b, c, d, ..] = little;
     match scalar {
-        Scalar::I8 => f64::from(a as i8),
-        Scalar::U8 => f64::from(a),
-        Scalar::I16 => f64::from(i16::from_le_bytes([a, b])),
-        Scalar::U16 => f64::from(u16::from_le_bytes([a, b])),
-        Scalar::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
-        Scalar::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
-        Scalar::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
-        Scalar::F64 => f64::from_le_bytes(little),
+        PlyScalar::I8 => f64::from(a as i8),
+        PlyScalar::U8 => f64::from(a),
+        PlyScalar::I16 => f64::from(i16::from_le_bytes([a, b])),
+        PlyScalar::U16 => f64::from(u16::from_le_bytes([a, b])),
+        PlyScalar::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
+        PlyScalar::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+        PlyScalar::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
+        PlyScalar::F64 => f64::from_le_bytes(little),
     }
 }
 
 /// Appends a number that the type holds, up to rounding of real numbers.
-pub(super) fn push(out: &mut Vec<u8>, value: f64, scalar: Scalar, encoding: Encoding) {
-    if encoding == Encoding::Ascii {
-        let precision = if scalar == Scalar::F32 {
-            Precision::Single
+pub(super) fn push(out: &mut Vec<u8>, value: f64, scalar: PlyScalar, encoding: PlyEncoding) {
+    if encoding == PlyEncoding::Ascii {
+        let precision = if scalar == PlyScalar::F32 {
+            NumberPrecision::Single
         } else {
-            Precision::Double
+            NumberPrecision::Double
         };
         return push_number(out, value, precision);
     }
     let first = out.len();
     match scalar {
-        Scalar::I8 => out.extend((value as i8).to_le_bytes()),
-        Scalar::U8 => out.extend((value as u8).to_le_bytes()),
-        Scalar::I16 => out.extend((value as i16).to_le_bytes()),
-        Scalar::U16 => out.extend((value as u16).to_le_bytes()),
-        Scalar::I32 => out.extend((value as i32).to_le_bytes()),
-        Scalar::U32 => out.extend((value as u32).to_le_bytes()),
-        Scalar::F32 => out.extend((value as f32).to_le_bytes()),
-        Scalar::F64 => out.extend(value.to_le_bytes()),
+        PlyScalar::I8 => out.extend((value as i8).to_le_bytes()),
+        PlyScalar::U8 => out.extend((value as u8).to_le_bytes()),
+        PlyScalar::I16 => out.extend((value as i16).to_le_bytes()),
+        PlyScalar::U16 => out.extend((value as u16).to_le_bytes()),
+        PlyScalar::I32 => out.extend((value as i32).to_le_bytes()),
+        PlyScalar::U32 => out.extend((value as u32).to_le_bytes()),
+        PlyScalar::F32 => out.extend((value as f32).to_le_bytes()),
+        PlyScalar::F64 => out.extend(value.to_le_bytes()),
     }
-    if encoding == Encoding::Big {
+    if encoding == PlyEncoding::Big {
         out[first..].reverse();
     }
 }

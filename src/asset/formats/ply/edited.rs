@@ -2,9 +2,9 @@
 
 use super::super::text::newline_of;
 use super::body::push;
-use super::header::{Element, Encoding, Property, Scalar};
-use super::read::{FORMAT, PlyNotes, Role, is_indices};
-use super::table::{Table, read};
+use super::header::{PlyElement, PlyEncoding, PlyProperty, PlyScalar};
+use super::read::{FORMAT, PlyNotes, VertexRole, is_indices};
+use super::table::{PlyTable, read};
 use super::write::stored_types;
 use crate::asset::Error;
 use crate::asset::codec::EditedOutput;
@@ -37,7 +37,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
     let (Some(Some(first)), Some(notes)) = (tables.first(), notes) else {
         return Err(Error::unwritable(FORMAT, "the first base is no PLY"));
     };
-    let mut writer = Writer {
+    let mut writer = EditedPlyWriter {
         output,
         edited,
         positions,
@@ -63,18 +63,18 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
     Ok(writer.out)
 }
 
-struct Writer<'w, 'a> {
+struct EditedPlyWriter<'w, 'a> {
     output: &'w EditedOutput<'a>,
     edited: &'w EditedModel<'a>,
     positions: &'w [DVec3],
     notes: &'w PlyNotes,
-    first: &'w Table<'a>,
-    tables: &'w [Option<Table<'a>>],
-    stored: Vec<Scalar>,
+    first: &'w PlyTable<'a>,
+    tables: &'w [Option<PlyTable<'a>>],
+    stored: Vec<PlyScalar>,
     out: Vec<u8>,
 }
 
-impl Writer<'_, '_> {
+impl EditedPlyWriter<'_, '_> {
     fn header(&mut self, bytes: &[u8]) {
         let text = &bytes[..self.first.header.body.0.min(bytes.len())];
         let newline = newline_of(bytes);
@@ -122,9 +122,9 @@ impl Writer<'_, '_> {
         push(b"end_header");
     }
 
-    fn number(&mut self, value: f64, scalar: Scalar, first: bool) {
+    fn number(&mut self, value: f64, scalar: PlyScalar, first: bool) {
         let encoding = self.first.encoding;
-        if encoding == Encoding::Ascii && !first {
+        if encoding == PlyEncoding::Ascii && !first {
             self.out.push(b' ');
         }
         let value = if scalar.is_integer() {
@@ -136,12 +136,12 @@ impl Writer<'_, '_> {
     }
 
     fn end_row(&mut self) {
-        if self.first.encoding == Encoding::Ascii {
+        if self.first.encoding == PlyEncoding::Ascii {
             self.out.push(b'\n');
         }
     }
 
-    fn list(&mut self, items: &[f64], count: Scalar, scalar: Scalar, first: bool) {
+    fn list(&mut self, items: &[f64], count: PlyScalar, scalar: PlyScalar, first: bool) {
         // A count that its type cannot hold was not read, so it is not here.
         self.number(items.len() as f64, count, first);
         items.iter().for_each(|&v| self.number(v, scalar, false));
@@ -164,8 +164,10 @@ impl Writer<'_, '_> {
                         continue;
                     }
                     let value = match self.notes.role(p) {
-                        Some(Role::Position(axis)) => self.positions[vertex][axis],
-                        Some(Role::Normal(axis)) => f64::from(normals.get(i).copied().unwrap_or(Vec3::ZERO)[axis]),
+                        Some(VertexRole::Position(axis)) => self.positions[vertex][axis],
+                        Some(VertexRole::Normal(axis)) => {
+                            f64::from(normals.get(i).copied().unwrap_or(Vec3::ZERO)[axis])
+                        }
                         None => self.blended(run, vertex, i, &columns[p], scalar, &property.name),
                     };
                     self.number(value, scalar, p == 0);
@@ -177,7 +179,7 @@ impl Writer<'_, '_> {
     }
 
     /// Where each property of the first base finds its numbers in the base of a run.
-    fn columns(&self, run: &PrimitiveRun) -> Result<Vec<Column>, Error> {
+    fn columns(&self, run: &PrimitiveRun) -> Result<Vec<PropertyColumn>, Error> {
         let names = &self.notes.vertex.properties;
         let Some(Some(table)) = self.tables.get(run.base as usize) else {
             let neutral = (self.output.neutral_base)(run.base)?;
@@ -185,36 +187,44 @@ impl Writer<'_, '_> {
             let own = neutral.primitives().nth(before.take_while(|r| *r != run).count());
             let own = own.filter(|own| own.attributes.has_colours);
             let colours = own.and_then(|own| neutral.colours.get(own.vertices)).unwrap_or(&[]);
-            let one = |p: &Property| match COLOURS.iter().find_map(|c| c.iter().position(|n| *n == p.name)) {
+            let one = |p: &PlyProperty| match COLOURS.iter().find_map(|c| c.iter().position(|n| *n == p.name)) {
                 Some(lane) if !colours.is_empty() => {
-                    Column::Values(colours.iter().map(|c| f64::from(c[lane])).collect())
+                    PropertyColumn::Values(colours.iter().map(|c| f64::from(c[lane])).collect())
                 }
-                Some(_) => Column::Constant(1.0),
-                None => Column::Nothing,
+                Some(_) => PropertyColumn::Constant(1.0),
+                None => PropertyColumn::Nothing,
             };
             return Ok(names.iter().map(one).collect());
         };
-        let of = |p: &Property| {
+        let of = |p: &PlyProperty| {
             let found = table
                 .vertex()
                 .and_then(|e| e.scalar(&p.name).map(|at| (at, e.properties[at].scalar)));
             match found {
-                Some((at, scalar)) => Column::Stored(at, scalar),
-                None if COLOURS.iter().flatten().any(|n| *n == p.name) => Column::Constant(1.0),
-                None => Column::Nothing,
+                Some((at, scalar)) => PropertyColumn::Stored(at, scalar),
+                None if COLOURS.iter().flatten().any(|n| *n == p.name) => PropertyColumn::Constant(1.0),
+                None => PropertyColumn::Nothing,
             }
         };
         Ok(names.iter().map(of).collect())
     }
 
-    fn blended(&self, run: &PrimitiveRun, vertex: usize, i: usize, column: &Column, scalar: Scalar, name: &str) -> f64 {
+    fn blended(
+        &self,
+        run: &PrimitiveRun,
+        vertex: usize,
+        i: usize,
+        column: &PropertyColumn,
+        scalar: PlyScalar,
+        name: &str,
+    ) -> f64 {
         let full = if scalar.is_integer() { scalar.most() } else { 1.0 };
         let is_colour = COLOURS.iter().flatten().any(|n| *n == name);
         match column {
-            Column::Nothing => 0.0,
-            Column::Constant(value) => value * full,
-            Column::Values(values) => values.get(i).copied().unwrap_or(1.0) * full,
-            Column::Stored(at, stored) => {
+            PropertyColumn::Nothing => 0.0,
+            PropertyColumn::Constant(value) => value * full,
+            PropertyColumn::Values(values) => values.get(i).copied().unwrap_or(1.0) * full,
+            PropertyColumn::Stored(at, stored) => {
                 let Some(Some(table)) = self.tables.get(run.base as usize) else {
                     return 0.0;
                 };
@@ -284,7 +294,7 @@ impl Writer<'_, '_> {
     }
 
     fn other(&mut self, bytes: &[u8]) {
-        if self.first.encoding == Encoding::Ascii {
+        if self.first.encoding == PlyEncoding::Ascii {
             self.out.extend_from_slice(bytes.trim_ascii());
             self.end_row();
         } else {
@@ -294,9 +304,9 @@ impl Writer<'_, '_> {
 }
 
 /// Where the numbers of one property come from.
-enum Column {
+enum PropertyColumn {
     /// A property of a PLY base, and its type.
-    Stored(usize, Scalar),
+    Stored(usize, PlyScalar),
     /// Colours of another format, from 0 to 1.
     Values(Vec<f64>),
     /// The same for all, 1 being the whole of the type's range.
@@ -305,25 +315,28 @@ enum Column {
 }
 
 /// The properties of faces: those of the first base, the list of vertices in a type that holds their numbers.
-fn face_properties(first: &Table<'_>, vertices: usize) -> Vec<Property> {
-    let of_file = first.face.as_ref().map(|element: &Element| element.properties.clone());
+fn face_properties(first: &PlyTable<'_>, vertices: usize) -> Vec<PlyProperty> {
+    let of_file = first
+        .face
+        .as_ref()
+        .map(|element: &PlyElement| element.properties.clone());
     let mut properties = of_file.unwrap_or_else(|| {
-        vec![Property {
+        vec![PlyProperty {
             name: "vertex_indices".into(),
-            count: Some(Scalar::U8),
-            scalar: Scalar::I32,
+            count: Some(PlyScalar::U8),
+            scalar: PlyScalar::I32,
             type_place: 0..0,
         }]
     });
     for property in properties.iter_mut().filter(|p| is_indices(&p.name)) {
         if !property.scalar.holds(vertices as f64) {
-            property.scalar = Scalar::U32;
+            property.scalar = PlyScalar::U32;
         }
     }
     properties
 }
 
-fn property_line(property: &Property, scalar: Scalar) -> String {
+fn property_line(property: &PlyProperty, scalar: PlyScalar) -> String {
     let (name, scalar) = (&property.name, scalar.name());
     match property.count {
         Some(count) => format!("property list {} {scalar} {name}", count.name()),

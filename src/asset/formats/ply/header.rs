@@ -1,12 +1,12 @@
 //! The header of a PLY file: which elements follow, of which properties, in which encoding.
 
-use super::super::text::{Lexer, Style, Token, integer, newline_of, shown};
+use super::super::text::{TextLexer, TextStyle, TextToken, integer, newline_of, shown};
 use crate::asset::{Error, Format};
 use std::ops::Range;
 
 /// How the body stores numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Encoding {
+pub(super) enum PlyEncoding {
     Ascii,
     Little,
     Big,
@@ -14,7 +14,7 @@ pub(super) enum Encoding {
 
 /// The type of one number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Scalar {
+pub(super) enum PlyScalar {
     I8,
     U8,
     I16,
@@ -25,7 +25,7 @@ pub(super) enum Scalar {
     F64,
 }
 
-impl Scalar {
+impl PlyScalar {
     pub fn from_name(name: &[u8]) -> Option<Self> {
         Some(match name {
             b"char" | b"int8" => Self::I8,
@@ -110,28 +110,28 @@ impl Scalar {
 
 /// One number, or a counted list of numbers, of each row of an element.
 #[derive(Debug, Clone)]
-pub(super) struct Property {
+pub(super) struct PlyProperty {
     pub name: String,
     /// The type of the list's count; absent for a single number.
-    pub count: Option<Scalar>,
-    pub scalar: Scalar,
+    pub count: Option<PlyScalar>,
+    pub scalar: PlyScalar,
     /// Where the header names the type.
     pub type_place: Range<usize>,
 }
 
 /// A table of rows.
 #[derive(Debug, Clone)]
-pub(super) struct Element {
+pub(super) struct PlyElement {
     pub name: String,
     pub rows: u64,
-    pub properties: Vec<Property>,
+    pub properties: Vec<PlyProperty>,
 }
 
-impl Element {
+impl PlyElement {
     /// The fewest bytes that its rows can take.
-    pub fn least_bytes(&self, encoding: Encoding) -> u64 {
+    pub fn least_bytes(&self, encoding: PlyEncoding) -> u64 {
         let row: usize = match encoding {
-            Encoding::Ascii => self.properties.len() * 2,
+            PlyEncoding::Ascii => self.properties.len() * 2,
             _ => self.properties.iter().map(|p| p.count.unwrap_or(p.scalar).size()).sum(),
         };
         self.rows.saturating_mul(row as u64)
@@ -145,9 +145,9 @@ impl Element {
 
 /// A header that was read.
 #[derive(Debug, Clone)]
-pub(super) struct Header {
-    pub encoding: Encoding,
-    pub elements: Vec<Element>,
+pub(super) struct PlyHeader {
+    pub encoding: PlyEncoding,
+    pub elements: Vec<PlyElement>,
     /// Offset and line of the first byte after it.
     pub body: (usize, u32),
 }
@@ -156,11 +156,11 @@ fn malformed(line: u32, problem: impl Into<String>) -> Error {
     Error::malformed(Format::PLY, format!("line {line}"), problem)
 }
 
-impl Header {
+impl PlyHeader {
     pub fn read(bytes: &[u8]) -> Result<Self, Error> {
-        let mut lexer = Lexer::new(bytes, Style::default());
+        let mut lexer = TextLexer::new(bytes, TextStyle::default());
         let mut encoding = None;
-        let mut elements: Vec<Element> = Vec::new();
+        let mut elements: Vec<PlyElement> = Vec::new();
         if lexer.token_on_line().is_none_or(|t| lexer.text(t) != b"ply") {
             return Err(malformed(1, "the first line is not `ply`"));
         }
@@ -207,18 +207,18 @@ impl Header {
     }
 }
 
-fn word<'a>(lexer: &mut Lexer<'a>, keyword: Token, needed: &str) -> Result<(Token, &'a [u8]), Error> {
+fn word<'a>(lexer: &mut TextLexer<'a>, keyword: TextToken, needed: &str) -> Result<(TextToken, &'a [u8]), Error> {
     let token = lexer
         .token_on_line()
         .ok_or_else(|| malformed(keyword.line, format!("{needed} is missing")))?;
     Ok((token, lexer.text(token)))
 }
 
-fn read_encoding(lexer: &mut Lexer<'_>, keyword: Token) -> Result<Encoding, Error> {
+fn read_encoding(lexer: &mut TextLexer<'_>, keyword: TextToken) -> Result<PlyEncoding, Error> {
     match word(lexer, keyword, "the name of the format")?.1 {
-        b"ascii" => Ok(Encoding::Ascii),
-        b"binary_little_endian" => Ok(Encoding::Little),
-        b"binary_big_endian" => Ok(Encoding::Big),
+        b"ascii" => Ok(PlyEncoding::Ascii),
+        b"binary_little_endian" => Ok(PlyEncoding::Little),
+        b"binary_big_endian" => Ok(PlyEncoding::Big),
         other => {
             let problem = format!(
                 "format {}; allowed are ascii, binary_little_endian and binary_big_endian",
@@ -229,7 +229,7 @@ fn read_encoding(lexer: &mut Lexer<'_>, keyword: Token) -> Result<Encoding, Erro
     }
 }
 
-fn read_element(lexer: &mut Lexer<'_>, keyword: Token) -> Result<Element, Error> {
+fn read_element(lexer: &mut TextLexer<'_>, keyword: TextToken) -> Result<PlyElement, Error> {
     let name = String::from_utf8_lossy(word(lexer, keyword, "the name of the element")?.1).into_owned();
     let count = word(lexer, keyword, "the number of rows")?.1;
     let rows = integer(count).and_then(|n| u64::try_from(n).ok()).ok_or_else(|| {
@@ -241,16 +241,16 @@ fn read_element(lexer: &mut Lexer<'_>, keyword: Token) -> Result<Element, Error>
             ),
         )
     })?;
-    Ok(Element {
+    Ok(PlyElement {
         name,
         rows,
         properties: Vec::new(),
     })
 }
 
-fn read_property(lexer: &mut Lexer<'_>, keyword: Token) -> Result<Property, Error> {
-    let scalar_type = |(token, text): (Token, &[u8])| {
-        let scalar = Scalar::from_name(text).ok_or_else(|| {
+fn read_property(lexer: &mut TextLexer<'_>, keyword: TextToken) -> Result<PlyProperty, Error> {
+    let scalar_type = |(token, text): (TextToken, &[u8])| {
+        let scalar = PlyScalar::from_name(text).ok_or_else(|| {
             let allowed = "char, uchar, short, ushort, int, uint, float, double, int8 … float64 and list";
             malformed(
                 token.line,
@@ -275,7 +275,7 @@ fn read_property(lexer: &mut Lexer<'_>, keyword: Token) -> Result<Property, Erro
         (None, scalar_type(first)?)
     };
     let name = String::from_utf8_lossy(word(lexer, keyword, "the name of the property")?.1).into_owned();
-    Ok(Property {
+    Ok(PlyProperty {
         name,
         count,
         scalar,

@@ -1,8 +1,8 @@
 //! PLY in: positions, normals and faces; whatever else there is is stepped over.
 
 use super::super::polygons::Polygons;
-use super::body::Body;
-use super::header::{Element, Encoding, Header};
+use super::body::PlyBody;
+use super::header::{PlyElement, PlyEncoding, PlyHeader};
 use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
@@ -20,9 +20,9 @@ pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
 /// What the writers have to remember of a file.
 #[derive(Debug)]
 pub(super) struct PlyNotes {
-    pub encoding: Encoding,
+    pub encoding: PlyEncoding,
     /// The element of the vertices.
-    pub vertex: Element,
+    pub vertex: PlyElement,
     /// Offset and line of the first vertex.
     pub vertices_at: (usize, u32),
     /// The properties that hold x, y and z.
@@ -36,7 +36,7 @@ impl FileNotes for PlyNotes {}
 /// Reads a PLY file.
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes), Error> {
     check_main_size(bytes)?;
-    let header = Header::read(bytes)?;
+    let header = PlyHeader::read(bytes)?;
     let vertex = single_element(&header, "vertex")?.clone();
     limits.check_vertices(vertex.rows)?;
     let position = ["x", "y", "z"].map(|name| vertex.scalar(name));
@@ -54,7 +54,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
     } else {
         None
     };
-    let mut body = Body::starting_at(bytes, header.encoding, header.body);
+    let mut body = PlyBody::starting_at(bytes, header.encoding, header.body);
     let mut notes = PlyNotes {
         encoding: header.encoding,
         vertices_at: body.at(),
@@ -88,7 +88,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
     Ok((geometry, notes))
 }
 
-fn single_element<'a>(header: &'a Header, name: &str) -> Result<&'a Element, Error> {
+fn single_element<'a>(header: &'a PlyHeader, name: &str) -> Result<&'a PlyElement, Error> {
     let mut found = header.elements.iter().filter(|e| e.name == name);
     match (found.next(), found.next()) {
         (Some(element), None) => Ok(element),
@@ -107,7 +107,7 @@ fn single_element<'a>(header: &'a Header, name: &str) -> Result<&'a Element, Err
     }
 }
 
-fn read_vertices(body: &mut Body<'_>, notes: &PlyNotes) -> Result<(Vec<DVec3>, Vec<Vec3>), Error> {
+fn read_vertices(body: &mut PlyBody<'_>, notes: &PlyNotes) -> Result<(Vec<DVec3>, Vec<Vec3>), Error> {
     let rows = notes.vertex.rows as usize;
     let mut positions = Vec::with_capacity(rows);
     let mut normals = Vec::with_capacity(if notes.normal.is_some() { rows } else { 0 });
@@ -115,7 +115,7 @@ fn read_vertices(body: &mut Body<'_>, notes: &PlyNotes) -> Result<(Vec<DVec3>, V
         let (mut position, mut normal) = (DVec3::ZERO, DVec3::ZERO);
         for (i, property) in notes.vertex.properties.iter().enumerate() {
             match notes.role(i) {
-                Some(Role::Position(axis)) => {
+                Some(VertexRole::Position(axis)) => {
                     position[axis] = body.number(property.scalar)?;
                     if !position[axis].is_finite() {
                         let seen = position[axis];
@@ -123,7 +123,7 @@ fn read_vertices(body: &mut Body<'_>, notes: &PlyNotes) -> Result<(Vec<DVec3>, V
                         return Err(body.malformed(problem));
                     }
                 }
-                Some(Role::Normal(axis)) => normal[axis] = body.normal(property.scalar)?,
+                Some(VertexRole::Normal(axis)) => normal[axis] = body.normal(property.scalar)?,
                 None => body.skip_property(property)?,
             }
         }
@@ -136,8 +136,8 @@ fn read_vertices(body: &mut Body<'_>, notes: &PlyNotes) -> Result<(Vec<DVec3>, V
 }
 
 fn read_faces(
-    body: &mut Body<'_>,
-    element: &Element,
+    body: &mut PlyBody<'_>,
+    element: &PlyElement,
     vertex_count: u64,
     faces: &mut Polygons,
     limits: &Limits,
@@ -156,7 +156,7 @@ fn read_faces(
                 body.skip_property(property)?;
                 continue;
             };
-            let mut strip = Strip::default();
+            let mut strip = TriangleStrip::default();
             let items = body.list_count(count, property.scalar)?;
             if !strips {
                 limits.check_triangles(faces.triangle_count() + items.saturating_sub(2))?;
@@ -164,7 +164,7 @@ fn read_faces(
             for _ in 0..items {
                 let index = body.number(property.scalar)?;
                 if strips && index == -1.0 {
-                    strip = Strip::default();
+                    strip = TriangleStrip::default();
                 } else if index < 0.0 || index >= vertex_count as f64 {
                     let what = if strips { "strip" } else { "face" };
                     let problem =
@@ -191,12 +191,12 @@ pub(super) fn is_indices(name: &str) -> bool {
 
 /// The last two vertices of a triangle strip; every other triangle is turned over.
 #[derive(Default)]
-pub(super) struct Strip {
+pub(super) struct TriangleStrip {
     last: [Option<u32>; 2],
     odd: bool,
 }
 
-impl Strip {
+impl TriangleStrip {
     /// The triangle that a vertex completes; none at the strip's start and where it repeats a vertex to turn a corner.
     pub fn next(&mut self, c: u32) -> Option<[u32; 3]> {
         let [a, b] = self.last;
@@ -209,17 +209,17 @@ impl Strip {
 }
 
 /// What a property of a vertex holds that a deformation changes, and along which axis.
-pub(super) enum Role {
+pub(super) enum VertexRole {
     Position(usize),
     Normal(usize),
 }
 
 impl PlyNotes {
     /// What a property holds; `None` for one that a deformation leaves alone.
-    pub fn role(&self, property: usize) -> Option<Role> {
+    pub fn role(&self, property: usize) -> Option<VertexRole> {
         let axis_in = |places: &[usize; 3]| places.iter().position(|&p| p == property);
         axis_in(&self.position)
-            .map(Role::Position)
-            .or_else(|| self.normal.as_ref().and_then(axis_in).map(Role::Normal))
+            .map(VertexRole::Position)
+            .or_else(|| self.normal.as_ref().and_then(axis_in).map(VertexRole::Normal))
     }
 }

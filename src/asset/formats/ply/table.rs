@@ -1,24 +1,24 @@
 //! The numbers of a PLY file beyond positions and triangles, read again when they are needed.
 
 use super::super::polygons::Polygons;
-use super::body::Body;
-use super::header::{Element, Encoding, Header, Property, Scalar};
-use super::read::{Strip, is_indices};
+use super::body::PlyBody;
+use super::header::{PlyElement, PlyEncoding, PlyHeader, PlyProperty, PlyScalar};
+use super::read::{TriangleStrip, is_indices};
 use crate::asset::Error;
 use crate::mesh::NONE;
 use glam::DVec3;
 use std::collections::BTreeMap;
 
 /// A file taken apart.
-pub(super) struct Table<'a> {
-    pub encoding: Encoding,
-    pub header: Header,
+pub(super) struct PlyTable<'a> {
+    pub encoding: PlyEncoding,
+    pub header: PlyHeader,
     /// Every single-number property of every vertex, row by row; list properties count as zero.
     pub vertices: Vec<f64>,
     /// For each list property of the vertices, its items by vertex.
     pub vertex_lists: BTreeMap<usize, Vec<Vec<f64>>>,
     /// The element that faces come from, if it says more than which vertices.
-    pub face: Option<Element>,
+    pub face: Option<PlyElement>,
     /// As `vertices`, for the rows of that element.
     pub faces: Vec<f64>,
     /// For each list property of that element except the vertices, its items by row.
@@ -34,10 +34,10 @@ pub(super) struct Table<'a> {
 }
 
 /// Reads a file that was read before, whose vertices rest at `positions`.
-pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<Table<'a>, Error> {
-    let header = Header::read(bytes)?;
-    let mut body = Body::starting_at(bytes, header.encoding, header.body);
-    let mut table = Table {
+pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<PlyTable<'a>, Error> {
+    let header = PlyHeader::read(bytes)?;
+    let mut body = PlyBody::starting_at(bytes, header.encoding, header.body);
+    let mut table = PlyTable {
         encoding: header.encoding,
         vertices: Vec::new(),
         vertex_lists: BTreeMap::new(),
@@ -48,7 +48,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<Table<'a>
         place_of: Vec::new(),
         corners_of: Vec::new(),
         others: BTreeMap::new(),
-        header: Header {
+        header: PlyHeader {
             encoding: header.encoding,
             elements: Vec::new(),
             body: header.body,
@@ -95,8 +95,8 @@ pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<Table<'a>
 
 /// One row: single numbers in place, lists aside. The items of the list `indices` are handed out instead.
 fn read_row(
-    body: &mut Body<'_>,
-    element: &Element,
+    body: &mut PlyBody<'_>,
+    element: &PlyElement,
     lists: &mut BTreeMap<usize, Vec<Vec<f64>>>,
     mut indices: Option<(usize, &mut Vec<f64>)>,
 ) -> Result<Vec<f64>, Error> {
@@ -119,11 +119,11 @@ fn read_row(
     Ok(row)
 }
 
-impl Table<'_> {
+impl PlyTable<'_> {
     fn read_faces(
         &mut self,
-        body: &mut Body<'_>,
-        element: &Element,
+        body: &mut PlyBody<'_>,
+        element: &PlyElement,
         faces: &mut Polygons,
         rows: &mut Vec<(u32, u32)>,
     ) -> Result<(), Error> {
@@ -141,13 +141,13 @@ impl Table<'_> {
         for row in 0..element.rows {
             let mut corners = Vec::new();
             let numbers = read_row(body, element, &mut lists, Some((list, &mut corners)))?;
-            let mut strip = Strip::default();
+            let mut strip = TriangleStrip::default();
             let count = corners.len() as u32;
             for index in corners {
                 if !strips {
                     faces.corners.push(index as u32);
                 } else if index == -1.0 {
-                    strip = Strip::default();
+                    strip = TriangleStrip::default();
                 } else if let Some(triangle) = strip.next(index as u32) {
                     faces.corners.extend(triangle);
                     faces.end_face();
@@ -173,7 +173,7 @@ impl Table<'_> {
     }
 
     /// The element of vertices.
-    pub fn vertex(&self) -> Option<&Element> {
+    pub fn vertex(&self) -> Option<&PlyElement> {
         self.header.elements.iter().find(|e| e.name == "vertex")
     }
 
@@ -195,7 +195,7 @@ impl Table<'_> {
     /// The list property of faces that has two numbers for each corner: texture coordinates.
     pub fn corner_list(&self) -> Option<(usize, &[Vec<f64>])> {
         let face = self.face.as_ref()?;
-        let named = |p: &Property| p.name == "texcoord" && p.count.is_some() && p.scalar == Scalar::F32;
+        let named = |p: &PlyProperty| p.name == "texcoord" && p.count.is_some() && p.scalar == PlyScalar::F32;
         let at = face.properties.iter().position(named)?;
         self.face_lists.get(&at).map(|lists| (at, lists.as_slice()))
     }

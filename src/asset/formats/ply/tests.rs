@@ -1,5 +1,5 @@
 use super::body::push;
-use super::header::{Encoding, Scalar};
+use super::header::{PlyEncoding, PlyScalar};
 use super::write::build;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};
@@ -11,11 +11,11 @@ fn read_bytes(bytes: impl Into<Vec<u8>>) -> Result<Model, Error> {
 
 /// A tetrahedron with everything that a reader may stumble over: an element before the vertices, properties in odd
 /// order and of several types, lists among the vertices' properties, faces with more than indices.
-fn awkward(encoding: Encoding, real: &str) -> Vec<u8> {
+fn awkward(encoding: PlyEncoding, real: &str) -> Vec<u8> {
     let format = match encoding {
-        Encoding::Ascii => "ascii",
-        Encoding::Little => "binary_little_endian",
-        Encoding::Big => "binary_big_endian",
+        PlyEncoding::Ascii => "ascii",
+        PlyEncoding::Little => "binary_little_endian",
+        PlyEncoding::Big => "binary_big_endian",
     };
     let mut out = format!(
         "ply\nformat {format} 1.0\ncomment x y z\nelement camera 2\nproperty short a\nproperty list uchar float b\n\
@@ -24,41 +24,46 @@ fn awkward(encoding: Encoding, real: &str) -> Vec<u8> {
          element face 3\nproperty char flag\nproperty list uint8 int vertex_indices\nproperty double area\nend_header\n"
     )
     .into_bytes();
-    let real = Scalar::from_name(real.as_bytes()).expect("a type");
-    let mut put = |numbers: &[(f64, Scalar)]| {
+    let real = PlyScalar::from_name(real.as_bytes()).expect("a type");
+    let mut put = |numbers: &[(f64, PlyScalar)]| {
         for &(value, scalar) in numbers {
             push(&mut out, value, scalar, encoding);
-            if encoding == Encoding::Ascii {
+            if encoding == PlyEncoding::Ascii {
                 out.extend_from_slice(b"  ");
             }
         }
-        if encoding == Encoding::Ascii {
+        if encoding == PlyEncoding::Ascii {
             out.extend_from_slice(b"\r\n");
         }
     };
     for row in [&[2.0, 0.5, 1.5][..], &[0.0]] {
-        put(&[(-7.0, Scalar::I16), (row[0], Scalar::U8)]);
-        put(&row[1..].iter().map(|&v| (v, Scalar::F32)).collect::<Vec<_>>());
+        put(&[(-7.0, PlyScalar::I16), (row[0], PlyScalar::U8)]);
+        put(&row[1..].iter().map(|&v| (v, PlyScalar::F32)).collect::<Vec<_>>());
     }
     for [x, y, z] in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
         put(&[
-            (200.0, Scalar::U8),
+            (200.0, PlyScalar::U8),
             (z, real),
             (x, real),
-            (1.0, Scalar::I8),
-            (65535.0, Scalar::U16),
+            (1.0, PlyScalar::I8),
+            (65535.0, PlyScalar::U16),
         ]);
-        put(&[(0.0, Scalar::F32), (1.0, Scalar::F32), (0.0, Scalar::F32), (y, real)]);
+        put(&[
+            (0.0, PlyScalar::F32),
+            (1.0, PlyScalar::F32),
+            (0.0, PlyScalar::F32),
+            (y, real),
+        ]);
     }
     for face in [&[0.0, 2.0, 1.0][..], &[0.0, 1.0, 3.0], &[1.0, 2.0, 3.0]] {
-        put(&[(-1.0, Scalar::I8), (face.len() as f64, Scalar::U8)]);
-        put(&face.iter().map(|&v| (v, Scalar::I32)).collect::<Vec<_>>());
-        put(&[(0.25, Scalar::F64)]);
+        put(&[(-1.0, PlyScalar::I8), (face.len() as f64, PlyScalar::U8)]);
+        put(&face.iter().map(|&v| (v, PlyScalar::I32)).collect::<Vec<_>>());
+        put(&[(0.25, PlyScalar::F64)]);
     }
     out
 }
 
-const ENCODINGS: [Encoding; 3] = [Encoding::Ascii, Encoding::Little, Encoding::Big];
+const ENCODINGS: [PlyEncoding; 3] = [PlyEncoding::Ascii, PlyEncoding::Little, PlyEncoding::Big];
 
 #[test]
 fn every_layout_reads_alike() {
@@ -93,7 +98,7 @@ fn only_what_moved_is_rewritten_in_its_own_type() {
             assert_eq!(reread.triangles, model.triangles);
             // Vertices of the faces that moved turn; all four do here except what only the first face uses: none.
             assert_ne!(reread.normals[1], model.normals[1]);
-            if encoding != Encoding::Ascii {
+            if encoding != PlyEncoding::Ascii {
                 assert_eq!(out.len(), bytes.len());
                 let header = bytes.windows(10).position(|w| w == b"end_header").expect("a header");
                 assert_eq!(out[..header], bytes[..header]);
@@ -127,7 +132,7 @@ fn whole_number_coordinates_become_doubles_only_when_they_must() {
 
 #[test]
 fn floats_refuse_what_they_cannot_hold() {
-    let model = read_bytes(awkward(Encoding::Little, "float")).expect("valid");
+    let model = read_bytes(awkward(PlyEncoding::Little, "float")).expect("valid");
     let mut moved = model.positions.clone();
     moved[1].x = 1e39;
     let error = model.write(&moved, Format::PLY).unwrap_err();
@@ -259,7 +264,9 @@ fn what_is_wrong_is_named_with_its_place() {
 
 #[test]
 fn a_fresh_file_reads_back() {
-    let geometry = read_bytes(awkward(Encoding::Ascii, "double")).expect("valid").geometry;
+    let geometry = read_bytes(awkward(PlyEncoding::Ascii, "double"))
+        .expect("valid")
+        .geometry;
     let reread = read_bytes(build(&NeutralModel::from_geometry(geometry.clone()))).expect("valid");
     assert_eq!(reread.geometry, geometry);
 }

@@ -1,9 +1,9 @@
 //! PLY out: the uploaded file with the changed numbers replaced, or a fresh file.
 
-use super::super::text::Patch;
-use super::body::{Body, push};
-use super::header::{Encoding, Scalar};
-use super::read::{FORMAT, PlyNotes, Role};
+use super::super::text::TextPatch;
+use super::body::{PlyBody, push};
+use super::header::{PlyEncoding, PlyScalar};
+use super::read::{FORMAT, PlyNotes, VertexRole};
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, Geometry};
 use crate::mesh::shading;
@@ -18,20 +18,22 @@ pub(super) fn patch(bytes: &[u8], notes: &PlyNotes, rest: &Geometry, positions: 
     let gradients = notes
         .normal
         .map(|_| shading::gradients(&rest.positions, positions, triangles, triangles, positions.len()));
-    let mut patch = Patch::new(bytes);
+    let mut patch = TextPatch::new(bytes);
     for (property, &scalar) in properties.iter().zip(&stored) {
         if property.scalar != scalar {
             patch.replace(property.type_place.clone()).extend_from_slice(b"double");
         }
     }
-    let mut body = Body::starting_at(bytes, notes.encoding, notes.vertices_at);
+    let mut body = PlyBody::starting_at(bytes, notes.encoding, notes.vertices_at);
     for (i, (&old, &new)) in rest.positions.iter().zip(positions).enumerate() {
         let gradient = gradients.as_ref().and_then(|g| g[i].as_ref());
         let normal = gradient.map(|g| shading::carry_normal(g, rest.normals[i]));
         for (j, (property, &scalar)) in properties.iter().zip(&stored).enumerate() {
             let (old, new) = match (notes.role(j), normal) {
-                (Some(Role::Position(axis)), _) => (old[axis], new[axis]),
-                (Some(Role::Normal(axis)), Some(normal)) => (f64::from(rest.normals[i][axis]), f64::from(normal[axis])),
+                (Some(VertexRole::Position(axis)), _) => (old[axis], new[axis]),
+                (Some(VertexRole::Normal(axis)), Some(normal)) => {
+                    (f64::from(rest.normals[i][axis]), f64::from(normal[axis]))
+                }
                 _ => {
                     body.skip_property(property)?;
                     continue;
@@ -39,10 +41,10 @@ pub(super) fn patch(bytes: &[u8], notes: &PlyNotes, rest: &Geometry, positions: 
             };
             let place = body.place(property.scalar)?;
             let same = match scalar {
-                Scalar::F32 => (old as f32).to_bits() == (new as f32).to_bits(),
+                PlyScalar::F32 => (old as f32).to_bits() == (new as f32).to_bits(),
                 _ => old.to_bits() == new.to_bits(),
             };
-            let retyped = property.scalar != scalar && notes.encoding != Encoding::Ascii;
+            let retyped = property.scalar != scalar && notes.encoding != PlyEncoding::Ascii;
             if !same || retyped {
                 push(patch.replace(place), new, scalar, notes.encoding);
             }
@@ -108,13 +110,13 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
 }
 
 /// The types of the vertices' numbers: whole coordinates become doubles where they must.
-pub(super) fn stored_types(notes: &PlyNotes, positions: &[DVec3]) -> Result<Vec<Scalar>, Error> {
-    let mut stored: Vec<Scalar> = notes.vertex.properties.iter().map(|p| p.scalar).collect();
+pub(super) fn stored_types(notes: &PlyNotes, positions: &[DVec3]) -> Result<Vec<PlyScalar>, Error> {
+    let mut stored: Vec<PlyScalar> = notes.vertex.properties.iter().map(|p| p.scalar).collect();
     for (axis, &property) in notes.position.iter().enumerate() {
         let scalar = &mut stored[property];
         if scalar.is_integer() && !positions.iter().all(|p| scalar.holds(p[axis])) {
-            *scalar = Scalar::F64;
-        } else if *scalar == Scalar::F32
+            *scalar = PlyScalar::F64;
+        } else if *scalar == PlyScalar::F32
             && let Some(i) = positions.iter().position(|p| !(p[axis] as f32).is_finite())
         {
             let problem = format!(

@@ -1,14 +1,14 @@
 //! Attributes of a primitive as numbers, and how each kind is blended.
 
-use super::super::accessors::{Component, Layout, check_unbacked, read_values};
-use super::super::buffers::Buffers;
-use super::super::document::Document;
+use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
+use super::super::buffers::BufferBytes;
+use super::super::document::GltfDocument;
 use crate::asset::Error;
 use crate::asset::edited::{EditedModel, PrimitiveRun, VertexBlend};
 use std::collections::BTreeMap;
 
 /// One attribute of all vertices of a primitive.
-pub(super) struct Channel {
+pub(super) struct AttributeValues {
     /// Numbers per vertex.
     pub(super) lanes: usize,
     /// Whether its stored numbers are whole and mean themselves, such as joints and identifiers.
@@ -31,12 +31,12 @@ pub(super) fn shape_of(stored: &str) -> &'static str {
 }
 
 /// Reads an attribute, whatever it is stored as. Compressed views must be decoded.
-pub(super) fn read(doc: &Document<'_>, buffers: &Buffers, index: usize) -> Result<Channel, Error> {
+pub(super) fn read(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) -> Result<AttributeValues, Error> {
     let place = || format!("accessors/{index}");
     let Some(accessor) = doc.accessors.get(index) else {
         return Err(doc.fault.malformed(place(), "does not exist"));
     };
-    let Some(layout) = Layout::of(accessor, &doc.views.values) else {
+    let Some(layout) = AccessorLayout::of(accessor, &doc.views.values) else {
         let problem = format!(
             "component type {} with type {:?} is none that glTF knows",
             accessor.component_type.0, accessor.shape
@@ -44,21 +44,21 @@ pub(super) fn read(doc: &Document<'_>, buffers: &Buffers, index: usize) -> Resul
         return Err(doc.fault.malformed(place(), problem));
     };
     check_unbacked(doc, index, layout)?;
-    Ok(Channel {
+    Ok(AttributeValues {
         lanes: layout.lanes,
-        is_whole: layout.component != Component::F32 && !accessor.normalized,
+        is_whole: layout.component != ComponentType::F32 && !accessor.normalized,
         values: read_values(doc, buffers, index, layout)?,
     })
 }
 
 /// The vertices of one run, by what they are made of among the vertices of its primitive.
-pub(super) struct Mixer<'a> {
+pub(super) struct AttributeBlender<'a> {
     edited: &'a EditedModel<'a>,
     run: &'a PrimitiveRun,
     first: usize,
 }
 
-impl<'a> Mixer<'a> {
+impl<'a> AttributeBlender<'a> {
     pub(super) fn new(edited: &'a EditedModel<'a>, run: &'a PrimitiveRun) -> Self {
         let first = edited.primitive(run).first_vertex as usize;
         Self { edited, run, first }
@@ -69,14 +69,14 @@ impl<'a> Mixer<'a> {
         self.run.vertices().map(|vertex| self.edited.blend(vertex))
     }
 
-    fn element<'c>(&self, channel: &'c Channel, vertex: u32) -> &'c [f32] {
+    fn element<'c>(&self, channel: &'c AttributeValues, vertex: u32) -> &'c [f32] {
         // The blend was checked to lie in the primitive, and the accessor to have an element for each of its vertices.
         let first = (vertex as usize - self.first) * channel.lanes;
         channel.values.get(first..first + channel.lanes).unwrap_or(&[])
     }
 
     /// Linear in every number; what is not finite counts as zero where it would spread.
-    pub(super) fn linear(&self, channel: &Channel) -> Vec<f32> {
+    pub(super) fn linear(&self, channel: &AttributeValues) -> Vec<f32> {
         let mut out = Vec::with_capacity(self.run.vertex_count as usize * channel.lanes);
         let mut sums = vec![0.0_f64; channel.lanes];
         for blend in self.blends() {
@@ -98,14 +98,18 @@ impl<'a> Mixer<'a> {
     }
 
     /// The value of the heaviest vertex, for what cannot be blended.
-    pub(super) fn nearest(&self, channel: &Channel) -> Vec<f32> {
+    pub(super) fn nearest(&self, channel: &AttributeValues) -> Vec<f32> {
         let elements = self.blends().flat_map(|blend| self.element(channel, blend.heaviest()));
         elements.copied().collect()
     }
 
     /// Joints and weights of all sets of a primitive: the union of the influences, the heaviest of them scaled to a sum
     /// of 1. Vertices that the edit left alone keep theirs as they are stored.
-    pub(super) fn skin(&self, joints: &[Channel], weights: &[Channel]) -> (Vec<Vec<f32>>, Vec<Vec<f32>>) {
+    pub(super) fn skin(
+        &self,
+        joints: &[AttributeValues],
+        weights: &[AttributeValues],
+    ) -> (Vec<Vec<f32>>, Vec<Vec<f32>>) {
         let sets = joints.len();
         let count = self.run.vertex_count as usize;
         let mut out = (

@@ -2,7 +2,7 @@
 
 use super::super::read::{GltfNotes, reopen};
 use super::super::text::{items, value_of};
-use super::channels::{Mixer, read};
+use super::channels::{AttributeBlender, read};
 use super::kept::section;
 use super::places;
 use crate::asset::Error;
@@ -25,7 +25,7 @@ pub(in super::super) fn run_attributes(
     for run in runs {
         let row = &notes.rows[run.primitive as usize];
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
-        let mixer = Mixer::new(edited, run);
+        let mixer = AttributeBlender::new(edited, run);
         let mut extras = RunAttributes::default();
         let used: BTreeSet<usize> = ["TEXCOORD_0", "COLOR_0"]
             .iter()

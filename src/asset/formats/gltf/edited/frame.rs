@@ -1,17 +1,17 @@
 //! The first base's own document: its meshes with edited primitives, and the nodes that draw them.
 
-use super::super::document::Document;
+use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
-use super::super::text::{Edits, items, value_of};
+use super::super::text::{JsonEdits, items, value_of};
 use super::places::{self, DRACO};
-use super::primitives::{Handle, Made, Maker};
+use super::primitives::{AccessorHandle, MadePrimitive, PrimitiveMaker};
 use crate::asset::Error;
 use crate::asset::edited::PrimitiveRun;
 use std::collections::BTreeMap;
 
 /// Meshes, and what changes about nodes and animations. Accessors are numbered virtually: those of the file as there,
 /// new ones on from their number.
-pub(super) struct Frame {
+pub(super) struct EditedMeshes {
     /// By number: the file's meshes, `None` for those that nothing draws any more, and new ones.
     pub(super) meshes: Vec<Option<String>>,
     /// Texts of nodes that change.
@@ -22,7 +22,7 @@ pub(super) struct Frame {
 
 /// What one node is to draw.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
-enum Version {
+enum MeshVersion {
     AsStored,
     Gone,
     Text(String),
@@ -36,10 +36,10 @@ const OF_STORED_TRIANGLES: [&str; 2] = [DRACO, "FB_ngon_encoding"];
 
 /// Remakes the meshes. `runs` are those of the first base.
 pub(super) fn frame<'a>(
-    maker: &mut Maker<'a, '_>,
+    maker: &mut PrimitiveMaker<'a, '_>,
     notes: &GltfNotes,
     runs: &[&'a PrimitiveRun],
-) -> Result<Frame, Error> {
+) -> Result<EditedMeshes, Error> {
     let doc = maker.doc;
     let mut runs_of: BTreeMap<usize, Vec<&PrimitiveRun>> = BTreeMap::new();
     for run in runs.iter().filter(|run| run.triangle_count > 0) {
@@ -49,7 +49,7 @@ pub(super) fn frame<'a>(
     for (i, row) in notes.rows.iter().enumerate() {
         rows_of.entry(row.node).or_default().push(i);
     }
-    let mut versions: BTreeMap<usize, Vec<(usize, Version)>> = BTreeMap::new();
+    let mut versions: BTreeMap<usize, Vec<(usize, MeshVersion)>> = BTreeMap::new();
     let mut copied = 0;
     for &node in &notes.placed {
         let Some(mesh) = doc.nodes.values[node].mesh.map(|m| m.index()) else {
@@ -57,7 +57,7 @@ pub(super) fn frame<'a>(
         };
         let rows = rows_of.get(&node).map_or(&[][..], Vec::as_slice);
         let version = version(maker, notes, mesh, rows, &runs_of)?;
-        if let Version::Text(text) = &version {
+        if let MeshVersion::Text(text) = &version {
             copied += text.len();
         }
         if copied > MOST_COPIED {
@@ -72,7 +72,7 @@ pub(super) fn frame<'a>(
             outside[mesh.index()] = true;
         }
     }
-    let mut frame = Frame {
+    let mut frame = EditedMeshes {
         meshes: doc.meshes.items.iter().map(|text| Some((*text).to_owned())).collect(),
         nodes: BTreeMap::new(),
         animations: Vec::new(),
@@ -91,12 +91,12 @@ pub(super) fn frame<'a>(
 }
 
 fn version<'a>(
-    maker: &mut Maker<'a, '_>,
+    maker: &mut PrimitiveMaker<'a, '_>,
     notes: &GltfNotes,
     mesh: usize,
     rows: &[usize],
     runs_of: &BTreeMap<usize, Vec<&'a PrimitiveRun>>,
-) -> Result<Version, Error> {
+) -> Result<MeshVersion, Error> {
     let text = maker.doc.meshes.items[mesh];
     let stored = value_of(text, "primitives")
         .and_then(|p| items(p).ok())
@@ -122,23 +122,24 @@ fn version<'a>(
         }
     }
     Ok(if as_stored {
-        Version::AsStored
+        MeshVersion::AsStored
     } else if primitives.is_empty() {
-        Version::Gone
+        MeshVersion::Gone
     } else {
-        Version::Text(places::with(text, "primitives", &places::list(&primitives)))
+        MeshVersion::Text(places::with(text, "primitives", &places::list(&primitives)))
     })
 }
 
 /// A stored primitive with other accessors.
-fn primitive_text(stored: &str, made: &Made, old_accessors: usize) -> String {
-    let number = |handle: &Handle| match *handle {
-        Handle::Old(at) => at,
-        Handle::New(at) => old_accessors + at,
+fn primitive_text(stored: &str, made: &MadePrimitive, old_accessors: usize) -> String {
+    let number = |handle: &AccessorHandle| match *handle {
+        AccessorHandle::Old(at) => at,
+        AccessorHandle::New(at) => old_accessors + at,
     };
-    let object = |all: &BTreeMap<String, Handle>| {
-        let one =
-            |(name, handle): (&String, &Handle)| format!("{}:{}", super::super::text::quoted(name), number(handle));
+    let object = |all: &BTreeMap<String, AccessorHandle>| {
+        let one = |(name, handle): (&String, &AccessorHandle)| {
+            format!("{}:{}", super::super::text::quoted(name), number(handle))
+        };
         format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
     };
     let mut text = places::without_extensions(stored, &[DRACO]);
@@ -156,19 +157,19 @@ fn primitive_text(stored: &str, made: &Made, old_accessors: usize) -> String {
     places::with(&text, "attributes", &object(&made.attributes))
 }
 
-impl Frame {
+impl EditedMeshes {
     /// Gives the nodes of one mesh meshes to draw; equal ones share theirs. `outside`: nodes outside the scene draw the
     /// mesh too, as it is stored.
-    fn share(&mut self, doc: &Document<'_>, mesh: usize, nodes: Vec<(usize, Version)>, outside: bool) {
-        let mut known: BTreeMap<Version, usize> = BTreeMap::new();
-        let stays = outside || nodes.iter().any(|(_, version)| *version == Version::AsStored);
+    fn share(&mut self, doc: &GltfDocument<'_>, mesh: usize, nodes: Vec<(usize, MeshVersion)>, outside: bool) {
+        let mut known: BTreeMap<MeshVersion, usize> = BTreeMap::new();
+        let stays = outside || nodes.iter().any(|(_, version)| *version == MeshVersion::AsStored);
         if stays {
-            known.insert(Version::AsStored, mesh);
+            known.insert(MeshVersion::AsStored, mesh);
         } else {
             self.meshes[mesh] = None;
         }
         for (node, version) in nodes {
-            if version == Version::Gone {
+            if version == MeshVersion::Gone {
                 let text = places::without(doc.nodes.items[node], &["mesh", "skin", "weights"]);
                 self.nodes.insert(node, text);
                 continue;
@@ -176,7 +177,7 @@ impl Frame {
             let at = match known.get(&version) {
                 Some(&at) => at,
                 None => {
-                    let Version::Text(text) = &version else { continue };
+                    let MeshVersion::Text(text) = &version else { continue };
                     let at = if self.meshes[mesh].is_none() {
                         self.meshes[mesh] = Some(text.clone());
                         mesh
@@ -217,7 +218,7 @@ fn animation(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String> {
     if left.is_empty() {
         return None;
     }
-    let mut edits = Edits::new(text);
+    let mut edits = JsonEdits::new(text);
     edits.set(text, "channels", &places::list(&left));
     Some(edits.apply())
 }

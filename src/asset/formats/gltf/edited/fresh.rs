@@ -1,6 +1,6 @@
 //! New accessors, each with a view of its own; equal ones are stored once.
 
-use super::super::fault::Fault;
+use super::super::fault::GltfFault;
 use super::super::patch::bounds;
 use crate::asset::Error;
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use std::hash::Hasher as _;
 
 /// How the numbers of a new accessor are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum NewAccessorKind {
     /// A vertex attribute of 32-bit floats.
     Floats,
     /// The same with the bounds that positions must have.
@@ -21,13 +21,13 @@ pub(super) enum Kind {
     Indices32,
 }
 
-struct View {
+struct NewView {
     start: usize,
     length: usize,
     target: Option<u32>,
 }
 
-struct Accessor {
+struct NewAccessor {
     view: usize,
     component: u32,
     count: usize,
@@ -37,23 +37,23 @@ struct Accessor {
 
 /// New data, to be appended to what is kept of the old.
 #[derive(Default)]
-pub(super) struct Fresh {
+pub(super) struct NewAccessors {
     bytes: Vec<u8>,
-    views: Vec<View>,
-    accessors: Vec<Accessor>,
+    views: Vec<NewView>,
+    accessors: Vec<NewAccessor>,
     known: BTreeMap<u64, Vec<usize>>,
 }
 
-impl Fresh {
+impl NewAccessors {
     /// The bytes of all views.
     pub(super) fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
     /// Adds an attribute of floats; its number among the new accessors.
-    pub(super) fn floats(&mut self, values: &[f32], lanes: usize, shape: &'static str, kind: Kind) -> usize {
+    pub(super) fn floats(&mut self, values: &[f32], lanes: usize, shape: &'static str, kind: NewAccessorKind) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let bounds = (kind == Kind::Positions).then(|| bounds(values, lanes));
+        let bounds = (kind == NewAccessorKind::Positions).then(|| bounds(values, lanes));
         self.accessor(&bytes, kind, values.len() / lanes.max(1), shape, bounds)
     }
 
@@ -65,7 +65,11 @@ impl Fresh {
         } else {
             values.iter().flat_map(|&v| (v as u16).to_le_bytes()).collect()
         };
-        let kind = if small { Kind::Joints8 } else { Kind::Joints16 };
+        let kind = if small {
+            NewAccessorKind::Joints8
+        } else {
+            NewAccessorKind::Joints16
+        };
         self.accessor(&bytes, kind, values.len() / 4, "VEC4", None)
     }
 
@@ -76,10 +80,13 @@ impl Fresh {
         let (bytes, kind): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
             (
                 corners.flat_map(|&i| (i as u16).to_le_bytes()).collect(),
-                Kind::Indices16,
+                NewAccessorKind::Indices16,
             )
         } else {
-            (corners.flat_map(|&i| i.to_le_bytes()).collect(), Kind::Indices32)
+            (
+                corners.flat_map(|&i| i.to_le_bytes()).collect(),
+                NewAccessorKind::Indices32,
+            )
         };
         self.accessor(&bytes, kind, triangles.len() * 3, "SCALAR", None)
     }
@@ -91,7 +98,7 @@ impl Fresh {
 
     fn view(&mut self, bytes: &[u8], target: Option<u32>) -> usize {
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-        self.views.push(View {
+        self.views.push(NewView {
             start: self.bytes.len(),
             length: bytes.len(),
             target,
@@ -103,17 +110,17 @@ impl Fresh {
     fn accessor(
         &mut self,
         bytes: &[u8],
-        kind: Kind,
+        kind: NewAccessorKind,
         count: usize,
         shape: &'static str,
         bounds: Option<(String, String)>,
     ) -> usize {
         let (component, target) = match kind {
-            Kind::Floats | Kind::Positions => (5126, 34962),
-            Kind::Joints8 => (5121, 34962),
-            Kind::Joints16 => (5123, 34962),
-            Kind::Indices16 => (5123, 34963),
-            Kind::Indices32 => (5125, 34963),
+            NewAccessorKind::Floats | NewAccessorKind::Positions => (5126, 34962),
+            NewAccessorKind::Joints8 => (5121, 34962),
+            NewAccessorKind::Joints16 => (5123, 34962),
+            NewAccessorKind::Indices16 => (5123, 34963),
+            NewAccessorKind::Indices32 => (5125, 34963),
         };
         let mut hasher = std::hash::DefaultHasher::new();
         hasher.write(bytes);
@@ -128,7 +135,7 @@ impl Fresh {
             return found;
         }
         let view = self.view(bytes, Some(target));
-        self.accessors.push(Accessor {
+        self.accessors.push(NewAccessor {
             view,
             component,
             count,
@@ -142,7 +149,7 @@ impl Fresh {
 
     /// The views as JSON, with their bytes beginning at `offset` of `buffer`.
     pub(super) fn view_texts(&self, buffer: usize, offset: usize) -> Vec<String> {
-        let one = |view: &View| {
+        let one = |view: &NewView| {
             let target = view.target.map(|t| format!(r#","target":{t}"#)).unwrap_or_default();
             let (start, length) = (offset + view.start, view.length);
             format!(r#"{{"buffer":{buffer},"byteOffset":{start},"byteLength":{length}{target}}}"#)
@@ -152,7 +159,7 @@ impl Fresh {
 
     /// The accessors as JSON, with their views numbered from `first_view` on.
     pub(super) fn accessor_texts(&self, first_view: usize) -> Vec<String> {
-        let one = |accessor: &Accessor| {
+        let one = |accessor: &NewAccessor| {
             let bounds = accessor.bounds.as_ref();
             let bounds = bounds
                 .map(|(least, most)| format!(r#","min":{least},"max":{most}"#))
@@ -169,7 +176,7 @@ impl Fresh {
     }
 
     /// Refuses more than one buffer holds, `kept` bytes standing before.
-    pub(super) fn check_size(&self, kept: usize, fault: Fault) -> Result<(), Error> {
+    pub(super) fn check_size(&self, kept: usize, fault: GltfFault) -> Result<(), Error> {
         let length = kept as u64 + self.bytes.len() as u64;
         if length > u64::from(u32::MAX) {
             return Err(fault.unwritable(format!("a buffer would have {length} bytes, 4 GiB is the most")));

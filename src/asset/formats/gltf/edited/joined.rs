@@ -7,17 +7,17 @@
 //! Skeletons, animations, cameras, lights and extensions that are not about materials stay behind. A base of another
 //! format comes as plain geometry.
 
-use super::super::document::Document;
-use super::super::fault::Fault;
+use super::super::document::GltfDocument;
+use super::super::fault::GltfFault;
 use super::super::read::{GltfNotes, reopen};
 use super::super::scene;
 use super::super::text::{items, quoted, value_of};
-use super::frame::Frame;
-use super::fresh::{Fresh, Kind};
+use super::frame::EditedMeshes;
+use super::fresh::{NewAccessorKind, NewAccessors};
 use super::kept::section;
-use super::material::Palette;
+use super::material::MaterialCopier;
 use super::places;
-use super::primitives::{Handle, Made, Maker};
+use super::primitives::{AccessorHandle, MadePrimitive, PrimitiveMaker};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::NeutralModel;
@@ -27,7 +27,7 @@ use std::collections::BTreeMap;
 
 /// What joins the document. Accessors are numbered virtually, as in the frame.
 #[derive(Default)]
-pub(super) struct Joined {
+pub(super) struct JoinedBases {
     pub(super) meshes: Vec<String>,
     /// Nodes; their meshes count from 0 among the joined ones.
     nodes: Vec<(String, Option<usize>)>,
@@ -43,7 +43,7 @@ pub(super) struct Joined {
     pub(super) companions: BTreeMap<String, Vec<u8>>,
 }
 
-impl Joined {
+impl JoinedBases {
     pub(super) fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }
@@ -69,26 +69,26 @@ impl Joined {
 
 /// Joins all bases but the first. `doc` and `files` are those of the first.
 pub(super) fn joined(
-    doc: &Document<'_>,
+    doc: &GltfDocument<'_>,
     files: &FileSet,
-    frame: &Frame,
+    frame: &EditedMeshes,
     output: &EditedOutput<'_>,
-    fresh: &mut Fresh,
-) -> Result<Joined, Error> {
-    let mut joined = Joined::default();
+    fresh: &mut NewAccessors,
+) -> Result<JoinedBases, Error> {
+    let mut joined = JoinedBases::default();
     let EditedOutput { edited, positions, .. } = *output;
     for (i, base) in edited.bases.iter().enumerate().skip(1) {
         let own: Vec<&PrimitiveRun> = edited.runs_with_triangles(i as u32).collect();
         if own.is_empty() {
             continue;
         }
-        let mut joiner = Joiner {
+        let mut joiner = BaseJoiner {
             frame: doc,
             edited,
             positions,
             fresh: &mut *fresh,
             joined: &mut joined,
-            fault: Fault(output.format),
+            fault: GltfFault(output.format),
         };
         match base.model.notes::<GltfNotes>() {
             Some(notes) => joiner.gltf(i, notes, &own, files)?,
@@ -100,16 +100,16 @@ pub(super) fn joined(
     Ok(joined)
 }
 
-struct Joiner<'j, 'a> {
-    frame: &'j Document<'j>,
+struct BaseJoiner<'j, 'a> {
+    frame: &'j GltfDocument<'j>,
     edited: &'a EditedModel<'a>,
     positions: &'a [DVec3],
-    fresh: &'j mut Fresh,
-    joined: &'j mut Joined,
-    fault: Fault,
+    fresh: &'j mut NewAccessors,
+    joined: &'j mut JoinedBases,
+    fault: GltfFault,
 }
 
-impl<'a> Joiner<'_, 'a> {
+impl<'a> BaseJoiner<'_, 'a> {
     fn gltf(
         &mut self,
         base: usize,
@@ -126,11 +126,11 @@ impl<'a> Joiner<'_, 'a> {
             runs_of.entry((row.node, row.primitive)).or_default().push(run);
         }
         let grown = self.has_grown(base) && !notes.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
-        let node_for = |transform: &DAffine3| if grown { None } else { Placing::of(transform) };
+        let node_for = |transform: &DAffine3| if grown { None } else { NodeTransform::of(transform) };
         let placed = node_for(&placing);
         let root = self.add_root(&name_of(&model.files, base), placed.as_ref());
         let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
-        let mut palette = Palette::new(&doc, &model.files, first, base);
+        let mut palette = MaterialCopier::new(&doc, &model.files, first, base);
         let mut children = Vec::new();
         for placement in scene::placements(&doc, &mut Vec::new())? {
             let mesh = doc.meshes.items[placement.mesh];
@@ -148,7 +148,7 @@ impl<'a> Joiner<'_, 'a> {
             for (p, stored) in stored.into_iter().enumerate() {
                 let runs = runs_of.get(&(placement.node, p)).map_or(&[][..], Vec::as_slice);
                 for &run in runs {
-                    let mut maker = Maker {
+                    let mut maker = PrimitiveMaker {
                         doc: &doc,
                         buffers: &mut buffers,
                         edited: self.edited,
@@ -220,13 +220,13 @@ impl<'a> Joiner<'_, 'a> {
         let mut children = Vec::new();
         for own in neutral.primitives() {
             let (primitive, part, range) = (own.primitive, own.attributes, own.vertices);
-            let mut made = Made {
+            let mut made = MadePrimitive {
                 attributes: BTreeMap::new(),
                 targets: Vec::new(),
                 indices: None,
             };
             let mut add = |name: &str, at: usize| {
-                made.attributes.insert(name.into(), Handle::New(at));
+                made.attributes.insert(name.into(), AccessorHandle::New(at));
             };
             let positions: Vec<f32> = geometry.positions[range.clone()]
                 .iter()
@@ -235,26 +235,29 @@ impl<'a> Joiner<'_, 'a> {
             if positions.iter().any(|v| !v.is_finite()) {
                 return Err(self.fault.unwritable("a position is beyond 32-bit floats"));
             }
-            add("POSITION", self.fresh.floats(&positions, 3, "VEC3", Kind::Positions));
+            add(
+                "POSITION",
+                self.fresh.floats(&positions, 3, "VEC3", NewAccessorKind::Positions),
+            );
             if primitive.has_normals {
                 let values: Vec<f32> = geometry.normals[range.clone()]
                     .iter()
                     .flat_map(|n| n.to_array())
                     .collect();
-                add("NORMAL", self.fresh.floats(&values, 3, "VEC3", Kind::Floats));
+                add("NORMAL", self.fresh.floats(&values, 3, "VEC3", NewAccessorKind::Floats));
             }
             if part.has_uv {
                 add(
                     "TEXCOORD_0",
                     self.fresh
-                        .floats(uv[range.clone()].as_flattened(), 2, "VEC2", Kind::Floats),
+                        .floats(uv[range.clone()].as_flattened(), 2, "VEC2", NewAccessorKind::Floats),
                 );
             }
             if part.has_colours {
                 add(
                     "COLOR_0",
                     self.fresh
-                        .floats(colours[range].as_flattened(), 4, "VEC4", Kind::Floats),
+                        .floats(colours[range].as_flattened(), 4, "VEC4", NewAccessorKind::Floats),
                 );
             }
             let local: Vec<[u32; 3]> = own
@@ -262,7 +265,9 @@ impl<'a> Joiner<'_, 'a> {
                 .iter()
                 .map(|t| t.map(|v| v - primitive.first_vertex))
                 .collect();
-            made.indices = Some(Handle::New(self.fresh.indices(&local, primitive.vertex_count as usize)));
+            made.indices = Some(AccessorHandle::New(
+                self.fresh.indices(&local, primitive.vertex_count as usize),
+            ));
             let primitives = [self.primitive_text(&made, None, false)];
             self.joined
                 .meshes
@@ -278,14 +283,14 @@ impl<'a> Joiner<'_, 'a> {
         Ok(())
     }
 
-    fn primitive_text(&self, made: &Made, material: Option<usize>, with_targets: bool) -> String {
-        let number = |handle: &Handle| match *handle {
+    fn primitive_text(&self, made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
+        let number = |handle: &AccessorHandle| match *handle {
             // Never: joined primitives have new accessors only.
-            Handle::Old(at) => at,
-            Handle::New(at) => self.frame.accessors.len() + at,
+            AccessorHandle::Old(at) => at,
+            AccessorHandle::New(at) => self.frame.accessors.len() + at,
         };
-        let object = |all: &BTreeMap<String, Handle>| {
-            let one = |(name, handle): (&String, &Handle)| format!("{}:{}", quoted(name), number(handle));
+        let object = |all: &BTreeMap<String, AccessorHandle>| {
+            let one = |(name, handle): (&String, &AccessorHandle)| format!("{}:{}", quoted(name), number(handle));
             format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
         };
         let mut text = format!("{{\"attributes\":{}", object(&made.attributes));
@@ -302,7 +307,7 @@ impl<'a> Joiner<'_, 'a> {
         text + "}"
     }
 
-    fn add_root(&mut self, name: &str, placing: Option<&Placing>) -> usize {
+    fn add_root(&mut self, name: &str, placing: Option<&NodeTransform>) -> usize {
         let text = format!("{{\"name\":{}}}", quoted(name));
         let text = placing.map_or(text.clone(), |p| p.on(text));
         let root = self.add_node(text, None);
@@ -324,7 +329,7 @@ impl<'a> Joiner<'_, 'a> {
 }
 
 /// Whether a node's primitive has morph targets.
-fn has_targets(doc: &Document<'_>, node: usize, primitive: usize) -> bool {
+fn has_targets(doc: &GltfDocument<'_>, node: usize, primitive: usize) -> bool {
     let mesh = doc.nodes.values.get(node).and_then(|n| n.mesh.as_ref());
     let text = mesh.and_then(|m| doc.meshes.items.get(m.index()));
     let stored = text.and_then(|text| value_of(text, "primitives"));
@@ -341,13 +346,13 @@ fn name_of(files: &FileSet, base: usize) -> String {
 }
 
 /// A transform as a node can have it, a product of translation, rotation and scale, and what is then exactly that.
-struct Placing {
+struct NodeTransform {
     transform: DAffine3,
     /// The members of the node.
     text: [(&'static str, String); 3],
 }
 
-impl Placing {
+impl NodeTransform {
     /// `None` for a transform that shears or flattens.
     fn of(transform: &DAffine3) -> Option<Self> {
         let m = &transform.matrix3;
@@ -385,6 +390,6 @@ impl Placing {
 }
 
 /// The stored items of a section and those that have joined it.
-pub(super) fn next_number(frame: &Document<'_>, key: &str, joined: usize) -> usize {
+pub(super) fn next_number(frame: &GltfDocument<'_>, key: &str, joined: usize) -> usize {
     section(frame, key).len() + joined
 }

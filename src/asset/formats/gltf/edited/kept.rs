@@ -4,14 +4,14 @@
 //! dropped, and the rest renumbered and packed, when every extension of the file is known not to name accessors, views
 //! or meshes in places that are not looked at here. Else the numbers stay as they are and new data is only added.
 
-use super::super::accessors::Component;
-use super::super::accessors::Layout;
-use super::super::buffers::Buffers;
-use super::super::document::Document;
-use super::super::schema::Mesh;
+use super::super::accessors::AccessorLayout;
+use super::super::accessors::ComponentType;
+use super::super::buffers::BufferBytes;
+use super::super::document::GltfDocument;
+use super::super::schema::GltfMesh;
 use super::super::text::{items, value_of};
-use super::frame::Frame;
-use super::places::{self, DRACO, Places};
+use super::frame::EditedMeshes;
+use super::places::{self, DRACO, References};
 use crate::asset::Error;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -41,7 +41,7 @@ const KNOWN: [&str; 18] = [
 const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 
 /// What is kept, packed into one buffer.
-pub(super) struct Kept {
+pub(super) struct KeptData {
     pub(super) bytes: Vec<u8>,
     /// Texts of the kept views and accessors, renumbered.
     pub(super) views: Vec<String>,
@@ -52,13 +52,17 @@ pub(super) struct Kept {
 }
 
 /// Whether unused data may be dropped.
-pub(super) fn may_drop(doc: &Document<'_>) -> bool {
+pub(super) fn may_drop(doc: &GltfDocument<'_>) -> bool {
     let mut all = doc.extensions_used.iter().chain(&doc.extensions_required);
     all.all(|extension| KNOWN.iter().any(|known| extension.starts_with(known)))
 }
 
 /// Packs what the frame, skins, animations, nodes and images still use; `None` when some of it cannot be read.
-pub(super) fn kept(doc: &Document<'_>, buffers: &mut Buffers, frame: &Frame) -> Result<Option<Kept>, Error> {
+pub(super) fn kept(
+    doc: &GltfDocument<'_>,
+    buffers: &mut BufferBytes,
+    frame: &EditedMeshes,
+) -> Result<Option<KeptData>, Error> {
     let images = section(doc, "images");
     let places = (frame.meshes.iter().flatten().map(|mesh| places::of_mesh(mesh)))
         .chain(doc.skins.iter().map(|skin| places::of_skin(skin)))
@@ -72,7 +76,7 @@ pub(super) fn kept(doc: &Document<'_>, buffers: &mut Buffers, frame: &Frame) -> 
         .chain(doc.nodes.items.iter().map(|node| places::of_node(node)))
         .chain(images.iter().map(|image| places::of_image(image)));
     let (mut accessors, mut views) = (BTreeSet::new(), BTreeSet::new());
-    for Places { accessors: a, views: v } in places {
+    for References { accessors: a, views: v } in places {
         accessors.extend(
             a.into_iter()
                 .filter_map(places::index)
@@ -87,7 +91,7 @@ pub(super) fn kept(doc: &Document<'_>, buffers: &mut Buffers, frame: &Frame) -> 
     if buffers.decode_for(doc, &accessors).is_err() {
         return Ok(None);
     }
-    let mut kept = Kept {
+    let mut kept = KeptData {
         bytes: Vec::new(),
         views: Vec::new(),
         accessors: Vec::new(),
@@ -133,15 +137,15 @@ pub(super) fn kept(doc: &Document<'_>, buffers: &mut Buffers, frame: &Frame) -> 
 }
 
 /// The items of a section that the document does not parse.
-pub(super) fn section<'a>(doc: &Document<'a>, key: &str) -> Vec<&'a str> {
+pub(super) fn section<'a>(doc: &GltfDocument<'a>, key: &str) -> Vec<&'a str> {
     value_of(doc.text, key).and_then(|s| items(s).ok()).unwrap_or_default()
 }
 
 /// Which extensions are used no more: compression, when everything is packed anew, and quantisation, when every
 /// attribute is stored as the core of the format has it.
-pub(super) fn unneeded(doc: &Document<'_>, meshes: &[Option<String>]) -> Vec<&'static str> {
+pub(super) fn unneeded(doc: &GltfDocument<'_>, meshes: &[Option<String>]) -> Vec<&'static str> {
     let mut unneeded = MESHOPT.to_vec();
-    let parsed: Vec<Mesh> = meshes
+    let parsed: Vec<GltfMesh> = meshes
         .iter()
         .flatten()
         .filter_map(|text| serde_json::from_str(text).ok())
@@ -154,12 +158,12 @@ pub(super) fn unneeded(doc: &Document<'_>, meshes: &[Option<String>]) -> Vec<&'s
         let Some(accessor) = doc.accessors.get(accessor) else {
             return true; // a new one
         };
-        let component = Layout::of(accessor, &doc.views.values).map(|l| l.component);
+        let component = AccessorLayout::of(accessor, &doc.views.values).map(|l| l.component);
         match name {
-            "POSITION" | "NORMAL" | "TANGENT" => component == Some(Component::F32),
+            "POSITION" | "NORMAL" | "TANGENT" => component == Some(ComponentType::F32),
             _ if name.starts_with("TEXCOORD_") => {
-                let unsigned = matches!(component, Some(Component::U8 | Component::U16)) && accessor.normalized;
-                component == Some(Component::F32) || (unsigned || of_target)
+                let unsigned = matches!(component, Some(ComponentType::U8 | ComponentType::U16)) && accessor.normalized;
+                component == Some(ComponentType::F32) || (unsigned || of_target)
             }
             _ => true,
         }

@@ -1,10 +1,10 @@
 //! Materials that come along with a joined base, with what they draw with.
 
-use super::super::buffers::Buffers;
-use super::super::document::Document;
+use super::super::buffers::BufferBytes;
+use super::super::document::GltfDocument;
 use super::super::text::quoted;
-use super::fresh::Fresh;
-use super::joined::{Joined, next_number};
+use super::fresh::NewAccessors;
+use super::joined::{JoinedBases, next_number};
 use super::kept::section;
 use super::places;
 use crate::asset::{Error, FileSet};
@@ -12,8 +12,8 @@ use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
 /// What was taken over from one base so far: new numbers by old ones.
-pub(super) struct Palette<'p> {
-    doc: &'p Document<'p>,
+pub(super) struct MaterialCopier<'p> {
+    doc: &'p GltfDocument<'p>,
     files: &'p FileSet,
     /// The files of the first base, whose names are taken.
     first: &'p FileSet,
@@ -33,15 +33,15 @@ const OTHER_IMAGE: [&str; 4] = [
 ];
 
 /// Where new things go.
-struct To<'t, 'f> {
-    frame: &'t Document<'f>,
-    buffers: &'t Buffers,
-    fresh: &'t mut Fresh,
-    joined: &'t mut Joined,
+struct CopyTarget<'t, 'f> {
+    frame: &'t GltfDocument<'f>,
+    buffers: &'t BufferBytes,
+    fresh: &'t mut NewAccessors,
+    joined: &'t mut JoinedBases,
 }
 
-impl<'p> Palette<'p> {
-    pub(super) fn new(doc: &'p Document<'p>, files: &'p FileSet, first: &'p FileSet, base: usize) -> Self {
+impl<'p> MaterialCopier<'p> {
+    pub(super) fn new(doc: &'p GltfDocument<'p>, files: &'p FileSet, first: &'p FileSet, base: usize) -> Self {
         Self {
             doc,
             files,
@@ -58,15 +58,15 @@ impl<'p> Palette<'p> {
     pub(super) fn material(
         &mut self,
         old: usize,
-        frame: &Document<'_>,
-        buffers: &Buffers,
-        fresh: &mut Fresh,
-        joined: &mut Joined,
+        frame: &GltfDocument<'_>,
+        buffers: &BufferBytes,
+        fresh: &mut NewAccessors,
+        joined: &mut JoinedBases,
     ) -> Result<Option<usize>, Error> {
         if let Some(new) = self.materials.get(&old) {
             return Ok(*new);
         }
-        let mut to = To {
+        let mut to = CopyTarget {
             frame,
             buffers,
             fresh,
@@ -96,7 +96,7 @@ impl<'p> Palette<'p> {
     }
 
     /// Takes out the extensions of an object that are not kept, and notes those that are.
-    fn keep_extensions(&self, object: &mut Value, to: &mut To<'_, '_>, keep: impl Fn(&str) -> bool) {
+    fn keep_extensions(&self, object: &mut Value, to: &mut CopyTarget<'_, '_>, keep: impl Fn(&str) -> bool) {
         let Some(object) = object.as_object_mut() else { return };
         if let Some(extensions) = object.get_mut("extensions").and_then(Value::as_object_mut) {
             extensions.retain(|name, _| keep(name));
@@ -118,7 +118,7 @@ impl<'p> Palette<'p> {
     }
 
     /// Renumbers every texture that a material names, at any depth; a parsed text is at most 128 levels deep.
-    fn textures_in(&mut self, material: &mut Value, to: &mut To<'_, '_>) -> Result<(), Error> {
+    fn textures_in(&mut self, material: &mut Value, to: &mut CopyTarget<'_, '_>) -> Result<(), Error> {
         let Some(object) = material.as_object_mut() else {
             return Ok(());
         };
@@ -141,7 +141,7 @@ impl<'p> Palette<'p> {
         Ok(())
     }
 
-    fn texture(&mut self, old: usize, to: &mut To<'_, '_>) -> Result<Option<usize>, Error> {
+    fn texture(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
         if let Some(new) = self.textures.get(&old) {
             return Ok(*new);
         }
@@ -172,7 +172,7 @@ impl<'p> Palette<'p> {
         Ok(new)
     }
 
-    fn renumber_image(&mut self, object: &mut Map<String, Value>, to: &mut To<'_, '_>) -> Result<(), Error> {
+    fn renumber_image(&mut self, object: &mut Map<String, Value>, to: &mut CopyTarget<'_, '_>) -> Result<(), Error> {
         if let Some(source) = number(object, "source") {
             match self.image(source, to)? {
                 Some(new) => drop(object.insert("source".into(), new.into())),
@@ -182,7 +182,7 @@ impl<'p> Palette<'p> {
         Ok(())
     }
 
-    fn sampler(&mut self, old: usize, to: &mut To<'_, '_>) -> Result<Option<usize>, Error> {
+    fn sampler(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
         if let Some(new) = self.samplers.get(&old) {
             return Ok(*new);
         }
@@ -194,7 +194,7 @@ impl<'p> Palette<'p> {
         Ok(new)
     }
 
-    fn image(&mut self, old: usize, to: &mut To<'_, '_>) -> Result<Option<usize>, Error> {
+    fn image(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
         if let Some(new) = self.images.get(&old) {
             return Ok(*new);
         }
@@ -217,7 +217,7 @@ impl<'p> Palette<'p> {
     }
 
     /// The URI under which a companion image comes along: its own, unless another file has that name.
-    fn companion(&self, uri: &str, to: &mut To<'_, '_>) -> String {
+    fn companion(&self, uri: &str, to: &mut CopyTarget<'_, '_>) -> String {
         let name = percent_encoding::percent_decode_str(uri)
             .decode_utf8_lossy()
             .into_owned();

@@ -16,40 +16,40 @@ mod primitives;
 
 pub(super) use extras::run_attributes;
 
-use super::buffers::{BufferOrigin, Buffers};
+use super::buffers::{BufferBytes, BufferOrigin};
 use super::container;
-use super::document::{Document, GLB_FORMAT};
-use super::fault::Fault;
+use super::document::{GLB_FORMAT, GltfDocument};
+use super::fault::GltfFault;
 use super::package::package;
-use super::patch::Patched;
+use super::patch::PatchedDocument;
 use super::read::{GltfNotes, reopen};
-use super::text::{Edits, members, quoted};
+use super::text::{JsonEdits, members, quoted};
 use super::uri;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::PrimitiveRun;
 use crate::asset::{Error, FileSet, WrittenFiles};
-use frame::Frame;
-use fresh::Fresh;
-use joined::Joined;
-use kept::Kept;
-use primitives::Maker;
+use frame::EditedMeshes;
+use fresh::NewAccessors;
+use joined::JoinedBases;
+use kept::KeptData;
+use primitives::PrimitiveMaker;
 use std::collections::BTreeMap;
 
 /// New texts of top-level members; `None` for those that go.
-type Sections = BTreeMap<&'static str, Option<String>>;
+type JsonSections = BTreeMap<&'static str, Option<String>>;
 
 /// Writes an edited model of which the first base is a glTF. The description has been checked.
 pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let EditedOutput { edited, positions, .. } = *output;
-    let fault = Fault(output.format);
+    let fault = GltfFault(output.format);
     let first = edited.bases.first().map(|base| base.model);
     let Some((model, notes)) = first.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
         return Err(fault.unwritable("the first base is no glTF"));
     };
     let (doc, mut buffers) = reopen(model, notes)?;
-    let mut fresh = Fresh::default();
+    let mut fresh = NewAccessors::default();
     let own: Vec<&PrimitiveRun> = edited.runs.iter().filter(|run| run.base == 0).collect();
-    let mut maker = Maker {
+    let mut maker = PrimitiveMaker {
         doc: &doc,
         buffers: &mut buffers,
         edited,
@@ -60,7 +60,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     };
     let frame = frame::frame(&mut maker, notes, &own)?;
     let joined = joined::joined(&doc, &model.files, &frame, output, &mut fresh)?;
-    let mut writer = Writer {
+    let mut writer = EditedGltfWriter {
         doc: &doc,
         files: &model.files,
         frame,
@@ -76,18 +76,18 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     writer.added(&buffers)
 }
 
-struct Writer<'a> {
-    doc: &'a Document<'a>,
+struct EditedGltfWriter<'a> {
+    doc: &'a GltfDocument<'a>,
     files: &'a FileSet,
-    frame: Frame,
-    fresh: Fresh,
-    joined: Joined,
-    fault: Fault,
+    frame: EditedMeshes,
+    fresh: NewAccessors,
+    joined: JoinedBases,
+    fault: GltfFault,
 }
 
-impl Writer<'_> {
+impl EditedGltfWriter<'_> {
     /// The document with all of its data packed into one buffer.
-    fn packed(&mut self, kept: Kept, buffers: &Buffers) -> Result<WrittenFiles, Error> {
+    fn packed(&mut self, kept: KeptData, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
         let unneeded = kept::unneeded(doc, &self.frame.meshes);
         let old = doc.accessors.len();
@@ -97,7 +97,7 @@ impl Writer<'_> {
         };
         let new_view = |v: usize| kept.view_numbers.get(&v).copied();
         let renumber =
-            |text: &str, of: fn(&str) -> places::Places<'_>| places::renumbered(text, of, new_accessor, new_view);
+            |text: &str, of: fn(&str) -> places::References<'_>| places::renumbered(text, of, new_accessor, new_view);
 
         // Meshes that nothing draws any more go, so the others move up.
         let mut meshes = Vec::new();
@@ -122,7 +122,7 @@ impl Writer<'_> {
         }
         nodes.extend(self.joined.node_texts(first_joined));
 
-        let mut sections = Sections::new();
+        let mut sections = JsonSections::new();
         sections.insert("meshes", Some(places::list(&meshes)));
         sections.insert("nodes", Some(places::list(&nodes)));
         let skins: Vec<String> = doc.skins.iter().map(|text| renumber(text, places::of_skin)).collect();
@@ -140,7 +140,7 @@ impl Writer<'_> {
         self.joined_sections(&mut sections);
         self.extensions(&mut sections, &unneeded);
 
-        let Kept {
+        let KeptData {
             mut bytes,
             mut views,
             mut accessors,
@@ -157,7 +157,12 @@ impl Writer<'_> {
     }
 
     /// Puts the files together around one buffer.
-    fn package(&self, mut sections: Sections, bytes: Vec<u8>, buffers: &Buffers) -> Result<WrittenFiles, Error> {
+    fn package(
+        &self,
+        mut sections: JsonSections,
+        bytes: Vec<u8>,
+        buffers: &BufferBytes,
+    ) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
         let mut companions: BTreeMap<String, Vec<u8>> = self
             .files
@@ -199,7 +204,7 @@ impl Writer<'_> {
     }
 
     /// The document with all of its old data where it was, and new data behind it.
-    fn added(&mut self, buffers: &Buffers) -> Result<WrittenFiles, Error> {
+    fn added(&mut self, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
         let takes_more = |i: &usize| {
             buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
@@ -216,7 +221,7 @@ impl Writer<'_> {
         bytes.extend_from_slice(self.fresh.bytes());
 
         let whole = |list: Vec<String>| (!list.is_empty()).then(|| places::list(&list));
-        let mut sections = Sections::new();
+        let mut sections = JsonSections::new();
         let mut meshes: Vec<String> = Vec::new();
         for (i, mesh) in self.frame.meshes.iter().enumerate() {
             // Something unknown may name the mesh by its number, so it stays.
@@ -253,14 +258,14 @@ impl Writer<'_> {
         }
 
         let text = doc.text;
-        let mut edits = Edits::new(text);
+        let mut edits = JsonEdits::new(text);
         for (key, value) in &sections {
             match value {
                 Some(value) => edits.set(text, key, value),
                 None => edits.remove(text, key),
             }
         }
-        let mut patched = Patched {
+        let mut patched = PatchedDocument {
             edits,
             buffers: BTreeMap::new(),
             added_buffer: None,
@@ -280,7 +285,7 @@ impl Writer<'_> {
     }
 
     /// Materials, textures, samplers and scenes with those of the joined bases.
-    fn joined_sections(&self, sections: &mut Sections) {
+    fn joined_sections(&self, sections: &mut JsonSections) {
         for (key, more) in [
             ("materials", &self.joined.materials),
             ("textures", &self.joined.textures),
@@ -308,7 +313,7 @@ impl Writer<'_> {
     }
 
     /// The lists of extensions, without some and with those of the joined bases.
-    fn extensions(&self, sections: &mut Sections, unneeded: &[&str]) {
+    fn extensions(&self, sections: &mut JsonSections, unneeded: &[&str]) {
         for (key, stored, more) in [
             (
                 "extensionsUsed",
@@ -332,7 +337,7 @@ impl Writer<'_> {
 }
 
 /// The document with new values of some members, in the order in which they were; added ones follow.
-fn rebuilt(text: &str, mut sections: Sections) -> String {
+fn rebuilt(text: &str, mut sections: JsonSections) -> String {
     let mut out = Vec::new();
     for member in members(text).unwrap_or_default() {
         match sections.remove(member.key.as_str()) {

@@ -1,11 +1,11 @@
 //! Where a document names accessors and buffer views, as slices of its text.
 
-use super::super::schema::Whole;
-use super::super::text::{Edits, items, members, value_of};
+use super::super::schema::WholeNumber;
+use super::super::text::{JsonEdits, items, members, value_of};
 
 /// Numbers in one item of a section.
 #[derive(Default)]
-pub(super) struct Places<'a> {
+pub(super) struct References<'a> {
     /// Those that name accessors.
     pub(super) accessors: Vec<&'a str>,
     /// Those that name buffer views.
@@ -14,7 +14,7 @@ pub(super) struct Places<'a> {
 
 /// The index that a text holds.
 pub(super) fn index(json: &str) -> Option<usize> {
-    serde_json::from_str::<Whole>(json).ok().map(Whole::index)
+    serde_json::from_str::<WholeNumber>(json).ok().map(WholeNumber::index)
 }
 
 fn array<'a>(object: &'a str, key: &str) -> Vec<&'a str> {
@@ -33,8 +33,8 @@ fn at<'a>(object: &'a str, path: &[&str]) -> Option<&'a str> {
 pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
 
 /// In a mesh.
-pub(super) fn of_mesh(mesh: &str) -> Places<'_> {
-    let mut places = Places::default();
+pub(super) fn of_mesh(mesh: &str) -> References<'_> {
+    let mut places = References::default();
     for primitive in array(mesh, "primitives") {
         places
             .accessors
@@ -49,51 +49,51 @@ pub(super) fn of_mesh(mesh: &str) -> Places<'_> {
 }
 
 /// In a skin.
-pub(super) fn of_skin(skin: &str) -> Places<'_> {
-    Places {
+pub(super) fn of_skin(skin: &str) -> References<'_> {
+    References {
         accessors: value_of(skin, "inverseBindMatrices").into_iter().collect(),
         views: Vec::new(),
     }
 }
 
 /// In an animation.
-pub(super) fn of_animation(animation: &str) -> Places<'_> {
+pub(super) fn of_animation(animation: &str) -> References<'_> {
     let named = |sampler| {
         ["input", "output"]
             .into_iter()
             .filter_map(move |key| value_of(sampler, key))
     };
-    Places {
+    References {
         accessors: array(animation, "samplers").into_iter().flat_map(named).collect(),
         views: Vec::new(),
     }
 }
 
 /// In a node: the attributes of its instances.
-pub(super) fn of_node(node: &str) -> Places<'_> {
+pub(super) fn of_node(node: &str) -> References<'_> {
     let attributes = at(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
-    Places {
+    References {
         accessors: attributes.map(values).unwrap_or_default(),
         views: Vec::new(),
     }
 }
 
 /// In an accessor.
-pub(super) fn of_accessor(accessor: &str) -> Places<'_> {
+pub(super) fn of_accessor(accessor: &str) -> References<'_> {
     let paths: [&[&str]; 3] = [
         &["bufferView"],
         &["sparse", "indices", "bufferView"],
         &["sparse", "values", "bufferView"],
     ];
-    Places {
+    References {
         accessors: Vec::new(),
         views: paths.into_iter().filter_map(|path| at(accessor, path)).collect(),
     }
 }
 
 /// In an image.
-pub(super) fn of_image(image: &str) -> Places<'_> {
-    Places {
+pub(super) fn of_image(image: &str) -> References<'_> {
+    References {
         accessors: Vec::new(),
         views: value_of(image, "bufferView").into_iter().collect(),
     }
@@ -102,12 +102,12 @@ pub(super) fn of_image(image: &str) -> Places<'_> {
 /// The text with its references renumbered; those that have no new number stay.
 pub(super) fn renumbered<'a>(
     text: &'a str,
-    of: impl Fn(&'a str) -> Places<'a>,
+    of: impl Fn(&'a str) -> References<'a>,
     accessor: impl Fn(usize) -> Option<usize>,
     view: impl Fn(usize) -> Option<usize>,
 ) -> String {
     let places = of(text);
-    let mut edits = Edits::new(text);
+    let mut edits = JsonEdits::new(text);
     for place in places.accessors {
         if let Some(new) = index(place).and_then(&accessor) {
             edits.replace(place, new.to_string());
@@ -126,7 +126,7 @@ pub(super) fn without(object: &str, keys: &[&str]) -> String {
     let mut text = object.to_owned();
     for key in keys {
         if value_of(&text, key).is_some() {
-            let mut edits = Edits::new(&text);
+            let mut edits = JsonEdits::new(&text);
             edits.remove(&text, key);
             text = edits.apply();
         }
@@ -146,14 +146,14 @@ pub(super) fn without_extensions(object: &str, names: &[&str]) -> String {
     if members(&left).is_ok_and(|list| list.is_empty()) {
         return without(object, &["extensions"]);
     }
-    let mut edits = Edits::new(object);
+    let mut edits = JsonEdits::new(object);
     edits.set(object, "extensions", &left);
     edits.apply()
 }
 
 /// The object with a key set.
 pub(super) fn with(object: &str, key: &str, json: &str) -> String {
-    let mut edits = Edits::new(object);
+    let mut edits = JsonEdits::new(object);
     edits.set(object, key, json);
     edits.apply()
 }

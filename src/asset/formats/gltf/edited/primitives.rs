@@ -1,13 +1,13 @@
 //! The accessors of one edited primitive.
 
-use super::super::accessors::{Layout, Role, read_floats};
-use super::super::buffers::Buffers;
-use super::super::document::Document;
-use super::super::fault::Fault;
-use super::super::read::{Row, invert};
+use super::super::accessors::{AccessorLayout, ShapeAttribute, read_floats};
+use super::super::buffers::BufferBytes;
+use super::super::document::GltfDocument;
+use super::super::fault::GltfFault;
+use super::super::read::{PlacedPrimitive, invert};
 use super::super::schema::{Attributes, MeshPrimitive};
-use super::channels::{Channel, Mixer, read, shape_of};
-use super::fresh::{Fresh, Kind};
+use super::channels::{AttributeBlender, AttributeValues, read, shape_of};
+use super::fresh::{NewAccessorKind, NewAccessors};
 use crate::asset::Error;
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::asset::model::position_bits;
@@ -16,7 +16,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Which accessor an attribute has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Handle {
+pub(super) enum AccessorHandle {
     /// One of the file that the primitive came from.
     Old(usize),
     /// A new one.
@@ -25,33 +25,33 @@ pub(super) enum Handle {
 
 /// A primitive's accessors by attribute, of itself and of each morph target, and its indices.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Made {
-    pub(super) attributes: BTreeMap<String, Handle>,
-    pub(super) targets: Vec<BTreeMap<String, Handle>>,
+pub(super) struct MadePrimitive {
+    pub(super) attributes: BTreeMap<String, AccessorHandle>,
+    pub(super) targets: Vec<BTreeMap<String, AccessorHandle>>,
     /// `None` where the stored ones stay, with the stored mode.
-    pub(super) indices: Option<Handle>,
+    pub(super) indices: Option<AccessorHandle>,
 }
 
 /// Makes the primitives of one base.
-pub(super) struct Maker<'a, 'f> {
-    pub(super) doc: &'a Document<'f>,
-    pub(super) buffers: &'a mut Buffers,
+pub(super) struct PrimitiveMaker<'a, 'f> {
+    pub(super) doc: &'a GltfDocument<'f>,
+    pub(super) buffers: &'a mut BufferBytes,
     pub(super) edited: &'a EditedModel<'a>,
     pub(super) positions: &'a [DVec3],
-    pub(super) fresh: &'a mut Fresh,
-    pub(super) fault: Fault,
+    pub(super) fresh: &'a mut NewAccessors,
+    pub(super) fault: GltfFault,
     /// Whether accessors of the file may be named, because the file is the frame of the result.
     pub(super) is_frame: bool,
 }
 
-impl<'a> Maker<'a, '_> {
+impl<'a> PrimitiveMaker<'a, '_> {
     /// The accessors of a run whose mesh is drawn at `world_from_mesh`; `None` when the primitive stays as it is stored.
     pub(super) fn make(
         &mut self,
         run: &'a PrimitiveRun,
-        row: &Row,
+        row: &PlacedPrimitive,
         world_from_mesh: &DAffine3,
-    ) -> Result<Option<Made>, Error> {
+    ) -> Result<Option<MadePrimitive>, Error> {
         let doc = self.doc;
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         let base = self.edited.base(run);
@@ -77,15 +77,19 @@ impl<'a> Maker<'a, '_> {
         self.shape(run, row, primitive, world_from_mesh, &carried, &mut attributes)?;
         let mut targets = Vec::new();
         let indices = if untouched {
-            let old = |all: &Attributes| all.iter().map(|(k, v)| (k.clone(), Handle::Old(v.index()))).collect();
-            let stays: BTreeMap<String, Handle> = old(&primitive.attributes);
+            let old = |all: &Attributes| {
+                all.iter()
+                    .map(|(k, v)| (k.clone(), AccessorHandle::Old(v.index())))
+                    .collect()
+            };
+            let stays: BTreeMap<String, AccessorHandle> = old(&primitive.attributes);
             for (name, at) in stays {
                 attributes.entry(name).or_insert(at);
             }
             targets.extend(primitive.targets.iter().map(old));
             None
         } else {
-            let mixer = Mixer::new(self.edited, run);
+            let mixer = AttributeBlender::new(self.edited, run);
             self.others(primitive, &mixer, &mut attributes)?;
             for target in &primitive.targets {
                 targets.push(self.target(target, &mixer)?);
@@ -95,9 +99,11 @@ impl<'a> Maker<'a, '_> {
                 // Read as it is drawn, written as it is stored: turned round.
                 triangles.iter_mut().for_each(|t| t.swap(1, 2));
             }
-            Some(Handle::New(self.fresh.indices(&triangles, run.vertex_count as usize)))
+            Some(AccessorHandle::New(
+                self.fresh.indices(&triangles, run.vertex_count as usize),
+            ))
         };
-        Ok(Some(Made {
+        Ok(Some(MadePrimitive {
             attributes,
             targets,
             indices,
@@ -108,19 +114,19 @@ impl<'a> Maker<'a, '_> {
     fn shape(
         &mut self,
         run: &PrimitiveRun,
-        row: &Row,
+        row: &PlacedPrimitive,
         primitive: &MeshPrimitive,
         world_from_mesh: &DAffine3,
         carried: &CarriedAttributes<'_>,
-        attributes: &mut BTreeMap<String, Handle>,
+        attributes: &mut BTreeMap<String, AccessorHandle>,
     ) -> Result<(), Error> {
         let positions = self.mesh_positions(run, row, primitive, world_from_mesh)?;
-        let at = self.fresh.floats(&positions, 3, "VEC3", Kind::Positions);
-        attributes.insert(Role::Position.name().into(), Handle::New(at));
+        let at = self.fresh.floats(&positions, 3, "VEC3", NewAccessorKind::Positions);
+        attributes.insert(ShapeAttribute::Position.name().into(), AccessorHandle::New(at));
         let matrix = &world_from_mesh.matrix3;
         let (has_normal, has_tangent) = (
-            primitive.attribute(Role::Normal.name()).is_some(),
-            primitive.attribute(Role::Tangent.name()).is_some(),
+            primitive.attribute(ShapeAttribute::Normal.name()).is_some(),
+            primitive.attribute(ShapeAttribute::Tangent.name()).is_some(),
         );
         if !has_normal && !has_tangent {
             return Ok(());
@@ -130,8 +136,8 @@ impl<'a> Maker<'a, '_> {
         if has_normal {
             let to_mesh = |n: &Vec3| (mesh_from_normal * n.as_dvec3()).try_normalize().unwrap_or(DVec3::Z);
             let values: Vec<f32> = normals.iter().flat_map(|n| to_mesh(n).as_vec3().to_array()).collect();
-            let at = self.fresh.floats(&values, 3, "VEC3", Kind::Floats);
-            attributes.insert(Role::Normal.name().into(), Handle::New(at));
+            let at = self.fresh.floats(&values, 3, "VEC3", NewAccessorKind::Floats);
+            attributes.insert(ShapeAttribute::Normal.name().into(), AccessorHandle::New(at));
         }
         if has_tangent {
             let mesh_from_world = invert(world_from_mesh).map_or(glam::DMat3::IDENTITY, |m| m.matrix3);
@@ -143,8 +149,8 @@ impl<'a> Maker<'a, '_> {
                 along.as_vec3().extend(t.w * side).to_array()
             };
             let values: Vec<f32> = carried.tangents(&normals).iter().flat_map(to_mesh).collect();
-            let at = self.fresh.floats(&values, 4, "VEC4", Kind::Floats);
-            attributes.insert(Role::Tangent.name().into(), Handle::New(at));
+            let at = self.fresh.floats(&values, 4, "VEC4", NewAccessorKind::Floats);
+            attributes.insert(ShapeAttribute::Tangent.name().into(), AccessorHandle::New(at));
         }
         Ok(())
     }
@@ -152,12 +158,12 @@ impl<'a> Maker<'a, '_> {
     fn mesh_positions(
         &self,
         run: &PrimitiveRun,
-        row: &Row,
+        row: &PlacedPrimitive,
         primitive: &MeshPrimitive,
         world_from_mesh: &DAffine3,
     ) -> Result<Vec<f32>, Error> {
-        let stored = match primitive.attribute(Role::Position.name()) {
-            Some(accessor) => read_floats(self.doc, self.buffers, accessor, Role::Position)?,
+        let stored = match primitive.attribute(ShapeAttribute::Position.name()) {
+            Some(accessor) => read_floats(self.doc, self.buffers, accessor, ShapeAttribute::Position)?,
             None => Vec::new(),
         };
         let rest = &self.edited.base(run).model.geometry.positions;
@@ -193,24 +199,24 @@ impl<'a> Maker<'a, '_> {
     fn others(
         &mut self,
         primitive: &MeshPrimitive,
-        mixer: &Mixer<'_>,
-        attributes: &mut BTreeMap<String, Handle>,
+        mixer: &AttributeBlender<'_>,
+        attributes: &mut BTreeMap<String, AccessorHandle>,
     ) -> Result<(), Error> {
         let set = |kind: &str, n: usize| primitive.attribute(&format!("{kind}_{n}"));
         let sets: Vec<(usize, usize)> = (0..).map_while(|n| set("JOINTS", n).zip(set("WEIGHTS", n))).collect();
         // A merged model leaves its skeleton behind.
         if self.is_frame && !sets.is_empty() {
-            let all = |of: fn(&(usize, usize)) -> usize| -> Result<Vec<Channel>, Error> {
+            let all = |of: fn(&(usize, usize)) -> usize| -> Result<Vec<AttributeValues>, Error> {
                 sets.iter().map(|pair| self.read(of(pair), 4)).collect()
             };
             let (joints, weights) = mixer.skin(&all(|p| p.0)?, &all(|p| p.1)?);
             for (n, (joints, weights)) in joints.iter().zip(&weights).enumerate() {
                 let (joints, weights) = (
                     self.fresh.joints(joints),
-                    self.fresh.floats(weights, 4, "VEC4", Kind::Floats),
+                    self.fresh.floats(weights, 4, "VEC4", NewAccessorKind::Floats),
                 );
-                attributes.insert(format!("JOINTS_{n}"), Handle::New(joints));
-                attributes.insert(format!("WEIGHTS_{n}"), Handle::New(weights));
+                attributes.insert(format!("JOINTS_{n}"), AccessorHandle::New(joints));
+                attributes.insert(format!("WEIGHTS_{n}"), AccessorHandle::New(weights));
             }
         }
         for (name, accessor) in &primitive.attributes {
@@ -219,7 +225,7 @@ impl<'a> Maker<'a, '_> {
                 continue;
             }
             let stored = &self.doc.accessors.values[accessor.index()];
-            if Layout::of(stored, &self.doc.views.values).is_none() {
+            if AccessorLayout::of(stored, &self.doc.views.values).is_none() {
                 // Of a type that only some extension knows: it cannot be blended, and would not fit the new vertices.
                 continue;
             }
@@ -234,14 +240,14 @@ impl<'a> Maker<'a, '_> {
                     mixer.linear(&channel)
                 };
                 self.fresh
-                    .floats(&values, channel.lanes, shape_of(stored), Kind::Floats)
+                    .floats(&values, channel.lanes, shape_of(stored), NewAccessorKind::Floats)
             };
-            attributes.insert(name.clone(), Handle::New(at));
+            attributes.insert(name.clone(), AccessorHandle::New(at));
         }
         Ok(())
     }
 
-    fn read(&self, accessor: usize, lanes: usize) -> Result<Channel, Error> {
+    fn read(&self, accessor: usize, lanes: usize) -> Result<AttributeValues, Error> {
         let channel = read(self.doc, self.buffers, accessor)?;
         if channel.lanes != lanes {
             let problem = format!("{} numbers per element, {lanes} are needed", channel.lanes);
@@ -250,26 +256,30 @@ impl<'a> Maker<'a, '_> {
         Ok(channel)
     }
 
-    fn target(&mut self, target: &Attributes, mixer: &Mixer<'_>) -> Result<BTreeMap<String, Handle>, Error> {
+    fn target(
+        &mut self,
+        target: &Attributes,
+        mixer: &AttributeBlender<'_>,
+    ) -> Result<BTreeMap<String, AccessorHandle>, Error> {
         let mut made = BTreeMap::new();
         for (name, accessor) in target {
             let stored = &self.doc.accessors.values[accessor.index()].shape;
             let channel = read(self.doc, self.buffers, accessor.index())?;
-            let kind = if name == Role::Position.name() && channel.lanes == 3 {
-                Kind::Positions
+            let kind = if name == ShapeAttribute::Position.name() && channel.lanes == 3 {
+                NewAccessorKind::Positions
             } else {
-                Kind::Floats
+                NewAccessorKind::Floats
             };
             let at = self
                 .fresh
                 .floats(&mixer.linear(&channel), channel.lanes, shape_of(stored), kind);
-            made.insert(name.clone(), Handle::New(at));
+            made.insert(name.clone(), AccessorHandle::New(at));
         }
         Ok(made)
     }
 }
 
 /// Whether an application's own attribute names things, so that a mean of two values means nothing.
-fn is_identifier(name: &str, channel: &Channel) -> bool {
+fn is_identifier(name: &str, channel: &AttributeValues) -> bool {
     name.starts_with('_') && (channel.is_whole || name.contains("ID"))
 }

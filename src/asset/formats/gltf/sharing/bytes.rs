@@ -1,26 +1,26 @@
 //! Which bytes of the buffers are used by whom.
 
-use super::super::accessors::Layout;
-use super::super::document::Document;
+use super::super::accessors::AccessorLayout;
+use super::super::document::GltfDocument;
 use std::collections::BTreeSet;
 
 /// Bytes that something uses.
 #[derive(Debug, Clone, Copy)]
-struct Span {
+struct ByteSpan {
     start: u64,
     end: u64,
     /// Elements at a stride, for an accessor; everything between, for all else.
-    elements: Option<Elements>,
+    elements: Option<StridedElements>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Elements {
+struct StridedElements {
     accessor: usize,
     stride: u64,
     size: u64,
 }
 
-impl Span {
+impl ByteSpan {
     /// Whether two uses have a byte in common; `self` is an accessor's.
     fn touches(&self, other: &Self) -> bool {
         if self.end <= other.start || other.end <= self.start {
@@ -39,16 +39,16 @@ impl Span {
 }
 
 /// All uses of every buffer, by where they start.
-pub(super) struct Spans {
+pub(super) struct ByteSpans {
     /// Per buffer: uses, and the furthest end among a use and all before it.
-    buffers: Vec<Vec<(Span, u64)>>,
-    own: Vec<Option<(usize, Span)>>,
+    buffers: Vec<Vec<(ByteSpan, u64)>>,
+    own: Vec<Option<(usize, ByteSpan)>>,
 }
 
-impl Spans {
+impl ByteSpans {
     /// Finds who uses which bytes: accessors, and views that anything else names.
-    pub(super) fn collect(doc: &Document<'_>) -> Self {
-        let mut buffers: Vec<Vec<(Span, u64)>> = vec![Vec::new(); doc.buffers.len()];
+    pub(super) fn collect(doc: &GltfDocument<'_>) -> Self {
+        let mut buffers: Vec<Vec<(ByteSpan, u64)>> = vec![Vec::new(); doc.buffers.len()];
         let mut own = Vec::with_capacity(doc.accessors.len());
         let mut read_by_accessors = BTreeSet::new();
         let mut read_otherwise = views_named_elsewhere(doc);
@@ -60,17 +60,17 @@ impl Spans {
             if let Some(index) = accessor.buffer_view
                 && let Some(view) = doc.views.get(index.index())
             {
-                match Layout::of(accessor, &doc.views.values) {
+                match AccessorLayout::of(accessor, &doc.views.values) {
                     Some(layout) => {
                         read_by_accessors.insert(index.index());
                         let start = view.offset() + accessor.offset();
                         let last = accessor.count.0.saturating_sub(1) * layout.stride;
-                        let elements = Elements {
+                        let elements = StridedElements {
                             accessor: i,
                             stride: layout.stride,
                             size: layout.element,
                         };
-                        let found = Span {
+                        let found = ByteSpan {
                             start,
                             end: start + last + layout.element,
                             elements: Some(elements),
@@ -90,7 +90,7 @@ impl Spans {
             if read_otherwise.contains(&i) || !read_by_accessors.contains(&i) {
                 let (start, end) = (view.offset(), view.offset() + view.byte_length.0);
                 buffers[view.buffer.index()].push((
-                    Span {
+                    ByteSpan {
                         start,
                         end,
                         elements: None,
@@ -101,7 +101,7 @@ impl Spans {
             if let Some(c) = view.compression() {
                 let (start, end) = (c.offset(), c.offset() + c.byte_length.0);
                 buffers[c.buffer.index()].push((
-                    Span {
+                    ByteSpan {
                         start,
                         end,
                         elements: None,
@@ -141,7 +141,7 @@ impl Spans {
 }
 
 /// Views that are named outside the accessors: by images, by compressed primitives, by extensions that we do not know.
-fn views_named_elsewhere(doc: &Document<'_>) -> BTreeSet<usize> {
+fn views_named_elsewhere(doc: &GltfDocument<'_>) -> BTreeSet<usize> {
     const KEY: &str = "\"bufferView\"";
     let accessors = doc.accessors.text.map_or(0..0, |part| {
         let start = part.as_ptr() as usize - doc.text.as_ptr() as usize;

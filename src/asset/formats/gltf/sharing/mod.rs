@@ -4,12 +4,12 @@
 //! copies. An accessor is overwritten only when everyone who uses it, and everyone whose bytes it touches, wants the
 //! same; else the changed users get an accessor of their own.
 
-use super::accessors::{Component, Layout, Role};
-use super::buffers::Buffers;
-use super::deformed::{Channel, Wanted};
-use super::document::Document;
+use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute};
+use super::buffers::BufferBytes;
+use super::deformed::{ChangedAttribute, DeformedAttributes};
+use super::document::GltfDocument;
 use super::read::GltfNotes;
-use super::schema::Whole;
+use super::schema::WholeNumber;
 use super::text;
 use crate::asset::Geometry;
 use std::collections::{BTreeMap, BTreeSet};
@@ -27,48 +27,48 @@ pub(super) enum MeshRef {
 }
 
 /// An accessor whose bytes are overwritten where they are.
-pub(super) struct Overwrite {
+pub(super) struct AccessorOverwrite {
     pub(super) accessor: usize,
-    pub(super) role: Role,
-    pub(super) channel: Channel,
+    pub(super) role: ShapeAttribute,
+    pub(super) channel: ChangedAttribute,
 }
 
 /// A new accessor and the attributes that are pointed at it.
-pub(super) struct Append {
-    pub(super) role: Role,
+pub(super) struct AppendedAccessor {
+    pub(super) role: ShapeAttribute,
     pub(super) values: Vec<f32>,
     pub(super) users: Vec<(MeshRef, usize)>,
 }
 
 /// Everything that is to be changed.
 #[derive(Default)]
-pub(super) struct Plan {
-    pub(super) overwrites: Vec<Overwrite>,
-    pub(super) appends: Vec<Append>,
+pub(super) struct SharingPlan {
+    pub(super) overwrites: Vec<AccessorOverwrite>,
+    pub(super) appends: Vec<AppendedAccessor>,
     pub(super) copies: Vec<MeshCopy>,
     /// Primitives whose compressed twin no longer tells the truth.
     pub(super) stale_draco: BTreeSet<(MeshRef, usize)>,
 }
 
-impl Plan {
+impl SharingPlan {
     pub(super) fn is_empty(&self) -> bool {
         self.overwrites.is_empty() && self.appends.is_empty() && self.copies.is_empty()
     }
 }
 
 /// One attribute that is to become something else.
-struct Change {
+struct AttributeChange {
     mesh: MeshRef,
     primitive: usize,
-    role: Role,
-    channel: Channel,
+    role: ShapeAttribute,
+    channel: ChangedAttribute,
     row: usize,
 }
 
 /// Changes that agree wherever they are looked at.
-struct Group {
-    role: Role,
-    channel: Channel,
+struct ChangeGroup {
+    role: ShapeAttribute,
+    channel: ChangedAttribute,
     /// Vertices on whose value a member insists; empty when nobody else uses the accessor.
     claimed: Vec<bool>,
     users: Vec<(MeshRef, usize)>,
@@ -76,32 +76,32 @@ struct Group {
 
 /// Decides what is overwritten and what parts.
 pub(super) fn plan(
-    doc: &Document<'_>,
-    buffers: &Buffers,
+    doc: &GltfDocument<'_>,
+    buffers: &BufferBytes,
     notes: &GltfNotes,
     rest: &Geometry,
-    mut wanted: Vec<Wanted>,
-) -> Plan {
-    let mut plan = Plan::default();
-    if !wanted.iter().any(Wanted::is_changed) {
+    mut wanted: Vec<DeformedAttributes>,
+) -> SharingPlan {
+    let mut plan = SharingPlan::default();
+    if !wanted.iter().any(DeformedAttributes::is_changed) {
         return plan;
     }
     let variants = variants::part(doc, notes, &wanted);
-    let uses = Uses::collect(doc, &variants, &wanted);
+    let uses = AccessorUses::collect(doc, &variants, &wanted);
     plan.copies = variants.copies;
 
-    let mut by_accessor: BTreeMap<usize, Vec<Change>> = BTreeMap::new();
+    let mut by_accessor: BTreeMap<usize, Vec<AttributeChange>> = BTreeMap::new();
     for (mesh, row) in variants.changed_rows {
         let at = &notes.rows[row];
         let primitive = &doc.meshes.values[at.mesh].primitives[at.primitive];
-        for (role, channel) in Role::ALL.into_iter().zip(&mut wanted[row].0) {
+        for (role, channel) in ShapeAttribute::ALL.into_iter().zip(&mut wanted[row].0) {
             let (Some(accessor), Some(channel)) = (primitive.attribute(role.name()), channel.take()) else {
                 continue;
             };
             if primitive.has_draco() {
                 plan.stale_draco.insert((mesh, at.primitive));
             }
-            let change = Change {
+            let change = AttributeChange {
                 mesh,
                 primitive: at.primitive,
                 role,
@@ -122,17 +122,17 @@ pub(super) fn plan(
             && still.iter().all(|&row| agrees_at_rest(&groups[0], &referenced(row)))
             && is_writable(doc, buffers, accessor, groups[0].role)
             && neighbours
-                .get_or_insert_with(|| bytes::Spans::collect(doc))
+                .get_or_insert_with(|| bytes::ByteSpans::collect(doc))
                 .is_alone(accessor);
         if in_place {
             let first = groups.remove(0);
-            plan.overwrites.push(Overwrite {
+            plan.overwrites.push(AccessorOverwrite {
                 accessor,
                 role: first.role,
                 channel: first.channel,
             });
         }
-        let appends = groups.into_iter().map(|g| Append {
+        let appends = groups.into_iter().map(|g| AppendedAccessor {
             role: g.role,
             values: g.channel.values,
             users: g.users,
@@ -146,9 +146,9 @@ pub(super) fn plan(
 const MOST_COMPARED: usize = 16;
 
 /// Puts changes of one accessor together as far as they agree, in order.
-fn group(changes: Vec<Change>, shared: bool, referenced: &impl Fn(usize) -> Vec<bool>) -> Vec<Group> {
+fn group(changes: Vec<AttributeChange>, shared: bool, referenced: &impl Fn(usize) -> Vec<bool>) -> Vec<ChangeGroup> {
     let alone = changes.len() == 1 && !shared;
-    let mut groups: Vec<Group> = Vec::new();
+    let mut groups: Vec<ChangeGroup> = Vec::new();
     let mut equal: BTreeMap<u64, usize> = BTreeMap::new();
     for change in changes {
         let user = (change.mesh, change.primitive);
@@ -173,7 +173,7 @@ fn group(changes: Vec<Change>, shared: bool, referenced: &impl Fn(usize) -> Vec<
             }
             None => {
                 equal.insert(fingerprint, groups.len());
-                groups.push(Group {
+                groups.push(ChangeGroup {
                     role: change.role,
                     channel: change.channel,
                     claimed,
@@ -185,7 +185,7 @@ fn group(changes: Vec<Change>, shared: bool, referenced: &impl Fn(usize) -> Vec<
     groups
 }
 
-fn claims(channel: &Channel, mut referenced: Vec<bool>) -> Vec<bool> {
+fn claims(channel: &ChangedAttribute, mut referenced: Vec<bool>) -> Vec<bool> {
     referenced
         .iter_mut()
         .zip(&channel.changed)
@@ -193,13 +193,13 @@ fn claims(channel: &Channel, mut referenced: Vec<bool>) -> Vec<bool> {
     referenced
 }
 
-impl Group {
-    fn element<'c>(&self, channel: &'c Channel, i: usize) -> &'c [f32] {
+impl ChangeGroup {
+    fn element<'c>(&self, channel: &'c ChangedAttribute, i: usize) -> &'c [f32] {
         let lanes = self.role.lanes();
         &channel.values[i * lanes..][..lanes]
     }
 
-    fn accepts(&self, other: &Channel, claimed: &[bool]) -> bool {
+    fn accepts(&self, other: &ChangedAttribute, claimed: &[bool]) -> bool {
         let same = |i| {
             let bits = |c| self.element(c, i).iter().map(|v| v.to_bits());
             bits(&self.channel).eq(bits(other))
@@ -207,7 +207,7 @@ impl Group {
         (0..claimed.len()).all(|i| !(claimed[i] && self.claimed[i]) || same(i))
     }
 
-    fn take_in(&mut self, other: &Channel, claimed: &[bool]) {
+    fn take_in(&mut self, other: &ChangedAttribute, claimed: &[bool]) {
         let lanes = self.role.lanes();
         for i in (0..claimed.len()).filter(|&i| claimed[i]) {
             let values = self.element(other, i);
@@ -219,7 +219,7 @@ impl Group {
 }
 
 /// Whether a user who wants nothing changed sees no change.
-fn agrees_at_rest(group: &Group, referenced: &[bool]) -> bool {
+fn agrees_at_rest(group: &ChangeGroup, referenced: &[bool]) -> bool {
     group
         .channel
         .changed
@@ -240,7 +240,7 @@ fn referenced(notes: &GltfNotes, rest: &Geometry, row: usize) -> Vec<bool> {
 
 /// Who uses accessors without wanting to change them.
 #[derive(Default)]
-struct Uses {
+struct AccessorUses {
     /// Rows that want their stored values, by accessor.
     still: BTreeMap<usize, Vec<usize>>,
     /// Accessors that something else uses: other attributes, morph targets, indices, primitives that are no rows,
@@ -248,8 +248,8 @@ struct Uses {
     strangers: BTreeSet<usize>,
 }
 
-impl Uses {
-    fn collect(doc: &Document<'_>, variants: &variants::Variants, wanted: &[Wanted]) -> Self {
+impl AccessorUses {
+    fn collect(doc: &GltfDocument<'_>, variants: &variants::MeshVariants, wanted: &[DeformedAttributes]) -> Self {
         let mut uses = Self::default();
         for (m, mesh) in doc.meshes.values.iter().enumerate() {
             for (p, primitive) in mesh.primitives.iter().enumerate() {
@@ -258,7 +258,7 @@ impl Uses {
                     .extend(primitive.targets.iter().flat_map(|t| t.values()).map(|a| a.index()));
                 let rows = variants.rows_of.get(&(m, p));
                 for (name, accessor) in &primitive.attributes {
-                    match (Role::ALL.iter().position(|r| r.name() == name), rows) {
+                    match (ShapeAttribute::ALL.iter().position(|r| r.name() == name), rows) {
                         (Some(role), Some(rows)) => {
                             let still = rows
                                 .iter()
@@ -301,17 +301,17 @@ fn index_at(object: &str, key: &str) -> Option<usize> {
 }
 
 fn index(json: &str) -> Option<usize> {
-    serde_json::from_str::<Whole>(json).ok().map(Whole::index)
+    serde_json::from_str::<WholeNumber>(json).ok().map(WholeNumber::index)
 }
 
 /// Whether the accessor's own bytes can hold new floats.
-fn is_writable(doc: &Document<'_>, buffers: &Buffers, index: usize, role: Role) -> bool {
+fn is_writable(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize, role: ShapeAttribute) -> bool {
     let accessor = &doc.accessors.values[index];
     let Some(view) = accessor.buffer_view.and_then(|v| doc.views.get(v.index())) else {
         return false;
     };
-    let is_float = Layout::of(accessor, &doc.views.values)
-        .is_some_and(|l| l.component == Component::F32 && l.lanes == role.lanes());
+    let is_float = AccessorLayout::of(accessor, &doc.views.values)
+        .is_some_and(|l| l.component == ComponentType::F32 && l.lanes == role.lanes());
     let buffer = view.buffer.index();
     is_float
         && accessor.sparse.is_none()

@@ -1,7 +1,7 @@
 //! Meshes under several nodes, and the copies that part them.
 
-use super::super::deformed::Wanted;
-use super::super::document::Document;
+use super::super::deformed::DeformedAttributes;
+use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
 use super::MeshRef;
 use std::collections::{BTreeMap, BTreeSet};
@@ -15,7 +15,7 @@ pub(in super::super) struct MeshCopy {
 }
 
 /// The shapes that each mesh is wanted in.
-pub(super) struct Variants {
+pub(super) struct MeshVariants {
     pub(super) copies: Vec<MeshCopy>,
     /// Rows with changes, each with the mesh that shows them; one row for every shape.
     pub(super) changed_rows: Vec<(MeshRef, usize)>,
@@ -25,7 +25,7 @@ pub(super) struct Variants {
     staying: BTreeSet<usize>,
 }
 
-impl Variants {
+impl MeshVariants {
     /// Whether a row also stands for nodes that want it unchanged.
     pub(super) fn stays(&self, row: usize) -> bool {
         self.staying.contains(&row)
@@ -33,8 +33,8 @@ impl Variants {
 }
 
 /// Finds the shapes of every mesh. Nodes that want the same shape share it.
-pub(super) fn part(doc: &Document<'_>, notes: &GltfNotes, wanted: &[Wanted]) -> Variants {
-    let mut variants = Variants {
+pub(super) fn part(doc: &GltfDocument<'_>, notes: &GltfNotes, wanted: &[DeformedAttributes]) -> MeshVariants {
+    let mut variants = MeshVariants {
         copies: Vec::new(),
         changed_rows: Vec::new(),
         rows_of: BTreeMap::new(),
@@ -62,11 +62,11 @@ pub(super) fn part(doc: &Document<'_>, notes: &GltfNotes, wanted: &[Wanted]) -> 
     variants
 }
 
-impl Variants {
+impl MeshVariants {
     fn add(
         &mut self,
         notes: &GltfNotes,
-        wanted: &[Wanted],
+        wanted: &[DeformedAttributes],
         mesh: usize,
         nodes: Vec<(usize, Vec<usize>)>,
         outside: Vec<usize>,

@@ -3,7 +3,7 @@
 use super::*;
 
 fn square_under(nodes: &str, scene: &str) -> FileSet {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&CORNERS);
     draft.glb(&format!(
@@ -78,7 +78,7 @@ fn nodes_outside_the_scene_keep_the_old_shape() {
 
 /// Two halves of one square that share its vertices, as levels of detail and material splits do.
 fn halves() -> FileSet {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&CORNERS[..3]);
     draft.indices(&CORNERS[3..]);
@@ -134,7 +134,7 @@ fn bytes_that_others_use_are_not_overwritten() {
         ("", r#","extensions":{"X_any":{"bufferView":0}}"#),
     ];
     for (primitive, root) in users {
-        let mut draft = Draft::default();
+        let mut draft = DocumentDraft::default();
         draft.points(&SQUARE);
         draft.indices(&CORNERS);
         let primitive = format!(r#"{{"attributes":{{"POSITION":0}},"indices":1{primitive}}}"#);
@@ -151,7 +151,7 @@ fn bytes_that_others_use_are_not_overwritten() {
         );
     }
     // A second view over the same bytes that nobody is known to read.
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&CORNERS);
     draft

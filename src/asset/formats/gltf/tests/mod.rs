@@ -10,13 +10,13 @@ use glam::DVec3;
 
 /// A document in the making: one buffer, and what lies in it.
 #[derive(Default)]
-struct Draft {
+struct DocumentDraft {
     bin: Vec<u8>,
     views: Vec<String>,
     accessors: Vec<String>,
 }
 
-impl Draft {
+impl DocumentDraft {
     fn view(&mut self, bytes: &[u8], more: &str) -> usize {
         self.bin.resize(self.bin.len().next_multiple_of(4), 0);
         let (offset, length) = (self.bin.len(), bytes.len());
@@ -62,7 +62,7 @@ impl Draft {
             &self.json(body, ""),
             Some(&self.bin),
             &[],
-            super::fault::Fault(Format::GLB),
+            super::fault::GltfFault(Format::GLB),
         );
         FileSet::single("draft.glb", glb.expect("small"))
     }
@@ -129,7 +129,7 @@ fn again(written: &WrittenFiles) -> FileSet {
 /// The JSON of a file, as text.
 fn text(main: &[u8]) -> String {
     if main.starts_with(b"glTF") {
-        let parts = super::container::split(main, super::fault::Fault(Format::GLB)).expect("valid");
+        let parts = super::container::split(main, super::fault::GltfFault(Format::GLB)).expect("valid");
         return String::from_utf8(parts.json.to_vec())
             .expect("text")
             .trim_end()
@@ -144,6 +144,6 @@ fn json(written: &WrittenFiles) -> serde_json::Value {
 
 /// The BIN chunk of a GLB.
 fn bin(main: &[u8]) -> Vec<u8> {
-    let parts = super::container::split(main, super::fault::Fault(Format::GLB)).expect("valid");
+    let parts = super::container::split(main, super::fault::GltfFault(Format::GLB)).expect("valid");
     parts.bin.expect("a BIN chunk").to_vec()
 }

@@ -3,8 +3,8 @@
 use super::*;
 use crate::asset::neutral::NeutralModel;
 
-fn square() -> Draft {
-    let mut draft = Draft::default();
+fn square() -> DocumentDraft {
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&CORNERS);
     draft

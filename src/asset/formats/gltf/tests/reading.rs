@@ -4,7 +4,7 @@ use super::*;
 use glam::{Vec3, Vec4};
 
 fn square(node: &str, more: &str) -> FileSet {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.points(&[[1.0, 0.0, 0.0]; 4]);
     let tangents: Vec<u8> = [0.0, 0.0, 1.0, 1.0_f32].iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -51,7 +51,7 @@ fn a_skinned_mesh_ignores_its_node() {
 
 #[test]
 fn transforms_multiply_down_the_tree_and_rotations_need_not_be_of_unit_length() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&CORNERS);
     let body = concat!(
@@ -72,7 +72,7 @@ fn transforms_multiply_down_the_tree_and_rotations_need_not_be_of_unit_length() 
 
 #[test]
 fn strips_and_fans_become_triangles_of_the_same_side() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&[0, 1, 3, 2]);
     draft.indices(&[0, 1, 2, 3]);
@@ -130,7 +130,7 @@ fn all_quantised_types_follow_the_rules_of_normalisation() {
         (5123, "false", vec![0xff, 0xff, 1, 0, 0, 1, 0, 0], [65535.0, 1.0, 256.0]),
     ];
     for (component, normalized, element, expected) in cases {
-        let mut draft = Draft::default();
+        let mut draft = DocumentDraft::default();
         let view = draft.view(&element.repeat(3), &format!(r#","byteStride":{}"#, element.len()));
         draft.accessor(view, component, 3, "VEC3", &format!(r#","normalized":{normalized}"#));
         let files = draft.glb(&format!(
@@ -147,7 +147,7 @@ fn all_quantised_types_follow_the_rules_of_normalisation() {
 
 #[test]
 fn versions_and_extensions_decide_what_is_read() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&CORNERS);
     let body = one(r#"{"attributes":{"POSITION":0},"indices":1}"#);

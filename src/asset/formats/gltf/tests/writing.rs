@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn text_outside_the_changed_places_stays_to_the_character() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     let view = draft.view(&bytes_of(&SQUARE), "");
     draft.accessor(
         view,
@@ -37,7 +37,7 @@ fn text_outside_the_changed_places_stays_to_the_character() {
 
 #[test]
 fn bounds_read_back_as_the_same_floats_and_are_added_where_missing() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&CORNERS);
     let files = draft.glb(&one(r#"{"attributes":{"POSITION":0},"indices":1}"#));
@@ -59,7 +59,7 @@ fn bounds_read_back_as_the_same_floats_and_are_added_where_missing() {
 
 #[test]
 fn interleaved_attributes_are_overwritten_between_the_others() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     let vertices: Vec<u8> = (0..4)
         .flat_map(|i| [&bytes_of(&SQUARE[i..=i])[..], &bytes_of(&UP[..1]), b"uvuvuvuv"].concat())
         .collect();
@@ -87,7 +87,7 @@ fn interleaved_attributes_are_overwritten_between_the_others() {
 
 #[test]
 fn a_translation_leaves_normals_alone() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     let tilted = [
         [0.36, 0.48, 0.8],
@@ -104,7 +104,7 @@ fn a_translation_leaves_normals_alone() {
 
 #[test]
 fn sparse_positions_become_an_accessor_of_their_own() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     let base = draft.view(&bytes_of(&SQUARE), "");
     let at = draft.view(&[1, 3], "");
     let to = draft.view(&bytes_of(&[[2.0, 0.0, 0.0], [0.0, 3.0, 0.0]]), "");
@@ -135,7 +135,7 @@ fn sparse_positions_become_an_accessor_of_their_own() {
 
 #[test]
 fn quantised_positions_come_back_as_floats() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     let steps: Vec<u8> = SQUARE
         .iter()
         .flat_map(|p| [p[0] as u8 * 255, p[1] as u8 * 51, 0, 0])
@@ -165,7 +165,7 @@ fn quantised_positions_come_back_as_floats() {
 
 #[test]
 fn an_invalid_normal_is_kept_until_its_primitive_changes() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.points(&[[f32::NAN, 0.0, 0.0], [0.0; 3], UP[0], UP[0]]);
     let handed: Vec<u8> = [
@@ -202,7 +202,7 @@ fn an_invalid_normal_is_kept_until_its_primitive_changes() {
 
 #[test]
 fn a_stale_draco_copy_is_dropped_where_the_mesh_changed() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.points(&SQUARE);
     draft.indices(&CORNERS);
@@ -236,7 +236,7 @@ fn a_stale_draco_copy_is_dropped_where_the_mesh_changed() {
 
 #[test]
 fn positions_that_do_not_fit_are_refused() {
-    let mut draft = Draft::default();
+    let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.indices(&CORNERS);
     let files = draft.glb(&one(r#"{"attributes":{"POSITION":0},"indices":1}"#));

@@ -1,6 +1,6 @@
 //! Models from disk and back: the only place where the command line touches model files.
 
-use super::Failure;
+use super::failure::CliFailure;
 use crate::asset::{FileSet, Format, WrittenFiles};
 use percent_encoding::percent_decode_str;
 use std::collections::BTreeMap;
@@ -12,8 +12,8 @@ use std::path::{Component, Path, PathBuf};
 const LARGEST: u64 = 4 << 30;
 
 /// Reads a model and, for glTF, the files beside it that it names. Nothing outside the model's folder is opened.
-pub(super) fn read_model(path: &Path) -> Result<FileSet, Failure> {
-    let main = read(path)?;
+pub(super) fn read_model(path: &Path) -> Result<FileSet, CliFailure> {
+    let main = read_file(path)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut set = FileSet::single(name, main);
     let is_gltf = Format::from_bytes(&set.main).or_else(|| Format::from_file_name(&set.name)) == Some(Format::GLTF);
@@ -24,7 +24,7 @@ pub(super) fn read_model(path: &Path) -> Result<FileSet, Failure> {
             let beside = folder.join(&decoded);
             // A missing companion is the reader's to report: it knows whether the file is needed.
             if stays_inside(&decoded) && beside.is_file() && inside_on_disk(folder, &beside) {
-                set.companions.insert(decoded, read(&beside)?.into());
+                set.companions.insert(decoded, read_file(&beside)?.into());
             }
         }
     }
@@ -32,11 +32,11 @@ pub(super) fn read_model(path: &Path) -> Result<FileSet, Failure> {
 }
 
 /// Reads a whole file.
-pub(super) fn read(path: &Path) -> Result<Vec<u8>, Failure> {
-    let refuse = |e: std::io::Error| Failure::Input(format!("cannot read {}: {e}", path.display()));
+pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, CliFailure> {
+    let refuse = |e: std::io::Error| CliFailure::Input(format!("cannot read {}: {e}", path.display()));
     let facts = fs::metadata(path).map_err(refuse)?;
     if facts.is_dir() {
-        return Err(Failure::Input(format!(
+        return Err(CliFailure::Input(format!(
             "{} is a folder, a file is needed",
             path.display()
         )));
@@ -47,12 +47,12 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, Failure> {
             path.display(),
             facts.len()
         );
-        return Err(Failure::Input(problem));
+        return Err(CliFailure::Input(problem));
     }
     fs::read(path).map_err(refuse)
 }
 
-/// URIs of buffers and images that are not embedded. Broken JSON names none; the reader says what is wrong with it.
+/// Lists the URIs of buffers and images that are not embedded. Broken JSON names none; the reader says what is wrong with it.
 fn named_files(json: &[u8]) -> Vec<String> {
     let Ok(document) = serde_json::from_slice::<serde_json::Value>(json) else {
         return Vec::new();
@@ -67,12 +67,12 @@ fn named_files(json: &[u8]) -> Vec<String> {
         .collect()
 }
 
-/// A relative path of plain names.
+/// Whether a URI is a relative path of plain names.
 fn stays_inside(uri: &str) -> bool {
     !uri.contains(['\\', ':', '\0']) && Path::new(uri).components().all(|c| matches!(c, Component::Normal(_)))
 }
 
-/// The same after symbolic links are followed.
+/// Whether a file lies in a folder after symbolic links are followed.
 fn inside_on_disk(folder: &Path, file: &Path) -> bool {
     let folder = if folder.as_os_str().is_empty() {
         Path::new(".")
@@ -85,11 +85,11 @@ fn inside_on_disk(folder: &Path, file: &Path) -> bool {
     }
 }
 
-/// The format that an output path asks for.
-pub(super) fn output_format(path: &Path) -> Result<Format, Failure> {
+/// Tells the format that an output path asks for.
+pub(super) fn output_format(path: &Path) -> Result<Format, CliFailure> {
     Format::from_file_name(&path.to_string_lossy()).ok_or_else(|| {
-        let problem = "its extension must be one of glb, gltf, obj, ply, off and stl";
-        Failure::Input(format!("cannot tell the format of {}: {problem}", path.display()))
+        let problem = format!("its extension must be one of {}", Format::name_list("and"));
+        CliFailure::Input(format!("cannot tell the format of {}: {problem}", path.display()))
     })
 }
 
@@ -101,7 +101,7 @@ pub(super) fn write_model(
     written: &WrittenFiles,
     model: &Path,
     read: &FileSet,
-) -> Result<Vec<PathBuf>, Failure> {
+) -> Result<Vec<PathBuf>, CliFailure> {
     let folder = path
         .parent()
         .filter(|p| !p.as_os_str().is_empty())
@@ -109,7 +109,7 @@ pub(super) fn write_model(
     let mut files = BTreeMap::new();
     for (uri, bytes) in &written.companions {
         if !stays_inside(uri) {
-            return Err(Failure::Input(format!(
+            return Err(CliFailure::Input(format!(
                 "the model names \"{uri}\", which lies outside the output's folder"
             )));
         }
@@ -125,7 +125,7 @@ pub(super) fn write_model(
                 continue;
             }
             let problem = format!("writing {} would overwrite the model's own {uri}", path.display());
-            return Err(Failure::Input(format!(
+            return Err(CliFailure::Input(format!(
                 "{problem}; write into another folder, or as .glb"
             )));
         }
@@ -138,19 +138,19 @@ pub(super) fn write_model(
             Ok(temp) => temporary.push((temp, target)),
             Err(e) => {
                 temporary.iter().for_each(|(temp, _)| drop(fs::remove_file(temp)));
-                return Err(Failure::Input(format!("cannot write {}: {e}", target.display())));
+                return Err(CliFailure::Input(format!("cannot write {}: {e}", target.display())));
             }
         }
     }
     for (temp, target) in &temporary {
-        fs::rename(temp, target).map_err(|e| Failure::Input(format!("cannot write {}: {e}", target.display())))?;
+        fs::rename(temp, target).map_err(|e| CliFailure::Input(format!("cannot write {}: {e}", target.display())))?;
     }
     Ok(files.into_keys().collect())
 }
 
 /// Writes one file: whole or not at all as far as a file system allows.
-pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let refuse = |e: std::io::Error| Failure::Input(format!("cannot write {}: {e}", path.display()));
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), CliFailure> {
+    let refuse = |e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
     let temp = write_beside(path, bytes).map_err(refuse)?;
     fs::rename(&temp, path).map_err(refuse)
 }

@@ -1,9 +1,9 @@
 //! How far a result is from its golden, in numbers and places.
 
-use super::distance::hausdorff;
-use super::found::Found;
+use super::case_result::{CaseResult, TopologyDigests};
+use super::distance::hausdorff_distance;
 use super::golden::Golden;
-use super::{Metric, found::Topology};
+use super::metric::{Metric, format_point};
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -16,9 +16,9 @@ const APART: f64 = 0.06;
 /// Relative rounding of a 32-bit float, with room for one step more.
 const ROUNDED: f64 = 2.4e-7;
 
-/// The comparison of two shapes.
+/// A comparison tells how far a result is from its golden.
 #[derive(Debug, Clone, Default)]
-pub struct Comparison {
+pub struct GoldenComparison {
     /// The stored shape as near to the result as its file can tell. Empty when the vertices are others.
     pub stored: Vec<DVec3>,
     /// Its triangles; `None` when they are not known.
@@ -34,25 +34,25 @@ pub struct Comparison {
 }
 
 /// Compares a finite result with its golden. With another topology only the distance of the surfaces can be told.
-pub fn compare(found: &Found, golden: &Golden, pool: &Pool) -> Comparison {
-    let same = Topology::of(found.positions.len(), &found.triangles) == golden.topology;
+pub fn compare_with_golden(found: &CaseResult, golden: &Golden, pool: &Pool) -> GoldenComparison {
+    let same = TopologyDigests::from_triangles(found.positions.len(), &found.triangles) == golden.topology;
     let slack = if found.rounded { ROUNDED } else { 0.0 };
-    let mut comparison = Comparison {
-        stored: golden.places.nearest_to(&found.positions, slack),
+    let mut comparison = GoldenComparison {
+        stored: golden.positions.nearest_to(&found.positions, slack),
         triangles: stored_triangles(found, golden, same),
         ..Default::default()
     };
-    let diagonal = golden.places.diagonal();
+    let diagonal = golden.positions.diagonal();
     let unit = if diagonal > 0.0 { diagonal } else { 1.0 };
     if same {
-        comparison.displacements(found, unit);
-        comparison.normals(found, pool);
-        comparison.edges(found, golden.places.resolution() * unit, pool);
+        comparison.measure_displacements(found, unit);
+        comparison.measure_normals(found, pool);
+        comparison.measure_edges(found, golden.positions.resolution() * unit, pool);
     }
     // The same bits are no distance apart, and need no search.
     let apart = match &comparison.triangles {
         Some(_) if same && comparison.stored == found.positions => Some((0.0, DVec3::ZERO)),
-        Some(triangles) => hausdorff(
+        Some(triangles) => hausdorff_distance(
             (&comparison.stored, triangles),
             (&found.positions, &found.triangles),
             pool,
@@ -60,13 +60,15 @@ pub fn compare(found: &Found, golden: &Golden, pool: &Pool) -> Comparison {
         None => None,
     };
     if let Some((distance, point)) = apart {
-        comparison.tell(Metric::Hausdorff, distance / unit, || format!("at {}", place(point)));
+        comparison.record_metric(Metric::Hausdorff, distance / unit, || {
+            format!("at {}", format_point(point))
+        });
     }
     comparison
 }
 
 /// The triangles of the stored shape: kept in the golden, or those of the result or the model when they are the same.
-fn stored_triangles(found: &Found, golden: &Golden, same: bool) -> Option<Vec<[u32; 3]>> {
+fn stored_triangles(found: &CaseResult, golden: &Golden, same: bool) -> Option<Vec<[u32; 3]>> {
     if same {
         return Some(found.triangles.clone());
     }
@@ -74,18 +76,18 @@ fn stored_triangles(found: &Found, golden: &Golden, same: bool) -> Option<Vec<[u
         return Some(kept.clone());
     }
     let (positions, triangles) = &found.before;
-    (Topology::of(positions.len(), triangles) == golden.topology).then(|| triangles.clone())
+    (TopologyDigests::from_triangles(positions.len(), triangles) == golden.topology).then(|| triangles.clone())
 }
 
-impl Comparison {
-    fn tell(&mut self, metric: Metric, value: f64, place: impl FnOnce() -> String) {
+impl GoldenComparison {
+    fn record_metric(&mut self, metric: Metric, value: f64, place: impl FnOnce() -> String) {
         self.numbers.insert(metric, value);
         if value > 0.0 {
             self.places.insert(metric, place());
         }
     }
 
-    fn displacements(&mut self, found: &Found, unit: f64) {
+    fn measure_displacements(&mut self, found: &CaseResult, unit: f64) {
         let far: Vec<f64> = found
             .positions
             .iter()
@@ -111,8 +113,8 @@ impl Comparison {
         let most = far.iter().copied().fold(0.0, f64::max);
         let worst = self.worst.first().copied().unwrap_or_default();
         let at = found.positions.get(worst as usize).copied().unwrap_or_default();
-        self.tell(Metric::MaxDisplacement, most / unit, || {
-            format!("vertex {worst} at {}", place(at))
+        self.record_metric(Metric::MaxDisplacement, most / unit, || {
+            format!("vertex {worst} at {}", format_point(at))
         });
         let mean = far.iter().sum::<f64>() / count;
         let squares = far.iter().map(|d| d * d).sum::<f64>() / count;
@@ -120,7 +122,7 @@ impl Comparison {
         self.numbers.insert(Metric::RmsDisplacement, squares.sqrt() / unit);
     }
 
-    fn normals(&mut self, found: &Found, pool: &Pool) {
+    fn measure_normals(&mut self, found: &CaseResult, pool: &Pool) {
         let normal = |shape: &[DVec3], t: &[u32; 3]| {
             let [a, b, c] = t.map(|v| shape[v as usize]);
             (b - a).cross(c - a)
@@ -146,9 +148,9 @@ impl Comparison {
         self.largest_angle = sorted.last().copied().unwrap_or_default();
         let rank = (sorted.len() * 95).div_ceil(100).saturating_sub(1);
         let percentile = sorted.get(rank).copied().unwrap_or_default();
-        self.tell(Metric::NormalDegrees, percentile, || first_worst(&angles));
+        self.record_metric(Metric::NormalDegrees, percentile, || first_worst(&angles));
         let flipped: Vec<usize> = (0..angles.len()).filter(|&t| angles[t] > 90.0).collect();
-        self.tell(Metric::FlippedTriangles, flipped.len() as f64, || {
+        self.record_metric(Metric::FlippedTriangles, flipped.len() as f64, || {
             let some: Vec<String> = flipped.iter().take(4).map(ToString::to_string).collect();
             let more = if flipped.len() > 4 { " …" } else { "" };
             format!("triangle {}{more}", some.join(", "))
@@ -156,7 +158,7 @@ impl Comparison {
     }
 
     /// `resolution` is how far a stored position may be from the true one: shorter edges tell no ratio.
-    fn edges(&mut self, found: &Found, resolution: f64, pool: &Pool) {
+    fn measure_edges(&mut self, found: &CaseResult, resolution: f64, pool: &Pool) {
         let change = |a: u32, b: u32| {
             let length = |shape: &[DVec3]| shape[a as usize].distance(shape[b as usize]);
             let (now, stored) = (length(&found.positions), length(&self.stored));
@@ -175,25 +177,19 @@ impl Comparison {
                 }
             }
         }
-        self.tell(Metric::EdgeStretch, most, || format!("edge {} to {}", edge[0], edge[1]));
+        self.record_metric(Metric::EdgeStretch, most, || format!("edge {} to {}", edge[0], edge[1]));
     }
-}
-
-/// A place for people.
-pub(super) fn place(p: DVec3) -> String {
-    let [x, y, z] = p.to_array().map(super::metric::short);
-    format!("[{x}, {y}, {z}]")
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::golden::Inputs;
+    use super::super::golden::InputHashes;
     use super::*;
     use crate::asset::shapes;
 
-    fn found() -> Found {
+    fn found() -> CaseResult {
         let (positions, triangles) = shapes::grid(2.0, 1.0, [20, 10]);
-        Found {
+        CaseResult {
             before: (positions.clone(), triangles.clone()),
             positions,
             triangles,
@@ -201,17 +197,17 @@ mod tests {
         }
     }
 
-    fn golden(found: &Found) -> Golden {
-        let inputs = Inputs {
+    fn golden(found: &CaseResult) -> Golden {
+        let inputs = InputHashes {
             model: String::new(),
             job: String::new(),
         };
-        Golden::of(found, inputs)
+        Golden::from_result(found, inputs)
     }
 
-    fn measured(now: &Found, stored: &Found) -> Comparison {
-        let one = compare(now, &golden(stored), &Pool::new(1).expect("a thread"));
-        let two = compare(now, &golden(stored), &Pool::new(2).expect("threads"));
+    fn measured(now: &CaseResult, stored: &CaseResult) -> GoldenComparison {
+        let one = compare_with_golden(now, &golden(stored), &Pool::new(1).expect("a thread"));
+        let two = compare_with_golden(now, &golden(stored), &Pool::new(2).expect("threads"));
         assert_eq!(
             (&one.numbers, &one.places, &one.worst),
             (&two.numbers, &two.places, &two.worst)
@@ -270,7 +266,7 @@ mod tests {
     #[test]
     fn other_triangles_leave_the_distance_of_the_surfaces() {
         let (positions, triangles) = shapes::grid(2.0, 1.0, [30, 7]);
-        let finer = Found {
+        let finer = CaseResult {
             before: found().before,
             positions,
             triangles,
@@ -280,7 +276,7 @@ mod tests {
         assert_eq!(comparison.numbers.keys().collect::<Vec<_>>(), [&Metric::Hausdorff]);
         assert!(comparison.numbers[&Metric::Hausdorff] < 1e-4);
         // Nor can that be told when nobody knows the stored triangles.
-        let lost = Found {
+        let lost = CaseResult {
             before: Default::default(),
             ..finer
         };

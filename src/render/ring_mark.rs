@@ -1,16 +1,17 @@
 //! Rings with a number around places that someone should look at.
 
+use super::camera::Camera;
 use super::colour::Rgb;
-use super::{Camera, Picture};
+use super::picture::Picture;
 use glam::{DVec2, DVec3};
 
 /// Colours of a ring and of the rim that sets it off from whatever lies under it.
 const RING: Rgb = [16, 24, 40];
 const RIM: Rgb = [255, 255, 255];
 
-/// A place to point at.
+/// A mark is a ring with a label around a place that someone should look at.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Mark {
+pub struct RingMark {
     /// Where it is, in model space.
     pub at: DVec3,
     /// What stands beside it, a character or two.
@@ -22,10 +23,10 @@ pub struct Mark {
 /// Dashes of a ring.
 const DASHES: f64 = 10.0;
 
-impl Mark {
-    /// Marks the most: the vertices with the largest of `values`, at most `count`, none closer to another than `apart`.
-    /// Values of 0 are no reason to look. Of equal values the first vertex comes first.
-    pub fn largest(positions: &[DVec3], values: &[f64], count: usize, apart: f64) -> Vec<Self> {
+impl RingMark {
+    /// Marks the vertices with the largest of `values`: at most `count`, none closer to another than `apart`. A value of 0
+    /// marks nothing. Of equal values the first vertex comes first.
+    pub fn at_largest_values(positions: &[DVec3], values: &[f64], count: usize, apart: f64) -> Vec<Self> {
         let mut order: Vec<usize> = (0..positions.len().min(values.len()))
             .filter(|&v| values[v] > 0.0)
             .collect();
@@ -46,9 +47,9 @@ impl Mark {
     }
 
     /// Draws the ring on a picture that `camera` took, which begins `left` and `top` pixels into this one.
-    pub fn draw(&self, picture: &mut Picture, camera: &Camera, left: u32, top: u32) {
+    pub fn draw_on(&self, picture: &mut Picture, camera: &Camera, left: u32, top: u32) {
         let size = camera.size();
-        let seen = camera.project(self.at).truncate();
+        let seen = camera.project_point(self.at).truncate();
         let small = f64::from(size.width().min(size.height()));
         let radius = (small / 32.0).clamp(4.0, 24.0);
         let width = (small / 300.0).clamp(1.0, 3.0);
@@ -71,8 +72,8 @@ impl Mark {
                     continue;
                 }
                 // Covered shares of the pixel: the rim is wider and lies below.
-                picture.mix(x, y, RIM, (1.2 * width + 0.5 - off).clamp(0.0, 1.0));
-                picture.mix(x, y, RING, (0.5 * width + 0.5 - off).clamp(0.0, 1.0));
+                picture.blend_pixel(x, y, RIM, (1.2 * width + 0.5 - off).clamp(0.0, 1.0));
+                picture.blend_pixel(x, y, RING, (0.5 * width + 0.5 - off).clamp(0.0, 1.0));
             }
         }
         let dot = (size.width().min(size.height()) / 240).clamp(1, 4);
@@ -85,50 +86,51 @@ impl Mark {
         };
         let y = (center.y - f64::from(high) / 2.0).clamp(f64::from(top), end.y - f64::from(high).min(end.y));
         let (x, y) = (x.max(f64::from(left)) as u32, y as u32);
-        picture.fill(
+        picture.fill_rectangle(
             x.saturating_sub(dot),
             y.saturating_sub(dot),
             wide + 2 * dot,
             high + 2 * dot,
             RIM,
         );
-        picture.write(x, y, dot, &self.label, RING);
+        picture.write_text(x, y, dot, &self.label, RING);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Size, Surface, Up, View};
+    use super::super::camera::{PictureSize, UpAxis, ViewDirection};
+    use super::super::surface::ShadedSurface;
     use super::*;
     use crate::pool::Pool;
 
     #[test]
     fn the_largest_come_first_and_keep_apart() {
         let p = [0.0, 0.1, 5.0, 9.0].map(|x| DVec3::X * x);
-        let marks = Mark::largest(&p, &[2.0, 3.0, 0.0, 1.0], 9, 0.5);
+        let marks = RingMark::at_largest_values(&p, &[2.0, 3.0, 0.0, 1.0], 9, 0.5);
         let told: Vec<(f64, &str)> = marks.iter().map(|m| (m.at.x, m.label.as_str())).collect();
         assert_eq!(told, [(0.1, "1"), (9.0, "2")]);
-        assert_eq!(Mark::largest(&p, &[1.0; 4], 1, 0.0).len(), 1);
-        assert!(Mark::largest(&p, &[0.0; 4], 3, 0.0).is_empty());
+        assert_eq!(RingMark::at_largest_values(&p, &[1.0; 4], 1, 0.0).len(), 1);
+        assert!(RingMark::at_largest_values(&p, &[0.0; 4], 3, 0.0).is_empty());
     }
 
     #[test]
     fn a_ring_lies_around_its_place_and_nothing_is_drawn_outside() {
         let p = [DVec3::ZERO, DVec3::X, DVec3::Y];
-        let surface = Surface::new(&p, &[[0, 1, 2]], &Pool::new(1).expect("a thread")).expect("a surface");
-        let view = View::new(0.0, 0.0, Up::Y).expect("in range");
-        let camera = &Camera::around(&[&surface], &[view], Size::new(100, 80).expect("in range"))[0];
+        let surface = ShadedSurface::new(&p, &[[0, 1, 2]], &Pool::new(1).expect("a thread")).expect("a surface");
+        let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
+        let camera = &Camera::around_surfaces(&[&surface], &[view], PictureSize::new(100, 80).expect("in range"))[0];
         let white = [200, 210, 220];
         let mut picture = Picture::new(140, 100, white).expect("small");
         for (at, label) in [(DVec3::X, "1"), (DVec3::X * 50.0, "2"), (DVec3::NEG_X * 50.0, "3")] {
-            let mark = Mark {
+            let mark = RingMark {
                 at,
                 label: label.into(),
                 hidden: false,
             };
-            mark.draw(&mut picture, camera, 20, 10);
+            mark.draw_on(&mut picture, camera, 20, 10);
         }
-        let seen = camera.project(DVec3::X) + DVec3::new(20.0, 10.0, 0.0);
+        let seen = camera.project_point(DVec3::X) + DVec3::new(20.0, 10.0, 0.0);
         let dark: Vec<DVec2> = (0..100u32)
             .flat_map(|y| (0..140u32).map(move |x| (x, y)))
             .filter(|&(x, y)| picture.pixel(x, y).is_some_and(|p| p[0] < 60))
@@ -142,12 +144,12 @@ mod tests {
         assert_eq!(picture.pixel(0, 0), Some(white));
         // What is hidden has a part of the ring.
         let mut dashed = Picture::new(140, 100, white).expect("small");
-        let hidden = Mark {
+        let hidden = RingMark {
             at: DVec3::X,
             label: String::new(),
             hidden: true,
         };
-        hidden.draw(&mut dashed, camera, 20, 10);
+        hidden.draw_on(&mut dashed, camera, 20, 10);
         let inked = dashed.pixels().iter().filter(|p| p[0] < 60).count();
         let touched = dashed.pixels().iter().filter(|p| **p != white).count();
         assert!(

@@ -15,9 +15,9 @@ const STEPS: f64 = 65535.0;
 /// Characters of a line of base64.
 const LINE: usize = 120;
 
-/// Positions, each known up to half a step of a grid.
+/// Quantized positions lie on a grid: each is known up to half a step of it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Places {
+pub struct QuantizedPositions {
     /// The corner with the smallest coordinates.
     pub min: DVec3,
     /// The corner with the largest coordinates.
@@ -25,25 +25,25 @@ pub struct Places {
     cells: Vec<[u16; 3]>,
 }
 
-/// [`Places`] in a file.
+/// [`QuantizedPositions`] in a file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct PlacesText {
+pub(super) struct QuantizedPositionsText {
     min: [f64; 3],
     max: [f64; 3],
     data: Vec<String>,
 }
 
-impl Places {
-    /// The cells in which finite positions lie.
-    pub fn of(positions: &[DVec3]) -> Self {
+impl QuantizedPositions {
+    /// Finds the cells in which finite positions lie.
+    pub fn from_positions(positions: &[DVec3]) -> Self {
         let bounds = crate::mesh::BoundingBox::of(positions);
         let places = Self {
             min: bounds.min,
             max: bounds.max,
             cells: Vec::new(),
         };
-        let step = places.step();
+        let step = places.grid_step();
         let cell = |p: &DVec3| {
             // A flat box has no steps along its thin side; the cast takes what is no number as 0.
             let at = (*p - places.min) / step;
@@ -55,17 +55,17 @@ impl Places {
         }
     }
 
-    /// How many.
+    /// The number of positions.
     pub fn len(&self) -> usize {
         self.cells.len()
     }
 
-    /// Whether there are none.
+    /// Whether there are no positions.
     pub fn is_empty(&self) -> bool {
         self.cells.is_empty()
     }
 
-    /// Length of the box's diagonal.
+    /// The length of the box's diagonal.
     pub fn diagonal(&self) -> f64 {
         (self.max - self.min).length()
     }
@@ -75,17 +75,17 @@ impl Places {
         0.5 / STEPS
     }
 
-    fn step(&self) -> DVec3 {
+    fn grid_step(&self) -> DVec3 {
         (self.max - self.min) / STEPS
     }
 
-    fn center(&self, cell: [u16; 3]) -> DVec3 {
-        self.min + DVec3::from_array(cell.map(f64::from)) * self.step()
+    fn cell_center(&self, cell: [u16; 3]) -> DVec3 {
+        self.min + DVec3::from_array(cell.map(f64::from)) * self.grid_step()
     }
 
     /// The middles of the cells.
-    pub fn centers(&self) -> Vec<DVec3> {
-        self.cells.iter().map(|&c| self.center(c)).collect()
+    pub fn cell_centers(&self) -> Vec<DVec3> {
+        self.cells.iter().map(|&c| self.cell_center(c)).collect()
     }
 
     /// The stored positions as near to `positions` as their cells allow, each cell wider by `slack` times the size of the
@@ -93,20 +93,20 @@ impl Places {
     /// made is not counted. With another number of positions, the middles.
     pub fn nearest_to(&self, positions: &[DVec3], slack: f64) -> Vec<DVec3> {
         if positions.len() != self.cells.len() {
-            return self.centers();
+            return self.cell_centers();
         }
         // One part in 10¹² more, for the arithmetic of the grid itself.
-        let reach = self.min.abs().max(self.max.abs()) * (slack + 1e-12) + self.step() * 0.5;
+        let reach = self.min.abs().max(self.max.abs()) * (slack + 1e-12) + self.grid_step() * 0.5;
         let pairs = self.cells.iter().zip(positions);
         pairs
             .map(|(&cell, &p)| {
-                let middle = self.center(cell);
+                let middle = self.cell_center(cell);
                 p.max(middle - reach).min(middle + reach)
             })
             .collect()
     }
 
-    pub(super) fn text(&self) -> PlacesText {
+    pub(super) fn to_text(&self) -> QuantizedPositionsText {
         let mut bytes = Vec::with_capacity(self.cells.len() * 6);
         for axis in 0..3 {
             let deltas: Vec<u16> = (0..self.cells.len())
@@ -120,21 +120,21 @@ impl Places {
             bytes.extend(deltas.iter().map(|d| *d as u8));
             bytes.extend(deltas.iter().map(|d| (d >> 8) as u8));
         }
-        PlacesText {
+        QuantizedPositionsText {
             min: self.min.to_array(),
             max: self.max.to_array(),
-            data: lines(&bytes),
+            data: to_base64_lines(&bytes),
         }
     }
 
-    /// Reads what [`Places::text`] wrote.
-    pub(super) fn read(text: &PlacesText, vertices: usize) -> Result<Self, String> {
+    /// Reads what [`QuantizedPositions::to_text`] wrote.
+    pub(super) fn from_text(text: &QuantizedPositionsText, vertices: usize) -> Result<Self, String> {
         let (min, max) = (DVec3::from_array(text.min), DVec3::from_array(text.max));
         if !(min.is_finite() && max.is_finite() && (max - min).is_finite() && min.cmple(max).all()) {
             return Err(format!("the box from {min} to {max} is none"));
         }
         let wanted = vertices.checked_mul(6).ok_or("has too many vertices")?;
-        let bytes = bytes(&text.data, wanted)?;
+        let bytes = from_base64_lines(&text.data, wanted)?;
         if bytes.len() != wanted {
             return Err(format!(
                 "{} bytes of positions for {vertices} vertices, {wanted} are needed",
@@ -169,13 +169,13 @@ pub(super) fn triangles_text(triangles: &[[u32; 3]]) -> Vec<String> {
         }
         bytes.push(folded as u8);
     }
-    lines(&bytes)
+    to_base64_lines(&bytes)
 }
 
 /// Reads what [`triangles_text`] wrote.
 pub(super) fn read_triangles(text: &[String], triangles: usize, vertices: usize) -> Result<Vec<[u32; 3]>, String> {
     let most = triangles.checked_mul(15).ok_or("has too many triangles")?;
-    let bytes = bytes(text, most)?;
+    let bytes = from_base64_lines(text, most)?;
     let mut found = Vec::new();
     let (mut at, mut folded, mut shift) = (0i64, 0u64, 0u32);
     for byte in bytes {
@@ -200,7 +200,7 @@ pub(super) fn read_triangles(text: &[String], triangles: usize, vertices: usize)
     Ok(whole.to_vec())
 }
 
-fn lines(bytes: &[u8]) -> Vec<String> {
+fn to_base64_lines(bytes: &[u8]) -> Vec<String> {
     let mut encoder = DeflateEncoder::new(Vec::new(), Compression::best());
     // Writing to memory does not fail; a result that were cut short would be refused when read.
     let _ = encoder.write_all(bytes);
@@ -210,7 +210,7 @@ fn lines(bytes: &[u8]) -> Vec<String> {
 }
 
 /// The bytes behind lines of base64, at most `most` of them.
-fn bytes(lines: &[String], most: usize) -> Result<Vec<u8>, String> {
+fn from_base64_lines(lines: &[String], most: usize) -> Result<Vec<u8>, String> {
     let packed = STANDARD
         .decode(lines.concat())
         .map_err(|e| format!("is not base64: {e}"))?;
@@ -234,10 +234,10 @@ mod tests {
         #[test]
         fn positions_come_back_within_half_a_step(points in prop::collection::vec(prop::array::uniform3(-1e3f64..1e3), 0..200)) {
             let points: Vec<DVec3> = points.into_iter().map(DVec3::from_array).collect();
-            let places = Places::of(&points);
-            let again = Places::read(&places.text(), points.len()).expect("readable");
+            let places = QuantizedPositions::from_positions(&points);
+            let again = QuantizedPositions::from_text(&places.to_text(), points.len()).expect("readable");
             prop_assert_eq!(&again, &places);
-            for (p, q) in points.iter().zip(again.centers()) {
+            for (p, q) in points.iter().zip(again.cell_centers()) {
                 prop_assert!(p.distance(q) <= again.resolution() * again.diagonal() * (1.0 + 1e-9) + 1e-12);
             }
             // What was stored is no difference at all.
@@ -252,8 +252,8 @@ mod tests {
 
         #[test]
         fn no_text_is_a_panic(lines in prop::collection::vec("[A-Za-z0-9+/=]{0,40}", 0..4), count in 0usize..100) {
-            let text = PlacesText { min: [0.0; 3], max: [1.0; 3], data: lines.clone() };
-            let _ = Places::read(&text, count);
+            let text = QuantizedPositionsText { min: [0.0; 3], max: [1.0; 3], data: lines.clone() };
+            let _ = QuantizedPositions::from_text(&text, count);
             let _ = read_triangles(&lines, count, count);
         }
     }
@@ -261,7 +261,7 @@ mod tests {
     #[test]
     fn a_move_beyond_the_cell_is_told_and_one_inside_is_not() {
         let points = [DVec3::ZERO, DVec3::new(2.0, 1.0, 0.5), DVec3::new(1.0, 0.5, 0.25)];
-        let places = Places::of(&points);
+        let places = QuantizedPositions::from_positions(&points);
         let step = 2.0 / STEPS;
         let moved = |by: f64| {
             let mut now = points;
@@ -276,7 +276,7 @@ mod tests {
 
     #[test]
     fn a_bomb_is_not_unpacked() {
-        let lines = lines(&vec![0u8; 10_000_000]);
-        assert!(bytes(&lines, 600).expect_err("too much").contains("600"));
+        let lines = to_base64_lines(&vec![0u8; 10_000_000]);
+        assert!(from_base64_lines(&lines, 600).expect_err("too much").contains("600"));
     }
 }

@@ -1,13 +1,13 @@
 //! The numbers that a picture shows as colours, one for each vertex.
 
-use super::Error;
+use super::error::Error;
 use crate::mesh::{Mesh, Weld};
 use glam::DVec3;
 
 /// The factor by which an edge is longer (or shorter) where [`edge_stretch`] is 1 (or -1).
 pub const STRETCH_RANGE: f64 = 1.5;
 
-/// How much longer the edges around each vertex have become: the mean of the logarithms of length over rest length, to
+/// Computes how much longer the edges around each vertex have become: the mean of the logarithms of length over rest length, to
 /// the base [`STRETCH_RANGE`], each edge counting by its rest length. 0 = as at rest, 1 = half as long again, -1 = two
 /// thirds. 0 too for a vertex without edges.
 ///
@@ -46,11 +46,20 @@ pub fn edge_stretch(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) 
     Ok(mesh.solver_from_render.iter().map(|&s| value(s)).collect())
 }
 
-/// How far each vertex has moved.
+/// Computes how far each vertex has moved.
+///
+/// ```
+/// use glam::DVec3;
+/// use pliant::render::vertex_displacements;
+///
+/// let moved = vertex_displacements(&[DVec3::ZERO, DVec3::X], &[DVec3::ZERO, DVec3::X * 3.0])?;
+/// assert_eq!(moved, [0.0, 2.0]);
+/// # Ok::<(), pliant::render::Error>(())
+/// ```
 ///
 /// # Errors
 /// [`Error::Count`] when the shapes have different numbers of vertices.
-pub fn displacements(before: &[DVec3], after: &[DVec3]) -> Result<Vec<f64>, Error> {
+pub fn vertex_displacements(before: &[DVec3], after: &[DVec3]) -> Result<Vec<f64>, Error> {
     same_count(before, after)?;
     Ok(before.iter().zip(after).map(|(p, q)| p.distance(*q)).collect())
 }
@@ -110,9 +119,12 @@ mod tests {
     #[test]
     fn counts_must_agree() {
         let p = [DVec3::ZERO, DVec3::X, DVec3::Y];
-        assert_eq!(displacements(&p, &p.map(|q| q + DVec3::Z * 2.0)), Ok(vec![2.0; 3]));
+        assert_eq!(
+            vertex_displacements(&p, &p.map(|q| q + DVec3::Z * 2.0)),
+            Ok(vec![2.0; 3])
+        );
         for e in [
-            displacements(&p, &p[..2]).expect_err("too few"),
+            vertex_displacements(&p, &p[..2]).expect_err("too few"),
             edge_stretch(&p, &p[..2], &[[0, 1, 2]]).expect_err("too few"),
         ] {
             assert!(e.to_string().contains('2') && e.to_string().contains('3'), "{e}");

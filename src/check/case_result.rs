@@ -1,16 +1,15 @@
 //! What running a case came to, and what golden keeps of it.
 
-use super::Metric;
-use super::measure::place;
+use super::metric::{Metric, format_point};
 use crate::wire::pb;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use xxhash_rust::xxh3::Xxh3;
 
-/// The result of a case.
+/// A case result is the shape that a case's job came to, with what the engine told of it.
 #[derive(Debug, Clone, Default)]
-pub struct Found {
+pub struct CaseResult {
     /// One per render vertex, model space.
     pub positions: Vec<DVec3>,
     /// Triangles over them.
@@ -27,10 +26,10 @@ pub struct Found {
     pub before: (Vec<DVec3>, Vec<[u32; 3]>),
 }
 
-/// How many vertices and triangles there are, and which.
+/// Topology digests tell how many vertices and triangles a shape has, and by digests which.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Topology {
+pub struct TopologyDigests {
     /// Render vertices.
     pub vertices: usize,
     /// Triangles.
@@ -41,9 +40,9 @@ pub struct Topology {
     pub unwound: String,
 }
 
-impl Topology {
-    /// Of a result.
-    pub fn of(vertices: usize, triangles: &[[u32; 3]]) -> Self {
+impl TopologyDigests {
+    /// Digests the triangles of a result.
+    pub fn from_triangles(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let digest = |corners: fn([u32; 3]) -> [u32; 3]| {
             let mut hash = Xxh3::new();
             for t in triangles {
@@ -63,7 +62,7 @@ impl Topology {
     }
 }
 
-impl Found {
+impl CaseResult {
     /// Takes the numbers of a report's quality. Distances of constraints are told apart, in model units.
     pub fn take_quality(&mut self, quality: &pb::Quality) {
         self.numbers.extend([
@@ -75,8 +74,8 @@ impl Found {
         ]);
     }
 
-    /// What is not finite, in words; `None` when all is.
-    pub fn not_finite(&self) -> Option<String> {
+    /// Tells in words what is not finite; `None` when everything is.
+    pub fn describe_not_finite(&self) -> Option<String> {
         let bad: Vec<usize> = (0..self.positions.len())
             .filter(|&v| !self.positions[v].is_finite())
             .collect();
@@ -85,7 +84,7 @@ impl Found {
             let of = self.positions.len();
             return Some(format!(
                 "{count} of {of} positions are not finite, the first is vertex {first} at {}",
-                place(self.positions[first])
+                format_point(self.positions[first])
             ));
         }
         let (metric, value) = self.numbers.iter().find(|(_, value)| !value.is_finite())?;
@@ -99,25 +98,25 @@ mod tests {
 
     #[test]
     fn topology_tells_winding_from_the_rest() {
-        let one = Topology::of(4, &[[0, 1, 2], [2, 1, 3]]);
-        assert_eq!(one, Topology::of(4, &[[0, 1, 2], [2, 1, 3]]));
-        let wound = Topology::of(4, &[[0, 1, 2], [2, 3, 1]]);
+        let one = TopologyDigests::from_triangles(4, &[[0, 1, 2], [2, 1, 3]]);
+        assert_eq!(one, TopologyDigests::from_triangles(4, &[[0, 1, 2], [2, 1, 3]]));
+        let wound = TopologyDigests::from_triangles(4, &[[0, 1, 2], [2, 3, 1]]);
         assert_ne!(one.digest, wound.digest);
         assert_eq!(one.unwound, wound.unwound);
-        let other = Topology::of(4, &[[0, 1, 2], [0, 1, 3]]);
+        let other = TopologyDigests::from_triangles(4, &[[0, 1, 2], [0, 1, 3]]);
         assert_ne!(one.unwound, other.unwound);
     }
 
     #[test]
     fn what_is_not_finite_is_named() {
-        let mut found = Found {
+        let mut found = CaseResult {
             positions: vec![DVec3::ZERO, DVec3::new(0.0, f64::NAN, 0.0)],
             ..Default::default()
         };
-        assert!(found.not_finite().expect("NaN").contains("vertex 1"));
+        assert!(found.describe_not_finite().expect("NaN").contains("vertex 1"));
         found.positions.pop();
-        assert_eq!(found.not_finite(), None);
+        assert_eq!(found.describe_not_finite(), None);
         found.numbers.insert(Metric::EdgeRms, f64::INFINITY);
-        assert!(found.not_finite().expect("infinite").contains("edgeRms"));
+        assert!(found.describe_not_finite().expect("infinite").contains("edgeRms"));
     }
 }

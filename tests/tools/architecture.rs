@@ -1,4 +1,4 @@
-//! What README.md says of the project is so: how it opens, and which modules the architecture page lists. What it shows is run by `pages.rs`.
+//! What the architecture page says of the source is so: it lists the modules that there are.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -10,16 +10,6 @@ fn root() -> &'static Path {
 
 fn read(name: &str) -> String {
     fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
-}
-
-/// The code blocks of README.md as (language, text).
-fn blocks(readme: &str) -> Vec<(&str, &str)> {
-    readme
-        .split("\n```")
-        .skip(1)
-        .step_by(2)
-        .filter_map(|block| block.split_once('\n'))
-        .collect()
 }
 
 /// The cells of the rows of the table whose head begins with `head`, without backticks.
@@ -36,23 +26,6 @@ fn table(readme: &str, head: &str) -> Vec<Vec<String>> {
         .take_while(|line| line.starts_with('|'))
         .map(row)
         .collect()
-}
-
-#[test]
-fn two_commands_start_and_test() {
-    let readme = read("README.md");
-    let lines: Vec<&str> = blocks(&readme).into_iter().flat_map(|(_, text)| text.lines()).collect();
-    let run = lines.iter().position(|l| *l == "cargo run --release -- serve --sample");
-    let test: Vec<_> = lines.iter().filter(|l| l.starts_with("cargo test")).collect();
-    assert!(
-        run.is_some_and(|at| at < 4),
-        "README opens with how to run it: `cargo run --release -- serve --sample`"
-    );
-    assert_eq!(
-        test,
-        [&"cargo test --workspace"],
-        "README shows one test command, which .ci/run takes from it"
-    );
 }
 
 #[test]

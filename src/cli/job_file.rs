@@ -1,25 +1,24 @@
 //! Job files from disk, with the models that they merge.
 
-use super::Failure;
-use super::files::read;
+use super::failure::CliFailure;
+use super::model_files::read_file;
 use crate::asset::Format;
-use crate::wire;
-use crate::wire::pb;
+use crate::wire::{self, pb};
 use std::path::Path;
 
 /// Reads a job file and the models that it names.
-pub(super) fn read_job(path: &Path) -> Result<pb::Job, Failure> {
-    let in_job = |e: wire::Error| match Failure::from(e) {
-        Failure::Input(text) => Failure::Input(format!("{}: {text}", path.display())),
+pub(super) fn read_job(path: &Path) -> Result<pb::Job, CliFailure> {
+    let in_job = |e: wire::Error| match CliFailure::from(e) {
+        CliFailure::Input(text) => CliFailure::Input(format!("{}: {text}", path.display())),
         other => other,
     };
-    let mut job: pb::Job = wire::json::from_json(&read(path)?).map_err(in_job)?;
-    read_merged(&mut job, path)?;
+    let mut job: pb::Job = wire::json::from_json(&read_file(path)?).map_err(in_job)?;
+    read_merged_models(&mut job, path)?;
     Ok(job)
 }
 
 /// Puts the models in that a job names by file, relative to the file `beside`.
-pub(super) fn read_merged(job: &mut pb::Job, beside: &Path) -> Result<(), Failure> {
+pub(super) fn read_merged_models(job: &mut pb::Job, beside: &Path) -> Result<(), CliFailure> {
     use pb::edit_request::{Operation, merge::Source};
     for step in &mut job.steps {
         let Some(pb::step::Step::Edit(edit)) = &mut step.step else {
@@ -34,7 +33,7 @@ pub(super) fn read_merged(job: &mut pb::Job, beside: &Path) -> Result<(), Failur
                 let told = Format::from_file_name(name);
                 merge.format = told.map_or_else(String::new, |f| f.name().to_owned());
             }
-            merge.source = Some(Source::Model(read(&path)?.into()));
+            merge.source = Some(Source::Model(read_file(&path)?.into()));
         }
     }
     Ok(())

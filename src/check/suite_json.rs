@@ -1,6 +1,5 @@
 //! The JSON of cases and goldens, read so that what is wrong is told with its place.
 
-use super::SuiteError;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use std::fmt;
@@ -9,15 +8,25 @@ use std::marker::PhantomData;
 /// What some editors put before UTF-8.
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
+/// A suite error tells what a suite says that it must not.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{file}: {problem}")]
+pub struct SuiteError {
+    /// The file, from the suite's folder.
+    pub file: String,
+    /// What is wrong, where in the file, and what is allowed.
+    pub problem: String,
+}
+
 /// A value that is written as a JSON object. What serde derives would also take the fields as a list, without names.
 #[derive(Debug)]
-pub(super) struct Object<T>(pub T);
+pub(super) struct JsonObject<T>(pub T);
 
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for JsonObject<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Only<T>(PhantomData<T>);
+        struct ObjectVisitor<T>(PhantomData<T>);
 
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Only<T> {
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for ObjectVisitor<T> {
             type Value = T;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -29,12 +38,12 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
             }
         }
 
-        deserializer.deserialize_map(Only(PhantomData)).map(Self)
+        deserializer.deserialize_map(ObjectVisitor(PhantomData)).map(Self)
     }
 }
 
-/// Something that is wrong in a file. `file` is its name in the suite's folder.
-pub(super) fn refuse(file: &str, place: &str, problem: impl fmt::Display) -> SuiteError {
+/// Makes the error of something that is wrong in a file. `file` is its name in the suite's folder.
+pub(super) fn suite_error(file: &str, place: &str, problem: impl fmt::Display) -> SuiteError {
     SuiteError {
         file: file.to_owned(),
         problem: format!("{place}: {problem}"),
@@ -45,23 +54,23 @@ pub(super) fn refuse(file: &str, place: &str, problem: impl fmt::Display) -> Sui
 ///
 /// # Errors
 /// What is wrong with it and where.
-pub(super) fn read<'a, T: Deserialize<'a>>(file: &str, text: &'a [u8]) -> Result<T, SuiteError> {
+pub(super) fn from_json_object<'a, T: Deserialize<'a>>(file: &str, text: &'a [u8]) -> Result<T, SuiteError> {
     if text.starts_with(BYTE_ORDER_MARK) {
-        return Err(refuse(
+        return Err(suite_error(
             file,
             "body",
             "begins with a byte order mark, UTF-8 without one is needed",
         ));
     }
     let mut json = serde_json::Deserializer::from_slice(text);
-    let read: Object<T> = serde_path_to_error::deserialize(&mut json)
-        .map_err(|e| refuse(file, &place(&e.path().to_string()), e.inner()))?;
-    json.end().map_err(|e| refuse(file, "body", e))?;
+    let read: JsonObject<T> = serde_path_to_error::deserialize(&mut json)
+        .map_err(|e| suite_error(file, &readable_path(&e.path().to_string()), e.inner()))?;
+    json.end().map_err(|e| suite_error(file, "body", e))?;
     Ok(read.0)
 }
 
-/// A path as people read it: where a text breaks off, its last part is not known.
-fn place(path: &str) -> String {
+/// Writes a path as people read it: where a text breaks off, its last part is not known.
+fn readable_path(path: &str) -> String {
     match path.trim_end_matches(['.', '?']) {
         "" => "body".into(),
         path => path.into(),
@@ -81,13 +90,15 @@ mod tests {
     }
 
     fn refused(text: &[u8]) -> String {
-        read::<Pair>("x.json", text).expect_err("refused").to_string()
+        from_json_object::<Pair>("x.json", text)
+            .expect_err("refused")
+            .to_string()
     }
 
     #[test]
     fn an_object_is_an_object() {
         assert_eq!(
-            read("x.json", br#"{"left": 1, "right": 2}"#),
+            from_json_object("x.json", br#"{"left": 1, "right": 2}"#),
             Ok(Pair { left: 1, right: 2 })
         );
         for list in ["[1, 2]", "[]", "3", "null", "\"x\""] {

@@ -1,12 +1,13 @@
-//! A progress bar for people, on a terminal only.
+//! The stage under way, for people, on a terminal only.
 
 use crate::progress::Progress;
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// Shows the stage under way on stderr when that is a terminal; silent otherwise.
-pub(super) struct Bar(ProgressBar);
+pub(super) struct StageSpinner(ProgressBar);
 
-impl Bar {
+impl StageSpinner {
+    /// Starts a spinner; a quiet one shows nothing.
     pub fn new(quiet: bool) -> Self {
         // indicatif draws nothing when stderr is not a terminal.
         let bar = if quiet {
@@ -20,18 +21,19 @@ impl Bar {
         Self(bar)
     }
 
-    pub fn done(&self) {
+    /// Takes the spinner off the terminal.
+    pub fn finish(&self) {
         self.0.finish_and_clear();
     }
 }
 
-impl Drop for Bar {
+impl Drop for StageSpinner {
     fn drop(&mut self) {
-        self.done();
+        self.finish();
     }
 }
 
-impl Progress for Bar {
+impl Progress for StageSpinner {
     fn report(&self, stage: &'static str, _fraction: f32) {
         self.0.set_message(stage);
         self.0.tick();

@@ -1,0 +1,47 @@
+//! Why a command ends badly, and with which exit code.
+
+use crate::wire::Error as WireError;
+use std::process::ExitCode;
+
+/// Why a command ends with something other than 0.
+#[derive(Debug)]
+pub enum CliFailure {
+    /// A check did not hold: exit code 1.
+    Check(String),
+    /// Bad input or usage: exit code 2.
+    Input(String),
+    /// A defect or a broken machine: exit code 3.
+    Internal(String),
+}
+
+impl CliFailure {
+    fn exit_code(&self) -> u8 {
+        match self {
+            Self::Check(_) => 1,
+            Self::Input(_) => 2,
+            Self::Internal(_) => 3,
+        }
+    }
+
+    /// Says why in the last line of stderr.
+    pub(super) fn report_and_exit(&self) -> ExitCode {
+        eprintln!("pliant: {}", self.message());
+        ExitCode::from(self.exit_code())
+    }
+
+    /// What went wrong, in words.
+    pub(super) fn message(&self) -> &str {
+        match self {
+            Self::Check(text) | Self::Input(text) | Self::Internal(text) => text,
+        }
+    }
+}
+
+impl From<WireError> for CliFailure {
+    fn from(e: WireError) -> Self {
+        match e {
+            WireError::Internal(_) | WireError::Cancelled => Self::Internal(e.to_string()),
+            other => Self::Input(other.to_string()),
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! Models that are too large for the repository: they lie in the folder that `PLIANT_DATA` names, and what needs them is
+//! skipped without it, which is said.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Says what is skipped and why, where it is seen also when the test passes.
+pub fn tell_skipped(what: &str, why: &str) {
+    let _ = writeln!(std::io::stderr(), "SKIPPED: {what}: {why}");
+}
+
+/// Where the data folder is, or would be.
+pub fn data_root() -> PathBuf {
+    std::env::var_os("PLIANT_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+        PathBuf::from,
+    )
+}
+
+/// The data folder; `None`, and a line that says so, when it is not there.
+pub fn data_folder(what: &str) -> Option<PathBuf> {
+    data_path(what, "")
+}
+
+/// A file or folder of the data folder; `None`, and a line that says what is skipped, when it is not there.
+pub fn data_path(what: &str, name: &str) -> Option<PathBuf> {
+    let path = data_root().join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    tell_skipped(
+        what,
+        &format!("{} is not there; PLIANT_DATA names the folder", path.display()),
+    );
+    None
+}
+
+/// The bytes of a file of the data folder; `None`, and a line that says what is skipped, when it is not there.
+pub fn data_bytes(name: &str) -> Option<Vec<u8>> {
+    data_path(name, name).map(|path| std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display())))
+}
+
+/// Every file below a folder that fits, in order.
+pub fn files_below(folder: &Path, fits: impl Fn(&Path) -> bool) -> Vec<PathBuf> {
+    let (mut found, mut open) = (Vec::new(), vec![folder.to_path_buf()]);
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten() {
+            let path = entry.expect("a readable entry").path();
+            if path.is_dir() {
+                open.push(path);
+            } else if fits(&path) {
+                found.push(path);
+            }
+        }
+    }
+    found.sort();
+    found
+}
