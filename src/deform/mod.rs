@@ -8,6 +8,48 @@
 //! Data flows one way: [`DeformableBody`] (graph and hierarchy) → [`HandleSystem`] (a set of handles with its fields and
 //! systems) → [`PoseSolution`] (positions for the handles' transforms). This module knows no model, no request and no clock.
 //!
+//! ```
+//! use glam::DVec3;
+//! use pliant::asset::shapes::box_with_cells;
+//! use pliant::deform::*;
+//! use pliant::exec::Exec;
+//! use pliant::mesh::{Mesh, Weld};
+//! use pliant::pool::Pool;
+//! use pliant::progress::Silent;
+//!
+//! let (positions, triangles) = box_with_cells(DVec3::ONE, [4, 4, 4]);
+//! let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
+//! let pool = Pool::new(1).expect("a thread");
+//! let exec = Exec::new(&pool, &Silent);
+//! let body = DeformableBody::build(&mesh, &BodyOptions::default(), &exec)?;
+//!
+//! // The lowest vertices stay where they are, the highest ones move up.
+//! let (low, high) = (mesh.bounds().min.y, mesh.bounds().max.y);
+//! let handle_at = |y: f64| HandleConstraint {
+//!     nodes: (0u32..).zip(&mesh.positions).filter(|(_, p)| p.y == y).map(|(node, _)| node).collect(),
+//!     position: true,
+//!     rotation: true,
+//!     ..Default::default()
+//! };
+//! let setup = HandleSetup { handles: vec![handle_at(low), handle_at(high)], ..Default::default() };
+//! let handles = HandleSystem::build(&body, setup, &exec)?;
+//! let up = Transform { translation: DVec3::Y, ..Transform::IDENTITY };
+//! let request = PoseRequest {
+//!     transforms: &[Transform::IDENTITY, up],
+//!     tolerance: Some(1e-4),
+//!     max_error: None,
+//!     start: SolveStart::Fresh,
+//!     first_pass: FirstPass::Harmonic,
+//!     refinement: Refinement::default(),
+//! };
+//! let solved = handles.solve(&body, &request, &mut SolveState::default(), &exec, &mut |_| true)?;
+//! for (p, now) in mesh.positions.iter().zip(&solved.positions) {
+//!     assert!(now.y >= p.y - 1e-3 && now.y <= p.y + 1.001);
+//!     assert!(p.y != high || *now == *p + DVec3::Y);
+//! }
+//! # Ok::<(), Error>(())
+//! ```
+//!
 //! | room | what |
 //! |---|---|
 //! | `body`, `edited_body` | graph, hierarchy and rest shape of a mesh, and how they follow an edit |

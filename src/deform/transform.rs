@@ -4,6 +4,19 @@ use crate::deform::rotation::vector::{exp_rotation, exp_symmetric};
 use glam::{DMat3, DVec3};
 
 /// A handle's pose in model space: x' = R S (x − pivot) + pivot + translation.
+///
+/// ```
+/// use glam::DVec3;
+/// use pliant::deform::Transform;
+///
+/// let quarter_turn = Transform {
+///     rotation: DVec3::Z * std::f64::consts::FRAC_PI_2,
+///     pivot: DVec3::X,
+///     ..Transform::IDENTITY
+/// };
+/// let moved = quarter_turn.map()(DVec3::X * 2.0);
+/// assert!(moved.distance(DVec3::new(1.0, 1.0, 0.0)) < 1e-12);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transform {
     /// Model units.

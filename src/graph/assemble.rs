@@ -31,6 +31,8 @@ pub(super) struct InteriorNodes {
     pub(super) ties: Vec<[u32; 2]>,
     /// What edits need to know of how these nodes were placed.
     pub(super) recipe: GraphRecipe,
+    /// Facts about them; [`assemble`] adds which components have any.
+    pub(super) stats: GraphStats,
 }
 
 /// Rows handled in one go.
@@ -106,18 +108,18 @@ impl GraphRows<'_> {
     }
 }
 
-/// Puts mesh, shell and lattice together, on the caller's thread without a pool. `stats.component_has_volume` is filled in here.
+/// Puts mesh, shell and lattice together, on the caller's thread without a pool.
 pub(super) fn assemble(
     mesh: &Mesh,
     adjacency: &Adjacency,
     parts: &Components,
     mut inner: InteriorNodes,
     weighting: EdgeWeights,
-    mut stats: GraphStats,
     pool: Option<&Pool>,
 ) -> MeshGraph {
     let surface = mesh.positions.len();
     let mut recipe = std::mem::take(&mut inner.recipe);
+    let mut stats = std::mem::take(&mut inner.stats);
     let nodes = surface + inner.positions.len();
     let mut positions = Vec::with_capacity(nodes);
     positions.extend_from_slice(&mesh.positions);

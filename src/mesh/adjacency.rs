@@ -34,6 +34,15 @@ pub struct Adjacency {
 impl Adjacency {
     /// Finds all neighbourhoods in time linear in the number of triangles.
     ///
+    /// ```
+    /// use pliant::mesh::Adjacency;
+    ///
+    /// let tetrahedron = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+    /// let adjacency = Adjacency::build(4, &tetrahedron);
+    /// assert_eq!(adjacency.neighbours.of(0), [1, 2, 3]);
+    /// assert!(adjacency.edges.len() == 6 && adjacency.is_balanced());
+    /// ```
+    ///
     /// # Panics
     /// When a triangle names a vertex that is not below `vertices`. Triangles of a [`super::Mesh`] never do.
     pub fn build(vertices: usize, triangles: &[[u32; 3]]) -> Self {

@@ -1,6 +1,6 @@
 //! The inspection report: what a mesh is made of and what is unusual about it. Nothing here is fatal.
 
-use crate::mesh::adjacency::Adjacency;
+use crate::mesh::adjacency::{Adjacency, MeshEdge};
 use crate::mesh::boundary::{BoundaryLoop, boundary_loops};
 use crate::mesh::components::Components;
 use crate::mesh::measure::BoundingBox;
@@ -101,22 +101,78 @@ pub struct MeshReport {
 pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> MeshReport {
     let edges = &adjacency.edges;
     let parts = parts(mesh, adjacency);
-    let loops = boundary_loops(&mesh.positions, adjacency);
-    let thin = thin_faces(mesh);
-    let fans: Vec<u32> = (0..mesh.positions.len() as u32)
-        .filter(|&v| fans_around(v, &mesh.triangles, adjacency) > 1)
-        .collect();
-    let unreferenced: Vec<u32> = (0u32..)
-        .zip(&mesh.solver_from_render)
-        .filter(|s| *s.1 == NONE)
-        .map(|s| s.0)
-        .collect();
-    let edge_places =
-        |wanted: fn(&super::MeshEdge) -> bool| edges.iter().filter(|e| wanted(e)).map(|e| e.vertices).collect();
-    let non_manifold: Vec<[u32; 2]> = edge_places(|e| e.faces() > 2);
-    let conflicts: Vec<[u32; 2]> = edge_places(|e| e.faces() == 2 && e.forward != e.backward);
-    let cracked = cracked_vertices(mesh, adjacency);
+    let found = MeshFindings::gather(mesh, adjacency);
+    let warnings = describe_findings(mesh, &found, &parts);
+    MeshReport {
+        render_vertices: mesh.solver_from_render.len(),
+        vertices: mesh.positions.len(),
+        triangles: mesh.triangles.len(),
+        edges: edges.len(),
+        unreferenced_vertices: found.unreferenced.len(),
+        coincident_vertices: mesh.render_from_solver().items().len() - mesh.positions.len(),
+        degenerate_triangles: found.degenerate.len(),
+        duplicate_triangles: mesh.duplicate_triangles.len(),
+        slivers: found.slivers.len(),
+        boundary_edges: edges.iter().filter(|e| e.faces() == 1).count(),
+        boundary_loops: found.loops,
+        non_manifold_edges: found.crowded_edges.len(),
+        non_manifold_vertices: found.pinched_vertices.len(),
+        winding_conflicts: found.conflicts.len(),
+        cracked_vertices: found.cracked.len(),
+        closed: parts.iter().all(|p| p.closed),
+        parts,
+        bounds: mesh.bounds(),
+        area: surface_area(&mesh.positions, &mesh.triangles),
+        volume: signed_volume(&mesh.positions, &mesh.triangles),
+        mean_edge_length: mean_edge_length(&mesh.positions, edges),
+        warnings,
+    }
+}
 
+/// What is unusual about a mesh, place by place.
+struct MeshFindings {
+    loops: Vec<BoundaryLoop>,
+    /// Boundary vertices almost on others.
+    cracked: Vec<u32>,
+    /// Edges with more than two faces.
+    crowded_edges: Vec<[u32; 2]>,
+    /// Vertices whose faces form more than one fan.
+    pinched_vertices: Vec<u32>,
+    /// Edges between faces of opposite winding.
+    conflicts: Vec<[u32; 2]>,
+    /// Input faces without area, or with two corners at one point; rising.
+    degenerate: Vec<u32>,
+    slivers: Vec<u32>,
+    /// Render vertices that no face uses.
+    unreferenced: Vec<u32>,
+}
+
+impl MeshFindings {
+    fn gather(mesh: &Mesh, adjacency: &Adjacency) -> Self {
+        let thin = thin_faces(mesh);
+        let vertices = 0..mesh.positions.len() as u32;
+        let edges_that = |wanted: fn(&MeshEdge) -> bool| {
+            let found = adjacency.edges.iter().filter(|e| wanted(e));
+            found.map(|e| e.vertices).collect()
+        };
+        let render_vertices = (0u32..).zip(&mesh.solver_from_render);
+        Self {
+            loops: boundary_loops(&mesh.positions, adjacency),
+            cracked: cracked_vertices(mesh, adjacency),
+            crowded_edges: edges_that(|e| e.faces() > 2),
+            pinched_vertices: vertices
+                .filter(|&v| count_fans_around(v, &mesh.triangles, adjacency) > 1)
+                .collect(),
+            conflicts: edges_that(|e| e.faces() == 2 && e.forward != e.backward),
+            degenerate: merged(&mesh.collapsed_triangles, &thin.flat),
+            slivers: thin.slivers,
+            unreferenced: render_vertices.filter(|s| *s.1 == NONE).map(|s| s.0).collect(),
+        }
+    }
+}
+
+/// Puts findings into words, at most one entry per kind.
+fn describe_findings(mesh: &Mesh, found: &MeshFindings, parts: &[PartReport]) -> Vec<MeshWarning> {
     let mut warnings = Vec::new();
     let mut warn = |code, one: &str, many: &str, count: usize, place: &dyn Fn(usize) -> String| {
         if count > 0 {
@@ -141,44 +197,47 @@ pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> MeshReport {
         "boundary-loop",
         "hole or open rim",
         "holes or open rims",
-        loops.len(),
-        &|i| format!("{} edges long, {}", loops[i].edges, vertex(loops[i].vertex)),
+        found.loops.len(),
+        &|i| format!("{} edges long, {}", found.loops[i].edges, vertex(found.loops[i].vertex)),
     );
     warn(
         "crack",
         "boundary vertex almost on another",
         "boundary vertices almost on others",
-        cracked.len(),
-        &|i| vertex(cracked[i]),
+        found.cracked.len(),
+        &|i| vertex(found.cracked[i]),
     );
     warn(
         "non-manifold-edge",
         "non-manifold edge",
         "non-manifold edges",
-        non_manifold.len(),
-        &|i| edge(non_manifold[i]),
+        found.crowded_edges.len(),
+        &|i| edge(found.crowded_edges[i]),
     );
     warn(
         "non-manifold-vertex",
         "non-manifold vertex",
         "non-manifold vertices",
-        fans.len(),
-        &|i| vertex(fans[i]),
+        found.pinched_vertices.len(),
+        &|i| vertex(found.pinched_vertices[i]),
     );
     let conflict = (
         "edge between faces of opposite winding",
         "edges between faces of opposite winding",
     );
-    warn("winding-conflict", conflict.0, conflict.1, conflicts.len(), &|i| {
-        edge(conflicts[i])
-    });
-    let degenerate: Vec<u32> = merged(&mesh.collapsed_triangles, &thin.flat);
+    warn(
+        "winding-conflict",
+        conflict.0,
+        conflict.1,
+        found.conflicts.len(),
+        &|i| edge(found.conflicts[i]),
+    );
     warn(
         "degenerate-face",
         "face without area",
         "faces without area",
-        degenerate.len(),
-        &|i| face(degenerate[i]),
+        found.degenerate.len(),
+        &|i| face(found.degenerate[i]),
     );
     let repeated = &mesh.duplicate_triangles;
     warn(
@@ -192,40 +251,22 @@ pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> MeshReport {
         "face over 100 times longer than high",
         "faces over 100 times longer than high",
     );
-    warn("sliver", long.0, long.1, thin.slivers.len(), &|i| face(thin.slivers[i]));
-    let unused = ("vertex that no face uses", "vertices that no face uses");
-    warn("unreferenced-vertex", unused.0, unused.1, unreferenced.len(), &|i| {
-        format!("at render vertex {}", unreferenced[i])
+    warn("sliver", long.0, long.1, found.slivers.len(), &|i| {
+        face(found.slivers[i])
     });
+    let unused = ("vertex that no face uses", "vertices that no face uses");
+    warn(
+        "unreferenced-vertex",
+        unused.0,
+        unused.1,
+        found.unreferenced.len(),
+        &|i| format!("at render vertex {}", found.unreferenced[i]),
+    );
     if parts.len() > 1 {
         let part = |i: usize| format!("{} vertices, {}", parts[i].vertices, vertex(parts[i].first_vertex));
         warn("components", "connected part", "connected parts", parts.len(), &part);
     }
-
-    MeshReport {
-        render_vertices: mesh.solver_from_render.len(),
-        vertices: mesh.positions.len(),
-        triangles: mesh.triangles.len(),
-        edges: edges.len(),
-        unreferenced_vertices: unreferenced.len(),
-        coincident_vertices: mesh.render_from_solver().items().len() - mesh.positions.len(),
-        degenerate_triangles: degenerate.len(),
-        duplicate_triangles: mesh.duplicate_triangles.len(),
-        slivers: thin.slivers.len(),
-        boundary_edges: edges.iter().filter(|e| e.faces() == 1).count(),
-        boundary_loops: loops,
-        non_manifold_edges: non_manifold.len(),
-        non_manifold_vertices: fans.len(),
-        winding_conflicts: conflicts.len(),
-        cracked_vertices: cracked.len(),
-        closed: parts.iter().all(|p| p.closed),
-        parts,
-        bounds: mesh.bounds(),
-        area: surface_area(&mesh.positions, &mesh.triangles),
-        volume: signed_volume(&mesh.positions, &mesh.triangles),
-        mean_edge_length: mean_edge_length(&mesh.positions, edges),
-        warnings,
-    }
+    warnings
 }
 
 fn vertex_place(mesh: &Mesh, solver: u32) -> String {
@@ -309,7 +350,7 @@ fn thin_faces(mesh: &Mesh) -> ThinFaces {
 }
 
 /// Into how many fans the faces around a vertex fall; faces are in one fan when they share an edge at the vertex.
-fn fans_around(vertex: u32, triangles: &[[u32; 3]], adjacency: &Adjacency) -> usize {
+fn count_fans_around(vertex: u32, triangles: &[[u32; 3]], adjacency: &Adjacency) -> usize {
     let faces = adjacency.faces.of(vertex);
     let spokes = faces.iter().zip(0u32..).flat_map(|(&f, i)| {
         let others = triangles[f as usize].into_iter().filter(move |&v| v != vertex);

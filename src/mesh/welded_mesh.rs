@@ -35,6 +35,19 @@ impl Mesh {
     ///
     /// Linear but for one sort of the vertices; uses no thread but the caller's.
     ///
+    /// ```
+    /// use glam::DVec3;
+    /// use pliant::mesh::{Mesh, Weld};
+    ///
+    /// // A square of two triangles whose common edge is split, as along a seam of the shading.
+    /// let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+    /// let positions = corners.map(|[x, y]| DVec3::new(x, y, 0.0));
+    /// let mesh = Mesh::build(&positions, &[[0, 1, 2], [3, 4, 5]], Weld::Exact)?;
+    /// assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3]]);
+    /// assert_eq!(mesh.render_vertices_of(0), [0, 3]);
+    /// # Ok::<(), pliant::mesh::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error`] when an index is out of range, a used position is not finite or outside the range of `f32`, the
     /// tolerance is no length, there are more than 32-bit indices can name, or no face is left.

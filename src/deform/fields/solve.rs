@@ -18,139 +18,169 @@ const FIELD_TOLERANCE: f64 = 1e-5;
 /// several edits in turn. What they leave adds up until it is reached, and a solve takes it away.
 const RESTARTED_TOLERANCE: f64 = 3e-5;
 
-/// Solves the fields of all holds in one go, all columns together: from nothing, or from those before an edit. Also answers
-/// the system, if there was anything to solve.
-pub(in crate::deform) fn solve(
+/// Solves the fields of all handles in one go, all columns together: from nothing, or from those before an edit. Also
+/// answers the system, if there was anything to solve.
+pub(in crate::deform) fn solve_fields(
     body: &DeformableBody,
     ownership: &NodeOwnership,
-    holds: usize,
+    handles: usize,
     restart: Option<(&FieldRestart<'_>, &HarmonicFields)>,
     exec: &Exec<'_>,
 ) -> Result<(HarmonicFields, Option<LinearSystem>), Error> {
-    let nodes = body.nodes();
     let covered = ownership.covered(body);
-    let active: Vec<usize> = (0..=holds)
-        .zip(ownership.active(holds))
+    let active: Vec<usize> = (0..=handles)
+        .zip(ownership.active(handles))
         .filter(|(_, a)| *a)
         .map(|(k, _)| k)
         .collect();
-    let mut fields = vec![Vec::new(); holds + 1];
-    let Some((&first, others)) = active.split_first() else {
-        let none = HarmonicFields {
-            fields,
-            covered,
-            ..HarmonicFields::default()
-        };
-        return Ok((none, None));
-    };
-    let in_cover = |i: usize| covered[body.graph.component[i] as usize];
-    let columns = others.len();
-    let mut iterations = 0;
-    let mut residuals = vec![f64::INFINITY; holds + 1];
-    let mut solved = None;
-    let mut x = vec![0.0; nodes * columns];
-    if columns > 0 {
-        let mut column_of = vec![usize::MAX; holds + 1];
-        others.iter().enumerate().for_each(|(c, &k)| column_of[k] = c);
-        for (node, &k) in ownership.hard.iter().enumerate() {
-            if k != NOBODY && column_of[k as usize] != usize::MAX {
-                x[node * columns + column_of[k as usize]] = 1.0;
-            }
-        }
-        let mut rhs = vec![0.0; nodes * columns];
-        for &(node, k, stiffness) in &ownership.soft {
-            if column_of[k as usize] != usize::MAX {
-                rhs[node as usize * columns + column_of[k as usize]] += stiffness;
-            }
-        }
-        let fixed: Vec<bool> = (0..nodes)
-            .map(|i| ownership.hard[i] != NOBODY || !in_cover(i))
-            .collect();
-        let stiffness = ownership.stiffness();
-        let constraints = Constraints {
-            fixed: &fixed,
-            stiffness: stiffness.as_deref(),
-        };
-        let references = exec.pool.install(|| references(body, columns, &fixed, &rhs, &x));
-        let equations = FieldEquations {
-            body,
-            columns: others,
-            fixed: &fixed,
-            hard: &ownership.hard,
-            is_soft: stiffness.is_some(),
-            references: &references,
-        };
-        // Relaxing takes one thread; constraints have work for the others.
-        let (guess, system) = exec.pool.install(|| {
-            rayon::join(
-                || restart.and_then(|(restart, before)| restart.guess(&equations, before, &mut x, exec.pool)),
-                || body.hierarchy.constrain(&constraints, exec.pool),
-            )
-        });
-        let system = system?;
-        let mut reached = match &guess {
-            Some(residuals) => residuals.clone(),
-            None => vec![f64::INFINITY; columns],
-        };
-        if reached.iter().any(|r| *r > RESTARTED_TOLERANCE) {
-            let from_nothing = InitialGuess::FullMultigrid {
-                frames: None,
-                rest: None,
-            };
-            let (start, tolerance) = match guess {
-                Some(_) => (InitialGuess::Given, RESTARTED_TOLERANCE),
-                None => (from_nothing, FIELD_TOLERANCE),
-            };
-            let options = SolveOptions {
-                start,
-                tolerance: Some(tolerance),
-                ..Default::default()
-            };
-            let mut workspace = Workspace::default();
-            let stats = system.solve(
-                &body.hierarchy,
-                columns,
-                &rhs,
-                &mut x,
-                &options,
-                &mut workspace,
-                exec,
-                &mut |_| SolveControl::Continue,
-            )?;
-            iterations = stats.iterations;
-            reached = stats.residuals;
-        }
-        for ((&k, &reference), relative) in others.iter().zip(&references).zip(reached) {
-            residuals[k] = relative * reference;
-        }
-        solved = Some(system);
-    }
-    exec.pool.install(|| {
-        // The solver stops short of the exact solution, so bounds and sum are restored to the last bit that matters.
-        x.par_chunks_mut(columns.max(1)).for_each(|row| {
-            row.iter_mut().for_each(|u| *u = u.clamp(0.0, 1.0));
-            let sum: f64 = row.iter().sum();
-            if sum > 1.0 {
-                row.iter_mut().for_each(|u| *u /= sum);
-            }
-        });
-        for (c, &k) in others.iter().enumerate() {
-            fields[k] = (0..nodes).into_par_iter().map(|i| x[i * columns + c] as f32).collect();
-        }
-        fields[first] = (0..nodes)
-            .into_par_iter()
-            .map(|i| match in_cover(i) {
-                true => (1.0 - x[i * columns..(i + 1) * columns].iter().sum::<f64>()).clamp(0.0, 1.0) as f32,
-                false => 0.0,
-            })
-            .collect();
-    });
-    let fields = HarmonicFields {
-        fields,
+    let mut solved = HarmonicFields {
+        fields: vec![Vec::new(); handles + 1],
         covered,
-        iterations,
-        residuals,
-        hard: Arc::clone(&ownership.hard),
+        ..HarmonicFields::default()
     };
-    Ok((fields, solved))
+    let Some((&first, others)) = active.split_first() else {
+        return Ok((solved, None));
+    };
+    solved.residuals = vec![f64::INFINITY; handles + 1];
+    solved.hard = Arc::clone(&ownership.hard);
+    let (mut x, mut system) = (Vec::new(), None);
+    if !others.is_empty() {
+        let columns = solve_columns(body, ownership, &solved.covered, others, restart, exec)?;
+        for (&k, residual) in others.iter().zip(columns.residuals) {
+            solved.residuals[k] = residual;
+        }
+        (x, system, solved.iterations) = (columns.x, Some(columns.system), columns.iterations);
+    }
+    exec.pool
+        .install(|| share_out(body, &mut solved, first, others, &mut x));
+    Ok((solved, system))
+}
+
+/// The fields of all handles but one as they were solved, and the system that they were solved with.
+struct SolvedColumns {
+    /// By node: a value for each column.
+    x: Vec<f64>,
+    system: LinearSystem,
+    iterations: usize,
+    /// By column: norm of the residual of its equations.
+    residuals: Vec<f64>,
+}
+
+/// Solves the fields of the handles `others`, a column for each; `covered` says of each component whether any handle has a
+/// say in it.
+fn solve_columns(
+    body: &DeformableBody,
+    ownership: &NodeOwnership,
+    covered: &[bool],
+    others: &[usize],
+    restart: Option<(&FieldRestart<'_>, &HarmonicFields)>,
+    exec: &Exec<'_>,
+) -> Result<SolvedColumns, Error> {
+    let nodes = body.nodes();
+    let columns = others.len();
+    let in_cover = |i: usize| covered[body.graph.component[i] as usize];
+    let mut iterations = 0;
+    let mut x = vec![0.0; nodes * columns];
+    let mut column_of = vec![usize::MAX; others.iter().max().map_or(0, |k| k + 1)];
+    others.iter().enumerate().for_each(|(c, &k)| column_of[k] = c);
+    for (node, &k) in ownership.hard.iter().enumerate() {
+        if k != NOBODY && column_of[k as usize] != usize::MAX {
+            x[node * columns + column_of[k as usize]] = 1.0;
+        }
+    }
+    let mut rhs = vec![0.0; nodes * columns];
+    for &(node, k, stiffness) in &ownership.soft {
+        if column_of[k as usize] != usize::MAX {
+            rhs[node as usize * columns + column_of[k as usize]] += stiffness;
+        }
+    }
+    let fixed: Vec<bool> = (0..nodes)
+        .map(|i| ownership.hard[i] != NOBODY || !in_cover(i))
+        .collect();
+    let stiffness = ownership.stiffness();
+    let constraints = Constraints {
+        fixed: &fixed,
+        stiffness: stiffness.as_deref(),
+    };
+    let references = exec.pool.install(|| references(body, columns, &fixed, &rhs, &x));
+    let equations = FieldEquations {
+        body,
+        columns: others,
+        fixed: &fixed,
+        hard: &ownership.hard,
+        is_soft: stiffness.is_some(),
+        references: &references,
+    };
+    // Relaxing takes one thread; constraints have work for the others.
+    let (guess, system) = exec.pool.install(|| {
+        rayon::join(
+            || restart.and_then(|(restart, before)| restart.guess(&equations, before, &mut x, exec.pool)),
+            || body.hierarchy.constrain(&constraints, exec.pool),
+        )
+    });
+    let system = system?;
+    let mut reached = match &guess {
+        Some(residuals) => residuals.clone(),
+        None => vec![f64::INFINITY; columns],
+    };
+    if reached.iter().any(|r| *r > RESTARTED_TOLERANCE) {
+        let from_nothing = InitialGuess::FullMultigrid {
+            frames: None,
+            rest: None,
+        };
+        let (start, tolerance) = match guess {
+            Some(_) => (InitialGuess::Given, RESTARTED_TOLERANCE),
+            None => (from_nothing, FIELD_TOLERANCE),
+        };
+        let options = SolveOptions {
+            start,
+            tolerance: Some(tolerance),
+            ..Default::default()
+        };
+        let mut workspace = Workspace::default();
+        let stats = system.solve(
+            &body.hierarchy,
+            columns,
+            &rhs,
+            &mut x,
+            &options,
+            &mut workspace,
+            exec,
+            &mut |_| SolveControl::Continue,
+        )?;
+        iterations = stats.iterations;
+        reached = stats.residuals;
+    }
+    let relative = references.iter().zip(reached);
+    Ok(SolvedColumns {
+        x,
+        system,
+        iterations,
+        residuals: relative.map(|(reference, relative)| relative * reference).collect(),
+    })
+}
+
+/// Makes fields of the columns: the solver stops short of the exact solution, so bounds and sum are restored to the last bit
+/// that matters, and the first handle gets what the others leave.
+fn share_out(body: &DeformableBody, solved: &mut HarmonicFields, first: usize, others: &[usize], x: &mut [f64]) {
+    let (nodes, columns) = (body.nodes(), others.len());
+    x.par_chunks_mut(columns.max(1)).for_each(|row| {
+        row.iter_mut().for_each(|u| *u = u.clamp(0.0, 1.0));
+        let sum: f64 = row.iter().sum();
+        if sum > 1.0 {
+            row.iter_mut().for_each(|u| *u /= sum);
+        }
+    });
+    for (c, &k) in others.iter().enumerate() {
+        solved.fields[k] = (0..nodes).into_par_iter().map(|i| x[i * columns + c] as f32).collect();
+    }
+    let covered = &solved.covered;
+    let rest: Vec<f32> = (0..nodes)
+        .into_par_iter()
+        .map(|i| match covered[body.graph.component[i] as usize] {
+            true => (1.0 - x[i * columns..(i + 1) * columns].iter().sum::<f64>()).clamp(0.0, 1.0) as f32,
+            false => 0.0,
+        })
+        .collect();
+    solved.fields[first] = rest;
 }

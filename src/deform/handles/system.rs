@@ -4,7 +4,7 @@ use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
 use crate::deform::fields::harmonic::HarmonicFields;
 use crate::deform::fields::restart::{FieldRestart, KeptFields};
-use crate::deform::fields::solve;
+use crate::deform::fields::solve::solve_fields;
 use crate::deform::handles::free_parts::FreeParts;
 use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
 use crate::deform::handles::setup::{HandleConstraint, HandleSetup};
@@ -80,14 +80,14 @@ impl HandleSystem {
 
         let holds = setup.handles.len();
         let begin = restart.map(|r| (r, r.before.rotation.as_ref()));
-        let (rotation_fields, system) = solve::solve(body, &rotation, holds, begin, exec)?;
+        let (rotation_fields, system) = solve_fields(body, &rotation, holds, begin, exec)?;
         let blending_fields = rotation_fields.around_small(body, &rotation, exec.pool);
         let shared = scale.same_as(&rotation);
         let scale_fields = match shared {
             true => None,
             false => {
                 let begin = restart.and_then(|r| Some((r, r.before.scale.as_deref()?)));
-                Some(solve::solve(body, &scale, holds, begin, exec)?.0)
+                Some(solve_fields(body, &scale, holds, begin, exec)?.0)
             }
         };
         let field_iterations = rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);

@@ -102,6 +102,16 @@ impl RotationBlending {
 ///
 /// One term, or several about one axis: exp(Σ u θ), exact for any number of turns. The result depends continuously on
 /// weights and vectors, also where one passes half a turn, and turns with them when all are turned together.
+///
+/// ```
+/// use glam::DVec3;
+/// use pliant::deform::{blend_rotations, exp_rotation, log_rotation};
+///
+/// // Half of three turns about one axis is one turn and a half.
+/// let three_turns = DVec3::Z * 3.0 * std::f64::consts::TAU;
+/// let half = blend_rotations(&[(0.5, three_turns)]);
+/// assert!(log_rotation(half.inverse() * exp_rotation(three_turns * 0.5)).length() < 1e-9);
+/// ```
 pub fn blend_rotations(terms: &[(f64, DVec3)]) -> DQuat {
     let vectors: Vec<DVec3> = terms.iter().map(|t| t.1).collect();
     let weights: Vec<(usize, f64)> = terms.iter().map(|t| t.0).enumerate().collect();

@@ -78,7 +78,17 @@ fn largest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
     [v[0][best], v[1][best], v[2][best], v[3][best]]
 }
 
-/// The rigid motion that takes `rest` nearest to `deformed` in the least-squares sense.
+/// Finds the rigid motion that takes `rest` nearest to `deformed` in the least-squares sense.
+///
+/// ```
+/// use glam::DVec3;
+/// use pliant::deform::{exp_rotation, fit_rigid_motion};
+///
+/// let rest = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
+/// let turned = rest.map(|p| exp_rotation(DVec3::Z) * p + DVec3::X);
+/// let motion = fit_rigid_motion(&rest, &turned).map();
+/// assert!(rest.iter().zip(turned).all(|(p, q)| motion(*p).distance(q) < 1e-9));
+/// ```
 pub fn fit_rigid_motion(rest: &[DVec3], deformed: &[DVec3]) -> Transform {
     let count = rest.len().min(deformed.len());
     if count == 0 {

@@ -41,15 +41,16 @@ impl HandleSystem {
         }
         let instead = spread::instead(body, self, request.transforms, request.first_pass, exec)?;
         let instead = instead.as_deref();
+        let mut posed = self.posed(body, request.transforms, instead, exec.pool);
         let pose = PoseSolve {
             rig: self,
             body,
             request,
             instead,
             moved_parts: &moved_parts,
+            center: posed.center,
             exec,
         };
-        let mut posed = self.posed(body, request.transforms, instead, exec.pool);
         let result = pose.solve(&mut posed, state, watch);
         if result.is_err() {
             // A solution that was interrupted is no start for the next one.
@@ -70,13 +71,16 @@ struct PoseSolve<'a> {
     /// Rotations in place of the blend by harmonic fields.
     instead: Option<&'a [LocalRotation]>,
     moved_parts: &'a [bool],
+    /// What is solved around, in solving coordinates.
+    center: DVec3,
     exec: &'a Exec<'a>,
 }
 
-/// What the solves of one pose came to so far.
-struct SolveTally {
+/// What the solves of one pose came to so far, and who watches them.
+struct SolveTally<'a> {
     iterations: usize,
     refined: u32,
+    watch: &'a mut dyn FnMut(&CycleReport<'_>) -> bool,
     /// `watch` has had enough.
     stopped: bool,
 }
@@ -121,6 +125,7 @@ impl PoseSolve<'_> {
         let mut tally = SolveTally {
             iterations: 0,
             refined: 0,
+            watch,
             stopped: false,
         };
         let first = match warm {
@@ -132,7 +137,7 @@ impl PoseSolve<'_> {
         };
         let between = request.tolerance.map_or(BETWEEN_FITS, |t| t.min(BETWEEN_FITS));
         let rough = if steps > 0 { between } else { 0.0 };
-        let mut stats = self.run(&rig.positions, posed.center, first, rough, state, &mut tally, watch)?;
+        let mut stats = self.run(&rig.positions, first, rough, state, &mut tally)?;
         if let Some(fit) = &fit {
             while tally.refined < steps && !tally.stopped {
                 check(self.exec.progress)?;
@@ -142,7 +147,7 @@ impl PoseSolve<'_> {
                 tally.refined += 1;
                 let rough = if tally.refined < steps { between } else { 0.0 };
                 let start = solver::InitialGuess::Given;
-                stats = self.run(&rig.positions, posed.center, start, rough, state, &mut tally, watch)?;
+                stats = self.run(&rig.positions, start, rough, state, &mut tally)?;
             }
             state.extra = fit.extra(&turns, pool);
         } else {
@@ -151,7 +156,7 @@ impl PoseSolve<'_> {
         if let Some(rigid) = &rig.rigid {
             rig.make_regions_rigid(body, &mut state.x);
             let start = solver::InitialGuess::Given;
-            stats = self.run(rigid, posed.center, start, 0.0, state, &mut tally, watch)?;
+            stats = self.run(rigid, start, 0.0, state, &mut tally)?;
         }
 
         let positions = rig.place(body, self.moved_parts, request.transforms, posed.center, &state.x);
@@ -179,12 +184,10 @@ impl PoseSolve<'_> {
     fn run(
         &self,
         constrained: &ConstrainedSystem,
-        center: DVec3,
         start: solver::InitialGuess<'_>,
         rough: f64,
         state: &mut SolveState,
-        tally: &mut SolveTally,
-        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+        tally: &mut SolveTally<'_>,
     ) -> Result<solver::SolveStats, Error> {
         let Self { rig, body, request, .. } = *self;
         let unit_per_diagonal = body.unit / body.diagonal;
@@ -208,7 +211,7 @@ impl PoseSolve<'_> {
                 let positions = || {
                     let mut now = vec![0.0; body.nodes() * 3];
                     iteration.copy_to(&mut now);
-                    rig.place(body, self.moved_parts, request.transforms, center, &now)
+                    rig.place(body, self.moved_parts, request.transforms, self.center, &now)
                 };
                 let cycle = CycleReport {
                     index: before + iteration.index,
@@ -217,7 +220,7 @@ impl PoseSolve<'_> {
                     max_error: iteration.max_error * unit_per_diagonal,
                     positions: &positions,
                 };
-                tally.stopped = !watch(&cycle);
+                tally.stopped = !(tally.watch)(&cycle);
                 match tally.stopped || (iteration.index > 1 && cycle.max_error <= rough) {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,

@@ -34,7 +34,7 @@ use glam::DVec3;
 use crate::graph::resample::change::{ChangedPoints, GraphBefore, NodeNumbers};
 use crate::graph::resample::graph_edit::GraphEdit;
 use crate::graph::resample::hull::{HullChange, fan};
-use crate::graph::resample::interior::InteriorChange;
+use crate::graph::resample::interior::{EditedShell, InteriorChange};
 use crate::graph::resample::local::{LocalFaces, LocalMesh};
 use crate::graph::resample::zone::{ChangeZone, SpreadLengths};
 
@@ -154,7 +154,14 @@ fn volume(
         .for_each(|s| old_shell[old.nearest_surface[s as usize] as usize] = s);
     let mut numbers = NodeNumbers::of(old, change, points);
     let copies = places::place(&site, old, change, &hull.reach, &old_shell, &mut numbers)?;
-    let followed = interior::follow(&site, old, inside, change, points, &copies, &old_shell, &mut numbers)?;
+    let edited = EditedShell {
+        old,
+        change,
+        points,
+        copies: &copies,
+        old_shell: &old_shell,
+    };
+    let followed = interior::follow(&site, inside, &edited, &mut numbers)?;
     let Some(interior) = followed else {
         return Ok(None);
     };
@@ -168,7 +175,7 @@ fn volume(
         }),
         ..old.recipe
     };
-    let edit = edit(old, change, points, &numbers, &local, &copies, interior, &old_shell);
+    let edit = collect_changes(&edited, &numbers, &local, interior);
     let stats = GraphStats {
         enclosed_volume: volume.max(0.0),
         ..old.stats.clone()
@@ -238,16 +245,19 @@ fn gained(between: &LocalFaces, inside: &InteriorRecipe) -> f64 {
 }
 
 /// Collects what changes.
-fn edit<'a>(
-    old: &'a GraphBefore<'a>,
-    change: &'a MeshChange<'a>,
-    points: &'a ChangedPoints,
+fn collect_changes<'a>(
+    edited: &EditedShell<'a>,
     numbers: &'a NodeNumbers,
     local: &LocalMesh,
-    copies: &places::ShellCopies,
     interior: InteriorChange,
-    old_shell: &[u32],
 ) -> GraphEdit<'a> {
+    let EditedShell {
+        old,
+        change,
+        points,
+        copies,
+        old_shell,
+    } = *edited;
     let name = |v: u32| numbers.point(change, local.points[v as usize]);
     let mut links = copies.links(local, name, old.recipe.cotangent_scale);
     links.extend_from_slice(&interior.links);

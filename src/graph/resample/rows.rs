@@ -202,7 +202,7 @@ enum RowSource {
     /// Old nodes from this one on.
     Old(usize),
     /// Fresh rows from this one on.
-    FreshRows(usize),
+    Fresh(usize),
 }
 
 /// A run of rows to be written.
@@ -216,14 +216,10 @@ struct RowRun<'a> {
     weights: &'a mut [f32],
 }
 
-fn copy_rows(
-    old: &GraphBefore<'_>,
-    renumbered: &Renumbered,
-    fresh: &FreshRows,
-) -> (Vec<u32>, Vec<u32>, Option<Vec<f32>>) {
+/// Finds runs of nodes with the source of their rows: fresh, or one old node after the other.
+fn find_row_sources(renumbered: &Renumbered, fresh: &FreshRows) -> Vec<(RowSource, usize)> {
     let from = &renumbered.old_from_new;
     let nodes = from.len();
-    // Runs of nodes with the source of their rows: fresh, or one old node after the other.
     let mut sources: Vec<(RowSource, usize)> = Vec::new();
     let (mut node, mut next) = (0, 0);
     let first_gap = |node: usize, end: usize| {
@@ -246,7 +242,7 @@ fn copy_rows(
                 .take_while(|&k| fresh.nodes.get(next + k) == Some(&((node + k) as u32)))
                 .count()
                 + 1;
-            sources.push((RowSource::FreshRows(next), run));
+            sources.push((RowSource::Fresh(next), run));
             next += run;
             node += run;
             continue;
@@ -261,9 +257,20 @@ fn copy_rows(
         sources.push((RowSource::Old(from[node] as usize), end - node));
         node = end;
     }
+    sources
+}
+
+/// Copies old rows and fresh ones into the offsets, neighbours and weights of the new graph.
+fn copy_rows(
+    old: &GraphBefore<'_>,
+    renumbered: &Renumbered,
+    fresh: &FreshRows,
+) -> (Vec<u32>, Vec<u32>, Option<Vec<f32>>) {
+    let nodes = renumbered.old_from_new.len();
+    let sources = find_row_sources(renumbered, fresh);
     let entries = |source: &RowSource, run: usize| match *source {
         RowSource::Old(o) => (old.offsets[o + run] - old.offsets[o]) as usize,
-        RowSource::FreshRows(f) => (fresh.offsets[f + run] - fresh.offsets[f]) as usize,
+        RowSource::Fresh(f) => (fresh.offsets[f + run] - fresh.offsets[f]) as usize,
     };
     let total: usize = sources.iter().map(|(source, run)| entries(source, *run)).sum();
     let mut offsets = vec![0u32; nodes + 1];
@@ -300,7 +307,7 @@ fn copy_rows(
                     weights,
                 )
             }
-            RowSource::FreshRows(f) => {
+            RowSource::Fresh(f) => {
                 let entries = fresh.offsets[f] as usize..fresh.offsets[f + run.ends.len()] as usize;
                 run.neighbours.copy_from_slice(&fresh.neighbours[entries.clone()]);
                 let weights = old.weights.as_ref().map(|_| &fresh.weights[entries]);

@@ -72,18 +72,29 @@ pub fn estimate_nodes(mesh: &Mesh) -> usize {
 /// parts that overlap share one lattice. Parts that are mere sheets, or too thin for a shell, keep their mesh edges only.
 /// Time is `n log n`, most of it spent near the surface.
 ///
+/// ```
+/// use glam::DVec3;
+/// use pliant::asset::shapes::box_with_cells;
+/// use pliant::exec::Exec;
+/// use pliant::graph::{VolumeOptions, volume};
+/// use pliant::mesh::{Mesh, Weld};
+/// use pliant::pool::Pool;
+/// use pliant::progress::Silent;
+///
+/// let (positions, triangles) = box_with_cells(DVec3::ONE, [6, 6, 6]);
+/// let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
+/// let pool = Pool::new(1).expect("a thread");
+/// let graph = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool, &Silent))?.expect("a box has an inside");
+/// assert_eq!(graph.surface, mesh.positions.len());
+/// assert!(graph.stats.shell_nodes > 0 && graph.nodes() > graph.surface);
+/// # Ok::<(), pliant::graph::Error>(())
+/// ```
+///
 /// # Errors
 /// [`Error`] when an option makes no sense, when surface and shell alone exceed `max_nodes`, or when the work was
 /// given up.
 pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<Option<MeshGraph>, Error> {
-    for (option, value) in [("interval", options.interval), ("shell offset", options.shell_offset)] {
-        if let Some(seen) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
-            return Err(Error::Length { option, seen });
-        }
-    }
-    if !matches!(options.valence, 8 | 14) {
-        return Err(Error::Valence { seen: options.valence });
-    }
+    check_options(options)?;
     let surface = mesh.positions.len();
     let limit = options.max_nodes.min(u32::MAX as usize / 32);
     let room_beyond = |nodes: usize| {
@@ -161,16 +172,9 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
     if inner.positions.is_empty() {
         return Ok(None);
     }
-    inner.recipe.inside = Some(inside(
-        &site,
-        &offsets,
-        &turns,
-        &keeps,
-        &grid,
-        options.valence,
-        DEPTH * offset,
-    ));
-    let stats = GraphStats {
+    let reach = part_reaches(&site, &offsets, &turns, &keeps);
+    inner.recipe.inside = Some(record_interior(&site, &reach, &grid, options.valence, DEPTH * offset));
+    inner.stats = GraphStats {
         shell_nodes: inner.copies,
         lattice_nodes: nodes.keys.len(),
         interval: grid.interval,
@@ -179,13 +183,7 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
         enclosed_volume: volume,
         component_has_volume: Vec::new(),
     };
-    let most_edges = 3 * adjacency.edges.len() + inner.copies + 7 * inner.lattice.len() + inner.ties.len();
-    if most_edges > u32::MAX as usize / 2 {
-        return Err(Error::TooManyEdges {
-            edges: most_edges,
-            limit: u32::MAX as usize / 2,
-        });
-    }
+    check_edge_count(&adjacency, &inner)?;
     exec.progress.report("graph", 0.9);
     let graph = assemble(
         mesh,
@@ -193,12 +191,34 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
         &parts.components,
         inner,
         options.weights,
-        stats,
         Some(exec.pool),
     );
     exec.check()?;
     exec.progress.report("graph", 1.0);
     Ok(Some(graph))
+}
+
+/// Refuses options that make no sense.
+fn check_options(options: &VolumeOptions) -> Result<(), Error> {
+    for (option, value) in [("interval", options.interval), ("shell offset", options.shell_offset)] {
+        if let Some(seen) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
+            return Err(Error::Length { option, seen });
+        }
+    }
+    if !matches!(options.valence, 8 | 14) {
+        return Err(Error::Valence { seen: options.valence });
+    }
+    Ok(())
+}
+
+/// Refuses more edges than can be numbered.
+fn check_edge_count(adjacency: &Adjacency, inner: &InteriorNodes) -> Result<(), Error> {
+    let edges = 3 * adjacency.edges.len() + inner.copies + 7 * inner.lattice.len() + inner.ties.len();
+    let limit = u32::MAX as usize / 2;
+    match edges > limit {
+        true => Err(Error::TooManyEdges { edges, limit }),
+        false => Ok(()),
+    }
 }
 
 /// How far the copies of each part are moved: as wanted, or by the mean edge length of the mesh. Parts of a finer mesh
@@ -309,27 +329,24 @@ fn leave_out_thin(site: &VolumeSite, shell: &mut ShellNodes, offsets: &[f64], ti
     keeps
 }
 
-/// What edits need to know of how interior nodes were placed.
-fn inside(
-    site: &VolumeSite,
-    offsets: &[f64],
-    turns: &[f64],
-    keeps: &[bool],
-    grid: &LatticeGrid,
-    valence: u32,
-    depth: f64,
-) -> InteriorRecipe {
-    let parts = site.parts;
-    let reach: Vec<f32> = (0..parts.kinds.len())
-        .map(|part| {
-            let encloses = parts.kinds[part] != PartKind::Sheet && keeps[part];
+/// How far copies of each part were moved inwards: negative where the part is wound inside out, 0 where it has none.
+fn part_reaches(site: &VolumeSite, offsets: &[f64], turns: &[f64], keeps: &[bool]) -> Vec<f32> {
+    let kinds = site.parts.kinds.iter().enumerate();
+    kinds
+        .map(|(part, &kind)| {
+            let encloses = kind != PartKind::Sheet && keeps[part];
             if encloses {
                 (offsets[part] * turns[part]) as f32
             } else {
                 0.0
             }
         })
-        .collect();
+        .collect()
+}
+
+/// Records what edits need to know of how interior nodes were placed; `reach` is by part.
+fn record_interior(site: &VolumeSite, reach: &[f32], grid: &LatticeGrid, valence: u32, depth: f64) -> InteriorRecipe {
+    let parts = site.parts;
     let enclosing = |v: u32| reach[parts.components.of_vertex[v as usize] as usize] != 0.0;
     let edges = site.adjacency.edges.iter();
     let mut open: Vec<[u32; 2]> = edges.filter(|e| enclosing(e.vertices[0])).flat_map(missing).collect();
