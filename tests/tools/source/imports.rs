@@ -2,6 +2,7 @@
 
 use super::modules::SourceFile;
 use super::tokens::{Token, resolve_path, use_tree};
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A crate's folder and the path of a module in it.
@@ -48,10 +49,10 @@ pub fn imported_files(files: &[SourceFile]) -> Vec<BTreeSet<usize>> {
             names: &names,
             crate_folder: &files[file].crate_folder,
         };
-        if let Some(PathTarget::ItemOf(other)) = lookup.resolve(&module, &path, 0) {
-            if other != file {
-                imported[file].insert(other);
-            }
+        if let Some(PathTarget::ItemOf(other)) = lookup.resolve(&module, &path, 0)
+            && other != file
+        {
+            imported[file].insert(other);
         }
     }
     imported
@@ -96,8 +97,8 @@ pub fn shortest_circle(imported: &[BTreeSet<usize>], start: usize) -> Vec<usize>
                 way.reverse();
                 return way;
             }
-            if !before.contains_key(&next) {
-                before.insert(next, file);
+            if let Entry::Vacant(unseen) = before.entry(next) {
+                unseen.insert(file);
                 open.push_back(next);
             }
         }
@@ -241,10 +242,10 @@ impl Lookup<'_> {
         if module.items.contains(name) {
             return Some(PathTarget::ItemOf(module.file));
         }
-        if let Some(path) = module.aliases.get(name) {
-            if path.first().is_some_and(|first| first != name) {
-                return self.resolve(at, path, depth + 1);
-            }
+        if let Some(path) = module.aliases.get(name)
+            && path.first().is_some_and(|first| first != name)
+        {
+            return self.resolve(at, path, depth + 1);
         }
         module
             .globs

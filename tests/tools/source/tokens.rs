@@ -117,7 +117,7 @@ fn read_use_tree(
             return i + 1;
         }
         let Some(name) = word(i) else { return i + 1 };
-        if !(name == "self" && !path.is_empty()) {
+        if name != "self" || path.is_empty() {
             path.push(name);
         }
         i += 1;
