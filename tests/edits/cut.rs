@@ -475,7 +475,7 @@ fn curves_between_parts_are_refused() {
     let refused = insert_curve(&apart.surface(), &SurfaceCurve::Drawn(&line), false, &Silent).expect_err("two parts");
     assert!(refused.to_string().contains("different parts"), "{refused}");
     let few = insert_curve(&apart.surface(), &SurfaceCurve::Drawn(&line[..1]), false, &Silent).expect_err("one point");
-    assert!(few.to_string().starts_with("insertCurve.points: 1 points"), "{few}");
+    assert!(few.to_string().starts_with("inserted curve: 1 points"), "{few}");
 }
 
 fn center_in(open: &Model, t: &[u32; 3]) -> bool {
