@@ -67,7 +67,7 @@ pub fn stitch_boundaries(
     check(progress)?;
     let strip = strip::find_shortest_strip(&mesh, a, b).ok_or_else(|| {
         let problem = "no strip between the two loops has only new edges; they are joined by edges already";
-        Error::impossible(problem, &describe_place(&mesh, a, b))
+        Error::impossible(problem, describe_place(&mesh, a, b))
     })?;
     let turned: Vec<u32> = b.points.iter().rev().copied().collect();
     let other_way = strip::find_shortest_strip(
@@ -80,7 +80,7 @@ pub fn stitch_boundaries(
     );
     if other_way.is_some_and(|o| o.cost * 2.0 < strip.cost) {
         let problem = "the two parts face opposite ways: one of them is inside out, turn its triangles over";
-        return Err(Error::impossible(problem, &describe_place(&mesh, a, b)));
+        return Err(Error::impossible(problem, describe_place(&mesh, a, b)));
     }
     write_patch(surface, &mesh, a, b, &strip.triangles)
 }
@@ -113,7 +113,7 @@ fn choose_loops<'a>(
             let at = |p: u32| {
                 let passes = |l: &&StitchLoop| l.points.iter().any(|&x| mesh.points[x as usize].old == p);
                 let hint = "is on no closed boundary loop; name a point on a loop";
-                let missing = || Error::impossible(&format!("point {p} {hint}"), &format!("point {p}"));
+                let missing = || Error::impossible(format!("point {p} {hint}"), format!("point {p}"));
                 found.iter().find(passes).ok_or_else(missing)
             };
             Ok((at(p)?, at(q)?))
@@ -197,7 +197,7 @@ fn write_patch(
         let corners = piece.points.map(|p| mesh.position(p));
         if triangle::area_normal(corners).try_normalize().is_none() {
             let problem = "the strip would have a triangle without area; weld points that touch first";
-            return Err(Error::impossible(problem, &format!("{}", corners[0])));
+            return Err(Error::impossible(problem, format!("{}", corners[0])));
         }
         let corners = piece.points.map(|p| vertices.find_or_copy(p, piece.beside));
         vertices.patch.triangles.push(NewTriangle { primitive, corners });
