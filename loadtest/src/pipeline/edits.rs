@@ -307,7 +307,7 @@ impl EditBench<'_> {
         };
         let start = Instant::now();
         let millis = || start.elapsed().as_secs_f64() * 1e3;
-        let stages = StageClock::new(&millis, &Silent);
+        let stages = StageClock::new(millis, &Silent);
         stages.begin_stage("edit");
         let outcome = bench.edit(&order, &Exec::new(pool, &stages))?;
         stages.begin_stage("solve");

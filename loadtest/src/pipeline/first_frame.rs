@@ -140,7 +140,7 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?.solve;
     let start = Instant::now();
     let millis = || start.elapsed().as_secs_f64() * 1e3;
-    let stages = StageClock::new(&millis, &Silent);
+    let stages = StageClock::new(millis, &Silent);
     let create = job.create.clone().unwrap_or_default();
     let mut bench = Deformer::open(
         files,
