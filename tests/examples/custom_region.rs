@@ -16,7 +16,11 @@ pub fn lift_what_sticks_out() -> Result<(usize, f64), Box<dyn Error>> {
     let mut deformer = Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec)?;
     let rest = deformer.rest().clone();
     // Any rule will do; what it chooses is listed by number.
-    let sticks_out: Vec<u32> = (0u32..).zip(rest.iter()).filter(|(_, p)| p.x > 0.95).map(|(v, _)| v).collect();
+    let sticks_out: Vec<u32> = (0u32..)
+        .zip(rest.iter())
+        .filter(|(_, p)| p.x > 0.95)
+        .map(|(v, _)| v)
+        .collect();
     deformer.set_handles(
         [
             Handle::new("feet", Region::half_space([0.0, -1.0, 0.0], -0.14)),

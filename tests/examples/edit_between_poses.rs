@@ -39,7 +39,10 @@ pub fn cut_and_turn() -> Result<(EditReport, SolvedShape), Box<dyn Error>> {
 #[allow(dead_code)]
 fn main() -> Result<(), Box<dyn Error>> {
     let (report, shape) = cut_and_turn()?;
-    println!("{} triangles, {} after the cut", report.before.faces, report.after.faces);
+    println!(
+        "{} triangles, {} after the cut",
+        report.before.faces, report.after.faces
+    );
     println!("{} vertices solved in {} cycles", shape.positions.len(), shape.cycles);
     Ok(())
 }
