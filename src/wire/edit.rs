@@ -1,6 +1,7 @@
 //! Edits as messages and as values of the engine.
 
 use super::check::{enumerated, number, plane, points, positive};
+use super::edit_kind::edit_kind_name;
 use super::facts::warning_message;
 use super::handles::region;
 use super::{Error, pb};
@@ -73,21 +74,6 @@ pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
         Some(Operation::InsertCurve(_)) => edit_kind_name(EditKind::InsertCurve),
         Some(Operation::Weld(_)) => edit_kind_name(EditKind::Weld),
         None => "none",
-    }
-}
-
-/// Returns the JSON name of a kind of edit.
-pub fn edit_kind_name(kind: EditKind) -> &'static str {
-    match kind {
-        EditKind::Cut => "cut",
-        EditKind::Subdivide => "subdivide",
-        EditKind::Decimate => "decimate",
-        EditKind::Delete => "delete",
-        EditKind::Fill => "fill",
-        EditKind::Remesh => "remesh",
-        EditKind::Merge => "merge",
-        EditKind::InsertCurve => "insertCurve",
-        EditKind::Weld => "weld",
     }
 }
 

@@ -42,7 +42,7 @@ pub struct FrameRequest {
 /// Prepares a frame; the iterator makes its parts one by one.
 ///
 /// There is always at least one part. Attributes follow one another: positions, then normals, then tangents.
-pub fn encode(request: FrameRequest) -> Parts {
+pub fn encode(request: FrameRequest) -> FrameParts {
     let FrameRequest {
         header,
         positions,
@@ -77,7 +77,7 @@ pub fn encode(request: FrameRequest) -> Parts {
         let index_bytes = if selected.is_some() { 4 } else { 0 };
         let run = (part_bytes / (vertex_bytes + index_bytes)).max(1);
         let count = u32::try_from(vertices.div_ceil(run).max(1)).unwrap_or(u32::MAX);
-        blocks.push(Block {
+        blocks.push(FrameBlock {
             attribute,
             first_part: parts,
             run,
@@ -89,7 +89,7 @@ pub fn encode(request: FrameRequest) -> Parts {
     } else {
         Some(bounds(&positions, selected.as_deref()))
     };
-    Parts {
+    FrameParts {
         header,
         positions,
         shading,
@@ -135,7 +135,7 @@ fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
 
 /// A run of parts with the same attribute.
 #[derive(Debug)]
-struct Block {
+struct FrameBlock {
     attribute: frame::Attribute,
     first_part: u32,
     /// Vertices in every part but the last.
@@ -144,20 +144,20 @@ struct Block {
 
 /// The parts of one frame, in order, each made when it is asked for.
 #[derive(Debug)]
-pub struct Parts {
+pub struct FrameParts {
     header: pb::Frame,
     positions: Arc<Vec<DVec3>>,
     shading: Option<Arc<Shading>>,
     selected: Option<Vec<u32>>,
     encoding: frame::Encoding,
     bounds: Option<[DVec3; 2]>,
-    blocks: Vec<Block>,
+    blocks: Vec<FrameBlock>,
     vertices: usize,
     next: u32,
     parts: u32,
 }
 
-impl Parts {
+impl FrameParts {
     /// With `changed_only`: the vertices that the frame carries, ascending.
     pub fn selected(&self) -> Option<&[u32]> {
         self.selected.as_deref()
@@ -254,7 +254,7 @@ impl Parts {
     }
 }
 
-impl Iterator for Parts {
+impl Iterator for FrameParts {
     type Item = pb::Frame;
 
     fn next(&mut self) -> Option<pb::Frame> {

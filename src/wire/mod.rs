@@ -6,6 +6,7 @@
 mod check;
 mod create;
 mod edit;
+mod edit_kind;
 mod error;
 mod expect;
 mod facts;
@@ -17,7 +18,8 @@ pub mod pb;
 mod poses;
 
 pub use create::open_options;
-pub use edit::{edit, edit_kind_name, edit_name, edit_result};
+pub use edit::{edit, edit_name, edit_result};
+pub use edit_kind::edit_kind_name;
 pub use error::Error;
 pub use facts::{quality_message, session_message, warning_message};
 pub use handles::{handle_set, handle_set_message, region_message};

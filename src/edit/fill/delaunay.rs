@@ -39,12 +39,12 @@ pub(super) fn make_delaunay(
             continue;
         }
         // f is (a, b, p), g is (b, a, q).
-        let [pa, pb, pp, pq] = [a, b, p, q].map(place);
-        if turn(pa, pq, pp) <= 0.0 || turn(pq, pb, pp) <= 0.0 {
+        let [point_a, point_b, pp, pq] = [a, b, p, q].map(place);
+        if turn(point_a, pq, pp) <= 0.0 || turn(pq, point_b, pp) <= 0.0 {
             continue;
         }
-        let flat = turn(pa, pb, pp) <= 0.0 || turn(pb, pa, pq) <= 0.0;
-        if !flat && robust::incircle(coord(pa), coord(pb), coord(pp), coord(pq)) <= 0.0 {
+        let flat = turn(point_a, point_b, pp) <= 0.0 || turn(point_b, point_a, pq) <= 0.0;
+        if !flat && robust::incircle(coord(point_a), coord(point_b), coord(pp), coord(pq)) <= 0.0 {
             continue;
         }
         budget -= 1;

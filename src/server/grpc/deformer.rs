@@ -22,7 +22,7 @@ pub(super) struct Calls {
     state: State,
 }
 
-type Answer<T> = Result<Response<T>, Status>;
+type GrpcAnswer<T> = Result<Response<T>, Status>;
 type Sent<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
 impl Calls {
@@ -66,7 +66,7 @@ fn sent<T: Send + 'static>(items: impl IntoIterator<Item = T, IntoIter: Send + '
 
 #[tonic::async_trait]
 impl Deformer for Calls {
-    async fn create_session(&self, request: Request<Streaming<pb::CreateSessionRequest>>) -> Answer<pb::Session> {
+    async fn create_session(&self, request: Request<Streaming<pb::CreateSessionRequest>>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, inbound) = work(&self.state, request)?;
         let upload::Upload { files, options, held } = upload::receive(&self.state, inbound).await?;
         let created = self.state.manager.create(&tenant, files, options, key.as_deref()).await;
@@ -74,7 +74,7 @@ impl Deformer for Calls {
         created.map(|answer| Response::new(answer.value)).map_err(status)
     }
 
-    async fn get_session(&self, request: Request<pb::SessionRequest>) -> Answer<pb::Session> {
+    async fn get_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
         self.state
@@ -85,7 +85,7 @@ impl Deformer for Calls {
             .map_err(status)
     }
 
-    async fn list_sessions(&self, request: Request<pb::ListSessionsRequest>) -> Answer<pb::ListSessionsResponse> {
+    async fn list_sessions(&self, request: Request<pb::ListSessionsRequest>) -> GrpcAnswer<pb::ListSessionsResponse> {
         let tenant = tenant(&request)?;
         self.state
             .manager
@@ -95,14 +95,14 @@ impl Deformer for Calls {
             .map_err(status)
     }
 
-    async fn delete_session(&self, request: Request<pb::SessionRequest>) -> Answer<pb::DeleteSessionResponse> {
+    async fn delete_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::DeleteSessionResponse> {
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
         self.state.manager.delete(&tenant, &id).await.map_err(status)?;
         Ok(Response::new(pb::DeleteSessionResponse {}))
     }
 
-    async fn set_handles(&self, request: Request<pb::SetHandlesRequest>) -> Answer<pb::Session> {
+    async fn set_handles(&self, request: Request<pb::SetHandlesRequest>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
         self.state
             .manager
@@ -114,7 +114,7 @@ impl Deformer for Calls {
 
     type DeformStream = Sent<pb::DeformResponse>;
 
-    async fn deform(&self, request: Request<Streaming<pb::DeformRequest>>) -> Answer<Self::DeformStream> {
+    async fn deform(&self, request: Request<Streaming<pb::DeformRequest>>) -> GrpcAnswer<Self::DeformStream> {
         let tenant = tenant(&request)?;
         // The head of the answer goes out at once: clients wait for it before they send their first message.
         Ok(Response::new(Box::pin(stream::responses(
@@ -126,7 +126,7 @@ impl Deformer for Calls {
 
     type SolveStream = Sent<pb::Frame>;
 
-    async fn solve(&self, request: Request<pb::SolveRequest>) -> Answer<Self::SolveStream> {
+    async fn solve(&self, request: Request<pb::SolveRequest>) -> GrpcAnswer<Self::SolveStream> {
         let (tenant, key, message) = work(&self.state, request)?;
         let solved = self
             .state
@@ -137,7 +137,7 @@ impl Deformer for Calls {
         Ok(Response::new(sent(solved.frames)))
     }
 
-    async fn edit(&self, request: Request<pb::EditRequest>) -> Answer<pb::EditResult> {
+    async fn edit(&self, request: Request<pb::EditRequest>) -> GrpcAnswer<pb::EditResult> {
         let (tenant, key, message) = work(&self.state, request)?;
         self.state
             .manager
@@ -147,7 +147,7 @@ impl Deformer for Calls {
             .map_err(status)
     }
 
-    async fn undo(&self, request: Request<pb::SessionRequest>) -> Answer<pb::Session> {
+    async fn undo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
         self.state
             .manager
@@ -157,7 +157,7 @@ impl Deformer for Calls {
             .map_err(status)
     }
 
-    async fn redo(&self, request: Request<pb::SessionRequest>) -> Answer<pb::Session> {
+    async fn redo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
         self.state
             .manager
@@ -167,7 +167,7 @@ impl Deformer for Calls {
             .map_err(status)
     }
 
-    async fn history(&self, request: Request<pb::SessionRequest>) -> Answer<pb::HistoryResponse> {
+    async fn history(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::HistoryResponse> {
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
         self.state
@@ -180,7 +180,7 @@ impl Deformer for Calls {
 
     type ExportStream = Sent<pb::Chunk>;
 
-    async fn export(&self, request: Request<pb::ExportRequest>) -> Answer<Self::ExportStream> {
+    async fn export(&self, request: Request<pb::ExportRequest>) -> GrpcAnswer<Self::ExportStream> {
         let tenant = tenant(&request)?;
         let message = request.into_inner();
         let format = match message.format.as_str() {
@@ -200,7 +200,7 @@ impl Deformer for Calls {
         )))
     }
 
-    async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> Answer<pb::Limits> {
+    async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> GrpcAnswer<pb::Limits> {
         tenant(&request)?;
         Ok(Response::new(self.state.manager.limits()))
     }

@@ -25,7 +25,7 @@ pub(super) struct Upload {
 /// # Cancel safety
 /// Dropping it gives back what was received.
 pub(super) async fn receive(state: &State, mut inbound: Streaming<pb::CreateSessionRequest>) -> Result<Upload, Status> {
-    let mut parts = Parts {
+    let mut parts = UploadParts {
         held: state.uploads.hold(),
         main: Vec::new(),
         options: None,
@@ -52,7 +52,7 @@ pub(super) async fn receive(state: &State, mut inbound: Streaming<pb::CreateSess
     }
 }
 
-struct Parts {
+struct UploadParts {
     held: Held,
     main: Vec<u8>,
     options: Option<pb::CreateOptions>,
@@ -61,7 +61,7 @@ struct Parts {
     messages: u64,
 }
 
-impl Parts {
+impl UploadParts {
     fn take(&mut self, request: pb::CreateSessionRequest) -> Result<(), Error> {
         let first = self.messages == 0;
         self.messages += 1;

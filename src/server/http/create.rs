@@ -4,6 +4,7 @@
 
 mod form;
 mod options;
+mod received;
 
 use super::body;
 use super::problem::{Problem, clip};
@@ -19,6 +20,7 @@ use axum::response::Response;
 use bytes::Bytes;
 use http::{HeaderValue, StatusCode, header};
 use options::Options;
+use received::Received;
 
 /// Types that say nothing about the format, among them what clients send when nobody tells them.
 const GENERAL: [&str; 6] = [
@@ -69,12 +71,6 @@ pub(super) async fn create(From(state): From<State>, caller: Caller, request: Re
         response.headers_mut().insert(header::LOCATION, location);
     }
     Ok(response)
-}
-
-/// Files of an upload, which count as under way until dropped.
-struct Received {
-    files: FileSet,
-    held: Option<Held>,
 }
 
 async fn built_in(name: &str) -> Result<Received, Problem> {

@@ -29,7 +29,7 @@ pub(super) struct Call {
 
 /// What durations are counted under.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
-pub(super) struct Route {
+pub(super) struct RouteLabels {
     transport: &'static str,
     route: Arc<str>,
 }
@@ -39,7 +39,7 @@ pub(super) struct Route {
 pub(super) struct Telemetry {
     registry: Arc<Registry>,
     calls: Family<Call, Counter>,
-    seconds: Family<Route, Histogram, fn() -> Histogram>,
+    seconds: Family<RouteLabels, Histogram, fn() -> Histogram>,
     in_flight: Gauge,
     /// Connections open.
     pub connections: Gauge,
@@ -60,7 +60,7 @@ impl Telemetry {
     pub fn new(manager: &Manager) -> Self {
         let mut registry = Registry::with_prefix("pliant");
         let calls = Family::<Call, Counter>::default();
-        let seconds = Family::<Route, Histogram, fn() -> Histogram>::new_with_constructor(seconds_histogram);
+        let seconds = Family::<RouteLabels, Histogram, fn() -> Histogram>::new_with_constructor(seconds_histogram);
         let (in_flight, connections, sockets) = (Gauge::default(), Gauge::default(), Gauge::default());
         let connections_refused = Counter::default();
         registry.register(

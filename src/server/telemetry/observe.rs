@@ -1,6 +1,6 @@
 //! Measures a call to the end of its answer, whichever way it ends.
 
-use super::{Call, Route, Telemetry};
+use super::{Call, RouteLabels, Telemetry};
 use axum::body::Body;
 use bytes::Bytes;
 use http::HeaderMap;
@@ -60,7 +60,7 @@ impl Drop for Recorder {
             "answered {} with {code}",
             self.route
         );
-        let route = Route {
+        let route = RouteLabels {
             transport: self.transport,
             route: Arc::clone(&self.route),
         };

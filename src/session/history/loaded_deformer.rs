@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// A solved pose, with what its frame and its commit need.
-pub(in crate::session) struct PoseSolution {
+pub(in crate::session) struct CommitSolution {
     pub poses: HandlePoses,
     pub solved: SolvedShape,
     pub shading: Option<Arc<Shading>>,
@@ -121,14 +121,14 @@ impl LoadedDeformer {
         settings: &DeformOptions,
         watch: &WorkWatch,
         pool: &Pool,
-    ) -> Result<PoseSolution, wire::Error> {
+    ) -> Result<CommitSolution, wire::Error> {
         let exec = &Exec::new(pool, watch);
         self.load_state(state.topology.as_ref(), &state.handles, exec)?;
         let poses = self.engine.posed(&state.poses, change)?;
         let solved = self.solve(&poses, &settings.solve, SolveMode::Commit, exec, &mut |_| true)?;
         let solve_time = watch.elapsed();
         let quality = self.engine.measure(&solved.positions, &settings.output, exec)?;
-        Ok(PoseSolution {
+        Ok(CommitSolution {
             poses,
             shading: self.shade(&solved.positions, settings),
             digest: digest(&solved.positions),

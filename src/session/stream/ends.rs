@@ -7,7 +7,7 @@ use crate::session::registry::OpenSession;
 use crate::session::stream::frame_packer::FramePacker;
 use crate::session::stream::mailbox::Mailbox;
 use crate::session::stream::outbound_frame::OutboundItem;
-use crate::wire::frames::Parts;
+use crate::wire::frames::FrameParts;
 use crate::wire::pb;
 use std::sync::Arc;
 
@@ -31,7 +31,7 @@ pub struct StreamOutput {
     mailbox: Arc<Mailbox>,
     session: Arc<OpenSession>,
     packer: FramePacker,
-    parts: Option<Parts>,
+    parts: Option<FrameParts>,
     ended: bool,
     metrics: Arc<Metrics>,
     _inside: CallGuard,

@@ -1,7 +1,7 @@
 //! Packs frames as a transport pulls them.
 
 use crate::session::stream::outbound_frame::OutboundFrame;
-use crate::wire::{frames::Parts, frames::encode};
+use crate::wire::{frames::FrameParts, frames::encode};
 use glam::Vec3;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -29,7 +29,7 @@ impl FramePacker {
     }
 
     /// Prepares the parts of a frame. `acknowledged` is the newest seq that the reader has acknowledged.
-    pub fn pack_frame(&mut self, frame: OutboundFrame, acknowledged: Option<u64>) -> Parts {
+    pub fn pack_frame(&mut self, frame: OutboundFrame, acknowledged: Option<u64>) -> FrameParts {
         let (seq, output, positions) = (frame.header.seq, frame.output, Arc::clone(&frame.positions));
         let other = |buffer: &Arc<Vec<Vec3>>| buffer.len() != positions.len();
         if self
@@ -144,7 +144,7 @@ mod tests {
     fn a_shape_at_rest_is_no_change_once_it_is_acknowledged() {
         let shape = vec![DVec3::new(0.1, 0.2, 0.3); 5];
         let mut packer = FramePacker::new(1 << 20);
-        let count = |parts: Parts| parts.map(|p| p.vertex_count).sum::<u32>();
+        let count = |parts: FrameParts| parts.map(|p| p.vertex_count).sum::<u32>();
         assert_eq!(count(packer.pack_frame(frame(1, &shape, 0.0), None)), 5);
         assert_eq!(
             count(packer.pack_frame(frame(2, &shape, 0.0), None)),

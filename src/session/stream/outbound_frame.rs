@@ -1,7 +1,7 @@
 //! A frame on its way out: what is known of it before its numbers are packed.
 
 use crate::engine::Shading;
-use crate::session::history::loaded_deformer::PoseSolution;
+use crate::session::history::loaded_deformer::CommitSolution;
 use crate::wire::frames::FrameRequest;
 use crate::wire::{DeformOptions, pb};
 use glam::{DVec3, Vec3};
@@ -73,7 +73,7 @@ impl FrameContext {
     }
 
     /// The frame that ends the work on a pose.
-    pub fn final_frame(&self, seq: u64, settings: &DeformOptions, solution: &PoseSolution) -> OutboundFrame {
+    pub fn final_frame(&self, seq: u64, settings: &DeformOptions, solution: &CommitSolution) -> OutboundFrame {
         let errors = (solution.solved.residual, solution.solved.max_error);
         let (positions, shading) = (Arc::clone(&solution.solved.positions), solution.shading.clone());
         let mut frame = self.build_frame(seq, settings, errors, positions, shading, solution.solve_time);

@@ -13,7 +13,7 @@ use crate::session::capacity::memory_budget::MemoryReservation;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
-use crate::session::history::loaded_deformer::{LoadedDeformer, PoseSolution};
+use crate::session::history::loaded_deformer::{LoadedDeformer, CommitSolution};
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::stream::mailbox::{Mailbox, StreamWork};
@@ -157,7 +157,7 @@ impl SessionTask {
     }
 
     /// Records a solved pose as a commit, shows it to everybody and counts it.
-    pub fn commit_solution(&mut self, solution: &PoseSolution, settings: SolveSettings) {
+    pub fn commit_solution(&mut self, solution: &CommitSolution, settings: SolveSettings) {
         let (poses, positions) = (solution.poses.clone(), Arc::clone(&solution.solved.positions));
         self.history
             .commit_pose(poses, settings, positions, solution.digest.clone());
@@ -167,7 +167,7 @@ impl SessionTask {
     }
 
     /// Counts a solved pose.
-    pub fn count_solve(&self, solution: &PoseSolution) {
+    pub fn count_solve(&self, solution: &CommitSolution) {
         let metrics = &self.shared.metrics;
         metrics.solve.observe(solution.solve_time.as_secs_f64());
         metrics.cycles.inc_by(solution.solved.cycles.into());

@@ -5,7 +5,7 @@ use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
-use crate::session::history::loaded_deformer::{LoadedDeformer, PoseSolution};
+use crate::session::history::loaded_deformer::{LoadedDeformer, CommitSolution};
 use crate::session::history::session_state::SessionState;
 use crate::session::stream::mailbox::{Mailbox, StreamWork, StreamWorkResult};
 use crate::session::stream::outbound_frame::FrameContext;
@@ -27,7 +27,7 @@ struct SolvedStreamPose {
     seq: u64,
     commit: bool,
     settings: Arc<DeformOptions>,
-    result: Result<PoseSolution, wire::Error>,
+    result: Result<CommitSolution, wire::Error>,
 }
 
 /// What a turn works with on a compute thread.
@@ -224,7 +224,7 @@ impl TurnContext {
         pose: &WaitingPose,
         watch: &WorkWatch,
         pool: &Pool,
-    ) -> Result<PoseSolution, wire::Error> {
+    ) -> Result<CommitSolution, wire::Error> {
         let settings = pose.settings.as_ref();
         let poses = deformer.engine.posed(&self.state.poses, change)?;
         let shader = (settings.output.normals || settings.output.tangents).then(|| deformer.shader());
@@ -253,7 +253,7 @@ impl TurnContext {
         let exec = Exec::new(pool, watch);
         let solved = deformer.solve(&poses, &settings.solve, SolveMode::Drag, &exec, &mut on_cycle)?;
         let solve_time = watch.elapsed();
-        Ok(PoseSolution {
+        Ok(CommitSolution {
             poses,
             shading: deformer.shade(&solved.positions, settings),
             digest: String::new(),

@@ -14,25 +14,25 @@ use std::path::Path;
 const SHARED_TYPE_NAMES: [(&str, &str); 1] = [("Error", "one per module, named by its module: `mesh::Error`")];
 
 /// Type names without a reason that are left.
-const SHARED_TYPE_NAMES_LEFT: usize = 16;
+const SHARED_TYPE_NAMES_LEFT: usize = 0;
 
 /// Files that import in a circle that are left.
-const FILES_IN_CIRCLES_LEFT: usize = 37;
+const FILES_IN_CIRCLES_LEFT: usize = 31;
 
 /// How often protobuf is named below `wire` still.
-const PROTOBUF_BELOW_WIRE_LEFT: usize = 110;
+const PROTOBUF_BELOW_WIRE_LEFT: usize = 0;
 
 /// The longest function, in lines.
 const LONGEST_FUNCTION: usize = 100;
 
 /// Longer functions that are left.
-const LONG_FUNCTIONS_LEFT: usize = 15;
+const LONG_FUNCTIONS_LEFT: usize = 7;
 
 /// The most parameters of a function, `self` among them.
 const MOST_PARAMETERS: usize = 6;
 
 /// Functions with more that are left.
-const WIDE_FUNCTIONS_LEFT: usize = 22;
+const WIDE_FUNCTIONS_LEFT: usize = 14;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -1,7 +1,7 @@
 //! `multipart/form-data`: the part `model`, the part `options`, and companion files by their file names.
 
-use super::Received;
 use super::options::Options;
+use super::received::Received;
 use crate::asset::{FileSet, Format};
 use crate::server::http::body;
 use crate::server::http::problem::{Problem, clip};
@@ -56,7 +56,7 @@ pub(super) async fn receive(state: &State, request: Request, options: &mut Optio
         let told = stopped.lock().unwrap_or_else(PoisonError::into_inner).take();
         told.unwrap_or_else(|| Error::malformed(format!("the form is not readable: {error}")).into())
     };
-    let mut parts = Parts {
+    let mut parts = FormParts {
         held: state.uploads.hold(),
         model: None,
         by_type: None,
@@ -83,7 +83,7 @@ pub(super) async fn receive(state: &State, request: Request, options: &mut Optio
     })
 }
 
-struct Parts {
+struct FormParts {
     held: Held,
     model: Option<(String, Bytes)>,
     by_type: Option<Format>,
@@ -91,7 +91,7 @@ struct Parts {
     companions: BTreeMap<String, Bytes>,
 }
 
-impl Parts {
+impl FormParts {
     async fn take(
         &mut self,
         state: &State,

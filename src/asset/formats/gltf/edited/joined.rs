@@ -14,7 +14,7 @@ use super::super::scene;
 use super::super::text::{items, quoted, value_of};
 use super::frame::EditedMeshes;
 use super::fresh::{NewAccessorKind, NewAccessors};
-use super::kept::section;
+use super::joined_bases::{JoinedBases, next_number};
 use super::material::MaterialCopier;
 use super::places;
 use super::primitives::{AccessorHandle, MadePrimitive, PrimitiveMaker};
@@ -24,48 +24,6 @@ use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet};
 use glam::{DAffine3, DVec3};
 use std::collections::BTreeMap;
-
-/// What joins the document. Accessors are numbered virtually, as in the frame.
-#[derive(Default)]
-pub(super) struct JoinedBases {
-    pub(super) meshes: Vec<String>,
-    /// Nodes; their meshes count from 0 among the joined ones.
-    nodes: Vec<(String, Option<usize>)>,
-    /// The new nodes that the scene lists.
-    pub(super) roots: Vec<usize>,
-    pub(super) materials: Vec<String>,
-    pub(super) textures: Vec<String>,
-    pub(super) samplers: Vec<String>,
-    /// Images; with their new view, if they have one.
-    pub(super) images: Vec<(String, Option<usize>)>,
-    pub(super) extensions_used: Vec<String>,
-    pub(super) extensions_required: Vec<String>,
-    pub(super) companions: BTreeMap<String, Vec<u8>>,
-}
-
-impl JoinedBases {
-    pub(super) fn is_empty(&self) -> bool {
-        self.nodes.is_empty()
-    }
-
-    /// The new nodes, with joined meshes numbered from `first_mesh` on.
-    pub(super) fn node_texts(&self, first_mesh: usize) -> Vec<String> {
-        let one = |(text, mesh): &(String, Option<usize>)| match mesh {
-            Some(mesh) => places::with(text, "mesh", &(first_mesh + mesh).to_string()),
-            None => text.clone(),
-        };
-        self.nodes.iter().map(one).collect()
-    }
-
-    /// The new images, with new views numbered from `first_view` on.
-    pub(super) fn image_texts(&self, first_view: usize) -> Vec<String> {
-        let one = |(text, view): &(String, Option<usize>)| match view {
-            Some(view) => places::with(text, "bufferView", &(first_view + view).to_string()),
-            None => text.clone(),
-        };
-        self.images.iter().map(one).collect()
-    }
-}
 
 /// Joins all bases but the first. `doc` and `files` are those of the first.
 pub(super) fn joined(
@@ -387,9 +345,4 @@ impl NodeTransform {
             .iter()
             .fold(node, |node, (key, value)| places::with(&node, key, value))
     }
-}
-
-/// The stored items of a section and those that have joined it.
-pub(super) fn next_number(frame: &GltfDocument<'_>, key: &str, joined: usize) -> usize {
-    section(frame, key).len() + joined
 }

@@ -4,7 +4,7 @@ use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
 use super::super::text::quoted;
 use super::fresh::NewAccessors;
-use super::joined::{JoinedBases, next_number};
+use super::joined_bases::{JoinedBases, next_number};
 use super::kept::section;
 use super::places;
 use crate::asset::{Error, FileSet};
