@@ -13,7 +13,6 @@ use super::sessions::json;
 use crate::asset::{FileSet, Format};
 use crate::server::sample;
 use crate::server::state::State;
-use crate::server::uploads::Held;
 use crate::session::Error;
 use axum::extract::{Request, State as From};
 use axum::response::Response;

@@ -14,7 +14,7 @@ use super::super::scene;
 use super::super::text::{items, quoted, value_of};
 use super::frame::EditedMeshes;
 use super::fresh::{NewAccessorKind, NewAccessors};
-use super::joined_bases::{JoinedBases, next_number};
+use super::joined_bases::JoinedBases;
 use super::material::MaterialCopier;
 use super::places;
 use super::primitives::{AccessorHandle, MadePrimitive, PrimitiveMaker};
