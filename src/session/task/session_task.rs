@@ -13,7 +13,7 @@ use crate::session::capacity::memory_budget::MemoryReservation;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
-use crate::session::history::loaded_deformer::{LoadedDeformer, CommitSolution};
+use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::stream::mailbox::{Mailbox, StreamWork};

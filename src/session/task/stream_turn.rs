@@ -5,7 +5,7 @@ use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
-use crate::session::history::loaded_deformer::{LoadedDeformer, CommitSolution};
+use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
 use crate::session::history::session_state::SessionState;
 use crate::session::stream::mailbox::{Mailbox, StreamWork, StreamWorkResult};
 use crate::session::stream::outbound_frame::FrameContext;

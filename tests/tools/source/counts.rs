@@ -80,7 +80,9 @@ pub fn protobuf_below_wire(files: &[SourceFile]) -> Vec<(String, usize)> {
     let before = !files.iter().any(|f| f.module.first().is_some_and(|m| m == "wire"));
     let below = |file: &&SourceFile| {
         let room = file.module.first().map_or("", String::as_str);
-        (engine.contains(&room) && !file.crate_folder.starts_with("loadtest")) || (before && room == "job") || file.crate_folder.starts_with("src/")
+        (engine.contains(&room) && !file.crate_folder.starts_with("loadtest"))
+            || (before && room == "job")
+            || file.crate_folder.starts_with("src/")
     };
     let names = |file: &SourceFile| {
         let named = (0..file.tokens.len()).filter(|&i| !file.test_only[i]);
