@@ -5,6 +5,7 @@ use super::error::Error;
 use super::facts::count_u32;
 use super::facts::{DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts};
 use super::handle::HandleSet;
+use super::limits::DeformerLimits;
 use super::model_topology::ModelTopology;
 use super::pose::HandlePoses;
 use super::quality::measure_quality;
@@ -12,34 +13,13 @@ use super::region_context::RegionContext;
 use super::resolved_handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
 use super::settings::OpenOptions;
 use super::topology_state::TopologyId;
-use crate::asset::{self, FileSet, Format, Geometry, Model, WrittenFiles};
+use crate::asset::{FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
 use glam::DVec3;
 use std::sync::Arc;
-
-/// What a deformer may hold.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct DeformerLimits {
-    /// Sizes of the model.
-    pub model: asset::Limits,
-    /// Bytes that the deformer may hold; checked by estimate before anything large is allocated.
-    pub memory_bytes: u64,
-    /// Handles of one request.
-    pub handles: usize,
-}
-
-impl Default for DeformerLimits {
-    fn default() -> Self {
-        Self {
-            model: asset::Limits::default(),
-            memory_bytes: 16 << 30,
-            handles: 1024,
-        }
-    }
-}
 
 /// A model with everything derived from it. One owner; solves need `&mut`.
 pub struct Deformer {
@@ -350,6 +330,19 @@ impl Deformer {
     /// How far a shape (one position per render vertex) is from the rest shape.
     pub fn quality(&self, positions: &[DVec3], pool: &Pool) -> QualityReport {
         measure_quality(self.mesh(), self.report().closed, &self.welded(positions), pool)
+    }
+
+    /// Largest distance of a vertex that a hard handle holds from where `poses` put it, as a fraction of the bounding box's
+    /// diagonal; 0 without handles.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::transforms`].
+    pub fn constraint_error(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<f64, Error> {
+        let Some(rig) = self.rig() else { return Ok(0.0) };
+        let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
+        let farthest = rig.largest_misplacement(self.body(), &self.transforms(poses)?, now);
+        let diagonal = self.diagonal();
+        Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
     }
 
     /// As [`Deformer::quality`], with the number of self-intersections beside when `count_crossings` asks for it.

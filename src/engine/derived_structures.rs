@@ -1,9 +1,10 @@
 //! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
 
-use super::deformer::DeformerLimits;
 use super::error::Error;
 use super::facts::DeformerWarning;
+use super::followed_nodes::FollowedNodes;
 use super::interior::{BYTES_PER_NODE, fit_lattice, interior_warnings};
+use super::limits::DeformerLimits;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
 use super::settings::OpenOptions;
@@ -30,15 +31,6 @@ pub(super) struct DerivedStructures {
     pub followed: FollowedNodes,
     volume: VolumeMode,
     report: OnceLock<MeshReport>,
-}
-
-/// How the nodes of a graph that has followed an edit came about; empty when it was built.
-#[derive(Debug, Default)]
-pub(super) struct FollowedNodes {
-    /// For each node its number before.
-    pub old_from_new: Vec<u32>,
-    /// FollowedNodes that changed, rising.
-    pub touched: Vec<u32>,
 }
 
 /// What an edit made of a model.

@@ -1,7 +1,7 @@
 //! Interior nodes within the memory that there is, and what a user should know of them.
 
-use super::DeformerLimits;
 use super::facts::DeformerWarning;
+use super::limits::DeformerLimits;
 use crate::deform::{BodyOptions, DeformableBody, VolumeMode};
 
 /// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as

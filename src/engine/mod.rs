@@ -36,8 +36,10 @@ mod edit_command;
 mod edit_operations;
 mod error;
 mod facts;
+mod followed_nodes;
 mod handle;
 mod interior;
+mod limits;
 mod mesh_delta;
 mod model_topology;
 mod pose;
@@ -51,7 +53,7 @@ mod solve;
 mod topology_state;
 mod vertex_origins;
 
-pub use deformer::{Deformer, DeformerLimits};
+pub use deformer::Deformer;
 pub use digest::digest;
 pub use drag::Drag;
 pub use edit_command::{
@@ -62,6 +64,7 @@ pub use facts::{
     DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts, WarningPlace,
 };
 pub use handle::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet};
+pub use limits::DeformerLimits;
 pub use pose::{HandlePose, HandlePoses, HandleRotation, HandleScale};
 pub use region::{Plane, Region, VertexRange};
 pub use settings::{COMMIT_REFINE, OpenOptions, SolveMode, SolveSettings};

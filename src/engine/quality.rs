@@ -1,27 +1,10 @@
 //! How far a shape is from the rest shape, in numbers.
 
-use super::error::Error;
 use super::facts::QualityReport;
-use super::{Deformer, HandlePoses};
 use crate::mesh::{BoundingBox, Mesh, shading};
 use crate::pool::Pool;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use rayon::prelude::*;
-
-impl Deformer {
-    /// Largest distance of a vertex that a hard handle holds from where `poses` put it, as a fraction of the bounding box's
-    /// diagonal; 0 without handles.
-    ///
-    /// # Errors
-    /// Those of [`Deformer::transforms`].
-    pub fn constraint_error(&self, positions: &[DVec3], poses: &HandlePoses) -> Result<f64, Error> {
-        let Some(rig) = self.rig() else { return Ok(0.0) };
-        let now = |s: usize| positions[self.derived.mesh.render_vertices_of(s as u32)[0] as usize];
-        let farthest = rig.largest_misplacement(self.body(), &self.transforms(poses)?, now);
-        let diagonal = self.diagonal();
-        Ok(if diagonal > 0.0 { farthest / diagonal } else { farthest })
-    }
-}
 
 /// Triangles whose numbers are summed by one thread. QualitySums depend on it, so it is fixed.
 const BLOCK: usize = 4096;

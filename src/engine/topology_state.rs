@@ -4,8 +4,8 @@
 //! each of them the change of the mesh is kept, and where a deformation had moved the graph's nodes. Following them again
 //! gives the same bits; solving is no part of it.
 
-use super::derived_structures::FollowedNodes;
 use super::error::Error;
+use super::followed_nodes::FollowedNodes;
 use super::handle::HandleSet;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;

@@ -6,8 +6,10 @@
 //! would hold them for ever.
 
 use super::config::ServerConfig;
+use super::connection_slot::ConnectionSlot;
+use super::dispatch::Dispatch;
+use super::error::Error;
 use super::state::State;
-use super::{Error, dispatch::Dispatch};
 use axum::body::Body;
 use bytes::Bytes;
 use http::{Request, Response};
@@ -28,12 +30,6 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
-
-/// A connection's place among those that may be open; held by the connection and by the WebSocket it becomes.
-#[derive(Clone)]
-pub(super) struct Slot {
-    _permit: Arc<OwnedSemaphorePermit>,
-}
 
 /// How long an idle connection may take to notice that it is being closed.
 const IDLE_CLOSE: Duration = Duration::from_millis(300);
@@ -176,7 +172,7 @@ impl Doors {
             }
             return;
         };
-        let slot = Slot {
+        let slot = ConnectionSlot {
             _permit: Arc::new(permit),
         };
         let (state, dispatch) = (self.state.clone(), self.dispatch.clone());
@@ -207,7 +203,7 @@ async fn connection(
     builder: &auto::Builder<TokioExecutor>,
     state: &State,
     dispatch: Dispatch,
-    slot: Slot,
+    slot: ConnectionSlot,
     polite: &CancellationToken,
 ) {
     let activity = Arc::new(Activity::default());

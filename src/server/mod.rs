@@ -7,7 +7,10 @@
 
 mod auth;
 pub mod config;
+mod connection_slot;
 mod dispatch;
+mod error;
+mod format_name;
 pub mod grpc;
 mod http;
 mod listen;
@@ -20,21 +23,13 @@ mod telemetry;
 mod uploads;
 
 pub use config::ServerConfig;
+pub use error::Error;
 pub use origin::Origins;
 pub use telemetry::start_log;
 
-use crate::asset::Format;
-use crate::session::{self, Manager};
+use crate::session::Manager;
 use std::future::Future;
 use tokio::net::TcpListener;
-
-/// Why a server could not run.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The services could not be put together.
-    #[error("the services cannot start: {0}")]
-    Start(String),
-}
 
 /// Serves the sessions of `manager` on `listener` until `shutdown` resolves, then drains: new work is refused, streams
 /// are told, what runs may finish until [`ServerConfig::drain_deadline`], and then everything is dropped.
@@ -53,11 +48,4 @@ pub async fn run(
     let state = state::State::new(manager, config);
     let dispatch = dispatch::Dispatch::new(&state).await.map_err(Error::Start)?;
     listen::serve(listener, state, dispatch, shutdown).await
-}
-
-/// The refusal of a format name that is none.
-fn unknown_format(field: &str, name: &str) -> session::Error {
-    let names = Format::ALL.map(Format::name).join(", ");
-    let shown: String = name.chars().take(64).collect();
-    session::Error::invalid(field, format!("\"{shown}\" is not a format; allowed are {names}"))
 }

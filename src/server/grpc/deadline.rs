@@ -3,7 +3,7 @@
 //! Dropping the handler or the body at the deadline is what stops the work: every call of the session floor gives up
 //! when its future is dropped.
 
-use crate::server::telemetry::{self, Telemetry};
+use crate::server::telemetry::{self, Recorder, Telemetry};
 use crate::session::{Error, ErrorCode};
 use axum::body::Body;
 use bytes::Bytes;
@@ -68,7 +68,7 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
             .and_then(|v| v.to_str().ok())
             .map_or_else(telemetry::request_id, Arc::from);
         let echoed = HeaderValue::from_str(&request_id);
-        let mut recorder = self.telemetry.recorder("grpc", route, request_id);
+        let mut recorder = Recorder::start(&self.telemetry, "grpc", route, request_id);
         let deadline = timeout(request.headers()).map(|timeout| Instant::now() + timeout);
         let answer = tower::Service::call(&mut self.routes, request);
         Box::pin(async move {

@@ -6,6 +6,7 @@ use super::stream;
 use super::upload;
 use crate::asset::Format;
 use crate::server::auth;
+use crate::server::format_name::parse_format_name;
 use crate::server::state::State;
 use crate::session::{Error, Tenant};
 use crate::wire::pb;
@@ -185,7 +186,7 @@ impl Deformer for Calls {
         let message = request.into_inner();
         let format = match message.format.as_str() {
             "" => None,
-            name => Some(Format::from_name(name).ok_or_else(|| status(crate::server::unknown_format("format", name)))?),
+            name => Some(parse_format_name("format", name).map_err(status)?),
         };
         let exported = self
             .state

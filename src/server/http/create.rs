@@ -5,6 +5,7 @@
 mod form;
 mod options;
 mod received;
+mod upload_body;
 
 use super::body;
 use super::problem::{Problem, clip};
@@ -20,6 +21,7 @@ use bytes::Bytes;
 use http::{HeaderValue, StatusCode, header};
 use options::Options;
 use received::Received;
+use upload_body::next_bytes;
 
 /// Types that say nothing about the format, among them what clients send when nobody tells them.
 const GENERAL: [&str; 6] = [
@@ -95,7 +97,7 @@ async fn raw(state: &State, request: Request) -> Result<Received, Problem> {
     let mut held = state.uploads.hold();
     let mut stream = request.into_body().into_data_stream();
     let mut main = Vec::new();
-    while let Some(bytes) = next(state, &mut stream).await? {
+    while let Some(bytes) = next_bytes(state, &mut stream).await? {
         held.grow(bytes.len())?;
         main.extend_from_slice(&bytes);
     }
@@ -106,12 +108,4 @@ async fn raw(state: &State, request: Request) -> Result<Received, Problem> {
         files: FileSet::single("body", Bytes::from(main)),
         held: Some(held),
     })
-}
-
-/// The next bytes of an upload; gives up when the server is asked to stop.
-async fn next(state: &State, stream: &mut axum::body::BodyDataStream) -> Result<Option<Bytes>, Problem> {
-    tokio::select! {
-        bytes = body::next(state, stream) => bytes,
-        () = state.draining.cancelled() => Err(Error::draining().into()),
-    }
 }

@@ -15,16 +15,17 @@ mod pages;
 pub(super) mod problem;
 mod query;
 mod request;
+mod route_table;
 mod routes;
 mod sessions;
 mod solve;
 mod viewer;
 
 pub(super) use request::Caller;
-pub(super) use routes::{ROUTES, Route};
+pub(super) use route_table::{ROUTES, Route};
 
 use super::state::State;
-use super::telemetry;
+use super::telemetry::{self, Recorder};
 use crate::session::Error;
 use axum::Router;
 use axum::body::Body;
@@ -84,7 +85,7 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         .get::<MatchedPath>()
         .map_or("unknown", |m| m.as_str())
         .to_owned();
-    let mut recorder = state.telemetry.recorder("http", route, Arc::clone(&request_id));
+    let mut recorder = Recorder::start(&state.telemetry, "http", route, Arc::clone(&request_id));
 
     let changes = !matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
     let upgrades = request.headers().contains_key(header::UPGRADE) || request.method() == Method::CONNECT;

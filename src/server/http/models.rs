@@ -5,8 +5,8 @@ use super::problem::{Problem, clip};
 use super::query;
 use super::request::{Caller, Names};
 use crate::asset::Format;
+use crate::server::format_name::parse_format_name;
 use crate::server::state::State;
-use crate::server::unknown_format;
 use crate::session::{Error, ExportedModel};
 use axum::extract::State as From;
 use axum::response::Response;
@@ -28,7 +28,7 @@ pub(super) async fn model(
     let mut found = query::parameters(&uri, &["format", "uri"])?;
     let format = found
         .remove("format")
-        .map(|name| Format::from_name(&name).ok_or_else(|| unknown_format("format", &name)));
+        .map(|name| parse_format_name("format", &name));
     let format = format.transpose()?;
     let wanted = found.remove("uri").filter(|uri| !uri.is_empty());
     if wanted.is_none() && headers.contains_key(header::IF_NONE_MATCH) {

@@ -99,11 +99,6 @@ impl Telemetry {
         }
     }
 
-    /// Starts to measure a call.
-    pub fn recorder(&self, transport: &'static str, route: impl Into<Arc<str>>, request_id: Arc<str>) -> Recorder {
-        Recorder::new(self.clone(), transport, route.into(), request_id)
-    }
-
     /// All counts as OpenMetrics text.
     pub fn text(&self) -> String {
         let mut text = String::new();

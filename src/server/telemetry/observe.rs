@@ -21,12 +21,18 @@ pub(in crate::server) struct Recorder {
 }
 
 impl Recorder {
-    pub(super) fn new(telemetry: Telemetry, transport: &'static str, route: Arc<str>, request_id: Arc<str>) -> Self {
+    /// Starts to measure a call.
+    pub fn start(
+        telemetry: &Telemetry,
+        transport: &'static str,
+        route: impl Into<Arc<str>>,
+        request_id: Arc<str>,
+    ) -> Self {
         telemetry.in_flight.inc();
         Self {
-            telemetry,
+            telemetry: telemetry.clone(),
             transport,
-            route,
+            route: route.into(),
             request_id,
             started: Instant::now(),
             code: None,

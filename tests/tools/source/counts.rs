@@ -68,6 +68,11 @@ fn print_circles(files: &[SourceFile]) {
             .map(|&k| files[k].place.as_str())
             .collect();
         println!("  {} files, such as {}", tangle.len(), way.join(" → "));
+        for &file in tangle {
+            for other in imported[file].iter().filter(|other| tangle.contains(other)) {
+                println!("    {} → {}", files[file].place, files[*other].place);
+            }
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::options::Options;
 use super::received::Received;
+use super::upload_body::next_bytes;
 use crate::asset::{FileSet, Format};
 use crate::server::http::body;
 use crate::server::http::problem::{Problem, clip};
@@ -40,7 +41,7 @@ pub(super) async fn receive(state: &State, request: Request, options: &mut Optio
     let chunks = futures::stream::unfold(
         (stream, state.clone(), Arc::clone(&stopped)),
         |(mut stream, state, stopped)| async move {
-            let next = match super::next(&state, &mut stream).await {
+            let next = match next_bytes(&state, &mut stream).await {
                 Ok(Some(bytes)) => Some(Ok(bytes)),
                 Ok(None) => None,
                 Err(problem) => {

@@ -2,6 +2,7 @@
 
 use super::super::accessors::AccessorLayout;
 use super::super::document::GltfDocument;
+use super::indices::parse_index;
 use std::collections::BTreeSet;
 
 /// Bytes that something uses.
@@ -153,7 +154,7 @@ fn views_named_elsewhere(doc: &GltfDocument<'_>) -> BTreeSet<usize> {
         .filter_map(|(at, _)| {
             let value = doc.text[at + KEY.len()..].trim_start().strip_prefix(':')?.trim_start();
             let end = value.find([',', '}', ']', ' ', '\n', '\r', '\t'])?;
-            super::index(&value[..end])
+            parse_index(&value[..end])
         })
         .collect()
 }

@@ -9,22 +9,18 @@ use super::buffers::BufferBytes;
 use super::deformed::{ChangedAttribute, DeformedAttributes};
 use super::document::GltfDocument;
 use super::read::GltfNotes;
-use super::schema::WholeNumber;
 use super::text;
 use crate::asset::Geometry;
+use indices::{member_index, parse_index};
 use std::collections::{BTreeMap, BTreeSet};
 
 mod bytes;
+mod indices;
+mod mesh_ref;
 mod variants;
 
+pub(super) use mesh_ref::MeshRef;
 pub(super) use variants::MeshCopy;
-
-/// A mesh of the document, or the n-th copy to be appended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum MeshRef {
-    Original(usize),
-    Copy(usize),
-}
 
 /// An accessor whose bytes are overwritten where they are.
 pub(super) struct AccessorOverwrite {
@@ -276,32 +272,23 @@ impl AccessorUses {
                 .unwrap_or_default();
             for sampler in samplers {
                 uses.strangers
-                    .extend(["input", "output"].iter().filter_map(|key| index_at(sampler, key)));
+                    .extend(["input", "output"].iter().filter_map(|key| member_index(sampler, key)));
             }
         }
         uses.strangers.extend(
             doc.skins
                 .iter()
-                .filter_map(|skin| index_at(skin, "inverseBindMatrices")),
+                .filter_map(|skin| member_index(skin, "inverseBindMatrices")),
         );
         for node in &doc.nodes.items {
             let instances = text::value_of(node, "extensions")
                 .and_then(|e| text::value_of(e, "EXT_mesh_gpu_instancing"))
                 .and_then(|e| text::value_of(e, "attributes"));
             let attributes = instances.and_then(|a| text::members(a).ok()).unwrap_or_default();
-            uses.strangers.extend(attributes.iter().filter_map(|m| index(m.value)));
+            uses.strangers.extend(attributes.iter().filter_map(|m| parse_index(m.value)));
         }
         uses
     }
-}
-
-/// The index that an object has under a key.
-fn index_at(object: &str, key: &str) -> Option<usize> {
-    text::value_of(object, key).and_then(index)
-}
-
-fn index(json: &str) -> Option<usize> {
-    serde_json::from_str::<WholeNumber>(json).ok().map(WholeNumber::index)
 }
 
 /// Whether the accessor's own bytes can hold new floats.

@@ -3,7 +3,7 @@
 use super::super::deformed::DeformedAttributes;
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
-use super::MeshRef;
+use super::mesh_ref::MeshRef;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A copy of a mesh, to be appended.

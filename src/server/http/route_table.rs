@@ -1,0 +1,219 @@
+//! Every path and method with what the API description tells of it; a test holds it and the router together.
+
+/// A route as the API description tells it.
+pub(in crate::server) struct Route {
+    pub method: &'static str,
+    pub path: &'static str,
+    /// The rpc of the schema that it is, whose comment describes it.
+    pub rpc: Option<&'static str>,
+    /// What is said beside that comment.
+    pub summary: &'static str,
+    /// Message of the JSON body.
+    pub takes: Option<&'static str>,
+    /// Message of the JSON answer.
+    pub gives: Option<&'static str>,
+    /// Status of success.
+    pub status: u16,
+    /// Query parameters and what they mean.
+    pub query: &'static [(&'static str, &'static str)],
+    /// Whether it heeds an idempotency key.
+    pub keyed: bool,
+}
+
+const PLAIN: Route = Route {
+    method: "get",
+    path: "",
+    rpc: None,
+    summary: "",
+    takes: None,
+    gives: None,
+    status: 200,
+    query: &[],
+    keyed: false,
+};
+
+const FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off or stl");
+
+/// Every route but the pages for people.
+pub(in crate::server) const ROUTES: [Route; 22] = [
+    Route {
+        method: "post",
+        path: "/v1/sessions",
+        rpc: Some("CreateSession"),
+        summary: "Open a session. The body is the model, or a form with the parts model, options and companion files. 200 on an idempotent repeat.",
+        gives: Some("Session"),
+        status: 201,
+        query: &[
+            FORMAT,
+            ("options", "CreateOptions as JSON"),
+            ("label", "CreateOptions.label"),
+            ("ttl", "CreateOptions.ttl"),
+            ("components", "CreateOptions.components"),
+            ("weights", "CreateOptions.weights"),
+            ("operators", "CreateOptions.operators"),
+            (
+                "volumeGraph",
+                "CreateOptions.volumeGraph.mode; its other fields as volumeGraph.interval and so on",
+            ),
+            ("weld", "CreateOptions.weld.tolerance"),
+            ("sample", "creature: open the built-in model; the body stays empty"),
+        ],
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sessions",
+        rpc: Some("ListSessions"),
+        summary: "List sessions.",
+        gives: Some("ListSessionsResponse"),
+        query: &[
+            ("pageSize", "sessions a page, 1 to 1000"),
+            ("pageToken", "nextPageToken of the page before"),
+        ],
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sessions/{id}",
+        rpc: Some("GetSession"),
+        summary: "Describe a session.",
+        gives: Some("Session"),
+        ..PLAIN
+    },
+    Route {
+        method: "delete",
+        path: "/v1/sessions/{id}",
+        rpc: Some("DeleteSession"),
+        summary: "Close a session.",
+        status: 204,
+        ..PLAIN
+    },
+    Route {
+        method: "put",
+        path: "/v1/sessions/{id}/handles",
+        rpc: Some("SetHandles"),
+        summary: "Replace all handles.",
+        takes: Some("SetHandlesRequest"),
+        gives: Some("Session"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        method: "patch",
+        path: "/v1/sessions/{id}/handles/{handleId}",
+        summary: "Change the given fields of one handle, or add it.",
+        takes: Some("Handle"),
+        gives: Some("Session"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        method: "delete",
+        path: "/v1/sessions/{id}/handles/{handleId}",
+        summary: "Remove one handle.",
+        gives: Some("Session"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/solve",
+        rpc: Some("Solve"),
+        summary: "Solve and commit one pose. Accept chooses JSON frames, the vertex buffer (application/octet-stream) or the deformed model.",
+        takes: Some("SolveRequest"),
+        gives: Some("Frames"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/edits",
+        rpc: Some("Edit"),
+        summary: "Change the topology: cut, delete, fill, subdivide, remesh, decimate, merge, insert a curve or weld.",
+        takes: Some("EditRequest"),
+        gives: Some("EditResult"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/animations",
+        summary: "Bake a motion. Not implemented by this version: answers 501.",
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/undo",
+        rpc: Some("Undo"),
+        summary: "Undo.",
+        gives: Some("Session"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/redo",
+        rpc: Some("Redo"),
+        summary: "Redo.",
+        gives: Some("Session"),
+        keyed: true,
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sessions/{id}/history",
+        rpc: Some("History"),
+        summary: "List commits.",
+        gives: Some("HistoryResponse"),
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sessions/{id}/model",
+        rpc: Some("Export"),
+        summary: "Download the model. Honours Range, If-Range and If-None-Match. Companion files of a glTF are named by Link headers.",
+        query: &[FORMAT, ("uri", "a companion file of a glTF instead of the main file")],
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sessions/{id}/positions",
+        summary: "Download the vertex buffer: little-endian 32-bit x, y, z per render vertex. Honours Range and ETag.",
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sessions/{id}/stream",
+        rpc: Some("Deform"),
+        summary: "Upgrade to a WebSocket: binary DeformRequest messages in, binary DeformResponse messages out; optional sub-protocol pliant.v1.",
+        status: 101,
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/limits",
+        rpc: Some("GetLimits"),
+        summary: "The limits of this server.",
+        gives: Some("Limits"),
+        ..PLAIN
+    },
+    Route {
+        path: "/v1/sample.glb",
+        summary: "The built-in creature.",
+        ..PLAIN
+    },
+    Route {
+        path: "/healthz",
+        summary: "200 while the process lives.",
+        ..PLAIN
+    },
+    Route {
+        path: "/readyz",
+        summary: "200 while new work is taken, else 503.",
+        ..PLAIN
+    },
+    Route {
+        path: "/metrics",
+        summary: "Counts as OpenMetrics text.",
+        ..PLAIN
+    },
+    Route {
+        path: "/openapi.json",
+        summary: "This description; /docs shows it to people.",
+        ..PLAIN
+    },
+];
