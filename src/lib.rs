@@ -15,25 +15,19 @@
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
 //! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`], [`stage_clock`] | triangles; model formats; threads; cancelling; both as one; times of stages |
 //!
-//! [`solver`], [`pool`], [`progress`] and [`exec`] are the crate `pliant-solver`, in `src/solver`.
+//! Two crates below this one hold the walls that the compiler checks: `pliant-solver` in `src/solver` ([`solver`], [`pool`],
+//! [`progress`], [`exec`]) and `pliant-core` in `src/core` (the other floors up to [`engine`]).
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
-pub mod asset;
 pub mod batch;
 pub mod check;
 pub mod cli;
-pub mod deform;
-pub mod edit;
-pub mod engine;
-pub mod graph;
-pub mod mesh;
-pub mod render;
 pub mod server;
 pub mod session;
 pub mod stage_clock;
 pub mod wire;
 
-/// Multigrid on a weighted graph, with the threads and the watcher that every computing function takes: a crate of its own.
-pub use pliant_solver as solver;
-pub use pliant_solver::{exec, pool, progress};
+/// Mesh deformation without a server: a crate of its own, with the solver's in it.
+pub use pliant_core as core;
+pub use pliant_core::{asset, deform, edit, engine, exec, graph, mesh, pool, progress, render, solver};

@@ -8,3 +8,12 @@ use tokio::sync::OwnedSemaphorePermit;
 pub(super) struct ConnectionSlot {
     _permit: Arc<OwnedSemaphorePermit>,
 }
+
+impl ConnectionSlot {
+    /// Holds a place until the last clone is dropped.
+    pub fn new(permit: OwnedSemaphorePermit) -> Self {
+        Self {
+            _permit: Arc::new(permit),
+        }
+    }
+}

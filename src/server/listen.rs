@@ -26,7 +26,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::Semaphore;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
@@ -172,9 +172,7 @@ impl Doors {
             }
             return;
         };
-        let slot = ConnectionSlot {
-            _permit: Arc::new(permit),
-        };
+        let slot = ConnectionSlot::new(permit);
         let (state, dispatch) = (self.state.clone(), self.dispatch.clone());
         let (builder, polite) = (Arc::clone(&self.builder), self.polite.clone());
         let dropped = self.dispatch.dropped();

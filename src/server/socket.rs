@@ -51,7 +51,10 @@ pub(super) async fn upgrade(
     let stream = state.manager.stream(&caller.tenant, &id).await?;
     let largest = state.message_bytes;
     // The connection's slot is held by whoever holds its socket.
-    let slot = parts.extensions.get::<super::connection_slot::ConnectionSlot>().cloned();
+    let slot = parts
+        .extensions
+        .get::<super::connection_slot::ConnectionSlot>()
+        .cloned();
     let token = state.sockets.token();
     Ok(upgrade
         .protocols([PROTOCOL])

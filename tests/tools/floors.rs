@@ -32,7 +32,15 @@ const FLOORS: [(&str, u8); 18] = [
 
 /// Rooms of the house that are crates of their own: `src/<room>/src` holds their sources, `tests` and `examples` stand beside it.
 /// The modules named after the crate keep a floor of their own, and the library re-exports them at its root.
-const CRATES: [(&str, &[&str]); 1] = [("solver", &["pool", "progress", "exec"])];
+const CRATES: [(&str, &[&str]); 2] = [
+    ("solver", &["pool", "progress", "exec"]),
+    (
+        "core",
+        &[
+            "mesh", "asset", "graph", "render", "deform", "edit", "engine", "solver", "pool", "progress", "exec",
+        ],
+    ),
+];
 
 /// Names that floors 0 to 3 must not use outside tests, and what to do instead.
 const FOREIGN: [(&str, &str); 22] = [
@@ -301,7 +309,7 @@ fn sources() -> Vec<File> {
 /// Turns a path from the root of a room's own crate into one from the root of the library.
 fn in_the_house(path: &mut Vec<String>, root: usize, room: &str, floors: &[&str]) {
     let from_root = root == 0 || path[0] == "crate";
-    if from_root && path.get(root).is_none_or(|m| !floors.contains(&m.as_str())) {
+    if floor(room).is_some() && from_root && path.get(root).is_none_or(|m| !floors.contains(&m.as_str())) {
         path.insert(root, room.to_owned());
     }
 }

@@ -4,7 +4,6 @@ use super::services::deformer_server::Deformer;
 use super::status::status;
 use super::stream;
 use super::upload;
-use crate::asset::Format;
 use crate::server::auth;
 use crate::server::format_name::parse_format_name;
 use crate::server::state::State;

@@ -4,7 +4,6 @@ use super::download::{self, Download};
 use super::problem::{Problem, clip};
 use super::query;
 use super::request::{Caller, Names};
-use crate::asset::Format;
 use crate::server::format_name::parse_format_name;
 use crate::server::state::State;
 use crate::session::{Error, ExportedModel};
@@ -26,9 +25,7 @@ pub(super) async fn model(
 ) -> Result<Response, Problem> {
     state.manager.get(&caller.tenant, &id).await?;
     let mut found = query::parameters(&uri, &["format", "uri"])?;
-    let format = found
-        .remove("format")
-        .map(|name| parse_format_name("format", &name));
+    let format = found.remove("format").map(|name| parse_format_name("format", &name));
     let format = format.transpose()?;
     let wanted = found.remove("uri").filter(|uri| !uri.is_empty());
     if wanted.is_none() && headers.contains_key(header::IF_NONE_MATCH) {

@@ -114,16 +114,7 @@ fn rust_files(root: &Path, folder: &Path) -> Vec<PathBuf> {
 
 /// The folders of the root files of all crates, from the root of the checkout.
 fn find_crates(root: &Path, found: &mut Vec<PathBuf>) {
-    for folder in [
-        "",
-        "loadtest",
-        "src/solver",
-        "src/pool",
-        "src/mesh",
-        "src/graph",
-        "src/asset",
-        "src/deform",
-    ] {
+    for folder in ["", "loadtest", "src/solver", "src/core"] {
         if let Ok(manifest) = fs::read_to_string(root.join(folder).join("Cargo.toml")) {
             let library = manifest.split("[lib]").nth(1).and_then(|rest| {
                 let line = rest

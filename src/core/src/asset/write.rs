@@ -1,0 +1,247 @@
+//! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
+
+use super::codec::EditedOutput;
+use super::edited::{self, BaseModel, EditedModel, PrimitiveRun, VertexBlends};
+use super::formats::codec_of;
+use super::model::is_same;
+use super::neutral::NeutralModel;
+use super::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use glam::{DAffine3, DVec3};
+
+impl Model {
+    /// Reads a model. The format is `format` when given, else what the bytes say, else what the file name says.
+    ///
+    /// # Errors
+    /// [`Error`] with the place and what is allowed; nothing is read outside `files`.
+    ///
+    /// # Example
+    /// ```
+    /// use pliant_core::asset::{FileSet, Format, Limits, Model};
+    ///
+    /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 # a face\n";
+    /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
+    /// assert_eq!((model.positions.len(), model.triangles.len()), (3, 1));
+    ///
+    /// let limits = Limits { vertices: 2, ..Limits::default() };
+    /// let error = Model::read(FileSet::single("one.obj", text), Some(Format::OBJ), &limits).unwrap_err();
+    /// assert_eq!(error.to_string(), "vertices is 3, at most 2 is allowed");
+    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// ```
+    pub fn read(files: FileSet, format: Option<Format>, limits: &Limits) -> Result<Self, Error> {
+        let recognised = || Format::from_bytes(&files.main).or_else(|| Format::from_file_name(&files.name));
+        let Some(format) = format.or_else(recognised) else {
+            let place = if files.name.is_empty() {
+                "the model".into()
+            } else {
+                files.name
+            };
+            let allowed = Format::name_list("and");
+            return Err(Error::UnknownFormat { place, allowed });
+        };
+        let (geometry, notes) = codec_of(format).read(&files, format, limits)?;
+        geometry.check(format, limits)?;
+        Ok(Self {
+            format,
+            geometry,
+            files,
+            notes,
+        })
+    }
+
+    /// Writes the model with new positions (one per render vertex, in model space) in `format`.
+    ///
+    /// In the model's own format (GLB and glTF count as one) the uploaded files are edited: what the deformation did not
+    /// change stays as it was, byte for byte, and authored normals and tangents follow the deformation. In another
+    /// format a fresh file is made of the positions, triangles, names, normals, one set of texture coordinates, colours
+    /// and the names of materials, as far as both formats know them.
+    ///
+    /// # Errors
+    /// [`Error::Unwritable`] when the count differs from the model's, when a position is not finite, or when it does not
+    /// fit the format's numbers.
+    ///
+    /// # Example
+    /// ```
+    /// use pliant_core::asset::{FileSet, Format, Limits, Model};
+    ///
+    /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 # a face\n";
+    /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
+    /// let mut positions = model.positions.clone();
+    /// positions[1].z = 0.5;
+    ///
+    /// // In its own format one number changes, and the comment stays.
+    /// let written = model.write(&positions, Format::OBJ)?;
+    /// assert_eq!(written.main, b"v 0 0 0\nv 1 0 0.5\nv 0 1 0\nf 1 2 3 # a face\n");
+    ///
+    /// // Another format is built anew.
+    /// let written = model.write(&positions, Format::OFF)?;
+    /// assert_eq!(written.main, b"OFF\n3 1 0\n0 0 0\n1 0 0.5\n0 1 0\n3 0 1 2\n");
+    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// ```
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        let (seen, count) = (positions.len(), self.positions.len());
+        if seen != count {
+            return Err(Error::unwritable(
+                format,
+                format!("{seen} positions are given, the model has {count} vertices"),
+            ));
+        }
+        if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
+            return Err(Error::unwritable(
+                format,
+                format!("the position of vertex {i} is {}, not finite", positions[i]),
+            ));
+        }
+        if format == self.format && is_same(&self.positions, positions) {
+            return Ok(WrittenFiles::from_upload(&self.files));
+        }
+        let codec = codec_of(format);
+        if codec.handles(self.format) {
+            return codec.patch_positions(self, positions, format);
+        }
+        let neutral = if codec.takes_attributes() {
+            neutral_model(self, positions, format)?
+        } else {
+            NeutralModel::from_geometry(self.geometry.deformed(positions))
+        };
+        codec.build(&neutral, format)
+    }
+}
+
+/// Writes an edited model with its vertices at `positions` (in world space, one per vertex of the blends).
+///
+/// In the first base's own format (GLB and glTF count as one) the first base's file is the frame: whatever the edit did
+/// not touch stays. Other bases join it: with nodes, materials and images where both are glTF, as plain geometry
+/// otherwise. In another format a fresh file is made.
+///
+/// # Errors
+/// [`Error::Unwritable`] when the description does not hold together, a position is not finite or does not fit the
+/// format's numbers, no triangle is left, or the result is too large.
+///
+/// # Example
+/// A triangle is cut in two: the new vertex lies in the middle of an edge, and its colour between those of the ends.
+/// ```
+/// use glam::{DAffine3, DVec3};
+/// use pliant_core::asset::{BaseModel, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends};
+///
+/// let text = "v 0 0 0 1 0 0\nv 1 0 0 0 0 1\nv 0 1 0 0 0 0\nf 1 2 3\n";
+/// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
+/// let mut blends = VertexBlends::identity(3);
+/// blends.push_blend(&[(0, 0.5), (1, 0.5)]);
+/// let edited = EditedModel {
+///     bases: &[BaseModel { model: &model, world_from_model: DAffine3::IDENTITY }],
+///     runs: &[PrimitiveRun { base: 0, primitive: 0, first_vertex: 0, vertex_count: 4, first_triangle: 0, triangle_count: 2 }],
+///     blends: &blends,
+///     triangles: &[[0, 3, 2], [3, 1, 2]],
+///     origins: &[],
+///     bare: &[],
+/// };
+/// let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::X * 0.5];
+/// let written = pliant_core::asset::write_edited_model(&edited, &positions, Format::OBJ)?;
+/// let text = String::from_utf8_lossy(&written.main);
+/// assert_eq!(text, "v 0 0 0 1 0 0\nv 1 0 0 0 0 1\nv 0 1 0 0 0 0\nv 0.5 0 0 0.5 0 0.5\nf 1 4 3\nf 4 2 3\n");
+/// # Ok::<(), pliant_core::asset::Error>(())
+/// ```
+pub fn write_edited_model(
+    edited: &EditedModel<'_>,
+    positions: &[DVec3],
+    format: Format,
+) -> Result<WrittenFiles, Error> {
+    edited::check(edited, positions, format)?;
+    let Some(first) = edited.bases.first() else {
+        return Err(Error::unwritable(format, "there is no base"));
+    };
+    let codec = codec_of(format);
+    if !codec.edits(first.model.format) {
+        return codec.build(&neutral_edited_model(edited, positions, format)?, format);
+    }
+    let neutral_base = |base: u32| {
+        let mut neutral = NeutralModel::default();
+        add_base(&mut neutral, edited, base, positions, format)?;
+        Ok(neutral)
+    };
+    codec.write_edited(&EditedOutput {
+        edited,
+        positions,
+        format,
+        neutral_base: &neutral_base,
+    })
+}
+
+/// The neutral form of an edited model, for files of `format`.
+fn neutral_edited_model(edited: &EditedModel<'_>, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
+    let mut neutral = NeutralModel::default();
+    for base in 0..edited.bases.len() as u32 {
+        add_base(&mut neutral, edited, base, positions, format)?;
+    }
+    Ok(neutral)
+}
+
+/// The neutral form of a model that no edit has changed, at new positions: as if an edit had kept every vertex.
+pub(super) fn neutral_model(model: &Model, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
+    let geometry = &model.geometry;
+    let mut first_triangle = 0;
+    let mut runs = Vec::with_capacity(geometry.primitives.len());
+    for (i, primitive) in geometry.primitives.iter().enumerate() {
+        let triangle_count = primitive.index_count / 3;
+        runs.push(PrimitiveRun {
+            base: 0,
+            primitive: i as u32,
+            first_vertex: primitive.first_vertex,
+            vertex_count: primitive.vertex_count,
+            first_triangle,
+            triangle_count,
+        });
+        first_triangle += triangle_count;
+    }
+    let edited = EditedModel {
+        bases: &[BaseModel {
+            model,
+            world_from_model: DAffine3::IDENTITY,
+        }],
+        runs: &runs,
+        blends: &VertexBlends::identity(geometry.positions.len() as u32),
+        triangles: &geometry.triangles,
+        origins: &[],
+        bare: &[],
+    };
+    neutral_edited_model(&edited, positions, format)
+}
+
+/// Adds what comes from one base of an edited model.
+fn add_base(
+    neutral: &mut NeutralModel,
+    edited: &EditedModel<'_>,
+    base: u32,
+    positions: &[DVec3],
+    format: Format,
+) -> Result<(), Error> {
+    let runs: Vec<&PrimitiveRun> = edited.runs_with_triangles(base).collect();
+    let Some(held) = edited.bases.get(base as usize).filter(|_| !runs.is_empty()) else {
+        return Ok(());
+    };
+    let source = codec_of(held.model.format);
+    let divides = codec_of(format).divides_at_seams();
+    // Read once for all runs, and not at all for those that are divided.
+    let mut attributes = None;
+    for &run in &runs {
+        let parts = if divides {
+            source.seam_parts(edited, run, positions)?
+        } else {
+            None
+        };
+        if let Some(parts) = parts {
+            for part in parts {
+                neutral.check_room(part.copy_of.len(), format)?;
+                neutral.push_seam_part(&edited.primitive(run).name, &positions[run.vertices()], part);
+            }
+            continue;
+        }
+        let attributes = match &mut attributes {
+            Some(attributes) => attributes,
+            none => none.insert(source.run_attributes(edited, &runs)?.into_iter()),
+        };
+        neutral.check_room(run.vertex_count as usize, format)?;
+        neutral.push_run(edited, run, positions, attributes.next().unwrap_or_default());
+    }
+    Ok(())
+}

@@ -1,0 +1,73 @@
+//! The deformer: a model with its handles, deformed, edited and written by a Rust program that needs no server.
+//!
+//! A [`Deformer`] is opened on a model and builds everything that solving takes. [`Handle`]s hold [`Region`]s of it;
+//! [`HandlePose`]s say where handles are; [`Deformer::solve`] answers the shape. An [`Edit`] changes the topology.
+//!
+//! ```
+//! use pliant_core::asset::FileSet;
+//! use pliant_core::engine::{Deformer, DeformerLimits, Handle, HandlePose, OpenOptions, Region, SolveSettings};
+//! # use pliant_core::{exec::Exec, pool::Pool, progress::Silent};
+//! # let (pool, model) = (Pool::new(1)?, sample_model());
+//! # let exec = Exec::new(&pool, &Silent);
+//! let mut deformer = Deformer::open(model, &OpenOptions::default(), &DeformerLimits::default(), &exec)?;
+//! deformer.set_handles(
+//!     [
+//!         Handle::new("base", Region::half_space([0.0, -1.0, 0.0], 0.9)),
+//!         Handle::new("top", Region::half_space([0.0, 1.0, 0.0], 0.9)),
+//!     ],
+//!     &exec,
+//! )?;
+//! let shape = deformer.commit([("top", HandlePose::translation([0.5, 0.0, 0.0]))], &SolveSettings::default(), &exec)?;
+//! assert_ne!(shape.positions, *deformer.rest());
+//! # fn sample_model() -> FileSet { FileSet::single("ball.off", "OFF\n6 8 0\n0 1 0\n1 0 0\n0 0 1\n-1 0 0\n0 0 -1\n0 -1 0\n3 0 2 1\n3 0 3 2\n3 0 4 3\n3 0 1 4\n3 5 1 2\n3 5 2 3\n3 5 3 4\n3 5 4 1\n") }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! This module knows no message, no connection and no clock: `wire` turns messages into its types and back, and checks them
+//! on the way. What only the model can tell is checked here; an [`Error`] names the place in the input by an [`InputPlace`].
+
+mod carry_handles;
+mod deformer;
+mod derived_structures;
+mod digest;
+mod drag;
+mod edit;
+mod edit_command;
+mod edit_operations;
+mod error;
+mod facts;
+mod followed_nodes;
+mod handle;
+mod interior;
+mod limits;
+mod mesh_delta;
+mod model_topology;
+mod pose;
+mod quality;
+mod region;
+mod region_context;
+mod resolved_handles;
+mod settings;
+mod shading;
+mod solve;
+mod topology_state;
+mod vertex_origins;
+
+pub use deformer::Deformer;
+pub use digest::digest;
+pub use drag::Drag;
+pub use edit_command::{
+    CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin, ModelMerge,
+};
+pub use error::{Error, InputPlace, RegionPlace};
+pub use facts::{
+    DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts, WarningPlace,
+};
+pub use handle::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet};
+pub use limits::DeformerLimits;
+pub use pose::{HandlePose, HandlePoses, HandleRotation, HandleScale};
+pub use region::{Plane, Region, VertexRange};
+pub use settings::{COMMIT_REFINE, OpenOptions, SolveMode, SolveSettings};
+pub use shading::{Shader, Shading, shading};
+pub use solve::{SolveUpdate, SolvedShape};
+pub use topology_state::{TopologyId, TopologyState};

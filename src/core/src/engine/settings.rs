@@ -1,0 +1,87 @@
+//! How a model is opened and how its poses are solved.
+
+use crate::asset::Format;
+use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FreePartPolicy, VolumeMode};
+use crate::graph::VolumeOptions;
+use crate::mesh::Weld;
+
+/// How often a commit fits rotations unless asked otherwise.
+pub const COMMIT_REFINE: u32 = 4;
+
+/// How a deformer is built from its model. The default builds a volume graph wherever the model has an inside.
+#[derive(Debug, Clone)]
+pub struct OpenOptions {
+    /// The format of the model; `None`: told by its first bytes.
+    pub format: Option<Format>,
+    /// How render vertices become solver vertices.
+    pub weld: Weld,
+    /// What happens to connected parts in which no handle lies.
+    pub policy: FreePartPolicy,
+    /// How graph and hierarchy are built.
+    pub body: BodyOptions,
+}
+
+impl Default for OpenOptions {
+    fn default() -> Self {
+        Self {
+            format: None,
+            weld: Weld::Exact,
+            policy: FreePartPolicy::Follow,
+            body: BodyOptions {
+                volume: VolumeMode::Auto,
+                graph: VolumeOptions {
+                    valence: 14,
+                    weights: EdgeWeights::Uniform,
+                    ..Default::default()
+                },
+                operators: CoarseOperators::FiniteVolume,
+                apart: false,
+            },
+        }
+    }
+}
+
+/// How a pose is solved.
+///
+/// ```
+/// use pliant_core::engine::SolveSettings;
+/// let settings = SolveSettings { tolerance: Some(1e-6), ..Default::default() };
+/// assert_eq!(settings.refine, None);
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct SolveSettings {
+    /// Relative residual to reach, when asked for.
+    pub tolerance: Option<f64>,
+    /// Largest missing displacement as a fraction of the diagonal, when asked for.
+    pub max_error: Option<f64>,
+    /// How often rotations are fitted after the second pass; `None`: [`COMMIT_REFINE`] times on commit, not at all in a drag.
+    pub refine: Option<u32>,
+    /// What the neighbours weigh in such a fit.
+    pub rotation_smoothing: f64,
+    /// How rotations are spread from the handles.
+    pub first_pass: FirstPass,
+    /// Whether space is deformed by radial basis functions instead of the graph.
+    pub spatial_rbf: bool,
+}
+
+impl Default for SolveSettings {
+    fn default() -> Self {
+        Self {
+            tolerance: Some(1e-4),
+            max_error: None,
+            refine: None,
+            rotation_smoothing: 0.0,
+            first_pass: FirstPass::Harmonic,
+            spatial_rbf: false,
+        }
+    }
+}
+
+/// How a solve treats what was solved before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SolveMode {
+    /// Starts from the last result, for the sake of speed.
+    Drag,
+    /// Depends on nothing but model, handles, poses and settings, so that it can be repeated to the bit.
+    Commit,
+}

@@ -1,0 +1,419 @@
+//! The volume graph of a mesh: surface, shell and lattice (Zhou et al. 2005; the lattice interval is calibrated on the
+//! node counts in the paper's tables).
+
+use crate::exec::Exec;
+use crate::graph::assemble::{InteriorNodes, assemble};
+use crate::graph::error::Error;
+use crate::graph::mesh_graph::{GraphStats, MeshGraph};
+use crate::graph::recipe::InteriorRecipe;
+use crate::graph::volume::caps::missing;
+use crate::graph::volume::columns::FaceColumns;
+use crate::graph::volume::lattice;
+use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes};
+use crate::graph::volume::nearest::nearest_vertices;
+use crate::graph::volume::neighbours::{NONE, in_b, rising};
+use crate::graph::volume::shell::{ShellNodes, VolumeSite, shell};
+use crate::graph::volume::solid::{ClassifiedParts, PartKind};
+use crate::graph::volume::{octree, scan};
+use crate::graph::weights::EdgeWeights;
+use crate::graph::winding::tree::WindingTree;
+use crate::mesh::{Adjacency, Mesh, mean_edge_length, signed_volume};
+use rayon::prelude::*;
+
+/// How a volume graph is built.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VolumeOptions {
+    /// Side of a lattice cell; by default the mean edge length or what gives 1.2 lattice nodes for each vertex,
+    /// whichever is larger. Widened when the graph would have more than `max_nodes` nodes.
+    pub interval: Option<f64>,
+    /// Neighbours of a lattice node: 14 (default), or 8 in the other of the two cubic grids only.
+    pub valence: u32,
+    /// How far the shell is moved inwards; by default the mean edge length, of the mesh or of the part, whichever is
+    /// less. Less where there is less room.
+    pub shell_offset: Option<f64>,
+    /// Weights of the mesh's edges.
+    pub weights: EdgeWeights,
+    /// Most nodes that the graph may have.
+    pub max_nodes: usize,
+}
+
+impl Default for VolumeOptions {
+    fn default() -> Self {
+        Self {
+            interval: None,
+            valence: 14,
+            shell_offset: None,
+            weights: EdgeWeights::Uniform,
+            max_nodes: 50_000_000,
+        }
+    }
+}
+
+/// Lattice nodes wanted for each vertex; with the shell this makes 3.1 nodes per vertex, as in the paper's tables.
+const LATTICE_PER_VERTEX: f64 = 1.2;
+/// Lattice nodes lie deeper than this many shell offsets.
+const DEPTH: f64 = 1.25;
+/// Winding numbers are asked this many mean edge lengths beside the surface.
+const BESIDE: f64 = 1.0 / 64.0;
+/// Cells along the longest side of the box when the volume has to be sampled.
+const SAMPLES_ALONG: f64 = 32.0;
+/// The same for a hull, whose rows are measured by their length.
+const ROWS_ALONG: f64 = 64.0;
+
+/// About how many nodes the volume graph of `mesh` will have, without building anything.
+pub fn estimate_nodes(mesh: &Mesh) -> usize {
+    let vertices = mesh.positions.len();
+    2 * vertices + (LATTICE_PER_VERTEX * vertices as f64).ceil() as usize
+}
+
+/// Builds the volume graph of `mesh`; `None` when it encloses nothing, and a surface graph is all there is.
+///
+/// The inside is where the generalised winding number is further from 0 than ½, so meshes with holes have one too, and
+/// parts that overlap share one lattice. Parts that are mere sheets, or too thin for a shell, keep their mesh edges only.
+/// Time is `n log n`, most of it spent near the surface.
+///
+/// ```
+/// use glam::DVec3;
+/// use pliant_core::asset::shapes::box_with_cells;
+/// use pliant_core::exec::Exec;
+/// use pliant_core::graph::{VolumeOptions, volume};
+/// use pliant_core::mesh::{Mesh, Weld};
+/// use pliant_core::pool::Pool;
+/// use pliant_core::progress::Silent;
+///
+/// let (positions, triangles) = box_with_cells(DVec3::ONE, [6, 6, 6]);
+/// let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
+/// let pool = Pool::new(1).expect("a thread");
+/// let graph = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool, &Silent))?.expect("a box has an inside");
+/// assert_eq!(graph.surface, mesh.positions.len());
+/// assert!(graph.stats.shell_nodes > 0 && graph.nodes() > graph.surface);
+/// # Ok::<(), pliant_core::graph::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error`] when an option makes no sense, when surface and shell alone exceed `max_nodes`, or when the work was
+/// given up.
+pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<Option<MeshGraph>, Error> {
+    check_options(options)?;
+    let surface = mesh.positions.len();
+    let limit = options.max_nodes.min(u32::MAX as usize / 32);
+    let room_beyond = |nodes: usize| {
+        limit.checked_sub(nodes).ok_or(Error::TooManyNodes {
+            nodes,
+            limit: options.max_nodes,
+            surface,
+        })
+    };
+    room_beyond(surface)?;
+    exec.check()?;
+
+    exec.progress.report("graph", 0.0);
+    let adjacency = Adjacency::build(surface, &mesh.triangles);
+    let mean_edge = mean_edge_length(&mesh.positions, &adjacency.edges);
+    let diagonal = mesh.bounds().diagonal();
+    if !(mean_edge > diagonal * 1e-12 && mean_edge.is_finite()) {
+        return Ok(None);
+    }
+    let tree = WindingTree::build(&mesh.positions, &mesh.triangles, exec.pool);
+    exec.progress.report("graph", 0.1);
+    let step = mean_edge * BESIDE;
+    let mut parts = ClassifiedParts::sort(mesh, &adjacency, &tree, step, exec)?;
+    let mut closed = parts.hull(mesh, &adjacency);
+    if let Some(hull) = &closed
+        && parts.doubt(&tree, hull, exec)?
+    {
+        closed = parts.hull(mesh, &adjacency);
+    }
+    let soup = parts.soup(mesh);
+    let build = |positions, faces| WindingTree::build(positions, faces, exec.pool);
+    let hull_tree = closed.as_ref().map(|hull| build(&hull.positions, &hull.faces));
+    let soup_tree = soup.as_ref().map(|faces| build(&mesh.positions, faces));
+    let hull = hull_tree
+        .as_ref()
+        .or_else(|| parts.all(PartKind::Closed).then_some(&tree));
+    let site = VolumeSite {
+        mesh,
+        adjacency: &adjacency,
+        surface: tree.bvh(),
+        hull,
+        columns: hull.map(|hull| FaceColumns::sort(hull, exec.pool)),
+        soup: soup_tree
+            .as_ref()
+            .or_else(|| parts.all(PartKind::Soup).then_some(&tree)),
+        parts: &parts,
+        exec,
+    };
+    if site.hull.is_none() && site.soup.is_none() {
+        return Ok(None);
+    }
+    let (inward, turns) = parts.inward(mesh, &adjacency, |p| site.contains(p), step, exec)?;
+
+    exec.progress.report("graph", 0.2);
+    let offset = options.shell_offset.unwrap_or(mean_edge);
+    let offsets = offsets(&site, options.shell_offset, mean_edge);
+    let shell = shell(&site, &inward, &offsets)?;
+    let shell_nodes = shell.iter().flatten().count();
+    let room = room_beyond(surface + shell_nodes)?;
+
+    exec.progress.report("graph", 0.5);
+    let volume = enclosed_volume(&site)?;
+    if shell_nodes == 0 && volume == 0.0 {
+        return Ok(None);
+    }
+    let calibrated = libm::cbrt(2.0 * volume / (LATTICE_PER_VERTEX * surface as f64));
+    let wanted = options.interval.unwrap_or(mean_edge.max(calibrated));
+    let (grid, nodes) = fitting_lattice(&site, wanted, DEPTH * offset, volume, room)?;
+    if shell_nodes == 0 && nodes.keys.is_empty() {
+        return Ok(None);
+    }
+
+    exec.progress.report("graph", 0.7);
+    let (mut inner, keeps) = inner(&site, shell, &offsets, &grid, &nodes, options.valence)?;
+    if inner.positions.is_empty() {
+        return Ok(None);
+    }
+    let reach = part_reaches(&site, &offsets, &turns, &keeps);
+    inner.recipe.inside = Some(record_interior(&site, &reach, &grid, options.valence, DEPTH * offset));
+    inner.stats = GraphStats {
+        shell_nodes: inner.copies,
+        lattice_nodes: nodes.keys.len(),
+        interval: grid.interval,
+        wanted_interval: wanted,
+        shell_offset: offset,
+        enclosed_volume: volume,
+        component_has_volume: Vec::new(),
+    };
+    check_edge_count(&adjacency, &inner)?;
+    exec.progress.report("graph", 0.9);
+    let graph = assemble(
+        mesh,
+        &adjacency,
+        &parts.components,
+        inner,
+        options.weights,
+        Some(exec.pool),
+    );
+    exec.check()?;
+    exec.progress.report("graph", 1.0);
+    Ok(Some(graph))
+}
+
+/// Refuses options that make no sense.
+fn check_options(options: &VolumeOptions) -> Result<(), Error> {
+    for (option, value) in [("interval", options.interval), ("shell offset", options.shell_offset)] {
+        if let Some(seen) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
+            return Err(Error::Length { option, seen });
+        }
+    }
+    if !matches!(options.valence, 8 | 14) {
+        return Err(Error::Valence { seen: options.valence });
+    }
+    Ok(())
+}
+
+/// Refuses more edges than can be numbered.
+fn check_edge_count(adjacency: &Adjacency, inner: &InteriorNodes) -> Result<(), Error> {
+    let edges = 3 * adjacency.edges.len() + inner.copies + 7 * inner.lattice.len() + inner.ties.len();
+    let limit = u32::MAX as usize / 2;
+    match edges > limit {
+        true => Err(Error::TooManyEdges { edges, limit }),
+        false => Ok(()),
+    }
+}
+
+/// How far the copies of each part are moved: as wanted, or by the mean edge length of the mesh. Parts of a finer mesh
+/// than the rest have no room for that, and a finer shell.
+fn offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<f64> {
+    let components = &site.parts.components;
+    let Some(wanted) = wanted else {
+        let mut sums = vec![(0.0f64, 0usize); components.count];
+        for e in &site.adjacency.edges {
+            let [a, b] = e.vertices.map(|v| site.mesh.positions[v as usize]);
+            let sum = &mut sums[components.of_vertex[e.vertices[0] as usize] as usize];
+            *sum = (sum.0 + a.distance(b), sum.1 + 1);
+        }
+        let mean = |(length, edges): (f64, usize)| length / edges.max(1) as f64;
+        // One part has the mean to the bit.
+        return match components.count {
+            1 => vec![mean_edge],
+            _ => sums.into_iter().map(|sum| mean(sum).min(mean_edge)).collect(),
+        };
+    };
+    vec![wanted; components.count]
+}
+
+/// Volume of the inside: measured for one part, else sampled, because parts may overlap or nest.
+fn enclosed_volume(site: &VolumeSite) -> Result<f64, Error> {
+    let mesh = site.mesh;
+    let mut volume = 0.0;
+    if let Some(hull) = site.hull {
+        let measured = signed_volume(hull.bvh().positions(), hull.bvh().triangles()).abs();
+        if site.parts.components.count == 1 {
+            volume = measured;
+        } else if let Some(grid) = LatticeGrid::around(&mesh.bounds(), longest(mesh) / ROWS_ALONG) {
+            let sampled = scan::volume(site, hull.bvh(), &grid)?.unwrap_or(0.0);
+            let measured_fits = sampled == 0.0 || (measured - sampled).abs() <= 0.1 * measured;
+            volume = if measured_fits { measured } else { sampled };
+        }
+    }
+    if let Some(soup) = site.large_soup() {
+        let interval = longest(mesh) / SAMPLES_ALONG;
+        let Some(grid) = LatticeGrid::around(&mesh.bounds(), interval) else {
+            return Ok(volume);
+        };
+        // The limit is beyond what a grid of this size holds.
+        if let Ok(nodes) = octree::nodes(site, soup, &grid, 0.0, 1 << 20)? {
+            volume += nodes.keys.len() as f64 * (interval * interval * interval) * 0.5;
+        }
+    }
+    Ok(volume)
+}
+
+/// The longest side of the box around a mesh.
+fn longest(mesh: &Mesh) -> f64 {
+    mesh.bounds().size().max_element()
+}
+
+/// The lattice of the wanted interval, or of the narrowest wider one tried that has at most `room` nodes.
+fn fitting_lattice(
+    site: &VolumeSite,
+    wanted: f64,
+    depth: f64,
+    volume: f64,
+    room: usize,
+) -> Result<(LatticeGrid, LatticeNodes), Error> {
+    let bounds = site.mesh.bounds();
+    let longest = longest(site.mesh);
+    // Half of what the volume would hold: nodes near the surface are left out.
+    let by_count = libm::cbrt(volume / room.max(1) as f64);
+    let mut interval = wanted.max(longest * 1e-6).max(by_count);
+    // Beyond the box's size there is nothing to place.
+    while interval < 2.0 * longest {
+        let factor = match LatticeGrid::around(&bounds, interval) {
+            Some(grid) => match lattice::nodes(site, &grid, depth, room)? {
+                Ok(nodes) => return Ok((grid, nodes)),
+                Err(too_fine) => too_fine.factor,
+            },
+            None => 1.25,
+        };
+        interval *= factor * 1.02;
+    }
+    let grid = LatticeGrid::around(&bounds, interval).ok_or(Error::Length {
+        option: "interval",
+        seen: interval,
+    })?;
+    Ok((grid, LatticeNodes::default()))
+}
+
+/// Takes the copies away from parts without lattice in which most vertices have no room for a copy at a quarter of the
+/// offset or more: copies so near to the surface keep nothing from collapsing, and the part is no more than a sheet.
+///
+/// Answers which parts keep theirs.
+fn leave_out_thin(site: &VolumeSite, shell: &mut ShellNodes, offsets: &[f64], ties: &[[u32; 2]]) -> Vec<bool> {
+    let components = &site.parts.components;
+    let part = |v: u32| components.of_vertex[v as usize] as usize;
+    // By part: vertices, and those with room.
+    let mut count = vec![(0usize, 0usize); components.count];
+    for (v, copy) in (0u32..).zip(shell.iter()) {
+        let roomy = copy.is_some_and(|p| p.distance(site.mesh.positions[v as usize]) > offsets[part(v)] * 0.24);
+        count[part(v)].0 += 1;
+        count[part(v)].1 += usize::from(roomy);
+    }
+    let mut keeps: Vec<bool> = count.into_iter().map(|(all, roomy)| roomy * 2 >= all).collect();
+    ties.iter().for_each(|t| keeps[part(t[1])] = true);
+    for (v, copy) in (0u32..).zip(shell.iter_mut()) {
+        if !keeps[part(v)] {
+            *copy = None;
+        }
+    }
+    keeps
+}
+
+/// How far copies of each part were moved inwards: negative where the part is wound inside out, 0 where it has none.
+fn part_reaches(site: &VolumeSite, offsets: &[f64], turns: &[f64], keeps: &[bool]) -> Vec<f32> {
+    let kinds = site.parts.kinds.iter().enumerate();
+    kinds
+        .map(|(part, &kind)| {
+            let encloses = kind != PartKind::Sheet && keeps[part];
+            if encloses {
+                (offsets[part] * turns[part]) as f32
+            } else {
+                0.0
+            }
+        })
+        .collect()
+}
+
+/// Records what edits need to know of how interior nodes were placed; `reach` is by part.
+fn record_interior(site: &VolumeSite, reach: &[f32], grid: &LatticeGrid, valence: u32, depth: f64) -> InteriorRecipe {
+    let parts = site.parts;
+    let enclosing = |v: u32| reach[parts.components.of_vertex[v as usize] as usize] != 0.0;
+    let edges = site.adjacency.edges.iter();
+    let mut open: Vec<[u32; 2]> = edges.filter(|e| enclosing(e.vertices[0])).flat_map(missing).collect();
+    open.sort_unstable();
+    InteriorRecipe {
+        origin: grid.origin,
+        interval: grid.interval,
+        valence,
+        depth,
+        soups: parts.kinds.contains(&PartKind::Soup),
+        reach: parts
+            .components
+            .of_vertex
+            .iter()
+            .map(|&part| reach[part as usize])
+            .collect(),
+        open,
+    }
+}
+
+/// Numbers shell and lattice nodes after the surface and collects their edges. With it, which parts keep their copies.
+fn inner(
+    site: &VolumeSite,
+    mut shell: ShellNodes,
+    offsets: &[f64],
+    grid: &LatticeGrid,
+    nodes: &LatticeNodes,
+    valence: u32,
+) -> Result<(InteriorNodes, Vec<bool>), Error> {
+    let surface = site.mesh.positions.len() as u32;
+    let edges = lattice::edges(site, grid, nodes, valence)?;
+    let keeps = leave_out_thin(site, &mut shell, offsets, &edges.ties);
+    let mut inner = InteriorNodes {
+        shell: vec![NONE; shell.len()],
+        ..InteriorNodes::default()
+    };
+    for (v, copy) in (0u32..).zip(&shell) {
+        if let Some(p) = copy {
+            inner.shell[v as usize] = surface + inner.positions.len() as u32;
+            inner.positions.push(*p);
+            inner.nearest_surface.push(v);
+        }
+    }
+    inner.copies = inner.positions.len();
+    inner.positions.extend(nodes.keys.iter().map(|&k| grid.position(k)));
+    inner
+        .nearest_surface
+        .extend(nearest_vertices(site, grid, nodes, &edges)?);
+    inner.ties = edges.ties;
+    for [_, to] in &mut inner.ties {
+        let copy = inner.shell[*to as usize];
+        *to = if copy == NONE { *to } else { copy };
+    }
+    site.exec.pool.install(|| inner.ties.par_sort_unstable());
+    inner.lattice = edges.rows;
+    let order = rising();
+    site.exec.pool.install(|| {
+        let rows = inner.lattice.par_iter_mut().zip(&nodes.keys).with_min_len(1024);
+        rows.for_each(|(row, &key)| {
+            let mut sorted = [NONE; 14];
+            let there = order[usize::from(in_b(key))]
+                .iter()
+                .map(|&d| row[d])
+                .filter(|&n| n != NONE);
+            sorted.iter_mut().zip(there).for_each(|(slot, n)| *slot = n);
+            *row = sorted;
+        });
+    });
+    Ok((inner, keeps))
+}

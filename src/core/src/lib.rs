@@ -1,0 +1,27 @@
+//! Mesh deformation for Rust programs, without a server: from the bytes of a model to those of its deformed shape.
+//!
+//! [`engine`] is the way in: a [`engine::Deformer`] holds a model with its volume graph, hierarchy and handles, solves
+//! poses, follows edits and writes the model again. The modules below it serve alone as well.
+//!
+//! | floor | modules | what |
+//! |---|---|---|
+//! | 3 | [`engine`] | the deformer: typed handles, regions, poses and edits |
+//! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
+//! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
+//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`] | triangles; model formats; threads; cancelling; both as one |
+//!
+//! No module reads a clock, a file or the network, and the same inputs give the same bits for any number of threads.
+
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
+
+pub mod asset;
+pub mod deform;
+pub mod edit;
+pub mod engine;
+pub mod graph;
+pub mod mesh;
+pub mod render;
+
+/// Multigrid on a weighted graph, with the threads and the watcher that every computing function takes: a crate of its own.
+pub use pliant_solver as solver;
+pub use pliant_solver::{exec, pool, progress};

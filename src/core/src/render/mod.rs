@@ -1,0 +1,42 @@
+//! Pictures of triangle meshes without a display: shaded, with wires, or coloured by a number per vertex.
+//!
+//! The module owns the camera, the rasteriser, the colour ramps, letters and PNG bytes. It takes plain slices and knows no
+//! file format, no handle and no job. The same input gives the same bytes for any number of threads.
+//!
+//! ```
+//! use glam::DVec3;
+//! use pliant_core::pool::Pool;
+//! use pliant_core::render::{Camera, PictureSize, ShadedSurface, UpAxis, ViewDirection, draw_surface};
+//!
+//! let pool = Pool::new(1)?;
+//! let corners = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
+//! let surface = ShadedSurface::new(&corners, &[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], &pool)?;
+//! let view = ViewDirection::new(30.0, 20.0, UpAxis::Y)?;
+//! let cameras = Camera::around_surfaces(&[&surface], &[view], PictureSize::new(64, 48)?);
+//! let png = draw_surface(&surface, &cameras[0], &pool).encode_png()?;
+//! assert!(png.starts_with(b"\x89PNG"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod camera;
+mod colour;
+mod colour_key;
+mod error;
+mod font;
+mod picture;
+mod raster;
+mod ring_mark;
+mod surface;
+mod vertex_values;
+mod view_sheet;
+
+pub use camera::{Camera, PictureSize, UpAxis, ViewDirection};
+pub use colour::{ColourRamp, Rgb};
+pub use colour_key::ColourKey;
+pub use error::Error;
+pub use picture::Picture;
+pub use raster::{background_end, draw_surface};
+pub use ring_mark::RingMark;
+pub use surface::ShadedSurface;
+pub use vertex_values::{STRETCH_RANGE, edge_stretch, vertex_displacements};
+pub use view_sheet::ViewSheet;
