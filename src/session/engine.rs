@@ -4,14 +4,12 @@
 //! an engine whose every cycle the test controls.
 
 use crate::asset::{FileSet, Format, WrittenFiles};
-use crate::engine::Shader;
 use crate::engine::{
-    Deformer, DeformerLimits, EditCommand, EditOutcome, HandlePoses, SolveMode, SolveSettings, SolveUpdate,
-    SolvedShape, TopologyState,
+    Deformer, DeformerFacts, DeformerLimits, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet,
+    OpenOptions, QualityReport, Shader, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
 };
 use crate::exec::Exec;
-use crate::wire;
-use crate::wire::pb;
+use crate::wire::edit_kind_name;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -20,24 +18,24 @@ use std::sync::Arc;
 /// The contract is that of [`Deformer`]: a call that fails changes nothing, and a [`SolveMode::Commit`] solve depends on
 /// nothing but model, handles, poses and settings.
 pub trait Engine: Send + 'static {
-    /// What a session answers about model, solver and handles.
-    fn facts(&self) -> pb::Session;
+    /// What a session tells about model, solver and handles.
+    fn facts(&self) -> DeformerFacts;
     /// Positions at rest, one per render vertex.
     fn rest(&self) -> Arc<Vec<DVec3>>;
     /// Length of the bounding box's diagonal.
     fn diagonal(&self) -> f64;
     /// Bytes held.
-    fn bytes(&self) -> u64;
+    fn byte_size(&self) -> u64;
     /// Bytes that the engine may hold after what is asked of it next.
     fn limit_memory(&mut self, _bytes: u64) {}
     /// Format of the model's files.
     fn format(&self) -> Format;
     /// Replaces the handles.
-    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error>;
+    fn set_handles(&mut self, handles: &HandleSet, exec: &Exec<'_>) -> Result<(), Error>;
     /// The poses that the handles in force came with.
     fn initial_poses(&self) -> HandlePoses;
-    /// `poses` with those that `change` names replaced.
-    fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, wire::Error>;
+    /// `poses` with those that `changes` names replaced.
+    fn change_poses(&self, poses: &HandlePoses, changes: &[(String, HandlePose)]) -> Result<HandlePoses, Error>;
     /// Solves a pose.
     fn solve(
         &mut self,
@@ -46,23 +44,23 @@ pub trait Engine: Send + 'static {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, wire::Error>;
-    /// How far a shape is from the rest shape, with what `output` asks for beside; `None` when the engine measures
-    /// nothing.
+    ) -> Result<SolvedShape, Error>;
+    /// How far a shape is from the rest shape, with the number of self-intersections when `count_crossings` asks for it;
+    /// `None` when the engine measures nothing.
     fn measure(
         &self,
         _positions: &[DVec3],
-        _output: &pb::Output,
+        _count_crossings: bool,
         _exec: &Exec<'_>,
-    ) -> Result<Option<pb::Quality>, wire::Error> {
+    ) -> Result<Option<QualityReport>, Error> {
         Ok(None)
     }
     /// The state that edits have left the engine in; `None` when it knows no edits.
-    fn trail(&self) -> Option<TopologyState> {
+    fn topology_state(&self) -> Option<TopologyState> {
         None
     }
-    /// Goes to the state that an earlier [`Engine::trail`] named; without handles then.
-    fn retrace(&mut self, _trail: &TopologyState, _exec: &Exec<'_>) -> Result<(), wire::Error> {
+    /// Goes to the state that an earlier [`Engine::topology_state`] named; without handles then.
+    fn restore_topology(&mut self, _state: &TopologyState, _exec: &Exec<'_>) -> Result<(), Error> {
         Ok(())
     }
     /// Whether all is known of a shape that an edit needs; if not, a commit that makes it again tells.
@@ -70,14 +68,12 @@ pub trait Engine: Send + 'static {
         true
     }
     /// Carries out an edit and sets the handles that are left.
-    fn edit(&mut self, order: &EditCommand<'_>, _exec: &Exec<'_>) -> Result<EditOutcome, wire::Error> {
-        Err(wire::Error::Unimplemented(format!(
-            "the edit {}",
-            wire::edit_kind_name(order.edit.kind())
-        )))
+    fn edit(&mut self, command: &EditCommand<'_>, _exec: &Exec<'_>) -> Result<EditOutcome, Error> {
+        let name = edit_kind_name(command.edit.kind());
+        Err(Error::Unimplemented(format!("the edit {name}")))
     }
     /// Writes the model with new positions.
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, wire::Error>;
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error>;
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
 }
@@ -88,10 +84,10 @@ pub trait EngineOpener: Send + Sync + 'static {
     fn open(
         &self,
         files: FileSet,
-        create: &pb::CreateOptions,
+        options: &OpenOptions,
         limits: &DeformerLimits,
         exec: &Exec<'_>,
-    ) -> Result<Box<dyn Engine>, wire::Error>;
+    ) -> Result<Box<dyn Engine>, Error>;
 }
 
 /// Opens a [`Deformer`].
@@ -102,22 +98,17 @@ impl EngineOpener for OpenDeformer {
     fn open(
         &self,
         files: FileSet,
-        create: &pb::CreateOptions,
+        options: &OpenOptions,
         limits: &DeformerLimits,
         exec: &Exec<'_>,
-    ) -> Result<Box<dyn Engine>, wire::Error> {
-        Ok(Box::new(Deformer::open(
-            files,
-            &wire::open_options(create)?,
-            limits,
-            exec,
-        )?))
+    ) -> Result<Box<dyn Engine>, Error> {
+        Ok(Box::new(Deformer::open(files, options, limits, exec)?))
     }
 }
 
 impl Engine for Deformer {
-    fn facts(&self) -> pb::Session {
-        wire::session_message(&Self::facts(self))
+    fn facts(&self) -> DeformerFacts {
+        Self::facts(self)
     }
 
     fn rest(&self) -> Arc<Vec<DVec3>> {
@@ -128,8 +119,8 @@ impl Engine for Deformer {
         Self::diagonal(self)
     }
 
-    fn bytes(&self) -> u64 {
-        self.byte_size()
+    fn byte_size(&self) -> u64 {
+        Self::byte_size(self)
     }
 
     fn limit_memory(&mut self, bytes: u64) {
@@ -140,16 +131,16 @@ impl Engine for Deformer {
         self.model().format
     }
 
-    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error> {
-        Ok(Self::set_handles(self, wire::handle_set(request)?, exec)?)
+    fn set_handles(&mut self, handles: &HandleSet, exec: &Exec<'_>) -> Result<(), Error> {
+        Self::set_handles(self, handles, exec)
     }
 
     fn initial_poses(&self) -> HandlePoses {
         Self::initial_poses(self)
     }
 
-    fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, wire::Error> {
-        wire::change_poses(self, poses, change)
+    fn change_poses(&self, poses: &HandlePoses, changes: &[(String, HandlePose)]) -> Result<HandlePoses, Error> {
+        Self::change_poses(self, poses, changes.iter().map(|(id, pose)| (id.as_str(), *pose)))
     }
 
     fn solve(
@@ -159,38 +150,37 @@ impl Engine for Deformer {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, wire::Error> {
-        Ok(Self::solve(self, poses, settings, mode, exec, watch)?)
+    ) -> Result<SolvedShape, Error> {
+        Self::solve(self, poses, settings, mode, exec, watch)
     }
 
     fn measure(
         &self,
         positions: &[DVec3],
-        output: &pb::Output,
+        count_crossings: bool,
         exec: &Exec<'_>,
-    ) -> Result<Option<pb::Quality>, wire::Error> {
-        let quality = Self::measure(self, positions, output.self_intersections, exec)?;
-        Ok(Some(wire::quality_message(&quality)))
+    ) -> Result<Option<QualityReport>, Error> {
+        Self::measure(self, positions, count_crossings, exec).map(Some)
     }
 
-    fn trail(&self) -> Option<TopologyState> {
-        Some(self.topology_state())
+    fn topology_state(&self) -> Option<TopologyState> {
+        Some(Self::topology_state(self))
     }
 
-    fn retrace(&mut self, trail: &TopologyState, exec: &Exec<'_>) -> Result<(), wire::Error> {
-        Ok(self.restore_topology(trail, exec)?)
+    fn restore_topology(&mut self, state: &TopologyState, exec: &Exec<'_>) -> Result<(), Error> {
+        Self::restore_topology(self, state, exec)
     }
 
     fn remembers(&self, shape: &Arc<Vec<DVec3>>) -> bool {
         Self::remembers(self, shape)
     }
 
-    fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, wire::Error> {
-        Ok(Self::edit(self, order, exec)?)
+    fn edit(&mut self, command: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
+        Self::edit(self, command, exec)
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, wire::Error> {
-        Ok(Self::write(self, positions, format)?)
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        Self::write(self, positions, format)
     }
 
     fn shader(&self) -> Shader {

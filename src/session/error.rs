@@ -1,6 +1,6 @@
 //! What a caller is told when a call fails, and the one table from failures to status codes of every transport.
 
-use crate::{asset, wire};
+use crate::{asset, engine, wire};
 use std::fmt;
 
 /// The kinds of failure. Closed: a new kind needs a row in the table below.
@@ -186,6 +186,13 @@ impl From<wire::Error> for Error {
             wire::Error::Cancelled => Self::new(ErrorCode::Cancelled, message),
             wire::Error::Internal(_) => Self::new(ErrorCode::Internal, message),
         }
+    }
+}
+
+/// What the engine refuses is told as `wire` tells it, with the field of the request that the value came from.
+impl From<engine::Error> for Error {
+    fn from(error: engine::Error) -> Self {
+        wire::Error::from(error).into()
     }
 }
 

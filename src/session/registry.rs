@@ -3,15 +3,16 @@
 //! Lookups hand out clones of `Arc`s; no guard of the map leaves this file.
 
 use crate::asset::Format;
-use crate::engine::{HandlePose, HandlePoses};
+use crate::engine::{DeformerFacts, HandlePose, HandlePoses};
 use crate::progress::CancelFlag;
 use crate::session::answers::Tenant;
 use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
+use crate::session::history::session_state::CommittedHandles;
 use crate::session::stream::mailbox::Mailbox;
-use crate::wire::{handle_pose_message, pb};
+use crate::wire::{handle_pose_message, pb, session_message};
 use dashmap::DashMap;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -23,7 +24,8 @@ use tokio_util::sync::CancellationToken;
 #[derive(Debug)]
 pub(super) struct SessionView {
     pub revision: u64,
-    pub facts: Arc<pb::Session>,
+    pub facts: Arc<DeformerFacts>,
+    pub handles: Arc<CommittedHandles>,
     pub poses: HandlePoses,
     pub build_ms: BTreeMap<String, f64>,
     pub positions: Arc<Vec<DVec3>>,
@@ -70,19 +72,18 @@ impl OpenSession {
     /// The session as its owner sees it.
     pub fn describe(&self) -> pb::Session {
         let view = self.view();
-        let mut handles = view.facts.handles.clone();
-        for (handle, pose) in handles.iter_mut().zip(view.poses.0.iter()) {
+        let mut message = session_message(&view.facts);
+        for (handle, pose) in message.handles.iter_mut().zip(view.poses.0.iter()) {
             handle.pose = (*pose != HandlePose::default()).then(|| handle_pose_message(pose));
         }
         pb::Session {
-            handles,
             id: self.id.clone(),
             revision: view.revision,
             build_ms: view.build_ms.clone(),
             expires_at: self.lease.end_text(),
             label: self.label.clone(),
             limits: Some(self.limits),
-            ..view.facts.as_ref().clone()
+            ..message
         }
     }
 

@@ -18,10 +18,7 @@ pub fn handle_set(request: &pb::SetHandlesRequest) -> Result<HandleSet, Error> {
     let mut handles = Vec::with_capacity(request.handles.len());
     for (k, message) in request.handles.iter().enumerate() {
         let field = format!("handles[{k}]");
-        if message.id.is_empty() || message.id.len() > 128 {
-            let problem = format!("has {} bytes, allowed are 1 to 128", message.id.len());
-            return Err(Error::invalid(format!("{field}.id"), problem));
-        }
+        check_handle_id(&message.id, &field)?;
         if !ids.insert(message.id.as_str()) {
             let problem = format!("\"{}\" is used twice", message.id);
             return Err(Error::invalid(format!("{field}.id"), problem));
@@ -40,41 +37,62 @@ fn handle(handle: &pb::Handle, field: &str) -> Result<Handle, Error> {
     let region = region(handle.region.as_ref(), &format!("{field}.region"))?;
     let pose = handle.pose.as_ref();
     let pose = pose.map(|p| handle_pose(p, &format!("{field}.pose"))).transpose()?;
+    Ok(Handle {
+        id: handle.id.clone(),
+        region,
+        constrains: constrains(&handle.constrains, &format!("{field}.constrains"))?,
+        stiffness: stiffness(handle.stiffness, &format!("{field}.stiffness"))?,
+        rigid: handle.rigid,
+        pose,
+        falloff: falloff(
+            handle.falloff.as_ref(),
+            handle.stiffness.is_some(),
+            &format!("{field}.falloff"),
+        )?,
+    })
+}
+
+/// Refuses the id of a handle that is empty or too long.
+pub(super) fn check_handle_id(id: &str, field: &str) -> Result<(), Error> {
+    if id.is_empty() || id.len() > 128 {
+        let problem = format!("has {} bytes, allowed are 1 to 128", id.len());
+        return Err(Error::invalid(format!("{field}.id"), problem));
+    }
+    Ok(())
+}
+
+/// Reads what a handle fixes; an empty list is everything.
+pub(super) fn constrains(named: &[i32], field: &str) -> Result<HandleConstrains, Error> {
+    if named.is_empty() {
+        return Ok(HandleConstrains::ALL);
+    }
     let mut constrains = HandleConstrains {
         position: false,
         rotation: false,
         scale: false,
     };
-    for (k, &c) in handle.constrains.iter().enumerate() {
-        match enumerated(c, &format!("{field}.constrains[{k}]"))? {
+    for (k, &c) in named.iter().enumerate() {
+        match enumerated(c, &format!("{field}[{k}]"))? {
             pb::handle::Constrains::Position => constrains.position = true,
             pb::handle::Constrains::Rotation => constrains.rotation = true,
             pb::handle::Constrains::Scale => constrains.scale = true,
         }
     }
-    if handle.constrains.is_empty() {
-        constrains = HandleConstrains::ALL;
+    Ok(constrains)
+}
+
+/// Reads the stiffness of a handle; none is a hard one.
+pub(super) fn stiffness(stiffness: Option<f64>, field: &str) -> Result<Option<f64>, Error> {
+    if let Some(s) = stiffness {
+        positive(s, field)?;
+        optional_within(s, 1e-6, 1e6, field)?;
     }
-    if let Some(s) = handle.stiffness {
-        let at = format!("{field}.stiffness");
-        positive(s, &at)?;
-        optional_within(s, 1e-6, 1e6, &at)?;
-    }
-    let falloff = handle.falloff.as_ref();
-    let falloff = falloff.map(|f| self::falloff(f, handle.stiffness.is_some(), &format!("{field}.falloff")));
-    Ok(Handle {
-        id: handle.id.clone(),
-        region,
-        constrains,
-        stiffness: handle.stiffness,
-        rigid: handle.rigid,
-        pose,
-        falloff: falloff.transpose()?.flatten(),
-    })
+    Ok(stiffness)
 }
 
 /// Reads a falloff. That a hard handle has none is said where the handle is set.
-fn falloff(falloff: &pb::Falloff, soft: bool, field: &str) -> Result<Option<Falloff>, Error> {
+pub(super) fn falloff(falloff: Option<&pb::Falloff>, soft: bool, field: &str) -> Result<Option<Falloff>, Error> {
+    let Some(falloff) = falloff else { return Ok(None) };
     let curve = match enumerated(falloff.kind, &format!("{field}.kind"))? {
         pb::falloff::Kind::None => None,
         pb::falloff::Kind::Linear => Some(FalloffCurve::Linear),

@@ -11,6 +11,7 @@ mod error;
 mod expect;
 mod facts;
 pub mod frames;
+mod handle_patch;
 mod handles;
 pub mod json;
 mod options;
@@ -22,6 +23,9 @@ pub use edit::{edit, edit_name, edit_result};
 pub use edit_kind::edit_kind_name;
 pub use error::Error;
 pub use facts::{quality_message, session_message, warning_message};
+pub use handle_patch::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};
 pub use options::DeformOptions;
-pub use poses::{change_poses, handle_pose, handle_pose_message, pose_changes};
+pub use poses::{
+    PoseEntry, change_poses, check_pose_size, handle_pose, handle_pose_message, pose_changes, pose_entries,
+};

@@ -19,14 +19,69 @@ pub fn change_poses(deformer: &Deformer, poses: &HandlePoses, change: &pb::Pose)
 /// # Errors
 /// [`Error::Invalid`] with the field.
 pub fn pose_changes(change: &pb::Pose) -> Result<Vec<(String, HandlePose)>, Error> {
-    let decode = |(k, entry): (usize, &pb::pose::Entry)| {
-        let pose = match &entry.pose {
-            Some(pose) => handle_pose(pose, &format!("pose.handles[{k}].pose"))?,
-            None => HandlePose::default(),
-        };
-        Ok((entry.id.clone(), pose))
+    pose_entries(change).into_iter().map(PoseEntry::into_change).collect()
+}
+
+/// A handle that a pose names, and where it goes; or what is wrong with that, for those who tell it later.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseEntry {
+    /// The name of the handle.
+    pub id: String,
+    /// Its pose; one that is not given is at rest.
+    pub pose: Result<HandlePose, Error>,
+}
+
+impl PoseEntry {
+    /// Returns the change that the entry asks for.
+    ///
+    /// # Errors
+    /// What is wrong with the entry.
+    pub fn into_change(self) -> Result<(String, HandlePose), Error> {
+        Ok((self.id, self.pose?))
+    }
+}
+
+/// Reads the entries of a pose, each with what is wrong with it.
+pub fn pose_entries(pose: &pb::Pose) -> Vec<PoseEntry> {
+    let decode = |(k, entry): (usize, &pb::pose::Entry)| PoseEntry {
+        id: entry.id.clone(),
+        pose: match &entry.pose {
+            Some(pose) => handle_pose(pose, &format!("pose.handles[{k}].pose")),
+            None => Ok(HandlePose::default()),
+        },
     };
-    change.handles.iter().enumerate().map(decode).collect()
+    pose.handles.iter().enumerate().map(decode).collect()
+}
+
+/// Refuses a pose of more than `max_entries` entries, and entries that are too large to be right.
+///
+/// # Errors
+/// [`Error::Invalid`] with the field.
+pub fn check_pose_size(pose: &pb::Pose, max_entries: usize) -> Result<(), Error> {
+    if pose.handles.len() > max_entries {
+        let problem = format!("has {} entries, at most {max_entries} are allowed", pose.handles.len());
+        return Err(Error::invalid("pose.handles", problem));
+    }
+    for (k, entry) in pose.handles.iter().enumerate() {
+        if entry.id.len() > 128 {
+            let problem = "is longer than the 128 bytes of any handle";
+            return Err(Error::invalid(format!("pose.handles[{k}].id"), problem));
+        }
+        let Some(p) = &entry.pose else { continue };
+        let lists = [
+            ("translation", &p.translation),
+            ("rotation", &p.rotation),
+            ("rotationVector", &p.rotation_vector),
+            ("scale", &p.scale),
+            ("pivot", &p.pivot),
+        ];
+        if let Some((name, list)) = lists.into_iter().find(|(_, list)| list.len() > 4) {
+            let field = format!("pose.handles[{k}].pose.{name}");
+            let problem = format!("has {} numbers, at most 4 are allowed", list.len());
+            return Err(Error::invalid(field, problem));
+        }
+    }
+    Ok(())
 }
 
 /// Reads the pose of a handle.

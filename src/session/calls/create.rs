@@ -1,7 +1,7 @@
 //! Opens sessions: checks what can be checked for nothing, takes a seat and memory, builds the engine, starts the task.
 
 use crate::asset::FileSet;
-use crate::engine::digest;
+use crate::engine::{self, DeformerFacts, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
 use crate::session::answers::{KeyedAnswer, Tenant};
 use crate::session::calls::command::StoredAnswer;
@@ -59,6 +59,7 @@ pub(in crate::session) async fn create_session(
         return Err(Error::invalid("label", text));
     }
     let ttl = config.parse_ttl(&options.ttl)?;
+    let open = wire::open_options(&options)?;
     let inside = shared.gate.enter();
     let claim = match key {
         None => None,
@@ -100,7 +101,7 @@ pub(in crate::session) async fn create_session(
     })?;
 
     let guard = CancelOnDrop::default();
-    let opened = open_model(shared, &memory, files, options.clone(), &guard).await?;
+    let opened = open_model(shared, &memory, files, open, &guard).await?;
     let OpenedModel {
         deformer,
         facts,
@@ -134,6 +135,7 @@ pub(in crate::session) async fn create_session(
         view: RwLock::new(Arc::new(SessionView {
             revision: history.revision(),
             facts: Arc::new(facts),
+            handles: Arc::clone(&history.current().handles),
             poses: history.current().poses.clone(),
             build_ms: build_ms.clone(),
             positions,
@@ -175,7 +177,7 @@ pub(in crate::session) async fn create_session(
 
 struct OpenedModel {
     deformer: LoadedDeformer,
-    facts: pb::Session,
+    facts: DeformerFacts,
     history: CommitHistory,
     build_ms: std::collections::BTreeMap<String, f64>,
     held: u64,
@@ -186,7 +188,7 @@ async fn open_model(
     shared: &Arc<SharedResources>,
     memory: &MemoryReservation,
     files: FileSet,
-    options: pb::CreateOptions,
+    options: OpenOptions,
     guard: &CancelOnDrop,
 ) -> Result<OpenedModel, Error> {
     let slot = tokio::select! {
@@ -202,7 +204,7 @@ async fn open_model(
         config.build,
     ));
     let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
-    let built = slot.run(move |pool| -> Result<OpenedModel, wire::Error> {
+    let built = slot.run(move |pool| -> Result<OpenedModel, engine::Error> {
         crate::progress::check(&*inner_watch)?;
         let engine: Box<dyn Engine> = inside
             .opener
@@ -211,9 +213,9 @@ async fn open_model(
         let facts = engine.facts();
         let rest = engine.rest();
         let state = EditedState {
-            topology: engine.trail(),
+            topology: engine.topology_state(),
             diagonal: engine.diagonal(),
-            handles: pb::SetHandlesRequest::default(),
+            handles: HandleSet::default(),
             poses: engine.initial_poses(),
             facts: facts.clone(),
             digest: digest(&rest),
@@ -237,11 +239,11 @@ async fn open_model(
     })?;
     shared.metrics.build.observe(watch.elapsed().as_secs_f64());
     built.map_err(|error| match error {
-        wire::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining(),
-        wire::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up"),
-        wire::Error::Cancelled => build_took_too_long(watch.limit()),
+        engine::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining(),
+        engine::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up"),
+        engine::Error::Cancelled => build_took_too_long(watch.limit()),
         // Too large for what is free now, not for the server: later it may fit.
-        wire::Error::TooLarge { seen, limit, .. } if limit == room && seen <= shared.budget.total() => {
+        engine::Error::TooLarge { seen, limit, .. } if limit == room && seen <= shared.budget.total() => {
             shared.metrics.refused.inc();
             Error::exhausted(
                 format!("the session would need {seen} bytes of memory, {room} are free"),

@@ -6,7 +6,7 @@ use crate::session::calls::command::{EditCall, SessionCommand, StoredAnswer};
 use crate::session::calls::idempotency::ClaimOutcome;
 use crate::session::calls::manager::Manager;
 use crate::session::error::{Error, ErrorCode};
-use crate::wire::pb;
+use crate::wire::{self, pb};
 use bytes::Bytes;
 use prost::Message as _;
 
@@ -43,8 +43,9 @@ impl Manager {
             },
             _ => None,
         };
+        let (edit, on) = wire::edit(&request, other.as_ref())?;
         self.call(&session, claim, |call| {
-            SessionCommand::Edit(Box::new(EditCall { request, other }), call)
+            SessionCommand::Edit(Box::new(EditCall { edit, on }), call)
         })
         .await
     }

@@ -5,8 +5,9 @@
 
 use crate::asset::{FileSet, Format};
 use crate::session::answers::{ExportedModel, KeyedAnswer, PositionBuffer, SolvedFrames, Tenant};
-use crate::session::calls::command::{HandleChange, HistoryDirection, PendingCall, SessionCommand, StoredAnswer};
+use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, SolveCall, StoredAnswer};
 use crate::session::calls::create::create_session;
+use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::{ClaimOutcome, IdempotencyKeys, KeyClaim, RequestFingerprint};
 use crate::session::capacity::call_gate::CallGate;
 use crate::session::capacity::compute_slots::ComputeSlots;
@@ -20,7 +21,7 @@ use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
 use crate::session::stream::ends::DeformStream;
 use crate::session::stream::mailbox::Mailbox;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::{self, DeformOptions, pb};
 use crate::wire::{frames::encode, frames::f32_bytes};
 use prost::Message as _;
 use std::sync::Arc;
@@ -173,7 +174,7 @@ impl Manager {
     ) -> Result<pb::Session, Error> {
         let session = self.find(tenant, &request.session_id)?;
         let claim = self.claim(tenant, key, "set_handles", &[&request.encode_to_vec()])?;
-        self.change_handles(&session, HandleChange::Replace(request), claim)
+        self.change_handles(&session, HandleChange::Replace(wire::handle_set(&request)?), claim)
             .await
     }
 
@@ -197,7 +198,8 @@ impl Manager {
         let names = fields.join(",");
         let parts: [&[u8]; 3] = [id.as_bytes(), names.as_bytes(), &handle.encode_to_vec()];
         let claim = self.claim(tenant, key, "put_handle", &parts)?;
-        self.change_handles(&session, HandleChange::Put(Box::new(handle), fields.to_vec()), claim)
+        let patch = wire::handle_patch(&handle, fields, &session.view().handles.set)?;
+        self.change_handles(&session, HandleChange::Put(Box::new(patch)), claim)
             .await
     }
 
@@ -261,9 +263,12 @@ impl Manager {
         };
         self.shared.metrics.poses_received.inc();
         let pose = request.pose.unwrap_or_default();
-        self.call(&session, claim, |call| {
-            SessionCommand::Solve(Box::new((pose, settings)), call)
-        })
+        let call = SolveCall {
+            seq: pose.seq,
+            changes: wire::pose_changes(&pose)?,
+            settings,
+        };
+        self.call(&session, claim, |pending| SessionCommand::Solve(Box::new(call), pending))
         .await
     }
 

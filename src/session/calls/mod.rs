@@ -4,5 +4,6 @@ pub(super) mod command;
 mod create;
 mod drain;
 mod edit;
+pub(super) mod handle_change;
 pub(super) mod idempotency;
 pub(super) mod manager;

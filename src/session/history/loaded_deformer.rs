@@ -2,16 +2,15 @@
 //! time: the next one brings the engine back to the handles that it needs.
 
 use crate::engine::{
-    EditCommand, EditOutcome, HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
+    DeformerFacts, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet, QualityReport, Shader, Shading,
+    SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
 };
-use crate::engine::{Shader, Shading, digest};
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::engine::Engine;
 use crate::session::history::session_state::{CommittedHandles, HandleSetId, SessionState, ShapeRecipe};
-use crate::wire;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::DeformOptions;
 use glam::DVec3;
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,7 +23,7 @@ pub(in crate::session) struct CommitSolution {
     /// Digest of the positions of a commit; empty for a drag.
     pub digest: String,
     /// How far the shape of a commit is from the rest shape.
-    pub quality: Option<pb::Quality>,
+    pub quality: Option<QualityReport>,
     pub solve_time: Duration,
 }
 
@@ -53,22 +52,22 @@ impl LoadedDeformer {
         topology: Option<&TopologyState>,
         handles: &CommittedHandles,
         exec: &Exec<'_>,
-    ) -> Result<(), wire::Error> {
+    ) -> Result<(), Error> {
         self.go_to_topology(topology, exec)?;
         if self.loaded != Some(handles.id) {
-            self.engine.set_handles(&handles.request, exec)?;
+            self.engine.set_handles(&handles.set, exec)?;
             self.loaded = Some(handles.id);
         }
         Ok(())
     }
 
     /// Makes `topology` the state that edits have left.
-    pub fn go_to_topology(&mut self, topology: Option<&TopologyState>, exec: &Exec<'_>) -> Result<(), wire::Error> {
+    pub fn go_to_topology(&mut self, topology: Option<&TopologyState>, exec: &Exec<'_>) -> Result<(), Error> {
         let Some(topology) = topology else { return Ok(()) };
-        if self.engine.trail().is_some_and(|now| now.is_same(topology)) {
+        if self.engine.topology_state().is_some_and(|now| now.is_same(topology)) {
             return Ok(());
         }
-        self.engine.retrace(topology, exec)?;
+        self.engine.restore_topology(topology, exec)?;
         self.forget_derived();
         Ok(())
     }
@@ -79,11 +78,11 @@ impl LoadedDeformer {
         &mut self,
         topology: Option<&TopologyState>,
         handles: &CommittedHandles,
-        order: &EditCommand<'_>,
+        command: &EditCommand<'_>,
         exec: &Exec<'_>,
-    ) -> Result<EditOutcome, wire::Error> {
+    ) -> Result<EditOutcome, Error> {
         self.load_state(topology, handles, exec)?;
-        let outcome = self.engine.edit(order, exec)?;
+        let outcome = self.engine.edit(command, exec)?;
         self.forget_derived();
         Ok(outcome)
     }
@@ -98,9 +97,9 @@ impl LoadedDeformer {
     pub fn replace_handles(
         &mut self,
         topology: Option<&TopologyState>,
-        handles: &pb::SetHandlesRequest,
+        handles: &HandleSet,
         exec: &Exec<'_>,
-    ) -> Result<(HandlePoses, pb::Session), wire::Error> {
+    ) -> Result<(HandlePoses, DeformerFacts), Error> {
         self.go_to_topology(topology, exec)?;
         self.engine.set_handles(handles, exec)?;
         self.loaded = None;
@@ -117,17 +116,17 @@ impl LoadedDeformer {
     pub fn solve_for_commit(
         &mut self,
         state: &SessionState,
-        change: &pb::Pose,
+        changes: &[(String, HandlePose)],
         settings: &DeformOptions,
         watch: &WorkWatch,
         pool: &Pool,
-    ) -> Result<CommitSolution, wire::Error> {
+    ) -> Result<CommitSolution, Error> {
         let exec = &Exec::new(pool, watch);
         self.load_state(state.topology.as_ref(), &state.handles, exec)?;
-        let poses = self.engine.posed(&state.poses, change)?;
+        let poses = self.engine.change_poses(&state.poses, changes)?;
         let solved = self.solve(&poses, &settings.solve, SolveMode::Commit, exec, &mut |_| true)?;
         let solve_time = watch.elapsed();
-        let quality = self.engine.measure(&solved.positions, &settings.output, exec)?;
+        let quality = (self.engine).measure(&solved.positions, settings.output.self_intersections, exec)?;
         Ok(CommitSolution {
             poses,
             shading: self.shade(&solved.positions, settings),
@@ -152,13 +151,13 @@ impl LoadedDeformer {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, wire::Error> {
+    ) -> Result<SolvedShape, Error> {
         exec.check()?;
         self.engine.solve(poses, settings, mode, exec, watch)
     }
 
     /// Makes a shape again.
-    pub fn solve_recipe(&mut self, recipe: &ShapeRecipe, exec: &Exec<'_>) -> Result<Arc<Vec<DVec3>>, wire::Error> {
+    pub fn solve_recipe(&mut self, recipe: &ShapeRecipe, exec: &Exec<'_>) -> Result<Arc<Vec<DVec3>>, Error> {
         match recipe {
             ShapeRecipe::Rest { topology } => {
                 self.go_to_topology(topology.as_ref(), exec)?;
@@ -186,6 +185,6 @@ impl LoadedDeformer {
 
     /// Bytes held.
     pub fn byte_size(&self) -> u64 {
-        self.engine.bytes() + self.shader.as_ref().map_or(0, |s| s.bytes())
+        self.engine.byte_size() + self.shader.as_ref().map_or(0, |s| s.bytes())
     }
 }

@@ -1,7 +1,6 @@
 //! What a commit leaves a session in, and how its shape can be made again.
 
-use crate::engine::{HandlePoses, SolveSettings, TopologyState};
-use crate::wire::pb;
+use crate::engine::{DeformerFacts, HandlePoses, HandleSet, SolveSettings, TopologyState};
 use std::sync::Arc;
 
 /// This number names a shape of one session.
@@ -16,7 +15,7 @@ pub(in crate::session) struct HandleSetId(pub u64);
 #[derive(Debug)]
 pub(in crate::session) struct CommittedHandles {
     pub id: HandleSetId,
-    pub request: pb::SetHandlesRequest,
+    pub set: HandleSet,
 }
 
 /// The state that a commit leaves the session in.
@@ -31,7 +30,7 @@ pub(in crate::session) struct SessionState {
     /// Their poses.
     pub poses: HandlePoses,
     /// What the engine says about model, solver and handles.
-    pub facts: Arc<pb::Session>,
+    pub facts: Arc<DeformerFacts>,
     /// The shape.
     pub shape: RecordedShapeId,
     /// Digest of its positions.
@@ -43,9 +42,9 @@ pub(in crate::session) struct SessionState {
 pub(in crate::session) struct EditedState {
     pub topology: Option<TopologyState>,
     pub diagonal: f64,
-    pub handles: pb::SetHandlesRequest,
+    pub handles: HandleSet,
     pub poses: HandlePoses,
-    pub facts: pb::Session,
+    pub facts: DeformerFacts,
     pub digest: String,
     /// How the shape was solved; `None` when it is the rest shape.
     pub solved_with: Option<SolveSettings>,

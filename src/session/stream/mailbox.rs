@@ -11,8 +11,8 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::Metrics;
 use crate::session::stream::outbound_frame::{OutboundFrame, OutboundItem};
 use crate::session::stream::stream_state::StreamState;
-use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose, check_pose_size, merge_waiting_drags};
-use crate::wire::{DeformOptions, pb};
+use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose, merge_waiting_drags};
+use crate::wire::{DeformOptions, check_pose_size, pb, pose_entries};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
@@ -134,7 +134,7 @@ impl Mailbox {
         }
         state.last_seq = Some(pose.seq);
         if let Err(error) = check_pose_size(&pose, self.max_entries) {
-            return self.refuse_pose(state, pose.seq, error);
+            return self.refuse_pose(state, pose.seq, error.into());
         }
         if pose.commit && state.waiting.iter().filter(|w| w.commit).count() >= self.max_commits {
             let text = format!(
@@ -146,7 +146,7 @@ impl Mailbox {
         let settings = Arc::clone(&state.settings);
         state.waiting.push_back(WaitingPose {
             seq: pose.seq,
-            entries: pose.handles,
+            entries: pose_entries(&pose),
             commit: pose.commit,
             settings,
             poses: 1,

@@ -138,7 +138,7 @@ fn a_flood_is_merged_and_the_newest_entry_of_a_handle_wins() {
     });
     for seq in 1..=5000u64 {
         let x = Some(pb::HandlePose {
-            translation: vec![seq as f64],
+            translation: vec![seq as f64, 0.0, 0.0],
             ..Default::default()
         });
         let id = ["a", "b", "c"][(seq % 3) as usize].to_owned();
@@ -156,9 +156,9 @@ fn a_flood_is_merged_and_the_newest_entry_of_a_handle_wins() {
     assert_eq!(work.poses.iter().map(|p| p.poses).sum::<u32>(), 5000);
     let mut merged = DraggedPoses::new();
     for pose in work.poses {
-        merged.extend(pose.entries.into_iter().map(|e| (e.id, e.pose)));
+        merged.extend(pose.entries.into_iter().map(|e| e.into_change().expect("right")));
     }
-    let newest: Vec<f64> = merged.values().flatten().map(|p| p.translation[0]).collect();
+    let newest: Vec<f64> = merged.values().flat_map(|p| p.translation).map(|by| by.x).collect();
     assert_eq!(newest, [4998.0, 4999.0, 5000.0]);
 }
 

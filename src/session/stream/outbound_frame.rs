@@ -3,7 +3,7 @@
 use crate::engine::Shading;
 use crate::session::history::loaded_deformer::CommitSolution;
 use crate::wire::frames::FrameRequest;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::{DeformOptions, pb, quality_message};
 use glam::{DVec3, Vec3};
 use std::sync::Arc;
 use std::time::Duration;
@@ -78,7 +78,7 @@ impl FrameContext {
         let (positions, shading) = (Arc::clone(&solution.solved.positions), solution.shading.clone());
         let mut frame = self.build_frame(seq, settings, errors, positions, shading, solution.solve_time);
         frame.header.r#final = true;
-        frame.header.quality = solution.quality;
+        frame.header.quality = solution.quality.as_ref().map(quality_message);
         frame
     }
 }

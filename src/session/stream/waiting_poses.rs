@@ -1,7 +1,7 @@
 //! Poses that wait on a stream: which are let in, and how many become few.
 
-use crate::session::error::Error;
-use crate::wire::{DeformOptions, pb};
+use crate::engine::HandlePose;
+use crate::wire::{DeformOptions, PoseEntry};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -9,49 +9,19 @@ use std::sync::Arc;
 pub(in crate::session) const WAITING_DRAGS: usize = 64;
 
 /// Poses by handle.
-pub(in crate::session) type DraggedPoses = BTreeMap<String, Option<pb::HandlePose>>;
+pub(in crate::session) type DraggedPoses = BTreeMap<String, HandlePose>;
 
 /// A pose that waits to be solved.
 #[derive(Debug, Clone)]
 pub(in crate::session) struct WaitingPose {
     pub seq: u64,
-    pub entries: Vec<pb::pose::Entry>,
+    /// Each with what is wrong with it, which is told when the pose's turn comes, as that it names no handle is.
+    pub entries: Vec<PoseEntry>,
     pub commit: bool,
     /// The options in force when it came.
     pub settings: Arc<DeformOptions>,
     /// Poses that it stands for, itself included; more than one only when poses had to be merged.
     pub poses: u32,
-}
-
-/// Refuses what no engine would take and what would make waiting poses large. Everything else is checked when the pose's turn
-/// comes, by the engine.
-pub(in crate::session) fn check_pose_size(pose: &pb::Pose, max_entries: usize) -> Result<(), Error> {
-    if pose.handles.len() > max_entries {
-        let text = format!("has {} entries, at most {max_entries} are allowed", pose.handles.len());
-        return Err(Error::invalid("pose.handles", text));
-    }
-    for (k, entry) in pose.handles.iter().enumerate() {
-        if entry.id.len() > 128 {
-            let text = "is longer than the 128 bytes of any handle";
-            return Err(Error::invalid(format!("pose.handles[{k}].id"), text));
-        }
-        let Some(p) = &entry.pose else { continue };
-        let lists = [
-            ("translation", &p.translation),
-            ("rotation", &p.rotation),
-            ("rotationVector", &p.rotation_vector),
-            ("scale", &p.scale),
-            ("pivot", &p.pivot),
-        ];
-        if let Some((name, list)) = lists.into_iter().find(|(_, list)| list.len() > 4) {
-            let field = format!("pose.handles[{k}].pose.{name}");
-            return Err(Error::invalid(
-                field,
-                format!("has {} numbers, at most 4 are allowed", list.len()),
-            ));
-        }
-    }
-    Ok(())
 }
 
 /// Merges the oldest neighbouring drags while too much waits. Which of them was wrong, if any, is then not told.
@@ -69,16 +39,11 @@ pub(in crate::session) fn merge_waiting_drags(waiting: &mut VecDeque<WaitingPose
         };
         let Some(old) = waiting.remove(at) else { return };
         let Some(new) = waiting.get_mut(at) else { return };
-        let mut union = DraggedPoses::new();
-        union.extend(
-            old.entries
-                .into_iter()
-                .chain(std::mem::take(&mut new.entries))
-                .map(|e| (e.id, e.pose)),
-        );
+        let entries = old.entries.into_iter().chain(std::mem::take(&mut new.entries));
+        let union: BTreeMap<_, _> = entries.map(|e| (e.id, e.pose)).collect();
         // More names than a session has handles: some are wrong, and nobody knows yet which.
         let few = union.into_iter().take(max_entries);
-        new.entries = few.map(|(id, pose)| pb::pose::Entry { id, pose }).collect();
+        new.entries = few.map(|(id, pose)| PoseEntry { id, pose }).collect();
         new.poses = new.poses.saturating_add(old.poses);
     }
 }

@@ -1,19 +1,19 @@
 //! The calls that a session's task serves, one at a time.
 
 use crate::asset::Format;
+use crate::engine;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::session::answers::{ExportedModel, SolvedFrames};
-use crate::session::calls::command::{HandleChange, HistoryDirection, PendingCall, SessionCommand, StoredAnswer};
+use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, SolveCall, StoredAnswer};
+use crate::session::calls::handle_change::HandleChange;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::registry::OpenSession;
 use crate::session::stream::outbound_frame::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
-use crate::wire;
-use crate::wire::frames::encode;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::{frames::encode, pb};
 use std::sync::Arc;
 
 impl SessionTask {
@@ -32,8 +32,7 @@ impl SessionTask {
                 });
             }
             SessionCommand::Solve(request, call) => {
-                let (pose, settings) = *request;
-                let (result, stored) = match self.solve(pose, settings, &call).await {
+                let (result, stored) = match self.solve(*request, &call).await {
                     Ok((solved, stored)) => (Ok(solved), Some(stored)),
                     Err(error) => (Err(error), None),
                 };
@@ -58,19 +57,19 @@ impl SessionTask {
         call: &PendingCall<pb::Session>,
     ) -> Result<pb::Session, Error> {
         let state = self.history.current();
-        let request = change.apply_to(&state.handles.request, &state.poses)?;
+        let set = change.apply_to(&state.handles.set, &state.poses)?;
         let limit = self.shared.config.build;
         let topology = state.topology.clone();
         let (replaced, watch) = self
             .compute(&call.cancel, limit, move |deformer, pool, watch, _| {
-                let replaced = deformer.replace_handles(topology.as_ref(), &request, &Exec::new(pool, watch));
-                (replaced, request, watch.take_stage_ms())
+                let replaced = deformer.replace_handles(topology.as_ref(), &set, &Exec::new(pool, watch));
+                (replaced, set, watch.take_stage_ms())
             })
             .await?;
-        let (replaced, request, stages) = replaced;
+        let (replaced, set, stages) = replaced;
         let (poses, facts) = replaced.map_err(|e| self.failure(e, &watch))?;
         self.build_ms.extend(stages);
-        self.history.commit_handles(request, poses, facts);
+        self.history.commit_handles(set, poses, facts);
         if let Some(deformer) = &mut self.deformer {
             deformer.adopt_handles(self.history.current().handles.id);
         }
@@ -82,28 +81,29 @@ impl SessionTask {
 
     async fn solve(
         &mut self,
-        pose: pb::Pose,
-        settings: DeformOptions,
+        request: SolveCall,
         call: &PendingCall<SolvedFrames>,
     ) -> Result<(SolvedFrames, StoredAnswer), Error> {
         let state = self.history.current().clone();
-        if state.handles.request.handles.is_empty() {
+        if state.handles.set.handles.is_empty() {
             return Err(no_handles());
         }
         let (limit, part_bytes) = (self.shared.config.solve, self.shared.config.part_bytes);
-        let (revision, diagonal, used) = (self.history.revision() + 1, state.diagonal, settings.clone());
+        let (revision, diagonal) = (self.history.revision() + 1, state.diagonal);
+        let SolveCall { seq, changes, settings } = request;
+        let used = settings.clone();
         let (solved, watch) = self
             .compute(&call.cancel, limit, move |deformer, pool, watch, queued| {
-                let solution = deformer.solve_for_commit(&state, &pose, &used, watch, pool)?;
+                let solution = deformer.solve_for_commit(&state, &changes, &used, watch, pool)?;
                 let context = FrameContext {
                     revision,
                     diagonal,
                     queued,
                 };
-                let frame = context.final_frame(pose.seq, &used, &solution);
+                let frame = context.final_frame(seq, &used, &solution);
                 let request = frame.into_request(Vec::new(), part_bytes);
                 let frames: Vec<pb::Frame> = encode(request.clone()).collect();
-                Ok::<_, wire::Error>((solution, request, frames))
+                Ok::<_, engine::Error>((solution, request, frames))
             })
             .await?;
         let (solution, frame, frames) = solved.map_err(|e| self.failure(e, &watch))?;

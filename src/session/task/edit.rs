@@ -1,20 +1,19 @@
 //! Edits of the topology by a session's task.
 
-use crate::engine::EditCommand;
+use crate::engine::{self, EditCommand};
 use crate::exec::Exec;
 use crate::session::calls::command::{EditCall, PendingCall};
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
 use crate::session::history::session_state::{EditedState, ShapeRecipe};
 use crate::session::task::session_task::SessionTask;
-use crate::wire;
-use crate::wire::pb;
+use crate::wire::{edit_result, pb};
 
 impl SessionTask {
     /// Of an edit that takes more memory than is free now, but not more than the server has, that it may fit later.
-    fn edit_failure(&self, error: wire::Error, room: u64, watch: &WorkWatch) -> Error {
+    fn edit_failure(&self, error: engine::Error, room: u64, watch: &WorkWatch) -> Error {
         match error {
-            wire::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.budget.total() => {
+            engine::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.budget.total() => {
                 self.shared.metrics.refused.inc();
                 Error::exhausted(
                     format!("the session would need {seen} bytes of memory after the edit, {room} are free"),
@@ -35,7 +34,7 @@ impl SessionTask {
             .compute(
                 &call.cancel,
                 limit,
-                move |deformer, pool, watch, _| -> Result<_, wire::Error> {
+                move |deformer, pool, watch, _| -> Result<_, engine::Error> {
                     let exec = &Exec::new(pool, watch);
                     deformer.load_state(state.topology.as_ref(), &state.handles, exec)?;
                     deformer.engine.limit_memory(room);
@@ -49,28 +48,27 @@ impl SessionTask {
                         ShapeRecipe::Solved { settings, .. } => Some(settings),
                         ShapeRecipe::Rest { .. } => None,
                     };
-                    let (what, on) = wire::edit(&edit.request, edit.other.as_ref())?;
-                    let order = EditCommand {
-                        edit: &what,
-                        on,
+                    let command = EditCommand {
+                        edit: &edit.edit,
+                        on: edit.on,
                         shape: &shape,
                         poses: &state.poses,
                         settings,
                     };
                     let topology = state.topology.as_ref();
-                    let outcome = deformer.edit(topology, &state.handles, &order, exec)?;
+                    let outcome = deformer.edit(topology, &state.handles, &command, exec)?;
                     let engine = &deformer.engine;
-                    Ok((outcome, engine.facts(), engine.trail(), engine.diagonal()))
+                    Ok((outcome, engine.facts(), engine.topology_state(), engine.diagonal()))
                 },
             )
             .await?;
         let (outcome, facts, topology, diagonal) = done.map_err(|e| self.edit_failure(e, room, &watch))?;
         let stages = watch.take_stage_ms();
-        let mut result = wire::edit_result(&outcome.report);
+        let mut result = edit_result(&outcome.report);
         let edited = EditedState {
             topology,
             diagonal,
-            handles: wire::handle_set_message(&outcome.handles),
+            handles: outcome.handles,
             poses: outcome.poses,
             facts,
             digest: result.digest.clone(),

@@ -4,7 +4,7 @@
 //! succeeded, so a call that fails or is given up leaves everything as it was. While work runs on the compute pool the
 //! engine is there too; everything that others read meanwhile is in the session's published view.
 
-use crate::engine::SolveSettings;
+use crate::engine::{self, SolveSettings};
 use crate::pool::Pool;
 use crate::progress::{CancelFlag, Progress as _};
 use crate::session::calls::command::SessionCommand;
@@ -17,7 +17,6 @@ use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::stream::mailbox::{Mailbox, StreamWork};
-use crate::wire;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -175,8 +174,8 @@ impl SessionTask {
     }
 
     /// What the failure of a piece of work means to its caller.
-    pub fn failure(&self, error: wire::Error, watch: &WorkWatch) -> Error {
-        if error != wire::Error::Cancelled {
+    pub fn failure(&self, error: engine::Error, watch: &WorkWatch) -> Error {
+        if error != engine::Error::Cancelled {
             return error.into();
         }
         self.shared.metrics.cancelled.inc();
@@ -201,6 +200,7 @@ impl SessionTask {
         let view = SessionView {
             revision: self.history.revision(),
             facts: Arc::clone(&state.facts),
+            handles: Arc::clone(&state.handles),
             poses: state.poses.clone(),
             build_ms: self.build_ms.clone(),
             positions,

@@ -1,6 +1,6 @@
 //! One turn of a deform stream: the waiting poses are checked and merged, the newest is solved, its frame goes out.
 
-use crate::engine::{SolveMode, SolveSettings, SolveUpdate};
+use crate::engine::{self, HandlePose, SolveMode, SolveSettings, SolveUpdate};
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::session::capacity::work_watch::WorkWatch;
@@ -11,8 +11,7 @@ use crate::session::stream::mailbox::{Mailbox, StreamWork, StreamWorkResult};
 use crate::session::stream::outbound_frame::FrameContext;
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
 use crate::session::task::session_task::{SessionTask, no_handles};
-use crate::wire;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::{DeformOptions, Error as WireError, PoseEntry};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -27,7 +26,7 @@ struct SolvedStreamPose {
     seq: u64,
     commit: bool,
     settings: Arc<DeformOptions>,
-    result: Result<CommitSolution, wire::Error>,
+    result: Result<CommitSolution, engine::Error>,
 }
 
 /// What a turn works with on a compute thread.
@@ -45,7 +44,7 @@ impl SessionTask {
         let state = self.history.current().clone();
         let StreamWork { poses, dragged } = work;
         let before = dragged.clone();
-        if state.handles.request.handles.is_empty() {
+        if state.handles.set.handles.is_empty() {
             return refuse_all(&mailbox, &poses, before, &no_handles());
         }
         let unsolved: Vec<WaitingPose> = poses
@@ -143,7 +142,7 @@ impl TurnContext {
         watch: &WorkWatch,
         poses: Vec<WaitingPose>,
         mut dragged: DraggedPoses,
-    ) -> Result<StreamTurn, wire::Error> {
+    ) -> Result<StreamTurn, engine::Error> {
         let state = &self.state;
         deformer.load_state(state.topology.as_ref(), &state.handles, &Exec::new(pool, watch))?;
         let mut refused = Vec::new();
@@ -151,13 +150,13 @@ impl TurnContext {
         let mut newest: Option<WaitingPose> = None;
         for mut pose in poses {
             let others = pose.poses.saturating_sub(1);
-            match self.keep_valid_entries(deformer, &mut pose) {
-                Ok(()) => {
-                    dragged.extend(std::mem::take(&mut pose.entries).into_iter().map(|e| (e.id, e.pose)));
+            match self.take_valid_changes(deformer, &mut pose) {
+                Ok(changes) => {
+                    dragged.extend(changes);
                     let skipped = newest.replace(pose).map_or(0, |_| 1);
                     superseded = superseded.saturating_add(skipped);
                 }
-                Err(error) => refused.push((pose.seq, error.into())),
+                Err(error) => refused.push((pose.seq, error)),
             }
             superseded = superseded.saturating_add(others);
         }
@@ -165,18 +164,11 @@ impl TurnContext {
         let Some(pose) = newest else {
             return Ok(StreamTurn { dragged, solved: None });
         };
-        let entries = dragged.iter().map(|(id, pose)| pb::pose::Entry {
-            id: id.clone(),
-            pose: pose.clone(),
-        });
-        let change = pb::Pose {
-            handles: entries.collect(),
-            ..Default::default()
-        };
+        let changes: Vec<_> = dragged.iter().map(|(id, pose)| (id.clone(), *pose)).collect();
         let result = if pose.commit {
-            deformer.solve_for_commit(state, &change, &pose.settings, watch, pool)
+            deformer.solve_for_commit(state, &changes, &pose.settings, watch, pool)
         } else {
-            self.solve_drag(deformer, &change, &pose, watch, pool)
+            self.solve_drag(deformer, &changes, &pose, watch, pool)
         };
         let solved = Some(SolvedStreamPose {
             seq: pose.seq,
@@ -187,32 +179,29 @@ impl TurnContext {
         Ok(StreamTurn { dragged, solved })
     }
 
-    /// Checks a pose. Of one that stands for several, only the entries that are wrong are left out.
-    fn keep_valid_entries(&self, deformer: &LoadedDeformer, pose: &mut WaitingPose) -> Result<(), wire::Error> {
-        let in_force = &self.state.poses;
-        let entries = std::mem::take(&mut pose.entries);
-        let whole = pb::Pose {
-            handles: entries,
-            ..Default::default()
+    /// Checks a pose and returns what it changes. Of one that stands for several, only the entries that are wrong are left
+    /// out.
+    fn take_valid_changes(
+        &self,
+        deformer: &LoadedDeformer,
+        pose: &mut WaitingPose,
+    ) -> Result<Vec<(String, HandlePose)>, Error> {
+        let check = |changes: Vec<(String, HandlePose)>| match deformer.engine.change_poses(&self.state.poses, &changes) {
+            Ok(_) => Ok(changes),
+            Err(error) => Err(Error::from(error)),
         };
-        let error = match deformer.engine.posed(in_force, &whole) {
-            Ok(_) => {
-                pose.entries = whole.handles;
-                return Ok(());
-            }
+        let entries = std::mem::take(&mut pose.entries);
+        let whole: Result<Vec<_>, WireError> = entries.iter().cloned().map(PoseEntry::into_change).collect();
+        let error = match whole.map_err(Error::from).and_then(check) {
+            Ok(changes) => return Ok(changes),
             Err(error) => error,
         };
+        let mut right = Vec::new();
         if pose.poses > 1 {
-            let is_right = |entry: &pb::pose::Entry| {
-                let alone = pb::Pose {
-                    handles: vec![entry.clone()],
-                    ..Default::default()
-                };
-                deformer.engine.posed(in_force, &alone).is_ok()
-            };
-            pose.entries = whole.handles.into_iter().filter(is_right).collect();
+            let alone = entries.into_iter().filter_map(|e| e.into_change().ok());
+            right.extend(alone.filter_map(|change| check(vec![change]).ok()).flatten());
         }
-        if pose.entries.is_empty() { Err(error) } else { Ok(()) }
+        if right.is_empty() { Err(error) } else { Ok(right) }
     }
 
     /// Solves a pose that is dragged. It starts from the last result, takes the best one in time, sends intermediate frames
@@ -220,13 +209,13 @@ impl TurnContext {
     fn solve_drag(
         &self,
         deformer: &mut LoadedDeformer,
-        change: &pb::Pose,
+        changes: &[(String, HandlePose)],
         pose: &WaitingPose,
         watch: &WorkWatch,
         pool: &Pool,
-    ) -> Result<CommitSolution, wire::Error> {
+    ) -> Result<CommitSolution, engine::Error> {
         let settings = pose.settings.as_ref();
-        let poses = deformer.engine.posed(&self.state.poses, change)?;
+        let poses = deformer.engine.change_poses(&self.state.poses, changes)?;
         let shader = (settings.output.normals || settings.output.tangents).then(|| deformer.shader());
         let asked = settings.budget_ms.map_or(self.longest, |ms| {
             Duration::try_from_secs_f64(ms / 1e3).unwrap_or(self.longest)

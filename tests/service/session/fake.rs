@@ -7,12 +7,13 @@
 use bytes::Bytes;
 use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, WrittenFiles};
-use pliant::engine::Shader;
-use pliant::engine::{DeformerLimits, HandlePose, HandlePoses, SolveMode, SolveSettings, SolveUpdate, SolvedShape};
+use pliant::engine::{
+    DeformerFacts, DeformerLimits, Error, Handle, HandleFacts, HandlePose, HandlePoses, HandleSet, InputPlace, MeshCounts,
+    ModelFacts, OpenOptions, Region, RegionPlace, Shader, SolveMode, SolveSettings, SolveUpdate, SolvedShape, SolverFacts,
+};
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::{DeformStream, Engine, EngineOpener, Manager, SessionConfig, StreamInput, StreamOutput, Tenant};
-use pliant::wire;
 use pliant::wire::pb;
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Condvar, LazyLock, Mutex};
@@ -87,12 +88,15 @@ impl Control {
     }
 }
 
+/// A region that the fake refuses.
+pub const NOWHERE: Region = Region::Component(99);
+
 /// Opens [`Fake`]s on texts such as `points 12`.
 pub struct OpenFake(pub Arc<Control>);
 
 pub struct Fake {
     rest: Arc<Vec<DVec3>>,
-    handles: pb::SetHandlesRequest,
+    handles: HandleSet,
     control: Arc<Control>,
     drags: u32,
 }
@@ -101,10 +105,10 @@ impl EngineOpener for OpenFake {
     fn open(
         &self,
         files: FileSet,
-        _create: &pb::CreateOptions,
+        _options: &OpenOptions,
         limits: &DeformerLimits,
         exec: &Exec<'_>,
-    ) -> Result<Box<dyn Engine>, wire::Error> {
+    ) -> Result<Box<dyn Engine>, Error> {
         exec.progress.report("read", 0.0);
         let text = String::from_utf8_lossy(&files.main).into_owned();
         let (word, number) = text.split_once(' ').unwrap_or((&text, "0"));
@@ -114,7 +118,7 @@ impl EngineOpener for OpenFake {
             "panic" => panic!("opening panics on purpose"),
             "slow" => self.0.cycle(exec.progress)?,
             "large" if number > limits.memory_bytes => {
-                return Err(wire::Error::TooLarge {
+                return Err(Error::TooLarge {
                     what: "bytes",
                     seen: number,
                     limit: limits.memory_bytes,
@@ -132,7 +136,7 @@ impl EngineOpener for OpenFake {
         }
         exec.progress.report("hierarchy", 0.0);
         let rest = (0..number).map(|v| DVec3::new(v as f64, 0.1, 0.2)).collect();
-        let (handles, control) = (pb::SetHandlesRequest::default(), Arc::clone(&self.0));
+        let (handles, control) = (HandleSet::default(), Arc::clone(&self.0));
         Ok(Box::new(Fake {
             rest: Arc::new(rest),
             handles,
@@ -143,14 +147,23 @@ impl EngineOpener for OpenFake {
 }
 
 impl Engine for Fake {
-    fn facts(&self) -> pb::Session {
-        let facts = |h: &pb::Handle| pb::HandleFacts {
+    fn facts(&self) -> DeformerFacts {
+        let facts = |h: &Handle| HandleFacts {
             id: h.id.clone(),
-            ..Default::default()
+            vertices: 0,
+            centroid: DVec3::ZERO,
         };
-        pb::Session {
+        DeformerFacts {
+            model: ModelFacts {
+                format: Format::OBJ,
+                file_bytes: 0,
+                sha256: String::new(),
+                counts: MeshCounts::default(),
+            },
+            primitives: Vec::new(),
+            solver: SolverFacts::default(),
             handles: self.handles.handles.iter().map(facts).collect(),
-            ..Default::default()
+            warnings: Vec::new(),
         }
     }
 
@@ -162,7 +175,7 @@ impl Engine for Fake {
         1.0
     }
 
-    fn bytes(&self) -> u64 {
+    fn byte_size(&self) -> u64 {
         100 * self.rest.len() as u64
     }
 
@@ -170,45 +183,29 @@ impl Engine for Fake {
         Format::OBJ
     }
 
-    fn set_handles(&mut self, request: &pb::SetHandlesRequest, exec: &Exec<'_>) -> Result<(), wire::Error> {
+    fn set_handles(&mut self, handles: &HandleSet, exec: &Exec<'_>) -> Result<(), Error> {
         exec.progress.report("fields", 0.0);
         self.control.cycle(exec.progress)?;
-        for (k, handle) in request.handles.iter().enumerate() {
-            if handle.id.is_empty() {
-                return Err(wire::Error::invalid(format!("handles[{k}].id"), "is empty"));
-            }
+        if let Some(k) = handles.handles.iter().position(|h| h.region == NOWHERE) {
+            let place = InputPlace::HandleRegion(k, RegionPlace::Whole);
+            return Err(Error::invalid(place, "is nowhere"));
         }
-        self.handles = request.clone();
+        self.handles = handles.clone();
         Ok(())
     }
 
     fn initial_poses(&self) -> HandlePoses {
-        HandlePoses(Arc::new(
-            self.handles
-                .handles
-                .iter()
-                .map(|h| read_pose(&h.pose.clone().unwrap_or_default()))
-                .collect(),
-        ))
+        let poses = self.handles.handles.iter().map(|h| h.pose.unwrap_or_default());
+        HandlePoses(Arc::new(poses.collect()))
     }
 
-    fn posed(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, wire::Error> {
+    fn change_poses(&self, poses: &HandlePoses, changes: &[(String, HandlePose)]) -> Result<HandlePoses, Error> {
         let mut all = poses.0.as_ref().clone();
-        for (k, entry) in change.handles.iter().enumerate() {
-            let Some(at) = self.handles.handles.iter().position(|h| h.id == entry.id) else {
-                return Err(wire::Error::invalid(
-                    format!("pose.handles[{k}].id"),
-                    format!("no handle {}", entry.id),
-                ));
+        for (k, (id, pose)) in changes.iter().enumerate() {
+            let Some(at) = self.handles.handles.iter().position(|h| h.id == *id) else {
+                return Err(Error::invalid(InputPlace::PosedHandle(k), format!("no handle {id}")));
             };
-            let pose = entry.pose.clone().unwrap_or_default();
-            if pose.translation.iter().any(|x| !x.is_finite()) {
-                return Err(wire::Error::invalid(
-                    format!("pose.handles[{k}].pose.translation"),
-                    "is not finite",
-                ));
-            }
-            all[at] = read_pose(&pose);
+            all[at] = *pose;
         }
         Ok(HandlePoses(Arc::new(all)))
     }
@@ -220,7 +217,7 @@ impl Engine for Fake {
         mode: SolveMode,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
-    ) -> Result<SolvedShape, wire::Error> {
+    ) -> Result<SolvedShape, Error> {
         self.control.solves.fetch_add(1, SeqCst);
         let handles = self.handles.handles.len();
         if self
@@ -274,7 +271,7 @@ impl Engine for Fake {
         })
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, wire::Error> {
+    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         if format == Format::STL {
             return Err(asset::Error::Unwritable {
                 format,
@@ -346,8 +343,12 @@ pub async fn create(manager: &Manager, text: &str) -> String {
 }
 
 pub fn handles(id: &str, ids: &[&str]) -> pb::SetHandlesRequest {
+    let everywhere = pb::region::Region::Component(pb::region::Part { index: 0 });
     let handle = |id: &&str| pb::Handle {
         id: (*id).into(),
+        region: Some(pb::Region {
+            region: Some(everywhere.clone()),
+        }),
         ..Default::default()
     };
     pb::SetHandlesRequest {
@@ -478,9 +479,4 @@ impl Client {
         let more = tokio::time::timeout(Duration::from_millis(30), self.output.next()).await;
         assert!(more.is_err(), "nothing was expected, not {more:?}");
     }
-}
-
-/// A pose as the engine takes it.
-fn read_pose(pose: &pb::HandlePose) -> HandlePose {
-    wire::handle_pose(pose, "pose").expect("a right pose")
 }

@@ -41,7 +41,7 @@ pub struct MeshCounts {
 }
 
 /// What the solver works on.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct SolverFacts {
     /// Vertices after welding.
     pub solver_vertices: u32,
