@@ -2,10 +2,11 @@
 
 use super::failure::CliFailure;
 use crate::asset::FileSet;
+use crate::engine::{HandlePose, HandleSet, OpenOptions};
 use crate::server::config::{self, ConfigKeys, ServeSettings};
 use crate::server::{self, sample};
 use crate::session::{self, Manager, Tenant};
-use crate::wire::pb;
+use crate::wire::{DeformOptions, PoseCommit, SessionOptions};
 use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -97,7 +98,7 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     let listener = TcpListener::bind(settings.listen).await.map_err(refuse)?;
     let address = listener.local_addr().map_err(refuse)?;
     let manager = Manager::new(settings.session)?;
-    let limits = manager.limits();
+    let limits = manager.config();
     tracing::info!(
         server.version = env!("CARGO_PKG_VERSION"),
         server.address = %address,
@@ -158,44 +159,28 @@ async fn open_sample(manager: &Manager, address: SocketAddr) -> Result<(), sessi
     let tenant = Tenant::default();
     let started = Instant::now();
     let files = FileSet::single(format!("{}.glb", sample::NAME), sample::glb().await?);
-    // It stands ready for a person, who may take a while.
-    let ttl = humantime::format_duration(manager.config().max_ttl).to_string();
-    let options = pb::CreateOptions {
+    let options = SessionOptions {
+        open: OpenOptions::default(),
         label: sample::NAME.into(),
-        ttl,
-        ..pb::CreateOptions::default()
+        // It stands ready for a person, who may take a while.
+        ttl: Some(manager.config().max_ttl),
     };
     let session = manager.create(&tenant, files, options, None).await?.value;
     let id = session.id;
-    let request = pb::SetHandlesRequest {
-        session_id: id.clone(),
-        handles: sample::handles(),
-        ..pb::SetHandlesRequest::default()
+    let handles = HandleSet::from(sample::handles());
+    manager.set_handles(&tenant, &id, handles, None).await?;
+    let turned = PoseCommit {
+        seq: 0,
+        changes: vec![("head".into(), HandlePose::rotation([0.0, 0.8, 0.0]))],
+        options: DeformOptions::with_defaults(manager.config().window),
     };
-    manager.set_handles(&tenant, request, None).await?;
-    let pose = pb::HandlePose {
-        rotation_vector: vec![0.0, 0.8, 0.0],
-        ..pb::HandlePose::default()
-    };
-    let pose = pb::Pose {
-        handles: vec![pb::pose::Entry {
-            id: "head".into(),
-            pose: Some(pose),
-        }],
-        ..pb::Pose::default()
-    };
-    let solve = pb::SolveRequest {
-        session_id: id.clone(),
-        pose: Some(pose),
-        options: None,
-    };
-    let solved = manager.solve(&tenant, solve, None).await?;
-    let frame = solved.frames.first();
+    let solved = manager.solve(&tenant, &id, turned, None).await?;
+    let frame = &solved.frame;
     tracing::info!(
         session.id = %id,
-        mesh.vertices = solved.positions.len(),
-        solve.residual = frame.map_or(0.0, |f| f.residual),
-        solve.duration_ms = frame.map_or(0.0, |f| f.solve_ms),
+        mesh.vertices = frame.positions.len(),
+        solve.residual = frame.header.residual,
+        solve.duration_ms = frame.header.solve_ms,
         duration_ms = started.elapsed().as_millis() as u64,
         "opened the sample session `{id}`, held its feet and turned its head"
     );

@@ -14,11 +14,13 @@ mod format_name;
 pub mod grpc;
 mod http;
 mod listen;
+mod messages;
 mod openapi;
 mod origin;
 pub mod sample;
 mod socket;
 mod state;
+mod stream_ends;
 mod telemetry;
 mod uploads;
 

@@ -1,8 +1,8 @@
 //! The built-in creature, so that a first call needs no file.
 
 use crate::asset::sample;
+use crate::engine::{Handle, Region};
 use crate::session::{Error, ErrorCode};
-use crate::wire::pb;
 use bytes::Bytes;
 use std::sync::LazyLock;
 use xxhash_rust::xxh3::xxh3_64;
@@ -27,30 +27,11 @@ pub(super) fn etag(glb: &Bytes) -> String {
 }
 
 /// Handles that hold its feet and move its head.
-pub fn handles() -> Vec<pb::Handle> {
-    use pb::region::Region;
-    let regions = sample::HANDLES;
-    let handle = |id: &str, region: Region| pb::Handle {
-        id: id.to_owned(),
-        region: Some(pb::Region { region: Some(region) }),
-        ..pb::Handle::default()
-    };
-    let (normal, offset) = regions.feet;
-    let (center, radius) = regions.head;
-    vec![
-        handle(
-            "feet",
-            Region::HalfSpace(pb::region::HalfSpace {
-                normal: normal.to_vec(),
-                offset,
-            }),
-        ),
-        handle(
-            "head",
-            Region::Sphere(pb::region::Sphere {
-                center: center.to_vec(),
-                radius,
-            }),
-        ),
+pub fn handles() -> [Handle; 2] {
+    let (normal, offset) = sample::HANDLES.feet;
+    let (center, radius) = sample::HANDLES.head;
+    [
+        Handle::new("feet", Region::half_space(normal, offset)),
+        Handle::new("head", Region::sphere(center, radius)),
     ]
 }

@@ -9,7 +9,8 @@
 use super::http::Caller;
 use super::http::problem::Problem;
 use super::state::State;
-use crate::session::{DeformStream, Error, ErrorCode, StreamInput, StreamOutput};
+use super::stream_ends::{RequestEnd, ResponseEnd, failure, message_ends};
+use crate::session::{DeformStream, Error, ErrorCode};
 use crate::wire::pb::{self, deform_response::Message as Response};
 use axum::extract::State as From;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
@@ -112,7 +113,7 @@ impl Ending {
 }
 
 async fn serve(state: &State, id: &str, socket: WebSocket, stream: DeformStream) {
-    let (input, mut output) = stream.split();
+    let (input, mut output) = message_ends(stream, state.manager.config().stream_limits());
     let (mut sink, source) = socket.split();
     let seen = Arc::new(Notify::new());
     let ending = {
@@ -134,7 +135,7 @@ async fn serve(state: &State, id: &str, socket: WebSocket, stream: DeformStream)
 }
 
 /// Reads requests until the client closes (`None`) or breaks a rule.
-async fn read(input: &StreamInput, mut source: SplitStream<WebSocket>, id: &str, seen: &Notify) -> Option<Ending> {
+async fn read(input: &RequestEnd, mut source: SplitStream<WebSocket>, id: &str, seen: &Notify) -> Option<Ending> {
     loop {
         let message = match source.next().await {
             None => return None,
@@ -148,7 +149,7 @@ async fn read(input: &StreamInput, mut source: SplitStream<WebSocket>, id: &str,
             Message::Ping(_) | Message::Pong(_) => continue,
             Message::Close(_) => return None,
         };
-        let mut request = match pb::DeformRequest::decode(bytes) {
+        let request = match pb::DeformRequest::decode(bytes) {
             Ok(request) => request,
             Err(error) => {
                 let mut ending = Ending::failed(Error::malformed(format!("the message is no DeformRequest: {error}")));
@@ -162,8 +163,7 @@ async fn read(input: &StreamInput, mut source: SplitStream<WebSocket>, id: &str,
                 "differs from the session in the path",
             )));
         }
-        request.session_id.clear();
-        if let Err(error) = input.push(request) {
+        if let Err(error) = input.push(&request) {
             if error.code == ErrorCode::Cancelled {
                 // The stream has ended; its other side says why.
                 std::future::pending::<()>().await;
@@ -182,7 +182,7 @@ fn broken(error: &axum::Error) -> Option<Ending> {
 }
 
 /// Writes responses as the connection takes them.
-async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: &mut StreamOutput) -> Option<Ending> {
+async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: &mut ResponseEnd) -> Option<Ending> {
     let mut pings = tokio::time::interval_at(
         Instant::now() + state.config.keepalive_interval,
         state.config.keepalive_interval,
@@ -235,13 +235,8 @@ async fn silence(state: &State, seen: &Notify) {
 /// Says why, and closes.
 async fn farewell(mut sink: SplitSink<WebSocket, Message>, ending: Ending) {
     if let Some(error) = &ending.error {
-        let told = pb::Error {
-            code: error.grpc_code().unsigned_abs(),
-            message: error.message.clone(),
-            seq: 0,
-        };
         let response = pb::DeformResponse {
-            message: Some(Response::Error(told)),
+            message: Some(Response::Error(failure(error, 0))),
         };
         let _ = sink.send(Message::Binary(response.encode_to_vec().into())).await;
     }

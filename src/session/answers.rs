@@ -1,9 +1,11 @@
-//! What the calls of a manager answer, beside the messages of the schema.
+//! What the calls of a manager take and answer. The server makes messages of the answers.
 
 use crate::asset::{Format, WrittenFiles};
-use crate::wire::pb;
+use crate::engine::{DeformerFacts, EditReport, HandlePoses};
+use crate::session::error::Error;
+use crate::wire::frames::FrameRequest;
 use bytes::Bytes;
-use glam::DVec3;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Who asks. Sessions of one tenant do not exist for another.
@@ -25,17 +27,108 @@ pub struct KeyedAnswer<T> {
     pub repeated: bool,
 }
 
-/// A committed pose.
-#[derive(Debug, Clone)]
-pub struct SolvedFrames {
-    /// The frame in parts.
-    pub frames: Vec<pb::Frame>,
+/// The idempotency key of a call, and the request in bytes that tell it from others: the same key with other bytes is refused.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CallKey {
+    /// The key.
+    pub key: String,
+    /// The request as the client sent it.
+    pub request: Vec<u8>,
+}
+
+/// A session as its owner sees it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionFacts {
+    /// 128 random bits, 32 hexadecimal digits.
+    pub id: String,
+    /// Number of the newest change.
+    pub revision: u64,
+    /// What its deformer tells about model, solver and handles.
+    pub deformer: Arc<DeformerFacts>,
+    /// The poses of the handles in force.
+    pub poses: HandlePoses,
+    /// Milliseconds by stage of the last build.
+    pub build_ms: BTreeMap<String, f64>,
+    /// When the session ends if nothing uses it (RFC 3339, UTC).
+    pub expires_at: String,
+    /// Free text for people.
+    pub label: String,
+}
+
+/// A page of a tenant's sessions, oldest first.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionList {
+    /// The sessions.
+    pub sessions: Vec<SessionFacts>,
+    /// The next page begins after the session with this number; `None` on the last page.
+    pub next_after: Option<u64>,
+}
+
+/// The commits that a session can go to, oldest first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HistoryFacts {
+    /// The commits.
+    pub commits: Vec<CommitFacts>,
+    /// Revision of the one that the session is at.
+    pub current: u64,
+}
+
+/// A commit.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CommitFacts {
+    /// The session's revision after it.
+    pub revision: u64,
+    /// What it did: "create", "handles", "pose" or "edit".
+    pub kind: &'static str,
+    /// Digest of the positions after it.
+    pub digest: String,
+}
+
+/// An edit done.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CommittedEdit {
+    /// What it did.
+    pub report: EditReport,
     /// The session's revision.
     pub revision: u64,
-    /// One per render vertex, model space.
-    pub positions: Arc<Vec<DVec3>>,
-    /// Digest of `positions`.
+    /// Milliseconds by stage.
+    pub ms: BTreeMap<String, f64>,
+}
+
+/// A pose solved and committed.
+#[derive(Debug, Clone)]
+pub struct CommittedPose {
+    /// Its frame, not encoded yet.
+    pub frame: FrameRequest,
+    /// The session's revision.
+    pub revision: u64,
+    /// Digest of the positions.
     pub digest: String,
+}
+
+/// What a deform stream says.
+#[derive(Debug, Clone)]
+pub enum StreamAnswer {
+    /// A frame, not encoded yet.
+    Frame(Box<FrameRequest>),
+    /// What is wrong with the pose of this number; with 0, why the stream ends.
+    Failure {
+        /// What is wrong.
+        error: Error,
+        /// The pose, or 0.
+        seq: u64,
+    },
+    /// Something that the client should know.
+    Notice {
+        /// A stable kebab-case code.
+        code: &'static str,
+        /// What it is, for people.
+        message: &'static str,
+        /// The session to go on with.
+        session: String,
+    },
+    /// The answer to a ping with this number.
+    Pong(u64),
 }
 
 /// A model in its current shape.

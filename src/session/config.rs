@@ -1,7 +1,9 @@
 //! What a server lets its sessions use.
 
 use crate::session::error::Error;
-use crate::{asset, engine, wire::pb};
+use crate::wire::StreamLimits;
+use crate::{asset, engine};
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// The limits that sessions keep to. [`SessionConfig::validate`] says which values make sense; 0 never means "no limit".
@@ -161,25 +163,6 @@ impl SessionConfig {
         Ok(())
     }
 
-    /// The limits as clients see them.
-    pub fn limits(&self) -> pb::Limits {
-        let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-        pb::Limits {
-            upload_bytes: self.upload_bytes,
-            vertices: self.vertices,
-            sessions: self.sessions as u64,
-            memory_bytes: self.memory_bytes,
-            handles: narrow(self.handles),
-            message_bytes: self.message_bytes,
-            window: self.window,
-            part_bytes: self.part_bytes as u64,
-            ttl_seconds: self.max_ttl.as_secs_f64(),
-            history: narrow(self.history),
-            solve_ms: self.solve.as_secs_f64() * 1e3,
-            streams: narrow(self.streams),
-        }
-    }
-
     /// The limits of one deformer that may hold `memory_bytes`.
     pub(super) fn deformer_limits(&self, memory_bytes: u64) -> engine::DeformerLimits {
         engine::DeformerLimits {
@@ -193,26 +176,17 @@ impl SessionConfig {
         }
     }
 
-    /// Reads a session's time to live; empty means the default.
-    pub(super) fn parse_ttl(&self, text: &str) -> Result<Duration, Error> {
-        if text.is_empty() {
-            return Ok(self.default_ttl);
+    /// The times to live that a session may ask for.
+    pub fn ttl_range(&self) -> RangeInclusive<Duration> {
+        MIN_TTL..=self.max_ttl
+    }
+
+    /// How large the requests of a deform stream may be.
+    pub fn stream_limits(&self) -> StreamLimits {
+        StreamLimits {
+            window: self.window,
+            pose_entries: self.handles,
         }
-        let longest = humantime::format_duration(self.max_ttl);
-        let shown: String = text.chars().take(64).collect();
-        let ttl = humantime::parse_duration(text).map_err(|e| {
-            Error::invalid(
-                "ttl",
-                format!("\"{shown}\" is no duration such as \"15m\" or \"1h 30m\": {e}"),
-            )
-        })?;
-        if ttl < MIN_TTL || ttl > self.max_ttl {
-            return Err(Error::invalid(
-                "ttl",
-                format!("\"{shown}\" is out of range, 1s to {longest} is allowed"),
-            ));
-        }
-        Ok(ttl)
     }
 }
 
@@ -245,23 +219,5 @@ mod tests {
             ..SessionConfig::default()
         };
         assert_eq!(refused(short).as_deref(), Some("ttl"));
-    }
-
-    #[test]
-    fn ttl_reads_durations_within_the_limits() {
-        let config = SessionConfig {
-            max_ttl: Duration::from_secs(7200),
-            ..SessionConfig::default()
-        };
-        assert_eq!(config.parse_ttl("").expect("default"), config.default_ttl);
-        assert_eq!(config.parse_ttl("1h 30m").expect("allowed"), Duration::from_secs(5400));
-        for text in ["10ms", "3h", "soon", "-5s", "1", "99999999999999999999y"] {
-            let error = config.parse_ttl(text).expect_err(text);
-            assert_eq!(
-                (error.http_status(), error.field.as_deref()),
-                (422, Some("ttl")),
-                "{text}"
-            );
-        }
     }
 }

@@ -33,7 +33,10 @@ mod shared;
 mod stream;
 mod task;
 
-pub use answers::{ExportedModel, KeyedAnswer, PositionBuffer, SolvedFrames, Tenant};
+pub use answers::{
+    CallKey, CommitFacts, CommittedEdit, CommittedPose, ExportedModel, HistoryFacts, KeyedAnswer, PositionBuffer,
+    SessionFacts, SessionList, StreamAnswer, Tenant,
+};
 pub use calls::manager::Manager;
 pub use config::{MIN_TTL, SessionConfig};
 pub use engine::{Engine, EngineOpener, OpenDeformer};

@@ -3,16 +3,15 @@
 //! Lookups hand out clones of `Arc`s; no guard of the map leaves this file.
 
 use crate::asset::Format;
-use crate::engine::{DeformerFacts, HandlePose, HandlePoses};
+use crate::engine::{DeformerFacts, HandlePoses};
 use crate::progress::CancelFlag;
-use crate::session::answers::Tenant;
+use crate::session::answers::{HistoryFacts, SessionFacts, Tenant};
 use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::session_state::CommittedHandles;
 use crate::session::stream::mailbox::Mailbox;
-use crate::wire::{handle_pose_message, pb, session_message};
 use dashmap::DashMap;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -30,7 +29,7 @@ pub(super) struct SessionView {
     pub build_ms: BTreeMap<String, f64>,
     pub positions: Arc<Vec<DVec3>>,
     pub digest: String,
-    pub history: pb::HistoryResponse,
+    pub history: HistoryFacts,
 }
 
 /// One session, as seen from outside its task.
@@ -42,7 +41,6 @@ pub(super) struct OpenSession {
     pub number: u64,
     pub label: String,
     pub format: Format,
-    pub limits: pb::Limits,
     pub lease: SessionLease,
     pub commands: mpsc::Sender<SessionCommand>,
     pub streams: OpenStreams,
@@ -70,20 +68,16 @@ impl OpenSession {
     }
 
     /// The session as its owner sees it.
-    pub fn describe(&self) -> pb::Session {
+    pub fn describe(&self) -> SessionFacts {
         let view = self.view();
-        let mut message = session_message(&view.facts);
-        for (handle, pose) in message.handles.iter_mut().zip(view.poses.0.iter()) {
-            handle.pose = (*pose != HandlePose::default()).then(|| handle_pose_message(pose));
-        }
-        pb::Session {
+        SessionFacts {
             id: self.id.clone(),
             revision: view.revision,
+            deformer: Arc::clone(&view.facts),
+            poses: view.poses.clone(),
             build_ms: view.build_ms.clone(),
             expires_at: self.lease.end_text(),
             label: self.label.clone(),
-            limits: Some(self.limits),
-            ..message
         }
     }
 

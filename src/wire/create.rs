@@ -1,4 +1,6 @@
 //! How a session is built: its options, checked.
+//!
+//! A session's options are those of its deformer, a label for people, and how long it outlives its last use.
 
 use super::check::{enumerated, number};
 use super::{Error, pb};
@@ -7,6 +9,56 @@ use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, V
 use crate::engine::OpenOptions;
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+/// The longest label, in bytes.
+const LONGEST_LABEL: usize = 256;
+
+/// How a session is to be opened. Made by [`session_options`].
+#[derive(Debug, Clone)]
+pub struct SessionOptions {
+    /// How its deformer is built.
+    pub open: OpenOptions,
+    /// Free text for people, returned with the session.
+    pub label: String,
+    /// How long the session outlives its last use; `None` is the server's default.
+    pub ttl: Option<Duration>,
+}
+
+/// Reads how a session is to be opened; `ttl` are the times to live that it may ask for.
+///
+/// # Errors
+/// [`Error::Invalid`] with the field.
+pub fn session_options(create: &pb::CreateOptions, ttl: RangeInclusive<Duration>) -> Result<SessionOptions, Error> {
+    if create.label.len() > LONGEST_LABEL {
+        let problem = format!("is {} bytes, at most {LONGEST_LABEL} are allowed", create.label.len());
+        return Err(Error::invalid("label", problem));
+    }
+    Ok(SessionOptions {
+        ttl: time_to_live(&create.ttl, ttl)?,
+        open: open_options(create)?,
+        label: create.label.clone(),
+    })
+}
+
+/// Reads a session's time to live; an empty text is the default.
+fn time_to_live(text: &str, allowed: RangeInclusive<Duration>) -> Result<Option<Duration>, Error> {
+    if text.is_empty() {
+        return Ok(None);
+    }
+    let shown: String = text.chars().take(64).collect();
+    let ttl = humantime::parse_duration(text).map_err(|e| {
+        let problem = format!("\"{shown}\" is no duration such as \"15m\" or \"1h 30m\": {e}");
+        Error::invalid("ttl", problem)
+    })?;
+    if !allowed.contains(&ttl) {
+        let [shortest, longest] = [*allowed.start(), *allowed.end()].map(humantime::format_duration);
+        let problem = format!("\"{shown}\" is out of range, {shortest} to {longest} is allowed");
+        return Err(Error::invalid("ttl", problem));
+    }
+    Ok(Some(ttl))
+}
 
 /// Reads how a model is to be opened.
 ///
@@ -83,6 +135,22 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_time_to_live_is_a_duration_within_the_limits() {
+        let hours = |n: u64| Duration::from_secs(3600 * n);
+        let read = |text: &str| time_to_live(text, Duration::from_secs(1)..=hours(2));
+        assert_eq!(read(""), Ok(None));
+        assert_eq!(read("1h 30m"), Ok(Some(Duration::from_secs(5400))));
+        for text in ["10ms", "3h", "soon", "-5s", "1", "99999999999999999999y"] {
+            assert!(
+                matches!(read(text), Err(Error::Invalid { field, .. }) if field == "ttl"),
+                "{text}"
+            );
+        }
+        let told = read("3h").expect_err("too long").to_string();
+        assert_eq!(told, "ttl: \"3h\" is out of range, 1s to 2h is allowed");
+    }
 
     #[test]
     fn all_operators_can_be_chosen() {

@@ -1,8 +1,9 @@
 //! Facts, warnings and qualities as messages.
 
 use super::pb;
+use super::poses::handle_pose_message;
 use crate::asset::Primitive;
-use crate::engine::{DeformerFacts, DeformerWarning, QualityReport, WarningPlace};
+use crate::engine::{DeformerFacts, DeformerWarning, HandlePose, HandlePoses, QualityReport, WarningPlace};
 
 /// Writes what is told of a session about model, solver and handles; id, revision, times and limits are the caller's.
 pub fn session_message(facts: &DeformerFacts) -> pb::Session {
@@ -36,6 +37,13 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
             })
             .collect(),
         ..Default::default()
+    }
+}
+
+/// Adds their poses to the handles of a session; one at rest has none.
+pub fn handle_poses_message(handles: &mut [pb::HandleFacts], poses: &HandlePoses) {
+    for (handle, pose) in handles.iter_mut().zip(poses.0.iter()) {
+        handle.pose = (*pose != HandlePose::default()).then(|| handle_pose_message(pose));
     }
 }
 

@@ -4,10 +4,11 @@
 //! time, when they are asked for, so that a slow reader costs no memory. Knows no stream and no session: who may get
 //! a frame, and when, is not decided here.
 
+use super::facts::quality_message;
 use super::pb::{self, frame};
-use crate::engine::Shading;
+use crate::engine::{QualityReport, Shading};
 use bytes::Bytes;
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use std::sync::Arc;
 
 /// Positions as little-endian 32-bit floats, x, y, z per vertex.
@@ -19,24 +20,98 @@ pub fn f32_bytes(positions: &[DVec3]) -> Bytes {
     data.into()
 }
 
+/// What a frame tells beside its numbers. All its parts repeat it.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FrameHeader {
+    /// The number of the pose that it shows.
+    pub seq: u64,
+    /// The session's revision.
+    pub revision: u64,
+    /// Whether it ends the work on its pose.
+    pub is_final: bool,
+    /// Relative residual reached.
+    pub residual: f64,
+    /// Estimated largest missing displacement, as a fraction of the diagonal.
+    pub max_error: f64,
+    /// Milliseconds of solving.
+    pub solve_ms: f64,
+    /// Milliseconds of waiting for a compute slot.
+    pub queue_ms: f64,
+    /// Poses that were skipped since the frame before.
+    pub superseded: u32,
+    /// How far the shape of a commit is from the rest shape.
+    pub quality: Option<QualityReport>,
+}
+
+/// What frames carry, and how.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FrameOutput {
+    /// Whether they carry normals.
+    pub normals: bool,
+    /// Whether they carry tangents.
+    pub tangents: bool,
+    /// They carry only vertices that have moved further than this, as a fraction of the diagonal; `None` is all vertices.
+    pub changed_only: Option<f64>,
+    /// How numbers are written.
+    pub encoding: FrameEncoding,
+    /// Whether the triangles that cross are counted on commit.
+    pub self_intersections: bool,
+}
+
+/// How the numbers of a frame are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum FrameEncoding {
+    /// Little-endian 32-bit floats.
+    #[default]
+    F32,
+    /// 16-bit steps of a box.
+    U16,
+    /// The same, compressed by meshopt.
+    Meshopt,
+}
+
+impl FrameEncoding {
+    pub(super) fn from_message(encoding: frame::Encoding) -> Self {
+        match encoding {
+            frame::Encoding::F32 => Self::F32,
+            frame::Encoding::U16 => Self::U16,
+            frame::Encoding::Meshopt => Self::Meshopt,
+        }
+    }
+
+    fn to_message(self) -> frame::Encoding {
+        match self {
+            Self::F32 => frame::Encoding::F32,
+            Self::U16 => frame::Encoding::U16,
+            Self::Meshopt => frame::Encoding::Meshopt,
+        }
+    }
+}
+
 /// A frame to encode.
 #[derive(Debug, Clone)]
 pub struct FrameRequest {
-    /// Everything but the numbers: seq, revision, final, errors and times. Parts copy it.
-    pub header: pb::Frame,
+    /// Everything but the numbers.
+    pub header: FrameHeader,
     /// One per render vertex.
     pub positions: Arc<Vec<DVec3>>,
     /// Needed when `output` asks for normals or tangents; without it they are left out.
     pub shading: Option<Arc<Shading>>,
     /// What to send and how.
-    pub output: pb::Output,
-    /// With `output.changed_only`: the buffers that the reader may hold. A vertex is sent when it moved away from its
-    /// place in any of them. Empty, or of another length: all vertices are sent.
-    pub baselines: Vec<Arc<Vec<Vec3>>>,
-    /// Length of the bounding box's diagonal, the unit of `output.changed_only`.
-    pub diagonal: f64,
+    pub output: FrameOutput,
+    /// The vertices to send, ascending; `None` is all of them.
+    pub selected: Option<Vec<u32>>,
     /// Bytes that the data (and indices) of a part may take.
     pub part_bytes: usize,
+}
+
+impl FrameRequest {
+    /// Bytes held, about.
+    pub fn byte_size(&self) -> u64 {
+        let shading = (self.shading.as_ref()).map_or(0, |s| s.normals.len() * 12 + s.tangents.len() * 16);
+        let selected = self.selected.as_ref().map_or(0, |s| size_of_val(s.as_slice()));
+        (size_of_val(self.positions.as_slice()) + shading + selected) as u64
+    }
 }
 
 /// Prepares a frame; the iterator makes its parts one by one.
@@ -48,14 +123,10 @@ pub fn encode(request: FrameRequest) -> FrameParts {
         positions,
         shading,
         output,
-        baselines,
-        diagonal,
+        selected,
         part_bytes,
     } = request;
-    let selected = output
-        .changed_only
-        .map(|threshold| changed(&positions, &baselines, threshold * diagonal));
-    let encoding = frame::Encoding::try_from(output.encoding).unwrap_or_default();
+    let encoding = output.encoding.to_message();
     let shading = shading.filter(|s| s.normals.len() == positions.len() && s.tangents.len() == positions.len());
     let vertices = selected.as_ref().map_or(positions.len(), Vec::len);
     let mut attributes = vec![frame::Attribute::Position];
@@ -90,7 +161,7 @@ pub fn encode(request: FrameRequest) -> FrameParts {
         Some(bounds(&positions, selected.as_deref()))
     };
     FrameParts {
-        header,
+        header: header_message(&header),
         positions,
         shading,
         selected,
@@ -103,20 +174,19 @@ pub fn encode(request: FrameRequest) -> FrameParts {
     }
 }
 
-/// Vertices that lie further than `distance` from their place in any of the baselines, ascending.
-fn changed(positions: &[DVec3], baselines: &[Arc<Vec<Vec3>>], distance: f64) -> Vec<u32> {
-    let all = baselines.is_empty() || baselines.iter().any(|b| b.len() != positions.len());
-    // Both sides are rounded alike, so that a vertex that rests has moved by exactly nothing.
-    let moved = |v: usize, p: Vec3| {
-        baselines
-            .iter()
-            .any(|b| (p.as_dvec3() - b[v].as_dvec3()).length() > distance)
-    };
-    let indices = positions
-        .iter()
-        .enumerate()
-        .filter(|&(v, p)| all || moved(v, p.as_vec3()));
-    indices.map(|(v, _)| v as u32).collect()
+fn header_message(header: &FrameHeader) -> pb::Frame {
+    pb::Frame {
+        seq: header.seq,
+        revision: header.revision,
+        r#final: header.is_final,
+        residual: header.residual,
+        max_error: header.max_error,
+        solve_ms: header.solve_ms,
+        queue_ms: header.queue_ms,
+        superseded: header.superseded,
+        quality: header.quality.as_ref().map(quality_message),
+        ..Default::default()
+    }
 }
 
 fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
@@ -158,11 +228,6 @@ pub struct FrameParts {
 }
 
 impl FrameParts {
-    /// With `changed_only`: the vertices that the frame carries, ascending.
-    pub fn selected(&self) -> Option<&[u32]> {
-        self.selected.as_deref()
-    }
-
     fn part(&self, part: u32) -> Option<pb::Frame> {
         let block = self.blocks.iter().rev().find(|b| b.first_part <= part)?;
         let first = (part - block.first_part) as usize * block.run;

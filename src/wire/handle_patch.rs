@@ -133,9 +133,15 @@ mod tests {
             (r#"{"id": "c", "rigid": true}"#, "handles[2].region"),
             (r#"{"id": "a", "pose": {"scale": [0]}}"#, "handles[0].pose.scale"),
             (r#"{"id": "b", "stiffness": -1}"#, "handles[1].stiffness"),
-            (r#"{"id": "b", "falloff": {"kind": "LINEAR"}}"#, "handles[1].falloff.radius"),
+            (
+                r#"{"id": "b", "falloff": {"kind": "LINEAR"}}"#,
+                "handles[1].falloff.radius",
+            ),
         ] {
-            assert!(matches!(patch(json), Err(Error::Invalid { field: f, .. }) if f == field), "{json}");
+            assert!(
+                matches!(patch(json), Err(Error::Invalid { field: f, .. }) if f == field),
+                "{json}"
+            );
         }
         // The deformer itself says that a hard handle has no falloff.
         patch(r#"{"id": "a", "falloff": {"kind": "LINEAR"}}"#).expect("right as it stands");

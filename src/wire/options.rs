@@ -1,6 +1,7 @@
 //! Options of a solve or a stream: checked, and split into what the engine takes and what a stream does with frames.
 
 use super::check::{enumerated, number, optional_within};
+use super::frames::{FrameEncoding, FrameOutput};
 use super::{Error, pb};
 use crate::deform::FirstPass;
 use crate::engine::SolveSettings;
@@ -20,12 +21,23 @@ pub struct DeformOptions {
     /// Whether intermediate results are wanted.
     pub progressive: bool,
     /// What frames carry.
-    pub output: pb::Output,
+    pub output: FrameOutput,
     /// Unacknowledged frames in flight.
     pub window: u32,
 }
 
 impl DeformOptions {
+    /// Returns the options in force where none are given.
+    pub fn with_defaults(max_window: u32) -> Self {
+        Self {
+            solve: SolveSettings::default(),
+            budget_ms: None,
+            progressive: false,
+            output: FrameOutput::default(),
+            window: 2.min(max_window.max(1)),
+        }
+    }
+
     /// Checks `options`; wrong values are [`Error::Invalid`] with the field's path below `prefix` (such as `options`).
     pub fn check(options: &pb::Options, prefix: &str, max_window: u32) -> Result<Self, Error> {
         let at = |name: &str| format!("{prefix}.{name}");
@@ -54,7 +66,7 @@ impl DeformOptions {
             return Err(Error::invalid(at("window"), problem));
         }
         let output = options.output.unwrap_or_default();
-        let _: pb::frame::Encoding = enumerated(output.encoding, &at("output.encoding"))?;
+        let encoding = enumerated(output.encoding, &at("output.encoding"))?;
         if let Some(threshold) = output.changed_only.filter(|t| !(0.0..=1.0).contains(t)) {
             let problem = format!("is {threshold}, allowed are 0 to 1 (fraction of the diagonal)");
             return Err(Error::invalid(at("output.changedOnly"), problem));
@@ -79,7 +91,13 @@ impl DeformOptions {
             solve,
             budget_ms,
             progressive: options.progressive,
-            output,
+            output: FrameOutput {
+                normals: output.normals,
+                tangents: output.tangents,
+                changed_only: output.changed_only,
+                encoding: FrameEncoding::from_message(encoding),
+                self_intersections: output.self_intersections,
+            },
             window: if options.window == 0 {
                 2.min(max_window.max(1))
             } else {
@@ -141,6 +159,7 @@ mod tests {
             ..Default::default()
         });
         assert_eq!((fine.solve.tolerance, fine.window), (Some(1e-4), 2));
+        assert_eq!(check(&pb::Options::default()), DeformOptions::with_defaults(8));
         let by_error = check(&pb::Options {
             max_error: 1e-3,
             ..Default::default()

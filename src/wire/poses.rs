@@ -42,7 +42,7 @@ impl PoseEntry {
 }
 
 /// Reads the entries of a pose, each with what is wrong with it.
-pub fn pose_entries(pose: &pb::Pose) -> Vec<PoseEntry> {
+pub(super) fn pose_entries(pose: &pb::Pose) -> Vec<PoseEntry> {
     let decode = |(k, entry): (usize, &pb::pose::Entry)| PoseEntry {
         id: entry.id.clone(),
         pose: match &entry.pose {
@@ -57,7 +57,7 @@ pub fn pose_entries(pose: &pb::Pose) -> Vec<PoseEntry> {
 ///
 /// # Errors
 /// [`Error::Invalid`] with the field.
-pub fn check_pose_size(pose: &pb::Pose, max_entries: usize) -> Result<(), Error> {
+pub(super) fn check_pose_size(pose: &pb::Pose, max_entries: usize) -> Result<(), Error> {
     if pose.handles.len() > max_entries {
         let problem = format!("has {} entries, at most {max_entries} are allowed", pose.handles.len());
         return Err(Error::invalid("pose.handles", problem));

@@ -15,9 +15,9 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
+use pliant::wire::frames::{FrameHeader, FrameOutput, FrameRequest, encode};
 use pliant::wire::pb::edit_request::{Delete, Operation, Remesh};
 use pliant::wire::{self, Error, pb};
-use pliant::wire::{frames::FrameRequest, frames::encode};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -322,12 +322,11 @@ impl EditBench<'_> {
         )?;
         stages.begin_stage("encode");
         let parts = encode(FrameRequest {
-            header: pb::Frame::default(),
+            header: FrameHeader::default(),
             positions: solved.positions,
             shading: None,
-            output: pb::Output::default(),
-            baselines: Vec::new(),
-            diagonal: bench.diagonal(),
+            output: FrameOutput::default(),
+            selected: None,
             part_bytes: 256 << 10,
         });
         std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());

@@ -13,8 +13,8 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
+use pliant::wire::frames::{FrameHeader, FrameOutput, FrameRequest, encode};
 use pliant::wire::{self, DeformOptions, pb};
-use pliant::wire::{frames::FrameRequest, frames::encode};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -171,12 +171,11 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     )?;
     stages.begin_stage("encode");
     let parts = encode(FrameRequest {
-        header: pb::Frame::default(),
+        header: FrameHeader::default(),
         positions: solved.positions,
         shading: None,
-        output: pb::Output::default(),
-        baselines: Vec::new(),
-        diagonal: bench.diagonal(),
+        output: FrameOutput::default(),
+        selected: None,
         part_bytes: PART,
     });
     let frame_bytes = parts.map(|part| part.data.len()).sum();

@@ -6,9 +6,10 @@ use super::stream;
 use super::upload;
 use crate::server::auth;
 use crate::server::format_name::parse_format_name;
+use crate::server::messages;
 use crate::server::state::State;
-use crate::session::{Error, Tenant};
-use crate::wire::pb;
+use crate::session::{CallKey, Error, SessionFacts, Tenant};
+use crate::wire::{self, frames::encode, pb};
 use bytes::Bytes;
 use futures::Stream;
 use std::pin::Pin;
@@ -29,6 +30,31 @@ impl Calls {
     pub fn new(state: State) -> Self {
         Self { state }
     }
+
+    /// Refuses a request on a session that is not there before it looks at what else is wrong with it.
+    async fn check_session(&self, tenant: &Tenant, id: &str) -> Result<(), Status> {
+        self.state.manager.get(tenant, id).await.map(drop).map_err(status)
+    }
+
+    fn session(&self, session: Result<SessionFacts, Error>) -> GrpcAnswer<pb::Session> {
+        let session = session.map_err(status)?;
+        let message = messages::described_session(&session, self.state.manager.config());
+        Ok(Response::new(message))
+    }
+}
+
+/// What is wrong with a request, as a status.
+fn refused(error: wire::Error) -> Status {
+    status(error.into())
+}
+
+/// The key of a call together with its request.
+fn call_key(key: Option<String>, request: &impl prost::Message) -> Option<CallKey> {
+    let request = |key| CallKey {
+        key,
+        request: request.encode_to_vec(),
+    };
+    key.map(request)
 }
 
 fn tenant<T>(request: &Request<T>) -> Result<Tenant, Status> {
@@ -69,30 +95,26 @@ impl Deformer for Calls {
     async fn create_session(&self, request: Request<Streaming<pb::CreateSessionRequest>>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, inbound) = work(&self.state, request)?;
         let upload::Upload { files, options, held } = upload::receive(&self.state, inbound).await?;
-        let created = self.state.manager.create(&tenant, files, options, key.as_deref()).await;
+        let key = call_key(key, &options);
+        let manager = &self.state.manager;
+        let options = wire::session_options(&options, manager.config().ttl_range()).map_err(refused)?;
+        let created = manager.create(&tenant, files, options, key).await;
         drop(held);
-        created.map(|answer| Response::new(answer.value)).map_err(status)
+        self.session(created.map(|answer| answer.value))
     }
 
     async fn get_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
-        self.state
-            .manager
-            .get(&tenant, &id)
-            .await
-            .map(Response::new)
-            .map_err(status)
+        self.session(self.state.manager.get(&tenant, &id).await)
     }
 
     async fn list_sessions(&self, request: Request<pb::ListSessionsRequest>) -> GrpcAnswer<pb::ListSessionsResponse> {
         let tenant = tenant(&request)?;
-        self.state
-            .manager
-            .list(&tenant, request.into_inner())
-            .await
-            .map(Response::new)
-            .map_err(status)
+        let page = wire::session_page(request.get_ref()).map_err(refused)?;
+        let manager = &self.state.manager;
+        let list = manager.list(&tenant, page).await;
+        Ok(Response::new(messages::session_list(&list, manager.config())))
     }
 
     async fn delete_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::DeleteSessionResponse> {
@@ -104,12 +126,10 @@ impl Deformer for Calls {
 
     async fn set_handles(&self, request: Request<pb::SetHandlesRequest>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
-        self.state
-            .manager
-            .set_handles(&tenant, message, key.as_deref())
-            .await
-            .map(Response::new)
-            .map_err(status)
+        self.check_session(&tenant, &message.session_id).await?;
+        let (key, handles) = (call_key(key, &message), wire::handle_set(&message).map_err(refused)?);
+        let manager = &self.state.manager;
+        self.session(manager.set_handles(&tenant, &message.session_id, handles, key).await)
     }
 
     type DeformStream = Sent<pb::DeformResponse>;
@@ -128,54 +148,40 @@ impl Deformer for Calls {
 
     async fn solve(&self, request: Request<pb::SolveRequest>) -> GrpcAnswer<Self::SolveStream> {
         let (tenant, key, message) = work(&self.state, request)?;
-        let solved = self
-            .state
-            .manager
-            .solve(&tenant, message, key.as_deref())
-            .await
-            .map_err(status)?;
-        Ok(Response::new(sent(solved.frames)))
+        self.check_session(&tenant, &message.session_id).await?;
+        let manager = &self.state.manager;
+        let pose = wire::pose_commit(&message, manager.config().window).map_err(refused)?;
+        let key = call_key(key, &message);
+        let solved = manager.solve(&tenant, &message.session_id, pose, key).await;
+        Ok(Response::new(sent(encode(solved.map_err(status)?.frame))))
     }
 
     async fn edit(&self, request: Request<pb::EditRequest>) -> GrpcAnswer<pb::EditResult> {
         let (tenant, key, message) = work(&self.state, request)?;
-        self.state
-            .manager
-            .edit(&tenant, message, key.as_deref())
-            .await
-            .map(Response::new)
-            .map_err(status)
+        self.check_session(&tenant, &message.session_id).await?;
+        let edit = wire::session_edit(&message).map_err(refused)?;
+        let key = call_key(key, &message);
+        let done = self.state.manager.edit(&tenant, &message.session_id, edit, key).await;
+        Ok(Response::new(messages::committed_edit(done.map_err(status)?)))
     }
 
     async fn undo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
-        self.state
-            .manager
-            .undo(&tenant, &message.session_id, key.as_deref())
-            .await
-            .map(Response::new)
-            .map_err(status)
+        let manager = &self.state.manager;
+        self.session(manager.undo(&tenant, &message.session_id, key.as_deref()).await)
     }
 
     async fn redo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, message) = work(&self.state, request)?;
-        self.state
-            .manager
-            .redo(&tenant, &message.session_id, key.as_deref())
-            .await
-            .map(Response::new)
-            .map_err(status)
+        let manager = &self.state.manager;
+        self.session(manager.redo(&tenant, &message.session_id, key.as_deref()).await)
     }
 
     async fn history(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::HistoryResponse> {
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
-        self.state
-            .manager
-            .history(&tenant, &id)
-            .await
-            .map(Response::new)
-            .map_err(status)
+        let history = self.state.manager.history(&tenant, &id).await.map_err(status)?;
+        Ok(Response::new(messages::history(history)))
     }
 
     type ExportStream = Sent<pb::Chunk>;
@@ -202,7 +208,7 @@ impl Deformer for Calls {
 
     async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> GrpcAnswer<pb::Limits> {
         tenant(&request)?;
-        Ok(Response::new(self.state.manager.limits()))
+        Ok(Response::new(messages::limits(self.state.manager.config())))
     }
 }
 

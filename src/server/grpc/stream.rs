@@ -6,7 +6,8 @@
 
 use super::status::status;
 use crate::server::state::State;
-use crate::session::{Error, ErrorCode, StreamInput, StreamOutput, Tenant};
+use crate::server::stream_ends::{RequestEnd, ResponseEnd, message_ends};
+use crate::session::{Error, ErrorCode, Tenant};
 use crate::wire::pb::{self, deform_response};
 use futures::Stream;
 use tokio::sync::oneshot;
@@ -47,7 +48,7 @@ enum Phase {
 
 struct Open {
     state: State,
-    output: StreamOutput,
+    output: ResponseEnd,
     /// Feeds the input; ends with the stream.
     _pump: AbortOnDropHandle<()>,
     /// How the client's side ended: half-closed, or broken.
@@ -78,9 +79,10 @@ impl Open {
             )));
         };
         let id = std::mem::take(&mut first.session_id);
-        let (input, output) = state.manager.stream(tenant, &id).await.map_err(status)?.split();
+        let stream = state.manager.stream(tenant, &id).await.map_err(status)?;
+        let (input, output) = message_ends(stream, state.manager.config().stream_limits());
         if first.message.is_some() {
-            input.push(first).map_err(status)?;
+            input.push(&first).map_err(status)?;
         }
         let (tell, ended) = oneshot::channel();
         let pump = tokio::spawn(async move {
@@ -137,16 +139,15 @@ fn failure(response: &pb::DeformResponse) -> Option<Status> {
     }
 }
 
-async fn pump(mut inbound: Streaming<pb::DeformRequest>, input: &StreamInput, id: &str) -> Result<(), Status> {
-    while let Some(mut request) = inbound.message().await? {
+async fn pump(mut inbound: Streaming<pb::DeformRequest>, input: &RequestEnd, id: &str) -> Result<(), Status> {
+    while let Some(request) = inbound.message().await? {
         if !request.session_id.is_empty() && request.session_id != id {
             return Err(status(Error::invalid(
                 "sessionId",
                 "differs from the first message's; a stream belongs to one session",
             )));
         }
-        request.session_id.clear();
-        if let Err(error) = input.push(request) {
+        if let Err(error) = input.push(&request) {
             // A stream that has ended says why on its other side.
             return if error.code == ErrorCode::Cancelled {
                 Ok(())

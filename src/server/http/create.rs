@@ -10,16 +10,18 @@ mod upload_body;
 use super::body;
 use super::problem::{Problem, clip};
 use super::request::Caller;
-use super::sessions::json;
+use super::sessions::session_json;
 use crate::asset::{FileSet, Format};
 use crate::server::sample;
 use crate::server::state::State;
 use crate::session::Error;
+use crate::wire;
 use axum::extract::{Request, State as From};
 use axum::response::Response;
 use bytes::Bytes;
 use http::{HeaderValue, StatusCode, header};
 use options::Options;
+use prost::Message as _;
 use received::Received;
 use upload_body::next_bytes;
 
@@ -37,7 +39,8 @@ pub(super) async fn create(From(state): From<State>, caller: Caller, request: Re
     if state.draining.is_cancelled() {
         return Err(Error::draining().into());
     }
-    let key = caller.key()?.map(str::to_owned);
+    // A key that is none is refused before anything is read.
+    caller.key()?;
     let mut options = Options::from_query(request.uri())?;
     let kind = body::content_type(request.headers());
     let Received { files, held } = if let Some(name) = options.sample.take() {
@@ -58,13 +61,12 @@ pub(super) async fn create(From(state): From<State>, caller: Caller, request: Re
         received
     };
     let options = options.finish()?;
-    let created = state
-        .manager
-        .create(&caller.tenant, files, options, key.as_deref())
-        .await;
+    let key = caller.call_key(|| options.encode_to_vec())?;
+    let options = wire::session_options(&options, state.manager.config().ttl_range())?;
+    let created = state.manager.create(&caller.tenant, files, options, key).await;
     drop(held);
     let created = created?;
-    let mut response = json(&created.value)?;
+    let mut response = session_json(&state, &created.value)?;
     if !created.repeated {
         *response.status_mut() = StatusCode::CREATED;
     }

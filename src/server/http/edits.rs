@@ -4,11 +4,13 @@ use super::body;
 use super::problem::Problem;
 use super::request::{Caller, Names};
 use super::sessions::json;
+use crate::server::messages;
 use crate::server::state::State;
 use crate::session::{Error, ErrorCode};
-use crate::wire::pb;
+use crate::wire::{self, pb};
 use axum::extract::{Request, State as From};
 use axum::response::Response;
+use prost::Message as _;
 
 pub(super) async fn edit(
     From(state): From<State>,
@@ -20,7 +22,13 @@ pub(super) async fn edit(
     let mut message: pb::EditRequest = body::message(&state, request).await?;
     body::same_session(&message.session_id, &id)?;
     message.session_id = id;
-    json(&state.manager.edit(&caller.tenant, message, caller.key()?).await?)
+    let key = caller.call_key(|| message.encode_to_vec())?;
+    let edit = wire::session_edit(&message)?;
+    let done = state
+        .manager
+        .edit(&caller.tenant, &message.session_id, edit, key)
+        .await?;
+    json(&messages::committed_edit(done))
 }
 
 pub(super) async fn animate(

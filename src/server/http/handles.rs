@@ -2,14 +2,14 @@
 
 use super::problem::Problem;
 use super::request::{Caller, Names};
-use super::sessions::json;
+use super::sessions::session_json;
 use super::{body, problem};
 use crate::server::state::State;
 use crate::session::Error;
-use crate::wire;
-use crate::wire::pb;
+use crate::wire::{self, pb};
 use axum::extract::{Request, State as From};
 use axum::response::Response;
+use prost::Message as _;
 
 pub(super) async fn put(
     From(state): From<State>,
@@ -21,12 +21,13 @@ pub(super) async fn put(
     let mut handles: pb::SetHandlesRequest = body::message(&state, request).await?;
     body::same_session(&handles.session_id, &id)?;
     handles.session_id = id;
-    json(
-        &state
-            .manager
-            .set_handles(&caller.tenant, handles, caller.key()?)
-            .await?,
-    )
+    let key = caller.call_key(|| handles.encode_to_vec())?;
+    let set = wire::handle_set(&handles)?;
+    let session = state
+        .manager
+        .set_handles(&caller.tenant, &handles.session_id, set, key)
+        .await?;
+    session_json(&state, &session)
 }
 
 pub(super) async fn patch(
@@ -52,12 +53,10 @@ pub(super) async fn patch(
     }
     handle.id = handle_id;
     let fields = present(&text);
-    json(
-        &state
-            .manager
-            .put_handle(&caller.tenant, &id, handle, &fields, caller.key()?)
-            .await?,
-    )
+    let key = caller.call_key(|| [fields.join(",").as_bytes(), &handle.encode_to_vec()].concat())?;
+    let patch = wire::handle_patch(&handle, &fields, &state.manager.handles(&caller.tenant, &id).await?)?;
+    let session = state.manager.put_handle(&caller.tenant, &id, patch, key).await?;
+    session_json(&state, &session)
 }
 
 pub(super) async fn delete(
@@ -65,12 +64,9 @@ pub(super) async fn delete(
     caller: Caller,
     Names((id, handle_id)): Names<(String, String)>,
 ) -> Result<Response, Problem> {
-    json(
-        &state
-            .manager
-            .remove_handle(&caller.tenant, &id, &handle_id, caller.key()?)
-            .await?,
-    )
+    let (tenant, key) = (&caller.tenant, caller.key()?);
+    let session = state.manager.remove_handle(tenant, &id, &handle_id, key).await?;
+    session_json(&state, &session)
 }
 
 /// The names of the fields that a JSON object gives.

@@ -3,7 +3,7 @@
 use super::problem::Problem;
 use crate::server::auth;
 use crate::server::state::State;
-use crate::session::{Error, Tenant};
+use crate::session::{CallKey, Error, Tenant};
 use axum::extract::{FromRequestParts, Path};
 use http::StatusCode;
 use http::request::Parts;
@@ -25,6 +25,15 @@ impl Caller {
             Some(Ok(key)) => Ok(Some(key)),
             Some(Err(error)) => Err(error.clone()),
         }
+    }
+
+    /// The idempotency key together with what tells the request from others.
+    pub fn call_key(&self, request: impl FnOnce() -> Vec<u8>) -> Result<Option<CallKey>, Error> {
+        let with_request = |key: &str| CallKey {
+            key: key.to_owned(),
+            request: request(),
+        };
+        Ok(self.key()?.map(with_request))
     }
 }
 

@@ -3,8 +3,9 @@
 use super::problem::Problem;
 use super::query;
 use super::request::{Caller, Names};
+use crate::server::messages;
 use crate::server::state::State;
-use crate::session::Error;
+use crate::session::{Error, SessionFacts};
 use crate::wire;
 use crate::wire::pb;
 use axum::Json;
@@ -16,6 +17,11 @@ use prost::Message;
 /// The JSON answer that a message is.
 pub(super) fn json<M: Message + prost::Name>(message: &M) -> Result<Response, Problem> {
     Ok(Json(wire::json::to_json(message)?).into_response())
+}
+
+/// The JSON answer that a session is.
+pub(super) fn session_json(state: &State, session: &SessionFacts) -> Result<Response, Problem> {
+    json(&messages::described_session(session, state.manager.config()))
 }
 
 pub(super) async fn list(From(state): From<State>, caller: Caller, uri: Uri) -> Result<Response, Problem> {
@@ -34,12 +40,9 @@ pub(super) async fn list(From(state): From<State>, caller: Caller, uri: Uri) -> 
         })?,
     };
     let page_token = take("pageToken", "page_token").unwrap_or_default();
-    json(
-        &state
-            .manager
-            .list(&caller.tenant, pb::ListSessionsRequest { page_size, page_token })
-            .await?,
-    )
+    let page = wire::session_page(&pb::ListSessionsRequest { page_size, page_token })?;
+    let list = state.manager.list(&caller.tenant, page).await;
+    json(&messages::session_list(&list, state.manager.config()))
 }
 
 pub(super) async fn get(
@@ -47,7 +50,7 @@ pub(super) async fn get(
     caller: Caller,
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
-    json(&state.manager.get(&caller.tenant, &id).await?)
+    session_json(&state, &state.manager.get(&caller.tenant, &id).await?)
 }
 
 pub(super) async fn delete(
@@ -64,7 +67,8 @@ pub(super) async fn undo(
     caller: Caller,
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
-    json(&state.manager.undo(&caller.tenant, &id, caller.key()?).await?)
+    let session = state.manager.undo(&caller.tenant, &id, caller.key()?).await?;
+    session_json(&state, &session)
 }
 
 pub(super) async fn redo(
@@ -72,7 +76,8 @@ pub(super) async fn redo(
     caller: Caller,
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
-    json(&state.manager.redo(&caller.tenant, &id, caller.key()?).await?)
+    let session = state.manager.redo(&caller.tenant, &id, caller.key()?).await?;
+    session_json(&state, &session)
 }
 
 pub(super) async fn history(
@@ -80,9 +85,9 @@ pub(super) async fn history(
     caller: Caller,
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
-    json(&state.manager.history(&caller.tenant, &id).await?)
+    json(&messages::history(state.manager.history(&caller.tenant, &id).await?))
 }
 
 pub(super) async fn limits(From(state): From<State>, _: Caller) -> Result<Response, Problem> {
-    json(&state.manager.limits())
+    json(&messages::limits(state.manager.config()))
 }

@@ -5,15 +5,16 @@ use super::request::{Caller, Names};
 use super::{body, models, negotiate};
 use crate::asset::Format;
 use crate::server::state::State;
-use crate::session::{Error, SolvedFrames};
-use crate::wire;
-use crate::wire::pb;
+use crate::session::{CommittedPose, Error, ErrorCode};
+use crate::wire::frames::{FrameRequest, encode};
+use crate::wire::{self, pb};
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Request, State as From};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
 use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use prost::Message as _;
 use std::convert::Infallible;
 
 const JSON: &str = "application/json";
@@ -50,11 +51,13 @@ pub(super) async fn solve(
         whole_buffer(message.options.as_ref())?;
     }
     message.session_id = id.clone();
-    let solved = state.manager.solve(&caller.tenant, message, caller.key()?).await?;
+    let key = caller.call_key(|| message.encode_to_vec())?;
+    let pose = wire::pose_commit(&message, state.manager.config().window)?;
+    let solved = state.manager.solve(&caller.tenant, &id, pose, key).await?;
     let facts = facts(&solved);
     let mut response = match offer {
-        JSON => as_json(&solved)?,
-        BUFFER => as_buffer(solved.frames),
+        JSON => as_json(solved).await?,
+        BUFFER => as_buffer(frame_parts(solved.frame).await?),
         model => {
             let exported = state
                 .manager
@@ -88,7 +91,7 @@ fn whole_buffer(options: Option<&pb::Options>) -> Result<(), Error> {
 }
 
 /// What is known of a solve, as headers, for the forms that cannot say it themselves.
-fn facts(solved: &SolvedFrames) -> HeaderMap {
+fn facts(solved: &CommittedPose) -> HeaderMap {
     let mut headers = HeaderMap::new();
     let mut set = |name: &'static str, value: String| {
         if let Ok(value) = HeaderValue::from_str(&value) {
@@ -97,32 +100,34 @@ fn facts(solved: &SolvedFrames) -> HeaderMap {
     };
     set("x-pliant-revision", solved.revision.to_string());
     set("x-pliant-digest", solved.digest.clone());
-    set("x-pliant-vertices", solved.positions.len().to_string());
-    if let Some(frame) = solved.frames.first() {
-        set("x-pliant-residual", frame.residual.to_string());
-        set("x-pliant-max-error", frame.max_error.to_string());
-        set("x-pliant-solve-ms", frame.solve_ms.to_string());
-        set("x-pliant-queue-ms", frame.queue_ms.to_string());
-        if let Some(quality) = frame.quality {
-            set("x-pliant-edge-rms", quality.edge_rms.to_string());
-            set("x-pliant-volume-change", quality.volume_change.to_string());
-            set("x-pliant-area-change", quality.area_change.to_string());
-            set("x-pliant-flipped-triangles", quality.flipped_triangles.to_string());
-            set("x-pliant-max-stretch", quality.max_stretch.to_string());
-            if let Some(pairs) = quality.self_intersections {
-                set("x-pliant-self-intersections", pairs.to_string());
-            }
+    set("x-pliant-vertices", solved.frame.positions.len().to_string());
+    let header = &solved.frame.header;
+    set("x-pliant-residual", header.residual.to_string());
+    set("x-pliant-max-error", header.max_error.to_string());
+    set("x-pliant-solve-ms", header.solve_ms.to_string());
+    set("x-pliant-queue-ms", header.queue_ms.to_string());
+    if let Some(quality) = &header.quality {
+        set("x-pliant-edge-rms", quality.edge_rms.to_string());
+        set("x-pliant-volume-change", quality.volume_change.to_string());
+        set("x-pliant-area-change", quality.area_change.to_string());
+        set("x-pliant-flipped-triangles", quality.flipped_triangles.to_string());
+        set("x-pliant-max-stretch", quality.max_stretch.to_string());
+        if let Some(pairs) = quality.self_intersections {
+            set("x-pliant-self-intersections", pairs.to_string());
         }
     }
     headers
 }
 
-fn as_json(solved: &SolvedFrames) -> Result<Response, Problem> {
-    let frames = solved
-        .frames
-        .iter()
-        .map(wire::json::to_json)
-        .collect::<Result<Vec<_>, _>>()?;
+/// All parts of a frame, encoded where that holds up nobody.
+async fn frame_parts(frame: FrameRequest) -> Result<Vec<pb::Frame>, Problem> {
+    let encoded = tokio::task::spawn_blocking(move || encode(frame).collect()).await;
+    encoded.map_err(|_| Error::new(ErrorCode::Internal, "the frame cannot be encoded").into())
+}
+
+async fn as_json(solved: CommittedPose) -> Result<Response, Problem> {
+    let frames = frame_parts(solved.frame).await?;
+    let frames = frames.iter().map(wire::json::to_json).collect::<Result<Vec<_>, _>>()?;
     let answer = serde_json::json!({
         "frames": frames,
         // As proto-JSON writes 64-bit numbers.

@@ -1,44 +1,25 @@
 //! What a session's task is asked to do.
 
 use crate::asset::Format;
-use crate::engine::{Edit, EditedShape, HandlePose};
+use crate::engine::DeformerFacts;
 use crate::progress::CancelFlag;
-use crate::session::answers::{ExportedModel, SolvedFrames};
-use crate::session::calls::idempotency::KeyClaim;
+use crate::session::answers::{CommittedEdit, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::handle_change::HandleChange;
+use crate::session::calls::idempotency::KeyClaim;
 use crate::session::error::Error;
-use crate::wire::frames::FrameRequest;
-use crate::wire::{DeformOptions, pb};
+use crate::wire::{PoseCommit, SessionEdit};
 use std::sync::Arc;
 use tokio::sync::oneshot;
 
 /// A request and where its answer goes.
 #[derive(Debug)]
 pub(in crate::session) enum SessionCommand {
-    SetHandles(HandleChange, PendingCall<pb::Session>),
-    Solve(Box<SolveCall>, PendingCall<SolvedFrames>),
+    SetHandles(HandleChange, PendingCall<SessionFacts>),
+    Solve(Box<PoseCommit>, PendingCall<CommittedPose>),
     /// One commit forward or back.
-    Step(HistoryDirection, PendingCall<pb::Session>),
-    Edit(Box<EditCall>, PendingCall<pb::EditResult>),
+    Step(HistoryDirection, PendingCall<SessionFacts>),
+    Edit(Box<SessionEdit>, PendingCall<CommittedEdit>),
     Export(Option<Format>, PendingCall<ExportedModel>),
-}
-
-/// Poses to solve and commit.
-#[derive(Debug)]
-pub(in crate::session) struct SolveCall {
-    /// The number that the frame bears.
-    pub seq: u64,
-    /// The handles that move, and where they go.
-    pub changes: Vec<(String, HandlePose)>,
-    pub settings: DeformOptions,
-}
-
-/// An edit of the topology.
-#[derive(Debug)]
-pub(in crate::session) struct EditCall {
-    pub edit: Edit,
-    /// The shape that it works on.
-    pub on: EditedShape,
 }
 
 /// Along the commits.
@@ -60,29 +41,39 @@ pub(in crate::session) struct PendingCall<T> {
 /// An answer kept by idempotency key.
 #[derive(Debug, Clone)]
 pub(in crate::session) enum StoredAnswer {
-    Session(Box<pb::Session>),
-    Edited(Box<pb::EditResult>),
-    Solved {
-        frame: Box<FrameRequest>,
-        revision: u64,
-        digest: String,
-    },
+    Session(Box<SessionFacts>),
+    Edited(Box<CommittedEdit>),
+    Solved(Box<CommittedPose>),
 }
 
 impl StoredAnswer {
     /// Bytes held, about.
     pub fn byte_size(&self) -> u64 {
-        use prost::Message as _;
-        match self {
-            Self::Session(session) => session.encoded_len() as u64,
-            Self::Edited(result) => result.encoded_len() as u64,
-            Self::Solved { frame, .. } => {
-                let shading = frame
-                    .shading
-                    .as_ref()
-                    .map_or(0, |s| s.normals.len() * 12 + s.tangents.len() * 16);
-                (size_of_val(frame.positions.as_slice()) + shading) as u64
+        let bytes = match self {
+            Self::Session(session) => {
+                size_of::<SessionFacts>()
+                    + session.label.len()
+                    + facts_bytes(&session.deformer)
+                    + size_of_val(session.poses.0.as_slice())
             }
-        }
+            Self::Edited(edited) => {
+                let report = &edited.report;
+                let names: usize = report
+                    .handles_kept
+                    .iter()
+                    .map(|id| size_of::<String>() + id.len())
+                    .sum();
+                size_of::<CommittedEdit>() + names + size_of_val(&report.kept[..]) + size_of_val(&report.curve[..])
+            }
+            Self::Solved(solved) => return solved.frame.byte_size(),
+        };
+        bytes as u64
     }
+}
+
+fn facts_bytes(facts: &DeformerFacts) -> usize {
+    let primitives = facts.primitives.iter().map(|p| size_of_val(p) + p.name.len());
+    let handles = facts.handles.iter().map(|h| size_of_val(h) + h.id.len());
+    let warnings = facts.warnings.iter().map(|w| size_of_val(w) + w.message.len());
+    primitives.chain(handles).chain(warnings).sum()
 }

@@ -1,11 +1,11 @@
 //! Opens sessions: checks what can be checked for nothing, takes a seat and memory, builds the engine, starts the task.
 
 use crate::asset::FileSet;
-use crate::engine::{self, DeformerFacts, HandleSet, OpenOptions, digest};
+use crate::engine::{self, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
-use crate::session::answers::{KeyedAnswer, Tenant};
+use crate::session::answers::{CallKey, KeyedAnswer, SessionFacts, Tenant};
 use crate::session::calls::command::StoredAnswer;
-use crate::session::calls::idempotency::{ClaimOutcome, RequestFingerprint};
+use crate::session::calls::idempotency::{ClaimOutcome, RequestFingerprint, answer_of_another_call};
 use crate::session::capacity::memory_budget::MemoryReservation;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
@@ -17,13 +17,11 @@ use crate::session::history::session_state::EditedState;
 use crate::session::registry::{OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::task::session_task::SessionTask;
-use crate::wire;
-use crate::wire::pb;
-use prost::Message as _;
+use crate::wire::SessionOptions;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, OnceLock, RwLock};
 use std::time::Duration;
-use tokio::sync::{Notify, mpsc};
+use tokio::sync::{Notify, OwnedSemaphorePermit, mpsc};
 use tokio_util::sync::CancellationToken;
 
 /// Bytes that a build is expected to need for each uploaded byte, until its real size is known.
@@ -39,126 +37,48 @@ pub(in crate::session) async fn create_session(
     shared: &Arc<SharedResources>,
     tenant: &Tenant,
     files: FileSet,
-    options: pb::CreateOptions,
-    key: Option<&str>,
-) -> Result<KeyedAnswer<pb::Session>, Error> {
+    options: SessionOptions,
+    key: Option<CallKey>,
+) -> Result<KeyedAnswer<SessionFacts>, Error> {
     if shared.draining.load(SeqCst) {
         return Err(Error::draining());
     }
-    let config = &shared.config;
     let upload = files.total_bytes();
-    if upload > config.upload_bytes {
+    if upload > shared.config.upload_bytes {
         let text = format!(
             "the upload is {upload} bytes, at most {} are allowed",
-            config.upload_bytes
+            shared.config.upload_bytes
         );
         return Err(Error::new(ErrorCode::TooLarge, text));
     }
-    if options.label.len() > 256 {
-        let text = format!("is {} bytes, at most 256 are allowed", options.label.len());
-        return Err(Error::invalid("label", text));
-    }
-    let ttl = config.parse_ttl(&options.ttl)?;
-    let open = wire::open_options(&options)?;
     let inside = shared.gate.enter();
-    let claim = match key {
-        None => None,
-        Some(key) => {
-            let (named, made) = (files.clone(), options.encode_to_vec());
-            let fingerprint = shared.compute.offload(move || fingerprint(&named, &made)).await?;
-            match shared.idempotency.claim(tenant, key, fingerprint)? {
-                ClaimOutcome::Done(StoredAnswer::Session(value)) => {
-                    return Ok(KeyedAnswer {
-                        value: *value,
-                        repeated: true,
-                    });
-                }
-                ClaimOutcome::Done(_) => {
-                    return Err(Error::new(ErrorCode::Internal, "the kept answer is of another call"));
-                }
-                ClaimOutcome::New(claim) => Some(claim),
-            }
+    let claim = match claim_key(shared, tenant, &files, key).await? {
+        Some(ClaimOutcome::Done(StoredAnswer::Session(value))) => {
+            return Ok(KeyedAnswer {
+                value: *value,
+                repeated: true,
+            });
         }
+        Some(ClaimOutcome::Done(_)) => return Err(answer_of_another_call()),
+        Some(ClaimOutcome::New(claim)) => Some(claim),
+        None => None,
     };
-    let refuse = |text: String| {
-        shared.metrics.refused.inc();
-        Error::exhausted(text, 5)
-    };
-    let seat = Arc::clone(&shared.seats).try_acquire_owned().map_err(|_| {
-        refuse(format!(
-            "{} sessions are open, no more are allowed; delete one or wait for one to expire",
-            config.sessions
-        ))
-    })?;
-    let likely = upload
-        .saturating_mul(BYTES_PER_UPLOADED_BYTE)
-        .saturating_add(LEAST_BYTES);
-    let mut memory = shared.budget.reserve(LEAST_BYTES, likely).ok_or_else(|| {
-        refuse(format!(
-            "{} bytes of memory are in use, no more sessions fit",
-            shared.budget.used()
-        ))
-    })?;
-
+    let (seat, mut memory) = reserve_place(shared, upload)?;
     let guard = CancelOnDrop::default();
+    let SessionOptions { open, label, ttl } = options;
     let opened = open_model(shared, &memory, files, open, &guard).await?;
-    let OpenedModel {
-        deformer,
-        facts,
-        history,
-        build_ms,
-        held,
-    } = opened;
-    if !memory.resize(held) {
-        shared.compute.discard(deformer);
-        return Err(refuse(format!(
-            "the session needs {held} bytes and {} are in use",
-            shared.budget.used() - held
-        )));
+    if !memory.resize(opened.held) {
+        let used = shared.budget.used() - opened.held;
+        shared.compute.discard(opened.deformer);
+        let text = format!("the session needs {} bytes and {used} are in use", opened.held);
+        return Err(refuse(shared, text));
     }
-    let positions = deformer.engine.rest();
-    let (send, commands) = mpsc::channel(config.session_queue);
-    let session = Arc::new(OpenSession {
-        id: new_id()?,
+    let owner = SessionOwner {
         tenant: tenant.clone(),
-        number: shared.numbers.fetch_add(1, SeqCst),
-        label: options.label,
-        format: deformer.engine.format(),
-        limits: config.limits(),
-        lease: SessionLease::new(ttl),
-        commands: send,
-        streams: OpenStreams::new(config),
-        wake: Arc::new(Notify::new()),
-        cancel: Arc::default(),
-        closing: CancellationToken::new(),
-        ended: CancellationToken::new(),
-        view: RwLock::new(Arc::new(SessionView {
-            revision: history.revision(),
-            facts: Arc::new(facts),
-            handles: Arc::clone(&history.current().handles),
-            poses: history.current().poses.clone(),
-            build_ms: build_ms.clone(),
-            positions,
-            digest: history.current().digest.clone(),
-            history: history.describe(),
-        })),
-        why: OnceLock::new(),
-    });
-    shared.registry.insert(Arc::clone(&session));
-    shared.metrics.sessions.inc();
-    shared.metrics.sessions_created.inc();
-    let actor = SessionTask {
-        session: Arc::clone(&session),
-        shared: Arc::clone(shared),
-        commands,
-        deformer: Some(deformer),
-        history,
-        build_ms,
-        memory,
-        seat,
-        next_stream: 0,
+        label,
+        ttl: ttl.unwrap_or(shared.config.default_ttl),
     };
-    tokio::spawn(actor.run());
+    let session = start_session(shared, owner, opened, memory, seat)?;
     // An abort that began meanwhile may have missed this session.
     if shared.aborted.is_cancelled() {
         session.close(Error::draining());
@@ -175,9 +95,118 @@ pub(in crate::session) async fn create_session(
     Ok(KeyedAnswer { value, repeated: false })
 }
 
+/// Claims the key of a creation; its request is the model too, which may be large.
+async fn claim_key(
+    shared: &Arc<SharedResources>,
+    tenant: &Tenant,
+    files: &FileSet,
+    key: Option<CallKey>,
+) -> Result<Option<ClaimOutcome<StoredAnswer>>, Error> {
+    let Some(CallKey { key, request }) = key else {
+        return Ok(None);
+    };
+    let files = files.clone();
+    let fingerprint = shared.compute.offload(move || fingerprint(&files, &request)).await?;
+    shared.idempotency.claim(tenant, &key, fingerprint).map(Some)
+}
+
+/// Counts a session that finds no place, and says why.
+fn refuse(shared: &SharedResources, text: String) -> Error {
+    shared.metrics.refused.inc();
+    Error::exhausted(text, 5)
+}
+
+/// Takes a seat, and the memory that a model of `upload` bytes is likely to need.
+fn reserve_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePermit, MemoryReservation), Error> {
+    let seat = Arc::clone(&shared.seats).try_acquire_owned().map_err(|_| {
+        let text = format!(
+            "{} sessions are open, no more are allowed; delete one or wait for one to expire",
+            shared.config.sessions
+        );
+        refuse(shared, text)
+    })?;
+    let likely = upload
+        .saturating_mul(BYTES_PER_UPLOADED_BYTE)
+        .saturating_add(LEAST_BYTES);
+    let memory = shared.budget.reserve(LEAST_BYTES, likely).ok_or_else(|| {
+        let used = shared.budget.used();
+        refuse(
+            shared,
+            format!("{used} bytes of memory are in use, no more sessions fit"),
+        )
+    })?;
+    Ok((seat, memory))
+}
+
+/// Whose session it is, and for how long.
+struct SessionOwner {
+    tenant: Tenant,
+    label: String,
+    ttl: Duration,
+}
+
+/// Registers a session on an opened model and starts its task.
+fn start_session(
+    shared: &Arc<SharedResources>,
+    owner: SessionOwner,
+    opened: OpenedModel,
+    memory: MemoryReservation,
+    seat: OwnedSemaphorePermit,
+) -> Result<Arc<OpenSession>, Error> {
+    let OpenedModel {
+        deformer,
+        history,
+        build_ms,
+        ..
+    } = opened;
+    let state = history.current();
+    let view = SessionView {
+        revision: history.revision(),
+        facts: Arc::clone(&state.facts),
+        handles: Arc::clone(&state.handles),
+        poses: state.poses.clone(),
+        build_ms: build_ms.clone(),
+        positions: deformer.engine.rest(),
+        digest: state.digest.clone(),
+        history: history.describe(),
+    };
+    let (send, commands) = mpsc::channel(shared.config.session_queue);
+    let session = Arc::new(OpenSession {
+        id: new_id()?,
+        tenant: owner.tenant,
+        number: shared.numbers.fetch_add(1, SeqCst),
+        label: owner.label,
+        format: deformer.engine.format(),
+        lease: SessionLease::new(owner.ttl),
+        commands: send,
+        streams: OpenStreams::new(&shared.config),
+        wake: Arc::new(Notify::new()),
+        cancel: Arc::default(),
+        closing: CancellationToken::new(),
+        ended: CancellationToken::new(),
+        view: RwLock::new(Arc::new(view)),
+        why: OnceLock::new(),
+    });
+    shared.registry.insert(Arc::clone(&session));
+    shared.metrics.sessions.inc();
+    shared.metrics.sessions_created.inc();
+    let task = SessionTask {
+        session: Arc::clone(&session),
+        shared: Arc::clone(shared),
+        commands,
+        deformer: Some(deformer),
+        history,
+        build_ms,
+        memory,
+        seat,
+        next_stream: 0,
+    };
+    tokio::spawn(task.run());
+    Ok(session)
+}
+
 struct OpenedModel {
     deformer: LoadedDeformer,
-    facts: DeformerFacts,
     history: CommitHistory,
     build_ms: std::collections::BTreeMap<String, f64>,
     held: u64,
@@ -210,14 +239,13 @@ async fn open_model(
             .opener
             .open(files, &options, &limits, &Exec::new(pool, &*inner_watch))?;
         let build_ms = inner_watch.take_stage_ms();
-        let facts = engine.facts();
         let rest = engine.rest();
         let state = EditedState {
             topology: engine.topology_state(),
             diagonal: engine.diagonal(),
             handles: HandleSet::default(),
             poses: engine.initial_poses(),
-            facts: facts.clone(),
+            facts: engine.facts(),
             digest: digest(&rest),
             solved_with: None,
         };
@@ -227,7 +255,6 @@ async fn open_model(
         let held = deformer.byte_size().saturating_add(history.byte_size());
         Ok(OpenedModel {
             deformer,
-            facts,
             history,
             build_ms,
             held,
@@ -244,11 +271,8 @@ async fn open_model(
         engine::Error::Cancelled => build_took_too_long(watch.limit()),
         // Too large for what is free now, not for the server: later it may fit.
         engine::Error::TooLarge { seen, limit, .. } if limit == room && seen <= shared.budget.total() => {
-            shared.metrics.refused.inc();
-            Error::exhausted(
-                format!("the session would need {seen} bytes of memory, {room} are free"),
-                5,
-            )
+            let text = format!("the session would need {seen} bytes of memory, {room} are free");
+            refuse(shared, text)
         }
         error => error.into(),
     })

@@ -1,14 +1,14 @@
 //! The call that edits a session's topology.
 
 use crate::asset::FileSet;
-use crate::session::answers::Tenant;
-use crate::session::calls::command::{EditCall, SessionCommand, StoredAnswer};
-use crate::session::calls::idempotency::ClaimOutcome;
+use crate::engine::Edit;
+use crate::session::answers::{CallKey, CommittedEdit, Tenant};
+use crate::session::calls::command::{SessionCommand, StoredAnswer};
+use crate::session::calls::idempotency::{ClaimOutcome, answer_of_another_call};
 use crate::session::calls::manager::Manager;
 use crate::session::error::{Error, ErrorCode};
-use crate::wire::{self, pb};
+use crate::wire::SessionEdit;
 use bytes::Bytes;
-use prost::Message as _;
 
 impl Manager {
     /// Changes the topology; one commit. The current shape becomes the rest shape, unless the edit is asked for on the rest
@@ -23,31 +23,23 @@ impl Manager {
     pub async fn edit(
         &self,
         tenant: &Tenant,
-        request: pb::EditRequest,
-        key: Option<&str>,
-    ) -> Result<pb::EditResult, Error> {
-        let session = self.find(tenant, &request.session_id)?;
-        let claim = match self.claim(tenant, key, "edit", &[&request.encode_to_vec()])? {
-            Some(ClaimOutcome::Done(StoredAnswer::Edited(result))) => return Ok(*result),
-            Some(ClaimOutcome::Done(_)) => {
-                return Err(Error::new(ErrorCode::Internal, "the kept answer is of another call"));
-            }
+        id: &str,
+        mut edit: SessionEdit,
+        key: Option<CallKey>,
+    ) -> Result<CommittedEdit, Error> {
+        let session = self.find(tenant, id)?;
+        let claim = match self.claim_request(tenant, id, key.as_ref(), "edit")? {
+            Some(ClaimOutcome::Done(StoredAnswer::Edited(edited))) => return Ok(*edited),
+            Some(ClaimOutcome::Done(_)) => return Err(answer_of_another_call()),
             Some(ClaimOutcome::New(claim)) => Some(claim),
             None => None,
         };
         // Before the session's own task is asked, which may be that of the same session.
-        let other = match &request.operation {
-            Some(pb::edit_request::Operation::Merge(merge)) => match &merge.source {
-                Some(pb::edit_request::merge::Source::Session(id)) => Some(self.export_files(tenant, id).await?),
-                _ => None,
-            },
-            _ => None,
-        };
-        let (edit, on) = wire::edit(&request, other.as_ref())?;
-        self.call(&session, claim, |call| {
-            SessionCommand::Edit(Box::new(EditCall { edit, on }), call)
-        })
-        .await
+        if let (Edit::Merge(merge), Some(other)) = (&mut edit.edit, &edit.merged_session) {
+            merge.files = self.export_files(tenant, other).await?;
+        }
+        self.call(&session, claim, |call| SessionCommand::Edit(Box::new(edit), call))
+            .await
     }
 
     /// A session's model in its current shape.

@@ -84,6 +84,11 @@ pub(in crate::session) struct KeyClaim<A> {
     open: bool,
 }
 
+/// The key is kept with an answer of another kind, which the fingerprint of the request rules out.
+pub(in crate::session) fn answer_of_another_call() -> Error {
+    Error::new(ErrorCode::Internal, "the kept answer is of another call")
+}
+
 impl<A: Clone> IdempotencyKeys<A> {
     pub fn new(config: &SessionConfig) -> Self {
         Self {

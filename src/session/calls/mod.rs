@@ -1,9 +1,11 @@
 //! The calls of all transports: a session's handles, poses, commits and edits, asked for by tenant and id.
 
 pub(super) mod command;
+mod commits;
 mod create;
 mod drain;
 mod edit;
 pub(super) mod handle_change;
 pub(super) mod idempotency;
 pub(super) mod manager;
+mod shape;

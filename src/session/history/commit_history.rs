@@ -5,10 +5,10 @@
 //! engine and no task: it is told what was solved.
 
 use crate::engine::{DeformerFacts, HandlePoses, HandleSet, SolveSettings, TopologyState};
+use crate::session::answers::{CommitFacts, HistoryFacts};
 use crate::session::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, RecordedShapeId, SessionState, ShapeRecipe,
 };
-use crate::wire::pb;
 use glam::DVec3;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -290,13 +290,13 @@ impl CommitHistory {
     }
 
     /// The commits as clients see them.
-    pub fn describe(&self) -> pb::HistoryResponse {
-        let commit = |r: &CommitRecord| pb::Commit {
+    pub fn describe(&self) -> HistoryFacts {
+        let commit = |r: &CommitRecord| CommitFacts {
             revision: r.revision,
-            kind: r.kind.into(),
+            kind: r.kind,
             digest: r.state.digest.clone(),
         };
-        pb::HistoryResponse {
+        HistoryFacts {
             commits: self.records.iter().map(commit).collect(),
             current: self.records[self.at].revision,
         }

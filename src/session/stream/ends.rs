@@ -1,5 +1,6 @@
 //! The client's two ends of an interactive deform stream.
 
+use crate::session::answers::StreamAnswer;
 use crate::session::capacity::call_gate::CallGuard;
 use crate::session::error::Error;
 use crate::session::metrics::Metrics;
@@ -7,8 +8,7 @@ use crate::session::registry::OpenSession;
 use crate::session::stream::frame_packer::FramePacker;
 use crate::session::stream::mailbox::Mailbox;
 use crate::session::stream::outbound_frame::OutboundItem;
-use crate::wire::frames::FrameParts;
-use crate::wire::pb;
+use crate::wire::StreamRequest;
 use std::sync::Arc;
 
 /// One interactive deform stream. Dropping it stops its solve within one cycle and frees its place.
@@ -31,7 +31,6 @@ pub struct StreamOutput {
     mailbox: Arc<Mailbox>,
     session: Arc<OpenSession>,
     packer: FramePacker,
-    parts: Option<FrameParts>,
     ended: bool,
     metrics: Arc<Metrics>,
     _inside: CallGuard,
@@ -54,7 +53,6 @@ impl DeformStream {
                 mailbox,
                 session,
                 packer: FramePacker::new(part_bytes),
-                parts: None,
                 ended: false,
                 metrics,
                 _inside: inside,
@@ -74,7 +72,7 @@ impl StreamInput {
     ///
     /// # Errors
     /// `CANCELLED` when the stream has ended; the output says why.
-    pub fn push(&self, request: pb::DeformRequest) -> Result<(), Error> {
+    pub fn push(&self, request: StreamRequest) -> Result<(), Error> {
         self.mailbox.push(request)
     }
 
@@ -91,33 +89,32 @@ impl Drop for StreamInput {
 }
 
 impl StreamOutput {
-    /// The next response, or `None` when the stream has ended. A part of a frame is packed only here, so a transport
-    /// that does not ask holds up nothing and nobody.
+    /// The next answer, or `None` when the stream has ended. What of a frame is sent is chosen only here, and its parts are
+    /// encoded when they are sent, so a transport that does not ask holds up nothing and nobody.
     ///
     /// # Cancel safety
-    /// Dropping the future loses no response.
-    pub async fn next(&mut self) -> Option<pb::DeformResponse> {
+    /// Dropping the future loses no answer.
+    pub async fn next(&mut self) -> Option<StreamAnswer> {
         loop {
-            if let Some(frame) = self.parts.as_mut().and_then(Iterator::next) {
-                if frame.part == 0 {
-                    self.metrics.frames_sent.inc();
-                }
-                self.metrics.frame_bytes.inc_by(frame.data.len() as u64);
-                return Some(response_with(pb::deform_response::Message::Frame(frame)));
-            }
-            self.parts = None;
             if self.ended {
                 return None;
             }
             match self.mailbox.next_item() {
-                Some(OutboundItem::Message(message)) => return Some(response_with(message)),
+                Some(OutboundItem::Words(answer)) => return Some(answer),
                 Some(OutboundItem::Frame(frame)) => {
-                    self.parts = Some(self.packer.pack_frame(*frame, self.mailbox.acknowledged()))
+                    self.metrics.frames_sent.inc();
+                    let request = self.packer.pack_frame(*frame, self.mailbox.acknowledged());
+                    return Some(StreamAnswer::Frame(Box::new(request)));
                 }
                 Some(OutboundItem::End) => self.ended = true,
                 None => self.mailbox.wait_for_change().await,
             }
         }
+    }
+
+    /// Counts the bytes of a part that goes out.
+    pub fn count_part_bytes(&self, bytes: usize) {
+        self.metrics.frame_bytes.inc_by(bytes as u64);
     }
 }
 
@@ -128,8 +125,4 @@ impl Drop for StreamOutput {
         self.session.lease.renew();
         self.metrics.streams.dec();
     }
-}
-
-fn response_with(message: pb::deform_response::Message) -> pb::DeformResponse {
-    pb::DeformResponse { message: Some(message) }
 }

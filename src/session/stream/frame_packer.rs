@@ -1,7 +1,7 @@
-//! Packs frames as a transport pulls them.
+//! Chooses what of a frame is sent as a transport pulls it.
 
 use crate::session::stream::outbound_frame::OutboundFrame;
-use crate::wire::{frames::FrameParts, frames::encode};
+use crate::wire::frames::FrameRequest;
 use glam::Vec3;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -28,8 +28,8 @@ impl FramePacker {
         }
     }
 
-    /// Prepares the parts of a frame. `acknowledged` is the newest seq that the reader has acknowledged.
-    pub fn pack_frame(&mut self, frame: OutboundFrame, acknowledged: Option<u64>) -> FrameParts {
+    /// Chooses the vertices of a frame. `acknowledged` is the newest seq that the reader has acknowledged.
+    pub fn pack_frame(&mut self, frame: OutboundFrame, acknowledged: Option<u64>) -> FrameRequest {
         let (seq, output, positions) = (frame.header.seq, frame.output, Arc::clone(&frame.positions));
         let other = |buffer: &Arc<Vec<Vec3>>| buffer.len() != positions.len();
         if self
@@ -67,9 +67,9 @@ impl FramePacker {
             (Some(a), _) => vec![Arc::clone(a)],
             (None, _) => Vec::new(),
         };
-        let parts = encode(frame.into_request(baselines, self.part_bytes));
+        let request = frame.into_request(&baselines, self.part_bytes);
         if delta {
-            let buffer = match (parts.selected(), held) {
+            let buffer = match (&request.selected, held) {
                 (Some(selected), Some(held)) if held.len() == positions.len() => {
                     let mut buffer = held.as_ref().clone();
                     selected
@@ -84,26 +84,26 @@ impl FramePacker {
                 self.sent.pop_front();
             }
         }
-        parts
+        request
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::pb;
+    use crate::wire::frames::{FrameHeader, FrameOutput, encode};
     use glam::DVec3;
     use proptest::prelude::*;
 
     fn frame(seq: u64, positions: &[DVec3], threshold: f64) -> OutboundFrame {
         OutboundFrame {
-            header: pb::Frame {
+            header: FrameHeader {
                 seq,
                 ..Default::default()
             },
             positions: Arc::new(positions.to_vec()),
             shading: None,
-            output: pb::Output {
+            output: FrameOutput {
                 changed_only: Some(threshold),
                 ..Default::default()
             },
@@ -124,7 +124,7 @@ mod tests {
             let mut acknowledged = None;
             for (k, (xs, acknowledge)) in steps.iter().enumerate() {
                 let shape: Vec<DVec3> = xs.iter().map(|&x| DVec3::new(x.into(), 0.0, 0.0)).collect();
-                for part in packer.pack_frame(frame(k as u64 + 1, &shape, threshold), acknowledged) {
+                for part in encode(packer.pack_frame(frame(k as u64 + 1, &shape, threshold), acknowledged)) {
                     for (at, data) in part.indices.iter().zip(part.data.chunks_exact(12)) {
                         let number = |i: usize| f32::from_le_bytes([data[i], data[i + 1], data[i + 2], data[i + 3]]);
                         client[*at as usize] = [number(0), number(4), number(8)];
@@ -144,13 +144,13 @@ mod tests {
     fn a_shape_at_rest_is_no_change_once_it_is_acknowledged() {
         let shape = vec![DVec3::new(0.1, 0.2, 0.3); 5];
         let mut packer = FramePacker::new(1 << 20);
-        let count = |parts: FrameParts| parts.map(|p| p.vertex_count).sum::<u32>();
-        assert_eq!(count(packer.pack_frame(frame(1, &shape, 0.0), None)), 5);
+        let count = |frame: FrameRequest| frame.selected.map(|s| s.len());
+        assert_eq!(count(packer.pack_frame(frame(1, &shape, 0.0), None)), Some(5));
         assert_eq!(
             count(packer.pack_frame(frame(2, &shape, 0.0), None)),
-            5,
+            Some(5),
             "nothing is acknowledged yet"
         );
-        assert_eq!(count(packer.pack_frame(frame(3, &shape, 0.0), Some(1))), 0);
+        assert_eq!(count(packer.pack_frame(frame(3, &shape, 0.0), Some(1))), Some(0));
     }
 }

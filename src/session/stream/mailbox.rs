@@ -3,16 +3,16 @@
 //! Everything here is bounded. Waiting poses are merged when they become many, commits and errors have their number,
 //! and a pose is taken only while a frame may be sent, so a reader that stops costs no more than the window of
 //! frames. One short lock guards the state; it is never held while anything waits or computes.
-//!
 
 use crate::progress::CancelFlag;
+use crate::session::answers::StreamAnswer;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::Metrics;
 use crate::session::stream::outbound_frame::{OutboundFrame, OutboundItem};
 use crate::session::stream::stream_state::StreamState;
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose, merge_waiting_drags};
-use crate::wire::{DeformOptions, check_pose_size, pb, pose_entries};
+use crate::wire::{DeformOptions, StreamPose, StreamRequest};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
@@ -53,25 +53,23 @@ pub(in crate::session) struct Mailbox {
     /// Stops the solve of this stream.
     pub cancel: Arc<CancelFlag>,
     metrics: Arc<Metrics>,
-    max_window: u32,
     max_commits: usize,
     max_entries: usize,
 }
 
 impl Mailbox {
-    pub fn new(session: &str, config: &SessionConfig, metrics: Arc<Metrics>, task: Arc<Notify>) -> Result<Self, Error> {
-        let settings = DeformOptions::check(&pb::Options::default(), "options", config.window)?;
-        Ok(Self {
+    pub fn new(session: &str, config: &SessionConfig, metrics: Arc<Metrics>, task: Arc<Notify>) -> Self {
+        let settings = DeformOptions::with_defaults(config.window);
+        Self {
             session: session.to_owned(),
             state: Mutex::new(StreamState::new(Arc::new(settings))),
             reader: Notify::new(),
             task,
             cancel: Arc::default(),
             metrics,
-            max_window: config.window,
             max_commits: config.stream_commits,
             max_entries: config.handles,
-        })
+        }
     }
 
     fn lock_state(&self) -> MutexGuard<'_, StreamState> {
@@ -84,70 +82,62 @@ impl Mailbox {
     ///
     /// # Errors
     /// When the stream has ended.
-    pub fn push(&self, request: pb::DeformRequest) -> Result<(), Error> {
+    pub fn push(&self, request: StreamRequest) -> Result<(), Error> {
         let mut state = self.lock_state();
         if state.ended.is_some() || state.finished {
             return Err(Error::new(ErrorCode::Cancelled, "the stream has ended"));
         }
-        if !request.session_id.is_empty() && request.session_id != self.session {
-            let text = "is not the session of this stream; a stream keeps to one session";
-            self.end_with_error(&mut state, Error::invalid("sessionId", text));
-            return Ok(());
-        }
-        match request.message {
-            None => {}
-            Some(pb::deform_request::Message::Ping(ping)) => {
+        match request {
+            StreamRequest::Ping(nonce) => {
                 if state.pongs.len() >= WAITING_PONGS {
                     state.pongs.pop_front();
                 }
-                state.pongs.push_back(ping);
+                state.pongs.push_back(nonce);
                 self.reader.notify_one();
             }
-            Some(pb::deform_request::Message::Ack(ack)) => {
-                state.unacknowledged.retain(|&seq| seq > ack.seq);
-                state.acknowledged = state.acknowledged.max(Some(ack.seq));
+            StreamRequest::Ack(acknowledged) => {
+                state.unacknowledged.retain(|&seq| seq > acknowledged);
+                state.acknowledged = state.acknowledged.max(Some(acknowledged));
                 state.promote_held_frame();
                 self.reader.notify_one();
                 self.task.notify_one();
             }
-            Some(pb::deform_request::Message::Options(options)) => {
-                match DeformOptions::check(&options, "options", self.max_window) {
-                    Ok(settings) => {
-                        state.settings = Arc::new(settings);
-                        state.promote_held_frame();
-                        self.reader.notify_one();
-                        self.task.notify_one();
-                    }
-                    Err(error) => self.end_with_error(&mut state, error.into()),
-                }
+            StreamRequest::Options(Ok(settings)) => {
+                state.settings = Arc::new(settings);
+                state.promote_held_frame();
+                self.reader.notify_one();
+                self.task.notify_one();
             }
-            Some(pb::deform_request::Message::Pose(pose)) => self.push_pose(&mut state, pose),
+            StreamRequest::Options(Err(error)) => self.end_with_error(&mut state, error.into()),
+            StreamRequest::Pose(pose) => self.push_pose(&mut state, pose),
         }
         Ok(())
     }
 
-    fn push_pose(&self, state: &mut StreamState, pose: pb::Pose) {
+    fn push_pose(&self, state: &mut StreamState, pose: StreamPose) {
         self.metrics.poses_received.inc();
-        if let Some(last) = state.last_seq.filter(|&last| pose.seq <= last) {
-            let text = format!("is {}, above {last} is allowed: numbers grow along a stream", pose.seq);
-            return self.refuse_pose(state, pose.seq, Error::invalid("pose.seq", text));
+        let StreamPose { seq, commit, entries } = pose;
+        if let Some(last) = state.last_seq.filter(|&last| seq <= last) {
+            let text = format!("is {seq}, above {last} is allowed: numbers grow along a stream");
+            return self.refuse_pose(state, seq, Error::invalid("pose.seq", text));
         }
-        state.last_seq = Some(pose.seq);
-        if let Err(error) = check_pose_size(&pose, self.max_entries) {
-            return self.refuse_pose(state, pose.seq, error.into());
-        }
-        if pose.commit && state.waiting.iter().filter(|w| w.commit).count() >= self.max_commits {
+        state.last_seq = Some(seq);
+        let entries = match entries {
+            Ok(entries) => entries,
+            Err(error) => return self.refuse_pose(state, seq, error.into()),
+        };
+        if commit && state.waiting.iter().filter(|w| w.commit).count() >= self.max_commits {
             let text = format!(
                 "{} commits wait on this stream already; wait for their frames",
                 self.max_commits
             );
-            return self.refuse_pose(state, pose.seq, Error::exhausted(text, 1));
+            return self.refuse_pose(state, seq, Error::exhausted(text, 1));
         }
         let settings = Arc::clone(&state.settings);
         state.waiting.push_back(WaitingPose {
-            seq: pose.seq,
-            entries: pose_entries(&pose),
-            commit: pose.commit,
+            seq,
+            entries,
+            commit,
             settings,
             poses: 1,
         });
@@ -161,9 +151,7 @@ impl Mailbox {
             let text = format!("{WAITING_NOTES} errors wait unread; read them before sending more");
             return self.end_with_error(state, Error::exhausted(text, 1));
         }
-        state
-            .notes
-            .push_back(pb::deform_response::Message::Error(stream_error(error, seq)));
+        state.notes.push_back(StreamAnswer::Failure { error, seq });
         self.reader.notify_one();
     }
 
@@ -188,14 +176,14 @@ impl Mailbox {
     pub fn next_item(&self) -> Option<OutboundItem> {
         let mut state = self.lock_state();
         if let Some(pong) = state.pongs.pop_front() {
-            return Some(OutboundItem::Message(pb::deform_response::Message::Pong(pong)));
+            return Some(OutboundItem::Words(StreamAnswer::Pong(pong)));
         }
         if let Some(note) = state.notes.pop_front() {
-            return Some(OutboundItem::Message(note));
+            return Some(OutboundItem::Words(note));
         }
         if let Some(end) = &mut state.ended {
             return Some(match end.take() {
-                Some(error) => OutboundItem::Message(pb::deform_response::Message::Error(stream_error(error, 0))),
+                Some(error) => OutboundItem::Words(StreamAnswer::Failure { error, seq: 0 }),
                 None => OutboundItem::End,
             });
         }
@@ -317,15 +305,14 @@ impl Mailbox {
     }
 
     /// Tells the client something.
-    pub fn send_notice(&self, code: &str, message: &str) {
+    pub fn send_notice(&self, code: &'static str, message: &'static str) {
         let mut state = self.lock_state();
         if state.ended.is_none() && state.notes.len() < WAITING_NOTES {
-            let notice = pb::Notice {
-                code: code.into(),
-                message: message.into(),
-                resume_token: self.session.clone(),
-            };
-            state.notes.push_back(pb::deform_response::Message::Notice(notice));
+            state.notes.push_back(StreamAnswer::Notice {
+                code,
+                message,
+                session: self.session.clone(),
+            });
             self.reader.notify_one();
         }
     }
@@ -333,15 +320,6 @@ impl Mailbox {
     /// Ends the stream from the server's side.
     pub fn close(&self, error: Error) {
         self.end_with_error(&mut self.lock_state(), error);
-    }
-}
-
-/// An error as a stream tells it.
-fn stream_error(error: Error, seq: u64) -> pb::Error {
-    pb::Error {
-        code: u32::try_from(error.grpc_code()).unwrap_or(2),
-        message: error.message,
-        seq,
     }
 }
 

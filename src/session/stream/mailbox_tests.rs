@@ -2,43 +2,49 @@
 
 use super::super::waiting_poses::WAITING_DRAGS;
 use super::*;
+use crate::engine::HandlePose;
+use crate::wire::frames::{FrameHeader, FrameOutput};
+use crate::wire::{Error as WireError, PoseEntry};
 use glam::DVec3;
-use pb::deform_request::Message as Ask;
-use pb::deform_response::Message as Tell;
 use proptest::prelude::*;
 
 fn mailbox(config: &SessionConfig) -> Mailbox {
-    Mailbox::new("here", config, Arc::default(), Arc::default()).expect("default options are valid")
+    Mailbox::new("here", config, Arc::default(), Arc::default())
 }
 
-fn ask(message: Ask) -> pb::DeformRequest {
-    pb::DeformRequest {
-        session_id: String::new(),
-        message: Some(message),
-    }
+fn posed(seq: u64, entries: Vec<PoseEntry>, commit: bool) -> StreamRequest {
+    StreamRequest::Pose(StreamPose {
+        seq,
+        commit,
+        entries: Ok(entries),
+    })
 }
 
-fn pose(seq: u64, ids: &[&str], commit: bool) -> pb::DeformRequest {
-    let handles = ids
-        .iter()
-        .map(|id| pb::pose::Entry {
-            id: (*id).into(),
-            pose: None,
-        })
-        .collect();
-    ask(Ask::Pose(pb::Pose { seq, handles, commit }))
+fn pose(seq: u64, ids: &[&str], commit: bool) -> StreamRequest {
+    let at_rest = |id: &&str| PoseEntry {
+        id: (*id).into(),
+        pose: Ok(HandlePose::default()),
+    };
+    posed(seq, ids.iter().map(at_rest).collect(), commit)
+}
+
+fn options(window: u32) -> StreamRequest {
+    StreamRequest::Options(Ok(DeformOptions {
+        window,
+        ..DeformOptions::with_defaults(8)
+    }))
 }
 
 fn frame(seq: u64, last: bool) -> OutboundFrame {
     OutboundFrame {
-        header: pb::Frame {
+        header: FrameHeader {
             seq,
-            r#final: last,
+            is_final: last,
             ..Default::default()
         },
         positions: Arc::new(vec![DVec3::ZERO]),
         shading: None,
-        output: pb::Output::default(),
+        output: FrameOutput::default(),
         diagonal: 1.0,
     }
 }
@@ -56,7 +62,7 @@ fn complete(mailbox: &Mailbox, work: StreamWork) -> u64 {
     seq
 }
 
-fn collect_frame(mailbox: &Mailbox) -> Option<pb::Frame> {
+fn collect_frame(mailbox: &Mailbox) -> Option<FrameHeader> {
     match mailbox.next_item()? {
         OutboundItem::Frame(frame) => Some(frame.header),
         other => panic!("a frame was expected, not {other:?}"),
@@ -76,7 +82,7 @@ fn commits_bar_the_poses_behind_them() {
         assert_eq!(seqs(&work), expected);
         let seq = complete(&mailbox, work);
         collect_frame(&mailbox).expect("its frame");
-        mailbox.push(ask(Ask::Ack(pb::Ack { seq }))).expect("open");
+        mailbox.push(StreamRequest::Ack(seq)).expect("open");
     }
 }
 
@@ -87,12 +93,12 @@ fn an_acknowledgement_counts_for_frames_that_were_taken_only() {
         mailbox.push(pose(seq, &["a"], false)).expect("open");
         complete(&mailbox, mailbox.take_work().expect("room for two"));
     }
-    mailbox.push(ask(Ask::Ack(pb::Ack { seq: 9 }))).expect("open");
+    mailbox.push(StreamRequest::Ack(9)).expect("open");
     mailbox.push(pose(3, &["a"], false)).expect("open");
     assert!(mailbox.take_work().is_none(), "two frames wait to be taken");
     assert_eq!(collect_frame(&mailbox).map(|f| f.seq), Some(1));
     assert!(mailbox.take_work().is_none(), "taken, not acknowledged");
-    mailbox.push(ask(Ask::Ack(pb::Ack { seq: 1 }))).expect("open");
+    mailbox.push(StreamRequest::Ack(1)).expect("open");
     assert!(mailbox.take_work().is_some());
 }
 
@@ -105,29 +111,24 @@ fn the_last_place_of_the_window_is_for_the_final_frame() {
     mailbox.send_frame(frame(1, false));
     assert!(!mailbox.wants_intermediate_frame());
     complete(&mailbox, work);
-    assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(false));
-    assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(true));
+    assert_eq!(collect_frame(&mailbox).map(|f| f.is_final), Some(false));
+    assert_eq!(collect_frame(&mailbox).map(|f| f.is_final), Some(true));
 }
 
 #[test]
 fn a_window_of_one_holds_the_final_frame_until_the_first_is_acknowledged() {
     let mailbox = mailbox(&SessionConfig::default());
-    mailbox
-        .push(ask(Ask::Options(pb::Options {
-            window: 1,
-            ..Default::default()
-        })))
-        .expect("open");
+    mailbox.push(options(1)).expect("open");
     mailbox.push(pose(1, &["a"], false)).expect("open");
     let work = mailbox.take_work().expect("work");
     assert!(mailbox.wants_intermediate_frame());
     mailbox.send_frame(frame(1, false));
     complete(&mailbox, work);
-    assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(false));
+    assert_eq!(collect_frame(&mailbox).map(|f| f.is_final), Some(false));
     mailbox.push(pose(2, &["a"], false)).expect("open");
     assert!(mailbox.next_item().is_none() && mailbox.take_work().is_none());
-    mailbox.push(ask(Ask::Ack(pb::Ack { seq: 1 }))).expect("open");
-    assert_eq!(collect_frame(&mailbox).map(|f| (f.seq, f.r#final)), Some((1, true)));
+    mailbox.push(StreamRequest::Ack(1)).expect("open");
+    assert_eq!(collect_frame(&mailbox).map(|f| (f.seq, f.is_final)), Some((1, true)));
 }
 
 #[test]
@@ -137,19 +138,11 @@ fn a_flood_is_merged_and_the_newest_entry_of_a_handle_wins() {
         ..SessionConfig::default()
     });
     for seq in 1..=5000u64 {
-        let x = Some(pb::HandlePose {
-            translation: vec![seq as f64, 0.0, 0.0],
-            ..Default::default()
-        });
-        let id = ["a", "b", "c"][(seq % 3) as usize].to_owned();
-        let handles = vec![pb::pose::Entry { id, pose: x }];
-        mailbox
-            .push(ask(Ask::Pose(pb::Pose {
-                seq,
-                handles,
-                commit: false,
-            })))
-            .expect("open");
+        let entry = PoseEntry {
+            id: ["a", "b", "c"][(seq % 3) as usize].to_owned(),
+            pose: Ok(HandlePose::translation([seq as f64, 0.0, 0.0])),
+        };
+        mailbox.push(posed(seq, vec![entry], false)).expect("open");
     }
     let work = mailbox.take_work().expect("work");
     assert!(work.poses.len() <= WAITING_DRAGS + 1);
@@ -179,36 +172,29 @@ fn what_waits_is_bounded_whatever_is_sent() {
             entries <= 2 * 4 + WAITING_DRAGS + 3 * 4,
             "{entries} entries wait after {seq} poses"
         );
-        mailbox.push(ask(Ask::Ping(pb::Ping { nonce: seq }))).expect("open");
+        mailbox.push(StreamRequest::Ping(seq)).expect("open");
     }
     assert_eq!(mailbox.lock_state().pongs.len(), WAITING_PONGS);
     let told: Vec<u64> = mailbox
         .lock_state()
         .notes
         .iter()
-        .map(|n| if let Tell::Error(e) = n { e.seq } else { 0 })
+        .map(|n| {
+            if let StreamAnswer::Failure { seq, .. } = n {
+                *seq
+            } else {
+                0
+            }
+        })
         .collect();
     assert_eq!(told, [1500, 2000], "the third and fourth commit were refused");
-    let long = pb::HandlePose {
-        scale: vec![1.0; 5],
-        ..Default::default()
-    };
-    let entry = pb::pose::Entry {
-        id: "a".into(),
-        pose: Some(long),
-    };
-    mailbox
-        .push(ask(Ask::Pose(pb::Pose {
-            seq: 3000,
-            handles: vec![entry],
-            commit: false,
-        })))
-        .expect("open");
-    mailbox
-        .push(pose(3001, &["a", "b", "c", "d", "e"], false))
-        .expect("open");
-    mailbox.push(pose(3002, &[&"x".repeat(129)], false)).expect("open");
-    assert_eq!(mailbox.lock_state().notes.len(), 5);
+    let large = StreamRequest::Pose(StreamPose {
+        seq: 3000,
+        commit: false,
+        entries: Err(WireError::invalid("pose.handles", "too many")),
+    });
+    mailbox.push(large).expect("open");
+    assert_eq!(mailbox.lock_state().notes.len(), 3);
 }
 
 #[test]
@@ -222,39 +208,24 @@ fn errors_that_nobody_reads_end_the_stream() {
     let letters: Vec<OutboundItem> = std::iter::from_fn(|| mailbox.next_item())
         .take(WAITING_NOTES + 2)
         .collect();
-    let Some(OutboundItem::Message(Tell::Error(last))) = letters.get(WAITING_NOTES) else {
+    let Some(OutboundItem::Words(StreamAnswer::Failure { error, seq })) = letters.get(WAITING_NOTES) else {
         panic!("an error comes last")
     };
-    assert_eq!((last.seq, last.code), (0, 8));
+    assert_eq!((*seq, error.grpc_code()), (0, 8));
     assert!(matches!(letters.last(), Some(OutboundItem::End)));
 }
 
 #[test]
-fn wrong_options_and_a_strange_session_end_the_stream() {
-    let strange = pb::DeformRequest {
-        session_id: "there".into(),
-        message: None,
+fn wrong_options_end_the_stream() {
+    let mailbox = mailbox(&SessionConfig::default());
+    let wrong = StreamRequest::Options(Err(WireError::invalid("options.tolerance", "is NaN")));
+    mailbox.push(wrong).expect("told on the stream");
+    let Some(OutboundItem::Words(StreamAnswer::Failure { error, seq })) = mailbox.next_item() else {
+        panic!("an error was expected")
     };
-    let narrow = SessionConfig {
-        window: 2,
-        ..SessionConfig::default()
-    };
-    for request in [
-        strange,
-        ask(Ask::Options(pb::Options {
-            tolerance: f64::NAN,
-            ..Default::default()
-        })),
-    ] {
-        let mailbox = mailbox(&narrow);
-        mailbox.push(request).expect("told on the stream");
-        let Some(OutboundItem::Message(Tell::Error(error))) = mailbox.next_item() else {
-            panic!("an error was expected")
-        };
-        assert_eq!((error.seq, error.code), (0, 3));
-        assert!(matches!(mailbox.next_item(), Some(OutboundItem::End)));
-        assert!(mailbox.push(pose(1, &[], false)).is_err());
-    }
+    assert_eq!((seq, error.grpc_code()), (0, 3));
+    assert!(matches!(mailbox.next_item(), Some(OutboundItem::End)));
+    assert!(mailbox.push(pose(1, &[], false)).is_err());
 }
 
 #[derive(Debug, Clone)]
@@ -284,7 +255,7 @@ proptest! {
     #[test]
     fn every_pose_is_counted_once(events in prop::collection::vec(event(), 0..120), window in 1u32..4) {
         let mailbox = mailbox(&SessionConfig { stream_commits: 3, ..SessionConfig::default() });
-        mailbox.push(ask(Ask::Options(pb::Options { window, ..Default::default() }))).expect("open");
+        mailbox.push(options(window)).expect("open");
         let (mut seq, mut sent, mut finals, mut errors, mut superseded) = (0u64, 0u32, Vec::new(), Vec::new(), 0u32);
         let mut commits = Vec::new();
         let (mut work, mut in_flight): (Option<StreamWork>, Vec<u64>) = (None, Vec::new());
@@ -293,16 +264,16 @@ proptest! {
                 Some(OutboundItem::Frame(frame)) => {
                     superseded += frame.header.superseded;
                     in_flight.push(frame.header.seq);
-                    if frame.header.r#final {
+                    if frame.header.is_final {
                         finals.push(frame.header.seq);
                     }
                     true
                 }
-                Some(OutboundItem::Message(Tell::Error(error))) => {
-                    errors.push(error.seq);
+                Some(OutboundItem::Words(StreamAnswer::Failure { seq, .. })) => {
+                    errors.push(seq);
                     true
                 }
-                Some(OutboundItem::Message(_)) => true,
+                Some(OutboundItem::Words(_)) => true,
                 Some(OutboundItem::End) | None => false,
             }
         };
@@ -352,7 +323,7 @@ proptest! {
                 Event::Ack => {
                     let acknowledged = in_flight.first().copied().unwrap_or(0);
                     in_flight.retain(|&s| s > acknowledged);
-                    mailbox.push(ask(Ask::Ack(pb::Ack { seq: acknowledged }))).expect("open");
+                    mailbox.push(StreamRequest::Ack(acknowledged)).expect("open");
                 }
             }
             let state = mailbox.lock_state();

@@ -1,9 +1,10 @@
 //! The state of a stream between its client and its session.
 
+use crate::session::answers::StreamAnswer;
 use crate::session::error::Error;
 use crate::session::stream::outbound_frame::OutboundFrame;
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
-use crate::wire::{DeformOptions, pb};
+use crate::wire::DeformOptions;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -25,8 +26,8 @@ pub(in crate::session) struct StreamState {
     /// Seq of every frame taken by the transport and not acknowledged.
     pub unacknowledged: VecDeque<u64>,
     pub acknowledged: Option<u64>,
-    pub notes: VecDeque<pb::deform_response::Message>,
-    pub pongs: VecDeque<pb::Ping>,
+    pub notes: VecDeque<StreamAnswer>,
+    pub pongs: VecDeque<u64>,
     /// No more requests will come.
     pub finished: bool,
     /// Nothing more is computed; an error to say, then the end.

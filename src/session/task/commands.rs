@@ -4,8 +4,8 @@ use crate::asset::Format;
 use crate::engine;
 use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::session::answers::{ExportedModel, SolvedFrames};
-use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, SolveCall, StoredAnswer};
+use crate::session::answers::{CommittedPose, ExportedModel, SessionFacts};
+use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
@@ -13,7 +13,7 @@ use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::registry::OpenSession;
 use crate::session::stream::outbound_frame::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
-use crate::wire::{frames::encode, pb};
+use crate::wire::PoseCommit;
 use std::sync::Arc;
 
 impl SessionTask {
@@ -32,11 +32,10 @@ impl SessionTask {
                 });
             }
             SessionCommand::Solve(request, call) => {
-                let (result, stored) = match self.solve(*request, &call).await {
-                    Ok((solved, stored)) => (Ok(solved), Some(stored)),
-                    Err(error) => (Err(error), None),
-                };
-                send_answer(call, result, |_| stored);
+                let result = self.solve(*request, &call).await;
+                send_answer(call, result, |solved| {
+                    Some(StoredAnswer::Solved(Box::new(solved.clone())))
+                });
             }
             SessionCommand::Edit(request, call) => {
                 let result = self.edit(*request, &call).await;
@@ -54,8 +53,8 @@ impl SessionTask {
     async fn set_handles(
         &mut self,
         change: HandleChange,
-        call: &PendingCall<pb::Session>,
-    ) -> Result<pb::Session, Error> {
+        call: &PendingCall<SessionFacts>,
+    ) -> Result<SessionFacts, Error> {
         let state = self.history.current();
         let set = change.apply_to(&state.handles.set, &state.poses)?;
         let limit = self.shared.config.build;
@@ -79,55 +78,42 @@ impl SessionTask {
         Ok(self.session.describe())
     }
 
-    async fn solve(
-        &mut self,
-        request: SolveCall,
-        call: &PendingCall<SolvedFrames>,
-    ) -> Result<(SolvedFrames, StoredAnswer), Error> {
+    async fn solve(&mut self, request: PoseCommit, call: &PendingCall<CommittedPose>) -> Result<CommittedPose, Error> {
         let state = self.history.current().clone();
         if state.handles.set.handles.is_empty() {
             return Err(no_handles());
         }
         let (limit, part_bytes) = (self.shared.config.solve, self.shared.config.part_bytes);
         let (revision, diagonal) = (self.history.revision() + 1, state.diagonal);
-        let SolveCall { seq, changes, settings } = request;
-        let used = settings.clone();
+        let PoseCommit { seq, changes, options } = request;
+        let settings = options.solve.clone();
         let (solved, watch) = self
             .compute(&call.cancel, limit, move |deformer, pool, watch, queued| {
-                let solution = deformer.solve_for_commit(&state, &changes, &used, watch, pool)?;
+                let solution = deformer.solve_for_commit(&state, &changes, &options, watch, pool)?;
                 let context = FrameContext {
                     revision,
                     diagonal,
                     queued,
                 };
-                let frame = context.final_frame(seq, &used, &solution);
-                let request = frame.into_request(Vec::new(), part_bytes);
-                let frames: Vec<pb::Frame> = encode(request.clone()).collect();
-                Ok::<_, engine::Error>((solution, request, frames))
+                let frame = context.final_frame(seq, &options, &solution);
+                Ok::<_, engine::Error>((frame.into_request(&[], part_bytes), solution))
             })
             .await?;
-        let (solution, frame, frames) = solved.map_err(|e| self.failure(e, &watch))?;
-        self.commit_solution(&solution, settings.solve);
+        let (frame, solution) = solved.map_err(|e| self.failure(e, &watch))?;
+        self.commit_solution(&solution, settings);
         self.shared.metrics.frames_sent.inc();
-        let stored = StoredAnswer::Solved {
-            frame: Box::new(frame),
+        Ok(CommittedPose {
+            frame,
             revision,
-            digest: solution.digest.clone(),
-        };
-        let answer = SolvedFrames {
-            frames,
-            revision,
-            positions: solution.solved.positions,
             digest: solution.digest,
-        };
-        Ok((answer, stored))
+        })
     }
 
     async fn step_history(
         &mut self,
         direction: HistoryDirection,
-        call: &PendingCall<pb::Session>,
-    ) -> Result<pb::Session, Error> {
+        call: &PendingCall<SessionFacts>,
+    ) -> Result<SessionFacts, Error> {
         let (target, nothing) = match direction {
             HistoryDirection::Undo => (self.history.undo_target(), "nothing is left to undo"),
             HistoryDirection::Redo => (self.history.redo_target(), "nothing is left to redo"),

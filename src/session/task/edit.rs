@@ -2,12 +2,13 @@
 
 use crate::engine::{self, EditCommand};
 use crate::exec::Exec;
-use crate::session::calls::command::{EditCall, PendingCall};
+use crate::session::answers::CommittedEdit;
+use crate::session::calls::command::PendingCall;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
 use crate::session::history::session_state::{EditedState, ShapeRecipe};
 use crate::session::task::session_task::SessionTask;
-use crate::wire::{edit_result, pb};
+use crate::wire::SessionEdit;
 
 impl SessionTask {
     /// Of an edit that takes more memory than is free now, but not more than the server has, that it may fit later.
@@ -24,7 +25,7 @@ impl SessionTask {
         }
     }
 
-    pub async fn edit(&mut self, edit: EditCall, call: &PendingCall<pb::EditResult>) -> Result<pb::EditResult, Error> {
+    pub async fn edit(&mut self, edit: SessionEdit, call: &PendingCall<CommittedEdit>) -> Result<CommittedEdit, Error> {
         let state = self.history.current().clone();
         let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
         let limit = self.shared.config.build;
@@ -63,15 +64,14 @@ impl SessionTask {
             )
             .await?;
         let (outcome, facts, topology, diagonal) = done.map_err(|e| self.edit_failure(e, room, &watch))?;
-        let stages = watch.take_stage_ms();
-        let mut result = edit_result(&outcome.report);
+        let ms = watch.take_stage_ms();
         let edited = EditedState {
             topology,
             diagonal,
             handles: outcome.handles,
             poses: outcome.poses,
             facts,
-            digest: result.digest.clone(),
+            digest: outcome.report.digest.clone(),
             solved_with: outcome.solved,
         };
         self.history.commit_edit(edited, outcome.positions);
@@ -81,8 +81,10 @@ impl SessionTask {
         self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
         self.shared.metrics.commits.inc();
         self.publish_view();
-        result.ms = stages.into_iter().collect();
-        result.revision = self.history.revision();
-        Ok(result)
+        Ok(CommittedEdit {
+            report: outcome.report,
+            revision: self.history.revision(),
+            ms,
+        })
     }
 }

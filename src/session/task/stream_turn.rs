@@ -8,7 +8,7 @@ use crate::session::error::Error;
 use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
 use crate::session::history::session_state::SessionState;
 use crate::session::stream::mailbox::{Mailbox, StreamWork, StreamWorkResult};
-use crate::session::stream::outbound_frame::FrameContext;
+use crate::session::stream::outbound_frame::{FrameContext, FrameShape};
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
 use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::{DeformOptions, Error as WireError, PoseEntry};
@@ -186,7 +186,8 @@ impl TurnContext {
         deformer: &LoadedDeformer,
         pose: &mut WaitingPose,
     ) -> Result<Vec<(String, HandlePose)>, Error> {
-        let check = |changes: Vec<(String, HandlePose)>| match deformer.engine.change_poses(&self.state.poses, &changes) {
+        let check = |changes: Vec<(String, HandlePose)>| match deformer.engine.change_poses(&self.state.poses, &changes)
+        {
             Ok(_) => Ok(changes),
             Err(error) => Err(Error::from(error)),
         };
@@ -233,8 +234,13 @@ impl TurnContext {
             if settings.progressive && is_unfinished && self.mailbox.wants_intermediate_frame() {
                 let positions = Arc::new((now.positions)());
                 let shading = shader.as_ref().map(|s| Arc::new(s.shade(&positions)));
-                let errors = (now.residual, now.max_error);
-                let frame = (self.frames).build_frame(pose.seq, settings, errors, positions, shading, watch.elapsed());
+                let shape = FrameShape {
+                    positions,
+                    shading,
+                    residual: now.residual,
+                    max_error: now.max_error,
+                };
+                let frame = (self.frames).build_frame(pose.seq, settings.output, shape, watch.elapsed());
                 self.mailbox.send_frame(frame);
             }
             true

@@ -7,20 +7,19 @@ use proptest::prelude::*;
 
 fn request(positions: Vec<DVec3>, encoding: frame::Encoding, part_bytes: usize) -> FrameRequest {
     FrameRequest {
-        header: pb::Frame {
+        header: FrameHeader {
             seq: 7,
             revision: 3,
-            r#final: true,
+            is_final: true,
             ..Default::default()
         },
         positions: Arc::new(positions),
         shading: None,
-        output: pb::Output {
-            encoding: encoding.into(),
+        output: FrameOutput {
+            encoding: FrameEncoding::from_message(encoding),
             ..Default::default()
         },
-        baselines: Vec::new(),
-        diagonal: 1.0,
+        selected: None,
         part_bytes,
     }
 }
@@ -184,25 +183,17 @@ fn normals_and_tangents_follow_as_blocks_of_their_own() {
 }
 
 #[test]
-fn only_vertices_that_left_some_baseline_are_sent() {
-    let mut positions = wave(100);
-    let rest: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
-    let mut later = rest.clone();
-    later[3].x += 1.0;
-    positions[8].z += 0.5;
-    positions[9].z += 0.05;
-    let mut request = request(positions, frame::Encoding::F32, 64);
-    request.output.changed_only = Some(0.1);
-    request.baselines = vec![Arc::new(rest), Arc::new(later)];
+fn only_selected_vertices_are_sent() {
+    let mut request = request(wave(100), frame::Encoding::F32, 64);
+    request.selected = Some(vec![3, 8]);
     let parts: Vec<_> = encode(request.clone()).collect();
     let seen: Vec<u32> = decode(&parts, frame::Attribute::Position)
         .iter()
         .map(|(v, _)| *v)
         .collect();
-    assert_eq!(seen, [3, 8]);
-    assert_eq!(parts[0].indices, [3, 8]);
+    assert_eq!((seen, &parts[0].indices[..]), (vec![3, 8], &[3, 8][..]));
 
-    request.output.changed_only = Some(2.0);
+    request.selected = Some(Vec::new());
     request.output.normals = true;
     let parts: Vec<_> = encode(request.clone()).collect();
     assert_eq!(
@@ -211,13 +202,9 @@ fn only_vertices_that_left_some_baseline_are_sent() {
         "no change is one empty part"
     );
 
-    request.baselines.clear();
+    request.selected = Some((0..100).collect());
     let all: Vec<u32> = encode(request).flat_map(|p| p.indices).collect();
-    assert_eq!(
-        all,
-        (0..100).collect::<Vec<u32>>(),
-        "a reader that holds nothing gets everything"
-    );
+    assert_eq!(all, (0..100).collect::<Vec<u32>>(), "indices are told with every part");
 }
 
 proptest! {

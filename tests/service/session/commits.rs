@@ -2,9 +2,9 @@
 
 use super::fake::*;
 use pliant::asset::Format;
-use pliant::engine::digest;
+use pliant::engine::{HandlePose, digest};
 use pliant::session::SessionConfig;
-use pliant::wire::pb;
+use pliant::wire::HandlePatch;
 use proptest::prelude::*;
 use std::time::Duration;
 
@@ -20,24 +20,29 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
         let mut shapes = vec![manager.positions(tenant(), &id).await.expect("open").bytes];
         for (k, x) in [0.1, -0.7, 3.3].into_iter().enumerate() {
             let solved = manager
-                .solve(tenant(), solve(&id, &[(["a", "b"][k % 2], x)]), None)
+                .solve(tenant(), &id, solve(&[(["a", "b"][k % 2], x)]), None)
                 .await
                 .expect("solved");
             assert_eq!(solved.revision, 3 + k as u64);
-            assert_eq!(digest(&solved.positions), solved.digest);
+            assert_eq!(digest(&solved.frame.positions), solved.digest);
             let mut client = Client::open(&manager, &id).await;
             client.drag(1, &[("a", 9.0)]);
             client.frame().await;
             shapes.push(manager.positions(tenant(), &id).await.expect("open").bytes);
         }
         manager
-            .set_handles(tenant(), handles(&id, &["b", "c", "d"]), None)
+            .set_handles(tenant(), &id, handles(&["b", "c", "d"]), None)
             .await
             .expect("other handles");
         let told = manager.history(tenant(), &id).await.expect("open");
         let session = manager.undo(tenant(), &id, None).await.expect("undone");
         assert_eq!(
-            session.handles.iter().map(|h| h.id.as_str()).collect::<Vec<_>>(),
+            session
+                .deformer
+                .handles
+                .iter()
+                .map(|h| h.id.as_str())
+                .collect::<Vec<_>>(),
             ["a", "b"]
         );
         let mut revision = session.revision;
@@ -59,10 +64,10 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
         assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
         assert_eq!(manager.history(tenant(), &id).await.expect("open"), told);
         let after = manager
-            .solve(tenant(), solve(&id, &[("c", 1.0)]), None)
+            .solve(tenant(), &id, solve(&[("c", 1.0)]), None)
             .await
             .expect("the handles are back");
-        assert_eq!(after.positions[1].x, 2.0);
+        assert_eq!(after.frame.positions[1].x, 2.0);
     }
 }
 
@@ -73,7 +78,7 @@ async fn nothing_to_undo_is_a_precondition() {
     let error = manager.undo(tenant(), &id, None).await.expect_err("only the creation");
     assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
     let error = manager
-        .solve(tenant(), solve(&id, &[]), None)
+        .solve(tenant(), &id, solve(&[]), None)
         .await
         .expect_err("no handles");
     assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
@@ -84,39 +89,39 @@ async fn handles_leave_the_shape_alone_and_start_at_their_poses() {
     let (manager, _) = manager(small());
     let id = open(&manager).await;
     manager
-        .solve(tenant(), solve(&id, &[("a", 4.0)]), None)
+        .solve(tenant(), &id, solve(&[("a", 4.0)]), None)
         .await
         .expect("solved");
     let before = manager.positions(tenant(), &id).await.expect("open");
-    let mut request = handles(&id, &["a", "b"]);
-    request.handles[1].pose = pose(1, &[("b", 6.0)], false).handles[0].pose.clone();
-    let session = manager.set_handles(tenant(), request, None).await.expect("replaced");
+    let mut request = handles(&["a", "b"]);
+    request.handles[1].pose = Some(HandlePose::translation([6.0, 0.0, 0.0]));
+    let session = manager
+        .set_handles(tenant(), &id, request, None)
+        .await
+        .expect("replaced");
     assert_eq!((session.revision, session.build_ms.contains_key("fields")), (4, true));
     let after = manager.positions(tenant(), &id).await.expect("open");
     assert_eq!(after.bytes, before.bytes);
     assert_ne!(after.etag, before.etag);
-    let solved = manager.solve(tenant(), solve(&id, &[]), None).await.expect("solved");
+    let solved = manager.solve(tenant(), &id, solve(&[]), None).await.expect("solved");
     assert_eq!(
-        (solved.positions[0].x, solved.positions[1].x),
+        (solved.frame.positions[0].x, solved.frame.positions[1].x),
         (0.0, 7.0),
         "a is at rest again"
     );
 
-    let rigid = pb::Handle {
+    let rigid = HandlePatch {
         id: "a".into(),
-        rigid: true,
+        rigid: Some(true),
         ..Default::default()
     };
-    manager
-        .put_handle(tenant(), &id, rigid, &["rigid".into()], None)
-        .await
-        .expect("patched");
-    let solved = manager.solve(tenant(), solve(&id, &[]), None).await.expect("solved");
-    assert_eq!(solved.positions[1].x, 7.0, "a patch moves nothing");
+    manager.put_handle(tenant(), &id, rigid, None).await.expect("patched");
+    let solved = manager.solve(tenant(), &id, solve(&[]), None).await.expect("solved");
+    assert_eq!(solved.frame.positions[1].x, 7.0, "a patch moves nothing");
     manager.remove_handle(tenant(), &id, "a", None).await.expect("removed");
-    let solved = manager.solve(tenant(), solve(&id, &[]), None).await.expect("solved");
+    let solved = manager.solve(tenant(), &id, solve(&[]), None).await.expect("solved");
     assert_eq!(
-        (solved.positions[0].x, solved.positions[1].x),
+        (solved.frame.positions[0].x, solved.frame.positions[1].x),
         (6.0, 7.0),
         "b holds everything now"
     );
@@ -129,41 +134,30 @@ async fn a_call_that_fails_changes_nothing() {
     let (manager, _) = manager(small());
     let id = open(&manager).await;
     manager
-        .solve(tenant(), solve(&id, &[("a", 4.0)]), None)
+        .solve(tenant(), &id, solve(&[("a", 4.0)]), None)
         .await
         .expect("solved");
     let before = (
         manager.get(tenant(), &id).await.expect("open"),
         manager.history(tenant(), &id).await,
     );
+    let mut nowhere = handles(&["x", "y"]);
+    nowhere.handles[1].region = NOWHERE;
     let error = manager
-        .set_handles(tenant(), handles(&id, &["x", ""]), None)
+        .set_handles(tenant(), &id, nowhere, None)
         .await
-        .expect_err("an empty id");
+        .expect_err("a region that is nowhere");
     assert_eq!(
         (error.http_status(), error.field.as_deref()),
-        (422, Some("handles[1].id"))
+        (422, Some("handles[1].region"))
     );
     let error = manager
-        .solve(tenant(), solve(&id, &[("x", 1.0)]), None)
+        .solve(tenant(), &id, solve(&[("x", 1.0)]), None)
         .await
         .expect_err("unknown");
     assert_eq!(
         (error.http_status(), error.field.as_deref()),
         (422, Some("pose.handles[0].id"))
-    );
-    let mut request = solve(&id, &[]);
-    request.options = Some(pb::Options {
-        tolerance: 7.0,
-        ..Default::default()
-    });
-    let error = manager
-        .solve(tenant(), request, None)
-        .await
-        .expect_err("a strange tolerance");
-    assert_eq!(
-        (error.http_status(), error.field.as_deref()),
-        (422, Some("options.tolerance"))
     );
     let error = manager
         .export(tenant(), &id, Some(Format::STL))
@@ -176,8 +170,8 @@ async fn a_call_that_fails_changes_nothing() {
     );
     after.0.expires_at.clone_from(&before.0.expires_at);
     assert_eq!(after, before);
-    let solved = manager.solve(tenant(), solve(&id, &[]), None).await.expect("solved");
-    assert_eq!(solved.positions[0].x, 4.0);
+    let solved = manager.solve(tenant(), &id, solve(&[]), None).await.expect("solved");
+    assert_eq!(solved.frame.positions[0].x, 4.0);
 }
 
 #[tokio::test]
@@ -187,22 +181,25 @@ async fn a_caller_that_goes_leaves_the_old_state() {
     control.hold();
     let solving = tokio::time::timeout(
         Duration::from_millis(20),
-        manager.solve(tenant(), solve(&id, &[("a", 1.0)]), None),
+        manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None),
     );
     assert!(solving.await.is_err(), "it is held up");
     until(|| manager.metrics().pool_busy.get() == 0).await;
-    let more = handles(&id, &["a", "b", "c"]);
-    let setting = tokio::time::timeout(Duration::from_millis(20), manager.set_handles(tenant(), more, None));
+    let more = handles(&["a", "b", "c"]);
+    let setting = tokio::time::timeout(
+        Duration::from_millis(20),
+        manager.set_handles(tenant(), &id, more, None),
+    );
     assert!(setting.await.is_err(), "it is held up");
     until(|| manager.metrics().pool_busy.get() == 0).await;
     control.release();
     let session = manager.get(tenant(), &id).await.expect("open");
-    assert_eq!((session.revision, session.handles.len()), (2, 2));
+    assert_eq!((session.revision, session.deformer.handles.len()), (2, 2));
     let solved = manager
-        .solve(tenant(), solve(&id, &[("b", 1.0)]), None)
+        .solve(tenant(), &id, solve(&[("b", 1.0)]), None)
         .await
         .expect("the session works");
-    assert_eq!((solved.positions[0].x, solved.revision), (0.0, 3));
+    assert_eq!((solved.frame.positions[0].x, solved.revision), (0.0, 3));
 }
 
 #[tokio::test]
@@ -214,13 +211,13 @@ async fn a_solve_that_takes_too_long_is_given_up() {
     let id = open(&manager).await;
     control.hold();
     let error = manager
-        .solve(tenant(), solve(&id, &[("a", 1.0)]), None)
+        .solve(tenant(), &id, solve(&[("a", 1.0)]), None)
         .await
         .expect_err("held up");
     assert_eq!((error.http_status(), error.code_name()), (504, "DEADLINE_EXCEEDED"));
     let mut client = Client::open(&manager, &id).await;
     client.commit(1, &[("a", 1.0)]);
-    assert_eq!(client.error().await.code, 4);
+    assert_eq!(client.error().await.1.grpc_code(), 4);
     assert_eq!(manager.get(tenant(), &id).await.expect("open").revision, 2);
 }
 
@@ -229,7 +226,7 @@ async fn exports_and_positions_are_of_the_committed_shape() {
     let (manager, _) = manager(small());
     let id = open(&manager).await;
     manager
-        .solve(tenant(), solve(&id, &[("a", 2.0)]), None)
+        .solve(tenant(), &id, solve(&[("a", 2.0)]), None)
         .await
         .expect("solved");
     let positions = manager.positions(tenant(), &id).await.expect("open");
@@ -250,7 +247,7 @@ async fn exports_and_positions_are_of_the_committed_shape() {
         other.etag
     );
     manager
-        .solve(tenant(), solve(&id, &[("a", 3.0)]), None)
+        .solve(tenant(), &id, solve(&[("a", 3.0)]), None)
         .await
         .expect("solved");
     assert_ne!(
@@ -303,10 +300,10 @@ proptest! {
                 let changed = match command {
                     Command::Solve(h, x) => {
                         let name = ["a", "b"][h];
-                        manager.solve(tenant(), solve(&id, &[(name, x.into())]), None).await.is_ok()
+                        manager.solve(tenant(), &id, solve(&[(name, x.into())]), None).await.is_ok()
                     }
                     Command::Handles(n) => {
-                        manager.set_handles(tenant(), handles(&id, &["a", "b"][..n]), None).await.expect("set");
+                        manager.set_handles(tenant(), &id, handles(&["a", "b"][..n]), None).await.expect("set");
                         true
                     }
                     Command::Undo => manager.undo(tenant(), &id, None).await.is_ok(),
@@ -321,9 +318,9 @@ proptest! {
                     }
                     Command::GiveUp => {
                         control.hold();
-                        let request = solve(&id, &[("a", 100.0)]);
+                        let request = solve(&[("a", 100.0)]);
                         let limit = Duration::from_millis(2);
-                        let _ = tokio::time::timeout(limit, manager.solve(tenant(), request, None)).await;
+                        let _ = tokio::time::timeout(limit, manager.solve(tenant(), &id, request, None)).await;
                         until(|| manager.metrics().pool_busy.get() == 0).await;
                         control.release();
                         false

@@ -1,28 +1,47 @@
 //! Edits in sessions: one commit each, undone and redone to the bit, refused whole.
 
 use super::fake::*;
-use super::real::{bent, turned};
+use super::real::{bent, turned, turning};
+use glam::{DMat4, DVec3};
+use pliant::asset::FileSet;
+use pliant::edit::KeptSide;
+use pliant::engine::{CutLine, Edit, EditedShape, MergeJoin, ModelMerge, Plane};
 use pliant::session::{ErrorCode, Manager, SessionConfig};
-use pliant::wire::pb;
+use pliant::wire::frames::FrameOutput;
+use pliant::wire::{DeformOptions, SessionEdit};
 
-fn cut(id: &str, height: f64, keep: pb::edit_request::cut::Keep) -> pb::EditRequest {
-    let cut = pb::edit_request::Cut {
-        plane: Some(pb::Plane {
-            normal: vec![0.0, 0.0, 1.0],
-            offset: height,
-        }),
-        keep: keep.into(),
-        fill: true,
-        ..Default::default()
-    };
-    pb::EditRequest {
-        session_id: id.into(),
-        operation: Some(pb::edit_request::Operation::Cut(cut)),
-        ..Default::default()
+/// An edit of the shape as it is.
+pub fn edit_of_current(edit: Edit) -> SessionEdit {
+    SessionEdit {
+        edit,
+        on: EditedShape::Current,
+        merged_session: None,
     }
 }
 
-use pb::edit_request::cut::Keep;
+fn cut(height: f64, keep: KeptSide) -> SessionEdit {
+    edit_of_current(Edit::Cut {
+        along: CutLine::Plane(Plane::new([0.0, 0.0, 1.0], height)),
+        keep,
+        fill: true,
+    })
+}
+
+/// Puts another session's model `by` beside this one.
+fn merge(other: &str, by: f64) -> SessionEdit {
+    let merge = ModelMerge {
+        files: FileSet::default(),
+        from_session: true,
+        format: None,
+        own_from_other: DMat4::from_translation(DVec3::new(by, 0.0, 0.0)),
+        join: MergeJoin::Loose,
+        tolerance: None,
+    };
+    SessionEdit {
+        merged_session: Some(other.into()),
+        ..edit_of_current(Edit::Merge(Box::new(merge)))
+    }
+}
 
 async fn digest_now(manager: &Manager, id: &str) -> String {
     let view = manager.history(tenant(), id).await.expect("open");
@@ -41,21 +60,21 @@ async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
         let (id, _) = bent(&manager).await;
         let mut digests = vec![digest_now(&manager, &id).await];
         let mut said = Vec::new();
-        let bent = manager.solve(tenant(), turned(&id, 0.6), None).await.expect("solved");
+        let bent = manager.solve(tenant(), &id, turned(0.6), None).await.expect("solved");
         digests.push(bent.digest);
         for height in [0.75, 1.4] {
             let result = manager
-                .edit(tenant(), cut(&id, height, Keep::Above), None)
+                .edit(tenant(), &id, cut(height, KeptSide::Above), None)
                 .await
                 .expect("cut");
-            assert!(result.after.expect("counts").vertices != result.before.expect("counts").vertices);
+            assert!(result.report.after.vertices != result.report.before.vertices);
             assert_eq!(
                 result.revision,
                 manager.history(tenant(), &id).await.expect("open").current
             );
-            said.push(result.after.expect("counts").vertices);
-            digests.push(result.digest);
-            let moved = manager.solve(tenant(), turned(&id, 0.3), None).await;
+            said.push(result.report.after.vertices);
+            digests.push(result.report.digest);
+            let moved = manager.solve(tenant(), &id, turned(0.3), None).await;
             // The base was cut off with the first edit, and what is left is held by the top alone.
             digests.push(moved.expect("solved").digest);
         }
@@ -64,20 +83,20 @@ async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
             assert_eq!(digest_now(&manager, &id).await, *digest);
         }
         let described = manager.get(tenant(), &id).await.expect("open");
-        assert_eq!(described.model.expect("facts").vertices, 52);
+        assert_eq!(described.deformer.model.counts.vertices, 52);
         for digest in &digests[1..] {
             manager.redo(tenant(), &id, None).await.expect("redone");
             assert_eq!(digest_now(&manager, &id).await, *digest);
         }
         let described = manager.get(tenant(), &id).await.expect("open");
-        assert_eq!(described.model.expect("facts").vertices, said[1]);
-        let again = manager.solve(tenant(), turned(&id, 0.3), None).await.expect("solved");
+        assert_eq!(described.deformer.model.counts.vertices, said[1]);
+        let again = manager.solve(tenant(), &id, turned(0.3), None).await.expect("solved");
         assert_eq!(
             again.digest,
             *digests.last().expect("some"),
             "the same pose gives the same bits"
         );
-        let kinds: Vec<String> = (manager.history(tenant(), &id).await.expect("open").commits.into_iter())
+        let kinds: Vec<&str> = (manager.history(tenant(), &id).await.expect("open").commits.into_iter())
             .map(|c| c.kind)
             .collect();
         assert_eq!(kinds[2..5], ["pose", "edit", "pose"]);
@@ -93,21 +112,12 @@ async fn a_refused_edit_changes_nothing() {
         digest_now(&manager, &id).await,
     );
     let missed = manager
-        .edit(tenant(), cut(&id, 99.0, Keep::Both), None)
+        .edit(tenant(), &id, cut(99.0, KeptSide::Both), None)
         .await
         .expect_err("misses");
     assert_eq!(missed.code, ErrorCode::FailedPrecondition);
-    let merge = pb::edit_request::Merge {
-        source: Some(pb::edit_request::merge::Source::Session("nobody".into())),
-        ..Default::default()
-    };
-    let request = pb::EditRequest {
-        session_id: id.clone(),
-        operation: Some(pb::edit_request::Operation::Merge(merge)),
-        ..Default::default()
-    };
     let unknown = manager
-        .edit(tenant(), request, None)
+        .edit(tenant(), &id, merge("nobody", 0.0), None)
         .await
         .expect_err("no such session");
     assert_eq!(unknown.code, ErrorCode::NotFound);
@@ -122,10 +132,13 @@ async fn a_refused_edit_changes_nothing() {
 async fn an_edit_repeated_under_its_key_is_done_once() {
     let manager = Manager::new(small()).expect("valid");
     let (id, _) = bent(&manager).await;
-    let request = cut(&id, 1.4, Keep::Below);
-    let first = manager.edit(tenant(), request.clone(), Some("k")).await.expect("cut");
+    let request = cut(1.4, KeptSide::Below);
+    let first = manager
+        .edit(tenant(), &id, request.clone(), key("k", ""))
+        .await
+        .expect("cut");
     let second = manager
-        .edit(tenant(), request, Some("k"))
+        .edit(tenant(), &id, request, key("k", ""))
         .await
         .expect("the kept answer");
     assert_eq!(first, second);
@@ -137,25 +150,17 @@ async fn a_session_can_be_merged_with_another_of_its_tenant() {
     let manager = Manager::new(small()).expect("valid");
     let (id, _) = bent(&manager).await;
     let (other, _) = bent(&manager).await;
-    let merge = pb::edit_request::Merge {
-        source: Some(pb::edit_request::merge::Source::Session(other)),
-        how: pb::edit_request::merge::How::Loose.into(),
-        transform: vec![1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 3., 0., 0., 1.],
-        ..Default::default()
-    };
-    let request = pb::EditRequest {
-        session_id: id.clone(),
-        operation: Some(pb::edit_request::Operation::Merge(merge)),
-        ..Default::default()
-    };
-    let result = manager.edit(tenant(), request, None).await.expect("merged");
-    assert_eq!(result.after.expect("counts").vertices, 104);
+    let result = manager
+        .edit(tenant(), &id, merge(&other, 3.0), None)
+        .await
+        .expect("merged");
+    assert_eq!(result.report.after.vertices, 104);
     let session = manager.get(tenant(), &id).await.expect("open");
     assert_eq!(
-        (session.solver.expect("facts").components, session.primitives.len()),
+        (session.deformer.solver.components, session.deformer.primitives.len()),
         (2, 2)
     );
-    assert_eq!(result.handles_kept, ["base", "top"]);
+    assert_eq!(result.report.handles_kept, ["base", "top"]);
 }
 
 #[tokio::test]
@@ -163,30 +168,23 @@ async fn a_stream_goes_on_across_an_edit() {
     let manager = Manager::new(small()).expect("valid");
     let (id, _) = bent(&manager).await;
     let mut client = Client::open(&manager, &id).await;
-    let changed = pb::Options {
-        output: Some(pb::Output {
+    client.options(DeformOptions {
+        output: FrameOutput {
             changed_only: Some(1e-6),
             ..Default::default()
-        }),
-        ..Default::default()
-    };
-    let push = |client: &Client, message| client.input.push(ask(message)).expect("open");
-    push(&client, pb::deform_request::Message::Options(changed));
+        },
+        ..stream_options()
+    });
     let mut sizes = Vec::new();
     for (seq, angle) in [(1, 0.2), (2, 0.3), (3, 0.4)] {
-        let pose = pb::Pose {
-            seq,
-            commit: false,
-            ..turned(&id, angle).pose.expect("a pose")
-        };
-        push(&client, pb::deform_request::Message::Pose(pose));
-        let frame = client.frame().await.header;
-        assert!(frame.r#final);
-        sizes.push(frame.vertex_count);
+        client.push(turning(seq, angle, false));
+        let frame = client.frame().await;
+        assert!(frame.header.is_final);
+        sizes.push(frame.selected.expect("changes only").len() as u32);
         client.ack(seq);
         if seq == 2 {
             manager
-                .edit(tenant(), cut(&id, 1.4, Keep::Above), None)
+                .edit(tenant(), &id, cut(1.4, KeptSide::Above), None)
                 .await
                 .expect("cut");
         }
@@ -195,8 +193,9 @@ async fn a_stream_goes_on_across_an_edit() {
         .get(tenant(), &id)
         .await
         .expect("open")
+        .deformer
         .model
-        .expect("facts")
+        .counts
         .vertices;
     assert_eq!(sizes[2], left, "all vertices of the new shape: {sizes:?}");
 }

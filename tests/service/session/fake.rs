@@ -8,13 +8,18 @@ use bytes::Bytes;
 use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, WrittenFiles};
 use pliant::engine::{
-    DeformerFacts, DeformerLimits, Error, Handle, HandleFacts, HandlePose, HandlePoses, HandleSet, InputPlace, MeshCounts,
-    ModelFacts, OpenOptions, Region, RegionPlace, Shader, SolveMode, SolveSettings, SolveUpdate, SolvedShape, SolverFacts,
+    DeformerFacts, DeformerLimits, Error, Handle, HandleFacts, HandlePose, HandlePoses, HandleSet, InputPlace,
+    MeshCounts, ModelFacts, OpenOptions, Region, RegionPlace, Shader, SolveMode, SolveSettings, SolveUpdate,
+    SolvedShape, SolverFacts,
 };
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
-use pliant::session::{DeformStream, Engine, EngineOpener, Manager, SessionConfig, StreamInput, StreamOutput, Tenant};
-use pliant::wire::pb;
+use pliant::session::{
+    self, CallKey, DeformStream, Engine, EngineOpener, Manager, SessionConfig, StreamAnswer, StreamInput, StreamOutput,
+    Tenant,
+};
+use pliant::wire::frames::FrameHeader;
+use pliant::wire::{self, DeformOptions, PoseCommit, PoseEntry, SessionOptions, StreamPose, StreamRequest};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Condvar, LazyLock, Mutex};
 use std::time::Duration;
@@ -329,63 +334,77 @@ pub fn model(text: &str) -> FileSet {
 pub async fn open(manager: &Manager) -> String {
     let id = create(manager, "points 4").await;
     manager
-        .set_handles(tenant(), handles(&id, &["a", "b"]), None)
+        .set_handles(tenant(), &id, handles(&["a", "b"]), None)
         .await
         .expect("two handles");
     id
 }
 
 pub async fn create(manager: &Manager, text: &str) -> String {
-    let made = manager
-        .create(tenant(), model(text), pb::CreateOptions::default(), None)
-        .await;
+    let made = manager.create(tenant(), model(text), options(), None).await;
     made.expect("a session").value.id
 }
 
-pub fn handles(id: &str, ids: &[&str]) -> pb::SetHandlesRequest {
-    let everywhere = pb::region::Region::Component(pb::region::Part { index: 0 });
-    let handle = |id: &&str| pb::Handle {
-        id: (*id).into(),
-        region: Some(pb::Region {
-            region: Some(everywhere.clone()),
-        }),
-        ..Default::default()
-    };
-    pb::SetHandlesRequest {
-        session_id: id.into(),
-        handles: ids.iter().map(handle).collect(),
-        ..Default::default()
+/// Options of a session that asks for nothing.
+pub fn options() -> SessionOptions {
+    SessionOptions {
+        open: OpenOptions::default(),
+        label: String::new(),
+        ttl: None,
     }
 }
 
-pub fn pose(seq: u64, entries: &[(&str, f64)], commit: bool) -> pb::Pose {
-    let entry = |(id, x): &(&str, f64)| pb::pose::Entry {
-        id: (*id).into(),
-        pose: Some(pb::HandlePose {
-            translation: vec![*x, 0.0, 0.0],
-            ..Default::default()
-        }),
+pub fn key(key: &str, request: impl std::fmt::Debug) -> Option<CallKey> {
+    Some(CallKey {
+        key: key.into(),
+        request: format!("{request:?}").into_bytes(),
+    })
+}
+
+pub fn handles(ids: &[&str]) -> HandleSet {
+    let handle = |id: &&str| Handle::new(*id, Region::Component(0));
+    ids.iter().map(handle).collect::<Vec<_>>().into()
+}
+
+fn along_x(entries: &[(&str, f64)]) -> Vec<(String, HandlePose)> {
+    let pose = |(id, x): &(&str, f64)| ((*id).to_owned(), HandlePose::translation([*x, 0.0, 0.0]));
+    entries.iter().map(pose).collect()
+}
+
+/// A pose on a stream; one that is not finite is one that `wire` would refuse.
+pub fn pose(seq: u64, entries: &[(&str, f64)], commit: bool) -> StreamRequest {
+    posed(seq, along_x(entries), commit)
+}
+
+pub fn posed(seq: u64, changes: Vec<(String, HandlePose)>, commit: bool) -> StreamRequest {
+    let entry = |(id, pose): (String, HandlePose)| PoseEntry {
+        id,
+        pose: match pose.translation {
+            Some(by) if !by.is_finite() => Err(wire::Error::invalid(
+                "pose.handles[0].pose.translation",
+                "is not finite",
+            )),
+            _ => Ok(pose),
+        },
     };
-    pb::Pose {
+    StreamRequest::Pose(StreamPose {
         seq,
-        handles: entries.iter().map(entry).collect(),
         commit,
+        entries: Ok(changes.into_iter().map(entry).collect()),
+    })
+}
+
+pub fn solve(entries: &[(&str, f64)]) -> PoseCommit {
+    PoseCommit {
+        seq: 1,
+        changes: along_x(entries),
+        options: stream_options(),
     }
 }
 
-pub fn solve(id: &str, entries: &[(&str, f64)]) -> pb::SolveRequest {
-    pb::SolveRequest {
-        session_id: id.into(),
-        pose: Some(pose(1, entries, true)),
-        options: None,
-    }
-}
-
-pub fn ask(message: pb::deform_request::Message) -> pb::DeformRequest {
-    pb::DeformRequest {
-        session_id: String::new(),
-        message: Some(message),
-    }
+/// Options that ask for nothing.
+pub fn stream_options() -> DeformOptions {
+    DeformOptions::with_defaults(8)
 }
 
 /// The client of one stream.
@@ -394,11 +413,12 @@ pub struct Client {
     pub output: StreamOutput,
 }
 
-/// A frame, joined: how far each vertex is from rest along x.
+/// A frame: what it tells, how far each of its vertices is from rest along x, and which they are when it carries changes only.
 #[derive(Debug, Clone)]
 pub struct Seen {
-    pub header: pb::Frame,
+    pub header: FrameHeader,
     pub x: Vec<f64>,
+    pub selected: Option<Vec<u32>>,
 }
 
 impl Client {
@@ -411,71 +431,60 @@ impl Client {
         Self { input, output }
     }
 
+    pub fn push(&self, request: StreamRequest) {
+        self.input.push(request).expect("the stream is open");
+    }
+
     pub fn drag(&self, seq: u64, entries: &[(&str, f64)]) {
-        self.input
-            .push(ask(pb::deform_request::Message::Pose(pose(seq, entries, false))))
-            .expect("the stream is open");
+        self.push(pose(seq, entries, false));
     }
 
     pub fn commit(&self, seq: u64, entries: &[(&str, f64)]) {
-        self.input
-            .push(ask(pb::deform_request::Message::Pose(pose(seq, entries, true))))
-            .expect("the stream is open");
+        self.push(pose(seq, entries, true));
     }
 
     pub fn ack(&self, seq: u64) {
-        self.input
-            .push(ask(pb::deform_request::Message::Ack(pb::Ack { seq })))
-            .expect("the stream is open");
+        self.push(StreamRequest::Ack(seq));
     }
 
-    pub fn options(&self, options: pb::Options) {
-        self.input
-            .push(ask(pb::deform_request::Message::Options(options)))
-            .expect("the stream is open");
+    pub fn options(&self, options: DeformOptions) {
+        self.push(StreamRequest::Options(Ok(options)));
     }
 
-    /// The next message; panics when none comes.
-    pub async fn next(&mut self) -> Option<pb::deform_response::Message> {
+    /// The next answer; panics when none comes.
+    pub async fn next(&mut self) -> Option<StreamAnswer> {
         let next = tokio::time::timeout(Duration::from_secs(30), self.output.next()).await;
-        next.expect("a message comes")
-            .map(|r| r.message.expect("every response says something"))
+        next.expect("an answer comes")
     }
 
-    /// The next message, which must be a frame.
+    /// The next answer, which must be a frame.
     pub async fn frame(&mut self) -> Seen {
         match self.next().await {
-            Some(pb::deform_response::Message::Frame(header)) => {
-                assert_eq!((header.part, header.parts), (0, 1), "small frames come in one part");
-                let numbers = header
-                    .data
-                    .chunks_exact(4)
-                    .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-                let x = numbers.step_by(3).enumerate().map(|(v, x)| f64::from(x) - v as f64);
+            Some(StreamAnswer::Frame(frame)) => {
+                let x = frame.positions.iter().enumerate().map(|(v, p)| p.x - v as f64);
                 Seen {
                     x: x.map(|x| (x * 1e4).round() / 1e4).collect(),
-                    header,
+                    header: frame.header,
+                    selected: frame.selected,
                 }
             }
             other => panic!("a frame was expected, not {other:?}"),
         }
     }
 
-    /// The next message, which must be an error.
-    pub async fn error(&mut self) -> pb::Error {
+    /// The next answer, which must be a failure: the number of the pose, and what is wrong with it.
+    pub async fn error(&mut self) -> (u64, session::Error) {
         match self.next().await {
-            Some(pb::deform_response::Message::Error(error)) => error,
+            Some(StreamAnswer::Failure { error, seq }) => (seq, error),
             other => panic!("an error was expected, not {other:?}"),
         }
     }
 
     /// Asserts that nothing comes but the answer to a ping.
     pub async fn silent(&mut self) {
-        self.input
-            .push(ask(pb::deform_request::Message::Ping(pb::Ping { nonce: 77 })))
-            .expect("the stream is open");
+        self.push(StreamRequest::Ping(77));
         let next = self.next().await;
-        assert_eq!(next, Some(pb::deform_response::Message::Pong(pb::Ping { nonce: 77 })));
+        assert!(matches!(next, Some(StreamAnswer::Pong(77))), "{next:?}");
         let more = tokio::time::timeout(Duration::from_millis(30), self.output.next()).await;
         assert!(more.is_err(), "nothing was expected, not {more:?}");
     }

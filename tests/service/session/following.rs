@@ -1,55 +1,35 @@
 //! Sessions whose engine follows edits: going back gives the same bits as having stayed.
 
 use super::bench::obj;
+use super::edits::edit_of_current;
 use super::fake::*;
 use super::real::turned;
 use glam::DVec3;
 use pliant::asset::shapes;
+use pliant::edit::SubdivisionScheme;
+use pliant::engine::{Edit, EditedShape, Handle, HandlePose, HandleSet, Region};
 use pliant::session::{Manager, SessionConfig};
-use pliant::wire::pb;
+use pliant::wire::SessionEdit;
 
 /// A session with a bar of some thousand vertices, held at its ends.
 async fn bar(manager: &Manager) -> String {
     let files = obj(&shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [12, 12, 36]));
-    let made = manager
-        .create(tenant(), files, pb::CreateOptions::default(), None)
-        .await;
+    let made = manager.create(tenant(), files, options(), None).await;
     let id = made.expect("a bar").value.id;
-    let end = |name: &str, z: f64, offset: f64| pb::Handle {
-        id: name.into(),
-        region: Some(pb::Region {
-            region: Some(pb::region::Region::HalfSpace(pb::region::HalfSpace {
-                normal: vec![0.0, 0.0, z],
-                offset,
-            })),
-        }),
-        ..Default::default()
-    };
-    let request = pb::SetHandlesRequest {
-        session_id: id.clone(),
-        handles: vec![end("base", -1.0, -0.4), end("top", 1.0, 2.6)],
-        ..Default::default()
-    };
-    manager.set_handles(tenant(), request, None).await.expect("two handles");
+    let handles = HandleSet::from([
+        Handle::new("base", Region::half_space([0.0, 0.0, -1.0], -0.4)),
+        Handle::new("top", Region::half_space([0.0, 0.0, 1.0], 2.6)),
+    ]);
+    let set = manager.set_handles(tenant(), &id, handles, None).await;
+    set.expect("two handles");
     id
 }
 
-fn delete(id: &str, height: f64) -> pb::EditRequest {
-    let sphere = pb::region::Sphere {
-        center: vec![1.0, 0.5, height],
-        radius: 0.25,
-    };
-    let delete = pb::edit_request::Delete {
-        region: Some(pb::Region {
-            region: Some(pb::region::Region::Sphere(sphere)),
-        }),
+fn delete(height: f64) -> SessionEdit {
+    edit_of_current(Edit::Delete {
+        region: Region::sphere([1.0, 0.5, height], 0.25),
         fill: true,
-    };
-    pb::EditRequest {
-        session_id: id.into(),
-        operation: Some(pb::edit_request::Operation::Delete(delete)),
-        ..Default::default()
-    }
+    })
 }
 
 #[tokio::test]
@@ -63,20 +43,20 @@ async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
         let id = bar(&manager).await;
         let mut after = Vec::new();
         for k in 0..4 {
-            let bent = manager.solve(tenant(), turned(&id, 0.2), None).await.expect("solved");
+            let bent = manager.solve(tenant(), &id, turned(0.2), None).await.expect("solved");
             after.push(bent.digest);
             let edit = manager
-                .edit(tenant(), delete(&id, 0.8 + 0.4 * f64::from(k)), None)
+                .edit(tenant(), &id, delete(0.8 + 0.4 * f64::from(k)), None)
                 .await
                 .expect("an edit");
-            assert!(edit.repaired, "edit {k} is followed");
+            assert!(edit.report.repaired, "edit {k} is followed");
         }
         // Back to before each pose, newest first, and the same pose again.
         for digest in after.iter().rev() {
             for _ in 0..2 {
                 manager.undo(tenant(), &id, None).await.expect("undone");
             }
-            let again = manager.solve(tenant(), turned(&id, 0.2), None).await.expect("solved");
+            let again = manager.solve(tenant(), &id, turned(0.2), None).await.expect("solved");
             assert_eq!(again.digest, *digest);
             manager.undo(tenant(), &id, None).await.expect("undone");
         }
@@ -84,12 +64,10 @@ async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
 }
 
 /// An edit on the rest shape that changes nothing.
-fn idle(id: &str) -> pb::EditRequest {
-    let weld = pb::edit_request::Weld { tolerance: 1e-6 };
-    pb::EditRequest {
-        session_id: id.into(),
-        on: pb::edit_request::On::Rest.into(),
-        operation: Some(pb::edit_request::Operation::Weld(weld)),
+fn idle() -> SessionEdit {
+    SessionEdit {
+        on: EditedShape::Rest,
+        ..edit_of_current(Edit::Weld { tolerance: 1e-6 })
     }
 }
 
@@ -97,24 +75,18 @@ fn idle(id: &str) -> pb::EditRequest {
 async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
     let manager = Manager::new(small()).expect("valid");
     let id = bar(&manager).await;
-    let untouched = manager.edit(tenant(), idle(&id), None).await.expect("an edit");
+    let untouched = manager.edit(tenant(), &id, idle(), None).await.expect("an edit");
     assert!(
         !untouched.ms.contains_key("solve"),
         "nothing is posed: {:?}",
         untouched.ms
     );
     for refine in [0, 3] {
-        let options = pb::Options {
-            refine: Some(refine),
-            ..Default::default()
-        };
-        let pose = pb::SolveRequest {
-            options: Some(options),
-            ..turned(&id, 0.9)
-        };
-        let bent = manager.solve(tenant(), pose, None).await.expect("solved");
-        let edit = manager.edit(tenant(), idle(&id), None).await.expect("an edit");
-        assert_eq!(edit.digest, bent.digest, "refine {refine}");
+        let mut pose = turned(0.9);
+        pose.options.solve.refine = Some(refine);
+        let bent = manager.solve(tenant(), &id, pose, None).await.expect("solved");
+        let edit = manager.edit(tenant(), &id, idle(), None).await.expect("an edit");
+        assert_eq!(edit.report.digest, bent.digest, "refine {refine}");
     }
 }
 
@@ -122,16 +94,13 @@ async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
 async fn a_session_tells_the_poses_in_force() {
     let manager = Manager::new(small()).expect("valid");
     let id = bar(&manager).await;
-    let pose = |session: &pb::Session, k: usize| session.handles[k].pose.clone();
-    let session = manager.get(tenant(), &id).await.expect("it is there");
-    assert_eq!((pose(&session, 0), pose(&session, 1)), (None, None));
-    manager.solve(tenant(), turned(&id, 0.2), None).await.expect("solved");
-    let session = manager.get(tenant(), &id).await.expect("it is there");
-    let turned = pose(&session, 1).expect("the top is turned");
-    assert_eq!((pose(&session, 0), turned.rotation_vector), (None, vec![0.2, 0.0, 0.0]));
+    let poses = async || manager.get(tenant(), &id).await.expect("it is there").poses;
+    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);
+    manager.solve(tenant(), &id, turned(0.2), None).await.expect("solved");
+    let turned = HandlePose::rotation([0.2, 0.0, 0.0]);
+    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(), turned]);
     manager.undo(tenant(), &id, None).await.expect("undone");
-    let session = manager.get(tenant(), &id).await.expect("it is there");
-    assert_eq!(pose(&session, 1), None);
+    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);
 }
 
 #[tokio::test]
@@ -139,12 +108,13 @@ async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
     let open = Manager::new(small()).expect("valid");
     let id = bar(&open).await;
     let one = open.metrics().bytes.get() as u64;
-    let twice = |id: &str| pb::EditRequest {
-        session_id: id.into(),
-        operation: Some(pb::edit_request::Operation::Subdivide(Default::default())),
-        ..Default::default()
+    let twice = || {
+        edit_of_current(Edit::Subdivide {
+            region: None,
+            scheme: SubdivisionScheme::Loop,
+        })
     };
-    open.edit(tenant(), twice(&id), None).await.expect("there is room");
+    open.edit(tenant(), &id, twice(), None).await.expect("there is room");
 
     let manager = Manager::new(SessionConfig {
         memory_bytes: 12 * one,
@@ -156,7 +126,7 @@ async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
         ids.push(bar(&manager).await);
     }
     for id in ids.iter().cycle().take(9) {
-        if let Err(e) = manager.edit(tenant(), twice(id), None).await {
+        if let Err(e) = manager.edit(tenant(), id, twice(), None).await {
             refused = Some((id, e));
             break;
         }
@@ -169,7 +139,7 @@ async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
         "{error:?}"
     );
     manager
-        .solve(tenant(), turned(id, 0.1), None)
+        .solve(tenant(), id, turned(0.1), None)
         .await
         .expect("the session goes on");
 }

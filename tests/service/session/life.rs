@@ -1,19 +1,17 @@
 //! Expiry, deleting, idempotency keys, draining, many sessions at once.
 
 use super::fake::*;
-use pliant::session::{ErrorCode, SessionConfig};
-use pliant::wire::pb;
+use pliant::session::{ErrorCode, SessionConfig, StreamAnswer};
+use pliant::wire::SessionOptions;
 use std::time::Duration;
-
-type Tell = pb::deform_response::Message;
 
 #[tokio::test]
 async fn an_unused_session_expires_and_frees_its_memory() {
     let (manager, _) = manager(small());
-    let options = || pb::CreateOptions {
-        ttl: "1s".into(),
+    let options = || SessionOptions {
+        ttl: Some(Duration::from_secs(1)),
         label: "short".into(),
-        ..Default::default()
+        ..options()
     };
     let idle = manager
         .create(tenant(), model("points 4"), options(), None)
@@ -70,7 +68,7 @@ async fn deleting_ends_work_and_streams() {
     control.held_up().await;
     let solving = tokio::spawn({
         let (manager, id) = (manager.clone(), id.clone());
-        async move { manager.solve(tenant(), solve(&id, &[]), None).await }
+        async move { manager.solve(tenant(), &id, solve(&[]), None).await }
     });
     tokio::task::yield_now().await;
     manager.delete(tenant(), &id).await.expect("deleted");
@@ -83,10 +81,10 @@ async fn deleting_ends_work_and_streams() {
     while let Some(message) = client.next().await {
         last = Some(message);
     }
-    let Some(Tell::Error(error)) = last else {
+    let Some(StreamAnswer::Failure { error, seq }) = last else {
         panic!("an error comes last, not {last:?}")
     };
-    assert_eq!((error.seq, error.code), (0, 5));
+    assert_eq!((seq, error.grpc_code()), (0, 5));
 }
 
 #[tokio::test]
@@ -96,7 +94,7 @@ async fn the_same_key_does_a_thing_once() {
         let manager = manager.clone();
         async move {
             manager
-                .create(tenant(), model(text), pb::CreateOptions::default(), Some(key))
+                .create(tenant(), model(text), options(), super::fake::key(key, ""))
                 .await
         }
     };
@@ -113,16 +111,17 @@ async fn the_same_key_does_a_thing_once() {
 
     let id = first.value.id;
     manager
-        .set_handles(tenant(), handles(&id, &["a", "b"]), Some("two"))
+        .set_handles(tenant(), &id, handles(&["a", "b"]), key("two", ""))
         .await
         .expect("set");
     manager
-        .set_handles(tenant(), handles(&id, &["a", "b"]), Some("two"))
+        .set_handles(tenant(), &id, handles(&["a", "b"]), key("two", ""))
         .await
         .expect("the same answer");
     let solve = |x: f64| {
-        let (manager, request) = (manager.clone(), solve(&id, &[("a", x)]));
-        async move { manager.solve(tenant(), request, Some("three")).await }
+        let (manager, id, request) = (manager.clone(), id.clone(), solve(&[("a", x)]));
+        let key = key("three", &request);
+        async move { manager.solve(tenant(), &id, request, key).await }
     };
     control.hold();
     let running = tokio::spawn(solve(1.0));
@@ -133,8 +132,8 @@ async fn the_same_key_does_a_thing_once() {
     let done = running.await.expect("no panic").expect("solved");
     let again = solve(1.0).await.expect("the same answer");
     assert_eq!(
-        (done.revision, &done.frames, &done.digest),
-        (again.revision, &again.frames, &again.digest)
+        (done.revision, &done.frame.header, &done.digest),
+        (again.revision, &again.frame.header, &again.digest)
     );
     assert_eq!(solve(2.0).await.expect_err("another pose").http_status(), 422);
     for _ in 0..2 {
@@ -149,18 +148,21 @@ async fn a_call_that_failed_or_was_given_up_frees_its_key() {
     let (manager, control) = manager(small());
     let id = open(&manager).await;
     let wrong = manager
-        .solve(tenant(), solve(&id, &[("x", 1.0)]), Some("key"))
+        .solve(tenant(), &id, solve(&[("x", 1.0)]), key("key", "wrong"))
         .await
         .expect_err("unknown handle");
     assert_eq!(wrong.http_status(), 422);
     control.hold();
-    let request = solve(&id, &[("a", 1.0)]);
-    let solving = manager.solve(tenant(), request.clone(), Some("key"));
+    let request = solve(&[("a", 1.0)]);
+    let solving = manager.solve(tenant(), &id, request.clone(), key("key", &request));
     assert!(tokio::time::timeout(Duration::from_millis(20), solving).await.is_err());
     until(|| manager.metrics().pool_busy.get() == 0).await;
     control.release();
     let solved = loop {
-        match manager.solve(tenant(), request.clone(), Some("key")).await {
+        match manager
+            .solve(tenant(), &id, request.clone(), key("key", &request))
+            .await
+        {
             // The session's task may not have heard of the end yet.
             Err(error) if error.code == ErrorCode::Aborted => tokio::time::sleep(Duration::from_millis(1)).await,
             other => break other.expect("done at last"),
@@ -176,15 +178,13 @@ async fn draining_tells_streams_and_waits_for_them() {
     let mut client = Client::open(&manager, &id).await;
     manager.start_drain();
     assert!(!manager.admits());
-    let Some(Tell::Notice(notice)) = client.next().await else {
+    let Some(StreamAnswer::Notice { code, session, .. }) = client.next().await else {
         panic!("a notice was expected")
     };
-    assert_eq!((notice.code.as_str(), &notice.resume_token), ("going-away", &id));
+    assert_eq!((code, &session), ("going-away", &id));
     let error = manager.stream(tenant(), &id).await.expect_err("no new streams");
     assert_eq!((error.http_status(), error.retry_after_s.is_some()), (503, true));
-    let made = manager
-        .create(tenant(), model("points 4"), pb::CreateOptions::default(), None)
-        .await;
+    let made = manager.create(tenant(), model("points 4"), options(), None).await;
     assert_eq!(made.expect_err("no new sessions").http_status(), 503);
     client.commit(1, &[("a", 1.0)]);
     assert_eq!(client.frame().await.header.seq, 1, "what is open still works");
@@ -197,7 +197,7 @@ async fn draining_tells_streams_and_waits_for_them() {
     control.hold();
     let solving = tokio::spawn({
         let (manager, id) = (manager.clone(), id.clone());
-        async move { manager.solve(tenant(), solve(&id, &[]), None).await }
+        async move { manager.solve(tenant(), &id, solve(&[]), None).await }
     });
     control.held_up().await;
     manager.abort();

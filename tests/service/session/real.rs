@@ -2,8 +2,10 @@
 
 use super::fake::*;
 use pliant::asset::FileSet;
-use pliant::session::{Manager, SessionConfig};
-use pliant::wire::pb;
+use pliant::engine::{Handle, HandlePose, HandleSet, QualityReport, Region};
+use pliant::session::{Manager, SessionConfig, SessionFacts};
+use pliant::wire::frames::{FrameOutput, encode};
+use pliant::wire::{DeformOptions, PoseCommit, StreamRequest};
 
 /// An upright bar of square section, closed, with the handles `base` (held) and `top`.
 fn bar() -> FileSet {
@@ -36,56 +38,43 @@ fn bar() -> FileSet {
     FileSet::single("bar.obj", text.into_bytes())
 }
 
-fn half_space(id: &str, z: f64, offset: f64) -> pb::Handle {
-    let half_space = pb::region::HalfSpace {
-        normal: vec![0.0, 0.0, z],
-        offset,
-    };
-    let region = Some(pb::Region {
-        region: Some(pb::region::Region::HalfSpace(half_space)),
-    });
-    pb::Handle {
-        id: id.into(),
-        region,
-        ..Default::default()
-    }
-}
-
-pub async fn bent(manager: &Manager) -> (String, pb::Session) {
+pub async fn bent(manager: &Manager) -> (String, SessionFacts) {
     let made = manager
-        .create(tenant(), bar(), pb::CreateOptions::default(), None)
+        .create(tenant(), bar(), options(), None)
         .await
         .expect("a bar")
         .value;
-    let handles = vec![half_space("base", -1.0, -0.3), half_space("top", 1.0, 2.7)];
-    let request = pb::SetHandlesRequest {
-        session_id: made.id.clone(),
-        handles,
-        ..Default::default()
-    };
-    let session = manager.set_handles(tenant(), request, None).await.expect("two handles");
+    let handles = HandleSet::from([
+        Handle::new("base", Region::half_space([0.0, 0.0, -1.0], -0.3)),
+        Handle::new("top", Region::half_space([0.0, 0.0, 1.0], 2.7)),
+    ]);
+    let session = manager
+        .set_handles(tenant(), &made.id, handles, None)
+        .await
+        .expect("two handles");
     (made.id, session)
 }
 
-pub fn turned(id: &str, angle: f64) -> pb::SolveRequest {
-    let pose = pb::HandlePose {
-        rotation_vector: vec![angle, 0.0, 0.0],
-        ..Default::default()
+/// The top's turn about x; none is at rest.
+fn turn(angle: f64) -> Vec<(String, HandlePose)> {
+    let pose = match angle {
+        0.0 => HandlePose::default(),
+        angle => HandlePose::rotation([angle, 0.0, 0.0]),
     };
-    let entry = pb::pose::Entry {
-        id: "top".into(),
-        pose: (angle != 0.0).then_some(pose),
-    };
-    let pose = pb::Pose {
+    vec![("top".into(), pose)]
+}
+
+pub fn turned(angle: f64) -> PoseCommit {
+    PoseCommit {
         seq: 4,
-        handles: vec![entry],
-        commit: true,
-    };
-    pb::SolveRequest {
-        session_id: id.into(),
-        pose: Some(pose),
-        options: None,
+        changes: turn(angle),
+        options: stream_options(),
     }
+}
+
+/// The same along a stream.
+pub fn turning(seq: u64, angle: f64, commit: bool) -> StreamRequest {
+    posed(seq, turn(angle), commit)
 }
 
 #[tokio::test]
@@ -97,7 +86,10 @@ async fn commits_undo_and_replay_to_the_bit() {
         })
         .expect("valid");
         let (id, session) = bent(&manager).await;
-        assert_eq!((session.handles.len(), session.primitives.len()), (2, 1));
+        assert_eq!(
+            (session.deformer.handles.len(), session.deformer.primitives.len()),
+            (2, 1)
+        );
         assert!(
             ["read", "mesh", "hierarchy", "fields"]
                 .iter()
@@ -106,26 +98,17 @@ async fn commits_undo_and_replay_to_the_bit() {
         );
         let rest = manager.export(tenant(), &id, None).await.expect("written").written.main;
         assert_eq!(rest, bar().main, "an undeformed model is written byte for byte");
-        let first = manager.solve(tenant(), turned(&id, 1.0), None).await.expect("solved");
+        let first = manager.solve(tenant(), &id, turned(1.0), None).await.expect("solved");
         assert_ne!(
             manager.export(tenant(), &id, None).await.expect("written").written.main,
             rest
         );
-        let second = manager.solve(tenant(), turned(&id, -0.5), None).await.expect("solved");
+        let second = manager.solve(tenant(), &id, turned(-0.5), None).await.expect("solved");
         let mut client = Client::open(&manager, &id).await;
         for (seq, angle) in [(1, 0.2), (2, 0.9)] {
-            let pose = turned(&id, angle).pose.expect("a pose");
-            let pose = pb::Pose {
-                seq,
-                commit: false,
-                ..pose
-            };
-            client
-                .input
-                .push(ask(pb::deform_request::Message::Pose(pose)))
-                .expect("open");
+            client.push(turning(seq, angle, false));
             let frame = client.frame().await.header;
-            assert!(frame.r#final && frame.residual <= 1e-4 && frame.max_error.is_finite());
+            assert!(frame.is_final && frame.residual <= 1e-4 && frame.max_error.is_finite());
             client.ack(seq);
         }
         drop(client);
@@ -137,12 +120,12 @@ async fn commits_undo_and_replay_to_the_bit() {
             .find(|c| c.revision == view.current)
             .expect("listed");
         assert_eq!(at.digest, first.digest);
-        let again = manager.solve(tenant(), turned(&id, -0.5), None).await.expect("solved");
+        let again = manager.solve(tenant(), &id, turned(-0.5), None).await.expect("solved");
         assert_eq!(
             again.digest, second.digest,
             "the same handles, poses and settings give the same bits"
         );
-        let home = manager.solve(tenant(), turned(&id, 0.0), None).await.expect("solved");
+        let home = manager.solve(tenant(), &id, turned(0.0), None).await.expect("solved");
         assert_eq!(home.digest, view.commits[0].digest, "at rest nothing moves");
         assert_eq!(
             manager.export(tenant(), &id, None).await.expect("written").written.main,
@@ -155,27 +138,16 @@ async fn commits_undo_and_replay_to_the_bit() {
 async fn frames_carry_normals_that_turn_with_the_shape() {
     let manager = Manager::new(small()).expect("valid");
     let (id, _) = bent(&manager).await;
-    let output = Some(pb::Output {
-        normals: true,
-        tangents: true,
-        ..Default::default()
-    });
-    let mut request = turned(&id, 1.0);
-    request.options = Some(pb::Options {
-        output,
-        progressive: true,
-        ..Default::default()
-    });
-    let solved = manager.solve(tenant(), request, None).await.expect("solved");
-    let attributes: Vec<i32> = solved.frames.iter().map(|f| f.attribute).collect();
+    let mut request = turned(1.0);
+    request.options.output.normals = true;
+    request.options.output.tangents = true;
+    request.options.progressive = true;
+    let solved = manager.solve(tenant(), &id, request, None).await.expect("solved");
+    let frames: Vec<_> = encode(solved.frame).collect();
+    let attributes: Vec<i32> = frames.iter().map(|f| f.attribute).collect();
     assert_eq!(attributes, [0, 1, 2]);
-    assert!(
-        solved
-            .frames
-            .iter()
-            .all(|f| f.seq == 4 && f.r#final && f.vertex_count == 52)
-    );
-    let numbers = solved.frames[1]
+    assert!(frames.iter().all(|f| f.seq == 4 && f.r#final && f.vertex_count == 52));
+    let numbers = frames[1]
         .data
         .chunks_exact(4)
         .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
@@ -184,7 +156,7 @@ async fn frames_carry_normals_that_turn_with_the_shape() {
         let length = normal.iter().map(|x| x * x).sum::<f32>();
         assert!((length - 1.0).abs() < 1e-3, "{normal:?}");
     }
-    let repeat = manager.solve(tenant(), turned(&id, 1.0), None).await.expect("solved");
+    let repeat = manager.solve(tenant(), &id, turned(1.0), None).await.expect("solved");
     assert_eq!(
         repeat.digest, solved.digest,
         "what frames carry does not change the shape"
@@ -195,18 +167,20 @@ async fn frames_carry_normals_that_turn_with_the_shape() {
 async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
     let manager = Manager::new(small()).expect("valid");
     let (id, _) = bent(&manager).await;
-    let options = |self_intersections: bool| pb::Options {
-        output: Some(pb::Output {
+    let options = |self_intersections: bool| DeformOptions {
+        output: FrameOutput {
             self_intersections,
             ..Default::default()
-        }),
-        ..Default::default()
+        },
+        ..stream_options()
     };
     let solve = async |angle: f64, count: bool| {
-        let mut request = turned(&id, angle);
-        request.options = Some(options(count));
-        let solved = manager.solve(tenant(), request, None).await.expect("solved");
-        solved.frames[0].quality.expect("a commit is measured")
+        let request = PoseCommit {
+            options: options(count),
+            ..turned(angle)
+        };
+        let solved = manager.solve(tenant(), &id, request, None).await.expect("solved");
+        solved.frame.header.quality.expect("a commit is measured")
     };
     let home = solve(0.0, true).await;
     assert_eq!(
@@ -218,7 +192,7 @@ async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
     let counted = solve(1.0, true).await;
     assert_eq!(
         counted,
-        pb::Quality {
+        QualityReport {
             self_intersections: Some(0),
             ..plain
         }
@@ -228,15 +202,7 @@ async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
     let mut client = Client::open(&manager, &id).await;
     client.options(options(true));
     for (seq, commit) in [(1, false), (2, true)] {
-        let pose = pb::Pose {
-            seq,
-            commit,
-            ..turned(&id, 1.0).pose.expect("a pose")
-        };
-        client
-            .input
-            .push(ask(pb::deform_request::Message::Pose(pose)))
-            .expect("open");
+        client.push(turning(seq, 1.0, commit));
         let frame = client.frame().await.header;
         assert_eq!(frame.quality, commit.then_some(counted), "pose {seq}");
         client.ack(seq);

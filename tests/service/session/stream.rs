@@ -1,12 +1,11 @@
 //! The deform stream's promises.
 
 use super::fake::*;
-use pliant::session::{ErrorCode, SessionConfig};
-use pliant::wire::pb;
+use pliant::session::{ErrorCode, SessionConfig, StreamAnswer};
+use pliant::wire::frames::{FrameOutput, encode};
+use pliant::wire::{self, DeformOptions, StreamRequest};
 use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
-
-type Tell = pb::deform_response::Message;
 
 #[tokio::test]
 async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
@@ -20,12 +19,12 @@ async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
     control.release();
     let first = client.frame().await;
     assert_eq!(
-        (first.header.seq, first.header.superseded, first.header.r#final),
+        (first.header.seq, first.header.superseded, first.header.is_final),
         (1, 0, true)
     );
     let second = client.frame().await;
     assert_eq!(
-        (second.header.seq, second.header.superseded, second.header.r#final),
+        (second.header.seq, second.header.superseded, second.header.is_final),
         (10, 8, true)
     );
     assert_eq!(second.x, [10.0, 0.0, 10.0, 0.0]);
@@ -70,13 +69,13 @@ async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
     client.drag(5, &[("a", 1.0)]);
     assert_eq!(client.frame().await.header.seq, 5);
     client.drag(5, &[("a", 2.0)]);
-    let error = client.error().await;
-    assert_eq!((error.seq, error.code), (5, 3), "{}", error.message);
+    let (seq, error) = client.error().await;
+    assert_eq!((seq, error.grpc_code()), (5, 3), "{}", error.message);
     client.drag(6, &[("nobody", 2.0)]);
-    let error = client.error().await;
-    assert_eq!((error.seq, error.code), (6, 3), "{}", error.message);
+    let (seq, error) = client.error().await;
+    assert_eq!((seq, error.grpc_code()), (6, 3), "{}", error.message);
     client.drag(7, &[("a", f64::NAN)]);
-    assert_eq!(client.error().await.seq, 7);
+    assert_eq!(client.error().await.0, 7);
     client.ack(5);
     client.drag(8, &[("b", 1.0)]);
     let frame = client.frame().await;
@@ -101,8 +100,8 @@ async fn a_wrong_pose_among_skipped_ones_takes_no_effect_and_no_part_in_the_coun
     let (mut frames, mut errors) = (Vec::new(), Vec::new());
     for _ in 0..4 {
         match client.next().await.expect("open") {
-            Tell::Frame(frame) => frames.push((frame.seq, frame.superseded)),
-            Tell::Error(error) => errors.push(error.seq),
+            StreamAnswer::Frame(frame) => frames.push((frame.header.seq, frame.header.superseded)),
+            StreamAnswer::Failure { seq, .. } => errors.push(seq),
             other => panic!("unexpected {other:?}"),
         }
     }
@@ -118,10 +117,10 @@ async fn without_handles_every_pose_is_refused() {
     let id = create(&manager, "points 4").await;
     let mut client = Client::open(&manager, &id).await;
     client.drag(1, &[]);
-    let error = client.error().await;
-    assert_eq!((error.seq, error.code), (1, 9), "{}", error.message);
+    let (seq, error) = client.error().await;
+    assert_eq!((seq, error.grpc_code()), (1, 9), "{}", error.message);
     manager
-        .set_handles(tenant(), handles(&id, &["a"]), None)
+        .set_handles(tenant(), &id, handles(&["a"]), None)
         .await
         .expect("one handle");
     client.drag(2, &[("a", 1.0)]);
@@ -147,9 +146,9 @@ async fn no_more_frames_than_the_window_are_on_their_way() {
     client.ack(1);
     let frame = client.frame().await;
     assert_eq!((frame.header.seq, frame.header.superseded), (9, 6));
-    client.options(pb::Options {
+    client.options(DeformOptions {
         window: 3,
-        ..Default::default()
+        ..stream_options()
     });
     client.drag(10, &[]);
     assert_eq!(client.frame().await.header.seq, 10, "a wider window holds one more");
@@ -193,9 +192,9 @@ async fn commits_are_never_skipped_and_stay_in_order() {
     let (manager, control) = manager(small());
     let id = open(&manager).await;
     let mut client = Client::open(&manager, &id).await;
-    client.options(pb::Options {
+    client.options(DeformOptions {
         window: 8,
-        ..Default::default()
+        ..stream_options()
     });
     control.hold();
     client.drag(1, &[("a", 1.0)]);
@@ -221,10 +220,10 @@ async fn commits_are_never_skipped_and_stay_in_order() {
         (&[3.0, 2.0][..], &[4.0, 2.0][..])
     );
     let history = manager.history(tenant(), &id).await.expect("open");
-    let kinds: Vec<&str> = history.commits.iter().map(|c| c.kind.as_str()).collect();
+    let kinds: Vec<&str> = history.commits.iter().map(|c| c.kind).collect();
     assert_eq!(kinds, ["create", "handles", "pose", "pose"]);
     let solved = manager
-        .solve(tenant(), solve(&id, &[]), None)
+        .solve(tenant(), &id, solve(&[]), None)
         .await
         .expect("the committed poses");
     assert_eq!(
@@ -241,16 +240,16 @@ async fn too_many_waiting_commits_are_refused_by_number() {
     });
     let id = open(&manager).await;
     let mut client = Client::open(&manager, &id).await;
-    client.options(pb::Options {
+    client.options(DeformOptions {
         window: 8,
-        ..Default::default()
+        ..stream_options()
     });
     control.hold();
     client.commit(1, &[("a", 1.0)]);
     control.held_up().await;
     (2..=4).for_each(|seq| client.commit(seq, &[("a", 1.0)]));
-    let error = client.error().await;
-    assert_eq!((error.seq, error.code), (4, 8), "{}", error.message);
+    let (seq, error) = client.error().await;
+    assert_eq!((seq, error.grpc_code()), (4, 8), "{}", error.message);
     control.release();
     for seq in 1..=3 {
         assert_eq!(client.frame().await.header.seq, seq);
@@ -280,7 +279,7 @@ async fn a_commit_elsewhere_moves_a_stream_but_not_what_it_drags() {
     client.drag(1, &[("a", 5.0)]);
     client.frame().await;
     manager
-        .solve(tenant(), solve(&id, &[("b", 2.0)]), None)
+        .solve(tenant(), &id, solve(&[("b", 2.0)]), None)
         .await
         .expect("solved");
     client.ack(1);
@@ -297,10 +296,10 @@ async fn progressive_frames_come_from_the_first_cycle_on() {
     let (manager, control) = manager(small());
     let id = open(&manager).await;
     let mut client = Client::open(&manager, &id).await;
-    client.options(pb::Options {
+    client.options(DeformOptions {
         progressive: true,
         window: 4,
-        ..Default::default()
+        ..stream_options()
     });
     control.hold();
     client.drag(1, &[("a", 1.0)]);
@@ -309,7 +308,7 @@ async fn progressive_frames_come_from_the_first_cycle_on() {
         control.step(1);
         let frame = client.frame().await;
         client.ack(1);
-        assert_eq!((frame.header.seq, frame.header.r#final), (1, cycle == 4));
+        assert_eq!((frame.header.seq, frame.header.is_final), (1, cycle == 4));
         assert_eq!(
             frame.x[0],
             if cycle == 4 {
@@ -329,10 +328,10 @@ async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
     let id = open(&manager).await;
     for progressive in [true, false] {
         let mut client = Client::open(&manager, &id).await;
-        client.options(pb::Options {
+        client.options(DeformOptions {
             progressive,
             window: 8,
-            ..Default::default()
+            ..stream_options()
         });
         control.hold();
         client.drag(1, &[("a", 1.0)]);
@@ -343,14 +342,14 @@ async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
         let mut frames = Vec::new();
         while frames
             .last()
-            .is_none_or(|f: &Seen| f.header.seq < 2 || !f.header.r#final)
+            .is_none_or(|f: &Seen| f.header.seq < 2 || !f.header.is_final)
         {
             frames.push(client.frame().await);
             client.ack(2);
         }
         let of_first: Vec<_> = frames.iter().filter(|f| f.header.seq == 1).collect();
         let last = of_first.last().expect("every pose taken has a frame");
-        assert!(last.header.r#final);
+        assert!(last.header.is_final);
         assert_eq!(last.x[0] == 1.0, !progressive, "{:?}", last.x);
         assert_eq!(of_first.len(), if progressive { 2 } else { 1 });
     }
@@ -361,9 +360,9 @@ async fn a_budget_takes_the_best_there_is() {
     let (manager, control) = manager(small());
     let id = open(&manager).await;
     let mut client = Client::open(&manager, &id).await;
-    client.options(pb::Options {
-        budget_ms: 1.0,
-        ..Default::default()
+    client.options(DeformOptions {
+        budget_ms: Some(1.0),
+        ..stream_options()
     });
     control.hold();
     client.drag(1, &[("a", 1.0)]);
@@ -371,7 +370,7 @@ async fn a_budget_takes_the_best_there_is() {
     tokio::time::sleep(Duration::from_millis(5)).await;
     control.step(1);
     let frame = client.frame().await;
-    assert_eq!((frame.header.r#final, frame.x[0]), (true, 0.9));
+    assert_eq!((frame.header.is_final, frame.x[0]), (true, 0.9));
     assert!(frame.header.residual > 0.05 && frame.header.solve_ms >= 1.0);
 }
 
@@ -408,10 +407,11 @@ async fn a_client_that_has_said_everything_gets_its_last_frame_unasked() {
     control.release();
     let mut told = Vec::new();
     while let Some(message) = client.next().await {
-        let Tell::Frame(frame) = message else {
+        let StreamAnswer::Frame(frame) = message else {
             panic!("only frames were expected, not {message:?}")
         };
-        told.push((frame.seq, frame.superseded, frame.r#final));
+        let header = frame.header;
+        told.push((header.seq, header.superseded, header.is_final));
     }
     assert_eq!(
         told,
@@ -441,10 +441,10 @@ async fn dropping_a_stream_stops_its_solve_and_changes_nothing() {
     let session = manager.get(tenant(), &id).await.expect("open");
     assert_eq!((session.revision, manager.metrics().streams.get()), (2, 0));
     let solved = manager
-        .solve(tenant(), solve(&id, &[("a", 1.0)]), None)
+        .solve(tenant(), &id, solve(&[("a", 1.0)]), None)
         .await
         .expect("the session works");
-    assert_eq!(solved.positions[1].x, 1.0, "b is at rest");
+    assert_eq!(solved.frame.positions[1].x, 1.0, "b is at rest");
 }
 
 #[tokio::test]
@@ -475,16 +475,12 @@ async fn wrong_options_end_the_stream() {
     let (manager, _) = manager(small());
     let id = open(&manager).await;
     let mut client = Client::open(&manager, &id).await;
-    client.options(pb::Options {
-        tolerance: -1.0,
-        ..Default::default()
-    });
-    let error = client.error().await;
-    assert_eq!((error.seq, error.code), (0, 3), "{}", error.message);
+    let wrong = wire::Error::invalid("options.tolerance", "is -1");
+    client.push(StreamRequest::Options(Err(wrong)));
+    let (seq, error) = client.error().await;
+    assert_eq!((seq, error.grpc_code()), (0, 3), "{}", error.message);
     assert!(client.next().await.is_none());
-    let refused = client
-        .input
-        .push(ask(pb::deform_request::Message::Ping(pb::Ping::default())));
+    let refused = client.input.push(StreamRequest::Ping(0));
     assert_eq!(refused.map_err(|e| e.code), Err(ErrorCode::Cancelled));
 }
 
@@ -493,23 +489,23 @@ async fn changes_only_are_sent_once_a_frame_is_acknowledged() {
     let (manager, _) = manager(small());
     let id = open(&manager).await;
     let mut client = Client::open(&manager, &id).await;
-    let output = Some(pb::Output {
+    let output = FrameOutput {
         changed_only: Some(0.01),
         ..Default::default()
-    });
-    client.options(pb::Options {
+    };
+    client.options(DeformOptions {
         output,
-        ..Default::default()
+        ..stream_options()
     });
     client.drag(1, &[("a", 1.0)]);
-    assert_eq!(client.frame().await.header.indices, [0, 1, 2, 3]);
+    assert_eq!(client.frame().await.selected, Some(vec![0, 1, 2, 3]));
     client.ack(1);
     client.drag(2, &[("b", 1.0)]);
-    assert_eq!(client.frame().await.header.indices, [1, 3]);
+    assert_eq!(client.frame().await.selected, Some(vec![1, 3]));
     client.ack(2);
     client.drag(3, &[("b", 1.001)]);
-    let still = client.frame().await.header;
-    assert_eq!((still.vertex_count, still.parts, still.r#final), (0, 1, true));
+    let still = client.frame().await;
+    assert_eq!((still.selected, still.header.is_final), (Some(Vec::new()), true));
 }
 
 #[tokio::test]
@@ -520,17 +516,17 @@ async fn large_frames_come_in_parts_made_one_by_one() {
     });
     let id = create(&manager, "points 1000").await;
     manager
-        .set_handles(tenant(), handles(&id, &["a"]), None)
+        .set_handles(tenant(), &id, handles(&["a"]), None)
         .await
         .expect("one handle");
     let mut client = Client::open(&manager, &id).await;
     client.drag(1, &[("a", 1.0)]);
-    for k in 0..10 {
-        let Some(Tell::Frame(part)) = client.next().await else {
-            panic!("a part was expected")
-        };
+    let Some(StreamAnswer::Frame(frame)) = client.next().await else {
+        panic!("a frame was expected")
+    };
+    for (k, part) in encode(*frame).enumerate() {
         assert_eq!(
-            (part.seq, part.part, part.parts, part.first_vertex),
+            (part.seq, part.part as usize, part.parts, part.first_vertex as usize),
             (1, k, 10, k * 100)
         );
         assert_eq!((part.vertex_count, part.data.len(), part.r#final), (100, 1200, true));

@@ -1,0 +1,68 @@
+//! What sessions answer, as messages of the schema.
+
+use crate::session::{CommittedEdit, HistoryFacts, SessionConfig, SessionFacts, SessionList};
+use crate::wire::{edit_result, handle_poses_message, page_token, pb, session_message};
+
+/// Writes a session as its owner sees it.
+pub(super) fn described_session(session: &SessionFacts, config: &SessionConfig) -> pb::Session {
+    let mut message = session_message(&session.deformer);
+    handle_poses_message(&mut message.handles, &session.poses);
+    pb::Session {
+        id: session.id.clone(),
+        revision: session.revision,
+        build_ms: session.build_ms.clone(),
+        expires_at: session.expires_at.clone(),
+        label: session.label.clone(),
+        limits: Some(limits(config)),
+        ..message
+    }
+}
+
+/// Writes a page of sessions.
+pub(super) fn session_list(list: &SessionList, config: &SessionConfig) -> pb::ListSessionsResponse {
+    pb::ListSessionsResponse {
+        sessions: list.sessions.iter().map(|s| described_session(s, config)).collect(),
+        next_page_token: list.next_after.map(page_token).unwrap_or_default(),
+    }
+}
+
+/// Writes the commits of a session.
+pub(super) fn history(history: HistoryFacts) -> pb::HistoryResponse {
+    let commits = history.commits.into_iter().map(|commit| pb::Commit {
+        revision: commit.revision,
+        kind: commit.kind.into(),
+        digest: commit.digest,
+    });
+    pb::HistoryResponse {
+        commits: commits.collect(),
+        current: history.current,
+    }
+}
+
+/// Writes what an edit did.
+pub(super) fn committed_edit(edit: CommittedEdit) -> pb::EditResult {
+    pb::EditResult {
+        revision: edit.revision,
+        ms: edit.ms,
+        ..edit_result(&edit.report)
+    }
+}
+
+/// Writes the limits that clients are told.
+pub(super) fn limits(config: &SessionConfig) -> pb::Limits {
+    let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    pb::Limits {
+        upload_bytes: config.upload_bytes,
+        vertices: config.vertices,
+        sessions: config.sessions as u64,
+        memory_bytes: config.memory_bytes,
+        handles: narrow(config.handles),
+        message_bytes: config.message_bytes,
+        window: config.window,
+        part_bytes: config.part_bytes as u64,
+        ttl_seconds: config.max_ttl.as_secs_f64(),
+        history: narrow(config.history),
+        solve_ms: config.solve.as_secs_f64() * 1e3,
+        streams: narrow(config.streams),
+    }
+}

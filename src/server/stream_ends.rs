@@ -1,0 +1,86 @@
+//! A deform stream in messages, for every transport that carries it.
+//!
+//! A request is read and checked here and goes into the session as values. A frame is encoded part by part as the transport
+//! asks for it, so a reader that stops costs no encoded bytes.
+
+use crate::session::{DeformStream, Error, StreamAnswer, StreamInput, StreamOutput};
+use crate::wire::frames::{FrameParts, encode};
+use crate::wire::pb::{self, deform_response::Message};
+use crate::wire::{StreamLimits, stream_request};
+
+/// Where request messages go in.
+#[derive(Debug)]
+pub(super) struct RequestEnd {
+    input: StreamInput,
+    limits: StreamLimits,
+}
+
+/// Where response messages come out.
+#[derive(Debug)]
+pub(super) struct ResponseEnd {
+    output: StreamOutput,
+    /// What is left of the frame that is being sent.
+    parts: Option<FrameParts>,
+}
+
+/// The two ends of a stream.
+pub(super) fn message_ends(stream: DeformStream, limits: StreamLimits) -> (RequestEnd, ResponseEnd) {
+    let (input, output) = stream.split();
+    (RequestEnd { input, limits }, ResponseEnd { output, parts: None })
+}
+
+impl RequestEnd {
+    /// Takes a request; the session that it names is the transport's to check.
+    ///
+    /// # Errors
+    /// Those of [`StreamInput::push`].
+    pub fn push(&self, request: &pb::DeformRequest) -> Result<(), Error> {
+        match stream_request(request, self.limits) {
+            Some(request) => self.input.push(request),
+            None => Ok(()),
+        }
+    }
+
+    /// The client will send no more.
+    pub fn finish(&self) {
+        self.input.finish();
+    }
+}
+
+impl ResponseEnd {
+    /// The next response, or `None` when the stream has ended.
+    ///
+    /// # Cancel safety
+    /// Dropping the future loses no response.
+    pub async fn next(&mut self) -> Option<pb::DeformResponse> {
+        let message = loop {
+            if let Some(part) = self.parts.as_mut().and_then(Iterator::next) {
+                self.output.count_part_bytes(part.data.len());
+                break Message::Frame(part);
+            }
+            self.parts = None;
+            match self.output.next().await? {
+                StreamAnswer::Frame(frame) => self.parts = Some(encode(*frame)),
+                StreamAnswer::Failure { error, seq } => break Message::Error(failure(&error, seq)),
+                StreamAnswer::Notice { code, message, session } => {
+                    break Message::Notice(pb::Notice {
+                        code: code.into(),
+                        message: message.into(),
+                        resume_token: session,
+                    });
+                }
+                StreamAnswer::Pong(nonce) => break Message::Pong(pb::Ping { nonce }),
+            }
+        };
+        Some(pb::DeformResponse { message: Some(message) })
+    }
+}
+
+/// Writes an error as a stream tells it; 0 as number of the pose says that the stream ends.
+pub(super) fn failure(error: &Error, seq: u64) -> pb::Error {
+    pb::Error {
+        code: u32::try_from(error.grpc_code()).unwrap_or(2),
+        message: error.message.clone(),
+        seq,
+    }
+}

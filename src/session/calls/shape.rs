@@ -1,0 +1,76 @@
+//! The calls that read a session's shape, and the stream that deforms it.
+
+use crate::asset::Format;
+use crate::session::answers::{ExportedModel, PositionBuffer, Tenant};
+use crate::session::calls::command::SessionCommand;
+use crate::session::calls::manager::Manager;
+use crate::session::error::Error;
+use crate::session::registry::OpenSession;
+use crate::session::stream::ends::DeformStream;
+use crate::session::stream::mailbox::Mailbox;
+use crate::wire::frames::f32_bytes;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::SeqCst;
+
+impl Manager {
+    /// The model in its current committed shape, in `format` or the one that it came in.
+    ///
+    /// # Cancel safety
+    /// Dropping the future discards the files.
+    ///
+    /// # Errors
+    /// `INVALID_ARGUMENT` when the model cannot be written in that format.
+    pub async fn export(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<ExportedModel, Error> {
+        let session = self.find(tenant, id)?;
+        self.call(&session, None, |call| SessionCommand::Export(format, call))
+            .await
+    }
+
+    /// The entity tag that [`Manager::export`] would answer with, for nothing.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`.
+    pub async fn export_etag(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<String, Error> {
+        let session = self.find(tenant, id)?;
+        Ok(OpenSession::etag(
+            &session.view(),
+            format.unwrap_or(session.format).name(),
+        ))
+    }
+
+    /// The current committed positions as one buffer.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`.
+    pub async fn positions(&self, tenant: &Tenant, id: &str) -> Result<PositionBuffer, Error> {
+        let view = self.find(tenant, id)?.view();
+        let etag = OpenSession::etag(&view, "f32");
+        let bytes = self.shared.compute.offload(move || f32_bytes(&view.positions)).await?;
+        Ok(PositionBuffer { bytes, etag })
+    }
+
+    /// Opens an interactive stream on a session. It starts from the committed poses.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, `RESOURCE_EXHAUSTED` when the session has as many streams as allowed, `UNAVAILABLE` while draining.
+    pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<DeformStream, Error> {
+        let session = self.find(tenant, id)?;
+        if self.shared.draining.load(SeqCst) {
+            return Err(Error::draining());
+        }
+        let (config, metrics) = (&self.shared.config, Arc::clone(&self.shared.metrics));
+        let mailbox = Mailbox::new(&session.id, config, Arc::clone(&metrics), Arc::clone(&session.wake));
+        let mailbox = Arc::new(mailbox);
+        session.streams.add(Arc::clone(&mailbox)).inspect_err(|_| {
+            metrics.refused.inc();
+        })?;
+        let inside = self.shared.gate.enter();
+        let stream = DeformStream::new(mailbox, session, config.part_bytes, metrics, inside);
+        // A drain that began meanwhile may have missed this stream.
+        if self.shared.draining.load(SeqCst) {
+            Err(Error::draining())
+        } else {
+            Ok(stream)
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! What a client sends along a deform stream.
+
+use super::options::DeformOptions;
+use super::poses::{PoseEntry, check_pose_size, pose_entries};
+use super::{Error, pb};
+
+/// One request of a deform stream. What is wrong with it is a part of it: the stream tells it when its turn comes.
+#[derive(Debug, Clone, PartialEq)]
+pub enum StreamRequest {
+    /// The options from now on.
+    Options(Result<DeformOptions, Error>),
+    /// A pose to solve.
+    Pose(StreamPose),
+    /// The client has the frames up to this number.
+    Ack(u64),
+    /// A question whether anybody is there; the answer bears the same number.
+    Ping(u64),
+}
+
+/// A pose on a stream.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StreamPose {
+    /// Its number; numbers grow along a stream.
+    pub seq: u64,
+    /// Whether it is to be committed.
+    pub commit: bool,
+    /// The handles that it names.
+    pub entries: Result<Vec<PoseEntry>, Error>,
+}
+
+/// How large the requests of a stream may be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StreamLimits {
+    /// The largest window of unacknowledged frames.
+    pub window: u32,
+    /// The most handles that a pose may name.
+    pub pose_entries: usize,
+}
+
+/// Reads a request of a stream; `None` for a message that asks for nothing.
+pub fn stream_request(request: &pb::DeformRequest, limits: StreamLimits) -> Option<StreamRequest> {
+    use pb::deform_request::Message;
+    Some(match request.message.as_ref()? {
+        Message::Options(options) => StreamRequest::Options(DeformOptions::check(options, "options", limits.window)),
+        Message::Pose(pose) => StreamRequest::Pose(StreamPose {
+            seq: pose.seq,
+            commit: pose.commit,
+            entries: check_pose_size(pose, limits.pose_entries).map(|()| pose_entries(pose)),
+        }),
+        Message::Ack(ack) => StreamRequest::Ack(ack.seq),
+        Message::Ping(ping) => StreamRequest::Ping(ping.nonce),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: StreamLimits = StreamLimits {
+        window: 8,
+        pose_entries: 2,
+    };
+
+    fn pose(handles: Vec<pb::pose::Entry>) -> StreamPose {
+        let pose = pb::Pose {
+            seq: 3,
+            handles,
+            commit: true,
+        };
+        let request = pb::DeformRequest {
+            session_id: String::new(),
+            message: Some(pb::deform_request::Message::Pose(pose)),
+        };
+        match stream_request(&request, LIMITS) {
+            Some(StreamRequest::Pose(pose)) => pose,
+            other => panic!("a pose was expected, not {other:?}"),
+        }
+    }
+
+    fn entry(id: &str, scale: &[f64]) -> pb::pose::Entry {
+        pb::pose::Entry {
+            id: id.into(),
+            pose: Some(pb::HandlePose {
+                scale: scale.to_vec(),
+                ..Default::default()
+            }),
+        }
+    }
+
+    #[test]
+    fn a_wrong_entry_leaves_the_others_right() {
+        let read = pose(vec![entry("a", &[2.0]), entry("b", &[0.0])]);
+        assert_eq!((read.seq, read.commit), (3, true));
+        let entries = read.entries.expect("small enough");
+        assert!(entries[0].pose.is_ok());
+        let wrong = entries[1].pose.clone().expect_err("no scale");
+        assert!(matches!(wrong, Error::Invalid { field, .. } if field == "pose.handles[1].pose.scale"));
+    }
+
+    #[test]
+    fn what_is_too_large_is_refused_as_a_whole() {
+        let long = "x".repeat(129);
+        for (handles, field) in [
+            (vec![entry("a", &[]), entry("b", &[]), entry("c", &[])], "pose.handles"),
+            (vec![entry("a", &[]), entry(&long, &[])], "pose.handles[1].id"),
+            (vec![entry("a", &[1.0; 5])], "pose.handles[0].pose.scale"),
+        ] {
+            let refused = pose(handles).entries.expect_err(field);
+            assert!(
+                matches!(refused, Error::Invalid { field: f, .. } if f == field),
+                "{field}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_message_without_content_asks_for_nothing() {
+        assert_eq!(stream_request(&pb::DeformRequest::default(), LIMITS), None);
+    }
+}
