@@ -102,16 +102,11 @@ fn relax(
         exec.check()?;
         let rhs: Vec<f64> = each(exec.pool, nodes, |i| diffusion.residual(i, q).to_array()).into_flattened();
         let mut step = vec![0.0; nodes * 4];
-        system.solve(
-            &body.hierarchy,
-            4,
-            &rhs,
-            &mut step,
-            &options,
-            &mut workspace,
-            exec,
-            &mut |_| SolveControl::Continue,
-        )?;
+        system
+            .equations(&body.hierarchy, 4, &rhs)
+            .solve(&mut step, &options, &mut workspace, exec, &mut |_| {
+                SolveControl::Continue
+            })?;
         let step: &[[f64; 4]] = step.as_chunks().0;
         let next = each(exec.pool, nodes, |i| match diffusion.is_open(i) {
             true => (q[i] + DVec4::from_array(step[i]).clamp_length_max(LONGEST)).normalize(),

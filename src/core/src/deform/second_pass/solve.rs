@@ -199,10 +199,7 @@ impl PoseSolve<'_> {
         };
         let before = tally.iterations;
         let SolveState { x, rhs, workspace, .. } = state;
-        let stats = constrained.system.solve(
-            &body.hierarchy,
-            3,
-            rhs,
+        let stats = constrained.system.equations(&body.hierarchy, 3, rhs).solve(
             x,
             &options,
             workspace,
