@@ -4,7 +4,7 @@
 //! affair. The facet normal is redundant; it is computed anew for facets that moved.
 
 use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, shown};
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
@@ -13,7 +13,6 @@ use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, WrittenFiles};
 use crate::mesh::NONE;
 use glam::DVec3;
-use std::sync::Arc;
 
 /// The format, by what it is known.
 pub(super) const FORMAT: Format = Format::new(&FormatDetails {
@@ -36,8 +35,7 @@ impl FormatCodec for StlCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
-        let (geometry, notes) = read(&files.main, limits)?;
-        Ok((geometry, Arc::new(notes)))
+        read(&files.main, limits).map(share_notes)
     }
 
     fn patch_positions(&self, model: &Model, positions: &[DVec3], _: Format) -> Result<WrittenFiles, Error> {

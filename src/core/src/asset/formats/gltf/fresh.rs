@@ -166,7 +166,16 @@ impl BuiltAsset {
     fn floats(&mut self, values: &[f32], lanes: usize, limits: &str) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1];
-        self.accessor(&bytes, 34962, values.len() / lanes.max(1), 5126, shape, limits)
+        self.push_accessor(
+            &bytes,
+            &AccessorForm {
+                target: 34962,
+                component: 5126,
+                count: values.len() / lanes.max(1),
+                shape,
+                limits,
+            },
+        )
     }
 
     fn material(&mut self, name: &str) -> usize {
@@ -184,10 +193,27 @@ impl BuiltAsset {
         } else {
             (indices.iter().flat_map(|i| i.to_le_bytes()).collect(), 5125)
         };
-        self.accessor(&bytes, 34963, indices.len(), component, "SCALAR", "")
+        self.push_accessor(
+            &bytes,
+            &AccessorForm {
+                target: 34963,
+                component,
+                count: indices.len(),
+                shape: "SCALAR",
+                limits: "",
+            },
+        )
     }
 
-    fn accessor(&mut self, bytes: &[u8], target: u32, count: usize, component: u32, shape: &str, more: &str) -> usize {
+    /// Adds an accessor with a buffer view of its own; returns its number.
+    fn push_accessor(&mut self, bytes: &[u8], form: &AccessorForm<'_>) -> usize {
+        let AccessorForm {
+            target,
+            component,
+            count,
+            shape,
+            limits,
+        } = form;
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         let (offset, length) = (self.bytes.len(), bytes.len());
         self.bytes.extend_from_slice(bytes);
@@ -195,11 +221,24 @@ impl BuiltAsset {
             r#"{{"buffer":0,"byteOffset":{offset},"byteLength":{length},"target":{target}}}"#
         ));
         self.accessors.push(format!(
-            r#"{{"bufferView":{},"componentType":{component},"count":{count},"type":"{shape}"{more}}}"#,
+            r#"{{"bufferView":{},"componentType":{component},"count":{count},"type":"{shape}"{limits}}}"#,
             self.views.len() - 1
         ));
         self.accessors.len() - 1
     }
+}
+
+/// What is said of the bytes of an accessor.
+struct AccessorForm<'a> {
+    /// What the buffer view is for: vertex attributes or indices.
+    target: u32,
+    /// Type of one number.
+    component: u32,
+    count: usize,
+    /// How many numbers make an element: SCALAR, VEC2, …
+    shape: &'a str,
+    /// Smallest and largest values as members of the JSON object, or nothing.
+    limits: &'a str,
 }
 
 /// Normals of unit length, as glTF demands; where one has no direction, the surface's.

@@ -128,15 +128,12 @@ pub(super) fn part<'a>(
         }
     }
     if !shades.is_empty() {
-        parted.normals = carried(
-            edited,
-            run,
-            positions,
-            &parted.triangles,
-            &shades,
-            &mut corner_shades,
-            statements,
-        );
+        let shading = RunShading {
+            triangles: &parted.triangles,
+            shades: &shades,
+            corner_shades,
+        };
+        parted.normals = carry_normals(edited, run, positions, shading, statements);
     }
     parted
 }
@@ -156,16 +153,29 @@ fn texture<'a>(mix: &LineMix, statements: &ObjStatements<'a>) -> TextureCoordina
     TextureCoordinate::New(sum)
 }
 
+/// The shading vertices of a run: what has one normal.
+struct RunShading<'a> {
+    /// Triangles over the run's vertices, from 0.
+    triangles: &'a [[u32; 3]],
+    /// The vertex and the blended old normals of each shading vertex.
+    shades: &'a [(u32, LineMix)],
+    /// The shading vertex of each corner.
+    corner_shades: Vec<[u32; 3]>,
+}
+
 /// The normals of shading vertices after all edits and deformations.
-fn carried<'a>(
+fn carry_normals<'a>(
     edited: &EditedModel<'_>,
     run: &PrimitiveRun,
     positions: &[DVec3],
-    triangles: &[[u32; 3]],
-    shades: &[(u32, LineMix)],
-    corner_shades: &mut [[u32; 3]],
+    shading: RunShading<'_>,
     statements: &ObjStatements<'a>,
 ) -> Vec<CornerNormal<'a>> {
+    let RunShading {
+        triangles,
+        shades,
+        mut corner_shades,
+    } = shading;
     let none = shades.len() as u32;
     corner_shades
         .iter_mut()
@@ -173,7 +183,7 @@ fn carried<'a>(
         .for_each(|shade| *shade = (*shade).min(none));
     let now = &positions[run.vertices()];
     let before = CarriedAttributes::before(edited, run);
-    let gradients = shading::gradients(&before, now, triangles, corner_shades, shades.len() + 1);
+    let gradients = shading::gradients(&before, now, triangles, &corner_shades, shades.len() + 1);
     let smooth = shading::smooth_normals(now, triangles);
     let placing = &edited.base(run).world_from_model.matrix3;
     let world_from_normal = shading::cofactor(placing) * if placing.determinant() < 0.0 { -1.0 } else { 1.0 };

@@ -168,7 +168,7 @@ impl EditedPlyWriter<'_, '_> {
                         Some(VertexRole::Normal(axis)) => {
                             f64::from(normals.get(i).copied().unwrap_or(Vec3::ZERO)[axis])
                         }
-                        None => self.blended(run, vertex, i, &columns[p], scalar, &property.name),
+                        None => self.blended(run, i, &columns[p], property, scalar),
                     };
                     self.number(value, scalar, p == 0);
                 }
@@ -209,17 +209,17 @@ impl EditedPlyWriter<'_, '_> {
         Ok(names.iter().map(of).collect())
     }
 
+    /// The value of a property at vertex `i` of a run, written as a `scalar`.
     fn blended(
         &self,
         run: &PrimitiveRun,
-        vertex: usize,
         i: usize,
         column: &PropertyColumn,
+        property: &PlyProperty,
         scalar: PlyScalar,
-        name: &str,
     ) -> f64 {
         let full = if scalar.is_integer() { scalar.most() } else { 1.0 };
-        let is_colour = COLOURS.iter().flatten().any(|n| *n == name);
+        let is_colour = COLOURS.iter().flatten().any(|n| *n == property.name);
         match column {
             PropertyColumn::Nothing => 0.0,
             PropertyColumn::Constant(value) => value * full,
@@ -228,6 +228,7 @@ impl EditedPlyWriter<'_, '_> {
                 let Some(Some(table)) = self.tables.get(run.base as usize) else {
                     return 0.0;
                 };
+                let vertex = run.first_vertex as usize + i;
                 // Whole numbers of more than a byte are labels more often than quantities.
                 let is_label = !is_colour && stored.is_integer() && stored.size() > 1;
                 let value = if is_label {

@@ -73,8 +73,8 @@ impl<'a> PrimitiveMaker<'a, '_> {
         self.buffers.decode_for(doc, &used)?;
 
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
-        let mut attributes = BTreeMap::new();
-        self.shape(run, row, primitive, world_from_mesh, &carried, &mut attributes)?;
+        let positions = self.mesh_positions(run, row, primitive, world_from_mesh)?;
+        let mut attributes = self.write_shape(&positions, primitive, world_from_mesh, &carried);
         let mut targets = Vec::new();
         let indices = if untouched {
             let old = |all: &Attributes| {
@@ -110,18 +110,16 @@ impl<'a> PrimitiveMaker<'a, '_> {
         }))
     }
 
-    /// Positions, normals and tangents.
-    fn shape(
+    /// Writes positions, and normals and tangents where the primitive has them.
+    fn write_shape(
         &mut self,
-        run: &PrimitiveRun,
-        row: &PlacedPrimitive,
+        positions: &[f32],
         primitive: &MeshPrimitive,
         world_from_mesh: &DAffine3,
         carried: &CarriedAttributes<'_>,
-        attributes: &mut BTreeMap<String, AccessorHandle>,
-    ) -> Result<(), Error> {
-        let positions = self.mesh_positions(run, row, primitive, world_from_mesh)?;
-        let at = self.fresh.floats(&positions, 3, "VEC3", NewAccessorKind::Positions);
+    ) -> BTreeMap<String, AccessorHandle> {
+        let mut attributes = BTreeMap::new();
+        let at = self.fresh.floats(positions, 3, "VEC3", NewAccessorKind::Positions);
         attributes.insert(ShapeAttribute::Position.name().into(), AccessorHandle::New(at));
         let matrix = &world_from_mesh.matrix3;
         let (has_normal, has_tangent) = (
@@ -129,7 +127,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
             primitive.attribute(ShapeAttribute::Tangent.name()).is_some(),
         );
         if !has_normal && !has_tangent {
-            return Ok(());
+            return attributes;
         }
         let normals = carried.normals();
         let mesh_from_normal = matrix.transpose();
@@ -152,9 +150,10 @@ impl<'a> PrimitiveMaker<'a, '_> {
             let at = self.fresh.floats(&values, 4, "VEC4", NewAccessorKind::Floats);
             attributes.insert(ShapeAttribute::Tangent.name().into(), AccessorHandle::New(at));
         }
-        Ok(())
+        attributes
     }
 
+    /// Positions of a run in the space of its mesh, those that did not move as they are stored.
     fn mesh_positions(
         &self,
         run: &PrimitiveRun,
