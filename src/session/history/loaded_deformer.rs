@@ -186,6 +186,6 @@ impl LoadedDeformer {
 
     /// Bytes held.
     pub fn byte_size(&self) -> u64 {
-        self.engine.bytes() + self.shader.as_ref().map_or(0, |s| s.bytes())
+        self.engine.bytes() + self.shader.as_ref().map_or(0, |s| s.byte_size())
     }
 }

@@ -39,9 +39,9 @@ impl HandleSystem {
         if !moved_parts.contains(&true) {
             return Ok(PoseSolution::at_rest(body));
         }
-        let instead = spread::instead(body, self, request.transforms, request.first_pass, exec)?;
+        let instead = spread::replacing_rotations(body, self, request.transforms, request.first_pass, exec)?;
         let instead = instead.as_deref();
-        let mut posed = self.posed(body, request.transforms, instead, exec.pool);
+        let mut posed = self.pose_frames(body, request.transforms, instead, exec.pool);
         let pose = PoseSolve {
             rig: self,
             body,

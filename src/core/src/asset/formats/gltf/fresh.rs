@@ -28,7 +28,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
         if own.triangles.is_empty() {
             continue;
         }
-        asset.add(neutral, &own)?;
+        asset.add_primitive(neutral, &own)?;
         let name = name_of(own.primitive);
         nodes.push(format!(r#"{{"mesh":{}{name}}}"#, nodes.len()));
     }
@@ -99,7 +99,7 @@ struct BuiltAsset {
 }
 
 impl BuiltAsset {
-    fn add(&mut self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Result<(), Error> {
+    fn add_primitive(&mut self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Result<(), Error> {
         let NeutralPrimitive {
             primitive,
             attributes: part,
@@ -134,28 +134,28 @@ impl BuiltAsset {
         let least = positions.iter().fold(Vec3::INFINITY, |a, &p| a.min(p)).to_array();
         let most = positions.iter().fold(Vec3::NEG_INFINITY, |a, &p| a.max(p)).to_array();
         let limits = format!(r#","min":{},"max":{}"#, json_floats(&least), json_floats(&most));
-        let position = self.floats(&floats, 3, &limits);
+        let position = self.add_floats(&floats, 3, &limits);
         let mut attributes = format!(r#""POSITION":{position}"#);
         if primitive.has_normals
             && let Some(normals) = geometry.normals.get(first..last)
         {
-            let normal = self.floats(&unit_normals(normals, geometry, first, &indices), 3, "");
+            let normal = self.add_floats(&unit_normals(normals, geometry, first, &indices), 3, "");
             attributes += &format!(r#","NORMAL":{normal}"#);
         }
         if let Some(uv) = neutral.uv.get(first..last).filter(|_| part.has_uv) {
-            let uv = self.floats(uv.as_flattened(), 2, "");
+            let uv = self.add_floats(uv.as_flattened(), 2, "");
             attributes += &format!(r#","TEXCOORD_0":{uv}"#);
         }
         if let Some(colours) = neutral.colours.get(first..last).filter(|_| part.has_colours) {
-            let colour = self.floats(colours.as_flattened(), 4, "");
+            let colour = self.add_floats(colours.as_flattened(), 4, "");
             attributes += &format!(r#","COLOR_0":{colour}"#);
         }
         let material = part
             .material
             .as_ref()
-            .map(|name| format!(r#","material":{}"#, self.material(name)));
+            .map(|name| format!(r#","material":{}"#, self.material_number(name)));
         let material = material.unwrap_or_default();
-        let indices = self.indices(&indices, count);
+        let indices = self.add_indices(&indices, count);
         let name = name_of(primitive);
         self.meshes.push(format!(
             r#"{{"primitives":[{{"attributes":{{{attributes}}},"indices":{indices},"mode":4{material}}}]{name}}}"#
@@ -163,10 +163,10 @@ impl BuiltAsset {
         Ok(())
     }
 
-    fn floats(&mut self, values: &[f32], lanes: usize, limits: &str) -> usize {
+    fn add_floats(&mut self, values: &[f32], lanes: usize, limits: &str) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1];
-        self.push_accessor(
+        self.add_accessor(
             &bytes,
             &AccessorForm {
                 target: 34962,
@@ -178,7 +178,7 @@ impl BuiltAsset {
         )
     }
 
-    fn material(&mut self, name: &str) -> usize {
+    fn material_number(&mut self, name: &str) -> usize {
         let known = self.materials.iter().position(|n| n == name);
         known.unwrap_or_else(|| {
             self.materials.push(name.to_owned());
@@ -186,14 +186,14 @@ impl BuiltAsset {
         })
     }
 
-    fn indices(&mut self, indices: &[u32], vertices: usize) -> usize {
+    fn add_indices(&mut self, indices: &[u32], vertices: usize) -> usize {
         // The largest value of a type is the restart mark, which no index may be.
         let (bytes, component): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
             (indices.iter().flat_map(|&i| (i as u16).to_le_bytes()).collect(), 5123)
         } else {
             (indices.iter().flat_map(|i| i.to_le_bytes()).collect(), 5125)
         };
-        self.push_accessor(
+        self.add_accessor(
             &bytes,
             &AccessorForm {
                 target: 34963,
@@ -206,7 +206,7 @@ impl BuiltAsset {
     }
 
     /// Adds an accessor with a buffer view of its own; returns its number.
-    fn push_accessor(&mut self, bytes: &[u8], form: &AccessorForm<'_>) -> usize {
+    fn add_accessor(&mut self, bytes: &[u8], form: &AccessorForm<'_>) -> usize {
         let AccessorForm {
             target,
             component,
