@@ -290,7 +290,7 @@ fn solve_by_cycles(
         } = &mut group;
         problem
             .threads
-            .run_on(*pool, || full_multigrid(&problem, cycle, frames, rest, workspace))?;
+            .run_on(pool, || full_multigrid(&problem, cycle, frames, rest, workspace))?;
     }
     group.solve(watch)
 }
