@@ -82,16 +82,8 @@ impl Ready<'_> {
         let (hierarchy, pool) = (&self.hierarchy, &self.pool);
         let stats = self
             .system
-            .solve(
-                hierarchy,
-                3,
-                rhs,
-                x,
-                options,
-                workspace,
-                &Exec::new(pool, &Silent),
-                &mut watch,
-            )
+            .equations(hierarchy, 3, rhs)
+            .solve(x, options, workspace, &Exec::new(pool, &Silent), &mut watch)
             .unwrap();
         assert!(stats.converged, "{}: {stats:?}", rung.name);
         stats
@@ -386,16 +378,8 @@ fn solve_fields(
     let (rhs, mut workspace) = (vec![0.0; x.len()], Workspace::default());
     let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     let stats = system
-        .solve(
-            hierarchy,
-            columns,
-            &rhs,
-            x,
-            &options,
-            &mut workspace,
-            &Exec::new(&pool, &Silent),
-            &mut watch,
-        )
+        .equations(hierarchy, columns, &rhs)
+        .solve(x, &options, &mut workspace, &Exec::new(&pool, &Silent), &mut watch)
         .unwrap();
     assert!(stats.converged, "{}: {stats:?}", rung.name);
     stats

@@ -184,6 +184,6 @@ impl Engine for Deformer {
     }
 
     fn shader(&self) -> Shader {
-        Shader::of(self.geometry(), self.rest())
+        Shader::from_geometry(self.geometry(), self.rest())
     }
 }

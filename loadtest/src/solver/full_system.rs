@@ -143,10 +143,8 @@ fn follow_field(
     let options = options_to_residual(1e-5);
     let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     system
+        .equations(hierarchy, 1, &rhs)
         .solve(
-            hierarchy,
-            1,
-            &rhs,
             &mut field,
             &options,
             workspace,

@@ -110,10 +110,8 @@ fn log_cycles(
     let mut x = pose.given.clone();
     ready
         .system
+        .equations(&ready.hierarchy, 3, pose.rhs.as_flattened())
         .solve(
-            &ready.hierarchy,
-            3,
-            pose.rhs.as_flattened(),
             x.as_flattened_mut(),
             &options(SHOWN),
             workspace,

@@ -61,7 +61,8 @@ impl ReadySystem {
         let exec = Exec::new(&terms.pool, &Silent);
         let solved = self
             .system
-            .solve(&self.hierarchy, 3, rhs, x, options, workspace, &exec, &mut watch);
+            .equations(&self.hierarchy, 3, rhs)
+            .solve(x, options, workspace, &exec, &mut watch);
         Ok((solved.map_err(solver_failure)?, residuals))
     }
 

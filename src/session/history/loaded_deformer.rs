@@ -185,6 +185,6 @@ impl LoadedDeformer {
 
     /// Bytes held.
     pub fn byte_size(&self) -> u64 {
-        self.engine.byte_size() + self.shader.as_ref().map_or(0, |s| s.bytes())
+        self.engine.byte_size() + self.shader.as_ref().map_or(0, |s| s.byte_size())
     }
 }

@@ -74,19 +74,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..SolveOptions::default()
     };
     let mut workspace = Workspace::default();
-    let stats = system.solve(
-        &hierarchy,
-        1,
-        &rhs,
-        &mut x,
-        &options,
-        &mut workspace,
-        &exec,
-        &mut |iteration| {
-            println!("iteration {}: residual {:.1e}", iteration.index, iteration.residual);
-            SolveControl::Continue
-        },
-    )?;
+    let stats =
+        system
+            .equations(&hierarchy, 1, &rhs)
+            .solve(&mut x, &options, &mut workspace, &exec, &mut |iteration| {
+                println!("iteration {}: residual {:.1e}", iteration.index, iteration.residual);
+                SolveControl::Continue
+            })?;
     let highest = x.iter().copied().fold(0.0, f64::max);
     println!("{} iterations, largest value {highest:.3}", stats.iterations);
 
@@ -94,16 +88,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let flag = CancelFlag::default();
     flag.cancel();
     let cancelled = Exec::new(&pool, &flag);
-    let answer = system.solve(
-        &hierarchy,
-        1,
-        &rhs,
-        &mut x,
-        &options,
-        &mut workspace,
-        &cancelled,
-        &mut |_| SolveControl::Continue,
-    );
+    let answer = system
+        .equations(&hierarchy, 1, &rhs)
+        .solve(&mut x, &options, &mut workspace, &cancelled, &mut |_| {
+            SolveControl::Continue
+        });
     assert_eq!(answer, Err(Error::Cancelled));
     Ok(())
 }

@@ -72,7 +72,7 @@
 //! |---|---|---|---|
 //! | build | [`Hierarchy::build`] | a new graph | about twenty products with the matrix |
 //! | constrain | [`Hierarchy::constrain`] | other fixed vertices or stiffness | a fraction of a build |
-//! | solve | [`LinearSystem::solve`] | another right-hand side or start | four to six products per iteration |
+//! | solve | [`LinearEquations::solve`] | another right-hand side or start | four to six products per iteration |
 //! | repair | [`Hierarchy::repair`] | vertices or edges come and go | in proportion to the change |
 //!
 //! A [`Workspace`] carries all vectors from solve to solve. An [`Exec`](exec::Exec) joins the [`Pool`](pool::Pool) that parallel
@@ -124,9 +124,9 @@
 //! x[8] = 4.0;
 //! let options = SolveOptions { tolerance: Some(1e-9), ..SolveOptions::default() };
 //! let mut workspace = Workspace::default();
-//! let stats = system.solve(
-//!     &hierarchy, 2, &rhs, &mut x, &options, &mut workspace, &Exec::new(&pool, &Silent), &mut |_| SolveControl::Continue,
-//! )?;
+//! let exec = Exec::new(&pool, &Silent);
+//! let equations = system.equations(&hierarchy, 2, &rhs);
+//! let stats = equations.solve(&mut x, &options, &mut workspace, &exec, &mut |_| SolveControl::Continue)?;
 //! assert!(stats.converged);
 //! let expected = [0.0, 0.0, 1.0, -1.5, 2.0, -2.0, 3.0, -1.5, 4.0, 0.0];
 //! assert!(x.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-8));
@@ -166,4 +166,4 @@ pub use options::{
 };
 pub use relaxation::LocalRelaxation;
 pub use repair::{GraphChange, RepairReport};
-pub use solve::{IterationReport, SolveControl, Workspace};
+pub use solve::{IterationReport, LinearEquations, SolveControl, Workspace};

@@ -107,10 +107,7 @@ fn third_solve(case: &SolverCase, columns: usize, rhs: &[f64], from: &[f64], opt
         CALLS.store(0, SeqCst);
         BYTES.store(0, SeqCst);
         COUNTING.store(round == 2, SeqCst);
-        let stats = case.system.solve(
-            &case.hierarchy,
-            columns,
-            rhs,
+        let stats = case.system.equations(&case.hierarchy, columns, rhs).solve(
             &mut x,
             options,
             &mut workspace,

@@ -13,6 +13,27 @@ use std::sync::Arc;
 /// What a reader returns: the mesh that the files describe, and what the writers have to remember of the files.
 pub(super) type ReadFile = (Geometry, Arc<dyn FileNotes>);
 
+/// Makes what [`FormatCodec::read`] returns of a mesh and the notes of its format.
+pub(super) fn share_notes<N: FileNotes>((geometry, notes): (Geometry, N)) -> ReadFile {
+    (geometry, Arc::new(notes))
+}
+
+/// Patches a model that is one text file: `patch` is given the text, the notes, the mesh at rest and the new positions.
+pub(super) fn patch_text_file<N: FileNotes>(
+    model: &Model,
+    positions: &[DVec3],
+    format: Format,
+    patch: impl FnOnce(&[u8], &N, &Geometry, &[DVec3]) -> Vec<u8>,
+) -> Result<WrittenFiles, Error> {
+    let text = patch(
+        &model.files.main,
+        model.notes_or_refuse(format)?,
+        &model.geometry,
+        positions,
+    );
+    Ok(WrittenFiles::single(text))
+}
+
 /// Reads and writes one format, or the forms of one (GLB and glTF).
 pub(super) trait FormatCodec: Sync {
     /// Whether files of this codec are patched into `format` instead of being built anew.

@@ -141,8 +141,8 @@ impl DeformableBody {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
-        self.graph.bytes() + self.hierarchy.byte_size() + (self.rest.capacity() + self.laplacian.capacity()) * 24
+    pub fn byte_size(&self) -> usize {
+        self.graph.byte_size() + self.hierarchy.byte_size() + (self.rest.capacity() + self.laplacian.capacity()) * 24
     }
 
     /// From model space to solving coordinates.

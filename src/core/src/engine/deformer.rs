@@ -93,12 +93,12 @@ impl Deformer {
         let mut past: Vec<Arc<DerivedStructures>> = self.past.clone();
         past.push(Arc::clone(&self.derived));
         past.retain(|d| d.lineage.id != derived.lineage.id);
-        let mut room = self.room.saturating_sub(derived.bytes()) / 2;
+        let mut room = self.room.saturating_sub(derived.byte_size()) / 2;
         // From the last one on, as many as there is room for.
         let kept = (past.iter().rev().take(KEPT))
             .take_while(|d| {
-                let fits = d.bytes() <= room;
-                room = room.saturating_sub(d.bytes());
+                let fits = d.byte_size() <= room;
+                room = room.saturating_sub(d.byte_size());
                 fits
             })
             .count();
@@ -193,11 +193,11 @@ impl Deformer {
     /// Returns the bytes held.
     pub fn byte_size(&self) -> u64 {
         let committed = self.committed.as_ref().map_or(0, |c| size_of_val(c.nodes.as_slice()));
-        let parts = self.rig.as_ref().map_or(0, HandleSystem::bytes) + self.state.bytes() + committed;
+        let parts = self.rig.as_ref().map_or(0, HandleSystem::byte_size) + self.state.byte_size() + committed;
         // The files are one and the same.
         let files = self.model().files.total_bytes();
-        let past: u64 = self.past.iter().map(|d| d.bytes().saturating_sub(files)).sum();
-        self.derived.bytes() + past + parts as u64
+        let past: u64 = self.past.iter().map(|d| d.byte_size().saturating_sub(files)).sum();
+        self.derived.byte_size() + past + parts as u64
     }
 
     /// Bytes that a deformer of this model is expected to hold at most.

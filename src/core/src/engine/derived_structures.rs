@@ -71,7 +71,7 @@ impl DerivedStructures {
         let body = DeformableBody::build(&mesh, &body_options(&topology, options, limits), exec)?;
         let parts = parts_of(&mesh);
         Ok(Self::new(
-            TopologyLineage::built(id, topology),
+            TopologyLineage::from_built(id, topology),
             mesh,
             parts,
             body,
@@ -94,15 +94,18 @@ impl DerivedStructures {
             let mesh = change.topology.mesh(options.weld)?;
             let at = change.nodes.as_deref().unwrap_or(&self.body.graph.positions);
             let at = &at[..self.mesh.positions.len()];
-            let delta = MeshDelta::between(&self.mesh.triangles, at, &mesh, change.applied);
-            let lists = delta.lists(&self.mesh.triangles);
+            let delta = MeshDelta::between_meshes(&self.mesh.triangles, at, &mesh, change.applied);
+            let lists = delta.change_lists(&self.mesh.triangles);
             let moved = change.nodes.clone();
             // What there is to go back along costs no more than what it leads to.
-            let step = self.lineage.past.then(delta, moved, self.body.bytes() as u64);
+            let step = self
+                .lineage
+                .past
+                .followed_by(delta, moved, self.body.byte_size() as u64);
             let followed = match step {
                 None => None,
                 Some(step) => {
-                    let graph_change = lists.change(&mesh.positions, &mesh.triangles);
+                    let graph_change = lists.as_mesh_change(&mesh.positions, &mesh.triangles);
                     let nodes = change.nodes.as_ref().map(|n| n.as_slice());
                     // Finding the parts takes one thread; what follows has work for the others.
                     let (parts, followed) = exec
@@ -150,7 +153,7 @@ impl DerivedStructures {
             return Ok(Self {
                 lineage: Arc::clone(path),
                 ..Self::new(
-                    TopologyLineage::built(path.id, Arc::clone(&path.topology)),
+                    TopologyLineage::from_built(path.id, Arc::clone(&path.topology)),
                     mesh,
                     parts,
                     remade.body,
@@ -209,16 +212,16 @@ impl DerivedStructures {
     }
 
     /// Bytes held.
-    pub fn bytes(&self) -> u64 {
-        let model = self.topology().model.files.total_bytes() + self.topology().bytes();
+    pub fn byte_size(&self) -> u64 {
+        let model = self.topology().model.files.total_bytes() + self.topology().byte_size();
         let past = match &self.lineage.past {
             LineageOrigin::Built(_) => 0,
-            LineageOrigin::Edited(step) => step.bytes(),
+            LineageOrigin::Edited(step) => step.byte_size(),
         };
-        let parts = self.mesh.bytes()
+        let parts = self.mesh.byte_size()
             + self.parts.of_vertex.capacity() * 4
             + (self.followed.old_from_new.capacity() + self.followed.touched.capacity()) * 4
-            + self.body.bytes();
+            + self.body.byte_size();
         model + past + parts as u64
     }
 

@@ -48,13 +48,13 @@ impl Deformer {
         };
         let mut planned = plan_edit(&mut context, order.edit, exec)?;
         exec.check()?;
-        planned.patch.idle = std::mem::take(&mut surface.idle);
+        planned.patch.idle = std::mem::take(&mut surface.idle_vertices);
         let patch = &planned.patch;
         let applied = apply_patch(&surface.surface(), patch, &surface.first_vertices())?;
         self.admit_size(&applied)?;
         let carried = self.carry(&applied, &planned, at_rest.then_some(order.poses))?;
         let mut report = self.report_edit(before, &applied, &planned, &carried);
-        let (topology, applied) = (self.topology()).edited(&surface, &origins, applied, patch, planned.parts);
+        let (topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, planned.parts);
         drop((surface, origins));
         exec.check()?;
         let nodes = match points {
@@ -237,11 +237,11 @@ impl Deformer {
         let mut vertices = Vec::new();
         for (k, handle) in set.handles.iter().enumerate() {
             let place = |part| InputPlace::HandleRegion(k, part);
-            vertices.push(vertices_in_region(&context, &handle.region, None).map_err(|e| e.at(place))?);
+            vertices.push(vertices_in_region(&context, &handle.region, None).map_err(|e| e.with_place(place))?);
         }
         if let Some(region) = &set.region_of_interest {
             let held = vertices_in_region(&context, region, None);
-            vertices.push(held.map_err(|e| e.at(InputPlace::RegionOfInterest))?);
+            vertices.push(held.map_err(|e| e.with_place(InputPlace::RegionOfInterest))?);
         }
         let held = HeldVertices {
             set,

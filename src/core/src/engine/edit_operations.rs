@@ -136,7 +136,7 @@ impl EditContext<'_> {
     /// The triangles with at least `corners` corners in a region, rising.
     fn faces_touching(&self, region: &Region, corners: usize, kind: EditKind) -> Result<Vec<u32>, Error> {
         let place = |part| InputPlace::EditRegion(kind, part);
-        let marks = vertices_in_region(&self.regions, region, None).map_err(|e| e.at(place))?;
+        let marks = vertices_in_region(&self.regions, region, None).map_err(|e| e.with_place(place))?;
         let faces: Vec<u32> = (0u32..)
             .zip(&self.surface.triangles)
             .filter(|(_, t)| t.iter().filter(|&&v| marks[v as usize]).count() >= corners)

@@ -18,7 +18,7 @@ struct NumberRun {
 struct NumberRuns(Vec<NumberRun>);
 
 impl NumberRuns {
-    fn of(old_from_new: impl Iterator<Item = u32>) -> Self {
+    fn from_numbers(old_from_new: impl Iterator<Item = u32>) -> Self {
         let mut runs: Vec<NumberRun> = Vec::new();
         for old in old_from_new {
             match runs.last_mut() {
@@ -41,7 +41,7 @@ impl NumberRuns {
         })
     }
 
-    fn bytes(&self) -> usize {
+    fn byte_size(&self) -> usize {
         self.0.capacity() * size_of::<NumberRun>()
     }
 }
@@ -68,7 +68,7 @@ pub(super) struct MeshChangeLists {
 
 impl MeshDelta {
     /// The change from `old` (its triangles, and where its points are by now) to `mesh`, which `applied` has led to.
-    pub fn between(triangles: &[[u32; 3]], at: &[DVec3], mesh: &Mesh, applied: &PatchedSurface) -> Self {
+    pub fn between_meshes(triangles: &[[u32; 3]], at: &[DVec3], mesh: &Mesh, applied: &PatchedSurface) -> Self {
         // What was merged in has numbers after those that were there.
         let known = |o: &u32| (*o as usize) < at.len();
         let was = |p: u32| {
@@ -97,15 +97,15 @@ impl MeshDelta {
             NONE
         };
         Self {
-            points: NumberRuns::of((0..mesh.positions.len() as u32).map(was)),
-            triangles: NumberRuns::of(mesh.triangles.iter().zip(&mesh.source_triangle).map(old_triangle)),
+            points: NumberRuns::from_numbers((0..mesh.positions.len() as u32).map(was)),
+            triangles: NumberRuns::from_numbers(mesh.triangles.iter().zip(&mesh.source_triangle).map(old_triangle)),
             placed,
             fresh,
         }
     }
 
     /// The lists of the change, for a mesh with `triangles` before.
-    pub fn lists(&self, triangles: &[[u32; 3]]) -> MeshChangeLists {
+    pub fn change_lists(&self, triangles: &[[u32; 3]]) -> MeshChangeLists {
         let old_from_new: Vec<u32> = self.points.iter().collect();
         let mut stays = vec![false; triangles.len()];
         let mut added = Vec::with_capacity(self.fresh.len());
@@ -150,9 +150,9 @@ impl MeshDelta {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
-        self.points.bytes()
-            + self.triangles.bytes()
+    pub fn byte_size(&self) -> usize {
+        self.points.byte_size()
+            + self.triangles.byte_size()
             + self.placed.capacity() * size_of::<(u32, DVec3)>()
             + self.fresh.capacity() * size_of::<[u32; 3]>()
     }
@@ -160,7 +160,7 @@ impl MeshDelta {
 
 impl MeshChangeLists {
     /// The change, with the points and triangles after it.
-    pub fn change<'a>(&'a self, positions: &'a [DVec3], triangles: &'a [[u32; 3]]) -> MeshChange<'a> {
+    pub fn as_mesh_change<'a>(&'a self, positions: &'a [DVec3], triangles: &'a [[u32; 3]]) -> MeshChange<'a> {
         MeshChange {
             positions,
             triangles,
@@ -189,9 +189,9 @@ mod tests {
             old_from_triangle: vec![0, NONE],
             ..Default::default()
         };
-        let delta = MeshDelta::between(&old, &at, &mesh, &applied);
+        let delta = MeshDelta::between_meshes(&old, &at, &mesh, &applied);
         assert_eq!(delta.apply(&at, &old), (positions, triangles.to_vec()));
-        let lists = delta.lists(&old);
+        let lists = delta.change_lists(&old);
         assert_eq!(
             (lists.removed, lists.added, lists.moved),
             (vec![[0, 2, 3]], vec![1], vec![1])

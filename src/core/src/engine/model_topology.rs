@@ -95,16 +95,16 @@ impl ModelTopology {
     }
 
     /// Bytes held, without those of the files.
-    pub fn bytes(&self) -> u64 {
+    pub fn byte_size(&self) -> u64 {
         let edited = self.edited.as_ref().map_or(0, |e| {
-            e.geometry.bytes_held() + e.origins.bytes() + 4 * e.point_of.capacity() as u64
+            e.geometry.bytes_held() + e.origins.byte_size() + 4 * e.point_of.capacity() as u64
         });
         self.model.geometry.bytes_held() + edited + (self.rest.capacity() * 24) as u64
     }
 
     /// The topology after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
     /// `applied`. `parts` tells that it may have made parts that touch.
-    pub fn edited(
+    pub fn after_edit(
         &self,
         before: &EditSurface,
         origins: &VertexOrigins,
@@ -112,14 +112,14 @@ impl ModelTopology {
         patch: &SurfacePatch,
         parts: bool,
     ) -> (Self, PatchedSurface) {
-        let normals = normals(before, &applied);
+        let normals = edited_normals(before, &applied);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
-        let origins = origins.after(&applied, patch, own);
+        let origins = origins.after_edit(&applied, patch, own);
         let geometry = Geometry {
             positions: Vec::new(),
             normals,
-            tangents: tangents(before, &applied, patch),
-            primitives: primitives(before, &applied),
+            tangents: edited_tangents(before, &applied, patch),
+            primitives: edited_primitives(before, &applied),
             warnings: self.model.warnings.clone(),
             triangles: take(&mut applied.triangles),
         };
@@ -164,13 +164,13 @@ pub(super) struct EditSurface {
     /// The runs of render vertices.
     pub primitives: Vec<Primitive>,
     /// Vertices that only triangles use which the solver does not see, rising: the first edit leaves both out.
-    pub idle: Vec<u32>,
+    pub idle_vertices: Vec<u32>,
 }
 
 impl EditSurface {
     /// The surface of a mesh in the shape `positions`.
     pub fn new(mesh: &Mesh, geometry: &Geometry, positions: &[DVec3], normals: Vec<Vec3>, tangents: Vec<Vec4>) -> Self {
-        let of_triangle = runs(&geometry.primitives, geometry.triangles.len());
+        let of_triangle = triangle_primitives(&geometry.primitives, geometry.triangles.len());
         Self {
             // Welding by tolerance leaves vertices of one point a little apart; an edit makes them one.
             positions: (0..positions.len())
@@ -190,7 +190,7 @@ impl EditSurface {
             normals,
             tangents,
             primitives: geometry.primitives.clone(),
-            idle: idle(mesh, geometry),
+            idle_vertices: idle_vertices(mesh, geometry),
         }
     }
 
@@ -244,7 +244,8 @@ impl EditSurface {
         let point = |p: &u32| if *p == NONE { NONE } else { p + points };
         self.point_of.extend(other.point_of.iter().map(point));
         self.points += other.points;
-        self.idle.extend(other.idle.iter().map(|v| v + vertices));
+        self.idle_vertices
+            .extend(other.idle_vertices.iter().map(|v| v + vertices));
         self.primitives.extend(other.primitives.iter().map(|p| Primitive {
             first_vertex: p.first_vertex + vertices,
             ..p.clone()
@@ -253,7 +254,7 @@ impl EditSurface {
 }
 
 /// The vertices of triangles that the mesh left out which are in no other, rising.
-fn idle(mesh: &Mesh, geometry: &Geometry) -> Vec<u32> {
+fn idle_vertices(mesh: &Mesh, geometry: &Geometry) -> Vec<u32> {
     let left_out = mesh.collapsed_triangles.iter().chain(&mesh.duplicate_triangles);
     let mut found: Vec<u32> = left_out.flat_map(|&t| geometry.triangles[t as usize]).collect();
     if found.is_empty() {
@@ -272,7 +273,7 @@ fn idle(mesh: &Mesh, geometry: &Geometry) -> Vec<u32> {
 }
 
 /// The primitive of each of `count` triangles.
-fn runs(primitives: &[Primitive], count: usize) -> Vec<u32> {
+fn triangle_primitives(primitives: &[Primitive], count: usize) -> Vec<u32> {
     let mut of = Vec::with_capacity(count);
     for (p, primitive) in (0u32..).zip(primitives) {
         of.resize((of.len() + primitive.index_count as usize / 3).min(count), p);
@@ -281,7 +282,7 @@ fn runs(primitives: &[Primitive], count: usize) -> Vec<u32> {
     of
 }
 
-fn primitives(before: &EditSurface, applied: &PatchedSurface) -> Vec<Primitive> {
+fn edited_primitives(before: &EditSurface, applied: &PatchedSurface) -> Vec<Primitive> {
     let vertices = applied.positions.len() as u32;
     let mut triangles = vec![0u32; before.primitives.len()];
     applied.primitive_of.iter().for_each(|&p| triangles[p as usize] += 1);
@@ -298,7 +299,7 @@ fn primitives(before: &EditSurface, applied: &PatchedSurface) -> Vec<Primitive> 
 }
 
 /// Normals after an edit: old vertices keep theirs, new ones have the mean of their triangles'.
-fn normals(before: &EditSurface, applied: &PatchedSurface) -> Vec<Vec3> {
+fn edited_normals(before: &EditSurface, applied: &PatchedSurface) -> Vec<Vec3> {
     if before.normals.is_empty() {
         return Vec::new();
     }
@@ -345,7 +346,7 @@ fn is_own(
 }
 
 /// Tangents after an edit: those of new vertices are blended.
-fn tangents(before: &EditSurface, applied: &PatchedSurface, patch: &SurfacePatch) -> Vec<Vec4> {
+fn edited_tangents(before: &EditSurface, applied: &PatchedSurface, patch: &SurfacePatch) -> Vec<Vec4> {
     if before.tangents.is_empty() {
         return Vec::new();
     }

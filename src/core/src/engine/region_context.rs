@@ -46,7 +46,7 @@ impl RegionError {
     }
 
     /// Says which region of the input it is.
-    pub fn at(self, place: impl Fn(RegionPlace) -> InputPlace) -> Error {
+    pub fn with_place(self, place: impl Fn(RegionPlace) -> InputPlace) -> Error {
         Error::invalid(place(self.part), self.problem)
     }
 }

@@ -84,8 +84,8 @@ pub(super) fn resolve_handles(
     let (mut holds, mut images, mut strays) = (Vec::new(), Vec::new(), Vec::new());
     for (k, handle) in set.handles.iter().enumerate() {
         let place = |part| InputPlace::HandleRegion(k, part);
-        let vertices = vertices_in_region(context, &handle.region, None).map_err(|e| e.at(place))?;
-        let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.at(place))?;
+        let vertices = vertices_in_region(context, &handle.region, None).map_err(|e| e.with_place(place))?;
+        let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.with_place(place))?;
         if let Some(before) = before.filter(|_| held.weights.is_none()) {
             before.keep_inside(k, graph.surface as u32, &numbers, &mut held.nodes);
         }
@@ -99,7 +99,7 @@ pub(super) fn resolve_handles(
             strays.extend(stray_vertices(context, &vertices, k as u32));
         }
         if mirror.is_some() {
-            let image = nodes_in_region(context, graph, &handle.region, mirror).map_err(|e| e.at(place))?;
+            let image = nodes_in_region(context, graph, &handle.region, mirror).map_err(|e| e.with_place(place))?;
             let mut image = hold_nodes(body, handle, image);
             // A node of both belongs to the handle itself, not to its mirror image.
             image.nodes.retain(|n| hold.nodes.binary_search(n).is_err());
@@ -232,8 +232,9 @@ fn frozen_nodes(
     let Some(region) = interest else {
         return Ok(Vec::new());
     };
-    vertices_in_region(context, region, None).map_err(|e| e.at(InputPlace::RegionOfInterest))?;
-    let inside = nodes_in_region(context, &body.graph, region, None).map_err(|e| e.at(InputPlace::RegionOfInterest))?;
+    vertices_in_region(context, region, None).map_err(|e| e.with_place(InputPlace::RegionOfInterest))?;
+    let inside =
+        nodes_in_region(context, &body.graph, region, None).map_err(|e| e.with_place(InputPlace::RegionOfInterest))?;
     let mut frozen = vec![true; body.nodes()];
     inside.nodes.iter().for_each(|&n| frozen[n as usize] = false);
     Ok(frozen)

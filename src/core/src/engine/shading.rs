@@ -27,7 +27,7 @@ pub struct Shader {
 
 impl Shader {
     /// Copies what shading needs.
-    pub fn of(model: &Geometry, rest: &Arc<Vec<DVec3>>) -> Self {
+    pub fn from_geometry(model: &Geometry, rest: &Arc<Vec<DVec3>>) -> Self {
         Self {
             rest: Arc::clone(rest),
             triangles: model.triangles.clone(),
@@ -49,7 +49,7 @@ impl Shader {
     }
 
     /// Bytes held, without the rest positions, which are shared.
-    pub fn bytes(&self) -> u64 {
+    pub fn byte_size(&self) -> u64 {
         let bytes = size_of_val(self.triangles.as_slice())
             + size_of_val(self.normals.as_slice())
             + size_of_val(self.tangents.as_slice())
@@ -87,7 +87,7 @@ fn shade(model: &Authored<'_>, rest: &[DVec3], positions: &[DVec3]) -> Shading {
     } else {
         vec![None; count]
     };
-    let authored = marked(model.primitives, count, |p| {
+    let authored = marked_vertices(model.primitives, count, |p| {
         p.has_normals && model.normals.len() == count
     });
     let mut normals = if authored.iter().all(|&a| a) && !authored.is_empty() {
@@ -101,7 +101,7 @@ fn shade(model: &Authored<'_>, rest: &[DVec3], positions: &[DVec3]) -> Shading {
             .as_ref()
             .map_or(normal, |g| shading::carry_normal(g, normal));
     }
-    let with_tangents = marked(model.primitives, count, |p| {
+    let with_tangents = marked_vertices(model.primitives, count, |p| {
         p.has_tangents && model.tangents.len() == count
     });
     let mut tangents = vec![Vec4::ZERO; count];
@@ -115,7 +115,7 @@ fn shade(model: &Authored<'_>, rest: &[DVec3], positions: &[DVec3]) -> Shading {
 }
 
 /// For every vertex, whether it lies in a primitive for which `holds` is true.
-fn marked(primitives: &[Primitive], count: usize, holds: impl Fn(&Primitive) -> bool) -> Vec<bool> {
+fn marked_vertices(primitives: &[Primitive], count: usize, holds: impl Fn(&Primitive) -> bool) -> Vec<bool> {
     let mut marks = vec![false; count];
     for p in primitives.iter().filter(|p| holds(p)) {
         let first = (p.first_vertex as usize).min(count);

@@ -89,14 +89,20 @@ impl TopologyState {
             LineageOrigin::Built(_) => 0,
             LineageOrigin::Edited(step) => step.own_bytes(),
         };
-        let kept = self.0.restart.as_ref().map_or(0, |c| c.fields.bytes() as u64);
-        step + kept + self.0.topology.edited.as_ref().map_or(0, |_| self.0.topology.bytes())
+        let kept = self.0.restart.as_ref().map_or(0, |c| c.fields.byte_size() as u64);
+        step + kept
+            + self
+                .0
+                .topology
+                .edited
+                .as_ref()
+                .map_or(0, |_| self.0.topology.byte_size())
     }
 }
 
 impl TopologyLineage {
     /// Of a model whose body is built.
-    pub fn built(id: TopologyId, topology: Arc<ModelTopology>) -> Self {
+    pub fn from_built(id: TopologyId, topology: Arc<ModelTopology>) -> Self {
         Self {
             id,
             past: LineageOrigin::Built(Arc::clone(&topology)),
@@ -109,7 +115,7 @@ impl TopologyLineage {
 impl LineageOrigin {
     /// One edit more; `None` when there have been so many that a body is to be built from nothing. The bytes of all of them
     /// stay below `most`.
-    pub fn then(&self, delta: MeshDelta, nodes: Option<Arc<Vec<DVec3>>>, most: u64) -> Option<Arc<LineageEdit>> {
+    pub fn followed_by(&self, delta: MeshDelta, nodes: Option<Arc<Vec<DVec3>>>, most: u64) -> Option<Arc<LineageEdit>> {
         let (length, bytes) = match self {
             Self::Built(_) => (0, 0),
             Self::Edited(step) => (step.length, step.bytes),
@@ -155,9 +161,9 @@ impl LineageOrigin {
         for step in steps.into_iter().rev() {
             let nodes = step.nodes.as_ref().map(|n| n.as_slice());
             let at = nodes.map_or(&now.positions[..], |n| &n[..now.positions.len()]);
-            let lists = step.delta.lists(&now.triangles);
+            let lists = step.delta.change_lists(&now.triangles);
             let (positions, triangles) = step.delta.apply(at, &now.triangles);
-            let change = lists.change(&positions, &triangles);
+            let change = lists.as_mesh_change(&positions, &triangles);
             let Some(followed) = now.body.follow(&change, nodes, exec)? else {
                 return Ok(None);
             };
@@ -187,12 +193,12 @@ pub(super) struct RetracedBody {
 
 impl LineageEdit {
     /// Bytes of this step and those before it.
-    pub fn bytes(&self) -> u64 {
+    pub fn byte_size(&self) -> u64 {
         self.bytes
     }
 
     fn own_bytes(&self) -> u64 {
         let nodes = self.nodes.as_ref().map_or(0, |n| size_of_val(n.as_slice()));
-        (self.delta.bytes() + nodes) as u64
+        (self.delta.byte_size() + nodes) as u64
     }
 }

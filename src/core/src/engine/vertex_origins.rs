@@ -58,7 +58,7 @@ impl VertexOrigins {
     }
 
     /// What the vertices are made of after an edit. `bare` tells of new vertices whether their surface is the edit's own.
-    pub fn after(&self, applied: &PatchedSurface, patch: &SurfacePatch, bare: impl Fn(usize) -> bool) -> Self {
+    pub fn after_edit(&self, applied: &PatchedSurface, patch: &SurfacePatch, bare: impl Fn(usize) -> bool) -> Self {
         let old = self.blends.len();
         let mut blends = VertexBlends::default();
         let mut flags = Vec::with_capacity(applied.old_from_vertex.len());
@@ -127,7 +127,7 @@ impl VertexOrigins {
     }
 
     /// Bytes held, with those of the models that were merged in.
-    pub fn bytes(&self) -> u64 {
+    pub fn byte_size(&self) -> u64 {
         let merged: u64 = self.bases.iter().skip(1).map(|(model, _)| model.bytes_held()).sum();
         self.blends.bytes_held() + (self.bare.capacity() + 4 * self.triangles.capacity()) as u64 + merged
     }

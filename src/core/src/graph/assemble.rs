@@ -136,7 +136,7 @@ pub(super) fn assemble(
     };
 
     let (offsets, neighbours) = match pool {
-        Some(pool) => pool.install(|| filled(nodes, &rows)),
+        Some(pool) => pool.install(|| fill_rows(nodes, &rows)),
         None => filled_alone(nodes, &rows),
     };
     let components = components(&inner, parts, surface);
@@ -149,7 +149,7 @@ pub(super) fn assemble(
         EdgeWeights::Cotangent => {
             let (of_edge, scale) = weights::cotangents(&mesh.positions, &mesh.triangles, adjacency);
             recipe.cotangent_scale = scale;
-            Some(spread(&offsets, &neighbours, adjacency, &of_edge))
+            Some(spread_weights(&offsets, &neighbours, adjacency, &of_edge))
         }
     };
     let mut nearest_surface: Vec<u32> = (0..surface as u32).collect();
@@ -169,7 +169,7 @@ pub(super) fn assemble(
 }
 
 /// Offsets and neighbours of all rows.
-fn filled(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
+fn fill_rows(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
     let mut offsets = vec![0u32; nodes + 1];
     let counted = offsets[1..].par_iter_mut().enumerate().with_min_len(BLOCK);
     counted.for_each(|(node, count)| rows.each(node, |_| *count += 1));
@@ -198,7 +198,7 @@ fn filled(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
     (offsets, neighbours)
 }
 
-/// As [`filled`], on the caller's thread.
+/// As [`fill_rows`], on the caller's thread.
 fn filled_alone(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
     let mut offsets = Vec::with_capacity(nodes + 1);
     offsets.push(0);
@@ -238,7 +238,7 @@ fn components(inner: &InteriorNodes, parts: &Components, surface: usize) -> Comp
 }
 
 /// Weights of mesh edges brought to both of their entries; all other entries are 1.
-fn spread(offsets: &[u32], neighbours: &[u32], adjacency: &Adjacency, of_edge: &[f32]) -> Vec<f32> {
+fn spread_weights(offsets: &[u32], neighbours: &[u32], adjacency: &Adjacency, of_edge: &[f32]) -> Vec<f32> {
     let mut weights = vec![1.0; neighbours.len()];
     for (e, &w) in adjacency.edges.iter().zip(of_edge) {
         let [a, b] = e.vertices;

@@ -71,7 +71,7 @@ impl MeshGraph {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         let words = self.offsets.capacity()
             + self.neighbours.capacity()
             + self.weights.as_ref().map_or(0, Vec::capacity)
@@ -80,6 +80,6 @@ impl MeshGraph {
         words * size_of::<u32>()
             + self.positions.capacity() * size_of::<DVec3>()
             + self.stats.component_has_volume.capacity()
-            + self.recipe.bytes()
+            + self.recipe.byte_size()
     }
 }

@@ -33,7 +33,7 @@ pub(super) struct InteriorRecipe {
 
 impl GraphRecipe {
     /// Bytes held on the heap.
-    pub(super) fn bytes(&self) -> usize {
+    pub(super) fn byte_size(&self) -> usize {
         self.inside.as_ref().map_or(0, |inside| {
             inside.reach.capacity() * size_of::<f32>() + inside.open.capacity() * size_of::<[u32; 2]>()
         })

@@ -21,16 +21,16 @@ const STEEPEST: f64 = 100.0;
 pub(super) fn cotangents(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency) -> (Vec<f32>, f64) {
     let edges = adjacency.edges.iter();
     let raw: Vec<f64> = edges
-        .map(|e| raw(positions, triangles, adjacency, e.vertices))
+        .map(|e| half_cotangent_sum(positions, triangles, adjacency, e.vertices))
         .collect();
     let mean = raw.iter().map(|w| w.max(0.0)).sum::<f64>() / raw.len().max(1) as f64;
     // Only a mesh without any acute angle opposite to an edge has no positive mean, and then no cotangent helps.
     let scale = if mean > 0.0 { 1.0 / mean } else { 0.0 };
-    (raw.iter().map(|&w| limited(w, scale)).collect(), scale)
+    (raw.iter().map(|&w| limited_weight(w, scale)).collect(), scale)
 }
 
 /// Half the sum of the cotangents of the angles opposite to the edge from `a` to `b`.
-fn raw(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency, [a, b]: [u32; 2]) -> f64 {
+fn half_cotangent_sum(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency, [a, b]: [u32; 2]) -> f64 {
     let opposite = adjacency.faces.of(a).iter().filter_map(|&f| {
         let t = triangles[f as usize];
         t.contains(&b)
@@ -42,7 +42,7 @@ fn raw(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency, [a, b
         .sum()
 }
 
-fn limited(raw: f64, scale: f64) -> f32 {
+fn limited_weight(raw: f64, scale: f64) -> f32 {
     (raw * scale).clamp(1e-3, 1e3) as f32
 }
 
@@ -54,7 +54,7 @@ pub(super) fn cotangent_of(
     edge: [u32; 2],
     scale: f64,
 ) -> f32 {
-    limited(raw(positions, triangles, adjacency, edge), scale)
+    limited_weight(half_cotangent_sum(positions, triangles, adjacency, edge), scale)
 }
 
 /// Cotangent of the angle at the last corner; 0 for a face without area.

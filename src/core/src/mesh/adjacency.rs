@@ -70,8 +70,8 @@ impl Adjacency {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
-        self.faces.bytes() + self.neighbours.bytes() + self.edges.capacity() * size_of::<MeshEdge>()
+    pub fn byte_size(&self) -> usize {
+        self.faces.byte_size() + self.neighbours.byte_size() + self.edges.capacity() * size_of::<MeshEdge>()
     }
 }
 

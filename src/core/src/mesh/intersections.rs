@@ -70,7 +70,7 @@ impl<'a> BoxedTriangles<'a> {
             if self.boxes[other].overlaps(bounds) {
                 let theirs = order[other];
                 let [f, g] = [own.min(theirs), own.max(theirs)].map(|t| self.bvh.triangles()[t as usize]);
-                count += u64::from(cross(self.bvh.positions(), f, g));
+                count += u64::from(do_cross(self.bvh.positions(), f, g));
             }
         });
         count
@@ -78,7 +78,7 @@ impl<'a> BoxedTriangles<'a> {
 }
 
 /// Whether two triangles cross.
-fn cross(points: &[DVec3], f: [u32; 3], g: [u32; 3]) -> bool {
+fn do_cross(points: &[DVec3], f: [u32; 3], g: [u32; 3]) -> bool {
     let (mut shared, mut i, mut j) = (0, 0, 0);
     for (k, v) in f.iter().enumerate() {
         for (l, w) in g.iter().enumerate() {
@@ -91,7 +91,7 @@ fn cross(points: &[DVec3], f: [u32; 3], g: [u32; 3]) -> bool {
     let (a, b) = (f.map(at), g.map(at));
     match shared {
         0 => {
-            if beside(a, b) || beside(b, a) {
+            if is_beside(a, b) || is_beside(b, a) {
                 return false;
             }
             (0..3).any(|k| passes(a[k], a[(k + 1) % 3], b) || passes(b[k], b[(k + 1) % 3], a))
@@ -102,24 +102,28 @@ fn cross(points: &[DVec3], f: [u32; 3], g: [u32; 3]) -> bool {
 }
 
 /// Whether all corners of `a` lie strictly on one side of the plane of `b`.
-fn beside(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
-    let sides = a.map(|p| volume(b[0], b[1], b[2], p));
+fn is_beside(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
+    let sides = a.map(|p| signed_volume(b[0], b[1], b[2], p));
     sides.iter().all(|&s| s > 0.0) || sides.iter().all(|&s| s < 0.0)
 }
 
 /// Whether the segment from `p` to `q` passes through `t`, border included, with its ends strictly on both sides.
 fn passes(p: DVec3, q: DVec3, t: [DVec3; 3]) -> bool {
     let [a, b, c] = t;
-    let (s, e) = (volume(a, b, c, p), volume(a, b, c, q));
+    let (s, e) = (signed_volume(a, b, c, p), signed_volume(a, b, c, q));
     if !((s < 0.0 && e > 0.0) || (s > 0.0 && e < 0.0)) {
         return false;
     }
-    let around = [volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)];
+    let around = [
+        signed_volume(p, q, a, b),
+        signed_volume(p, q, b, c),
+        signed_volume(p, q, c, a),
+    ];
     around.iter().all(|&v| v >= 0.0) || around.iter().all(|&v| v <= 0.0)
 }
 
 /// Six times the signed volume of a tetrahedron.
-fn volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+fn signed_volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     (b - a).cross(c - a).dot(d - a)
 }
 
@@ -194,7 +198,7 @@ mod tests {
         let points: Vec<DVec3> = positions.iter().map(|p| p.as_vec3().as_dvec3()).collect();
         let mut found = 0;
         for (k, f) in triangles.iter().enumerate() {
-            found += triangles[k + 1..].iter().filter(|g| cross(&points, *f, **g)).count() as u64;
+            found += triangles[k + 1..].iter().filter(|g| do_cross(&points, *f, **g)).count() as u64;
         }
         found
     }

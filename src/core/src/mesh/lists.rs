@@ -78,7 +78,7 @@ impl Lists {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         (self.offsets.capacity() + self.items.capacity()) * size_of::<u32>()
     }
 }

@@ -25,7 +25,7 @@ pub enum Weld {
 /// [`Error::Tolerance`] when the tolerance is negative or not finite.
 pub(super) fn representatives(positions: &[DVec3], used: &[bool], weld: Weld) -> Result<Vec<u32>, Error> {
     match weld {
-        Weld::Exact => Ok(exact(positions, used)),
+        Weld::Exact => Ok(weld_equal(positions, used)),
         Weld::Tolerance(t) if !(t >= 0.0 && t.is_finite()) => Err(Error::Tolerance { seen: t }),
         Weld::Tolerance(t) => {
             let largest = positions
@@ -35,16 +35,16 @@ pub(super) fn representatives(positions: &[DVec3], used: &[bool], weld: Weld) ->
                 .fold(0.0f64, |m, (p, _)| m.max(p.abs().max_element()));
             // Below the spacing of the coordinates a tolerance joins nothing but equal points.
             if t <= largest * f64::EPSILON {
-                Ok(exact(positions, used))
+                Ok(weld_equal(positions, used))
             } else {
-                Ok(within(positions, used, t))
+                Ok(weld_close(positions, used, t))
             }
         }
     }
 }
 
 /// Coordinates as bits that are equal exactly when the numbers are.
-fn key(p: DVec3) -> [u64; 3] {
+fn position_bits_key(p: DVec3) -> [u64; 3] {
     // Adding zero turns -0 into 0 and changes nothing else.
     (p + DVec3::ZERO).to_array().map(f64::to_bits)
 }
@@ -58,17 +58,19 @@ fn hash(key: [u64; 3]) -> u64 {
 
 /// Classes of equal coordinates: sorting by a hash brings them together, and each run of equal hashes is then sorted
 /// by the coordinates themselves, so colliding hashes cost time but never correctness.
-fn exact(positions: &[DVec3], used: &[bool]) -> Vec<u32> {
+fn weld_equal(positions: &[DVec3], used: &[bool]) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..positions.len() as u32).collect();
     let mut order: Vec<(u64, u32)> = parent
         .iter()
         .filter(|&&v| used[v as usize])
-        .map(|&v| (hash(key(positions[v as usize])), v))
+        .map(|&v| (hash(position_bits_key(positions[v as usize])), v))
         .collect();
     order.sort_unstable();
     for run in order.chunk_by_mut(|a, b| a.0 == b.0).filter(|run| run.len() > 1) {
-        run.sort_unstable_by_key(|&(_, v)| (key(positions[v as usize]), v));
-        for class in run.chunk_by(|a, b| key(positions[a.1 as usize]) == key(positions[b.1 as usize])) {
+        run.sort_unstable_by_key(|&(_, v)| (position_bits_key(positions[v as usize]), v));
+        for class in run
+            .chunk_by(|a, b| position_bits_key(positions[a.1 as usize]) == position_bits_key(positions[b.1 as usize]))
+        {
             for &(_, v) in class {
                 parent[v as usize] = class[0].1;
             }
@@ -78,12 +80,12 @@ fn exact(positions: &[DVec3], used: &[bool]) -> Vec<u32> {
 }
 
 /// The cell of a grid of side `2 · tolerance`. Numbers stay floating point, so that no coordinate overflows them.
-fn cell(p: DVec3, side: f64) -> [f64; 3] {
+fn grid_cell(p: DVec3, side: f64) -> [f64; 3] {
     (p / side).floor().to_array()
 }
 
 /// Greedy clusters. Points are sorted by grid cell once; each cell then keeps a growing list of its representatives.
-fn within(positions: &[DVec3], used: &[bool], tolerance: f64) -> Vec<u32> {
+fn weld_close(positions: &[DVec3], used: &[bool], tolerance: f64) -> Vec<u32> {
     let side = 2.0 * tolerance;
     let compare = |a: &[f64; 3], b: &[f64; 3]| {
         a[0].total_cmp(&b[0])
@@ -94,7 +96,7 @@ fn within(positions: &[DVec3], used: &[bool], tolerance: f64) -> Vec<u32> {
         .iter()
         .zip(used)
         .filter(|(_, used)| **used)
-        .map(|(&p, _)| cell(p, side))
+        .map(|(&p, _)| grid_cell(p, side))
         .collect();
     cells.sort_unstable_by(compare);
     cells.dedup();
@@ -108,7 +110,7 @@ fn within(positions: &[DVec3], used: &[bool], tolerance: f64) -> Vec<u32> {
             continue;
         }
         let p = positions[v];
-        let home = cell(p, side);
+        let home = grid_cell(p, side);
         // A ball of half a cell's side touches at most the two nearest cells along each axis.
         let beside: [f64; 3] = std::array::from_fn(|axis| {
             let inside = p[axis] / side - home[axis];

@@ -178,7 +178,7 @@ impl Mesh {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         self.positions.capacity() * size_of::<DVec3>()
             + self.triangles.capacity() * size_of::<[u32; 3]>()
             + (self.solver_from_render.capacity()
@@ -186,7 +186,7 @@ impl Mesh {
                 + self.collapsed_triangles.capacity()
                 + self.duplicate_triangles.capacity())
                 * size_of::<u32>()
-            + self.render_from_solver.bytes()
+            + self.render_from_solver.byte_size()
     }
 }
 

@@ -1,6 +1,6 @@
 //! The order of rows inside a block: colours, and bundles of four rows with nearly equal numbers of neighbours.
 
-use crate::build::draft::LevelDraft;
+use crate::build::draft::{LevelDraft, RowBlocks};
 use crate::storage::SLICE_ROWS;
 
 /// Largest colour inside a block; rows that would need a higher one are bundled one by one.
@@ -58,19 +58,19 @@ impl SlicePlanner {
         }
     }
 
-    /// Orders the rows of block `b`. Writes the place of each row in the block to `slots`; returns, bundle by bundle,
+    /// Orders the rows of block `b`; `places` says when each block is swept. Writes the place of each row in the block to `slots`; returns, bundle by bundle,
     /// the largest number of neighbours of its rows before and after them.
     pub(crate) fn plan_slices(
         &mut self,
         draft: &LevelDraft,
+        blocks: &RowBlocks,
         places: &[u32],
         b: usize,
-        range: std::ops::Range<usize>,
-        block: usize,
         slots: &mut [u32],
     ) -> Vec<[u32; 2]> {
-        let shift = block.trailing_zeros();
-        let (mask, own) = (block as u32 - 1, b as u32);
+        let range = blocks.range(b);
+        let shift = blocks.size.trailing_zeros();
+        let (mask, own) = (blocks.size as u32 - 1, b as u32);
         let row = |k: usize| draft.row(range.start + k);
         let inside = |j: u32| (j >> shift == own, (j & mask) as usize % MOST_ROWS);
         let here = places[b];

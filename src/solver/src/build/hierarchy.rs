@@ -189,7 +189,12 @@ fn levels(
     let blocks = RowBlocks::new(&draft, block_size(0), threads);
     let (level, ranks) = arrange_rows(&draft, &blocks, threads);
     let mut levels = vec![level];
-    coarsen(&mut levels, draft, blocks, ranks.clone(), options, threads, progress)?;
+    let finest = ArrangedDraft {
+        draft,
+        blocks,
+        ranks: ranks.clone(),
+    };
+    coarsen(&mut levels, finest, options, threads, progress)?;
     Ok((levels, ranks))
 }
 
@@ -198,16 +203,27 @@ pub(crate) fn block_size(l: usize) -> usize {
     BLOCK.checked_shr(l as u32).unwrap_or(0).max(SMALLEST_BLOCK)
 }
 
-/// Adds all levels above the last of `levels`, whose rows `ranks` the rows of `draft` have become.
+/// A draft that has become a level, which coarsening goes on from.
+pub(crate) struct ArrangedDraft {
+    pub(crate) draft: LevelDraft,
+    pub(crate) blocks: RowBlocks,
+    /// The row of the level that each row of the draft has become.
+    pub(crate) ranks: Vec<u32>,
+}
+
+/// Adds all levels above the last of `levels`, which `arranged` has become.
 pub(crate) fn coarsen(
     levels: &mut Vec<HierarchyLevel>,
-    mut draft: LevelDraft,
-    mut blocks: RowBlocks,
-    mut ranks: Vec<u32>,
+    arranged: ArrangedDraft,
     options: &BuildOptions,
     threads: Parallelism,
     progress: &dyn Progress,
 ) -> Result<(), Cancelled> {
+    let ArrangedDraft {
+        mut draft,
+        mut blocks,
+        mut ranks,
+    } = arranged;
     loop {
         // Level sizes fall geometrically, and so does the work that is left.
         progress.report(STAGE, 1.0 - 0.5f32.powi(levels.len() as i32));

@@ -50,10 +50,9 @@ pub(crate) fn append_rows(
     let mut ranks = vec![0u32; n];
     let shared = SharedRows::new(&mut ranks);
     let plans = threads.map(0..by_colour.len(), SlicePlanner::new, |scratch, b| {
-        let range = blocks.range(b);
         // SAFETY: blocks hold disjoint rows and each is visited once.
-        let slots = unsafe { shared.rows(range.clone()) };
-        scratch.plan_slices(draft, &places, b, range, block, slots)
+        let slots = unsafe { shared.rows(blocks.range(b)) };
+        scratch.plan_slices(draft, blocks, &places, b, slots)
     });
 
     let first = level.bundles.len();

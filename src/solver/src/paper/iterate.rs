@@ -3,11 +3,12 @@
 use crate::error::Error;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod};
-use crate::paper::cycle::vectors;
+use crate::paper::cycle::{PaperVectors, vectors};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::paper::kept::UncutGraph;
 use crate::paper::smooth::ConjugateSteps;
 use crate::paper::start::{FrameOffsets, ZeroOffsets};
+use crate::progress::Cancelled;
 use crate::solve::advance::rhs_reference_norms;
 use crate::solve::criteria::GroupOutcome;
 use crate::solve::fallback::conjugate_gradients;
@@ -36,47 +37,98 @@ pub(crate) fn solve(
     watch: &mut IterationWatcher<'_>,
 ) -> Result<GroupOutcome, Error> {
     let (problem, pool, criteria) = (outer.problem, outer.pool, outer.criteria);
-    let (threads, progress, width) = (problem.threads, outer.cycle.progress, problem.width());
-    let floating = &problem.system.floating;
-    let mut reference = threads.run_on(pool, || rhs_reference_norms(&problem, &outer.workspace.x));
-    let mut outcome = GroupOutcome::new(SolveMethod::PaperCycles);
-    let (mut levels, mut conjugate) = (vectors(paper), ConjugateSteps::default());
+    let mut state = PaperIteration {
+        paper,
+        levels: vectors(paper),
+        conjugate: ConjugateSteps::default(),
+        conjugate_steps: paper.steps.unwrap_or(match criteria.tolerance {
+            Some(t) if t <= STEPS.1 => STEPS.0,
+            _ => 0,
+        }),
+        reference: problem
+            .threads
+            .run_on(pool, || rhs_reference_norms(&problem, &outer.workspace.x)),
+        outcome: GroupOutcome::new(SolveMethod::PaperCycles),
+        history: CycleHistory::default(),
+        beginning: None,
+    };
     if let (InitialGuess::FullMultigrid { frames, rest }, true) = (start, paper.usable) {
+        let framed = frames.map(|frames| FrameOffsets {
+            vertices: &paper.vertices,
+            frames,
+            rest: rest.unwrap_or(&kept.positions),
+            unit: problem.unit,
+        });
+        state.begin_with_full_multigrid(outer, framed.as_ref())?;
+    }
+    loop {
+        let worst = state.judge_residual(outer)?;
+        let outcome = &state.outcome;
+        if outcome.iterations > 0 && state.show_iteration(outer, worst, watch) == SolveControl::Stop {
+            state.outcome.stopped = true;
+        }
+        let outcome = state.outcome;
+        if outcome.converged || outcome.stopped || outcome.iterations >= criteria.max_iterations {
+            return Ok(outcome);
+        }
+        let left = criteria.max_iterations - outcome.iterations;
+        let history = &state.history;
+        let cycles_help = paper.usable && !history.fails() && !history.is_late(criteria.tolerance, left);
+        if !cycles_help || !state.advance(outer)? {
+            return conjugate_gradients(outer, state.reference, outcome, watch);
+        }
+    }
+}
+
+/// The state of an iteration with the paper's cycles.
+struct PaperIteration<'a> {
+    paper: &'a PaperHierarchy,
+    /// Vectors of the levels, finest first.
+    levels: Vec<PaperVectors>,
+    conjugate: ConjugateSteps,
+    /// Conjugate-gradient steps after each cycle.
+    conjugate_steps: usize,
+    /// Norms of b, which residuals are relative to.
+    reference: WideLanes,
+    outcome: GroupOutcome,
+    history: CycleHistory,
+    /// Relative residual before the first cycle.
+    beginning: Option<f64>,
+}
+
+impl PaperIteration<'_> {
+    /// Makes the start by full multigrid from x, which is 0 on free rows.
+    fn begin_with_full_multigrid(
+        &mut self,
+        outer: &mut GroupSolve<'_, '_>,
+        framed: Option<&FrameOffsets<'_>>,
+    ) -> Result<(), Cancelled> {
+        let (paper, problem, progress) = (self.paper, outer.problem, outer.cycle.progress);
         let [r, ..] = &mut outer.workspace.wide;
         let x = &mut outer.workspace.x;
         r.resize(x.len(), [0.0; WIDTH]);
         // x is 0 on free rows, so that this is b.
-        threads.run_on(pool, || problem.wide_residual(x, r));
-        gather(paper, r, &mut levels[0].b);
-        match frames {
-            Some(frames) => {
-                let framed = FrameOffsets {
-                    vertices: &paper.vertices,
-                    frames,
-                    rest: rest.unwrap_or(&kept.positions),
-                    unit: problem.unit,
-                };
-                paper.full_multigrid(&framed, &mut levels, progress)?;
-            }
-            None => paper.full_multigrid(&ZeroOffsets, &mut levels, progress)?,
+        problem.threads.run_on(outer.pool, || problem.wide_residual(x, r));
+        gather(paper, r, &mut self.levels[0].b);
+        match framed {
+            Some(framed) => paper.full_multigrid(framed, &mut self.levels, progress)?,
+            None => paper.full_multigrid(&ZeroOffsets, &mut self.levels, progress)?,
         }
         // Frames of absurd size can overflow; then 0 is the better start.
-        if all_finite(&levels[0].x) {
-            scatter_rows(paper, &levels[0].x, x);
-            floating.remove_wide_means(x);
+        if all_finite(&self.levels[0].x) {
+            scatter_rows(paper, &self.levels[0].x, x);
+            problem.system.floating.remove_wide_means(x);
         }
+        Ok(())
     }
-    let steps = paper.steps.unwrap_or(match criteria.tolerance {
-        Some(t) if t <= STEPS.1 => STEPS.0,
-        _ => 0,
-    });
-    let mut history = CycleHistory::default();
-    let mut beginning = None;
-    loop {
-        let x = &mut outer.workspace.x;
+
+    /// Computes the true residual and compares it with what is asked for. Returns that of the worst column.
+    fn judge_residual(&mut self, outer: &mut GroupSolve<'_, '_>) -> Result<f64, Error> {
+        let (problem, outcome) = (outer.problem, &mut self.outcome);
+        let x = &outer.workspace.x;
         let [r, ..] = &mut outer.workspace.wide;
         r.resize(x.len(), [0.0; WIDTH]);
-        let norms = threads.run_on(pool, || problem.wide_residual(x, r));
+        let norms = problem.threads.run_on(outer.pool, || problem.wide_residual(x, r));
         if norms.iter().any(|v| !v.is_finite()) {
             return Err(Error::Diverged {
                 iterations: outcome.iterations,
@@ -84,63 +136,69 @@ pub(crate) fn solve(
             });
         }
         for c in 0..WIDTH {
-            if reference[c] == 0.0 {
-                reference[c] = norms[c].sqrt();
+            if self.reference[c] == 0.0 {
+                self.reference[c] = norms[c].sqrt();
             }
         }
-        outcome.relative = per_lane(|c| ratio(norms[c].sqrt(), reference[c]));
+        outcome.relative = per_lane(|c| ratio(norms[c].sqrt(), self.reference[c]));
         let worst = outcome.relative.iter().fold(0.0f64, |a, &b| a.max(b));
-        let from = *beginning.get_or_insert(worst);
-        history.residuals.push(worst);
+        let from = *self.beginning.get_or_insert(worst);
+        self.history.residuals.push(worst);
         let exact = worst <= FLOOR;
         if outcome.iterations == 0 {
             outcome.max_error = if exact { 0.0 } else { f64::INFINITY };
         } else {
-            outcome.max_error = history.estimate();
+            outcome.max_error = self.history.estimate();
             outcome.factor = libm::pow(ratio(worst, from), 1.0 / outcome.iterations as f64);
-            let iteration = IterationReport {
-                index: outcome.iterations,
-                columns: problem.columns(),
-                residual: worst,
-                max_error: outcome.max_error,
-                snapshot: SolutionSnapshot {
-                    problem,
-                    x,
-                    e: None,
-                    caller: outer.caller,
-                },
-            };
-            outcome.stopped = watch(&iteration) == SolveControl::Stop;
         }
-        let holds = outcome.iterations > 0 && criteria.hold(&outcome.relative[..width], outcome.max_error);
+        let relative = &outcome.relative[..problem.width()];
+        let holds = outcome.iterations > 0 && outer.criteria.hold(relative, outcome.max_error);
         outcome.converged = exact || holds;
-        if outcome.converged || outcome.stopped || outcome.iterations >= criteria.max_iterations {
-            return Ok(outcome);
-        }
-        let left = criteria.max_iterations - outcome.iterations;
-        if !paper.usable || history.fails() || history.is_late(criteria.tolerance, left) {
-            return conjugate_gradients(outer, reference, outcome, watch);
-        }
+        Ok(worst)
+    }
 
+    /// Shows the caller where the solve stands.
+    fn show_iteration(&self, outer: &GroupSolve<'_, '_>, worst: f64, watch: &mut IterationWatcher<'_>) -> SolveControl {
+        watch(&IterationReport {
+            index: self.outcome.iterations,
+            columns: outer.problem.columns(),
+            residual: worst,
+            max_error: self.outcome.max_error,
+            snapshot: SolutionSnapshot {
+                problem: outer.problem,
+                x: &outer.workspace.x,
+                e: None,
+                caller: outer.caller,
+            },
+        })
+    }
+
+    /// One cycle and the conjugate-gradient steps after it, from the residual in the workspace. False if the step was not
+    /// finite and x is what it was.
+    fn advance(&mut self, outer: &mut GroupSolve<'_, '_>) -> Result<bool, Cancelled> {
+        let (paper, problem, progress) = (self.paper, outer.problem, outer.cycle.progress);
         // The cycle is linear, so that improving x for b is improving 0 for the defect.
-        let finest = &mut levels[0];
-        gather(paper, r, &mut finest.b);
+        let finest = &mut self.levels[0];
+        gather(paper, &outer.workspace.wide[0], &mut finest.b);
         finest.x.fill([0.0; WIDTH]);
-        paper.cycle(0, &mut levels, progress)?;
-        let finest = &mut levels[0];
-        let (level, equations) = (&paper.levels[0], &paper.chains[0][0]);
-        conjugate.run((level, equations), &finest.b, &mut finest.x, steps, progress)?;
+        paper.cycle(0, &mut self.levels, progress)?;
+        let finest = &mut self.levels[0];
+        let first = (&paper.levels[0], &paper.chains[0][0]);
+        self.conjugate
+            .run(first, &finest.b, &mut finest.x, self.conjugate_steps, progress)?;
         if !all_finite(&finest.x) {
-            return conjugate_gradients(outer, reference, outcome, watch);
+            return Ok(false);
         }
-        history.steps.push(longest(&finest.x, problem.unit));
+        self.history.steps.push(longest(&finest.x, problem.unit));
+        let x = &mut outer.workspace.x;
         for (&row, e) in paper.rows.iter().zip(&finest.x) {
             for c in 0..WIDTH {
                 x[row as usize][c] += e[c];
             }
         }
-        floating.remove_wide_means(x);
-        outcome.iterations += 1;
+        problem.system.floating.remove_wide_means(x);
+        self.outcome.iterations += 1;
+        Ok(true)
     }
 }
 

@@ -259,10 +259,8 @@ fn rigid(block: &BoxLattice, start: bool, most: usize) -> (f64, SolveStats) {
     let mut go_on = |_: &crate::IterationReport<'_>| SolveControl::Continue;
     let mut workspace = Workspace::default();
     let stats = system
+        .equations(&hierarchy, 3, &rhs)
         .solve(
-            &hierarchy,
-            3,
-            &rhs,
             &mut x,
             &options,
             &mut workspace,
@@ -319,10 +317,8 @@ fn few_free_vertices_are_solved_directly() {
     let (n, mut workspace) = (block.positions.len(), Workspace::default());
     let mut x = vec![0.0; n];
     let stats = system
+        .equations(&hierarchy, 1, &vec![1.0; n])
         .solve(
-            &hierarchy,
-            1,
-            &vec![1.0; n],
             &mut x,
             &SolveOptions::default(),
             &mut workspace,

@@ -10,6 +10,7 @@ use crate::lanes::{Lanes, SharedRows};
 use crate::repair::marks::MarkedRows;
 use crate::storage::NO_ROW;
 use crate::threads::{Parallelism, piece_count, piece_rows};
+use std::ops::Range;
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 1 << 14;
@@ -75,8 +76,7 @@ pub(super) fn read_change(
     change: &GraphChange<'_>,
     threads: Parallelism,
 ) -> Result<Option<RepairPlan>, Error> {
-    let level = &hierarchy.levels[0];
-    let GraphChange { new_from_old, touched } = *change;
+    let (level, touched) = (&hierarchy.levels[0], change.touched);
     check_map(hierarchy, graph, change, threads)?;
     graph.check_some(touched)?;
     let scale = hierarchy.weight_scale as f32;
@@ -85,56 +85,17 @@ pub(super) fn read_change(
     if !same_kind {
         return Ok(None);
     }
-    let entries = |v: u32| graph.offsets[v as usize] as usize..graph.offsets[v as usize + 1] as usize;
-    let weight = |e: usize| graph.weights.map_or(1.0, |w| w[e] * scale);
-    if touched.iter().any(|&v| entries(v).any(|e| weight(e) > HEAVIEST)) {
+    let mut surroundings = TouchedSurroundings::new(*graph, touched, scale);
+    if surroundings.has_too_heavy_edge() {
         return Ok(None);
     }
-
-    let n = graph.vertices();
-    let (mut own, mut near) = (MarkedRows::new(n), MarkedRows::new(n));
-    for &v in touched {
-        own.insert(v);
-    }
-    own.count();
-    let mut any = own.clone();
-    for &v in touched {
-        for &j in &graph.neighbours[entries(v)] {
-            if any.insert(j) {
-                near.insert(j);
-            }
-        }
-    }
-    let (mut origins, mut near_rows) = (vec![NO_ROW; touched.len()], vec![NO_ROW; near.count()]);
-    let (order, found) = renumber_rows(&hierarchy.order, new_from_old, &own, &any, threads);
-    let (mut gone, mut left) = (Vec::new(), 0);
-    for found in found {
-        left += found.left;
-        gone.extend(found.gone);
-        for (v, row) in found.own {
-            origins[own.rank(v)] = row;
-        }
-        for (v, row) in found.near {
-            near_rows[near.rank(v)] = row;
-        }
-    }
-    if is_large(touched.len() + gone.len(), n.max(level.occupied())) {
+    surroundings.mark_vertices();
+    let Some(located) = surroundings.locate_rows(hierarchy, change.new_from_old, threads)? else {
         return Ok(None);
-    }
-    let new = origins.iter().filter(|&&row| row == NO_ROW).count();
-    if left + new != n {
-        return Err(Error::Invalid(format!(
-            "of {n} vertices {left} were there before and {new} of the touched ones were not: all new vertices must \
-             be among the touched ones"
-        )));
-    }
-    let outside = |v: u32| entries(v).filter(|&e| !own.contains(graph.neighbours[e]));
-    let near_row = |v: u32| near_rows[near.rank(v)];
-    let present = |v: u32| outside(v).map(|e| (near_row(graph.neighbours[e]), weight(e))).collect();
-    check_border(level, touched, &gone, &origins, present, &order)?;
-    let mut dead = gone;
-    dead.extend(origins.iter().filter(|&&row| row != NO_ROW));
-    dead.sort_unstable();
+    };
+    let present = |v: u32| surroundings.edges_outside(&located, v);
+    let LocatedRows { gone, origins, .. } = &located;
+    check_border(level, touched, gone, origins, present, &located.order)?;
 
     // Into the order in which they are to be placed.
     let positions: Vec<Lanes> = match graph.positions {
@@ -143,48 +104,183 @@ pub(super) fn read_change(
     };
     let sequence = match graph.positions {
         Some(_) => along_curve(&positions, threads),
-        None => sequence_of(touched, &own, |v| &graph.neighbours[entries(v)]),
+        None => sequence_of(touched, &surroundings.own, |v| {
+            &graph.neighbours[surroundings.entries(v)]
+        }),
     };
-    let mut places = vec![0u32; touched.len()];
-    for (place, &k) in (0..).zip(&sequence) {
-        places[k as usize] = place;
-    }
-    let padded = touched.len().next_multiple_of(block_size(0));
-    let mut draft = LevelDraft {
-        offsets: vec![0],
-        weights: graph.weights.map(|_| Vec::new()),
-        ..LevelDraft::default()
-    };
-    let mut foreign = Vec::new();
-    for &k in &sequence {
-        let v = touched[k as usize];
-        for e in entries(v) {
-            let j = graph.neighbours[e];
-            draft.neighbours.push(if own.contains(j) {
-                places[own.rank(j)]
-            } else {
-                foreign.push(near_row(j));
-                (padded + foreign.len() - 1) as u32
-            });
-            if let Some(w) = &mut draft.weights {
-                w.push(weight(e));
-            }
-        }
-        draft.offsets.push(draft.neighbours.len() as u32);
-        draft.positions.extend(positions.get(k as usize));
-    }
+    let (draft, foreign) = surroundings.draft_rows(&located, &sequence, &positions);
     let of_sequence = |all: &[u32]| sequence.iter().map(|&k| all[k as usize]).collect();
+    let (origins, vertices) = (of_sequence(&located.origins), of_sequence(touched));
+    let mut dead = located.gone;
+    dead.extend(located.origins.iter().filter(|&&row| row != NO_ROW));
+    dead.sort_unstable();
     Ok(Some(RepairPlan {
         touched: TouchedRows {
             draft,
             foreign,
-            origins: of_sequence(&origins),
+            origins,
             dead,
-            sequence: sequence.clone(),
+            sequence,
         },
-        vertices: of_sequence(touched),
-        order,
+        vertices,
+        order: located.order,
     }))
+}
+
+/// The touched vertices of the new graph and their neighbours.
+struct TouchedSurroundings<'a> {
+    graph: WeightedGraph<'a>,
+    touched: &'a [u32],
+    /// Factor on weights.
+    scale: f32,
+    /// The touched vertices.
+    own: MarkedRows,
+    /// Neighbours of touched vertices that are not touched.
+    near: MarkedRows,
+    /// Both.
+    any: MarkedRows,
+}
+
+/// Where touched vertices and their neighbours were before the change.
+struct LocatedRows {
+    /// The new vertex of each present row; [`NO_ROW`] for those that leave.
+    order: Vec<u32>,
+    /// Rows whose vertices are gone.
+    gone: Vec<u32>,
+    /// The row of each touched vertex, or [`NO_ROW`].
+    origins: Vec<u32>,
+    /// The row of each neighbour that is not touched, by its rank in [`TouchedSurroundings::near`].
+    near_rows: Vec<u32>,
+}
+
+impl<'a> TouchedSurroundings<'a> {
+    /// Knows no neighbours yet.
+    fn new(graph: WeightedGraph<'a>, touched: &'a [u32], scale: f32) -> Self {
+        let none = || MarkedRows::new(graph.vertices());
+        Self {
+            graph,
+            touched,
+            scale,
+            own: none(),
+            near: none(),
+            any: none(),
+        }
+    }
+
+    /// Entries of a vertex in the graph.
+    fn entries(&self, v: u32) -> Range<usize> {
+        self.graph.offsets[v as usize] as usize..self.graph.offsets[v as usize + 1] as usize
+    }
+
+    /// Scaled weight of an entry.
+    fn weight(&self, entry: usize) -> f32 {
+        self.graph.weights.map_or(1.0, |w| w[entry] * self.scale)
+    }
+
+    fn has_too_heavy_edge(&self) -> bool {
+        let is_heavy = |v: &u32| self.entries(*v).any(|e| self.weight(e) > HEAVIEST);
+        self.touched.iter().any(is_heavy)
+    }
+
+    fn mark_vertices(&mut self) {
+        for &v in self.touched {
+            self.own.insert(v);
+        }
+        self.own.count();
+        self.any.clone_from(&self.own);
+        for &v in self.touched {
+            for &j in &self.graph.neighbours[self.entries(v)] {
+                if self.any.insert(j) {
+                    self.near.insert(j);
+                }
+            }
+        }
+        self.near.count();
+    }
+
+    /// Finds the rows of all vertices that matter. `None` if the change is large.
+    fn locate_rows(
+        &self,
+        hierarchy: &Hierarchy,
+        new_from_old: &[u32],
+        threads: Parallelism,
+    ) -> Result<Option<LocatedRows>, Error> {
+        let (n, touched) = (self.graph.vertices(), self.touched.len());
+        let (order, found) = renumber_rows(&hierarchy.order, new_from_old, &self.own, &self.any, threads);
+        let mut located = LocatedRows {
+            order,
+            gone: Vec::new(),
+            origins: vec![NO_ROW; touched],
+            near_rows: vec![NO_ROW; self.near.iter().count()],
+        };
+        let mut left = 0;
+        for found in found {
+            left += found.left;
+            located.gone.extend(found.gone);
+            for (v, row) in found.own {
+                located.origins[self.own.rank(v)] = row;
+            }
+            for (v, row) in found.near {
+                located.near_rows[self.near.rank(v)] = row;
+            }
+        }
+        if is_large(touched + located.gone.len(), n.max(hierarchy.levels[0].occupied())) {
+            return Ok(None);
+        }
+        let new = located.origins.iter().filter(|&&row| row == NO_ROW).count();
+        if left + new != n {
+            return Err(Error::Invalid(format!(
+                "of {n} vertices {left} were there before and {new} of the touched ones were not: all new vertices must \
+                 be among the touched ones"
+            )));
+        }
+        Ok(Some(located))
+    }
+
+    /// Edges of a touched vertex to neighbours that are not touched, as (row, weight).
+    fn edges_outside(&self, located: &LocatedRows, v: u32) -> Vec<(u32, f32)> {
+        let outside = self
+            .entries(v)
+            .filter(|&e| !self.own.contains(self.graph.neighbours[e]));
+        let edge = |e: usize| (self.near_row(located, self.graph.neighbours[e]), self.weight(e));
+        outside.map(edge).collect()
+    }
+
+    fn near_row(&self, located: &LocatedRows, v: u32) -> u32 {
+        located.near_rows[self.near.rank(v)]
+    }
+
+    /// The rows of the touched vertices in the order of `sequence`, and the rows that their foreign neighbours stand for.
+    fn draft_rows(&self, located: &LocatedRows, sequence: &[u32], positions: &[Lanes]) -> (LevelDraft, Vec<u32>) {
+        let mut places = vec![0u32; self.touched.len()];
+        for (place, &k) in (0..).zip(sequence) {
+            places[k as usize] = place;
+        }
+        let padded = self.touched.len().next_multiple_of(block_size(0));
+        let mut draft = LevelDraft {
+            offsets: vec![0],
+            weights: self.graph.weights.map(|_| Vec::new()),
+            ..LevelDraft::default()
+        };
+        let mut foreign = Vec::new();
+        for &k in sequence {
+            for e in self.entries(self.touched[k as usize]) {
+                let j = self.graph.neighbours[e];
+                draft.neighbours.push(if self.own.contains(j) {
+                    places[self.own.rank(j)]
+                } else {
+                    foreign.push(self.near_row(located, j));
+                    (padded + foreign.len() - 1) as u32
+                });
+                if let Some(w) = &mut draft.weights {
+                    w.push(self.weight(e));
+                }
+            }
+            draft.offsets.push(draft.neighbours.len() as u32);
+            draft.positions.extend(positions.get(k as usize));
+        }
+        (draft, foreign)
+    }
 }
 
 /// Checks lengths and ranges, and that no two old vertices become one.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::build::coarsen::SHRINK;
 use crate::build::draft::RowBlocks;
-use crate::build::hierarchy::{Hierarchy, block_size, coarsen};
+use crate::build::hierarchy::{ArrangedDraft, Hierarchy, block_size, coarsen};
 use crate::error::Error;
 use crate::exec::Exec;
 use crate::graph::WeightedGraph;
@@ -221,9 +221,10 @@ impl Hierarchy {
         };
         let level = &mut last[0];
         (level.aggregates, level.ranges, level.members) = Default::default();
-        let (draft, rows) = draft_of(level, lives, threads);
+        let (draft, ranks) = draft_of(level, lives, threads);
         let blocks = RowBlocks::new(&draft, block_size(l), threads);
         // Halfway through there is no way back, so nobody is asked whether to go on.
-        let _ = coarsen(&mut self.levels, draft, blocks, rows, &self.options, threads, &Silent);
+        let last = ArrangedDraft { draft, blocks, ranks };
+        let _ = coarsen(&mut self.levels, last, &self.options, threads, &Silent);
     }
 }

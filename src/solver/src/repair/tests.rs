@@ -335,10 +335,7 @@ fn iterations(hierarchy: &Hierarchy, cast: &RowsCast) -> usize {
     };
     let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
     let mut workspace = Workspace::default();
-    let stats = system.solve(
-        hierarchy,
-        1,
-        &rhs,
+    let stats = system.equations(hierarchy, 1, &rhs).solve(
         &mut x,
         &options,
         &mut workspace,

@@ -4,7 +4,7 @@ use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane, ratio};
 use crate::progress::Cancelled;
 use crate::solve::cycle::{CoarseVectors, MultigridCycle};
 use crate::solve::problem::ColumnGroup;
-use crate::solve::sweep::{LaneDots, MaskedLevel};
+use crate::solve::sweep::{LaneDots, MaskedLevel, SweepVectors};
 use crate::solve::workspace::FineVectors;
 use crate::storage::SLICE_ROWS;
 
@@ -66,56 +66,125 @@ fn without_means(problem: &ColumnGroup<'_>, fine: &mut FineVectors, scale: WideL
     })
 }
 
+/// What holds for one step of conjugate gradients.
+pub(crate) struct StepTerms {
+    /// The correction begins here, at 0.
+    pub(crate) fresh: bool,
+    /// The residual after a fresh step is made from the correction itself.
+    pub(crate) exact: bool,
+    /// 1 for lanes that move, 0 for the others.
+    pub(crate) open: WideLanes,
+    /// Weights of the lanes in [`StepNorms::longest`].
+    pub(crate) weights: WideLanes,
+}
+
 /// One iteration: precondition, make the direction conjugate to the last step, step.
 ///
 /// With d the last step, the new one is α (z + β d), β making it conjugate to d. d and A d are kept as differences of
 /// corrections and residuals, which saves two vectors' traffic over the usual form.
 ///
-/// `direction` holds (d, A d), if there was a step. `fresh`: the correction begins here, at 0. `exact`: see there. Lanes that are not
-/// `open` do not move. `weights` are those of [`StepNorms::longest`].
+/// `direction` holds (d, A d), if there was a step.
 pub(crate) fn step_conjugate(
     cycle: &MultigridCycle<'_>,
     grid: &MaskedLevel<'_>,
     fine: &mut FineVectors,
     coarse: &mut [CoarseVectors],
     direction: &mut Option<WideLanes>,
-    (fresh, exact): (bool, bool),
-    open: WideLanes,
-    weights: WideLanes,
+    terms: &StepTerms,
 ) -> Result<StepNorms, Cancelled> {
-    let first = direction.is_none();
+    let lengths = precondition(cycle, grid, fine, coarse, direction, terms)?;
+    let (mut rr, ee, longest) = take_step(grid, fine, &lengths, terms);
+    if terms.fresh && terms.exact {
+        // The first correction is the largest by far. From what single precision makes of it, not from the step that
+        // was meant, comes a residual that stays true for longer.
+        rr = residual_of_correction(grid, fine);
+    }
+    Ok(StepNorms {
+        rr,
+        ee,
+        longest,
+        broken: lengths.broken,
+    })
+}
+
+/// The step as a combination of the preconditioned residual and the last step.
+struct StepLengths {
+    /// True if there was no last step.
+    first: bool,
+    /// α, of the preconditioned residual.
+    alpha: WideLanes,
+    /// α β, of the last step.
+    gamma: WideLanes,
+    /// True if an open lane would go backwards.
+    broken: bool,
+}
+
+/// Makes z from the residual, and the lengths that make the step conjugate to the last one. `direction` becomes that of the
+/// new step.
+fn precondition(
+    cycle: &MultigridCycle<'_>,
+    grid: &MaskedLevel<'_>,
+    fine: &mut FineVectors,
+    coarse: &mut [CoarseVectors],
+    direction: &mut Option<WideLanes>,
+    terms: &StepTerms,
+) -> Result<StepLengths, Cancelled> {
+    let (first, open) = (direction.is_none(), terms.open);
     let FineVectors {
         r,
         z,
         t,
-        e,
         last_r,
         last_e,
         partials,
+        ..
     } = fine;
     let last = (!first).then_some(last_r.as_slice());
-    let [zr, zv, zl] = cycle.run(0, r, z, t, last, partials, coarse)?;
+    let vectors = SweepVectors { x: z, t, partials };
+    let [zr, zv, zl] = cycle.run(0, r, vectors, last, coarse)?;
     let dd = direction.unwrap_or([0.0; WIDTH]);
     let zd = per_lane(|c| if first { 0.0 } else { zl[c] - zr[c] });
     let beta = per_lane(|c| -ratio(zd[c], dd[c]));
     let pp = per_lane(|c| zv[c] + 2.0 * beta[c] * zd[c] + beta[c] * beta[c] * dd[c]);
     // Within a stretch the last step is orthogonal to r; the true residual that began this one may differ.
-    let dr = if fresh && !first {
+    let dr = if terms.fresh && !first {
         inner_product(grid, last_e, r, partials).map(|v| -v)
     } else {
         [0.0; WIDTH]
     };
     let alpha = per_lane(|c| open[c] * ratio(zr[c] + beta[c] * dr[c], pp[c]));
-    let broken = (0..WIDTH).any(|c| open[c] > 0.0 && alpha[c] <= 0.0);
     *direction = Some(per_lane(|c| alpha[c] * alpha[c] * pp[c]));
-    let gamma = Lanes::from_wide(per_lane(|c| alpha[c] * beta[c]));
-    let alpha = Lanes::from_wide(alpha);
-    let weights = Lanes::from_wide(weights);
+    Ok(StepLengths {
+        first,
+        alpha,
+        gamma: per_lane(|c| alpha[c] * beta[c]),
+        broken: (0..WIDTH).any(|c| open[c] > 0.0 && alpha[c] <= 0.0),
+    })
+}
 
+/// Takes the step. Returns the squared norms of residual and correction, and the largest row of the step.
+fn take_step(
+    grid: &MaskedLevel<'_>,
+    fine: &mut FineVectors,
+    lengths: &StepLengths,
+    terms: &StepTerms,
+) -> (WideLanes, WideLanes, f64) {
+    let FineVectors {
+        r,
+        z,
+        e,
+        last_r,
+        last_e,
+        partials,
+        ..
+    } = fine;
+    let (first, fresh) = (lengths.first, terms.fresh);
+    let (alpha, gamma) = (Lanes::from_wide(lengths.alpha), Lanes::from_wide(lengths.gamma));
+    let weights = Lanes::from_wide(terms.weights);
     let z = &*z;
     let (r_now, e_now) = (&*r, &*e);
     let (r_next, e_next) = (SharedRows::new(last_r), SharedRows::new(last_e));
-    let [mut rr, ee, _] = grid.sum_over_blocks(partials, |rows| {
+    let [rr, ee, _] = grid.sum_over_blocks(partials, |rows| {
         // SAFETY: blocks are disjoint and each is visited once.
         let (r_next, e_next) = unsafe { (r_next.rows(rows.clone()), e_next.rows(rows.clone())) };
         let (mut rr, mut ee, mut longest) = (Lanes::ZERO, Lanes::ZERO, 0.0f32);
@@ -147,34 +216,33 @@ pub(crate) fn step_conjugate(
     std::mem::swap(r, last_r);
     std::mem::swap(e, last_e);
     let longest = partials.iter().fold(0.0f32, |a, p| a.max(p[2].0[0]));
-    if fresh && exact {
-        // The first correction is the largest by far. From what single precision makes of it, not from the step that
-        // was meant, comes a residual that stays true for longer.
-        let e = &*e;
-        let (r, before) = (SharedRows::new(r), &*last_r);
-        [rr, _, _] = grid.sum_over_blocks(partials, |rows| {
-            // SAFETY: blocks are disjoint and each is visited once.
-            let r = unsafe { r.rows(rows.clone()) };
-            let before = before[rows.clone()].as_chunks::<SLICE_ROWS>().0;
-            let mut rr = Lanes::ZERO;
-            for (k, (r, before)) in
-                (rows.start / SLICE_ROWS..).zip(r.as_chunks_mut::<SLICE_ROWS>().0.iter_mut().zip(before))
-            {
-                let v = grid.edge_flows(e, k);
-                for d in 0..SLICE_ROWS {
-                    r[d] = before[d] - v[d];
-                    rr += r[d] * r[d];
-                }
+    (rr, ee, f64::from(longest).sqrt())
+}
+
+/// The residual from the one before and the correction as it is; returns its squared norms.
+fn residual_of_correction(grid: &MaskedLevel<'_>, fine: &mut FineVectors) -> WideLanes {
+    let FineVectors {
+        r, e, last_r, partials, ..
+    } = fine;
+    let e = &*e;
+    let (r, before) = (SharedRows::new(r), &*last_r);
+    let [rr, _, _] = grid.sum_over_blocks(partials, |rows| {
+        // SAFETY: blocks are disjoint and each is visited once.
+        let r = unsafe { r.rows(rows.clone()) };
+        let before = before[rows.clone()].as_chunks::<SLICE_ROWS>().0;
+        let mut rr = Lanes::ZERO;
+        for (k, (r, before)) in
+            (rows.start / SLICE_ROWS..).zip(r.as_chunks_mut::<SLICE_ROWS>().0.iter_mut().zip(before))
+        {
+            let v = grid.edge_flows(e, k);
+            for d in 0..SLICE_ROWS {
+                r[d] = before[d] - v[d];
+                rr += r[d] * r[d];
             }
-            [rr, Lanes::ZERO, Lanes::ZERO]
-        });
-    }
-    Ok(StepNorms {
-        rr,
-        ee,
-        longest: f64::from(longest).sqrt(),
-        broken,
-    })
+        }
+        [rr, Lanes::ZERO, Lanes::ZERO]
+    });
+    rr
 }
 
 fn inner_product(grid: &MaskedLevel<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<LaneDots>) -> WideLanes {

@@ -4,7 +4,7 @@ use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane, ratio};
 use crate::progress::{Cancelled, Progress, check};
-use crate::solve::sweep::{LaneDots, MaskedLevel};
+use crate::solve::sweep::{LaneDots, MaskedLevel, SweepVectors};
 use crate::storage::SLICE_ROWS;
 use crate::threads::Parallelism;
 
@@ -67,19 +67,18 @@ impl<'a> MultigridCycle<'a> {
     }
 
     /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle. Returns
-    /// (z, b), (z, A z) and (z, c), or (b, b) without `c`. `t` is scratch, on coarse levels left as [`MaskedLevel::products`]
-    /// wants it. `below` holds the vectors of the coarser levels.
+    /// (z, b), (z, A z) and (z, c), or (b, b) without `c`. `vectors` hold z; their `t` is scratch, on coarse levels left as
+    /// [`MaskedLevel::matrix_products`] wants it. `below` holds the vectors of the coarser levels.
     pub(crate) fn run(
         &self,
         l: usize,
         b: &[Lanes],
-        z: &mut [Lanes],
-        t: &mut [Lanes],
+        vectors: SweepVectors<'_>,
         c: Option<&[Lanes]>,
-        partials: &mut Vec<LaneDots>,
         below: &mut [CoarseVectors],
     ) -> Result<[WideLanes; 3], Cancelled> {
         let grid = self.grid(l);
+        let SweepVectors { x: z, t, partials } = vectors;
         check(self.progress)?;
         let twice = l == 0 && self.system.twice;
         grid.forward(b, z);
@@ -97,9 +96,9 @@ impl<'a> MultigridCycle<'a> {
         if twice {
             grid.forward_full(b, z, t);
             check(self.progress)?;
-            return Ok(grid.backward_from(b, z, t, c, partials));
+            return Ok(grid.backward_from(b, SweepVectors { x: z, t, partials }, c));
         }
-        Ok(grid.backward(b, z, (l > 0).then_some(t), c, partials))
+        Ok(grid.backward(b, SweepVectors { x: z, t, partials }, l > 0, c))
     }
 
     /// Solves level `l` roughly: `levels[0].z` ≈ A⁻¹ `levels[0].b`; b is used up.
@@ -124,7 +123,7 @@ impl<'a> MultigridCycle<'a> {
             partials,
             ..
         } = here;
-        let [zb, zv, bb] = self.run(l, b, z, t, None, partials, below)?;
+        let [zb, zv, bb] = self.run(l, b, SweepVectors { x: z, t, partials }, None, below)?;
         if self.system.cycles_per_visit[l] < 2 {
             return Ok(());
         }
@@ -136,7 +135,7 @@ impl<'a> MultigridCycle<'a> {
             combine_steps(&grid, z, first_z, None, first);
             return Ok(());
         }
-        let [zr, ww, wv] = self.run(l, b, z, t, Some(first_v), partials, below)?;
+        let [zr, ww, wv] = self.run(l, b, SweepVectors { x: z, t, partials }, Some(first_v), below)?;
         let overlap = per_lane(|c| ratio(wv[c], zv[c]));
         let second = per_lane(|c| ratio(zr[c], ww[c] - overlap[c] * wv[c]));
         let first = per_lane(|c| first[c] - second[c] * overlap[c]);
@@ -246,9 +245,12 @@ mod tests {
         clear_inactive(&cycle.grid(0), &mut z);
         clear_inactive(&cycle.grid(0), &mut t);
         let mut partials = Vec::new();
+        fn vectors<'v>(x: &'v mut [Lanes], t: &'v mut [Lanes], partials: &'v mut Vec<LaneDots>) -> SweepVectors<'v> {
+            SweepVectors { x, t, partials }
+        }
         let c = Some(b.as_slice());
         let dots = cycle
-            .run(0, &b, &mut z, &mut t, c, &mut partials, &mut workspace.coarse)
+            .run(0, &b, vectors(&mut z, &mut t, &mut partials), c, &mut workspace.coarse)
             .unwrap();
 
         // Both ways to A z give it, and the inner products are those of z.
@@ -260,7 +262,7 @@ mod tests {
         let mut left = vec![Lanes::ZERO; z.len()];
         cycle
             .grid(0)
-            .backward(&b, &mut again, Some(&mut left), None, &mut partials);
+            .backward(&b, vectors(&mut again, &mut left, &mut partials), true, None);
         let size = again.iter().fold(1.0, |a: f32, z| a.max(z.0[1].abs()));
         for (k, left) in left.as_chunks::<SLICE_ROWS>().0.iter().enumerate() {
             let (made, want) = (

@@ -189,10 +189,7 @@ mod tests {
         };
         let mut workspace = Workspace::default();
         let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
-        let stats = system.solve(
-            &hierarchy,
-            2,
-            &rhs,
+        let stats = system.equations(&hierarchy, 2, &rhs).solve(
             &mut x,
             &options,
             &mut workspace,

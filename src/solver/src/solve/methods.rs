@@ -21,17 +21,38 @@ use crate::threads::Parallelism;
 /// Refinements of the direct method at most.
 const REFINEMENTS: usize = 4;
 
+/// The equations `A x = b` of a system for given right-hand sides; made by [`LinearSystem::equations`].
+#[derive(Debug, Clone, Copy)]
+pub struct LinearEquations<'a> {
+    system: &'a LinearSystem,
+    hierarchy: &'a Hierarchy,
+    columns: usize,
+    rhs: &'a [f64],
+}
+
 impl LinearSystem {
+    /// The equations with right-hand sides `rhs`: row-major, vertices × `columns`, not read where vertices are fixed.
+    /// `hierarchy` is the system's own. Nothing is checked before the equations are used.
+    pub fn equations<'a>(&'a self, hierarchy: &'a Hierarchy, columns: usize, rhs: &'a [f64]) -> LinearEquations<'a> {
+        LinearEquations {
+            system: self,
+            hierarchy,
+            columns,
+            rhs,
+        }
+    }
+}
+
+impl LinearEquations<'_> {
     /// Solves, for every free vertex i and every column,
     ///
     /// Σ_j w_ij (x_i − x_j) + stiffness_i x_i = rhs_i,
     ///
     /// where x_j of a fixed neighbour is the value that `x` gives it.
     ///
-    /// `rhs` and `x` are row-major, vertices × `columns`. Fixed rows of `x` are never written; free rows are the start
-    /// (with [`InitialGuess::Given`]) and receive the solution. `rhs` of fixed rows is not read. `watch` is called after
-    /// every iteration, from the calling thread. At least one iteration is done unless the start is exact, so that
-    /// every result has an error estimate.
+    /// `x` is row-major, vertices × columns. Fixed rows of `x` are never written; free rows are the start (with
+    /// [`InitialGuess::Given`]) and receive the solution. `watch` is called after every iteration, from the calling
+    /// thread. At least one iteration is done unless the start is exact, so that every result has an error estimate.
     ///
     /// A component with neither fixed vertex nor stiffness determines its values up to a constant: its right-hand
     /// side is projected to sum zero, and the mean of its start is kept (with starts other than `Given`: 0).
@@ -45,18 +66,15 @@ impl LinearSystem {
     /// may then hold solutions of some columns; they stay finite.
     pub fn solve(
         &self,
-        hierarchy: &Hierarchy,
-        columns: usize,
-        rhs: &[f64],
         x: &mut [f64],
         options: &SolveOptions<'_>,
         workspace: &mut Workspace,
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
     ) -> Result<SolveStats, Error> {
-        self.check_hierarchy(hierarchy)?;
-        check_lengths(hierarchy, columns, rhs.len(), x.len())?;
-        check_options(hierarchy, columns, options)?;
+        let Self { system, columns, .. } = *self;
+        self.check(x.len())?;
+        check_options(self.hierarchy, columns, options)?;
         exec.check()?;
         let mut stats = SolveStats {
             iterations: 0,
@@ -68,7 +86,7 @@ impl LinearSystem {
             stopped: false,
             converged: true,
         };
-        if self.free_count() == 0 {
+        if system.free_count() == 0 {
             stats.residuals.resize(columns, 0.0);
             return Ok(stats);
         }
@@ -79,30 +97,23 @@ impl LinearSystem {
             max_error: options.max_error.map(|e| e / (groups.max(1) as f64).sqrt()),
             max_iterations: options.max_iterations,
         };
-        for group in 0..groups {
+        for first in (0..columns).step_by(WIDTH) {
             let given = matches!(options.start, InitialGuess::Given);
             let threads = Parallelism::from_pool(exec.pool);
-            let at = (columns, group * WIDTH);
             let problem = threads.run_on(exec.pool, || {
-                ColumnGroup::new(hierarchy, self, threads, (rhs, x), at, given)
+                self.column_group(first, x, given, threads)
                     .inspect(|problem| problem.load(x, given, &mut workspace.x))
             })?;
-            let outcome = if self.is_direct() {
+            let outcome = if system.is_direct() {
                 solve_directly(&problem, criteria, workspace, x, exec, watch)?
             } else {
                 let cycle = MultigridCycle {
-                    hierarchy,
-                    system: self,
+                    hierarchy: self.hierarchy,
+                    system,
                     threads,
                     progress: exec.progress,
                 };
-                let paper = hierarchy.paper.as_ref().zip(self.paper.as_ref());
-                if let (InitialGuess::FullMultigrid { frames, rest }, None) = (options.start, paper) {
-                    problem
-                        .threads
-                        .run_on(exec.pool, || full_multigrid(&problem, &cycle, frames, rest, workspace))?;
-                }
-                let mut outer = GroupSolve {
+                let group = GroupSolve {
                     problem,
                     cycle,
                     pool: exec.pool,
@@ -111,10 +122,7 @@ impl LinearSystem {
                     caller: x,
                     from_zero: matches!(options.start, InitialGuess::Zero),
                 };
-                match paper {
-                    Some((kept, paper)) => crate::paper::solve(&mut outer, paper, kept, options.start, watch)?,
-                    None => outer.solve(watch)?,
-                }
+                solve_by_cycles(group, options.start, watch)?
             };
             problem.store(&workspace.x, None, x);
             merge_outcome(&mut stats, &outcome, problem.width());
@@ -124,7 +132,7 @@ impl LinearSystem {
         }
         // Columns that were not reached because the caller stopped.
         if stats.residuals.len() < columns {
-            let rest = self.residual(hierarchy, columns, rhs, x, None, exec.pool)?;
+            let rest = self.residual(x, None, exec.pool)?;
             let known = stats.residuals.len();
             stats.residuals.extend_from_slice(&rest[known..]);
             stats.converged = false;
@@ -136,7 +144,7 @@ impl LinearSystem {
     /// The true relative residual ‖b − A x‖₂ / ‖b‖₂ per column, computed in double precision from the equations
     /// alone. With `rows`, also b − A x itself, in the shape of `x`, 0 on fixed rows.
     ///
-    /// Components that nothing holds are judged as [`LinearSystem::solve`] solves them, without their mean. A column whose
+    /// Components that nothing holds are judged as [`LinearEquations::solve`] solves them, without their mean. A column whose
     /// b is 0 gives 0 if its residual is 0, else infinity.
     ///
     /// ```
@@ -148,27 +156,20 @@ impl LinearSystem {
     /// let hierarchy = Hierarchy::build(&chain, &BuildOptions::default(), &exec)?;
     /// let ends = Constraints { fixed: &[true, false, false, false, true], stiffness: None };
     /// let system = hierarchy.constrain(&ends, &pool)?;
-    /// let relative = system.residual(&hierarchy, 1, &[0.0; 5], &[0.0, 1.0, 2.0, 3.0, 4.0], None, &pool)?;
+    /// let equations = system.equations(&hierarchy, 1, &[0.0; 5]);
+    /// let relative = equations.residual(&[0.0, 1.0, 2.0, 3.0, 4.0], None, &pool)?;
     /// assert!(relative[0] < 1e-12, "a straight line is harmonic");
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
     /// # Errors
-    /// [`Error::Invalid`] as for [`LinearSystem::solve`].
-    pub fn residual(
-        &self,
-        hierarchy: &Hierarchy,
-        columns: usize,
-        rhs: &[f64],
-        x: &[f64],
-        rows: Option<&mut [f64]>,
-        pool: &Pool,
-    ) -> Result<Vec<f64>, Error> {
-        self.check_hierarchy(hierarchy)?;
-        check_lengths(hierarchy, columns, rhs.len(), x.len())?;
+    /// [`Error::Invalid`] as for [`LinearEquations::solve`].
+    pub fn residual(&self, x: &[f64], rows: Option<&mut [f64]>, pool: &Pool) -> Result<Vec<f64>, Error> {
+        let Self { hierarchy, columns, .. } = *self;
+        self.check(x.len())?;
         let mut rows = rows;
         if let Some(out) = rows.as_deref_mut() {
-            check_lengths(hierarchy, columns, rhs.len(), out.len())?;
+            check_lengths(hierarchy, columns, self.rhs.len(), out.len())?;
             out.fill(0.0);
         }
         let threads = Parallelism::from_pool(pool);
@@ -176,9 +177,8 @@ impl LinearSystem {
         let (mut values, mut r) = (Vec::new(), vec![[0.0; WIDTH]; n]);
         let mut relative = Vec::with_capacity(columns);
         for first in (0..columns).step_by(WIDTH) {
-            let at = (columns, first);
             let (problem, norms, reference) = threads.run_on(pool, || -> Result<_, Error> {
-                let problem = ColumnGroup::new(hierarchy, self, threads, (rhs, x), at, true)?;
+                let problem = self.column_group(first, x, true, threads)?;
                 problem.load(x, true, &mut values);
                 r.fill([0.0; WIDTH]);
                 let norms = problem.wide_residual(&values, &mut r);
@@ -196,6 +196,29 @@ impl LinearSystem {
             }
         }
         Ok(relative)
+    }
+
+    /// Checks that the hierarchy is the system's and that right-hand side and solution have its lengths.
+    fn check(&self, solution: usize) -> Result<(), Error> {
+        self.system.check_hierarchy(self.hierarchy)?;
+        check_lengths(self.hierarchy, self.columns, self.rhs.len(), solution)
+    }
+
+    /// The group of columns from `first` on. `given`: the free rows of `x` count too.
+    fn column_group(
+        &self,
+        first: usize,
+        x: &[f64],
+        given: bool,
+        threads: Parallelism,
+    ) -> Result<ColumnGroup<'_>, Error> {
+        let Self {
+            system,
+            hierarchy,
+            columns,
+            rhs,
+        } = *self;
+        ColumnGroup::new(hierarchy, system, threads, (rhs, x), (columns, first), given)
     }
 }
 
@@ -249,6 +272,27 @@ fn merge_outcome(stats: &mut SolveStats, outcome: &GroupOutcome, width: usize) {
     stats.method = stats.method.max(outcome.method);
     stats.stopped |= outcome.stopped;
     stats.converged &= outcome.converged;
+}
+
+/// Iterates on one group of columns, from full multigrid where that is the start, by this solver's cycles or by the paper's.
+fn solve_by_cycles(
+    mut group: GroupSolve<'_, '_>,
+    start: InitialGuess<'_>,
+    watch: &mut IterationWatcher<'_>,
+) -> Result<GroupOutcome, Error> {
+    let problem = group.problem;
+    if let Some((kept, paper)) = problem.hierarchy.paper.as_ref().zip(problem.system.paper.as_ref()) {
+        return crate::paper::solve(&mut group, paper, kept, start, watch);
+    }
+    if let InitialGuess::FullMultigrid { frames, rest } = start {
+        let GroupSolve {
+            cycle, pool, workspace, ..
+        } = &mut group;
+        problem
+            .threads
+            .run_on(pool, || full_multigrid(&problem, cycle, frames, rest, workspace))?;
+    }
+    group.solve(watch)
 }
 
 /// Few free vertices: the dense inverse, refined until the residual is as small as asked.

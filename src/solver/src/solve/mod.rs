@@ -5,9 +5,11 @@ pub(crate) mod criteria;
 pub(crate) mod cycle;
 pub(crate) mod fallback;
 pub(crate) mod group;
+mod inner;
 pub(crate) mod iteration;
 mod methods;
 mod outer;
+mod outer_state;
 mod patches;
 pub(crate) mod problem;
 mod start;
@@ -15,4 +17,5 @@ mod sweep;
 pub(crate) mod workspace;
 
 pub use self::iteration::{IterationReport, SolveControl};
+pub use self::methods::LinearEquations;
 pub use self::workspace::Workspace;

@@ -24,6 +24,16 @@ pub(crate) struct MaskedLevel<'a> {
 /// Sums of one block: three inner products per lane.
 pub(crate) type LaneDots = [Lanes; 3];
 
+/// The vectors that a sweep or a cycle works on.
+pub(crate) struct SweepVectors<'v> {
+    /// The solution.
+    pub(crate) x: &'v mut [Lanes],
+    /// What each row saw of the right-hand side and of the neighbours before it.
+    pub(crate) t: &'v mut [Lanes],
+    /// Sums of the blocks, which inner products are made of.
+    pub(crate) partials: &'v mut Vec<LaneDots>,
+}
+
 impl<'a> MaskedLevel<'a> {
     pub(crate) fn new(level: &'a HierarchyLevel, mask: &'a LevelMask, threads: Parallelism) -> Self {
         Self {
@@ -205,29 +215,22 @@ impl<'a> MaskedLevel<'a> {
     }
 
     /// The backward sweep after [`MaskedLevel::forward_full`], which left `t`. Returns what [`MaskedLevel::backward`] returns.
-    pub(crate) fn backward_from(
-        &self,
-        b: &[Lanes],
-        x: &mut [Lanes],
-        t: &[Lanes],
-        c: Option<&[Lanes]>,
-        partials: &mut Vec<LaneDots>,
-    ) -> [WideLanes; 3] {
+    pub(crate) fn backward_from(&self, b: &[Lanes], vectors: SweepVectors<'_>, c: Option<&[Lanes]>) -> [WideLanes; 3] {
         match &self.level.weights {
-            None => self.backward_from_with(b, x, t, c, partials, &UnitWeights),
-            Some(w) => self.backward_from_with(b, x, t, c, partials, &StoredWeights(w)),
+            None => self.backward_from_with(b, vectors, c, &UnitWeights),
+            Some(w) => self.backward_from_with(b, vectors, c, &StoredWeights(w)),
         }
     }
 
     fn backward_from_with<W: SliceWeights>(
         &self,
         b: &[Lanes],
-        x: &mut [Lanes],
-        t: &[Lanes],
+        vectors: SweepVectors<'_>,
         c: Option<&[Lanes]>,
-        partials: &mut Vec<LaneDots>,
         w: &W,
     ) -> [WideLanes; 3] {
+        let SweepVectors { x, t, partials } = vectors;
+        let t = &*t;
         let (level, inverses) = (self.level, &self.mask.inverses);
         let (with_x, c) = (c.is_some(), c.unwrap_or(b));
         let n = level.rows();
@@ -260,36 +263,34 @@ impl<'a> MaskedLevel<'a> {
 
     /// A full backward sweep on x. Returns (x, b), (x, A x) and (x, c), or (b, b) without `c`.
     ///
-    /// `t`, if given, receives what each row saw of b and of the neighbours before it, from which [`MaskedLevel::products`]
-    /// makes A x.
+    /// With `keep`, `t` receives what each row saw of b and of the neighbours before it, from which
+    /// [`MaskedLevel::matrix_products`] makes A x.
     /// With it, D x_i = t_i + (neighbours after i, final when i is swept), and (A x)_i = t_i − Σ_before w x_j. Every edge
     /// leads once to an earlier and once to a later row, so (x, A x) is also the sum of x_i (t_i − Σ_after w x_j): all
     /// inner products come with the sweep.
     pub(crate) fn backward(
         &self,
         b: &[Lanes],
-        x: &mut [Lanes],
-        t: Option<&mut [Lanes]>,
+        vectors: SweepVectors<'_>,
+        keep: bool,
         c: Option<&[Lanes]>,
-        partials: &mut Vec<LaneDots>,
     ) -> [WideLanes; 3] {
-        match (&self.level.weights, t) {
-            (None, None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &UnitWeights),
-            (None, Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &UnitWeights),
-            (Some(w), None) => self.backward_with::<_, false>(b, x, &mut [], c, partials, &StoredWeights(w)),
-            (Some(w), Some(t)) => self.backward_with::<_, true>(b, x, t, c, partials, &StoredWeights(w)),
+        match (&self.level.weights, keep) {
+            (None, false) => self.backward_with::<_, false>(b, vectors, c, &UnitWeights),
+            (None, true) => self.backward_with::<_, true>(b, vectors, c, &UnitWeights),
+            (Some(w), false) => self.backward_with::<_, false>(b, vectors, c, &StoredWeights(w)),
+            (Some(w), true) => self.backward_with::<_, true>(b, vectors, c, &StoredWeights(w)),
         }
     }
 
     fn backward_with<W: SliceWeights, const KEEP: bool>(
         &self,
         b: &[Lanes],
-        x: &mut [Lanes],
-        t: &mut [Lanes],
+        vectors: SweepVectors<'_>,
         c: Option<&[Lanes]>,
-        partials: &mut Vec<LaneDots>,
         w: &W,
     ) -> [WideLanes; 3] {
+        let SweepVectors { x, t, partials } = vectors;
         let (level, inverses) = (self.level, &self.mask.inverses);
         let (with_x, c) = (c.is_some(), c.unwrap_or(b));
         let n = level.rows();

@@ -52,16 +52,10 @@ impl SolverCase {
     pub fn solve(&self, columns: usize, rhs: &[f64], x: &mut [f64], options: &SolveOptions<'_>) -> SolveStats {
         let mut workspace = Workspace::default();
         self.system
-            .solve(
-                &self.hierarchy,
-                columns,
-                rhs,
-                x,
-                options,
-                &mut workspace,
-                &Exec::new(&self.pool, &Silent),
-                &mut |_| SolveControl::Continue,
-            )
+            .equations(&self.hierarchy, columns, rhs)
+            .solve(x, options, &mut workspace, &Exec::new(&self.pool, &Silent), &mut |_| {
+                SolveControl::Continue
+            })
             .unwrap()
     }
 

@@ -27,10 +27,8 @@ fn watchers_see_every_iteration_and_can_stop() {
     };
     let stats = case
         .system
+        .equations(&case.hierarchy, 3, &rhs)
         .solve(
-            &case.hierarchy,
-            3,
-            &rhs,
             &mut x,
             &to(1e-9),
             &mut workspace,
@@ -86,10 +84,7 @@ fn cancelling_stops_within_a_cycle() {
             SolveControl::Continue
         };
         let mut workspace = Workspace::default();
-        let result = case.system.solve(
-            &case.hierarchy,
-            3,
-            &rhs,
+        let result = case.system.equations(&case.hierarchy, 3, &rhs).solve(
             &mut x,
             &to(1e-12),
             &mut workspace,
@@ -120,21 +115,15 @@ fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable()
         let mut want = start.clone();
         case.solve(3, &rhs, &mut want, &options);
         let mut workspace = Workspace::default();
-        let mut solve =
-            |x: &mut [f64], progress: &dyn Progress, watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl| {
-                let (hierarchy, pool) = (&case.hierarchy, &case.pool);
-                let system = &case.system;
-                system.solve(
-                    hierarchy,
-                    3,
-                    &rhs,
-                    x,
-                    &options,
-                    &mut workspace,
-                    &Exec::new(pool, progress),
-                    watch,
-                )
-            };
+        let mut solve = |x: &mut [f64],
+                         progress: &dyn Progress,
+                         watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl| {
+            let (hierarchy, pool) = (&case.hierarchy, &case.pool);
+            let system = &case.system;
+            system
+                .equations(hierarchy, 3, &rhs)
+                .solve(x, &options, &mut workspace, &Exec::new(pool, progress), watch)
+        };
         for at in [1, 2, 4] {
             // Raised while iteration `at` is shown: the next one is not finished.
             let flag = CancelFlag::default();
@@ -179,16 +168,8 @@ fn bad_arguments_are_named() {
         let mut workspace = Workspace::default();
         let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
         case.system
-            .solve(
-                hierarchy,
-                columns,
-                rhs,
-                x,
-                options,
-                &mut workspace,
-                &Exec::new(&case.pool, &Silent),
-                &mut watch,
-            )
+            .equations(hierarchy, columns, rhs)
+            .solve(x, options, &mut workspace, &Exec::new(&case.pool, &Silent), &mut watch)
             .unwrap_err()
             .to_string()
     };

@@ -42,7 +42,8 @@ fn equations_hold_to_every_tolerance() {
             }
             let own = case
                 .system
-                .residual(&case.hierarchy, 3, &rhs, &x, None, &case.pool)
+                .equations(&case.hierarchy, 3, &rhs)
+                .residual(&x, None, &case.pool)
                 .unwrap();
             for (a, b) in own.iter().zip(&seen) {
                 assert!((a - b).abs() <= 1e-3 * b + 1e-14, "{name}: {a:e} against {b:e}");
@@ -80,7 +81,8 @@ fn residual_rows_are_those_of_the_equations() {
     let (rhs, x) = (noise(2 * case.n(), 1), noise(2 * case.n(), 2));
     let mut rows = vec![f64::NAN; 2 * case.n()];
     case.system
-        .residual(&case.hierarchy, 2, &rhs, &x, Some(&mut rows), &case.pool)
+        .equations(&case.hierarchy, 2, &rhs)
+        .residual(&x, Some(&mut rows), &case.pool)
         .unwrap();
     for i in 0..case.n() {
         for c in 0..2 {
@@ -199,10 +201,8 @@ fn a_workspace_leaves_no_trace() {
             let (system, hierarchy) = (&case.system, &case.hierarchy);
             let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
             system
+                .equations(hierarchy, 3, &rhs)
                 .solve(
-                    hierarchy,
-                    3,
-                    &rhs,
                     &mut b,
                     &options,
                     &mut workspace,

@@ -206,10 +206,7 @@ fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
             }
         };
         let mut workspace = Workspace::default();
-        let result = case.system.solve(
-            &case.hierarchy,
-            3,
-            &rhs,
+        let result = case.system.equations(&case.hierarchy, 3, &rhs).solve(
             &mut x,
             &to(1e-12),
             &mut workspace,
@@ -264,7 +261,8 @@ fn hard_graphs_end_with_a_result() {
             if stats.converged {
                 let own = case
                     .system
-                    .residual(&case.hierarchy, 2, &rhs, &x, None, &case.pool)
+                    .equations(&case.hierarchy, 2, &rhs)
+                    .residual(&x, None, &case.pool)
                     .unwrap();
                 assert!(own.iter().all(|r| *r <= 1.01 * tolerance), "case {k}: {own:?}");
             }

@@ -162,7 +162,8 @@ fn systems_from_before_are_refused() {
     repaired(&mut case.hierarchy, &cast, 1);
     let text = case
         .system
-        .residual(&case.hierarchy, 1, &[0.0], &[0.0], None, &case.pool)
+        .equations(&case.hierarchy, 1, &[0.0])
+        .residual(&[0.0], None, &case.pool)
         .unwrap_err()
         .to_string();
     assert!(text.contains("another hierarchy"), "{text}");

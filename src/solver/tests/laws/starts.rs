@@ -170,16 +170,8 @@ fn error_estimates_are_close_to_the_truth() {
             let mut workspace = Workspace::default();
             let (hierarchy, pool) = (&case.hierarchy, &case.pool);
             case.system
-                .solve(
-                    hierarchy,
-                    3,
-                    &rhs,
-                    &mut x,
-                    &options,
-                    &mut workspace,
-                    &Exec::new(pool, &Silent),
-                    &mut watch,
-                )
+                .equations(hierarchy, 3, &rhs)
+                .solve(&mut x, &options, &mut workspace, &Exec::new(pool, &Silent), &mut watch)
                 .unwrap();
             assert!(ratios.len() >= 3);
             assert!(

@@ -52,7 +52,7 @@ impl Polygons {
             } else {
                 cutter.points.clear();
                 cutter.points.extend(face.iter().map(|&v| positions[v as usize]));
-                cutter.cut(&mut |t| triangles.push(t.map(|i| first + i)));
+                cutter.cut_polygon(&mut |t| triangles.push(t.map(|i| first + i)));
             }
             first = end;
         }
@@ -69,8 +69,8 @@ struct PolygonCutter {
 }
 
 impl PolygonCutter {
-    fn cut(&mut self, emit: &mut impl FnMut([u32; 3])) {
-        let convex = !self.flatten() || {
+    fn cut_polygon(&mut self, emit: &mut impl FnMut([u32; 3])) {
+        let convex = !self.project_on_plane() || {
             let (n, p) = (self.flat.len(), &self.flat);
             (0..n).all(|i| is_corner(p[(i + n - 1) % n], p[i], p[(i + 1) % n]))
         };
@@ -84,7 +84,7 @@ impl PolygonCutter {
     }
 
     /// Projects the points on the plane in which the polygon is widest; false when it has none.
-    fn flatten(&mut self) -> bool {
+    fn project_on_plane(&mut self) -> bool {
         let origin = self.points[0];
         let size = self
             .points

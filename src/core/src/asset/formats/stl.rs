@@ -4,7 +4,7 @@
 //! affair. The facet normal is redundant; it is computed anew for facets that moved.
 
 use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, shown};
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
@@ -13,7 +13,6 @@ use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, WrittenFiles};
 use crate::mesh::NONE;
 use glam::DVec3;
-use std::sync::Arc;
 
 /// The format, by what it is known.
 pub(super) const FORMAT: Format = Format::new(&FormatDetails {
@@ -36,8 +35,7 @@ impl FormatCodec for StlCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
-        let (geometry, notes) = read(&files.main, limits)?;
-        Ok((geometry, Arc::new(notes)))
+        read(&files.main, limits).map(share_notes)
     }
 
     fn patch_positions(&self, model: &Model, positions: &[DVec3], _: Format) -> Result<WrittenFiles, Error> {
@@ -136,7 +134,7 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, StlNotes), Error> {
         };
         while let Some((_, corners)) = facets.next()? {
             for words in corners {
-                positions.push(facets.position(words)?);
+                positions.push(facets.read_position(words)?);
             }
             limits.check_vertices(positions.len() as u64)?;
         }
@@ -197,12 +195,12 @@ impl FacetReader<'_> {
             if word.eq_ignore_ascii_case(b"solid") || word.eq_ignore_ascii_case(b"endsolid") {
                 self.lexer.end_line();
             } else if word.eq_ignore_ascii_case(b"facet") {
-                let normal = self.normal();
-                self.expect(b"outer")?;
-                self.expect(b"loop")?;
-                let corners = [self.vertex()?, self.vertex()?, self.vertex()?];
-                self.expect(b"endloop")?;
-                self.expect(b"endfacet")?;
+                let normal = self.read_normal();
+                self.expect_word(b"outer")?;
+                self.expect_word(b"loop")?;
+                let corners = [self.read_vertex()?, self.read_vertex()?, self.read_vertex()?];
+                self.expect_word(b"endloop")?;
+                self.expect_word(b"endfacet")?;
                 return Ok(Some((normal, corners)));
             } else {
                 let problem = format!("{} where `facet` or `endsolid` is needed", shown(word));
@@ -212,7 +210,7 @@ impl FacetReader<'_> {
         Ok(None)
     }
 
-    fn normal(&mut self) -> Option<[TextToken; 3]> {
+    fn read_normal(&mut self) -> Option<[TextToken; 3]> {
         let keyword = self.lexer.token_on_line()?;
         if !self.lexer.text(keyword).eq_ignore_ascii_case(b"normal") {
             return None;
@@ -224,14 +222,14 @@ impl FacetReader<'_> {
         ])
     }
 
-    fn vertex(&mut self) -> Result<[TextToken; 3], Error> {
-        self.expect(b"vertex")?;
+    fn read_vertex(&mut self) -> Result<[TextToken; 3], Error> {
+        self.expect_word(b"vertex")?;
         let mut next = || self.lexer.token();
         let words = next().zip(next()).zip(next()).map(|((x, y), z)| [x, y, z]);
         words.ok_or_else(|| malformed(self.lexer.line(), "the file ends inside a vertex"))
     }
 
-    fn expect(&mut self, keyword: &[u8]) -> Result<(), Error> {
+    fn expect_word(&mut self, keyword: &[u8]) -> Result<(), Error> {
         let needed = String::from_utf8_lossy(keyword);
         let Some(token) = self.lexer.token() else {
             return Err(malformed(
@@ -249,7 +247,7 @@ impl FacetReader<'_> {
         ))
     }
 
-    fn position(&self, words: [TextToken; 3]) -> Result<DVec3, Error> {
+    fn read_position(&self, words: [TextToken; 3]) -> Result<DVec3, Error> {
         let mut position = DVec3::ZERO;
         for (i, word) in words.into_iter().enumerate() {
             position[i] = coordinate(self.lexer.text(word), NumberPrecision::Double)

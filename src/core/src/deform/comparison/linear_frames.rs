@@ -7,7 +7,7 @@
 //! shrunk to cos(θ/2) across the axis. The nearest rotation takes its place.
 
 use crate::deform::first_pass::blend::PoseBlend;
-use crate::deform::first_pass::frame::{LocalRotation, turn};
+use crate::deform::first_pass::frame::{LocalRotation, pack_rotation};
 use crate::deform::rotation::fit::fit_rotation;
 use crate::pool::Pool;
 use glam::DQuat;
@@ -19,7 +19,7 @@ pub(in crate::deform) fn linear_frames(blend: &PoseBlend<'_>, nodes: usize, pool
         (0..nodes)
             .into_par_iter()
             .with_min_len(1024)
-            .map(|i| turn(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation)))
+            .map(|i| pack_rotation(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation)))
             .collect()
     })
 }

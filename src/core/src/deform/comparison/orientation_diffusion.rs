@@ -9,7 +9,7 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
 use crate::deform::first_pass::blend::PoseBlend;
-use crate::deform::first_pass::frame::{LocalRotation, turn};
+use crate::deform::first_pass::frame::{LocalRotation, pack_rotation};
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
 use crate::deform::rotation::blending::fade;
@@ -48,13 +48,13 @@ pub(in crate::deform) fn diffuse(
     // Beyond a full turn there is a shorter way round the sphere, and descent would find it.
     let kept = fade(blend.reach(), WINDS);
     if kept == 1.0 {
-        return Ok(each(exec.pool, nodes, |i| turn(DQuat::from_vec4(begun[i]))));
+        return Ok(each(exec.pool, nodes, |i| pack_rotation(DQuat::from_vec4(begun[i]))));
     }
     let mut q = begun.clone();
     relax(body, rig, blend, &mut q, exec)?;
     Ok(each(exec.pool, nodes, |i| {
         let between = begun[i] * kept + q[i] * (1.0 - kept);
-        turn(DQuat::from_vec4(between.try_normalize().unwrap_or(begun[i])))
+        pack_rotation(DQuat::from_vec4(between.try_normalize().unwrap_or(begun[i])))
     }))
 }
 
@@ -102,16 +102,11 @@ fn relax(
         exec.check()?;
         let rhs: Vec<f64> = each(exec.pool, nodes, |i| diffusion.residual(i, q).to_array()).into_flattened();
         let mut step = vec![0.0; nodes * 4];
-        system.solve(
-            &body.hierarchy,
-            4,
-            &rhs,
-            &mut step,
-            &options,
-            &mut workspace,
-            exec,
-            &mut |_| SolveControl::Continue,
-        )?;
+        system
+            .equations(&body.hierarchy, 4, &rhs)
+            .solve(&mut step, &options, &mut workspace, exec, &mut |_| {
+                SolveControl::Continue
+            })?;
         let step: &[[f64; 4]] = step.as_chunks().0;
         let next = each(exec.pool, nodes, |i| match diffusion.is_open(i) {
             true => (q[i] + DVec4::from_array(step[i]).clamp_length_max(LONGEST)).normalize(),
@@ -165,7 +160,9 @@ impl<'a> OrientationDiffusion<'a> {
             rig,
             blend,
             soft: offsets(&rig.rotation.soft, body.nodes()),
-            held: (0..=rig.handle_count()).map(|k| blend.held(k).into()).collect(),
+            held: (0..=rig.handle_count())
+                .map(|k| blend.held_rotation(k).into())
+                .collect(),
         }
     }
 

@@ -189,7 +189,7 @@ impl RbfSpace {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         self.factor.byte_size()
             + (self.mirrors.len() + self.coupling.len() / self.places.len().max(1) + 9) * self.places.len() * 8
     }

@@ -31,7 +31,7 @@ impl HarmonicFields {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         self.fields.iter().map(|f| f.capacity() * 4).sum::<usize>()
             + self.covered.capacity()
             + self.residuals.capacity() * 8

@@ -24,8 +24,8 @@ impl KeptFields {
     }
 
     /// Bytes held on the heap; the rig that they come from holds the same ones.
-    pub fn bytes(&self) -> usize {
-        self.rotation.bytes() + self.scale.as_ref().map_or(0, |f| f.bytes())
+    pub fn byte_size(&self) -> usize {
+        self.rotation.byte_size() + self.scale.as_ref().map_or(0, |f| f.byte_size())
     }
 }
 

@@ -138,10 +138,7 @@ fn solve_columns(
             ..Default::default()
         };
         let mut workspace = Workspace::default();
-        let stats = system.solve(
-            &body.hierarchy,
-            columns,
-            &rhs,
+        let stats = system.equations(&body.hierarchy, columns, &rhs).solve(
             &mut x,
             &options,
             &mut workspace,

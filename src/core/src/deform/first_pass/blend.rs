@@ -1,7 +1,7 @@
 //! Rotation and scale of each node, blended from the handles' by their fields.
 
 use crate::deform::body::DeformableBody;
-use crate::deform::first_pass::frame::{LocalRotation, rotation, turn};
+use crate::deform::first_pass::frame::{LocalRotation, pack_rotation, unpack_rotation};
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::rotation::blending::RotationBlending;
 use crate::deform::rotation::vector::{exp_rotation, exp_symmetric, relative_rotation};
@@ -34,8 +34,8 @@ impl<'a> PoseBlend<'a> {
     /// The rotation at a node; `None` for the identity.
     pub fn rotation(&self, node: usize) -> Option<DQuat> {
         match self.instead {
-            Some(turns) if turns[node] == turn(DQuat::IDENTITY) => None,
-            Some(turns) => Some(rotation(turns[node])),
+            Some(turns) if turns[node] == pack_rotation(DQuat::IDENTITY) => None,
+            Some(turns) => Some(unpack_rotation(turns[node])),
             None => self.rotations.at(node, self.component[node] as usize),
         }
     }
@@ -51,8 +51,8 @@ impl<'a> PoseBlend<'a> {
     }
 
     /// The rotation of a hold, or of the frozen surroundings, which come last; with the sign that the blend has there.
-    pub fn held(&self, hold: usize) -> DQuat {
-        self.rotations.held(hold)
+    pub fn held_rotation(&self, hold: usize) -> DQuat {
+        self.rotations.held_rotation(hold)
     }
 
     /// The weighted sum of the holds' rotation matrices at a node; `None` where nothing is turned.
@@ -152,7 +152,7 @@ impl<'a> HandleRotations<'a> {
         Some(if self.turned_base { self.base * blend } else { blend })
     }
 
-    fn held(&self, hold: usize) -> DQuat {
+    fn held_rotation(&self, hold: usize) -> DQuat {
         match self.terms.iter().position(|t| t.hold == hold) {
             Some(k) => self.base * self.blending.at(&[(k, 1.0)]),
             None => self.base,

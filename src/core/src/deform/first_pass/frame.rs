@@ -11,16 +11,16 @@ pub(in crate::deform) const IDENTITY_FRAME: LocalFrame = [1.0, 0.0, 0.0, 0.0, 1.
 /// A rotation per node, as (x, y, z, w) of a unit quaternion.
 pub(in crate::deform) type LocalRotation = [f32; 4];
 
-pub(in crate::deform) fn turn(q: DQuat) -> LocalRotation {
+pub(in crate::deform) fn pack_rotation(q: DQuat) -> LocalRotation {
     q.as_quat().to_array()
 }
 
-pub(in crate::deform) fn rotation(turn: LocalRotation) -> DQuat {
+pub(in crate::deform) fn unpack_rotation(turn: LocalRotation) -> DQuat {
     glam::Quat::from_array(turn).as_dquat().normalize()
 }
 
 /// R S of a node.
-pub(in crate::deform) fn frame(rotation: DQuat, scale: Option<DMat3>) -> LocalFrame {
+pub(in crate::deform) fn pack_frame(rotation: DQuat, scale: Option<DMat3>) -> LocalFrame {
     let r = DMat3::from_quat(rotation);
     scale.map_or(r, |s| r * s).as_mat3().to_cols_array()
 }

@@ -7,7 +7,7 @@ use crate::deform::body::DeformableBody;
 use crate::deform::comparison::{linear_frames, orientation_diffusion};
 use crate::deform::error::Error;
 use crate::deform::first_pass::blend::PoseBlend;
-use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation, frame};
+use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation, pack_frame};
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
@@ -49,14 +49,14 @@ pub(in crate::deform) fn blend_frames_with(
             .with_min_len(1024)
             .map(|i| match (blend.rotation(i), blend.scale(i)) {
                 (None, None) => IDENTITY_FRAME,
-                (rotation, scale) => frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
+                (rotation, scale) => pack_frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
             })
             .collect()
     })
 }
 
 /// The rotations that take the blend's place: none for [`FirstPass::Harmonic`], nor where nothing is turned.
-pub(in crate::deform) fn instead(
+pub(in crate::deform) fn replacing_rotations(
     body: &DeformableBody,
     rig: &HandleSystem,
     transforms: &[Transform],

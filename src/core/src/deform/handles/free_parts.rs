@@ -81,7 +81,7 @@ impl FreeParts {
         let followers = nodes
             .into_iter()
             .filter_map(|nodes| {
-                let leaders = leaders(body, &tree, &nodes);
+                let leaders = find_leaders(body, &tree, &nodes);
                 (!leaders.is_empty()).then_some(FollowingPart { nodes, leaders })
             })
             .collect();
@@ -92,7 +92,7 @@ impl FreeParts {
     pub fn place(&self, body: &DeformableBody, positions: &mut [DVec3]) {
         let rest = &body.graph.positions;
         for follower in &self.followers {
-            let Some((from, to, turn)) = motion(body, &follower.leaders, positions) else {
+            let Some((from, to, turn)) = rigid_motion(body, &follower.leaders, positions) else {
                 continue;
             };
             for &n in &follower.nodes {
@@ -104,7 +104,7 @@ impl FreeParts {
 
 /// The nodes of `tree` that a part with these `nodes` follows: those nearest to places all over its surface, each
 /// weighing the less the further away it is.
-fn leaders(body: &DeformableBody, tree: &NearestPoints, nodes: &[u32]) -> Vec<(u32, f64)> {
+fn find_leaders(body: &DeformableBody, tree: &NearestPoints, nodes: &[u32]) -> Vec<(u32, f64)> {
     let at = |n: u32| DVec3::from_array(body.rest[n as usize]);
     let count = nodes.partition_point(|n| (*n as usize) < body.graph.surface);
     let looking = nodes[..count].iter().step_by(count.div_ceil(LOOKING).max(1));
@@ -134,7 +134,7 @@ fn leaders(body: &DeformableBody, tree: &NearestPoints, nodes: &[u32]) -> Vec<(u
 
 /// The rigid motion of weighted nodes and their neighbours: a place, where it has gone, and the turn about it. `None` where
 /// none of them has moved.
-fn motion(body: &DeformableBody, leaders: &[(u32, f64)], positions: &[DVec3]) -> Option<(DVec3, DVec3, DQuat)> {
+fn rigid_motion(body: &DeformableBody, leaders: &[(u32, f64)], positions: &[DVec3]) -> Option<(DVec3, DVec3, DQuat)> {
     let rest = &body.graph.positions;
     let mut moved = false;
     let (mut from, mut shift, mut total) = (DVec3::ZERO, DVec3::ZERO, 0.0);

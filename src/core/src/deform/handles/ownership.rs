@@ -93,7 +93,7 @@ impl NodeOwnership {
         Some(sum)
     }
 
-    pub(in crate::deform) fn bytes(&self) -> usize {
+    pub(in crate::deform) fn byte_size(&self) -> usize {
         self.hard.capacity() * 4 + self.soft.capacity() * 24
     }
 

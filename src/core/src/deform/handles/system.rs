@@ -203,7 +203,7 @@ impl HandleSystem {
     }
 
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         let holds: usize = self
             .setup
             .handles
@@ -211,11 +211,11 @@ impl HandleSystem {
             .map(|h| h.nodes.capacity() * 4 + h.pulls.capacity() * 16)
             .sum();
         holds
-            + self.rotation_fields.bytes()
-            + self.blending_fields.as_ref().map_or(0, HarmonicFields::bytes)
-            + self.scale_fields.as_ref().map_or(0, |f| f.bytes())
-            + self.position.bytes()
-            + self.rotation.bytes()
+            + self.rotation_fields.byte_size()
+            + self.blending_fields.as_ref().map_or(0, HarmonicFields::byte_size)
+            + self.scale_fields.as_ref().map_or(0, |f| f.byte_size())
+            + self.position.byte_size()
+            + self.rotation.byte_size()
             + self.positions.fixed.capacity()
             + self.positions.system.byte_size()
             + self

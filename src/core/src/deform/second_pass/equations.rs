@@ -41,7 +41,7 @@ impl HandleSystem {
     /// The equations of a pose (`transforms[k]` belongs to hold k), for those who want to solve or store them
     /// themselves. Rigid regions that nothing holds are taken as free, as in the first of their two solves.
     pub fn equations(&self, body: &DeformableBody, transforms: &[Transform], pool: &Pool) -> SecondPassEquations {
-        let posed = self.posed(body, transforms, None, pool);
+        let posed = self.pose_frames(body, transforms, None, pool);
         let mut rhs = vec![0.0; body.nodes() * 3];
         self.assemble(body, &posed, transforms, &mut rhs, pool);
         SecondPassEquations {
@@ -53,7 +53,7 @@ impl HandleSystem {
     }
 
     /// Frames and given positions of a pose; `instead` are rotations in place of the blend by harmonic fields.
-    pub(in crate::deform) fn posed(
+    pub(in crate::deform) fn pose_frames(
         &self,
         body: &DeformableBody,
         transforms: &[Transform],
@@ -61,7 +61,7 @@ impl HandleSystem {
         pool: &Pool,
     ) -> PosedHandles {
         let frames = blend_frames_with(body, self, transforms, instead, pool);
-        let targets = self.targets(body, transforms);
+        let targets = self.given_targets(body, transforms);
         let center = mean_of(&targets, self.given());
         PosedHandles {
             frames,
@@ -111,7 +111,7 @@ impl HandleSystem {
     }
 
     /// Solving coordinates of all given nodes; rest elsewhere.
-    fn targets(&self, body: &DeformableBody, transforms: &[Transform]) -> Vec<DVec3> {
+    fn given_targets(&self, body: &DeformableBody, transforms: &[Transform]) -> Vec<DVec3> {
         let mut targets: Vec<DVec3> = body.rest.iter().map(|p| DVec3::from_array(*p)).collect();
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
         for (node, &k) in self.position.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {

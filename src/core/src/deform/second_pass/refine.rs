@@ -8,7 +8,9 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::first_pass::blend::PoseBlend;
-use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation, frame, rotation, turn};
+use crate::deform::first_pass::frame::{
+    IDENTITY_FRAME, LocalFrame, LocalRotation, pack_frame, pack_rotation, unpack_rotation,
+};
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::rotation::vector::{exp_rotation, nearest_rotation};
@@ -77,34 +79,36 @@ impl<'a> RotationFit<'a> {
 
     /// The first pass's rotations.
     pub fn start(&self, pool: &Pool) -> Vec<LocalRotation> {
-        self.each(pool, |i| turn(self.first(i)))
+        self.each(pool, |i| pack_rotation(self.first(i)))
     }
 
     /// The first pass's rotations, turned by what refinement had added to them in the pose before (`extra`).
     pub fn resume(&self, extra: &[LocalRotation], pool: &Pool) -> Vec<LocalRotation> {
         self.each(pool, |i| match self.is_open(i) {
-            true => turn(rotation(extra[i]) * self.first(i)),
-            false => turn(self.first(i)),
+            true => pack_rotation(unpack_rotation(extra[i]) * self.first(i)),
+            false => pack_rotation(self.first(i)),
         })
     }
 
     /// What refinement has added to the first pass's rotations.
     pub fn extra(&self, turns: &[LocalRotation], pool: &Pool) -> Vec<LocalRotation> {
-        self.each(pool, |i| turn(rotation(turns[i]) * self.first(i).inverse()))
+        self.each(pool, |i| {
+            pack_rotation(unpack_rotation(turns[i]) * self.first(i).inverse())
+        })
     }
 
     /// Frames with these rotations and the first pass's scales.
     pub fn frames(&self, turns: &[LocalRotation], pool: &Pool) -> Vec<LocalFrame> {
         self.each(pool, |i| match (self.blend.scale(i), self.is_open(i)) {
             (None, false) if turns[i] == [0.0, 0.0, 0.0, 1.0] => IDENTITY_FRAME,
-            (scale, _) => frame(rotation(turns[i]), scale),
+            (scale, _) => pack_frame(unpack_rotation(turns[i]), scale),
         })
     }
 
     /// One fit of all open nodes to `x` (solving coordinates, three numbers a node, any origin).
     pub fn step(&self, turns: &[LocalRotation], x: &[f64], pool: &Pool) -> Vec<LocalRotation> {
         self.each(pool, |i| match self.is_open(i) {
-            true => turn(self.fitted(i, turns, x)),
+            true => pack_rotation(self.fitted(i, turns, x)),
             false => turns[i],
         })
     }
@@ -121,7 +125,7 @@ impl<'a> RotationFit<'a> {
             size += w * edge.length_squared();
             weights += w;
             if self.smoothing > 0.0 {
-                around += DMat3::from_quat(rotation(turns[j])) * w;
+                around += DMat3::from_quat(unpack_rotation(turns[j])) * w;
             }
         }
         if let Some(scale) = self.blend.scale(i) {
@@ -139,7 +143,7 @@ impl<'a> RotationFit<'a> {
                 }
             }
         }
-        nearest_rotation(sum, rotation(turns[i]))
+        nearest_rotation(sum, unpack_rotation(turns[i]))
     }
 
     fn each<T: Send>(&self, pool: &Pool, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {

@@ -39,9 +39,9 @@ impl HandleSystem {
         if !moved_parts.contains(&true) {
             return Ok(PoseSolution::at_rest(body));
         }
-        let instead = spread::instead(body, self, request.transforms, request.first_pass, exec)?;
+        let instead = spread::replacing_rotations(body, self, request.transforms, request.first_pass, exec)?;
         let instead = instead.as_deref();
-        let mut posed = self.posed(body, request.transforms, instead, exec.pool);
+        let mut posed = self.pose_frames(body, request.transforms, instead, exec.pool);
         let pose = PoseSolve {
             rig: self,
             body,
@@ -199,10 +199,7 @@ impl PoseSolve<'_> {
         };
         let before = tally.iterations;
         let SolveState { x, rhs, workspace, .. } = state;
-        let stats = constrained.system.solve(
-            &body.hierarchy,
-            3,
-            rhs,
+        let stats = constrained.system.equations(&body.hierarchy, 3, rhs).solve(
             x,
             &options,
             workspace,

@@ -23,11 +23,11 @@ pub struct SolveState {
 
 impl SolveState {
     /// Bytes held on the heap.
-    pub fn bytes(&self) -> usize {
+    pub fn byte_size(&self) -> usize {
         (self.x.capacity() + self.rhs.capacity()) * 8
             + self.extra.capacity() * 16
             + self.workspace.byte_size()
-            + self.space.as_ref().map_or(0, |space| space.bytes())
+            + self.space.as_ref().map_or(0, |space| space.byte_size())
     }
 
     /// Where there is no last solution the rest shape is one, with all handles at rest.

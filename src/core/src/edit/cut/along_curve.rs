@@ -37,7 +37,7 @@ pub fn cut_along_curve(
     let (mut left, mut right): (Vec<u32>, Vec<u32>) = (Vec::new(), Vec::new());
     for pair in chain.windows(2) {
         for f in mesh.faces_along(pair[0], pair[1]) {
-            let forward = mesh.faces[f as usize].passes(pair[0], pair[1]);
+            let forward = mesh.faces[f as usize].has_directed_edge(pair[0], pair[1]);
             if forward { &mut left } else { &mut right }.push(f);
         }
     }

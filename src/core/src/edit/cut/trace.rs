@@ -32,16 +32,88 @@ pub(super) enum TraceFailure {
 /// The line in which the plane through `from`, `to` and the mean of their normals meets the surface. The mesh stays as
 /// it is; the last step is `to`.
 pub(super) fn trace_straight(mesh: &RegionMesh, from: u32, to: u32) -> Result<Vec<TraceStep>, TraceFailure> {
-    let at = |p: u32| mesh.position(p);
-    let aim = at(to) - at(from);
-    let normal = point_normal(mesh, from) + point_normal(mesh, to);
-    let Some(across) = aim.cross(normal).try_normalize() else {
-        return Err(TraceFailure::Blocked);
-    };
-    let side = |p: u32| across.dot(at(p) - at(from));
-    // Where the plane crosses an edge, or the end that it all but goes through.
-    let crossing = |u: u32, v: u32| -> Option<(TraceStep, DVec3)> {
-        let (g, h) = (side(u), side(v));
+    let mut trace = StraightTrace::new(mesh, from, to)?;
+    let mut front = TraceFront::Point(from);
+    loop {
+        let next = match front {
+            TraceFront::Point(point) => trace.leave_point(point)?,
+            TraceFront::Face { edge, face } => trace.cross_face(edge, face)?,
+        };
+        let Some(crossing) = next else {
+            trace.steps.push(TraceStep::Point(to));
+            return Ok(trace.steps);
+        };
+        trace.travel(&crossing)?;
+        match crossing.step {
+            TraceStep::Point(p) if p == to => return Ok(trace.steps),
+            TraceStep::Point(p) => front = trace.enter_point(p)?,
+            TraceStep::Edge { a, b, .. } => front = trace.enter_edge([a, b], crossing.face)?,
+        }
+    }
+}
+
+/// Where a trace has come to.
+enum TraceFront {
+    /// A point.
+    Point(u32),
+    /// An edge, about to enter a face.
+    Face { edge: [u32; 2], face: u32 },
+}
+
+/// Where a trace goes next.
+struct TraceCrossing {
+    step: TraceStep,
+    place: DVec3,
+    /// The face that lies in between.
+    face: u32,
+}
+
+/// A straight way as far as it is known.
+struct StraightTrace<'m> {
+    mesh: &'m RegionMesh,
+    to: u32,
+    start: DVec3,
+    aim: DVec3,
+    /// Normal of the plane that the way lies in.
+    across: DVec3,
+    steps: Vec<TraceStep>,
+    passed: BTreeSet<u32>,
+    crossed: BTreeSet<(u32, u32)>,
+    here: DVec3,
+    heading: DVec3,
+    travelled: f64,
+}
+
+impl<'m> StraightTrace<'m> {
+    fn new(mesh: &'m RegionMesh, from: u32, to: u32) -> Result<Self, TraceFailure> {
+        let start = mesh.position(from);
+        let aim = mesh.position(to) - start;
+        let normal = point_normal(mesh, from) + point_normal(mesh, to);
+        let across = aim.cross(normal).try_normalize().ok_or(TraceFailure::Blocked)?;
+        Ok(Self {
+            mesh,
+            to,
+            start,
+            aim,
+            across,
+            steps: Vec::new(),
+            passed: BTreeSet::from([from]),
+            crossed: BTreeSet::new(),
+            here: start,
+            heading: aim,
+            travelled: 0.0,
+        })
+    }
+
+    /// Signed distance of a point to the plane.
+    fn plane_distance(&self, p: u32) -> f64 {
+        self.across.dot(self.mesh.position(p) - self.start)
+    }
+
+    /// Where the plane crosses an edge, or the end that it all but goes through.
+    fn plane_crossing(&self, u: u32, v: u32) -> Option<(TraceStep, DVec3)> {
+        let at = |p: u32| self.mesh.position(p);
+        let (g, h) = (self.plane_distance(u), self.plane_distance(v));
         if g == 0.0 || h == 0.0 {
             let p = if g == 0.0 { u } else { v };
             return Some((TraceStep::Point(p), at(p)));
@@ -57,86 +129,86 @@ pub(super) fn trace_straight(mesh: &RegionMesh, from: u32, to: u32) -> Result<Ve
         } else {
             (TraceStep::Edge { a: u, b: v, t }, at(u).lerp(at(v), t))
         })
-    };
-    let (mut steps, mut passed, mut crossed) = (Vec::new(), BTreeSet::from([from]), BTreeSet::new());
-    let (mut here, mut heading, mut travelled) = (at(from), aim, 0.0);
-    // Either at a point, or on an edge about to enter a face.
-    let mut entering: Option<(u32, u32, u32)> = None;
-    let mut point = from;
-    loop {
-        let (step, place, left) = match entering {
-            None => {
-                if mesh.has_edge(point, to) {
-                    steps.push(TraceStep::Point(to));
-                    return Ok(steps);
-                }
-                if !mesh.points[point as usize].whole {
-                    return Err(TraceFailure::Leaves);
-                }
-                let mut best: Option<(f64, TraceStep, DVec3, u32)> = None;
-                for &f in mesh.faces_around(point) {
-                    let face = &mesh.faces[f as usize];
-                    let Some(k) = face.corner_of(point) else {
-                        continue;
-                    };
-                    let Some((step, place)) = crossing(face.points[(k + 1) % 3], face.points[(k + 2) % 3]) else {
-                        continue;
-                    };
-                    let taken = match step {
-                        TraceStep::Point(p) => passed.contains(&p),
-                        TraceStep::Edge { a, b, .. } => crossed.contains(&edge_key(a, b)),
-                    };
-                    let forward = (place - here).normalize_or_zero().dot(heading.normalize_or_zero());
-                    if !taken && forward > 0.0 && best.is_none_or(|b| forward > b.0) {
-                        best = Some((forward, step, place, f));
-                    }
-                }
-                let (_, step, place, f) = best.ok_or(TraceFailure::Blocked)?;
-                (step, place, f)
+    }
+
+    /// From a point across the face around it that leads on most nearly straight; `None` if an edge leads to the end.
+    fn leave_point(&self, point: u32) -> Result<Option<TraceCrossing>, TraceFailure> {
+        let mesh = self.mesh;
+        if mesh.has_edge(point, self.to) {
+            return Ok(None);
+        }
+        if !mesh.points[point as usize].whole {
+            return Err(TraceFailure::Leaves);
+        }
+        let mut best: Option<(f64, TraceCrossing)> = None;
+        for &f in mesh.faces_around(point) {
+            let face = &mesh.faces[f as usize];
+            let Some(k) = face.corner_of(point) else {
+                continue;
+            };
+            let Some((step, place)) = self.plane_crossing(face.points[(k + 1) % 3], face.points[(k + 2) % 3]) else {
+                continue;
+            };
+            let taken = match step {
+                TraceStep::Point(p) => self.passed.contains(&p),
+                TraceStep::Edge { a, b, .. } => self.crossed.contains(&edge_key(a, b)),
+            };
+            let forward = (place - self.here)
+                .normalize_or_zero()
+                .dot(self.heading.normalize_or_zero());
+            if !taken && forward > 0.0 && best.as_ref().is_none_or(|b| forward > b.0) {
+                best = Some((forward, TraceCrossing { step, place, face: f }));
             }
-            Some((a, b, f)) => {
-                let face = &mesh.faces[f as usize];
-                let Some(apex) = face.points.into_iter().find(|&p| p != a && p != b) else {
-                    return Err(TraceFailure::Blocked);
-                };
-                if apex == to {
-                    steps.push(TraceStep::Point(to));
-                    return Ok(steps);
-                }
-                let exit = if (side(a) > 0.0) == (side(apex) > 0.0) { b } else { a };
-                let (step, place) = crossing(exit, apex).ok_or(TraceFailure::Blocked)?;
-                (step, place, f)
-            }
-        };
-        travelled += place.distance(here);
-        if travelled > DETOUR * aim.length() || steps.len() > mesh.faces.len() {
+        }
+        let (_, crossing) = best.ok_or(TraceFailure::Blocked)?;
+        Ok(Some(crossing))
+    }
+
+    /// From an edge to one of the other two edges of a face; `None` if the face has the end for a corner.
+    fn cross_face(&self, [a, b]: [u32; 2], face: u32) -> Result<Option<TraceCrossing>, TraceFailure> {
+        let corners = self.mesh.faces[face as usize].points;
+        let apex = corners.into_iter().find(|&p| p != a && p != b);
+        let apex = apex.ok_or(TraceFailure::Blocked)?;
+        if apex == self.to {
+            return Ok(None);
+        }
+        let is_above = |p: u32| self.plane_distance(p) > 0.0;
+        let exit = if is_above(a) == is_above(apex) { b } else { a };
+        let (step, place) = self.plane_crossing(exit, apex).ok_or(TraceFailure::Blocked)?;
+        Ok(Some(TraceCrossing { step, place, face }))
+    }
+
+    /// Takes a step, unless the way has become too long.
+    fn travel(&mut self, crossing: &TraceCrossing) -> Result<(), TraceFailure> {
+        self.travelled += crossing.place.distance(self.here);
+        if self.travelled > DETOUR * self.aim.length() || self.steps.len() > self.mesh.faces.len() {
             return Err(TraceFailure::Blocked);
         }
-        heading = place - here;
-        here = place;
-        steps.push(step);
-        match step {
-            TraceStep::Point(p) if p == to => return Ok(steps),
-            TraceStep::Point(p) => {
-                if !passed.insert(p) {
-                    return Err(TraceFailure::Blocked);
-                }
-                (entering, point) = (None, p);
-            }
-            TraceStep::Edge { a, b, .. } => {
-                if !(mesh.points[a as usize].whole || mesh.points[b as usize].whole) {
-                    return Err(TraceFailure::Leaves);
-                }
-                if !crossed.insert(edge_key(a, b)) {
-                    return Err(TraceFailure::Blocked);
-                }
-                let next = mesh
-                    .faces_along(a, b)
-                    .find(|&g| g != left)
-                    .ok_or(TraceFailure::Blocked)?;
-                entering = Some((a, b, next));
-            }
+        self.heading = crossing.place - self.here;
+        self.here = crossing.place;
+        self.steps.push(crossing.step);
+        Ok(())
+    }
+
+    fn enter_point(&mut self, p: u32) -> Result<TraceFront, TraceFailure> {
+        match self.passed.insert(p) {
+            true => Ok(TraceFront::Point(p)),
+            false => Err(TraceFailure::Blocked),
         }
+    }
+
+    /// Finds the face on the other side of an edge, coming from `face`.
+    fn enter_edge(&mut self, edge: [u32; 2], face: u32) -> Result<TraceFront, TraceFailure> {
+        let ([a, b], mesh) = (edge, self.mesh);
+        if !(mesh.points[a as usize].whole || mesh.points[b as usize].whole) {
+            return Err(TraceFailure::Leaves);
+        }
+        if !self.crossed.insert(edge_key(a, b)) {
+            return Err(TraceFailure::Blocked);
+        }
+        let other = mesh.faces_along(a, b).find(|&g| g != face);
+        let face = other.ok_or(TraceFailure::Blocked)?;
+        Ok(TraceFront::Face { edge, face })
     }
 }
 

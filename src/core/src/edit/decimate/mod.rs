@@ -96,18 +96,18 @@ impl<'a> Decimation<'a> {
             let Some(unit) = normal.try_normalize() else { continue };
             let points = mesh.points_of(f);
             for p in points {
-                quadrics[p as usize] += Quadric::plane(unit, corners[0], 0.5 * normal.length());
+                quadrics[p as usize] += Quadric::from_plane(unit, corners[0], 0.5 * normal.length());
             }
             // A plane that stands on an edge which is to stay where it is.
             for i in 0..3 {
                 let (a, b) = (points[i], points[(i + 1) % 3]);
-                if mesh.is_inside(mesh.edge(a, b), a, b) {
+                if mesh.is_inside(mesh.edge_faces(a, b), a, b) {
                     continue;
                 }
                 let along = corners[(i + 1) % 3] - corners[i];
                 if let Some(across) = along.cross(unit).try_normalize() {
                     for p in [a, b] {
-                        quadrics[p as usize] += Quadric::plane(across, corners[i], along.length_squared());
+                        quadrics[p as usize] += Quadric::from_plane(across, corners[i], along.length_squared());
                     }
                 }
             }
@@ -156,7 +156,7 @@ impl<'a> Decimation<'a> {
     fn queue_all(&mut self) -> BinaryHeap<QueuedCollapse> {
         let mut entries = Vec::new();
         for p in 0..self.mesh.points.len() as u32 {
-            self.inside[p as usize] = self.freedom(p) == PointFreedom::Inside;
+            self.inside[p as usize] = self.point_freedom(p) == PointFreedom::Inside;
             entries.extend(self.find_cheapest(p, (0, 0)));
         }
         entries.into()
@@ -164,7 +164,7 @@ impl<'a> Decimation<'a> {
 
     /// The cheapest collapse of `p` into a neighbour, of those that come after the cost and neighbour given.
     fn find_cheapest(&self, p: u32, after: (u64, u32)) -> Option<QueuedCollapse> {
-        let targets = match self.freedom(p) {
+        let targets = match self.point_freedom(p) {
             PointFreedom::Held => return None,
             PointFreedom::Along(ends) => ends.to_vec(),
             PointFreedom::Inside => self.mesh.neighbours(p),
@@ -176,14 +176,14 @@ impl<'a> Decimation<'a> {
             let mut sum = self.quadrics[p as usize];
             sum += self.quadrics[q as usize];
             // The bits of numbers that are not negative are ordered as they are.
-            (sum.at(at(q)) + EVENNESS * area * at(p).distance_squared(at(q))).to_bits()
+            (sum.error_at(at(q)) + EVENNESS * area * at(p).distance_squared(at(q))).to_bits()
         };
         let costs = targets.into_iter().map(|q| (cost(q), q));
         let least = costs.filter(|&c| c > after).min()?;
         Some(Reverse((least.0, p, least.1, self.stamps[p as usize])))
     }
 
-    fn freedom(&self, p: u32) -> PointFreedom {
+    fn point_freedom(&self, p: u32) -> PointFreedom {
         if self.inside[p as usize] {
             return PointFreedom::Inside;
         }
@@ -194,7 +194,7 @@ impl<'a> Decimation<'a> {
         let mut open = [false; 2];
         let mut count = 0;
         for q in self.mesh.neighbours(p) {
-            let edge = self.mesh.edge(p, q);
+            let edge = self.mesh.edge_faces(p, q);
             if self.mesh.is_inside(edge, p, q) {
                 continue;
             }
@@ -214,7 +214,7 @@ impl<'a> Decimation<'a> {
 
     /// Collapses if it may be; says how many faces went.
     fn try_collapse(&mut self, from: u32, to: u32, queue: &mut BinaryHeap<QueuedCollapse>) -> usize {
-        let allowed = match self.freedom(from) {
+        let allowed = match self.point_freedom(from) {
             PointFreedom::Inside => true,
             PointFreedom::Along(ends) => ends.contains(&to),
             PointFreedom::Held => false,
@@ -225,10 +225,10 @@ impl<'a> Decimation<'a> {
         let Some(collapse) = self.mesh.plan_collapse(from, to) else {
             return 0;
         };
-        if self.spoils(&collapse) {
+        if self.spoils_faces(&collapse) {
             return 0;
         }
-        let gone = self.mesh.edge(from, to).faces().count();
+        let gone = self.mesh.edge_faces(from, to).faces().count();
         self.mesh.apply_collapse(&collapse);
         let moved = self.quadrics[from as usize];
         self.quadrics[to as usize] += moved;
@@ -241,7 +241,7 @@ impl<'a> Decimation<'a> {
     }
 
     /// Whether the collapse turns a face over or makes a needle worse than any that it touches.
-    fn spoils(&self, collapse: &EdgeCollapse) -> bool {
+    fn spoils_faces(&self, collapse: &EdgeCollapse) -> bool {
         let (mut old, mut new) = (WORST_ASPECT, 0.0f64);
         for (_, before, after) in self.mesh.before_and_after(collapse) {
             old = old.max(triangle::aspect(before));

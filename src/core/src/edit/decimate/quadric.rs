@@ -15,7 +15,7 @@ pub(super) struct Quadric {
 
 impl Quadric {
     /// The plane through `at` with unit normal `n`. Nothing when a number is not finite.
-    pub fn plane(n: DVec3, at: DVec3, weight: f64) -> Self {
+    pub fn from_plane(n: DVec3, at: DVec3, weight: f64) -> Self {
         let offset = -n.dot(at);
         let value = Self {
             diagonal: n * n * weight,
@@ -28,7 +28,7 @@ impl Quadric {
     }
 
     /// The sum at `x`, never negative.
-    pub fn at(&self, x: DVec3) -> f64 {
+    pub fn error_at(&self, x: DVec3) -> f64 {
         let squares = self.diagonal.dot(x * x);
         let products = self.mixed.dot(DVec3::new(x.y * x.z, x.z * x.x, x.x * x.y));
         (squares + 2.0 * (products + self.linear.dot(x)) + self.constant).max(0.0)
@@ -56,11 +56,11 @@ mod tests {
         ];
         let mut q = Quadric::default();
         for (n, at, w) in planes {
-            q += Quadric::plane(n, at, w);
+            q += Quadric::from_plane(n, at, w);
         }
         let x = DVec3::new(2.0, -1.0, 0.4);
         let expected: f64 = planes.iter().map(|(n, at, w)| w * (x - *at).dot(*n).powi(2)).sum();
-        assert!((q.at(x) - expected).abs() < 1e-12);
-        assert_eq!(Quadric::plane(DVec3::NAN, DVec3::ONE, 1.0), Quadric::default());
+        assert!((q.error_at(x) - expected).abs() < 1e-12);
+        assert_eq!(Quadric::from_plane(DVec3::NAN, DVec3::ONE, 1.0), Quadric::default());
     }
 }

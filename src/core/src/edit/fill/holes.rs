@@ -68,7 +68,7 @@ fn edges_left_open(mesh: &RegionMesh, removed: &[u32]) -> Vec<[u32; 2]> {
             let (a, b) = (t[k], t[(k + 1) % 3]);
             let mut along = mesh.faces_along(a, b);
             if let (Some(g), None) = (along.next(), along.next()) {
-                let forward = mesh.faces[g as usize].passes(a, b);
+                let forward = mesh.faces[g as usize].has_directed_edge(a, b);
                 open.insert(if forward { [b, a] } else { [a, b] });
             }
         }

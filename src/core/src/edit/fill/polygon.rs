@@ -178,7 +178,8 @@ impl<'a> PolygonRing<'a> {
         let (mut node, mut misses, mut leniency) = (0, 0, 0);
         while left > 3 {
             let (a, c) = (self.prev[node], self.next[node]);
-            if self.is_ear(a, node, c, &reflex, &bad, leniency) {
+            let mut obstacles = bad.iter().copied().filter(|&n| reflex[n]);
+            if self.is_ear([a, node, c], &mut obstacles, leniency) {
                 triangles.push([self.id[a], self.id[node], self.id[c]]);
                 if triangles.len() % 64 == 0 {
                     check(progress)?;
@@ -217,12 +218,13 @@ impl<'a> PolygonRing<'a> {
         Ok(Some(triangles))
     }
 
-    fn is_ear(&self, a: usize, b: usize, c: usize, reflex: &[bool], bad: &[usize], leniency: u32) -> bool {
-        let ids = [self.id[a], self.id[b], self.id[c]];
+    /// True if the triangle of three nodes in a row can be cut off. `obstacles` are the nodes that may lie in it.
+    fn is_ear(&self, nodes: [usize; 3], obstacles: &mut impl Iterator<Item = usize>, leniency: u32) -> bool {
+        let ids = nodes.map(|n| self.id[n]);
         if ids[0] == ids[2] || ids[0] == ids[1] || ids[1] == ids[2] {
             return false;
         }
-        let [p, q, r] = [a, b, c].map(|n| self.place(n));
+        let [p, q, r] = nodes.map(|n| self.place(n));
         let convex = turn(p, q, r);
         match leniency {
             0 | 1 if convex <= 0.0 => return false,
@@ -231,20 +233,18 @@ impl<'a> PolygonRing<'a> {
             _ => {}
         }
         let (low, high) = (p.min(q).min(r), p.max(q).max(r));
-        !bad.iter()
-            .filter(|&&n| reflex[n] && !ids.contains(&self.id[n]))
-            .any(|&n| {
-                let x = self.place(n);
-                if x.cmplt(low).any() || x.cmpgt(high).any() {
-                    return false;
-                }
-                let sides = [turn(p, q, x), turn(q, r, x), turn(r, p, x)];
-                if leniency == 0 {
-                    sides.iter().all(|&s| s >= 0.0)
-                } else {
-                    sides.iter().all(|&s| s > 0.0)
-                }
-            })
+        !obstacles.filter(|&n| !ids.contains(&self.id[n])).any(|n| {
+            let x = self.place(n);
+            if x.cmplt(low).any() || x.cmpgt(high).any() {
+                return false;
+            }
+            let sides = [turn(p, q, x), turn(q, r, x), turn(r, p, x)];
+            if leniency == 0 {
+                sides.iter().all(|&s| s >= 0.0)
+            } else {
+                sides.iter().all(|&s| s > 0.0)
+            }
+        })
     }
 }
 

@@ -25,7 +25,7 @@ pub fn apply_patch(
     first_vertex: &[u32],
 ) -> Result<PatchedSurface, Error> {
     check_surface(surface, first_vertex)?;
-    let resolved = ResolvedPatch::check(surface, patch, first_vertex)?;
+    let resolved = ResolvedPatch::resolve_checked(surface, patch, first_vertex)?;
     let old_vertices = surface.positions.len();
     let mut applied = PatchedSurface::default();
 

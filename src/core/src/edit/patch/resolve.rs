@@ -17,7 +17,11 @@ pub(super) struct ResolvedPatch {
 }
 
 impl ResolvedPatch {
-    pub fn check(surface: &SurfaceView<'_>, patch: &SurfacePatch, first_vertex: &[u32]) -> Result<Self, Error> {
+    pub fn resolve_checked(
+        surface: &SurfaceView<'_>,
+        patch: &SurfacePatch,
+        first_vertex: &[u32],
+    ) -> Result<Self, Error> {
         let rising = |what: &'static str, seen: &mut dyn Iterator<Item = u32>, limit: usize| -> Result<(), Error> {
             let mut last = None;
             for s in seen {
@@ -183,7 +187,7 @@ impl ResolvedPatch {
                         t.primitive
                     ));
                 }
-                *point = self.root(of);
+                *point = self.joined_point(of);
             }
             let [a, b, c] = points;
             if a == b || b == c || c == a {
@@ -194,7 +198,7 @@ impl ResolvedPatch {
     }
 
     /// The point itself, or the one that it joins.
-    fn root(&self, p: u32) -> u32 {
+    fn joined_point(&self, p: u32) -> u32 {
         self.joined.get(&p).copied().unwrap_or(p)
     }
 
@@ -210,7 +214,7 @@ impl ResolvedPatch {
         }));
         if !self.joined.is_empty() || !patch.moved.is_empty() {
             for (p, x) in applied.point_of.iter_mut().zip(&mut applied.positions) {
-                *p = self.root(*p);
+                *p = self.joined_point(*p);
                 if let Some(&place) = self.places.get(p) {
                     *x = place;
                 }

@@ -22,7 +22,7 @@ impl RegionMesh {
     /// no common neighbours but those across their edge, no face may fall onto another, and each wedge at `from` must
     /// meet one wedge at `to`. The caller sees to it that `from` is inside, or on a curve that the edge belongs to.
     pub fn plan_collapse(&self, from: u32, to: u32) -> Option<EdgeCollapse> {
-        let edge = self.edge(from, to);
+        let edge = self.edge_faces(from, to);
         if self.points[from as usize].fixed || self.is_locked(edge) {
             return None;
         }
@@ -30,7 +30,7 @@ impl RegionMesh {
         let mut across = [NONE; 2];
         for (slot, f) in edge.faces().enumerate() {
             wedges[slot] = (self.wedge_at(f, from)?, self.wedge_at(f, to)?);
-            across[slot] = self.across(f, from, to)?;
+            across[slot] = self.opposite_corner(f, from, to)?;
         }
         if wedges[0].0 == wedges[1].0 && wedges[0].1 != wedges[1].1 && wedges[1].0 != NONE {
             return None;

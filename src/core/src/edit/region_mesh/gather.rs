@@ -24,7 +24,7 @@ impl RegionMesh {
         let local = |v: u32| points.partition_point(|&p| p < surface.point_of[v as usize]) as u32;
         let mut mesh = Self {
             points: (points.iter().zip(0u32..))
-                .map(|(&old, p)| RegionPoint::gathered(old, DVec3::ZERO, p))
+                .map(|(&old, p)| RegionPoint::from_surface_point(old, DVec3::ZERO, p))
                 .collect(),
             wedges: vertices.iter().map(|&v| Wedge::of_vertex(v, local(v))).collect(),
             ..Self::default()
@@ -121,7 +121,8 @@ impl RegionMesh {
             if *point == 0 {
                 let number = self.points.len() as u32;
                 let position = surface.positions[v as usize];
-                self.points.push(RegionPoint::gathered(old_point, position, number));
+                self.points
+                    .push(RegionPoint::from_surface_point(old_point, position, number));
                 *point = number + 1;
             }
             self.wedges.push(Wedge::of_vertex(v, *point - 1));
@@ -151,7 +152,7 @@ impl RegionMesh {
 }
 
 impl RegionPoint {
-    fn gathered(old: u32, position: DVec3, number: u32) -> Self {
+    fn from_surface_point(old: u32, position: DVec3, number: u32) -> Self {
         Self {
             position,
             old,

@@ -60,7 +60,7 @@ pub(in crate::edit) struct RegionFace {
 
 impl Wedge {
     /// Makes a blend of render vertices, with weights that are not negative and sum to 1.
-    pub fn blended(of: [u32; 3], weights: [f64; 3]) -> Self {
+    pub fn from_blend(of: [u32; 3], weights: [f64; 3]) -> Self {
         let positive = weights.map(|w| w.max(0.0));
         let sum: f64 = positive.iter().sum();
         Self {
@@ -88,7 +88,7 @@ impl RegionFace {
     }
 
     /// Whether the face passes from `a` straight to `b`.
-    pub fn passes(&self, a: u32, b: u32) -> bool {
+    pub fn has_directed_edge(&self, a: u32, b: u32) -> bool {
         self.corner_of(a).is_some_and(|k| self.points[(k + 1) % 3] == b)
     }
 }
@@ -106,7 +106,7 @@ pub(in crate::edit) struct EdgeFaces {
 
 impl EdgeFaces {
     /// The face that is there beside `f`.
-    pub fn other(self, f: u32) -> Option<u32> {
+    pub fn other_face(self, f: u32) -> Option<u32> {
         self.faces().find(|&g| g != f)
     }
 
@@ -167,7 +167,7 @@ impl RegionMesh {
     }
 
     /// The distance of two points.
-    pub fn length(&self, a: u32, b: u32) -> f64 {
+    pub fn edge_length(&self, a: u32, b: u32) -> f64 {
         self.position(a).distance(self.position(b))
     }
 
@@ -199,7 +199,7 @@ impl RegionMesh {
     }
 
     /// The faces at the edge from `a` to `b`, told apart by side.
-    pub fn edge(&self, a: u32, b: u32) -> EdgeFaces {
+    pub fn edge_faces(&self, a: u32, b: u32) -> EdgeFaces {
         let mut edge = EdgeFaces {
             left: NONE,
             right: NONE,
@@ -228,7 +228,7 @@ impl RegionMesh {
     }
 
     /// The corner of face `f` that is neither `a` nor `b`.
-    pub fn across(&self, f: u32, a: u32, b: u32) -> Option<u32> {
+    pub fn opposite_corner(&self, f: u32, a: u32, b: u32) -> Option<u32> {
         self.points_of(f).into_iter().find(|&p| p != a && p != b)
     }
 

@@ -162,7 +162,7 @@ impl RegionMesh {
     /// The two faces along an edge with the corners opposite to it, when the edge may be exchanged for the one between those:
     /// it is no marked one, its faces have one origin and share their wedges, and there is no such edge yet.
     pub fn flippable_pair(&self, a: u32, b: u32) -> Option<[(u32, u32); 2]> {
-        if !self.is_inside(self.edge(a, b), a, b) || self.marked.contains(&edge_key(a, b)) {
+        if !self.is_inside(self.edge_faces(a, b), a, b) || self.marked.contains(&edge_key(a, b)) {
             return None;
         }
         let mut along = self.faces_along(a, b);
@@ -171,7 +171,7 @@ impl RegionMesh {
         if one.source != two.source || one.primitive != two.primitive {
             return None;
         }
-        let (p, q) = (self.across(f, a, b)?, self.across(g, a, b)?);
+        let (p, q) = (self.opposite_corner(f, a, b)?, self.opposite_corner(g, a, b)?);
         (p != q && !self.has_edge(p, q)).then_some([(f, p), (g, q)])
     }
 
@@ -184,7 +184,7 @@ impl RegionMesh {
             let at = |p: u32| self.position(p);
             (at(b) - at(a)).cross(at(c) - at(a)).dot(normal)
         };
-        let (first, second) = if self.faces[f as usize].passes(a, b) {
+        let (first, second) = if self.faces[f as usize].has_directed_edge(a, b) {
             (area(a, q, p), area(b, p, q))
         } else {
             (area(a, p, q), area(b, q, p))

@@ -44,7 +44,10 @@ impl RegionMesh {
         if !self.is_inside(edge, a, b) {
             return None;
         }
-        let (c, d) = (self.across(edge.left, a, b)?, self.across(edge.right, a, b)?);
+        let (c, d) = (
+            self.opposite_corner(edge.left, a, b)?,
+            self.opposite_corner(edge.right, a, b)?,
+        );
         if c == d || self.has_edge(c, d) {
             return None;
         }
@@ -55,7 +58,7 @@ impl RegionMesh {
     /// Turns the edge; [`faces_after_turn`](Self::faces_after_turn) must have said that it can be.
     pub fn turn_edge(&mut self, edge: EdgeFaces, a: u32, b: u32) {
         let (l, r) = (edge.left, edge.right);
-        let corners = |p, q| Some((self.across(p, a, b)?, self.across(q, a, b)?));
+        let corners = |p, q| Some((self.opposite_corner(p, a, b)?, self.opposite_corner(q, a, b)?));
         let Some((c, d)) = corners(l, r) else { return };
         let wedge = |f, p| self.wedge_at(f, p);
         let (Some(wa), Some(wb), Some(wc), Some(wd)) = (wedge(l, a), wedge(l, b), wedge(l, c), wedge(r, d)) else {
@@ -85,7 +88,7 @@ impl RegionMesh {
         wedges.dedup();
         for w in wedges {
             let (of, weights) = blend(w);
-            self.wedges[w as usize] = Wedge::blended(of, weights);
+            self.wedges[w as usize] = Wedge::from_blend(of, weights);
         }
     }
 }

@@ -48,7 +48,7 @@ pub(super) struct Chain {
 }
 
 impl Chain {
-    fn segment(&self, s: f64) -> (usize, f64) {
+    fn segment_at(&self, s: f64) -> (usize, f64) {
         let last = self.along.len().saturating_sub(2);
         let i = self.along.partition_point(|&l| l <= s).saturating_sub(1).min(last);
         let t = (s - self.along[i]) / (self.along[i + 1] - self.along[i]);
@@ -56,20 +56,20 @@ impl Chain {
     }
 
     /// The place at length `s`.
-    pub fn position(&self, s: f64) -> DVec3 {
-        let (i, t) = self.segment(s);
+    pub fn position_at(&self, s: f64) -> DVec3 {
+        let (i, t) = self.segment_at(s);
         self.positions[i] * (1.0 - t) + self.positions[i + 1] * t
     }
 
     /// The target length at `s`.
-    pub fn size(&self, s: f64) -> f64 {
-        let (i, t) = self.segment(s);
+    pub fn target_length_at(&self, s: f64) -> f64 {
+        let (i, t) = self.segment_at(s);
         self.sizes[i] * (1.0 - t) + self.sizes[i + 1] * t
     }
 
     /// What a point at `s` is made of, on the left (0) or right (1).
-    pub fn blend(&self, s: f64, side: usize) -> Option<([u32; 3], [f64; 3])> {
-        let (i, t) = self.segment(s);
+    pub fn blend_at(&self, s: f64, side: usize) -> Option<([u32; 3], [f64; 3])> {
+        let (i, t) = self.segment_at(s);
         let [a, b] = self.sides[i][side].or(self.sides[i][1 - side])?;
         Some(([a, b, a], [1.0 - t, t, 0.0]))
     }
@@ -101,7 +101,7 @@ pub(super) struct ChainPoint {
 
 impl FeatureLines {
     /// The chain's piece from `a` to `b`, with lengths in that order.
-    pub fn piece(&self, a: u32, b: u32) -> Option<ChainSegment> {
+    pub fn chain_segment(&self, a: u32, b: u32) -> Option<ChainSegment> {
         let piece = *self.pieces.get(&(a.min(b), a.max(b)))?;
         let [s, t] = piece.at;
         Some(ChainSegment {
@@ -111,28 +111,28 @@ impl FeatureLines {
     }
 
     /// Notes that the edge from `a` to `b` is this piece.
-    pub fn set(&mut self, a: u32, b: u32, chain: u32, at: [f64; 2]) {
+    pub fn set_segment(&mut self, a: u32, b: u32, chain: u32, at: [f64; 2]) {
         let at = if a < b { at } else { [at[1], at[0]] };
         self.pieces.insert((a.min(b), a.max(b)), ChainSegment { chain, at });
     }
 
     /// Forgets the edge from `a` to `b`.
-    pub fn unset(&mut self, a: u32, b: u32) {
+    pub fn remove_segment(&mut self, a: u32, b: u32) {
         self.pieces.remove(&(a.min(b), a.max(b)));
     }
 
     /// Finds all lines of a mesh. Says for each point whether it is inner to a chain, and where; points on lines that are
     /// not are to be held. Sharp lines that end loosely and are shorter than a few target lengths are noise.
-    pub fn trace(mesh: &RegionMesh, sizes: &[f64]) -> (Self, Vec<Option<ChainPoint>>, BTreeSet<u32>) {
-        let mut lines = LineEdges::find(mesh);
+    pub fn trace_lines(mesh: &RegionMesh, sizes: &[f64]) -> (Self, Vec<Option<ChainPoint>>, BTreeSet<u32>) {
+        let mut lines = LineEdges::find_line_edges(mesh);
         lines.drop_small(mesh, sizes);
         for _ in 0..4 {
-            let chains = lines.runs(mesh);
+            let chains = lines.list_chains(mesh);
             let mut dropped = false;
             for run in &chains {
-                let length: f64 = run.windows(2).map(|p| mesh.length(p[0], p[1])).sum();
+                let length: f64 = run.windows(2).map(|p| mesh.edge_length(p[0], p[1])).sum();
                 let loose = [run[0], run[run.len() - 1]].iter().any(|&p| lines.is_loose(mesh, p));
-                let sharp = lines.kind(run[0], run[1]) == Some(LineKind::Sharp);
+                let sharp = lines.line_kind(run[0], run[1]) == Some(LineKind::Sharp);
                 if sharp && loose && length < LOOSE * sizes[run[0] as usize] {
                     run.windows(2).for_each(|p| lines.remove(p[0], p[1]));
                     dropped = true;
@@ -144,8 +144,8 @@ impl FeatureLines {
         }
         let mut curves = Self::default();
         let mut on = vec![None; mesh.points.len()];
-        for run in lines.runs(mesh) {
-            curves.add(mesh, sizes, &run, &lines, &mut on);
+        for search_pieces in lines.list_chains(mesh) {
+            curves.add_chain(mesh, sizes, &search_pieces, &lines, &mut on);
         }
         let held = (lines.beside.keys().copied())
             .filter(|&p| on[p as usize].is_none())
@@ -153,14 +153,23 @@ impl FeatureLines {
         (curves, on, held)
     }
 
-    fn add(&mut self, mesh: &RegionMesh, sizes: &[f64], run: &[u32], lines: &LineEdges, on: &mut [Option<ChainPoint>]) {
-        let Some(kind) = lines.kind(run[0], run[1]) else { return };
+    fn add_chain(
+        &mut self,
+        mesh: &RegionMesh,
+        sizes: &[f64],
+        run: &[u32],
+        lines: &LineEdges,
+        on: &mut [Option<ChainPoint>],
+    ) {
+        let Some(kind) = lines.line_kind(run[0], run[1]) else {
+            return;
+        };
         let mut along = vec![0.0];
         let mut sides = Vec::new();
         for p in run.windows(2) {
             let (a, b) = (p[0], p[1]);
-            along.push(along[along.len() - 1] + mesh.length(a, b));
-            let edge = mesh.edge(a, b);
+            along.push(along[along.len() - 1] + mesh.edge_length(a, b));
+            let edge = mesh.edge_faces(a, b);
             sides.push([edge.left, edge.right].map(|f| {
                 let old = |p| Some(mesh.wedges[mesh.wedge_at(f, p)? as usize].vertex);
                 if f == NONE { None } else { Some([old(a)?, old(b)?]) }
@@ -168,7 +177,7 @@ impl FeatureLines {
         }
         let chain = self.chains.len() as u32;
         for (i, p) in run.windows(2).enumerate() {
-            self.set(p[0], p[1], chain, [along[i], along[i + 1]]);
+            self.set_segment(p[0], p[1], chain, [along[i], along[i + 1]]);
         }
         for i in 1..run.len() - 1 {
             on[run[i] as usize] = Some(ChainPoint {
@@ -193,10 +202,10 @@ struct LineEdges {
 }
 
 impl LineEdges {
-    fn find(mesh: &RegionMesh) -> Self {
+    fn find_line_edges(mesh: &RegionMesh) -> Self {
         let mut beside: BTreeMap<u32, Vec<(u32, LineKind)>> = BTreeMap::new();
         for (a, b) in mesh.edges() {
-            let edge = mesh.edge(a, b);
+            let edge = mesh.edge_faces(a, b);
             if mesh.is_locked(edge) {
                 continue;
             }
@@ -235,7 +244,7 @@ impl LineEdges {
                 for q in self.beside.get(&p).map(|row| sharp(row)).unwrap_or_default() {
                     if p < q {
                         group.push((p, q));
-                        length += mesh.length(p, q);
+                        length += mesh.edge_length(p, q);
                     }
                     if seen.insert(q) {
                         next.push(q);
@@ -249,7 +258,7 @@ impl LineEdges {
         small.into_iter().for_each(|(a, b)| self.remove(a, b));
     }
 
-    fn kind(&self, a: u32, b: u32) -> Option<LineKind> {
+    fn line_kind(&self, a: u32, b: u32) -> Option<LineKind> {
         self.beside.get(&a)?.iter().find(|n| n.0 == b).map(|n| n.1)
     }
 
@@ -270,7 +279,7 @@ impl LineEdges {
     }
 
     /// The two neighbours of a point that a line passes without a corner.
-    fn through(&self, mesh: &RegionMesh, p: u32) -> Option<[u32; 2]> {
+    fn line_neighbours(&self, mesh: &RegionMesh, p: u32) -> Option<[u32; 2]> {
         let &[(a, kind), (b, other)] = self.beside.get(&p)?.as_slice() else {
             return None;
         };
@@ -288,9 +297,9 @@ impl LineEdges {
     }
 
     /// All chains as lists of points. A ring without a corner is cut at three of its points.
-    fn runs(&self, mesh: &RegionMesh) -> Vec<Vec<u32>> {
+    fn list_chains(&self, mesh: &RegionMesh) -> Vec<Vec<u32>> {
         let through: BTreeMap<u32, [u32; 2]> = (self.beside.keys())
-            .filter_map(|&p| Some((p, self.through(mesh, p)?)))
+            .filter_map(|&p| Some((p, self.line_neighbours(mesh, p)?)))
             .collect();
         let mut done: BTreeSet<(u32, u32)> = BTreeSet::new();
         let mut runs = Vec::new();

@@ -42,13 +42,13 @@ pub(super) struct OriginalSurface {
 
 impl OriginalSurface {
     /// Copies the faces. `crosses` says whether an edge may be crossed: that no curve lies on it.
-    pub fn of(mesh: &RegionMesh, sizes: Vec<f64>, crosses: impl Fn(u32, u32) -> bool) -> Self {
+    pub fn from_mesh(mesh: &RegionMesh, sizes: Vec<f64>, crosses: impl Fn(u32, u32) -> bool) -> Self {
         let count = mesh.faces.len() as u32;
         let beyond = (0..count).map(|f| {
             let p = mesh.points_of(f);
             [0, 1, 2].map(|i| {
                 let (a, b) = (p[i], p[(i + 1) % 3]);
-                let edge = mesh.edge(a, b);
+                let edge = mesh.edge_faces(a, b);
                 if mesh.is_inside(edge, a, b) && crosses(a, b) {
                     edge.right
                 } else {
@@ -62,7 +62,7 @@ impl OriginalSurface {
                 return own.normalize_or_zero();
             }
             let p = mesh.points_of(f);
-            let beside = (0..3).flat_map(|i| mesh.edge(p[i], p[(i + 1) % 3]).other(f));
+            let beside = (0..3).flat_map(|i| mesh.edge_faces(p[i], p[(i + 1) % 3]).other_face(f));
             beside.map(|g| mesh.area_normal(g)).sum::<DVec3>().normalize_or_zero()
         };
         Self {
@@ -80,34 +80,34 @@ impl OriginalSurface {
     }
 
     /// Where corner `p` of face `f` is.
-    pub fn corner(&self, f: u32, p: u32) -> OriginalPoint {
+    pub fn corner_point(&self, f: u32, p: u32) -> OriginalPoint {
         let weights = self.points[f as usize].map(|q| if q == p { 1.0 } else { 0.0 });
         OriginalPoint { face: f, weights }
     }
 
     /// Unit normal of the surface at face `f`; zero where it has none.
-    pub fn normal(&self, f: u32) -> DVec3 {
+    pub fn face_normal(&self, f: u32) -> DVec3 {
         self.normals[f as usize]
     }
 
     /// The place of a spot.
-    pub fn position(&self, spot: OriginalPoint) -> DVec3 {
+    pub fn position_at(&self, spot: OriginalPoint) -> DVec3 {
         blend_corners(self.corners[spot.face as usize], spot.weights)
     }
 
     /// Render vertices and weights that a spot is made of.
-    pub fn blend(&self, spot: OriginalPoint) -> ([u32; 3], [f64; 3]) {
+    pub fn blend_at(&self, spot: OriginalPoint) -> ([u32; 3], [f64; 3]) {
         (self.vertices[spot.face as usize], spot.weights)
     }
 
     /// The target length at a spot.
-    pub fn size(&self, spot: OriginalPoint) -> f64 {
+    pub fn target_length_at(&self, spot: OriginalPoint) -> f64 {
         let sizes = self.points[spot.face as usize].map(|p| self.sizes[p as usize]);
         (0..3).map(|i| sizes[i] * spot.weights[i]).sum()
     }
 
     /// The nearest spot to `p` that is found by walking from `seeds` over faces, nearest first, never across a curve.
-    pub fn nearest(&mut self, p: DVec3, seeds: &[u32]) -> OriginalPoint {
+    pub fn find_nearest(&mut self, p: DVec3, seeds: &[u32]) -> OriginalPoint {
         self.search += 1;
         let mut queue: BinaryHeap<Reverse<(u64, u32)>> = BinaryHeap::new();
         let mut best = (

@@ -68,7 +68,7 @@ pub(super) fn collapse_short_edges(work: &mut Remesher, progress: &dyn Progress)
         if i % 1024 == 0 {
             check(progress)?;
         }
-        if work.mesh.edge(a, b).faces().next().is_none() || work.relative_length(a, b) >= SHORT {
+        if work.mesh.edge_faces(a, b).faces().next().is_none() || work.relative_length(a, b) >= SHORT {
             continue;
         }
         for (from, to) in [(a, b), (b, a)] {
@@ -112,11 +112,14 @@ pub(super) fn even_valences(work: &mut Remesher, progress: &dyn Progress) -> Res
         if i % 1024 == 0 {
             check(progress)?;
         }
-        let edge = work.mesh.edge(a, b);
+        let edge = work.mesh.edge_faces(a, b);
         if !work.mesh.is_inside(edge, a, b) {
             continue;
         }
-        let (Some(c), Some(d)) = (work.mesh.across(edge.left, a, b), work.mesh.across(edge.right, a, b)) else {
+        let (Some(c), Some(d)) = (
+            work.mesh.opposite_corner(edge.left, a, b),
+            work.mesh.opposite_corner(edge.right, a, b),
+        ) else {
             continue;
         };
         let now = valence_unevenness(work, [(a, 0), (b, 0), (c, 0), (d, 0)]);
@@ -131,8 +134,8 @@ pub(super) fn even_valences(work: &mut Remesher, progress: &dyn Progress) -> Res
 /// Turns the edge if it is inside, the pair is nearly flat, no face turns over, and `accept` likes the worst aspect
 /// after it, given that before.
 fn try_turn_edge(work: &mut Remesher, a: u32, b: u32, accept: impl Fn(f64, f64) -> bool) -> bool {
-    let edge = work.mesh.edge(a, b);
-    if work.curves.piece(a, b).is_some() {
+    let edge = work.mesh.edge_faces(a, b);
+    if work.curves.chain_segment(a, b).is_some() {
         return false;
     }
     let Some(after) = work.mesh.faces_after_turn(edge, a, b) else {
@@ -151,7 +154,7 @@ fn try_turn_edge(work: &mut Remesher, a: u32, b: u32, accept: impl Fn(f64, f64) 
     if !flat || !faithful || !accept(worst(before), worst(after)) {
         return false;
     }
-    if !after.iter().all(|&t| work.agrees(edge.left, t)) {
+    if !after.iter().all(|&t| work.is_faithful_nearby(edge.left, t)) {
         return false;
     }
     work.mesh.turn_edge(edge, a, b);
@@ -174,7 +177,9 @@ pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Res
         match work.constraints[p as usize] {
             PointConstraint::Held => {}
             PointConstraint::OnLine(on) => {
-                let ends = on.beside.map(|q| work.curves.piece(p, q).map(|piece| piece.at[1]));
+                let ends = on
+                    .beside
+                    .map(|q| work.curves.chain_segment(p, q).map(|piece| piece.at[1]));
                 if let [Some(s), Some(t)] = ends {
                     work.slide_on_line(p, on, 0.5 * (s + t), accept);
                 }
@@ -231,14 +236,22 @@ pub(super) fn mend_faces(work: &mut Remesher, bound: f64, progress: &dyn Progres
 fn mend_against(work: &mut Remesher, f: u32, bound: f64) -> bool {
     let p = work.mesh.points_of(f);
     let mut sides = [0, 1, 2].map(|i| (p[i], p[(i + 1) % 3]));
-    sides.sort_by(|x, y| work.mesh.length(y.0, y.1).total_cmp(&work.mesh.length(x.0, x.1)));
+    sides.sort_by(|x, y| {
+        work.mesh
+            .edge_length(y.0, y.1)
+            .total_cmp(&work.mesh.edge_length(x.0, x.1))
+    });
     (sides.into_iter()).any(|(a, b)| try_turn_edge(work, a, b, |before, after| after <= before.max(bound)))
 }
 
 fn mend_face(work: &mut Remesher, f: u32) -> bool {
     let p = work.mesh.points_of(f);
     let mut sides = [0, 1, 2].map(|i| (p[i], p[(i + 1) % 3]));
-    sides.sort_by(|x, y| work.mesh.length(x.0, x.1).total_cmp(&work.mesh.length(y.0, y.1)));
+    sides.sort_by(|x, y| {
+        work.mesh
+            .edge_length(x.0, x.1)
+            .total_cmp(&work.mesh.edge_length(y.0, y.1))
+    });
     let [short, _, long] = sides;
     if try_turn_edge(work, long.0, long.1, |before, after| after < before) {
         return true;

@@ -38,15 +38,15 @@ pub(super) struct Remesher {
 impl Remesher {
     /// Begins with target lengths `sizes` at the points of `mesh`.
     pub fn new(mesh: RegionMesh, sizes: Vec<f64>) -> Self {
-        let (curves, on, held) = FeatureLines::trace(&mesh, &sizes);
-        let original = OriginalSurface::of(&mesh, sizes.clone(), |a, b| curves.piece(a, b).is_none());
+        let (curves, on, held) = FeatureLines::trace_lines(&mesh, &sizes);
+        let original = OriginalSurface::from_mesh(&mesh, sizes.clone(), |a, b| curves.chain_segment(a, b).is_none());
         let constraints = (0..mesh.points.len() as u32)
             .map(|p| {
                 let point = &mesh.points[p as usize];
                 match (on[p as usize], point.faces.first()) {
                     (Some(on), _) => PointConstraint::OnLine(on),
                     (None, Some(&f)) if !point.fixed && !held.contains(&p) => {
-                        PointConstraint::OnSurface(original.corner(f, p))
+                        PointConstraint::OnSurface(original.corner_point(f, p))
                     }
                     _ => PointConstraint::Held,
                 }
@@ -63,12 +63,12 @@ impl Remesher {
 
     /// Length of an edge over the target length there.
     pub fn relative_length(&self, a: u32, b: u32) -> f64 {
-        self.mesh.length(a, b) / (0.5 * (self.sizes[a as usize] + self.sizes[b as usize]))
+        self.mesh.edge_length(a, b) / (0.5 * (self.sizes[a as usize] + self.sizes[b as usize]))
     }
 
     /// Whether a face with these corners may stand for the original surface beside face `f`.
     pub fn is_faithful(&self, f: u32, corners: [DVec3; 3]) -> bool {
-        let there = self.original.normal(self.mesh.faces[f as usize].source);
+        let there = self.original.face_normal(self.mesh.faces[f as usize].source);
         triangle::cosine(triangle::area_normal(corners), there).is_none_or(|c| c >= FAITHFUL)
     }
 
@@ -79,10 +79,10 @@ impl Remesher {
 
     /// The same as [`is_faithful`](Self::is_faithful), beside the original face that is nearest to the middle of these corners, looked for around face `f`. It
     /// notices when a face would cut off a thin part of the surface.
-    pub fn agrees(&mut self, f: u32, corners: [DVec3; 3]) -> bool {
+    pub fn is_faithful_nearby(&mut self, f: u32, corners: [DVec3; 3]) -> bool {
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
-        let spot = self.original.nearest(middle, &self.seeds_of_face(f));
-        let there = self.original.normal(spot.face);
+        let spot = self.original.find_nearest(middle, &self.seeds_of_face(f));
+        let there = self.original.face_normal(spot.face);
         triangle::cosine(triangle::area_normal(corners), there).is_none_or(|c| c >= FAITHFUL)
     }
 
@@ -99,7 +99,7 @@ impl Remesher {
     }
 
     /// Faces of the original surface from which to look for a place near point `p`, on one side of all lines.
-    pub fn seeds(&self, p: u32) -> Vec<u32> {
+    pub fn original_seeds(&self, p: u32) -> Vec<u32> {
         let around = self.mesh.faces_around(p).iter();
         let mut seeds: Vec<u32> = around.map(|&f| self.mesh.faces[f as usize].source).collect();
         if let PointConstraint::OnSurface(spot) = self.constraints[p as usize] {
@@ -111,14 +111,14 @@ impl Remesher {
 
     /// Splits the edge in its middle, on the original surface. Says whether it could.
     pub fn split_edge(&mut self, a: u32, b: u32) -> bool {
-        let edge = self.mesh.edge(a, b);
+        let edge = self.mesh.edge_faces(a, b);
         if self.mesh.is_locked(edge) || edge.faces().next().is_none() {
             return false;
         }
-        match self.curves.piece(a, b) {
+        match self.curves.chain_segment(a, b) {
             Some(piece) if piece.at[0] <= piece.at[1] => self.split_line_edge(edge, a, b, piece.chain, piece.at),
             Some(piece) => {
-                let turned = self.mesh.edge(b, a);
+                let turned = self.mesh.edge_faces(b, a);
                 self.split_line_edge(turned, b, a, piece.chain, [piece.at[1], piece.at[0]])
             }
             None => self.split_inner_edge(edge, a, b),
@@ -131,19 +131,19 @@ impl Remesher {
         }
         let middle = (self.mesh.position(a) + self.mesh.position(b)) * 0.5;
         let seeds = [edge.left, edge.right].map(|f| self.mesh.faces[f as usize].source);
-        let spot = self.original.nearest(middle, &seeds);
-        let on_surface = self.original.position(spot);
+        let spot = self.original.find_nearest(middle, &seeds);
+        let on_surface = self.original.position_at(spot);
         let position = if self.splits_well(edge, a, b, on_surface) {
             on_surface
         } else {
             middle
         };
         let m = self.mesh.add_point(position);
-        let (of, weights) = self.original.blend(spot);
-        let wedge = self.mesh.add_wedge(Wedge::blended(of, weights));
+        let (of, weights) = self.original.blend_at(spot);
+        let wedge = self.mesh.add_wedge(Wedge::from_blend(of, weights));
         self.mesh.insert_into_edge(edge, [a, b], m, [wedge; 2]);
         self.constraints.push(PointConstraint::OnSurface(spot));
-        self.sizes.push(self.original.size(spot));
+        self.sizes.push(self.original.target_length_at(spot));
         true
     }
 
@@ -154,20 +154,20 @@ impl Remesher {
         let Some(blends) = blends_on_both_sides(line, middle) else {
             return false;
         };
-        let on_line = line.position(middle);
+        let on_line = line.position_at(middle);
         let position = if self.splits_well(edge, a, b, on_line) {
             on_line
         } else {
             (self.mesh.position(a) + self.mesh.position(b)) * 0.5
         };
-        let (size, kind) = (line.size(middle), line.kind);
+        let (size, kind) = (line.target_length_at(middle), line.kind);
         let m = self.mesh.add_point(position);
         let wedge = |mesh: &mut RegionMesh, f: u32, side: usize| {
             if f == NONE {
                 return NONE;
             }
             let (of, weights) = blends[side];
-            mesh.add_wedge(Wedge::blended(of, weights))
+            mesh.add_wedge(Wedge::from_blend(of, weights))
         };
         let left = wedge(&mut self.mesh, edge.left, 0);
         let right = if kind == LineKind::Sharp {
@@ -176,9 +176,9 @@ impl Remesher {
             wedge(&mut self.mesh, edge.right, 1)
         };
         self.mesh.insert_into_edge(edge, [a, b], m, [left, right]);
-        self.curves.unset(a, b);
-        self.curves.set(a, m, chain, [at[0], middle]);
-        self.curves.set(m, b, chain, [middle, at[1]]);
+        self.curves.remove_segment(a, b);
+        self.curves.set_segment(a, m, chain, [at[0], middle]);
+        self.curves.set_segment(m, b, chain, [middle, at[1]]);
         for (p, old) in [(a, b), (b, a)] {
             if let PointConstraint::OnLine(on) = &mut self.constraints[p as usize] {
                 on.beside.iter_mut().filter(|q| **q == old).for_each(|q| *q = m);
@@ -211,7 +211,7 @@ impl Remesher {
         match self.constraints[from as usize] {
             PointConstraint::Held => false,
             PointConstraint::OnSurface(_) => true,
-            PointConstraint::OnLine(on) => on.beside.contains(&to) && self.curves.piece(from, to).is_some(),
+            PointConstraint::OnLine(on) => on.beside.contains(&to) && self.curves.chain_segment(from, to).is_some(),
         }
     }
 
@@ -233,7 +233,7 @@ impl Remesher {
         if !accept(self, &after) {
             return false;
         }
-        if !(collapse.kept.iter().zip(&after)).all(|(&f, &corners)| self.agrees(f, corners)) {
+        if !(collapse.kept.iter().zip(&after)).all(|(&f, &corners)| self.is_faithful_nearby(f, corners)) {
             return false;
         }
         if let PointConstraint::OnLine(on) = self.constraints[from as usize]
@@ -248,15 +248,18 @@ impl Remesher {
     /// Takes `from` out of its chain in favour of its neighbour `to`.
     fn drop_from_chain(&mut self, from: u32, to: u32, on: ChainPoint) -> bool {
         let other = if on.beside[0] == to { on.beside[1] } else { on.beside[0] };
-        let (Some(here), Some(there)) = (self.curves.piece(from, to), self.curves.piece(from, other)) else {
+        let (Some(here), Some(there)) = (
+            self.curves.chain_segment(from, to),
+            self.curves.chain_segment(from, other),
+        ) else {
             return false;
         };
-        if other == to || self.curves.piece(to, other).is_some() {
+        if other == to || self.curves.chain_segment(to, other).is_some() {
             return false;
         }
-        self.curves.unset(from, to);
-        self.curves.unset(from, other);
-        self.curves.set(to, other, on.chain, [here.at[1], there.at[1]]);
+        self.curves.remove_segment(from, to);
+        self.curves.remove_segment(from, other);
+        self.curves.set_segment(to, other, on.chain, [here.at[1], there.at[1]]);
         for p in [to, other] {
             if let PointConstraint::OnLine(beside) = &mut self.constraints[p as usize] {
                 beside.beside.iter_mut().filter(|q| **q == from).for_each(|q| {
@@ -269,16 +272,16 @@ impl Remesher {
 
     /// Moves an inner point near `position`, onto the original surface, when no face turns over and `accept` says yes.
     pub fn move_on_surface(&mut self, p: u32, position: DVec3, accept: impl Fn(&Self, DVec3) -> bool) -> bool {
-        let seeds = self.seeds(p);
-        let spot = self.original.nearest(position, &seeds);
-        let position = self.original.position(spot);
+        let seeds = self.original_seeds(p);
+        let spot = self.original.find_nearest(position, &seeds);
+        let position = self.original.position_at(spot);
         if !self.can_move(p, position) || !accept(self, position) {
             return false;
         }
-        let blend = self.original.blend(spot);
+        let blend = self.original.blend_at(spot);
         self.mesh.move_point(p, position, |_| blend);
         self.constraints[p as usize] = PointConstraint::OnSurface(spot);
-        self.sizes[p as usize] = self.original.size(spot);
+        self.sizes[p as usize] = self.original.target_length_at(spot);
         for i in 0..self.mesh.faces_around(p).len() {
             let f = self.mesh.faces_around(p)[i];
             self.mesh.faces[f as usize].source = spot.face;
@@ -289,17 +292,23 @@ impl Remesher {
     /// Moves a point along its chain to the length `at`, under the same conditions.
     pub fn slide_on_line(&mut self, p: u32, on: ChainPoint, at: f64, accept: impl Fn(&Self, DVec3) -> bool) -> bool {
         let line = &self.curves.chains[on.chain as usize];
-        let (position, size, sharp) = (line.position(at), line.size(at), line.kind == LineKind::Sharp);
+        let (position, size, sharp) = (
+            line.position_at(at),
+            line.target_length_at(at),
+            line.kind == LineKind::Sharp,
+        );
         let Some(blends) = blends_on_both_sides(line, at) else {
             return false;
         };
-        let ends = on.beside.map(|q| self.curves.piece(p, q).map(|piece| piece.at[1]));
+        let ends = on
+            .beside
+            .map(|q| self.curves.chain_segment(p, q).map(|piece| piece.at[1]));
         let [Some(start), Some(end)] = ends else { return false };
         let between = at > start && at < end;
         if !between || !self.can_move(p, position) || !accept(self, position) {
             return false;
         }
-        let forward = self.mesh.edge(p, on.beside[1]);
+        let forward = self.mesh.edge_faces(p, on.beside[1]);
         let left = if forward.left == NONE {
             None
         } else {
@@ -307,8 +316,8 @@ impl Remesher {
         };
         let side = |w| if sharp || Some(w) == left { 0 } else { 1 };
         self.mesh.move_point(p, position, |w| blends[side(w)]);
-        self.curves.set(p, on.beside[0], on.chain, [at, start]);
-        self.curves.set(p, on.beside[1], on.chain, [at, end]);
+        self.curves.set_segment(p, on.beside[0], on.chain, [at, start]);
+        self.curves.set_segment(p, on.beside[1], on.chain, [at, end]);
         self.constraints[p as usize] = PointConstraint::OnLine(ChainPoint { at, ..on });
         self.sizes[p as usize] = size;
         true
@@ -339,7 +348,7 @@ impl Remesher {
         for f in changed {
             let middle = self.mesh.corner_positions(f).iter().sum::<DVec3>() / 3.0;
             let seeds = self.seeds_of_face(f);
-            self.mesh.faces[f as usize].source = self.original.nearest(middle, &seeds).face;
+            self.mesh.faces[f as usize].source = self.original.find_nearest(middle, &seeds).face;
         }
     }
 
@@ -357,5 +366,5 @@ impl Remesher {
 
 /// What a point of a chain is made of on either side; a boundary has the same on both.
 fn blends_on_both_sides(line: &Chain, at: f64) -> Option<[([u32; 3], [f64; 3]); 2]> {
-    Some([line.blend(at, 0)?, line.blend(at, 1)?])
+    Some([line.blend_at(at, 0)?, line.blend_at(at, 1)?])
 }

@@ -14,10 +14,10 @@ pub(super) fn grade_lengths(mesh: &RegionMesh, wanted: &[f64]) -> Vec<f64> {
     let mut held = vec![(0.0, 0u32); mesh.points.len()];
     let mut rows: Vec<Vec<(u32, f64)>> = vec![Vec::new(); mesh.points.len()];
     for &(a, b) in &edges {
-        let length = mesh.length(a, b);
+        let length = mesh.edge_length(a, b);
         rows[a as usize].push((b, length));
         rows[b as usize].push((a, length));
-        if mesh.is_locked(mesh.edge(a, b)) {
+        if mesh.is_locked(mesh.edge_faces(a, b)) {
             for p in [a, b] {
                 held[p as usize].0 += length;
                 held[p as usize].1 += 1;

@@ -65,7 +65,7 @@ pub(super) fn rest_lengths(mesh: &RegionMesh, rest: &[DVec3]) -> Vec<f64> {
             for p in [points[i], points[j]] {
                 let (before, now, count) = &mut sums[p as usize];
                 *before += then[i].distance(then[j]);
-                *now += mesh.length(points[i], points[j]);
+                *now += mesh.edge_length(points[i], points[j]);
                 *count += 1;
             }
         }

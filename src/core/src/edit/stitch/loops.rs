@@ -20,7 +20,7 @@ impl StitchLoop {
         let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
         for (i, &p) in self.points.iter().enumerate() {
             let q = self.points[(i + 1) % self.points.len()];
-            let face = mesh.edge(p, q).left;
+            let face = mesh.edge_faces(p, q).left;
             if face != NONE {
                 *counts.entry(mesh.faces[face as usize].primitive).or_default() += 1;
             }
@@ -29,7 +29,7 @@ impl StitchLoop {
         most.map_or(0, |(&primitive, _)| primitive)
     }
 
-    fn sample(&self) -> impl Iterator<Item = u32> {
+    fn sample_points(&self) -> impl Iterator<Item = u32> {
         self.points.iter().copied().step_by(self.points.len().div_ceil(SAMPLE))
     }
 }
@@ -43,7 +43,7 @@ pub(super) fn find_loops(mesh: &RegionMesh) -> Vec<StitchLoop> {
         let p = mesh.points_of(f);
         for i in 0..3 {
             let (a, b) = (p[i], p[(i + 1) % 3]);
-            let edge = mesh.edge(a, b);
+            let edge = mesh.edge_faces(a, b);
             if edge.right == NONE
                 && !edge.tangled
                 && let Some(on) = next_boundary_edge(mesh, f, b)
@@ -65,7 +65,7 @@ pub(super) fn find_loops(mesh: &RegionMesh) -> Vec<StitchLoop> {
         once.dedup();
         if here == start && points.len() >= 3 && once.len() == points.len() {
             let ends = points.iter().zip(points.iter().cycle().skip(1));
-            let length = ends.map(|(&p, &q)| mesh.length(p, q)).sum();
+            let length = ends.map(|(&p, &q)| mesh.edge_length(p, q)).sum();
             loops.push(StitchLoop { points, length });
         }
     }
@@ -78,7 +78,7 @@ fn next_boundary_edge(mesh: &RegionMesh, mut f: u32, p: u32) -> Option<(u32, u32
         let q = mesh.points_of(f);
         let i = q.iter().position(|&x| x == p)?;
         let to = q[(i + 1) % 3];
-        let edge = mesh.edge(p, to);
+        let edge = mesh.edge_faces(p, to);
         if edge.tangled {
             return None;
         }
@@ -93,9 +93,9 @@ fn next_boundary_edge(mesh: &RegionMesh, mut f: u32, p: u32) -> Option<(u32, u32
 /// The least distance between points of two loops, of a sample when they are long.
 pub(super) fn loop_distance(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop) -> f64 {
     let mut least = f64::INFINITY;
-    for p in a.sample() {
-        for q in b.sample() {
-            least = least.min(mesh.length(p, q));
+    for p in a.sample_points() {
+        for q in b.sample_points() {
+            least = least.min(mesh.edge_length(p, q));
         }
     }
     least
@@ -129,8 +129,8 @@ pub(super) fn nearest_pair<'a>(
 fn mean_gap(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop, few: usize) -> f64 {
     let mut sum = 0.0;
     let mut count = 0u32;
-    for p in a.sample().take(few) {
-        let gaps = b.sample().take(few).map(|q| mesh.length(p, q));
+    for p in a.sample_points().take(few) {
+        let gaps = b.sample_points().take(few).map(|q| mesh.edge_length(p, q));
         sum += gaps.fold(f64::INFINITY, f64::min);
         count += 1;
     }

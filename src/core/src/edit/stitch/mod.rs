@@ -192,7 +192,9 @@ fn write_patch(
         patch: SurfacePatch::default(),
     };
     let points = a.points.iter().chain(&b.points);
-    vertices.known = points.filter_map(|&p| Some((p, vertices.find(p, NONE)?))).collect();
+    vertices.known = points
+        .filter_map(|&p| Some((p, vertices.find_vertex(p, NONE)?)))
+        .collect();
     for piece in triangles {
         let corners = piece.points.map(|p| mesh.position(p));
         if triangle::area_normal(corners).try_normalize().is_none() {
@@ -218,7 +220,7 @@ struct StripVertices<'a> {
 
 impl StripVertices<'_> {
     /// A vertex of the primitive at point `p`: that of face `beside` when there is one, else the first.
-    fn find(&self, p: u32, beside: u32) -> Option<u32> {
+    fn find_vertex(&self, p: u32, beside: u32) -> Option<u32> {
         let own = |f: u32| {
             let face = &self.mesh.faces[f as usize];
             let wedge = self.mesh.wedge_at(f, p).filter(|_| face.primitive == self.primitive)?;
@@ -229,7 +231,7 @@ impl StripVertices<'_> {
     }
 
     fn find_or_copy(&mut self, p: u32, beside: u32) -> u32 {
-        if let Some(v) = self.find(p, beside) {
+        if let Some(v) = self.find_vertex(p, beside) {
             return v;
         }
         if let Some(&v) = self.copies.get(&p) {

@@ -31,7 +31,7 @@ pub(super) fn find_shortest_strip(mesh: &RegionMesh, a: &StitchLoop, b: &StitchL
     let (skip_a, skip_b) = (n.div_ceil(4096), m.div_ceil(4096));
     for i in (0..n).step_by(skip_a) {
         for j in (0..m).step_by(skip_b) {
-            let length = mesh.length(a.points[i], b.points[j]);
+            let length = mesh.edge_length(a.points[i], b.points[j]);
             if length < start.0 {
                 start = (length, i, j);
             }
@@ -60,7 +60,7 @@ pub(super) fn find_shortest_strip(mesh: &RegionMesh, a: &StitchLoop, b: &StitchL
             if forbidden.contains(&(i, j)) || joined.binary_search(&(p, q)).is_ok() {
                 f64::INFINITY
             } else {
-                mesh.length(p, q)
+                mesh.edge_length(p, q)
             }
         };
         if n.saturating_mul(m) <= MOST_PAIRS {
@@ -95,7 +95,7 @@ pub(super) fn find_shortest_strip(mesh: &RegionMesh, a: &StitchLoop, b: &StitchL
 
 /// The face at an edge of a loop.
 fn face_beside(mesh: &RegionMesh, p: u32, q: u32) -> u32 {
-    mesh.edge(p, q).faces().next().unwrap_or(NONE)
+    mesh.edge_faces(p, q).faces().next().unwrap_or(NONE)
 }
 
 /// All ways from (0, 0) to (n, m) by single steps, compared; true is a step along the first loop.

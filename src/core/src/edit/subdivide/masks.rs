@@ -11,8 +11,8 @@ pub(super) fn edge_middle(mesh: &RegionMesh, a: u32, b: u32) -> DVec3 {
 
 /// The new point of an edge: between two faces of the region 3/8 of each end and 1/8 of each tip, else the middle.
 pub(super) fn place_new_point(mesh: &RegionMesh, a: u32, b: u32) -> DVec3 {
-    let edge = mesh.edge(a, b);
-    let tip = |f| mesh.across(f, a, b).map(|p| mesh.position(p));
+    let edge = mesh.edge_faces(a, b);
+    let tip = |f| mesh.opposite_corner(f, a, b).map(|p| mesh.position(p));
     if mesh.is_locked(edge) || edge.faces().count() != 2 {
         return edge_middle(mesh, a, b);
     }
@@ -31,7 +31,7 @@ pub(super) fn place_old_point(mesh: &RegionMesh, p: u32) -> Option<DVec3> {
     }
     let around = mesh.neighbours(p);
     let rim: Vec<u32> = (around.iter().copied())
-        .filter(|&q| mesh.edge(p, q).faces().count() == 1)
+        .filter(|&q| mesh.edge_faces(p, q).faces().count() == 1)
         .collect();
     match (rim.as_slice(), around.len()) {
         ([], n @ 3..) => {

@@ -27,7 +27,7 @@ pub(super) struct PointJoins {
 
 impl PointJoins {
     /// Gathers the faces around all points of `pairs`.
-    pub fn gather(surface: &SurfaceView, positions: &[DVec3], pairs: &[(u32, u32)]) -> Self {
+    pub fn gather_faces(surface: &SurfaceView, positions: &[DVec3], pairs: &[(u32, u32)]) -> Self {
         let mut bits = BitSet::new(surface.points as usize);
         for &(p, q) in pairs {
             bits.insert(p);
@@ -59,7 +59,7 @@ impl PointJoins {
     }
 
     /// Joins the surface's point `p` to `q`, unless edges would get too many faces or a face would turn over.
-    pub fn join(&mut self, p: u32, q: u32) {
+    pub fn join_points(&mut self, p: u32, q: u32) {
         let (Ok(p), Ok(q)) = (self.points.binary_search(&p), self.points.binary_search(&q)) else {
             return;
         };

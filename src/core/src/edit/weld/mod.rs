@@ -140,12 +140,12 @@ fn join_pairs(
             .push(EditWarning::new("weld-nothing", message, "the whole surface"));
         return Ok(patch);
     }
-    let mut joins = PointJoins::gather(surface, positions, &pairs);
+    let mut joins = PointJoins::gather_faces(surface, positions, &pairs);
     for (i, &(p, q)) in pairs.iter().enumerate() {
         if i % 4096 == 0 {
             check(progress)?;
         }
-        joins.join(p, q);
+        joins.join_points(p, q);
     }
     joins.undo_pinching_joins();
     patch.joined = joins.joined_pairs();

@@ -71,7 +71,7 @@ pub(super) struct ChangedPoints {
 
 impl ChangedPoints {
     /// `None` when the numbers do not fit together, or too much changed.
-    pub(super) fn of(old: &GraphBefore<'_>, change: &MeshChange) -> Option<Self> {
+    pub(super) fn from_change(old: &GraphBefore<'_>, change: &MeshChange) -> Option<Self> {
         let kept = change.old_from_new.partition_point(|&o| o != NONE);
         let mut new_from_old = vec![NONE; old.surface];
         for (new, &o) in (0u32..).zip(&change.old_from_new[..kept]) {
@@ -126,20 +126,20 @@ pub(super) struct NodeNumbers {
 
 impl NodeNumbers {
     /// A new shell node.
-    pub(super) fn shell(&mut self) -> u32 {
+    pub(super) fn add_shell_node(&mut self) -> u32 {
         self.shells += 1;
         self.old + self.points + self.shells - 1
     }
 
     /// A new lattice node; no shell nodes may follow.
-    pub(super) fn lattice(&mut self) -> u32 {
+    pub(super) fn add_lattice_node(&mut self) -> u32 {
         self.lattice += 1;
         self.old + self.points + self.shells + self.lattice - 1
     }
 }
 
 impl NodeNumbers {
-    pub(super) fn of(old: &GraphBefore<'_>, change: &MeshChange, points: &ChangedPoints) -> Self {
+    pub(super) fn from_change(old: &GraphBefore<'_>, change: &MeshChange, points: &ChangedPoints) -> Self {
         Self {
             old: old.nodes() as u32,
             points: (change.positions.len() - points.kept) as u32,
@@ -149,7 +149,7 @@ impl NodeNumbers {
     }
 
     /// The number of a point.
-    pub(super) fn point(&self, change: &MeshChange, new: u32) -> u32 {
+    pub(super) fn point_number(&self, change: &MeshChange, new: u32) -> u32 {
         match change.old_from_new[new as usize] {
             NONE => self.old + new - (change.positions.len() as u32 - self.points),
             o => o,

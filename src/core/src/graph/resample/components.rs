@@ -28,7 +28,7 @@ pub(super) struct FollowedComponents {
 /// Every edge that is gone ran between nodes that are gone and nodes with fresh rows. So where all nodes with fresh rows
 /// that were one component hang together by those rows, the component has not been split; where they do not, each of
 /// their pieces is searched from.
-pub(super) fn follow(view: &ComponentView, fresh: &FreshRows) -> FollowedComponents {
+pub(super) fn follow_components(view: &ComponentView, fresh: &FreshRows) -> FollowedComponents {
     let ComponentView { old, from, pool, .. } = *view;
     let mut near: Vec<u32> = (0..fresh.nodes.len()).flat_map(|k| fresh.row(k)).copied().collect();
     near.extend_from_slice(&fresh.nodes);
@@ -56,12 +56,12 @@ pub(super) fn follow(view: &ComponentView, fresh: &FreshRows) -> FollowedCompone
             count: 1,
         };
     }
-    let search = PieceSearch::run(view, &near, &pieces, &known);
+    let search = PieceSearch::search_pieces(view, &near, &pieces, &known);
     // Old components and pieces, joined where a piece has nodes of a component and has not been cut loose from it.
     let before = old.components as u32;
     let rests = known.iter().filter(|&&(_, piece)| !search.is_loose(piece));
     let joined = rests.map(|&(component, piece)| (component, before + piece));
-    let met = (0..pieces.count as u32).map(|piece| (before + piece, before + search.group(piece)));
+    let met = (0..pieces.count as u32).map(|piece| (before + piece, before + search.find_group(piece)));
     let joined = Components::of_edges(old.components + pieces.count, joined.chain(met));
     let label = |node: usize| {
         let loose = search
@@ -115,7 +115,7 @@ struct PieceSearch {
 }
 
 impl PieceSearch {
-    fn run(view: &ComponentView, near: &[u32], pieces: &Components, known: &[(u32, u32)]) -> Self {
+    fn search_pieces(view: &ComponentView, near: &[u32], pieces: &Components, known: &[(u32, u32)]) -> Self {
         let mut search = Self {
             parent: (0..pieces.count as u32).collect(),
             queues: vec![Vec::new(); pieces.count],
@@ -140,11 +140,11 @@ impl PieceSearch {
         loop {
             // Groups that still have somewhere to go.
             let mut active: Vec<u32> = asked.iter().copied().filter(|&p| search.goes_on(p)).collect();
-            active.iter_mut().for_each(|p| *p = search.group(*p));
+            active.iter_mut().for_each(|p| *p = search.find_group(*p));
             active.sort_unstable();
             active.dedup();
             let undecided = split.iter().any(|component| {
-                let groups = component.iter().map(|k| search.group(k.1));
+                let groups = component.iter().map(|k| search.find_group(k.1));
                 let mut groups: Vec<u32> = groups.filter(|g| active.binary_search(g).is_ok()).collect();
                 groups.sort_unstable();
                 groups.dedup();
@@ -152,7 +152,7 @@ impl PieceSearch {
             });
             if !undecided {
                 for &piece in &asked {
-                    search.loose[piece as usize] = active.binary_search(&search.group(piece)).is_err();
+                    search.loose[piece as usize] = active.binary_search(&search.find_group(piece)).is_err();
                 }
                 return search;
             }
@@ -160,7 +160,7 @@ impl PieceSearch {
         }
     }
 
-    fn group(&self, mut piece: u32) -> u32 {
+    fn find_group(&self, mut piece: u32) -> u32 {
         while self.parent[piece as usize] != piece {
             piece = self.parent[piece as usize];
         }
@@ -191,7 +191,7 @@ impl PieceSearch {
                     }
                     &mut other if other == piece => {}
                     &mut other => {
-                        let (a, b) = (self.group(piece), self.group(other));
+                        let (a, b) = (self.find_group(piece), self.find_group(other));
                         self.parent[a.max(b) as usize] = a.min(b);
                     }
                 }

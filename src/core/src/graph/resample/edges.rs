@@ -42,7 +42,7 @@ pub(super) struct EdgeFinder<'a> {
 
 impl EdgeFinder<'_> {
     /// The edges of a node, and its ways out of the lattice.
-    pub(super) fn edges(&self, index: u32) -> FoundEdges {
+    pub(super) fn find_edges(&self, index: u32) -> FoundEdges {
         let node = &self.nodes[index as usize];
         let mut edges = FoundEdges::default();
         if let Some(key) = node.key {
@@ -59,22 +59,22 @@ impl EdgeFinder<'_> {
         let node = &self.nodes[index as usize];
         for direction in directions(self.inside.valence) {
             let there = toward(key, direction);
-            if let Some(other) = self.table.fixed(there) {
+            if let Some(other) = self.table.fixed_node(there) {
                 let partner = &self.nodes[other];
                 // An edge between two nodes that are looked at is found from its smaller key.
                 if partner.again && there < key {
                     continue;
                 }
                 let ends = if key < there { [node, partner] } else { [partner, node] };
-                self.join(ends, index, other as u32, edges);
+                self.join_nodes(ends, index, other as u32, edges);
                 continue;
             }
             let end = self.grid.position(there);
             match self
                 .table
-                .nearest(self.nodes, self.grid, end, TAKEN * self.inside.interval, false)
+                .nearest_node(self.nodes, self.grid, end, TAKEN * self.inside.interval, false)
             {
-                Some(other) => self.join([node, &self.nodes[other]], index, other as u32, edges),
+                Some(other) => self.join_nodes([node, &self.nodes[other]], index, other as u32, edges),
                 None => edges.leaving.push((index, end)),
             }
         }
@@ -88,7 +88,7 @@ impl EdgeFinder<'_> {
                 let partner = &self.nodes[other];
                 let fixed = node.key.is_some() && partner.key.is_some();
                 if !(fixed || partner.again && m < node.number) {
-                    self.join([node, partner], index, other as u32, edges);
+                    self.join_nodes([node, partner], index, other as u32, edges);
                 }
             } else if self.gone.binary_search(&m).is_err() {
                 // Beyond the faces looked at nothing changed.
@@ -96,9 +96,9 @@ impl EdgeFinder<'_> {
             } else if node.key.is_none() {
                 let end = self.old.positions[m as usize];
                 let within = INSTEAD * self.inside.interval;
-                match self.table.nearest(self.nodes, self.grid, end, within, true) {
+                match self.table.nearest_node(self.nodes, self.grid, end, within, true) {
                     Some(other) if other != index as usize => {
-                        self.join([node, &self.nodes[other]], index, other as u32, edges);
+                        self.join_nodes([node, &self.nodes[other]], index, other as u32, edges);
                     }
                     _ => edges.leaving.push((index, end)),
                 }
@@ -107,7 +107,7 @@ impl EdgeFinder<'_> {
     }
 
     /// Joins two nodes that see each other; else each that is looked at is to be tied to what stands between.
-    fn join(&self, [a, b]: [&ZoneNode; 2], index: u32, other: u32, edges: &mut FoundEdges) {
+    fn join_nodes(&self, [a, b]: [&ZoneNode; 2], index: u32, other: u32, edges: &mut FoundEdges) {
         let clear = (a.clearance + b.clearance) * CERTAIN > a.at.distance(b.at);
         if clear || self.surface.first_hit(a.at, b.at, None).is_none() {
             edges.links.push(NewEdge::new(a.number, b.number));
@@ -120,7 +120,7 @@ impl EdgeFinder<'_> {
     }
 
     /// The vertex of `local` nearest to where the way from a node to `end` leaves the inside.
-    pub(super) fn crossed(&self, local: &LocalMesh, node: u32, end: DVec3) -> Option<u32> {
+    pub(super) fn crossed_vertex(&self, local: &LocalMesh, node: u32, end: DVec3) -> Option<u32> {
         let node = &self.nodes[node as usize];
         let way = end - node.at;
         // No face reaches into the clear ball around a node.
@@ -134,7 +134,7 @@ impl EdgeFinder<'_> {
 
     /// The vertex of `local` nearest to `end`, if it is no further than that of an end that was left out for being too
     /// near to the surface can be.
-    pub(super) fn beside(&self, local: &LocalMesh, end: DVec3) -> Option<u32> {
+    pub(super) fn vertex_beside(&self, local: &LocalMesh, end: DVec3) -> Option<u32> {
         let near = self
             .surface
             .closest_point_within(end, 1.5 * (self.inside.depth + self.inside.interval))?;

@@ -27,7 +27,7 @@ pub(super) struct ZoneGrid {
 }
 
 impl ZoneGrid {
-    pub(super) fn around(inside: &InteriorRecipe, zone: &ChangeZone) -> Self {
+    pub(super) fn around_zone(inside: &InteriorRecipe, zone: &ChangeZone) -> Self {
         Self {
             origin: inside.origin,
             interval: inside.interval,
@@ -41,7 +41,7 @@ impl ZoneGrid {
         self.origin + (place(key) + base) * self.interval
     }
 
-    pub(super) fn key(&self, cell: [i64; 3], in_b: bool) -> Option<LatticeKey> {
+    pub(super) fn cell_key(&self, cell: [i64; 3], in_b: bool) -> Option<LatticeKey> {
         let mut at = [0u32; 3];
         for axis in 0..3 {
             let own = cell[axis] - self.base[axis];
@@ -51,9 +51,9 @@ impl ZoneGrid {
     }
 
     /// The key of the place nearest to `p` in grid A.
-    pub(super) fn near(&self, p: DVec3) -> Option<LatticeKey> {
+    pub(super) fn nearest_key(&self, p: DVec3) -> Option<LatticeKey> {
         let cell = ((p - self.origin) / self.interval).round().to_array();
-        self.key(cell.map(|c| c as i64), false)
+        self.cell_key(cell.map(|c| c as i64), false)
     }
 
     /// The key of a node that is where the grid puts it.
@@ -61,7 +61,7 @@ impl ZoneGrid {
         let unit = (p - self.origin) / self.interval;
         let found = [(0.0, false), (0.5, true)].map(|(shift, in_b)| {
             let cell = (unit - DVec3::splat(shift)).round().to_array();
-            self.key(cell.map(|c| c as i64), in_b)
+            self.cell_key(cell.map(|c| c as i64), in_b)
                 .filter(|&key| self.position(key) == p)
         });
         found[0].or(found[1])
@@ -77,7 +77,7 @@ pub(super) struct NodeTable {
 }
 
 impl NodeTable {
-    pub(super) fn fixed(&self, key: LatticeKey) -> Option<usize> {
+    pub(super) fn fixed_node(&self, key: LatticeKey) -> Option<usize> {
         self.fixed
             .binary_search_by_key(&key, |f| f.0)
             .ok()
@@ -85,7 +85,7 @@ impl NodeTable {
     }
 
     /// The nearest node within less than an interval of `p` among the moved ones, or among all.
-    pub(super) fn nearest(
+    pub(super) fn nearest_node(
         &self,
         nodes: &[ZoneNode],
         grid: &ZoneGrid,
@@ -96,7 +96,7 @@ impl NodeTable {
         if self.adrift.is_empty() && !all {
             return None;
         }
-        let middle = grid.near(p)?;
+        let middle = grid.nearest_key(p)?;
         let mut best: Option<(f64, u32)> = None;
         let mut offer = |node: u32| {
             let found = (nodes[node as usize].at.distance_squared(p), node);
@@ -117,7 +117,7 @@ impl NodeTable {
                 for place in (0..3).map(|x| first + x).filter(|_| all) {
                     [place, toward(place, 13)]
                         .into_iter()
-                        .filter_map(|k| self.fixed(k))
+                        .filter_map(|k| self.fixed_node(k))
                         .for_each(|n| offer(n as u32));
                 }
             }

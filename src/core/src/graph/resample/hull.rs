@@ -34,21 +34,21 @@ pub(super) struct HullChange {
 }
 
 /// The fan over a loop: its middle, and a face for each edge.
-pub(super) fn fan(ring: &[u32], at: impl Fn(u32) -> DVec3) -> (DVec3, impl Iterator<Item = [u32; 2]> + '_) {
+pub(super) fn fan_over_loop(ring: &[u32], at: impl Fn(u32) -> DVec3) -> (DVec3, impl Iterator<Item = [u32; 2]> + '_) {
     let middle = ring.iter().map(|&v| at(v)).sum::<DVec3>() / ring.len() as f64;
     let next = ring.iter().cycle().skip(1);
     (middle, ring.iter().zip(next).map(|(&a, &b)| [a, b]))
 }
 
 /// Follows an edit. `None` when only the whole surface tells what it encloses now.
-pub(super) fn follow(
+pub(super) fn follow_hull(
     old: &GraphBefore<'_>,
     inside: &InteriorRecipe,
     change: &MeshChange,
     points: &ChangedPoints,
     pool: &Pool,
 ) -> Option<HullChange> {
-    let (assigned, fresh) = assign(inside, change, points)?;
+    let (assigned, fresh) = assign_reach(inside, change, points)?;
     let mut reach: Vec<f32> = pool.install(|| {
         let of = |&o: &u32| if o == NONE { 0.0 } else { inside.reach[o as usize] };
         change.old_from_new.par_iter().with_min_len(1 << 14).map(of).collect()
@@ -57,7 +57,7 @@ pub(super) fn follow(
 
     let mut unsided = Vec::new();
     for part in fresh {
-        let solid = solid(change, &part, pool)?;
+        let solid = enclosing_edge_length(change, &part, pool)?;
         if solid > 0.0 {
             let offset = solid.min(old.stats.shell_offset) as f32;
             part.points.iter().for_each(|&p| reach[p as usize] = offset);
@@ -65,12 +65,12 @@ pub(super) fn follow(
         }
     }
 
-    let open = passages(inside, change, points, &reach)?;
-    let before = loops(&inside.open);
+    let open = missing_passages(inside, change, points, &reach)?;
+    let before = passage_loops(&inside.open);
     let loops = if open == inside.open {
         before.clone()
     } else {
-        loops(&open)
+        passage_loops(&open)
     };
     let turned = |ring: Vec<u32>| {
         let first = (0..ring.len()).min_by_key(|&k| ring[k]).unwrap_or(0);
@@ -113,7 +113,11 @@ struct NewPart {
 
 /// The reach of new points that hang together with old ones, and the new parts. `None` where an edit joins what encloses
 /// space with what does not.
-fn assign(inside: &InteriorRecipe, change: &MeshChange, points: &ChangedPoints) -> Option<(NewReach, Vec<NewPart>)> {
+fn assign_reach(
+    inside: &InteriorRecipe,
+    change: &MeshChange,
+    points: &ChangedPoints,
+) -> Option<(NewReach, Vec<NewPart>)> {
     let faces: Vec<[u32; 3]> = change.added.iter().map(|&t| change.triangles[t as usize]).collect();
     let mut used: Vec<u32> = faces.iter().flatten().copied().collect();
     used.sort_unstable();
@@ -159,7 +163,7 @@ fn assign(inside: &InteriorRecipe, change: &MeshChange, points: &ChangedPoints) 
 }
 
 /// The mean edge length of a new part when it encloses space, else 0; `None` when only its winding number tells.
-fn solid(change: &MeshChange, part: &NewPart, pool: &Pool) -> Option<f64> {
+fn enclosing_edge_length(change: &MeshChange, part: &NewPart, pool: &Pool) -> Option<f64> {
     let at = |v: u32| change.positions[v as usize];
     let mut length = 0.0;
     let mut passed: Vec<([u32; 2], i32)> = Vec::with_capacity(3 * part.triangles.len());
@@ -198,7 +202,7 @@ fn solid(change: &MeshChange, part: &NewPart, pool: &Pool) -> Option<f64> {
 
 /// The passages that enclosing parts lack after an edit. `None` when an edge of a point that is gone keeps a face, so
 /// that the edit contradicts itself.
-fn passages(
+fn missing_passages(
     inside: &InteriorRecipe,
     change: &MeshChange,
     points: &ChangedPoints,
@@ -237,7 +241,7 @@ fn passages(
 }
 
 /// The loops that sorted passages run in.
-fn loops(open: &[[u32; 2]]) -> Vec<Vec<u32>> {
+fn passage_loops(open: &[[u32; 2]]) -> Vec<Vec<u32>> {
     let mut used: Vec<u32> = open.iter().flatten().copied().collect();
     used.sort_unstable();
     used.dedup();
@@ -277,7 +281,7 @@ fn too_open(old: &GraphBefore<'_>, change: &MeshChange, hull: &HullChange) -> bo
 }
 
 fn cap_area(ring: &[u32], at: impl Fn(u32) -> DVec3 + Copy) -> f64 {
-    let (middle, edges) = fan(ring, at);
+    let (middle, edges) = fan_over_loop(ring, at);
     edges
         .map(|[a, b]| 0.5 * (at(a) - middle).cross(at(b) - middle).length())
         .sum()

@@ -51,7 +51,7 @@ pub(super) struct EditedShell<'a> {
 }
 
 /// Follows an edit. `None` when no vertex is left to tie nodes to, or there is too much to look at.
-pub(super) fn follow(
+pub(super) fn follow_interior(
     site: &ShellSite,
     inside: &InteriorRecipe,
     edited: &EditedShell<'_>,
@@ -62,7 +62,7 @@ pub(super) fn follow(
         inside,
         edited,
         first: edited.old.surface + edited.old.stats.shell_nodes,
-        grid: ZoneGrid::around(inside, site.zone),
+        grid: ZoneGrid::around_zone(inside, site.zone),
     };
     let seen = lattice.find_affected_nodes();
     let (mut nodes, gone) = lattice.judge_nodes(&seen)?;
@@ -84,7 +84,7 @@ pub(super) fn follow(
         surface: site.surface,
     };
     let again: Vec<u32> = (0u32..).zip(&nodes).filter(|n| n.1.again).map(|n| n.0).collect();
-    let found = map(&again, site.exec, |&node| finder.edges(node))?;
+    let found = map(&again, site.exec, |&node| finder.find_edges(node))?;
     let mut links: Vec<NewEdge> = Vec::new();
     let mut leaving: Vec<(u32, DVec3)> = Vec::new();
     for mut edges in found {
@@ -105,7 +105,7 @@ pub(super) fn follow(
     // The nearest vertex of nodes that are new, near the edit, or have lost theirs.
     let mut asked = lattice.ask_near_edit(&nodes, &again, &ties, numbers);
     let far = seen.iter().filter(|s| s.2 && gone.binary_search(&s.0).is_err());
-    let far = far.filter(|s| find(&nodes[..kept], s.0).is_none_or(|at| !nodes[at].again));
+    let far = far.filter(|s| find_node(&nodes[..kept], s.0).is_none_or(|at| !nodes[at].again));
     asked.extend(far.map(|s| {
         let (at, nearest) = (
             edited.old.positions[s.0 as usize],
@@ -139,7 +139,7 @@ type AffectedNode = (u32, u8, bool);
 type VertexSearch = (u32, DVec3, Option<u32>);
 
 /// The index of an old node among `nodes`, which rise.
-fn find(nodes: &[ZoneNode], number: u32) -> Option<usize> {
+fn find_node(nodes: &[ZoneNode], number: u32) -> Option<usize> {
     nodes.binary_search_by_key(&number, |n| n.number).ok()
 }
 
@@ -170,7 +170,7 @@ impl LatticeUpdate<'_> {
         let marks = |p: DVec3| {
             let there = p.cmpge(bounds.min).all() && p.cmple(bounds.max).all();
             if there {
-                self.site.zone.marks(p) & (CORE | RIM)
+                self.site.zone.marks_at(p) & (CORE | RIM)
             } else {
                 0
             }
@@ -183,7 +183,7 @@ impl LatticeUpdate<'_> {
     }
 
     /// How far the surface is away, as far as it matters.
-    fn clearance(&self, p: DVec3) -> f64 {
+    fn surface_distance(&self, p: DVec3) -> f64 {
         let reach = self.inside.depth.max(0.501 * self.inside.interval) * 1.001;
         let closest = self.site.surface.closest_point_within(p, reach);
         closest.map_or(reach, |near| near.distance)
@@ -213,7 +213,7 @@ impl LatticeUpdate<'_> {
             if !self.site.columns.contains(at) {
                 return None;
             }
-            let clearance = self.clearance(at);
+            let clearance = self.surface_distance(at);
             (clearance > depth).then_some(ZoneNode {
                 number,
                 at,
@@ -231,7 +231,7 @@ impl LatticeUpdate<'_> {
         let mut nodes: Vec<ZoneNode> = judged.into_iter().flatten().collect();
         for &g in &gone {
             for &m in old.row(g).iter().filter(|&&m| m as usize >= self.first) {
-                if let Some(at) = find(&nodes, m) {
+                if let Some(at) = find_node(&nodes, m) {
                     nodes[at].again = true;
                 }
             }
@@ -248,7 +248,9 @@ impl LatticeUpdate<'_> {
         for (index, node) in (0u32..).zip(nodes) {
             match node.key {
                 Some(key) => table.fixed.push((key, index)),
-                None => table.adrift.extend(self.grid.near(node.at).map(|key| (key, index))),
+                None => table
+                    .adrift
+                    .extend(self.grid.nearest_key(node.at).map(|key| (key, index))),
             }
         }
         table.fixed.sort_unstable();
@@ -273,13 +275,17 @@ impl LatticeUpdate<'_> {
         let cells = zone.lattice_cells(mark);
         let free: Vec<[Option<(LatticeKey, f64)>; 2]> = map(&cells, self.site.exec, |&cell| {
             [false, true].map(|in_b| {
-                let key = grid.key(cell, in_b)?;
+                let key = grid.cell_key(cell, in_b)?;
                 let p = grid.position(key);
-                let taken = || table.nearest(nodes, grid, p, TAKEN * inside.interval, false).is_some();
-                if table.fixed(key).is_some() || taken() || !self.site.columns.contains(p) {
+                let taken = || {
+                    table
+                        .nearest_node(nodes, grid, p, TAKEN * inside.interval, false)
+                        .is_some()
+                };
+                if table.fixed_node(key).is_some() || taken() || !self.site.columns.contains(p) {
                     return None;
                 }
-                let clearance = self.clearance(p);
+                let clearance = self.surface_distance(p);
                 (clearance > inside.depth).then_some((key, clearance))
             })
         })?;
@@ -289,7 +295,7 @@ impl LatticeUpdate<'_> {
         for ((key, clearance), &at) in free.into_iter().zip(&born) {
             table.fixed.push((key, nodes.len() as u32));
             nodes.push(ZoneNode {
-                number: numbers.lattice(),
+                number: numbers.add_lattice_node(),
                 at,
                 key: Some(key),
                 clearance,
@@ -304,7 +310,7 @@ impl LatticeUpdate<'_> {
     /// vertex).
     fn find_ties(&self, finder: &EdgeFinder<'_>, leaving: &[(u32, DVec3)]) -> Result<Vec<(u32, u32)>, Error> {
         let (local, exec) = (self.site.local, self.site.exec);
-        let crossed = map(leaving, exec, |&(node, end)| finder.crossed(local, node, end))?;
+        let crossed = map(leaving, exec, |&(node, end)| finder.crossed_vertex(local, node, end))?;
         // Several edges lead to the same place; its nearest point is looked up once.
         let bits = |p: DVec3| p.to_array().map(f64::to_bits);
         let unmet = leaving.iter().zip(&crossed).filter(|l| l.1.is_none());
@@ -312,7 +318,7 @@ impl LatticeUpdate<'_> {
         ends.sort_unstable();
         ends.dedup();
         let beside = map(&ends, exec, |&end| {
-            finder.beside(local, DVec3::from_array(end.map(f64::from_bits)))
+            finder.vertex_beside(local, DVec3::from_array(end.map(f64::from_bits)))
         })?;
         let mut ties: Vec<(u32, u32)> = Vec::with_capacity(leaving.len());
         for (&(node, end), crossed) in leaving.iter().zip(crossed) {
@@ -327,7 +333,7 @@ impl LatticeUpdate<'_> {
     /// The node that ties to a local vertex end at: its shell node, or else the vertex itself.
     fn surface_or_shell_node(&self, numbers: &NodeNumbers, v: u32) -> u32 {
         match self.edited.copies.node[v as usize] {
-            NONE => numbers.point(self.edited.change, self.site.local.points[v as usize]),
+            NONE => numbers.point_number(self.edited.change, self.site.local.points[v as usize]),
             copy => copy,
         }
     }
@@ -336,7 +342,7 @@ impl LatticeUpdate<'_> {
     fn local_vertex_instead(&self, o: u32) -> Option<u32> {
         match self.edited.points.new_from_old[o as usize] {
             NONE => (self.site.surface).closest_vertex(self.edited.old.positions[o as usize], None),
-            new => self.site.local.find(new),
+            new => self.site.local.find_local(new),
         }
     }
 
@@ -350,7 +356,7 @@ impl LatticeUpdate<'_> {
             old_shell,
             ..
         } = *self.edited;
-        let retied = |number: u32| find(kept, number).is_some_and(|at| kept[at].again && kept[at].key.is_some());
+        let retied = |number: u32| find_node(kept, number).is_some_and(|at| kept[at].again && kept[at].key.is_some());
         let mut orphans: Vec<(u32, u32)> = Vec::new();
         let copies_gone = points
             .gone
@@ -399,10 +405,10 @@ impl LatticeUpdate<'_> {
                 .map(|o| self.edited.points.new_from_old[o as usize])
                 .filter(|&new| new != NONE);
             // A vertex beyond the faces looked at is as near as it was.
-            if before.is_some_and(|new| local.find(new).is_none()) {
+            if before.is_some_and(|new| local.find_local(new).is_none()) {
                 continue;
             }
-            let known = own.chain(before.and_then(|new| local.find(new)));
+            let known = own.chain(before.and_then(|new| local.find_local(new)));
             let distance = |v: u32| local.positions[v as usize].distance_squared(node.at);
             let start = known.reduce(|a, b| if distance(b) < distance(a) { b } else { a });
             asked.push((node.number, node.at, start));
@@ -419,7 +425,7 @@ pub(super) fn spread_nearest(graph: &mut MeshGraph, local: &LocalMesh, asked: Ve
     let mut next = 0;
     while let Some(&node) = waiting.get(next) {
         next += 1;
-        let Some(start) = local.find(graph.nearest_surface[node as usize]) else {
+        let Some(start) = local.find_local(graph.nearest_surface[node as usize]) else {
             continue;
         };
         let row = graph.offsets[node as usize] as usize..graph.offsets[node as usize + 1] as usize;

@@ -2,7 +2,7 @@
 
 use crate::graph::resample::change::GraphBefore;
 use crate::graph::resample::change::{ChangedPoints, MeshChange};
-use crate::graph::resample::hull::{HullChange, fan};
+use crate::graph::resample::hull::{HullChange, fan_over_loop};
 use crate::graph::resample::zone::{ChangeZone, RIM};
 use crate::graph::volume::columns::FaceColumns;
 use crate::mesh::{Adjacency, BoundingBox, NONE};
@@ -27,7 +27,12 @@ pub(super) struct FoundFaces {
 }
 
 /// One look at all points and one at all faces.
-pub(super) fn find(change: &MeshChange, points: &ChangedPoints, zone: Option<&ChangeZone>, pool: &Pool) -> FoundFaces {
+pub(super) fn find_local(
+    change: &MeshChange,
+    points: &ChangedPoints,
+    zone: Option<&ChangeZone>,
+    pool: &Pool,
+) -> FoundFaces {
     let bounds = zone.map(ChangeZone::bounds);
     let code = |p: &DVec3| match &bounds {
         None => 1,
@@ -93,7 +98,7 @@ pub(super) struct LocalMesh {
 }
 
 impl LocalMesh {
-    pub(super) fn gather(
+    pub(super) fn gather_faces(
         change: &MeshChange,
         points: &ChangedPoints,
         found: &FoundFaces,
@@ -104,7 +109,7 @@ impl LocalMesh {
         let has_fan = |v: u32| points.fans.binary_search(&v).is_ok();
         let wanted = |&&t: &&u32| {
             let t = change.triangles[t as usize];
-            zone.is_some_and(|zone| zone.meets(&BoundingBox::of(&t.map(at)), RIM)) || t.into_iter().any(has_fan)
+            zone.is_some_and(|zone| zone.box_has_mark(&BoundingBox::of(&t.map(at)), RIM)) || t.into_iter().any(has_fan)
         };
         let faces: Vec<[u32; 3]> = pool.install(|| {
             let near = found.near.par_iter().with_min_len(1024).filter(|t| wanted(t));
@@ -126,7 +131,7 @@ impl LocalMesh {
     }
 
     /// The number here of a point that is here.
-    pub(super) fn find(&self, point: u32) -> Option<u32> {
+    pub(super) fn find_local(&self, point: u32) -> Option<u32> {
         self.points.binary_search(&point).ok().map(|at| at as u32)
     }
 }
@@ -140,7 +145,7 @@ pub(super) struct LocalFaces {
 
 impl LocalFaces {
     /// Numbers the corners of named faces in the order of their names, so that an edge runs the same way in all of them.
-    fn of(faces: Vec<[u64; 3]>, at: impl Fn(u64) -> DVec3) -> Self {
+    fn from_named_faces(faces: Vec<[u64; 3]>, at: impl Fn(u64) -> DVec3) -> Self {
         let mut names: Vec<u64> = faces.iter().flatten().copied().collect();
         names.sort_unstable();
         names.dedup();
@@ -152,19 +157,19 @@ impl LocalFaces {
     }
 
     /// All faces that lines through the zone may cross, closed by caps.
-    pub(super) fn around(change: &MeshChange, hull: &HullChange, found: &FoundFaces) -> Self {
+    pub(super) fn around_zone(change: &MeshChange, hull: &HullChange, found: &FoundFaces) -> Self {
         let points = change.positions.len() as u64;
         let faces = found.beyond.iter().map(|&t| change.triangles[t as usize]);
         let enclosing = faces.filter(|t| hull.reach[t[0] as usize] != 0.0);
         let mut faces: Vec<[u64; 3]> = enclosing.map(|t| t.map(u64::from)).collect();
         let mut middles = Vec::with_capacity(hull.loops.len());
         for ring in &hull.loops {
-            let (middle, edges) = fan(ring, |v| change.positions[v as usize]);
+            let (middle, edges) = fan_over_loop(ring, |v| change.positions[v as usize]);
             let name = points + middles.len() as u64;
             faces.extend(edges.map(|[a, b]| [u64::from(a), u64::from(b), name]));
             middles.push(middle);
         }
-        Self::of(faces, |name| match name.checked_sub(points) {
+        Self::from_named_faces(faces, |name| match name.checked_sub(points) {
             Some(middle) => middles[middle as usize],
             None => change.positions[name as usize],
         })
@@ -172,7 +177,7 @@ impl LocalFaces {
 
     /// What the edit added to the enclosing faces, and what it took from them, turned round: together they are closed, and
     /// enclose what became inside or outside.
-    pub(super) fn between(
+    pub(super) fn between_hulls(
         old: &GraphBefore<'_>,
         change: &MeshChange,
         points: &ChangedPoints,
@@ -208,18 +213,18 @@ impl LocalFaces {
         }
         let mut middles: Vec<DVec3> = Vec::new();
         for ring in &hull.new_loops {
-            let (middle, edges) = fan(ring, |v| change.positions[v as usize]);
+            let (middle, edges) = fan_over_loop(ring, |v| change.positions[v as usize]);
             let own = new + before + middles.len() as u64;
             faces.extend(edges.map(|[a, b]| [u64::from(a), u64::from(b), own]));
             middles.push(middle);
         }
         for ring in &hull.lost_loops {
-            let (middle, edges) = fan(ring, |v| old.positions[v as usize]);
+            let (middle, edges) = fan_over_loop(ring, |v| old.positions[v as usize]);
             let own = new + before + middles.len() as u64;
             faces.extend(edges.map(|[a, b]| turned([name(a), name(b), own])));
             middles.push(middle);
         }
-        Self::of(faces, |name| {
+        Self::from_named_faces(faces, |name| {
             if name < new {
                 change.positions[name as usize]
             } else if name < new + before {
@@ -231,14 +236,14 @@ impl LocalFaces {
     }
 
     /// Sorted to tell what lies inside, along the given axis or the best one.
-    pub(super) fn columns(&self, along: usize, pool: &Pool) -> FaceColumns<'_> {
+    pub(super) fn sort_columns(&self, along: usize, pool: &Pool) -> FaceColumns<'_> {
         FaceColumns::along(along, &self.positions, &self.triangles, pool)
     }
 }
 
 impl FoundFaces {
     /// The axis along which the fewest faces lie beyond the zone.
-    pub(super) fn along(&self) -> usize {
+    pub(super) fn best_axis(&self) -> usize {
         self.along
     }
 }

@@ -33,7 +33,7 @@ use glam::DVec3;
 
 use crate::graph::resample::change::{ChangedPoints, GraphBefore, NodeNumbers};
 use crate::graph::resample::graph_edit::GraphEdit;
-use crate::graph::resample::hull::{HullChange, fan};
+use crate::graph::resample::hull::{HullChange, fan_over_loop};
 use crate::graph::resample::interior::{EditedShell, InteriorChange};
 use crate::graph::resample::local::{LocalFaces, LocalMesh};
 use crate::graph::resample::zone::{ChangeZone, SpreadLengths};
@@ -60,31 +60,31 @@ pub fn resample(
     exec.check()?;
     assert_eq!(positions.len(), old.nodes(), "a position for every node");
     let old = &GraphBefore { graph: old, positions };
-    let Some(points) = ChangedPoints::of(old, change) else {
+    let Some(points) = ChangedPoints::from_change(old, change) else {
         return Ok(None);
     };
     match &old.recipe.inside {
         // The graph of parts that are told apart does not know how each was made.
         None if old.surface < old.nodes() => Ok(None),
-        None => surface(old, change, &points, exec.pool).map(Some),
+        None => resample_surface(old, change, &points, exec.pool).map(Some),
         Some(inside) if inside.soups => Ok(None),
-        Some(inside) => volume(old, inside, change, &points, exec),
+        Some(inside) => resample_volume(old, inside, change, &points, exec),
     }
 }
 
 /// Follows an edit of a mesh without interior nodes.
-fn surface(
+fn resample_surface(
     old: &GraphBefore<'_>,
     change: &MeshChange,
     points: &ChangedPoints,
     pool: &Pool,
 ) -> Result<ResampledGraph, Error> {
-    let found = local::find(change, points, None, pool);
-    let local = LocalMesh::gather(change, points, &found, None, pool);
-    let numbers = NodeNumbers::of(old, change, points);
-    let copies = places::bare(&local);
-    let name = |v: u32| numbers.point(change, local.points[v as usize]);
-    let links = copies.links(&local, name, old.recipe.cotangent_scale);
+    let found = local::find_local(change, points, None, pool);
+    let local = LocalMesh::gather_faces(change, points, &found, None, pool);
+    let numbers = NodeNumbers::from_change(old, change, points);
+    let copies = places::without_copies(&local);
+    let name = |v: u32| numbers.point_number(change, local.points[v as usize]);
+    let links = copies.find_links(&local, name, old.recipe.cotangent_scale);
     let edit = GraphEdit {
         old,
         change,
@@ -92,7 +92,7 @@ fn surface(
         numbers: &numbers,
         gone: points.gone.clone(),
         outer: copies
-            .again()
+            .refound_vertices()
             .map(|v| change.old_from_new[local.points[v as usize] as usize])
             .filter(|&o| o != NONE)
             .collect(),
@@ -103,18 +103,18 @@ fn surface(
         nearest: Vec::new(),
     };
     let stats = old.stats.clone();
-    Ok(rows::write(&edit, stats, old.recipe.clone(), pool).0)
+    Ok(rows::write_rows(&edit, stats, old.recipe.clone(), pool).0)
 }
 
 /// Follows an edit of a mesh with interior nodes.
-fn volume(
+fn resample_volume(
     old: &GraphBefore<'_>,
     inside: &InteriorRecipe,
     change: &MeshChange,
     points: &ChangedPoints,
     exec: &Exec<'_>,
 ) -> Result<Option<ResampledGraph>, Error> {
-    let Some(mut hull) = hull::follow(old, inside, change, points, exec.pool) else {
+    let Some(mut hull) = hull::follow_hull(old, inside, change, points, exec.pool) else {
         return Ok(None);
     };
     let spread = SpreadLengths {
@@ -123,20 +123,20 @@ fn volume(
         rim: inside.depth + 1.05 * inside.interval,
     };
     let (faces, boxes) = changed_places(old, change, points, &hull);
-    let Some(mut zone) = ChangeZone::around(&faces, &boxes, inside.origin, inside.interval, &spread) else {
+    let Some(mut zone) = ChangeZone::around_changes(&faces, &boxes, inside.origin, inside.interval, &spread) else {
         // Without any change the graph is as it was; where changes lie too far apart, it is built anew.
         let none = faces.is_empty() && boxes.is_empty() && points.gone.is_empty() && points.fans.is_empty();
-        return Ok(none.then(|| unchanged(old)));
+        return Ok(none.then(|| unchanged_graph(old)));
     };
-    let found = local::find(change, points, Some(&zone), exec.pool);
+    let found = local::find_local(change, points, Some(&zone), exec.pool);
     exec.check()?;
-    let between = LocalFaces::between(old, change, points, &hull, &found);
-    let enclosed = between.columns(0, exec.pool);
-    zone.fill(&spread, |p| enclosed.contains(p));
-    let local = LocalMesh::gather(change, points, &found, Some(&zone), exec.pool);
+    let between = LocalFaces::between_hulls(old, change, points, &hull, &found);
+    let enclosed = between.sort_columns(0, exec.pool);
+    zone.mark_enclosed(&spread, |p| enclosed.contains(p));
+    let local = LocalMesh::gather_faces(change, points, &found, Some(&zone), exec.pool);
     let surface = TriangleBvh::build(&local.positions, &local.triangles, exec.pool);
-    let around = LocalFaces::around(change, &hull, &found);
-    let columns = around.columns(found.along(), exec.pool);
+    let around = LocalFaces::around_zone(change, &hull, &found);
+    let columns = around.sort_columns(found.best_axis(), exec.pool);
     let site = places::ShellSite {
         local: &local,
         surface: &surface,
@@ -145,15 +145,15 @@ fn volume(
         exec,
     };
     let unsided = std::mem::take(&mut hull.unsided);
-    places::sides(&site, &unsided, &mut hull.reach);
+    places::orient_parts(&site, &unsided, &mut hull.reach);
 
     let mut old_shell = vec![NONE; old.surface];
     let shell = old.surface as u32..(old.surface + old.stats.shell_nodes) as u32;
     shell
         .clone()
         .for_each(|s| old_shell[old.nearest_surface[s as usize] as usize] = s);
-    let mut numbers = NodeNumbers::of(old, change, points);
-    let copies = places::place(&site, old, change, &hull.reach, &old_shell, &mut numbers)?;
+    let mut numbers = NodeNumbers::from_change(old, change, points);
+    let copies = places::place_copies(&site, old, change, &hull.reach, &old_shell, &mut numbers)?;
     let edited = EditedShell {
         old,
         change,
@@ -161,12 +161,12 @@ fn volume(
         copies: &copies,
         old_shell: &old_shell,
     };
-    let followed = interior::follow(&site, inside, &edited, &mut numbers)?;
+    let followed = interior::follow_interior(&site, inside, &edited, &mut numbers)?;
     let Some(interior) = followed else {
         return Ok(None);
     };
     exec.check()?;
-    let volume = old.stats.enclosed_volume + gained(&between, inside);
+    let volume = old.stats.enclosed_volume + gained_volume(&between, inside);
     let recipe = GraphRecipe {
         inside: Some(InteriorRecipe {
             reach: hull.reach,
@@ -180,7 +180,7 @@ fn volume(
         enclosed_volume: volume.max(0.0),
         ..old.stats.clone()
     };
-    let (mut resampled, asked) = rows::write(&edit, stats, recipe, exec.pool);
+    let (mut resampled, asked) = rows::write_rows(&edit, stats, recipe, exec.pool);
     interior::spread_nearest(&mut resampled.graph, &local, asked);
     Ok(Some(resampled))
 }
@@ -199,11 +199,11 @@ fn changed_places(
     let mut faces: Vec<[DVec3; 3]> = change.removed.iter().map(|t| t.map(before)).collect();
     faces.extend(change.added.iter().map(|&t| change.triangles[t as usize].map(now)));
     for ring in &hull.new_loops {
-        let (middle, edges) = fan(ring, now);
+        let (middle, edges) = fan_over_loop(ring, now);
         faces.extend(edges.map(|[a, b]| [now(a), now(b), middle]));
     }
     for ring in &hull.lost_loops {
-        let (middle, edges) = fan(ring, before);
+        let (middle, edges) = fan_over_loop(ring, before);
         faces.extend(edges.map(|[a, b]| [before(a), before(b), middle]));
     }
     let boxes = change.moved.iter().map(|&p| {
@@ -221,7 +221,7 @@ fn changed_places(
 }
 
 /// The graph itself.
-fn unchanged(old: &GraphBefore<'_>) -> ResampledGraph {
+fn unchanged_graph(old: &GraphBefore<'_>) -> ResampledGraph {
     let all: Vec<u32> = (0..old.nodes() as u32).collect();
     ResampledGraph {
         graph: MeshGraph {
@@ -235,7 +235,7 @@ fn unchanged(old: &GraphBefore<'_>) -> ResampledGraph {
 }
 
 /// The volume that an edit adds, from the closed surface between before and after.
-fn gained(between: &LocalFaces, inside: &InteriorRecipe) -> f64 {
+fn gained_volume(between: &LocalFaces, inside: &InteriorRecipe) -> f64 {
     let turn = inside
         .reach
         .iter()
@@ -258,8 +258,8 @@ fn collect_changes<'a>(
         copies,
         old_shell,
     } = *edited;
-    let name = |v: u32| numbers.point(change, local.points[v as usize]);
-    let mut links = copies.links(local, name, old.recipe.cotangent_scale);
+    let name = |v: u32| numbers.point_number(change, local.points[v as usize]);
+    let mut links = copies.find_links(local, name, old.recipe.cotangent_scale);
     links.extend_from_slice(&interior.links);
     let mut gone = points.gone.clone();
     gone.extend(
@@ -273,7 +273,7 @@ fn collect_changes<'a>(
     gone.extend_from_slice(&interior.gone);
     gone.sort_unstable();
     let mut outer = Vec::new();
-    for v in copies.again() {
+    for v in copies.refound_vertices() {
         let o = change.old_from_new[local.points[v as usize] as usize];
         if o != NONE {
             outer.push(o);

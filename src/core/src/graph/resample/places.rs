@@ -45,9 +45,9 @@ pub(super) struct ShellSite<'a> {
 }
 
 /// Which way copies of new parts go: turns the reach of those that are wound inside out.
-pub(super) fn sides(site: &ShellSite, parts: &[Vec<u32>], reach: &mut [f32]) {
+pub(super) fn orient_parts(site: &ShellSite, parts: &[Vec<u32>], reach: &mut [f32]) {
     for part in parts {
-        let members: Vec<u32> = part.iter().filter_map(|&p| site.local.find(p)).collect();
+        let members: Vec<u32> = part.iter().filter_map(|&p| site.local.find_local(p)).collect();
         let mut votes = (0, 0);
         for v in sample(members, 1, |_| 0) {
             let local = site.local;
@@ -63,7 +63,7 @@ pub(super) fn sides(site: &ShellSite, parts: &[Vec<u32>], reach: &mut [f32]) {
 }
 
 /// Keeps copies that the edit leaves room, places the others anew.
-pub(super) fn place(
+pub(super) fn place_copies(
     site: &ShellSite,
     old: &GraphBefore<'_>,
     change: &MeshChange,
@@ -85,7 +85,7 @@ pub(super) fn place(
             return None;
         }
         let changed = local.fan_changed[v as usize];
-        if !changed && site.zone.marks(p) & NEAR == 0 {
+        if !changed && site.zone.marks_at(p) & NEAR == 0 {
             return before;
         }
         if let Some(at) = before.filter(|_| !changed) {
@@ -120,7 +120,7 @@ pub(super) fn place(
             (None, NONE) => continue,
             (None, own) => copies.lost.push(own),
             (Some(p), NONE) => {
-                copies.node[v] = numbers.shell();
+                copies.node[v] = numbers.add_shell_node();
                 copies.born.push((local.points[v], p));
             }
             (Some(p), own) => {
@@ -139,7 +139,7 @@ pub(super) fn place(
 }
 
 /// Only the surface: no vertex has a copy.
-pub(super) fn bare(local: &LocalMesh) -> ShellCopies {
+pub(super) fn without_copies(local: &LocalMesh) -> ShellCopies {
     ShellCopies {
         node: vec![NONE; local.points.len()],
         at: vec![DVec3::ZERO; local.points.len()],
@@ -152,16 +152,21 @@ pub(super) fn bare(local: &LocalMesh) -> ShellCopies {
 
 impl ShellCopies {
     /// The vertices whose edges are found again.
-    pub(super) fn again(&self) -> impl Iterator<Item = u32> + '_ {
+    pub(super) fn refound_vertices(&self) -> impl Iterator<Item = u32> + '_ {
         (0u32..).zip(&self.again).filter(|a| *a.1).map(|a| a.0)
     }
 
     /// Edges among these vertices, their neighbours and the copies of both, as [`crate::graph::assemble`] has them. `name`
     /// gives a vertex its number among nodes.
-    pub(super) fn links(&self, local: &LocalMesh, name: impl Fn(u32) -> u32, cotangent_scale: f64) -> Vec<NewEdge> {
+    pub(super) fn find_links(
+        &self,
+        local: &LocalMesh,
+        name: impl Fn(u32) -> u32,
+        cotangent_scale: f64,
+    ) -> Vec<NewEdge> {
         let mut links = Vec::new();
         let copy = |v: u32| self.node[v as usize];
-        for v in self.again() {
+        for v in self.refound_vertices() {
             if copy(v) != NONE {
                 links.push(NewEdge::new(name(v), copy(v)));
             }

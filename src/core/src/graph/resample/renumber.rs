@@ -23,7 +23,7 @@ pub(super) struct Renumbered {
 }
 
 impl Renumbered {
-    pub(super) fn of(edit: &GraphEdit, pool: &Pool) -> Self {
+    pub(super) fn from_edit(edit: &GraphEdit, pool: &Pool) -> Self {
         let old = edit.old;
         let before = [old.surface, old.surface + old.stats.shell_nodes, old.nodes()];
         let born = [edit.numbers.points, edit.numbers.shells, edit.numbers.lattice].map(|n| n as usize);

@@ -21,14 +21,14 @@ const UNTIED: u8 = 8;
 /// Carries out an edit.
 ///
 /// Also answers the numbers after it of the nodes in `edit.nearest`, in their order.
-pub(super) fn write(
+pub(super) fn write_rows(
     edit: &GraphEdit,
     mut stats: GraphStats,
     recipe: GraphRecipe,
     pool: &Pool,
 ) -> (ResampledGraph, Vec<u32>) {
     let (old, change) = (edit.old, edit.change);
-    let renumbered = Renumbered::of(edit, pool);
+    let renumbered = Renumbered::from_edit(edit, pool);
     let any = |node: u32| renumbered.of_any(edit.numbers, node);
     let fresh = fresh_rows(edit, &renumbered, pool);
     let nodes = renumbered.after[2];
@@ -71,7 +71,7 @@ pub(super) fn write(
         neighbours: &neighbours,
         pool,
     };
-    let FollowedComponents { of_node, count } = components::follow(&view, &fresh);
+    let FollowedComponents { of_node, count } = components::follow_components(&view, &fresh);
     stats.shell_nodes = renumbered.after[1] - surface;
     stats.lattice_nodes = nodes - renumbered.after[1];
     stats.component_has_volume = vec![false; count];

@@ -41,7 +41,7 @@ pub(super) struct SpreadLengths {
 impl ChangeZone {
     /// Marks the cells that `faces` and `boxes` pass through. `None` without any, or where they are too far apart for
     /// lattice cells to be numbered.
-    pub(super) fn around(
+    pub(super) fn around_changes(
         faces: &[[DVec3; 3]],
         boxes: &[BoundingBox],
         origin: DVec3,
@@ -65,10 +65,10 @@ impl ChangeZone {
         };
         for level in 0..40 {
             zone.level = level;
-            let side = zone.side();
+            let side = zone.cell_side();
             let margin = (reach / side).ceil() + 2.0;
-            let low = zone.units(bounds.min) - DVec3::splat(margin);
-            let high = zone.units(bounds.max) + DVec3::splat(margin);
+            let low = zone.cell_coordinates(bounds.min) - DVec3::splat(margin);
+            let high = zone.cell_coordinates(bounds.max) + DVec3::splat(margin);
             let extent = high.floor() - low.floor() + DVec3::ONE;
             let numbered = low.abs().max(high.abs()).max_element() < 1e15;
             let fits = (extent * 2f64.powi(level as i32)).max_element() < f64::from(1u32 << 19);
@@ -93,17 +93,17 @@ impl ChangeZone {
     }
 
     /// Side of a cell.
-    fn side(&self) -> f64 {
+    fn cell_side(&self) -> f64 {
         self.interval * 2f64.powi(self.level as i32)
     }
 
     /// A place in cells from the grid's origin.
-    fn units(&self, p: DVec3) -> DVec3 {
+    fn cell_coordinates(&self, p: DVec3) -> DVec3 {
         ((p - self.origin) / self.interval + DVec3::splat(0.25)) / 2f64.powi(self.level as i32)
     }
 
     /// The middle of a cell.
-    fn middle(&self, at: [usize; 3]) -> DVec3 {
+    fn cell_middle(&self, at: [usize; 3]) -> DVec3 {
         let unit = |axis: usize| (self.base[axis] + at[axis] as i64) as f64 + 0.5;
         let unit = DVec3::new(unit(0), unit(1), unit(2)) * 2f64.powi(self.level as i32) - DVec3::splat(0.25);
         self.origin + unit * self.interval
@@ -113,24 +113,24 @@ impl ChangeZone {
         (z * self.count[1] + y) * self.count[0] + x
     }
 
-    fn at(&self, index: usize) -> [usize; 3] {
+    fn cell_of_index(&self, index: usize) -> [usize; 3] {
         let [nx, ny, _] = self.count;
         [index % nx, index / nx % ny, index / nx / ny]
     }
 
     /// The box of all cells.
     pub(super) fn bounds(&self) -> BoundingBox {
-        let half = DVec3::splat(0.5 * self.side());
+        let half = DVec3::splat(0.5 * self.cell_side());
         let last = self.count.map(|c| c - 1);
         BoundingBox {
-            min: self.middle([0; 3]) - half,
-            max: self.middle(last) + half,
+            min: self.cell_middle([0; 3]) - half,
+            max: self.cell_middle(last) + half,
         }
     }
 
     /// The cells that a box passes through.
     fn each_in(&mut self, b: &BoundingBox, mut see: impl FnMut(&mut [u8], usize, [usize; 3])) {
-        let (low, high) = (self.units(b.min), self.units(b.max));
+        let (low, high) = (self.cell_coordinates(b.min), self.cell_coordinates(b.max));
         let cell = |unit: f64, axis: usize| {
             let at = unit.floor() - self.base[axis] as f64;
             (at.max(0.0) as usize).min(self.count[axis] - 1)
@@ -149,11 +149,11 @@ impl ChangeZone {
     fn mark_face(&mut self, face: [DVec3; 3]) {
         let bounds = BoundingBox::of(&face);
         // A face much larger than a cell misses most cells of its box.
-        if bounds.size().max_element() < 3.0 * self.side() {
+        if bounds.size().max_element() < 3.0 * self.cell_side() {
             self.each_in(&bounds, |marks, cell, _| marks[cell] |= CHANGED);
             return;
         }
-        let reach = 0.87 * self.side();
+        let reach = 0.87 * self.cell_side();
         let (origin, interval, base, scale) = (self.origin, self.interval, self.base, 2f64.powi(self.level as i32));
         self.each_in(&bounds, |marks, cell, at| {
             let unit: [f64; 3] = std::array::from_fn(|axis| (base[axis] + at[axis] as i64) as f64 + 0.5);
@@ -165,8 +165,8 @@ impl ChangeZone {
     }
 
     /// The marks of a place; 0 beyond the table.
-    pub(super) fn marks(&self, p: DVec3) -> u8 {
-        let unit = self.units(p);
+    pub(super) fn marks_at(&self, p: DVec3) -> u8 {
+        let unit = self.cell_coordinates(p);
         let mut at = [0usize; 3];
         for axis in 0..3 {
             let cell = unit[axis].floor() - self.base[axis] as f64;
@@ -179,8 +179,8 @@ impl ChangeZone {
     }
 
     /// Whether any cell that a box passes through has the mark.
-    pub(super) fn meets(&self, b: &BoundingBox, mark: u8) -> bool {
-        let (low, high) = (self.units(b.min), self.units(b.max));
+    pub(super) fn box_has_mark(&self, b: &BoundingBox, mark: u8) -> bool {
+        let (low, high) = (self.cell_coordinates(b.min), self.cell_coordinates(b.max));
         let mut ranges = [[0usize; 2]; 3];
         for axis in 0..3 {
             let first = (low[axis].floor() - self.base[axis] as f64).max(0.0);
@@ -204,7 +204,7 @@ impl ChangeZone {
     }
 
     /// Marks what changed cells enclose, as far as `enclosed` says so of a place in it, and then spreads all marks.
-    pub(super) fn fill(&mut self, spread: &SpreadLengths, enclosed: impl Fn(DVec3) -> bool) {
+    pub(super) fn mark_enclosed(&mut self, spread: &SpreadLengths, enclosed: impl Fn(DVec3) -> bool) {
         let mut seen: Vec<bool> = self.marks.iter().map(|m| m & CHANGED != 0).collect();
         let mut pocket: Vec<usize> = Vec::new();
         for first in 0..self.marks.len() {
@@ -217,7 +217,7 @@ impl ChangeZone {
             let mut next = 0;
             while let Some(&here) = pocket.get(next) {
                 next += 1;
-                let at = self.at(here);
+                let at = self.cell_of_index(here);
                 for axis in 0..3 {
                     for forward in [false, true] {
                         let mut to = at;
@@ -239,19 +239,19 @@ impl ChangeZone {
                 }
             }
             // The first pocket is the one that reaches the rim of the table; nothing is enclosed there.
-            if first > 0 && enclosed(self.middle(self.at(first))) {
+            if first > 0 && enclosed(self.cell_middle(self.cell_of_index(first))) {
                 pocket.iter().for_each(|&cell| self.marks[cell] |= CHANGED);
             }
         }
-        let steps = |length: f64| (length / self.side()).ceil().max(1.0) as usize;
+        let steps = |length: f64| (length / self.cell_side()).ceil().max(1.0) as usize;
         let [near, core, rim] = [spread.near, spread.core, spread.rim].map(steps);
-        self.widen(CHANGED, NEAR, near);
-        self.widen(CHANGED, CORE, core);
-        self.widen(CORE, RIM, rim);
+        self.spread_mark(CHANGED, NEAR, near);
+        self.spread_mark(CHANGED, CORE, core);
+        self.spread_mark(CORE, RIM, rim);
     }
 
     /// Gives the mark `to` to all cells no more than `steps` away, along each axis, from one with the mark `from`.
-    fn widen(&mut self, from: u8, to: u8, steps: usize) {
+    fn spread_mark(&mut self, from: u8, to: u8, steps: usize) {
         self.marks.iter_mut().filter(|m| **m & from != 0).for_each(|m| *m |= to);
         let stride = [1, self.count[0], self.count[0] * self.count[1]];
         let mut line: Vec<bool> = Vec::new();
@@ -295,7 +295,7 @@ impl ChangeZone {
         let side = 1i64 << self.level;
         let mut found = Vec::new();
         for (index, _) in self.marks.iter().enumerate().filter(|(_, m)| **m & mark != 0) {
-            let at = self.at(index);
+            let at = self.cell_of_index(index);
             let first: [i64; 3] = std::array::from_fn(|axis| (self.base[axis] + at[axis] as i64) * side);
             for z in 0..side {
                 for y in 0..side {

@@ -23,7 +23,7 @@ pub fn volume_apart(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Re
     }
     let mut graphs = Vec::with_capacity(parts.count);
     let mut any = false;
-    for (points, part) in split(mesh, &parts)? {
+    for (points, part) in split_parts(mesh, &parts)? {
         let inner = volume(&part, options, exec)?;
         any |= inner.is_some();
         graphs.push((points, inner.unwrap_or_else(|| surface(&part, options.weights))));
@@ -36,11 +36,11 @@ pub fn volume_apart(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Re
             surface: mesh.positions.len(),
         });
     }
-    Ok(any.then(|| union(mesh, &graphs)))
+    Ok(any.then(|| unite_graphs(mesh, &graphs)))
 }
 
 /// Each part as a mesh of its own, with the numbers that its vertices have in the whole.
-fn split(mesh: &Mesh, parts: &Components) -> Result<Vec<(Vec<u32>, Mesh)>, Error> {
+fn split_parts(mesh: &Mesh, parts: &Components) -> Result<Vec<(Vec<u32>, Mesh)>, Error> {
     let mut points = vec![Vec::new(); parts.count];
     let mut local = vec![0u32; mesh.positions.len()];
     for (v, &part) in (0u32..).zip(&parts.of_vertex) {
@@ -64,7 +64,7 @@ fn split(mesh: &Mesh, parts: &Components) -> Result<Vec<(Vec<u32>, Mesh)>, Error
 }
 
 /// One graph of all: the surfaces in the order of the mesh, then the shells, then the lattices, part after part.
-fn union(mesh: &Mesh, graphs: &[(Vec<u32>, MeshGraph)]) -> MeshGraph {
+fn unite_graphs(mesh: &Mesh, graphs: &[(Vec<u32>, MeshGraph)]) -> MeshGraph {
     let surface = mesh.positions.len();
     let shells: usize = graphs.iter().map(|(_, g)| g.stats.shell_nodes).sum();
     let (mut next_shell, mut next_lattice) = (surface as u32, (surface + shells) as u32);
@@ -123,12 +123,12 @@ fn union(mesh: &Mesh, graphs: &[(Vec<u32>, MeshGraph)]) -> MeshGraph {
             .push(numbers[g.nearest_surface[node as usize] as usize]);
         whole.component.push(part);
     }
-    whole.stats = stats(graphs);
+    whole.stats = total_stats(graphs);
     whole
 }
 
 /// Counts and volumes added up; lengths of the part with the widest lattice.
-fn stats(graphs: &[(Vec<u32>, MeshGraph)]) -> GraphStats {
+fn total_stats(graphs: &[(Vec<u32>, MeshGraph)]) -> GraphStats {
     let mut all = GraphStats::default();
     for (_, g) in graphs {
         let s = &g.stats;

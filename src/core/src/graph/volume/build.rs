@@ -150,7 +150,7 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
 
     exec.progress.report("graph", 0.2);
     let offset = options.shell_offset.unwrap_or(mean_edge);
-    let offsets = offsets(&site, options.shell_offset, mean_edge);
+    let offsets = shell_offsets(&site, options.shell_offset, mean_edge);
     let shell = shell(&site, &inward, &offsets)?;
     let shell_nodes = shell.iter().flatten().count();
     let room = room_beyond(surface + shell_nodes)?;
@@ -168,7 +168,7 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
     }
 
     exec.progress.report("graph", 0.7);
-    let (mut inner, keeps) = inner(&site, shell, &offsets, &grid, &nodes, options.valence)?;
+    let (mut inner, keeps) = interior_nodes(&site, shell, &offsets, &grid, &nodes, options.valence)?;
     if inner.positions.is_empty() {
         return Ok(None);
     }
@@ -223,7 +223,7 @@ fn check_edge_count(adjacency: &Adjacency, inner: &InteriorNodes) -> Result<(), 
 
 /// How far the copies of each part are moved: as wanted, or by the mean edge length of the mesh. Parts of a finer mesh
 /// than the rest have no room for that, and a finer shell.
-fn offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<f64> {
+fn shell_offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<f64> {
     let components = &site.parts.components;
     let Some(wanted) = wanted else {
         let mut sums = vec![(0.0f64, 0usize); components.count];
@@ -250,14 +250,14 @@ fn enclosed_volume(site: &VolumeSite) -> Result<f64, Error> {
         let measured = signed_volume(hull.bvh().positions(), hull.bvh().triangles()).abs();
         if site.parts.components.count == 1 {
             volume = measured;
-        } else if let Some(grid) = LatticeGrid::around(&mesh.bounds(), longest(mesh) / ROWS_ALONG) {
+        } else if let Some(grid) = LatticeGrid::around(&mesh.bounds(), longest_side(mesh) / ROWS_ALONG) {
             let sampled = scan::volume(site, hull.bvh(), &grid)?.unwrap_or(0.0);
             let measured_fits = sampled == 0.0 || (measured - sampled).abs() <= 0.1 * measured;
             volume = if measured_fits { measured } else { sampled };
         }
     }
     if let Some(soup) = site.large_soup() {
-        let interval = longest(mesh) / SAMPLES_ALONG;
+        let interval = longest_side(mesh) / SAMPLES_ALONG;
         let Some(grid) = LatticeGrid::around(&mesh.bounds(), interval) else {
             return Ok(volume);
         };
@@ -270,7 +270,7 @@ fn enclosed_volume(site: &VolumeSite) -> Result<f64, Error> {
 }
 
 /// The longest side of the box around a mesh.
-fn longest(mesh: &Mesh) -> f64 {
+fn longest_side(mesh: &Mesh) -> f64 {
     mesh.bounds().size().max_element()
 }
 
@@ -283,7 +283,7 @@ fn fitting_lattice(
     room: usize,
 ) -> Result<(LatticeGrid, LatticeNodes), Error> {
     let bounds = site.mesh.bounds();
-    let longest = longest(site.mesh);
+    let longest = longest_side(site.mesh);
     // Half of what the volume would hold: nodes near the surface are left out.
     let by_count = libm::cbrt(volume / room.max(1) as f64);
     let mut interval = wanted.max(longest * 1e-6).max(by_count);
@@ -368,7 +368,7 @@ fn record_interior(site: &VolumeSite, reach: &[f32], grid: &LatticeGrid, valence
 }
 
 /// Numbers shell and lattice nodes after the surface and collects their edges. With it, which parts keep their copies.
-fn inner(
+fn interior_nodes(
     site: &VolumeSite,
     mut shell: ShellNodes,
     offsets: &[f64],

@@ -20,7 +20,7 @@ pub(super) struct ChangedAttribute {
 }
 
 impl ChangedAttribute {
-    fn of(stored: &[f32], values: Vec<f32>, lanes: usize) -> Option<Self> {
+    fn where_changed(stored: &[f32], values: Vec<f32>, lanes: usize) -> Option<Self> {
         let differ = |(a, b): (&[f32], &[f32])| a.iter().zip(b).any(|(a, b)| a.to_bits() != b.to_bits());
         let changed: Vec<bool> = stored
             .chunks_exact(lanes)
@@ -38,7 +38,7 @@ impl ChangedAttribute {
     }
 
     /// Whether two attributes become the same.
-    pub(super) fn same(&self, other: &Self) -> bool {
+    pub(super) fn is_same(&self, other: &Self) -> bool {
         self.values.len() == other.values.len()
             && self
                 .values
@@ -71,10 +71,10 @@ impl DeformedAttributes {
         hasher.finish()
     }
 
-    pub(super) fn same(&self, other: &Self) -> bool {
+    pub(super) fn is_same(&self, other: &Self) -> bool {
         self.0.iter().zip(&other.0).all(|pair| match pair {
             (None, None) => true,
-            (Some(a), Some(b)) => a.same(b),
+            (Some(a), Some(b)) => a.is_same(b),
             _ => false,
         })
     }
@@ -82,7 +82,7 @@ impl DeformedAttributes {
 
 /// What every row should become at `positions`, of which there is one finite one per vertex. `fault` names the format
 /// that is written.
-pub(super) fn wanted(
+pub(super) fn wanted_attributes(
     doc: &GltfDocument<'_>,
     buffers: &mut BufferBytes,
     notes: &GltfNotes,
@@ -94,7 +94,7 @@ pub(super) fn wanted(
         .rows
         .iter()
         .map(|row| {
-            let moved = moved(&rest.positions[row.vertices.clone()], &positions[row.vertices.clone()]);
+            let moved = moved_vertices(&rest.positions[row.vertices.clone()], &positions[row.vertices.clone()]);
             if !moved.contains(&true) {
                 return Ok(DeformedAttributes::default());
             }
@@ -112,12 +112,12 @@ pub(super) fn wanted(
                 positions,
                 fault,
             }
-            .wanted(&moved)
+            .wanted_attributes(&moved)
         })
         .collect()
 }
 
-fn moved(rest: &[DVec3], now: &[DVec3]) -> Vec<bool> {
+fn moved_vertices(rest: &[DVec3], now: &[DVec3]) -> Vec<bool> {
     let bits = |p: &DVec3| p.to_array().map(f64::to_bits);
     rest.iter().zip(now).map(|(p, q)| bits(p) != bits(q)).collect()
 }
@@ -132,26 +132,26 @@ struct RowWriter<'a, 'f> {
 }
 
 impl RowWriter<'_, '_> {
-    fn wanted(&self, moved: &[bool]) -> Result<DeformedAttributes, Error> {
+    fn wanted_attributes(&self, moved: &[bool]) -> Result<DeformedAttributes, Error> {
         let Some(mesh_from_world) = invert(&self.row.world_from_mesh) else {
             return Err(self.fault.unwritable(format!(
                 "vertices under node {} have moved, but its transform flattens space and cannot be inverted",
                 self.row.node
             )));
         };
-        let position = self.position(moved, &mesh_from_world)?;
-        let normals = self.stored(ShapeAttribute::Normal)?;
-        let tangents = self.stored(ShapeAttribute::Tangent)?;
+        let position = self.position_change(moved, &mesh_from_world)?;
+        let normals = self.read_stored(ShapeAttribute::Normal)?;
+        let tangents = self.read_stored(ShapeAttribute::Tangent)?;
         if position.is_none() || (normals.is_none() && tangents.is_none()) {
             return Ok(DeformedAttributes([position, None, None]));
         }
         let gradients = self.gradients();
-        let normal = normals.and_then(|stored| self.normal(&stored, &gradients));
-        let tangent = tangents.and_then(|stored| self.tangent(&stored, &gradients, &mesh_from_world.matrix3));
+        let normal = normals.and_then(|stored| self.normal_change(&stored, &gradients));
+        let tangent = tangents.and_then(|stored| self.tangent_change(&stored, &gradients, &mesh_from_world.matrix3));
         Ok(DeformedAttributes([position, normal, tangent]))
     }
 
-    fn stored(&self, role: ShapeAttribute) -> Result<Option<Vec<f32>>, Error> {
+    fn read_stored(&self, role: ShapeAttribute) -> Result<Option<Vec<f32>>, Error> {
         let primitive = &self.doc.meshes.values[self.row.mesh].primitives[self.row.primitive];
         primitive
             .attribute(role.name())
@@ -159,8 +159,8 @@ impl RowWriter<'_, '_> {
             .transpose()
     }
 
-    fn position(&self, moved: &[bool], mesh_from_world: &DAffine3) -> Result<Option<ChangedAttribute>, Error> {
-        let Some(stored) = self.stored(ShapeAttribute::Position)? else {
+    fn position_change(&self, moved: &[bool], mesh_from_world: &DAffine3) -> Result<Option<ChangedAttribute>, Error> {
+        let Some(stored) = self.read_stored(ShapeAttribute::Position)? else {
             return Ok(None);
         };
         let mut values = stored.clone();
@@ -180,7 +180,7 @@ impl RowWriter<'_, '_> {
                 *place = in_mesh.to_array();
             }
         }
-        Ok(ChangedAttribute::of(&stored, values, 3))
+        Ok(ChangedAttribute::where_changed(&stored, values, 3))
     }
 
     /// Deformation gradients of the row's vertices, in world space.
@@ -207,7 +207,7 @@ impl RowWriter<'_, '_> {
         (rest != Vec3::ZERO).then(|| (rest, shading::carry_normal(gradient, rest)))
     }
 
-    fn normal(&self, stored: &[f32], gradients: &[Option<DMat3>]) -> Option<ChangedAttribute> {
+    fn normal_change(&self, stored: &[f32], gradients: &[Option<DMat3>]) -> Option<ChangedAttribute> {
         let mesh_from_normal = self.row.world_from_mesh.matrix3.transpose();
         let to_mesh = |n: Vec3| {
             (mesh_from_normal * n.as_dvec3())
@@ -217,7 +217,7 @@ impl RowWriter<'_, '_> {
         let mut values = stored.to_vec();
         for (i, place) in values.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             let carried = gradients[i].as_ref().and_then(|g| self.carried_normal(i, g));
-            if let Some((rest, now)) = carried.filter(|(rest, now)| differ(rest.extend(0.0), now.extend(0.0))) {
+            if let Some((rest, now)) = carried.filter(|(rest, now)| has_turned(rest.extend(0.0), now.extend(0.0))) {
                 *place = to_mesh(now).filter(|_| rest.is_finite()).unwrap_or(*place);
             }
         }
@@ -231,10 +231,10 @@ impl RowWriter<'_, '_> {
                 }
             }
         }
-        ChangedAttribute::of(stored, values, 3)
+        ChangedAttribute::where_changed(stored, values, 3)
     }
 
-    fn tangent(
+    fn tangent_change(
         &self,
         stored: &[f32],
         gradients: &[Option<DMat3>],
@@ -253,7 +253,7 @@ impl RowWriter<'_, '_> {
                 let normal = self.carried_normal(i, gradient).map_or(Vec3::ZERO, |(_, now)| now);
                 let now = shading::carry_tangent(gradient, rest, normal);
                 let in_mesh = (*mesh_from_world * now.truncate().as_dvec3()).try_normalize();
-                if let Some(t) = in_mesh.filter(|_| differ(rest, now)) {
+                if let Some(t) = in_mesh.filter(|_| has_turned(rest, now)) {
                     // The stored handedness, not the world's, which mirroring may have turned.
                     *place = t.as_vec3().extend(place[3]).to_array();
                 }
@@ -267,11 +267,11 @@ impl RowWriter<'_, '_> {
                 *place = across.unwrap_or(DVec3::X).as_vec3().extend(1.0).to_array();
             }
         }
-        ChangedAttribute::of(stored, values, 4)
+        ChangedAttribute::where_changed(stored, values, 4)
     }
 }
 
 /// Whether a direction has turned by more than rounding: a mere translation must not touch normals.
-fn differ(rest: Vec4, now: Vec4) -> bool {
+fn has_turned(rest: Vec4, now: Vec4) -> bool {
     (now - rest).abs().max_element() > 2.5e-7
 }

@@ -28,7 +28,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
         if own.triangles.is_empty() {
             continue;
         }
-        asset.add(neutral, &own)?;
+        asset.add_primitive(neutral, &own)?;
         let name = name_of(own.primitive);
         nodes.push(format!(r#"{{"mesh":{}{name}}}"#, nodes.len()));
     }
@@ -99,7 +99,7 @@ struct BuiltAsset {
 }
 
 impl BuiltAsset {
-    fn add(&mut self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Result<(), Error> {
+    fn add_primitive(&mut self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Result<(), Error> {
         let NeutralPrimitive {
             primitive,
             attributes: part,
@@ -134,28 +134,28 @@ impl BuiltAsset {
         let least = positions.iter().fold(Vec3::INFINITY, |a, &p| a.min(p)).to_array();
         let most = positions.iter().fold(Vec3::NEG_INFINITY, |a, &p| a.max(p)).to_array();
         let limits = format!(r#","min":{},"max":{}"#, json_floats(&least), json_floats(&most));
-        let position = self.floats(&floats, 3, &limits);
+        let position = self.add_floats(&floats, 3, &limits);
         let mut attributes = format!(r#""POSITION":{position}"#);
         if primitive.has_normals
             && let Some(normals) = geometry.normals.get(first..last)
         {
-            let normal = self.floats(&unit_normals(normals, geometry, first, &indices), 3, "");
+            let normal = self.add_floats(&unit_normals(normals, geometry, first, &indices), 3, "");
             attributes += &format!(r#","NORMAL":{normal}"#);
         }
         if let Some(uv) = neutral.uv.get(first..last).filter(|_| part.has_uv) {
-            let uv = self.floats(uv.as_flattened(), 2, "");
+            let uv = self.add_floats(uv.as_flattened(), 2, "");
             attributes += &format!(r#","TEXCOORD_0":{uv}"#);
         }
         if let Some(colours) = neutral.colours.get(first..last).filter(|_| part.has_colours) {
-            let colour = self.floats(colours.as_flattened(), 4, "");
+            let colour = self.add_floats(colours.as_flattened(), 4, "");
             attributes += &format!(r#","COLOR_0":{colour}"#);
         }
         let material = part
             .material
             .as_ref()
-            .map(|name| format!(r#","material":{}"#, self.material(name)));
+            .map(|name| format!(r#","material":{}"#, self.material_number(name)));
         let material = material.unwrap_or_default();
-        let indices = self.indices(&indices, count);
+        let indices = self.add_indices(&indices, count);
         let name = name_of(primitive);
         self.meshes.push(format!(
             r#"{{"primitives":[{{"attributes":{{{attributes}}},"indices":{indices},"mode":4{material}}}]{name}}}"#
@@ -163,13 +163,22 @@ impl BuiltAsset {
         Ok(())
     }
 
-    fn floats(&mut self, values: &[f32], lanes: usize, limits: &str) -> usize {
+    fn add_floats(&mut self, values: &[f32], lanes: usize, limits: &str) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1];
-        self.accessor(&bytes, 34962, values.len() / lanes.max(1), 5126, shape, limits)
+        self.add_accessor(
+            &bytes,
+            &AccessorForm {
+                target: 34962,
+                component: 5126,
+                count: values.len() / lanes.max(1),
+                shape,
+                limits,
+            },
+        )
     }
 
-    fn material(&mut self, name: &str) -> usize {
+    fn material_number(&mut self, name: &str) -> usize {
         let known = self.materials.iter().position(|n| n == name);
         known.unwrap_or_else(|| {
             self.materials.push(name.to_owned());
@@ -177,17 +186,34 @@ impl BuiltAsset {
         })
     }
 
-    fn indices(&mut self, indices: &[u32], vertices: usize) -> usize {
+    fn add_indices(&mut self, indices: &[u32], vertices: usize) -> usize {
         // The largest value of a type is the restart mark, which no index may be.
         let (bytes, component): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
             (indices.iter().flat_map(|&i| (i as u16).to_le_bytes()).collect(), 5123)
         } else {
             (indices.iter().flat_map(|i| i.to_le_bytes()).collect(), 5125)
         };
-        self.accessor(&bytes, 34963, indices.len(), component, "SCALAR", "")
+        self.add_accessor(
+            &bytes,
+            &AccessorForm {
+                target: 34963,
+                component,
+                count: indices.len(),
+                shape: "SCALAR",
+                limits: "",
+            },
+        )
     }
 
-    fn accessor(&mut self, bytes: &[u8], target: u32, count: usize, component: u32, shape: &str, more: &str) -> usize {
+    /// Adds an accessor with a buffer view of its own; returns its number.
+    fn add_accessor(&mut self, bytes: &[u8], form: &AccessorForm<'_>) -> usize {
+        let AccessorForm {
+            target,
+            component,
+            count,
+            shape,
+            limits,
+        } = form;
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         let (offset, length) = (self.bytes.len(), bytes.len());
         self.bytes.extend_from_slice(bytes);
@@ -195,11 +221,24 @@ impl BuiltAsset {
             r#"{{"buffer":0,"byteOffset":{offset},"byteLength":{length},"target":{target}}}"#
         ));
         self.accessors.push(format!(
-            r#"{{"bufferView":{},"componentType":{component},"count":{count},"type":"{shape}"{more}}}"#,
+            r#"{{"bufferView":{},"componentType":{component},"count":{count},"type":"{shape}"{limits}}}"#,
             self.views.len() - 1
         ));
         self.accessors.len() - 1
     }
+}
+
+/// What is said of the bytes of an accessor.
+struct AccessorForm<'a> {
+    /// What the buffer view is for: vertex attributes or indices.
+    target: u32,
+    /// Type of one number.
+    component: u32,
+    count: usize,
+    /// How many numbers make an element: SCALAR, VEC2, …
+    shape: &'a str,
+    /// Smallest and largest values as members of the JSON object, or nothing.
+    limits: &'a str,
 }
 
 /// Normals of unit length, as glTF demands; where one has no direction, the surface's.

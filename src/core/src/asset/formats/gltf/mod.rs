@@ -81,7 +81,7 @@ impl FormatCodec for GltfCodec {
     fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         let notes = model.notes_or_refuse(format)?;
         let (doc, mut buffers) = read::reopen(model, notes)?;
-        let wanted = deformed::wanted(
+        let wanted = deformed::wanted_attributes(
             &doc,
             &mut buffers,
             notes,
@@ -89,7 +89,7 @@ impl FormatCodec for GltfCodec {
             positions,
             fault::GltfFault(format),
         )?;
-        let plan = sharing::plan(&doc, &buffers, notes, &model.geometry, wanted);
+        let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
         package::package(&doc, &model.files, &buffers, patched, format)
     }

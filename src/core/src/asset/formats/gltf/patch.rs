@@ -37,7 +37,7 @@ pub(super) fn patch<'a>(
             patcher.overwrite(overwrite)?;
         }
         patcher.append(&plan.appends)?;
-        patcher.meshes(&plan)?;
+        patcher.patch_meshes(&plan)?;
     }
     Ok(patcher.out)
 }
@@ -53,7 +53,7 @@ struct DocumentPatcher<'d, 'a> {
 
 impl<'a> DocumentPatcher<'_, 'a> {
     /// A buffer's bytes, made our own on first use.
-    fn bytes(&mut self, buffer: usize) -> &mut Vec<u8> {
+    fn patch_bytes(&mut self, buffer: usize) -> &mut Vec<u8> {
         self.out.buffers.entry(buffer).or_insert_with(|| {
             self.stored
                 .stored
@@ -82,7 +82,7 @@ impl<'a> DocumentPatcher<'_, 'a> {
                 .malformed(format!("accessors/{accessor}"), "reaches past the end of its buffer")
         };
         let (start, stride) = ((view.offset() + described.offset()) as usize, layout.stride as usize);
-        let bytes = self.bytes(view.buffer.index());
+        let bytes = self.patch_bytes(view.buffer.index());
         let elements = channel
             .values
             .chunks_exact(role.lanes())
@@ -126,7 +126,7 @@ impl<'a> DocumentPatcher<'_, 'a> {
         let (mut views, mut accessors) = (Vec::new(), Vec::new());
         let mut new = Vec::new();
         let bytes = match target {
-            Some(buffer) => self.bytes(buffer),
+            Some(buffer) => self.patch_bytes(buffer),
             None => &mut new,
         };
         for append in appends {
@@ -177,7 +177,7 @@ impl<'a> DocumentPatcher<'_, 'a> {
     }
 
     /// Points attributes at new accessors, in place or in copies of their meshes, and nodes at the copies.
-    fn meshes(&mut self, plan: &SharingPlan) -> Result<(), Error> {
+    fn patch_meshes(&mut self, plan: &SharingPlan) -> Result<(), Error> {
         let copied: usize = plan
             .copies
             .iter()

@@ -74,7 +74,7 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
         rows: Vec::new(),
         examined: 0,
     };
-    let placements = scene::placements(&doc, &mut reader.geometry.warnings)?;
+    let placements = scene::find_placements(&doc, &mut reader.geometry.warnings)?;
     // What draws no triangles under one node draws none under any other, and must not cost anything there.
     let mut drawn: Vec<Option<Vec<usize>>> = vec![None; doc.meshes.len()];
     for placement in &placements {
@@ -83,7 +83,7 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
             primitives.unwrap_or_else(|| (0..doc.meshes.values[placement.mesh].primitives.len()).collect());
         let mut kept = Vec::with_capacity(primitives.len());
         for p in primitives {
-            if reader.add(placement, p)? {
+            if reader.add_placement(placement, p)? {
                 kept.push(p);
             }
         }
@@ -135,7 +135,7 @@ struct GltfReader<'d, 'f> {
 
 impl GltfReader<'_, '_> {
     /// Adds a primitive under a node; `false` when it has no triangles.
-    fn add(&mut self, placement: &MeshPlacement, p: usize) -> Result<bool, Error> {
+    fn add_placement(&mut self, placement: &MeshPlacement, p: usize) -> Result<bool, Error> {
         let doc = self.doc;
         let mesh = &doc.meshes.values[placement.mesh];
         let primitive = &mesh.primitives[p];
@@ -180,7 +180,7 @@ impl GltfReader<'_, '_> {
         self.buffers.decode_for(doc, &used)?;
 
         let triangles = if most > 0 {
-            self.triangles(primitive, count as usize, &place())?
+            self.read_triangles(primitive, count as usize, &place())?
         } else {
             Vec::new()
         };
@@ -188,9 +188,9 @@ impl GltfReader<'_, '_> {
             self.warn("no-triangles", "has no triangles; it is passed through", place());
             return Ok(false);
         }
-        self.positions(positions, placement, &place())?;
-        let has_normals = self.normals(primitive, placement, first_vertex, &place())?;
-        let has_tangents = self.tangents(primitive, placement, first_vertex, &place())?;
+        self.read_positions(positions, placement, &place())?;
+        let has_normals = self.read_normals(primitive, placement, first_vertex, &place())?;
+        let has_tangents = self.read_tangents(primitive, placement, first_vertex, &place())?;
 
         let first_triangle = self.geometry.triangles.len();
         let mirrored = placement.world_from_mesh.matrix3.determinant() < 0.0;
@@ -227,7 +227,12 @@ impl GltfReader<'_, '_> {
     }
 
     /// Triangles over the primitive's own vertices, every index in range.
-    fn triangles(&mut self, primitive: &MeshPrimitive, vertices: usize, place: &str) -> Result<Vec<[u32; 3]>, Error> {
+    fn read_triangles(
+        &mut self,
+        primitive: &MeshPrimitive,
+        vertices: usize,
+        place: &str,
+    ) -> Result<Vec<[u32; 3]>, Error> {
         let corners: Vec<u32> = match primitive.indices {
             Some(indices) => {
                 let corners = accessors::read_indices(self.doc, &self.buffers, indices.index())?;
@@ -249,7 +254,7 @@ impl GltfReader<'_, '_> {
         Ok(to_triangles(&corners, primitive.mode()))
     }
 
-    fn positions(&mut self, accessor: usize, placement: &MeshPlacement, place: &str) -> Result<(), Error> {
+    fn read_positions(&mut self, accessor: usize, placement: &MeshPlacement, place: &str) -> Result<(), Error> {
         let stored = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Position)?;
         if invert(&placement.world_from_mesh).is_none() {
             let message = format!(
@@ -272,7 +277,7 @@ impl GltfReader<'_, '_> {
         Ok(())
     }
 
-    fn normals(
+    fn read_normals(
         &mut self,
         primitive: &MeshPrimitive,
         placement: &MeshPlacement,
@@ -295,7 +300,7 @@ impl GltfReader<'_, '_> {
         Ok(true)
     }
 
-    fn tangents(
+    fn read_tangents(
         &mut self,
         primitive: &MeshPrimitive,
         placement: &MeshPlacement,

@@ -19,9 +19,9 @@ pub(super) type Warnings = Vec<(String, String, String)>;
 
 /// The meshes of the default scene, or of all scenes when none is named, or of all nodes when there is no scene.
 /// No recursion: a chain of nodes may be as long as the file likes.
-pub(super) fn placements(doc: &GltfDocument<'_>, warnings: &mut Warnings) -> Result<Vec<MeshPlacement>, Error> {
+pub(super) fn find_placements(doc: &GltfDocument<'_>, warnings: &mut Warnings) -> Result<Vec<MeshPlacement>, Error> {
     let nodes = &doc.nodes.values;
-    let parents = parents(doc)?;
+    let parents = find_parents(doc)?;
     let world_from_node = world_transforms(doc, &parents)?;
 
     let roots: Vec<usize> = match (doc.scene, doc.scenes.values.as_slice()) {
@@ -72,7 +72,7 @@ pub(super) fn placements(doc: &GltfDocument<'_>, warnings: &mut Warnings) -> Res
     Ok(placements)
 }
 
-fn parents(doc: &GltfDocument<'_>) -> Result<Vec<Option<usize>>, Error> {
+fn find_parents(doc: &GltfDocument<'_>) -> Result<Vec<Option<usize>>, Error> {
     let mut parents = vec![None; doc.nodes.len()];
     for (i, node) in doc.nodes.values.iter().enumerate() {
         for child in &node.children {

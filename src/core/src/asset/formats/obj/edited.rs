@@ -1,7 +1,7 @@
 //! OBJ out after edits of the topology, and what an edited OBJ gives to other formats.
 
 use super::super::text::{NumberPrecision, push_number};
-use super::parted::{CornerAttributes, TextureCoordinate, part};
+use super::parted::{CornerAttributes, TextureCoordinate, divide_corners};
 use super::read::ObjNotes;
 use super::statements::{FaceState, ObjStatements, name_in, object_numbers, read};
 use super::write::{printable, push_corner, push_line, push_numbers};
@@ -30,7 +30,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
         }
     }
     for run in edited.runs {
-        vertices(
+        write_vertices(
             &mut out,
             edited,
             run,
@@ -41,10 +41,15 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
     let mut faces = EditedFaces::default();
     for run in edited.runs.iter().filter(|r| r.triangle_count > 0) {
         if let Some(Some(statements)) = all.get(run.base as usize) {
-            faces.add(&mut out, run, part(edited, run, positions, statements), statements);
+            faces.add_run(
+                &mut out,
+                run,
+                divide_corners(edited, run, positions, statements),
+                statements,
+            );
         }
     }
-    faces.write(&mut out);
+    faces.write_faces(&mut out);
     for base in (0..edited.bases.len()).filter(|&b| all[b].is_none()) {
         foreign_base(&mut out, output, base as u32, &mut faces)?;
     }
@@ -52,7 +57,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
 }
 
 /// `v` lines, with the numbers after the coordinates blended.
-fn vertices(
+fn write_vertices(
     out: &mut Vec<u8>,
     edited: &EditedModel<'_>,
     run: &PrimitiveRun,
@@ -93,7 +98,7 @@ struct EditedFaces<'a> {
 
 impl<'a> EditedFaces<'a> {
     /// Writes the coordinates and normals of a run, and takes note of its faces.
-    fn add(
+    fn add_run(
         &mut self,
         out: &mut Vec<u8>,
         run: &PrimitiveRun,
@@ -150,7 +155,7 @@ impl<'a> EditedFaces<'a> {
         self.normals += lines.len() as u64;
     }
 
-    fn write(&mut self, out: &mut Vec<u8>) {
+    fn write_faces(&mut self, out: &mut Vec<u8>) {
         // An object that is named twice would be two objects to many readers.
         self.list.sort_by_key(|face| face.order);
         let mut last = FaceState::default();
@@ -261,7 +266,7 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
 pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions: &[DVec3]) -> Vec<SeamPart> {
     let model = edited.base(run).model;
     let statements = read(&model.files.main, &model.geometry.positions);
-    let parted = part(edited, run, positions, &statements);
+    let parted = divide_corners(edited, run, positions, &statements);
     let mut of_material: BTreeMap<Option<&[u8]>, Vec<usize>> = BTreeMap::new();
     for (i, state) in parted.states.iter().enumerate() {
         of_material.entry(state.material).or_default().push(i);

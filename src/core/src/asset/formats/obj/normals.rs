@@ -63,7 +63,7 @@ impl NormalLines {
     }
 
     /// Decides which lines change when the vertices move.
-    pub fn plan(&self, rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> NormalPlan {
+    pub fn plan_changes(&self, rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> NormalPlan {
         let gradients = shading::gradients(rest, deformed, triangles, &self.corners, self.pairs.len() + 1);
         let mut plan = NormalPlan {
             rewritten: vec![None; self.values.len()],
@@ -81,14 +81,14 @@ impl NormalLines {
                         .map_or(authored, |g| shading::carry_normal(g, authored))
                 })
                 .collect();
-            self.share(&mut plan, line, first, &carried);
+            self.share_lines(&mut plan, line, first, &carried);
             first += run.len();
         }
         plan
     }
 
     /// Gives one line's pairs, of which the first is number `first`, lines that hold their new values.
-    fn share(&self, plan: &mut NormalPlan, line: usize, first: usize, carried: &[Vec3]) {
+    fn share_lines(&self, plan: &mut NormalPlan, line: usize, first: usize, carried: &[Vec3]) {
         let authored = self.values[line];
         // The line stays as authored if anyone still uses it so.
         let kept = if carried.iter().any(|&n| is_same(n, authored)) {

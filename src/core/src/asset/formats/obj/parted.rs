@@ -1,7 +1,7 @@
 //! Texture coordinates and normals of an edited run, corner by corner.
 
 use super::corner::NO_NORMAL;
-use super::statements::{FaceState, NO_TEXTURE, ObjStatements, numbers};
+use super::statements::{FaceState, NO_TEXTURE, ObjStatements, parse_numbers};
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins, VertexBlends};
 use crate::asset::geometry::unit_or_zero;
 use crate::mesh::{NONE, shading};
@@ -36,7 +36,7 @@ pub(super) enum TextureCoordinate<'a> {
 impl TextureCoordinate<'_> {
     pub fn numbers(&self) -> Vec<f64> {
         match self {
-            Self::Old(text) => numbers(text),
+            Self::Old(text) => parse_numbers(text),
             Self::New(numbers) => numbers.clone(),
         }
     }
@@ -51,7 +51,7 @@ pub(super) struct CornerNormal<'a> {
 /// A vertex and the old lines that it is blended from, by which corners are the same.
 type CornerKey = (u32, [u32; VertexBlends::MAX_SOURCES]);
 
-fn key(vertex: u32, mix: &LineMix) -> CornerKey {
+fn corner_key(vertex: u32, mix: &LineMix) -> CornerKey {
     let mut lines = [u32::MAX; VertexBlends::MAX_SOURCES];
     lines.iter_mut().zip(mix).for_each(|(to, (line, _))| *to = *line);
     // One line alone is the same at every vertex for coordinates, but normals turn with the vertex.
@@ -59,7 +59,7 @@ fn key(vertex: u32, mix: &LineMix) -> CornerKey {
 }
 
 /// Parts a run. `statements` are its base's.
-pub(super) fn part<'a>(
+pub(super) fn divide_corners<'a>(
     edited: &EditedModel<'_>,
     run: &PrimitiveRun,
     positions: &[DVec3],
@@ -108,8 +108,8 @@ pub(super) fn part<'a>(
         if let [Some(a), Some(b), Some(c)] = textures {
             let mut number = |k: usize, mix: LineMix| {
                 let vertex = if mix.len() == 1 { NONE } else { triangle[k] };
-                *texture_numbers.entry(key(vertex, &mix)).or_insert_with(|| {
-                    parted.textures.push(texture(&mix, statements));
+                *texture_numbers.entry(corner_key(vertex, &mix)).or_insert_with(|| {
+                    parted.textures.push(blend_texture(&mix, statements));
                     parted.textures.len() as u32 - 1
                 })
             };
@@ -118,7 +118,7 @@ pub(super) fn part<'a>(
         let normals: [Option<LineMix>; 3] = std::array::from_fn(|k| mix(k, &statements.corner_normals, NO_NORMAL));
         if let [Some(a), Some(b), Some(c)] = normals {
             let mut number = |k: usize, mix: LineMix| {
-                *shade_numbers.entry(key(triangle[k], &mix)).or_insert_with(|| {
+                *shade_numbers.entry(corner_key(triangle[k], &mix)).or_insert_with(|| {
                     shades.push((triangle[k], mix));
                     shades.len() as u32 - 1
                 })
@@ -128,27 +128,24 @@ pub(super) fn part<'a>(
         }
     }
     if !shades.is_empty() {
-        parted.normals = carried(
-            edited,
-            run,
-            positions,
-            &parted.triangles,
-            &shades,
-            &mut corner_shades,
-            statements,
-        );
+        let shading = RunShading {
+            triangles: &parted.triangles,
+            shades: &shades,
+            corner_shades,
+        };
+        parted.normals = carry_normals(edited, run, positions, shading, statements);
     }
     parted
 }
 
-fn texture<'a>(mix: &LineMix, statements: &ObjStatements<'a>) -> TextureCoordinate<'a> {
+fn blend_texture<'a>(mix: &LineMix, statements: &ObjStatements<'a>) -> TextureCoordinate<'a> {
     if let [(line, _)] = mix.as_slice() {
         return TextureCoordinate::Old(statements.textures[*line as usize]);
     }
     let total: f64 = mix.iter().map(|m| m.1).sum();
     let mut sum: Vec<f64> = Vec::new();
     for &(line, weight) in mix {
-        let numbers = numbers(statements.textures[line as usize]);
+        let numbers = parse_numbers(statements.textures[line as usize]);
         sum.resize(sum.len().max(numbers.len()), 0.0);
         let finite = numbers.iter().map(|v| if v.is_finite() { *v } else { 0.0 });
         sum.iter_mut().zip(finite).for_each(|(to, v)| *to += v * weight / total);
@@ -156,16 +153,29 @@ fn texture<'a>(mix: &LineMix, statements: &ObjStatements<'a>) -> TextureCoordina
     TextureCoordinate::New(sum)
 }
 
+/// The shading vertices of a run: what has one normal.
+struct RunShading<'a> {
+    /// Triangles over the run's vertices, from 0.
+    triangles: &'a [[u32; 3]],
+    /// The vertex and the blended old normals of each shading vertex.
+    shades: &'a [(u32, LineMix)],
+    /// The shading vertex of each corner.
+    corner_shades: Vec<[u32; 3]>,
+}
+
 /// The normals of shading vertices after all edits and deformations.
-fn carried<'a>(
+fn carry_normals<'a>(
     edited: &EditedModel<'_>,
     run: &PrimitiveRun,
     positions: &[DVec3],
-    triangles: &[[u32; 3]],
-    shades: &[(u32, LineMix)],
-    corner_shades: &mut [[u32; 3]],
+    shading: RunShading<'_>,
     statements: &ObjStatements<'a>,
 ) -> Vec<CornerNormal<'a>> {
+    let RunShading {
+        triangles,
+        shades,
+        mut corner_shades,
+    } = shading;
     let none = shades.len() as u32;
     corner_shades
         .iter_mut()
@@ -173,7 +183,7 @@ fn carried<'a>(
         .for_each(|shade| *shade = (*shade).min(none));
     let now = &positions[run.vertices()];
     let before = CarriedAttributes::before(edited, run);
-    let gradients = shading::gradients(&before, now, triangles, corner_shades, shades.len() + 1);
+    let gradients = shading::gradients(&before, now, triangles, &corner_shades, shades.len() + 1);
     let smooth = shading::smooth_normals(now, triangles);
     let placing = &edited.base(run).world_from_model.matrix3;
     let world_from_normal = shading::cofactor(placing) * if placing.determinant() < 0.0 { -1.0 } else { 1.0 };

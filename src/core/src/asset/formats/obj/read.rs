@@ -46,7 +46,7 @@ fn recognise(bytes: &[u8]) -> Recognition {
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, ObjNotes), Error> {
     check_main_size(bytes)?;
     let mut reader = ObjReader::new(bytes, limits);
-    reader.statements()?;
+    reader.read_statements()?;
     reader.finish()
 }
 
@@ -79,7 +79,7 @@ struct Occurrences {
 }
 
 impl Occurrences {
-    fn note(&mut self, line: u32) {
+    fn count_on_line(&mut self, line: u32) {
         if self.count == 0 {
             self.line = line;
         }
@@ -104,11 +104,11 @@ impl<'a> ObjReader<'a> {
     }
 
     /// Reads all statements.
-    pub fn statements(&mut self) -> Result<(), Error> {
+    pub fn read_statements(&mut self) -> Result<(), Error> {
         while let Some(keyword) = self.lexer.token() {
             match self.lexer.text(keyword) {
                 b"v" => {
-                    let words = self.triple(keyword)?;
+                    let words = self.read_triple(keyword)?;
                     let mut position = DVec3::ZERO;
                     for (i, word) in words.into_iter().enumerate() {
                         position[i] = coordinate(self.lexer.text(word), NumberPrecision::Double)
@@ -118,11 +118,11 @@ impl<'a> ObjReader<'a> {
                     self.limits.check_vertices(self.positions.len() as u64)?;
                 }
                 b"vn" => {
-                    let normal = self.normal(keyword)?;
+                    let normal = self.read_normal(keyword)?;
                     self.normals.push(normal);
                 }
                 b"vt" => self.texture_count += 1,
-                b"f" => self.face(keyword)?,
+                b"f" => self.read_face(keyword)?,
                 _ => {}
             }
             self.lexer.end_line();
@@ -130,7 +130,7 @@ impl<'a> ObjReader<'a> {
         Ok(())
     }
 
-    fn triple(&mut self, keyword: TextToken) -> Result<[TextToken; 3], Error> {
+    fn read_triple(&mut self, keyword: TextToken) -> Result<[TextToken; 3], Error> {
         three_words(&mut self.lexer).map_err(|count| {
             let word = String::from_utf8_lossy(self.lexer.text(keyword)).into_owned();
             malformed(keyword.line, format!("`{word}` with {count} numbers; three are needed"))
@@ -138,8 +138,8 @@ impl<'a> ObjReader<'a> {
     }
 
     /// A normal that is no number is common in exports of degenerate faces; it is kept in the file and not used.
-    fn normal(&mut self, keyword: TextToken) -> Result<Vec3, Error> {
-        let words = self.triple(keyword)?;
+    fn read_normal(&mut self, keyword: TextToken) -> Result<Vec3, Error> {
+        let words = self.read_triple(keyword)?;
         let mut normal = DVec3::ZERO;
         for (i, word) in words.into_iter().enumerate() {
             let text = self.lexer.text(word);
@@ -152,12 +152,12 @@ impl<'a> ObjReader<'a> {
             normal[i] = number(text).ok_or_else(problem)?;
         }
         if !normal.is_finite() {
-            self.bad_normals.note(keyword.line);
+            self.bad_normals.count_on_line(keyword.line);
         }
         Ok(unit_or_zero(normal))
     }
 
-    fn face(&mut self, keyword: TextToken) -> Result<(), Error> {
+    fn read_face(&mut self, keyword: TextToken) -> Result<(), Error> {
         let first = self.faces.corners.len();
         while let Some(word) = self.lexer.token_on_line() {
             let Some(corner) = FaceCorner::parse(&self.lexer, word) else {
@@ -198,7 +198,7 @@ impl<'a> ObjReader<'a> {
             }
         }
         if self.faces.corners.len() - first < 3 {
-            self.small_faces.note(keyword.line);
+            self.small_faces.count_on_line(keyword.line);
         }
         self.faces.end_face();
         self.corner_normals.truncate(self.faces.corners.len());

@@ -63,7 +63,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> ObjStatements<'a
         corners: Vec::new(),
         face_states: Vec::new(),
     };
-    reader.statements();
+    reader.read_statements();
     reader.finish(positions)
 }
 
@@ -82,14 +82,14 @@ struct StatementReader<'a> {
 }
 
 impl<'a> StatementReader<'a> {
-    fn statements(&mut self) {
+    fn read_statements(&mut self) {
         let mut first = true;
         while let Some(keyword) = self.lexer.token() {
             if std::mem::take(&mut first) {
                 self.out.head = &self.bytes[..keyword.start];
             }
             match self.lexer.text(keyword) {
-                b"v" => self.vertex(),
+                b"v" => self.read_vertex(),
                 b"vt" => {
                     let words = self.lexer.rest_of_line();
                     self.out.textures.push(&self.bytes[words]);
@@ -97,13 +97,13 @@ impl<'a> StatementReader<'a> {
                 b"vn" => {
                     let words = self.lexer.rest_of_line();
                     let text = &self.bytes[words];
-                    let numbers = numbers(text);
+                    let numbers = parse_numbers(text);
                     let at = |i: usize| numbers.get(i).copied().unwrap_or(f64::NAN);
                     self.out
                         .normals
                         .push((text, unit_or_zero(DVec3::new(at(0), at(1), at(2)))));
                 }
-                b"f" => self.face(),
+                b"f" => self.read_face(),
                 word @ (b"o" | b"g" | b"s" | b"usemtl" | b"mtllib") => {
                     let line = &self.bytes[keyword.start..self.lexer.rest_of_line().end.max(keyword.end)];
                     match word {
@@ -120,9 +120,9 @@ impl<'a> StatementReader<'a> {
         }
     }
 
-    fn vertex(&mut self) {
+    fn read_vertex(&mut self) {
         let words = self.lexer.rest_of_line();
-        let numbers = numbers(&self.bytes[words]);
+        let numbers = parse_numbers(&self.bytes[words]);
         let more = numbers.get(3..).unwrap_or(&[]);
         if self.vertices == 0 {
             self.out.more_lanes = more.len();
@@ -134,7 +134,7 @@ impl<'a> StatementReader<'a> {
         self.vertices += 1;
     }
 
-    fn face(&mut self) {
+    fn read_face(&mut self) {
         let first = self.faces.corners.len();
         let counts = [
             self.vertices,
@@ -188,7 +188,7 @@ impl<'a> StatementReader<'a> {
 }
 
 /// The numbers of a line; words that are none end it.
-pub(super) fn numbers(text: &[u8]) -> Vec<f64> {
+pub(super) fn parse_numbers(text: &[u8]) -> Vec<f64> {
     let mut lexer = TextLexer::new(text, STYLE);
     std::iter::from_fn(|| lexer.token())
         .map_while(|t| number(&text[t.range()]))

@@ -319,7 +319,7 @@ proptest! {
 fn named_corners(text: &str) -> Vec<(u32, u32, Vec3)> {
     let limits = Limits::default();
     let mut reader = ObjReader::new(text.as_bytes(), &limits);
-    reader.statements().unwrap_or_else(|e| panic!("{e}"));
+    reader.read_statements().unwrap_or_else(|e| panic!("{e}"));
     let corner = |(&v, &n): (&u32, &u32)| (v, n, reader.normals[n as usize]);
     reader
         .faces

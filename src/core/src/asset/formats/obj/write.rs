@@ -12,10 +12,12 @@ use std::io::Write as _;
 
 /// The uploaded text with the vertices at `positions`.
 pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: &[DVec3]) -> Vec<u8> {
-    let shading = notes
-        .normals
-        .as_ref()
-        .map(|normals| (normals, normals.plan(&rest.positions, positions, &rest.triangles)));
+    let shading = notes.normals.as_ref().map(|normals| {
+        (
+            normals,
+            normals.plan_changes(&rest.positions, positions, &rest.triangles),
+        )
+    });
     let insertion = shading
         .as_ref()
         .and_then(|(normals, plan)| insertion_place(bytes, normals, plan));

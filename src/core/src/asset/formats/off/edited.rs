@@ -1,7 +1,7 @@
 //! OFF out after edits of the topology, and what an edited OFF gives to other formats.
 
 use super::super::text::{NumberPrecision, TextLexer, integer, number, push_number, push_triple};
-use super::read::{FORMAT, OffNotes, STYLE, count, header};
+use super::read::{FORMAT, OffNotes, STYLE, read_count, read_header};
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins};
 use crate::asset::neutral::RunAttributes;
 use crate::asset::{Error, Model};
@@ -28,15 +28,15 @@ fn read_attributes<'a>(model: &'a Model, notes: &OffNotes) -> Result<OffAttribut
     let bytes = &model.files.main[..];
     let mut lexer = TextLexer::new(bytes, STYLE);
     let start = lexer.at();
-    header(&mut lexer)?;
+    read_header(&mut lexer)?;
     let mut rest = OffAttributes {
         head: &bytes[start..lexer.at()],
         has_normals: notes.has_normals,
         whole: true,
         ..OffAttributes::default()
     };
-    let (vertices, _) = count(&mut lexer, "vertices")?;
-    let (faces, _) = count(&mut lexer, "faces")?;
+    let (vertices, _) = read_count(&mut lexer, "vertices")?;
+    let (faces, _) = read_count(&mut lexer, "faces")?;
     lexer.end_line();
     let mut even = true;
     for vertex in 0..vertices {
@@ -58,7 +58,7 @@ fn read_attributes<'a>(model: &'a Model, notes: &OffNotes) -> Result<OffAttribut
         (rest.more, rest.lanes) = (Vec::new(), 0);
     }
     for face in 0..faces {
-        let (corners, _) = count(&mut lexer, &format!("corners of face {face}"))?;
+        let (corners, _) = read_count(&mut lexer, &format!("corners of face {face}"))?;
         for _ in 0..corners {
             lexer.token();
         }

@@ -11,12 +11,11 @@ mod write;
 
 pub(super) use read::FORMAT;
 
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
 use glam::DVec3;
-use std::sync::Arc;
 
 /// Reads and writes OFF.
 pub(super) struct OffCodec;
@@ -27,14 +26,11 @@ impl FormatCodec for OffCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
-        let (geometry, notes) = read::read(&files.main, limits)?;
-        Ok((geometry, Arc::new(notes)))
+        read::read(&files.main, limits).map(share_notes)
     }
 
     fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
-        let notes = model.notes_or_refuse(format)?;
-        let text = write::patch(&model.files.main, notes, &model.geometry, positions);
-        Ok(WrittenFiles::single(text))
+        patch_text_file(model, positions, format, write::patch)
     }
 
     fn takes_attributes(&self) -> bool {

@@ -48,9 +48,9 @@ fn malformed(line: u32, problem: impl Into<String>) -> Error {
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes), Error> {
     check_main_size(bytes)?;
     let mut lexer = TextLexer::new(bytes, STYLE);
-    let has_normals = header(&mut lexer)?;
-    let (vertex_count, vertex_line) = count(&mut lexer, "vertices")?;
-    let (face_count, face_line) = count(&mut lexer, "faces")?;
+    let has_normals = read_header(&mut lexer)?;
+    let (vertex_count, vertex_line) = read_count(&mut lexer, "vertices")?;
+    let (face_count, face_line) = read_count(&mut lexer, "faces")?;
     lexer.end_line();
     limits.check_vertices(vertex_count)?;
     limits.check_triangles(face_count)?;
@@ -66,15 +66,15 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes)
     let mut positions = Vec::with_capacity(vertex_count as usize);
     let mut normals = Vec::with_capacity(if has_normals { vertex_count as usize } else { 0 });
     for i in 0..vertex_count {
-        positions.push(triple(&mut lexer, &format_args!("vertex {i}"))?);
+        positions.push(read_triple(&mut lexer, &format_args!("vertex {i}"))?);
         if has_normals {
-            normals.push(normal(&mut lexer, i)?);
+            normals.push(read_normal(&mut lexer, i)?);
         }
         lexer.end_line();
     }
     let mut faces = Polygons::default();
     for i in 0..face_count {
-        face(&mut lexer, i, vertex_count, &mut faces, limits)?;
+        read_face(&mut lexer, i, vertex_count, &mut faces, limits)?;
     }
     let (slots, crude) = faces.triangulate(&positions);
     let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
@@ -90,7 +90,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes)
 }
 
 /// Reads the keyword, which may be missing, and says whether vertices have normals.
-pub(super) fn header(lexer: &mut TextLexer<'_>) -> Result<bool, Error> {
+pub(super) fn read_header(lexer: &mut TextLexer<'_>) -> Result<bool, Error> {
     let mut ahead = lexer.clone();
     let Some(token) = ahead.token() else {
         return Err(malformed(lexer.line(), "the file is empty; the keyword OFF is needed"));
@@ -132,7 +132,7 @@ pub(super) fn header(lexer: &mut TextLexer<'_>) -> Result<bool, Error> {
 }
 
 /// Reads a count, and says on which line it stands.
-pub(super) fn count(lexer: &mut TextLexer<'_>, what: &str) -> Result<(u64, u32), Error> {
+pub(super) fn read_count(lexer: &mut TextLexer<'_>, what: &str) -> Result<(u64, u32), Error> {
     let Some(token) = lexer.token() else {
         return Err(malformed(
             lexer.line(),
@@ -160,7 +160,7 @@ pub(super) fn three_words(lexer: &mut TextLexer<'_>) -> Option<[TextToken; 3]> {
     Some([lexer.token()?, lexer.token()?, lexer.token()?])
 }
 
-fn triple(lexer: &mut TextLexer<'_>, what: &dyn std::fmt::Display) -> Result<DVec3, Error> {
+fn read_triple(lexer: &mut TextLexer<'_>, what: &dyn std::fmt::Display) -> Result<DVec3, Error> {
     let Some(words) = three_words(lexer) else {
         return Err(malformed(lexer.line(), format!("the file ends inside {what}")));
     };
@@ -173,7 +173,7 @@ fn triple(lexer: &mut TextLexer<'_>, what: &dyn std::fmt::Display) -> Result<DVe
 }
 
 /// A normal that is not finite is common in exports of degenerate faces; it counts as none.
-fn normal(lexer: &mut TextLexer<'_>, vertex: u64) -> Result<Vec3, Error> {
+fn read_normal(lexer: &mut TextLexer<'_>, vertex: u64) -> Result<Vec3, Error> {
     let Some(words) = three_words(lexer) else {
         return Err(malformed(
             lexer.line(),
@@ -189,14 +189,14 @@ fn normal(lexer: &mut TextLexer<'_>, vertex: u64) -> Result<Vec3, Error> {
     Ok(unit_or_zero(values))
 }
 
-fn face(
+fn read_face(
     lexer: &mut TextLexer<'_>,
     face: u64,
     vertex_count: u64,
     faces: &mut Polygons,
     limits: &Limits,
 ) -> Result<(), Error> {
-    let (corners, line) = count(lexer, &format!("corners of face {face}"))?;
+    let (corners, line) = read_count(lexer, &format!("corners of face {face}"))?;
     let left = lexer.bytes_left() as u64;
     if corners * 2 > left + 1 {
         return Err(malformed(

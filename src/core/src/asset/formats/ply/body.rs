@@ -22,7 +22,7 @@ impl<'a> PlyBody<'a> {
     }
 
     /// Offset and, in a text, line of the next number.
-    pub fn at(&self) -> (usize, u32) {
+    pub fn next_place(&self) -> (usize, u32) {
         match self {
             Self::Text(lexer) => (lexer.at(), lexer.line()),
             Self::Binary { at, .. } => (*at, 0),
@@ -46,11 +46,11 @@ impl<'a> PlyBody<'a> {
     }
 
     /// Steps over the next number and says where it stands.
-    pub fn place(&mut self, scalar: PlyScalar) -> Result<Range<usize>, Error> {
+    pub fn skip_number(&mut self, scalar: PlyScalar) -> Result<Range<usize>, Error> {
         let range = match self {
             Self::Text(lexer) => lexer.token().map(|t| t.range()),
             Self::Binary { bytes, at, .. } => {
-                let end = at.checked_add(scalar.size()).filter(|&end| end <= bytes.len());
+                let end = at.checked_add(scalar.byte_size()).filter(|&end| end <= bytes.len());
                 end.map(|end| std::mem::replace(at, end)..end)
             }
         };
@@ -58,34 +58,34 @@ impl<'a> PlyBody<'a> {
     }
 
     /// The next number; not finite only if a binary file says so.
-    pub fn number(&mut self, scalar: PlyScalar) -> Result<f64, Error> {
-        let place = self.place(scalar)?;
+    pub fn read_number(&mut self, scalar: PlyScalar) -> Result<f64, Error> {
+        let place = self.skip_number(scalar)?;
         match self {
-            Self::Text(lexer) => parse(lexer.bytes_at(place), scalar).map_err(|problem| self.malformed(problem)),
-            Self::Binary { bytes, big, .. } => Ok(decode(&bytes[place], scalar, *big)),
+            Self::Text(lexer) => parse_number(lexer.bytes_at(place), scalar).map_err(|problem| self.malformed(problem)),
+            Self::Binary { bytes, big, .. } => Ok(decode_number(&bytes[place], scalar, *big)),
         }
     }
 
     /// The next number of a normal. Exports of degenerate faces often say `nan`, which counts as no normal.
-    pub fn normal(&mut self, scalar: PlyScalar) -> Result<f64, Error> {
-        let place = self.place(scalar)?;
+    pub fn read_normal(&mut self, scalar: PlyScalar) -> Result<f64, Error> {
+        let place = self.skip_number(scalar)?;
         match self {
             Self::Text(lexer) => {
                 let word = lexer.bytes_at(place);
                 let problem = || format!("{} is not a number; a normal is needed", shown(word));
                 number(word).ok_or_else(|| self.malformed(problem()))
             }
-            Self::Binary { bytes, big, .. } => Ok(decode(&bytes[place], scalar, *big)),
+            Self::Binary { bytes, big, .. } => Ok(decode_number(&bytes[place], scalar, *big)),
         }
     }
 
     /// The count of a list, of which the items are known to fit the bytes that are left.
     pub fn list_count(&mut self, count: PlyScalar, item: PlyScalar) -> Result<u64, Error> {
-        let number = self.number(count)?;
+        let number = self.read_number(count)?;
         let least = if matches!(self, Self::Text(_)) {
             2
         } else {
-            item.size() as u64
+            item.byte_size() as u64
         };
         let left = self.bytes_left();
         if !(number >= 0.0 && number * least as f64 <= left as f64) {
@@ -96,10 +96,10 @@ impl<'a> PlyBody<'a> {
 
     pub fn skip_property(&mut self, property: &PlyProperty) -> Result<(), Error> {
         let Some(count) = property.count else {
-            return self.place(property.scalar).map(drop);
+            return self.skip_number(property.scalar).map(drop);
         };
         for _ in 0..self.list_count(count, property.scalar)? {
-            self.place(property.scalar)?;
+            self.skip_number(property.scalar)?;
         }
         Ok(())
     }
@@ -109,7 +109,7 @@ impl<'a> PlyBody<'a> {
         match self {
             // The caller has checked that they fit.
             Self::Binary { at, .. } if fixed => {
-                let row: usize = element.properties.iter().map(|p| p.scalar.size()).sum();
+                let row: usize = element.properties.iter().map(|p| p.scalar.byte_size()).sum();
                 *at += row * element.rows as usize;
             }
             _ if element.properties.is_empty() => {}
@@ -125,18 +125,18 @@ impl<'a> PlyBody<'a> {
     }
 }
 
-fn parse(word: &[u8], scalar: PlyScalar) -> Result<f64, String> {
+fn parse_number(word: &[u8], scalar: PlyScalar) -> Result<f64, String> {
     match scalar {
         PlyScalar::F32 => coordinate(word, NumberPrecision::Single),
         PlyScalar::F64 => coordinate(word, NumberPrecision::Double),
         _ => integer(word)
             .map(|i| i as f64)
-            .filter(|&i| scalar.holds(i))
+            .filter(|&i| scalar.holds_exactly(i))
             .ok_or_else(|| format!("{} does not fit the declared whole-number type", shown(word))),
     }
 }
 
-fn decode(bytes: &[u8], scalar: PlyScalar, big: bool) -> f64 {
+fn decode_number(bytes: &[u8], scalar: PlyScalar, big: bool) -> f64 {
     let mut little = [0; 8];
     for (i, &b) in bytes.iter().take(8).enumerate() {
         little[if big { bytes.len() - 1 - i } else { i }] = b;

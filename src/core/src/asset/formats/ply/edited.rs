@@ -47,17 +47,17 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
         stored: stored_types(notes, positions)?,
         out: Vec::new(),
     };
-    writer.header(&edited.bases[0].model.files.main);
+    writer.write_header(&edited.bases[0].model.files.main);
     let mut faces_written = false;
     for (e, element) in first.header.elements.iter().enumerate() {
         match element.name.as_str() {
-            "vertex" => writer.vertices()?,
+            "vertex" => writer.write_vertices()?,
             "face" | "tristrips" if !faces_written => {
                 faces_written = true;
-                writer.faces()?;
+                writer.write_faces()?;
             }
             "face" | "tristrips" | "edge" => {}
-            _ => writer.other(first.others.get(&e).copied().unwrap_or(&[])),
+            _ => writer.copy_row(first.others.get(&e).copied().unwrap_or(&[])),
         }
     }
     Ok(writer.out)
@@ -75,7 +75,7 @@ struct EditedPlyWriter<'w, 'a> {
 }
 
 impl EditedPlyWriter<'_, '_> {
-    fn header(&mut self, bytes: &[u8]) {
+    fn write_header(&mut self, bytes: &[u8]) {
         let text = &bytes[..self.first.header.body.0.min(bytes.len())];
         let newline = newline_of(bytes);
         let lines = || text.split(|b| matches!(b, b'\n' | b'\r')).map(|line| line.trim_ascii());
@@ -122,13 +122,13 @@ impl EditedPlyWriter<'_, '_> {
         push(b"end_header");
     }
 
-    fn number(&mut self, value: f64, scalar: PlyScalar, first: bool) {
+    fn write_number(&mut self, value: f64, scalar: PlyScalar, first: bool) {
         let encoding = self.first.encoding;
         if encoding == PlyEncoding::Ascii && !first {
             self.out.push(b' ');
         }
         let value = if scalar.is_integer() {
-            scalar.nearest(value)
+            scalar.nearest_value(value)
         } else {
             value
         };
@@ -141,26 +141,26 @@ impl EditedPlyWriter<'_, '_> {
         }
     }
 
-    fn list(&mut self, items: &[f64], count: PlyScalar, scalar: PlyScalar, first: bool) {
+    fn write_list(&mut self, items: &[f64], count: PlyScalar, scalar: PlyScalar, first: bool) {
         // A count that its type cannot hold was not read, so it is not here.
-        self.number(items.len() as f64, count, first);
-        items.iter().for_each(|&v| self.number(v, scalar, false));
+        self.write_number(items.len() as f64, count, first);
+        items.iter().for_each(|&v| self.write_number(v, scalar, false));
     }
 
-    fn vertices(&mut self) -> Result<(), Error> {
+    fn write_vertices(&mut self) -> Result<(), Error> {
         for run in self.edited.runs {
             let normals = match self.notes.normal {
                 Some(_) => CarriedAttributes::new(self.edited, run, self.positions).normals(),
                 None => Vec::new(),
             };
-            let columns = self.columns(run)?;
+            let columns = self.find_columns(run)?;
             for (i, vertex) in run.vertices().enumerate() {
                 for (p, property) in self.notes.vertex.properties.iter().enumerate() {
                     let scalar = self.stored[p];
                     if let Some(count) = property.count {
                         let lists = self.first.vertex_lists.get(&p).filter(|_| run.base == 0);
                         let items = lists.and_then(|l| l.get(self.edited.blend(vertex).heaviest() as usize));
-                        self.list(items.map_or(&[], Vec::as_slice), count, scalar, p == 0);
+                        self.write_list(items.map_or(&[], Vec::as_slice), count, scalar, p == 0);
                         continue;
                     }
                     let value = match self.notes.role(p) {
@@ -168,9 +168,9 @@ impl EditedPlyWriter<'_, '_> {
                         Some(VertexRole::Normal(axis)) => {
                             f64::from(normals.get(i).copied().unwrap_or(Vec3::ZERO)[axis])
                         }
-                        None => self.blended(run, vertex, i, &columns[p], scalar, &property.name),
+                        None => self.property_value(run, i, &columns[p], property, scalar),
                     };
-                    self.number(value, scalar, p == 0);
+                    self.write_number(value, scalar, p == 0);
                 }
                 self.end_row();
             }
@@ -179,7 +179,7 @@ impl EditedPlyWriter<'_, '_> {
     }
 
     /// Where each property of the first base finds its numbers in the base of a run.
-    fn columns(&self, run: &PrimitiveRun) -> Result<Vec<PropertyColumn>, Error> {
+    fn find_columns(&self, run: &PrimitiveRun) -> Result<Vec<PropertyColumn>, Error> {
         let names = &self.notes.vertex.properties;
         let Some(Some(table)) = self.tables.get(run.base as usize) else {
             let neutral = (self.output.neutral_base)(run.base)?;
@@ -199,7 +199,7 @@ impl EditedPlyWriter<'_, '_> {
         let of = |p: &PlyProperty| {
             let found = table
                 .vertex()
-                .and_then(|e| e.scalar(&p.name).map(|at| (at, e.properties[at].scalar)));
+                .and_then(|e| e.scalar_property(&p.name).map(|at| (at, e.properties[at].scalar)));
             match found {
                 Some((at, scalar)) => PropertyColumn::Stored(at, scalar),
                 None if COLOURS.iter().flatten().any(|n| *n == p.name) => PropertyColumn::Constant(1.0),
@@ -209,17 +209,21 @@ impl EditedPlyWriter<'_, '_> {
         Ok(names.iter().map(of).collect())
     }
 
-    fn blended(
+    /// The value of a property at vertex `i` of a run, written as a `scalar`.
+    fn property_value(
         &self,
         run: &PrimitiveRun,
-        vertex: usize,
         i: usize,
         column: &PropertyColumn,
+        property: &PlyProperty,
         scalar: PlyScalar,
-        name: &str,
     ) -> f64 {
-        let full = if scalar.is_integer() { scalar.most() } else { 1.0 };
-        let is_colour = COLOURS.iter().flatten().any(|n| *n == name);
+        let full = if scalar.is_integer() {
+            scalar.largest_value()
+        } else {
+            1.0
+        };
+        let is_colour = COLOURS.iter().flatten().any(|n| *n == property.name);
         match column {
             PropertyColumn::Nothing => 0.0,
             PropertyColumn::Constant(value) => value * full,
@@ -228,15 +232,16 @@ impl EditedPlyWriter<'_, '_> {
                 let Some(Some(table)) = self.tables.get(run.base as usize) else {
                     return 0.0;
                 };
+                let vertex = run.first_vertex as usize + i;
                 // Whole numbers of more than a byte are labels more often than quantities.
-                let is_label = !is_colour && stored.is_integer() && stored.size() > 1;
+                let is_label = !is_colour && stored.is_integer() && stored.byte_size() > 1;
                 let value = if is_label {
                     table.vertex_number(self.edited.blend(vertex).heaviest(), *at)
                 } else {
                     self.edited.blended(vertex, |v| table.vertex_number(v, *at))
                 };
                 let scale = match (is_colour, stored.is_integer(), scalar.is_integer()) {
-                    (true, true, false) => 1.0 / stored.most(),
+                    (true, true, false) => 1.0 / stored.largest_value(),
                     (true, false, true) => full,
                     _ => 1.0,
                 };
@@ -245,11 +250,11 @@ impl EditedPlyWriter<'_, '_> {
         }
     }
 
-    fn faces(&mut self) -> Result<(), Error> {
+    fn write_faces(&mut self) -> Result<(), Error> {
         let properties = face_properties(self.first, self.positions.len());
         let coordinates = self.first.corner_coordinates();
         let corner_list = self.first.corner_list().map(|(at, _)| at);
-        let seam = coordinates.as_ref().map(|c| identities(c)).unwrap_or_default();
+        let seam = coordinates.as_ref().map(|c| number_pairs(c)).unwrap_or_default();
         let needs_origins = properties.len() > 1;
         for run in self.edited.runs.iter().filter(|r| r.triangle_count > 0) {
             let old = &self.edited.base(run).model.geometry.triangles;
@@ -260,7 +265,7 @@ impl EditedPlyWriter<'_, '_> {
                 let row = self.first.row_of.get(origin as usize).copied().unwrap_or(NONE);
                 for (p, property) in properties.iter().enumerate() {
                     let Some(count) = property.count else {
-                        self.number(self.first.face_number(row, p), property.scalar, p == 0);
+                        self.write_number(self.first.face_number(row, p), property.scalar, p == 0);
                         continue;
                     };
                     let items: Vec<f64> = if is_indices(&property.name) {
@@ -285,7 +290,7 @@ impl EditedPlyWriter<'_, '_> {
                         let list = self.first.face_lists.get(&p).and_then(|l| l.get(row as usize));
                         list.filter(|_| whole).cloned().unwrap_or_default()
                     };
-                    self.list(&items, count, property.scalar, p == 0);
+                    self.write_list(&items, count, property.scalar, p == 0);
                 }
                 self.end_row();
             }
@@ -293,7 +298,7 @@ impl EditedPlyWriter<'_, '_> {
         Ok(())
     }
 
-    fn other(&mut self, bytes: &[u8]) {
+    fn copy_row(&mut self, bytes: &[u8]) {
         if self.first.encoding == PlyEncoding::Ascii {
             self.out.extend_from_slice(bytes.trim_ascii());
             self.end_row();
@@ -329,7 +334,7 @@ fn face_properties(first: &PlyTable<'_>, vertices: usize) -> Vec<PlyProperty> {
         }]
     });
     for property in properties.iter_mut().filter(|p| is_indices(&p.name)) {
-        if !property.scalar.holds(vertices as f64) {
+        if !property.scalar.holds_exactly(vertices as f64) {
             property.scalar = PlyScalar::U32;
         }
     }
@@ -345,7 +350,7 @@ fn property_line(property: &PlyProperty, scalar: PlyScalar) -> String {
 }
 
 /// A number for each distinct pair.
-fn identities(pairs: &[[f64; 2]]) -> Vec<u32> {
+fn number_pairs(pairs: &[[f64; 2]]) -> Vec<u32> {
     let mut known = BTreeMap::new();
     let one = |pair: &[f64; 2]| {
         let next = known.len() as u32;
@@ -364,15 +369,19 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
     let Some(vertex) = table.vertex() else {
         return Ok(Vec::new());
     };
-    let find = |names: &[&str]| -> Option<Vec<usize>> { names.iter().map(|n| vertex.scalar(n)).collect() };
+    let find = |names: &[&str]| -> Option<Vec<usize>> { names.iter().map(|n| vertex.scalar_property(n)).collect() };
     let colour = COLOURS
         .iter()
-        .find_map(|names| Some((find(&names[..3])?, vertex.scalar(names[3]))));
+        .find_map(|names| Some((find(&names[..3])?, vertex.scalar_property(names[3]))));
     let coordinates = COORDINATES.iter().find_map(|names| find(names));
     let value = |new: usize, property: usize| edited.blended(new, |v| table.vertex_number(v, property));
     let share = |new: usize, property: usize| -> f32 {
         let scalar = vertex.properties[property].scalar;
-        let full = if scalar.is_integer() { scalar.most() } else { 1.0 };
+        let full = if scalar.is_integer() {
+            scalar.largest_value()
+        } else {
+            1.0
+        };
         ((value(new, property) / full) as f32).clamp(0.0, 1.0)
     };
     let one = |run: &&PrimitiveRun| {

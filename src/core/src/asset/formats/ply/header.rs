@@ -41,7 +41,7 @@ impl PlyScalar {
     }
 
     /// Bytes in a binary body.
-    pub fn size(self) -> usize {
+    pub fn byte_size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -65,7 +65,7 @@ impl PlyScalar {
     }
 
     /// The least and the largest value of a whole-number type; without bounds for the others.
-    fn range(self) -> (f64, f64) {
+    fn value_range(self) -> (f64, f64) {
         match self {
             Self::I8 => (f64::from(i8::MIN), f64::from(i8::MAX)),
             Self::U8 => (0.0, f64::from(u8::MAX)),
@@ -78,13 +78,13 @@ impl PlyScalar {
     }
 
     /// The largest value of a whole-number type.
-    pub fn most(self) -> f64 {
-        self.range().1
+    pub fn largest_value(self) -> f64 {
+        self.value_range().1
     }
 
     /// The nearest value that a whole-number type holds.
-    pub fn nearest(self, value: f64) -> f64 {
-        let (low, high) = self.range();
+    pub fn nearest_value(self, value: f64) -> f64 {
+        let (low, high) = self.value_range();
         if value.is_nan() {
             0.0
         } else {
@@ -97,13 +97,13 @@ impl PlyScalar {
     }
 
     /// Whether the type holds the value without rounding it.
-    pub fn holds(self, value: f64) -> bool {
+    pub fn holds_exactly(self, value: f64) -> bool {
         match self {
             Self::F32 => return f64::from(value as f32).to_bits() == value.to_bits(),
             Self::F64 => return true,
             _ => {}
         }
-        let (low, high) = self.range();
+        let (low, high) = self.value_range();
         (low..=high).contains(&value) && value.fract() == 0.0
     }
 }
@@ -132,13 +132,17 @@ impl PlyElement {
     pub fn least_bytes(&self, encoding: PlyEncoding) -> u64 {
         let row: usize = match encoding {
             PlyEncoding::Ascii => self.properties.len() * 2,
-            _ => self.properties.iter().map(|p| p.count.unwrap_or(p.scalar).size()).sum(),
+            _ => self
+                .properties
+                .iter()
+                .map(|p| p.count.unwrap_or(p.scalar).byte_size())
+                .sum(),
         };
         self.rows.saturating_mul(row as u64)
     }
 
     /// The place of a single-number property.
-    pub fn scalar(&self, name: &str) -> Option<usize> {
+    pub fn scalar_property(&self, name: &str) -> Option<usize> {
         self.properties.iter().position(|p| p.name == name && p.count.is_none())
     }
 }
@@ -207,7 +211,7 @@ impl PlyHeader {
     }
 }
 
-fn word<'a>(lexer: &mut TextLexer<'a>, keyword: TextToken, needed: &str) -> Result<(TextToken, &'a [u8]), Error> {
+fn read_word<'a>(lexer: &mut TextLexer<'a>, keyword: TextToken, needed: &str) -> Result<(TextToken, &'a [u8]), Error> {
     let token = lexer
         .token_on_line()
         .ok_or_else(|| malformed(keyword.line, format!("{needed} is missing")))?;
@@ -215,7 +219,7 @@ fn word<'a>(lexer: &mut TextLexer<'a>, keyword: TextToken, needed: &str) -> Resu
 }
 
 fn read_encoding(lexer: &mut TextLexer<'_>, keyword: TextToken) -> Result<PlyEncoding, Error> {
-    match word(lexer, keyword, "the name of the format")?.1 {
+    match read_word(lexer, keyword, "the name of the format")?.1 {
         b"ascii" => Ok(PlyEncoding::Ascii),
         b"binary_little_endian" => Ok(PlyEncoding::Little),
         b"binary_big_endian" => Ok(PlyEncoding::Big),
@@ -230,8 +234,8 @@ fn read_encoding(lexer: &mut TextLexer<'_>, keyword: TextToken) -> Result<PlyEnc
 }
 
 fn read_element(lexer: &mut TextLexer<'_>, keyword: TextToken) -> Result<PlyElement, Error> {
-    let name = String::from_utf8_lossy(word(lexer, keyword, "the name of the element")?.1).into_owned();
-    let count = word(lexer, keyword, "the number of rows")?.1;
+    let name = String::from_utf8_lossy(read_word(lexer, keyword, "the name of the element")?.1).into_owned();
+    let count = read_word(lexer, keyword, "the number of rows")?.1;
     let rows = integer(count).and_then(|n| u64::try_from(n).ok()).ok_or_else(|| {
         malformed(
             keyword.line,
@@ -259,9 +263,9 @@ fn read_property(lexer: &mut TextLexer<'_>, keyword: TextToken) -> Result<PlyPro
         })?;
         Ok::<_, Error>((token, scalar))
     };
-    let first = word(lexer, keyword, "the type of the property")?;
+    let first = read_word(lexer, keyword, "the type of the property")?;
     let (count, (token, scalar)) = if first.1 == b"list" {
-        let next = word(lexer, keyword, "the type of the list's count")?;
+        let next = read_word(lexer, keyword, "the type of the list's count")?;
         let (_, count) = scalar_type(next)?;
         if !count.is_integer() {
             return Err(malformed(
@@ -269,12 +273,12 @@ fn read_property(lexer: &mut TextLexer<'_>, keyword: TextToken) -> Result<PlyPro
                 "the count of a list is not of a whole-number type",
             ));
         }
-        let next = word(lexer, keyword, "the type of the list's items")?;
+        let next = read_word(lexer, keyword, "the type of the list's items")?;
         (Some(count), scalar_type(next)?)
     } else {
         (None, scalar_type(first)?)
     };
-    let name = String::from_utf8_lossy(word(lexer, keyword, "the name of the property")?.1).into_owned();
+    let name = String::from_utf8_lossy(read_word(lexer, keyword, "the name of the property")?.1).into_owned();
     Ok(PlyProperty {
         name,
         count,

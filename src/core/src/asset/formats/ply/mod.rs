@@ -14,12 +14,11 @@ mod write;
 
 pub(super) use read::FORMAT;
 
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
 use glam::DVec3;
-use std::sync::Arc;
 
 /// Reads and writes PLY.
 pub(super) struct PlyCodec;
@@ -30,8 +29,7 @@ impl FormatCodec for PlyCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
-        let (geometry, notes) = read::read(&files.main, limits)?;
-        Ok((geometry, Arc::new(notes)))
+        read::read(&files.main, limits).map(share_notes)
     }
 
     fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {

@@ -39,7 +39,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
     let header = PlyHeader::read(bytes)?;
     let vertex = single_element(&header, "vertex")?.clone();
     limits.check_vertices(vertex.rows)?;
-    let position = ["x", "y", "z"].map(|name| vertex.scalar(name));
+    let position = ["x", "y", "z"].map(|name| vertex.scalar_property(name));
     let [Some(x), Some(y), Some(z)] = position else {
         return Err(Error::malformed(
             FORMAT,
@@ -48,7 +48,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
         ));
     };
     let is_real = |p: &usize| !vertex.properties[*p].scalar.is_integer();
-    let normal = ["nx", "ny", "nz"].map(|name| vertex.scalar(name).filter(is_real));
+    let normal = ["nx", "ny", "nz"].map(|name| vertex.scalar_property(name).filter(is_real));
     let normal = if let [Some(x), Some(y), Some(z)] = normal {
         Some([x, y, z])
     } else {
@@ -57,7 +57,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
     let mut body = PlyBody::starting_at(bytes, header.encoding, header.body);
     let mut notes = PlyNotes {
         encoding: header.encoding,
-        vertices_at: body.at(),
+        vertices_at: body.next_place(),
         vertex,
         position: [x, y, z],
         normal,
@@ -74,7 +74,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
         }
         match element.name.as_str() {
             "vertex" => {
-                notes.vertices_at = body.at();
+                notes.vertices_at = body.next_place();
                 (positions, normals) = read_vertices(&mut body, &notes)?;
             }
             "face" | "tristrips" => read_faces(&mut body, element, notes.vertex.rows, &mut faces, limits)?,
@@ -116,14 +116,14 @@ fn read_vertices(body: &mut PlyBody<'_>, notes: &PlyNotes) -> Result<(Vec<DVec3>
         for (i, property) in notes.vertex.properties.iter().enumerate() {
             match notes.role(i) {
                 Some(VertexRole::Position(axis)) => {
-                    position[axis] = body.number(property.scalar)?;
+                    position[axis] = body.read_number(property.scalar)?;
                     if !position[axis].is_finite() {
                         let seen = position[axis];
                         let problem = format!("coordinate {} of vertex {row} is {seen}, not finite", property.name);
                         return Err(body.malformed(problem));
                     }
                 }
-                Some(VertexRole::Normal(axis)) => normal[axis] = body.normal(property.scalar)?,
+                Some(VertexRole::Normal(axis)) => normal[axis] = body.read_normal(property.scalar)?,
                 None => body.skip_property(property)?,
             }
         }
@@ -162,7 +162,7 @@ fn read_faces(
                 limits.check_triangles(faces.triangle_count() + items.saturating_sub(2))?;
             }
             for _ in 0..items {
-                let index = body.number(property.scalar)?;
+                let index = body.read_number(property.scalar)?;
                 if strips && index == -1.0 {
                     strip = TriangleStrip::default();
                 } else if index < 0.0 || index >= vertex_count as f64 {

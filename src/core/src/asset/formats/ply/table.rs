@@ -70,9 +70,9 @@ pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<PlyTable<
             "face" | "tristrips" => table.read_faces(&mut body, element, &mut faces, &mut rows)?,
             "edge" => body.skip_rows(element)?,
             _ => {
-                let start = body.at().0;
+                let start = body.next_place().0;
                 body.skip_rows(element)?;
-                table.others.insert(e, &bytes[start..body.at().0]);
+                table.others.insert(e, &bytes[start..body.next_place().0]);
             }
         }
     }
@@ -103,13 +103,13 @@ fn read_row(
     let mut row = Vec::with_capacity(element.properties.len());
     for (p, property) in element.properties.iter().enumerate() {
         let Some(count) = property.count else {
-            row.push(body.normal(property.scalar)?);
+            row.push(body.read_normal(property.scalar)?);
             continue;
         };
         row.push(0.0);
         let mut items = Vec::new();
         for _ in 0..body.list_count(count, property.scalar)? {
-            items.push(body.normal(property.scalar)?);
+            items.push(body.read_normal(property.scalar)?);
         }
         match &mut indices {
             Some((at, out)) if *at == p => **out = items,

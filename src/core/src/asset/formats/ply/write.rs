@@ -39,7 +39,7 @@ pub(super) fn patch(bytes: &[u8], notes: &PlyNotes, rest: &Geometry, positions: 
                     continue;
                 }
             };
-            let place = body.place(property.scalar)?;
+            let place = body.skip_number(property.scalar)?;
             let same = match scalar {
                 PlyScalar::F32 => (old as f32).to_bits() == (new as f32).to_bits(),
                 _ => old.to_bits() == new.to_bits(),
@@ -114,7 +114,7 @@ pub(super) fn stored_types(notes: &PlyNotes, positions: &[DVec3]) -> Result<Vec<
     let mut stored: Vec<PlyScalar> = notes.vertex.properties.iter().map(|p| p.scalar).collect();
     for (axis, &property) in notes.position.iter().enumerate() {
         let scalar = &mut stored[property];
-        if scalar.is_integer() && !positions.iter().all(|p| scalar.holds(p[axis])) {
+        if scalar.is_integer() && !positions.iter().all(|p| scalar.holds_exactly(p[axis])) {
             *scalar = PlyScalar::F64;
         } else if *scalar == PlyScalar::F32
             && let Some(i) = positions.iter().position(|p| !(p[axis] as f32).is_finite())

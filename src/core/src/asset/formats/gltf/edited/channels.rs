@@ -69,25 +69,25 @@ impl<'a> AttributeBlender<'a> {
         self.run.vertices().map(|vertex| self.edited.blend(vertex))
     }
 
-    fn element<'c>(&self, channel: &'c AttributeValues, vertex: u32) -> &'c [f32] {
+    fn vertex_values<'c>(&self, channel: &'c AttributeValues, vertex: u32) -> &'c [f32] {
         // The blend was checked to lie in the primitive, and the accessor to have an element for each of its vertices.
         let first = (vertex as usize - self.first) * channel.lanes;
         channel.values.get(first..first + channel.lanes).unwrap_or(&[])
     }
 
     /// Linear in every number; what is not finite counts as zero where it would spread.
-    pub(super) fn linear(&self, channel: &AttributeValues) -> Vec<f32> {
+    pub(super) fn blend_linearly(&self, channel: &AttributeValues) -> Vec<f32> {
         let mut out = Vec::with_capacity(self.run.vertex_count as usize * channel.lanes);
         let mut sums = vec![0.0_f64; channel.lanes];
         for blend in self.blends() {
             if let VertexBlend::Vertex(vertex) = blend {
-                out.extend_from_slice(self.element(channel, vertex));
+                out.extend_from_slice(self.vertex_values(channel, vertex));
                 continue;
             }
             sums.fill(0.0);
             for (vertex, weight) in blend.iter() {
                 let finite = self
-                    .element(channel, vertex)
+                    .vertex_values(channel, vertex)
                     .iter()
                     .map(|&v| if v.is_finite() { f64::from(v) } else { 0.0 });
                 sums.iter_mut().zip(finite).for_each(|(sum, v)| *sum += v * weight);
@@ -98,14 +98,16 @@ impl<'a> AttributeBlender<'a> {
     }
 
     /// The value of the heaviest vertex, for what cannot be blended.
-    pub(super) fn nearest(&self, channel: &AttributeValues) -> Vec<f32> {
-        let elements = self.blends().flat_map(|blend| self.element(channel, blend.heaviest()));
+    pub(super) fn take_heaviest(&self, channel: &AttributeValues) -> Vec<f32> {
+        let elements = self
+            .blends()
+            .flat_map(|blend| self.vertex_values(channel, blend.heaviest()));
         elements.copied().collect()
     }
 
     /// Joints and weights of all sets of a primitive: the union of the influences, the heaviest of them scaled to a sum
     /// of 1. Vertices that the edit left alone keep theirs as they are stored.
-    pub(super) fn skin(
+    pub(super) fn blend_skin(
         &self,
         joints: &[AttributeValues],
         weights: &[AttributeValues],
@@ -120,23 +122,23 @@ impl<'a> AttributeBlender<'a> {
         for blend in self.blends() {
             if let VertexBlend::Vertex(vertex) = blend {
                 for set in 0..sets {
-                    out.0[set].extend_from_slice(self.element(&joints[set], vertex));
-                    out.1[set].extend_from_slice(self.element(&weights[set], vertex));
+                    out.0[set].extend_from_slice(self.vertex_values(&joints[set], vertex));
+                    out.1[set].extend_from_slice(self.vertex_values(&weights[set], vertex));
                 }
                 continue;
             }
             sums.clear();
             for (vertex, share) in blend.iter() {
                 for set in 0..sets {
-                    let joints = self.element(&joints[set], vertex).iter();
-                    for (&joint, &weight) in joints.zip(self.element(&weights[set], vertex)) {
+                    let joints = self.vertex_values(&joints[set], vertex).iter();
+                    for (&joint, &weight) in joints.zip(self.vertex_values(&weights[set], vertex)) {
                         if weight > 0.0 && weight.is_finite() {
                             *sums.entry(joint as u32).or_insert(0.0) += f64::from(weight) * share;
                         }
                     }
                 }
             }
-            let influences = heaviest(&sums, 4 * sets);
+            let influences = heaviest_influences(&sums, 4 * sets);
             for slot in 0..4 * sets {
                 let (joint, weight) = influences.get(slot).copied().unwrap_or((0, 0.0));
                 out.0[slot / 4].push(joint as f32);
@@ -148,7 +150,7 @@ impl<'a> AttributeBlender<'a> {
 }
 
 /// The heaviest influences, heaviest first, scaled to a sum of 1.
-fn heaviest(sums: &BTreeMap<u32, f64>, most: usize) -> Vec<(u32, f64)> {
+fn heaviest_influences(sums: &BTreeMap<u32, f64>, most: usize) -> Vec<(u32, f64)> {
     let mut list: Vec<(u32, f64)> = sums.iter().map(|(&joint, &weight)| (joint, weight)).collect();
     list.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     list.truncate(most);

@@ -3,7 +3,7 @@
 use super::super::read::{GltfNotes, reopen};
 use super::super::text::{items, value_of};
 use super::channels::{AttributeBlender, read};
-use super::kept::section;
+use super::kept::unparsed_items;
 use super::places;
 use crate::asset::Error;
 use crate::asset::edited::{EditedModel, PrimitiveRun};
@@ -20,7 +20,7 @@ pub(in super::super) fn run_attributes(
         return Ok(Vec::new());
     };
     let (doc, mut buffers) = reopen(model, notes)?;
-    let materials: Vec<Option<String>> = section(&doc, "materials").into_iter().map(name_of).collect();
+    let materials: Vec<Option<String>> = unparsed_items(&doc, "materials").into_iter().map(name_of).collect();
     let mut all = Vec::with_capacity(runs.len());
     for run in runs {
         let row = &notes.rows[run.primitive as usize];
@@ -35,12 +35,12 @@ pub(in super::super) fn run_attributes(
         if let Some(accessor) = primitive.attribute("TEXCOORD_0") {
             let channel = read(&doc, &buffers, accessor)?;
             if channel.lanes == 2 {
-                extras.uv = mixer.linear(&channel).as_chunks::<2>().0.to_vec();
+                extras.uv = mixer.blend_linearly(&channel).as_chunks::<2>().0.to_vec();
             }
         }
         if let Some(accessor) = primitive.attribute("COLOR_0") {
             let channel = read(&doc, &buffers, accessor)?;
-            let values = mixer.linear(&channel);
+            let values = mixer.blend_linearly(&channel);
             extras.colours = match channel.lanes {
                 3 => values
                     .as_chunks::<3>()

@@ -35,7 +35,7 @@ const MOST_COPIED: usize = 512 << 20;
 const OF_STORED_TRIANGLES: [&str; 2] = [DRACO, "FB_ngon_encoding"];
 
 /// Remakes the meshes. `runs` are those of the first base.
-pub(super) fn frame<'a>(
+pub(super) fn remake_meshes<'a>(
     maker: &mut PrimitiveMaker<'a, '_>,
     notes: &GltfNotes,
     runs: &[&'a PrimitiveRun],
@@ -56,7 +56,7 @@ pub(super) fn frame<'a>(
             continue;
         };
         let rows = rows_of.get(&node).map_or(&[][..], Vec::as_slice);
-        let version = version(maker, notes, mesh, rows, &runs_of)?;
+        let version = version_of_mesh(maker, notes, mesh, rows, &runs_of)?;
         if let MeshVersion::Text(text) = &version {
             copied += text.len();
         }
@@ -78,7 +78,7 @@ pub(super) fn frame<'a>(
         animations: Vec::new(),
     };
     for (mesh, nodes) in versions {
-        frame.share(doc, mesh, nodes, outside[mesh]);
+        frame.share_meshes(doc, mesh, nodes, outside[mesh]);
     }
     let gone = |node: usize| {
         frame
@@ -86,11 +86,15 @@ pub(super) fn frame<'a>(
             .get(&node)
             .is_some_and(|text| value_of(text, "mesh").is_none())
     };
-    frame.animations = doc.animations.iter().map(|text| animation(text, &gone)).collect();
+    frame.animations = doc
+        .animations
+        .iter()
+        .map(|text| animation_without(text, &gone))
+        .collect();
     Ok(frame)
 }
 
-fn version<'a>(
+fn version_of_mesh<'a>(
     maker: &mut PrimitiveMaker<'a, '_>,
     notes: &GltfNotes,
     mesh: usize,
@@ -112,7 +116,7 @@ fn version<'a>(
         as_stored &= runs.len() == 1;
         for &run in runs {
             let row = &notes.rows[row];
-            match maker.make(run, row, &row.world_from_mesh)? {
+            match maker.make_primitive(run, row, &row.world_from_mesh)? {
                 None => primitives.push(old.to_owned()),
                 Some(made) => {
                     as_stored = false;
@@ -126,7 +130,11 @@ fn version<'a>(
     } else if primitives.is_empty() {
         MeshVersion::Gone
     } else {
-        MeshVersion::Text(places::with(text, "primitives", &places::list(&primitives)))
+        MeshVersion::Text(places::with_member(
+            text,
+            "primitives",
+            &places::json_array(&primitives),
+        ))
     })
 }
 
@@ -145,22 +153,22 @@ fn primitive_text(stored: &str, made: &MadePrimitive, old_accessors: usize) -> S
     let mut text = places::without_extensions(stored, &[DRACO]);
     if let Some(indices) = &made.indices {
         text = places::without_extensions(&text, &OF_STORED_TRIANGLES);
-        text = places::with(&text, "indices", &number(indices).to_string());
+        text = places::with_member(&text, "indices", &number(indices).to_string());
         if value_of(&text, "mode").is_some() {
-            text = places::with(&text, "mode", "4");
+            text = places::with_member(&text, "mode", "4");
         }
     }
     if !made.targets.is_empty() {
         let targets: Vec<String> = made.targets.iter().map(object).collect();
-        text = places::with(&text, "targets", &places::list(&targets));
+        text = places::with_member(&text, "targets", &places::json_array(&targets));
     }
-    places::with(&text, "attributes", &object(&made.attributes))
+    places::with_member(&text, "attributes", &object(&made.attributes))
 }
 
 impl EditedMeshes {
     /// Gives the nodes of one mesh meshes to draw; equal ones share theirs. `outside`: nodes outside the scene draw the
     /// mesh too, as it is stored.
-    fn share(&mut self, doc: &GltfDocument<'_>, mesh: usize, nodes: Vec<(usize, MeshVersion)>, outside: bool) {
+    fn share_meshes(&mut self, doc: &GltfDocument<'_>, mesh: usize, nodes: Vec<(usize, MeshVersion)>, outside: bool) {
         let mut known: BTreeMap<MeshVersion, usize> = BTreeMap::new();
         let stays = outside || nodes.iter().any(|(_, version)| *version == MeshVersion::AsStored);
         if stays {
@@ -170,7 +178,7 @@ impl EditedMeshes {
         }
         for (node, version) in nodes {
             if version == MeshVersion::Gone {
-                let text = places::without(doc.nodes.items[node], &["mesh", "skin", "weights"]);
+                let text = places::without_keys(doc.nodes.items[node], &["mesh", "skin", "weights"]);
                 self.nodes.insert(node, text);
                 continue;
             }
@@ -190,15 +198,17 @@ impl EditedMeshes {
                 }
             };
             if at != mesh {
-                self.nodes
-                    .insert(node, places::with(doc.nodes.items[node], "mesh", &at.to_string()));
+                self.nodes.insert(
+                    node,
+                    places::with_member(doc.nodes.items[node], "mesh", &at.to_string()),
+                );
             }
         }
     }
 }
 
 /// An animation without what moves the morph targets of nodes that draw nothing any more.
-fn animation(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String> {
+fn animation_without(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String> {
     let channels = value_of(text, "channels")
         .and_then(|c| items(c).ok())
         .unwrap_or_default();
@@ -219,6 +229,6 @@ fn animation(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String> {
         return None;
     }
     let mut edits = JsonEdits::new(text);
-    edits.set(text, "channels", &places::list(&left));
+    edits.set(text, "channels", &places::json_array(&left));
     Some(edits.apply())
 }

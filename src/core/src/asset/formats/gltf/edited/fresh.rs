@@ -51,14 +51,20 @@ impl NewAccessors {
     }
 
     /// Adds an attribute of floats; its number among the new accessors.
-    pub(super) fn floats(&mut self, values: &[f32], lanes: usize, shape: &'static str, kind: NewAccessorKind) -> usize {
+    pub(super) fn add_floats(
+        &mut self,
+        values: &[f32],
+        lanes: usize,
+        shape: &'static str,
+        kind: NewAccessorKind,
+    ) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         let bounds = (kind == NewAccessorKind::Positions).then(|| bounds(values, lanes));
-        self.accessor(&bytes, kind, values.len() / lanes.max(1), shape, bounds)
+        self.add_accessor(&bytes, kind, values.len() / lanes.max(1), shape, bounds)
     }
 
     /// Adds a set of joints, in 8 bits where they fit.
-    pub(super) fn joints(&mut self, values: &[f32]) -> usize {
+    pub(super) fn add_joints(&mut self, values: &[f32]) -> usize {
         let small = values.iter().all(|&v| v <= 255.0);
         let bytes: Vec<u8> = if small {
             values.iter().map(|&v| v as u8).collect()
@@ -70,11 +76,11 @@ impl NewAccessors {
         } else {
             NewAccessorKind::Joints16
         };
-        self.accessor(&bytes, kind, values.len() / 4, "VEC4", None)
+        self.add_accessor(&bytes, kind, values.len() / 4, "VEC4", None)
     }
 
     /// Adds the corners of triangles over so many vertices.
-    pub(super) fn indices(&mut self, triangles: &[[u32; 3]], vertices: usize) -> usize {
+    pub(super) fn add_indices(&mut self, triangles: &[[u32; 3]], vertices: usize) -> usize {
         let corners = triangles.iter().flatten();
         // The largest value of a type is the restart mark, which no index may be.
         let (bytes, kind): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
@@ -88,15 +94,15 @@ impl NewAccessors {
                 NewAccessorKind::Indices32,
             )
         };
-        self.accessor(&bytes, kind, triangles.len() * 3, "SCALAR", None)
+        self.add_accessor(&bytes, kind, triangles.len() * 3, "SCALAR", None)
     }
 
     /// Adds bytes that are no accessor; the number of their view among the new ones.
-    pub(super) fn raw(&mut self, bytes: &[u8]) -> usize {
-        self.view(bytes, None)
+    pub(super) fn add_bytes(&mut self, bytes: &[u8]) -> usize {
+        self.add_view(bytes, None)
     }
 
-    fn view(&mut self, bytes: &[u8], target: Option<u32>) -> usize {
+    fn add_view(&mut self, bytes: &[u8], target: Option<u32>) -> usize {
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         self.views.push(NewView {
             start: self.bytes.len(),
@@ -107,7 +113,7 @@ impl NewAccessors {
         self.views.len() - 1
     }
 
-    fn accessor(
+    fn add_accessor(
         &mut self,
         bytes: &[u8],
         kind: NewAccessorKind,
@@ -134,7 +140,7 @@ impl NewAccessors {
         if let Some(&found) = self.known.get(&hash).and_then(|list| list.iter().find(same)) {
             return found;
         }
-        let view = self.view(bytes, Some(target));
+        let view = self.add_view(bytes, Some(target));
         self.accessors.push(NewAccessor {
             view,
             component,

@@ -26,7 +26,7 @@ use glam::{DAffine3, DVec3};
 use std::collections::BTreeMap;
 
 /// Joins all bases but the first. `doc` and `files` are those of the first.
-pub(super) fn joined(
+pub(super) fn join_bases(
     doc: &GltfDocument<'_>,
     files: &FileSet,
     frame: &EditedMeshes,
@@ -49,8 +49,8 @@ pub(super) fn joined(
             fault: GltfFault(output.format),
         };
         match base.model.notes::<GltfNotes>() {
-            Some(notes) => joiner.gltf(i, notes, &own, files)?,
-            None => joiner.neutral(i, &(output.neutral_base)(i as u32)?)?,
+            Some(notes) => joiner.join_gltf(i, notes, &own, files)?,
+            None => joiner.join_neutral(i, &(output.neutral_base)(i as u32)?)?,
         }
     }
     let known = doc.meshes.len() + frame.meshes.len() + joined.meshes.len();
@@ -68,7 +68,7 @@ struct BaseJoiner<'j, 'a> {
 }
 
 impl<'a> BaseJoiner<'_, 'a> {
-    fn gltf(
+    fn join_gltf(
         &mut self,
         base: usize,
         notes: &GltfNotes,
@@ -84,13 +84,19 @@ impl<'a> BaseJoiner<'_, 'a> {
             runs_of.entry((row.node, row.primitive)).or_default().push(run);
         }
         let grown = self.has_grown(base) && !notes.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
-        let node_for = |transform: &DAffine3| if grown { None } else { NodeTransform::of(transform) };
+        let node_for = |transform: &DAffine3| {
+            if grown {
+                None
+            } else {
+                NodeTransform::from_affine(transform)
+            }
+        };
         let placed = node_for(&placing);
         let root = self.add_root(&name_of(&model.files, base), placed.as_ref());
         let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
         let mut palette = MaterialCopier::new(&doc, &model.files, first, base);
         let mut children = Vec::new();
-        for placement in scene::placements(&doc, &mut Vec::new())? {
+        for placement in scene::find_placements(&doc, &mut Vec::new())? {
             let mesh = doc.meshes.items[placement.mesh];
             // What a node cannot hold is left to the vertices.
             let root_from_mesh = match placed {
@@ -116,9 +122,9 @@ impl<'a> BaseJoiner<'_, 'a> {
                         is_frame: false,
                     };
                     let row = &notes.rows[run.primitive as usize];
-                    let made = maker.make(run, row, &(world_from_root * root_from_mesh))?;
+                    let made = maker.make_primitive(run, row, &(world_from_root * root_from_mesh))?;
                     let material = match value_of(stored, "material").and_then(places::index) {
-                        Some(m) => palette.material(m, self.frame, &buffers, self.fresh, self.joined)?,
+                        Some(m) => palette.copy_material(m, self.frame, &buffers, self.fresh, self.joined)?,
                         None => None,
                     };
                     // Sheared meshes are written as they stand in the world, for which stored targets are not made.
@@ -129,7 +135,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             if primitives.is_empty() {
                 continue;
             }
-            let mut text = format!("{{\"primitives\":{}}}", places::list(&primitives));
+            let mut text = format!("{{\"primitives\":{}}}", places::json_array(&primitives));
             let keys = if here.is_some() || grown {
                 &["name", "weights", "extras"][..]
             } else {
@@ -137,16 +143,16 @@ impl<'a> BaseJoiner<'_, 'a> {
             };
             for key in keys {
                 if let Some(value) = value_of(mesh, key) {
-                    text = places::with(&text, key, value);
+                    text = places::with_member(&text, key, value);
                 }
             }
             self.joined.meshes.push(text);
             let mut node = "{}".to_owned();
             if let Some(name) = value_of(doc.nodes.items[placement.node], "name") {
-                node = places::with(&node, "name", name);
+                node = places::with_member(&node, "name", name);
             }
             if let Some(here) = &here {
-                node = here.on(node);
+                node = here.write_into_node(node);
             }
             children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)).to_string());
         }
@@ -170,7 +176,7 @@ impl<'a> BaseJoiner<'_, 'a> {
     }
 
     /// A base of another format, one mesh for each of its parts.
-    fn neutral(&mut self, base: usize, neutral: &NeutralModel) -> Result<(), Error> {
+    fn join_neutral(&mut self, base: usize, neutral: &NeutralModel) -> Result<(), Error> {
         let NeutralModel {
             geometry, uv, colours, ..
         } = neutral;
@@ -195,27 +201,30 @@ impl<'a> BaseJoiner<'_, 'a> {
             }
             add(
                 "POSITION",
-                self.fresh.floats(&positions, 3, "VEC3", NewAccessorKind::Positions),
+                self.fresh.add_floats(&positions, 3, "VEC3", NewAccessorKind::Positions),
             );
             if primitive.has_normals {
                 let values: Vec<f32> = geometry.normals[range.clone()]
                     .iter()
                     .flat_map(|n| n.to_array())
                     .collect();
-                add("NORMAL", self.fresh.floats(&values, 3, "VEC3", NewAccessorKind::Floats));
+                add(
+                    "NORMAL",
+                    self.fresh.add_floats(&values, 3, "VEC3", NewAccessorKind::Floats),
+                );
             }
             if part.has_uv {
                 add(
                     "TEXCOORD_0",
                     self.fresh
-                        .floats(uv[range.clone()].as_flattened(), 2, "VEC2", NewAccessorKind::Floats),
+                        .add_floats(uv[range.clone()].as_flattened(), 2, "VEC2", NewAccessorKind::Floats),
                 );
             }
             if part.has_colours {
                 add(
                     "COLOR_0",
                     self.fresh
-                        .floats(colours[range].as_flattened(), 4, "VEC4", NewAccessorKind::Floats),
+                        .add_floats(colours[range].as_flattened(), 4, "VEC4", NewAccessorKind::Floats),
                 );
             }
             let local: Vec<[u32; 3]> = own
@@ -224,12 +233,12 @@ impl<'a> BaseJoiner<'_, 'a> {
                 .map(|t| t.map(|v| v - primitive.first_vertex))
                 .collect();
             made.indices = Some(AccessorHandle::New(
-                self.fresh.indices(&local, primitive.vertex_count as usize),
+                self.fresh.add_indices(&local, primitive.vertex_count as usize),
             ));
             let primitives = [self.primitive_text(&made, None, false)];
             self.joined
                 .meshes
-                .push(format!("{{\"primitives\":{}}}", places::list(&primitives)));
+                .push(format!("{{\"primitives\":{}}}", places::json_array(&primitives)));
             let name = if primitive.name.is_empty() {
                 "{}".into()
             } else {
@@ -257,7 +266,7 @@ impl<'a> BaseJoiner<'_, 'a> {
         }
         if with_targets && !made.targets.is_empty() {
             let targets: Vec<String> = made.targets.iter().map(object).collect();
-            text += &format!(",\"targets\":{}", places::list(&targets));
+            text += &format!(",\"targets\":{}", places::json_array(&targets));
         }
         if let Some(material) = material {
             text += &format!(",\"material\":{material}");
@@ -267,7 +276,7 @@ impl<'a> BaseJoiner<'_, 'a> {
 
     fn add_root(&mut self, name: &str, placing: Option<&NodeTransform>) -> usize {
         let text = format!("{{\"name\":{}}}", quoted(name));
-        let text = placing.map_or(text.clone(), |p| p.on(text));
+        let text = placing.map_or(text.clone(), |p| p.write_into_node(text));
         let root = self.add_node(text, None);
         self.joined.roots.push(root);
         root
@@ -281,7 +290,7 @@ impl<'a> BaseJoiner<'_, 'a> {
     fn set_children(&mut self, root: usize, children: &[String]) {
         let at = root - self.frame.nodes.len();
         if let Some((text, _)) = self.joined.nodes.get_mut(at).filter(|_| !children.is_empty()) {
-            *text = places::with(text, "children", &places::list(children));
+            *text = places::with_member(text, "children", &places::json_array(children));
         }
     }
 }
@@ -312,7 +321,7 @@ struct NodeTransform {
 
 impl NodeTransform {
     /// `None` for a transform that shears or flattens.
-    fn of(transform: &DAffine3) -> Option<Self> {
+    fn from_affine(transform: &DAffine3) -> Option<Self> {
         let m = &transform.matrix3;
         let [x, y, z] = [
             m.x_axis.try_normalize()?,
@@ -327,7 +336,7 @@ impl NodeTransform {
         let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
         let list = |numbers: &[f64]| {
             let texts: Vec<String> = numbers.iter().map(|v| format!("{v:?}")).collect();
-            places::list(&texts)
+            places::json_array(&texts)
         };
         let text = [
             ("translation", list(&translation.to_array())),
@@ -337,12 +346,12 @@ impl NodeTransform {
         transform.is_finite().then_some(Self { transform, text })
     }
 
-    fn on(&self, node: String) -> String {
+    fn write_into_node(&self, node: String) -> String {
         if self.transform == DAffine3::IDENTITY {
             return node;
         }
         self.text
             .iter()
-            .fold(node, |node, (key, value)| places::with(&node, key, value))
+            .fold(node, |node, (key, value)| places::with_member(&node, key, value))
     }
 }

@@ -58,12 +58,12 @@ pub(super) fn may_drop(doc: &GltfDocument<'_>) -> bool {
 }
 
 /// Packs what the frame, skins, animations, nodes and images still use; `None` when some of it cannot be read.
-pub(super) fn kept(
+pub(super) fn pack_kept_data(
     doc: &GltfDocument<'_>,
     buffers: &mut BufferBytes,
     frame: &EditedMeshes,
 ) -> Result<Option<KeptData>, Error> {
-    let images = section(doc, "images");
+    let images = unparsed_items(doc, "images");
     let places = (frame.meshes.iter().flatten().map(|mesh| places::of_mesh(mesh)))
         .chain(doc.skins.iter().map(|skin| places::of_skin(skin)))
         .chain(
@@ -117,12 +117,13 @@ pub(super) fn kept(
             *stored.entry(key).or_insert_with(|| place(bytes))
         };
         let text = places::without_extensions(doc.views.items[old], &MESHOPT);
-        let text = places::with(&text, "buffer", "0");
+        let text = places::with_member(&text, "buffer", "0");
         kept.view_numbers.insert(old, kept.views.len());
-        kept.views.push(places::with(&text, "byteOffset", &start.to_string()));
+        kept.views
+            .push(places::with_member(&text, "byteOffset", &start.to_string()));
     }
     let renumber = |text| {
-        places::renumbered(
+        places::renumber_references(
             text,
             places::of_accessor,
             |_| None,
@@ -137,13 +138,13 @@ pub(super) fn kept(
 }
 
 /// The items of a section that the document does not parse.
-pub(super) fn section<'a>(doc: &GltfDocument<'a>, key: &str) -> Vec<&'a str> {
+pub(super) fn unparsed_items<'a>(doc: &GltfDocument<'a>, key: &str) -> Vec<&'a str> {
     value_of(doc.text, key).and_then(|s| items(s).ok()).unwrap_or_default()
 }
 
 /// Which extensions are used no more: compression, when everything is packed anew, and quantisation, when every
 /// attribute is stored as the core of the format has it.
-pub(super) fn unneeded(doc: &GltfDocument<'_>, meshes: &[Option<String>]) -> Vec<&'static str> {
+pub(super) fn unneeded_extensions(doc: &GltfDocument<'_>, meshes: &[Option<String>]) -> Vec<&'static str> {
     let mut unneeded = MESHOPT.to_vec();
     let parsed: Vec<GltfMesh> = meshes
         .iter()

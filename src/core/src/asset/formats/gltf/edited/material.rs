@@ -5,7 +5,7 @@ use super::super::document::GltfDocument;
 use super::super::text::quoted;
 use super::fresh::NewAccessors;
 use super::joined_bases::{JoinedBases, next_number};
-use super::kept::section;
+use super::kept::unparsed_items;
 use super::places;
 use crate::asset::{Error, FileSet};
 use serde_json::{Map, Value};
@@ -55,7 +55,7 @@ impl<'p> MaterialCopier<'p> {
     }
 
     /// The new number of a material of the base; `None` when there is none of that number.
-    pub(super) fn material(
+    pub(super) fn copy_material(
         &mut self,
         old: usize,
         frame: &GltfDocument<'_>,
@@ -72,7 +72,7 @@ impl<'p> MaterialCopier<'p> {
             fresh,
             joined,
         };
-        let new = match self.parsed("materials", old)? {
+        let new = match self.parse_item("materials", old)? {
             None => None,
             Some(mut material) => {
                 self.keep_extensions(&mut material, &mut to, |name| name.contains("_materials_"));
@@ -85,8 +85,8 @@ impl<'p> MaterialCopier<'p> {
         Ok(new)
     }
 
-    fn parsed(&self, key: &str, index: usize) -> Result<Option<Value>, Error> {
-        let Some(text) = section(self.doc, key).get(index).copied() else {
+    fn parse_item(&self, key: &str, index: usize) -> Result<Option<Value>, Error> {
+        let Some(text) = unparsed_items(self.doc, key).get(index).copied() else {
             return Ok(None);
         };
         let parsed = serde_json::from_str(text);
@@ -129,7 +129,7 @@ impl<'p> MaterialCopier<'p> {
                 continue;
             }
             let old = inner.get("index").and_then(Value::as_u64).unwrap_or(u64::MAX);
-            match self.texture(usize::try_from(old).unwrap_or(usize::MAX), to)? {
+            match self.copy_texture(usize::try_from(old).unwrap_or(usize::MAX), to)? {
                 Some(new) => inner["index"] = new.into(),
                 None => lost.push(key.clone()),
             }
@@ -141,11 +141,11 @@ impl<'p> MaterialCopier<'p> {
         Ok(())
     }
 
-    fn texture(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+    fn copy_texture(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
         if let Some(new) = self.textures.get(&old) {
             return Ok(*new);
         }
-        let new = match self.parsed("textures", old)? {
+        let new = match self.parse_item("textures", old)? {
             None => None,
             Some(mut texture) => {
                 self.keep_extensions(&mut texture, to, |name| OTHER_IMAGE.contains(&name));
@@ -157,8 +157,8 @@ impl<'p> MaterialCopier<'p> {
                             self.renumber_image(inner, to)?;
                         }
                     }
-                    if let Some(sampler) = number(texture, "sampler") {
-                        match self.sampler(sampler, to)? {
+                    if let Some(sampler) = index_member(texture, "sampler") {
+                        match self.copy_sampler(sampler, to)? {
                             Some(new) => drop(texture.insert("sampler".into(), new.into())),
                             None => drop(texture.shift_remove("sampler")),
                         }
@@ -173,8 +173,8 @@ impl<'p> MaterialCopier<'p> {
     }
 
     fn renumber_image(&mut self, object: &mut Map<String, Value>, to: &mut CopyTarget<'_, '_>) -> Result<(), Error> {
-        if let Some(source) = number(object, "source") {
-            match self.image(source, to)? {
+        if let Some(source) = index_member(object, "source") {
+            match self.copy_image(source, to)? {
                 Some(new) => drop(object.insert("source".into(), new.into())),
                 None => drop(object.shift_remove("source")),
             }
@@ -182,11 +182,11 @@ impl<'p> MaterialCopier<'p> {
         Ok(())
     }
 
-    fn sampler(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+    fn copy_sampler(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
         if let Some(new) = self.samplers.get(&old) {
             return Ok(*new);
         }
-        let new = section(self.doc, "samplers").get(old).map(|text| {
+        let new = unparsed_items(self.doc, "samplers").get(old).map(|text| {
             to.joined.samplers.push((*text).to_owned());
             next_number(to.frame, "samplers", to.joined.samplers.len() - 1)
         });
@@ -194,19 +194,20 @@ impl<'p> MaterialCopier<'p> {
         Ok(new)
     }
 
-    fn image(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+    fn copy_image(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
         if let Some(new) = self.images.get(&old) {
             return Ok(*new);
         }
-        let new = match self.parsed("images", old)? {
+        let new = match self.parse_item("images", old)? {
             None => None,
             Some(image) => {
-                let mut text = places::without(section(self.doc, "images")[old], &["bufferView", "extensions"]);
+                let mut text =
+                    places::without_keys(unparsed_items(self.doc, "images")[old], &["bufferView", "extensions"]);
                 let mut view = None;
-                if let Some(stored) = image.as_object().and_then(|i| number(i, "bufferView")) {
-                    view = Some(to.fresh.raw(to.buffers.view(self.doc, stored)?));
+                if let Some(stored) = image.as_object().and_then(|i| index_member(i, "bufferView")) {
+                    view = Some(to.fresh.add_bytes(to.buffers.view(self.doc, stored)?));
                 } else if let Some(uri) = image["uri"].as_str() {
-                    text = places::with(&text, "uri", &quoted(&self.companion(uri, to)));
+                    text = places::with_member(&text, "uri", &quoted(&self.free_companion_uri(uri, to)));
                 }
                 to.joined.images.push((text, view));
                 Some(next_number(to.frame, "images", to.joined.images.len() - 1))
@@ -217,7 +218,7 @@ impl<'p> MaterialCopier<'p> {
     }
 
     /// The URI under which a companion image comes along: its own, unless another file has that name.
-    fn companion(&self, uri: &str, to: &mut CopyTarget<'_, '_>) -> String {
+    fn free_companion_uri(&self, uri: &str, to: &mut CopyTarget<'_, '_>) -> String {
         let name = percent_encoding::percent_decode_str(uri)
             .decode_utf8_lossy()
             .into_owned();
@@ -236,22 +237,22 @@ impl<'p> MaterialCopier<'p> {
             (String::new(), name)
         } else {
             let prefix = format!("merged-{}-", self.base);
-            (prefix.clone(), renamed(&prefix, &name))
+            (prefix.clone(), prefix_file_name(&prefix, &name))
         };
         to.joined.companions.insert(name, bytes.to_vec());
-        renamed(&prefix, uri)
+        prefix_file_name(&prefix, uri)
     }
 }
 
 /// The path with a prefix before the name of its file.
-fn renamed(prefix: &str, path: &str) -> String {
+fn prefix_file_name(prefix: &str, path: &str) -> String {
     match path.rsplit_once('/') {
         Some((folder, name)) => format!("{folder}/{prefix}{name}"),
         None => format!("{prefix}{path}"),
     }
 }
 
-fn number(object: &Map<String, Value>, key: &str) -> Option<usize> {
+fn index_member(object: &Map<String, Value>, key: &str) -> Option<usize> {
     object
         .get(key)
         .and_then(Value::as_u64)

@@ -59,8 +59,8 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         fault,
         is_frame: true,
     };
-    let frame = frame::frame(&mut maker, notes, &own)?;
-    let joined = joined::joined(&doc, &model.files, &frame, output, &mut fresh)?;
+    let frame = frame::remake_meshes(&mut maker, notes, &own)?;
+    let joined = joined::join_bases(&doc, &model.files, &frame, output, &mut fresh)?;
     let mut writer = EditedGltfWriter {
         doc: &doc,
         files: &model.files,
@@ -70,11 +70,11 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         fault,
     };
     if kept::may_drop(&doc)
-        && let Some(kept) = kept::kept(&doc, &mut buffers, &writer.frame)?
+        && let Some(kept) = kept::pack_kept_data(&doc, &mut buffers, &writer.frame)?
     {
-        return writer.packed(kept, &buffers);
+        return writer.write_packed(kept, &buffers);
     }
-    writer.added(&buffers)
+    writer.write_appended(&buffers)
 }
 
 struct EditedGltfWriter<'a> {
@@ -88,17 +88,18 @@ struct EditedGltfWriter<'a> {
 
 impl EditedGltfWriter<'_> {
     /// The document with all of its data packed into one buffer.
-    fn packed(&mut self, kept: KeptData, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
+    fn write_packed(&mut self, kept: KeptData, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
-        let unneeded = kept::unneeded(doc, &self.frame.meshes);
+        let unneeded = kept::unneeded_extensions(doc, &self.frame.meshes);
         let old = doc.accessors.len();
         let new_accessor = |a: usize| match a.checked_sub(old) {
             Some(fresh) => Some(kept.accessors.len() + fresh),
             None => kept.accessor_numbers.get(&a).copied(),
         };
         let new_view = |v: usize| kept.view_numbers.get(&v).copied();
-        let renumber =
-            |text: &str, of: fn(&str) -> places::References<'_>| places::renumbered(text, of, new_accessor, new_view);
+        let renumber = |text: &str, of: fn(&str) -> places::References<'_>| {
+            places::renumber_references(text, of, new_accessor, new_view)
+        };
 
         // Meshes that nothing draws any more go, so the others move up.
         let mut meshes = Vec::new();
@@ -117,29 +118,29 @@ impl EditedGltfWriter<'_> {
             let text = renumber(text, places::of_node);
             let mesh = super::text::value_of(&text, "mesh").and_then(places::index);
             nodes.push(match mesh.and_then(|m| mesh_numbers.get(m).copied().flatten()) {
-                Some(new) if Some(new) != mesh => places::with(&text, "mesh", &new.to_string()),
+                Some(new) if Some(new) != mesh => places::with_member(&text, "mesh", &new.to_string()),
                 _ => text,
             });
         }
         nodes.extend(self.joined.node_texts(first_joined));
 
         let mut sections = JsonSections::new();
-        sections.insert("meshes", Some(places::list(&meshes)));
-        sections.insert("nodes", Some(places::list(&nodes)));
+        sections.insert("meshes", Some(places::json_array(&meshes)));
+        sections.insert("nodes", Some(places::json_array(&nodes)));
         let skins: Vec<String> = doc.skins.iter().map(|text| renumber(text, places::of_skin)).collect();
         let animations = self.frame.animations.iter().flatten();
         let animations: Vec<String> = animations.map(|text| renumber(text, places::of_animation)).collect();
         for (key, list) in [("skins", skins), ("animations", animations)] {
-            sections.insert(key, (!list.is_empty()).then(|| places::list(&list)));
+            sections.insert(key, (!list.is_empty()).then(|| places::json_array(&list)));
         }
-        let mut images: Vec<String> = kept::section(doc, "images")
+        let mut images: Vec<String> = kept::unparsed_items(doc, "images")
             .into_iter()
             .map(|text| renumber(text, places::of_image))
             .collect();
         images.extend(self.joined.image_texts(kept.views.len()));
-        sections.insert("images", (!images.is_empty()).then(|| places::list(&images)));
+        sections.insert("images", (!images.is_empty()).then(|| places::json_array(&images)));
         self.joined_sections(&mut sections);
-        self.extensions(&mut sections, &unneeded);
+        self.set_extensions(&mut sections, &unneeded);
 
         let KeptData {
             mut bytes,
@@ -152,13 +153,13 @@ impl EditedGltfWriter<'_> {
         accessors.extend(self.fresh.accessor_texts(views.len()));
         views.extend(self.fresh.view_texts(0, bytes.len()));
         bytes.extend_from_slice(self.fresh.bytes());
-        sections.insert("accessors", Some(places::list(&accessors)));
-        sections.insert("bufferViews", Some(places::list(&views)));
-        self.package(sections, bytes, buffers)
+        sections.insert("accessors", Some(places::json_array(&accessors)));
+        sections.insert("bufferViews", Some(places::json_array(&views)));
+        self.package_files(sections, bytes, buffers)
     }
 
     /// Puts the files together around one buffer.
-    fn package(
+    fn package_files(
         &self,
         mut sections: JsonSections,
         bytes: Vec<u8>,
@@ -179,19 +180,19 @@ impl EditedGltfWriter<'_> {
         companions.extend(self.joined.companions.clone());
         let stored = doc.buffers.items.first().copied().unwrap_or("{}");
         let mut buffer = places::without_extensions(stored, &["EXT_meshopt_compression", "KHR_meshopt_compression"]);
-        buffer = places::with(&buffer, "byteLength", &bytes.len().to_string());
+        buffer = places::with_member(&buffer, "byteLength", &bytes.len().to_string());
         let is_glb = self.fault.0 == GLB_FORMAT;
         let companion = match buffers.stored.first().map(|s| &s.origin) {
             Some(BufferOrigin::Companion(name)) if !is_glb && buffers.is_exclusive(0) => Some(name.clone()),
             _ => None,
         };
         if is_glb {
-            buffer = places::without(&buffer, &["uri"]);
+            buffer = places::without_keys(&buffer, &["uri"]);
         } else if companion.is_none() {
-            buffer = places::with(&buffer, "uri", &quoted(&uri::embed(&bytes)));
+            buffer = places::with_member(&buffer, "uri", &quoted(&uri::embed(&bytes)));
         }
-        sections.insert("buffers", Some(places::list(&[buffer])));
-        let json = rebuilt(doc.text, sections);
+        sections.insert("buffers", Some(places::json_array(&[buffer])));
+        let json = replace_members(doc.text, sections);
         let main = if is_glb {
             let rest = doc.container.as_ref().map_or(&[][..], |c| c.rest);
             container::join(&json, Some(&bytes), rest, self.fault)?
@@ -205,7 +206,7 @@ impl EditedGltfWriter<'_> {
     }
 
     /// The document with all of its old data where it was, and new data behind it.
-    fn added(&mut self, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
+    fn write_appended(&mut self, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
         let takes_more = |i: &usize| {
             buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
@@ -221,7 +222,7 @@ impl EditedGltfWriter<'_> {
         let accessor_texts = self.fresh.accessor_texts(doc.views.len());
         bytes.extend_from_slice(self.fresh.bytes());
 
-        let whole = |list: Vec<String>| (!list.is_empty()).then(|| places::list(&list));
+        let whole = |list: Vec<String>| (!list.is_empty()).then(|| places::json_array(&list));
         let mut sections = JsonSections::new();
         let mut meshes: Vec<String> = Vec::new();
         for (i, mesh) in self.frame.meshes.iter().enumerate() {
@@ -244,12 +245,13 @@ impl EditedGltfWriter<'_> {
                 whole(self.frame.animations.iter().flatten().cloned().collect()),
             );
         }
-        let old = |key: &str| -> Vec<String> { kept::section(doc, key).into_iter().map(str::to_owned).collect() };
+        let old =
+            |key: &str| -> Vec<String> { kept::unparsed_items(doc, key).into_iter().map(str::to_owned).collect() };
         let mut images = old("images");
         images.extend(self.joined.image_texts(doc.views.len()));
         sections.insert("images", whole(images));
         self.joined_sections(&mut sections);
-        self.extensions(&mut sections, &[]);
+        self.set_extensions(&mut sections, &[]);
         for (key, mut list, more) in [
             ("bufferViews", old("bufferViews"), view_texts),
             ("accessors", old("accessors"), accessor_texts),
@@ -293,9 +295,12 @@ impl EditedGltfWriter<'_> {
             ("samplers", &self.joined.samplers),
         ] {
             if !more.is_empty() {
-                let mut list: Vec<String> = kept::section(self.doc, key).into_iter().map(str::to_owned).collect();
+                let mut list: Vec<String> = kept::unparsed_items(self.doc, key)
+                    .into_iter()
+                    .map(str::to_owned)
+                    .collect();
                 list.extend(more.iter().cloned());
-                sections.insert(key, Some(places::list(&list)));
+                sections.insert(key, Some(places::json_array(&list)));
             }
         }
         let roots = &self.joined.roots;
@@ -308,13 +313,13 @@ impl EditedGltfWriter<'_> {
                 .collect();
             nodes.extend(roots.iter().map(ToString::to_string));
             let mut scenes: Vec<String> = self.doc.scenes.items.iter().map(|text| (*text).to_owned()).collect();
-            scenes[scene] = places::with(stored, "nodes", &places::list(&nodes));
-            sections.insert("scenes", Some(places::list(&scenes)));
+            scenes[scene] = places::with_member(stored, "nodes", &places::json_array(&nodes));
+            sections.insert("scenes", Some(places::json_array(&scenes)));
         }
     }
 
     /// The lists of extensions, without some and with those of the joined bases.
-    fn extensions(&self, sections: &mut JsonSections, unneeded: &[&str]) {
+    fn set_extensions(&self, sections: &mut JsonSections, unneeded: &[&str]) {
         for (key, stored, more) in [
             (
                 "extensionsUsed",
@@ -331,14 +336,14 @@ impl EditedGltfWriter<'_> {
             list.extend(more.iter().filter(|e| !stored.contains(e)));
             if list.len() != stored.len() || !more.is_empty() {
                 let texts: Vec<String> = list.into_iter().map(|e| quoted(e)).collect();
-                sections.insert(key, (!texts.is_empty()).then(|| places::list(&texts)));
+                sections.insert(key, (!texts.is_empty()).then(|| places::json_array(&texts)));
             }
         }
     }
 }
 
 /// The document with new values of some members, in the order in which they were; added ones follow.
-fn rebuilt(text: &str, mut sections: JsonSections) -> String {
+fn replace_members(text: &str, mut sections: JsonSections) -> String {
     let mut out = Vec::new();
     for member in members(text).unwrap_or_default() {
         match sections.remove(member.key.as_str()) {

@@ -17,15 +17,15 @@ pub(super) fn index(json: &str) -> Option<usize> {
     serde_json::from_str::<WholeNumber>(json).ok().map(WholeNumber::index)
 }
 
-fn array<'a>(object: &'a str, key: &str) -> Vec<&'a str> {
+fn array_items<'a>(object: &'a str, key: &str) -> Vec<&'a str> {
     value_of(object, key).and_then(|a| items(a).ok()).unwrap_or_default()
 }
 
-fn values(object: &str) -> Vec<&str> {
+fn member_values(object: &str) -> Vec<&str> {
     members(object).map_or_else(|_| Vec::new(), |list| list.into_iter().map(|m| m.value).collect())
 }
 
-fn at<'a>(object: &'a str, path: &[&str]) -> Option<&'a str> {
+fn value_at_path<'a>(object: &'a str, path: &[&str]) -> Option<&'a str> {
     path.iter().try_fold(object, |object, key| value_of(object, key))
 }
 
@@ -35,15 +35,17 @@ pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
 /// In a mesh.
 pub(super) fn of_mesh(mesh: &str) -> References<'_> {
     let mut places = References::default();
-    for primitive in array(mesh, "primitives") {
+    for primitive in array_items(mesh, "primitives") {
         places
             .accessors
-            .extend(value_of(primitive, "attributes").map(values).unwrap_or_default());
+            .extend(value_of(primitive, "attributes").map(member_values).unwrap_or_default());
         places
             .accessors
-            .extend(array(primitive, "targets").into_iter().flat_map(values));
+            .extend(array_items(primitive, "targets").into_iter().flat_map(member_values));
         places.accessors.extend(value_of(primitive, "indices"));
-        places.views.extend(at(primitive, &["extensions", DRACO, "bufferView"]));
+        places
+            .views
+            .extend(value_at_path(primitive, &["extensions", DRACO, "bufferView"]));
     }
     places
 }
@@ -64,16 +66,16 @@ pub(super) fn of_animation(animation: &str) -> References<'_> {
             .filter_map(move |key| value_of(sampler, key))
     };
     References {
-        accessors: array(animation, "samplers").into_iter().flat_map(named).collect(),
+        accessors: array_items(animation, "samplers").into_iter().flat_map(named).collect(),
         views: Vec::new(),
     }
 }
 
 /// In a node: the attributes of its instances.
 pub(super) fn of_node(node: &str) -> References<'_> {
-    let attributes = at(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
+    let attributes = value_at_path(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
     References {
-        accessors: attributes.map(values).unwrap_or_default(),
+        accessors: attributes.map(member_values).unwrap_or_default(),
         views: Vec::new(),
     }
 }
@@ -87,7 +89,10 @@ pub(super) fn of_accessor(accessor: &str) -> References<'_> {
     ];
     References {
         accessors: Vec::new(),
-        views: paths.into_iter().filter_map(|path| at(accessor, path)).collect(),
+        views: paths
+            .into_iter()
+            .filter_map(|path| value_at_path(accessor, path))
+            .collect(),
     }
 }
 
@@ -100,7 +105,7 @@ pub(super) fn of_image(image: &str) -> References<'_> {
 }
 
 /// The text with its references renumbered; those that have no new number stay.
-pub(super) fn renumbered<'a>(
+pub(super) fn renumber_references<'a>(
     text: &'a str,
     of: impl Fn(&'a str) -> References<'a>,
     accessor: impl Fn(usize) -> Option<usize>,
@@ -122,7 +127,7 @@ pub(super) fn renumbered<'a>(
 }
 
 /// The object without some of its keys.
-pub(super) fn without(object: &str, keys: &[&str]) -> String {
+pub(super) fn without_keys(object: &str, keys: &[&str]) -> String {
     let mut text = object.to_owned();
     for key in keys {
         if value_of(&text, key).is_some() {
@@ -139,12 +144,12 @@ pub(super) fn without_extensions(object: &str, names: &[&str]) -> String {
     let Some(extensions) = value_of(object, "extensions") else {
         return object.to_owned();
     };
-    let left = without(extensions, names);
+    let left = without_keys(extensions, names);
     if left.len() == extensions.len() {
         return object.to_owned();
     }
     if members(&left).is_ok_and(|list| list.is_empty()) {
-        return without(object, &["extensions"]);
+        return without_keys(object, &["extensions"]);
     }
     let mut edits = JsonEdits::new(object);
     edits.set(object, "extensions", &left);
@@ -152,14 +157,14 @@ pub(super) fn without_extensions(object: &str, names: &[&str]) -> String {
 }
 
 /// The object with a key set.
-pub(super) fn with(object: &str, key: &str, json: &str) -> String {
+pub(super) fn with_member(object: &str, key: &str, json: &str) -> String {
     let mut edits = JsonEdits::new(object);
     edits.set(object, key, json);
     edits.apply()
 }
 
 /// A list of texts as one JSON array.
-pub(super) fn list(texts: &[String]) -> String {
+pub(super) fn json_array(texts: &[String]) -> String {
     format!("[{}]", texts.join(","))
 }
 
@@ -171,7 +176,7 @@ mod tests {
     fn every_reference_of_a_mesh_is_found_and_renumbered() {
         let mesh = r#"{"primitives":[{"attributes":{"POSITION":1,"_X":2},"indices":3,"targets":[{"POSITION":4}],
             "extensions":{"KHR_draco_mesh_compression":{"bufferView":1,"attributes":{"POSITION":1}}},"extras":{"indices":9}}]}"#;
-        let new = renumbered(mesh, of_mesh, |a| Some(a + 10), |v| Some(v + 20));
+        let new = renumber_references(mesh, of_mesh, |a| Some(a + 10), |v| Some(v + 20));
         let expected = r#"{"primitives":[{"attributes":{"POSITION":11,"_X":12},"indices":13,"targets":[{"POSITION":14}],
             "extensions":{"KHR_draco_mesh_compression":{"bufferView":21,"attributes":{"POSITION":1}}},"extras":{"indices":9}}]}"#;
         assert_eq!(new, expected);
@@ -186,6 +191,6 @@ mod tests {
         );
         assert_eq!(without_extensions(text, &["X", "Y"]), r#"{"a":1,"b":2}"#);
         assert_eq!(without_extensions(text, &["Z"]), text);
-        assert_eq!(without(r#"{"a":1,"b":2}"#, &["a", "b"]), "{}");
+        assert_eq!(without_keys(r#"{"a":1,"b":2}"#, &["a", "b"]), "{}");
     }
 }

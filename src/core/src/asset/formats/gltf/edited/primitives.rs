@@ -46,7 +46,7 @@ pub(super) struct PrimitiveMaker<'a, 'f> {
 
 impl<'a> PrimitiveMaker<'a, '_> {
     /// The accessors of a run whose mesh is drawn at `world_from_mesh`; `None` when the primitive stays as it is stored.
-    pub(super) fn make(
+    pub(super) fn make_primitive(
         &mut self,
         run: &'a PrimitiveRun,
         row: &PlacedPrimitive,
@@ -73,8 +73,8 @@ impl<'a> PrimitiveMaker<'a, '_> {
         self.buffers.decode_for(doc, &used)?;
 
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
-        let mut attributes = BTreeMap::new();
-        self.shape(run, row, primitive, world_from_mesh, &carried, &mut attributes)?;
+        let positions = self.mesh_positions(run, row, primitive, world_from_mesh)?;
+        let mut attributes = self.write_shape(&positions, primitive, world_from_mesh, &carried);
         let mut targets = Vec::new();
         let indices = if untouched {
             let old = |all: &Attributes| {
@@ -90,9 +90,9 @@ impl<'a> PrimitiveMaker<'a, '_> {
             None
         } else {
             let mixer = AttributeBlender::new(self.edited, run);
-            self.others(primitive, &mixer, &mut attributes)?;
+            self.blend_other_attributes(primitive, &mixer, &mut attributes)?;
             for target in &primitive.targets {
-                targets.push(self.target(target, &mixer)?);
+                targets.push(self.blend_target(target, &mixer)?);
             }
             let mut triangles = carried.triangles;
             if world_from_mesh.matrix3.determinant() < 0.0 {
@@ -100,7 +100,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 triangles.iter_mut().for_each(|t| t.swap(1, 2));
             }
             Some(AccessorHandle::New(
-                self.fresh.indices(&triangles, run.vertex_count as usize),
+                self.fresh.add_indices(&triangles, run.vertex_count as usize),
             ))
         };
         Ok(Some(MadePrimitive {
@@ -110,18 +110,16 @@ impl<'a> PrimitiveMaker<'a, '_> {
         }))
     }
 
-    /// Positions, normals and tangents.
-    fn shape(
+    /// Writes positions, and normals and tangents where the primitive has them.
+    fn write_shape(
         &mut self,
-        run: &PrimitiveRun,
-        row: &PlacedPrimitive,
+        positions: &[f32],
         primitive: &MeshPrimitive,
         world_from_mesh: &DAffine3,
         carried: &CarriedAttributes<'_>,
-        attributes: &mut BTreeMap<String, AccessorHandle>,
-    ) -> Result<(), Error> {
-        let positions = self.mesh_positions(run, row, primitive, world_from_mesh)?;
-        let at = self.fresh.floats(&positions, 3, "VEC3", NewAccessorKind::Positions);
+    ) -> BTreeMap<String, AccessorHandle> {
+        let mut attributes = BTreeMap::new();
+        let at = self.fresh.add_floats(positions, 3, "VEC3", NewAccessorKind::Positions);
         attributes.insert(ShapeAttribute::Position.name().into(), AccessorHandle::New(at));
         let matrix = &world_from_mesh.matrix3;
         let (has_normal, has_tangent) = (
@@ -129,14 +127,14 @@ impl<'a> PrimitiveMaker<'a, '_> {
             primitive.attribute(ShapeAttribute::Tangent.name()).is_some(),
         );
         if !has_normal && !has_tangent {
-            return Ok(());
+            return attributes;
         }
         let normals = carried.normals();
         let mesh_from_normal = matrix.transpose();
         if has_normal {
             let to_mesh = |n: &Vec3| (mesh_from_normal * n.as_dvec3()).try_normalize().unwrap_or(DVec3::Z);
             let values: Vec<f32> = normals.iter().flat_map(|n| to_mesh(n).as_vec3().to_array()).collect();
-            let at = self.fresh.floats(&values, 3, "VEC3", NewAccessorKind::Floats);
+            let at = self.fresh.add_floats(&values, 3, "VEC3", NewAccessorKind::Floats);
             attributes.insert(ShapeAttribute::Normal.name().into(), AccessorHandle::New(at));
         }
         if has_tangent {
@@ -149,12 +147,13 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 along.as_vec3().extend(t.w * side).to_array()
             };
             let values: Vec<f32> = carried.tangents(&normals).iter().flat_map(to_mesh).collect();
-            let at = self.fresh.floats(&values, 4, "VEC4", NewAccessorKind::Floats);
+            let at = self.fresh.add_floats(&values, 4, "VEC4", NewAccessorKind::Floats);
             attributes.insert(ShapeAttribute::Tangent.name().into(), AccessorHandle::New(at));
         }
-        Ok(())
+        attributes
     }
 
+    /// Positions of a run in the space of its mesh, those that did not move as they are stored.
     fn mesh_positions(
         &self,
         run: &PrimitiveRun,
@@ -196,7 +195,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
     }
 
     /// Everything but positions, normals and tangents.
-    fn others(
+    fn blend_other_attributes(
         &mut self,
         primitive: &MeshPrimitive,
         mixer: &AttributeBlender<'_>,
@@ -207,13 +206,13 @@ impl<'a> PrimitiveMaker<'a, '_> {
         // A merged model leaves its skeleton behind.
         if self.is_frame && !sets.is_empty() {
             let all = |of: fn(&(usize, usize)) -> usize| -> Result<Vec<AttributeValues>, Error> {
-                sets.iter().map(|pair| self.read(of(pair), 4)).collect()
+                sets.iter().map(|pair| self.read_lanes(of(pair), 4)).collect()
             };
-            let (joints, weights) = mixer.skin(&all(|p| p.0)?, &all(|p| p.1)?);
+            let (joints, weights) = mixer.blend_skin(&all(|p| p.0)?, &all(|p| p.1)?);
             for (n, (joints, weights)) in joints.iter().zip(&weights).enumerate() {
                 let (joints, weights) = (
-                    self.fresh.joints(joints),
-                    self.fresh.floats(weights, 4, "VEC4", NewAccessorKind::Floats),
+                    self.fresh.add_joints(joints),
+                    self.fresh.add_floats(weights, 4, "VEC4", NewAccessorKind::Floats),
                 );
                 attributes.insert(format!("JOINTS_{n}"), AccessorHandle::New(joints));
                 attributes.insert(format!("WEIGHTS_{n}"), AccessorHandle::New(weights));
@@ -232,22 +231,22 @@ impl<'a> PrimitiveMaker<'a, '_> {
             let stored = &stored.shape;
             let channel = read(self.doc, self.buffers, accessor.index())?;
             let at = if name.starts_with("JOINTS_") && channel.lanes == 4 {
-                self.fresh.joints(&mixer.nearest(&channel))
+                self.fresh.add_joints(&mixer.take_heaviest(&channel))
             } else {
                 let values = if is_identifier(name, &channel) {
-                    mixer.nearest(&channel)
+                    mixer.take_heaviest(&channel)
                 } else {
-                    mixer.linear(&channel)
+                    mixer.blend_linearly(&channel)
                 };
                 self.fresh
-                    .floats(&values, channel.lanes, shape_of(stored), NewAccessorKind::Floats)
+                    .add_floats(&values, channel.lanes, shape_of(stored), NewAccessorKind::Floats)
             };
             attributes.insert(name.clone(), AccessorHandle::New(at));
         }
         Ok(())
     }
 
-    fn read(&self, accessor: usize, lanes: usize) -> Result<AttributeValues, Error> {
+    fn read_lanes(&self, accessor: usize, lanes: usize) -> Result<AttributeValues, Error> {
         let channel = read(self.doc, self.buffers, accessor)?;
         if channel.lanes != lanes {
             let problem = format!("{} numbers per element, {lanes} are needed", channel.lanes);
@@ -256,7 +255,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
         Ok(channel)
     }
 
-    fn target(
+    fn blend_target(
         &mut self,
         target: &Attributes,
         mixer: &AttributeBlender<'_>,
@@ -272,7 +271,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
             };
             let at = self
                 .fresh
-                .floats(&mixer.linear(&channel), channel.lanes, shape_of(stored), kind);
+                .add_floats(&mixer.blend_linearly(&channel), channel.lanes, shape_of(stored), kind);
             made.insert(name.clone(), AccessorHandle::New(at));
         }
         Ok(made)

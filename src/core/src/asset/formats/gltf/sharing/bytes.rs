@@ -23,7 +23,7 @@ struct StridedElements {
 
 impl ByteSpan {
     /// Whether two uses have a byte in common; `self` is an accessor's.
-    fn touches(&self, other: &Self) -> bool {
+    fn overlaps(&self, other: &Self) -> bool {
         if self.end <= other.start || other.end <= self.start {
             return false;
         }
@@ -136,7 +136,7 @@ impl ByteSpans {
             .take_while(|(_, reach)| *reach > own.start)
             .all(|(span, _)| {
                 let is_self = span.elements.is_some_and(|e| e.accessor == accessor);
-                is_self || !own.touches(span)
+                is_self || !own.overlaps(span)
             })
     }
 }

@@ -71,7 +71,7 @@ struct ChangeGroup {
 }
 
 /// Decides what is overwritten and what parts.
-pub(super) fn plan(
+pub(super) fn plan_overwrites(
     doc: &GltfDocument<'_>,
     buffers: &BufferBytes,
     notes: &GltfNotes,
@@ -82,7 +82,7 @@ pub(super) fn plan(
     if !wanted.iter().any(DeformedAttributes::is_changed) {
         return plan;
     }
-    let variants = variants::part(doc, notes, &wanted);
+    let variants = variants::divide_meshes(doc, notes, &wanted);
     let uses = AccessorUses::collect(doc, &variants, &wanted);
     plan.copies = variants.copies;
 
@@ -107,12 +107,12 @@ pub(super) fn plan(
             by_accessor.entry(accessor).or_default().push(change);
         }
     }
-    let referenced = |row: usize| referenced(notes, rest, row);
+    let referenced = |row: usize| referenced_vertices(notes, rest, row);
     let mut neighbours = None;
     for (accessor, changes) in by_accessor {
         let still = uses.still.get(&accessor).map_or(&[][..], Vec::as_slice);
         let one_role = changes.iter().all(|c| c.role == changes[0].role);
-        let mut groups = group(changes, !still.is_empty(), &referenced);
+        let mut groups = group_changes(changes, !still.is_empty(), &referenced);
         let in_place = one_role
             && !uses.strangers.contains(&accessor)
             && still.iter().all(|&row| agrees_at_rest(&groups[0], &referenced(row)))
@@ -142,7 +142,11 @@ pub(super) fn plan(
 const MOST_COMPARED: usize = 16;
 
 /// Puts changes of one accessor together as far as they agree, in order.
-fn group(changes: Vec<AttributeChange>, shared: bool, referenced: &impl Fn(usize) -> Vec<bool>) -> Vec<ChangeGroup> {
+fn group_changes(
+    changes: Vec<AttributeChange>,
+    shared: bool,
+    referenced: &impl Fn(usize) -> Vec<bool>,
+) -> Vec<ChangeGroup> {
     let alone = changes.len() == 1 && !shared;
     let mut groups: Vec<ChangeGroup> = Vec::new();
     let mut equal: BTreeMap<u64, usize> = BTreeMap::new();
@@ -151,7 +155,7 @@ fn group(changes: Vec<AttributeChange>, shared: bool, referenced: &impl Fn(usize
         let claimed = if alone {
             Vec::new()
         } else {
-            claims(&change.channel, referenced(change.row))
+            claimed_vertices(&change.channel, referenced(change.row))
         };
         let fingerprint = change.channel.fingerprint();
         let candidates = equal
@@ -161,7 +165,7 @@ fn group(changes: Vec<AttributeChange>, shared: bool, referenced: &impl Fn(usize
             .chain(0..groups.len().min(MOST_COMPARED));
         let found = candidates
             .into_iter()
-            .find(|&i| groups[i].role == change.role && groups[i].accepts(&change.channel, &claimed));
+            .find(|&i| groups[i].role == change.role && groups[i].agrees_with(&change.channel, &claimed));
         match found {
             Some(i) => {
                 groups[i].take_in(&change.channel, &claimed);
@@ -181,7 +185,7 @@ fn group(changes: Vec<AttributeChange>, shared: bool, referenced: &impl Fn(usize
     groups
 }
 
-fn claims(channel: &ChangedAttribute, mut referenced: Vec<bool>) -> Vec<bool> {
+fn claimed_vertices(channel: &ChangedAttribute, mut referenced: Vec<bool>) -> Vec<bool> {
     referenced
         .iter_mut()
         .zip(&channel.changed)
@@ -190,14 +194,14 @@ fn claims(channel: &ChangedAttribute, mut referenced: Vec<bool>) -> Vec<bool> {
 }
 
 impl ChangeGroup {
-    fn element<'c>(&self, channel: &'c ChangedAttribute, i: usize) -> &'c [f32] {
+    fn vertex_values<'c>(&self, channel: &'c ChangedAttribute, i: usize) -> &'c [f32] {
         let lanes = self.role.lanes();
         &channel.values[i * lanes..][..lanes]
     }
 
-    fn accepts(&self, other: &ChangedAttribute, claimed: &[bool]) -> bool {
+    fn agrees_with(&self, other: &ChangedAttribute, claimed: &[bool]) -> bool {
         let same = |i| {
-            let bits = |c| self.element(c, i).iter().map(|v| v.to_bits());
+            let bits = |c| self.vertex_values(c, i).iter().map(|v| v.to_bits());
             bits(&self.channel).eq(bits(other))
         };
         (0..claimed.len()).all(|i| !(claimed[i] && self.claimed[i]) || same(i))
@@ -206,7 +210,7 @@ impl ChangeGroup {
     fn take_in(&mut self, other: &ChangedAttribute, claimed: &[bool]) {
         let lanes = self.role.lanes();
         for i in (0..claimed.len()).filter(|&i| claimed[i]) {
-            let values = self.element(other, i);
+            let values = self.vertex_values(other, i);
             self.channel.values[i * lanes..][..lanes].copy_from_slice(values);
             self.channel.changed[i] |= other.changed[i];
             self.claimed[i] = true;
@@ -225,7 +229,7 @@ fn agrees_at_rest(group: &ChangeGroup, referenced: &[bool]) -> bool {
 }
 
 /// Which vertices of a row its triangles use.
-fn referenced(notes: &GltfNotes, rest: &Geometry, row: usize) -> Vec<bool> {
+fn referenced_vertices(notes: &GltfNotes, rest: &Geometry, row: usize) -> Vec<bool> {
     let row = &notes.rows[row];
     let mut used = vec![false; row.vertices.len()];
     for v in rest.triangles[row.triangles.clone()].iter().flatten() {
@@ -258,7 +262,7 @@ impl AccessorUses {
                         (Some(role), Some(rows)) => {
                             let still = rows
                                 .iter()
-                                .filter(|&&row| variants.stays(row) || wanted[row].0[role].is_none());
+                                .filter(|&&row| variants.is_also_unchanged(row) || wanted[row].0[role].is_none());
                             uses.still.entry(accessor.index()).or_default().extend(still);
                         }
                         _ => drop(uses.strangers.insert(accessor.index())),

@@ -27,13 +27,13 @@ pub(super) struct MeshVariants {
 
 impl MeshVariants {
     /// Whether a row also stands for nodes that want it unchanged.
-    pub(super) fn stays(&self, row: usize) -> bool {
+    pub(super) fn is_also_unchanged(&self, row: usize) -> bool {
         self.staying.contains(&row)
     }
 }
 
 /// Finds the shapes of every mesh. Nodes that want the same shape share it.
-pub(super) fn part(doc: &GltfDocument<'_>, notes: &GltfNotes, wanted: &[DeformedAttributes]) -> MeshVariants {
+pub(super) fn divide_meshes(doc: &GltfDocument<'_>, notes: &GltfNotes, wanted: &[DeformedAttributes]) -> MeshVariants {
     let mut variants = MeshVariants {
         copies: Vec::new(),
         changed_rows: Vec::new(),
@@ -57,13 +57,13 @@ pub(super) fn part(doc: &GltfDocument<'_>, notes: &GltfNotes, wanted: &[Deformed
     }
     for (mesh, nodes) in nodes_of {
         let outside = outsiders.remove(&mesh).unwrap_or_default();
-        variants.add(notes, wanted, mesh, nodes, outside);
+        variants.add_variants(notes, wanted, mesh, nodes, outside);
     }
     variants
 }
 
 impl MeshVariants {
-    fn add(
+    fn add_variants(
         &mut self,
         notes: &GltfNotes,
         wanted: &[DeformedAttributes],
@@ -71,7 +71,7 @@ impl MeshVariants {
         nodes: Vec<(usize, Vec<usize>)>,
         outside: Vec<usize>,
     ) {
-        let same = |a: &[usize], b: &[usize]| a.iter().zip(b).all(|(&a, &b)| wanted[a].same(&wanted[b]));
+        let same = |a: &[usize], b: &[usize]| a.iter().zip(b).all(|(&a, &b)| wanted[a].is_same(&wanted[b]));
         let at_rest = |rows: &[usize]| !rows.iter().any(|&row| wanted[row].is_changed());
         // The first node of the scene keeps the mesh, whatever shape it wants.
         let mut shapes: Vec<(Vec<usize>, Vec<usize>)> = Vec::new();
