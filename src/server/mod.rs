@@ -1,7 +1,7 @@
 //! The server: gRPC, gRPC-Web, HTTP and WebSocket on one port.
 //!
-//! This floor translates: decode, authorise, call the session floor, encode. No decision about deformation is taken here,
-//! and the three transports call the same functions.
+//! This floor translates: authorise, have `wire` read the request, call the session floor with values, write its answer as a
+//! message. No decision about deformation is taken here, and the three transports call the same functions.
 //!
 //! [`run`] takes its listener and its wish to stop as arguments, so a test starts the real thing on a free port.
 

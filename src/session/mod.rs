@@ -1,8 +1,9 @@
 //! Sessions: models held open, their commits, and the interactive stream.
 //!
 //! Owns what lives between two requests: the registry of sessions, the task of each session, memory and compute budgets,
-//! idempotency keys, expiry. Knows nothing of transports: `server` translates and calls [`Manager`]. Deforms nothing:
-//! that is the engine's [`Deformer`](crate::engine::Deformer), behind [`Engine`].
+//! idempotency keys, expiry. Knows nothing of transports and no message: `server` has `wire` read a request, calls [`Manager`] with
+//! values of the engine, and writes the answer. Deforms nothing: that is the engine's
+//! [`Deformer`](crate::engine::Deformer), behind [`Engine`].
 //!
 //! One task owns each session and is the only one that touches its engine. Work moves the engine to the compute pool and back;
 //! everybody else reads a published view. So no lock is held across an await or a parallel section: the locks here

@@ -477,6 +477,22 @@ fn tonic_stays_below_server_grpc() {
 }
 
 #[test]
+fn sessions_know_no_message() {
+    let mut problems = Vec::new();
+    for file in sources().iter().filter(|f| f.place.starts_with("src/session/")) {
+        for named in file.named.iter().filter(|n| n.path.iter().any(|w| w == "pb" || w == "prost")) {
+            problems.push(format!(
+                "{}:{}: names {}: take a value that wire has read, and write messages in src/server",
+                file.place,
+                named.line,
+                named.path.join("::")
+            ));
+        }
+    }
+    report(problems);
+}
+
+#[test]
 fn no_file_is_too_long() {
     let long = sources().into_iter().filter(|f| f.lines > LONGEST);
     report(
