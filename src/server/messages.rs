@@ -13,7 +13,7 @@ pub(super) fn described_session(session: &SessionFacts, config: &SessionConfig) 
         build_ms: session.build_ms.clone(),
         expires_at: session.expires_at.clone(),
         label: session.label.clone(),
-        limits: Some(limits(config)),
+        limits: Some(limits_message(config)),
         ..message
     }
 }
@@ -27,7 +27,7 @@ pub(super) fn session_list(list: &SessionList, config: &SessionConfig) -> pb::Li
 }
 
 /// Writes the commits of a session.
-pub(super) fn history(history: HistoryFacts) -> pb::HistoryResponse {
+pub(super) fn history_message(history: HistoryFacts) -> pb::HistoryResponse {
     let commits = history.commits.into_iter().map(|commit| pb::Commit {
         revision: commit.revision,
         kind: commit.kind.into(),
@@ -49,7 +49,7 @@ pub(super) fn committed_edit(edit: CommittedEdit) -> pb::EditResult {
 }
 
 /// Writes the limits that clients are told.
-pub(super) fn limits(config: &SessionConfig) -> pb::Limits {
+pub(super) fn limits_message(config: &SessionConfig) -> pb::Limits {
     let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     pb::Limits {
         upload_bytes: config.upload_bytes,

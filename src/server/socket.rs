@@ -9,7 +9,7 @@
 use super::http::Caller;
 use super::http::problem::Problem;
 use super::state::State;
-use super::stream_ends::{RequestEnd, ResponseEnd, failure, message_ends};
+use super::stream_ends::{RequestEnd, ResponseEnd, failure_message, message_ends};
 use crate::session::{DeformStream, Error, ErrorCode};
 use crate::wire::pb::{self, deform_response::Message as Response};
 use axum::extract::State as From;
@@ -236,7 +236,7 @@ async fn silence(state: &State, seen: &Notify) {
 async fn farewell(mut sink: SplitSink<WebSocket, Message>, ending: Ending) {
     if let Some(error) = &ending.error {
         let response = pb::DeformResponse {
-            message: Some(Response::Error(failure(error, 0))),
+            message: Some(Response::Error(failure_message(error, 0))),
         };
         let _ = sink.send(Message::Binary(response.encode_to_vec().into())).await;
     }

@@ -61,7 +61,7 @@ impl ResponseEnd {
             self.parts = None;
             match self.output.next().await? {
                 StreamAnswer::Frame(frame) => self.parts = Some(encode(*frame)),
-                StreamAnswer::Failure { error, seq } => break Message::Error(failure(&error, seq)),
+                StreamAnswer::Failure { error, seq } => break Message::Error(failure_message(&error, seq)),
                 StreamAnswer::Notice { code, message, session } => {
                     break Message::Notice(pb::Notice {
                         code: code.into(),
@@ -77,7 +77,7 @@ impl ResponseEnd {
 }
 
 /// Writes an error as a stream tells it; 0 as number of the pose says that the stream ends.
-pub(super) fn failure(error: &Error, seq: u64) -> pb::Error {
+pub(super) fn failure_message(error: &Error, seq: u64) -> pb::Error {
     pb::Error {
         code: u32::try_from(error.grpc_code()).unwrap_or(2),
         message: error.message.clone(),

@@ -1,6 +1,6 @@
 //! Changes of single fields of one handle.
 
-use super::handles::{check_handle_id, constrains, falloff, region, stiffness};
+use super::handles::{check_handle_id, handle_constrains, handle_falloff, handle_stiffness, region};
 use super::poses::handle_pose;
 use super::{Error, pb};
 use crate::engine::{Falloff, Handle, HandleConstrains, HandlePose, HandleSet, Region};
@@ -57,17 +57,21 @@ pub fn handle_patch(message: &pb::Handle, fields: &[String], current: &HandleSet
         patch.pose = Some(pose.as_ref().map(|p| handle_pose(p, &at("pose"))).transpose()?);
     }
     if named("constrains") {
-        patch.constrains = Some(constrains(new_constrains, &at("constrains"))?);
+        patch.constrains = Some(handle_constrains(new_constrains, &at("constrains"))?);
     }
     if named("stiffness") {
-        patch.stiffness = Some(stiffness(*new_stiffness, &at("stiffness"))?);
+        patch.stiffness = Some(handle_stiffness(*new_stiffness, &at("stiffness"))?);
     }
     if named("rigid") {
         patch.rigid = Some(*rigid);
     }
     if named("falloff") {
         let stiffness = patch.stiffness.unwrap_or(old.and_then(|h| h.stiffness));
-        patch.falloff = Some(falloff(new_falloff.as_ref(), stiffness.is_some(), &at("falloff"))?);
+        patch.falloff = Some(handle_falloff(
+            new_falloff.as_ref(),
+            stiffness.is_some(),
+            &at("falloff"),
+        )?);
     }
     Ok(patch)
 }

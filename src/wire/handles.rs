@@ -40,11 +40,11 @@ fn handle(handle: &pb::Handle, field: &str) -> Result<Handle, Error> {
     Ok(Handle {
         id: handle.id.clone(),
         region,
-        constrains: constrains(&handle.constrains, &format!("{field}.constrains"))?,
-        stiffness: stiffness(handle.stiffness, &format!("{field}.stiffness"))?,
+        constrains: handle_constrains(&handle.constrains, &format!("{field}.constrains"))?,
+        stiffness: handle_stiffness(handle.stiffness, &format!("{field}.stiffness"))?,
         rigid: handle.rigid,
         pose,
-        falloff: falloff(
+        falloff: handle_falloff(
             handle.falloff.as_ref(),
             handle.stiffness.is_some(),
             &format!("{field}.falloff"),
@@ -62,7 +62,7 @@ pub(super) fn check_handle_id(id: &str, field: &str) -> Result<(), Error> {
 }
 
 /// Reads what a handle fixes; an empty list is everything.
-pub(super) fn constrains(named: &[i32], field: &str) -> Result<HandleConstrains, Error> {
+pub(super) fn handle_constrains(named: &[i32], field: &str) -> Result<HandleConstrains, Error> {
     if named.is_empty() {
         return Ok(HandleConstrains::ALL);
     }
@@ -82,7 +82,7 @@ pub(super) fn constrains(named: &[i32], field: &str) -> Result<HandleConstrains,
 }
 
 /// Reads the stiffness of a handle; none is a hard one.
-pub(super) fn stiffness(stiffness: Option<f64>, field: &str) -> Result<Option<f64>, Error> {
+pub(super) fn handle_stiffness(stiffness: Option<f64>, field: &str) -> Result<Option<f64>, Error> {
     if let Some(s) = stiffness {
         positive(s, field)?;
         optional_within(s, 1e-6, 1e6, field)?;
@@ -91,7 +91,7 @@ pub(super) fn stiffness(stiffness: Option<f64>, field: &str) -> Result<Option<f6
 }
 
 /// Reads a falloff. That a hard handle has none is said where the handle is set.
-pub(super) fn falloff(falloff: Option<&pb::Falloff>, soft: bool, field: &str) -> Result<Option<Falloff>, Error> {
+pub(super) fn handle_falloff(falloff: Option<&pb::Falloff>, soft: bool, field: &str) -> Result<Option<Falloff>, Error> {
     let Some(falloff) = falloff else { return Ok(None) };
     let curve = match enumerated(falloff.kind, &format!("{field}.kind"))? {
         pb::falloff::Kind::None => None,

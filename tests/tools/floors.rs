@@ -480,7 +480,11 @@ fn tonic_stays_below_server_grpc() {
 fn sessions_know_no_message() {
     let mut problems = Vec::new();
     for file in sources().iter().filter(|f| f.place.starts_with("src/session/")) {
-        for named in file.named.iter().filter(|n| n.path.iter().any(|w| w == "pb" || w == "prost")) {
+        for named in file
+            .named
+            .iter()
+            .filter(|n| n.path.iter().any(|w| w == "pb" || w == "prost"))
+        {
             problems.push(format!(
                 "{}:{}: names {}: take a value that wire has read, and write messages in src/server",
                 file.place,

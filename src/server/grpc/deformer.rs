@@ -181,7 +181,7 @@ impl Deformer for Calls {
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
         let history = self.state.manager.history(&tenant, &id).await.map_err(status)?;
-        Ok(Response::new(messages::history(history)))
+        Ok(Response::new(messages::history_message(history)))
     }
 
     type ExportStream = Sent<pb::Chunk>;
@@ -208,7 +208,7 @@ impl Deformer for Calls {
 
     async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> GrpcAnswer<pb::Limits> {
         tenant(&request)?;
-        Ok(Response::new(messages::limits(self.state.manager.config())))
+        Ok(Response::new(messages::limits_message(self.state.manager.config())))
     }
 }
 

@@ -85,9 +85,11 @@ pub(super) async fn history(
     caller: Caller,
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
-    json(&messages::history(state.manager.history(&caller.tenant, &id).await?))
+    json(&messages::history_message(
+        state.manager.history(&caller.tenant, &id).await?,
+    ))
 }
 
 pub(super) async fn limits(From(state): From<State>, _: Caller) -> Result<Response, Problem> {
-    json(&messages::limits(state.manager.config()))
+    json(&messages::limits_message(state.manager.config()))
 }
