@@ -16,7 +16,7 @@ pub(super) fn read_model(path: &Path) -> Result<FileSet, CliFailure> {
     let main = read_file(path)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut set = FileSet::single(name, main);
-    let is_gltf = Format::from_bytes(&set.main).or_else(|| Format::from_file_name(&set.name)) == Some(Format::GLTF);
+    let is_gltf = Format::from_file(&set.name, &set.main) == Some(Format::GLTF);
     if is_gltf {
         let folder = path.parent().unwrap_or(Path::new(""));
         for uri in named_files(&set.main) {

@@ -312,7 +312,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
     #[test]
-    fn random_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), format in 0usize..6) {
+    fn random_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), format in 0..Format::ALL.len()) {
         exercise(bytes, Some(Format::ALL[format]));
     }
 
@@ -327,7 +327,7 @@ proptest! {
             0..60,
         ),
         head in prop::sample::select(vec!["", "OFF\n", "ply\nformat ascii 1.0\nelement vertex 3\n", "solid\nfacet normal 0 0 1\nouter loop\n"]),
-        format in 2usize..6,
+        format in 2..Format::ALL.len(),
     ) {
         exercise((head.to_string() + &words.join(" ")).into_bytes(), Some(Format::ALL[format]));
     }

@@ -527,7 +527,7 @@ proptest! {
         wild in any::<bool>(),
         split in (0u32..20, 0u32..30),
         origins in prop::collection::vec(0u32..12, 0..30),
-        format in 0usize..6,
+        format in 0..Format::ALL.len(),
     ) {
         let model = match which {
             0 => open("a.obj", SEAM),

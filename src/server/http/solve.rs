@@ -21,12 +21,9 @@ const JSON: &str = "application/json";
 const BUFFER: &str = "application/octet-stream";
 
 /// What an answer can be: JSON, the buffer, then the model in every format.
-fn offers() -> [&'static str; 8] {
-    let mut offers = [JSON, BUFFER, "", "", "", "", "", ""];
-    for (offer, format) in offers.iter_mut().skip(2).zip(Format::ALL) {
-        *offer = format.media_type();
-    }
-    offers
+fn offers() -> Vec<&'static str> {
+    let models = Format::ALL.into_iter().map(Format::media_type);
+    [JSON, BUFFER].into_iter().chain(models).collect()
 }
 
 pub(super) async fn solve(

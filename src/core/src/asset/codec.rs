@@ -36,8 +36,8 @@ pub(super) fn patch_text_file<N: FileNotes>(
 
 /// Reads and writes one format, or the forms of one (GLB and glTF).
 pub(super) trait FormatCodec: Sync {
-    /// Whether files of this codec are patched into `format` instead of being built anew.
-    fn handles(&self, format: Format) -> bool;
+    /// Tells whether a model that was read as `source` is written by patching its files; others are built anew.
+    fn patches_files_of(&self, source: Format) -> bool;
 
     /// Reads a model, of which `format` is the form. What it returns is checked by [`Geometry::check`].
     fn read(&self, files: &FileSet, format: Format, limits: &Limits) -> Result<ReadFile, Error>;
@@ -57,7 +57,7 @@ pub(super) trait FormatCodec: Sync {
     /// Whether [`FormatCodec::write_edited`] takes a model whose first base came in `format`; others are built from
     /// their neutral form.
     fn edits(&self, format: Format) -> bool {
-        self.handles(format)
+        self.patches_files_of(format)
     }
 
     /// Writes an edited model.

@@ -28,7 +28,7 @@ impl Model {
     /// # Ok::<(), pliant_core::asset::Error>(())
     /// ```
     pub fn read(files: FileSet, format: Option<Format>, limits: &Limits) -> Result<Self, Error> {
-        let recognised = || Format::from_bytes(&files.main).or_else(|| Format::from_file_name(&files.name));
+        let recognised = || Format::from_file(&files.name, &files.main);
         let Some(format) = format.or_else(recognised) else {
             let place = if files.name.is_empty() {
                 "the model".into()
@@ -95,7 +95,7 @@ impl Model {
             return Ok(WrittenFiles::from_upload(&self.files));
         }
         let codec = codec_of(format);
-        if codec.handles(self.format) {
+        if codec.patches_files_of(self.format) {
             return codec.patch_positions(self, positions, format);
         }
         let neutral = if codec.takes_attributes() {

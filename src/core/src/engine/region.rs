@@ -129,7 +129,7 @@ impl Region {
     }
 
     /// Makes the region of the points in the axis-aligned box between two corners.
-    pub fn bounding_box(min: impl Into<DVec3>, max: impl Into<DVec3>) -> Self {
+    pub fn axis_aligned_box(min: impl Into<DVec3>, max: impl Into<DVec3>) -> Self {
         let (min, max) = (min.into(), max.into());
         Self::Box { min, max }
     }
@@ -146,7 +146,12 @@ impl Region {
             Self::Vertices { indices, ranges } => size_of_val(&indices[..]) + size_of_val(&ranges[..]),
             Self::Tube { points, .. } => size_of_val(&points[..]),
             Self::Weights(values) => size_of_val(&values[..]),
-            _ => 0,
+            Self::HalfSpace { .. }
+            | Self::Sphere { .. }
+            | Self::Box { .. }
+            | Self::Capsule { .. }
+            | Self::Component(_)
+            | Self::Primitive(_) => 0,
         }
     }
 }

@@ -66,7 +66,8 @@ impl<'a> MultigridCycle<'a> {
         MaskedLevel::new(&self.hierarchy.levels[l], &self.system.masks[l], self.threads)
     }
 
-    /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle. Returns
+    /// One cycle on level `l`: z ≈ A⁻¹ b, a symmetric operation but for the inner products of the K-cycle; for that the
+    /// sweeps after the coarse correction mirror those before it. Returns
     /// (z, b), (z, A z) and (z, c), or (b, b) without `c`. `vectors` hold z; their `t` is scratch, on coarse levels left as
     /// [`MaskedLevel::matrix_products`] wants it. `below` holds the vectors of the coarser levels.
     pub(crate) fn run(

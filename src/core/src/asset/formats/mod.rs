@@ -1,8 +1,8 @@
 //! The registry of formats, and one folder or file for each.
 //!
 //! Every format is one row of the table below: the name of its constant, its [`Format`] with everything it is known by
-//! (name and extension, media types, how its files begin), and the [`FormatCodec`] that reads and writes it. Nothing
-//! else in the house lists formats; texts, media types and the API's description are made from [`Format::ALL`].
+//! (name and extension, media types, how its files begin), and the [`FormatCodec`] that reads and writes it. Texts,
+//! media types and the API's description are made from [`Format::ALL`]; step 5 names what is written by hand beside it.
 //!
 //! # How to add a format
 //! 1. Add a file `NAME.rs` (or a folder) here, and `mod NAME;` below.
@@ -19,12 +19,17 @@
 //!    impl FileNotes for TriNotes {}
 //!    ```
 //! 3. Implement [`FormatCodec`](super::codec::FormatCodec) for a unit struct `TriCodec`: `read`, `patch_positions`,
-//!    `build`, `write_edited`, `handles`, and `run_attributes` where the format has colours, texture coordinates or materials.
+//!    `build`, `write_edited`, `patches_files_of`, and `run_attributes` where the format has colours, texture coordinates or materials.
 //!    Errors name the format's `FORMAT`; [`Geometry::check`](super::Geometry) is done for every reader by the caller.
 //!    [`text`] reads and patches words and numbers, [`polygons`] cuts faces into triangles, and
 //!    [`CarriedAttributes`](super::edited::CarriedAttributes) and
 //!    [`TriangleOrigins`](super::edited::TriangleOrigins) carry what an edit moves.
-//! 4. Add the row to the table. The tests of `tests/` that walk over [`Format::ALL`] take it from there.
+//! 4. Add the row to the table. The tests of `tests/` that walk over [`Format::ALL`] take it from there. A file is told by
+//!    its first bytes before its name ([`Format::from_file`]), and the first row that recognises them wins: a text format
+//!    must be told from the others by its content alone.
+//! 5. Say it where people and other languages read: the comments of `format` in `proto/pliant/v1/pliant.proto` (then
+//!    `proto/clients/python/generate` and `npm run generate` in `proto/clients/typescript`), `deploy/docs/formats.md`,
+//!    `proto/clients/python/pliant/model.py` (extensions), and the viewer's `src/app/opening.ts` and `src/ui/TopBar.tsx`.
 
 mod gltf;
 mod obj;
@@ -94,6 +99,11 @@ impl Format {
         let essence = media_type.split(';').next().unwrap_or_default().trim();
         let is_named = |f: &Self| f.details().media_types.iter().any(|t| essence.eq_ignore_ascii_case(t));
         Self::ALL.into_iter().find(is_named)
+    }
+
+    /// Finds the format of a file: by its first bytes, else by its name.
+    pub fn from_file(name: &str, bytes: &[u8]) -> Option<Self> {
+        Self::from_bytes(bytes).or_else(|| Self::from_file_name(name))
     }
 
     /// The format that a file name's extension says.

@@ -30,7 +30,7 @@ pub(super) const FORMAT: Format = Format::new(&FormatDetails {
 pub(super) struct StlCodec;
 
 impl FormatCodec for StlCodec {
-    fn handles(&self, format: Format) -> bool {
+    fn patches_files_of(&self, format: Format) -> bool {
         format == FORMAT
     }
 

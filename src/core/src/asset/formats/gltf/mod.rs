@@ -69,7 +69,7 @@ use std::sync::Arc;
 pub(super) struct GltfCodec;
 
 impl FormatCodec for GltfCodec {
-    fn handles(&self, format: Format) -> bool {
+    fn patches_files_of(&self, format: Format) -> bool {
         format == GLB_FORMAT || format == GLTF_FORMAT
     }
 

@@ -25,7 +25,7 @@ use glam::DVec3;
 pub(super) struct ObjCodec;
 
 impl FormatCodec for ObjCodec {
-    fn handles(&self, format: Format) -> bool {
+    fn patches_files_of(&self, format: Format) -> bool {
         format == FORMAT
     }
 

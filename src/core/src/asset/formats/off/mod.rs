@@ -21,7 +21,7 @@ use glam::DVec3;
 pub(super) struct OffCodec;
 
 impl FormatCodec for OffCodec {
-    fn handles(&self, format: Format) -> bool {
+    fn patches_files_of(&self, format: Format) -> bool {
         format == FORMAT
     }
 

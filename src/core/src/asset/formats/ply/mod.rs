@@ -24,7 +24,7 @@ use glam::DVec3;
 pub(super) struct PlyCodec;
 
 impl FormatCodec for PlyCodec {
-    fn handles(&self, format: Format) -> bool {
+    fn patches_files_of(&self, format: Format) -> bool {
         format == FORMAT
     }
 
