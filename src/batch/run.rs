@@ -1,7 +1,7 @@
 //! Runs a whole job in process: open, set handles, solve every step, write.
 
 use crate::asset::{FileSet, Format, WrittenFiles};
-use crate::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, SolveMode, digest};
+use crate::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, ModelShape, SolveMode, digest};
 use crate::exec::Exec;
 use crate::mesh::MeshReport;
 use crate::progress::Progress as _;
@@ -73,7 +73,7 @@ pub fn run(
         done.ms = ms.into_iter().collect();
         done.levels = facts.levels.len() as u32;
         done.bytes = facts.byte_size;
-        done.digest = digest(&batch.positions);
+        done.digest = digest(&batch.shape.positions);
         done.field_cycles = batch.deformer.rig().map_or(0, |r| r.field_iterations as u32);
         steps.push(done);
     }
@@ -85,7 +85,7 @@ pub fn run(
     let BatchRun {
         deformer,
         poses,
-        positions,
+        shape: ModelShape { positions, .. },
         ..
     } = batch;
     let written = deformer.write(&positions, format.unwrap_or(deformer.model().format))?;
@@ -122,8 +122,7 @@ struct BatchRun<'a> {
     options: &'a DeformOptions,
     /// The poses in force.
     poses: HandlePoses,
-    /// The shape.
-    positions: Arc<Vec<DVec3>>,
+    shape: ModelShape,
     /// Whether it was solved, and is not at rest.
     is_solved: bool,
     /// What edits warned of.
@@ -150,7 +149,7 @@ impl<'a> BatchRun<'a> {
         deformer.set_handles(handle_set(&request)?, exec)?;
         Ok(Self {
             poses: deformer.initial_poses(),
-            positions: Arc::clone(deformer.rest()),
+            shape: deformer.rest_shape(),
             deformer,
             options,
             is_solved: false,
@@ -163,7 +162,7 @@ impl<'a> BatchRun<'a> {
         self.poses = change_poses(&self.deformer, &self.poses, pose)?;
         let (settings, mode) = (&self.options.solve, SolveMode::Commit);
         let solved = (self.deformer).solve(&self.poses, settings, mode, exec, &mut |_| true)?;
-        self.positions = solved.positions;
+        self.shape = solved.shape();
         self.is_solved = true;
         exec.progress.report("quality", 0.0);
         Ok(pb::report::Step {
@@ -187,7 +186,7 @@ impl<'a> BatchRun<'a> {
         let command = EditCommand {
             edit: &edit,
             on,
-            shape: &self.positions,
+            shape: &self.shape,
             poses: &self.poses,
             settings: self.is_solved.then_some(&self.options.solve),
         };
@@ -196,7 +195,7 @@ impl<'a> BatchRun<'a> {
         let noticed = outcome.report.warnings.iter();
         (self.warned).extend(noticed.map(|w| format!("steps[{k}]: {}: {}", w.code, w.message)));
         self.poses = outcome.poses;
-        self.positions = outcome.positions;
+        self.shape = outcome.shape;
         Ok(pb::report::Step {
             kind: "edit".into(),
             edit: Some(edit_result(&outcome.report)),
@@ -207,7 +206,7 @@ impl<'a> BatchRun<'a> {
     /// Compares the shape with the rest shape.
     fn quality(&self, exec: &Exec<'_>) -> Result<pb::Quality, Error> {
         let count_crossings = self.options.output.self_intersections;
-        let quality = (self.deformer).measure(&self.positions, count_crossings, exec)?;
+        let quality = (self.deformer).measure(&self.shape.positions, count_crossings, exec)?;
         Ok(quality_message(&quality))
     }
 }

@@ -6,12 +6,12 @@
 use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::{
     Deformer, DeformerFacts, DeformerLimits, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet,
-    OpenOptions, QualityReport, Shader, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
+    ModelShape, OpenOptions, QualityReport, Shader, ShapeId, SolveMode, SolveSettings, SolveUpdate, SolvedShape,
+    TopologyState,
 };
 use crate::exec::Exec;
 use crate::wire::edit_kind_name;
 use glam::DVec3;
-use std::sync::Arc;
 
 /// One model with everything derived from it. Calls come from compute threads, one at a time.
 ///
@@ -20,8 +20,8 @@ use std::sync::Arc;
 pub trait Engine: Send + 'static {
     /// What a session tells about model, solver and handles.
     fn facts(&self) -> DeformerFacts;
-    /// Positions at rest, one per render vertex.
-    fn rest(&self) -> Arc<Vec<DVec3>>;
+    /// The rest shape.
+    fn rest_shape(&self) -> ModelShape;
     /// Length of the bounding box's diagonal.
     fn diagonal(&self) -> f64;
     /// Bytes held.
@@ -64,7 +64,7 @@ pub trait Engine: Send + 'static {
         Ok(())
     }
     /// Whether all is known of a shape that an edit needs; if not, a commit that makes it again tells.
-    fn remembers(&self, _shape: &Arc<Vec<DVec3>>) -> bool {
+    fn remembers(&self, _shape: ShapeId) -> bool {
         true
     }
     /// Carries out an edit and sets the handles that are left.
@@ -111,8 +111,8 @@ impl Engine for Deformer {
         Self::facts(self)
     }
 
-    fn rest(&self) -> Arc<Vec<DVec3>> {
-        Arc::clone(Self::rest(self))
+    fn rest_shape(&self) -> ModelShape {
+        Self::rest_shape(self)
     }
 
     fn diagonal(&self) -> f64 {
@@ -171,7 +171,7 @@ impl Engine for Deformer {
         Self::restore_topology(self, state, exec)
     }
 
-    fn remembers(&self, shape: &Arc<Vec<DVec3>>) -> bool {
+    fn remembers(&self, shape: ShapeId) -> bool {
         Self::remembers(self, shape)
     }
 

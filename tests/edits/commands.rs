@@ -10,7 +10,7 @@ mod refusals;
 use bench::*;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits as ModelLimits, Model, shapes};
-use pliant::engine::{Deformer, SolvedShape, digest};
+use pliant::engine::{Deformer, ModelShape, SolvedShape, digest};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{Error, pb};
@@ -49,7 +49,7 @@ fn midpoint(region: Option<pb::Region>) -> pb::EditRequest {
 }
 
 /// Edits the shape that `shape` is, with the handles' own poses in force.
-fn edit(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> Result<EditedByMessage, Error> {
+fn edit(bench: &mut Deformer, request: &pb::EditRequest, shape: &ModelShape) -> Result<EditedByMessage, Error> {
     let poses = bench.initial_poses();
     let order = EditMessage {
         request,
@@ -62,7 +62,7 @@ fn edit(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>
 }
 
 fn edited(bench: &mut Deformer, request: &pb::EditRequest) -> EditedByMessage {
-    let rest = Arc::clone(bench.rest());
+    let rest = bench.rest_shape();
     edit(bench, request, &rest).expect("the edit can be done")
 }
 
@@ -101,7 +101,7 @@ fn both_halves_of_a_filled_cut_add_up() {
         let mut bench = bench(&bar());
         let outcome = edited(&mut bench, &cut_at(-0.6, keep, true));
         let half = read_back(&bench, Format::OBJ);
-        assert_eq!(half.positions.len(), outcome.positions.len());
+        assert_eq!(half.positions.len(), outcome.shape.len());
         let facts = bench.facts_message();
         assert!(
             facts.solver.is_some_and(|s| s.graph_vertices > s.solver_vertices),
@@ -143,14 +143,14 @@ fn what_is_seen_becomes_the_rest_shape() {
     let mut bench = bench(&bar());
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
     let bent = solved(&mut bench, &[("top", turn(DVec3::new(0.7, 0.0, 0.0), DVec3::ZERO))]);
-    let outcome = edit(&mut bench, &midpoint(Some(above(1.2))), &bent.positions).expect("subdivided");
+    let outcome = edit(&mut bench, &midpoint(Some(above(1.2))), &bent.shape()).expect("subdivided");
     let before = bent.positions.len();
-    assert!(outcome.positions.len() > before);
+    assert!(outcome.shape.len() > before);
     for run in &outcome.result.kept {
         for k in 0..run.count as usize {
             let (was, now) = (run.was as usize + k, run.now as usize + k);
-            assert_eq!(bent.positions[was], outcome.positions[now]);
-            assert_eq!(outcome.positions[now], bench.rest()[now]);
+            assert_eq!(bent.positions[was], outcome.shape[now]);
+            assert_eq!(outcome.shape[now], bench.rest()[now]);
         }
     }
     let held: u32 = outcome.result.kept.iter().map(|r| r.count).sum();
@@ -172,7 +172,7 @@ fn on_the_rest_shape_poses_stay() {
     let poses = bench
         .change_poses_message(&bench.initial_poses(), &pose(&[("top", turned)]))
         .expect("a pose");
-    let shape = Arc::clone(bench.rest());
+    let shape = bench.rest_shape();
     let request = pb::EditRequest {
         on: pb::edit_request::On::Rest.into(),
         ..midpoint(Some(half_space([1.0, 0.0, 0.0], 0.2)))
@@ -197,12 +197,7 @@ fn on_the_rest_shape_poses_stay() {
     // The top is still turned by 0.9 about the axis.
     let turn = glam::DQuat::from_rotation_z(0.9);
     let mut seen = 0;
-    for (p, q) in bench
-        .rest()
-        .iter()
-        .zip(outcome.positions.iter())
-        .filter(|(p, _)| p.z > 1.6)
-    {
+    for (p, q) in bench.rest().iter().zip(outcome.shape.iter()).filter(|(p, _)| p.z > 1.6) {
         assert!((turn * *p).distance(*q) < 1e-9);
         seen += 1;
     }
@@ -241,7 +236,7 @@ fn what_cannot_be_done_is_refused_whole() {
         (merge(Vec::new()), "obj"),
     ];
     for (request, reason) in cases {
-        let rest = Arc::clone(bench.rest());
+        let rest = bench.rest_shape();
         let error = edit(&mut bench, &request, &rest).expect_err(reason).to_string();
         assert!(error.contains(reason), "{error} should say {reason}");
         assert_eq!(digest(bench.rest()), before);
@@ -255,7 +250,7 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
         let pool = pool(threads);
         let mut bench = bench_with(&bar(), &pb::CreateOptions::default(), &pool);
         set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
-        let mut shape = Arc::clone(bench.rest());
+        let mut shape = bench.rest_shape();
         let mut digests = Vec::new();
         for (k, request) in [
             cut_at(1.9, cut::Keep::Below, true),
@@ -280,7 +275,7 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
             let turned = turn(DVec3::new(0.2, 0.1 * k as f64, 0.0), DVec3::ZERO);
             let solved = solved(&mut bench, &[("top", turned)]);
             digests.push(digest(&solved.positions));
-            shape = solved.positions;
+            shape = solved.shape();
         }
         digests
     };

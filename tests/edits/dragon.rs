@@ -122,7 +122,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
     let start = (tail.tip - tail.root) / tail.along.x;
     let (mut length, mut poses): (f64, HandlePoses) = (start, bench.initial_poses());
     let mut stretch = 0.0f64;
-    let (mut shape, mut quality) = (Arc::clone(bench.rest()), QualityReport::default());
+    let (mut shape, mut quality) = (bench.rest_shape(), QualityReport::default());
     let (steps, factor) = tail.steps;
     for step in 0..steps {
         let by = length * (factor - 1.0);
@@ -138,7 +138,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
             &Exec::new(&pool, &Silent),
             &mut |_| true,
         );
-        shape = solved.expect("solved").positions;
+        shape = solved.expect("solved").shape();
         quality = bench.quality(&shape, &pool);
         if !remesh {
             continue;
@@ -156,12 +156,12 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         let outcome = bench
             .edit_message(&order, &Exec::new(&pool, &Silent))
             .expect("remeshed");
-        (poses, shape) = (outcome.poses, outcome.positions);
+        (poses, shape) = (outcome.poses, outcome.shape);
     }
     Pulled {
         aspects: aspects(&bench, &shape, tail.root + 0.05),
         triangles: bench.geometry().triangles.len(),
-        positions: shape,
+        positions: shape.positions,
         stretch,
         quality,
     }

@@ -10,14 +10,13 @@ use crate::support::messages::{DeformerMessages, EditMessage};
 use checks::Before;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
-use pliant::engine::{Deformer, DeformerLimits, HandlePoses, SolveMode, SolveSettings, digest};
+use pliant::engine::{Deformer, DeformerLimits, HandlePoses, ModelShape, SolveMode, SolveSettings, digest};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::wire::{DeformOptions, json, pb};
 use script::{Draw, Seen};
 use serde_json::Value;
-use std::sync::Arc;
 
 /// Edits of one run.
 const EDITS: usize = 70;
@@ -28,7 +27,7 @@ struct Run {
     pool: Pool,
     draw: Draw,
     poses: HandlePoses,
-    shape: Arc<Vec<DVec3>>,
+    shape: ModelShape,
     settings: SolveSettings,
     /// Above so many vertices the model is thinned out.
     most: usize,
@@ -57,7 +56,7 @@ impl Run {
         };
         let mut run = Self {
             poses: bench.initial_poses(),
-            shape: Arc::clone(bench.rest()),
+            shape: bench.rest_shape(),
             settings: DeformOptions::check(&options, "options", 8)
                 .expect("valid options")
                 .solve,
@@ -95,7 +94,7 @@ impl Run {
             .set_handles_message(&request, &Exec::new(&self.pool, &Silent))
             .expect("the handles fit");
         self.poses = self.bench.initial_poses();
-        self.shape = Arc::clone(self.bench.rest());
+        self.shape = self.bench.rest_shape();
         self.posed = false;
     }
 
@@ -115,7 +114,7 @@ impl Run {
         self.posed = true;
     }
 
-    fn solved(&mut self) -> Arc<Vec<DVec3>> {
+    fn solved(&mut self) -> ModelShape {
         let solved = self.bench.solve(
             &self.poses,
             &self.settings,
@@ -125,7 +124,7 @@ impl Run {
         );
         let solved = solved.expect("solved");
         assert!(solved.residual <= 1e-5, "{}", solved.residual);
-        solved.positions
+        solved.shape()
     }
 
     /// Edits, and checks what came of it.
@@ -134,9 +133,9 @@ impl Run {
         let request: pb::EditRequest = message(&edit);
         let at_rest = edit["on"] == "REST";
         let shape = if at_rest {
-            Arc::clone(self.bench.rest())
+            self.bench.rest_shape()
         } else {
-            Arc::clone(&self.shape)
+            self.shape.clone()
         };
         let before = Before::of(&self.bench, &shape);
         let order = EditMessage {
@@ -151,7 +150,7 @@ impl Run {
                 before.done(&self.bench, &edit, &outcome);
                 self.counts[0] += 1;
                 self.poses = outcome.poses;
-                self.shape = outcome.positions;
+                self.shape = outcome.shape;
                 self.posed = false;
                 if self.bench.handles_message().handles.len() < 2 {
                     self.hold();

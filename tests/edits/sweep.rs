@@ -2,9 +2,8 @@
 
 use crate::support::data::{data_folder, files_below};
 use crate::support::messages::{DeformerMessages, EditMessage};
-use glam::DVec3;
 use pliant::asset::{FileSet, Format, Model};
-use pliant::engine::{Deformer, DeformerLimits, digest};
+use pliant::engine::{Deformer, DeformerLimits, ModelShape, digest};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -12,7 +11,7 @@ use pliant::wire::{Error, json, pb};
 use serde_json::{Value, json};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 
 /// Models with fewer triangles have no region worth the name: they are edited as a whole.
 const SMALL: usize = 60;
@@ -90,7 +89,7 @@ fn broken(bench: &Deformer) -> usize {
 }
 
 /// One edit: what the table says, or what went wrong.
-fn one(bench: &mut Deformer, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &Pool) -> Result<String, String> {
+fn one(bench: &mut Deformer, shape: &mut ModelShape, edit: &Value, pool: &Pool) -> Result<String, String> {
     let request: pb::EditRequest = json::from_json(edit.to_string().as_bytes()).map_err(|e| e.to_string())?;
     let poses = bench.initial_poses();
     let (idle, defects, was) = (unreferenced(bench), broken(bench), digest(bench.rest()));
@@ -109,11 +108,11 @@ fn one(bench: &mut Deformer, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &P
             );
             let agree = after.vertices as usize == bench.rest().len()
                 && after.faces as usize == bench.geometry().triangles.len()
-                && outcome.result.digest == digest(&outcome.positions);
+                && outcome.result.digest == digest(&outcome.shape);
             if !agree {
                 return Err("the result does not agree with the model".into());
             }
-            if !outcome.positions.iter().all(|p| p.is_finite()) {
+            if !outcome.shape.iter().all(|p| p.is_finite()) {
                 return Err("a place that is not finite".into());
             }
             if unreferenced(bench) > idle {
@@ -122,7 +121,7 @@ fn one(bench: &mut Deformer, shape: &mut Arc<Vec<DVec3>>, edit: &Value, pool: &P
             if defects == 0 && broken(bench) > 0 {
                 return Err(format!("{} places are not manifold any more", broken(bench)));
             }
-            *shape = outcome.positions;
+            *shape = outcome.shape;
             Ok(format!("{}→{}", before.faces, after.faces))
         }
         Err(Error::Internal(problem)) => Err(problem),
@@ -163,7 +162,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
         }
     };
     let mut line = format!("{:>6} vertices", bench.rest().len());
-    let mut shape = Arc::clone(bench.rest());
+    let mut shape = bench.rest_shape();
     for (name, edit) in edits(&bench, k) {
         match one(&mut bench, &mut shape, &edit, &pool) {
             Ok(said) => line += &format!(" | {name} {said}"),

@@ -1,16 +1,14 @@
 //! The calls of a deformer in the words of messages: what a transport does, in process.
 
-use glam::DVec3;
 use pliant::asset::FileSet;
-use pliant::engine::{Deformer, EditCommand, HandlePoses, SolveSettings};
+use pliant::engine::{Deformer, EditCommand, HandlePoses, ModelShape, SolveSettings};
 use pliant::exec::Exec;
 use pliant::wire::{self, Error, pb};
-use std::sync::Arc;
 
 /// An edit as a message, and the state that it is to change.
 pub struct EditMessage<'a> {
     pub request: &'a pb::EditRequest,
-    pub shape: &'a Arc<Vec<DVec3>>,
+    pub shape: &'a ModelShape,
     pub poses: &'a HandlePoses,
     pub settings: Option<&'a SolveSettings>,
     pub other: Option<FileSet>,
@@ -23,7 +21,7 @@ pub struct EditedByMessage {
     pub handles: pb::SetHandlesRequest,
     pub poses: HandlePoses,
     pub solved: Option<SolveSettings>,
-    pub positions: Arc<Vec<DVec3>>,
+    pub shape: ModelShape,
 }
 
 /// Calls with messages.
@@ -67,7 +65,7 @@ impl DeformerMessages for Deformer {
             handles: wire::handle_set_message(&outcome.handles),
             poses: outcome.poses,
             solved: outcome.solved,
-            positions: outcome.positions,
+            shape: outcome.shape,
         })
     }
 }

@@ -9,7 +9,8 @@ use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use crate::shared::timing::RunTimes;
 use pliant::asset::FileSet;
 use pliant::engine::{
-    Deformer, DeformerLimits, EditCommand, HandlePoses, HandleSet, OpenOptions, SolveMode, SolveSettings, TopologyState,
+    Deformer, DeformerLimits, EditCommand, HandlePoses, HandleSet, ModelShape, OpenOptions, SolveMode, SolveSettings,
+    TopologyState,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -78,7 +79,7 @@ struct EditBench<'a> {
     trail: TopologyState,
     handles: HandleSet,
     poses: HandlePoses,
-    shape: Arc<Vec<glam::DVec3>>,
+    shape: ModelShape,
     request: pb::EditRequest,
     pull: pb::Pose,
     pool: &'a Pool,
@@ -207,7 +208,7 @@ fn open_edit_bench<'a>(
     })?;
     bench.set_handles(&handles, &Exec::new(pool, &Silent))?;
     let mut poses = bench.initial_poses();
-    let mut shape = Arc::clone(bench.rest());
+    let mut shape = bench.rest_shape();
     if !args.at_rest {
         poses = wire::change_poses(&bench, &poses, &scene.pose_number(FARTHEST_POSE / 2))?;
         let settings = SolveSettings::default();
@@ -218,7 +219,7 @@ fn open_edit_bench<'a>(
             &Exec::new(pool, &Silent),
             &mut |_| true,
         )?;
-        shape = solved.positions;
+        shape = solved.shape();
     }
     let (sphere, region) = sphere_around_middle(&shape, args.region as usize);
     let region_of = || {
@@ -281,7 +282,7 @@ impl EditBench<'_> {
         let (pool, bench) = (self.pool, &mut self.bench);
         bench.restore_topology(&self.trail, &Exec::new(pool, &Silent))?;
         bench.set_handles(&self.handles, &Exec::new(pool, &Silent))?;
-        if !Arc::ptr_eq(&self.shape, bench.rest()) {
+        if self.shape.id != bench.rest_shape().id {
             let settings = SolveSettings::default();
             self.shape = (bench.solve(
                 &self.poses,
@@ -290,12 +291,12 @@ impl EditBench<'_> {
                 &Exec::new(pool, &Silent),
                 &mut |_| true,
             )?)
-            .positions;
+            .shape();
         }
         // A shape that the bench knows nothing of but the vertices is built on anew.
         let shape = match follow {
-            true => Arc::clone(&self.shape),
-            false => Arc::new(self.shape.as_ref().clone()),
+            true => self.shape.clone(),
+            false => ModelShape::from_positions(Arc::new(self.shape.to_vec())),
         };
         let (edit, on) = wire::edit(&self.request, None)?;
         let order = EditCommand {

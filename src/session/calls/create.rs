@@ -166,7 +166,7 @@ fn start_session(
         handles: Arc::clone(&state.handles),
         poses: state.poses.clone(),
         build_ms: build_ms.clone(),
-        positions: deformer.engine.rest(),
+        positions: deformer.engine.rest_shape().positions,
         digest: state.digest.clone(),
         history: history.describe(),
     };
@@ -239,14 +239,14 @@ async fn open_model(
             .opener
             .open(files, &options, &limits, &Exec::new(pool, &*inner_watch))?;
         let build_ms = inner_watch.take_stage_ms();
-        let rest = engine.rest();
+        let rest = engine.rest_shape();
         let state = EditedState {
             topology: engine.topology_state(),
             diagonal: engine.diagonal(),
             handles: HandleSet::default(),
             poses: engine.initial_poses(),
             facts: engine.facts(),
-            digest: digest(&rest),
+            digest: digest(&rest.positions),
             solved_with: None,
         };
         let config = &inside.config;

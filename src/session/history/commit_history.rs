@@ -4,12 +4,11 @@
 //! they fit a budget of bytes; an older one is solved again from its recipe, which gives the same bits. Knows no
 //! engine and no task: it is told what was solved.
 
-use crate::engine::{DeformerFacts, HandlePoses, HandleSet, SolveSettings, TopologyState};
+use crate::engine::{DeformerFacts, HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
 use crate::session::answers::{CommitFacts, HistoryFacts};
 use crate::session::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, RecordedShapeId, SessionState, ShapeRecipe,
 };
-use glam::DVec3;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -27,7 +26,7 @@ struct CommitRecord {
 #[derive(Debug)]
 struct RecordedShape {
     recipe: ShapeRecipe,
-    snapshot: Option<Arc<Vec<DVec3>>>,
+    snapshot: Option<ModelShape>,
 }
 
 /// The commits of one session. Never empty: the first is the session's creation, or what older commits were folded into.
@@ -46,7 +45,7 @@ pub(in crate::session) struct CommitHistory {
 impl CommitHistory {
     /// The history of a session just created, at rest, on an engine in the state `opened`. At most `limit` commits can be
     /// undone.
-    pub fn new(opened: EditedState, rest: Arc<Vec<DVec3>>, limit: usize, snapshot_bytes: u64) -> Self {
+    pub fn new(opened: EditedState, rest: ModelShape, limit: usize, snapshot_bytes: u64) -> Self {
         let (shape, topology) = (RecordedShapeId(0), opened.topology.clone());
         let state = SessionState {
             topology: opened.topology,
@@ -86,10 +85,10 @@ impl CommitHistory {
         Arc::new(CommittedHandles { id, set })
     }
 
-    fn record_shape(&mut self, recipe: ShapeRecipe, positions: Arc<Vec<DVec3>>) -> RecordedShapeId {
+    fn record_shape(&mut self, recipe: ShapeRecipe, shape: ModelShape) -> RecordedShapeId {
         let id = RecordedShapeId(self.next_shape);
         self.next_shape += 1;
-        let snapshot = Some(positions);
+        let snapshot = Some(shape);
         self.shapes.insert(id, RecordedShape { recipe, snapshot });
         id
     }
@@ -119,10 +118,10 @@ impl CommitHistory {
         self.records.get(index).map(|r| &r.state)
     }
 
-    /// A shape's positions, or how to solve them again.
-    pub fn shape(&self, id: RecordedShapeId) -> Result<Arc<Vec<DVec3>>, ShapeRecipe> {
+    /// A shape, or how to solve it again.
+    pub fn shape(&self, id: RecordedShapeId) -> Result<ModelShape, ShapeRecipe> {
         let snapshot = self.shapes.get(&id).and_then(|s| s.snapshot.as_ref());
-        snapshot.map(Arc::clone).ok_or_else(|| self.recipe(id))
+        snapshot.cloned().ok_or_else(|| self.recipe(id))
     }
 
     /// How to make a shape again.
@@ -148,13 +147,7 @@ impl CommitHistory {
     }
 
     /// Records a solved pose. What was undone is gone.
-    pub fn commit_pose(
-        &mut self,
-        poses: HandlePoses,
-        settings: SolveSettings,
-        positions: Arc<Vec<DVec3>>,
-        digest: String,
-    ) {
+    pub fn commit_pose(&mut self, poses: HandlePoses, settings: SolveSettings, shape: ModelShape, digest: String) {
         let state = self.current().clone();
         let recipe = ShapeRecipe::Solved {
             topology: state.topology.clone(),
@@ -162,7 +155,7 @@ impl CommitHistory {
             poses: poses.clone(),
             settings,
         };
-        let shape = self.record_shape(recipe, positions);
+        let shape = self.record_shape(recipe, shape);
         let state = SessionState {
             poses,
             shape,
@@ -173,7 +166,7 @@ impl CommitHistory {
     }
 
     /// Records an edit: the state that it left, and its shape. What was undone is gone.
-    pub fn commit_edit(&mut self, edited: EditedState, positions: Arc<Vec<DVec3>>) {
+    pub fn commit_edit(&mut self, edited: EditedState, shape: ModelShape) {
         let handles = self.number_handles(edited.handles);
         let topology = edited.topology.clone();
         let recipe = match edited.solved_with {
@@ -191,18 +184,18 @@ impl CommitHistory {
             handles,
             poses: edited.poses,
             facts: Arc::new(edited.facts),
-            shape: self.record_shape(recipe, positions),
+            shape: self.record_shape(recipe, shape),
             digest: edited.digest,
         };
         self.push_commit("edit", state);
     }
 
-    /// Goes to commit `index`, whose shape is `positions`.
-    pub fn go_to_commit(&mut self, index: usize, positions: Arc<Vec<DVec3>>) {
+    /// Goes to commit `index`, whose shape is given.
+    pub fn go_to_commit(&mut self, index: usize, given: ModelShape) {
         self.at = index.min(self.records.len() - 1);
         self.revision += 1;
         if let Some(shape) = self.shapes.get_mut(&self.records[self.at].state.shape) {
-            shape.snapshot = Some(positions);
+            shape.snapshot = Some(given);
         }
         self.fold_oldest();
     }
@@ -237,7 +230,7 @@ impl CommitHistory {
                 break;
             }
             let evictable = matches!(shape.recipe, ShapeRecipe::Solved { .. });
-            if evictable && let Some(positions) = shape.snapshot.take() {
+            if evictable && let Some(ModelShape { positions, .. }) = shape.snapshot.take() {
                 bytes = bytes.saturating_sub(size_of_val(positions.as_slice()) as u64);
             }
         }
@@ -251,7 +244,7 @@ impl CommitHistory {
             .filter(|s| matches!(s.recipe, ShapeRecipe::Solved { .. }));
         solved
             .filter_map(|s| s.snapshot.as_ref())
-            .map(|p| size_of_val(p.as_slice()) as u64)
+            .map(|s| size_of_val(s.positions.as_slice()) as u64)
             .sum()
     }
 

@@ -3,6 +3,7 @@
 use super::*;
 use crate::asset::Format;
 use crate::engine::{MeshCounts, ModelFacts, SolverFacts};
+use glam::DVec3;
 use proptest::prelude::*;
 
 fn settings() -> SolveSettings {
@@ -25,7 +26,7 @@ fn facts() -> DeformerFacts {
 }
 
 fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
-    let rest = Arc::new(vec![DVec3::ZERO; 10]);
+    let rest = ModelShape::from_positions(Arc::new(vec![DVec3::ZERO; 10]));
     CommitHistory::new(
         EditedState {
             topology: None,
@@ -43,8 +44,8 @@ fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
 }
 
 fn pose(history: &mut CommitHistory, x: f64) {
-    let positions = Arc::new(vec![DVec3::splat(x); 10]);
-    history.commit_pose(HandlePoses::default(), settings(), positions, format!("{x}"));
+    let shape = ModelShape::from_positions(Arc::new(vec![DVec3::splat(x); 10]));
+    history.commit_pose(HandlePoses::default(), settings(), shape, format!("{x}"));
 }
 
 #[test]
@@ -106,7 +107,7 @@ proptest! {
                 2 => {
                     prop_assert_eq!(history.undo_target().is_some(), at > 0);
                     if let Some(back) = history.undo_target() {
-                        let shape = history.shape(history.state(back).expect("kept").shape).unwrap_or_default();
+                        let shape = history.shape(history.state(back).expect("kept").shape).unwrap_or_else(|_| ModelShape::from_positions(Arc::default()));
                         history.go_to_commit(back, shape);
                         at -= 1;
                         revision += 1;
@@ -116,7 +117,7 @@ proptest! {
                 _ => {
                     prop_assert_eq!(history.redo_target().is_some(), at + 1 < model.len());
                     if let Some(next) = history.redo_target() {
-                        let shape = history.shape(history.state(next).expect("kept").shape).unwrap_or_default();
+                        let shape = history.shape(history.state(next).expect("kept").shape).unwrap_or_else(|_| ModelShape::from_positions(Arc::default()));
                         history.go_to_commit(next, shape);
                         at += 1;
                         revision += 1;

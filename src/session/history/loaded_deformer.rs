@@ -2,8 +2,8 @@
 //! time: the next one brings the engine back to the handles that it needs.
 
 use crate::engine::{
-    DeformerFacts, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet, QualityReport, Shader, Shading,
-    SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
+    DeformerFacts, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet, ModelShape, QualityReport,
+    Shader, Shading, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
 };
 use crate::exec::Exec;
 use crate::pool::Pool;
@@ -157,11 +157,11 @@ impl LoadedDeformer {
     }
 
     /// Makes a shape again.
-    pub fn solve_recipe(&mut self, recipe: &ShapeRecipe, exec: &Exec<'_>) -> Result<Arc<Vec<DVec3>>, Error> {
+    pub fn solve_recipe(&mut self, recipe: &ShapeRecipe, exec: &Exec<'_>) -> Result<ModelShape, Error> {
         match recipe {
             ShapeRecipe::Rest { topology } => {
                 self.go_to_topology(topology.as_ref(), exec)?;
-                Ok(self.engine.rest())
+                Ok(self.engine.rest_shape())
             }
             ShapeRecipe::Solved {
                 topology,
@@ -172,7 +172,7 @@ impl LoadedDeformer {
                 self.load_state(topology.as_ref(), handles, exec)?;
                 Ok(self
                     .solve(poses, settings, SolveMode::Commit, exec, &mut |_| true)?
-                    .positions)
+                    .shape())
             }
         }
     }

@@ -121,18 +121,18 @@ impl SessionTask {
         let nothing = || Error::new(ErrorCode::FailedPrecondition, nothing);
         let index = target.ok_or_else(nothing)?;
         let shape = self.history.state(index).ok_or_else(nothing)?.shape;
-        let positions = match self.history.shape(shape) {
-            Ok(positions) => positions,
+        let shape = match self.history.shape(shape) {
+            Ok(shape) => shape,
             Err(recipe) => {
                 let limit = self.shared.config.build;
                 let replay = move |deformer: &mut LoadedDeformer, pool: &Pool, watch: &WorkWatch, _| {
                     deformer.solve_recipe(&recipe, &Exec::new(pool, watch))
                 };
-                let (positions, watch) = self.compute(&call.cancel, limit, replay).await?;
-                positions.map_err(|e| self.failure(e, &watch))?
+                let (shape, watch) = self.compute(&call.cancel, limit, replay).await?;
+                shape.map_err(|e| self.failure(e, &watch))?
             }
         };
-        self.history.go_to_commit(index, positions);
+        self.history.go_to_commit(index, shape);
         self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
         self.publish_view();
         Ok(self.session.describe())

@@ -42,7 +42,7 @@ impl SessionTask {
                     // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine
                     // happens to remember.
                     let shape = match shape {
-                        Ok(shape) if deformer.engine.remembers(&shape) => shape,
+                        Ok(shape) if deformer.engine.remembers(shape.id) => shape,
                         _ => deformer.solve_recipe(&recipe, exec)?,
                     };
                     let settings = match &recipe {
@@ -74,7 +74,7 @@ impl SessionTask {
             digest: outcome.report.digest.clone(),
             solved_with: outcome.solved,
         };
-        self.history.commit_edit(edited, outcome.positions);
+        self.history.commit_edit(edited, outcome.shape);
         if let Some(deformer) = &mut self.deformer {
             deformer.adopt_handles(self.history.current().handles.id);
         }

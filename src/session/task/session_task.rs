@@ -157,9 +157,9 @@ impl SessionTask {
 
     /// Records a solved pose as a commit, shows it to everybody and counts it.
     pub fn commit_solution(&mut self, solution: &CommitSolution, settings: SolveSettings) {
-        let (poses, positions) = (solution.poses.clone(), Arc::clone(&solution.solved.positions));
+        let (poses, shape) = (solution.poses.clone(), solution.solved.shape());
         self.history
-            .commit_pose(poses, settings, positions, solution.digest.clone());
+            .commit_pose(poses, settings, shape, solution.digest.clone());
         self.publish_view();
         self.shared.metrics.commits.inc();
         self.count_solve(solution);
@@ -196,7 +196,8 @@ impl SessionTask {
     pub fn publish_view(&mut self) {
         let state = self.history.current();
         // The current shape is always at hand; `go_to_commit` and the commits see to it.
-        let positions = self.history.shape(state.shape).unwrap_or_default();
+        let shape = self.history.shape(state.shape);
+        let positions = shape.map(|s| s.positions).unwrap_or_default();
         let view = SessionView {
             revision: self.history.revision(),
             facts: Arc::clone(&state.facts),

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::support::messages::{DeformerMessages, EditMessage};
-use pliant::engine::SolveMode;
+use pliant::engine::{ModelShape, SolveMode};
 use pliant::exec::Exec;
 
 /// A bar of a few thousand vertices, so that a few of them are little.
@@ -82,10 +82,10 @@ fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
     let shaped = || {
         let mut bench = bench(&fine_bar());
         set(&mut bench, handles());
-        let shape = solve(&mut bench, &bend(), 1e-6).positions;
+        let shape = solve(&mut bench, &bend(), 1e-6).shape();
         (bench, shape)
     };
-    let next = |bench: &mut Deformer, shape: &Arc<Vec<DVec3>>| {
+    let next = |bench: &mut Deformer, shape: &ModelShape| {
         let region = ball(shape[shape.len() / 2].to_array(), 0.2);
         let outcome = edit(bench, &delete(region, true), shape).expect("the edit can be done");
         (outcome.result.repaired, solve(bench, &bend(), 1e-6))
@@ -93,7 +93,7 @@ fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
     let (mut here, shape) = shaped();
     let followed = next(&mut here, &shape);
     let (mut there, shape) = shaped();
-    let anew = next(&mut there, &Arc::new(shape.to_vec()));
+    let anew = next(&mut there, &ModelShape::from_positions(Arc::new(shape.to_vec())));
     assert_eq!((followed.0, anew.0), (true, false));
     let apart = largest_distance(&followed.1.positions, &anew.1.positions) / here.diagonal();
     assert!(apart < 0.01, "{apart} of the diagonal apart");
@@ -147,7 +147,7 @@ fn large_edits_and_shapes_of_unknown_origin_are_built_anew() {
     let mut bench = bench(&fine_bar());
     set(&mut bench, handles());
     assert!(!edited(&mut bench, &midpoint(None)).result.repaired);
-    let shape = Arc::new(bench.rest().iter().map(|p| *p * 1.1).collect::<Vec<_>>());
+    let shape = ModelShape::from_positions(Arc::new(bench.rest().iter().map(|p| *p * 1.1).collect()));
     let request = delete(ball([0.55, 0.0, 2.2], 0.2), true);
     let outcome = edit(&mut bench, &request, &shape).expect("the edit can be done");
     assert!(!outcome.result.repaired);
@@ -157,7 +157,7 @@ fn large_edits_and_shapes_of_unknown_origin_are_built_anew() {
 fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
     let pool = pool(threads);
     let mut said = Vec::new();
-    let mut shape = Arc::clone(bench.rest());
+    let mut shape = bench.rest_shape();
     for k in 0..6 {
         let poses = bench.initial_poses();
         let region = ball([0.5, 0.0, 1.2 + 0.3 * f64::from(k)], 0.18);
@@ -191,7 +191,7 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
             )
             .expect("solved");
         said.push(digest(&solved.positions));
-        shape = solved.positions;
+        shape = solved.shape();
     }
     said
 }
@@ -203,14 +203,14 @@ fn the_way_back_and_forth_gives_the_same_bits_however_far() {
     let start = (bench.topology_state(), bench.handles_message());
     let mut states = vec![start];
     let mut digests = vec![bent(&mut bench)];
-    let mut shape = Arc::clone(bench.rest());
+    let mut shape = bench.rest_shape();
     for k in 0..5 {
         let region = ball(shape[shape.len() / 3 + 211 * k].to_array(), 0.18);
         let outcome = edit(&mut bench, &delete(region, k % 2 == 0), &shape).expect("an edit");
         assert!(outcome.result.repaired, "edit {k}");
         states.push((bench.topology_state(), bench.handles_message()));
         digests.push(bent(&mut bench));
-        shape = solve(&mut bench, &bend(), 1e-5).positions;
+        shape = solve(&mut bench, &bend(), 1e-5).shape();
     }
     // One step, then all the way, then there and back at random: near states are kept, far ones followed again.
     for at in [4, 5, 0, 3, 1, 5, 2, 0, 4] {
@@ -249,7 +249,7 @@ fn a_refused_edit_leaves_everything_as_it_was() {
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
     let (before, bytes) = (bent(&mut bench), bench.byte_size());
     let missed = cut_at(99.0, cut::Keep::Both, false);
-    let rest = Arc::clone(bench.rest());
+    let rest = bench.rest_shape();
     edit(&mut bench, &missed, &rest).expect_err("the plane misses");
     assert_eq!((bent(&mut bench), bench.byte_size()), (before, bytes));
 }

@@ -110,7 +110,7 @@ fn automatic_remeshing_mends_what_was_stretched_and_only_that() {
         auto: true,
         ..Default::default()
     }));
-    let outcome = edit(&mut bench, &auto, &stretched.positions).expect("stretched");
+    let outcome = edit(&mut bench, &auto, &stretched.shape()).expect("stretched");
     let [before, after] = [outcome.result.before, outcome.result.after].map(|c| c.expect("counts").faces);
     assert!(after > before * 3 / 2, "{before} -> {after}");
     sound(&mut bench, &outcome);
@@ -147,7 +147,7 @@ fn decimating_thins_out_and_welding_joins() {
     let mut bench = bench_with(&both, &pb::CreateOptions::default(), &pool(2));
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(5.5))]);
     let outcome = edited(&mut bench, &request(Operation::Weld(wire::Weld { tolerance: 1e-3 })));
-    assert!(outcome.positions.len() <= 2 * positions.len());
+    assert!(outcome.shape.len() <= 2 * positions.len());
     sound(&mut bench, &outcome);
 }
 
@@ -162,7 +162,7 @@ fn holes_are_made_and_closed() {
     assert!(closed(&bench));
     sound(&mut bench, &filled);
     assert!((bar_volume(&bench) - 4.0).abs() < 0.05, "{}", bar_volume(&bench));
-    let rest = Arc::clone(bench.rest());
+    let rest = bench.rest_shape();
     let nothing = edit(
         &mut bench,
         &request(Operation::Fill(wire::Fill { region: None })),

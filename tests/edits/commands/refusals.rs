@@ -24,7 +24,7 @@ fn merged(model: Vec<u8>) -> pb::EditRequest {
     }))
 }
 
-fn refusal(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec3>>) -> String {
+fn refusal(bench: &mut Deformer, request: &pb::EditRequest, shape: &ModelShape) -> String {
     let before = (digest(bench.rest()), bench.facts_message().solver);
     let told = edit(bench, request, shape).expect_err("it is refused").to_string();
     assert_eq!(
@@ -38,7 +38,7 @@ fn refusal(bench: &mut Deformer, request: &pb::EditRequest, shape: &Arc<Vec<DVec
 #[test]
 fn a_merge_says_what_is_wrong_with_the_other_model() {
     let mut bench = held();
-    let rest = Arc::clone(bench.rest());
+    let rest = bench.rest_shape();
     let told = refusal(&mut bench, &merged(b"AAAA".to_vec()), &rest);
     assert!(told.starts_with("merge.model: cannot be taken: "), "{told}");
     let nothing = request(Operation::Merge(wire::Merge::default()));
@@ -54,7 +54,7 @@ fn a_merge_says_what_is_wrong_with_the_other_model() {
 #[test]
 fn a_curve_without_a_length_is_refused() {
     let mut bench = held();
-    let rest = Arc::clone(bench.rest());
+    let rest = bench.rest_shape();
     let point = [0.5, 0.0, 0.1];
     let line = [point, point].concat();
     let cut = request(Operation::Cut(wire::Cut {
@@ -93,7 +93,7 @@ fn a_curve_without_a_length_is_refused() {
 fn an_empty_region_says_which_shape_it_was_taken_in() {
     let mut bench = held();
     let up = shift(DVec3::new(0.0, 0.0, 5.0));
-    let bent = solved(&mut bench, &[("top", up)]).positions;
+    let bent = solved(&mut bench, &[("top", up)]).shape();
     let nowhere = delete(above(50.0), false);
     let told = refusal(&mut bench, &nowhere, &bent);
     assert!(told.contains("taken in the current shape"), "{told}");

@@ -81,9 +81,9 @@ impl Before {
             (after.vertices as usize, after.faces as usize),
             (rest.len(), triangles.len())
         );
-        assert_eq!(outcome.positions.len(), rest.len());
-        assert_eq!(result.digest, digest(&outcome.positions));
-        assert!(rest.iter().chain(outcome.positions.iter()).all(|p| p.is_finite()));
+        assert_eq!(outcome.shape.len(), rest.len());
+        assert_eq!(result.digest, digest(&outcome.shape));
+        assert!(rest.iter().chain(outcome.shape.iter()).all(|p| p.is_finite()));
         let ids: Vec<&str> = bench.handles().handles.iter().map(|h| h.id.as_str()).collect();
         assert_eq!(result.handles_kept, ids);
         assert_eq!(outcome.poses.0.len(), ids.len());

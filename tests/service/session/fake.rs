@@ -9,8 +9,8 @@ use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, WrittenFiles};
 use pliant::engine::{
     DeformerFacts, DeformerLimits, Error, Handle, HandleFacts, HandlePose, HandlePoses, HandleSet, InputPlace,
-    MeshCounts, ModelFacts, OpenOptions, Region, RegionPlace, Shader, SolveMode, SolveSettings, SolveUpdate,
-    SolvedShape, SolverFacts,
+    MeshCounts, ModelFacts, ModelShape, OpenOptions, Region, RegionPlace, Shader, SolveMode, SolveSettings,
+    SolveUpdate, SolvedShape, SolverFacts,
 };
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
@@ -172,8 +172,8 @@ impl Engine for Fake {
         }
     }
 
-    fn rest(&self) -> Arc<Vec<DVec3>> {
-        Arc::clone(&self.rest)
+    fn rest_shape(&self) -> ModelShape {
+        ModelShape::from_positions(Arc::clone(&self.rest))
     }
 
     fn diagonal(&self) -> f64 {
@@ -267,7 +267,9 @@ impl Engine for Fake {
             }
         };
         let positions = Arc::new(at(if residual <= 1e-4 { 1.0 } else { 1.0 - residual }));
+        let ModelShape { id, positions } = ModelShape::from_positions(positions);
         Ok(SolvedShape {
+            id,
             positions,
             cycles,
             residual,

@@ -12,6 +12,7 @@ use super::quality::measure_quality;
 use super::region_context::RegionContext;
 use super::resolved_handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
 use super::settings::OpenOptions;
+use super::shape::{ModelShape, ShapeId};
 use super::topology_state::TopologyId;
 use crate::asset::{FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
@@ -35,13 +36,15 @@ pub struct Deformer {
     pub(super) state: SolveState,
     /// The shape that was committed last, and all nodes of the graph in it.
     pub(super) committed: Option<CommittedShape>,
+    /// How many solutions have been named.
+    pub(super) solutions: u64,
     /// What it was before edits, and after those that were undone; the last one left comes last.
     past: Vec<Arc<DerivedStructures>>,
 }
 
 /// A shape, and all nodes of the graph in it.
 pub(super) struct CommittedShape {
-    pub positions: Arc<Vec<DVec3>>,
+    pub id: ShapeId,
     pub nodes: Arc<Vec<DVec3>>,
 }
 
@@ -82,6 +85,7 @@ impl Deformer {
             rig: None,
             state: SolveState::default(),
             committed: None,
+            solutions: 0,
             past: Vec::new(),
         })
     }
@@ -113,6 +117,7 @@ impl Deformer {
             rig: None,
             state: SolveState::default(),
             committed: None,
+            solutions: self.solutions,
             past,
         }
     }
@@ -128,14 +133,27 @@ impl Deformer {
     }
 
     /// Whether the nodes of the graph in this shape are known, as an edit of it needs.
-    pub fn remembers(&self, shape: &Arc<Vec<DVec3>>) -> bool {
-        Arc::ptr_eq(shape, self.rest()) || self.nodes_of(shape).is_some()
+    pub fn remembers(&self, shape: ShapeId) -> bool {
+        shape == self.rest_id() || self.nodes_of(shape).is_some()
     }
 
     /// The nodes of the graph in a shape that was committed last.
-    pub(super) fn nodes_of(&self, shape: &Arc<Vec<DVec3>>) -> Option<&Arc<Vec<DVec3>>> {
-        let known = self.committed.as_ref().filter(|c| Arc::ptr_eq(&c.positions, shape));
+    pub(super) fn nodes_of(&self, shape: ShapeId) -> Option<&Arc<Vec<DVec3>>> {
+        let known = self.committed.as_ref().filter(|c| c.id == shape);
         known.map(|c| &c.nodes)
+    }
+
+    /// Returns the name of the rest shape.
+    pub(super) fn rest_id(&self) -> ShapeId {
+        ShapeId::rest(self.derived.lineage.id)
+    }
+
+    /// Returns the rest shape.
+    pub fn rest_shape(&self) -> ModelShape {
+        ModelShape {
+            id: self.rest_id(),
+            positions: Arc::clone(self.rest()),
+        }
     }
 
     pub(super) fn topology(&self) -> &Arc<ModelTopology> {

@@ -7,7 +7,6 @@ use super::pose::{HandlePose, HandlePoses};
 use super::settings::{SolveMode, SolveSettings};
 use super::solve::SolvedShape;
 use crate::exec::Exec;
-use std::sync::Arc;
 
 /// A drag under way: every pose starts from the shape of the one before it.
 pub struct Drag<'a> {
@@ -68,7 +67,7 @@ impl Deformer {
     /// # Errors
     /// Those of [`Deformer::edit`].
     pub fn edit_rest(&mut self, edit: &Edit, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
-        let (shape, poses) = (Arc::clone(self.rest()), self.initial_poses());
+        let (shape, poses) = (self.rest_shape(), self.initial_poses());
         let command = EditCommand {
             edit,
             on: EditedShape::Rest,

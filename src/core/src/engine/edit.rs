@@ -14,6 +14,7 @@ use super::model_topology::EditSurface;
 use super::pose::HandlePoses;
 use super::region_context::{RegionContext, vertices_in_region};
 use super::settings::{SolveMode, SolveSettings};
+use super::shape::ModelShape;
 use super::topology_state::{KeptHandleFields, TopologyState};
 use super::{Deformer, digest};
 use crate::edit::{PatchedSurface, apply_patch};
@@ -30,19 +31,19 @@ impl Deformer {
     pub fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);
         let at_rest = order.on == EditedShape::Rest;
-        if order.shape.len() != self.rest().len() {
+        if order.shape.positions.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }
-        let rest = Arc::clone(self.rest());
+        let rest = self.rest_shape();
         let shape = if at_rest { &rest } else { order.shape };
-        let mut surface = self.edit_surface(shape);
-        let points = (!Arc::ptr_eq(shape, &rest)).then(|| surface.point_positions());
+        let mut surface = self.edit_surface(&shape.positions);
+        let points = (shape.id != rest.id).then(|| surface.point_positions());
         let mut origins = self.topology().origins(&self.derived.mesh);
         let before = (surface.positions.len(), self.geometry().triangles.len());
         let mut context = EditContext {
             regions: self.region_context(shape),
             limits: self.limits,
-            rest: &rest,
+            rest: &rest.positions,
             surface: &mut surface,
             origins: &mut origins,
         };
@@ -60,7 +61,7 @@ impl Deformer {
         let nodes = match points {
             None => Some(None),
             Some(points) => self
-                .nodes_of(shape)
+                .nodes_of(shape.id)
                 .map(|nodes| Some(nodes_with_points(nodes, &points))),
         };
         let change = TopologyChange {
@@ -131,20 +132,20 @@ impl Deformer {
     ) -> Result<EditOutcome, Error> {
         let poses = self.initial_poses();
         let posed = poses.0.iter().any(|pose| pose.moves());
-        let (positions, solved) = if let Some(settings) = settings.filter(|_| posed) {
+        let (shape, solved) = if let Some(settings) = settings.filter(|_| posed) {
             exec.progress.report("solve", 0.0);
             let solved = self.solve(&poses, &settings, SolveMode::Commit, exec, &mut |_| true)?;
-            (solved.positions, Some(settings))
+            (solved.shape(), Some(settings))
         } else {
-            (Arc::clone(self.rest()), None)
+            (self.rest_shape(), None)
         };
-        report.digest = digest(&positions);
+        report.digest = digest(&shape.positions);
         Ok(EditOutcome {
             report,
             handles: carried.set,
             poses,
             solved,
-            positions,
+            shape,
         })
     }
 
@@ -170,11 +171,11 @@ impl Deformer {
     }
 
     /// What regions are resolved against in the shape that is edited.
-    fn region_context<'a>(&'a self, shape: &'a Arc<Vec<DVec3>>) -> RegionContext<'a> {
-        let current = !Arc::ptr_eq(shape, self.rest());
+    fn region_context<'a>(&'a self, shape: &'a ModelShape) -> RegionContext<'a> {
+        let current = shape.id != self.rest_id();
         RegionContext {
             pose: if current { "the current shape" } else { "the rest pose" },
-            positions: shape,
+            positions: &shape.positions,
             ..self.rest_regions()
         }
     }

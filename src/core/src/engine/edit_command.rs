@@ -5,10 +5,10 @@ use super::handle::HandleSet;
 use super::pose::HandlePoses;
 use super::region::{Plane, Region};
 use super::settings::SolveSettings;
+use super::shape::ModelShape;
 use crate::asset::{FileSet, Format};
 use crate::edit::{KeptSide, SubdivisionScheme};
 use glam::{DMat4, DVec3};
-use std::sync::Arc;
 
 /// An operation that changes the topology. What has no region takes the whole model.
 #[derive(Debug, Clone)]
@@ -152,7 +152,7 @@ pub struct EditCommand<'a> {
     pub on: EditedShape,
     /// The current shape, one position per render vertex. Where the deformer
     /// [remembers](super::Deformer::remembers) it, graph and hierarchy can follow the edit; else they are built from nothing.
-    pub shape: &'a Arc<Vec<DVec3>>,
+    pub shape: &'a ModelShape,
     /// The poses in force.
     pub poses: &'a HandlePoses,
     /// How the current shape was solved; `None` when it is the rest shape. An edit on the rest shape solves it again like this.
@@ -171,7 +171,7 @@ pub struct EditOutcome {
     /// How the shape was solved, when it is not the rest shape.
     pub solved: Option<SolveSettings>,
     /// The shape after the edit.
-    pub positions: Arc<Vec<DVec3>>,
+    pub shape: ModelShape,
 }
 
 /// What an edit did.

@@ -6,6 +6,7 @@ use super::error::{Error, InputPlace};
 use super::pose::{HandlePose, HandlePoses};
 use super::resolved_handles::ResolvedHandles;
 use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
+use super::shape::{ModelShape, ShapeId};
 use crate::deform::{
     CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
 };
@@ -31,6 +32,8 @@ pub struct SolveUpdate<'a> {
 /// A solved pose.
 #[derive(Debug, Clone)]
 pub struct SolvedShape {
+    /// The name of the shape.
+    pub id: ShapeId,
     /// One per render vertex, model space. Where nothing moves, the bits of the rest pose.
     pub positions: Arc<Vec<DVec3>>,
     /// Cycles of the position solve.
@@ -41,6 +44,16 @@ pub struct SolvedShape {
     pub max_error: f64,
     /// Name of the method that the solver ended with.
     pub solver: &'static str,
+}
+
+impl SolvedShape {
+    /// Returns the shape alone, to go on from.
+    pub fn shape(&self) -> ModelShape {
+        ModelShape {
+            id: self.id,
+            positions: Arc::clone(&self.positions),
+        }
+    }
 }
 
 impl Deformer {
@@ -105,6 +118,7 @@ impl Deformer {
             derived,
             handles,
             committed,
+            solutions,
             ..
         } = self
         else {
@@ -151,13 +165,16 @@ impl Deformer {
         };
         let solver = method_name(&solution);
         let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));
+        *solutions += 1;
+        let id = ShapeId::solution(derived.lineage.id, *solutions);
         if mode == SolveMode::Commit {
             *committed = Some(CommittedShape {
-                positions: Arc::clone(&positions),
+                id,
                 nodes: Arc::new(solution.positions),
             });
         }
         Ok(SolvedShape {
+            id,
             positions,
             cycles: u32::try_from(solution.iterations).unwrap_or(u32::MAX),
             residual: solution.residual,
