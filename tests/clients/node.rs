@@ -8,17 +8,9 @@ use std::fs;
 use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Output};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The oldest node that the clients run on.
 const NODE: (u32, u32) = (20, 19);
-
-/// One at a time: a browser that paints without a graphics card needs the whole machine.
-static TURN: Mutex<()> = Mutex::new(());
-
-fn turn() -> MutexGuard<'static, ()> {
-    TURN.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 fn folder(name: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
@@ -109,7 +101,6 @@ fn npm(package: &str, script: &str) -> String {
 
 #[test]
 fn the_typescript_client_keeps_its_types_and_tests() {
-    let _turn = turn();
     let package = "proto/clients/typescript";
     if let Err(reason) = install(package) {
         return tell(&format!("SKIPPED: {package}: {reason}"));
@@ -130,7 +121,6 @@ fn the_typescript_client_keeps_its_types_and_tests() {
 
 #[test]
 fn the_viewer_keeps_its_types() {
-    let _turn = turn();
     let package = "src/server/viewer";
     if let Err(reason) = install(package) {
         return tell(&format!("SKIPPED: {package}: {reason}"));
@@ -140,7 +130,6 @@ fn the_viewer_keeps_its_types() {
 
 #[test]
 fn the_viewer_in_a_browser() {
-    let _turn = turn();
     let driver = "tests/clients/viewer";
     if let Err(reason) = install(driver) {
         return tell(&format!("SKIPPED: the viewer in a browser: {reason}"));

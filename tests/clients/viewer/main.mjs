@@ -35,7 +35,7 @@ try {
     const lines = [];
     const log = (line) => lines.push(line);
     try {
-      await play({ browser, server, url, log, folder: BUILT });
+      await play({ browser, server, url, log, folder: BUILT, named: wanted.includes(name) });
       console.log(`ok      ${name}: ${title} (${((performance.now() - begun) / 1000).toFixed(1)} s)`);
     } catch (error) {
       failed += 1;

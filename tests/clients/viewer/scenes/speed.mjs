@@ -1,4 +1,7 @@
-/** Large models: shapes painted in a second while dragging. Measured, not judged: this browser draws without a card. */
+/**
+ * Large models: shapes painted in a second while dragging. Measured, not judged: this browser draws without a card. The larger one
+ * is for whoever asks for this scene by name: run speed.
+ */
 
 import assert from "node:assert/strict";
 import { Sheet } from "../browser.mjs";
@@ -8,10 +11,10 @@ import { asHandles, asPose, compare, holdBothEnds, shows } from "./hold.mjs";
 /** How long each model is dragged. */
 const DRAG_SECONDS = 4;
 
-export const title = "50 K and 300 K vertices are dragged live";
+export const title = "50 K vertices, and 300 K when asked for, are dragged live";
 
-export async function play({ browser, url, server, log }) {
-  for (const vertices of [50_000, 300_000]) {
+export async function play({ browser, url, server, log, named }) {
+  for (const vertices of named ? [50_000, 300_000] : [50_000]) {
     const sheet = await Sheet.open(browser, url(), { viewport: { width: 1000, height: 640 } });
     const model = finger(vertices);
     const begun = performance.now();
