@@ -13,7 +13,7 @@ use super::region_context::RegionContext;
 use super::resolved_handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
 use super::settings::OpenOptions;
 use super::shape::{ModelShape, ShapeId};
-use super::topology_state::TopologyId;
+use super::topology_id::TopologyId;
 use crate::asset::{FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
 use crate::exec::Exec;

@@ -51,6 +51,7 @@ mod settings;
 mod shading;
 mod shape;
 mod solve;
+mod topology_id;
 mod topology_state;
 mod vertex_origins;
 
@@ -72,4 +73,5 @@ pub use settings::{COMMIT_REFINE, OpenOptions, SolveMode, SolveSettings};
 pub use shading::{Shader, Shading, shading};
 pub use shape::{ModelShape, ShapeId};
 pub use solve::{SolveUpdate, SolvedShape};
-pub use topology_state::{TopologyId, TopologyState};
+pub use topology_id::TopologyId;
+pub use topology_state::TopologyState;

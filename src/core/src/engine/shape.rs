@@ -1,6 +1,6 @@
 //! Shapes by name, so that a deformer knows again what it has made.
 
-use super::topology_state::TopologyId;
+use super::topology_id::TopologyId;
 use glam::DVec3;
 use std::sync::Arc;
 

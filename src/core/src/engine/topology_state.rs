@@ -10,6 +10,7 @@ use super::handle::HandleSet;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
 use super::settings::OpenOptions;
+use super::topology_id::TopologyId;
 use crate::deform::{DeformableBody, EditedBody, KeptFields};
 use crate::exec::Exec;
 use glam::DVec3;
@@ -17,17 +18,6 @@ use std::sync::Arc;
 
 /// After so many edits a body is built from nothing.
 const LONGEST: u32 = 64;
-
-/// Names a state of a deformer's topology. Numbers are given in the order in which a deformer reaches new states.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub struct TopologyId(pub(super) u64);
-
-impl TopologyId {
-    /// The name after this one.
-    pub(super) fn next(self) -> Self {
-        Self(self.0 + 1)
-    }
-}
 
 /// The state of a deformer but for its handles and its shape, to go back to.
 #[derive(Debug, Clone)]
