@@ -248,3 +248,41 @@ pub fn region_message(region: &Region) -> pb::Region {
     };
     pb::Region { region: Some(message) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::json::from_json;
+
+    #[test]
+    fn every_kind_of_region_comes_back_as_it_was_written() {
+        let regions = [
+            r#"{"vertices": {"indices": [3, 1], "ranges": [{"first": 7, "count": 2}]}}"#,
+            r#"{"halfSpace": {"normal": [0, 0, 1], "offset": 0.5}}"#,
+            r#"{"sphere": {"center": [1, 2, 3], "radius": 0.25}}"#,
+            r#"{"box": {"min": [0, 0, 0], "max": [1, 2, 3]}}"#,
+            r#"{"capsule": {"from": [0, 0, 0], "to": [0, 1, 0], "radius": 0.5}}"#,
+            r#"{"tube": {"points": [0, 0, 0, 1, 0, 0, 1, 1, 0], "radius": 0.125}}"#,
+            r#"{"component": {"index": 2}}"#,
+            r#"{"primitive": {"index": 1}}"#,
+            r#"{"weights": {"values": [0, 0.5, 1]}}"#,
+        ];
+        let handles = regions.iter().enumerate().map(|(k, region)| {
+            let text = format!(r#"{{"id": "h{k}", "region": {region}}}"#);
+            from_json::<pb::Handle>(text.as_bytes()).expect(region)
+        });
+        let request = pb::SetHandlesRequest {
+            handles: handles.collect(),
+            ..Default::default()
+        };
+        let set = handle_set(&request).expect("all are right");
+        let mut kinds: Vec<_> = set.handles.iter().map(|h| std::mem::discriminant(&h.region)).collect();
+        kinds.dedup();
+        assert_eq!(kinds.len(), regions.len(), "one handle of each kind");
+        let again = handle_set_message(&set);
+        assert_eq!(handle_set(&again).expect("what was written is right"), set);
+        for (was, now) in request.handles.iter().zip(&again.handles) {
+            assert_eq!(was.region, now.region, "{}", was.id);
+        }
+    }
+}
