@@ -3,6 +3,17 @@
 //! All vectors have one [`Lanes`] per row and hold 0 on masked rows. A cycle starts from zero, which halves the first
 //! two passes: in the forward sweep the neighbours after a row are still 0, and the residual it leaves is made of just
 //! these neighbours.
+//!
+//! Passes leave each other notes in a vector `t`, one entry per row:
+//!
+//! | pass | finds in `t` | leaves in `t` |
+//! |---|---|---|
+//! | `backward_after_forward` | nothing | D x before the row was swept back |
+//! | `residual_after_both` | that | the residual |
+//! | `residual` | nothing | the residual |
+//! | `forward_full` | nothing | what the row saw of b and of the neighbours before it |
+//! | `backward_from` | that | scratch |
+//! | `backward` | nothing | with `keep` what `matrix_products` reads, else scratch |
 
 use crate::build::level::HierarchyLevel;
 use crate::constrain::mask::LevelMask;
