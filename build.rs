@@ -1,4 +1,4 @@
-//! Compiles `proto/` without protoc: messages for the job floor, services for the server floor, and the descriptor set that
+//! Compiles `proto/` without protoc: messages for `wire`, services for `server`, and the descriptor set that
 //! JSON, reflection and the API description are made from. Builds the viewer's page where node is there.
 
 use prost::Message as _;

@@ -4,7 +4,8 @@ use super::topology_id::TopologyId;
 use glam::DVec3;
 use std::sync::Arc;
 
-/// Names a shape of one deformer. Two shapes with one name have the same positions.
+/// Names a shape of one deformer. Two shapes that it made and that have one name have the same positions; all others share a
+/// name that no deformer remembers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ShapeId {
     topology: TopologyId,
