@@ -6,6 +6,8 @@ import { type Plugin, defineConfig } from "vite";
 
 /** The client is used from its sources, so that the page needs no second build. */
 const client = fileURLToPath(new URL("../../../proto/clients/typescript/src/index.ts", import.meta.url));
+/** The decoder of compressed buffer views as plain script: the page's policy allows no WebAssembly. */
+const meshopt = fileURLToPath(new URL("node_modules/meshoptimizer/meshopt_decoder_reference.js", import.meta.url));
 /** Where `npm run dev` finds a server to talk to. */
 const server = process.env["PLIANT_SERVER"] ?? "http://127.0.0.1:7411";
 
@@ -36,7 +38,7 @@ function packed(): Plugin {
 export default defineConfig({
   base: "./",
   plugins: [packed()],
-  resolve: { alias: { "pliant-client": client }, dedupe: ["@bufbuild/protobuf"] },
+  resolve: { alias: { "pliant-client": client, "meshopt-decoder": meshopt }, dedupe: ["@bufbuild/protobuf"] },
   build: {
     target: "es2023",
     outDir: process.env["PLIANT_VIEWER_OUT"] ?? "dist",

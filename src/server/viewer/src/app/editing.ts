@@ -7,6 +7,7 @@ import { adoptHandles } from "./handling.ts";
 import { holdBeforeEdits, holdRest, keepDocument, reload } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
 import { repaint } from "./painting.ts";
+import { closeClip } from "./playing.ts";
 import * as s from "./signals.ts";
 
 export interface CutChoice {
@@ -53,6 +54,7 @@ function region(): { region?: ReturnType<typeof regionOf> } {
 async function edit(what: string, operation: Edit): Promise<void> {
   const open = s.doc.peek();
   if (open === undefined) return;
+  closeClip();
   s.busy.value = { title: what };
   try {
     const result = await open.session.edit(operation);

@@ -5,6 +5,7 @@ import type { Vector, schema } from "pliant-client";
 import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf, poseOf } from "../model/handles.ts";
 import { commitPoses } from "./dragging.ts";
 import { refreshHistory, remember } from "./past.ts";
+import { closeClip } from "./playing.ts";
 import * as s from "./signals.ts";
 
 type Facts = schema.Session;
@@ -147,6 +148,7 @@ function selectedVertices(): Uint32Array {
 
 /** Runs a change of handles and notes where it led. */
 async function changing(what: string, change: () => Promise<void>): Promise<boolean> {
+  closeClip();
   try {
     await change();
     const revision = s.facts.peek()?.revision ?? 0n;

@@ -7,9 +7,11 @@ import { type SurfaceReport, reportOf } from "../model/report.ts";
 import { type Topology, loadTopology } from "../model/topology.ts";
 import { Surface } from "../scene/surface.ts";
 import { startStream, stopStream } from "./dragging.ts";
+import { dress } from "./dressing.ts";
 import { adoptHandles, sampleHandles, setAllHandles } from "./handling.ts";
 import { type Kept, forget, keep, kept } from "./keeping.ts";
 import { forgetPast, pastSnapshots, refreshHistory, remember } from "./past.ts";
+import { closeClip, setCompanions } from "./playing.ts";
 import * as s from "./signals.ts";
 import { recall, store } from "./storage.ts";
 import { view } from "./view.ts";
@@ -225,9 +227,11 @@ function show(session: Session, name: string, { topology, report }: Drawable, re
   const atRest = fits ? rest : topology.positions;
   const { stage, gizmo } = view();
   stopStream();
+  closeClip();
   gizmo.attach(undefined, undefined);
+  const surface = new Surface(topology, report, atRest);
   // Before the signals: what watches them finds the new surface.
-  stage.show(new Surface(topology, report, atRest), frame);
+  stage.show(surface, frame);
   batch(() => {
     s.doc.value = { name, session, topology, report, rest: atRest };
     s.facts.value = session.facts;
@@ -240,6 +244,9 @@ function show(session: Session, name: string, { topology, report }: Drawable, re
     s.cutPlane.value = undefined;
   });
   startStream(session);
+  const companions = source?.companions ?? new Map<string, Blob>();
+  setCompanions(companions);
+  void dress(surface, session, companions);
   store("sessionStorage", THIS_TAB, session.id);
   void keepDocument();
 }
@@ -252,6 +259,7 @@ export function sessionOfThisTab(): string | undefined {
 /** Goes back to the start page without touching the server. */
 export function leave(): void {
   stopStream();
+  closeClip();
   source = undefined;
   const { stage, gizmo, markers } = view();
   gizmo.attach(undefined, undefined);

@@ -2,6 +2,8 @@
 
 import { Vector3 } from "three";
 import { paintedSoFar } from "./dragging.ts";
+import { wardrobe } from "./dressing.ts";
+import { playing } from "./playing.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
 
@@ -19,6 +21,12 @@ export interface Probe {
     superseded: number;
     solveMs: number;
     vertices: number;
+    /** Whether it is known what the model looks like, its clips, what could not be drawn. */
+    dressed: boolean;
+    clips: number;
+    faults: number;
+    /** The time in the clip that is shown; below 0 without one. */
+    seconds: number;
     revision: string;
     /** Shapes painted since the page was loaded, and the milliseconds that decoding and shading them took. */
     painted: number;
@@ -61,6 +69,10 @@ export function installProbe(): void {
       superseded: s.superseded.peek(),
       solveMs: s.meters.peek()?.solveMs ?? 0,
       vertices: shown().length / 3,
+      dressed: wardrobe.peek().dressed,
+      clips: wardrobe.peek().clips.length,
+      faults: wardrobe.peek().faults.length,
+      seconds: playing.peek()?.seconds ?? -1,
       revision: String(s.currentRevision.peek()),
       ...paintedSoFar(),
       gizmoPart: view().gizmo.hotPart,

@@ -55,6 +55,8 @@ export interface Settings {
   readonly theme: Theme;
   readonly colouring: Colouring;
   readonly wire: boolean;
+  /** Whether the model is shown as it looks; as clay otherwise. */
+  readonly materials: boolean;
   readonly brushPixels: number;
   readonly throughSelect: boolean;
   /** Edge length that remeshing aims for, in model units; 0 = evens out only where stretch asks for it. */
@@ -78,6 +80,7 @@ export const DEFAULTS: Settings = {
   theme: "auto",
   colouring: "handles",
   wire: false,
+  materials: true,
   brushPixels: 28,
   throughSelect: false,
   remeshLength: 0,

@@ -8,7 +8,9 @@ import { Overlay } from "../scene/overlay.ts";
 import { Stage } from "../scene/stage.ts";
 import { applyOptions, commitPoses, dragTo, turn } from "./dragging.ts";
 import { resume, sessionOfThisTab } from "./opening.ts";
+import { showLooks } from "./dressing.ts";
 import { repaint } from "./painting.ts";
+import { installPlaying, playing } from "./playing.ts";
 import * as s from "./signals.ts";
 import { armTool, installTools } from "./tools.ts";
 import { setView, view } from "./view.ts";
@@ -39,6 +41,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   setView({ stage, gizmo, markers: new Markers(stage), overlay: new Overlay(host) });
   installTools();
   stage.beforePaint(turn);
+  installPlaying();
   stage.beforePaint(() => followGizmo(gizmoLabel));
 
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -67,13 +70,17 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     untracked(repaint);
   });
   effect(() => {
+    void [s.settings.value.colouring, s.settings.value.materials];
+    untracked(showLooks);
+  });
+  effect(() => {
     const handle = s.activeHandle.value;
     const mode = MODES[s.tool.value];
-    const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined;
+    const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined && playing.value === undefined;
     if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
     gizmo.attach(holds ? handle.centroid : undefined, holds ? handle.pose : undefined);
   });
-  effect(() => view().markers.show(s.handles.value));
+  effect(() => view().markers.show(playing.value === undefined ? s.handles.value : []));
   effect(() => plane.show(s.cutPlane.value));
   void resumeThisTab();
 }

@@ -71,7 +71,7 @@ export function boxOf(positions: Float32Array): Pick<SurfaceReport, "box" | "dia
 }
 
 /** Numbers places by equal bits, with an open hash table: a `Map` of strings is too slow for a million vertices. */
-function placesOf(positions: Float32Array): { placeOf: Uint32Array<ArrayBuffer>; places: number } {
+export function placesOf(positions: Float32Array): { placeOf: Uint32Array<ArrayBuffer>; places: number } {
   const vertices = positions.length / 3;
   // Minus zero and zero are one place.
   const plain = positions.map((x) => x + 0);

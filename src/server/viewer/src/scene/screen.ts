@@ -113,7 +113,7 @@ function distances(stage: Stage, surface: Surface, width: number, height: number
   const material = new THREE.MeshDepthMaterial({ depthPacking: THREE.RGBADepthPacking, side: THREE.DoubleSide });
   material.blending = THREE.NoBlending;
   const scene = new THREE.Scene();
-  const mesh = new THREE.Mesh(surface.mesh.geometry, material);
+  const mesh = new THREE.Mesh(surface.geometry, material);
   mesh.frustumCulled = false;
   scene.add(mesh);
   // A tight range keeps the packed depth precise.

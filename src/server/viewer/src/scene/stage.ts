@@ -107,6 +107,13 @@ export class Stage {
     this.request();
   }
 
+  /** Whether a point lies well inside the picture. */
+  sees(point: THREE.Vector3): boolean {
+    const at = this.project(point);
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    return at !== undefined && Math.abs(at.x - width / 2) < width * 0.35 && Math.abs(at.y - height / 2) < height * 0.3;
+  }
+
   /** Goes around the model by angles in radians, or nearer by a factor below 1. */
   circle(across: number, up: number, factor: number): void {
     const away = new THREE.Spherical().setFromVector3(this.camera.position.clone().sub(this.orbit.target));

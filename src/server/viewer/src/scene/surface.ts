@@ -8,6 +8,9 @@ import { type Smoothing, smoothingOf, updateNormals } from "../model/normals.ts"
 import type { SurfaceReport } from "../model/report.ts";
 import { StretchMeter } from "../model/stretch.ts";
 import type { Topology } from "../model/topology.ts";
+import type { Appearance } from "../model/gltf/appearance.ts";
+import { Clothes } from "./clothes.ts";
+import { BEHIND_WIRE, takePaint } from "./paint.ts";
 
 /** Milliseconds of a painted frame that shading may take while dragging. */
 const SHADING_MS = 5;
@@ -16,7 +19,8 @@ const FEW_TRIANGLES = 2000;
 
 export class Surface {
   readonly object = new THREE.Group();
-  readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.MeshLambertMaterial>;
+  /** Render vertices and their triangles, whatever is drawn of them. */
+  readonly geometry = new THREE.BufferGeometry();
   /** x, y, z per render vertex; frames are decoded into it. */
   readonly positions: Float32Array<ArrayBuffer>;
   readonly stretch: Float32Array<ArrayBuffer>;
@@ -24,6 +28,10 @@ export class Surface {
   private readonly paint: THREE.BufferAttribute;
   private readonly smoothing: Smoothing;
   private readonly wire: THREE.LineSegments<THREE.BufferGeometry, THREE.LineBasicMaterial>;
+  private readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.Material | THREE.Material[]>;
+  private readonly clay: THREE.MeshLambertMaterial;
+  private readonly flat: boolean;
+  private clothes: Clothes | undefined;
   private meter: StretchMeter | undefined;
   private shadingMs = 0;
   private waited = 0;
@@ -38,7 +46,7 @@ export class Surface {
     const vertices = topology.positions.length / 3;
     this.positions = topology.positions.slice();
     this.stretch = new Float32Array(vertices);
-    const geometry = new THREE.BufferGeometry();
+    const { geometry } = this;
     geometry.setAttribute("position", dynamic(new THREE.BufferAttribute(this.positions, 3)));
     this.normals = dynamic(new THREE.BufferAttribute(topology.normals?.slice() ?? new Float32Array(vertices * 3), 3));
     geometry.setAttribute("normal", this.normals);
@@ -46,8 +54,9 @@ export class Surface {
     geometry.setAttribute("paint", this.paint);
     geometry.setIndex(new THREE.BufferAttribute(topology.indices, 1));
     this.smoothing = smoothingOf(topology, report);
-    const flat = topology.normals === undefined && topology.indices.length < FEW_TRIANGLES * 3;
-    this.mesh = new THREE.Mesh(geometry, clay(flat));
+    this.flat = topology.normals === undefined && topology.indices.length < FEW_TRIANGLES * 3;
+    this.clay = clay(this.flat);
+    this.mesh = new THREE.Mesh<THREE.BufferGeometry, THREE.Material | THREE.Material[]>(geometry, this.clay);
     // Its box changes with every frame; testing it against the view would cost more than drawing.
     this.mesh.frustumCulled = false;
     this.wire = new THREE.LineSegments(
@@ -62,13 +71,31 @@ export class Surface {
 
   /** The colours that paint is mixed over. */
   setTheme(clayColour: number, wireColour: number): void {
-    this.mesh.material.color.setHex(clayColour);
+    this.clay.color.setHex(clayColour);
     this.wire.material.color.setHex(wireColour);
+  }
+
+  /** Takes on what the model looks like. */
+  dress(appearance: Appearance, textures: readonly (THREE.Texture | undefined)[]): void {
+    this.clothes?.dispose();
+    this.clothes = new Clothes(appearance, textures, this.geometry, this.flat);
+  }
+
+  /** Whether it is known what the model looks like. */
+  get isDressed(): boolean {
+    return this.clothes !== undefined;
+  }
+
+  /** Shows the model as it looks, or as clay. */
+  showLooks(wanted: boolean): void {
+    const clothes = wanted ? this.clothes : undefined;
+    this.mesh.geometry = clothes?.geometry ?? this.geometry;
+    this.mesh.material = clothes?.materials ?? this.clay;
   }
 
   setWire(visible: boolean): void {
     if (visible && this.wire.geometry.index === null) {
-      this.wire.geometry.setAttribute("position", this.mesh.geometry.getAttribute("position"));
+      this.wire.geometry.setAttribute("position", this.geometry.getAttribute("position"));
       this.wire.geometry.setIndex(new THREE.BufferAttribute(edges(this.topology.indices), 1));
     }
     this.wire.visible = visible;
@@ -76,7 +103,8 @@ export class Surface {
 
   /** The positions changed. While `moving`, shading may lag. */
   moved(moving: boolean): void {
-    this.mesh.geometry.getAttribute("position").needsUpdate = true;
+    this.geometry.getAttribute("position").needsUpdate = true;
+    this.clothes?.follow("position");
     this.waited += 1;
     // On average shading may take its share of a frame, no more.
     if (!moving || this.waited * SHADING_MS >= this.shadingMs) this.shade(false);
@@ -98,6 +126,7 @@ export class Surface {
   repaint(write: (colours: Uint8Array) => void): void {
     write(this.paint.array as Uint8Array);
     this.paint.needsUpdate = true;
+    this.clothes?.follow("paint");
   }
 
   /** The ball around the current shape. */
@@ -107,8 +136,9 @@ export class Surface {
   }
 
   dispose(): void {
-    this.mesh.geometry.dispose();
-    this.mesh.material.dispose();
+    this.geometry.dispose();
+    this.clay.dispose();
+    this.clothes?.dispose();
     this.wire.geometry.dispose();
     this.wire.material.dispose();
   }
@@ -117,6 +147,7 @@ export class Surface {
     const begun = performance.now();
     updateNormals(this.positions, this.topology.indices, this.smoothing, this.normals.array as Float32Array);
     this.normals.needsUpdate = true;
+    this.clothes?.follow("normal");
     this.stale = false;
     this.waited = 0;
     const took = performance.now() - begun;
@@ -129,29 +160,9 @@ function dynamic(attribute: THREE.BufferAttribute): THREE.BufferAttribute {
   return attribute;
 }
 
-/** Matt clay, cheap enough for weak graphics, that takes paint by vertex: `paint.a` says how much of the clay it covers. */
+/** Matt clay, cheap enough for weak graphics. */
 function clay(flatShading: boolean): THREE.MeshLambertMaterial {
-  const material = new THREE.MeshLambertMaterial({
-    side: THREE.DoubleSide,
-    flatShading,
-    // Behind the wire, which lies on the same triangles.
-    polygonOffset: true,
-    polygonOffsetFactor: 1,
-    polygonOffsetUnits: 1,
-  });
-  material.onBeforeCompile = (shader) => {
-    shader.vertexShader = shader.vertexShader
-      .replace("#include <common>", "#include <common>\nattribute vec4 paint;\nvarying vec4 vPaint;")
-      .replace("#include <begin_vertex>", "#include <begin_vertex>\nvPaint = paint;");
-    shader.fragmentShader = shader.fragmentShader
-      .replace("#include <common>", "#include <common>\nvarying vec4 vPaint;")
-      .replace(
-        "#include <color_fragment>",
-        // Paint is given as it shall look; lighting wants it linear.
-        "#include <color_fragment>\ndiffuseColor.rgb = mix(diffuseColor.rgb, pow(vPaint.rgb, vec3(2.2)), vPaint.a);",
-      );
-  };
-  return material;
+  return takePaint(new THREE.MeshLambertMaterial({ side: THREE.DoubleSide, flatShading, ...BEHIND_WIRE }));
 }
 
 /** Each edge of the triangles once, as pairs of vertices. */

@@ -16,6 +16,7 @@ import { Start } from "./Start.tsx";
 import { StatusBar } from "./StatusBar.tsx";
 import { ToolRail } from "./ToolRail.tsx";
 import { TopBar } from "./TopBar.tsx";
+import { Transport } from "./Transport.tsx";
 
 export function App(): JSX.Element {
   const host = useRef<HTMLDivElement>(null);
@@ -44,6 +45,7 @@ export function App(): JSX.Element {
         </div>
         {failure === undefined ? !isOpen && s.busy.value === undefined && <Start /> : <NoGraphics reason={failure} />}
         <Dialogs />
+        {isOpen && <Transport />}
         <Notes />
         <DropTarget />
       </main>

@@ -2,6 +2,7 @@
 
 import type { JSX } from "preact";
 import * as s from "../app/signals.ts";
+import { wardrobe } from "../app/dressing.ts";
 import { otherPlaces } from "../model/warnings.ts";
 import { Facts, Section, bytes, count, things } from "./parts.tsx";
 
@@ -20,6 +21,9 @@ export function ModelPanel(): JSX.Element | null {
           {warning.message}
           {otherPlaces(warning) && <small>{otherPlaces(warning)}</small>}
         </p>
+      ))}
+      {wardrobe.value.faults.map((fault) => (
+        <p class="warning">{fault}</p>
       ))}
       <Facts
         rows={[

@@ -2,12 +2,13 @@
 
 import type { JSX } from "preact";
 import * as s from "../app/signals.ts";
+import { wardrobe } from "../app/dressing.ts";
 import { view } from "../app/view.ts";
 import { FULL_STRETCH } from "../model/stretch.ts";
 import { Button, Check, Choice, Facts, Field, Section } from "./parts.tsx";
 
 export function ViewPanel(): JSX.Element {
-  const { colouring, wire, localAxes } = s.settings.value;
+  const { colouring, wire, localAxes, materials } = s.settings.value;
   const quality = s.quality.value;
   return (
     <Section title="View">
@@ -34,6 +35,12 @@ export function ViewPanel(): JSX.Element {
         </div>
       )}
       <div class="row">
+        <Check
+          label="Materials (U)"
+          checked={materials && wardrobe.value.dressed}
+          disabled={!wardrobe.value.dressed}
+          onValue={(value) => s.choose({ materials: value })}
+        />
         <Check label="Wire (W)" checked={wire} onValue={(value) => s.choose({ wire: value })} />
         <Check label="Own axes (A)" checked={localAxes} onValue={(value) => s.choose({ localAxes: value })} />
         <span class="gap" />

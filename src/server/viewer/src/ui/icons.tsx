@@ -24,6 +24,8 @@ const PATHS = {
   trash: "M4 6h12M8 6V4h4v2M5.5 6l.8 10.5h7.4L14.5 6M8.5 9v4.5M11.5 9v4.5",
   frame: "M3.5 7.5v-4h4M12.5 3.5h4v4M16.5 12.5v4h-4M7.5 16.5h-4v-4",
   pin: "M7 3.5h6l-1 5 2.5 2.5h-9L8 8.5zM10 11v6",
+  play: "M6 4v12l10-6z",
+  pause: "M6.5 4v12M13.5 4v12",
   reset: "M4 10a6 6 0 1 0 2-4.5M5.5 2.5v3.3h3.3",
 } as const;
 

@@ -2,12 +2,14 @@
 
 import { makeHandle, removeHandle } from "../app/handling.ts";
 import { redo, undo } from "../app/past.ts";
+import { closeClip, playing } from "../app/playing.ts";
 import * as s from "../app/signals.ts";
 import { clearSelection, invertSelection } from "../app/tools.ts";
 import { view } from "../app/view.ts";
 import { exportModel, pickFiles } from "./files.ts";
 import { nextTheme } from "./TopBar.tsx";
 import { TOOLS } from "./ToolRail.tsx";
+import { togglePlay } from "./Transport.tsx";
 
 export interface Shortcut {
   /** As shown; `Ctrl` also stands for the Command key. */
@@ -34,6 +36,7 @@ const wider = (factor: number) => (): void => {
 
 const escape = (): void => {
   if (s.helpOpen.peek()) s.helpOpen.value = false;
+  else if (playing.peek() !== undefined) closeClip();
   else if (s.cutPlane.peek() !== undefined) s.cutPlane.value = undefined;
   else clearSelection();
 };
@@ -89,7 +92,9 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
       { keys: "ArrowDown", what: "Look from further below", act: () => view().stage.circle(0, AROUND, 1) },
       { keys: "+", what: "Nearer", act: () => view().stage.circle(0, 0, 1 / NEARER) },
       { keys: "-", what: "Further away", act: () => view().stage.circle(0, 0, NEARER) },
+      { keys: "Space", what: "Play or pause the clip", act: togglePlay },
       { keys: "F", what: "Frame the model", act: () => view().stage.frame() },
+      { keys: "U", what: "Materials or clay", act: () => s.choose({ materials: !s.settings.peek().materials }) },
       { keys: "W", what: "Wire on or off", act: () => s.choose({ wire: !s.settings.peek().wire }) },
       {
         keys: "K",
@@ -119,6 +124,7 @@ export function installKeys(): void {
     let name = `${control ? "ctrl+" : ""}${event.key.toLowerCase()}`;
     if (name === "ctrl+z" && event.shiftKey) name = "ctrl+y";
     if (name === "backspace") name = "delete";
+    if (name === " ") name = "space";
     const shortcut = byKey.get(name);
     if (shortcut === undefined || (shortcut.always !== true && s.doc.peek() === undefined)) return;
     event.preventDefault();

@@ -162,6 +162,11 @@ export function count(n: number | bigint | undefined): string {
   return (n ?? 0).toLocaleString("en").replaceAll(",", "\u2009");
 }
 
+/** A time in a clip. */
+export function seconds(n: number): string {
+  return `${n.toFixed(2)} s`;
+}
+
 export function bytes(n: number | bigint | undefined): string {
   const size = Number(n ?? 0);
   if (size < 1024) return `${size} B`;
