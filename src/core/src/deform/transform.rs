@@ -1,6 +1,6 @@
 //! Where a handle is: scaled, then rotated about its pivot, then translated.
 
-use crate::deform::rotation::vector::{exp_rotation, exp_symmetric};
+use crate::mesh::rotation::{exp_rotation, exp_symmetric};
 use glam::{DMat3, DVec3};
 
 /// A handle's pose in model space: x' = R S (x − pivot) + pivot + translation.

@@ -6,6 +6,7 @@
 
 mod adjacency;
 mod boundary;
+pub mod carry;
 mod components;
 mod error;
 mod inspect;
@@ -13,6 +14,7 @@ mod intersections;
 mod lists;
 mod measure;
 pub mod query;
+pub mod rotation;
 pub mod shading;
 mod weld;
 mod welded_mesh;

@@ -8,7 +8,7 @@
 
 use crate::deform::first_pass::blend::PoseBlend;
 use crate::deform::first_pass::frame::{LocalRotation, pack_rotation};
-use crate::deform::rotation::fit::fit_rotation;
+use crate::mesh::rotation::fit_rotation;
 use crate::pool::Pool;
 use glam::DQuat;
 use rayon::prelude::*;

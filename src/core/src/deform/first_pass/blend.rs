@@ -4,8 +4,8 @@ use crate::deform::body::DeformableBody;
 use crate::deform::first_pass::frame::{LocalRotation, pack_rotation, unpack_rotation};
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::rotation::blending::RotationBlending;
-use crate::deform::rotation::vector::{exp_rotation, exp_symmetric, relative_rotation};
 use crate::deform::transform::Transform;
+use crate::mesh::rotation::{exp_rotation, exp_symmetric, relative_rotation};
 use glam::{DMat3, DQuat, DVec3};
 
 /// Rotations and scales of a pose, node by node.

@@ -5,8 +5,8 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
-use crate::deform::rotation::fit::{fit_rotation, outer_product};
 use crate::mesh::query::NearestPoints;
+use crate::mesh::rotation::{fit_rotation, outer_product};
 use glam::{DMat3, DQuat, DVec3};
 
 /// What happens to parts without a position constraint.

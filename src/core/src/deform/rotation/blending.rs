@@ -7,7 +7,7 @@
 //! 45°; the sum of both vectors would spin it about an axis between the two. The split fades in with the angle, so that a
 //! handle may be dragged through half a turn. Swings are taken to their Karcher mean, which does not depend on the base.
 
-use crate::deform::rotation::vector::{exp_rotation, log_rotation};
+use crate::mesh::rotation::{exp_rotation, log_rotation};
 use glam::{DQuat, DVec3};
 use std::f64::consts::PI;
 

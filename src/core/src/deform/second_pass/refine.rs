@@ -13,8 +13,8 @@ use crate::deform::first_pass::frame::{
 };
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
-use crate::deform::rotation::vector::{exp_rotation, nearest_rotation};
 use crate::deform::transform::Transform;
+use crate::mesh::rotation::{exp_rotation, nearest_rotation};
 use crate::pool::Pool;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
