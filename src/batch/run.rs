@@ -1,7 +1,8 @@
 //! Runs a whole job in process: open, set handles, solve every step, write.
 
+use super::riders::{CarriedFile, Riders};
 use crate::asset::{FileSet, Format, WrittenFiles};
-use crate::engine::{Deformer, DeformerLimits, EditCommand, HandlePoses, ModelShape, SolveMode, digest};
+use crate::engine::{Deformer, DeformerLimits, EditCommand, EditedShape, HandlePoses, ModelShape, SolveMode, digest};
 use crate::exec::Exec;
 use crate::mesh::MeshReport;
 use crate::progress::Progress as _;
@@ -27,6 +28,8 @@ pub struct BatchOutcome {
     pub constraint_error: f64,
     /// The model in its final shape, in the format asked for.
     pub written: WrittenFiles,
+    /// Other models that rode along.
+    pub carried: Vec<CarriedFile>,
     /// Expectations of the job that do not hold, one sentence each.
     pub unmet: Vec<String>,
     /// Expectations that only a comparison with a stored result can check.
@@ -81,10 +84,13 @@ pub fn run(
         Some(quality) => quality,
         None => batch.quality(&exec)?,
     };
+    let shape = batch.shape.clone();
+    batch.riders.move_along(&batch.deformer, &shape.positions, &exec)?;
     stages.report("encode", 0.0);
     let BatchRun {
         deformer,
         poses,
+        riders,
         shape: ModelShape { positions, .. },
         ..
     } = batch;
@@ -93,7 +99,9 @@ pub fn run(
         step.ms.insert("encode".into(), ms);
     }
     let facts = session_message(&deformer.facts());
+    let (passengers, carried) = riders.write_files()?;
     let report = pb::Report {
+        passengers,
         model: facts.model,
         warnings: facts.warnings,
         quality: Some(quality),
@@ -111,6 +119,7 @@ pub fn run(
         constraint_error: deformer.constraint_error(&positions, &poses)?,
         positions,
         written,
+        carried,
         unmet,
         unchecked,
     })
@@ -127,6 +136,8 @@ struct BatchRun<'a> {
     is_solved: bool,
     /// What edits warned of.
     warned: Vec<String>,
+    /// What rides along beside the model.
+    riders: Riders,
 }
 
 impl<'a> BatchRun<'a> {
@@ -139,6 +150,7 @@ impl<'a> BatchRun<'a> {
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         let create = open_options(&job.create.clone().unwrap_or_default())?;
+        let riders = Riders::read(&create.passengers, &limits.model)?;
         let mut deformer = Deformer::open(files, &create, limits, exec)?;
         let request = pb::SetHandlesRequest {
             session_id: String::new(),
@@ -154,6 +166,7 @@ impl<'a> BatchRun<'a> {
             options,
             is_solved: false,
             warned: Vec::new(),
+            riders,
         })
     }
 
@@ -190,6 +203,10 @@ impl<'a> BatchRun<'a> {
             poses: &self.poses,
             settings: self.is_solved.then_some(&self.options.solve),
         };
+        if on == EditedShape::Current {
+            // What the edit sees becomes the rest pose, of what rides along too.
+            (self.riders).move_along(&self.deformer, &self.shape.positions, exec)?;
+        }
         let outcome = self.deformer.edit(&command, exec)?;
         self.is_solved &= outcome.solved.is_some();
         let noticed = outcome.report.warnings.iter();

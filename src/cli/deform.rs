@@ -6,12 +6,13 @@ use super::json_output::print_json;
 use super::model_files::{output_format, read_model, write_model};
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
+use crate::asset::FileSet;
 use crate::batch;
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
 use crate::wire::pb;
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Arguments of `pliant deform`.
@@ -36,6 +37,8 @@ pub struct DeformArgs {
 pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     let format = output_format(&args.output)?;
     let job = read_job(&args.job)?;
+    let folder = args.output.parent().unwrap_or(Path::new(""));
+    refuse_same_output(&job, folder, &args.output)?;
     let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
     let spinner = StageSpinner::new(args.json);
@@ -54,6 +57,12 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
 
     let written = write_model(&args.output, &outcome.written, &args.model, &files)?;
     outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
+    for passenger in &outcome.carried {
+        let path = folder.join(&passenger.path);
+        let written = write_model(&path, &passenger.written, &path, &FileSet::default())?;
+        let paths = written.iter().map(|p| p.display().to_string());
+        outcome.report.output.extend(paths);
+    }
     if args.json {
         print_json(&outcome.report)?;
     } else {
@@ -66,6 +75,20 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
         true => Ok(()),
         false => Err(CliFailure::Check(outcome.unmet.join("; "))),
     }
+}
+
+/// Refuses a passenger that is to be written where the result is.
+fn refuse_same_output(job: &pb::Job, folder: &Path, output: &Path) -> Result<(), CliFailure> {
+    let passengers = job.create.iter().flat_map(|create| &create.passengers);
+    for (k, passenger) in passengers.enumerate() {
+        if let Some(pb::passenger::Passenger::File(file)) = &passenger.passenger
+            && folder.join(&file.output) == output
+        {
+            let problem = format!("is \"{}\", where the result is written", file.output);
+            return Err(CliFailure::Input(format!("passengers[{k}].file.output: {problem}")));
+        }
+    }
+    Ok(())
 }
 
 fn print_summary(report: &pb::Report, millis: f64) {

@@ -14,7 +14,28 @@ pub(super) fn read_job(path: &Path) -> Result<pb::Job, CliFailure> {
     };
     let mut job: pb::Job = wire::json::from_json(&read_file(path)?).map_err(in_job)?;
     read_merged_models(&mut job, path)?;
+    read_passengers(&mut job, path)?;
     Ok(job)
+}
+
+/// Puts the models in that ride along and that a job names by file, relative to the file `beside`.
+fn read_passengers(job: &mut pb::Job, beside: &Path) -> Result<(), CliFailure> {
+    use pb::passenger::{Passenger, file::Source};
+    let passengers = job.create.iter_mut().flat_map(|create| &mut create.passengers);
+    for passenger in passengers {
+        let Some(Passenger::File(file)) = &mut passenger.passenger else {
+            continue;
+        };
+        if let Some(Source::File(name)) = &file.source {
+            let path = beside.with_file_name(name);
+            if file.format.is_empty() {
+                let told = Format::from_file_name(name);
+                file.format = told.map_or_else(String::new, |f| f.name().to_owned());
+            }
+            file.source = Some(Source::Model(read_file(&path)?.into()));
+        }
+    }
+    Ok(())
 }
 
 /// Puts the models in that a job names by file, relative to the file `beside`.

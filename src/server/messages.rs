@@ -1,6 +1,6 @@
 //! What sessions answer, as messages of the schema.
 
-use crate::session::{CommittedEdit, HistoryFacts, SessionConfig, SessionFacts, SessionList};
+use crate::session::{CarriedAlong, CommittedEdit, HistoryFacts, SessionConfig, SessionFacts, SessionList};
 use crate::wire::{edit_result, handle_poses_message, page_token, pb, session_message};
 
 /// Writes a session as its owner sees it.
@@ -45,6 +45,18 @@ pub(super) fn committed_edit(edit: CommittedEdit) -> pb::EditResult {
         revision: edit.revision,
         ms: edit.ms,
         ..edit_result(&edit.report)
+    }
+}
+
+/// Writes what was carried.
+pub(super) fn carried_message(carried: CarriedAlong) -> pb::CarryResponse {
+    let frames = &carried.frames;
+    pb::CarryResponse {
+        revision: carried.revision,
+        points: frames.iter().flat_map(|f| f.position.to_array()).collect(),
+        rotations: frames.iter().flat_map(|f| f.rotation.to_array()).collect(),
+        scales: frames.iter().map(|f| f.scale).collect(),
+        model: carried.model.into(),
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::asset::{Format, WrittenFiles};
 use crate::engine::{DeformerFacts, EditReport, HandlePoses};
+use crate::mesh::carry::CarriedFrame;
 use crate::session::error::Error;
 use crate::wire::frames::FrameRequest;
 use bytes::Bytes;
@@ -129,6 +130,17 @@ pub enum StreamAnswer {
     },
     /// The answer to a ping with this number.
     Pong(u64),
+}
+
+/// What was carried along with the current shape.
+#[derive(Debug, Clone)]
+pub struct CarriedAlong {
+    /// The session's revision.
+    pub revision: u64,
+    /// Where each point is now, with its axes.
+    pub frames: Vec<CarriedFrame>,
+    /// The other model, carried.
+    pub model: Vec<u8>,
 }
 
 /// A model in its current shape.

@@ -5,11 +5,12 @@
 
 use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::{
-    Deformer, DeformerFacts, DeformerLimits, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet,
-    ModelShape, OpenOptions, QualityReport, Shader, ShapeId, SolveMode, SolveSettings, SolveUpdate, SolvedShape,
-    TopologyState,
+    CarriedModel, Deformer, DeformerFacts, DeformerLimits, EditCommand, EditOutcome, Error, HandlePose, HandlePoses,
+    HandleSet, ModelShape, OpenOptions, QualityReport, Shader, ShapeId, SolveMode, SolveSettings, SolveUpdate,
+    SolvedShape, TopologyState,
 };
 use crate::exec::Exec;
+use crate::mesh::carry::CarriedFrame;
 use crate::wire::edit_kind_name;
 use glam::DVec3;
 
@@ -74,6 +75,24 @@ pub trait Engine: Send + 'static {
     }
     /// Writes the model with new positions.
     fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error>;
+    /// Carries points of the rest space along with a shape.
+    fn carry_points(
+        &self,
+        _positions: &[DVec3],
+        _points: &[DVec3],
+        _exec: &Exec<'_>,
+    ) -> Result<Vec<CarriedFrame>, Error> {
+        Err(Error::Unimplemented("carrying points".into()))
+    }
+    /// Carries another model along with a shape.
+    fn carry_model(
+        &self,
+        _positions: &[DVec3],
+        _passenger: CarriedModel,
+        _exec: &Exec<'_>,
+    ) -> Result<WrittenFiles, Error> {
+        Err(Error::Unimplemented("carrying a model".into()))
+    }
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
 }
@@ -181,6 +200,19 @@ impl Engine for Deformer {
 
     fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         Self::write(self, positions, format)
+    }
+
+    fn carry_points(&self, positions: &[DVec3], points: &[DVec3], exec: &Exec<'_>) -> Result<Vec<CarriedFrame>, Error> {
+        Self::carry_points(self, positions, points, exec)
+    }
+
+    fn carry_model(
+        &self,
+        positions: &[DVec3],
+        passenger: CarriedModel,
+        exec: &Exec<'_>,
+    ) -> Result<WrittenFiles, Error> {
+        Self::carry_model(self, positions, passenger, exec)
     }
 
     fn shader(&self) -> Shader {

@@ -35,8 +35,8 @@ mod stream;
 mod task;
 
 pub use answers::{
-    CallKey, CommitFacts, CommittedEdit, CommittedPose, ExportedModel, HistoryFacts, KeyedAnswer, PositionBuffer,
-    SessionFacts, SessionList, StreamAnswer, Tenant,
+    CallKey, CarriedAlong, CommitFacts, CommittedEdit, CommittedPose, ExportedModel, HistoryFacts, KeyedAnswer,
+    PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,
 };
 pub use calls::manager::Manager;
 pub use config::{MIN_TTL, SessionConfig};

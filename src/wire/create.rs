@@ -3,6 +3,7 @@
 //! A session's options are those of its deformer, a label for people, and how long it outlives its last use.
 
 use super::check::{enumerated, number};
+use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
 use crate::asset::Format;
 use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, VolumeMode};
@@ -35,9 +36,11 @@ pub fn session_options(create: &pb::CreateOptions, ttl: RangeInclusive<Duration>
         let problem = format!("is {} bytes, at most {LONGEST_LABEL} are allowed", create.label.len());
         return Err(Error::invalid("label", problem));
     }
+    let open = open_options(create)?;
+    require_own_passengers(&open.passengers)?;
     Ok(SessionOptions {
         ttl: time_to_live(&create.ttl, ttl)?,
-        open: open_options(create)?,
+        open,
         label: create.label.clone(),
     })
 }
@@ -129,6 +132,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             operators,
             apart: false,
         },
+        passengers: passengers(&create.passengers)?,
     })
 }
 

@@ -102,6 +102,7 @@ fn field_of_input(place: InputPlace) -> String {
         InputPlace::MergePlacement => "merge.transform".into(),
         InputPlace::VolumeGraph => "volumeGraph".into(),
         InputPlace::VolumeGraphMode => "volumeGraph.mode".into(),
+        InputPlace::Passenger(k) => format!("passengers[{k}]"),
     }
 }
 

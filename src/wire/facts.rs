@@ -87,5 +87,6 @@ fn primitive_message(p: &Primitive) -> pb::Primitive {
         index_count: p.index_count,
         has_normals: p.has_normals,
         has_tangents: p.has_tangents,
+        passenger: p.is_passenger,
     }
 }

@@ -16,6 +16,7 @@ mod handle_patch;
 mod handles;
 pub mod json;
 mod options;
+mod passengers;
 pub mod pb;
 mod poses;
 mod stream;
@@ -29,5 +30,6 @@ pub use facts::{handle_poses_message, quality_message, session_message, warning_
 pub use handle_patch::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};
 pub use options::DeformOptions;
+pub use passengers::{CarryOrder, carry_order};
 pub use poses::{PoseEntry, change_poses, handle_pose, handle_pose_message, pose_changes};
 pub use stream::{StreamLimits, StreamPose, StreamRequest, stream_request};

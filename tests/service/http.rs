@@ -1,5 +1,6 @@
 //! HTTP: sessions and their calls as a client sees them, problems, downloads, forms.
 
+mod carry;
 mod connections;
 mod downloads;
 mod forms;

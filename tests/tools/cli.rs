@@ -179,6 +179,99 @@ fn an_expectation_that_does_not_hold_is_exit_1() {
 }
 
 #[test]
+fn what_rides_along_is_told_and_written_beside_the_result() {
+    let folder = workplace();
+    let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
+    // A plate over the head, and one under the feet.
+    put("hat.obj", "v 0.7 1.6 0\nv 0.8 1.6 0\nv 0.75 1.6 0.1\nf 1 2 3\n");
+    put("floor.obj", "v -0.1 -0.1 0\nv 0.1 -0.1 0\nv 0 -0.1 0.1\nf 1 2 3\n");
+    let passengers = |extra: &str| {
+        let create = format!(
+            r#"{{"create": {{"passengers": [
+                {{"name": "crown", "points": {{"positions": [0.76, 1.6, 0, 0, -0.1, 0], "rotations": [0, 0, 0, 1, 0, 0, 0, 1]}}}},
+                {{"name": "hat", "file": {{"file": "hat.obj", "output": "beside/hat.ply"}}}},
+                {{"file": {{"file": "floor.obj", "output": "floor.obj"}}}}{extra}]}},"#
+        );
+        JOB.replacen('{', &create, 1)
+    };
+    put("job.json", &passengers(""));
+    let result = folder.path().join("results");
+    let job = [
+        "deform",
+        "creature.glb",
+        "--job",
+        "job.json",
+        "-o",
+        "results/out.glb",
+        "--json",
+    ];
+    let (code, stdout, last) = pliant(folder.path(), &job);
+    assert_eq!(code, Some(0), "{last}");
+    let report: Value = serde_json::from_str(&stdout).expect("one JSON document");
+    let crown = &report["passengers"][0];
+    let numbers = |name: &str| -> Vec<f64> {
+        let list = crown[name].as_array().expect("a list");
+        list.iter().filter_map(Value::as_f64).collect()
+    };
+    assert_eq!(crown["name"], "crown");
+    let (positions, rotations) = (numbers("positions"), numbers("rotations"));
+    assert!(
+        (positions[1] - 1.6).abs() < 0.02 && positions[0] != 0.76,
+        "{positions:?}"
+    );
+    // The head turns by 0.8 about the vertical axis, the feet stay.
+    assert!(
+        (2.0 * rotations[1].atan2(rotations[3]) - 0.8).abs() < 0.1,
+        "{rotations:?}"
+    );
+    assert!(
+        (positions[4] + 0.1).abs() < 1e-3 && rotations[7] > 0.9999,
+        "{positions:?} {rotations:?}"
+    );
+    assert_eq!(report["passengers"][1]["output"], "beside/hat.ply");
+    let hat = fs::read(result.join("beside/hat.ply")).expect("the hat is written");
+    assert!(hat.starts_with(b"ply"));
+    assert_ne!(
+        fs::read(result.join("floor.obj")).expect("the floor is written"),
+        b"",
+        "{report}"
+    );
+    assert_eq!(report["output"].as_array().map(Vec::len), Some(3));
+
+    for (extra, reason) in [
+        (
+            r#", {"file": {"file": "hat.obj", "output": "floor.obj"}}"#,
+            "passengers[3].file.output",
+        ),
+        (
+            r#", {"file": {"file": "hat.obj", "output": "../hat.obj"}}"#,
+            "passengers[3].file.output",
+        ),
+        (
+            r#", {"file": {"file": "hat.obj", "output": "out.glb"}}"#,
+            "passengers[3].file.output",
+        ),
+        (r#", {"file": {"file": "none.obj", "output": "none.obj"}}"#, "none.obj"),
+        (
+            r#", {"file": {"file": "job.json", "output": "job.obj"}}"#,
+            "passengers[3].file",
+        ),
+        (r#", {"primitive": 7}"#, "passengers[3]"),
+        (r#", {"primitivesNamed": "nobody"}"#, "passengers[3]"),
+        (r#", {}"#, "passengers[3]"),
+    ] {
+        put("wrong.json", &passengers(extra));
+        let (code, _, last) = pliant(
+            folder.path(),
+            &["deform", "creature.glb", "--job", "wrong.json", "-o", "none/out.glb"],
+        );
+        assert_eq!(code, Some(2), "{extra}: {last}");
+        assert!(last.contains(reason), "{extra}: {last}");
+        assert!(!folder.path().join("none").exists(), "{extra} left something behind");
+    }
+}
+
+#[test]
 fn help_and_version_are_answers() {
     let folder = workplace();
     for arguments in [

@@ -333,9 +333,11 @@ fn floor(module: &str) -> Option<u8> {
     FLOORS.iter().find(|(name, _)| *name == module).map(|(_, floor)| *floor)
 }
 
-/// The module of a file below the crate's root; `None` for `lib.rs` and the binaries, which may name everything.
+/// The module of a file below the crate's root; `None` for `lib.rs`, the binaries and tests beside a crate of several modules,
+/// which may name everything.
 fn home(file: &File) -> Option<&str> {
-    file.module.first().map(String::as_str).filter(|m| *m != "bin")
+    let first = file.module.first().map(String::as_str);
+    first.filter(|m| !matches!(*m, "bin" | "tests" | "examples"))
 }
 
 fn report(problems: Vec<String>) {

@@ -206,6 +206,15 @@ impl Deformer for Calls {
         )))
     }
 
+    async fn carry(&self, request: Request<pb::CarryRequest>) -> GrpcAnswer<pb::CarryResponse> {
+        let tenant = tenant(&request)?;
+        let message = request.into_inner();
+        self.check_session(&tenant, &message.session_id).await?;
+        let order = wire::carry_order(&message).map_err(refused)?;
+        let carried = self.state.manager.carry(&tenant, &message.session_id, order).await;
+        Ok(Response::new(messages::carried_message(carried.map_err(status)?)))
+    }
+
     async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> GrpcAnswer<pb::Limits> {
         tenant(&request)?;
         Ok(Response::new(messages::limits_message(self.state.manager.config())))

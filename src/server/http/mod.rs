@@ -4,6 +4,7 @@
 //! JSON → routes. Each call checks in the order authentication, session, then query and body.
 
 mod body;
+mod carry;
 mod create;
 mod docs;
 mod download;

@@ -35,7 +35,7 @@ const PLAIN: Route = Route {
 const FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off or stl");
 
 /// Every route but the pages for people.
-pub(in crate::server) const ROUTES: [Route; 22] = [
+pub(in crate::server) const ROUTES: [Route; 23] = [
     Route {
         method: "post",
         path: "/v1/sessions",
@@ -132,6 +132,15 @@ pub(in crate::server) const ROUTES: [Route; 22] = [
         takes: Some("EditRequest"),
         gives: Some("EditResult"),
         keyed: true,
+        ..PLAIN
+    },
+    Route {
+        method: "post",
+        path: "/v1/sessions/{id}/carry",
+        rpc: Some("Carry"),
+        summary: "Carry points, and a model, along with the current shape.",
+        takes: Some("CarryRequest"),
+        gives: Some("CarryResponse"),
         ..PLAIN
     },
     Route {

@@ -1,6 +1,6 @@
 //! Which path leads to which function.
 
-use super::{create, docs, edits, handles, models, pages, sessions, solve, viewer};
+use super::{carry, create, docs, edits, handles, models, pages, sessions, solve, viewer};
 use crate::server::socket;
 use crate::server::state::State;
 use axum::Router;
@@ -18,6 +18,7 @@ pub(super) fn all() -> Router<State> {
         )
         .route("/v1/sessions/{id}/solve", post(solve::solve))
         .route("/v1/sessions/{id}/edits", post(edits::edit))
+        .route("/v1/sessions/{id}/carry", post(carry::carry))
         .route("/v1/sessions/{id}/animations", post(edits::animate))
         .route("/v1/sessions/{id}/undo", post(sessions::undo))
         .route("/v1/sessions/{id}/redo", post(sessions::redo))

@@ -3,11 +3,11 @@
 use crate::asset::Format;
 use crate::engine::DeformerFacts;
 use crate::progress::CancelFlag;
-use crate::session::answers::{CommittedEdit, CommittedPose, ExportedModel, SessionFacts};
+use crate::session::answers::{CarriedAlong, CommittedEdit, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::error::Error;
-use crate::wire::{PoseCommit, SessionEdit};
+use crate::wire::{CarryOrder, PoseCommit, SessionEdit};
 use std::sync::Arc;
 use tokio::sync::oneshot;
 
@@ -20,6 +20,7 @@ pub(in crate::session) enum SessionCommand {
     Step(HistoryDirection, PendingCall<SessionFacts>),
     Edit(Box<SessionEdit>, PendingCall<CommittedEdit>),
     Export(Option<Format>, PendingCall<ExportedModel>),
+    Carry(Box<CarryOrder>, PendingCall<CarriedAlong>),
 }
 
 /// Along the commits.

@@ -1,13 +1,14 @@
 //! The calls that read a session's shape, and the stream that deforms it.
 
 use crate::asset::Format;
-use crate::session::answers::{ExportedModel, PositionBuffer, Tenant};
+use crate::session::answers::{CarriedAlong, ExportedModel, PositionBuffer, Tenant};
 use crate::session::calls::command::SessionCommand;
 use crate::session::calls::manager::Manager;
 use crate::session::error::Error;
 use crate::session::registry::OpenSession;
 use crate::session::stream::ends::DeformStream;
 use crate::session::stream::mailbox::Mailbox;
+use crate::wire::CarryOrder;
 use crate::wire::frames::f32_bytes;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
@@ -36,6 +37,19 @@ impl Manager {
             &session.view(),
             format.unwrap_or(session.format).name(),
         ))
+    }
+
+    /// Carries points, and another model, along with the current committed shape. Nothing changes.
+    ///
+    /// # Cancel safety
+    /// Dropping the future discards what was carried.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`; what is wrong with the model that is to be carried.
+    pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<CarriedAlong, Error> {
+        let session = self.find(tenant, id)?;
+        self.call(&session, None, |call| SessionCommand::Carry(Box::new(order), call))
+            .await
     }
 
     /// The current committed positions as one buffer.

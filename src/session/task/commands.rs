@@ -3,17 +3,20 @@
 use crate::asset::Format;
 use crate::engine;
 use crate::exec::Exec;
+use crate::mesh::carry::CarriedFrame;
 use crate::pool::Pool;
-use crate::session::answers::{CommittedPose, ExportedModel, SessionFacts};
+use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::registry::OpenSession;
 use crate::session::stream::outbound_frame::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
-use crate::wire::PoseCommit;
+use crate::wire::{CarryOrder, PoseCommit};
+use glam::DVec3;
 use std::sync::Arc;
 
 impl SessionTask {
@@ -45,6 +48,10 @@ impl SessionTask {
             }
             SessionCommand::Export(format, call) => {
                 let result = self.export(format, &call).await;
+                send_answer(call, result, |_| None);
+            }
+            SessionCommand::Carry(order, call) => {
+                let result = self.carry_along(*order, &call).await;
                 send_answer(call, result, |_| None);
             }
         }
@@ -138,6 +145,30 @@ impl SessionTask {
         Ok(self.session.describe())
     }
 
+    async fn carry_along(
+        &mut self,
+        order: CarryOrder,
+        call: &PendingCall<CarriedAlong>,
+    ) -> Result<CarriedAlong, Error> {
+        let view = self.session.view();
+        let limit = self.shared.config.build;
+        let positions = Arc::clone(&view.positions);
+        let topology = self.history.current().topology.clone();
+        let (carried, watch) = self
+            .compute(&call.cancel, limit, move |deformer, pool, watch, _| {
+                let exec = Exec::new(pool, watch);
+                deformer.go_to_topology(topology.as_ref(), &exec)?;
+                carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
+            })
+            .await?;
+        let (frames, model) = carried.map_err(|e| self.failure(e, &watch))?;
+        Ok(CarriedAlong {
+            revision: view.revision,
+            frames,
+            model,
+        })
+    }
+
     async fn export(
         &mut self,
         format: Option<Format>,
@@ -161,6 +192,27 @@ impl SessionTask {
             etag,
         })
     }
+}
+
+/// Carries points and another model along with a shape.
+fn carry_order_along(
+    engine: &dyn Engine,
+    positions: &[DVec3],
+    order: CarryOrder,
+    exec: &Exec<'_>,
+) -> Result<(Vec<CarriedFrame>, Vec<u8>), engine::Error> {
+    let mut frames = Vec::new();
+    if !order.points.is_empty() {
+        frames = engine.carry_points(positions, &order.points, exec)?;
+        for (frame, at_rest) in frames.iter_mut().zip(order.rotations) {
+            frame.rotation *= at_rest;
+        }
+    }
+    let model = match order.model {
+        Some(model) => engine.carry_model(positions, model, exec)?.main,
+        None => Vec::new(),
+    };
+    Ok((frames, model))
 }
 
 /// Keeps the answer for the call's idempotency key and gives it to whoever waits.

@@ -12,6 +12,7 @@ The same with ``async`` is in :mod:`pliant.aio`. Failures are exceptions of :mod
 """
 
 from .books import Commit
+from .carried import Carried
 from .channel import Settings
 from .client import Client, connect, open
 from .edits import EditResult
@@ -44,6 +45,7 @@ __all__ = [
     "Aborted",
     "AlreadyExists",
     "Cancelled",
+    "Carried",
     "Client",
     "Commit",
     "DeadlineExceeded",

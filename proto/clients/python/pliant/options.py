@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, Union
 
 from typing_extensions import TypedDict
@@ -101,6 +102,8 @@ class CreateFields(TypedDict, total=False):
     weld: float
     #: Operators of the multigrid hierarchy.
     operators: Literal["finite_volume", "paper"]
+    #: Primitives that ride along without being solved: their indices, or the names of their nodes.
+    passengers: Sequence[Union[int, str]]
 
 
 def create_options(fields: CreateFields) -> pb.CreateOptions:
@@ -117,6 +120,12 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
             message.weights = enum(name, pb.CreateOptions.Weights, value)
         elif name == "operators":
             message.operators = enum(name, pb.CreateOptions.Operators, value)
+        elif name == "passengers":
+            if isinstance(value, str) or not isinstance(value, Sequence):
+                raise TypeError(f"passengers: {seen(value)}, a list of indices and names of primitives is allowed")
+            for which in value:
+                passenger = message.passengers.add()
+                put(passenger, "primitives_named" if isinstance(which, str) else "primitive", which)
         elif name == "volume_graph":
             graph = fields["volume_graph"]
             _volume_graph({"mode": graph} if isinstance(graph, str) else graph, message.volume_graph)

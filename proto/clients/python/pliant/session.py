@@ -15,6 +15,7 @@ from typing_extensions import Unpack
 from . import edits, frames, model
 from .books import Commit, Traffic, commits
 from .calls import Calls
+from .carried import Carried, carried, model_request, points_request
 from .declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
 from .frames import Floats, Frame
 from .options import SolveFields, options
@@ -127,6 +128,21 @@ class Session(Declared):
         """The model in its current shape by file: "" is the main one, others are companions by URI."""
         request = pb.ExportRequest(session_id=self.id, format=format)
         return model.joined(self._calls.many("Export", request))
+
+    def carry(self, points: Any, rotations: Any = None) -> Carried:
+        """Carries points of the rest pose, (points, 3), along with the current shape: on the model, in it or around it.
+
+        `rotations` are the axes at the points, quaternions x, y, z, w; absent, those of model space. Nothing changes.
+        """
+        request = points_request(self.id, points, rotations)
+        return carried(self._calls.one("Carry", request))
+
+    def carry_model(self, model: bytes, format: str = "") -> bytes:
+        """Carries a model file that stands in the same rest pose, such as a level of detail or a collision hull, and
+        answers it in its own format. It has to be one file.
+        """
+        request = model_request(self.id, model, format)
+        return bytes((self._calls.one("Carry", request)).model)
 
     def edit(
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]

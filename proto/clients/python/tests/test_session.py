@@ -44,6 +44,40 @@ def test_a_pose_is_solved_exported_and_undone(held: pliant.Session, creature: Pa
         held.redo()
 
 
+def test_points_and_models_ride_along(held: pliant.Session) -> None:
+    rest = held.positions()
+    hat = np.array([0.8, 1.6, 0.0])
+    still = held.carry([hat, (0.0, -0.3, 0.0)])
+    assert np.array_equal(still.positions, [hat, (0.0, -0.3, 0.0)]) and np.all(still.scales == 1)
+    bent = held.solve(TURN, tolerance=1e-6)
+    on_head = held.carry(rest[np.linalg.norm(rest - [0.76, 1.22, 0], axis=1) < 0.3])
+    assert np.allclose(
+        on_head.positions, bent[np.linalg.norm(rest - [0.76, 1.22, 0], axis=1) < 0.3], atol=1e-5
+    ), "what lies on the surface stays on it"
+    half = np.sin(0.4)
+    turned = held.carry(hat, rotations=[(half, 0, 0, np.cos(0.4))])
+    assert turned.positions.shape == (1, 3) and turned.rotations.shape == (1, 4)
+    # Turned about the vertical axis after the turn that it had.
+    quarter = np.array([half * np.cos(0.4), half * np.cos(0.4), -half * half, np.cos(0.4) ** 2])
+    assert abs(turned.rotations[0] @ quarter) > 0.999
+    hull = b"OFF\n3 1 0\n0.7 1.5 0\n0.8 1.6 0\n0.9 1.5 0\n3 0 1 2\n"
+    carried = held.carry_model(hull)
+    assert carried.startswith(b"OFF") and carried != hull
+    with pytest.raises(pliant.InvalidArgument, match="model"):
+        held.carry_model(b"no model")
+    for wrong in ([1, 2], [[0, 0, np.nan]], np.zeros((2, 2, 3))):
+        with pytest.raises((ValueError, pliant.InvalidArgument), match="points"):
+            held.carry(wrong)
+
+
+def test_passengers_are_shown_and_do_not_hold(server: pliant.LocalServer) -> None:
+    ball = "o body\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    with pytest.raises(pliant.InvalidArgument, match=r"passengers\[0\]"):
+        pliant.open(ball.encode(), server=server, format="obj", passengers=[9])
+    with pytest.raises(pliant.InvalidArgument, match="nothing is left"):
+        pliant.open(ball.encode(), server=server, format="obj", passengers=[0])
+
+
 def test_handles_say_what_they_hold_and_keep_their_poses_when_another_is_added(held: pliant.Session) -> None:
     rest = held.positions()
     facts = held.apply()

@@ -3,6 +3,8 @@
 import type { MessageInitShape } from "@bufbuild/protobuf";
 import type { EditResult, HistoryResponse, Quality, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
 import {
+  CarryRequestSchema,
+  CarryResponseSchema,
   EditRequestSchema,
   EditResultSchema,
   HandleSchema,
@@ -40,6 +42,17 @@ export interface Solved {
   readonly residual: number;
   readonly maxError: number;
   readonly solveMs: number;
+}
+
+/** Points carried along with a shape, in the order in which they were given. */
+export interface Carried {
+  /** x, y, z of each point now. */
+  readonly points: Float64Array;
+  /** The axes at each point now: unit quaternions x, y, z, w. */
+  readonly rotations: Float64Array;
+  /** How many times as large lengths around each point are now. */
+  readonly scales: Float64Array;
+  readonly revision: number;
 }
 
 /** A session that is open on the server. Every method asks the server; `facts` is what it said last. */
@@ -128,6 +141,28 @@ export class Session {
   async model(format?: Format, call: CallOptions = {}): Promise<Blob> {
     const path = this.path(format === undefined ? "/model" : `/model?format=${format}`);
     return (await this.transport.bytes("GET", path, "*/*", call)).blob();
+  }
+
+  /**
+   * Carries points of the rest pose along with the current shape: on the model, in it or around it. `points` are x, y, z
+   * of each in a row, `rotations` the axes at them as x, y, z, w. Nothing changes.
+   */
+  async carry(points: ArrayLike<number>, rotations: ArrayLike<number> = [], call: CallOptions = {}): Promise<Carried> {
+    const json = jsonOf(CarryRequestSchema, { points: Array.from(points), rotations: Array.from(rotations) });
+    const answer = await this.transport.message(CarryResponseSchema, "POST", this.path("/carry"), { ...call, json });
+    return {
+      points: Float64Array.from(answer.points),
+      rotations: Float64Array.from(answer.rotations),
+      scales: Float64Array.from(answer.scales),
+      revision: Number(answer.revision),
+    };
+  }
+
+  /** Carries a model file that stands in the same rest pose, such as a collision hull, and answers it in its own format. */
+  async carryModel(model: Uint8Array, format: Format | "" = "", call: CallOptions = {}): Promise<Uint8Array> {
+    const json = jsonOf(CarryRequestSchema, { model, format });
+    const answer = await this.transport.message(CarryResponseSchema, "POST", this.path("/carry"), { ...call, json });
+    return answer.model;
   }
 
   /** Opens the stream on which handles are dragged. */

@@ -45,6 +45,24 @@ test("a drag ends where a solve of the same pose ends, to the bit", { skip }, as
   await Promise.all([session.close(), twin.close()]);
 });
 
+test("points and models ride along", { skip }, async () => {
+  const session = await client.sample();
+  await session.setHandles({ handles: [FEET, HEAD] });
+  const hat = [0.76, 1.6, 0];
+  assert.deepEqual([...(await session.carry(hat)).points], hat);
+  await session.solve([{ id: "head", pose: { translation: [0, 0.3, 0.1] } }]);
+  const carried = await session.carry([...hat, 0.76, 1.22, 0]);
+  assert.equal(carried.points.length, 6);
+  assert.equal(carried.rotations.length, 8);
+  assert.ok(Math.hypot(carried.points[0] - 0.76, carried.points[1] - 1.9, carried.points[2] - 0.1) < 0.03, `${carried.points}`);
+  assert.ok(carried.scales.every((scale) => Math.abs(scale - 1) < 0.2));
+  const hull = new TextEncoder().encode("OFF\n3 1 0\n0.7 1.5 0\n0.8 1.6 0\n0.9 1.5 0\n3 0 1 2\n");
+  const text = new TextDecoder().decode(await session.carryModel(hull, "off"));
+  assert.ok(text.startsWith("OFF") && Math.abs(Number(text.split("\n")[2].split(" ")[1]) - 1.8) < 0.05, text);
+  await assert.rejects(session.carry([1, 2]), (error) => error instanceof PliantError && error.message.includes("points"));
+  await session.close();
+});
+
 test("frames of 16-bit numbers are the same shape to a step", { skip }, async () => {
   const session = await client.sample();
   await session.setHandles({ handles: [FEET, HEAD] });

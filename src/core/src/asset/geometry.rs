@@ -26,6 +26,8 @@ pub struct Primitive {
     pub has_normals: bool,
     /// Whether the model gives tangents for it.
     pub has_tangents: bool,
+    /// Whether it is no part of what is solved and rides along with the surface that is.
+    pub is_passenger: bool,
 }
 
 impl Primitive {

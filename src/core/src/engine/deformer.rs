@@ -11,6 +11,7 @@ use super::pose::HandlePoses;
 use super::quality::measure_quality;
 use super::region_context::RegionContext;
 use super::resolved_handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
+use super::riding::mark_passengers;
 use super::settings::OpenOptions;
 use super::shape::{ModelShape, ShapeId};
 use super::topology_id::TopologyId;
@@ -66,7 +67,8 @@ impl Deformer {
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         exec.progress.report("read", 0.0);
-        let model = Model::read(files, options.format, &limits.model)?;
+        let mut model = Model::read(files, options.format, &limits.model)?;
+        mark_passengers(&mut model.geometry.primitives, &options.passengers)?;
         exec.check()?;
         let derived = DerivedStructures::build(
             TopologyId(0),
@@ -378,7 +380,7 @@ impl Deformer {
     }
 
     /// Of positions of render vertices those of the solver's vertices.
-    fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
+    pub(super) fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
         let of = |s: u32| positions[self.mesh().render_vertices_of(s)[0] as usize];
         (0..self.mesh().positions.len() as u32).map(of).collect()
     }

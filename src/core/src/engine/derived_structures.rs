@@ -7,6 +7,7 @@ use super::interior::{BYTES_PER_NODE, fit_lattice, interior_warnings};
 use super::limits::DeformerLimits;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
+use super::riding::RidingVertices;
 use super::settings::OpenOptions;
 use super::topology_id::TopologyId;
 use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyLineage, TopologyState};
@@ -15,7 +16,9 @@ use crate::deform::{BodyOptions, DeformableBody, EditedBody, VolumeMode};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
+use crate::mesh::carry::CarrySurface;
 use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
+use crate::pool::Pool;
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
 
@@ -32,6 +35,10 @@ pub(super) struct DerivedStructures {
     pub followed: FollowedNodes,
     volume: VolumeMode,
     report: OnceLock<MeshReport>,
+    /// The surface at rest, once something was carried along with it.
+    carry: OnceLock<Arc<CarrySurface>>,
+    /// The vertices that ride along, once a shape was solved.
+    riders: OnceLock<RidingVertices>,
 }
 
 /// What an edit made of a model.
@@ -185,7 +192,27 @@ impl DerivedStructures {
             followed,
             volume: options.body.volume,
             report: OnceLock::new(),
+            carry: OnceLock::new(),
+            riders: OnceLock::new(),
         }
+    }
+
+    /// The surface at rest, ready to carry points; built when first asked for.
+    pub fn carry_surface(&self, pool: &Pool) -> &Arc<CarrySurface> {
+        (self.carry).get_or_init(|| Arc::new(CarrySurface::build(&self.mesh.positions, &self.mesh.triangles, pool)))
+    }
+
+    /// The render vertices of passengers with what they follow; `None` where there are none.
+    pub fn riding_vertices(&self, pool: &Pool) -> Option<(&CarrySurface, &RidingVertices)> {
+        if !self.topology().has_passengers() {
+            return None;
+        }
+        let surface = self.carry_surface(pool);
+        let riders = (self.riders).get_or_init(|| {
+            let topology = self.topology();
+            RidingVertices::bind(surface, &topology.geometry().primitives, &topology.rest, pool)
+        });
+        Some((surface, riders))
     }
 
     pub fn topology(&self) -> &Arc<ModelTopology> {
@@ -201,7 +228,13 @@ impl DerivedStructures {
     pub fn report(&self) -> &MeshReport {
         self.report.get_or_init(|| {
             let adjacency = Adjacency::build(self.mesh.positions.len(), &self.mesh.triangles);
-            inspect(&self.mesh, &adjacency)
+            let mut report = inspect(&self.mesh, &adjacency);
+            // What rides along is in no face of the mesh, and that is as it should be.
+            report.unreferenced_vertices -= self.topology().passenger_vertices();
+            if report.unreferenced_vertices == 0 {
+                report.warnings.retain(|w| w.code != "unreferenced-vertex");
+            }
+            report
         })
     }
 
@@ -222,7 +255,9 @@ impl DerivedStructures {
         let parts = self.mesh.byte_size()
             + self.parts.of_vertex.capacity() * 4
             + (self.followed.old_from_new.capacity() + self.followed.touched.capacity()) * 4
-            + self.body.byte_size();
+            + self.body.byte_size()
+            + self.carry.get().map_or(0, |surface| surface.byte_size())
+            + self.riders.get().map_or(0, RidingVertices::byte_size);
         model + past + parts as u64
     }
 

@@ -31,6 +31,11 @@ impl Deformer {
     pub fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);
         let at_rest = order.on == EditedShape::Rest;
+        if self.topology().has_passengers() {
+            let problem =
+                "a model whose primitives ride along as passengers is not edited; edit it first and open the result";
+            return Err(Error::Precondition(problem.into()));
+        }
         if order.shape.positions.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }

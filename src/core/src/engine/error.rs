@@ -70,6 +70,8 @@ pub enum InputPlace {
     VolumeGraph,
     /// Whether a volume graph is built.
     VolumeGraphMode,
+    /// The passenger with this index.
+    Passenger(usize),
 }
 
 /// A part of a region that an error is about.
@@ -142,6 +144,7 @@ impl fmt::Display for InputPlace {
             Self::MergePlacement => f.write_str("placement of the merged model"),
             Self::VolumeGraph => f.write_str("volume graph"),
             Self::VolumeGraphMode => f.write_str("mode of the volume graph"),
+            Self::Passenger(k) => write!(f, "passenger {k}"),
         }
     }
 }

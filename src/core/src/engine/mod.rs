@@ -26,6 +26,7 @@
 //! This module knows no message, no connection and no clock: `wire` turns messages into its types and back, and checks them
 //! on the way. What only the model can tell is checked here; an [`Error`] names the place in the input by an [`InputPlace`].
 
+mod carry;
 mod carry_handles;
 mod deformer;
 mod derived_structures;
@@ -42,11 +43,13 @@ mod interior;
 mod limits;
 mod mesh_delta;
 mod model_topology;
+mod passenger;
 mod pose;
 mod quality;
 mod region;
 mod region_context;
 mod resolved_handles;
+mod riding;
 mod settings;
 mod shading;
 mod shape;
@@ -67,6 +70,7 @@ pub use facts::{
 };
 pub use handle::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet};
 pub use limits::DeformerLimits;
+pub use passenger::{CarriedModel, Passenger, PassengerKind};
 pub use pose::{HandlePose, HandlePoses, HandleRotation, HandleScale};
 pub use region::{Plane, Region, VertexRange};
 pub use settings::{COMMIT_REFINE, OpenOptions, SolveMode, SolveSettings};

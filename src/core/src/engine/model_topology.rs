@@ -68,6 +68,7 @@ impl ModelTopology {
     pub fn mesh(&self, weld: Weld) -> Result<Mesh, Error> {
         let triangles = &self.geometry().triangles;
         let mesh = match &self.edited {
+            None if self.has_passengers() => self.mesh_without_passengers(weld),
             None => Mesh::build(&self.rest, triangles, weld),
             Some(e) => Mesh::of_points(&self.rest, triangles, e.point_of.clone(), e.points as usize),
         };
@@ -76,6 +77,37 @@ impl ModelTopology {
             let problem = e.to_string();
             asset::Error::NoMesh { format, problem }.into()
         })
+    }
+
+    /// Whether primitives ride along that are no part of the mesh.
+    pub fn has_passengers(&self) -> bool {
+        self.geometry().primitives.iter().any(|p| p.is_passenger)
+    }
+
+    /// Number of render vertices that ride along.
+    pub fn passenger_vertices(&self) -> usize {
+        let passengers = self.geometry().primitives.iter().filter(|p| p.is_passenger);
+        passengers.map(|p| p.vertices().len()).sum()
+    }
+
+    /// The mesh of all triangles but those of passengers, in the numbers of all.
+    fn mesh_without_passengers(&self, weld: Weld) -> Result<Mesh, crate::mesh::Error> {
+        let geometry = self.geometry();
+        let of_triangle = triangle_primitives(&geometry.primitives, geometry.triangles.len());
+        let solved = |t: &u32| !geometry.primitives[of_triangle[*t as usize] as usize].is_passenger;
+        let kept: Vec<u32> = (0..geometry.triangles.len() as u32).filter(solved).collect();
+        let triangles: Vec<[u32; 3]> = kept.iter().map(|&t| geometry.triangles[t as usize]).collect();
+        let mut mesh = Mesh::build(&self.rest, &triangles, weld)?;
+        let Mesh {
+            source_triangle,
+            collapsed_triangles,
+            duplicate_triangles,
+            ..
+        } = &mut mesh;
+        for numbers in [source_triangle, collapsed_triangles, duplicate_triangles] {
+            numbers.iter_mut().for_each(|t| *t = kept[*t as usize]);
+        }
+        Ok(mesh)
     }
 
     /// What the vertices are made of; `mesh` is this model's.

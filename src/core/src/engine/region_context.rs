@@ -88,6 +88,7 @@ pub(super) fn vertices_in_region(
             points.map(|&p| contains(unmirrored(p, mirror))).collect()
         }
     };
+    let vertices = without_passengers(context, vertices, mirror)?;
     if mirror.is_none() && !vertices.contains(&true) {
         let problem = format!(
             "holds no vertex; regions are taken in {} and in model space",
@@ -96,6 +97,32 @@ pub(super) fn vertices_in_region(
         return Err(RegionError::new(RegionPlace::Whole, problem));
     }
     Ok(vertices)
+}
+
+/// Takes the vertices of passengers out: nothing holds what rides along.
+fn without_passengers(
+    context: &RegionContext<'_>,
+    mut vertices: Vec<bool>,
+    mirror: Option<MirrorPlane>,
+) -> Result<Vec<bool>, RegionError> {
+    let mut taken_from = None;
+    for passenger in context.primitives.iter().filter(|p| p.is_passenger) {
+        let held = &mut vertices[passenger.vertices()];
+        if held.contains(&true) {
+            held.fill(false);
+            taken_from = Some(passenger);
+        }
+    }
+    match taken_from {
+        Some(passenger) if mirror.is_none() && !vertices.contains(&true) => {
+            let problem = format!(
+                "holds vertices of passengers alone, such as \"{}\"; what rides along cannot be held",
+                passenger.name
+            );
+            Err(RegionError::new(RegionPlace::Whole, problem))
+        }
+        _ => Ok(vertices),
+    }
 }
 
 /// Returns the nodes of the graph that the region holds, as the region stands or seen in a mirror.

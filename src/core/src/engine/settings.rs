@@ -1,5 +1,6 @@
 //! How a model is opened and how its poses are solved.
 
+use super::passenger::Passenger;
 use crate::asset::Format;
 use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FreePartPolicy, VolumeMode};
 use crate::graph::VolumeOptions;
@@ -19,6 +20,8 @@ pub struct OpenOptions {
     pub policy: FreePartPolicy,
     /// How graph and hierarchy are built.
     pub body: BodyOptions,
+    /// What rides along without being part of what is solved.
+    pub passengers: Vec<Passenger>,
 }
 
 impl Default for OpenOptions {
@@ -37,6 +40,7 @@ impl Default for OpenOptions {
                 operators: CoarseOperators::FiniteVolume,
                 apart: false,
             },
+            passengers: Vec::new(),
         }
     }
 }

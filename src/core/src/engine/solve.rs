@@ -5,13 +5,16 @@ use super::deformer::CommittedShape;
 use super::error::{Error, InputPlace};
 use super::pose::{HandlePose, HandlePoses};
 use super::resolved_handles::ResolvedHandles;
+use super::riding::RidingVertices;
 use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
 use super::shape::{ModelShape, ShapeId};
 use crate::deform::{
     CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
 };
 use crate::exec::Exec;
+use crate::mesh::carry::CarrySurface;
 use crate::mesh::{Mesh, NONE};
+use crate::pool::Pool;
 use glam::{DVec3, Mat3};
 use std::sync::Arc;
 
@@ -148,6 +151,8 @@ impl Deformer {
             mesh: &derived.mesh,
             rest: &derived.topology().rest,
             handles,
+            riders: derived.riding_vertices(exec.pool),
+            pool: exec.pool,
         };
         let mut on_cycle = |cycle: &CycleReport<'_>| {
             let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
@@ -190,6 +195,8 @@ struct ShapeTransfer<'a> {
     mesh: &'a Mesh,
     rest: &'a [DVec3],
     handles: &'a ResolvedHandles,
+    riders: Option<(&'a CarrySurface, &'a RidingVertices)>,
+    pool: &'a Pool,
 }
 
 impl ShapeTransfer<'_> {
@@ -219,6 +226,11 @@ impl ShapeTransfer<'_> {
             if let Some(t) = transforms.get(hold as usize) {
                 positions[vertex as usize] = t.map()(positions[vertex as usize]);
             }
+        }
+        if let Some((surface, riders)) = self.riders {
+            // As elsewhere: what has not moved keeps the bits of the rest shape.
+            let current = &nodes[..self.mesh.positions.len()];
+            riders.place(surface, current, &mut positions, self.pool);
         }
         positions
     }

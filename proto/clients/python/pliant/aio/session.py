@@ -14,6 +14,7 @@ from typing_extensions import Unpack
 
 from .. import edits, frames, model
 from ..books import Commit, Traffic, commits
+from ..carried import Carried, carried, model_request, points_request
 from ..declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
 from ..frames import Floats, Frame
 from ..options import SolveFields, options
@@ -119,6 +120,16 @@ class Session(Declared):
         """The model in its current shape by file: "" is the main one, others are companions by URI."""
         request = pb.ExportRequest(session_id=self.id, format=format)
         return model.joined(await self._calls.many("Export", request))
+
+    async def carry(self, points: Any, rotations: Any = None) -> Carried:
+        """Carries points along with the current shape; see :meth:`pliant.Session.carry`."""
+        request = points_request(self.id, points, rotations)
+        return carried(await self._calls.one("Carry", request))
+
+    async def carry_model(self, model: bytes, format: str = "") -> bytes:
+        """Carries a model file along with the current shape; see :meth:`pliant.Session.carry_model`."""
+        request = model_request(self.id, model, format)
+        return bytes((await self._calls.one("Carry", request)).model)
 
     async def edit(
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]

@@ -24,7 +24,7 @@ class Companion(_message.Message):
     def __init__(self, uri: _Optional[str] = ...) -> None: ...
 
 class CreateOptions(_message.Message):
-    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators")
+    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "passengers")
     class Components(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         FOLLOW: _ClassVar[CreateOptions.Components]
@@ -77,6 +77,7 @@ class CreateOptions(_message.Message):
     TTL_FIELD_NUMBER: _ClassVar[int]
     WELD_FIELD_NUMBER: _ClassVar[int]
     OPERATORS_FIELD_NUMBER: _ClassVar[int]
+    PASSENGERS_FIELD_NUMBER: _ClassVar[int]
     format: str
     volume_graph: CreateOptions.VolumeGraph
     components: CreateOptions.Components
@@ -85,7 +86,40 @@ class CreateOptions(_message.Message):
     ttl: str
     weld: CreateOptions.Weld
     operators: CreateOptions.Operators
-    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ...) -> None: ...
+    passengers: _containers.RepeatedCompositeFieldContainer[Passenger]
+    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
+
+class Passenger(_message.Message):
+    __slots__ = ("name", "primitive", "primitives_named", "points", "file")
+    class Points(_message.Message):
+        __slots__ = ("positions", "rotations")
+        POSITIONS_FIELD_NUMBER: _ClassVar[int]
+        ROTATIONS_FIELD_NUMBER: _ClassVar[int]
+        positions: _containers.RepeatedScalarFieldContainer[float]
+        rotations: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, positions: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ...) -> None: ...
+    class File(_message.Message):
+        __slots__ = ("model", "file", "format", "output")
+        MODEL_FIELD_NUMBER: _ClassVar[int]
+        FILE_FIELD_NUMBER: _ClassVar[int]
+        FORMAT_FIELD_NUMBER: _ClassVar[int]
+        OUTPUT_FIELD_NUMBER: _ClassVar[int]
+        model: bytes
+        file: str
+        format: str
+        output: str
+        def __init__(self, model: _Optional[bytes] = ..., file: _Optional[str] = ..., format: _Optional[str] = ..., output: _Optional[str] = ...) -> None: ...
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    PRIMITIVE_FIELD_NUMBER: _ClassVar[int]
+    PRIMITIVES_NAMED_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    primitive: int
+    primitives_named: str
+    points: Passenger.Points
+    file: Passenger.File
+    def __init__(self, name: _Optional[str] = ..., primitive: _Optional[int] = ..., primitives_named: _Optional[str] = ..., points: _Optional[_Union[Passenger.Points, _Mapping]] = ..., file: _Optional[_Union[Passenger.File, _Mapping]] = ...) -> None: ...
 
 class SessionRequest(_message.Message):
     __slots__ = ("session_id",)
@@ -114,7 +148,7 @@ class DeleteSessionResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class Primitive(_message.Message):
-    __slots__ = ("node", "mesh", "primitive", "name", "first_vertex", "vertex_count", "index_count", "has_normals", "has_tangents")
+    __slots__ = ("node", "mesh", "primitive", "name", "first_vertex", "vertex_count", "index_count", "has_normals", "has_tangents", "passenger")
     NODE_FIELD_NUMBER: _ClassVar[int]
     MESH_FIELD_NUMBER: _ClassVar[int]
     PRIMITIVE_FIELD_NUMBER: _ClassVar[int]
@@ -124,6 +158,7 @@ class Primitive(_message.Message):
     INDEX_COUNT_FIELD_NUMBER: _ClassVar[int]
     HAS_NORMALS_FIELD_NUMBER: _ClassVar[int]
     HAS_TANGENTS_FIELD_NUMBER: _ClassVar[int]
+    PASSENGER_FIELD_NUMBER: _ClassVar[int]
     node: int
     mesh: int
     primitive: int
@@ -133,7 +168,8 @@ class Primitive(_message.Message):
     index_count: int
     has_normals: bool
     has_tangents: bool
-    def __init__(self, node: _Optional[int] = ..., mesh: _Optional[int] = ..., primitive: _Optional[int] = ..., name: _Optional[str] = ..., first_vertex: _Optional[int] = ..., vertex_count: _Optional[int] = ..., index_count: _Optional[int] = ..., has_normals: bool = ..., has_tangents: bool = ...) -> None: ...
+    passenger: bool
+    def __init__(self, node: _Optional[int] = ..., mesh: _Optional[int] = ..., primitive: _Optional[int] = ..., name: _Optional[str] = ..., first_vertex: _Optional[int] = ..., vertex_count: _Optional[int] = ..., index_count: _Optional[int] = ..., has_normals: bool = ..., has_tangents: bool = ..., passenger: bool = ...) -> None: ...
 
 class Warning(_message.Message):
     __slots__ = ("code", "message", "where")
@@ -826,6 +862,34 @@ class Chunk(_message.Message):
     uri: str
     def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ...) -> None: ...
 
+class CarryRequest(_message.Message):
+    __slots__ = ("session_id", "points", "rotations", "model", "format")
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    ROTATIONS_FIELD_NUMBER: _ClassVar[int]
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    FORMAT_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    points: _containers.RepeatedScalarFieldContainer[float]
+    rotations: _containers.RepeatedScalarFieldContainer[float]
+    model: bytes
+    format: str
+    def __init__(self, session_id: _Optional[str] = ..., points: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., model: _Optional[bytes] = ..., format: _Optional[str] = ...) -> None: ...
+
+class CarryResponse(_message.Message):
+    __slots__ = ("revision", "points", "rotations", "scales", "model")
+    REVISION_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    ROTATIONS_FIELD_NUMBER: _ClassVar[int]
+    SCALES_FIELD_NUMBER: _ClassVar[int]
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    revision: int
+    points: _containers.RepeatedScalarFieldContainer[float]
+    rotations: _containers.RepeatedScalarFieldContainer[float]
+    scales: _containers.RepeatedScalarFieldContainer[float]
+    model: bytes
+    def __init__(self, revision: _Optional[int] = ..., points: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ..., model: _Optional[bytes] = ...) -> None: ...
+
 class Expect(_message.Message):
     __slots__ = ("max_distance", "mean_distance", "normal_degrees", "flipped_triangles", "volume_change", "digest")
     MAX_DISTANCE_FIELD_NUMBER: _ClassVar[int]
@@ -869,7 +933,7 @@ class Job(_message.Message):
     def __init__(self, create: _Optional[_Union[CreateOptions, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Step, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., expect: _Optional[_Union[Expect, _Mapping]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
 
 class Report(_message.Message):
-    __slots__ = ("model", "warnings", "steps", "quality", "digest", "solver", "build_ms", "handles", "output")
+    __slots__ = ("model", "warnings", "steps", "quality", "digest", "solver", "build_ms", "handles", "output", "passengers")
     class Step(_message.Message):
         __slots__ = ("kind", "ms", "cycles", "residual", "max_error", "levels", "bytes", "quality", "digest", "field_cycles", "solver", "edit")
         class MsEntry(_message.Message):
@@ -911,6 +975,19 @@ class Report(_message.Message):
         key: str
         value: float
         def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    class Passenger(_message.Message):
+        __slots__ = ("name", "positions", "rotations", "scales", "output")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        POSITIONS_FIELD_NUMBER: _ClassVar[int]
+        ROTATIONS_FIELD_NUMBER: _ClassVar[int]
+        SCALES_FIELD_NUMBER: _ClassVar[int]
+        OUTPUT_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        positions: _containers.RepeatedScalarFieldContainer[float]
+        rotations: _containers.RepeatedScalarFieldContainer[float]
+        scales: _containers.RepeatedScalarFieldContainer[float]
+        output: str
+        def __init__(self, name: _Optional[str] = ..., positions: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ..., output: _Optional[str] = ...) -> None: ...
     MODEL_FIELD_NUMBER: _ClassVar[int]
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
     STEPS_FIELD_NUMBER: _ClassVar[int]
@@ -920,6 +997,7 @@ class Report(_message.Message):
     BUILD_MS_FIELD_NUMBER: _ClassVar[int]
     HANDLES_FIELD_NUMBER: _ClassVar[int]
     OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    PASSENGERS_FIELD_NUMBER: _ClassVar[int]
     model: ModelFacts
     warnings: _containers.RepeatedCompositeFieldContainer[Warning]
     steps: _containers.RepeatedCompositeFieldContainer[Report.Step]
@@ -929,7 +1007,8 @@ class Report(_message.Message):
     build_ms: _containers.ScalarMap[str, float]
     handles: _containers.RepeatedCompositeFieldContainer[HandleFacts]
     output: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ...) -> None: ...
+    passengers: _containers.RepeatedCompositeFieldContainer[Report.Passenger]
+    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ..., passengers: _Optional[_Iterable[_Union[Report.Passenger, _Mapping]]] = ...) -> None: ...
 
 class Quality(_message.Message):
     __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections")

@@ -95,6 +95,11 @@ class DeformerStub(object):
                 request_serializer=pliant_dot_v1_dot_pliant__pb2.ExportRequest.SerializeToString,
                 response_deserializer=pliant_dot_v1_dot_pliant__pb2.Chunk.FromString,
                 _registered_method=True)
+        self.Carry = channel.unary_unary(
+                '/pliant.v1.Deformer/Carry',
+                request_serializer=pliant_dot_v1_dot_pliant__pb2.CarryRequest.SerializeToString,
+                response_deserializer=pliant_dot_v1_dot_pliant__pb2.CarryResponse.FromString,
+                _registered_method=True)
         self.GetLimits = channel.unary_unary(
                 '/pliant.v1.Deformer/GetLimits',
                 request_serializer=pliant_dot_v1_dot_pliant__pb2.GetLimitsRequest.SerializeToString,
@@ -191,6 +196,14 @@ class DeformerServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def Carry(self, request, context):
+        """Carries points, and a model, along with the current shape: what lies in the rest space on the model, in it or around it
+        follows its surface and volume. Changes nothing.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def GetLimits(self, request, context):
         """The limits that this server enforces.
         """
@@ -260,6 +273,11 @@ def add_DeformerServicer_to_server(servicer, server):
                     servicer.Export,
                     request_deserializer=pliant_dot_v1_dot_pliant__pb2.ExportRequest.FromString,
                     response_serializer=pliant_dot_v1_dot_pliant__pb2.Chunk.SerializeToString,
+            ),
+            'Carry': grpc.unary_unary_rpc_method_handler(
+                    servicer.Carry,
+                    request_deserializer=pliant_dot_v1_dot_pliant__pb2.CarryRequest.FromString,
+                    response_serializer=pliant_dot_v1_dot_pliant__pb2.CarryResponse.SerializeToString,
             ),
             'GetLimits': grpc.unary_unary_rpc_method_handler(
                     servicer.GetLimits,
@@ -592,6 +610,33 @@ class Deformer(object):
             '/pliant.v1.Deformer/Export',
             pliant_dot_v1_dot_pliant__pb2.ExportRequest.SerializeToString,
             pliant_dot_v1_dot_pliant__pb2.Chunk.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Carry(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/pliant.v1.Deformer/Carry',
+            pliant_dot_v1_dot_pliant__pb2.CarryRequest.SerializeToString,
+            pliant_dot_v1_dot_pliant__pb2.CarryResponse.FromString,
             options,
             channel_credentials,
             insecure,

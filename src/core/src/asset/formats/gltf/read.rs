@@ -210,6 +210,7 @@ impl GltfReader<'_, '_> {
             index_count: (triangles.len() * 3) as u32,
             has_normals,
             has_tangents,
+            is_passenger: false,
         });
         self.rows.push(PlacedPrimitive {
             node: placement.node,

@@ -1,0 +1,146 @@
+//! What rides along with the model of a job and is no part of it: points and other models.
+
+use crate::asset::{Format, Limits, Model, WrittenFiles};
+use crate::engine::{Deformer, Passenger, PassengerKind};
+use crate::exec::Exec;
+use crate::mesh::carry::CarriedFrame;
+use crate::wire::{Error, pb};
+use glam::DVec3;
+
+/// Another model, carried to the final shape of a job.
+#[derive(Debug, Clone)]
+pub struct CarriedFile {
+    /// Where it is to be written, below the folder of the job's result.
+    pub path: String,
+    /// Its files.
+    pub written: WrittenFiles,
+}
+
+/// Points and other models that ride along, where they are in the rest pose that is in force: an edit of the current shape
+/// makes that shape the rest pose.
+pub(super) struct Riders(Vec<Rider>);
+
+struct Rider {
+    name: String,
+    kind: RiderKind,
+}
+
+enum RiderKind {
+    Points(Vec<CarriedFrame>),
+    Model {
+        model: Box<Model>,
+        positions: Vec<DVec3>,
+        output: Format,
+        path: String,
+    },
+}
+
+impl Riders {
+    /// Reads those of `passengers` that are no part of the model.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the passenger for a file that is no model, or one path for two files.
+    pub fn read(passengers: &[Passenger], limits: &Limits) -> Result<Self, Error> {
+        let mut riders: Vec<Rider> = Vec::new();
+        for (k, passenger) in passengers.iter().enumerate() {
+            let kind = match &passenger.kind {
+                PassengerKind::Primitive(_) | PassengerKind::PrimitivesNamed(_) => continue,
+                PassengerKind::Points { positions, rotations } => {
+                    let places = positions.iter().zip(rotations);
+                    let frame = |(&position, &rotation)| CarriedFrame {
+                        rotation,
+                        ..CarriedFrame::resting(position)
+                    };
+                    RiderKind::Points(places.map(frame).collect())
+                }
+                PassengerKind::Model(file) => {
+                    let taken = riders
+                        .iter()
+                        .any(|r| matches!(&r.kind, RiderKind::Model { path, .. } if *path == file.path));
+                    if taken {
+                        let problem = format!("is \"{}\", where an earlier passenger is written", file.path);
+                        return Err(Error::invalid(format!("passengers[{k}].file.output"), problem));
+                    }
+                    let model = Model::read(file.files.clone(), file.format, limits)
+                        .map_err(|e| Error::invalid(format!("passengers[{k}].file"), e.to_string()))?;
+                    RiderKind::Model {
+                        positions: model.positions.clone(),
+                        output: file.output.unwrap_or(model.format),
+                        model: Box::new(model),
+                        path: file.path.clone(),
+                    }
+                }
+            };
+            riders.push(Rider {
+                name: passenger.name.clone(),
+                kind,
+            });
+        }
+        Ok(Self(riders))
+    }
+
+    /// Carries all along with a shape of the model, one position per render vertex.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn move_along(&mut self, deformer: &Deformer, positions: &[DVec3], exec: &Exec<'_>) -> Result<(), Error> {
+        if self.0.is_empty() {
+            return Ok(());
+        }
+        let carrier = deformer.carrier(positions, exec)?;
+        for rider in &mut self.0 {
+            exec.progress.report("passengers", 0.0);
+            exec.check()?;
+            match &mut rider.kind {
+                RiderKind::Points(frames) => {
+                    let places: Vec<DVec3> = frames.iter().map(|f| f.position).collect();
+                    for (frame, moved) in frames.iter_mut().zip(carrier.carry_points(&places, exec.pool)) {
+                        *frame = CarriedFrame {
+                            position: moved.position,
+                            rotation: moved.rotation * frame.rotation,
+                            scale: moved.scale * frame.scale,
+                        };
+                    }
+                }
+                RiderKind::Model { positions, .. } => {
+                    let moved = carrier.carry_points(positions, exec.pool);
+                    *positions = moved.iter().map(|f| f.position).collect();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What is told of all, and the files of those that are models.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the passenger that cannot be written.
+    pub fn write_files(self) -> Result<(Vec<pb::report::Passenger>, Vec<CarriedFile>), Error> {
+        let (mut told, mut files) = (Vec::new(), Vec::new());
+        for Rider { name, kind } in self.0 {
+            let mut message = pb::report::Passenger {
+                name,
+                ..Default::default()
+            };
+            match kind {
+                RiderKind::Points(frames) => {
+                    message.positions = frames.iter().flat_map(|f| f.position.to_array()).collect();
+                    message.rotations = frames.iter().flat_map(|f| f.rotation.to_array()).collect();
+                    message.scales = frames.iter().map(|f| f.scale).collect();
+                }
+                RiderKind::Model {
+                    model,
+                    positions,
+                    output,
+                    path,
+                } => {
+                    let written = model.write(&positions, output)?;
+                    message.output = path.clone();
+                    files.push(CarriedFile { path, written });
+                }
+            }
+            told.push(message);
+        }
+        Ok((told, files))
+    }
+}

@@ -1,0 +1,363 @@
+//! Primitives that ride along: no part of the solve, and where the body takes them in every shape.
+
+use glam::DVec3;
+use pliant_core::asset::{FileSet, Format, sample, shapes};
+use pliant_core::engine::{
+    CarriedModel, Deformer, DeformerLimits, Edit, Error, Handle, HandlePose, InputPlace, OpenOptions, Passenger,
+    PassengerKind, Region, SolveSettings,
+};
+use pliant_core::exec::Exec;
+use pliant_core::mesh::query::TriangleBvh;
+use pliant_core::pool::Pool;
+use pliant_core::progress::Silent;
+use std::fmt::Write as _;
+
+type Shape = (Vec<DVec3>, Vec<[u32; 3]>);
+
+/// A glTF with one node for each shape, named.
+fn model_of(parts: &[(&str, &Shape)]) -> FileSet {
+    let mut buffer = Vec::new();
+    let (mut views, mut accessors, mut meshes, mut nodes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for (k, (name, (points, faces))) in parts.iter().enumerate() {
+        let first = buffer.len();
+        buffer.extend(
+            points
+                .iter()
+                .flat_map(|p| p.as_vec3().to_array())
+                .flat_map(f32::to_le_bytes),
+        );
+        let second = buffer.len();
+        buffer.extend(faces.iter().flatten().flat_map(|v| v.to_le_bytes()));
+        let end = buffer.len();
+        views.push(format!(
+            r#"{{"buffer":0,"byteOffset":{first},"byteLength":{}}}"#,
+            second - first
+        ));
+        views.push(format!(
+            r#"{{"buffer":0,"byteOffset":{second},"byteLength":{}}}"#,
+            end - second
+        ));
+        let (low, high) = points
+            .iter()
+            .fold((points[0], points[0]), |b, p| (b.0.min(*p), b.1.max(*p)));
+        let list = |p: DVec3| format!("[{},{},{}]", p.x as f32, p.y as f32, p.z as f32);
+        accessors.push(format!(
+            r#"{{"bufferView":{},"componentType":5126,"count":{},"type":"VEC3","min":{},"max":{}}}"#,
+            2 * k,
+            points.len(),
+            list(low),
+            list(high)
+        ));
+        accessors.push(format!(
+            r#"{{"bufferView":{},"componentType":5125,"count":{},"type":"SCALAR"}}"#,
+            2 * k + 1,
+            faces.len() * 3
+        ));
+        meshes.push(format!(
+            r#"{{"primitives":[{{"attributes":{{"POSITION":{}}},"indices":{}}}]}}"#,
+            2 * k,
+            2 * k + 1
+        ));
+        nodes.push(format!(r#"{{"name":"{name}","mesh":{k}}}"#));
+    }
+    let mut json = String::new();
+    let roots: Vec<String> = (0..parts.len()).map(|k| k.to_string()).collect();
+    write!(
+        json,
+        r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"uri":"parts.bin","byteLength":{}}}],"bufferViews":[{}],"accessors":[{}],"meshes":[{}],"nodes":[{}],"scenes":[{{"nodes":[{}]}}],"scene":0}}"#,
+        buffer.len(),
+        views.join(","),
+        accessors.join(","),
+        meshes.join(","),
+        nodes.join(","),
+        roots.join(",")
+    )
+    .expect("a text");
+    let mut files = FileSet::single("model.gltf", json);
+    files.companions.insert("parts.bin".into(), buffer.into());
+    files
+}
+
+/// A bar along y from 0 to 3, and a coarse sleeve around its middle.
+fn bar_and_sleeve() -> (Shape, Shape) {
+    let stand =
+        |(points, faces): Shape| -> Shape { (points.iter().map(|p| DVec3::new(p.y, p.z, p.x)).collect(), faces) };
+    let bar = stand(shapes::cylinder(0.3, 3.0, 20, 40, true));
+    let (points, faces) = stand(shapes::cylinder(0.4, 1.0, 12, 4, false));
+    (bar, (points.iter().map(|p| *p + DVec3::Y).collect(), faces))
+}
+
+fn riding(kind: PassengerKind) -> OpenOptions {
+    OpenOptions {
+        passengers: vec![Passenger {
+            name: String::new(),
+            kind,
+        }],
+        ..OpenOptions::default()
+    }
+}
+
+fn open(files: FileSet, options: &OpenOptions, exec: &Exec<'_>) -> Result<Deformer, Error> {
+    Deformer::open(files, options, &DeformerLimits::default(), exec)
+}
+
+fn hold_ends(deformer: &mut Deformer, exec: &Exec<'_>) {
+    let handles = [
+        Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.2)),
+        Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 2.8)),
+    ];
+    deformer.set_handles(handles, exec).expect("handles");
+}
+
+#[test]
+fn a_passenger_changes_nothing_for_the_body_and_goes_where_it_goes() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (bar, sleeve) = bar_and_sleeve();
+    let both = || model_of(&[("body", &bar), ("sleeve", &sleeve)]);
+    let mut alone = open(model_of(&[("body", &bar)]), &OpenOptions::default(), &exec).expect("a bar");
+    let by_name = riding(PassengerKind::PrimitivesNamed("sleeve".into()));
+    let mut deformer = open(both(), &by_name, &exec).expect("a bar with its sleeve");
+    let facts = deformer.facts();
+    assert_eq!(
+        facts.solver,
+        alone.facts().solver.clone_with_bytes(facts.solver.byte_size)
+    );
+    assert!(facts.primitives[1].is_passenger && !facts.primitives[0].is_passenger);
+    assert!(
+        facts.warnings.iter().all(|w| w.code != "unreferenced-vertex"),
+        "{:?}",
+        facts.warnings
+    );
+
+    let pose = [("high", HandlePose::rotation([1.2, 0.0, 0.0]))];
+    for d in [&mut alone, &mut deformer] {
+        hold_ends(d, &exec);
+    }
+    let settings = SolveSettings::default();
+    let expected = alone.commit(pose, &settings, &exec).expect("solved");
+    let solved = deformer.commit(pose, &settings, &exec).expect("solved");
+    let body = bar.0.len();
+    assert_eq!(
+        solved.positions[..body],
+        expected.positions[..],
+        "the body does not feel its passenger"
+    );
+
+    // The sleeve is where the points of it are carried to.
+    let rest: Vec<DVec3> = deformer.rest()[body..].to_vec();
+    let carried = deformer.carry_points(&solved.positions, &rest, &exec).expect("carried");
+    for (now, frame) in solved.positions[body..].iter().zip(&carried) {
+        assert_eq!(*now, frame.position);
+    }
+    let farthest = solved.positions[body..]
+        .iter()
+        .zip(&rest)
+        .map(|(a, b)| a.distance(*b))
+        .fold(0.0, f64::max);
+    assert!(farthest > 0.2, "the sleeve moves by {farthest}");
+    // It keeps its distance of 0.1 from the body.
+    for p in &solved.positions[body..] {
+        let gap = expected
+            .positions
+            .iter()
+            .map(|q| q.distance(*p))
+            .fold(f64::MAX, f64::min);
+        assert!((0.05..0.2).contains(&gap), "a gap of {gap}");
+    }
+    // At rest all is as it was, and written to the byte.
+    let written = deformer.write(deformer.rest(), Format::GLTF).expect("written");
+    assert_eq!(written.main, both().main.to_vec());
+    // The same with other threads.
+    let one = Pool::new(1).expect("a thread");
+    let exec = Exec::new(&one, &Silent);
+    let mut again = open(both(), &by_name, &exec).expect("opened");
+    hold_ends(&mut again, &exec);
+    assert_eq!(
+        again.commit(pose, &settings, &exec).expect("solved").positions,
+        solved.positions
+    );
+}
+
+#[test]
+fn wrong_passengers_are_refused_with_their_number() {
+    let pool = Pool::new(1).expect("a thread");
+    let exec = Exec::new(&pool, &Silent);
+    let (bar, sleeve) = bar_and_sleeve();
+    let files = || model_of(&[("body", &bar), ("sleeve", &sleeve)]);
+    let told = |kinds: Vec<PassengerKind>| {
+        let passengers = kinds.into_iter().map(|kind| Passenger {
+            name: String::new(),
+            kind,
+        });
+        let options = OpenOptions {
+            passengers: passengers.collect(),
+            ..OpenOptions::default()
+        };
+        match open(files(), &options, &exec).map(drop).expect_err("refused") {
+            Error::Invalid {
+                place: InputPlace::Passenger(k),
+                problem,
+            } => (k, problem),
+            other => panic!("{other}"),
+        }
+    };
+    let (first, second) = (PassengerKind::Primitive(0), PassengerKind::Primitive(1));
+    assert!(matches!(told(vec![PassengerKind::Primitive(2)]), (0, p) if p.contains("has 2 primitives")));
+    let named = PassengerKind::PrimitivesNamed("cape".into());
+    assert!(matches!(told(vec![second.clone(), named]), (1, p) if p.contains("\"cape\"") && p.contains("\"sleeve\"")));
+    assert!(matches!(told(vec![second.clone(), second.clone()]), (1, p) if p.contains("already")));
+    assert!(matches!(told(vec![second, first]), (1, p) if p.contains("nothing is left")));
+}
+
+#[test]
+fn what_rides_along_is_neither_held_nor_edited() {
+    let pool = Pool::new(1).expect("a thread");
+    let exec = Exec::new(&pool, &Silent);
+    let (bar, sleeve) = bar_and_sleeve();
+    let files = model_of(&[("body", &bar), ("sleeve", &sleeve)]);
+    let mut deformer = open(files, &riding(PassengerKind::Primitive(1)), &exec).expect("opened");
+    let refused = deformer.set_handles([Handle::new("sleeve", Region::Primitive(1))], &exec);
+    assert!(
+        matches!(refused, Err(Error::Invalid { place: InputPlace::HandleRegion(0, _), problem }) if problem.contains("rides along"))
+    );
+    // A region of both holds what is the body's alone: the sleeve follows and is not pulled.
+    let around = Region::half_space([0.0, 1.0, 0.0], 1.5);
+    let low = Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.2));
+    deformer
+        .set_handles([low, Handle::new("high", around)], &exec)
+        .expect("held");
+    let up = [("high", HandlePose::translation([0.0, 0.5, 0.0]))];
+    let solved = deformer.commit(up, &SolveSettings::default(), &exec).expect("solved");
+    assert!(solved.positions.iter().all(|p| p.is_finite()));
+    let edited = deformer.edit_rest(
+        &Edit::Decimate {
+            region: None,
+            ratio: 0.5,
+        },
+        &exec,
+    );
+    assert!(matches!(edited, Err(Error::Precondition(told)) if told.contains("passengers")));
+}
+
+/// A level of detail of a quarter of the triangles lies on the deformed original as it lay on the original, within half a
+/// per cent of the diagonal: all its corners, and but for one in a hundred, where a flat triangle spans the bend, the middles
+/// of its triangles.
+#[test]
+fn a_level_of_detail_stays_on_the_deformed_original() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let mut models = vec![("creature", FileSet::single("creature.glb", sample::creature_glb()), 0)];
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+    let data = std::env::var("PLIANT_DATA").unwrap_or_else(|_| beside.into());
+    for (name, along) in [("camelhead.off", 1)] {
+        match std::fs::read(format!("{data}/meshes/{name}")) {
+            Ok(bytes) => models.push((name, FileSet::single(name, bytes), along)),
+            Err(e) => println!("SKIPPED: {name}: {e}"),
+        }
+    }
+    for (name, files, along) in models {
+        let mut whole = open(files.clone(), &OpenOptions::default(), &exec).expect("opened");
+        let mut coarse = open(files, &OpenOptions::default(), &exec).expect("opened");
+        let thin = Edit::Decimate {
+            region: None,
+            ratio: 0.25,
+        };
+        coarse.edit_rest(&thin, &exec).expect("thinned out");
+        let rest = whole.rest().to_vec();
+        let (low, high) = rest.iter().fold((rest[0], rest[0]), |b, p| (b.0.min(*p), b.1.max(*p)));
+        let mut up = [0.0; 3];
+        up[along] = 1.0;
+        let at = |share: f64| low[along] + share * (high - low)[along];
+        let handles = [
+            Handle::new("low", Region::half_space(up.map(|x: f64| -x), -at(0.2))),
+            Handle::new("high", Region::half_space(up, at(0.8))),
+        ];
+        whole.set_handles(handles, &exec).expect("held");
+        let (lod, faces) = (coarse.rest().to_vec(), &coarse.geometry().triangles);
+        let triangles = whole.geometry().triangles.clone();
+        for turn in [0.8, 1.57] {
+            let mut rotation = [0.0; 3];
+            rotation[(along + 1) % 3] = turn;
+            let pose = [("high", HandlePose::rotation(rotation))];
+            let now = whole
+                .commit(pose, &SolveSettings::default(), &exec)
+                .expect("solved")
+                .positions;
+            let carried = whole.carry_points(&now, &lod, &exec).expect("carried");
+            let carried: Vec<DVec3> = carried.iter().map(|f| f.position).collect();
+            let off = |lod: &[DVec3], original: &[DVec3]| {
+                let surface = TriangleBvh::build(original, &triangles, &pool);
+                let away = |p: DVec3| surface.closest_point(p).map_or(f64::MAX, |at| at.distance) / low.distance(high);
+                let middles = faces
+                    .iter()
+                    .map(|t| t.iter().map(|&v| lod[v as usize]).sum::<DVec3>() / 3.0);
+                let mut middles: Vec<f64> = middles.map(away).collect();
+                middles.sort_by(f64::total_cmp);
+                let corners = lod.iter().map(|&p| away(p)).fold(0.0, f64::max);
+                [corners, middles[middles.len() * 99 / 100], middles[middles.len() - 1]]
+            };
+            let (before, after) = (off(&lod, &rest), off(&carried, &now));
+            println!(
+                "{name} turned by {turn}: corners, middles, farthest middle {before:.5?} at rest, {after:.5?} deformed"
+            );
+            let [corners, middles, farthest] = after;
+            let near = corners < 0.005 && middles < 0.005 && farthest < 0.02;
+            assert!(near, "{name} turned by {turn}: {after:?}");
+        }
+    }
+}
+
+#[test]
+fn another_model_rides_along_in_its_own_format() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (bar, sleeve) = bar_and_sleeve();
+    let mut deformer = open(model_of(&[("body", &bar)]), &OpenOptions::default(), &exec).expect("opened");
+    hold_ends(&mut deformer, &exec);
+    let up = [("high", HandlePose::translation([0.0, 0.5, 0.0]))];
+    let solved = deformer.commit(up, &SolveSettings::default(), &exec).expect("solved");
+    let files = model_of(&[("sleeve", &sleeve)]);
+    let hull = |output| CarriedModel {
+        files: files.clone(),
+        format: None,
+        output,
+        path: String::new(),
+    };
+    let written = deformer
+        .carry_model(&solved.positions, hull(Some(Format::OBJ)), &exec)
+        .expect("carried");
+    let text = String::from_utf8(written.main).expect("a text");
+    let highest = |text: &str| {
+        let vertices = text.lines().filter_map(|l| l.strip_prefix("v "));
+        let heights = vertices.filter_map(|l| l.split(' ').nth(1)?.parse::<f64>().ok());
+        heights.fold(f64::MIN, f64::max)
+    };
+    assert!((2.05..2.45).contains(&highest(&text)), "{}", highest(&text));
+    let own = deformer
+        .carry_model(deformer.rest(), hull(None), &exec)
+        .expect("carried");
+    assert_eq!(own.main, files.main.to_vec(), "at rest every byte stays");
+    let broken = CarriedModel {
+        files: FileSet::single("", "nothing"),
+        ..hull(None)
+    };
+    assert!(matches!(
+        deformer.carry_model(&solved.positions, broken, &exec),
+        Err(Error::Asset(_))
+    ));
+}
+
+trait CloneWithBytes {
+    fn clone_with_bytes(self, bytes: u64) -> Self;
+}
+
+impl CloneWithBytes for pliant_core::engine::SolverFacts {
+    /// What is held may differ: passengers are held too.
+    fn clone_with_bytes(self, bytes: u64) -> Self {
+        Self {
+            byte_size: bytes,
+            ..self
+        }
+    }
+}

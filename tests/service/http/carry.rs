@@ -1,0 +1,164 @@
+//! Points and models carried along with a session's shape.
+
+use super::{get, post};
+use crate::support::server::*;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use pliant::wire::pb;
+use serde_json::{Value, json};
+
+async fn carry(server: &Server, id: &str, body: Value) -> Value {
+    let answer = post(server, &format!("/v1/sessions/{id}/carry"), body).await;
+    assert_eq!(answer.status(), 200);
+    answer.json().await.expect("JSON")
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    let list = value.as_array().expect("a list");
+    list.iter().map(|v| v.as_f64().expect("a number")).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    // Above the top of the bar, beside it, and inside its held base.
+    let points = json!([0.5, 0.5, 4.3, 1.3, 0.5, 3.9, 0.5, 0.5, 0.1]);
+    let rest = carry(&server, &id, json!({"points": points})).await;
+    assert_eq!(rest["points"], points);
+    assert_eq!(
+        (&rest["scales"], &rest["revision"]),
+        (&json!([1.0, 1.0, 1.0]), &json!("2"))
+    );
+
+    let solved = post(&server, &format!("/v1/sessions/{id}/solve"), turn_json(1.0)).await;
+    assert_eq!(solved.status(), 200);
+    let quarter = [
+        0.0,
+        0.0,
+        std::f64::consts::FRAC_1_SQRT_2,
+        std::f64::consts::FRAC_1_SQRT_2,
+    ];
+    let axes: Vec<f64> = [quarter; 3].concat();
+    let order = json!({"points": points, "rotations": axes});
+    let posed = carry(&server, &id, order.clone()).await;
+    let now = numbers(&posed["points"]);
+    // The top turns by a radian about the bar's middle and rises by a quarter.
+    let beside = [0.5 + 0.8 * 1f64.cos(), 0.5 + 0.8 * 1f64.sin(), 4.15];
+    for (at, expected) in [(0, [0.5, 0.5, 4.55]), (3, beside), (6, [0.5, 0.5, 0.1])] {
+        for k in 0..3 {
+            assert!(
+                (now[at + k] - expected[k]).abs() < 0.03,
+                "point {}: {:?}",
+                at / 3,
+                &now[at..at + 3]
+            );
+        }
+    }
+    let turned = numbers(&posed["rotations"]);
+    let angle = |q: &[f64]| 2.0 * q[2].atan2(q[3]);
+    assert!(
+        (angle(&turned[..4]) - 1.0 - std::f64::consts::FRAC_PI_2).abs() < 0.05,
+        "{turned:?}"
+    );
+    assert!(
+        (angle(&turned[8..]) - std::f64::consts::FRAC_PI_2).abs() < 0.02,
+        "{turned:?}"
+    );
+
+    // A model of the same bar goes where the bar goes.
+    let model = STANDARD.encode(bar_obj(8));
+    let answer = carry(&server, &id, json!({"model": model, "format": "obj"})).await;
+    let text = String::from_utf8(
+        STANDARD
+            .decode(answer["model"].as_str().expect("bytes"))
+            .expect("base64"),
+    );
+    let text = text.expect("a text");
+    let heights = text
+        .lines()
+        .filter_map(|l| l.strip_prefix("v ")?.split(' ').nth(2)?.parse::<f64>().ok());
+    let highest = heights.fold(f64::MIN, f64::max);
+    assert!((highest - 4.25).abs() < 1e-3, "{highest}");
+
+    // The same over gRPC, to the bit.
+    let mut client = server.grpc().await;
+    let request: pb::CarryRequest = pliant::wire::json::from_json(order.to_string().as_bytes()).expect("a request");
+    let request = pb::CarryRequest {
+        session_id: id.clone(),
+        ..request
+    };
+    let told = client.carry(request).await.expect("an answer").into_inner();
+    assert_eq!(told.points, now);
+
+    // Undo goes back, redo forward, and an edit of the current shape makes it the rest pose.
+    for (step, expected) in [("undo", &rest["points"]), ("redo", &posed["points"])] {
+        assert_eq!(
+            post(&server, &format!("/v1/sessions/{id}/{step}"), json!({}))
+                .await
+                .status(),
+            200
+        );
+        assert_eq!(
+            &carry(&server, &id, json!({"points": points})).await["points"],
+            expected
+        );
+    }
+    let cut = json!({"subdivide": {"scheme": "MIDPOINT"}});
+    assert_eq!(
+        post(&server, &format!("/v1/sessions/{id}/edits"), cut).await.status(),
+        200
+    );
+    let again = carry(&server, &id, json!({"points": now})).await;
+    assert_eq!(numbers(&again["points"]), now);
+    let session: Value = get(&server, &format!("/v1/sessions/{id}"))
+        .await
+        .json()
+        .await
+        .expect("JSON");
+    assert_eq!(session["revision"], again["revision"], "carrying commits nothing");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_carried_is_told_by_its_field() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    let path = format!("/v1/sessions/{id}/carry");
+    for (body, field) in [
+        (json!({}), "points"),
+        (json!({"points": [1, 2]}), "points"),
+        (json!({"points": [1, 2, "NaN"]}), "points[2]"),
+        (json!({"points": [1, 2, 3], "rotations": [0, 0, 0, 3]}), "rotations[0]"),
+        (json!({"points": [1, 2, 3], "rotations": [0, 0, 1]}), "rotations"),
+        (json!({"points": [1, 2, 3], "format": "obj"}), "format"),
+        (json!({"model": STANDARD.encode("v 0 0 0"), "format": "xyz"}), "format"),
+    ] {
+        let answer = post(&server, &path, body.clone()).await;
+        assert_eq!(answer.status(), 422, "{body}");
+        let problem: Value = answer.json().await.expect("JSON");
+        assert_eq!(problem["errors"][0]["field"], field, "{problem}");
+    }
+    let broken = post(&server, &path, json!({"model": STANDARD.encode("no model")})).await;
+    assert_eq!(broken.status().as_u16() / 100, 4);
+    assert_eq!(
+        post(&server, "/v1/sessions/none/carry", json!({"points": [0, 0, 0]}))
+            .await
+            .status(),
+        404
+    );
+    // Passengers that are no part of the model are a job's.
+    let points = json!({"passengers": [{"points": {"positions": [0, 0, 0]}}]});
+    let mut client = server.grpc().await;
+    let options: pb::CreateOptions = pliant::wire::json::from_json(points.to_string().as_bytes()).expect("options");
+    let first = pb::CreateSessionRequest {
+        message: Some(pb::create_session_request::Message::Options(options)),
+    };
+    let chunk = pb::CreateSessionRequest {
+        message: Some(pb::create_session_request::Message::Chunk(bar_obj(4).into())),
+    };
+    let refused = client
+        .create_session(futures::stream::iter([first, chunk]))
+        .await
+        .expect_err("refused");
+    assert!(refused.message().starts_with("passengers[0].points"), "{refused:?}");
+}
