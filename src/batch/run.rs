@@ -100,10 +100,12 @@ pub fn run(
     }
     let facts = session_message(&deformer.facts());
     let (passengers, carried) = riders.write_files()?;
+    let mut warnings = facts.warnings;
+    warnings.extend(large_faces_warning(&quality));
     let report = pb::Report {
         passengers,
         model: facts.model,
-        warnings: facts.warnings,
+        warnings,
         quality: Some(quality),
         digest: digest(&positions),
         solver: facts.solver,
@@ -287,6 +289,19 @@ fn at_step(e: Error, k: usize, warned: &[String]) -> Error {
         Error::Precondition(text) => Error::Precondition(format!("steps[{k}]: {text}{before}")),
         other => other,
     }
+}
+
+/// What the final shape says of faces that are too large for its bends.
+fn large_faces_warning(quality: &pb::Quality) -> Option<pb::Warning> {
+    (quality.faces_too_large > 0).then(|| pb::Warning {
+        code: "faces-too-large-for-pose".into(),
+        message: format!(
+            "{} triangles are bent by more than 30° from one corner to another and show a kink; the edit \"subdivide\" \
+             with \"auto\" before the pose divides them",
+            quality.faces_too_large
+        ),
+        ..Default::default()
+    })
 }
 
 /// What of the expectations does not hold for a report's quality and digest, one sentence each, and what only a stored

@@ -27,6 +27,9 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
             return Err(Error::invalid("operation", problem));
         }
         Some(Operation::Cut(cut)) => self::cut(cut)?,
+        Some(Operation::Subdivide(subdivide)) if subdivide.auto => Edit::SubdivideForPose {
+            region: optional_region(subdivide.region.as_ref(), "subdivide.region")?,
+        },
         Some(Operation::Subdivide(subdivide)) => Edit::Subdivide {
             region: optional_region(subdivide.region.as_ref(), "subdivide.region")?,
             scheme: match enumerated(subdivide.scheme, "subdivide.scheme")? {

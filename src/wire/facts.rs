@@ -73,6 +73,7 @@ pub fn quality_message(quality: &QualityReport) -> pb::Quality {
         flipped_triangles: quality.flipped_triangles,
         max_stretch: quality.max_stretch,
         self_intersections: quality.self_intersections,
+        faces_too_large: quality.faces_too_large,
     }
 }
 

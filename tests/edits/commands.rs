@@ -45,7 +45,11 @@ fn delete(region: pb::Region, fill: bool) -> pb::EditRequest {
 
 fn midpoint(region: Option<pb::Region>) -> pb::EditRequest {
     let scheme = subdivide::Scheme::Midpoint.into();
-    request(Operation::Subdivide(pb::edit_request::Subdivide { region, scheme }))
+    request(Operation::Subdivide(pb::edit_request::Subdivide {
+        region,
+        scheme,
+        auto: false,
+    }))
 }
 
 /// Edits the shape that `shape` is, with the handles' own poses in force.

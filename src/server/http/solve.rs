@@ -109,6 +109,7 @@ fn facts(solved: &CommittedPose) -> HeaderMap {
         set("x-pliant-area-change", quality.area_change.to_string());
         set("x-pliant-flipped-triangles", quality.flipped_triangles.to_string());
         set("x-pliant-max-stretch", quality.max_stretch.to_string());
+        set("x-pliant-faces-too-large", quality.faces_too_large.to_string());
         if let Some(pairs) = quality.self_intersections {
             set("x-pliant-self-intersections", pairs.to_string());
         }

@@ -59,6 +59,7 @@ fn loop_subdivision_rounds_a_region_and_midpoints_keep_the_shape() {
             &request(Operation::Subdivide(wire::Subdivide {
                 region,
                 scheme: scheme.into(),
+                auto: false,
             })),
         );
         sound(&mut bench, &outcome);

@@ -58,6 +58,7 @@
 //! | `rotation` | rotation vectors, fits and blends of rotations |
 //! | `first_pass` | the local frame of each node |
 //! | `second_pass` | equation (8), solving it, and fitting rotations to the result |
+//! | `thin_faces` | needles and caps, which follow the shape around them |
 //! | `comparison` | other methods, to compare with: orientation diffusion, linear frames, radial basis functions |
 
 mod body;
@@ -69,6 +70,7 @@ mod first_pass;
 mod handles;
 mod rotation;
 mod second_pass;
+mod thin_faces;
 mod transform;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, VolumeMode};
@@ -76,9 +78,12 @@ pub use edited_body::EditedBody;
 pub use error::Error;
 pub use fields::{FieldRestart, HarmonicFields, KeptFields};
 pub use first_pass::{FirstPass, LocalFrame, frames};
-pub use handles::{FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleSystem, carry};
+pub use handles::{
+    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, carry, shares_difference,
+};
 pub use rotation::{blend_rotations, exp_rotation, fit_rigid_motion, log_rotation};
 pub use second_pass::{
     CycleReport, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolveStart, SolveState,
 };
+pub use thin_faces::NeedlesAndCaps;
 pub use transform::Transform;

@@ -42,7 +42,7 @@ pub use fill::{delete_faces, fill_holes};
 pub use patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch, apply_patch};
 pub use remesh::{ASPECT, MENDED, MOST_TRIANGLES, RemeshTarget, STRETCH, remesh_region};
 pub use stitch::{LoopPair, stitch_boundaries};
-pub use subdivide::{SubdivisionScheme, subdivide_region};
+pub use subdivide::{EvennessTarget, FieldSample, SubdivisionScheme, subdivide_region, subdivide_until_even};
 pub use surface::SurfaceView;
 pub use topology::{SurfaceTopology, verify_surface};
 pub use weld::{weld_boundaries, weld_points};

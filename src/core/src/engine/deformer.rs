@@ -5,6 +5,7 @@ use super::error::Error;
 use super::facts::count_u32;
 use super::facts::{DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts};
 use super::handle::HandleSet;
+use super::large_faces::warn_of_large_faces;
 use super::limits::DeformerLimits;
 use super::model_topology::ModelTopology;
 use super::pose::HandlePoses;
@@ -314,6 +315,10 @@ impl Deformer {
             false => Some(HandleSystem::restart(body, rigging, restart.as_ref(), exec)?),
         };
         self.handles = resolved;
+        let large = rig
+            .as_ref()
+            .and_then(|rig| warn_of_large_faces(&self.derived.mesh, rig, body.diagonal));
+        self.handles.warnings.extend(large);
         self.rig = rig;
         self.state = SolveState::default();
         Ok(())

@@ -12,7 +12,7 @@ use super::settings::OpenOptions;
 use super::topology_id::TopologyId;
 use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyLineage, TopologyState};
 use crate::asset::Model;
-use crate::deform::{BodyOptions, DeformableBody, EditedBody, VolumeMode};
+use crate::deform::{BodyOptions, DeformableBody, EditedBody, NeedlesAndCaps, VolumeMode};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
@@ -31,6 +31,8 @@ pub(super) struct DerivedStructures {
     pub mesh: Mesh,
     pub parts: Components,
     pub body: DeformableBody,
+    /// Needles and caps of the mesh.
+    pub thin: NeedlesAndCaps,
     /// How the nodes of the graph came about when the body has followed an edit.
     pub followed: FollowedNodes,
     volume: VolumeMode,
@@ -187,6 +189,7 @@ impl DerivedStructures {
         Self {
             lineage: Arc::new(lineage),
             parts,
+            thin: NeedlesAndCaps::find(&mesh),
             mesh,
             body,
             followed,
@@ -255,6 +258,7 @@ impl DerivedStructures {
         let parts = self.mesh.byte_size()
             + self.parts.of_vertex.capacity() * 4
             + (self.followed.old_from_new.capacity() + self.followed.touched.capacity()) * 4
+            + self.thin.byte_size()
             + self.body.byte_size()
             + self.carry.get().map_or(0, |surface| surface.byte_size())
             + self.riders.get().map_or(0, RidingVertices::byte_size);

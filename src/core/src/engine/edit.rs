@@ -10,6 +10,7 @@ use super::edit_command::{EditCommand, EditOutcome, EditReport, EditedShape};
 use super::edit_operations::{EditContext, PlannedEdit, plan_edit};
 use super::error::{Error, InputPlace};
 use super::facts::{DeformerWarning, MeshCounts, count_u32};
+use super::large_faces::{HandleBend, largest_turn};
 use super::model_topology::EditSurface;
 use super::pose::HandlePoses;
 use super::region_context::{RegionContext, vertices_in_region};
@@ -49,6 +50,11 @@ impl Deformer {
             regions: self.region_context(shape),
             limits: self.limits,
             rest: &rest.positions,
+            bend: self.rig().map(|handles| HandleBend {
+                handles,
+                turn: largest_turn(&self.handles, order.poses),
+                diagonal: self.diagonal(),
+            }),
             surface: &mut surface,
             origins: &mut origins,
         };

@@ -29,6 +29,11 @@ pub enum Edit {
         /// Where the new vertices lie.
         scheme: SubdivisionScheme,
     },
+    /// Splits triangles that are too large for the bend between handles.
+    SubdivideForPose {
+        /// Where.
+        region: Option<Region>,
+    },
     /// Removes triangles while keeping the shape.
     Decimate {
         /// Where.
@@ -211,7 +216,7 @@ impl Edit {
     pub fn kind(&self) -> EditKind {
         match self {
             Self::Cut { .. } => EditKind::Cut,
-            Self::Subdivide { .. } => EditKind::Subdivide,
+            Self::Subdivide { .. } | Self::SubdivideForPose { .. } => EditKind::Subdivide,
             Self::Decimate { .. } => EditKind::Decimate,
             Self::Delete { .. } => EditKind::Delete,
             Self::Fill { .. } => EditKind::Fill,

@@ -3,6 +3,7 @@
 use super::DeformerLimits;
 use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge};
 use super::error::{Error, InputPlace};
+use super::large_faces::{HandleBend, plan_division};
 use super::model_topology::{EditSurface, ModelTopology};
 use super::region::Region;
 use super::region_context::{RegionContext, vertices_in_region};
@@ -27,6 +28,8 @@ pub(super) struct EditContext<'a> {
     pub limits: DeformerLimits,
     /// The rest shape, one position per render vertex.
     pub rest: &'a [DVec3],
+    /// What the handles in force do, if there are any.
+    pub bend: Option<HandleBend<'a>>,
     /// The surface to edit.
     pub surface: &'a mut EditSurface,
     /// What its vertices are made of.
@@ -84,6 +87,13 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
         Edit::Subdivide { region, scheme } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
             edit::subdivide_region(&context.surface.surface(), &faces, *scheme, progress)?
+        }
+        Edit::SubdivideForPose { region } => {
+            let faces = context.faces_in_region(region.as_ref(), kind)?;
+            let bend = context.bend.ok_or_else(|| {
+                Error::Precondition("no handles are set; subdivide with auto divides what lies between handles".into())
+            })?;
+            plan_division(&context.surface.surface(), &faces, &bend, exec)?
         }
         Edit::Decimate { region, ratio } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;

@@ -103,6 +103,9 @@ pub struct QualityReport {
     pub flipped_triangles: u32,
     /// Largest singular value of any triangle's Jacobian.
     pub max_stretch: f64,
+    /// Triangles with an edge, longer than 2 % of the diagonal, whose ends are turned against each other by more than 30°:
+    /// they are too large to show the bend.
+    pub faces_too_large: u32,
     /// Pairs of triangles that cross, when asked for.
     pub self_intersections: Option<u32>,
 }

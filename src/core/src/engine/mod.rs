@@ -40,6 +40,7 @@ mod facts;
 mod followed_nodes;
 mod handle;
 mod interior;
+mod large_faces;
 mod limits;
 mod mesh_delta;
 mod model_topology;

@@ -1,6 +1,7 @@
 //! How far a shape is from the rest shape, in numbers.
 
 use super::facts::QualityReport;
+use super::large_faces::count_kinked_faces;
 use crate::mesh::{BoundingBox, Mesh, shading};
 use crate::pool::Pool;
 use glam::{DMat2, DMat3, DVec2, DVec3};
@@ -17,14 +18,14 @@ const RUN: usize = 1 << 16;
 /// taken from its neighbours' normals: a fold shows, a part that was turned over as a whole does not.
 pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> QualityReport {
     let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
-    let (sums, flipped_triangles) = pool.install(|| {
+    let (sums, (flipped_triangles, faces_too_large)) = pool.install(|| {
         let blocks: Vec<QualitySums> = mesh
             .triangles
             .par_chunks(BLOCK)
             .map(|block| QualitySums::of(block, [&mesh.positions, deformed], closed, centers))
             .collect();
         let sums = blocks.into_iter().fold(QualitySums::default(), QualitySums::join);
-        (sums, flipped(mesh, deformed))
+        (sums, count_bad_faces(mesh, deformed))
     });
     let change = |[before, now]: [f64; 2]| if before != 0.0 { now / before - 1.0 } else { 0.0 };
     QualityReport {
@@ -33,6 +34,7 @@ pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], poo
         area_change: change(sums.area),
         flipped_triangles,
         max_stretch: sums.max_stretch,
+        faces_too_large,
         self_intersections: None,
     }
 }
@@ -103,8 +105,9 @@ fn largest_stretch(p: [DVec3; 3], q: [DVec3; 3]) -> Option<f64> {
     stretch.is_finite().then_some(stretch)
 }
 
-/// Triangles whose normal opposes what the shape around them did to it. NumberRuns on the pool of the caller.
-fn flipped(mesh: &Mesh, deformed: &[DVec3]) -> u32 {
+/// Triangles whose normal opposes what the shape around them did to it, and those too large for the bend that they are in.
+/// Runs on the pool of the caller.
+fn count_bad_faces(mesh: &Mesh, deformed: &[DVec3]) -> (u32, u32) {
     let corners = |shape: &[DVec3], t: &[u32; 3]| t.map(|v| shape[v as usize]);
     // A gradient for each vertex from the triangles around it, in proportion to their areas.
     let mut gradients = vec![DMat3::ZERO; mesh.positions.len()];
@@ -134,7 +137,9 @@ fn flipped(mesh: &Mesh, deformed: &[DVec3]) -> u32 {
             carried.dot(normal(corners(deformed, t))) < 0.0
         })
         .count();
-    u32::try_from(count).unwrap_or(u32::MAX)
+    let diagonal = BoundingBox::of(&mesh.positions).diagonal();
+    let too_large = count_kinked_faces(mesh, &gradients, diagonal);
+    (u32::try_from(count).unwrap_or(u32::MAX), too_large)
 }
 
 #[cfg(test)]

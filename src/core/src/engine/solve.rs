@@ -164,10 +164,13 @@ impl Deformer {
                 positions: &positions,
             })
         };
-        let solution = match settings.spatial_rbf {
+        let mut solution = match settings.spatial_rbf {
             true => rig.solve_by_spatial_rbf(body, &transforms, state, exec)?,
             false => rig.solve(body, &request, state, exec, &mut on_cycle)?,
         };
+        derived
+            .thin
+            .settle(body, rig, &solution.frames, &mut solution.positions, exec.pool);
         let solver = method_name(&solution);
         let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));
         *solutions += 1;

@@ -680,7 +680,7 @@ class EditRequest(_message.Message):
         closed: bool
         def __init__(self, plane: _Optional[_Union[Plane, _Mapping]] = ..., keep: _Optional[_Union[EditRequest.Cut.Keep, str]] = ..., fill: bool = ..., polyline: _Optional[_Iterable[float]] = ..., path: _Optional[_Iterable[int]] = ..., closed: bool = ...) -> None: ...
     class Subdivide(_message.Message):
-        __slots__ = ("region", "scheme")
+        __slots__ = ("region", "scheme", "auto")
         class Scheme(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
             __slots__ = ()
             LOOP: _ClassVar[EditRequest.Subdivide.Scheme]
@@ -689,9 +689,11 @@ class EditRequest(_message.Message):
         MIDPOINT: EditRequest.Subdivide.Scheme
         REGION_FIELD_NUMBER: _ClassVar[int]
         SCHEME_FIELD_NUMBER: _ClassVar[int]
+        AUTO_FIELD_NUMBER: _ClassVar[int]
         region: Region
         scheme: EditRequest.Subdivide.Scheme
-        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., scheme: _Optional[_Union[EditRequest.Subdivide.Scheme, str]] = ...) -> None: ...
+        auto: bool
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., scheme: _Optional[_Union[EditRequest.Subdivide.Scheme, str]] = ..., auto: bool = ...) -> None: ...
     class Decimate(_message.Message):
         __slots__ = ("region", "ratio")
         REGION_FIELD_NUMBER: _ClassVar[int]
@@ -1011,20 +1013,22 @@ class Report(_message.Message):
     def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ..., passengers: _Optional[_Iterable[_Union[Report.Passenger, _Mapping]]] = ...) -> None: ...
 
 class Quality(_message.Message):
-    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections")
+    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections", "faces_too_large")
     EDGE_RMS_FIELD_NUMBER: _ClassVar[int]
     VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
     AREA_CHANGE_FIELD_NUMBER: _ClassVar[int]
     FLIPPED_TRIANGLES_FIELD_NUMBER: _ClassVar[int]
     MAX_STRETCH_FIELD_NUMBER: _ClassVar[int]
     SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
+    FACES_TOO_LARGE_FIELD_NUMBER: _ClassVar[int]
     edge_rms: float
     volume_change: float
     area_change: float
     flipped_triangles: int
     max_stretch: float
     self_intersections: int
-    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ...) -> None: ...
+    faces_too_large: int
+    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ..., faces_too_large: _Optional[int] = ...) -> None: ...
 
 class Inspection(_message.Message):
     __slots__ = ("model", "primitives", "solver", "warnings", "components", "boundary_loops", "non_manifold_edges", "non_manifold_vertices", "seam_vertices", "closed", "box_min", "box_max", "area", "volume", "memory_estimate", "degenerate_faces", "duplicate_faces", "unreferenced_vertices")

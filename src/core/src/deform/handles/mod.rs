@@ -6,8 +6,10 @@ pub(super) mod ownership;
 mod placement;
 pub(super) mod setup;
 pub(super) mod system;
+mod way_between;
 
 pub use free_parts::FreePartPolicy;
 pub use motion::{HandleMotion, carry};
 pub use setup::{HandleConstraint, HandleSetup};
 pub use system::HandleSystem;
+pub use way_between::{HandleShares, shares_difference};

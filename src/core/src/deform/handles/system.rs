@@ -136,6 +136,11 @@ impl HandleSystem {
         &self.setup
     }
 
+    /// Nodes that handles hold in place, or that move with a part in which no handle lies.
+    pub(in crate::deform) fn held_nodes(&self) -> &[bool] {
+        &self.rigid.as_ref().unwrap_or(&self.positions).fixed
+    }
+
     /// Number of handles.
     pub fn handle_count(&self) -> usize {
         self.setup.handles.len()

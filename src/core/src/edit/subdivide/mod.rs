@@ -5,6 +5,9 @@
 //! same point. [`SubdivisionScheme::Midpoint`] keeps the shape, [`SubdivisionScheme::Loop`] smooths it.
 
 mod masks;
+mod until_even;
+
+pub use until_even::{EvennessTarget, FieldSample, subdivide_until_even};
 
 use super::error::{EditSubject, Error};
 use super::patch::{NewTriangle, NewVertex, SurfacePatch};

@@ -1,0 +1,149 @@
+//! Which vertices of a mesh lie on short edges, and which close to the edge of a face.
+
+use super::{Cap, NeedlesAndCaps};
+use crate::mesh::{Lists, Mesh};
+use glam::DVec3;
+
+/// A length is short below this share of the longest edge around it.
+const SHORT: f64 = 0.15;
+
+/// How often reaches are spread over the mesh, at most. An even mesh has nothing to spread.
+const SPREAD: usize = 8;
+
+/// A vertex is averaged with at most so many others.
+const CROWD: usize = 256;
+
+impl NeedlesAndCaps {
+    /// Finds the needles and caps of a mesh. A mesh without any costs two passes over its triangles.
+    pub fn find(mesh: &Mesh) -> Self {
+        let reach = reaches(mesh);
+        let shorts = short_edges(mesh, &reach);
+        let caps = caps(mesh, &reach);
+        let mut found = Self {
+            caps,
+            ..Self::default()
+        };
+        if shorts.is_empty() {
+            found.crowds = Lists::gather(0, std::iter::empty);
+            return found;
+        }
+        let near = Lists::gather(mesh.positions.len(), || {
+            shorts.iter().flat_map(|&[a, b]| [(a, b), (b, a)])
+        });
+        let mut pairs = Vec::new();
+        let mut seen = Vec::new();
+        for vertex in 0..mesh.positions.len() as u32 {
+            if near.of(vertex).is_empty() {
+                continue;
+            }
+            let row = found.crowded.len() as u32;
+            gather_crowd(vertex, reach[vertex as usize], &near, &mesh.positions, &mut seen);
+            pairs.extend(seen[1..].iter().map(|&other| (row, other)));
+            found.crowded.push(vertex);
+            found.reach.push(reach[vertex as usize]);
+        }
+        found.crowds = Lists::gather(found.crowded.len(), || pairs.iter().copied());
+        found
+    }
+}
+
+/// For each vertex the length below which edges are short: a share of the longest edge of its faces, and what is left of
+/// that of others on the way from there.
+fn reaches(mesh: &Mesh) -> Vec<f64> {
+    let mut reach = vec![0.0f64; mesh.positions.len()];
+    let edges = |t: &[u32; 3]| {
+        let sides = [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]];
+        sides.map(|[a, b]| {
+            let length = mesh.positions[a as usize].distance(mesh.positions[b as usize]);
+            (a as usize, b as usize, length)
+        })
+    };
+    for (a, b, length) in mesh.triangles.iter().flat_map(edges) {
+        reach[a] = reach[a].max(SHORT * length);
+        reach[b] = reach[b].max(SHORT * length);
+    }
+    for _sweep in 0..SPREAD {
+        let mut is_settled = true;
+        for (a, b, length) in mesh.triangles.iter().flat_map(edges) {
+            for (from, to) in [(a, b), (b, a)] {
+                if reach[from] - length > reach[to] {
+                    reach[to] = reach[from] - length;
+                    is_settled = false;
+                }
+            }
+        }
+        if is_settled {
+            break;
+        }
+    }
+    reach
+}
+
+/// Edges that are short at both ends, each once.
+fn short_edges(mesh: &Mesh, reach: &[f64]) -> Vec<[u32; 2]> {
+    let mut short = Vec::new();
+    for t in &mesh.triangles {
+        for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
+            let length = mesh.positions[a as usize].distance(mesh.positions[b as usize]);
+            if length < reach[a as usize].min(reach[b as usize]) {
+                short.push([a.min(b), a.max(b)]);
+            }
+        }
+    }
+    short.sort_unstable();
+    short.dedup();
+    short
+}
+
+/// Fills `crowd` with a vertex and those within reach along short edges, nearest in steps first.
+fn gather_crowd(vertex: u32, reach: f64, near: &Lists, positions: &[DVec3], crowd: &mut Vec<u32>) {
+    let here = positions[vertex as usize];
+    crowd.clear();
+    crowd.push(vertex);
+    let mut next = 0;
+    while next < crowd.len() && crowd.len() <= CROWD {
+        for &other in near.of(crowd[next]) {
+            let is_near = positions[other as usize].distance(here) < reach;
+            if is_near && crowd.len() <= CROWD && !crowd.contains(&other) {
+                crowd.push(other);
+            }
+        }
+        next += 1;
+    }
+}
+
+/// The corners of caps, over the longest edges first. A corner of several goes with the one whose edge is closest.
+fn caps(mesh: &Mesh, reach: &[f64]) -> Vec<Cap> {
+    // (height relative to reach, length of the edge, cap)
+    let mut found: Vec<(f64, f64, Cap)> = Vec::new();
+    for t in &mesh.triangles {
+        let p = t.map(|v| mesh.positions[v as usize]);
+        let lengths = [p[1].distance(p[2]), p[2].distance(p[0]), p[0].distance(p[1])];
+        let k = (0..3).fold(0, |best, k| if lengths[k] > lengths[best] { k } else { best });
+        let (a, b) = ((k + 1) % 3, (k + 2) % 3);
+        let (edge, to) = (p[b] - p[a], p[k] - p[a]);
+        let along = (to.dot(edge) / edge.length_squared()).clamp(0.0, 1.0);
+        let height = to.distance(edge * along);
+        let limit = reach[t[k] as usize];
+        // Where the corner is as close to an end, the face is a needle.
+        let inside = along.min(1.0 - along) * lengths[k];
+        if height < limit && height < inside {
+            let weight = (limit / height) * (limit / height) - 1.0;
+            let cap = Cap {
+                apex: t[k],
+                edge: [t[a], t[b]],
+                along,
+                weight,
+            };
+            found.push((height / limit, lengths[k], cap));
+        }
+    }
+    found.sort_by(|x, y| {
+        (x.2.apex, x.0)
+            .partial_cmp(&(y.2.apex, y.0))
+            .unwrap_or(std::cmp::Ordering::Equal)
+    });
+    found.dedup_by_key(|(_, _, cap)| cap.apex);
+    found.sort_by(|x, y| y.1.total_cmp(&x.1).then(x.2.apex.cmp(&y.2.apex)));
+    found.into_iter().map(|(_, _, cap)| cap).collect()
+}

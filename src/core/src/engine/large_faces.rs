@@ -1,0 +1,142 @@
+//! Faces too large to show the bend that handles ask for: told before and after a pose, and divided on request.
+
+use super::facts::DeformerWarning;
+use super::pose::HandlePoses;
+use super::resolved_handles::ResolvedHandles;
+use crate::deform::{HandleSystem, exp_rotation, shares_difference};
+use crate::edit::{self, EvennessTarget, SurfacePatch, SurfaceView, subdivide_until_even};
+use crate::exec::Exec;
+use crate::mesh::Mesh;
+use crate::mesh::rotation::fit_rotation;
+use glam::{DMat3, DQuat};
+
+/// A face is too large when one of its edges goes more than this part of the way between handles.
+const LARGEST_WAY: f64 = 0.5;
+/// Edges shorter than this share of the diagonal are never called too large, however close two handles are.
+const SHORTEST: f64 = 0.02;
+/// What part of the way one edge may go after a division, at most and at least.
+const DIVIDED_WAY: [f64; 2] = [1.0 / 24.0, 0.25];
+/// By how much the ends of an edge may be turned against each other after a division, radians: 15°.
+const DIVIDED_TURN: f64 = std::f64::consts::PI / 12.0;
+/// Beyond this turn between the ends of an edge a bend is seen as a kink, radians: 30°.
+const LARGEST_TURN: f64 = std::f64::consts::PI / 6.0;
+/// How many faces a warning names.
+const NAMED: usize = 8;
+
+/// What handles do to a model, as far as the sizes of faces are concerned.
+#[derive(Clone, Copy)]
+pub(super) struct HandleBend<'a> {
+    /// The handles in force.
+    pub handles: &'a HandleSystem,
+    /// The largest angle by which their poses turn two of them against each other, radians.
+    pub turn: f64,
+    /// Length of the model's diagonal.
+    pub diagonal: f64,
+}
+
+/// The warning that faces are too large for these handles, if any are.
+pub(super) fn warn_of_large_faces(mesh: &Mesh, handles: &HandleSystem, diagonal: f64) -> Option<DeformerWarning> {
+    let shortest = SHORTEST * diagonal;
+    let mut found: Vec<u32> = Vec::new();
+    let (mut count, mut worst) = (0usize, 0.0f64);
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let way = longest_way(mesh, triangle, shortest, |a, b| {
+            handles.way_between(a as usize, b as usize)
+        });
+        if way > LARGEST_WAY {
+            count += 1;
+            worst = worst.max(way);
+            if found.len() < NAMED {
+                found.push(mesh.source_triangle[t]);
+            }
+        }
+    }
+    if count == 0 {
+        return None;
+    }
+    let finer = (worst / DIVIDED_WAY[1]).ceil();
+    let message = format!(
+        "{count} of {} triangles reach over more than half of the way between handles and cannot show a bend there; edges \
+         {finer} times shorter would, and the edit \"subdivide\" with \"auto\" makes them",
+        mesh.triangles.len()
+    );
+    let named: Vec<String> = found.iter().map(u32::to_string).collect();
+    let more = count - found.len();
+    let rest = if more > 0 {
+        format!(" and {more} more")
+    } else {
+        String::new()
+    };
+    let place = format!("triangles {}{rest}", named.join(", "));
+    Some(DeformerWarning::new("faces-too-large", message, place))
+}
+
+/// The largest part of the way between handles that an edge of a triangle goes, of those longer than `shortest`.
+fn longest_way(mesh: &Mesh, triangle: &[u32; 3], shortest: f64, way: impl Fn(u32, u32) -> f64) -> f64 {
+    let mut longest = 0.0f64;
+    for (a, b) in [(0, 1), (1, 2), (2, 0)].map(|(i, j)| (triangle[i], triangle[j])) {
+        if mesh.positions[a as usize].distance(mesh.positions[b as usize]) > shortest {
+            longest = longest.max(way(a, b));
+        }
+    }
+    longest
+}
+
+/// Plans the division of those of `faces` that are too large for the handles and, where poses are given, for how far these
+/// turn handles against each other.
+pub(super) fn plan_division(
+    surface: &SurfaceView<'_>,
+    faces: &[u32],
+    bend: &HandleBend<'_>,
+    exec: &Exec<'_>,
+) -> Result<SurfacePatch, edit::Error> {
+    let HandleBend {
+        handles,
+        turn,
+        diagonal,
+    } = *bend;
+    let [least, most] = DIVIDED_WAY;
+    let target = EvennessTarget {
+        sample: &|point| handles.shares_at(point as usize),
+        difference: &shares_difference,
+        largest: (DIVIDED_TURN / turn.max(1e-9)).clamp(least, most),
+        shortest: 0.5 * SHORTEST * diagonal,
+    };
+    subdivide_until_even(surface, faces, &target, exec.progress)
+}
+
+/// The largest angle by which poses turn two handles against each other, radians; more than a half turn counts in full
+/// where a handle is alone in turning.
+pub(super) fn largest_turn(handles: &ResolvedHandles, poses: &HandlePoses) -> f64 {
+    if poses.0.len() != handles.set.handles.len() {
+        return 0.0;
+    }
+    let transforms = handles.transforms(&poses.0);
+    let mut largest = 0.0f64;
+    for (i, a) in transforms.iter().enumerate() {
+        largest = largest.max(a.rotation.length());
+        // Pairs of the first few tell; the clamp of what follows from it is coarse.
+        for b in transforms[..i].iter().rev().take(64) {
+            let between: DQuat = exp_rotation(a.rotation).inverse() * exp_rotation(b.rotation);
+            largest = largest.max(2.0 * libm::acos(between.w.abs().min(1.0)));
+        }
+    }
+    largest
+}
+
+/// Triangles with an edge whose ends are turned against each other by more than 30° in a shape: the bend is seen as a kink.
+/// Short edges do not count. `gradients` are those of the vertices, by the areas around them.
+pub(super) fn count_kinked_faces(mesh: &Mesh, gradients: &[DMat3], diagonal: f64) -> u32 {
+    let shortest = SHORTEST * diagonal;
+    let least = libm::cos(0.5 * LARGEST_TURN);
+    let turn = |a: u32, b: u32| {
+        let [a, b] = [a, b].map(|v| fit_rotation(gradients[v as usize]));
+        f64::from(u8::from((a.inverse() * b).w.abs() < least))
+    };
+    let count = mesh
+        .triangles
+        .iter()
+        .filter(|t| longest_way(mesh, t, shortest, turn) > 0.5)
+        .count();
+    u32::try_from(count).unwrap_or(u32::MAX)
+}

@@ -1,0 +1,6 @@
+//! Hard-surface and low-poly models: thin faces follow, large ones are told and divided, density does not decide the bend.
+
+mod bend;
+mod large_faces;
+mod models;
+mod thin_faces;
