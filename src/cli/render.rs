@@ -3,12 +3,12 @@
 use super::failure::CliFailure;
 use super::model_files::{read_model, write_file};
 use super::threads::ThreadArgs;
-use crate::asset::{Limits, Model};
+use crate::asset::{Limits, Model, SurfaceLook};
 use crate::mesh::BoundingBox;
 use crate::pool::Pool;
 use crate::render::{
-    self, ColourKey, ColourRamp, PictureSize, RingMark, STRETCH_RANGE, ShadedSurface, UpAxis, ViewDirection, ViewSheet,
-    edge_stretch, vertex_displacements,
+    self, ColourKey, ColourRamp, PictureSize, RingMark, STRETCH_RANGE, ShadedSurface, SurfaceDress, UpAxis,
+    ViewDirection, ViewSheet, edge_stretch, vertex_displacements,
 };
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
@@ -27,7 +27,8 @@ pub struct RenderArgs {
     /// The model as it was before: drawn beside, by the same camera
     #[arg(long, value_name = "REST")]
     before: Option<PathBuf>,
-    /// What colours show [default: distortion with --before where the vertices agree, else plain]
+    /// What colours show [default: distortion with --before where the vertices agree, else material for a model that has
+    /// base colours, else plain]
     #[arg(long, value_enum, alias = "colour")]
     color: Option<ColourChoice>,
     /// Pixels of one view, 16 to 8192 each way
@@ -64,6 +65,8 @@ enum ColourChoice {
     Distortion,
     /// How far vertices lie from where they were before
     Difference,
+    /// The model's own base colours: materials, textures, vertex colours
+    Material,
     /// Nothing but the shape
     Plain,
     /// The shape and its triangles
@@ -107,6 +110,8 @@ fn parse_angles(text: &str) -> Result<[f64; 2], String> {
 struct ModelToDraw<'a> {
     path: &'a Path,
     model: Model,
+    /// What it looks like, and the model that this is said of; `None` when it says nothing of looks.
+    look: Option<(Model, SurfaceLook)>,
 }
 
 impl<'a> ModelToDraw<'a> {
@@ -114,7 +119,18 @@ impl<'a> ModelToDraw<'a> {
         let files = read_model(path)?;
         let model = Model::read(files, None, &Limits::default())
             .map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))?;
-        Ok(Self { path, model })
+        Ok(Self {
+            path,
+            model,
+            look: None,
+        })
+    }
+
+    /// Finds out what the model looks like.
+    fn read_look(&mut self) -> Result<(), CliFailure> {
+        let look = self.model.surface_look();
+        self.look = look.map_err(|e| CliFailure::Input(format!("{}: {e}", self.path.display())))?;
+        Ok(())
     }
 
     fn vertex_count(&self) -> usize {
@@ -124,6 +140,21 @@ impl<'a> ModelToDraw<'a> {
     fn make_surface(&self, pool: &Pool) -> Result<ShadedSurface, CliFailure> {
         let surface = ShadedSurface::new(&self.model.positions, &self.model.triangles, pool);
         surface.map_err(|e| CliFailure::Input(format!("{}: {e}", self.path.display())))
+    }
+
+    /// The surface in its own base colours, where it has any.
+    fn make_dressed_surface(&self, pool: &Pool) -> Result<ShadedSurface, CliFailure> {
+        let Some((model, look)) = &self.look else {
+            return self.make_surface(pool);
+        };
+        let refuse = |e: render::Error| CliFailure::Input(format!("{}: {e}", self.path.display()));
+        let surface = ShadedSurface::new(&model.positions, &model.triangles, pool).map_err(refuse)?;
+        let mut faults = Vec::new();
+        let dress = SurfaceDress::of_model(look, &model.primitives, &model.triangles, &mut faults).map_err(refuse)?;
+        for fault in faults {
+            eprintln!("warning: {}: {fault}", self.path.display());
+        }
+        Ok(surface.with_dress(dress))
     }
 }
 
@@ -135,9 +166,17 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
         return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
     let pool = args.threads.start_pool()?;
-    let model = ModelToDraw::open_model(&args.model)?;
-    let before = args.before.as_deref().map(ModelToDraw::open_model).transpose()?;
-    let colour = choose_colours(args.color, &model, before.as_ref())?;
+    let mut model = ModelToDraw::open_model(&args.model)?;
+    let mut before = args.before.as_deref().map(ModelToDraw::open_model).transpose()?;
+    let mut colour = choose_colours(args.color, &model, before.as_ref())?;
+    if colour == ColourChoice::Material {
+        for drawn in before.iter_mut().chain([&mut model]) {
+            drawn.read_look()?;
+        }
+        if args.color.is_none() && model.look.is_none() {
+            colour = ColourChoice::Plain;
+        }
+    }
     let ColouredShape { mut shape, key, values } = colour_shape(&model, before.as_ref(), colour, args.range, &pool)?;
     let marks = match args.marks {
         0 => Vec::new(),
@@ -152,7 +191,12 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
             RingMark::at_largest_values(positions, &sizes, count as usize, apart)
         }
     };
-    let mut before = before.as_ref().map(|b| b.make_surface(&pool)).transpose()?;
+    let in_own_colours = colour == ColourChoice::Material;
+    let make_before = |b: &ModelToDraw<'_>| match in_own_colours {
+        true => b.make_dressed_surface(&pool),
+        false => b.make_surface(&pool),
+    };
+    let mut before = before.as_ref().map(make_before).transpose()?;
     if args.wire || colour == ColourChoice::Wire {
         shape = shape.with_wires();
         before = before.map(ShadedSurface::with_wires);
@@ -214,7 +258,7 @@ fn choose_colours(
         ))),
         (Some(colour), _) => Ok(colour),
         (None, Some(_)) if agree => Ok(ColourChoice::Distortion),
-        (None, _) => Ok(ColourChoice::Plain),
+        (None, _) => Ok(ColourChoice::Material),
     }
 }
 
@@ -233,7 +277,10 @@ fn colour_shape(
     range: Option<f64>,
     pool: &Pool,
 ) -> Result<ColouredShape, CliFailure> {
-    let shape = model.make_surface(pool)?;
+    let shape = match colour {
+        ColourChoice::Material => model.make_dressed_surface(pool)?,
+        _ => model.make_surface(pool)?,
+    };
     let (now, triangles) = (&model.model.positions, &model.model.triangles);
     let (values, ramp, unit, key) = match (colour, before) {
         (ColourChoice::Distortion, Some(before)) => {

@@ -1,6 +1,7 @@
 //! The command line as scripts meet it, and what holds the source in shape.
 
 mod architecture;
+mod base_colours;
 mod book;
 mod check;
 mod cli;

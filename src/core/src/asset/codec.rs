@@ -4,6 +4,7 @@
 //! [`Model::read`](super::Model::read) call it.
 
 use super::edited::{EditedModel, PrimitiveRun};
+use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
 use super::{Error, FileSet, Format, Geometry, Limits, Model, WrittenFiles};
@@ -62,6 +63,12 @@ pub(super) trait FormatCodec: Sync {
 
     /// Writes an edited model.
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error>;
+
+    /// What a model that this codec has read looks like; `None` for formats that say it by way of a GLB.
+    fn surface_look(&self, model: &Model) -> Result<Option<SurfaceLook>, Error> {
+        let _ = model;
+        Ok(None)
+    }
 
     /// Texture coordinates, colours and materials of runs of one base that this codec has read, for other formats: one
     /// for each run, or none for any.

@@ -1,7 +1,8 @@
-//! Pictures of triangle meshes without a display: shaded, with wires, or coloured by a number per vertex.
+//! Pictures of triangle meshes without a display: shaded, with wires, coloured by a number per vertex, or in the model's own
+//! base colours.
 //!
-//! The module owns the camera, the rasteriser, the colour ramps, letters and PNG bytes. It takes plain slices and knows no
-//! file format, no handle and no job. The same input gives the same bytes for any number of threads.
+//! The module owns the camera, the rasteriser, the colour ramps, letters and PNG bytes. It takes plain slices and
+//! looks ([`crate::asset::SurfaceLook`]), and knows no file format, no handle and no job. The same input gives the same bytes for any number of threads.
 //!
 //! ```
 //! use glam::DVec3;
@@ -21,22 +22,26 @@
 mod camera;
 mod colour;
 mod colour_key;
+mod dress;
 mod error;
 mod font;
 mod picture;
 mod raster;
 mod ring_mark;
 mod surface;
+mod texture;
 mod vertex_values;
 mod view_sheet;
 
 pub use camera::{Camera, PictureSize, UpAxis, ViewDirection};
 pub use colour::{ColourRamp, Rgb};
 pub use colour_key::ColourKey;
+pub use dress::SurfaceDress;
 pub use error::Error;
 pub use picture::Picture;
 pub use raster::{background_end, draw_surface};
 pub use ring_mark::RingMark;
 pub use surface::ShadedSurface;
+pub use texture::Texture;
 pub use vertex_values::{STRETCH_RANGE, edge_stretch, vertex_displacements};
 pub use view_sheet::ViewSheet;

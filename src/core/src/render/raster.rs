@@ -5,6 +5,7 @@
 
 use super::camera::Camera;
 use super::colour::{Rgb, SrgbTable, linear_from_hex};
+use super::dress::DressedTriangle;
 use super::picture::Picture;
 use super::surface::ShadedSurface;
 use crate::pool::Pool;
@@ -104,6 +105,12 @@ impl<'a> RasterScene<'a> {
             let Some(share) = CornerShares::from_corners(corners) else {
                 continue;
             };
+            let dressed = match self.dressed_triangle(t, share.whole) {
+                // The back of a material that has none.
+                Some(None) => continue,
+                worn => worn.flatten(),
+            };
+            let gaps = dressed.filter(DressedTriangle::has_gaps);
             let [left, right] = sample_range(corners.map(|c| c.x)).map(|x| x.clamp(0.0, wide as f64) as usize);
             let y_range = (*low).max(top as i32) as usize..(*high).min(bottom as i32) as usize;
             for y in y_range {
@@ -114,7 +121,7 @@ impl<'a> RasterScene<'a> {
                         continue;
                     }
                     let z = weights[0] * corners[0].z + weights[1] * corners[1].z + weights[2] * corners[2].z;
-                    if z > depth[row + x] {
+                    if z > depth[row + x] && gaps.as_ref().is_none_or(|d| d.is_seen(weights, x, y)) {
                         depth[row + x] = z;
                         seen[row + x] = t as u32;
                     }
@@ -145,6 +152,12 @@ impl<'a> RasterScene<'a> {
         self.surface.triangles()[t].map(|v| self.projected[v as usize])
     }
 
+    /// What a triangle wears: `None` for a surface without a dress, `Some(None)` where it is not seen at all.
+    fn dressed_triangle(&self, t: usize, whole: f64) -> Option<Option<DressedTriangle<'_>>> {
+        let dress = self.surface.dress()?;
+        Some(dress.triangle(self.surface.source_of(t), whole))
+    }
+
     fn background_at(&self, row: usize) -> Vec3 {
         let share = row as f32 / (self.height - 1).max(1) as f32;
         self.sky[0] + (self.sky[1] - self.sky[0]) * share
@@ -167,6 +180,11 @@ impl<'a> RasterScene<'a> {
         let normal = if faces_away { -normal } else { normal };
         let normal = Vec3::new(normal.x, normal.y, normal.z.max(0.0)).normalize_or(Vec3::Z);
         let behind = faces_away != self.surface.is_inside_out();
+        if let Some(dressed) = self.dressed_triangle(t, share.whole).flatten() {
+            let light = dressed.light(weights);
+            let shade = if dressed.is_unlit() { 1.0 } else { shade_dressed(normal) };
+            return self.with_wires(light * shade, &share, weights);
+        }
         let mut lit = match self.surface.colours() {
             Some(colours) => {
                 let [p, q, r] = self.surface.triangles()[t].map(|v| colours[v as usize]);
@@ -177,16 +195,20 @@ impl<'a> RasterScene<'a> {
         if behind {
             lit *= Vec3::new(0.55, 0.47, 0.43);
         }
-        if self.surface.has_wires() {
-            // How far the sample is from the nearest edge, in samples.
-            let from_edge = (0..3)
-                .map(|k| weights[k].max(0.0) * share.heights[k])
-                .fold(f64::INFINITY, f64::min);
-            if from_edge < 0.5 * WIRE * SAMPLES as f64 {
-                lit *= 0.15;
-            }
+        self.with_wires(lit, &share, weights)
+    }
+
+    /// The light of a sample, darker where an edge is drawn.
+    fn with_wires(&self, lit: Vec3, share: &CornerShares, weights: [f64; 3]) -> Vec3 {
+        if !self.surface.has_wires() {
+            return lit;
         }
-        lit
+        // How far the sample is from the nearest edge, in samples.
+        let from_edge = (0..3)
+            .map(|k| weights[k].max(0.0) * share.heights[k])
+            .fold(f64::INFINITY, f64::min);
+        let is_edge = from_edge < 0.5 * WIRE * SAMPLES as f64;
+        if is_edge { lit * 0.15 } else { lit }
     }
 }
 
@@ -250,6 +272,11 @@ fn shade_clay(normal: Vec3, colour: Vec3) -> Vec3 {
 /// Shades colours that stand for numbers: little contrast, no highlight.
 fn shade_matt(normal: Vec3) -> f32 {
     0.42 + 0.58 * received_light(normal)
+}
+
+/// Shades base colours: they stay what they are in full light, and shapes are still told.
+fn shade_dressed(normal: Vec3) -> f32 {
+    (0.22 + 0.74 * received_light(normal)).min(1.0)
 }
 
 #[cfg(test)]

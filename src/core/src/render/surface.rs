@@ -1,5 +1,6 @@
 //! A surface made ready to be drawn: welded, with a normal for every corner of every triangle and maybe colours.
 
+use super::dress::SurfaceDress;
 use super::error::Error;
 use crate::mesh::{Lists, Mesh, Weld};
 use crate::pool::Pool;
@@ -19,6 +20,7 @@ pub struct ShadedSurface {
     normals: Vec<[Vec3; 3]>,
     inside_out: bool,
     colours: Vec<Vec3>,
+    dress: Option<SurfaceDress>,
     wires: bool,
 }
 
@@ -62,6 +64,7 @@ impl ShadedSurface {
             inside_out: volume < -1e-3 * area * area.sqrt(),
             mesh,
             colours: Vec::new(),
+            dress: None,
             wires: false,
         })
     }
@@ -83,6 +86,13 @@ impl ShadedSurface {
             .map(|s| first(s).map_or(Vec3::ONE, |&v| colours[v as usize]))
             .collect();
         Ok(self)
+    }
+
+    /// Shows the surface in base colours of its own. The dress must be that of the triangles that it was made of.
+    #[must_use]
+    pub fn with_dress(mut self, dress: SurfaceDress) -> Self {
+        self.dress = Some(dress);
+        self
     }
 
     /// Draws the edges of the triangles too.
@@ -113,6 +123,15 @@ impl ShadedSurface {
 
     pub(super) fn colours(&self) -> Option<&[Vec3]> {
         (!self.colours.is_empty()).then_some(self.colours.as_slice())
+    }
+
+    pub(super) fn dress(&self) -> Option<&SurfaceDress> {
+        self.dress.as_ref()
+    }
+
+    /// Which of the triangles that the surface was made of a triangle is.
+    pub(super) fn source_of(&self, triangle: usize) -> usize {
+        self.mesh.source_triangle[triangle] as usize
     }
 
     pub(super) fn has_wires(&self) -> bool {

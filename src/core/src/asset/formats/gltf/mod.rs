@@ -45,6 +45,7 @@ mod document;
 mod edited;
 mod fault;
 mod fresh;
+mod looks;
 mod package;
 mod patch;
 mod read;
@@ -60,6 +61,7 @@ pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::look::SurfaceLook;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
 use glam::DVec3;
@@ -100,6 +102,11 @@ impl FormatCodec for GltfCodec {
 
     fn divides_at_seams(&self) -> bool {
         true
+    }
+
+    fn surface_look(&self, model: &Model) -> Result<Option<SurfaceLook>, Error> {
+        let notes = model.notes_or_refuse(model.format)?;
+        looks::surface_look(model, notes).map(Some)
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {

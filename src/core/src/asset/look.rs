@@ -1,0 +1,98 @@
+//! What the surface of a model looks like: base colours, pictures, texture coordinates, vertex colours.
+
+use bytes::Bytes;
+
+/// How texture coordinates beyond 0 to 1 are taken back into the picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum TextureWrap {
+    /// The picture stands beside itself.
+    #[default]
+    Repeat,
+    /// Every other picture is mirrored.
+    Mirror,
+    /// The border goes on.
+    Clamp,
+}
+
+/// What the opacity of a surface means.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum AlphaMode {
+    /// Nothing: the surface is opaque.
+    #[default]
+    Opaque,
+    /// Below this number there is no surface.
+    Mask(f32),
+    /// What lies behind shines through.
+    Blend,
+}
+
+/// A picture on a surface.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TextureUse {
+    /// Index in [`SurfaceLook::images`].
+    pub image: usize,
+    /// Along u and along v.
+    pub wrap: [TextureWrap; 2],
+    /// Whether texels are not blended into each other.
+    pub nearest: bool,
+}
+
+/// What a material looks like without lamps: its base colour.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BaseMaterial {
+    /// Its name, else its number.
+    pub name: String,
+    /// Red, green and blue as linear light, and opacity; each 0 to 1.
+    pub factor: [f32; 4],
+    /// The picture that the factor multiplies.
+    pub texture: Option<TextureUse>,
+    /// What opacity means.
+    pub alpha: AlphaMode,
+    /// Whether the back of a face is seen.
+    pub double_sided: bool,
+    /// Whether it is drawn without light and shade.
+    pub unlit: bool,
+}
+
+impl Default for BaseMaterial {
+    /// White, opaque, seen from the front: what glTF says of a primitive without a material.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            factor: [1.0; 4],
+            texture: None,
+            alpha: AlphaMode::Opaque,
+            double_sided: false,
+            unlit: false,
+        }
+    }
+}
+
+impl BaseMaterial {
+    /// Whether it says no more than no material does.
+    fn is_bare(&self) -> bool {
+        self.factor == [1.0; 4] && self.texture.is_none() && self.alpha == AlphaMode::Opaque
+    }
+}
+
+/// What the surface of a model looks like.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SurfaceLook {
+    /// The materials in use.
+    pub materials: Vec<BaseMaterial>,
+    /// For each primitive of the model the index of its material.
+    pub material_of: Vec<u32>,
+    /// For each render vertex where it lies on its material's picture, from the upper left corner; empty without pictures.
+    pub uv: Vec<[f32; 2]>,
+    /// For each render vertex linear red, green and blue, and opacity; empty when no primitive has any.
+    pub colours: Vec<[f32; 4]>,
+    /// The files of the pictures, undecoded, or why there is none.
+    pub images: Vec<Result<Bytes, String>>,
+}
+
+impl SurfaceLook {
+    /// Whether the model says nothing of looks.
+    pub fn is_bare(&self) -> bool {
+        self.colours.is_empty() && self.materials.iter().all(BaseMaterial::is_bare)
+    }
+}

@@ -1,0 +1,213 @@
+//! `pliant render` in a model's own colours: textures, vertex colours, cut-outs, sides, and pictures that cannot be drawn.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// Runs `pliant render` on a model with 200 × 100 pixels; what it says, and its pixels.
+fn render_model(folder: &Path, model: &str, more: &[&str]) -> (String, Vec<[u8; 3]>) {
+    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .args(["render", model, "-o", "seen.png", "--size", "200x100"])
+        .args(if more.contains(&"--view") {
+            &[][..]
+        } else {
+            &["--view", "0,0"]
+        })
+        .args(more)
+        .current_dir(folder)
+        .output()
+        .expect("it runs");
+    let told = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(done.status.success(), "{told}");
+    let file = fs::File::open(folder.join("seen.png")).expect("a picture");
+    let mut reader = png::Decoder::new(std::io::BufReader::new(file))
+        .read_info()
+        .expect("a PNG");
+    let mut bytes = vec![0; reader.output_buffer_size().expect("it fits")];
+    reader.next_frame(&mut bytes).expect("an image");
+    fs::remove_file(folder.join("seen.png")).expect("it is there");
+    (told, bytes.as_chunks().0.to_vec())
+}
+
+fn pixel(pixels: &[[u8; 3]], x: usize, y: usize) -> [u8; 3] {
+    pixels[y * 200 + x]
+}
+
+/// A PNG of one row.
+fn row_png(texels: &[[u8; 4]]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, texels.len() as u32, 1);
+    encoder.set_color(png::ColorType::Rgba);
+    let mut writer = encoder.write_header().expect("a header");
+    writer.write_image_data(texels.as_flattened()).expect("texels");
+    writer.finish().expect("an end");
+    bytes
+}
+
+/// The header of a PNG of 20,000 pixels each way, and nothing more.
+fn endless_png() -> Vec<u8> {
+    let mut bytes = row_png(&[[0; 4]]);
+    bytes[16..20].copy_from_slice(&20_000u32.to_be_bytes());
+    bytes[20..24].copy_from_slice(&20_000u32.to_be_bytes());
+    let sum = png_checksum(&bytes[12..29]);
+    bytes[29..33].copy_from_slice(&sum.to_be_bytes());
+    bytes
+}
+
+/// CRC-32 as PNG has it.
+fn png_checksum(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!0u32, |sum, &byte| {
+        (0..8).fold(sum ^ u32::from(byte), |s, _| {
+            if s & 1 == 1 { s >> 1 ^ 0xedb8_8320 } else { s >> 1 }
+        })
+    })
+}
+
+fn data_uri(kind: &str, bytes: &[u8]) -> String {
+    format!("data:{kind};base64,{}", STANDARD.encode(bytes))
+}
+
+/// A board four units wide and two high that looks at the eye, with this material and picture.
+fn board(material: &str, image: &str) -> String {
+    let corners: [[f32; 5]; 4] = [
+        [-2.0, -1.0, 0.0, 0.0, 1.0],
+        [2.0, -1.0, 0.0, 1.0, 1.0],
+        [2.0, 1.0, 0.0, 1.0, 0.0],
+        [-2.0, 1.0, 0.0, 0.0, 0.0],
+    ];
+    let mut bytes: Vec<u8> = corners
+        .iter()
+        .flat_map(|c| &c[..3])
+        .flat_map(|x| x.to_le_bytes())
+        .collect();
+    bytes.extend(corners.iter().flat_map(|c| &c[3..]).flat_map(|x| x.to_le_bytes()));
+    bytes.extend([0u16, 1, 2, 0, 2, 3].iter().flat_map(|x| x.to_le_bytes()));
+    let buffer = data_uri("application/octet-stream", &bytes);
+    format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
+        "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"TEXCOORD_0":1}},"indices":2,"material":0}}]}}],
+        "accessors":[{{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3","min":[-2,-1,0],"max":[2,1,0]}},
+        {{"bufferView":1,"componentType":5126,"count":4,"type":"VEC2"}},
+        {{"bufferView":2,"componentType":5123,"count":6,"type":"SCALAR"}}],
+        "bufferViews":[{{"buffer":0,"byteLength":48}},{{"buffer":0,"byteOffset":48,"byteLength":32}},
+        {{"buffer":0,"byteOffset":80,"byteLength":12}}],
+        "buffers":[{{"byteLength":92,"uri":"{buffer}"}}],
+        "materials":[{{"name":"board",{material}}}],"textures":[{{"source":0,"sampler":0}}],
+        "samplers":[{{"magFilter":9728,"wrapS":33071,"wrapT":33071}}],"images":[{{"uri":"{image}"}}]}}"#
+    )
+}
+
+const TEXTURED: &str = r#""pbrMetallicRoughness":{"baseColorFactor":[1,1,1,1],"baseColorTexture":{"index":0}}"#;
+
+/// A JPEG of 8 × 8 red pixels.
+const RED_JPEG: &str = concat!(
+    "/9j/4AAQSkZJRgABAQAAAQABAAD/2wBDAA0JCgsKCA0LCgsODg0PEyAVExISEyccHhcgLikxMC4pLSwzOko+MzZGNywtQFdBRkxO",
+    "UlNSMj5aYVpQYEpRUk//2wBDAQ4ODhMREyYVFSZPNS01T09PT09PT09PT09PT09PT09PT09PT09PT09PT09PT09PT09PT09PT09P",
+    "T09PT09PT0//wAARCAAIAAgDAREAAhEBAxEB/8QAFAABAAAAAAAAAAAAAAAAAAAABv/EABQQAQAAAAAAAAAAAAAAAAAAAAD/xAAV",
+    "AQEBAAAAAAAAAAAAAAAAAAAFB//EABQRAQAAAAAAAAAAAAAAAAAAAAD/2gAMAwEAAhEDEQA/AD4ZSX//2Q==",
+);
+
+fn write_file(folder: &Path, name: &str, text: impl AsRef<[u8]>) {
+    fs::write(folder.join(name), text).expect("written");
+}
+
+#[test]
+fn textures_lie_where_their_coordinates_say() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let picture = data_uri("image/png", &row_png(&[[255, 0, 0, 255], [0, 0, 255, 255]]));
+    write_file(folder.path(), "board.gltf", board(TEXTURED, &picture));
+    let (told, seen) = render_model(folder.path(), "board.gltf", &[]);
+    assert!(!told.contains("warning"), "{told}");
+    let [left, right] = [pixel(&seen, 60, 50), pixel(&seen, 140, 50)];
+    assert!(left[0] > 150 && left[1] == 0 && left[2] == 0, "{left:?}");
+    assert!(right[2] > 150 && right[0] == 0 && right[1] == 0, "{right:?}");
+
+    // The same from a file beside it, turned by the texture's transform, and by any number of threads.
+    write_file(folder.path(), "two.png", row_png(&[[255, 0, 0, 255], [0, 0, 255, 255]]));
+    let turned = TEXTURED.replace(
+        r#"{"index":0}"#,
+        r#"{"index":0,"extensions":{"KHR_texture_transform":{"scale":[-1,1],"offset":[1,0]}}}"#,
+    );
+    write_file(folder.path(), "turned.gltf", board(&turned, "two.png"));
+    let (_, other) = render_model(folder.path(), "turned.gltf", &["--threads", "2"]);
+    assert_eq!((pixel(&other, 60, 50), pixel(&other, 140, 50)), (right, left));
+    let (_, plain) = render_model(folder.path(), "board.gltf", &["--color", "plain"]);
+    let clay = pixel(&plain, 60, 50);
+    assert!(clay[0].abs_diff(clay[2]) < 40, "{clay:?}");
+
+    let jpeg = format!("data:image/jpeg;base64,{RED_JPEG}");
+    write_file(folder.path(), "jpeg.gltf", board(TEXTURED, &jpeg));
+    let (told, seen) = render_model(folder.path(), "jpeg.gltf", &[]);
+    let middle = pixel(&seen, 100, 50);
+    assert!(
+        !told.contains("warning") && middle[0] > 150 && middle[1] < 20,
+        "{middle:?}, {told}"
+    );
+
+    // Without `doubleSided` there is nothing to see from behind.
+    let (_, behind) = render_model(folder.path(), "board.gltf", &["--view", "180,0"]);
+    assert_eq!(pixel(&behind, 60, 50), pixel(&behind, 0, 50));
+    let both = format!(r#""doubleSided":true,{TEXTURED}"#);
+    write_file(folder.path(), "both.gltf", board(&both, &picture));
+    let (_, behind) = render_model(folder.path(), "both.gltf", &["--view", "180,0"]);
+    assert!(pixel(&behind, 140, 50)[0] > 100, "red on the other side");
+}
+
+#[test]
+fn opacity_cuts_out_and_lets_through() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let picture = data_uri("image/png", &row_png(&[[0, 255, 0, 0], [0, 255, 0, 255]]));
+    let masked = format!(r#""alphaMode":"MASK",{TEXTURED}"#);
+    write_file(folder.path(), "masked.gltf", board(&masked, &picture));
+    let (_, seen) = render_model(folder.path(), "masked.gltf", &[]);
+    assert_eq!(pixel(&seen, 60, 50), pixel(&seen, 0, 50), "the left half is cut out");
+    assert!(pixel(&seen, 140, 50)[1] > 150);
+
+    let glass = r#""alphaMode":"BLEND","pbrMetallicRoughness":{"baseColorFactor":[0,1,0,0.5]}"#;
+    write_file(folder.path(), "glass.gltf", board(glass, &picture));
+    let (_, seen) = render_model(folder.path(), "glass.gltf", &[]);
+    let [through, sky] = [pixel(&seen, 60, 50), pixel(&seen, 0, 50)];
+    assert!(
+        through[0] > 80 && through[0] < sky[0] - 20 && through[1] > 150,
+        "{through:?} over {sky:?}"
+    );
+}
+
+#[test]
+fn vertex_colours_of_any_format_are_drawn() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+                property uchar red\nproperty uchar green\nproperty uchar blue\n\
+                element face 2\nproperty list uchar int vertex_indices\nend_header\n";
+    let corner = |x: i32, y: i32| format!("{x} {y} 0 255 0 0\n");
+    let corners = [corner(-2, -1), corner(2, -1), corner(2, 1), corner(-2, 1)].concat();
+    write_file(folder.path(), "red.ply", format!("{head}{corners}3 0 1 2\n3 0 2 3\n"));
+    let (_, seen) = render_model(folder.path(), "red.ply", &[]);
+    let red = pixel(&seen, 100, 50);
+    assert!(red[0] > 150 && red[1] == 0 && red[2] == 0, "{red:?}");
+}
+
+#[test]
+fn a_picture_that_cannot_be_drawn_is_told_and_its_plain_colour_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let material = TEXTURED.replace("[1,1,1,1]", "[0,0,1,1]");
+    let whole = row_png(&[[255, 0, 0, 255]]);
+    let cases = [
+        ("nowhere.png".to_owned(), "is missing"),
+        (data_uri("image/png", &whole[..whole.len() - 20]), "no whole PNG"),
+        (data_uri("image/png", &endless_png()), "20000 x 20000"),
+        (data_uri("image/png", b"GIF89a and so on"), "neither PNG nor JPEG"),
+        (data_uri("image/jpeg", &[0xff, 0xd8, 0xff, 0xe0, 0, 16]), "JPEG"),
+        ("../outside.png".to_owned(), "outside"),
+    ];
+    for (image, reason) in cases {
+        write_file(folder.path(), "board.gltf", board(&material, &image));
+        let (told, seen) = render_model(folder.path(), "board.gltf", &[]);
+        assert!(told.contains("warning: board.gltf: board:"), "{told}");
+        assert!(told.contains(reason) || reason == "outside", "{told}");
+        let blue = pixel(&seen, 100, 50);
+        assert!(blue[2] > 150 && blue[0] == 0, "{blue:?} for {reason}");
+    }
+}
