@@ -10,6 +10,7 @@ use crate::asset::FileSet;
 use crate::batch;
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
+use crate::mesh::grouped_count;
 use crate::wire::pb;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -101,10 +102,10 @@ fn print_summary(report: &pb::Report, millis: f64) {
             let [before, after] = [edit.before, edit.after].map(Option::unwrap_or_default);
             eprintln!(
                 "step {k}: edited, {} -> {} vertices, {} -> {} triangles, {:.0} ms",
-                before.vertices,
-                after.vertices,
-                before.faces,
-                after.faces,
+                grouped_count(before.vertices.into()),
+                grouped_count(after.vertices.into()),
+                grouped_count(before.faces.into()),
+                grouped_count(after.faces.into()),
                 step.ms.values().sum::<f64>()
             );
             edit.warnings
@@ -121,13 +122,16 @@ fn print_summary(report: &pb::Report, millis: f64) {
         );
     }
     let quality = report.quality.unwrap_or_default();
+    let volume = match quality.open_surface {
+        true => "n/a (the surface is open)".into(),
+        false => format!("{:+.2} %", 100.0 * quality.volume_change),
+    };
     eprintln!(
-        "{} solver vertices, {} graph vertices, {} levels; volume {:+.2} %, {} triangles flipped; {:.0} ms in all",
-        solver.solver_vertices,
-        solver.graph_vertices,
+        "{} solver vertices, {} graph vertices, {} levels; volume {volume}, {} triangles flipped; {:.0} ms in all",
+        grouped_count(solver.solver_vertices.into()),
+        grouped_count(solver.graph_vertices.into()),
         solver.levels.len(),
-        100.0 * quality.volume_change,
-        quality.flipped_triangles,
+        grouped_count(quality.flipped_triangles.into()),
         millis
     );
     if let Some(pairs) = quality.self_intersections {

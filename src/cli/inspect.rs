@@ -8,6 +8,7 @@ use super::threads::ThreadArgs;
 use crate::batch;
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
+use crate::mesh::{brief_number, grouped_count};
 use crate::wire::pb;
 use clap::Args;
 use std::io::Write as _;
@@ -47,43 +48,70 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
 fn describe_inspection(found: &pb::Inspection) -> String {
     let model = found.model.clone().unwrap_or_default();
     let solver = found.solver.clone().unwrap_or_default();
-    let levels: Vec<String> = solver.levels.iter().map(|l| l.vertices.to_string()).collect();
+    let count = |n: u32| grouped_count(n.into());
+    let levels: Vec<String> = solver.levels.iter().map(|l| count(l.vertices)).collect();
     let yes_no = |b: bool| if b { "yes" } else { "no" };
     let mut text = String::new();
     let mut line = |name: &str, value: String| text.push_str(&format!("{name:<22}{value}\n"));
     line(
         "format",
-        format!("{}, {} bytes, sha256 {}", model.format, model.bytes, model.sha256),
+        format!(
+            "{}, {} bytes, sha256 {}",
+            model.format,
+            grouped_count(model.bytes),
+            model.sha256
+        ),
     );
     line(
         "render vertices",
-        format!("{} in {} primitives", model.vertices, found.primitives.len()),
+        format!(
+            "{} in {} primitives",
+            count(model.vertices),
+            grouped_count(found.primitives.len() as u64)
+        ),
     );
-    line("triangles", model.triangles.to_string());
-    line("solver vertices", solver.solver_vertices.to_string());
-    line("seam vertices", found.seam_vertices.to_string());
+    line("triangles", count(model.triangles));
+    line("solver vertices", count(solver.solver_vertices));
+    line("seam vertices", count(found.seam_vertices));
     line(
         "graph",
-        format!("{} vertices, {} edges", solver.graph_vertices, solver.graph_edges),
+        format!(
+            "{} vertices, {} edges",
+            count(solver.graph_vertices),
+            grouped_count(solver.graph_edges)
+        ),
     );
     line("hierarchy", levels.join(" > "));
-    line("parts", found.components.to_string());
+    line("parts", count(found.components));
     line("closed", yes_no(found.closed).into());
-    line("holes", found.boundary_loops.to_string());
+    line("holes", count(found.boundary_loops));
     line(
         "non-manifold",
         format!(
             "{} edges, {} vertices",
-            found.non_manifold_edges, found.non_manifold_vertices
+            count(found.non_manifold_edges),
+            count(found.non_manifold_vertices)
         ),
     );
-    line("degenerate faces", found.degenerate_faces.to_string());
-    line("duplicate faces", found.duplicate_faces.to_string());
-    line("unreferenced", found.unreferenced_vertices.to_string());
-    line("box", format!("{:?} to {:?}", found.box_min, found.box_max));
-    line("area", found.area.to_string());
-    line("volume", found.volume.to_string());
-    line("memory estimate", format!("{} MiB", found.memory_estimate >> 20));
+    line("degenerate faces", count(found.degenerate_faces));
+    line("duplicate faces", count(found.duplicate_faces));
+    line("unreferenced", count(found.unreferenced_vertices));
+    let corner = |p: &[f64]| p.iter().map(|&x| brief_number(x)).collect::<Vec<_>>().join(", ");
+    line(
+        "box",
+        format!("({}) to ({})", corner(&found.box_min), corner(&found.box_max)),
+    );
+    line("area", brief_number(found.area));
+    // What an open surface encloses depends on where the origin is.
+    let volume = match found.closed {
+        true => brief_number(found.volume),
+        false => "n/a, the surface is open".into(),
+    };
+    line("volume", volume);
+    line(
+        "memory estimate",
+        format!("{} MiB", grouped_count(found.memory_estimate >> 20)),
+    );
     for w in &found.warnings {
         line(&format!("warning {}", w.code), format!(" {}", w.message));
     }

@@ -115,6 +115,7 @@ fn cors(config: &ServerConfig) -> CorsLayer {
         "x-pliant-queue-ms",
         "x-pliant-edge-rms",
         "x-pliant-volume-change",
+        "x-pliant-open-surface",
         "x-pliant-area-change",
         "x-pliant-flipped-triangles",
         "x-pliant-max-stretch",

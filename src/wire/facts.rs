@@ -49,8 +49,17 @@ pub fn handle_poses_message(handles: &mut [pb::HandleFacts], poses: &HandlePoses
 
 /// Writes a warning.
 pub fn warning_message(warning: &DeformerWarning) -> pb::Warning {
+    let (mut vertices, mut position) = (Vec::new(), Vec::new());
     let place = match &warning.place {
         WarningPlace::Text(text) => text.clone(),
+        WarningPlace::Vertices { text, vertices: found } => {
+            vertices.clone_from(found);
+            text.clone()
+        }
+        WarningPlace::Points { text, points } => {
+            position.extend(points.iter().flat_map(|p| p.to_array()));
+            text.clone()
+        }
         WarningPlace::Handles(numbers) => {
             let fields: Vec<String> = numbers.iter().map(|k| format!("handles[{k}]")).collect();
             fields.join(", ")
@@ -61,6 +70,8 @@ pub fn warning_message(warning: &DeformerWarning) -> pb::Warning {
         code: warning.code.clone(),
         message: warning.message.clone(),
         r#where: place,
+        vertices,
+        position,
     }
 }
 
@@ -69,6 +80,7 @@ pub fn quality_message(quality: &QualityReport) -> pb::Quality {
     pb::Quality {
         edge_rms: quality.edge_rms,
         volume_change: quality.volume_change,
+        open_surface: quality.open_surface,
         area_change: quality.area_change,
         flipped_triangles: quality.flipped_triangles,
         max_stretch: quality.max_stretch,

@@ -164,6 +164,8 @@ pub struct Socket {
 
 /// What came over a socket.
 #[derive(Debug)]
+// One is looked at at a time; a box would only be in the way.
+#[allow(clippy::large_enum_variant)]
 pub enum Came {
     Response(pb::DeformResponse),
     Closed(Option<(u16, String)>),

@@ -254,6 +254,7 @@ fn header_quality(headers: &HeaderMap) -> Option<pb::Quality> {
     Some(pb::Quality {
         edge_rms: header_number(headers, "x-pliant-edge-rms")?,
         volume_change: header_number(headers, "x-pliant-volume-change")?,
+        open_surface: headers.get("x-pliant-open-surface").is_some_and(|told| told == "true"),
         area_change: header_number(headers, "x-pliant-area-change")?,
         flipped_triangles: header_number(headers, "x-pliant-flipped-triangles")? as u32,
         max_stretch: header_number(headers, "x-pliant-max-stretch")?,

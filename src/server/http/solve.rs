@@ -106,6 +106,7 @@ fn facts(solved: &CommittedPose) -> HeaderMap {
     if let Some(quality) = &header.quality {
         set("x-pliant-edge-rms", quality.edge_rms.to_string());
         set("x-pliant-volume-change", quality.volume_change.to_string());
+        set("x-pliant-open-surface", quality.open_surface.to_string());
         set("x-pliant-area-change", quality.area_change.to_string());
         set("x-pliant-flipped-triangles", quality.flipped_triangles.to_string());
         set("x-pliant-max-stretch", quality.max_stretch.to_string());

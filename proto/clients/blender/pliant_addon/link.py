@@ -116,7 +116,8 @@ def result(object: bpy.types.Object, frame: Any) -> None:
     quality = frame.quality
     object.pliant.told = f"{frame.solve_ms:.0f} ms, missing at most {100 * frame.max_error:.2g} % of the size"
     if quality is not None:
-        object.pliant.told += f"; volume {100 * quality.volume_change:+.1f} %, {quality.flipped_triangles} flipped"
+        volume = "n/a" if quality.open_surface else f"{100 * quality.volume_change:+.1f} %"
+        object.pliant.told += f"; volume {volume}, {quality.flipped_triangles} flipped"
 
 
 def close(name: str) -> None:

@@ -1,7 +1,7 @@
 //! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
 
 use super::error::Error;
-use super::facts::DeformerWarning;
+use super::facts::{DeformerWarning, WarningPlace};
 use super::followed_nodes::FollowedNodes;
 use super::interior::{BYTES_PER_NODE, fit_lattice, interior_warnings};
 use super::limits::DeformerLimits;
@@ -304,6 +304,12 @@ fn model_warnings(model: &Model, report: &MeshReport) -> Vec<DeformerWarning> {
     let read = model.warnings.iter();
     let read = read.map(|(code, message, place)| DeformerWarning::new(code, message, place));
     let found = report.warnings.iter();
-    let found = found.map(|w| DeformerWarning::new(w.code, &w.message, &w.place));
+    let found = found.map(|w| DeformerWarning {
+        place: WarningPlace::Vertices {
+            text: w.place.clone(),
+            vertices: w.vertices.clone(),
+        },
+        ..DeformerWarning::new(w.code, &w.message, "")
+    });
     read.chain(found).collect()
 }

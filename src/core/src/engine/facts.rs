@@ -69,7 +69,7 @@ pub struct HandleFacts {
 }
 
 /// Something that a user should know; nothing was refused for it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DeformerWarning {
     /// A stable kebab-case code, such as "non-manifold-edges".
     pub code: String,
@@ -80,10 +80,24 @@ pub struct DeformerWarning {
 }
 
 /// Where the thing is that a warning is about.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum WarningPlace {
     /// Vertices, positions or a place in a file, in words; empty where there is nothing to say.
     Text(String),
+    /// Places of the surface, with a render vertex at each.
+    Vertices {
+        /// The places in words.
+        text: String,
+        /// A render vertex at each place, in their order.
+        vertices: Vec<u32>,
+    },
+    /// Places in model space, at rest.
+    Points {
+        /// The places in words.
+        text: String,
+        /// Where they are.
+        points: Vec<DVec3>,
+    },
     /// The handles with these indices.
     Handles(Vec<usize>),
     /// The region of interest.
@@ -97,6 +111,8 @@ pub struct QualityReport {
     pub edge_rms: f64,
     /// Relative change of the enclosed volume; 0 for models without an inside.
     pub volume_change: f64,
+    /// Whether the surface is open, so that it encloses no volume that could change.
+    pub open_surface: bool,
     /// Relative change of the area.
     pub area_change: f64,
     /// Triangles whose normal opposes the rest normal as carried by the local rotation.

@@ -1,8 +1,10 @@
 //! Interior nodes within the memory that there is, and what a user should know of them.
 
-use super::facts::DeformerWarning;
+use super::facts::{DeformerWarning, WarningPlace};
 use super::limits::DeformerLimits;
 use crate::deform::{BodyOptions, DeformableBody, VolumeMode};
+use crate::mesh::{brief_number, brief_point};
+use glam::DVec3;
 
 /// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
 /// 1,150 on a solid of 128 K nodes, rounded up.
@@ -39,7 +41,8 @@ pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<
     if stats.interval > stats.wanted_interval * 1.001 {
         let message = format!(
             "interior nodes are {} apart instead of {}, because more of them do not fit",
-            stats.interval, stats.wanted_interval
+            brief_number(stats.interval),
+            brief_number(stats.wanted_interval)
         );
         warnings.push(warning("volume-graph-coarse", message, String::new()));
     }
@@ -49,13 +52,13 @@ pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<
         for (node, &c) in graph.component[..graph.surface].iter().enumerate().rev() {
             first[c as usize] = Some(graph.positions[node]);
         }
-        let places: Vec<String> = first
+        let points: Vec<DVec3> = first
             .iter()
             .zip(&stats.component_has_volume)
             .filter_map(|(p, has)| p.filter(|_| !has))
             .take(PLACES)
-            .map(|p| format!("at ({}, {}, {})", p.x, p.y, p.z))
             .collect();
+        let places: Vec<String> = points.iter().map(|&p| format!("at {}", brief_point(p))).collect();
         let message = format!(
             "{sheets} of {} parts enclose no volume or too little, so they deform as surfaces",
             graph.components
@@ -66,7 +69,11 @@ pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<
         } else {
             String::new()
         };
-        warnings.push(warning("surface-parts", message, places.join("; ") + &more));
+        let text = places.join("; ") + &more;
+        warnings.push(DeformerWarning {
+            place: WarningPlace::Points { text, points },
+            ..warning("surface-parts", message, String::new())
+        });
     }
     warnings
 }
@@ -76,11 +83,10 @@ mod tests {
     use super::*;
     use crate::asset::{FileSet, shapes};
     use crate::engine::Deformer;
-    use crate::engine::{Error, OpenOptions, WarningPlace};
+    use crate::engine::{Error, OpenOptions};
     use crate::exec::Exec;
     use crate::pool::Pool;
     use crate::progress::Silent;
-    use glam::DVec3;
 
     /// A cube of 1,538 vertices, with an open square beside it when asked for.
     fn open(memory_bytes: u64, mode: VolumeMode, sheet: bool) -> Result<Deformer, Error> {
@@ -146,7 +152,11 @@ mod tests {
             warning.message,
             "1 of 2 parts enclose no volume or too little, so they deform as surfaces"
         );
-        assert_eq!(warning.place, WarningPlace::Text("at (3, 0, 0)".into()));
+        let place = WarningPlace::Points {
+            text: "at (3, 0, 0)".into(),
+            points: vec![DVec3::X * 3.0],
+        };
+        assert_eq!(warning.place, place);
         assert!(!codes(&open(1 << 30, VolumeMode::Off, true).unwrap()).contains(&"surface-parts".into()));
     }
 }

@@ -31,6 +31,7 @@ pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], poo
     QualityReport {
         edge_rms: (sums.squares / sums.edges.max(1) as f64).sqrt(),
         volume_change: if closed { change(sums.volume) } else { 0.0 },
+        open_surface: !closed,
         area_change: change(sums.area),
         flipped_triangles,
         max_stretch: sums.max_stretch,

@@ -1,32 +1,12 @@
 //! The inspection report: what a mesh is made of and what is unusual about it. Nothing here is fatal.
 
-use crate::mesh::adjacency::{Adjacency, MeshEdge};
-use crate::mesh::boundary::{BoundaryLoop, boundary_loops};
+use crate::mesh::adjacency::Adjacency;
+use crate::mesh::boundary::BoundaryLoop;
 use crate::mesh::components::Components;
+use crate::mesh::findings::{MeshFindings, MeshWarning, describe_findings};
 use crate::mesh::measure::BoundingBox;
 use crate::mesh::measure::{cone_volume, mean_edge_length, signed_volume, surface_area, triangle_area};
-use crate::mesh::query::fan::group_fans;
-use crate::mesh::weld;
-use crate::mesh::weld::Weld;
-use crate::mesh::welded_mesh::{Mesh, NONE};
-
-/// A face is a sliver when its longest edge is more than this many times its height over that edge.
-const SLIVER: f64 = 100.0;
-/// How many places one warning spells out.
-const PLACES: usize = 16;
-/// Rims closer to each other than this fraction of the box's diagonal look like one crack.
-const CRACK: f64 = 1e-5;
-
-/// Something unusual that a user may want to know of.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct MeshWarning {
-    /// What kind, in kebab-case; stable.
-    pub code: &'static str,
-    /// What, how many, and where the first one is.
-    pub message: String,
-    /// Where: up to sixteen places, separated by `; `.
-    pub place: String,
-}
+use crate::mesh::welded_mesh::Mesh;
 
 /// One connected part.
 #[derive(Debug, Clone, PartialEq)]
@@ -102,7 +82,11 @@ pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> MeshReport {
     let edges = &adjacency.edges;
     let parts = parts(mesh, adjacency);
     let found = MeshFindings::gather(mesh, adjacency);
-    let warnings = describe_findings(mesh, &found, &parts);
+    let warnings = describe_findings(
+        mesh,
+        &found,
+        &parts.iter().map(|p| (p.first_vertex, p.vertices)).collect::<Vec<_>>(),
+    );
     MeshReport {
         render_vertices: mesh.solver_from_render.len(),
         vertices: mesh.positions.len(),
@@ -127,170 +111,6 @@ pub fn inspect(mesh: &Mesh, adjacency: &Adjacency) -> MeshReport {
         mean_edge_length: mean_edge_length(&mesh.positions, edges),
         warnings,
     }
-}
-
-/// What is unusual about a mesh, place by place.
-struct MeshFindings {
-    loops: Vec<BoundaryLoop>,
-    /// Boundary vertices almost on others.
-    cracked: Vec<u32>,
-    /// Edges with more than two faces.
-    crowded_edges: Vec<[u32; 2]>,
-    /// Vertices whose faces form more than one fan.
-    pinched_vertices: Vec<u32>,
-    /// Edges between faces of opposite winding.
-    conflicts: Vec<[u32; 2]>,
-    /// Input faces without area, or with two corners at one point; rising.
-    degenerate: Vec<u32>,
-    slivers: Vec<u32>,
-    /// Render vertices that no face uses.
-    unreferenced: Vec<u32>,
-}
-
-impl MeshFindings {
-    fn gather(mesh: &Mesh, adjacency: &Adjacency) -> Self {
-        let thin = thin_faces(mesh);
-        let vertices = 0..mesh.positions.len() as u32;
-        let edges_that = |wanted: fn(&MeshEdge) -> bool| {
-            let found = adjacency.edges.iter().filter(|e| wanted(e));
-            found.map(|e| e.vertices).collect()
-        };
-        let render_vertices = (0u32..).zip(&mesh.solver_from_render);
-        Self {
-            loops: boundary_loops(&mesh.positions, adjacency),
-            cracked: cracked_vertices(mesh, adjacency),
-            crowded_edges: edges_that(|e| e.faces() > 2),
-            pinched_vertices: vertices
-                .filter(|&v| count_fans_around(v, &mesh.triangles, adjacency) > 1)
-                .collect(),
-            conflicts: edges_that(|e| e.faces() == 2 && e.forward != e.backward),
-            degenerate: merged(&mesh.collapsed_triangles, &thin.flat),
-            slivers: thin.slivers,
-            unreferenced: render_vertices.filter(|s| *s.1 == NONE).map(|s| s.0).collect(),
-        }
-    }
-}
-
-/// Puts findings into words, at most one entry per kind.
-fn describe_findings(mesh: &Mesh, found: &MeshFindings, parts: &[PartReport]) -> Vec<MeshWarning> {
-    let mut warnings = Vec::new();
-    let mut warn = |code, one: &str, many: &str, count: usize, place: &dyn Fn(usize) -> String| {
-        if count > 0 {
-            let what = if count == 1 { one } else { many };
-            let first = if count == 1 { "" } else { "first " };
-            let mut places: Vec<String> = (0..count.min(PLACES)).map(place).collect();
-            let message = format!("{count} {what}, {first}{}", places[0]);
-            if count > PLACES {
-                places.push(format!("and {} more", count - PLACES));
-            }
-            warnings.push(MeshWarning {
-                code,
-                message,
-                place: places.join("; "),
-            });
-        }
-    };
-    let vertex = |s: u32| vertex_place(mesh, s);
-    let edge = |e: [u32; 2]| edge_place(mesh, e);
-    let face = |t: u32| format!("at triangle {t}");
-    warn(
-        "boundary-loop",
-        "hole or open rim",
-        "holes or open rims",
-        found.loops.len(),
-        &|i| format!("{} edges long, {}", found.loops[i].edges, vertex(found.loops[i].vertex)),
-    );
-    warn(
-        "crack",
-        "boundary vertex almost on another",
-        "boundary vertices almost on others",
-        found.cracked.len(),
-        &|i| vertex(found.cracked[i]),
-    );
-    warn(
-        "non-manifold-edge",
-        "non-manifold edge",
-        "non-manifold edges",
-        found.crowded_edges.len(),
-        &|i| edge(found.crowded_edges[i]),
-    );
-    warn(
-        "non-manifold-vertex",
-        "non-manifold vertex",
-        "non-manifold vertices",
-        found.pinched_vertices.len(),
-        &|i| vertex(found.pinched_vertices[i]),
-    );
-    let conflict = (
-        "edge between faces of opposite winding",
-        "edges between faces of opposite winding",
-    );
-    warn(
-        "winding-conflict",
-        conflict.0,
-        conflict.1,
-        found.conflicts.len(),
-        &|i| edge(found.conflicts[i]),
-    );
-    warn(
-        "degenerate-face",
-        "face without area",
-        "faces without area",
-        found.degenerate.len(),
-        &|i| face(found.degenerate[i]),
-    );
-    let repeated = &mesh.duplicate_triangles;
-    warn(
-        "duplicate-face",
-        "repeated face",
-        "repeated faces",
-        repeated.len(),
-        &|i| face(repeated[i]),
-    );
-    let long = (
-        "face over 100 times longer than high",
-        "faces over 100 times longer than high",
-    );
-    warn("sliver", long.0, long.1, found.slivers.len(), &|i| {
-        face(found.slivers[i])
-    });
-    let unused = ("vertex that no face uses", "vertices that no face uses");
-    warn(
-        "unreferenced-vertex",
-        unused.0,
-        unused.1,
-        found.unreferenced.len(),
-        &|i| format!("at render vertex {}", found.unreferenced[i]),
-    );
-    if parts.len() > 1 {
-        let part = |i: usize| format!("{} vertices, {}", parts[i].vertices, vertex(parts[i].first_vertex));
-        warn("components", "connected part", "connected parts", parts.len(), &part);
-    }
-    warnings
-}
-
-fn vertex_place(mesh: &Mesh, solver: u32) -> String {
-    let p = mesh.positions[solver as usize];
-    format!(
-        "at render vertex {} at ({}, {}, {})",
-        mesh.render_vertices_of(solver)[0],
-        p.x,
-        p.y,
-        p.z
-    )
-}
-
-fn edge_place(mesh: &Mesh, [a, b]: [u32; 2]) -> String {
-    let p = (mesh.positions[a as usize] + mesh.positions[b as usize]) * 0.5;
-    let (a, b) = (mesh.render_vertices_of(a)[0], mesh.render_vertices_of(b)[0]);
-    format!("between render vertices {a} and {b} at ({}, {}, {})", p.x, p.y, p.z)
-}
-
-/// Two rising lists as one.
-fn merged(a: &[u32], b: &[u32]) -> Vec<u32> {
-    let mut all = [a, b].concat();
-    all.sort_unstable();
-    all
 }
 
 fn parts(mesh: &Mesh, adjacency: &Adjacency) -> Vec<PartReport> {
@@ -324,54 +144,11 @@ fn parts(mesh: &Mesh, adjacency: &Adjacency) -> Vec<PartReport> {
     parts
 }
 
-/// Faces worth a warning, as input triangles.
-struct ThinFaces {
-    flat: Vec<u32>,
-    slivers: Vec<u32>,
-}
-
-fn thin_faces(mesh: &Mesh) -> ThinFaces {
-    let mut thin = ThinFaces {
-        flat: Vec::new(),
-        slivers: Vec::new(),
-    };
-    for (t, &source) in mesh.triangles.iter().zip(&mesh.source_triangle) {
-        let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
-        let twice_area = (b - a).cross(c - a).length();
-        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
-        // Areas below what rounding of the cross product leaves are none.
-        if twice_area <= longest * longest * 1e-14 {
-            thin.flat.push(source);
-        } else if longest * longest > SLIVER * twice_area {
-            thin.slivers.push(source);
-        }
-    }
-    thin
-}
-
-/// Into how many fans the faces around a vertex fall; faces are in one fan when they share an edge at the vertex.
-fn count_fans_around(vertex: u32, triangles: &[[u32; 3]], adjacency: &Adjacency) -> usize {
-    let faces = adjacency.faces.of(vertex);
-    let spokes = faces.iter().zip(0u32..).flat_map(|(&f, i)| {
-        let others = triangles[f as usize].into_iter().filter(move |&v| v != vertex);
-        others.map(move |v| (v, i))
-    });
-    group_fans(faces.len(), spokes).1
-}
-
-/// Boundary vertices that lie within the crack distance of another boundary vertex.
-fn cracked_vertices(mesh: &Mesh, adjacency: &Adjacency) -> Vec<u32> {
-    let mut on_rim = vec![false; mesh.positions.len()];
-    let rim = adjacency.edges.iter().filter(|e| e.faces() == 1);
-    rim.flat_map(|e| e.vertices).for_each(|v| on_rim[v as usize] = true);
-    let tolerance = Weld::Tolerance(mesh.bounds().diagonal() * CRACK);
-    let near = weld::representatives(&mesh.positions, &on_rim, tolerance).unwrap_or_default();
-    (0u32..).zip(&near).filter(|(v, r)| v != *r).map(|(v, _)| v).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::findings::PLACES;
+    use crate::mesh::weld::Weld;
     use glam::DVec3;
 
     fn report(positions: &[[f64; 3]], faces: &[[u32; 3]]) -> MeshReport {
@@ -440,6 +217,12 @@ mod tests {
             "1 non-manifold edge, between render vertices 0 and 1 at (0.5, 0, 0)"
         );
         assert_eq!(r.warnings[3].place, "at triangle 4");
+        let pointed = [1, 3, 4].map(|k: usize| r.warnings[k].vertices.as_slice());
+        assert_eq!(
+            pointed,
+            [&[0][..], &[], &[6]],
+            "a face that was left out has no vertex to show"
+        );
     }
 
     #[test]

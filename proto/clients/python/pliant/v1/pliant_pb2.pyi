@@ -172,14 +172,18 @@ class Primitive(_message.Message):
     def __init__(self, node: _Optional[int] = ..., mesh: _Optional[int] = ..., primitive: _Optional[int] = ..., name: _Optional[str] = ..., first_vertex: _Optional[int] = ..., vertex_count: _Optional[int] = ..., index_count: _Optional[int] = ..., has_normals: bool = ..., has_tangents: bool = ..., passenger: bool = ...) -> None: ...
 
 class Warning(_message.Message):
-    __slots__ = ("code", "message", "where")
+    __slots__ = ("code", "message", "where", "vertices", "position")
     CODE_FIELD_NUMBER: _ClassVar[int]
     MESSAGE_FIELD_NUMBER: _ClassVar[int]
     WHERE_FIELD_NUMBER: _ClassVar[int]
+    VERTICES_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
     code: str
     message: str
     where: str
-    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ..., where: _Optional[str] = ...) -> None: ...
+    vertices: _containers.RepeatedScalarFieldContainer[int]
+    position: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ..., where: _Optional[str] = ..., vertices: _Optional[_Iterable[int]] = ..., position: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class ModelFacts(_message.Message):
     __slots__ = ("format", "bytes", "sha256", "vertices", "triangles")
@@ -1013,7 +1017,7 @@ class Report(_message.Message):
     def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ..., passengers: _Optional[_Iterable[_Union[Report.Passenger, _Mapping]]] = ...) -> None: ...
 
 class Quality(_message.Message):
-    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections", "faces_too_large")
+    __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections", "faces_too_large", "open_surface")
     EDGE_RMS_FIELD_NUMBER: _ClassVar[int]
     VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
     AREA_CHANGE_FIELD_NUMBER: _ClassVar[int]
@@ -1021,6 +1025,7 @@ class Quality(_message.Message):
     MAX_STRETCH_FIELD_NUMBER: _ClassVar[int]
     SELF_INTERSECTIONS_FIELD_NUMBER: _ClassVar[int]
     FACES_TOO_LARGE_FIELD_NUMBER: _ClassVar[int]
+    OPEN_SURFACE_FIELD_NUMBER: _ClassVar[int]
     edge_rms: float
     volume_change: float
     area_change: float
@@ -1028,7 +1033,8 @@ class Quality(_message.Message):
     max_stretch: float
     self_intersections: int
     faces_too_large: int
-    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ..., faces_too_large: _Optional[int] = ...) -> None: ...
+    open_surface: bool
+    def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ..., faces_too_large: _Optional[int] = ..., open_surface: bool = ...) -> None: ...
 
 class Inspection(_message.Message):
     __slots__ = ("model", "primitives", "solver", "warnings", "components", "boundary_loops", "non_manifold_edges", "non_manifold_vertices", "seam_vertices", "closed", "box_min", "box_max", "area", "volume", "memory_estimate", "degenerate_faces", "duplicate_faces", "unreferenced_vertices")

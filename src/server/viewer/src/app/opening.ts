@@ -225,13 +225,14 @@ async function drawable(session: Session): Promise<Drawable> {
 function show(session: Session, name: string, { topology, report }: Drawable, rest?: Float32Array<ArrayBuffer>, frame = true): void {
   const fits = rest !== undefined && rest.length === topology.positions.length;
   const atRest = fits ? rest : topology.positions;
-  const { stage, gizmo } = view();
+  const { stage, gizmo, pointer } = view();
   stopStream();
   closeClip();
   gizmo.attach(undefined, undefined);
   const surface = new Surface(topology, report, atRest);
   // Before the signals: what watches them finds the new surface.
   stage.show(surface, frame);
+  pointer.hide();
   batch(() => {
     s.doc.value = { name, session, topology, report, rest: atRest };
     s.facts.value = session.facts;

@@ -25,6 +25,8 @@ export interface Probe {
     dressed: boolean;
     clips: number;
     faults: number;
+    /** Whether something is pointed at. */
+    pointing: boolean;
     /** The time in the clip that is shown; below 0 without one. */
     seconds: number;
     revision: string;
@@ -72,6 +74,7 @@ export function installProbe(): void {
       dressed: wardrobe.peek().dressed,
       clips: wardrobe.peek().clips.length,
       faults: wardrobe.peek().faults.length,
+      pointing: view().pointer.isShown,
       seconds: playing.peek()?.seconds ?? -1,
       revision: String(s.currentRevision.peek()),
       ...paintedSoFar(),

@@ -3,6 +3,7 @@
 import type { Gizmo } from "../scene/gizmo.ts";
 import type { Markers } from "../scene/markers.ts";
 import type { Overlay } from "../scene/overlay.ts";
+import type { Pointer } from "../scene/pointer.ts";
 import type { Stage } from "../scene/stage.ts";
 
 export interface View {
@@ -10,6 +11,7 @@ export interface View {
   readonly gizmo: Gizmo;
   readonly markers: Markers;
   readonly overlay: Overlay;
+  readonly pointer: Pointer;
 }
 
 let current: View | undefined;

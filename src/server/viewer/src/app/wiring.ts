@@ -5,6 +5,7 @@ import { CuttingPlane } from "../scene/cutting.ts";
 import { Gizmo, type GizmoMode } from "../scene/gizmo.ts";
 import { Markers, placeOf } from "../scene/markers.ts";
 import { Overlay } from "../scene/overlay.ts";
+import { Pointer } from "../scene/pointer.ts";
 import { Stage } from "../scene/stage.ts";
 import { applyOptions, commitPoses, dragTo, turn } from "./dragging.ts";
 import { resume, sessionOfThisTab } from "./opening.ts";
@@ -38,7 +39,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
     },
   });
   const plane = new CuttingPlane(stage);
-  setView({ stage, gizmo, markers: new Markers(stage), overlay: new Overlay(host) });
+  setView({ stage, gizmo, markers: new Markers(stage), overlay: new Overlay(host), pointer: new Pointer(stage) });
   installTools();
   stage.beforePaint(turn);
   installPlaying();

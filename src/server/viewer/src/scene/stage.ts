@@ -107,6 +107,26 @@ export class Stage {
     this.request();
   }
 
+  /** Looks at a place so that `radius` around it fills the picture: against `facing`, if that is a direction, else as before. */
+  lookAt(at: THREE.Vector3, radius: number, facing?: THREE.Vector3): void {
+    const before = this.camera.position.clone().sub(this.orbit.target).normalize();
+    const from = facing !== undefined && facing.lengthSq() > 0.5 ? facing.clone().normalize() : before;
+    // Straight from above or below the camera would turn over.
+    from.y = Math.min(0.9, Math.max(-0.9, from.y));
+    if (from.lengthSq() < 1e-6 || Math.hypot(from.x, from.z) < 1e-3) from.add(new THREE.Vector3(0.1, 0, 0.43));
+    from.normalize();
+    const half = (this.camera.fov / 2) * (Math.PI / 180);
+    const distance = radius / Math.sin(Math.min(half, Math.atan(Math.tan(half) * this.camera.aspect)));
+    const whole = this.surface?.bounds().radius ?? radius;
+    this.orbit.target.copy(at);
+    this.camera.position.copy(at).addScaledVector(from, distance);
+    this.camera.near = distance / 200;
+    this.camera.far = distance * 20 + whole * 4;
+    this.camera.updateProjectionMatrix();
+    this.orbit.update();
+    this.request();
+  }
+
   /** Whether a point lies well inside the picture. */
   sees(point: THREE.Vector3): boolean {
     const at = this.project(point);

@@ -129,6 +129,11 @@ export class Surface {
     this.clothes?.follow("paint");
   }
 
+  /** The direction in which the surface faces at a render vertex. */
+  normalOf(vertex: number): THREE.Vector3 {
+    return new THREE.Vector3().fromArray(this.normals.array, vertex * 3);
+  }
+
   /** The ball around the current shape. */
   bounds(): THREE.Sphere {
     const box = new THREE.Box3().setFromArray(this.positions);

@@ -3,8 +3,8 @@
 import type { JSX } from "preact";
 import * as s from "../app/signals.ts";
 import { wardrobe } from "../app/dressing.ts";
-import { otherPlaces } from "../model/warnings.ts";
 import { Facts, Section, bytes, count, things } from "./parts.tsx";
+import { FaultLine, WarningLine } from "./WarningLine.tsx";
 
 export function ModelPanel(): JSX.Element | null {
   const open = s.doc.value;
@@ -12,18 +12,17 @@ export function ModelPanel(): JSX.Element | null {
   if (open === undefined || facts === undefined) return null;
   const { report } = open;
   const { model, solver } = facts;
+  const { faults } = wardrobe.value;
+  const noticed = facts.warnings.length + faults.length;
   const inner = (solver?.graphVertices ?? 0) - (solver?.solverVertices ?? 0);
   const built = Object.values(facts.buildMs).reduce((sum, ms) => sum + ms, 0);
   return (
-    <Section title="Model" note={facts.warnings.length > 0 ? things(facts.warnings.length, "warning") : (model?.format ?? "")}>
+    <Section title="Model" note={noticed > 0 ? things(noticed, "warning") : (model?.format ?? "")}>
       {facts.warnings.map((warning) => (
-        <p class="warning" title={warning.code}>
-          {warning.message}
-          {otherPlaces(warning) && <small>{otherPlaces(warning)}</small>}
-        </p>
+        <WarningLine key={`${facts.id} ${warning.code} ${warning.where}`} warning={warning} />
       ))}
-      {wardrobe.value.faults.map((fault) => (
-        <p class="warning">{fault}</p>
+      {faults.map((fault) => (
+        <FaultLine key={fault} text={fault} />
       ))}
       <Facts
         rows={[

@@ -50,7 +50,7 @@ export function ViewPanel(): JSX.Element {
         <Facts
           rows={[
             ["Edge change", percent(quality.edgeRms), "Root of the mean square of relative edge length change"],
-            ["Volume", signed(quality.volumeChange)],
+            quality.openSurface ? ["Volume", "n/a", "The surface is open, so it encloses none"] : ["Volume", signed(quality.volumeChange)],
             ["Area", signed(quality.areaChange)],
             ["Largest stretch", `× ${quality.maxStretch.toFixed(2)}`],
             ["Flipped triangles", String(quality.flippedTriangles)],
