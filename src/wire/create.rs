@@ -5,7 +5,7 @@
 use super::check::{enumerated, number};
 use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
-use crate::asset::Format;
+use crate::asset::{Following, Format, MorphTargetRule};
 use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, VolumeMode};
 use crate::engine::OpenOptions;
 use crate::graph::VolumeOptions;
@@ -99,6 +99,10 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         pb::create_options::Operators::FiniteVolume => CoarseOperators::FiniteVolume,
         pb::create_options::Operators::Paper => CoarseOperators::Paper,
     };
+    let morph_targets = match enumerated(create.morph_targets, "morphTargets")? {
+        pb::create_options::morph_targets::Rule::Follow => MorphTargetRule::Follow,
+        pb::create_options::morph_targets::Rule::Keep => MorphTargetRule::Keep,
+    };
     let volume = create.volume_graph.unwrap_or_default();
     let mode = match enumerated(volume.mode, "volumeGraph.mode")? {
         pb::create_options::volume_graph::Mode::Auto => VolumeMode::Auto,
@@ -133,6 +137,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             apart: false,
         },
         passengers: passengers(&create.passengers)?,
+        following: Following { morph_targets },
     })
 }
 

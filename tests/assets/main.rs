@@ -1,7 +1,9 @@
 //! Files in and out: what survives a round trip, and what is refused.
 
 mod hostile_gltf;
+mod morphs;
 mod roundtrip_gltf;
 mod roundtrip_text;
+mod skins;
 #[path = "../support/mod.rs"]
 mod support;

@@ -229,6 +229,15 @@ fn may_change(pointer: &str, before: &Parsed) -> bool {
             "attributes",
             "POSITION" | "NORMAL" | "TANGENT",
         ] => true,
+        [
+            "meshes",
+            _,
+            "primitives",
+            _,
+            "targets",
+            _,
+            "POSITION" | "NORMAL" | "TANGENT",
+        ] => true,
         ["accessors" | "bufferViews" | "buffers" | "meshes" | "extensionsUsed" | "extensionsRequired"] => true,
         [section, index, ..] => beyond(section, index),
         _ => false,
@@ -265,7 +274,7 @@ fn differences(a: &Value, b: &Value, pointer: String, out: &mut Vec<String>) {
     }
 }
 
-/// Which bytes of each buffer belong to positions, normals and tangents of triangles.
+/// Which bytes of each buffer belong to positions, normals and tangents of triangles and of their morph targets.
 fn geometry_bytes(file: &Parsed) -> Vec<Vec<bool>> {
     let json = &file.json;
     let mut mask: Vec<Vec<bool>> = file.buffers.iter().map(|b| vec![false; b.len()]).collect();
@@ -280,9 +289,21 @@ fn geometry_bytes(file: &Parsed) -> Vec<Vec<bool>> {
         if whole(&primitive["mode"], 4) < 4 {
             continue;
         }
-        for (name, lanes) in [("POSITION", 3), ("NORMAL", 3), ("TANGENT", 4)] {
-            let accessor = &json["accessors"][whole(&primitive["attributes"][name], u64::MAX)];
-            if accessor["componentType"] != 5126 || accessor["bufferView"].is_null() {
+        let own = [("POSITION", 3), ("NORMAL", 3), ("TANGENT", 4)]
+            .map(|(name, lanes)| (&primitive["attributes"][name], lanes));
+        let targets = primitive["targets"].as_array().into_iter().flatten();
+        let of_targets = targets.flat_map(|t| ["POSITION", "NORMAL", "TANGENT"].map(|name| (&t[name], 3)));
+        for (accessor, lanes) in own.into_iter().chain(of_targets) {
+            let accessor = &json["accessors"][whole(accessor, u64::MAX)];
+            if accessor["componentType"] != 5126 {
+                continue;
+            }
+            if let Some(values) = accessor["sparse"]["values"].as_object() {
+                let view = &json["bufferViews"][whole(&values["bufferView"], 0)];
+                let start = whole(&view["byteOffset"], 0);
+                mask[whole(&view["buffer"], 0)][start..start + whole(&view["byteLength"], 0)].fill(true);
+            }
+            if accessor["bufferView"].is_null() {
                 continue;
             }
             let view = &json["bufferViews"][whole(&accessor["bufferView"], 0)];

@@ -12,3 +12,4 @@ pub mod process;
 pub mod recipes;
 pub mod server;
 pub mod shapes;
+pub mod skinning;

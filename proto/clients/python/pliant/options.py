@@ -104,6 +104,8 @@ class CreateFields(TypedDict, total=False):
     operators: Literal["finite_volume", "paper"]
     #: Primitives that ride along without being solved: their indices, or the names of their nodes.
     passengers: Sequence[Union[int, str]]
+    #: Whether morph targets of glTF turn and grow with the surface under them.
+    morph_targets: Literal["follow", "keep"]
 
 
 def create_options(fields: CreateFields) -> pb.CreateOptions:
@@ -126,6 +128,8 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
             for which in value:
                 passenger = message.passengers.add()
                 put(passenger, "primitives_named" if isinstance(which, str) else "primitive", which)
+        elif name == "morph_targets":
+            message.morph_targets = enum(name, pb.CreateOptions.MorphTargets.Rule, value)
         elif name == "volume_graph":
             graph = fields["volume_graph"]
             _volume_graph({"mode": graph} if isinstance(graph, str) else graph, message.volume_graph)

@@ -7,7 +7,7 @@ use super::edited::{EditedModel, PrimitiveRun};
 use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
-use super::{Error, FileSet, Format, Geometry, Limits, Model, WrittenFiles};
+use super::{Error, FileSet, Following, Format, Geometry, Limits, Model, WrittenFiles};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -44,8 +44,14 @@ pub(super) trait FormatCodec: Sync {
     fn read(&self, files: &FileSet, format: Format, limits: &Limits) -> Result<ReadFile, Error>;
 
     /// Writes the files of a model of this codec with its vertices at `positions`, one for each vertex and finite.
-    /// Every byte that the deformation does not change stays as it was uploaded.
-    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error>;
+    /// Every byte that the deformation does not change, nor what follows it, stays as it was uploaded.
+    fn patch_positions(
+        &self,
+        model: &Model,
+        positions: &[DVec3],
+        format: Format,
+        following: Following,
+    ) -> Result<WrittenFiles, Error>;
 
     /// Makes fresh files of a model that came in another format.
     fn build(&self, neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error>;
@@ -103,6 +109,8 @@ pub(super) struct EditedOutput<'a> {
     pub positions: &'a [DVec3],
     /// The format of the file.
     pub format: Format,
+    /// What else of the file follows.
+    pub following: Following,
     /// The neutral form of what comes from the base of that number, for bases of other formats.
     pub neutral_base: &'a dyn Fn(u32) -> Result<NeutralModel, Error>,
 }

@@ -5,7 +5,7 @@ use super::edited::{self, BaseModel, EditedModel, PrimitiveRun, VertexBlends};
 use super::formats::codec_of;
 use super::model::is_same;
 use super::neutral::NeutralModel;
-use super::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use super::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
 use glam::{DAffine3, DVec3};
 
 impl Model {
@@ -51,7 +51,7 @@ impl Model {
     /// Writes the model with new positions (one per render vertex, in model space) in `format`.
     ///
     /// In the model's own format (GLB and glTF count as one) the uploaded files are edited: what the deformation did not
-    /// change stays as it was, byte for byte, and authored normals and tangents follow the deformation. In another
+    /// change stays as it was, byte for byte, and authored normals, tangents and morph targets follow the deformation. In another
     /// format a fresh file is made of the positions, triangles, names, normals, one set of texture coordinates, colours
     /// and the names of materials, as far as both formats know them.
     ///
@@ -78,6 +78,19 @@ impl Model {
     /// # Ok::<(), pliant_core::asset::Error>(())
     /// ```
     pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        self.write_following(positions, format, Following::default())
+    }
+
+    /// As [`Model::write`], with a choice of what else follows the shape; there, everything does.
+    ///
+    /// # Errors
+    /// Those of [`Model::write`].
+    pub fn write_following(
+        &self,
+        positions: &[DVec3],
+        format: Format,
+        following: Following,
+    ) -> Result<WrittenFiles, Error> {
         let (seen, count) = (positions.len(), self.positions.len());
         if seen != count {
             return Err(Error::unwritable(
@@ -96,7 +109,7 @@ impl Model {
         }
         let codec = codec_of(format);
         if codec.patches_files_of(self.format) {
-            return codec.patch_positions(self, positions, format);
+            return codec.patch_positions(self, positions, format, following);
         }
         let neutral = if codec.takes_attributes() {
             neutral_model(self, positions, format)?
@@ -146,6 +159,19 @@ pub fn write_edited_model(
     positions: &[DVec3],
     format: Format,
 ) -> Result<WrittenFiles, Error> {
+    write_edited_model_following(edited, positions, format, Following::default())
+}
+
+/// As [`write_edited_model`], with a choice of what else follows the shape; there, everything does.
+///
+/// # Errors
+/// Those of [`write_edited_model`].
+pub fn write_edited_model_following(
+    edited: &EditedModel<'_>,
+    positions: &[DVec3],
+    format: Format,
+    following: Following,
+) -> Result<WrittenFiles, Error> {
     edited::check(edited, positions, format)?;
     let Some(first) = edited.bases.first() else {
         return Err(Error::unwritable(format, "there is no base"));
@@ -163,6 +189,7 @@ pub fn write_edited_model(
         edited,
         positions,
         format,
+        following,
         neutral_base: &neutral_base,
     })
 }

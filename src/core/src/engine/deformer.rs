@@ -183,7 +183,7 @@ impl Deformer {
     /// # Errors
     /// Those of [`Model::write`].
     pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
-        self.topology().write(positions, format)
+        self.topology().write(positions, format, self.options.following)
     }
 
     /// What was found about the mesh.

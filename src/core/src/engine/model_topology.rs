@@ -2,7 +2,7 @@
 
 use super::error::Error;
 use super::vertex_origins::VertexOrigins;
-use crate::asset::{self, Format, Geometry, Model, Primitive, WrittenFiles};
+use crate::asset::{self, Following, Format, Geometry, Model, Primitive, WrittenFiles};
 use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, Weld};
 use glam::{DVec3, Vec3, Vec4};
@@ -119,10 +119,10 @@ impl ModelTopology {
     }
 
     /// The model at `positions` as files.
-    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+    pub fn write(&self, positions: &[DVec3], format: Format, following: Following) -> Result<WrittenFiles, Error> {
         Ok(match &self.edited {
-            None => self.model.write(positions, format)?,
-            Some(edited) => edited.origins.write(&edited.geometry, positions, format)?,
+            None => self.model.write_following(positions, format, following)?,
+            Some(edited) => edited.origins.write(&edited.geometry, positions, format, following)?,
         })
     }
 

@@ -1,7 +1,7 @@
 //! How a model is opened and how its poses are solved.
 
 use super::passenger::Passenger;
-use crate::asset::Format;
+use crate::asset::{Following, Format};
 use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FreePartPolicy, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
@@ -22,6 +22,8 @@ pub struct OpenOptions {
     pub body: BodyOptions,
     /// What rides along without being part of what is solved.
     pub passengers: Vec<Passenger>,
+    /// What else of the model's file follows its shape.
+    pub following: Following,
 }
 
 impl Default for OpenOptions {
@@ -41,6 +43,7 @@ impl Default for OpenOptions {
                 apart: false,
             },
             passengers: Vec::new(),
+            following: Following::default(),
         }
     }
 }

@@ -2,7 +2,8 @@
 //! model is written.
 
 use crate::asset::{
-    BaseModel, EditedModel, Error, Format, Model, PrimitiveRun, VertexBlends, WrittenFiles, write_edited_model,
+    BaseModel, EditedModel, Error, Following, Format, Model, PrimitiveRun, VertexBlends, WrittenFiles,
+    write_edited_model_following,
 };
 use crate::edit::{PatchedSurface, SurfacePatch};
 use crate::mesh::NONE;
@@ -93,6 +94,7 @@ impl VertexOrigins {
         geometry: &crate::asset::Geometry,
         positions: &[DVec3],
         format: Format,
+        following: Following,
     ) -> Result<WrittenFiles, Error> {
         let bases: Vec<BaseModel<'_>> = (self.bases.iter())
             .map(|(model, placement)| BaseModel {
@@ -123,7 +125,7 @@ impl VertexOrigins {
             origins: &self.triangles,
             bare: &self.bare,
         };
-        write_edited_model(&edited, positions, format)
+        write_edited_model_following(&edited, positions, format, following)
     }
 
     /// Bytes held, with those of the models that were merged in.

@@ -13,6 +13,7 @@ mod findings;
 mod inspect;
 mod intersections;
 mod lists;
+pub mod local_turns;
 mod measure;
 pub mod query;
 mod readable;

@@ -24,7 +24,7 @@ class Companion(_message.Message):
     def __init__(self, uri: _Optional[str] = ...) -> None: ...
 
 class CreateOptions(_message.Message):
-    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "passengers")
+    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "passengers")
     class Components(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         FOLLOW: _ClassVar[CreateOptions.Components]
@@ -69,6 +69,15 @@ class CreateOptions(_message.Message):
         TOLERANCE_FIELD_NUMBER: _ClassVar[int]
         tolerance: float
         def __init__(self, tolerance: _Optional[float] = ...) -> None: ...
+    class MorphTargets(_message.Message):
+        __slots__ = ()
+        class Rule(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            FOLLOW: _ClassVar[CreateOptions.MorphTargets.Rule]
+            KEEP: _ClassVar[CreateOptions.MorphTargets.Rule]
+        FOLLOW: CreateOptions.MorphTargets.Rule
+        KEEP: CreateOptions.MorphTargets.Rule
+        def __init__(self) -> None: ...
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     VOLUME_GRAPH_FIELD_NUMBER: _ClassVar[int]
     COMPONENTS_FIELD_NUMBER: _ClassVar[int]
@@ -77,6 +86,7 @@ class CreateOptions(_message.Message):
     TTL_FIELD_NUMBER: _ClassVar[int]
     WELD_FIELD_NUMBER: _ClassVar[int]
     OPERATORS_FIELD_NUMBER: _ClassVar[int]
+    MORPH_TARGETS_FIELD_NUMBER: _ClassVar[int]
     PASSENGERS_FIELD_NUMBER: _ClassVar[int]
     format: str
     volume_graph: CreateOptions.VolumeGraph
@@ -86,8 +96,9 @@ class CreateOptions(_message.Message):
     ttl: str
     weld: CreateOptions.Weld
     operators: CreateOptions.Operators
+    morph_targets: CreateOptions.MorphTargets.Rule
     passengers: _containers.RepeatedCompositeFieldContainer[Passenger]
-    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
+    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
 
 class Passenger(_message.Message):
     __slots__ = ("name", "primitive", "primitives_named", "points", "file")

@@ -10,7 +10,7 @@ use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::model::{FileNotes, is_same};
 use crate::asset::neutral::NeutralModel;
-use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, WrittenFiles};
+use crate::asset::{Error, FileSet, Following, Format, Geometry, Limits, Model, WrittenFiles};
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -38,7 +38,13 @@ impl FormatCodec for StlCodec {
         read(&files.main, limits).map(share_notes)
     }
 
-    fn patch_positions(&self, model: &Model, positions: &[DVec3], _: Format) -> Result<WrittenFiles, Error> {
+    fn patch_positions(
+        &self,
+        model: &Model,
+        positions: &[DVec3],
+        _: Format,
+        _: Following,
+    ) -> Result<WrittenFiles, Error> {
         patch(model, positions).map(WrittenFiles::single)
     }
 

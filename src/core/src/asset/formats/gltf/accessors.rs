@@ -85,7 +85,7 @@ impl AccessorLayout {
 }
 
 /// Which numbers an attribute may be stored as.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) enum ShapeAttribute {
     Position,
     Normal,
@@ -235,7 +235,9 @@ pub(super) fn check_unbacked(doc: &GltfDocument<'_>, index: usize, layout: Acces
     Ok(())
 }
 
-fn sparse_indices(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) -> Result<Vec<usize>, Error> {
+/// The elements that an accessor's sparse values replace, ascending; none when it is not sparse. Compressed views must be
+/// decoded.
+pub(super) fn sparse_indices(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) -> Result<Vec<usize>, Error> {
     let accessor = &doc.accessors.values[index];
     let Some(sparse) = &accessor.sparse else {
         return Ok(Vec::new());

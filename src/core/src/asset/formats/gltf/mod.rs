@@ -1,18 +1,22 @@
 //! glTF 2.0 and GLB, patched instead of rebuilt.
 //!
 //! What a deformation does not change comes back as it was: the JSON text outside the changed places to the byte, the
-//! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins, morph
-//! targets. Existing indices never change; what is new is appended.
+//! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins. Existing indices never change; what is new is appended.
+//!
+//! Displacements of morph targets turn and grow with the surface around their vertices ([`targets`]), unless they are to
+//! stay.
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
 //! [`text`], [`check`] checks references and ranges, [`buffers`] finds bytes (with [`uri`] and [`compressed`]),
-//! [`accessors`] reads them, [`scene`] places meshes, [`read`] puts triangles together. Writing: [`deformed`] computes
+//! [`accessors`] reads them, [`scene`] places meshes, [`skin`], [`influences`] and [`placement`] their vertices, [`read`]
+//! puts triangles together. Writing: [`deformed`] computes
 //! what each attribute should become, [`sharing`] decides which copies must part, [`patch`] edits text and bytes,
 //! [`package`] makes the files. [`fresh`] makes an asset from other formats' geometry. After edits of the topology,
 //! [`edited`] writes primitives anew.
 //!
 //! # Conventions
-//! - Positions are in world space; a skinned mesh is in its bind pose, its node's transform ignored.
+//! - Positions are in world space; a skinned mesh stands where its joints put it in the rest pose of the scene, its node's
+//!   transform ignored. Morph targets are not applied, whatever their default weights.
 //! - Triangles of a mesh that is mirrored into the world (negative determinant) are wound the other way round than the
 //!   file's indices, so that the outside is outside. The file's indices are never changed.
 //! - Quantised and sparse attributes that change come back as plain floats in an accessor of their own.
@@ -37,6 +41,7 @@
 
 mod accessors;
 mod buffers;
+mod changes;
 mod check;
 mod compressed;
 mod container;
@@ -45,13 +50,19 @@ mod document;
 mod edited;
 mod fault;
 mod fresh;
+mod influences;
 mod looks;
 mod package;
 mod patch;
+mod placement;
 mod read;
 mod scene;
 mod schema;
+mod seams;
 mod sharing;
+mod skin;
+mod slots;
+mod targets;
 #[cfg(test)]
 mod tests;
 mod text;
@@ -63,7 +74,8 @@ use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::look::SurfaceLook;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use crate::asset::{Error, FileSet, Following, Format, Limits, Model, MorphTargetRule, WrittenFiles};
+use crate::mesh::local_turns::local_turns;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -80,17 +92,24 @@ impl FormatCodec for GltfCodec {
         Ok((geometry, Arc::new(notes)))
     }
 
-    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+    fn patch_positions(
+        &self,
+        model: &Model,
+        positions: &[DVec3],
+        format: Format,
+        following: Following,
+    ) -> Result<WrittenFiles, Error> {
         let notes = model.notes_or_refuse(format)?;
         let (doc, mut buffers) = read::reopen(model, notes)?;
-        let wanted = deformed::wanted_attributes(
-            &doc,
-            &mut buffers,
-            notes,
-            &model.geometry,
+        let rest = &model.geometry;
+        let follows = following.morph_targets == MorphTargetRule::Follow && targets::has_targets(&doc);
+        let shape = deformed::NewShape {
+            rest,
             positions,
-            fault::GltfFault(format),
-        )?;
+            turns: follows.then(|| local_turns(&rest.positions, positions, &rest.triangles)),
+            fault: fault::GltfFault(format),
+        };
+        let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape)?;
         let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
         package::package(&doc, &model.files, &buffers, patched, format)

@@ -4,6 +4,7 @@ use super::accessors::{AccessorLayout, ShapeAttribute};
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
+use super::slots::AttributeSlot;
 use super::text::{JsonEdits, items, value_of};
 use crate::asset::Error;
 use std::collections::{BTreeMap, BTreeSet};
@@ -67,13 +68,22 @@ impl<'a> DocumentPatcher<'_, 'a> {
     fn overwrite(&mut self, overwrite: &AccessorOverwrite) -> Result<(), Error> {
         let AccessorOverwrite {
             accessor,
-            role,
+            slot,
             channel,
+            sparse,
         } = overwrite;
         let described = &self.doc.accessors.values[*accessor];
-        let view = described.buffer_view.and_then(|v| self.doc.views.get(v.index()));
         let layout = AccessorLayout::of(described, &self.doc.views.values);
-        let (Some(view), Some(layout)) = (view, layout) else {
+        // Sparse values are packed.
+        let place = match (sparse, &described.sparse, layout) {
+            (Some(_), Some(s), Some(l)) => Some((s.values.buffer_view, s.values.byte_offset.0, l.element)),
+            (None, _, Some(l)) => described.buffer_view.map(|view| (view, described.offset(), l.stride)),
+            _ => None,
+        };
+        let Some((view, offset, stride)) = place else {
+            return Ok(());
+        };
+        let Some(view) = self.doc.views.get(view.index()) else {
             return Ok(());
         };
         let outside = || {
@@ -81,14 +91,18 @@ impl<'a> DocumentPatcher<'_, 'a> {
                 .fault
                 .malformed(format!("accessors/{accessor}"), "reaches past the end of its buffer")
         };
-        let (start, stride) = ((view.offset() + described.offset()) as usize, layout.stride as usize);
+        let (start, stride) = ((view.offset() + offset) as usize, stride as usize);
         let bytes = self.patch_bytes(view.buffer.index());
         let elements = channel
             .values
-            .chunks_exact(role.lanes())
+            .chunks_exact(slot.lanes())
             .zip(&channel.changed)
             .enumerate();
         for (i, (element, _)) in elements.filter(|(_, (_, changed))| **changed) {
+            let i = match sparse {
+                Some(replaced) => replaced.binary_search(&i).map_err(|_| outside())?,
+                None => i,
+            };
             let place = bytes
                 .get_mut(start + i * stride..)
                 .and_then(|b| b.get_mut(..4 * element.len()));
@@ -101,10 +115,10 @@ impl<'a> DocumentPatcher<'_, 'a> {
                 .for_each(|(to, v)| *to = v.to_le_bytes());
         }
         let text = self.doc.accessors.items[*accessor];
-        let (least, most) = bounds(&channel.values, role.lanes());
+        let (least, most) = bounds(&channel.values, slot.lanes());
         for (key, value) in [("min", least), ("max", most)] {
             // Only POSITION must have bounds, but bounds that are there must be right.
-            if *role == ShapeAttribute::Position || value_of(text, key).is_some() {
+            if slot.role == ShapeAttribute::Position || value_of(text, key).is_some() {
                 self.out.edits.set(text, key, &value);
             }
         }
@@ -133,11 +147,14 @@ impl<'a> DocumentPatcher<'_, 'a> {
             bytes.resize(bytes.len().next_multiple_of(4), 0);
             let (offset, length) = (bytes.len(), 4 * append.values.len());
             bytes.extend(append.values.iter().flat_map(|v| v.to_le_bytes()));
-            let count = append.values.len() / append.role.lanes();
+            let Some((_, _, slot)) = append.users.first() else {
+                continue;
+            };
+            let count = append.values.len() / slot.lanes();
             views.push(format!(
                 r#"{{"buffer":{buffer},"byteOffset":{offset},"byteLength":{length},"target":34962}}"#
             ));
-            let limits = if append.role == ShapeAttribute::Position {
+            let limits = if slot.role == ShapeAttribute::Position {
                 let (least, most) = bounds(&append.values, 3);
                 format!(r#","min":{least},"max":{most}"#)
             } else {
@@ -146,7 +163,7 @@ impl<'a> DocumentPatcher<'_, 'a> {
             accessors.push(format!(
                 r#"{{"bufferView":{},"componentType":5126,"count":{count},"type":"{}"{limits}}}"#,
                 first_view + views.len() - 1,
-                append.role.shape()
+                slot.shape()
             ));
         }
         let length = bytes.len();
@@ -191,13 +208,13 @@ impl<'a> DocumentPatcher<'_, 'a> {
             return Err(self.doc.fault.unwritable(problem));
         }
         let first_accessor = self.doc.accessors.len();
-        let mut redirects: BTreeMap<MeshRef, Vec<(usize, ShapeAttribute, usize)>> = BTreeMap::new();
+        let mut redirects: BTreeMap<MeshRef, Vec<(usize, AttributeSlot, usize)>> = BTreeMap::new();
         for (i, append) in plan.appends.iter().enumerate() {
-            for &(mesh, primitive) in &append.users {
+            for &(mesh, primitive, slot) in &append.users {
                 redirects
                     .entry(mesh)
                     .or_default()
-                    .push((primitive, append.role, first_accessor + i));
+                    .push((primitive, slot, first_accessor + i));
             }
         }
         let stale = |mesh: MeshRef| {
@@ -237,15 +254,23 @@ impl<'a> DocumentPatcher<'_, 'a> {
 fn edit_mesh<'a>(
     edits: &mut JsonEdits<'a>,
     mesh: &'a str,
-    changes: &[(usize, ShapeAttribute, usize)],
+    changes: &[(usize, AttributeSlot, usize)],
     stale: impl Iterator<Item = usize>,
 ) {
     let primitives = value_of(mesh, "primitives")
         .and_then(|p| items(p).ok())
         .unwrap_or_default();
-    for (primitive, role, accessor) in changes {
-        if let Some(attributes) = primitives.get(*primitive).and_then(|p| value_of(p, "attributes")) {
-            edits.set(attributes, role.name(), &accessor.to_string());
+    for (primitive, slot, accessor) in changes {
+        let primitive = primitives.get(*primitive);
+        let attributes = match slot.target {
+            None => primitive.and_then(|p| value_of(p, "attributes")),
+            Some(target) => {
+                let targets = primitive.and_then(|p| items(value_of(p, "targets")?).ok());
+                targets.and_then(|all| all.get(target).copied())
+            }
+        };
+        if let Some(attributes) = attributes {
+            edits.set(attributes, slot.role.name(), &accessor.to_string());
         }
     }
     const DRACO: &str = "KHR_draco_mesh_compression";

@@ -3,12 +3,17 @@
 use super::accessors::{self, ShapeAttribute};
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
-use super::scene::{self, MeshPlacement, Warnings};
+use super::influences::VertexInfluences;
+use super::placement::{Placement, VertexTransforms};
+use super::scene::{self, MeshPlacement, PlacedScene, Warnings};
 use super::schema::MeshPrimitive;
+use super::seams::SkinSeams;
+use super::skin::SkinPose;
 use crate::asset::model::FileNotes;
 use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
-use glam::{DAffine3, DMat3, DVec3, Vec3, Vec4};
-use std::collections::BTreeSet;
+use glam::{DMat3, DVec3, Vec3, Vec4};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// Placed primitives. A node costs a dozen bytes in a file and places a whole mesh, so their number is not bounded by
 /// the file's size, and each costs far more here than its vertices do.
@@ -20,7 +25,10 @@ pub(super) struct PlacedPrimitive {
     pub(super) node: usize,
     pub(super) mesh: usize,
     pub(super) primitive: usize,
-    pub(super) world_from_mesh: DAffine3,
+    /// The skin of its node.
+    pub(super) skin: Option<usize>,
+    /// How its stored vertices get into the world.
+    pub(super) placement: Placement,
     /// Its first render vertex, and one past its last.
     pub(super) vertices: std::ops::Range<usize>,
     /// Its first triangle, and one past its last.
@@ -73,17 +81,20 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
         geometry: Geometry::default(),
         rows: Vec::new(),
         examined: 0,
+        skins: BTreeMap::new(),
+        seams: SkinSeams::default(),
     };
-    let placements = scene::find_placements(&doc, &mut reader.geometry.warnings)?;
+    let scene = scene::place_meshes(&doc, &mut reader.geometry.warnings)?;
+    let placements = &scene.placements;
     // What draws no triangles under one node draws none under any other, and must not cost anything there.
     let mut drawn: Vec<Option<Vec<usize>>> = vec![None; doc.meshes.len()];
-    for placement in &placements {
+    for placement in placements {
         let primitives = drawn[placement.mesh].take();
         let primitives =
             primitives.unwrap_or_else(|| (0..doc.meshes.values[placement.mesh].primitives.len()).collect());
         let mut kept = Vec::with_capacity(primitives.len());
         for p in primitives {
-            if reader.add_placement(placement, p)? {
+            if reader.add_placement(&scene, placement, p)? {
                 kept.push(p);
             }
         }
@@ -93,7 +104,7 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
     if geometry.triangles.is_empty() {
         return Err(Error::NoMesh {
             format,
-            problem: what_is_there(&doc, &placements),
+            problem: what_is_there(&doc, placements),
         });
     }
     fill_up(&mut geometry);
@@ -131,11 +142,23 @@ struct GltfReader<'d, 'f> {
     rows: Vec<PlacedPrimitive>,
     /// Triangles that were or could have been made of the indices read so far.
     examined: u64,
+    /// The skins that were needed so far, or why they place nothing.
+    skins: BTreeMap<usize, Result<Arc<SkinPose>, String>>,
+    seams: SkinSeams,
+}
+
+/// A primitive on its way into the world.
+struct PlacedVertices<'a> {
+    primitive: &'a MeshPrimitive,
+    node: usize,
+    transforms: VertexTransforms,
+    /// Where it is in the file.
+    place: String,
 }
 
 impl GltfReader<'_, '_> {
     /// Adds a primitive under a node; `false` when it has no triangles.
-    fn add_placement(&mut self, placement: &MeshPlacement, p: usize) -> Result<bool, Error> {
+    fn add_placement(&mut self, scene: &PlacedScene, placement: &MeshPlacement, p: usize) -> Result<bool, Error> {
         let doc = self.doc;
         let mesh = &doc.meshes.values[placement.mesh];
         let primitive = &mesh.primitives[p];
@@ -188,12 +211,24 @@ impl GltfReader<'_, '_> {
             self.warn("no-triangles", "has no triangles; it is passed through", place());
             return Ok(false);
         }
-        self.read_positions(positions, placement, &place())?;
-        let has_normals = self.read_normals(primitive, placement, first_vertex, &place())?;
-        let has_tangents = self.read_tangents(primitive, placement, first_vertex, &place())?;
+        let stored = accessors::read_floats(doc, &self.buffers, positions, ShapeAttribute::Position)?;
+        let (how, transforms) = self.find_transforms(scene, placement, primitive, &stored, &place())?;
+        let placed = PlacedVertices {
+            primitive,
+            node: placement.node,
+            transforms,
+            place: place(),
+        };
+        self.place_positions(&placed, &stored)?;
+        if let Placement::Blended(pose) = &how {
+            let placed = &mut self.geometry.positions[first_vertex..];
+            self.seams.close(Arc::as_ptr(pose) as usize, &stored, placed);
+        }
+        let has_normals = self.read_normals(&placed, first_vertex)?;
+        let has_tangents = self.read_tangents(&placed, first_vertex)?;
 
         let first_triangle = self.geometry.triangles.len();
-        let mirrored = placement.world_from_mesh.matrix3.determinant() < 0.0;
+        let mirrored = placed.transforms.is_mirrored();
         self.geometry.triangles.extend(triangles.iter().map(|t| {
             let [a, b, c] = t.map(|v| v + first_vertex as u32);
             // A mirrored mesh is drawn with its winding turned round, so that its outside stays outside.
@@ -216,7 +251,8 @@ impl GltfReader<'_, '_> {
             node: placement.node,
             mesh: placement.mesh,
             primitive: p,
-            world_from_mesh: placement.world_from_mesh,
+            skin: placement.skin,
+            placement: how,
             vertices: first_vertex..self.geometry.positions.len(),
             triangles: first_triangle..self.geometry.triangles.len(),
         });
@@ -255,70 +291,130 @@ impl GltfReader<'_, '_> {
         Ok(to_triangles(&corners, primitive.mode()))
     }
 
-    fn read_positions(&mut self, accessor: usize, placement: &MeshPlacement, place: &str) -> Result<(), Error> {
-        let stored = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Position)?;
-        if invert(&placement.world_from_mesh).is_none() {
+    /// How the vertices of a primitive get into the world. A skin that cannot say leaves them where they were bound.
+    fn find_transforms(
+        &mut self,
+        scene: &PlacedScene,
+        placement: &MeshPlacement,
+        primitive: &MeshPrimitive,
+        stored: &[f32],
+        place: &str,
+    ) -> Result<(Placement, VertexTransforms), Error> {
+        let of_node = placement.world_from_mesh;
+        let by_node = (Placement::Whole(of_node), VertexTransforms::Whole(of_node));
+        let Some(skin) = placement.skin else {
+            return Ok(by_node);
+        };
+        let by_joints = match self.skin_pose(scene, skin) {
+            Ok(pose) => self.place_by_joints(&pose, primitive, stored, place)?,
+            Err(problem) => Err(problem),
+        };
+        Ok(by_joints.unwrap_or_else(|problem| {
             let message = format!(
-                "node {} flattens its mesh (a scale of zero), so it cannot be deformed",
+                "skin {skin} of node {} does not say where it stands ({problem}); it is taken in bind coordinates",
                 placement.node
             );
-            self.warn("singular-transform", message, place);
+            self.warn("skin-not-applied", message, place);
+            by_node
+        }))
+    }
+
+    /// The joints of a skin in the rest pose.
+    fn skin_pose(&mut self, scene: &PlacedScene, skin: usize) -> Result<Arc<SkinPose>, String> {
+        if let Some(known) = self.skins.get(&skin) {
+            return known.clone();
+        }
+        let pose = SkinPose::read(self.doc, &mut self.buffers, skin, &scene.world_from_node);
+        if let Ok(pose) = &pose
+            && let Some(joint) = pose.joints.iter().find(|&&j| !scene.is_reached[j])
+        {
+            let message =
+                format!("node {joint} is a joint and not in the scene; its own parents place it all the same");
+            self.warn("joint-outside-scene", message, format!("skins/{skin}"));
+        }
+        let pose = pose.map(Arc::new);
+        self.skins.insert(skin, pose.clone());
+        pose
+    }
+
+    /// How a skin places a primitive; or, for a warning, why it does not.
+    fn place_by_joints(
+        &mut self,
+        pose: &Arc<SkinPose>,
+        primitive: &MeshPrimitive,
+        stored: &[f32],
+        place: &str,
+    ) -> Result<Result<(Placement, VertexTransforms), String>, Error> {
+        let used: BTreeSet<usize> = super::influences::influence_accessors(primitive)
+            .into_iter()
+            .flat_map(|(joints, weights)| [joints, weights])
+            .collect();
+        self.buffers.decode_for(self.doc, &used)?;
+        let count = pose.joints.len();
+        let influences = match VertexInfluences::read(self.doc, &self.buffers, primitive, count) {
+            Ok(influences) => influences,
+            Err(problem) => return Ok(Err(problem)),
+        };
+        let placed = Placement::of_skin(pose, &influences, stored);
+        let (weightless, uneven) = (influences.weightless, influences.uneven);
+        if placed.is_ok() && weightless + uneven > 0 {
+            let message = format!(
+                "the weights of {uneven} vertices do not sum to 1 and are scaled, {weightless} vertices have none and \
+                 follow the first joint that they name"
+            );
+            self.warn("skin-weights", message, place);
+        }
+        Ok(placed)
+    }
+
+    fn place_positions(&mut self, placed: &PlacedVertices<'_>, stored: &[f32]) -> Result<(), Error> {
+        if placed.transforms.inverse().is_none() {
+            let message = format!(
+                "node {} flattens its mesh (a scale of zero), so it cannot be deformed",
+                placed.node
+            );
+            self.warn("singular-transform", message, &placed.place);
         }
         self.geometry.positions.reserve(stored.len() / 3);
         for (i, &p) in stored.as_chunks::<3>().0.iter().enumerate() {
-            let in_world = placement
-                .world_from_mesh
-                .transform_point3(Vec3::from_array(p).as_dvec3());
+            let in_world = placed.transforms.at(i).transform_point3(Vec3::from_array(p).as_dvec3());
             if !in_world.is_finite() {
                 let problem = format!("POSITION of vertex {i} is {p:?}, in the world {in_world}; it must be finite");
-                return Err(self.doc.fault.malformed(place, problem));
+                return Err(self.doc.fault.malformed(&placed.place, problem));
             }
             self.geometry.positions.push(in_world);
         }
         Ok(())
     }
 
-    fn read_normals(
-        &mut self,
-        primitive: &MeshPrimitive,
-        placement: &MeshPlacement,
-        first: usize,
-        place: &str,
-    ) -> Result<bool, Error> {
-        let Some(accessor) = primitive.attribute("NORMAL") else {
+    fn read_normals(&mut self, placed: &PlacedVertices<'_>, first: usize) -> Result<bool, Error> {
+        let Some(accessor) = placed.primitive.attribute("NORMAL") else {
             return Ok(false);
         };
         let values = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Normal)?;
-        let world_from_normal = normal_matrix(&placement.world_from_mesh.matrix3);
         self.geometry.normals.resize(first, Vec3::ZERO);
         let mut odd = 0;
-        for &n in values.as_chunks::<3>().0 {
+        for (i, &n) in values.as_chunks::<3>().0.iter().enumerate() {
+            let world_from_normal = normal_matrix(&placed.transforms.at(i).matrix3);
             let unit = (world_from_normal * Vec3::from_array(n).as_dvec3()).try_normalize();
             odd += usize::from(unit.is_none());
             self.geometry.normals.push(unit.map_or(Vec3::ZERO, |n| n.as_vec3()));
         }
-        self.warn_odd("normal", odd, place);
+        self.warn_odd("normal", odd, &placed.place);
         Ok(true)
     }
 
-    fn read_tangents(
-        &mut self,
-        primitive: &MeshPrimitive,
-        placement: &MeshPlacement,
-        first: usize,
-        place: &str,
-    ) -> Result<bool, Error> {
-        let Some(accessor) = primitive.attribute("TANGENT") else {
+    fn read_tangents(&mut self, placed: &PlacedVertices<'_>, first: usize) -> Result<bool, Error> {
+        let Some(accessor) = placed.primitive.attribute("TANGENT") else {
             return Ok(false);
         };
         let values = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Tangent)?;
-        let matrix = placement.world_from_mesh.matrix3;
         // Mirroring turns the side on which the bitangent lies.
-        let side = if matrix.determinant() < 0.0 { -1.0 } else { 1.0 };
+        let side = if placed.transforms.is_mirrored() { -1.0 } else { 1.0 };
         self.geometry.tangents.resize(first, Vec4::ZERO);
         let mut odd = 0;
-        for &[x, y, z, w] in values.as_chunks::<4>().0 {
-            let unit = (matrix * DVec3::new(x.into(), y.into(), z.into()))
+        for (i, &[x, y, z, w]) in values.as_chunks::<4>().0.iter().enumerate() {
+            let unit = (placed.transforms.at(i).matrix3 * DVec3::new(x.into(), y.into(), z.into()))
                 .try_normalize()
                 .filter(|_| w.is_finite());
             odd += usize::from(unit.is_none());
@@ -326,7 +422,7 @@ impl GltfReader<'_, '_> {
                 .tangents
                 .push(unit.map_or(Vec4::ZERO, |t| t.as_vec3().extend(w * side)));
         }
-        self.warn_odd("tangent", odd, place);
+        self.warn_odd("tangent", odd, &placed.place);
         Ok(true)
     }
 
@@ -336,15 +432,6 @@ impl GltfReader<'_, '_> {
             self.warn(&format!("bad-{what}"), message, place);
         }
     }
-}
-
-/// The inverse of a transform; `None` when it flattens space, up to rounding.
-pub(super) fn invert(transform: &DAffine3) -> Option<DAffine3> {
-    let m = &transform.matrix3;
-    let size = m.x_axis.length() * m.y_axis.length() * m.z_axis.length();
-    (m.determinant().abs() > 1e-12 * size)
-        .then(|| transform.inverse())
-        .filter(DAffine3::is_finite)
 }
 
 /// Takes normals along with the points: the inverse transpose up to a positive factor, also for singular matrices.

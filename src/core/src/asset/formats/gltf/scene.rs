@@ -10,8 +10,20 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 pub(super) struct MeshPlacement {
     pub(super) node: usize,
     pub(super) mesh: usize,
-    /// Where the node puts its mesh; the identity for a skinned mesh, which is taken in its bind pose.
+    /// Where the node puts its mesh; the identity for a skinned mesh, which its joints place.
     pub(super) world_from_mesh: DAffine3,
+    /// The skin whose joints place it.
+    pub(super) skin: Option<usize>,
+}
+
+/// The node tree of a document, and what it places.
+pub(super) struct PlacedScene {
+    /// The meshes, in the order in which the scene draws them.
+    pub(super) placements: Vec<MeshPlacement>,
+    /// For each node of the document the transform from its space to the world's.
+    pub(super) world_from_node: Vec<DAffine3>,
+    /// Whether the scene reaches each node.
+    pub(super) is_reached: Vec<bool>,
 }
 
 /// (code, message, where)
@@ -19,7 +31,7 @@ pub(super) type Warnings = Vec<(String, String, String)>;
 
 /// The meshes of the default scene, or of all scenes when none is named, or of all nodes when there is no scene.
 /// No recursion: a chain of nodes may be as long as the file likes.
-pub(super) fn find_placements(doc: &GltfDocument<'_>, warnings: &mut Warnings) -> Result<Vec<MeshPlacement>, Error> {
+pub(super) fn place_meshes(doc: &GltfDocument<'_>, warnings: &mut Warnings) -> Result<PlacedScene, Error> {
     let nodes = &doc.nodes.values;
     let parents = find_parents(doc)?;
     let world_from_node = world_transforms(doc, &parents)?;
@@ -67,9 +79,14 @@ pub(super) fn find_placements(doc: &GltfDocument<'_>, warnings: &mut Warnings) -
             node: index,
             mesh: mesh.index(),
             world_from_mesh,
+            skin: node.skin.map(|s| s.index()),
         });
     }
-    Ok(placements)
+    Ok(PlacedScene {
+        placements,
+        world_from_node,
+        is_reached: visited,
+    })
 }
 
 fn find_parents(doc: &GltfDocument<'_>) -> Result<Vec<Option<usize>>, Error> {

@@ -249,6 +249,14 @@ struct NodeExtensions {
     gpu_instancing: Option<IgnoredAny>,
 }
 
+/// A skin; read one by one, so that a damaged one spoils no model that can do without.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct GltfSkin {
+    pub(super) joints: Vec<WholeNumber>,
+    pub(super) inverse_bind_matrices: Option<WholeNumber>,
+}
+
 #[derive(Debug, Deserialize)]
 pub(super) struct GltfScene {
     #[serde(default)]

@@ -18,7 +18,7 @@ pub(super) use read::FORMAT;
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::{NeutralModel, RunAttributes, SeamPart};
-use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use crate::asset::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
 use glam::DVec3;
 
 /// Reads and writes OBJ.
@@ -33,7 +33,13 @@ impl FormatCodec for ObjCodec {
         read::read(&files.main, limits).map(share_notes)
     }
 
-    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+    fn patch_positions(
+        &self,
+        model: &Model,
+        positions: &[DVec3],
+        format: Format,
+        _: Following,
+    ) -> Result<WrittenFiles, Error> {
         patch_text_file(model, positions, format, write::patch)
     }
 

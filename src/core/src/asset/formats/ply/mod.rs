@@ -17,7 +17,7 @@ pub(super) use read::FORMAT;
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+use crate::asset::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
 use glam::DVec3;
 
 /// Reads and writes PLY.
@@ -32,7 +32,13 @@ impl FormatCodec for PlyCodec {
         read::read(&files.main, limits).map(share_notes)
     }
 
-    fn patch_positions(&self, model: &Model, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+    fn patch_positions(
+        &self,
+        model: &Model,
+        positions: &[DVec3],
+        format: Format,
+        _: Following,
+    ) -> Result<WrittenFiles, Error> {
         let notes = model.notes_or_refuse(format)?;
         write::patch(&model.files.main, notes, &model.geometry, positions).map(WrittenFiles::single)
     }

@@ -64,9 +64,23 @@ impl<'a> AttributeBlender<'a> {
         Self { edited, run, first }
     }
 
+    /// How many vertices the run has.
+    pub(super) fn len(&self) -> usize {
+        self.run.vertex_count as usize
+    }
+
     /// The blends over the primitive's own vertices, which count from 0.
     fn blends(&self) -> impl Iterator<Item = VertexBlend<'a>> + '_ {
         self.run.vertices().map(|vertex| self.edited.blend(vertex))
+    }
+
+    /// The vertices of the primitive, counted from 0, that a vertex of the run is made of, with their weights.
+    pub(super) fn old_vertices(&self, vertex: usize) -> Vec<(usize, f64)> {
+        let blend = self.edited.blend(self.run.first_vertex as usize + vertex);
+        blend
+            .iter()
+            .map(|(old, weight)| (old as usize - self.first, weight))
+            .collect()
     }
 
     fn vertex_values<'c>(&self, channel: &'c AttributeValues, vertex: u32) -> &'c [f32] {

@@ -3,8 +3,9 @@
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
 use super::super::text::{JsonEdits, items, value_of};
+use super::handles::AccessorHandle;
 use super::places::{self, DRACO};
-use super::primitives::{AccessorHandle, MadePrimitive, PrimitiveMaker};
+use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use crate::asset::Error;
 use crate::asset::edited::PrimitiveRun;
 use std::collections::BTreeMap;
@@ -116,7 +117,7 @@ fn version_of_mesh<'a>(
         as_stored &= runs.len() == 1;
         for &run in runs {
             let row = &notes.rows[row];
-            match maker.make_primitive(run, row, &row.world_from_mesh)? {
+            match maker.make_primitive(run, row, MeshSpace::OfRow)? {
                 None => primitives.push(old.to_owned()),
                 Some(made) => {
                     as_stored = false;

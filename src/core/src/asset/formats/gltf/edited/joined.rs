@@ -11,13 +11,16 @@ use super::super::document::GltfDocument;
 use super::super::fault::GltfFault;
 use super::super::read::{GltfNotes, reopen};
 use super::super::scene;
+use super::super::targets::TargetBudget;
 use super::super::text::{items, quoted, value_of};
 use super::frame::EditedMeshes;
 use super::fresh::{NewAccessorKind, NewAccessors};
+use super::handles::AccessorHandle;
 use super::joined_bases::JoinedBases;
 use super::material::MaterialCopier;
 use super::places;
-use super::primitives::{AccessorHandle, MadePrimitive, PrimitiveMaker};
+use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
+use super::targets::EditedTurns;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::NeutralModel;
@@ -31,7 +34,7 @@ pub(super) fn join_bases(
     files: &FileSet,
     frame: &EditedMeshes,
     output: &EditedOutput<'_>,
-    fresh: &mut NewAccessors,
+    (fresh, turns, budget): (&mut NewAccessors, &EditedTurns<'_>, &mut TargetBudget),
 ) -> Result<JoinedBases, Error> {
     let mut joined = JoinedBases::default();
     let EditedOutput { edited, positions, .. } = *output;
@@ -45,6 +48,8 @@ pub(super) fn join_bases(
             edited,
             positions,
             fresh: &mut *fresh,
+            turns,
+            budget: &mut *budget,
             joined: &mut joined,
             fault: GltfFault(output.format),
         };
@@ -63,6 +68,8 @@ struct BaseJoiner<'j, 'a> {
     edited: &'a EditedModel<'a>,
     positions: &'a [DVec3],
     fresh: &'j mut NewAccessors,
+    turns: &'j EditedTurns<'j>,
+    budget: &'j mut TargetBudget,
     joined: &'j mut JoinedBases,
     fault: GltfFault,
 }
@@ -96,7 +103,7 @@ impl<'a> BaseJoiner<'_, 'a> {
         let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
         let mut palette = MaterialCopier::new(&doc, &model.files, first, base);
         let mut children = Vec::new();
-        for placement in scene::find_placements(&doc, &mut Vec::new())? {
+        for placement in scene::place_meshes(&doc, &mut Vec::new())?.placements {
             let mesh = doc.meshes.items[placement.mesh];
             // What a node cannot hold is left to the vertices.
             let root_from_mesh = match placed {
@@ -120,9 +127,12 @@ impl<'a> BaseJoiner<'_, 'a> {
                         fresh: self.fresh,
                         fault: self.fault,
                         is_frame: false,
+                        turns: self.turns,
+                        budget: &mut *self.budget,
                     };
                     let row = &notes.rows[run.primitive as usize];
-                    let made = maker.make_primitive(run, row, &(world_from_root * root_from_mesh))?;
+                    let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
+                    let made = maker.make_primitive(run, row, space)?;
                     let material = match value_of(stored, "material").and_then(places::index) {
                         Some(m) => palette.copy_material(m, self.frame, &buffers, self.fresh, self.joined)?,
                         None => None,

@@ -8,12 +8,15 @@ mod channels;
 mod extras;
 mod frame;
 mod fresh;
+mod handles;
 mod joined;
 mod joined_bases;
 mod kept;
 mod material;
 mod places;
 mod primitives;
+mod skins;
+mod targets;
 
 pub(super) use extras::run_attributes;
 
@@ -24,6 +27,7 @@ use super::fault::GltfFault;
 use super::package::package;
 use super::patch::PatchedDocument;
 use super::read::{GltfNotes, reopen};
+use super::targets::TargetBudget;
 use super::text::{JsonEdits, members, quoted};
 use super::uri;
 use crate::asset::codec::EditedOutput;
@@ -35,6 +39,7 @@ use joined_bases::JoinedBases;
 use kept::KeptData;
 use primitives::PrimitiveMaker;
 use std::collections::BTreeMap;
+use targets::EditedTurns;
 
 /// New texts of top-level members; `None` for those that go.
 type JsonSections = BTreeMap<&'static str, Option<String>>;
@@ -50,6 +55,8 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let (doc, mut buffers) = reopen(model, notes)?;
     let mut fresh = NewAccessors::default();
     let own: Vec<&PrimitiveRun> = edited.runs.iter().filter(|run| run.base == 0).collect();
+    let turns = EditedTurns::new(edited, positions, output.following.morph_targets);
+    let mut budget = TargetBudget::default();
     let mut maker = PrimitiveMaker {
         doc: &doc,
         buffers: &mut buffers,
@@ -58,9 +65,11 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         fresh: &mut fresh,
         fault,
         is_frame: true,
+        turns: &turns,
+        budget: &mut budget,
     };
     let frame = frame::remake_meshes(&mut maker, notes, &own)?;
-    let joined = joined::join_bases(&doc, &model.files, &frame, output, &mut fresh)?;
+    let joined = joined::join_bases(&doc, &model.files, &frame, output, (&mut fresh, &turns, &mut budget))?;
     let mut writer = EditedGltfWriter {
         doc: &doc,
         files: &model.files,

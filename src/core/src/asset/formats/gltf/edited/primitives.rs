@@ -4,24 +4,20 @@ use super::super::accessors::{AccessorLayout, ShapeAttribute, read_floats};
 use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
 use super::super::fault::GltfFault;
-use super::super::read::{PlacedPrimitive, invert};
+use super::super::placement::{Placement, VertexTransforms};
+use super::super::read::PlacedPrimitive;
 use super::super::schema::{Attributes, MeshPrimitive};
+use super::super::targets::TargetBudget;
 use super::channels::{AttributeBlender, AttributeValues, read, shape_of};
 use super::fresh::{NewAccessorKind, NewAccessors};
+use super::handles::AccessorHandle;
+use super::skins::BlendedSkin;
+use super::targets::{EditedTurns, TargetBlender};
 use crate::asset::Error;
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::asset::model::position_bits;
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Which accessor an attribute has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum AccessorHandle {
-    /// One of the file that the primitive came from.
-    Old(usize),
-    /// A new one.
-    New(usize),
-}
 
 /// A primitive's accessors by attribute, of itself and of each morph target, and its indices.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,6 +26,15 @@ pub(super) struct MadePrimitive {
     pub(super) targets: Vec<BTreeMap<String, AccessorHandle>>,
     /// `None` where the stored ones stay, with the stored mode.
     pub(super) indices: Option<AccessorHandle>,
+}
+
+/// Where the mesh of a made primitive is drawn.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum MeshSpace {
+    /// Where the file draws it.
+    OfRow,
+    /// By a node with this transform to the world.
+    OfNode(DAffine3),
 }
 
 /// Makes the primitives of one base.
@@ -42,15 +47,18 @@ pub(super) struct PrimitiveMaker<'a, 'f> {
     pub(super) fault: GltfFault,
     /// Whether accessors of the file may be named, because the file is the frame of the result.
     pub(super) is_frame: bool,
+    /// How the surface turned around the vertices of the edited model, for morph targets.
+    pub(super) turns: &'a EditedTurns<'a>,
+    pub(super) budget: &'a mut TargetBudget,
 }
 
 impl<'a> PrimitiveMaker<'a, '_> {
-    /// The accessors of a run whose mesh is drawn at `world_from_mesh`; `None` when the primitive stays as it is stored.
+    /// The accessors of a run whose mesh is drawn in `space`; `None` when the primitive stays as it is stored.
     pub(super) fn make_primitive(
         &mut self,
         run: &'a PrimitiveRun,
         row: &PlacedPrimitive,
-        world_from_mesh: &DAffine3,
+        space: MeshSpace,
     ) -> Result<Option<MadePrimitive>, Error> {
         let doc = self.doc;
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
@@ -73,9 +81,35 @@ impl<'a> PrimitiveMaker<'a, '_> {
         self.buffers.decode_for(doc, &used)?;
 
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
-        let positions = self.mesh_positions(run, row, primitive, world_from_mesh)?;
-        let mut attributes = self.write_shape(&positions, primitive, world_from_mesh, &carried);
+        let mixer = AttributeBlender::new(self.edited, run);
+        // A merged model leaves its skeleton behind.
+        let skin = if self.is_frame && !untouched {
+            BlendedSkin::read(doc, self.buffers, primitive, &mixer, &row.placement)?
+        } else {
+            None
+        };
+        let world_from_mesh = match (space, &row.placement, &skin) {
+            (MeshSpace::OfNode(one), _, _) => VertexTransforms::Whole(one),
+            (MeshSpace::OfRow, Placement::Blended(pose), Some(skin)) => {
+                skin.transforms(&pose.world_from_bind, self.fault)?
+            }
+            (MeshSpace::OfRow, placement, _) => placement.transforms(doc, self.buffers, primitive)?,
+        };
+        let stays_stored = match space {
+            MeshSpace::OfRow => true,
+            MeshSpace::OfNode(one) => row.placement == Placement::Whole(one),
+        };
+        let positions = self.mesh_positions(run, row, &world_from_mesh, stays_stored)?;
+        let mut attributes = self.write_shape(&positions, primitive, &world_from_mesh, &carried);
         let mut targets = Vec::new();
+        if !primitive.targets.is_empty() {
+            let old = (&row.placement, row.placement.transforms(doc, self.buffers, primitive)?);
+            let blender = TargetBlender::new(self.turns, run, &mixer, old, &world_from_mesh);
+            for target in &primitive.targets {
+                let from = (doc, &*self.buffers);
+                targets.push(blender.blend_target(target, from, self.fresh, untouched, self.budget)?);
+            }
+        }
         let indices = if untouched {
             let old = |all: &Attributes| {
                 all.iter()
@@ -86,16 +120,14 @@ impl<'a> PrimitiveMaker<'a, '_> {
             for (name, at) in stays {
                 attributes.entry(name).or_insert(at);
             }
-            targets.extend(primitive.targets.iter().map(old));
             None
         } else {
-            let mixer = AttributeBlender::new(self.edited, run);
-            self.blend_other_attributes(primitive, &mixer, &mut attributes)?;
-            for target in &primitive.targets {
-                targets.push(self.blend_target(target, &mixer)?);
+            if let Some(skin) = &skin {
+                skin.write(self.fresh, &mut attributes);
             }
+            self.blend_other_attributes(primitive, &mixer, &mut attributes)?;
             let mut triangles = carried.triangles;
-            if world_from_mesh.matrix3.determinant() < 0.0 {
+            if world_from_mesh.is_mirrored() {
                 // Read as it is drawn, written as it is stored: turned round.
                 triangles.iter_mut().for_each(|t| t.swap(1, 2));
             }
@@ -115,13 +147,12 @@ impl<'a> PrimitiveMaker<'a, '_> {
         &mut self,
         positions: &[f32],
         primitive: &MeshPrimitive,
-        world_from_mesh: &DAffine3,
+        world_from_mesh: &VertexTransforms,
         carried: &CarriedAttributes<'_>,
     ) -> BTreeMap<String, AccessorHandle> {
         let mut attributes = BTreeMap::new();
         let at = self.fresh.add_floats(positions, 3, "VEC3", NewAccessorKind::Positions);
         attributes.insert(ShapeAttribute::Position.name().into(), AccessorHandle::New(at));
-        let matrix = &world_from_mesh.matrix3;
         let (has_normal, has_tangent) = (
             primitive.attribute(ShapeAttribute::Normal.name()).is_some(),
             primitive.attribute(ShapeAttribute::Tangent.name()).is_some(),
@@ -130,48 +161,58 @@ impl<'a> PrimitiveMaker<'a, '_> {
             return attributes;
         }
         let normals = carried.normals();
-        let mesh_from_normal = matrix.transpose();
         if has_normal {
-            let to_mesh = |n: &Vec3| (mesh_from_normal * n.as_dvec3()).try_normalize().unwrap_or(DVec3::Z);
-            let values: Vec<f32> = normals.iter().flat_map(|n| to_mesh(n).as_vec3().to_array()).collect();
+            let to_mesh = |(i, n): (usize, &Vec3)| {
+                let mesh_from_normal = world_from_mesh.at(i).matrix3.transpose();
+                let along = (mesh_from_normal * n.as_dvec3()).try_normalize().unwrap_or(DVec3::Z);
+                along.as_vec3().to_array()
+            };
+            let values: Vec<f32> = normals.iter().enumerate().flat_map(to_mesh).collect();
             let at = self.fresh.add_floats(&values, 3, "VEC3", NewAccessorKind::Floats);
             attributes.insert(ShapeAttribute::Normal.name().into(), AccessorHandle::New(at));
         }
         if has_tangent {
-            let mesh_from_world = invert(world_from_mesh).map_or(glam::DMat3::IDENTITY, |m| m.matrix3);
-            let side = if matrix.determinant() < 0.0 { -1.0 } else { 1.0 };
-            let to_mesh = |t: &Vec4| {
-                let along = (mesh_from_world * t.truncate().as_dvec3())
-                    .try_normalize()
-                    .unwrap_or(DVec3::X);
+            let mesh_from_world = world_from_mesh.inverse();
+            let mesh_from_world = mesh_from_world.unwrap_or(VertexTransforms::Whole(DAffine3::IDENTITY));
+            let side = if world_from_mesh.is_mirrored() { -1.0 } else { 1.0 };
+            let to_mesh = |(i, t): (usize, &Vec4)| {
+                let along = mesh_from_world.at(i).transform_vector3(t.truncate().as_dvec3());
+                let along = along.try_normalize().unwrap_or(DVec3::X);
                 along.as_vec3().extend(t.w * side).to_array()
             };
-            let values: Vec<f32> = carried.tangents(&normals).iter().flat_map(to_mesh).collect();
+            let values: Vec<f32> = carried
+                .tangents(&normals)
+                .iter()
+                .enumerate()
+                .flat_map(to_mesh)
+                .collect();
             let at = self.fresh.add_floats(&values, 4, "VEC4", NewAccessorKind::Floats);
             attributes.insert(ShapeAttribute::Tangent.name().into(), AccessorHandle::New(at));
         }
         attributes
     }
 
-    /// Positions of a run in the space of its mesh, those that did not move as they are stored.
+    /// Positions of a run in the space of its mesh; where that space is the stored one, those that did not move are as
+    /// they are stored.
     fn mesh_positions(
         &self,
         run: &PrimitiveRun,
         row: &PlacedPrimitive,
-        primitive: &MeshPrimitive,
-        world_from_mesh: &DAffine3,
+        world_from_mesh: &VertexTransforms,
+        stays_stored: bool,
     ) -> Result<Vec<f32>, Error> {
+        let primitive = &self.doc.meshes.values[row.mesh].primitives[row.primitive];
         let stored = match primitive.attribute(ShapeAttribute::Position.name()) {
             Some(accessor) => read_floats(self.doc, self.buffers, accessor, ShapeAttribute::Position)?,
             None => Vec::new(),
         };
         let rest = &self.edited.base(run).model.geometry.positions;
-        let mesh_from_world = invert(world_from_mesh);
+        let mesh_from_world = world_from_mesh.inverse();
         let mut values = Vec::with_capacity(run.vertex_count as usize * 3);
-        for vertex in run.vertices() {
+        for (i, vertex) in run.vertices().enumerate() {
             let now = self.positions[vertex];
             if let VertexBlend::Vertex(old) = self.edited.blend(vertex)
-                && *world_from_mesh == row.world_from_mesh
+                && stays_stored
                 && position_bits(rest[old as usize]) == position_bits(now)
                 && let Some(as_stored) = stored.as_chunks::<3>().0.get(old as usize - row.vertices.start)
             {
@@ -184,7 +225,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                     row.node
                 )));
             };
-            let in_mesh = mesh_from_world.transform_point3(now).as_vec3();
+            let in_mesh = mesh_from_world.at(i).transform_point3(now).as_vec3();
             if !in_mesh.is_finite() {
                 let problem = format!("the position {now} of vertex {vertex} is beyond 32-bit floats");
                 return Err(self.fault.unwritable(problem));
@@ -194,30 +235,13 @@ impl<'a> PrimitiveMaker<'a, '_> {
         Ok(values)
     }
 
-    /// Everything but positions, normals and tangents.
+    /// Everything but positions, normals, tangents and the skin.
     fn blend_other_attributes(
         &mut self,
         primitive: &MeshPrimitive,
         mixer: &AttributeBlender<'_>,
         attributes: &mut BTreeMap<String, AccessorHandle>,
     ) -> Result<(), Error> {
-        let set = |kind: &str, n: usize| primitive.attribute(&format!("{kind}_{n}"));
-        let sets: Vec<(usize, usize)> = (0..).map_while(|n| set("JOINTS", n).zip(set("WEIGHTS", n))).collect();
-        // A merged model leaves its skeleton behind.
-        if self.is_frame && !sets.is_empty() {
-            let all = |of: fn(&(usize, usize)) -> usize| -> Result<Vec<AttributeValues>, Error> {
-                sets.iter().map(|pair| self.read_lanes(of(pair), 4)).collect()
-            };
-            let (joints, weights) = mixer.blend_skin(&all(|p| p.0)?, &all(|p| p.1)?);
-            for (n, (joints, weights)) in joints.iter().zip(&weights).enumerate() {
-                let (joints, weights) = (
-                    self.fresh.add_joints(joints),
-                    self.fresh.add_floats(weights, 4, "VEC4", NewAccessorKind::Floats),
-                );
-                attributes.insert(format!("JOINTS_{n}"), AccessorHandle::New(joints));
-                attributes.insert(format!("WEIGHTS_{n}"), AccessorHandle::New(weights));
-            }
-        }
         for (name, accessor) in &primitive.attributes {
             let skin = name.starts_with("JOINTS_") || name.starts_with("WEIGHTS_");
             if attributes.contains_key(name) || (skin && !self.is_frame) {
@@ -244,37 +268,6 @@ impl<'a> PrimitiveMaker<'a, '_> {
             attributes.insert(name.clone(), AccessorHandle::New(at));
         }
         Ok(())
-    }
-
-    fn read_lanes(&self, accessor: usize, lanes: usize) -> Result<AttributeValues, Error> {
-        let channel = read(self.doc, self.buffers, accessor)?;
-        if channel.lanes != lanes {
-            let problem = format!("{} numbers per element, {lanes} are needed", channel.lanes);
-            return Err(self.doc.fault.malformed(format!("accessors/{accessor}/type"), problem));
-        }
-        Ok(channel)
-    }
-
-    fn blend_target(
-        &mut self,
-        target: &Attributes,
-        mixer: &AttributeBlender<'_>,
-    ) -> Result<BTreeMap<String, AccessorHandle>, Error> {
-        let mut made = BTreeMap::new();
-        for (name, accessor) in target {
-            let stored = &self.doc.accessors.values[accessor.index()].shape;
-            let channel = read(self.doc, self.buffers, accessor.index())?;
-            let kind = if name == ShapeAttribute::Position.name() && channel.lanes == 3 {
-                NewAccessorKind::Positions
-            } else {
-                NewAccessorKind::Floats
-            };
-            let at = self
-                .fresh
-                .add_floats(&mixer.blend_linearly(&channel), channel.lanes, shape_of(stored), kind);
-            made.insert(name.clone(), AccessorHandle::New(at));
-        }
-        Ok(made)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::super::accessors::AccessorLayout;
 use super::super::document::GltfDocument;
+use super::super::schema::WholeNumber;
 use super::indices::parse_index;
 use std::collections::BTreeSet;
 
@@ -138,6 +139,29 @@ impl ByteSpans {
                 let is_self = span.elements.is_some_and(|e| e.accessor == accessor);
                 is_self || !own.overlaps(span)
             })
+    }
+}
+
+impl ByteSpans {
+    /// Whether nothing but this accessor's sparse values uses their bytes.
+    pub(super) fn is_sparse_alone(&self, doc: &GltfDocument<'_>, accessor: usize) -> bool {
+        let Some(sparse) = &doc.accessors.values[accessor].sparse else {
+            return false;
+        };
+        let values = sparse.values.buffer_view;
+        let names = |named: Option<WholeNumber>| usize::from(named == Some(values));
+        let uses = doc.accessors.values.iter().map(|a| {
+            let of_sparse = a.sparse.as_ref();
+            names(a.buffer_view)
+                + names(of_sparse.map(|s| s.indices.buffer_view))
+                + names(of_sparse.map(|s| s.values.buffer_view))
+        });
+        let Some(view) = doc.views.get(values.index()).filter(|_| uses.sum::<usize>() == 1) else {
+            return false;
+        };
+        let (start, end) = (view.offset(), view.offset() + view.byte_length.0);
+        let others = self.buffers[view.buffer.index()].iter();
+        others.filter(|(span, _)| span.start < end && start < span.end).count() == 1
     }
 }
 

@@ -4,11 +4,13 @@
 //! copies. An accessor is overwritten only when everyone who uses it, and everyone whose bytes it touches, wants the
 //! same; else the changed users get an accessor of their own.
 
-use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute};
+use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, sparse_indices};
 use super::buffers::BufferBytes;
-use super::deformed::{ChangedAttribute, DeformedAttributes};
+use super::changes::{ChangedAttribute, DeformedAttributes};
 use super::document::GltfDocument;
 use super::read::GltfNotes;
+use super::schema::WholeNumber;
+use super::slots::AttributeSlot;
 use super::text;
 use crate::asset::Geometry;
 use indices::{member_index, parse_index};
@@ -25,16 +27,21 @@ pub(super) use variants::MeshCopy;
 /// An accessor whose bytes are overwritten where they are.
 pub(super) struct AccessorOverwrite {
     pub(super) accessor: usize,
-    pub(super) role: ShapeAttribute,
+    pub(super) slot: AttributeSlot,
     pub(super) channel: ChangedAttribute,
+    /// The elements that its sparse values replace, when it is these that hold what changed.
+    pub(super) sparse: Option<Vec<usize>>,
 }
 
 /// A new accessor and the attributes that are pointed at it.
 pub(super) struct AppendedAccessor {
-    pub(super) role: ShapeAttribute,
     pub(super) values: Vec<f32>,
-    pub(super) users: Vec<(MeshRef, usize)>,
+    /// The attributes, which all mean the same: meshes, primitives and slots.
+    pub(super) users: Vec<AttributeUser>,
 }
+
+/// One attribute of one primitive of a mesh.
+pub(super) type AttributeUser = (MeshRef, usize, AttributeSlot);
 
 /// Everything that is to be changed.
 #[derive(Default)]
@@ -56,18 +63,18 @@ impl SharingPlan {
 struct AttributeChange {
     mesh: MeshRef,
     primitive: usize,
-    role: ShapeAttribute,
+    slot: AttributeSlot,
     channel: ChangedAttribute,
     row: usize,
 }
 
 /// Changes that agree wherever they are looked at.
 struct ChangeGroup {
-    role: ShapeAttribute,
     channel: ChangedAttribute,
     /// Vertices on whose value a member insists; empty when nobody else uses the accessor.
     claimed: Vec<bool>,
-    users: Vec<(MeshRef, usize)>,
+    /// At least one.
+    users: Vec<AttributeUser>,
 }
 
 /// Decides what is overwritten and what parts.
@@ -90,17 +97,17 @@ pub(super) fn plan_overwrites(
     for (mesh, row) in variants.changed_rows {
         let at = &notes.rows[row];
         let primitive = &doc.meshes.values[at.mesh].primitives[at.primitive];
-        for (role, channel) in ShapeAttribute::ALL.into_iter().zip(&mut wanted[row].0) {
-            let (Some(accessor), Some(channel)) = (primitive.attribute(role.name()), channel.take()) else {
+        for (slot, channel) in std::mem::take(&mut wanted[row].0) {
+            let Some(accessor) = slot.accessor(primitive) else {
                 continue;
             };
-            if primitive.has_draco() {
+            if primitive.has_draco() && slot.target.is_none() {
                 plan.stale_draco.insert((mesh, at.primitive));
             }
             let change = AttributeChange {
                 mesh,
                 primitive: at.primitive,
-                role,
+                slot,
                 channel,
                 row,
             };
@@ -111,25 +118,32 @@ pub(super) fn plan_overwrites(
     let mut neighbours = None;
     for (accessor, changes) in by_accessor {
         let still = uses.still.get(&accessor).map_or(&[][..], Vec::as_slice);
-        let one_role = changes.iter().all(|c| c.role == changes[0].role);
+        let slot = changes[0].slot;
+        let is_agreed = changes.iter().all(|c| c.slot.is_alike(slot)) && !uses.strangers.contains(&accessor);
         let mut groups = group_changes(changes, !still.is_empty(), &referenced);
-        let in_place = one_role
-            && !uses.strangers.contains(&accessor)
-            && still.iter().all(|&row| agrees_at_rest(&groups[0], &referenced(row)))
-            && is_writable(doc, buffers, accessor, groups[0].role)
-            && neighbours
-                .get_or_insert_with(|| bytes::ByteSpans::collect(doc))
-                .is_alone(accessor);
-        if in_place {
+        let is_agreed = is_agreed && still.iter().all(|&row| agrees_at_rest(&groups[0], &referenced(row)));
+        let in_place = if !is_agreed {
+            None
+        } else {
+            let spans = neighbours.get_or_insert_with(|| bytes::ByteSpans::collect(doc));
+            if is_writable(doc, buffers, accessor, slot) && spans.is_alone(accessor) {
+                Some(None)
+            } else {
+                writable_sparse_elements(doc, buffers, accessor, &groups[0])
+                    .filter(|_| spans.is_sparse_alone(doc, accessor))
+                    .map(Some)
+            }
+        };
+        if let Some(sparse) = in_place {
             let first = groups.remove(0);
             plan.overwrites.push(AccessorOverwrite {
                 accessor,
-                role: first.role,
+                slot,
                 channel: first.channel,
+                sparse,
             });
         }
         let appends = groups.into_iter().map(|g| AppendedAccessor {
-            role: g.role,
             values: g.channel.values,
             users: g.users,
         });
@@ -151,7 +165,7 @@ fn group_changes(
     let mut groups: Vec<ChangeGroup> = Vec::new();
     let mut equal: BTreeMap<u64, usize> = BTreeMap::new();
     for change in changes {
-        let user = (change.mesh, change.primitive);
+        let user = (change.mesh, change.primitive, change.slot);
         let claimed = if alone {
             Vec::new()
         } else {
@@ -165,7 +179,7 @@ fn group_changes(
             .chain(0..groups.len().min(MOST_COMPARED));
         let found = candidates
             .into_iter()
-            .find(|&i| groups[i].role == change.role && groups[i].agrees_with(&change.channel, &claimed));
+            .find(|&i| groups[i].slot().is_alike(change.slot) && groups[i].agrees_with(&change.channel, &claimed));
         match found {
             Some(i) => {
                 groups[i].take_in(&change.channel, &claimed);
@@ -174,7 +188,6 @@ fn group_changes(
             None => {
                 equal.insert(fingerprint, groups.len());
                 groups.push(ChangeGroup {
-                    role: change.role,
                     channel: change.channel,
                     claimed,
                     users: vec![user],
@@ -194,8 +207,13 @@ fn claimed_vertices(channel: &ChangedAttribute, mut referenced: Vec<bool>) -> Ve
 }
 
 impl ChangeGroup {
+    /// What all its users take it for.
+    fn slot(&self) -> AttributeSlot {
+        self.users[0].2
+    }
+
     fn vertex_values<'c>(&self, channel: &'c ChangedAttribute, i: usize) -> &'c [f32] {
-        let lanes = self.role.lanes();
+        let lanes = self.slot().lanes();
         &channel.values[i * lanes..][..lanes]
     }
 
@@ -208,7 +226,7 @@ impl ChangeGroup {
     }
 
     fn take_in(&mut self, other: &ChangedAttribute, claimed: &[bool]) {
-        let lanes = self.role.lanes();
+        let lanes = self.slot().lanes();
         for i in (0..claimed.len()).filter(|&i| claimed[i]) {
             let values = self.vertex_values(other, i);
             self.channel.values[i * lanes..][..lanes].copy_from_slice(values);
@@ -243,8 +261,7 @@ fn referenced_vertices(notes: &GltfNotes, rest: &Geometry, row: usize) -> Vec<bo
 struct AccessorUses {
     /// Rows that want their stored values, by accessor.
     still: BTreeMap<usize, Vec<usize>>,
-    /// Accessors that something else uses: other attributes, morph targets, indices, primitives that are no rows,
-    /// animations, skins, instances.
+    /// Accessors that something else uses: other attributes, indices, primitives that are no rows, animations, skins, instances.
     strangers: BTreeSet<usize>,
 }
 
@@ -254,15 +271,18 @@ impl AccessorUses {
         for (m, mesh) in doc.meshes.values.iter().enumerate() {
             for (p, primitive) in mesh.primitives.iter().enumerate() {
                 uses.strangers.extend(primitive.indices.map(|i| i.index()));
-                uses.strangers
-                    .extend(primitive.targets.iter().flat_map(|t| t.values()).map(|a| a.index()));
                 let rows = variants.rows_of.get(&(m, p));
-                for (name, accessor) in &primitive.attributes {
-                    match (ShapeAttribute::ALL.iter().position(|r| r.name() == name), rows) {
-                        (Some(role), Some(rows)) => {
+                let own = primitive.attributes.iter().map(|(name, a)| (None, name, a));
+                let of_targets = primitive.targets.iter().enumerate();
+                let of_targets = of_targets.flat_map(|(t, all)| all.iter().map(move |(name, a)| (Some(t), name, a)));
+                for (target, name, accessor) in own.chain(of_targets) {
+                    let role = ShapeAttribute::ALL.into_iter().find(|r| r.name() == name);
+                    let slot = role.map(|role| AttributeSlot { target, role });
+                    match (slot, rows) {
+                        (Some(slot), Some(rows)) => {
                             let still = rows
                                 .iter()
-                                .filter(|&&row| variants.is_also_unchanged(row) || wanted[row].0[role].is_none());
+                                .filter(|&&row| variants.is_also_unchanged(row) || wanted[row].of(slot).is_none());
                             uses.still.entry(accessor.index()).or_default().extend(still);
                         }
                         _ => drop(uses.strangers.insert(accessor.index())),
@@ -297,17 +317,50 @@ impl AccessorUses {
 }
 
 /// Whether the accessor's own bytes can hold new floats.
-fn is_writable(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize, role: ShapeAttribute) -> bool {
+fn is_writable(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize, slot: AttributeSlot) -> bool {
     let accessor = &doc.accessors.values[index];
-    let Some(view) = accessor.buffer_view.and_then(|v| doc.views.get(v.index())) else {
-        return false;
-    };
-    let is_float = AccessorLayout::of(accessor, &doc.views.values)
-        .is_some_and(|l| l.component == ComponentType::F32 && l.lanes == role.lanes());
-    let buffer = view.buffer.index();
-    is_float
-        && accessor.sparse.is_none()
-        && view.compression().is_none()
-        && buffers.is_exclusive(buffer)
-        && !doc.buffers.values[buffer].is_fallback()
+    let holds_floats = |view: WholeNumber| takes_floats(doc, buffers, index, view, slot);
+    accessor.sparse.is_none() && accessor.buffer_view.is_some_and(holds_floats)
+}
+
+/// The elements of which an accessor's sparse values can take what changed, when they can take all of it: the usual case
+/// for morph targets, where what is zero stays zero.
+fn writable_sparse_elements(
+    doc: &GltfDocument<'_>,
+    buffers: &BufferBytes,
+    index: usize,
+    group: &ChangeGroup,
+) -> Option<Vec<usize>> {
+    let sparse = doc.accessors.values[index].sparse.as_ref()?;
+    if !takes_floats(doc, buffers, index, sparse.values.buffer_view, group.slot()) {
+        return None;
+    }
+    let elements = sparse_indices(doc, buffers, index).ok()?;
+    let changed = group
+        .channel
+        .changed
+        .iter()
+        .enumerate()
+        .filter(|(_, changed)| **changed);
+    let mut changed = changed.map(|(i, _)| i);
+    changed.all(|i| elements.binary_search(&i).is_ok()).then_some(elements)
+}
+
+/// Whether the bytes of a view of an accessor can hold new floats.
+fn takes_floats(
+    doc: &GltfDocument<'_>,
+    buffers: &BufferBytes,
+    accessor: usize,
+    view: WholeNumber,
+    slot: AttributeSlot,
+) -> bool {
+    let is_float = AccessorLayout::of(&doc.accessors.values[accessor], &doc.views.values)
+        .is_some_and(|l| l.component == ComponentType::F32 && l.lanes == slot.lanes());
+    doc.views.get(view.index()).is_some_and(|view| {
+        let buffer = view.buffer.index();
+        is_float
+            && view.compression().is_none()
+            && buffers.is_exclusive(buffer)
+            && !doc.buffers.values[buffer].is_fallback()
+    })
 }

@@ -1,6 +1,6 @@
 //! Meshes under several nodes, and the copies that part them.
 
-use super::super::deformed::DeformedAttributes;
+use super::super::changes::DeformedAttributes;
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
 use super::mesh_ref::MeshRef;

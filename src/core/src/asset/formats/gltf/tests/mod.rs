@@ -1,8 +1,10 @@
 //! Small documents made by hand, read and written through the module's own interface.
 
 mod instances;
+mod morphs;
 mod places;
 mod reading;
+mod skins;
 mod writing;
 
 use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};

@@ -1,0 +1,132 @@
+//! Displacements of morph targets, carried along with the surface that they are displacements of.
+
+use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, read_values};
+use super::buffers::BufferBytes;
+use super::changes::ChangedAttribute;
+use super::document::GltfDocument;
+use super::placement::VertexTransforms;
+use super::schema::MeshPrimitive;
+use super::slots::{AttributeSlot, target_slots};
+use crate::asset::Error;
+use crate::mesh::local_turns::LocalTurn;
+use glam::{DMat3, Vec3};
+
+/// How many bytes of displacements are carried for one file. Targets may be sparse or share their numbers, so that
+/// their size is not bounded by the file's.
+const MOST_CARRIED: u64 = 2 << 30;
+
+/// Whether any mesh of a document has morph targets.
+pub(super) fn has_targets(doc: &GltfDocument<'_>) -> bool {
+    let mut primitives = doc.meshes.values.iter().flat_map(|mesh| &mesh.primitives);
+    primitives.any(|primitive| !primitive.targets.is_empty())
+}
+
+/// Counts the displacements that were carried.
+#[derive(Default)]
+pub(super) struct TargetBudget(u64);
+
+impl TargetBudget {
+    /// Refuses more than is carried for one file.
+    pub(super) fn spend(&mut self, vertices: usize) -> Result<(), Error> {
+        self.0 = self.0.saturating_add(12 * vertices as u64);
+        if self.0 > MOST_CARRIED {
+            return Err(Error::TooLarge {
+                what: "number of bytes of morph targets that follow",
+                seen: self.0,
+                limit: MOST_CARRIED,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Carries the targets of one primitive.
+pub(super) struct TargetCarrier<'a> {
+    /// How the surface turned around each vertex.
+    pub(super) turns: &'a [Option<LocalTurn>],
+    /// How stored displacements get into the world, and how back.
+    pub(super) world_from_old: &'a VertexTransforms,
+    pub(super) new_from_world: &'a VertexTransforms,
+}
+
+impl TargetCarrier<'_> {
+    /// What the targets of a primitive become; its accessors must be decoded.
+    pub(super) fn changes(
+        &self,
+        doc: &GltfDocument<'_>,
+        buffers: &BufferBytes,
+        primitive: &MeshPrimitive,
+        budget: &mut TargetBudget,
+    ) -> Result<Vec<(AttributeSlot, ChangedAttribute)>, Error> {
+        let mut changes = Vec::new();
+        if self.turns.iter().all(Option::is_none) {
+            return Ok(changes);
+        }
+        for slot in target_slots(primitive) {
+            budget.spend(self.turns.len())?;
+            if let Some(accessor) = slot.accessor(primitive)
+                && let Some(stored) = read_displacements(doc, buffers, accessor)?
+                && let Some(change) = ChangedAttribute::where_changed(&stored, self.carried(slot.role, &stored), 3)
+            {
+                changes.push((slot, change));
+            }
+        }
+        Ok(changes)
+    }
+
+    /// Displacements after the turn; those of vertices that did not turn, and zeros, to the bit as they are.
+    fn carried(&self, role: ShapeAttribute, stored: &[f32]) -> Vec<f32> {
+        let mut values = stored.to_vec();
+        for (i, (place, turn)) in values.as_chunks_mut::<3>().0.iter_mut().zip(self.turns).enumerate() {
+            let Some(turn) = turn.filter(|_| *place != [0.0; 3]) else {
+                continue;
+            };
+            let (old, new) = (&self.world_from_old.at(i).matrix3, &self.new_from_world.at(i).matrix3);
+            let moved = displacement_map(role, &turn, old, new) * Vec3::from_array(*place).as_dvec3();
+            if moved.as_vec3().is_finite() {
+                *place = moved.as_vec3().to_array();
+            }
+        }
+        values
+    }
+}
+
+/// What takes a stored displacement to the one that says the same of the surface after it has turned. `world_from_old` and
+/// `new_from_world` are the linear parts of the vertex's placement before, and of the way back after.
+pub(super) fn displacement_map(
+    role: ShapeAttribute,
+    turn: &LocalTurn,
+    world_from_old: &DMat3,
+    new_from_world: &DMat3,
+) -> DMat3 {
+    // Unit vectors keep their length whatever the scale of the mesh's space.
+    let size = |m: &DMat3| libm::cbrt(m.determinant().abs());
+    match role {
+        ShapeAttribute::Position => *new_from_world * turn.similarity() * *world_from_old,
+        ShapeAttribute::Tangent => {
+            let unit = 1.0 / (size(world_from_old) * size(new_from_world));
+            *new_from_world * turn.turn * *world_from_old * unit
+        }
+        ShapeAttribute::Normal => {
+            let (old, new) = (
+                world_from_old.inverse().transpose(),
+                new_from_world.inverse().transpose(),
+            );
+            new * turn.turn * old * (size(world_from_old) * size(new_from_world))
+        }
+    }
+}
+
+/// The displacements of a target as floats; `None` for what is stored in a way that only some extension knows.
+pub(super) fn read_displacements(
+    doc: &GltfDocument<'_>,
+    buffers: &BufferBytes,
+    accessor: usize,
+) -> Result<Option<Vec<f32>>, Error> {
+    let described = doc.accessors.get(accessor);
+    let layout = described.and_then(|a| AccessorLayout::of(a, &doc.views.values));
+    match layout.filter(|l| l.lanes == 3 && l.component != ComponentType::U32) {
+        Some(layout) => read_values(doc, buffers, accessor, layout).map(Some),
+        None => Ok(None),
+    }
+}

@@ -1,0 +1,311 @@
+//! Where skins put their vertices, and what is told of those that do not say.
+
+use super::*;
+use glam::{DAffine3, DQuat};
+
+/// A square with two joints. `joints`, `weights`: one row of four for each vertex; `bind`: inverse bind matrices.
+struct SkinDraft {
+    joints: [[u8; 4]; 4],
+    weights: [[f32; 4]; 4],
+    bind: Vec<[f32; 16]>,
+    nodes: String,
+    skin: String,
+}
+
+const ONE: [f32; 16] = [
+    1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0,
+];
+
+impl Default for SkinDraft {
+    /// The lower two vertices hang on joint 0, the upper two on joint 1.
+    fn default() -> Self {
+        Self {
+            joints: [[0, 0, 0, 0], [0, 0, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]],
+            weights: [[1.0, 0.0, 0.0, 0.0]; 4],
+            bind: vec![ONE, ONE],
+            nodes: r#"{"mesh":0,"skin":0,"translation":[9,9,9]},{"name":"low","children":[2],"translation":[0,0,5]},{"name":"high","translation":[0,2,0]}"#.into(),
+            skin: r#""joints":[1,2]"#.into(),
+        }
+    }
+}
+
+impl SkinDraft {
+    fn files(&self) -> FileSet {
+        let mut draft = DocumentDraft::default();
+        draft.points(&SQUARE);
+        draft.points(&UP);
+        let indices = draft.indices(&CORNERS);
+        let joints = draft.view(self.joints.as_flattened(), "");
+        let joints = draft.accessor(joints, 5121, 4, "VEC4", "");
+        let bytes: Vec<u8> = self.weights.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+        let weights = draft.view(&bytes, "");
+        let weights = draft.accessor(weights, 5126, 4, "VEC4", "");
+        let bytes: Vec<u8> = self.bind.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+        let bind = draft.view(&bytes, "");
+        let bind = draft.accessor(bind, 5126, self.bind.len(), "MAT4", "");
+        let (nodes, skin) = (&self.nodes, &self.skin);
+        draft.glb(&format!(
+            r#""scene":0,"scenes":[{{"nodes":[0,1]}}],"nodes":[{nodes}],"skins":[{{{skin},"inverseBindMatrices":{bind}}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"NORMAL":1,"JOINTS_0":{joints},"WEIGHTS_0":{weights}}},"indices":{indices}}}]}}]"#
+        ))
+    }
+
+    fn codes(&self) -> Vec<String> {
+        open(&self.files()).geometry.warnings.into_iter().map(|w| w.0).collect()
+    }
+}
+
+#[test]
+fn vertices_stand_where_their_joints_put_them() {
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    let draft = SkinDraft {
+        nodes: format!(
+            r#"{{"mesh":0,"skin":0,"translation":[9,9,9]}},{{"children":[2],"translation":[0,0,5]}},{{"translation":[0,2,0],"rotation":[{half},0,0,{half}]}}"#
+        ),
+        weights: [
+            [1.0, 0.0, 0.0, 0.0],
+            [0.5, 0.0, 0.0, 0.0],
+            [0.25, 0.75, 0.0, 0.0],
+            [3.0, 1.0, 0.0, 0.0],
+        ],
+        joints: [[0; 4], [0; 4], [0, 1, 0, 0], [1, 0, 0, 0]],
+        ..SkinDraft::default()
+    };
+    let model = open(&draft.files());
+    assert_eq!(
+        model.positions[0],
+        DVec3::new(0.0, 0.0, 5.0),
+        "the node's own transform is no part of it"
+    );
+    assert_eq!(model.positions[1], DVec3::new(1.0, 0.0, 5.0), "weights are scaled");
+    let low = DAffine3::from_translation(DVec3::Z * 5.0);
+    let turn = DQuat::from_xyzw(half.into(), 0.0, 0.0, half.into()).normalize();
+    let high = DAffine3::from_rotation_translation(turn, DVec3::new(0.0, 2.0, 5.0));
+    for (vertex, stored) in [(2, DVec3::new(1.0, 1.0, 0.0)), (3, DVec3::Y)] {
+        let expected = low.transform_point3(stored) * 0.25 + high.transform_point3(stored) * 0.75;
+        assert!(
+            (model.positions[vertex] - expected).length() < 1e-7,
+            "{}",
+            model.positions[vertex]
+        );
+        assert!(
+            model.normals[vertex].y < -0.5,
+            "normals turn along: {}",
+            model.normals[vertex]
+        );
+    }
+    assert_eq!(draft.codes(), ["skin-weights"]);
+
+    // And back: what did not move keeps its bytes, what did comes to lie where it was put.
+    assert_eq!(moved(&draft.files(), |_, p| p).main, draft.files().main);
+    let place = DVec3::new(0.5, 3.0, 4.0);
+    let written = moved(&draft.files(), |i, p| if i == 2 { place } else { p });
+    let again = open(&again(&written));
+    assert!((again.positions[2] - place).length() < 1e-6);
+    assert_eq!(
+        bin(&written.main)[..24],
+        bin(&draft.files().main)[..24],
+        "vertices 0 and 1 stay to the byte"
+    );
+}
+
+#[test]
+fn a_skin_that_is_bound_at_rest_is_one_transform() {
+    // The joints stand where they were bound, but for what 32 bits lose of a third.
+    let third = 1.0_f32 / 3.0;
+    let mut bind = vec![ONE, ONE];
+    bind[0][13] = -third;
+    bind[1][13] = -2.0 * third + 1e-8;
+    let draft = SkinDraft {
+        bind,
+        nodes:
+            r#"{"mesh":0,"skin":0},{"children":[2],"translation":[0,0.333333333,0]},{"translation":[0,0.333333333,0]}"#
+                .into(),
+        ..SkinDraft::default()
+    };
+    let model = open(&draft.files());
+    let stored: Vec<DVec3> = SQUARE
+        .iter()
+        .map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()))
+        .collect();
+    assert_eq!(model.positions, stored, "rounding is no pose");
+    assert!(model.warnings.is_empty());
+}
+
+#[test]
+fn what_a_skin_cannot_say_is_told_and_bind_coordinates_are_taken() {
+    let usual = SkinDraft::default;
+    let with_bind = |lane: usize, value: f32| {
+        let mut bind = vec![ONE, ONE];
+        bind[1][lane] = value;
+        SkinDraft { bind, ..usual() }
+    };
+    let cases = [
+        (
+            SkinDraft {
+                skin: r#""joints":[1,7]"#.into(),
+                ..usual()
+            },
+            "names node 7",
+        ),
+        (
+            SkinDraft {
+                skin: r#""joints":[]"#.into(),
+                ..usual()
+            },
+            "no joints",
+        ),
+        (
+            SkinDraft {
+                skin: r#""joints":"all""#.into(),
+                ..usual()
+            },
+            "cannot be read",
+        ),
+        (
+            SkinDraft {
+                bind: vec![ONE],
+                ..usual()
+            },
+            "only 1 inverse bind matrices",
+        ),
+        (
+            SkinDraft {
+                joints: [[0; 4], [0; 4], [2, 0, 0, 0], [0; 4]],
+                ..usual()
+            },
+            "vertex 2 follows joint 2",
+        ),
+        (with_bind(0, f32::NAN), "no affine transform"),
+        (with_bind(3, 0.5), "no affine transform"),
+        (with_bind(0, -1.0), "mirror"),
+        (with_bind(5, 0.0), "a line or a point"),
+        (with_bind(0, 1e-6), "a line or a point"),
+    ];
+    for (draft, reason) in cases {
+        let model = open(&draft.files());
+        assert_eq!(model.positions[2], DVec3::new(1.0, 1.0, 0.0), "{reason}");
+        let [(code, message, place)] = model.warnings.as_slice() else {
+            panic!("{reason}: {:?}", model.warnings);
+        };
+        assert_eq!(
+            (code.as_str(), place.as_str()),
+            ("skin-not-applied", "meshes/0/primitives/0")
+        );
+        assert!(
+            message.contains(reason) && message.contains("bind coordinates"),
+            "{message}"
+        );
+        let written = moved(&draft.files(), |_, p| p + DVec3::X);
+        assert_eq!(
+            open(&again(&written)).positions[2],
+            DVec3::new(2.0, 1.0, 0.0),
+            "{reason}"
+        );
+    }
+}
+
+#[test]
+fn weights_that_do_not_add_up_are_scaled_and_told() {
+    let with = |weights: [f32; 4], joints: [u8; 4]| {
+        let mut draft = SkinDraft::default();
+        draft.weights[2] = weights;
+        draft.joints[2] = joints;
+        draft
+    };
+    for (draft, height) in [
+        (with([0.0; 4], [1, 0, 0, 0]), 3.0),
+        (with([0.0; 4], [9, 0, 0, 0]), 1.0),
+        (with([2.0, 2.0, 0.0, 0.0], [0, 1, 0, 0]), 2.0),
+        (with([-1.0, 0.5, 0.0, 0.0], [0, 1, 0, 0]), 3.0),
+        (with([f32::NAN, 0.5, 0.0, 0.0], [0, 1, 0, 0]), 3.0),
+        (with([0.5, 0.25, 0.0, 0.0], [1, 1, 0, 0]), 3.0),
+    ] {
+        assert_eq!(draft.codes(), ["skin-weights"]);
+        assert_eq!(open(&draft.files()).positions[2].y, height);
+    }
+    let usual = with([0.3, 0.3, 0.4, 0.0], [1, 0, 1, 0]);
+    assert!(usual.codes().is_empty());
+    assert!(
+        (open(&usual.files()).positions[2].y - 2.4).abs() < 1e-6,
+        "a joint may be named twice"
+    );
+}
+
+#[test]
+fn joints_outside_the_scene_are_told_and_joints_in_a_circle_refused() {
+    let outside = SkinDraft {
+        nodes: r#"{"mesh":0,"skin":0},{"translation":[0,0,5]},{"translation":[0,2,0]}"#.into(),
+        ..SkinDraft::default()
+    };
+    assert_eq!(outside.codes(), ["joint-outside-scene"]);
+    assert_eq!(open(&outside.files()).positions[2], DVec3::new(1.0, 3.0, 0.0));
+    let circle = SkinDraft {
+        nodes: r#"{"mesh":0,"skin":0},{"children":[2]},{"children":[1]}"#.into(),
+        ..SkinDraft::default()
+    };
+    let text = refusal(&circle.files());
+    assert!(text.contains("its own ancestor"), "{text}");
+}
+
+#[test]
+fn one_mesh_under_two_skins_stands_in_two_places_and_parts_when_they_differ() {
+    let mut draft = SkinDraft::default();
+    draft.nodes += r#",{"mesh":0,"skin":1},{"translation":[4,0,0]}"#;
+    draft.skin += r#","inverseBindMatrices":5},{"joints":[4,2]"#;
+    let files = draft.files();
+    let json = text(&files.main).replace(r#""nodes":[0,1]}"#, r#""nodes":[0,1,3,4]}"#);
+    let glb = super::super::container::join(
+        &json,
+        Some(&bin(&files.main)),
+        &[],
+        super::super::fault::GltfFault(Format::GLB),
+    );
+    let files = FileSet::single("two.glb", glb.expect("small"));
+    let model = open(&files);
+    assert_eq!(
+        (model.positions[0], model.positions[4]),
+        (DVec3::Z * 5.0, DVec3::X * 4.0)
+    );
+    assert_eq!(
+        model.positions[2], model.positions[6],
+        "both hang on the same joint here"
+    );
+    let written = moved(&files, |_, p| DVec3::new(p.x, p.y, -p.z));
+    let geometry = open(&again(&written));
+    assert_eq!(
+        (geometry.positions[0], geometry.positions[4]),
+        (DVec3::Z * -5.0, DVec3::X * 4.0)
+    );
+    assert_eq!(json_meshes(&written), 2, "their stored shapes differ now");
+}
+
+fn json_meshes(written: &WrittenFiles) -> usize {
+    json(written)["meshes"].as_array().map_or(0, Vec::len)
+}
+
+#[test]
+fn the_sides_of_a_seam_stay_together() {
+    // Two vertices in one place, held by joints that agree up to rounding.
+    let mut draft = SkinDraft::default();
+    draft.bind[0][13] = 0.1;
+    let mut files = DocumentDraft::default();
+    let thirds = [[1.0 / 3.0, 1.0 / 7.0, 0.0]; 2];
+    let points = [thirds[0], thirds[1], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    files.points(&points);
+    files.indices(&[0, 2, 3, 1, 3, 2]);
+    let joints = files.view(&[0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0], "");
+    files.accessor(joints, 5121, 4, "VEC4", "");
+    let weights: [[f32; 4]; 4] = [
+        [0.300_000_04, 0.7, 0.0, 0.0],
+        [0.7, 0.3, 0.0, 0.0],
+        [1.0, 0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0, 0.0],
+    ];
+    let bytes: Vec<u8> = weights.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    let weights = files.view(&bytes, "");
+    files.accessor(weights, 5126, 4, "VEC4", "");
+    let model = open(&files.glb(
+        r#""scene":0,"scenes":[{"nodes":[0,1]}],"nodes":[{"mesh":0,"skin":0},{"children":[2],"translation":[0,0,5]},{"translation":[0.3,2,0]}],"skins":[{"joints":[1,2]}],"meshes":[{"primitives":[{"attributes":{"POSITION":0,"JOINTS_0":2,"WEIGHTS_0":3},"indices":1}]}]"#,
+    ));
+    assert_eq!(model.positions[0], model.positions[1]);
+}
