@@ -1,7 +1,11 @@
 //! The GLB container: a header, a JSON chunk, mostly a BIN chunk, and chunks of other kinds that pass through.
+//!
+//! The lengths of chunks must be multiples of 4. Some writers give a chunk's length without its padding, and some do
+//! not pad at all. Both are read as other readers do, with a warning; what is written has the padding and counts it.
 
 use super::fault::GltfFault;
 use crate::asset::Error;
+use std::borrow::Cow;
 
 const JSON: [u8; 4] = *b"JSON";
 const BIN: [u8; 4] = *b"BIN\0";
@@ -12,8 +16,24 @@ pub(super) struct GlbContainer<'a> {
     pub(super) json: &'a [u8],
     /// The BIN chunk's data, with its padding; `None` without such a chunk.
     pub(super) bin: Option<&'a [u8]>,
-    /// Whatever chunks follow, with their headers.
-    pub(super) rest: &'a [u8],
+    /// Whatever chunks follow, with their headers; with padding where the file's have none.
+    pub(super) rest: Cow<'a, [u8]>,
+    /// The byte where the first chunk begins whose length is not a multiple of 4, and that length.
+    pub(super) uneven: Option<(usize, usize)>,
+}
+
+/// A chunk of a GLB file.
+struct GlbChunk<'a> {
+    start: usize,
+    kind: [u8; 4],
+    data: &'a [u8],
+}
+
+impl GlbChunk<'_> {
+    /// The byte after its data.
+    fn end(&self) -> usize {
+        self.start + 8 + self.data.len()
+    }
 }
 
 /// Takes a GLB apart, checking every length before it is used.
@@ -40,39 +60,71 @@ pub(super) fn split(file: &[u8], fault: GltfFault) -> Result<GlbContainer<'_>, E
         let problem = format!("says a length of {} bytes, the file has {}", word(8), file.len());
         return Err(fault.malformed("header", problem));
     }
-    let mut at = 12;
-    let (kind, json) = next_chunk(file, &mut at, fault)?;
-    if kind != JSON {
+    let json = read_chunk(file, 12, fault)?;
+    if json.kind != JSON {
         return Err(fault.malformed("chunk at byte 12", "the first chunk must be JSON"));
     }
-    let (mut bin, mut rest_start) = (None, at);
-    let mut second = true;
-    while at < file.len() {
-        let chunk_start = at;
-        let (kind, data) = next_chunk(file, &mut at, fault)?;
-        match kind {
-            JSON => {
-                return Err(fault.malformed(format!("chunk at byte {chunk_start}"), "a second JSON chunk"));
-            }
-            BIN if second => (bin, rest_start) = (Some(data), at),
-            BIN => {
-                let problem = "a BIN chunk that is not the second chunk";
-                return Err(fault.malformed(format!("chunk at byte {chunk_start}"), problem));
-            }
-            _ => {}
+    let mut parts = GlbContainer {
+        json: json.data,
+        bin: None,
+        rest: Cow::Borrowed(&[]),
+        uneven: None,
+    };
+    let mut others = Vec::new();
+    let mut last = json;
+    loop {
+        if parts.uneven.is_none() && last.data.len() % 4 != 0 {
+            parts.uneven = Some((last.start, last.data.len()));
         }
-        second = false;
+        let Some(chunk) = chunk_after(file, &last, fault)? else {
+            break;
+        };
+        let place = || format!("chunk at byte {}", chunk.start);
+        match chunk.kind {
+            JSON => return Err(fault.malformed(place(), "a second JSON chunk")),
+            BIN if last.start == 12 => parts.bin = Some(chunk.data),
+            BIN => return Err(fault.malformed(place(), "a BIN chunk that is not the second chunk")),
+            _ => others.push((chunk.start, chunk.kind, chunk.data)),
+        }
+        last = chunk;
     }
-    Ok(GlbContainer {
-        json,
-        bin,
-        rest: &file[rest_start..],
-    })
+    parts.rest = match others.first() {
+        None => Cow::Borrowed(&[]),
+        Some((start, ..)) if parts.uneven.is_none() => Cow::Borrowed(&file[*start..]),
+        Some(_) => {
+            let mut rest = Vec::new();
+            others
+                .iter()
+                .for_each(|(_, kind, data)| push_chunk(&mut rest, *kind, data, 0));
+            Cow::Owned(rest)
+        }
+    };
+    Ok(parts)
 }
 
-fn next_chunk<'a>(file: &'a [u8], at: &mut usize, fault: GltfFault) -> Result<([u8; 4], &'a [u8]), Error> {
-    let place = || format!("chunk at byte {at}");
-    let left = &file[*at..];
+/// The chunk that follows another, `None` at the end of the file. Where a length is not a multiple of 4, the next chunk
+/// may begin right behind the data or behind padding that the length leaves out.
+fn chunk_after<'a>(file: &'a [u8], before: &GlbChunk<'_>, fault: GltfFault) -> Result<Option<GlbChunk<'a>>, Error> {
+    let (close, padded) = (before.end(), before.end().next_multiple_of(4));
+    let left = &file[close..];
+    if left.is_empty() || (padded >= file.len() && left.iter().all(|b| matches!(b, 0 | b' '))) {
+        return Ok(None);
+    }
+    let padding = file.get(close..padded).unwrap_or_default();
+    if close != padded
+        && padding.iter().all(|b| matches!(b, 0 | b' '))
+        && let Ok(chunk) = read_chunk(file, padded, fault)
+        // Right behind the data stands a chunk of its own where that makes sense, and only one of both can.
+        && !read_chunk(file, close, fault).is_ok_and(|other| other.kind == BIN)
+    {
+        return Ok(Some(chunk));
+    }
+    read_chunk(file, close, fault).map(Some)
+}
+
+fn read_chunk(file: &[u8], start: usize, fault: GltfFault) -> Result<GlbChunk<'_>, Error> {
+    let place = || format!("chunk at byte {start}");
+    let left = file.get(start..).unwrap_or_default();
     let Some(([a, b, c, d, kind @ ..], data)) = left.split_first_chunk::<8>() else {
         return Err(fault.malformed(
             place(),
@@ -84,11 +136,17 @@ fn next_chunk<'a>(file: &'a [u8], at: &mut usize, fault: GltfFault) -> Result<([
         let problem = format!("says a length of {length} bytes, {} are left", data.len());
         return Err(fault.malformed(place(), problem));
     };
-    if length % 4 != 0 {
-        return Err(fault.malformed(place(), format!("length {length} is not a multiple of 4")));
-    }
-    *at += 8 + data.len();
-    Ok((*kind, data))
+    let kind = *kind;
+    Ok(GlbChunk { start, kind, data })
+}
+
+/// Adds a chunk, filled up with `pad` to a multiple of 4 bytes. Its length must fit 32 bits.
+fn push_chunk(out: &mut Vec<u8>, kind: [u8; 4], data: &[u8], pad: u8) {
+    let length = data.len().next_multiple_of(4);
+    out.extend_from_slice(&(length as u32).to_le_bytes());
+    out.extend_from_slice(&kind);
+    out.extend_from_slice(data);
+    out.resize(out.len() + length - data.len(), pad);
 }
 
 /// Puts a GLB together; pads JSON with spaces and BIN with zeros.
@@ -104,15 +162,9 @@ pub(super) fn join(json: &str, bin: Option<&[u8]>, rest: &[u8], fault: GltfFault
     out.extend_from_slice(&2u32.to_le_bytes());
     out.extend_from_slice(&total_u32.to_le_bytes());
     // Both lengths are below the total, which fits 32 bits.
-    let mut chunk = |kind: [u8; 4], data: &[u8], pad: u8| {
-        out.extend_from_slice(&(padded(data.len()) as u32).to_le_bytes());
-        out.extend_from_slice(&kind);
-        out.extend_from_slice(data);
-        out.resize(out.len() + padded(data.len()) - data.len(), pad);
-    };
-    chunk(JSON, json.as_bytes(), b' ');
+    push_chunk(&mut out, JSON, json.as_bytes(), b' ');
     if let Some(bin) = bin {
-        chunk(BIN, bin, 0);
+        push_chunk(&mut out, BIN, bin, 0);
     }
     out.extend_from_slice(rest);
     Ok(out)
@@ -132,7 +184,43 @@ mod tests {
         let parts = split(&file, FAULT).expect("valid");
         assert_eq!(parts.json, b"{\"a\":1} ");
         assert_eq!(parts.bin, Some(&[1, 2, 3, 4, 5, 0, 0, 0][..]));
-        assert_eq!(parts.rest, unknown);
+        assert_eq!(&parts.rest[..], unknown);
+        assert_eq!(parts.uneven, None);
+    }
+
+    /// A file whose chunks have these data and say these lengths, whatever they are.
+    fn glb_of(chunks: &[([u8; 4], &[u8], usize)]) -> Vec<u8> {
+        let mut file = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+        for (kind, data, length) in chunks {
+            file.extend_from_slice(&(*length as u32).to_le_bytes());
+            file.extend_from_slice(kind);
+            file.extend_from_slice(data);
+        }
+        let total = (file.len() as u32).to_le_bytes();
+        file[8..12].copy_from_slice(&total);
+        file
+    }
+
+    #[test]
+    fn lengths_that_are_no_multiple_of_four_are_read_with_and_without_padding() {
+        let extra = *b"XTRA";
+        // Padding that the length leaves out, then no padding at all; each also at the end of the file.
+        let padded = glb_of(&[
+            (JSON, b"{\"a\":123}   ", 9),
+            (BIN, &[1, 2, 3, 4, 5, 0, 0, 0], 5),
+            (extra, &[7, 0, 0, 0], 1),
+        ]);
+        let bare = glb_of(&[(JSON, b"{\"a\":1}", 7), (BIN, &[1, 2, 3, 4, 5], 5), (extra, &[7], 1)]);
+        for (file, json) in [(padded, &b"{\"a\":123}"[..]), (bare, b"{\"a\":1}")] {
+            let parts = split(&file, FAULT).expect("read with a warning");
+            assert_eq!(parts.json.trim_ascii(), json);
+            assert_eq!(parts.bin, Some(&[1, 2, 3, 4, 5][..]));
+            assert_eq!(&parts.rest[..], [4, 0, 0, 0, b'X', b'T', b'R', b'A', 7, 0, 0, 0]);
+            assert!(parts.uneven.is_some());
+            let text = std::str::from_utf8(parts.json).expect("text");
+            let again = join(text, parts.bin, &parts.rest, FAULT).expect("small");
+            assert_eq!(split(&again, FAULT).expect("valid").uneven, None);
+        }
     }
 
     #[test]

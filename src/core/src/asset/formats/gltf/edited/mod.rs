@@ -203,7 +203,7 @@ impl EditedGltfWriter<'_> {
         sections.insert("buffers", Some(places::json_array(&[buffer])));
         let json = replace_members(doc.text, sections);
         let main = if is_glb {
-            let rest = doc.container.as_ref().map_or(&[][..], |c| c.rest);
+            let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
             container::join(&json, Some(&bytes), rest, self.fault)?
         } else {
             json.into_bytes()
