@@ -84,7 +84,7 @@ def command_line(object: bpy.types.Object, angle: float, by: list[float], folder
         "options": {"tolerance": 1e-8},
     }
     (folder / "job.json").write_text(json.dumps(job))
-    command = [find_binary(), "deform", "bar.obj", "--job", "job.json", "-o", "out.obj"]
+    command = [find_binary(), "deform", "bar.obj", "--job", "job.json", "-o", "out.obj", "--force"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     rows = [line.split()[1:4] for line in (folder / "out.obj").read_text().splitlines() if line.startswith("v ")]
     return np.array(rows, float)

@@ -136,7 +136,7 @@ def open(
 ) -> Session:
     """Opens a model: a path, the bytes of a file, an open file, ``(vertices, faces)``, or a mesh with these attributes.
 
-    `companions` are files that the model refers to, by URI; those of a .gltf are found beside it. The session is
+    `companions` are files that the model refers to, by URI; those of a .gltf, buffers and images, are found beside it. The session is
     deleted when it is closed, unless `keep` is given. `create` says how the session is built: ``volume_graph``,
     ``components``, ``weights``, ``weld``, ``operators``, ``morph_targets``, ``passengers``, ``ttl``, ``label``,
     ``format``. `server` and `way` are as in :func:`connect`.

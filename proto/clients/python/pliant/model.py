@@ -69,16 +69,16 @@ class Upload:
 def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
     """Reads whatever names or is a model.
 
-    A path to a .gltf also reads the files that its buffers name, from beside it. Arrays become a PLY in which vertices
-    keep their number.
+    A path also reads the files that the model names, from beside it: buffers and images of a .gltf. Arrays become a PLY
+    in which vertices keep their number.
     """
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
         upload = Upload(path.read_bytes(), format=path.suffix.lstrip(".").lower())
         if upload.format not in ("glb", "gltf", "obj", "ply", "off", "stl"):
             upload.format = ""
-        if upload.format == "gltf" and companions is None:
-            upload.companions = dict(_beside(path, upload.main))
+        if companions is None:
+            upload.companions = _beside(path, upload.main)
     elif isinstance(model, (bytes, bytearray, memoryview)):
         upload = Upload(bytes(model))
     elif isinstance(model, tuple):
@@ -105,19 +105,34 @@ def _content(data: Any) -> bytes:
     return data
 
 
-def _beside(path: Path, main: bytes) -> Iterator[tuple[str, bytes]]:
-    """The buffers of a .gltf. What cannot be read is left to the server to complain about."""
+def _beside(path: Path, main: bytes) -> dict[str, bytes]:
+    """The files that a model names and that lie beside it. What is missing is left to the server to complain about."""
+    folder = path.parent.resolve()
+    found: dict[str, bytes] = {}
+    for name in _named(main):
+        named = (folder / name).resolve()
+        # A model from elsewhere must not make us send files from outside its folder.
+        if name not in found and named.is_relative_to(folder) and named.is_file():
+            found[name] = named.read_bytes()
+    return found
+
+
+def _named(main: bytes) -> Iterator[str]:
+    """The relative names of buffers and images in a glTF or GLB; none in any other file."""
+    if main[:4] == b"glTF":
+        main = main[20 : 20 + int.from_bytes(main[12:16], "little")]
+    elif not main.lstrip()[:1] == b"{":
+        return
     try:
-        buffers = json.loads(main).get("buffers", [])
-        uris = [unquote(str(buffer["uri"])) for buffer in buffers if "uri" in buffer]
+        document = json.loads(main)
+        items = [item for key in ("buffers", "images") for item in document.get(key, [])]
+        uris = [item["uri"] for item in items if isinstance(item.get("uri"), str)]
     except (ValueError, TypeError, AttributeError):
         return
-    folder = path.parent.resolve()
-    for uri in dict.fromkeys(uris):
-        named = (folder / uri).resolve()
-        # A model from elsewhere must not make us send files from outside its folder.
-        if not uri.startswith("data:") and named.is_relative_to(folder) and named.is_file():
-            yield uri, named.read_bytes()
+    for uri in uris:
+        # Names count from the folder of the model, with or without a leading "./".
+        if not uri[:5].lower() == "data:" and (name := unquote(uri).removeprefix("./")):
+            yield name
 
 
 def ply(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> bytes:
@@ -151,15 +166,21 @@ def joined(chunks: Iterable[pb.Chunk]) -> dict[str, bytes]:
     return {uri: b"".join(pieces) for uri, pieces in files.items()}
 
 
-def write(path: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Writes an export: the main file under `path`, companions beside it. Answers the paths."""
-    written = []
+def write(path: Path, files: Mapping[str, bytes], force: bool = False) -> list[Path]:
+    """Writes an export: the main file under `path`, companions beside it. Answers the paths.
+
+    Before anything is written, a companion that would replace a file with other bytes is refused, unless `force` is set.
+    """
     folder = path.parent.resolve()
+    targets: list[tuple[Path, bytes]] = []
     for uri, data in files.items():
         target = path if uri == "" else folder / uri
         if uri and not target.resolve().is_relative_to(folder):
             raise ValueError(f"the model's companion {uri!r} would be written outside {folder}")
+        if uri and not force and target.exists() and target.read_bytes() != data:
+            raise FileExistsError(f"{target} is there and holds other bytes; force=True replaces it")
+        targets.append((target, data))
+    for target, data in targets:
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(data)
-        written.append(target)
-    return written
+    return [target for target, _ in targets]

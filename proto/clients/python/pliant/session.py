@@ -119,10 +119,14 @@ class Session(Declared):
         values = np.frombuffer(self._calls.get(f"/v1/sessions/{self.id}/positions"), "<f4")
         return values.reshape(-1, 3).astype(np.float32)
 
-    def export(self, path: str | Path, format: str = "") -> list[Path]:
-        """Writes the model in its current shape; the extension says the format. Answers the paths of the files."""
+    def export(self, path: str | Path, format: str = "", *, force: bool = False) -> list[Path]:
+        """Writes the model in its current shape; the extension says the format. Answers the paths of the files.
+
+        A .gltf comes with its buffers and images, which lie beside it. One of them that would replace a file with other
+        bytes raises `FileExistsError` before anything is written, unless `force` is set.
+        """
         path = Path(path)
-        return model.write(path, self.export_bytes(format or path.suffix.lstrip(".").lower()))
+        return model.write(path, self.export_bytes(format or path.suffix.lstrip(".").lower()), force)
 
     def export_bytes(self, format: str = "") -> dict[str, bytes]:
         """The model in its current shape by file: "" is the main one, others are companions by URI."""

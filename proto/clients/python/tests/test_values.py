@@ -240,11 +240,15 @@ def test_a_gltf_brings_its_buffers_but_nothing_from_outside_its_folder(tmp_path:
     (tmp_path / "secret.bin").write_bytes(b"secret")
     (inside / "a b.bin").write_bytes(b"buffer")
     path = inside / "m.gltf"
-    path.write_text('{"buffers": [{"uri": "a%20b.bin"}, {"uri": "../secret.bin"}, {"uri": "data:,x"}, {}]}')
+    (inside / "textures").mkdir()
+    (inside / "textures" / "c.png").write_bytes(b"picture")
+    buffers = '[{"uri": "a%20b.bin"}, {"uri": "../secret.bin"}, {"uri": "data:,x"}, {}]'
+    images = '[{"uri": "./textures/c.png"}, {"uri": "gone.png"}, {"bufferView": 0}]'
+    path.write_text(f'{{"buffers": {buffers}, "images": {images}}}')
     upload = model.read(path)
-    assert upload.companions == {"a b.bin": b"buffer"} and upload.format == "gltf"
+    assert upload.companions == {"a b.bin": b"buffer", "textures/c.png": b"picture"} and upload.format == "gltf"
     requests = list(upload.requests(pb.CreateOptions(), 1 << 20, lambda done, total: None))
-    assert [r.WhichOneof("message") for r in requests] == ["options", "chunk", "companion", "chunk"]
+    assert [r.WhichOneof("message") for r in requests] == ["options", "chunk"] + 2 * ["companion", "chunk"]
     assert model.read(io.BytesIO(b"OFF")).main == b"OFF"
 
 
@@ -252,6 +256,18 @@ def test_a_companion_is_never_written_outside_the_folder(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="outside"):
         model.write(tmp_path / "m.gltf", {"": b"{}", "../evil.bin": b""})
     assert [p.name for p in model.write(tmp_path / "m.gltf", {"": b"{}", "x/m.bin": b"1"})] == ["m.gltf", "m.bin"]
+
+
+def test_a_companion_replaces_no_other_bytes_unasked(tmp_path: Path) -> None:
+    (tmp_path / "m.bin").write_bytes(b"precious")
+    files = {"": b"{}", "m.bin": b"new"}
+    with pytest.raises(FileExistsError, match=r"m\.bin"):
+        model.write(tmp_path / "m.gltf", files)
+    assert not (tmp_path / "m.gltf").exists() and (tmp_path / "m.bin").read_bytes() == b"precious"
+    model.write(tmp_path / "m.gltf", files, force=True)
+    # The same bytes are no change.
+    model.write(tmp_path / "m.gltf", files)
+    assert (tmp_path / "m.bin").read_bytes() == b"new"
 
 
 def test_an_address_says_whether_it_is_tls() -> None:

@@ -5,6 +5,7 @@
  */
 
 export { Client, type CreateOptions, type OpenOptions } from "./client.js";
+export { companionNames, companionsOf, type PlacedFile } from "./companions.js";
 export { PliantError, statusName } from "./errors.js";
 export { Assembler, Frame, type FrameFacts } from "./frames.js";
 export { regionOf } from "./regions.js";

@@ -165,6 +165,19 @@ export class Session {
     return answer.model;
   }
 
+  /** The model in its current shape with all of its files, by name: "" is the main one, others lie beside it (`gltf`). */
+  async files(format?: Format, call: CallOptions = {}): Promise<Map<string, Blob>> {
+    const path = this.path(format === undefined ? "/model" : `/model?format=${format}`);
+    const main = await this.transport.bytes("GET", path, "*/*", call);
+    const files = new Map([["", await main.blob()]]);
+    for (const [, target] of (main.headers.get("link") ?? "").matchAll(/<([^>]*)>; rel="item"/g)) {
+      if (target === undefined) continue;
+      const name = new URL(target, this.transport.url).searchParams.get("uri") ?? "";
+      files.set(name, await (await this.transport.bytes("GET", target, "*/*", call)).blob());
+    }
+    return files;
+  }
+
   /** Opens the stream on which handles are dragged. */
   stream(options: SolveOptions = {}, events: StreamEvents = {}): Stream {
     const path = this.path("/stream");

@@ -43,6 +43,13 @@ pub(super) trait FormatCodec: Sync {
     /// Reads a model, of which `format` is the form. What it returns is checked by [`Geometry::check`].
     fn read(&self, files: &FileSet, format: Format, limits: &Limits) -> Result<ReadFile, Error>;
 
+    /// The names of the files that a model's main file and its companions so far name, relative to the main file's
+    /// folder and inside of it, each once. Nothing is checked: what cannot be taken apart names none.
+    fn companion_names(&self, files: &FileSet, format: Format) -> Vec<String> {
+        let _ = (files, format);
+        Vec::new()
+    }
+
     /// Writes the files of a model of this codec with its vertices at `positions`, one for each vertex and finite.
     /// Every byte that the deformation does not change, nor what follows it, stays as it was uploaded.
     fn patch_positions(

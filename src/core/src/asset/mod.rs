@@ -43,4 +43,4 @@ pub use format::Format;
 pub use geometry::{Geometry, Primitive};
 pub use look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;
-pub use write::{write_edited_model, write_edited_model_following};
+pub use write::{missing_companions, write_edited_model, write_edited_model_following};

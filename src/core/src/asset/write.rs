@@ -120,6 +120,27 @@ impl Model {
     }
 }
 
+/// The names of files that a model refers to and that are not in the set: buffers and images of a glTF. They are
+/// relative to the folder of the main file and never lead out of it. Files that come with the set may name more, so whoever
+/// gathers files asks until nothing new is named.
+///
+/// # Example
+/// ```
+/// use pliant_core::asset::{FileSet, missing_companions};
+///
+/// let json = r#"{"asset":{"version":"2.0"},"images":[{"uri":"red%20brick.png"},{"uri":"../up.png"}]}"#;
+/// let files = FileSet::single("wall.gltf", json);
+/// assert_eq!(missing_companions(&files), ["red brick.png"]);
+/// ```
+pub fn missing_companions(files: &FileSet) -> Vec<String> {
+    let Some(format) = Format::from_file(&files.name, &files.main) else {
+        return Vec::new();
+    };
+    let mut names = codec_of(format).companion_names(files, format);
+    names.retain(|name| !files.companions.contains_key(name));
+    names
+}
+
 /// Writes an edited model with its vertices at `positions` (in world space, one per vertex of the blends).
 ///
 /// In the first base's own format (GLB and glTF count as one) the first base's file is the frame: whatever the edit did

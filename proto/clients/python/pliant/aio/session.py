@@ -110,11 +110,11 @@ class Session(Declared):
         values = np.frombuffer(await self._calls.get(f"/v1/sessions/{self.id}/positions"), "<f4")
         return values.reshape(-1, 3).astype(np.float32)
 
-    async def export(self, path: str | Path, format: str = "") -> list[Path]:
-        """Writes the model in its current shape; the extension says the format. Answers the paths of the files."""
+    async def export(self, path: str | Path, format: str = "", *, force: bool = False) -> list[Path]:
+        """Writes the model in its current shape; see :meth:`pliant.Session.export`."""
         path = Path(path)
         files = await self.export_bytes(format or path.suffix.lstrip(".").lower())
-        return await asyncio.to_thread(model.write, path, files)
+        return await asyncio.to_thread(model.write, path, files, force)
 
     async def export_bytes(self, format: str = "") -> dict[str, bytes]:
         """The model in its current shape by file: "" is the main one, others are companions by URI."""

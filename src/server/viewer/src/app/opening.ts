@@ -1,6 +1,14 @@
 /** Opening models: files, the sample, open sessions, and the same model again after the server forgot it. */
 
-import { Client, type CreateOptions, PliantError, type Session, schema } from "pliant-client";
+import {
+  Client,
+  type CreateOptions,
+  type PlacedFile,
+  PliantError,
+  type Session,
+  companionsOf,
+  schema,
+} from "pliant-client";
 import { batch } from "@preact/signals";
 import type { HandleState } from "../model/handles.ts";
 import { type SurfaceReport, reportOf } from "../model/report.ts";
@@ -50,24 +58,23 @@ export function createOptions(name: string): CreateOptions {
 }
 
 /** Opens what was dropped or picked: one model, and the files it refers to. */
-export async function openFiles(files: readonly File[]): Promise<void> {
-  const kind = (file: File): string => file.name.split(".").at(-1)?.toLowerCase() ?? "";
+export async function openFiles(files: readonly PlacedFile[]): Promise<void> {
+  const nameOf = ({ path }: PlacedFile): string => path.split("/").at(-1) ?? path;
+  const kind = (file: PlacedFile): string => nameOf(file).split(".").at(-1)?.toLowerCase() ?? "";
   const models = files.filter((file) => (EXTENSIONS as readonly string[]).includes(kind(file)));
-  // A .gltf names its buffers; no other format takes a second model along.
+  // A .gltf names other files; no other format takes a second model along.
   const model = models.find((file) => kind(file) === "gltf") ?? models[0];
   if (model === undefined) {
     s.dismissErrors();
-    const seen = files.map((file) => file.name).join(", ") || "nothing";
+    const seen = files.slice(0, 20).map(nameOf).join(", ") || "nothing";
     s.note("error", "That is no model", `${seen}: the server reads ${EXTENSIONS.join(", ")}.`);
     return;
   }
-  const companions = new Map<string, Blob>();
-  if (kind(model) === "gltf") {
-    for (const file of files) if (file !== model) companions.set(file.webkitRelativePath || file.name, file);
-  } else if (models.length > 1) {
-    s.note("info", `Opened ${model.name}`, "Several models were given; a session holds one.");
+  if (models.length > 1) {
+    s.note("info", `Opened ${nameOf(model)}`, "Several models were given; a session holds one.");
   }
-  await open({ name: model.name, model, companions, sample: false });
+  const companions = await companionsOf(model, files.filter((file) => file !== model));
+  await open({ name: nameOf(model), model: model.file, companions, sample: false });
 }
 
 /** Opens the built-in creature, its feet and head already handles. */

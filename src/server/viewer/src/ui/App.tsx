@@ -2,7 +2,7 @@
 
 import type { JSX } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { openFiles } from "../app/opening.ts";
+import { openDropped } from "./files.ts";
 import { installProbe } from "../app/probe.ts";
 import * as s from "../app/signals.ts";
 import { install } from "../app/wiring.ts";
@@ -91,7 +91,7 @@ function DropTarget(): JSX.Element | null {
       setOver(false);
       if (!withFiles(event)) return;
       event.preventDefault();
-      void openFiles([...(event.dataTransfer?.files ?? [])]);
+      if (event.dataTransfer !== null) void openDropped(event.dataTransfer);
     };
     addEventListener("dragenter", enter);
     addEventListener("dragleave", leave);

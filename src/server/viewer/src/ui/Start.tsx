@@ -31,7 +31,7 @@ export function Start(): JSX.Element {
     <div class="card start">
       <h1>Bend a model</h1>
       <p>
-        Drop a file anywhere on this page: {EXTENSIONS.slice(0, -1).join(", ")} or {EXTENSIONS.at(-1)}. It is sent to this
+        Drop a file or a folder anywhere on this page: {EXTENSIONS.slice(0, -1).join(", ")} or {EXTENSIONS.at(-1)}. It is sent to this
         server and to nowhere else.
       </p>
       <div class="row">

@@ -7,11 +7,11 @@
 //! stay.
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
-//! [`text`], [`check`] checks references and ranges, [`buffers`] finds bytes (with [`uri`] and [`compressed`]),
-//! [`accessors`] reads them, [`scene`] places meshes, [`skin`], [`influences`] and [`placement`] their vertices, [`read`]
-//! puts triangles together. Writing: [`deformed`] computes
+//! [`text`], [`check`] checks references and ranges, [`companions`] tells which files it names, [`buffers`] finds bytes
+//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`scene`] places meshes, [`skin`], [`influences`] and
+//! [`placement`] their vertices, [`read`] puts triangles together. Writing: [`deformed`] computes
 //! what each attribute should become, [`sharing`] decides which copies must part, [`patch`] edits text and bytes,
-//! [`package`] makes the files. [`fresh`] makes an asset from other formats' geometry. After edits of the topology,
+//! [`package`] makes the files, and [`self_contained`] puts those that lie beside a .gltf into a GLB. [`fresh`] makes an asset from other formats' geometry. After edits of the topology,
 //! [`edited`] writes primitives anew.
 //!
 //! # Conventions
@@ -43,6 +43,7 @@ mod accessors;
 mod buffers;
 mod changes;
 mod check;
+mod companions;
 mod compressed;
 mod container;
 mod deformed;
@@ -59,6 +60,7 @@ mod read;
 mod scene;
 mod schema;
 mod seams;
+mod self_contained;
 mod sharing;
 mod skin;
 mod slots;
@@ -112,7 +114,8 @@ impl FormatCodec for GltfCodec {
         let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape)?;
         let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
-        package::package(&doc, &model.files, &buffers, patched, format)
+        let written = package::package(&doc, &model.files, &buffers, patched, format)?;
+        self_contained_if_new(written, model.format, format)
     }
 
     fn build(&self, neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error> {
@@ -129,10 +132,27 @@ impl FormatCodec for GltfCodec {
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
-        edited::write(output)
+        let first = output
+            .edited
+            .bases
+            .first()
+            .map_or(output.format, |base| base.model.format);
+        self_contained_if_new(edited::write(output)?, first, output.format)
+    }
+
+    fn companion_names(&self, files: &FileSet, format: Format) -> Vec<String> {
+        companions::companion_names(files, format)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
         edited::run_attributes(edited, runs)
     }
+}
+
+/// A GLB that was made of a .gltf needs no file beside it; one that came with files keeps them.
+fn self_contained_if_new(written: WrittenFiles, from: Format, to: Format) -> Result<WrittenFiles, Error> {
+    if from == GLTF_FORMAT && to == GLB_FORMAT {
+        return self_contained::embed_companions(written, fault::GltfFault(to));
+    }
+    Ok(written)
 }

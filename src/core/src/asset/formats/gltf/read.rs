@@ -85,6 +85,11 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
         seams: SkinSeams::default(),
     };
     let scene = scene::place_meshes(&doc, &mut reader.geometry.warnings)?;
+    if let Some((at, length)) = doc.container.as_ref().and_then(|c| c.uneven) {
+        let message = format!("its length of {length} is not a multiple of 4; what is written has padding");
+        reader.warn("chunk-length", message, format!("chunk at byte {at}"));
+    }
+    super::companions::warn_of_missing(&doc, files, &mut reader.geometry.warnings);
     let placements = &scene.placements;
     // What draws no triangles under one node draws none under any other, and must not cost anything there.
     let mut drawn: Vec<Option<Vec<usize>>> = vec![None; doc.meshes.len()];

@@ -125,6 +125,13 @@ impl<'a> JsonEdits<'a> {
         self.list.push((range, String::new()));
     }
 
+    /// Takes an item that is not the first out of its array, with the comma before it.
+    pub(super) fn remove_item(&mut self, item: &'a str) {
+        let range = self.range_of(item);
+        let comma = self.text[..range.start].rfind(',').unwrap_or(range.start);
+        self.list.push((comma..range.end, String::new()));
+    }
+
     /// Adds `json` after the last item of `array`, a slice of the text that holds an array.
     pub(super) fn push(&mut self, array: &'a str, json: &[String]) {
         if json.is_empty() {

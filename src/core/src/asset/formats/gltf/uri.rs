@@ -75,8 +75,32 @@ fn companion_name(uri: &str, place: &str, fault: GltfFault) -> Result<String, Er
         );
         Err(fault.malformed(place, problem))
     };
+    match relative_name(uri) {
+        RelativeName::Inside(name) => Ok(name),
+        RelativeName::Outside if uri.starts_with(['/', '\\']) => refuse("is an absolute path"),
+        RelativeName::Outside => refuse("leads out of the model's folder"),
+        RelativeName::Remote => refuse("has a scheme, and nothing is ever fetched"),
+        RelativeName::NoName(what) => refuse(what),
+    }
+}
+
+/// What a URI that is not embedded data names.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum RelativeName {
+    /// A file in the model's folder or below it, by its decoded name.
+    Inside(String),
+    /// A file somewhere else.
+    Outside,
+    /// Something of another scheme.
+    Remote,
+    /// Nothing, and why.
+    NoName(&'static str),
+}
+
+/// Tells what a URI names.
+pub(super) fn relative_name(uri: &str) -> RelativeName {
     let Ok(name) = percent_decode_str(uri).decode_utf8() else {
-        return refuse("is not UTF-8");
+        return RelativeName::NoName("is not UTF-8");
     };
     let name = name.strip_prefix("./").unwrap_or(&name);
     let is_scheme = |s: &str| {
@@ -85,25 +109,20 @@ fn companion_name(uri: &str, place: &str, fault: GltfFault) -> Result<String, Er
                 .all(|c| c.is_ascii_alphanumeric() || matches!(c, '+' | '-' | '.'))
     };
     if name.is_empty() {
-        return refuse("is empty");
+        RelativeName::NoName("is empty")
+    } else if name.split_once(':').is_some_and(|(scheme, _)| is_scheme(scheme)) {
+        RelativeName::Remote
+    } else if name.starts_with(['/', '\\']) || name.split(['/', '\\']).any(|part| part == "..") {
+        RelativeName::Outside
+    } else if name.contains(char::is_control) {
+        RelativeName::NoName("holds control characters")
+    } else {
+        RelativeName::Inside(name.to_owned())
     }
-    if name.split_once(':').is_some_and(|(scheme, _)| is_scheme(scheme)) {
-        return refuse("has a scheme, and nothing is ever fetched");
-    }
-    if name.starts_with(['/', '\\']) {
-        return refuse("is an absolute path");
-    }
-    if name.split(['/', '\\']).any(|part| part == "..") {
-        return refuse("leads out of the model's folder");
-    }
-    if name.contains(char::is_control) {
-        return refuse("holds control characters");
-    }
-    Ok(name.to_owned())
 }
 
 /// The start of a text that may be long.
-fn shown(text: &str) -> String {
+pub(super) fn shown(text: &str) -> String {
     let mut out: String = text.chars().take(80).collect();
     if out.len() < text.len() {
         out.push('…');
