@@ -3,7 +3,8 @@
 use super::failure::CliFailure;
 use super::job_file::read_job;
 use super::json_output::print_json;
-use super::model_files::{output_format, read_model, write_model};
+use super::model_files::{output_format, read_model};
+use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
 use crate::asset::FileSet;
@@ -27,6 +28,8 @@ pub struct DeformArgs {
     /// Where to write the result; the extension says the format
     #[arg(short, long)]
     output: PathBuf,
+    #[command(flatten)]
+    permission: OutputPermission,
     /// Print a report as JSON on stdout
     #[arg(long)]
     json: bool,
@@ -37,6 +40,7 @@ pub struct DeformArgs {
 /// Runs the command.
 pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     let format = output_format(&args.output)?;
+    args.permission.check_target(&args.output)?;
     let job = read_job(&args.job)?;
     let folder = args.output.parent().unwrap_or(Path::new(""));
     refuse_same_output(&job, folder, &args.output)?;
@@ -56,7 +60,9 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     )?;
     spinner.finish();
 
-    let written = write_model(&args.output, &outcome.written, &args.model, &files)?;
+    let written = args
+        .permission
+        .write_model(&args.output, &outcome.written, &args.model, &files)?;
     outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
     for passenger in &outcome.carried {
         let path = folder.join(&passenger.path);

@@ -10,6 +10,7 @@ mod inspect;
 mod job_file;
 mod json_output;
 mod model_files;
+mod output_files;
 mod render;
 pub mod serve;
 mod stage_spinner;

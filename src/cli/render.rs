@@ -1,7 +1,8 @@
 //! `pliant render`: a picture of a model, drawn without a display.
 
 use super::failure::CliFailure;
-use super::model_files::{read_model, write_file};
+use super::model_files::read_model;
+use super::output_files::OutputPermission;
 use super::threads::ThreadArgs;
 use crate::asset::{Limits, Model, SurfaceLook};
 use crate::mesh::BoundingBox;
@@ -24,6 +25,8 @@ pub struct RenderArgs {
     /// Where to write the picture, a png file
     #[arg(short, long, value_name = "PICTURE")]
     output: PathBuf,
+    #[command(flatten)]
+    permission: OutputPermission,
     /// The model as it was before: drawn beside, by the same camera
     #[arg(long, value_name = "REST")]
     before: Option<PathBuf>,
@@ -165,6 +168,7 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
         let problem = "a picture is written as png, its extension must say so";
         return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
+    args.permission.check_target(&args.output)?;
     let pool = args.threads.start_pool()?;
     let mut model = ModelToDraw::open_model(&args.model)?;
     let mut before = args.before.as_deref().map(ModelToDraw::open_model).transpose()?;
@@ -219,7 +223,7 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
         marks,
     };
     let picture = sheet.draw_views(&pool)?;
-    write_file(&args.output, &picture.encode_png()?)?;
+    args.permission.write_file(&args.output, &picture.encode_png()?)?;
     eprintln!(
         "{} -> {}, {}x{} pixels",
         args.model.display(),

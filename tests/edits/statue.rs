@@ -41,7 +41,7 @@ fn deform(folder: &Path, model: &Path, job: &str) -> Value {
         .arg(folder.join(format!("{job}.json")))
         .arg("-o")
         .arg(&out)
-        .args(["--json", "--threads", "2"])
+        .args(["--json", "--force", "--threads", "2"])
         .output()
         .expect("it starts");
     let said = String::from_utf8_lossy(&answer.stderr);

@@ -107,7 +107,7 @@ fn a_case_without_its_data_is_skipped_by_name_or_fails_when_told_so() {
             .contains("<skipped message=\"data:models/arm.off is absent")
     );
     assert!(folder.read("r.html").contains("data:models/arm.off is absent"));
-    let ran = folder.check(&["--no-skip", "--data", &data, "--junit", "r.xml"]);
+    let ran = folder.check(&["--no-skip", "--data", &data, "--junit", "r.xml", "--force"]);
     assert_eq!(ran.code, Some(1));
     assert!(
         ran.err.contains("FAILED   arm") && ran.last().contains("1 of 2 cases failed: arm"),
@@ -205,7 +205,7 @@ fn another_digest_is_told_before_the_numbers_and_a_huge_number_in_few_digits() {
     let loose = r#""tolerances": [{"metrics": ["bytes"], "most": 1e300, "reason": "a test"}], "job": {"#;
     let text = folder.read("bar.case.json").replacen("\"job\": {", loose, 1);
     folder.write("bar.case.json", &text);
-    let ran = folder.check(&["--junit", "r.xml"]);
+    let ran = folder.check(&["--junit", "r.xml", "--force"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     assert!(ran.err.contains(" of 1.00e300 allowed"), "{}", ran.err);
     assert!(folder.read("r.xml").contains("name=\"bytes.allowed\" value=\"1e300\""));

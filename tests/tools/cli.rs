@@ -115,6 +115,7 @@ fn a_report_is_one_document_and_its_digest_is_the_same_for_any_thread_count() {
             "job.json",
             "-o",
             "out.glb",
+            "--force",
             "--json",
             "--threads",
             threads,
@@ -149,7 +150,16 @@ fn a_job_can_ask_for_the_papers_operators() {
         fs::write(folder.path().join(name), text).expect("written");
         let (code, stdout, last) = pliant(
             folder.path(),
-            &["deform", "creature.glb", "--job", name, "-o", "out.glb", "--json"],
+            &[
+                "deform",
+                "creature.glb",
+                "--job",
+                name,
+                "-o",
+                "out.glb",
+                "--json",
+                "--force",
+            ],
         );
         assert_eq!(code, Some(0), "{last}");
         serde_json::from_str::<Value>(&stdout).expect("one JSON document")

@@ -6,6 +6,7 @@ mod book;
 mod check;
 mod cli;
 mod floors;
+mod outputs;
 mod render;
 mod source;
 #[path = "../support/mod.rs"]

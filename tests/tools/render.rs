@@ -7,7 +7,7 @@ use std::process::Command;
 /// Runs `pliant render`; returns (exit code, stdout, last line of stderr).
 fn render(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
     let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .arg("render")
+        .args(["render", "--force"])
         .args(arguments)
         .current_dir(folder)
         .output()

@@ -187,6 +187,7 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
             "-o",
             &out_text,
             "--json",
+            "--force",
             "--threads",
             "1",
         ])

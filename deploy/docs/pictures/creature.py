@@ -42,9 +42,9 @@ def main(pliant: str, creature: str, out: str) -> None:
             (place / "job.json").write_text(json.dumps(job(frame)))
             quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "check": True}
             bent, drawn = str(place / "bent.glb"), str(place / "drawn.png")
-            subprocess.run([pliant, "deform", creature, "--job", str(place / "job.json"), "-o", bent], **quiet)
+            subprocess.run([pliant, "deform", creature, "--job", str(place / "job.json"), "-o", bent, "--force"], **quiet)
             view = ["--size", "420x360", "--view", "25,12"]
-            subprocess.run([pliant, "render", bent, "--before", creature, *view, "-o", drawn], **quiet)
+            subprocess.run([pliant, "render", bent, "--before", creature, *view, "-o", drawn, "--force"], **quiet)
             small = Image.open(drawn).convert("RGB").resize((630, 270), Image.LANCZOS)
             frames.append(ImageOps.posterize(small, 6))
     frames[0].save(out, save_all=True, append_images=frames[1:], duration=90, loop=0, optimize=True)

@@ -7,7 +7,7 @@ mod run;
 mod suite;
 
 use super::failure::CliFailure;
-use super::model_files::write_file;
+use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
 use crate::check::CaseStatus;
@@ -48,11 +48,17 @@ pub struct CheckArgs {
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
     #[command(flatten)]
+    permission: OutputPermission,
+    #[command(flatten)]
     threads: ThreadArgs,
 }
 
 /// Runs the command.
 pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
+    let reports = [&args.junit, &args.html];
+    for path in reports.into_iter().flatten() {
+        args.permission.check_target(path)?;
+    }
     let threads = args.threads.start_pool()?.threads();
     let server = args
         .server
@@ -94,7 +100,12 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
     for (case, done) in cases.iter().zip(&done) {
         // Written first: what is told as stored is stored.
         if let Some(golden) = &done.golden {
-            write_file(&case.golden_path, golden.as_bytes())?;
+            // A golden is what --bless asks to replace.
+            let replace = OutputPermission {
+                force: true,
+                ..args.permission
+            };
+            replace.write_file(&case.golden_path, golden.as_bytes())?;
         }
         eprintln!("{}", report::case_line(&done.report, width));
         done.changes.iter().for_each(|change| eprintln!("         {change}"));
@@ -105,10 +116,12 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
     }
     eprintln!("{}", report::summary_line(&report));
     if let Some(path) = &args.junit {
-        write_file(path, &report::junit_report(&report).map_err(CliFailure::Internal)?)?;
+        let text = report::junit_report(&report).map_err(CliFailure::Internal)?;
+        args.permission.write_file(path, &text)?;
     }
     if let Some(path) = &args.html {
-        write_file(path, report::html_report(&report).as_bytes())?;
+        args.permission
+            .write_file(path, report::html_report(&report).as_bytes())?;
     }
     if args.json {
         let text = serde_json::to_string_pretty(&report::json_report(&report))

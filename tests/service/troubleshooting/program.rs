@@ -42,7 +42,7 @@ pub fn provoke() -> Vec<Said> {
     let port = taken.local_addr().expect("an address").port().to_string();
     let here = format!("127.0.0.1:{port}");
 
-    let cases: [(&'static str, &[&str]); 11] = [
+    let cases: [(&'static str, &[&str]); 13] = [
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
         ("a time without a unit", &["serve", "--config", "time.toml"]),
@@ -53,6 +53,14 @@ pub fn provoke() -> Vec<Said> {
         (
             "an extension that is none",
             &["deform", "square.obj", "--job", "held.json", "-o", "out.fbx"],
+        ),
+        (
+            "a result that is there",
+            &["deform", "square.obj", "--job", "held.json", "-o", "square.obj"],
+        ),
+        (
+            "no such folder",
+            &["deform", "square.obj", "--job", "held.json", "-o", "new/out.obj"],
         ),
         (
             "a field that is none",

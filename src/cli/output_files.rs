@@ -1,0 +1,164 @@
+//! Files that a command writes: nothing is replaced without `--force`, no folder is made without `--parents`.
+//!
+//! Everything that stands in the way is told before anything is written, and where it can be known, before any work is
+//! done. Files are written beside their places and renamed, so a command that is stopped leaves no half file.
+
+use super::failure::CliFailure;
+use super::model_files::stays_inside;
+use crate::asset::{FileSet, WrittenFiles};
+use clap::Args;
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// What a command may do to the folder that it writes into.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub(super) struct OutputPermission {
+    /// Replace files that are there
+    #[arg(long)]
+    pub force: bool,
+    /// Make folders that are missing
+    #[arg(long)]
+    pub parents: bool,
+}
+
+impl OutputPermission {
+    /// Says why a file may not be written at a path; changes nothing.
+    pub(super) fn check_target(self, path: &Path) -> Result<(), CliFailure> {
+        let refuse = |problem: &str| Err(CliFailure::Input(format!("cannot write {}: {problem}", path.display())));
+        if path.file_name().is_none() {
+            return refuse("that names no file");
+        }
+        match fs::metadata(path) {
+            Ok(facts) if facts.is_dir() => return refuse("it is a folder"),
+            Ok(facts) if !facts.is_file() => return refuse("it is no regular file"),
+            Ok(_) if !self.force => return refuse("it exists; --force replaces it"),
+            _ => {}
+        }
+        let folder = folder_of(path);
+        match fs::metadata(folder) {
+            Ok(facts) if !facts.is_dir() => refuse(&format!("{} is no folder", folder.display())),
+            Err(_) if !self.parents => refuse(&format!(
+                "the folder {} does not exist; --parents makes it",
+                folder.display()
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes one file.
+    pub(super) fn write_file(self, path: &Path, bytes: &[u8]) -> Result<(), CliFailure> {
+        self.write_all(&BTreeMap::from([(path.to_owned(), bytes)]))
+    }
+
+    /// Writes a model and its companions beside it. A companion that lies there already, byte for byte, is left alone.
+    ///
+    /// A companion of the model that was read is never replaced by other bytes, with `--force` neither: the model would
+    /// no longer be what it was. Only a model that is written over itself takes its companions along.
+    pub(super) fn write_model(
+        self,
+        path: &Path,
+        written: &WrittenFiles,
+        model: &Path,
+        read: &FileSet,
+    ) -> Result<Vec<PathBuf>, CliFailure> {
+        let over_itself = is_same_file(path, model);
+        let mut files = BTreeMap::new();
+        for (uri, bytes) in &written.companions {
+            if !stays_inside(uri) {
+                return Err(CliFailure::Input(format!(
+                    "the model names \"{uri}\", which lies outside the output's folder"
+                )));
+            }
+            let target = folder_of(path).join(uri);
+            let own = is_same_file(&folder_of(model).join(uri), &target);
+            let stays = match read.companions.get(uri).filter(|_| own) {
+                Some(before) => before.as_ref() == bytes.as_slice(),
+                None => holds_bytes(&target, bytes),
+            };
+            if stays {
+                continue;
+            }
+            if own && !over_itself {
+                let problem = format!("writing {} would overwrite the model's own {uri}", path.display());
+                return Err(CliFailure::Input(format!(
+                    "{problem}; write into another folder, or as .glb"
+                )));
+            }
+            files.insert(target, bytes.as_slice());
+        }
+        files.insert(path.to_owned(), written.main.as_slice());
+        self.write_all(&files)?;
+        Ok(files.into_keys().collect())
+    }
+
+    /// Writes files: all or nothing as far as a file system allows.
+    fn write_all(self, files: &BTreeMap<PathBuf, &[u8]>) -> Result<(), CliFailure> {
+        files.keys().try_for_each(|path| self.check_target(path))?;
+        let refuse =
+            |path: &Path, e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
+        if self.parents {
+            for path in files.keys() {
+                fs::create_dir_all(folder_of(path)).map_err(|e| refuse(path, e))?;
+            }
+        }
+        let mut temporary: Vec<(PathBuf, PathBuf)> = Vec::new();
+        let clean_up = |temporary: &[(PathBuf, PathBuf)]| {
+            temporary.iter().for_each(|(temp, _)| drop(fs::remove_file(temp)));
+        };
+        for (path, bytes) in files {
+            // A link stays a link: what it points to is replaced.
+            let target = path.canonicalize().unwrap_or_else(|_| path.clone());
+            match write_beside(&target, bytes) {
+                Ok(temp) => temporary.push((temp, target)),
+                Err(e) => {
+                    clean_up(&temporary);
+                    return Err(refuse(path, e));
+                }
+            }
+        }
+        // Another program may have been faster while the files were written.
+        if let Err(e) = files.keys().try_for_each(|path| self.check_target(path)) {
+            clean_up(&temporary);
+            return Err(e);
+        }
+        for (i, (temp, target)) in temporary.iter().enumerate() {
+            if let Err(e) = fs::rename(temp, target) {
+                clean_up(&temporary[i..]);
+                return Err(refuse(target, e));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The folder that a file lies in.
+fn folder_of(path: &Path) -> &Path {
+    path.parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
+}
+
+/// Whether both paths lead to one file that is there.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Whether a file is there and holds these bytes.
+fn holds_bytes(path: &Path, bytes: &[u8]) -> bool {
+    let as_long = |facts: fs::Metadata| facts.is_file() && facts.len() == bytes.len() as u64;
+    fs::metadata(path).is_ok_and(as_long) && fs::read(path).is_ok_and(|there| there == bytes)
+}
+
+fn write_beside(target: &Path, bytes: &[u8]) -> std::io::Result<PathBuf> {
+    let mut name = target.file_name().unwrap_or_default().to_os_string();
+    name.push(format!(".{}.part", std::process::id()));
+    let temp = target.with_file_name(name);
+    let mut file = fs::File::create(&temp)?;
+    let written = file.write_all(bytes).and_then(|()| file.sync_data());
+    if written.is_err() {
+        let _ = fs::remove_file(&temp);
+    }
+    written.map(|()| temp)
+}

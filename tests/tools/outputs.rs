@@ -1,0 +1,375 @@
+//! What the command line writes: files that are there and folders that are not, and the files that belong to a model.
+
+use crate::support::data::data_folder;
+use crate::support::khronos;
+use pliant::asset::{FileSet, Limits, Model, sample};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Runs the program; returns its exit code and all that it says on stderr.
+fn pliant(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
+    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .expect("it runs");
+    (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
+}
+
+fn refused(folder: &Path, arguments: &[&str], wanted: &str) {
+    let (code, said) = pliant(folder, arguments);
+    let last = said.trim_end().lines().last().unwrap_or_default();
+    assert_eq!(code, Some(2), "{arguments:?}: {said}");
+    assert!(
+        last.starts_with("pliant: ") && last.contains(wanted),
+        "{arguments:?}: {last}"
+    );
+}
+
+fn done(folder: &Path, arguments: &[&str]) -> String {
+    let (code, said) = pliant(folder, arguments);
+    assert_eq!(code, Some(0), "{arguments:?}: {said}");
+    said
+}
+
+/// Every file below a folder, by its path there.
+fn files_in(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(next) = open.pop() {
+        for entry in fs::read_dir(next).expect("a folder").flatten() {
+            if entry.path().is_dir() {
+                open.push(entry.path());
+            } else {
+                let bytes = fs::read(entry.path()).expect("a file");
+                let name = entry.path().strip_prefix(folder).expect("inside").to_owned();
+                found.insert(name, bytes);
+            }
+        }
+    }
+    found
+}
+
+/// A picture by its first bytes; nobody looks at the rest.
+fn picture(mark: &[u8]) -> Vec<u8> {
+    [mark, b" not a picture that anybody looks at"].concat()
+}
+
+/// A tall box as a .gltf whose buffer and pictures lie outside, one of them in a folder of its own.
+fn box_gltf(folder: &Path) {
+    let mut points = Vec::new();
+    let mut indices: Vec<u16> = Vec::new();
+    for ring in 0..7u16 {
+        points.extend([[0, 0], [1, 0], [1, 1], [0, 1]].map(|[x, z]| [x as f32, f32::from(ring), z as f32]));
+        if ring > 0 {
+            let (a, b) = (4 * (ring - 1), 4 * ring);
+            indices.extend((0..4).flat_map(|i| {
+                let j = (i + 1) % 4;
+                [a + i, b + i, b + j, a + i, b + j, a + j]
+            }));
+        }
+    }
+    indices.extend([0, 1, 2, 0, 2, 3, 24, 26, 25, 24, 27, 26]);
+    let mut bytes: Vec<u8> = points.iter().flatten().flat_map(|v: &f32| v.to_le_bytes()).collect();
+    let first = bytes.len();
+    bytes.extend(indices.iter().flat_map(|i| i.to_le_bytes()));
+    let document = json!({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}, "normalTexture": {"index": 1}}],
+        "textures": [{"source": 0}, {"source": 1}],
+        "images": [{"uri": "textures/base%20colour.png"}, {"uri": "./normal.jpg"}],
+        "buffers": [{"byteLength": bytes.len(), "uri": "the%20box.bin"}],
+        "bufferViews": [{"buffer": 0, "byteLength": first}, {"buffer": 0, "byteOffset": first, "byteLength": bytes.len() - first}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": points.len(), "type": "VEC3", "min": [0, 0, 0], "max": [1, 6, 1]},
+            {"bufferView": 1, "componentType": 5123, "count": indices.len(), "type": "SCALAR"}],
+    });
+    fs::create_dir_all(folder.join("textures")).expect("made");
+    fs::write(folder.join("box.gltf"), document.to_string()).expect("written");
+    fs::write(folder.join("the box.bin"), bytes).expect("written");
+    fs::write(folder.join("textures/base colour.png"), picture(b"\x89PNG\r\n\x1a\n")).expect("written");
+    fs::write(folder.join("normal.jpg"), picture(b"\xff\xd8\xff")).expect("written");
+}
+
+/// A job that holds the lower third of a model and turns the upper one.
+fn job_for(model: &Path, folder: &Path) -> PathBuf {
+    let mut set = FileSet::single(model.to_string_lossy(), fs::read(model).expect("a model"));
+    let document: Value = serde_json::from_slice(&set.main).expect("JSON");
+    for buffer in document["buffers"].as_array().expect("buffers") {
+        let name = decoded(buffer["uri"].as_str().expect("a file"));
+        let bytes = fs::read(model.parent().expect("a folder").join(&name)).expect("a buffer");
+        set.companions.insert(name, bytes.into());
+    }
+    let positions = Model::read(set, None, &Limits::default())
+        .expect("a model")
+        .positions
+        .clone();
+    let low = positions.iter().fold(f64::INFINITY, |a, p| a.min(p.y));
+    let high = positions.iter().fold(f64::NEG_INFINITY, |a, p| a.max(p.y));
+    let third = (high - low) / 3.0;
+    let job = json!({
+        "handles": [
+            {"id": "low", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -(low + third)}}},
+            {"id": "high", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": high - third}}}],
+        "steps": [{"pose": {"handles": [{"id": "high", "pose": {"rotationVector": [0, 0, 0.3]}}]}}],
+    });
+    let path = folder.join("job.json");
+    fs::write(&path, job.to_string()).expect("written");
+    path
+}
+
+fn decoded(uri: &str) -> String {
+    let name = percent_encoding::percent_decode_str(uri)
+        .decode_utf8_lossy()
+        .into_owned();
+    name.strip_prefix("./").map(str::to_owned).unwrap_or(name)
+}
+
+/// The bytes of every image of a written model, and the names of the files that it still names.
+fn images_of(model: &Path) -> (Vec<Vec<u8>>, BTreeSet<String>) {
+    let file = fs::read(model).expect("written");
+    let (json, bin) = if file.starts_with(b"glTF") {
+        let length = u32::from_le_bytes(file[12..16].try_into().expect("four bytes")) as usize;
+        (file[20..20 + length].to_vec(), file[28 + length..].to_vec())
+    } else {
+        (file, Vec::new())
+    };
+    let document: Value = serde_json::from_slice(&json).expect("JSON");
+    let list = |key: &str| document[key].as_array().cloned().unwrap_or_default();
+    let mut named = BTreeSet::new();
+    for item in list("images").iter().chain(&list("buffers")) {
+        named.extend(item["uri"].as_str().map(decoded));
+    }
+    let images = list("images").into_iter().map(|image| match image["uri"].as_str() {
+        Some(uri) => fs::read(model.parent().expect("a folder").join(decoded(uri))).expect("an image beside it"),
+        None => {
+            assert!(image["mimeType"].as_str().is_some_and(|t| t.starts_with("image/")));
+            let view = &document["bufferViews"][image["bufferView"].as_u64().expect("a view") as usize];
+            let first = view["byteOffset"].as_u64().unwrap_or(0) as usize;
+            bin[first..first + view["byteLength"].as_u64().expect("a length") as usize].to_vec()
+        }
+    });
+    (images.collect(), named)
+}
+
+/// Deforms a model into a .gltf and a .glb elsewhere: every image must be there to the byte, and the .glb must stand alone.
+fn check_companions(model: &Path) -> Vec<PathBuf> {
+    let folder = tempfile::tempdir().expect("a folder").keep();
+    let job = job_for(model, &folder);
+    let (before, named) = images_of(model);
+    assert!(!before.is_empty());
+    let [model_name, job] = [model, &job].map(|p| p.to_string_lossy().into_owned());
+    let mut written = Vec::new();
+    for (name, more) in [("out.gltf", named), ("alone/out.glb", BTreeSet::new())] {
+        let arguments = ["deform", &model_name, "--job", &job, "-o", name, "--parents"];
+        let said = done(&folder, &arguments);
+        assert!(!said.contains("image-missing"), "{said}");
+        let (images, still_named) = images_of(&folder.join(name));
+        assert_eq!(images, before, "{name}");
+        assert_eq!(still_named, more, "{name}");
+        written.push(folder.join(name));
+    }
+    assert_eq!(files_in(&folder.join("alone")).len(), 1, "a GLB stands alone");
+    written
+}
+
+#[test]
+fn nothing_is_replaced_without_force_and_no_folder_made_without_parents() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    fs::write(path.join("creature.glb"), sample::creature_glb()).expect("written");
+    fs::write(path.join("job.json"), r#"{"handles": []}"#).expect("written");
+    fs::write(path.join("precious.obj"), "not a model").expect("written");
+    fs::write(path.join("precious.png"), "not a picture").expect("written");
+    fs::create_dir(path.join("folder.obj")).expect("made");
+    let before = files_in(path);
+    let deform = ["deform", "creature.glb", "--job", "job.json", "-o"];
+    let render = ["render", "creature.glb", "-o"];
+    let with = |command: &[&'static str], more: &[&'static str]| [command, more].concat();
+    for (arguments, why) in [
+        (
+            with(&deform, &["precious.obj"]),
+            "precious.obj: it exists; --force replaces it",
+        ),
+        (
+            with(&render, &["precious.png"]),
+            "precious.png: it exists; --force replaces it",
+        ),
+        (with(&deform, &["precious.obj", "--parents"]), "--force"),
+        (
+            with(&deform, &["a/b/out.obj"]),
+            "the folder a/b does not exist; --parents makes it",
+        ),
+        (
+            with(&render, &["a/out.png", "--force"]),
+            "the folder a does not exist; --parents makes it",
+        ),
+        (with(&deform, &["folder.obj", "--force", "--parents"]), "it is a folder"),
+        (
+            with(&deform, &["precious.png/out.obj", "--parents"]),
+            "precious.png is no folder",
+        ),
+        (
+            vec!["check", "suite", "--junit", "precious.obj"],
+            "precious.obj: it exists; --force replaces it",
+        ),
+    ] {
+        refused(path, &arguments, why);
+        assert_eq!(files_in(path), before, "{arguments:?} wrote something");
+    }
+    done(path, &with(&deform, &["precious.obj", "--force"]));
+    done(path, &with(&render, &["precious.png", "--force", "--size", "64x64"]));
+    done(path, &with(&deform, &["a/b/out.obj", "--parents"]));
+    let after = files_in(path);
+    assert!(after[Path::new("precious.png")].starts_with(b"\x89PNG"));
+    assert_eq!(after[Path::new("precious.obj")], after[Path::new("a/b/out.obj")]);
+    assert_eq!(after.len(), before.len() + 1, "no other file is left");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_link_stays_a_link_and_a_device_is_never_replaced() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    fs::write(path.join("creature.glb"), sample::creature_glb()).expect("written");
+    fs::write(path.join("job.json"), r#"{"handles": []}"#).expect("written");
+    fs::create_dir(path.join("elsewhere")).expect("made");
+    fs::write(path.join("elsewhere/real.obj"), "old").expect("written");
+    std::os::unix::fs::symlink("elsewhere/real.obj", path.join("link.obj")).expect("a link");
+    std::os::unix::fs::symlink("/dev/null", path.join("null.obj")).expect("a link");
+    let to = |name| ["deform", "creature.glb", "--job", "job.json", "-o", name, "--force"];
+    done(path, &to("link.obj"));
+    assert!(fs::symlink_metadata(path.join("link.obj")).expect("there").is_symlink());
+    assert!(
+        fs::read(path.join("elsewhere/real.obj"))
+            .expect("there")
+            .starts_with(b"# pliant")
+    );
+    refused(path, &to("null.obj"), "it is no regular file");
+}
+
+#[test]
+fn files_beside_the_result_are_looked_at_before_anything_is_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    box_gltf(path);
+    let job = job_for(&path.join("box.gltf"), path);
+    let job = job.to_string_lossy();
+    let to = |name| vec!["deform", "box.gltf", "--job", &job, "-o", name];
+    let before = files_in(path);
+    // In the model's own folder its buffer would be replaced, with --force too.
+    for arguments in [to("bent.gltf"), [to("bent.gltf"), vec!["--force"]].concat()] {
+        refused(path, &arguments, "the model's own the box.bin");
+    }
+    fs::create_dir_all(path.join("out")).expect("made");
+    refused(
+        path,
+        &to("out/bent.gltf"),
+        "textures does not exist; --parents makes it",
+    );
+    assert_eq!(files_in(path), before);
+    fs::write(path.join("out/normal.jpg"), "precious").expect("written");
+    let parents = [to("out/bent.gltf"), vec!["--parents"]].concat();
+    refused(path, &parents, "out/normal.jpg: it exists; --force replaces it");
+    assert_eq!(files_in(&path.join("out")).len(), 1);
+    done(path, &[&parents[..], &["--force"]].concat());
+    let written = files_in(&path.join("out"));
+    assert_eq!(written.len(), 4);
+    // Companions that are there already, byte for byte, are in nobody's way.
+    fs::remove_file(path.join("out/bent.gltf")).expect("removed");
+    done(path, &to("out/bent.gltf"));
+    assert_eq!(files_in(&path.join("out")), written);
+    // Over itself a model takes its buffer along.
+    done(path, &[to("box.gltf"), vec!["--force"]].concat());
+    let after = files_in(path);
+    assert_eq!(after[Path::new("the box.bin")], written[Path::new("the box.bin")]);
+    assert_ne!(after[Path::new("the box.bin")], before[Path::new("the box.bin")]);
+}
+
+#[test]
+fn images_and_buffers_come_along_and_a_glb_stands_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    box_gltf(folder.path());
+    check_companions(&folder.path().join("box.gltf"));
+
+    // Without its image the model is read all the same, and says so.
+    fs::remove_file(folder.path().join("normal.jpg")).expect("removed");
+    let job = job_for(&folder.path().join("box.gltf"), folder.path());
+    let said = done(
+        folder.path(),
+        &["deform", "box.gltf", "--job", &job.to_string_lossy(), "-o", "less.glb"],
+    );
+    assert!(
+        said.contains("warning image-missing: ") && said.contains("normal.jpg"),
+        "{said}"
+    );
+    fs::remove_file(folder.path().join("the box.bin")).expect("removed");
+    refused(folder.path(), &["inspect", "box.gltf"], "\"the box.bin\" is missing");
+}
+
+#[test]
+fn nothing_outside_the_folder_of_a_model_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let inside = folder.path().join("model");
+    box_gltf(&inside);
+    fs::write(folder.path().join("secret.png"), picture(b"\x89PNG\r\n\x1a\n")).expect("written");
+    let text = fs::read_to_string(inside.join("box.gltf")).expect("text");
+    let job = job_for(&inside.join("box.gltf"), folder.path());
+    let job = job.to_string_lossy();
+    for (uri, code) in [
+        ("../secret.png", "image-outside"),
+        ("%2e%2e/secret.png", "image-outside"),
+        ("a/../../secret.png", "image-outside"),
+        ("/etc/hostname", "image-outside"),
+    ] {
+        let hostile = text.replace("./normal.jpg", uri);
+        assert_ne!(hostile, text);
+        fs::write(inside.join("hostile.gltf"), &hostile).expect("written");
+        let arguments = [
+            "deform",
+            "model/hostile.gltf",
+            "--job",
+            &job,
+            "-o",
+            "out.glb",
+            "--force",
+        ];
+        let said = done(folder.path(), &arguments);
+        assert!(said.contains(&format!("warning {code}: ")), "{uri}: {said}");
+        let out = fs::read(folder.path().join("out.glb")).expect("written");
+        let secret = picture(b"\x89PNG\r\n\x1a\n");
+        let times = out.windows(secret.len()).filter(|w| *w == secret).count();
+        assert_eq!(times, 1, "the model's own picture and no other");
+    }
+}
+
+#[test]
+fn real_models_keep_every_image() {
+    let Some(data) = data_folder("images of real models") else {
+        return;
+    };
+    let (mut models, mut written) = (Vec::new(), Vec::new());
+    for name in ["WaterBottle", "BoomBox", "AnimatedCube"] {
+        let model = data.join(format!("gltf/{name}_separate/{name}.gltf"));
+        written.push(check_companions(&model));
+        models.push(model);
+    }
+    let files: Vec<PathBuf> = models
+        .iter()
+        .cloned()
+        .chain(written.iter().flatten().cloned())
+        .collect();
+    let Some(findings) = khronos::validate(&files) else {
+        return;
+    };
+    for (model, written) in models.iter().zip(&written) {
+        for file in written {
+            let new: Vec<_> = findings[file].difference(&findings[model]).collect();
+            assert!(new.is_empty(), "{}: {new:?}", file.display());
+        }
+    }
+}
