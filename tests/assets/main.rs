@@ -2,6 +2,7 @@
 
 mod hostile_gltf;
 mod morphs;
+mod polygons;
 mod roundtrip_gltf;
 mod roundtrip_text;
 mod skins;

@@ -78,11 +78,12 @@ def glb_parts(path: Path) -> tuple[dict[str, list[dict[str, int | str]]], bytes]
 
 
 def bend(session: pliant.Session) -> None:
-    low, high = session.vertices.min(0), session.vertices.max(0)
+    points = session.positions()
+    low, high = points.min(0), points.max(0)
     axis = int(np.argmax(high - low))
     normal = np.eye(3)[axis]
     third = (high - low)[axis] / 3
-    along = session.vertices[:, axis]
+    along = points[:, axis]
     session.handle("low", vertices=along < low[axis] + third)
     session.handle("high", vertices=along > high[axis] - third)
     session.solve({"high": {"rotation_vector": 0.3 * np.roll(normal, 1)}})

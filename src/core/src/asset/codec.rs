@@ -3,7 +3,7 @@
 //! Knows no format. The formats implement [`FormatCodec`] in [`formats`](super::formats); [`write`](super::write) and
 //! [`Model::read`](super::Model::read) call it.
 
-use super::edited::{EditedModel, PrimitiveRun};
+use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
@@ -83,6 +83,12 @@ pub(super) trait FormatCodec: Sync {
         Ok(None)
     }
 
+    /// Which faces of a model that this codec has read have more than three corners; `None` when all are triangles.
+    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
+        let _ = model;
+        None
+    }
+
     /// Texture coordinates, colours and materials of runs of one base that this codec has read, for other formats: one
     /// for each run, or none for any.
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
@@ -120,4 +126,6 @@ pub(super) struct EditedOutput<'a> {
     pub following: Following,
     /// The neutral form of what comes from the base of that number, for bases of other formats.
     pub neutral_base: &'a dyn Fn(u32) -> Result<NeutralModel, Error>,
+    /// For each run of the edited model its faces, where some have more than three corners.
+    pub run_faces: &'a dyn Fn(&PrimitiveRun) -> Option<RunFaces>,
 }

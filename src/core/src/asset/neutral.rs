@@ -2,7 +2,7 @@
 //!
 //! Texture coordinates count from the upper left corner of the picture, as in glTF.
 
-use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun};
+use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
 use super::{Error, Format, Geometry, Primitive};
 use glam::{DVec3, Vec3};
 use std::ops::Range;
@@ -26,6 +26,8 @@ pub(super) struct PrimitiveAttributes {
     pub has_colours: bool,
     /// The name of its material.
     pub material: Option<String>,
+    /// Its faces, where some have more than three corners.
+    pub faces: Option<RunFaces>,
 }
 
 /// What one run of an edited model has beyond its geometry, as its format reads it from the files.
@@ -37,6 +39,8 @@ pub(super) struct RunAttributes {
     pub colours: Vec<[f32; 4]>,
     /// The name of its material.
     pub material: Option<String>,
+    /// Its faces, where some have more than three corners.
+    pub faces: Option<RunFaces>,
 }
 
 /// A part of a run whose corners at one vertex differed, with its vertices copied so that they do not.
@@ -59,6 +63,24 @@ pub(super) struct NeutralPrimitive<'a> {
     pub triangles: &'a [[u32; 3]],
     /// Its vertices.
     pub vertices: Range<usize>,
+}
+
+impl NeutralPrimitive<'_> {
+    /// How many faces it has.
+    pub fn face_count(&self) -> usize {
+        let faces = self.attributes.faces.as_ref();
+        faces.map_or(self.triangles.len(), RunFaces::face_count)
+    }
+
+    /// Hands out the corners of every face: 3 × triangle + place.
+    pub fn each_face(&self, face: impl FnMut(&[u32])) {
+        RunFaces::each_or_triangles(self.attributes.faces.as_ref(), self.triangles.len(), face);
+    }
+
+    /// The vertex of a corner, counted in the whole model.
+    pub fn vertex_at(&self, corner: u32) -> u32 {
+        self.triangles[corner as usize / 3][corner as usize % 3]
+    }
 }
 
 impl NeutralModel {
@@ -149,13 +171,19 @@ impl NeutralModel {
 
     /// Adds what the last primitive has beyond its geometry.
     fn push_attributes(&mut self, attributes: RunAttributes) {
-        let RunAttributes { uv, colours, material } = attributes;
+        let RunAttributes {
+            uv,
+            colours,
+            material,
+            faces,
+        } = attributes;
         let count = self.geometry.positions.len();
         let added = self.geometry.primitives.last().map_or(0, |p| p.vertex_count as usize);
         self.attributes.push(PrimitiveAttributes {
             has_uv: !uv.is_empty(),
             has_colours: !colours.is_empty(),
             material,
+            faces,
         });
         if !uv.is_empty() || !self.uv.is_empty() {
             self.uv.resize(count - added, [0.0; 2]);

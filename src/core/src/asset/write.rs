@@ -1,7 +1,7 @@
 //! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
 
 use super::codec::EditedOutput;
-use super::edited::{self, BaseModel, EditedModel, PrimitiveRun, VertexBlends};
+use super::edited::{self, BaseModel, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::formats::codec_of;
 use super::model::is_same;
 use super::neutral::NeutralModel;
@@ -212,7 +212,15 @@ pub fn write_edited_model_following(
         format,
         following,
         neutral_base: &neutral_base,
+        run_faces: &|run| faces_of_run(edited, run),
     })
+}
+
+/// The faces of a run, where some have more than three corners.
+fn faces_of_run(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option<RunFaces> {
+    let model = edited.base(run).model;
+    let outlines = codec_of(model.format).face_outlines(model)?;
+    RunFaces::of_run(edited, run, outlines)
 }
 
 /// The neutral form of an edited model, for files of `format`.
@@ -289,7 +297,9 @@ fn add_base(
             none => none.insert(source.run_attributes(edited, &runs)?.into_iter()),
         };
         neutral.check_room(run.vertex_count as usize, format)?;
-        neutral.push_run(edited, run, positions, attributes.next().unwrap_or_default());
+        let mut attributes = attributes.next().unwrap_or_default();
+        attributes.faces = faces_of_run(edited, run);
+        neutral.push_run(edited, run, positions, attributes);
     }
     Ok(())
 }

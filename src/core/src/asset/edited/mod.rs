@@ -5,15 +5,17 @@
 //! are read from those files when the model is written, blended, and forgotten again.
 //!
 //! Owns the description, its check, and how attributes follow: normals and tangents ([`carried`]) and what belongs to
-//! corners of faces ([`origins`]). The codecs write the files.
+//! corners of faces ([`origins`]), and which polygons still stand ([`outlines`]). The codecs write the files.
 
 mod blends;
 mod carried;
 mod origins;
+mod outlines;
 
 pub use blends::{VertexBlend, VertexBlends};
 pub(super) use carried::CarriedAttributes;
 pub(super) use origins::TriangleOrigins;
+pub(super) use outlines::{FaceOutlines, RunFaces};
 
 use super::model::FileNotes;
 use super::{Error, Format, Model, Primitive};

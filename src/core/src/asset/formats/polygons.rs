@@ -3,6 +3,7 @@
 //! Convex polygons become fans from their first corner. Concave ones are cut by ear clipping in their own plane, so that
 //! no triangle leaves the polygon.
 
+use crate::asset::edited::FaceOutlines;
 use glam::{DVec2, DVec3};
 
 /// How many point-in-ear tests one file may cost; polygons beyond it become fans. Far above what real files need, and
@@ -32,6 +33,30 @@ impl Polygons {
     /// Triangles that the faces so far will give.
     pub fn triangle_count(&self) -> u64 {
         self.corners.len() as u64 - 2 * self.ends.len() as u64
+    }
+
+    /// The faces that have more than three corners. `slots` are the triangles that [`Polygons::triangulate`] gave.
+    pub fn find_outlines(&self, slots: &[[u32; 3]]) -> FaceOutlines {
+        let mut outlines = FaceOutlines::default();
+        let (mut first, mut triangle) = (0u32, 0usize);
+        let mut place_of = Vec::new();
+        for &end in &self.ends {
+            let count = (end - first) as usize;
+            if count > 3 {
+                place_of.clear();
+                place_of.resize(count, u32::MAX);
+                let own = slots[triangle..triangle + count - 2].as_flattened();
+                for (corner, slot) in own.iter().enumerate().rev() {
+                    place_of[(slot - first) as usize] = corner as u32;
+                }
+                if !place_of.contains(&u32::MAX) {
+                    outlines.add_face(triangle as u32, place_of.iter().copied());
+                }
+            }
+            triangle += count - 2;
+            first = end;
+        }
+        outlines
     }
 
     /// Cuts every face into triangles, as places in `corners`, in face order. Also says how many faces were too costly

@@ -81,7 +81,7 @@ impl<'a> CompanionEmbedder<'a> {
     }
 
     /// Adds bytes to the chunk; answers where they begin.
-    fn push(&mut self, name: String, bytes: &[u8]) -> usize {
+    fn append_companion(&mut self, name: String, bytes: &[u8]) -> usize {
         self.bin.resize(self.bin.len().next_multiple_of(4), 0);
         let at = self.bin.len();
         self.bin.extend_from_slice(bytes);
@@ -100,7 +100,7 @@ impl<'a> CompanionEmbedder<'a> {
             match self.companion_of(item) {
                 // The first buffer is the chunk; a file that is shorter than it says was refused when it was read.
                 Some((name, bytes)) if i > 0 && bytes.len() >= declared => {
-                    let at = self.push(name, &bytes[..declared]);
+                    let at = self.append_companion(name, &bytes[..declared]);
                     moved.push((0, at));
                 }
                 _ => {
@@ -161,7 +161,7 @@ impl<'a> CompanionEmbedder<'a> {
             let view = match view_of.get(&name) {
                 Some(view) => *view,
                 None => {
-                    let at = self.push(name.clone(), bytes);
+                    let at = self.append_companion(name.clone(), bytes);
                     let length = bytes.len();
                     views.push(format!(r#"{{"buffer":0,"byteOffset":{at},"byteLength":{length}}}"#));
                     let view = first + views.len() - 1;

@@ -7,13 +7,13 @@ use super::statements::{FaceState, ObjStatements, name_in, object_numbers, read}
 use super::write::{printable, push_corner, push_line, push_numbers};
 use crate::asset::Error;
 use crate::asset::codec::EditedOutput;
-use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces};
 use crate::asset::neutral::{RunAttributes, SeamPart};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// A text of the edited model. Vertices are in the order of the blends; faces are triangles, in order within each
-/// object. Other bases follow with their texture coordinates, normals and material names.
+/// A text of the edited model. Vertices are in the order of the blends; faces are in order within each
+/// object; those of more than three corners that the edit left alone stay whole. Other bases follow with their texture coordinates, normals and material names.
 pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
     let EditedOutput { edited, positions, .. } = *output;
     let all = edited.read_bases(|model, _: &ObjNotes| Ok(read(&model.files.main, &model.positions)))?;
@@ -46,6 +46,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
                 run,
                 divide_corners(edited, run, positions, statements),
                 statements,
+                (output.run_faces)(run).as_ref(),
             );
         }
     }
@@ -104,6 +105,7 @@ impl<'a> EditedFaces<'a> {
         run: &PrimitiveRun,
         parted: CornerAttributes<'a>,
         statements: &ObjStatements<'a>,
+        faces: Option<&RunFaces>,
     ) {
         for texture in &parted.textures {
             out.extend_from_slice(b"vt ");
@@ -134,22 +136,23 @@ impl<'a> EditedFaces<'a> {
             line_of.push(line);
         }
         let objects = object_numbers(&statements.states);
-        for (i, triangle) in parted.triangles.iter().enumerate() {
+        RunFaces::each_or_triangles(faces, parted.triangles.len(), |corners| {
             let mut text = b"f".to_vec();
-            for k in 0..3 {
-                let vertex = u64::from(triangle[k]) + u64::from(run.first_vertex) + 1;
+            for &corner in corners {
+                let (i, k) = (corner as usize / 3, corner as usize % 3);
+                let vertex = u64::from(parted.triangles[i][k]) + u64::from(run.first_vertex) + 1;
                 let texture = parted.corner_textures[i].map(|t| self.textures + u64::from(t[k]) + 1);
                 let normal = parted.corner_normals[i].map(|n| line_of[n[k] as usize]);
                 push_corner(&mut text, vertex, texture, normal);
             }
-            let state = parted.states[i];
+            let state = parted.states[corners[0] as usize / 3];
             let object = objects.get(&state.object).copied().unwrap_or(0);
             self.list.push(EditedFace {
                 order: (run.base as usize, object, state.material.is_some()),
                 state,
                 text,
             });
-        }
+        });
         self.bases = self.bases.max(run.base as usize);
         self.textures += parted.textures.len() as u64;
         self.normals += lines.len() as u64;
@@ -215,16 +218,16 @@ fn foreign_base(
         if let Some(material) = &own.attributes.material {
             out.extend(format!("usemtl {}\n", printable(material)).bytes());
         }
-        for triangle in own.triangles {
+        own.each_face(|corners| {
             out.push(b'f');
-            for &v in triangle {
-                let local = u64::from(v - primitive.first_vertex) + 1;
+            for &corner in corners {
+                let local = u64::from(own.vertex_at(corner) - primitive.first_vertex) + 1;
                 let texture = has_uv.then_some(faces.textures + local);
                 let normal = primitive.has_normals.then_some(faces.normals + local);
                 push_corner(out, local + u64::from(run.first_vertex), texture, normal);
             }
             out.push(b'\n');
-        }
+        });
         let count = own.vertices.len() as u64;
         faces.textures += if has_uv { count } else { 0 };
         faces.normals += if primitive.has_normals { count } else { 0 };
@@ -258,6 +261,7 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
             Vec::new()
         },
         material: statements.states.first().and_then(|s| s.material).map(name_in),
+        faces: None,
     };
     runs.iter().map(one).collect()
 }

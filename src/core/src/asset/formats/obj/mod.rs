@@ -16,7 +16,7 @@ mod write;
 pub(super) use read::FORMAT;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
-use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::asset::neutral::{NeutralModel, RunAttributes, SeamPart};
 use crate::asset::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
 use glam::DVec3;
@@ -49,6 +49,10 @@ impl FormatCodec for ObjCodec {
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         edited::write_edited(output).map(WrittenFiles::single)
+    }
+
+    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
+        model.notes::<read::ObjNotes>().map(|notes| &notes.outlines)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {

@@ -4,6 +4,7 @@ use super::super::polygons::Polygons;
 use super::super::text::{NumberPrecision, TextLexer, TextToken, coordinate, number, shown};
 use super::corner::{FaceCorner, NO_NORMAL, STYLE, resolve, three_words};
 use super::normals::NormalLines;
+use crate::asset::edited::FaceOutlines;
 use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
@@ -23,11 +24,13 @@ pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
 pub(super) struct ObjNotes {
     /// Present when a face uses a `vn` line.
     pub normals: Option<NormalLines>,
+    /// Faces of more than three corners.
+    pub outlines: FaceOutlines,
 }
 
 impl FileNotes for ObjNotes {
     fn bytes_held(&self) -> u64 {
-        self.normals.as_ref().map_or(0, NormalLines::bytes_held)
+        self.normals.as_ref().map_or(0, NormalLines::bytes_held) + self.outlines.bytes_held()
     }
 }
 
@@ -219,6 +222,7 @@ impl<'a> ObjReader<'a> {
             }
         }
         let (slots, crude) = self.faces.triangulate(&self.positions);
+        let outlines = self.faces.find_outlines(&slots);
         let triangles: Vec<_> = slots
             .iter()
             .map(|t| t.map(|s| self.faces.corners[s as usize]))
@@ -246,7 +250,7 @@ impl<'a> ObjReader<'a> {
             "normals that are not finite are kept as they are",
         );
         geometry.warn_about_crude_polygons(crude);
-        Ok((geometry, ObjNotes { normals }))
+        Ok((geometry, ObjNotes { normals, outlines }))
     }
 }
 

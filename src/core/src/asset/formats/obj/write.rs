@@ -226,9 +226,10 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
         if let Some(material) = &own.attributes.material {
             out.extend(format!("usemtl {}\n", printable(material)).bytes());
         }
-        for triangle in own.triangles {
+        own.each_face(|corners| {
             out.push(b'f');
-            for &v in triangle {
+            for &corner in corners {
+                let v = own.vertex_at(corner);
                 let number = u64::from(v) + 1;
                 let texture = texture_number.get(v as usize).filter(|_| own.attributes.has_uv);
                 push_corner(
@@ -239,7 +240,7 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
                 );
             }
             out.push(b'\n');
-        }
+        });
     }
     out
 }

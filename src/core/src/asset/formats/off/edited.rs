@@ -2,11 +2,12 @@
 
 use super::super::text::{NumberPrecision, TextLexer, integer, number, push_number, push_triple};
 use super::read::{FORMAT, OffNotes, STYLE, read_count, read_header};
-use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins};
+use crate::asset::codec::EditedOutput;
+use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::asset::neutral::RunAttributes;
 use crate::asset::{Error, Model};
 use crate::mesh::NONE;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 
 /// What an OFF text holds beyond positions and triangles.
 #[derive(Default)]
@@ -71,9 +72,10 @@ fn read_attributes<'a>(model: &'a Model, notes: &OffNotes) -> Result<OffAttribut
     Ok(rest)
 }
 
-/// A text of the edited model with the kinds of numbers that the first base has. Faces are triangles and have the
-/// colour of the face that they lie on.
-pub(super) fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
+/// A text of the edited model with the kinds of numbers that the first base has. Faces that the edit
+/// left alone stay whole, others are triangles; they have the colour of the face that they lie on.
+pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
+    let EditedOutput { edited, positions, .. } = *output;
     let of_bases = edited.read_bases(read_attributes)?;
     let Some(Some(first)) = of_bases.first() else {
         return Err(Error::unwritable(FORMAT, "the first base is no OFF"));
@@ -82,7 +84,12 @@ pub(super) fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Res
     if out.is_empty() {
         out.extend_from_slice(b"OFF");
     }
-    out.extend(format!("\n{} {} 0\n", positions.len(), edited.triangles.len()).bytes());
+    let run_faces: Vec<Option<RunFaces>> = edited.runs.iter().map(output.run_faces).collect();
+    let count = |(run, faces): (&PrimitiveRun, &Option<RunFaces>)| {
+        faces.as_ref().map_or(run.triangle_count as usize, RunFaces::face_count)
+    };
+    let faces: usize = edited.runs.iter().zip(&run_faces).map(count).sum();
+    out.extend(format!("\n{} {faces} 0\n", positions.len()).bytes());
     for run in edited.runs {
         let normals = if first.has_normals {
             CarriedAttributes::new(edited, run, positions).normals()
@@ -111,14 +118,20 @@ pub(super) fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Res
             out.push(b'\n');
         }
     }
-    for run in edited.runs.iter().filter(|r| r.triangle_count > 0) {
+    for (run, faces) in edited.runs.iter().zip(&run_faces).filter(|(r, _)| r.triangle_count > 0) {
         let old = &edited.base(run).model.geometry.triangles;
         let own = of_bases.get(run.base as usize).and_then(Option::as_ref);
         let own = own.filter(|own| own.of_triangle.len() == old.len() && own.of_triangle.iter().any(|t| !t.is_empty()));
         let origins = own.map(|_| TriangleOrigins::new(edited, run, old));
-        for (i, [a, b, c]) in edited.triangles[run.triangles()].iter().enumerate() {
-            out.extend(format!("3 {a} {b} {c}").bytes());
-            let origin = origins.as_ref().map_or(NONE, |o| o.old_triangles()[i]);
+        let triangles = &edited.triangles[run.triangles()];
+        RunFaces::each_or_triangles(faces.as_ref(), triangles.len(), |corners| {
+            out.extend(corners.len().to_string().bytes());
+            for &corner in corners {
+                let vertex = triangles[corner as usize / 3][corner as usize % 3];
+                out.extend(format!(" {vertex}").bytes());
+            }
+            let first = corners[0] as usize / 3;
+            let origin = origins.as_ref().map_or(NONE, |o| o.old_triangles()[first]);
             let more = own
                 .and_then(|own| own.of_triangle.get(origin as usize))
                 .copied()
@@ -128,7 +141,7 @@ pub(super) fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Res
                 out.extend_from_slice(more);
             }
             out.push(b'\n');
-        }
+        });
     }
     Ok(out)
 }

@@ -12,7 +12,7 @@ mod write;
 pub(super) use read::FORMAT;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
-use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
 use glam::DVec3;
@@ -39,16 +39,16 @@ impl FormatCodec for OffCodec {
         patch_text_file(model, positions, format, write::patch)
     }
 
-    fn takes_attributes(&self) -> bool {
-        false
-    }
-
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
-        Ok(WrittenFiles::single(write::build(&neutral.geometry)))
+        Ok(WrittenFiles::single(write::build(neutral)))
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
-        edited::write_edited(output.edited, output.positions).map(WrittenFiles::single)
+        edited::write_edited(output).map(WrittenFiles::single)
+    }
+
+    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
+        model.notes::<read::OffNotes>().map(|notes| &notes.outlines)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {

@@ -2,6 +2,7 @@
 
 use super::super::polygons::Polygons;
 use super::super::text::{NumberPrecision, TextLexer, TextStyle, TextToken, coordinate, integer, number, shown};
+use crate::asset::edited::FaceOutlines;
 use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
@@ -23,9 +24,15 @@ pub(super) struct OffNotes {
     pub vertices_at: u32,
     /// Whether three numbers of a normal follow each position.
     pub has_normals: bool,
+    /// Faces of more than three corners.
+    pub outlines: FaceOutlines,
 }
 
-impl FileNotes for OffNotes {}
+impl FileNotes for OffNotes {
+    fn bytes_held(&self) -> u64 {
+        self.outlines.bytes_held()
+    }
+}
 
 fn recognise(bytes: &[u8]) -> Recognition {
     let text = bytes.trim_ascii_start();
@@ -77,6 +84,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes)
         read_face(&mut lexer, i, vertex_count, &mut faces, limits)?;
     }
     let (slots, crude) = faces.triangulate(&positions);
+    let outlines = faces.find_outlines(&slots);
     let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
     let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
     geometry.warn_about_crude_polygons(crude);
@@ -85,6 +93,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes)
         OffNotes {
             vertices_at,
             has_normals,
+            outlines,
         },
     ))
 }

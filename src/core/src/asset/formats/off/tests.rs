@@ -1,4 +1,5 @@
 use super::write::build;
+use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};
 use glam::{DVec3, Vec3};
 
@@ -95,6 +96,6 @@ fn what_is_wrong_is_named_with_its_line() {
 #[test]
 fn a_fresh_file_reads_back() {
     let geometry = read_text(COLOURED).expect("valid").geometry;
-    let text = String::from_utf8(build(&geometry)).expect("text");
+    let text = String::from_utf8(build(&NeutralModel::from_geometry(geometry.clone()))).expect("text");
     assert_eq!(read_text(&text).expect("valid").geometry, geometry);
 }

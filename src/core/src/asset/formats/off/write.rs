@@ -3,9 +3,9 @@
 use super::super::text::{NumberPrecision, TextLexer, TextPatch, push_triple};
 use super::read::{OffNotes, STYLE, three_words};
 use crate::asset::Geometry;
+use crate::asset::neutral::NeutralModel;
 use crate::mesh::shading;
 use glam::DVec3;
-use std::io::Write as _;
 
 /// The uploaded text with the vertices at `positions`.
 pub(super) fn patch(bytes: &[u8], notes: &OffNotes, rest: &Geometry, positions: &[DVec3]) -> Vec<u8> {
@@ -36,24 +36,13 @@ pub(super) fn patch(bytes: &[u8], notes: &OffNotes, rest: &Geometry, positions: 
     patch.finish()
 }
 
-/// A fresh text, with normals where every vertex has one.
-pub(super) fn build(geometry: &Geometry) -> Vec<u8> {
+/// A fresh text, with normals where every vertex has one, and polygons as they were.
+pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
+    let geometry = &neutral.geometry;
     let with_normals = geometry.all_have_normals();
-    let mut out = if with_normals {
-        b"NOFF\n".to_vec()
-    } else {
-        b"OFF\n".to_vec()
-    };
-    let line = |out: &mut Vec<u8>, numbers: [u64; 3], lead: &str| {
-        let [a, b, c] = numbers;
-        let result = writeln!(out, "{lead}{a} {b} {c}");
-        debug_assert!(result.is_ok(), "writing to memory does not fail");
-    };
-    line(
-        &mut out,
-        [geometry.positions.len() as u64, geometry.triangles.len() as u64, 0],
-        "",
-    );
+    let faces: usize = neutral.primitives().map(|own| own.face_count()).sum();
+    let keyword = if with_normals { "NOFF" } else { "OFF" };
+    let mut out = format!("{keyword}\n{} {faces} 0\n", geometry.positions.len()).into_bytes();
     for (i, &position) in geometry.positions.iter().enumerate() {
         push_triple(&mut out, position, NumberPrecision::Double);
         if with_normals {
@@ -62,8 +51,14 @@ pub(super) fn build(geometry: &Geometry) -> Vec<u8> {
         }
         out.push(b'\n');
     }
-    for triangle in &geometry.triangles {
-        line(&mut out, triangle.map(u64::from), "3 ");
+    for own in neutral.primitives() {
+        own.each_face(|corners| {
+            out.extend(corners.len().to_string().bytes());
+            for &corner in corners {
+                out.extend(format!(" {}", own.vertex_at(corner)).bytes());
+            }
+            out.push(b'\n');
+        });
     }
     out
 }

@@ -8,7 +8,7 @@ use super::table::{PlyTable, read};
 use super::write::stored_types;
 use crate::asset::Error;
 use crate::asset::codec::EditedOutput;
-use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins};
+use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::asset::neutral::RunAttributes;
 use crate::mesh::NONE;
 use glam::{DVec3, Vec3};
@@ -28,8 +28,8 @@ const COORDINATES: [[&str; 2]; 4] = [
     ["texture_s", "texture_t"],
 ];
 
-/// A file of the edited model in the encoding and with the properties of the first base. Faces are triangles and have
-/// the numbers of the face that they lie on; edges are left out.
+/// A file of the edited model in the encoding and with the properties of the first base. Faces that the edit left
+/// alone stay whole, others are triangles; they have the numbers of the face that they lie on. Edges are left out.
 pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
     let EditedOutput { edited, positions, .. } = *output;
     let tables = edited.read_bases(|model, _: &PlyNotes| read(&model.files.main, &model.positions))?;
@@ -45,6 +45,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
         first,
         tables: &tables,
         stored: stored_types(notes, positions)?,
+        run_faces: edited.runs.iter().map(output.run_faces).collect(),
         out: Vec::new(),
     };
     writer.write_header(&edited.bases[0].model.files.main);
@@ -71,6 +72,8 @@ struct EditedPlyWriter<'w, 'a> {
     first: &'w PlyTable<'a>,
     tables: &'w [Option<PlyTable<'a>>],
     stored: Vec<PlyScalar>,
+    /// For each run its faces, where some have more than three corners.
+    run_faces: Vec<Option<RunFaces>>,
     out: Vec<u8>,
 }
 
@@ -83,6 +86,11 @@ impl EditedPlyWriter<'_, '_> {
             let word = line.split(u8::is_ascii_whitespace).next().unwrap_or_default();
             matches!(word, b"format" | b"comment" | b"obj_info")
         };
+        let of_faces = face_properties(self.first, self.positions.len(), self.most_corners());
+        let counts = self.edited.runs.iter().zip(&self.run_faces);
+        let face_count: usize = counts
+            .map(|(run, faces)| faces.as_ref().map_or(run.triangle_count as usize, RunFaces::face_count))
+            .sum();
         let mut push = |line: &[u8]| {
             self.out.extend_from_slice(line);
             self.out.extend_from_slice(newline);
@@ -104,9 +112,9 @@ impl EditedPlyWriter<'_, '_> {
                 }
                 "face" | "tristrips" => {
                     if !std::mem::replace(&mut faces_written, true) {
-                        push(format!("element face {}", self.edited.triangles.len()).as_bytes());
-                        for property in face_properties(self.first, self.positions.len()) {
-                            push(property_line(&property, property.scalar).as_bytes());
+                        push(format!("element face {face_count}").as_bytes());
+                        for property in &of_faces {
+                            push(property_line(property, property.scalar).as_bytes());
                         }
                     }
                 }
@@ -120,6 +128,12 @@ impl EditedPlyWriter<'_, '_> {
             }
         }
         push(b"end_header");
+    }
+
+    /// The most corners that a face has.
+    fn most_corners(&self) -> usize {
+        let faces = self.run_faces.iter().flatten().flat_map(RunFaces::face_corners);
+        faces.map(<[u32]>::len).max().unwrap_or(3)
     }
 
     fn write_number(&mut self, value: f64, scalar: PlyScalar, first: bool) {
@@ -251,49 +265,45 @@ impl EditedPlyWriter<'_, '_> {
     }
 
     fn write_faces(&mut self) -> Result<(), Error> {
-        let properties = face_properties(self.first, self.positions.len());
+        let properties = face_properties(self.first, self.positions.len(), self.most_corners());
         let coordinates = self.first.corner_coordinates();
         let corner_list = self.first.corner_list().map(|(at, _)| at);
         let seam = coordinates.as_ref().map(|c| number_pairs(c)).unwrap_or_default();
         let needs_origins = properties.len() > 1;
-        for run in self.edited.runs.iter().filter(|r| r.triangle_count > 0) {
-            let old = &self.edited.base(run).model.geometry.triangles;
-            let has_rows = run.base == 0 && needs_origins && self.first.row_of.len() == old.len();
-            let origins = has_rows.then(|| TriangleOrigins::new(self.edited, run, old));
-            for (i, triangle) in self.edited.triangles[run.triangles()].iter().enumerate() {
-                let origin = origins.as_ref().map_or(NONE, |o| o.old_triangles()[i]);
-                let row = self.first.row_of.get(origin as usize).copied().unwrap_or(NONE);
+        let (edited, first) = (self.edited, self.first);
+        let run_faces = std::mem::take(&mut self.run_faces);
+        let runs = edited.runs.iter().zip(&run_faces);
+        for (run, faces) in runs.filter(|(r, _)| r.triangle_count > 0) {
+            let old = &edited.base(run).model.geometry.triangles;
+            let has_rows = run.base == 0 && needs_origins && first.row_of.len() == old.len();
+            let origins = has_rows.then(|| TriangleOrigins::new(edited, run, old));
+            let corners = FaceCorners {
+                triangles: &edited.triangles[run.triangles()],
+                origins: origins.as_ref(),
+                coordinates: coordinates.as_deref(),
+                seam: &seam,
+            };
+            RunFaces::each_or_triangles(faces.as_ref(), corners.triangles.len(), |face| {
+                let origin = corners.origin(face[0]);
+                let row = first.row_of.get(origin as usize).copied().unwrap_or(NONE);
                 for (p, property) in properties.iter().enumerate() {
                     let Some(count) = property.count else {
-                        self.write_number(self.first.face_number(row, p), property.scalar, p == 0);
+                        self.write_number(first.face_number(row, p), property.scalar, p == 0);
                         continue;
                     };
                     let items: Vec<f64> = if is_indices(&property.name) {
-                        triangle.iter().map(|&v| f64::from(v)).collect()
+                        face.iter().map(|&c| f64::from(corners.vertex(c))).collect()
                     } else if Some(p) == corner_list {
-                        match (&origins, &coordinates) {
-                            (Some(origins), Some(coordinates)) if origin != NONE => {
-                                let mix = |k| {
-                                    let mut sum = [0.0; 2];
-                                    for (corner, weight) in origins.corner(i, k, &seam) {
-                                        let at = coordinates[corner as usize];
-                                        sum = [sum[0] + at[0] * weight, sum[1] + at[1] * weight];
-                                    }
-                                    sum
-                                };
-                                (0..3).flat_map(mix).collect()
-                            }
-                            _ => vec![0.0; 6],
-                        }
+                        face.iter().flat_map(|&c| corners.coordinates(c)).collect()
                     } else {
-                        let whole = self.first.corners_of.get(row as usize) == Some(&3);
-                        let list = self.first.face_lists.get(&p).and_then(|l| l.get(row as usize));
+                        let whole = first.corners_of.get(row as usize) == Some(&(face.len() as u32));
+                        let list = first.face_lists.get(&p).and_then(|l| l.get(row as usize));
                         list.filter(|_| whole).cloned().unwrap_or_default()
                     };
                     self.write_list(&items, count, property.scalar, p == 0);
                 }
                 self.end_row();
-            }
+            });
         }
         Ok(())
     }
@@ -308,6 +318,40 @@ impl EditedPlyWriter<'_, '_> {
     }
 }
 
+/// What corners of a run's triangles have: 3 × triangle + place.
+struct FaceCorners<'c> {
+    triangles: &'c [[u32; 3]],
+    origins: Option<&'c TriangleOrigins<'c>>,
+    /// Texture coordinates of the old corners, and which of them are equal.
+    coordinates: Option<&'c [[f64; 2]]>,
+    seam: &'c [u32],
+}
+
+impl FaceCorners<'_> {
+    fn vertex(&self, corner: u32) -> u32 {
+        self.triangles[corner as usize / 3][corner as usize % 3]
+    }
+
+    /// The old triangle that a corner's triangle lies on.
+    fn origin(&self, corner: u32) -> u32 {
+        let triangle = corner as usize / 3;
+        self.origins.map_or(NONE, |o| o.old_triangles()[triangle])
+    }
+
+    fn coordinates(&self, corner: u32) -> [f64; 2] {
+        let mut sum = [0.0; 2];
+        if let (Some(origins), Some(coordinates)) = (self.origins, self.coordinates)
+            && self.origin(corner) != NONE
+        {
+            for (old, weight) in origins.corner(corner as usize / 3, corner as usize % 3, self.seam) {
+                let at = coordinates[old as usize];
+                sum = [sum[0] + at[0] * weight, sum[1] + at[1] * weight];
+            }
+        }
+        sum
+    }
+}
+
 /// Where the numbers of one property come from.
 enum PropertyColumn {
     /// A property of a PLY base, and its type.
@@ -319,8 +363,8 @@ enum PropertyColumn {
     Nothing,
 }
 
-/// The properties of faces: those of the first base, the list of vertices in a type that holds their numbers.
-fn face_properties(first: &PlyTable<'_>, vertices: usize) -> Vec<PlyProperty> {
+/// The properties of faces: those of the first base, in types that hold the numbers of vertices and corners.
+fn face_properties(first: &PlyTable<'_>, vertices: usize, most_corners: usize) -> Vec<PlyProperty> {
     let of_file = first
         .face
         .as_ref()
@@ -337,6 +381,13 @@ fn face_properties(first: &PlyTable<'_>, vertices: usize) -> Vec<PlyProperty> {
         if !property.scalar.holds_exactly(vertices as f64) {
             property.scalar = PlyScalar::U32;
         }
+    }
+    for property in &mut properties {
+        // Polygons of another base may have more corners than this file's; two numbers stand for each at most.
+        let holds = |count: &PlyScalar| count.holds_exactly(2.0 * most_corners as f64);
+        property.count = property
+            .count
+            .map(|count| if holds(&count) { count } else { PlyScalar::U32 });
     }
     properties
 }

@@ -3,6 +3,7 @@
 use super::super::polygons::Polygons;
 use super::body::PlyBody;
 use super::header::{PlyElement, PlyEncoding, PlyHeader};
+use crate::asset::edited::FaceOutlines;
 use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
@@ -29,9 +30,15 @@ pub(super) struct PlyNotes {
     pub position: [usize; 3],
     /// The properties that hold a normal.
     pub normal: Option<[usize; 3]>,
+    /// Faces of more than three corners.
+    pub outlines: FaceOutlines,
 }
 
-impl FileNotes for PlyNotes {}
+impl FileNotes for PlyNotes {
+    fn bytes_held(&self) -> u64 {
+        self.outlines.bytes_held()
+    }
+}
 
 /// Reads a PLY file.
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes), Error> {
@@ -61,6 +68,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
         vertex,
         position: [x, y, z],
         normal,
+        outlines: FaceOutlines::default(),
     };
     let (mut positions, mut normals) = (Vec::new(), Vec::new());
     let mut faces = Polygons::default();
@@ -82,6 +90,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
         }
     }
     let (slots, crude) = faces.triangulate(&positions);
+    notes.outlines = faces.find_outlines(&slots);
     let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
     let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
     geometry.warn_about_crude_polygons(crude);

@@ -53,7 +53,7 @@ pub(super) fn patch(bytes: &[u8], notes: &PlyNotes, rest: &Geometry, positions: 
     Ok(patch.finish())
 }
 
-/// A fresh binary file with double coordinates, normals where every vertex has one, and colours and texture coordinates
+/// A fresh binary file with double coordinates, polygons as they were, normals where every vertex has one, and colours and texture coordinates
 /// where any has some.
 pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
     let NeutralModel {
@@ -82,12 +82,18 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
     } else {
         "property uchar red\nproperty uchar green\nproperty uchar blue\nproperty uchar alpha\n"
     };
+    let mut most_corners = 3;
+    for own in neutral.primitives() {
+        own.each_face(|corners| most_corners = most_corners.max(corners.len()));
+    }
+    let is_small = most_corners <= usize::from(u8::MAX);
+    let count_type = if is_small { "uchar" } else { "uint" };
     let result = write!(
         out,
         "element vertex {}\nproperty double x\nproperty double y\nproperty double z\n{normals}{coordinates}{bytes}\
-         element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+         element face {}\nproperty list {count_type} uint vertex_indices\nend_header\n",
         geometry.positions.len(),
-        geometry.triangles.len()
+        neutral.primitives().map(|own| own.face_count()).sum::<usize>()
     );
     debug_assert!(result.is_ok(), "writing to memory does not fail");
     for (i, position) in geometry.positions.iter().enumerate() {
@@ -102,9 +108,12 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
             out.extend(colour.map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8));
         }
     }
-    for triangle in &geometry.triangles {
-        out.push(3);
-        out.extend(triangle.iter().flat_map(|v| v.to_le_bytes()));
+    for own in neutral.primitives() {
+        own.each_face(|corners| {
+            let count = (corners.len() as u32).to_le_bytes();
+            out.extend_from_slice(if is_small { &count[..1] } else { &count });
+            out.extend(corners.iter().flat_map(|&c| own.vertex_at(c).to_le_bytes()));
+        });
     }
     out
 }
