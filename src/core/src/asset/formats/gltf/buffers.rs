@@ -102,6 +102,11 @@ impl BufferBytes {
         })
     }
 
+    /// How many bytes decoding may still take.
+    pub(super) fn budget_left(&self) -> u64 {
+        self.budget
+    }
+
     /// Counts bytes that decoding is about to take.
     pub(super) fn spend(&mut self, bytes: u64) -> Result<(), Error> {
         let Some(left) = self.budget.checked_sub(bytes) else {

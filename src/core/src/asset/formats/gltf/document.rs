@@ -246,7 +246,6 @@ fn is_readable(extension: &str) -> bool {
         "KHR_mesh_quantization"
             | "EXT_meshopt_compression"
             | "KHR_meshopt_compression"
-            // Refused later, and only when a triangle primitive of the scene needs it.
             | "KHR_draco_mesh_compression"
     ) || HARMLESS
         .iter()

@@ -8,8 +8,8 @@
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
 //! [`text`], [`check`] checks references and ranges, [`companions`] tells which files it names, [`buffers`] finds bytes
-//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`scene`] places meshes, [`skin`], [`influences`] and
-//! [`placement`] their vertices, [`read`] puts triangles together. Writing: [`deformed`] computes
+//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] does away with Draco, [`scene`] places meshes,
+//! [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles together. Writing: [`deformed`] computes
 //! what each attribute should become, [`sharing`] decides which copies must part, [`patch`] edits text and bytes,
 //! [`package`] makes the files, and [`self_contained`] puts those that lie beside a .gltf into a GLB. [`fresh`] makes an asset from other formats' geometry. After edits of the topology,
 //! [`edited`] writes primitives anew.
@@ -48,6 +48,7 @@ mod compressed;
 mod container;
 mod deformed;
 mod document;
+mod draco;
 mod edited;
 mod fault;
 mod fresh;
@@ -114,7 +115,7 @@ impl FormatCodec for GltfCodec {
         let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape)?;
         let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
-        let written = package::package(&doc, &model.files, &buffers, patched, format)?;
+        let written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
         self_contained_if_new(written, model.format, format)
     }
 

@@ -3,6 +3,7 @@
 use super::accessors::{self, ShapeAttribute};
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
+use super::draco;
 use super::influences::VertexInfluences;
 use super::placement::{Placement, VertexTransforms};
 use super::scene::{self, MeshPlacement, PlacedScene, Warnings};
@@ -42,9 +43,22 @@ pub(super) struct GltfNotes {
     pub(super) rows: Vec<PlacedPrimitive>,
     /// Nodes of the scene that have a mesh, ascending.
     pub(super) placed: Vec<usize>,
+    /// The files without Draco, where they were uploaded with it.
+    pub(super) uncompressed: Option<FileSet>,
 }
 
-impl FileNotes for GltfNotes {}
+impl GltfNotes {
+    /// The files that the model was read from: those uploaded, or their form without Draco.
+    pub(super) fn files<'a>(&'a self, model: &'a Model) -> &'a FileSet {
+        self.uncompressed.as_ref().unwrap_or(&model.files)
+    }
+}
+
+impl FileNotes for GltfNotes {
+    fn bytes_held(&self) -> u64 {
+        self.uncompressed.as_ref().map_or(0, FileSet::total_bytes)
+    }
+}
 
 /// For reading again what was already read once within the caller's limits.
 const UNLIMITED: Limits = Limits {
@@ -54,10 +68,11 @@ const UNLIMITED: Limits = Limits {
 };
 
 /// Parses the document of a model that was read before, and finds its bytes.
-pub(super) fn reopen<'a>(model: &'a Model, notes: &GltfNotes) -> Result<(GltfDocument<'a>, BufferBytes), Error> {
-    let doc = GltfDocument::parse(&model.files, notes.format)?;
+pub(super) fn reopen<'a>(model: &'a Model, notes: &'a GltfNotes) -> Result<(GltfDocument<'a>, BufferBytes), Error> {
+    let files = notes.files(model);
+    let doc = GltfDocument::parse(files, notes.format)?;
     super::check::check(&doc)?;
-    let buffers = BufferBytes::load(&doc, &model.files, &UNLIMITED)?;
+    let buffers = BufferBytes::load(&doc, files, &UNLIMITED)?;
     Ok((doc, buffers))
 }
 
@@ -65,14 +80,37 @@ pub(super) fn reopen<'a>(model: &'a Model, notes: &GltfNotes) -> Result<(GltfDoc
 pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(Geometry, GltfNotes), Error> {
     let doc = GltfDocument::parse(files, format)?;
     super::check::check(&doc)?;
+    if doc.uses(draco::DRACO) {
+        let mut buffers = BufferBytes::load(&doc, files, limits)?;
+        if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, limits)? {
+            drop(buffers);
+            let doc = GltfDocument::parse(&plain, format)?;
+            super::check::check(&doc)?;
+            let (mut geometry, mut notes) = read_document(&doc, &plain, format, limits)?;
+            let message = format!("{count} primitives were compressed with Draco; a changed model comes back without it");
+            geometry.warn("draco-decoded", message, "meshes");
+            notes.uncompressed = Some(plain);
+            return Ok((geometry, notes));
+        }
+    }
+    read_document(&doc, files, format, limits)
+}
+
+/// Reads a document without Draco, or with what it holds uncompressed beside it.
+fn read_document(
+    doc: &GltfDocument<'_>,
+    files: &FileSet,
+    format: Format,
+    limits: &Limits,
+) -> Result<(Geometry, GltfNotes), Error> {
     // Tables count with 32 bits, whatever the caller allows.
     let (vertices, triangles) = (
         limits.vertices.min(u32::MAX.into()),
         limits.triangles.min((u32::MAX / 3).into()),
     );
     let mut reader = GltfReader {
-        buffers: BufferBytes::load(&doc, files, limits)?,
-        doc: &doc,
+        buffers: BufferBytes::load(doc, files, limits)?,
+        doc,
         limits: Limits {
             vertices,
             triangles,
@@ -84,12 +122,12 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
         skins: BTreeMap::new(),
         seams: SkinSeams::default(),
     };
-    let scene = scene::place_meshes(&doc, &mut reader.geometry.warnings)?;
+    let scene = scene::place_meshes(doc, &mut reader.geometry.warnings)?;
     if let Some((at, length)) = doc.container.as_ref().and_then(|c| c.uneven) {
         let message = format!("its length of {length} is not a multiple of 4; what is written has padding");
         reader.warn("chunk-length", message, format!("chunk at byte {at}"));
     }
-    super::companions::warn_of_missing(&doc, files, &mut reader.geometry.warnings);
+    super::companions::warn_of_missing(doc, files, &mut reader.geometry.warnings);
     let placements = &scene.placements;
     // What draws no triangles under one node draws none under any other, and must not cost anything there.
     let mut drawn: Vec<Option<Vec<usize>>> = vec![None; doc.meshes.len()];
@@ -109,13 +147,19 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
     if geometry.triangles.is_empty() {
         return Err(Error::NoMesh {
             format,
-            problem: what_is_there(&doc, placements),
+            problem: what_is_there(doc, placements),
         });
     }
     fill_up(&mut geometry);
     let mut placed: Vec<usize> = placements.iter().map(|p| p.node).collect();
     placed.sort_unstable();
-    Ok((geometry, GltfNotes { format, rows, placed }))
+    let notes = GltfNotes {
+        format,
+        rows,
+        placed,
+        uncompressed: None,
+    };
+    Ok((geometry, notes))
 }
 
 fn what_is_there(doc: &GltfDocument<'_>, placements: &[MeshPlacement]) -> String {
@@ -183,7 +227,7 @@ impl GltfReader<'_, '_> {
             self.warn("no-position", "has no POSITION; it is passed through", place());
             return Ok(false);
         };
-        check_draco(doc, primitive, place(), &mut self.geometry.warnings)?;
+        warn_of_draco(primitive, place(), &mut self.geometry.warnings);
         let layout = accessors::check_role(doc, positions, ShapeAttribute::Position)?;
         accessors::check_unbacked(doc, positions, layout)?;
 
@@ -475,28 +519,10 @@ fn to_triangles(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
     }
 }
 
-/// A Draco primitive is readable only when the file also holds it uncompressed.
-fn check_draco(
-    doc: &GltfDocument<'_>,
-    primitive: &MeshPrimitive,
-    place: String,
-    warnings: &mut Warnings,
-) -> Result<(), Error> {
-    const DRACO: &str = "KHR_draco_mesh_compression";
-    if !primitive.has_draco() {
-        return Ok(());
+/// Tells of a primitive whose Draco copy is not looked at, because the file also holds it uncompressed.
+fn warn_of_draco(primitive: &MeshPrimitive, place: String, warnings: &mut Warnings) {
+    if primitive.has_draco() {
+        let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";
+        warnings.push(("draco-fallback".into(), message.into(), place));
     }
-    let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
-    let mut used = used.chain(primitive.indices.map(|i| i.index()));
-    let required = doc.extensions_required.iter().any(|e| e == DRACO);
-    if required || used.any(|a| doc.accessors.values[a].buffer_view.is_none()) {
-        return Err(doc.fault.unsupported(
-            format!("{place}/extensions/{DRACO}"),
-            "Draco-compressed triangles are not read",
-            "export without Draco, or with meshopt",
-        ));
-    }
-    let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";
-    warnings.push(("draco-fallback".into(), message.into(), place));
-    Ok(())
 }

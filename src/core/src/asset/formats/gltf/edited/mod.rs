@@ -69,10 +69,11 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         budget: &mut budget,
     };
     let frame = frame::remake_meshes(&mut maker, notes, &own)?;
-    let joined = joined::join_bases(&doc, &model.files, &frame, output, (&mut fresh, &turns, &mut budget))?;
+    let targets = (&mut fresh, &turns, &mut budget);
+    let joined = joined::join_bases(&doc, notes.files(model), &frame, output, targets)?;
     let mut writer = EditedGltfWriter {
         doc: &doc,
-        files: &model.files,
+        files: notes.files(model),
         frame,
         fresh,
         joined,

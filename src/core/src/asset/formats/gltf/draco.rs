@@ -1,0 +1,422 @@
+//! Draco-compressed primitives become ordinary ones before anything else is read.
+//!
+//! A document with primitives that are kept in Draco alone is read, edited and written in a form without them: each
+//! decoded attribute gets a view of its own behind the data that is there, its accessor names that view, and the extension
+//! goes. Numbers of accessors, views and meshes stay. A model that nothing was done to still comes back as it was uploaded.
+
+use super::accessors::{AccessorLayout, ComponentType};
+use super::buffers::{BufferBytes, BufferOrigin};
+use super::container;
+use super::document::{GLB_FORMAT, GltfDocument};
+use super::fault::GltfFault;
+use super::patch::bounds;
+use super::schema::{MeshPrimitive, WholeNumber};
+use super::text::{JsonEdits, items, members, quoted, value_of};
+use super::uri;
+use crate::asset::{Error, FileSet, Limits};
+use draco_core::{DataType, DecodeLimits, DecoderBuffer, ErrorKind, Mesh, MeshDecoder, PointAttribute, PointIndex};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// The extension's name.
+pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
+
+/// What the extension says of a primitive.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct DracoStream {
+    buffer_view: WholeNumber,
+    /// The identity of each attribute in the stream, by its name.
+    attributes: BTreeMap<String, WholeNumber>,
+}
+
+/// The files in a form without primitives that are kept in Draco alone, and how many those were; `None` when there is
+/// none.
+pub(super) fn uncompress(
+    doc: &GltfDocument<'_>,
+    files: &FileSet,
+    buffers: &mut BufferBytes,
+    limits: &Limits,
+) -> Result<Option<(FileSet, usize)>, Error> {
+    let mut streams = DracoUncompressor {
+        doc,
+        edits: JsonEdits::new(doc.text),
+        limits,
+        decoded: BTreeMap::new(),
+        filled: BTreeMap::new(),
+        data: Vec::new(),
+        views: Vec::new(),
+    };
+    let (mut count, mut left) = (0, 0);
+    for (m, mesh) in doc.meshes.values.iter().enumerate() {
+        for (p, primitive) in mesh.primitives.iter().enumerate().filter(|(_, p)| p.has_draco()) {
+            if needs_draco(doc, primitive) {
+                streams.uncompress_primitive(buffers, m, p)?;
+                count += 1;
+            } else {
+                left += 1;
+            }
+        }
+    }
+    if count == 0 {
+        return Ok(None);
+    }
+    let files = streams.write(files, buffers, left == 0)?;
+    Ok(Some((files, count)))
+}
+
+/// Whether a primitive's triangles are only to be had from its Draco stream.
+fn needs_draco(doc: &GltfDocument<'_>, primitive: &MeshPrimitive) -> bool {
+    let used = primitive.attributes.values().chain(&primitive.indices);
+    doc.extensions_required.iter().any(|e| e == DRACO)
+        || used
+            .map(|a| a.index())
+            .any(|a| doc.accessors.values[a].buffer_view.is_none() && doc.accessors.values[a].sparse.is_none())
+}
+
+struct DracoUncompressor<'d, 'a> {
+    doc: &'d GltfDocument<'a>,
+    edits: JsonEdits<'a>,
+    limits: &'d Limits,
+    /// Decoded streams by their view.
+    decoded: BTreeMap<usize, Mesh>,
+    /// What an accessor has been given: view and attribute of a stream, `None` for its indices.
+    filled: BTreeMap<usize, (usize, Option<usize>)>,
+    /// New data, and the views over it; offsets count from where the data will begin.
+    data: Vec<u8>,
+    views: Vec<(usize, usize, String)>,
+}
+
+impl<'a> DracoUncompressor<'_, 'a> {
+    fn uncompress_primitive(&mut self, buffers: &mut BufferBytes, m: usize, p: usize) -> Result<(), Error> {
+        let (doc, fault) = (self.doc, self.doc.fault);
+        let place = format!("meshes/{m}/primitives/{p}/extensions/{DRACO}");
+        let primitive = &doc.meshes.values[m].primitives[p];
+        let all = value_of(doc.meshes.items[m], "primitives").and_then(|list| items(list).ok());
+        let text = all.and_then(|list| list.get(p).copied()).unwrap_or("{}");
+        let extensions = value_of(text, "extensions").unwrap_or("{}");
+        let stream = value_of(extensions, DRACO).unwrap_or("{}");
+        let stream: DracoStream =
+            serde_json::from_str(stream).map_err(|e| fault.malformed(place.as_str(), e.to_string()))?;
+        if !matches!(primitive.mode(), 4 | 5) {
+            let problem = format!("mode {}; Draco holds triangles, modes 4 and 5", primitive.mode());
+            return Err(fault.malformed(place, problem));
+        }
+        let view = stream.buffer_view.index();
+        self.decode_stream(buffers, view, &place)?;
+        let Some(mesh) = self.decoded.remove(&view) else {
+            return Err(fault.malformed(place, "was not decoded"));
+        };
+        let filled = self.fill_primitive(buffers, primitive, (&mesh, view), &stream, &place);
+        self.decoded.insert(view, mesh);
+        filled?;
+        // The decoded triangles are a list, whatever they were before.
+        if primitive.mode() != 4 {
+            self.edits.set(text, "mode", "4");
+        }
+        match members(extensions).map_or(0, |list| list.iter().filter(|m| m.key != DRACO).count()) {
+            0 => self.edits.remove(text, "extensions"),
+            _ => self.edits.remove(extensions, DRACO),
+        }
+        Ok(())
+    }
+
+    fn decode_stream(&mut self, buffers: &mut BufferBytes, view: usize, place: &str) -> Result<(), Error> {
+        if self.decoded.contains_key(&view) {
+            return Ok(());
+        }
+        let fault = self.doc.fault;
+        if view >= self.doc.views.len() {
+            let problem = format!("buffer view {view} does not exist, there are {}", self.doc.views.len());
+            return Err(fault.malformed(format!("{place}/bufferView"), problem));
+        }
+        let limits = DecodeLimits::default()
+            .with_max_points(self.limits.vertices)
+            .with_max_faces(self.limits.triangles)
+            .with_max_decoded_bytes(buffers.budget_left());
+        let mut mesh = Mesh::new();
+        let bytes = buffers.view(self.doc, view)?;
+        let mut input = DecoderBuffer::new(bytes).with_limits(limits);
+        if let Err(e) = MeshDecoder::new().decode(&mut input, &mut mesh) {
+            let problem = format!("the Draco stream cannot be decoded: {e}");
+            return Err(match e.kind() {
+                ErrorKind::LimitExceeded => fault.unsupported(place, problem, "decimate the model"),
+                _ => fault.malformed(place, problem),
+            });
+        }
+        self.limits.check_vertices(mesh.num_points() as u64)?;
+        self.limits.check_triangles(mesh.num_faces() as u64)?;
+        buffers.spend(12 * mesh.num_faces() as u64)?;
+        self.decoded.insert(view, mesh);
+        Ok(())
+    }
+
+    fn fill_primitive(
+        &mut self,
+        buffers: &mut BufferBytes,
+        primitive: &MeshPrimitive,
+        (mesh, view): (&Mesh, usize),
+        stream: &DracoStream,
+        place: &str,
+    ) -> Result<(), Error> {
+        let fault = self.doc.fault;
+        let Some(indices) = primitive.indices.map(|i| i.index()) else {
+            return Err(fault.malformed(place, "the primitive has no indices, which Draco always gives"));
+        };
+        if self.is_new(indices, (view, None), place)? {
+            self.fill_indices(mesh, indices, place)?;
+        }
+        for (name, id) in &stream.attributes {
+            let place = format!("{place}/attributes/{name}");
+            let Some(accessor) = primitive.attribute(name) else {
+                return Err(fault.malformed(place, "the primitive has no attribute of that name"));
+            };
+            let id = id.index();
+            if !self.is_new(accessor, (view, Some(id)), &place)? {
+                continue;
+            }
+            let attribute = u32::try_from(id).ok().and_then(|id| mesh.attribute_by_unique_id(id));
+            let Some(attribute) = attribute else {
+                return Err(fault.malformed(place, format!("the Draco stream has no attribute {id}")));
+            };
+            self.fill_attribute(buffers, mesh.num_points(), attribute, (accessor, name), &place)?;
+        }
+        Ok(())
+    }
+
+    /// Whether an accessor has been given nothing yet; an error when it has been given something else.
+    fn is_new(&mut self, accessor: usize, from: (usize, Option<usize>), place: &str) -> Result<bool, Error> {
+        match self.filled.insert(accessor, from) {
+            None => Ok(true),
+            Some(before) if before == from => Ok(false),
+            Some(_) => {
+                let problem = format!("accessor {accessor} stands for two different Draco streams or attributes");
+                Err(self.doc.fault.malformed(place, problem))
+            }
+        }
+    }
+
+    fn fill_indices(&mut self, mesh: &Mesh, accessor: usize, place: &str) -> Result<(), Error> {
+        let points = mesh.num_points();
+        let declared = self.doc.accessors.values[accessor].component_type.0;
+        // The largest value of a type is the restart mark, which no index may be.
+        let component = match declared {
+            5121 if points <= 255 => ComponentType::U8,
+            5121 | 5123 if points <= 65_535 => ComponentType::U16,
+            _ => ComponentType::U32,
+        };
+        let mut bytes = Vec::with_capacity(mesh.num_faces() * 3 * component.size());
+        let (mut least, mut most) = (u32::MAX, 0);
+        for index in mesh.faces().iter().flatten().map(|v| v.0) {
+            if index as usize >= points {
+                let problem = format!("the Draco stream names vertex {index} of {points}");
+                return Err(self.doc.fault.malformed(place, problem));
+            }
+            (least, most) = (least.min(index), most.max(index));
+            bytes.extend_from_slice(&index.to_le_bytes()[..component.size()]);
+        }
+        let code = match component {
+            ComponentType::U8 => "5121",
+            ComponentType::U16 => "5123",
+            _ => "5125",
+        };
+        let text = self.doc.accessors.items[accessor];
+        self.edits.set(text, "componentType", code);
+        self.set_accessor(
+            accessor,
+            mesh.num_faces() * 3,
+            &(format!("[{least}]"), format!("[{most}]")),
+        );
+        self.add_view(&bytes, r#","target":34963"#);
+        Ok(())
+    }
+
+    fn fill_attribute(
+        &mut self,
+        buffers: &mut BufferBytes,
+        points: usize,
+        attribute: &PointAttribute,
+        (accessor, name): (usize, &str),
+        place: &str,
+    ) -> Result<(), Error> {
+        let (doc, fault) = (self.doc, self.doc.fault);
+        let described = &doc.accessors.values[accessor];
+        let Some(layout) = AccessorLayout::of(described, &doc.views.values) else {
+            return Err(fault.malformed(place, format!("accessor {accessor} is of a type that glTF does not know")));
+        };
+        if usize::from(attribute.num_components()) != layout.lanes || described.shape.starts_with("MAT") {
+            let problem = format!(
+                "the Draco stream has {} numbers for each vertex, accessor {accessor} is a {}",
+                attribute.num_components(),
+                described.shape
+            );
+            return Err(fault.malformed(place, problem));
+        }
+        let element = layout.lanes * layout.component.size();
+        let stride = element.next_multiple_of(4);
+        buffers.spend((points as u64).saturating_mul(stride as u64))?;
+        let mut bytes = Vec::with_capacity(points * stride);
+        let stored = component_of(attribute.data_type());
+        let limits = if layout.component == ComponentType::F32 {
+            let values = attribute.read_f32s(points, layout.lanes);
+            bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+            bounds(&values, layout.lanes)
+        } else if stored == Some(layout.component) {
+            for point in 0..points as u32 {
+                let at = attribute.mapped_index(PointIndex(point)).0 as usize * attribute.byte_stride().max(0) as usize;
+                let data = attribute.buffer().data();
+                let Some(value) = at.checked_add(element).and_then(|end| data.get(at..end)) else {
+                    return Err(fault.malformed(place, format!("the Draco stream has no value for vertex {point}")));
+                };
+                bytes.extend_from_slice(value);
+                bytes.resize(bytes.len().next_multiple_of(4), 0);
+            }
+            whole_bounds(&bytes, stride, layout)
+        } else {
+            let problem = format!("the Draco stream and accessor {accessor} have numbers of different types");
+            return Err(fault.malformed(place, problem));
+        };
+        self.set_accessor(accessor, points, &limits);
+        // Positions must have bounds, other attributes need not.
+        let text = doc.accessors.items[accessor];
+        if name == "POSITION" && value_of(text, "min").is_none() {
+            self.edits.set(text, "min", &limits.0);
+            self.edits.set(text, "max", &limits.1);
+        }
+        let stride = if stride == element { String::new() } else { format!(r#","byteStride":{stride}"#) };
+        self.add_view(&bytes, &format!(r#"{stride},"target":34962"#));
+        Ok(())
+    }
+
+    /// Lets an accessor stand for the next view.
+    fn set_accessor(&mut self, accessor: usize, count: usize, (least, most): &(String, String)) {
+        let text = self.doc.accessors.items[accessor];
+        let view = self.doc.views.len() + self.views.len();
+        self.edits.set(text, "bufferView", &view.to_string());
+        self.edits.set(text, "count", &count.to_string());
+        if value_of(text, "byteOffset").is_some() {
+            self.edits.set(text, "byteOffset", "0");
+        }
+        for (key, limit) in [("min", least), ("max", most)] {
+            // Bounds that are there must be those of the decoded numbers.
+            if value_of(text, key).is_some() {
+                self.edits.set(text, key, limit);
+            }
+        }
+    }
+
+    fn add_view(&mut self, bytes: &[u8], more: &str) {
+        self.data.resize(self.data.len().next_multiple_of(4), 0);
+        self.views.push((self.data.len(), bytes.len(), more.to_owned()));
+        self.data.extend_from_slice(bytes);
+    }
+
+    /// The files with all edits made; `none_left` when no primitive has the extension any more.
+    fn write(mut self, files: &FileSet, buffers: &BufferBytes, none_left: bool) -> Result<FileSet, Error> {
+        let doc = self.doc;
+        let takes_more = |i: &usize| {
+            buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
+        };
+        let target = (0..doc.buffers.len()).find(takes_more);
+        let stored = target.and_then(|i| buffers.stored[i].bytes.as_deref()).unwrap_or_default();
+        let mut bytes = stored.to_vec();
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        let (first, buffer) = (bytes.len(), target.unwrap_or(doc.buffers.len()));
+        bytes.extend_from_slice(&self.data);
+        let view = |(offset, length, more): &(usize, usize, String)| {
+            let offset = first + offset;
+            format!(r#"{{"buffer":{buffer},"byteOffset":{offset},"byteLength":{length}{more}}}"#)
+        };
+        let views: Vec<String> = self.views.iter().map(view).collect();
+        self.add_items("bufferViews", doc.views.text, &views);
+        let mut plain = files.clone();
+        let mut bin = doc.container.as_ref().and_then(|c| c.bin).map(<[u8]>::to_vec);
+        match target {
+            Some(i) => {
+                let item = doc.buffers.items[i];
+                self.edits.set(item, "byteLength", &bytes.len().to_string());
+                match &buffers.stored[i].origin {
+                    BufferOrigin::Bin => bin = Some(bytes),
+                    BufferOrigin::Companion(name) => drop(plain.companions.insert(name.clone(), bytes.into())),
+                    _ => self.edits.set(item, "uri", &quoted(&uri::embed(&bytes))),
+                }
+            }
+            None => {
+                let (length, data) = (bytes.len(), quoted(&uri::embed(&bytes)));
+                let item = format!(r#"{{"byteLength":{length},"uri":{data}}}"#);
+                self.add_items("buffers", doc.buffers.text, &[item]);
+            }
+        }
+        let mut text = self.edits.apply();
+        if none_left {
+            for key in ["extensionsUsed", "extensionsRequired"] {
+                text = without_draco(text, key);
+            }
+        }
+        plain.main = if doc.fault.0 == GLB_FORMAT {
+            let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
+            container::join(text.trim_end(), bin.as_deref(), rest, GltfFault(GLB_FORMAT))?.into()
+        } else {
+            text.into_bytes().into()
+        };
+        Ok(plain)
+    }
+
+    fn add_items(&mut self, key: &str, array: Option<&'a str>, added: &[String]) {
+        match array {
+            Some(array) => self.edits.push(array, added),
+            None => self.edits.set(self.doc.text, key, &format!("[{}]", added.join(","))),
+        }
+    }
+}
+
+/// The document without the extension in one of its lists of extensions; an empty list goes.
+fn without_draco(text: String, key: &str) -> String {
+    let Some(array) = value_of(&text, key) else {
+        return text;
+    };
+    let list: Vec<&str> = items(array).unwrap_or_default();
+    let kept: Vec<&str> = list.iter().copied().filter(|name| *name != quoted(DRACO)).collect();
+    if kept.len() == list.len() {
+        return text;
+    }
+    let mut edits = JsonEdits::new(&text);
+    if kept.is_empty() {
+        edits.remove(&text, key);
+    } else {
+        edits.replace(array, format!("[{}]", kept.join(",")));
+    }
+    edits.apply()
+}
+
+fn component_of(kind: DataType) -> Option<ComponentType> {
+    Some(match kind {
+        DataType::Int8 => ComponentType::I8,
+        DataType::Uint8 => ComponentType::U8,
+        DataType::Int16 => ComponentType::I16,
+        DataType::Uint16 => ComponentType::U16,
+        DataType::Uint32 => ComponentType::U32,
+        DataType::Float32 => ComponentType::F32,
+        _ => return None,
+    })
+}
+
+/// The least and the largest whole number of each lane as JSON.
+fn whole_bounds(bytes: &[u8], stride: usize, layout: AccessorLayout) -> (String, String) {
+    let mut lanes = vec![(i64::MAX, i64::MIN); layout.lanes];
+    let size = layout.component.size();
+    for element in bytes.chunks_exact(stride.max(1)) {
+        for (lane, number) in lanes.iter_mut().zip(element.chunks_exact(size)) {
+            let unsigned = number.iter().rev().fold(0i64, |v, b| v << 8 | i64::from(*b));
+            let bits = 8 * size as u32;
+            let signed = matches!(layout.component, ComponentType::I8 | ComponentType::I16);
+            let value = if signed && unsigned >= 1 << (bits - 1) { unsigned - (1 << bits) } else { unsigned };
+            *lane = (lane.0.min(value), lane.1.max(value));
+        }
+    }
+    let list = |of: fn(&(i64, i64)) -> i64| {
+        let texts: Vec<String> = lanes.iter().map(|lane| of(lane).to_string()).collect();
+        format!("[{}]", texts.join(","))
+    };
+    (list(|l| l.0), list(|l| l.1))
+}
