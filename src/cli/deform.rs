@@ -43,7 +43,7 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     args.permission.check_target(&args.output)?;
     let job = read_job(&args.job)?;
     let folder = args.output.parent().unwrap_or(Path::new(""));
-    refuse_same_output(&job, folder, &args.output)?;
+    check_passenger_outputs(&job, folder, args)?;
     let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
     let spinner = StageSpinner::new(args.json);
@@ -66,7 +66,9 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
     for passenger in &outcome.carried {
         let path = folder.join(&passenger.path);
-        let written = write_model(&path, &passenger.written, &path, &FileSet::default())?;
+        let written = args
+            .permission
+            .write_model(&path, &passenger.written, &path, &FileSet::default())?;
         let paths = written.iter().map(|p| p.display().to_string());
         outcome.report.output.extend(paths);
     }
@@ -84,15 +86,20 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     }
 }
 
-/// Refuses a passenger that is to be written where the result is.
-fn refuse_same_output(job: &pb::Job, folder: &Path, output: &Path) -> Result<(), CliFailure> {
+/// Refuses a passenger that is to be written where the result is, or where it may not be written.
+fn check_passenger_outputs(job: &pb::Job, folder: &Path, args: &DeformArgs) -> Result<(), CliFailure> {
     let passengers = job.create.iter().flat_map(|create| &create.passengers);
     for (k, passenger) in passengers.enumerate() {
-        if let Some(pb::passenger::Passenger::File(file)) = &passenger.passenger
-            && folder.join(&file.output) == output
-        {
+        let Some(pb::passenger::Passenger::File(file)) = &passenger.passenger else {
+            continue;
+        };
+        let path = folder.join(&file.output);
+        if path == args.output {
             let problem = format!("is \"{}\", where the result is written", file.output);
             return Err(CliFailure::Input(format!("passengers[{k}].file.output: {problem}")));
+        }
+        if !file.output.is_empty() {
+            args.permission.check_target(&path)?;
         }
     }
     Ok(())

@@ -1,6 +1,8 @@
 //! Files in and out: what survives a round trip, and what is refused.
 
+mod draco;
 mod hostile_gltf;
+mod materials;
 mod morphs;
 mod polygons;
 mod roundtrip_gltf;

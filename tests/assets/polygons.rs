@@ -103,7 +103,9 @@ fn ply_faces(bytes: &[u8]) -> FaceList {
         let count = take(count_size);
         faces.push((0..count).map(|_| take(4)).collect());
         for &(count, item) in &after {
-            (0..take(count)).for_each(|_| drop(take(item)));
+            for _ in 0..take(count) {
+                take(item);
+            }
         }
     }
     faces

@@ -324,6 +324,10 @@ fn geometry_bytes(file: &Parsed) -> Vec<Vec<bool>> {
 fn a_moved_model_differs_in_geometry_only() {
     for (path, model) in models("comparison of documents") {
         let name = path.display();
+        // What was Draco comes back as plain data, which a test of its own looks at.
+        if model.warnings.iter().any(|w| w.0 == "draco-decoded") {
+            continue;
+        }
         let before = parse(&model.files.main, &owned(&model.files));
         let written = model.write(&swayed(&model), model.format).expect("writable");
         let after = parse(&written.main, &written.companions);

@@ -214,6 +214,7 @@ fn what_rides_along_is_told_and_written_beside_the_result() {
         "-o",
         "results/out.glb",
         "--json",
+        "--parents",
     ];
     let (code, stdout, last) = pliant(folder.path(), &job);
     assert_eq!(code, Some(0), "{last}");
@@ -273,7 +274,15 @@ fn what_rides_along_is_told_and_written_beside_the_result() {
         put("wrong.json", &passengers(extra));
         let (code, _, last) = pliant(
             folder.path(),
-            &["deform", "creature.glb", "--job", "wrong.json", "-o", "none/out.glb"],
+            &[
+                "deform",
+                "creature.glb",
+                "--job",
+                "wrong.json",
+                "-o",
+                "none/out.glb",
+                "--parents",
+            ],
         );
         assert_eq!(code, Some(2), "{extra}: {last}");
         assert!(last.contains(reason), "{extra}: {last}");

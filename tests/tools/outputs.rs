@@ -157,16 +157,16 @@ fn images_of(model: &Path) -> (Vec<Vec<u8>>, BTreeSet<String>) {
 }
 
 /// Deforms a model into a .gltf and a .glb elsewhere: every image must be there to the byte, and the .glb must stand alone.
-fn check_companions(model: &Path) -> Vec<PathBuf> {
-    let folder = tempfile::tempdir().expect("a folder").keep();
-    let job = job_for(model, &folder);
+fn check_companions(model: &Path, folder: &Path) -> Vec<PathBuf> {
+    fs::create_dir_all(folder).expect("made");
+    let job = job_for(model, folder);
     let (before, named) = images_of(model);
     assert!(!before.is_empty());
     let [model_name, job] = [model, &job].map(|p| p.to_string_lossy().into_owned());
     let mut written = Vec::new();
     for (name, more) in [("out.gltf", named), ("alone/out.glb", BTreeSet::new())] {
         let arguments = ["deform", &model_name, "--job", &job, "-o", name, "--parents"];
-        let said = done(&folder, &arguments);
+        let said = done(folder, &arguments);
         assert!(!said.contains("image-missing"), "{said}");
         let (images, still_named) = images_of(&folder.join(name));
         assert_eq!(images, before, "{name}");
@@ -294,7 +294,7 @@ fn files_beside_the_result_are_looked_at_before_anything_is_written() {
 fn images_and_buffers_come_along_and_a_glb_stands_alone() {
     let folder = tempfile::tempdir().expect("a folder");
     box_gltf(folder.path());
-    check_companions(&folder.path().join("box.gltf"));
+    check_companions(&folder.path().join("box.gltf"), &folder.path().join("made"));
 
     // Without its image the model is read all the same, and says so.
     fs::remove_file(folder.path().join("normal.jpg")).expect("removed");
@@ -352,10 +352,11 @@ fn real_models_keep_every_image() {
     let Some(data) = data_folder("images of real models") else {
         return;
     };
+    let folder = tempfile::tempdir().expect("a folder");
     let (mut models, mut written) = (Vec::new(), Vec::new());
     for name in ["WaterBottle", "BoomBox", "AnimatedCube"] {
         let model = data.join(format!("gltf/{name}_separate/{name}.gltf"));
-        written.push(check_companions(&model));
+        written.push(check_companions(&model, &folder.path().join(name)));
         models.push(model);
     }
     let files: Vec<PathBuf> = models

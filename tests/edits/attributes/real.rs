@@ -63,7 +63,8 @@ fn real_gltf_files_come_back_as_they_were_edited_and_valid() {
                 .path()
                 .join(format!("{i}-{}/model.{}", format.name(), format.name()));
             khronos::store(&written, &at);
-            pairs.push((path.clone(), at.clone()));
+            let was_draco = model.warnings.iter().any(|w| w.0 == "draco-decoded");
+            pairs.push((path.clone(), at.clone(), was_draco));
             all.push(at);
         }
         all.push(path.clone());
@@ -71,8 +72,11 @@ fn real_gltf_files_come_back_as_they_were_edited_and_valid() {
     let Some(findings) = (!all.is_empty()).then(|| khronos::validate(&all)).flatten() else {
         return;
     };
-    for (before, after) in pairs {
-        let new: Vec<_> = findings[&after].difference(&findings[&before]).filter(is_new).collect();
+    for (before, after, was_draco) in pairs {
+        // The validator does not look into Draco, which rounds weights so that they no longer add to 1.
+        let rounded = |code: &&String| was_draco && *code == "ACCESSOR_WEIGHTS_NON_NORMALIZED";
+        let found = findings[&after].difference(&findings[&before]).filter(is_new);
+        let new: Vec<_> = found.filter(|code| !rounded(code)).collect();
         assert!(new.is_empty(), "{} as {}: {new:?}", before.display(), after.display());
     }
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -69,8 +70,8 @@ class Upload:
 def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
     """Reads whatever names or is a model.
 
-    A path also reads the files that the model names, from beside it: buffers and images of a .gltf. Arrays become a PLY
-    in which vertices keep their number.
+    A path also reads the files that the model names, from beside it: buffers and images of a .gltf, the material
+    libraries of an .obj and their pictures. Arrays become a PLY in which vertices keep their number.
     """
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
@@ -109,11 +110,14 @@ def _beside(path: Path, main: bytes) -> dict[str, bytes]:
     """The files that a model names and that lie beside it. What is missing is left to the server to complain about."""
     folder = path.parent.resolve()
     found: dict[str, bytes] = {}
-    for name in _named(main):
+    names = list(_named(main) if path.suffix.lower() != ".obj" else _libraries(main))
+    for name in names:
         named = (folder / name).resolve()
         # A model from elsewhere must not make us send files from outside its folder.
         if name not in found and named.is_relative_to(folder) and named.is_file():
             found[name] = named.read_bytes()
+            if path.suffix.lower() == ".obj" and name.lower().endswith(".mtl"):
+                names.extend(_pictures(found[name]))
     return found
 
 
@@ -133,6 +137,27 @@ def _named(main: bytes) -> Iterator[str]:
         # Names count from the folder of the model, with or without a leading "./".
         if not uri[:5].lower() == "data:" and (name := unquote(uri).removeprefix("./")):
             yield name
+
+
+def _libraries(main: bytes) -> Iterator[str]:
+    """The material libraries of an OBJ: all words of a line as one name, and each for itself."""
+    for line in re.findall(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", main, re.MULTILINE):
+        rest = line.decode("utf-8", "replace").strip()
+        yield from dict.fromkeys(name.replace("\\", "/").removeprefix("./") for name in [rest, *rest.split()])
+
+
+#: A picture's statement in a material library: its options, then the name of the file.
+_PICTURE = re.compile(
+    r"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+"
+    r"((?:-(?:[ost](?:[ \t]+[-+.\deE]+){1,3}|mm(?:[ \t]+[-+.\deE]+){1,2}|\w+[ \t]+\S+)[ \t]+)*)([^\r\n]+)",
+    re.MULTILINE | re.IGNORECASE,
+)
+
+
+def _pictures(library: bytes) -> Iterator[str]:
+    """The pictures that a material library names."""
+    for _, name in _PICTURE.findall(library.decode("utf-8", "replace")):
+        yield name.strip().replace("\\", "/").removeprefix("./")
 
 
 def ply(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> bytes:

@@ -252,6 +252,18 @@ def test_a_gltf_brings_its_buffers_but_nothing_from_outside_its_folder(tmp_path:
     assert model.read(io.BytesIO(b"OFF")).main == b"OFF"
 
 
+def test_an_obj_brings_its_material_libraries_and_their_pictures(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "red paint.png").write_bytes(b"red")
+    (tmp_path / "bump.png").write_bytes(b"bump")
+    (tmp_path / "secret.png").write_bytes(b"secret")
+    library = "newmtl a\nmap_Kd -s 1 1 1 -clamp on maps\\red paint.png\nmap_Bump -bm 0.5 ./bump.png\nmap_d ../secret.png\n"
+    (tmp_path / "my things.mtl").write_text(library)
+    path = tmp_path / "m.obj"
+    path.write_text("mtllib my things.mtl\nv 0 0 0\nusemtl a\n")
+    assert sorted(model.read(path).companions) == ["bump.png", "maps/red paint.png", "my things.mtl"]
+
+
 def test_a_companion_is_never_written_outside_the_folder(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="outside"):
         model.write(tmp_path / "m.gltf", {"": b"{}", "../evil.bin": b""})

@@ -19,7 +19,7 @@ export type CreateOptions = MessageInitShape<typeof CreateOptionsSchema>;
 export interface OpenOptions extends CallOptions {
   /** How the session is built. */
   create?: CreateOptions;
-  /** Files that the model refers to, by the name it gives them (buffers and images of a `.gltf`); `companionsOf` finds them. */
+  /** Files that the model refers to, by the name it gives them (buffers and images of a `.gltf`, libraries of an `.obj`); `companionsOf` finds them. */
   companions?: ReadonlyMap<string, Blob>;
   /** Told how much of the upload has gone out. */
   onProgress?: Progress;

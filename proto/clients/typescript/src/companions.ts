@@ -10,8 +10,8 @@ export interface PlacedFile {
 const GLB_START = 20;
 
 /**
- * The names of the files that a glTF or GLB keeps its buffers and images in, relative to its folder; none for other files.
- * These are the keys of `OpenOptions.companions`.
+ * The names of the files that a model refers to, relative to its folder: buffers and images of a glTF or GLB, material
+ * libraries of an OBJ. These are the keys of `OpenOptions.companions`.
  */
 export async function companionNames(model: Blob): Promise<string[]> {
   const start = new DataView(await model.slice(0, GLB_START).arrayBuffer());
@@ -19,7 +19,7 @@ export async function companionNames(model: Blob): Promise<string[]> {
   if (start.byteLength === GLB_START && start.getUint32(0, false) === 0x676c5446) {
     json = model.slice(GLB_START, GLB_START + start.getUint32(12, true));
   } else if (!/^\s*\{/.test(await model.slice(0, 256).text())) {
-    return [];
+    return libraryNames(await model.text());
   }
   let document: unknown;
   try {
@@ -43,13 +43,38 @@ export async function companionsOf(model: PlacedFile, others: readonly PlacedFil
   const folder = model.path.slice(0, model.path.lastIndexOf("/") + 1);
   const byPath = new Map(others.map(({ path, file }) => [path, file]));
   const found = new Map<string, Blob>();
-  for (const name of await companionNames(model.file)) {
+  const names = await companionNames(model.file);
+  for (const name of names) {
     const last = name.split("/").at(-1);
     const alike = others.filter(({ path }) => path.split("/").at(-1) === last);
     const file = byPath.get(folder + name) ?? (alike.length === 1 ? alike[0]?.file : undefined);
-    if (file !== undefined) found.set(name, file);
+    if (file === undefined || found.has(name)) continue;
+    found.set(name, file);
+    // A library of materials names pictures of its own.
+    if (name.toLowerCase().endsWith(".mtl")) names.push(...pictureNames(await file.text()));
   }
   return found;
+}
+
+/** The libraries that `mtllib` lines may mean: all words as one name, and each for itself. */
+function libraryNames(text: string): string[] {
+  const lines = [...text.matchAll(/^[ \t]*mtllib[ \t]+([^\r\n]+)/gm)].map(([, rest]) => rest?.trim() ?? "");
+  const names = lines.flatMap((rest) => [rest, ...rest.split(/\s+/)]).map(insideFolder);
+  return [...new Set(names.filter((name) => name !== undefined))];
+}
+
+const PICTURE =
+  /^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+(?:-(?:[ost](?:[ \t]+[-+.\deE]+){1,3}|mm(?:[ \t]+[-+.\deE]+){1,2}|\w+[ \t]+\S+)[ \t]+)*([^\r\n]+)/gim;
+
+/** The pictures that a library of materials names. */
+function pictureNames(text: string): string[] {
+  return [...text.matchAll(PICTURE)].map(([, name]) => insideFolder(name ?? "")).filter((name) => name !== undefined);
+}
+
+function insideFolder(name: string): string | undefined {
+  const plain = name.trim().replaceAll("\\", "/").replace(/^\.\//, "");
+  const leadsOut = plain.startsWith("/") || plain.includes(":") || plain.split("/").includes("..");
+  return plain === "" || leadsOut ? undefined : plain;
 }
 
 function items(document: unknown, key: string): unknown[] {

@@ -52,7 +52,7 @@ test("a document names its files, each once and none outside of its folder", asy
   const json = new TextEncoder().encode(JSON.stringify(document).padEnd(512));
   const header = new Uint32Array([0x46546c67, 2, 532, json.length, 0x4e4f534a]);
   assert.deepEqual(await companionNames(blob(header, json)), ["a b.bin", "c.bin", "t/d.png"]);
-  for (const other of ["v 0 0 0\n", "{", '{"buffers": 3}', '{"images": [null, 4]}', ""]) {
+  for (const other of ["v 0 0 0\n", "mtllib\n", "{", '{"buffers": 3}', '{"images": [null, 4]}', ""]) {
     assert.deepEqual(await companionNames(blob(other)), []);
   }
 });
@@ -66,6 +66,17 @@ test("files are found below the model's folder, and by their name alone where on
   assert.equal(await found.get("maps/base colour.png").text(), "right");
   const unsure = await companionsOf({ path: "plane/plane.gltf", file: model }, others);
   assert.deepEqual([...unsure.keys()], ["data.bin"]);
+});
+
+test("a library of an OBJ and its pictures are found", async () => {
+  const model = { path: "m/m.obj", file: blob("mtllib my things.mtl\nv 0 0 0\n") };
+  const library = "newmtl a\nmap_Kd -s 1 1 1 -clamp on maps\\red paint.png\nmap_d ../secret.png\nnorm n.png\n";
+  const others = ["my things.mtl", "maps/red paint.png", "n.png", "secret.png"].map((name) => ({
+    path: `m/${name}`,
+    file: blob(name.endsWith(".mtl") ? library : name),
+  }));
+  const found = await companionsOf(model, others);
+  assert.deepEqual([...found.keys()], ["my things.mtl", "maps/red paint.png", "n.png"]);
 });
 
 test("buffers and pictures travel and come back", { skip }, async () => {

@@ -32,7 +32,10 @@ pub(super) fn patch_text_file<N: FileNotes>(
         &model.geometry,
         positions,
     );
-    Ok(WrittenFiles::single(text))
+    Ok(WrittenFiles {
+        main: text,
+        ..WrittenFiles::from_upload(&model.files)
+    })
 }
 
 /// Reads and writes one format, or the forms of one (GLB and glTF).

@@ -4,15 +4,15 @@ use super::Error;
 use bytes::Bytes;
 use std::collections::BTreeMap;
 
-/// What was uploaded: one main file and, for glTF with external buffers, the companions that its URIs may name.
-/// Nothing outside this set is ever read.
+/// What was uploaded: one main file and the companions that it names: buffers and images of a glTF, material
+/// libraries of an OBJ and their pictures. Nothing outside this set is ever read.
 #[derive(Debug, Clone, Default)]
 pub struct FileSet {
     /// Name of the main file; only used in texts and to tell the format.
     pub name: String,
     /// The main file.
     pub main: Bytes,
-    /// The other files by the relative URI (percent-decoded) under which the main file names them.
+    /// The other files by the relative name (percent-decoded) under which the model names them.
     pub companions: BTreeMap<String, Bytes>,
 }
 
@@ -83,7 +83,7 @@ fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
 pub struct WrittenFiles {
     /// The main file.
     pub main: Vec<u8>,
-    /// Companions by URI, for glTF with external buffers; empty for every other case.
+    /// Companions by name: buffers and images of a .gltf, material libraries of an OBJ and their pictures.
     pub companions: BTreeMap<String, Vec<u8>>,
 }
 

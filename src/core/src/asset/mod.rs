@@ -27,6 +27,7 @@ mod format;
 mod formats;
 mod geometry;
 mod look;
+mod material;
 mod model;
 mod model_look;
 mod neutral;

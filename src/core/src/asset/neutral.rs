@@ -1,11 +1,13 @@
-//! A model as it goes from one format to another: geometry, one set of texture coordinates, colours, material names.
+//! A model as it goes from one format to another: geometry, one set of texture coordinates, colours, materials.
 //!
 //! Texture coordinates count from the upper left corner of the picture, as in glTF.
 
 use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
+use super::material::BaseMaterial;
 use super::{Error, Format, Geometry, Primitive};
 use glam::{DVec3, Vec3};
 use std::ops::Range;
+use std::sync::Arc;
 
 /// A model free of its format.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -17,6 +19,10 @@ pub(super) struct NeutralModel {
     pub uv: Vec<[f32; 2]>,
     /// One per vertex, or empty when no primitive has any.
     pub colours: Vec<[f32; 4]>,
+    /// One per corner of a triangle, or empty when no primitive has any: where they differ around a vertex.
+    pub corner_uv: Vec<[f32; 2]>,
+    /// What files beside the model are named after; may be empty.
+    pub stem: String,
 }
 
 /// What a primitive has beyond its geometry.
@@ -24,8 +30,10 @@ pub(super) struct NeutralModel {
 pub(super) struct PrimitiveAttributes {
     pub has_uv: bool,
     pub has_colours: bool,
-    /// The name of its material.
-    pub material: Option<String>,
+    /// Whether it has texture coordinates by corner.
+    pub has_corner_uv: bool,
+    /// Its material.
+    pub material: Option<Arc<BaseMaterial>>,
     /// Its faces, where some have more than three corners.
     pub faces: Option<RunFaces>,
 }
@@ -37,8 +45,10 @@ pub(super) struct RunAttributes {
     pub uv: Vec<[f32; 2]>,
     /// Per vertex of the run; empty when there are none.
     pub colours: Vec<[f32; 4]>,
-    /// The name of its material.
-    pub material: Option<String>,
+    /// Per corner of the run's triangles, where they differ around a vertex; empty when there are none.
+    pub corner_uv: Vec<[f32; 2]>,
+    /// Its material.
+    pub material: Option<Arc<BaseMaterial>>,
     /// Its faces, where some have more than three corners.
     pub faces: Option<RunFaces>,
 }
@@ -63,6 +73,8 @@ pub(super) struct NeutralPrimitive<'a> {
     pub triangles: &'a [[u32; 3]],
     /// Its vertices.
     pub vertices: Range<usize>,
+    /// The place of its first triangle in the whole model.
+    pub first_triangle: usize,
 }
 
 impl NeutralPrimitive<'_> {
@@ -96,11 +108,17 @@ impl NeutralModel {
     /// The primitives in order.
     pub fn primitives(&self) -> impl Iterator<Item = NeutralPrimitive<'_>> {
         let pairs = self.geometry.triangles_of_primitives().zip(&self.attributes);
-        pairs.map(|((primitive, triangles), attributes)| NeutralPrimitive {
-            primitive,
-            attributes,
-            triangles,
-            vertices: primitive.vertices(),
+        let mut next = 0;
+        pairs.map(move |((primitive, triangles), attributes)| {
+            let first_triangle = next;
+            next += triangles.len();
+            NeutralPrimitive {
+                primitive,
+                attributes,
+                triangles,
+                vertices: primitive.vertices(),
+                first_triangle,
+            }
         })
     }
 
@@ -129,6 +147,15 @@ impl NeutralModel {
         let here = part.copy_of.iter().map(|&v| own[v as usize]);
         self.push_primitive(name, here, &part.normals, &part.triangles);
         self.push_attributes(part.attributes);
+    }
+
+    /// The texture coordinates of a corner of a primitive, by corner or by vertex; `None` where it has none.
+    pub fn uv_at(&self, own: &NeutralPrimitive<'_>, corner: u32) -> Option<[f32; 2]> {
+        if own.attributes.has_corner_uv {
+            return self.corner_uv.get(3 * own.first_triangle + corner as usize).copied();
+        }
+        let has_uv = own.attributes.has_uv;
+        self.uv.get(own.vertex_at(corner) as usize).copied().filter(|_| has_uv)
     }
 
     /// Refuses more vertices than 32-bit numbers count, which copies at seams may make.
@@ -174,6 +201,7 @@ impl NeutralModel {
         let RunAttributes {
             uv,
             colours,
+            corner_uv,
             material,
             faces,
         } = attributes;
@@ -182,9 +210,17 @@ impl NeutralModel {
         self.attributes.push(PrimitiveAttributes {
             has_uv: !uv.is_empty(),
             has_colours: !colours.is_empty(),
+            has_corner_uv: !corner_uv.is_empty(),
             material,
             faces,
         });
+        if !corner_uv.is_empty() || !self.corner_uv.is_empty() {
+            let corners = 3 * self.geometry.triangles.len();
+            let own = self.geometry.primitives.last().map_or(0, |p| p.index_count as usize);
+            self.corner_uv.resize(corners - own, [0.0; 2]);
+            self.corner_uv.extend(corner_uv);
+            self.corner_uv.resize(corners, [0.0; 2]);
+        }
         if !uv.is_empty() || !self.uv.is_empty() {
             self.uv.resize(count - added, [0.0; 2]);
             self.uv.extend(uv);

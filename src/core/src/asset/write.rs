@@ -52,8 +52,8 @@ impl Model {
     ///
     /// In the model's own format (GLB and glTF count as one) the uploaded files are edited: what the deformation did not
     /// change stays as it was, byte for byte, and authored normals, tangents and morph targets follow the deformation. In another
-    /// format a fresh file is made of the positions, triangles, names, normals, one set of texture coordinates, colours
-    /// and the names of materials, as far as both formats know them.
+    /// format a fresh file is made of the positions, faces, names, normals, one set of texture coordinates, colours and
+    /// base-colour materials with their pictures, as far as both formats know them.
     ///
     /// # Errors
     /// [`Error::Unwritable`] when the count differs from the model's, when a position is not finite, or when it does not
@@ -120,7 +120,8 @@ impl Model {
     }
 }
 
-/// The names of files that a model refers to and that are not in the set: buffers and images of a glTF. They are
+/// The names of files that a model refers to and that are not in the set: buffers and images of a glTF,
+/// material libraries of an OBJ and their pictures. They are
 /// relative to the folder of the main file and never lead out of it. Files that come with the set may name more, so whoever
 /// gathers files asks until nothing new is named.
 ///
@@ -216,6 +217,20 @@ pub fn write_edited_model_following(
     })
 }
 
+/// The name of a file without folders and extension, of plain characters.
+fn file_stem(name: &str) -> String {
+    let last = name.rsplit(['/', '\\']).next().unwrap_or_default();
+    let stem = last.rsplit_once('.').map_or(last, |(stem, _)| stem);
+    let plain = |c: char| {
+        if c.is_alphanumeric() || "-_".contains(c) {
+            c
+        } else {
+            '_'
+        }
+    };
+    stem.chars().take(80).map(plain).collect()
+}
+
 /// The faces of a run, where some have more than three corners.
 fn faces_of_run(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option<RunFaces> {
     let model = edited.base(run).model;
@@ -225,7 +240,11 @@ fn faces_of_run(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option<RunFaces
 
 /// The neutral form of an edited model, for files of `format`.
 fn neutral_edited_model(edited: &EditedModel<'_>, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
-    let mut neutral = NeutralModel::default();
+    let name = edited.bases.first().map_or("", |base| &base.model.files.name);
+    let mut neutral = NeutralModel {
+        stem: file_stem(name),
+        ..NeutralModel::default()
+    };
     for base in 0..edited.bases.len() as u32 {
         add_base(&mut neutral, edited, base, positions, format)?;
     }

@@ -10,7 +10,7 @@ export function pickFiles(): void {
   input.type = "file";
   input.multiple = true;
   // Companion files have any name, so the list of extensions is a hint that also lets buffers and images through.
-  input.accept = [...EXTENSIONS.map((extension) => `.${extension}`), ".bin", ".png", ".jpg", ".jpeg"].join(",");
+  input.accept = [...EXTENSIONS.map((extension) => `.${extension}`), ".bin", ".mtl", ".png", ".jpg", ".jpeg"].join(",");
   input.onchange = () => void openFiles([...(input.files ?? [])].map(placed));
   input.click();
 }

@@ -243,10 +243,7 @@ const HARMLESS: [&str; 21] = [
 fn is_readable(extension: &str) -> bool {
     matches!(
         extension,
-        "KHR_mesh_quantization"
-            | "EXT_meshopt_compression"
-            | "KHR_meshopt_compression"
-            | "KHR_draco_mesh_compression"
+        "KHR_mesh_quantization" | "EXT_meshopt_compression" | "KHR_meshopt_compression" | "KHR_draco_mesh_compression"
     ) || HARMLESS
         .iter()
         .any(|family| extension.to_ascii_lowercase().contains(family))

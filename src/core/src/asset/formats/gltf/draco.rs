@@ -9,7 +9,7 @@ use super::buffers::{BufferBytes, BufferOrigin};
 use super::container;
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::fault::GltfFault;
-use super::patch::bounds;
+use super::float_json::bounds;
 use super::schema::{MeshPrimitive, WholeNumber};
 use super::text::{JsonEdits, items, members, quoted, value_of};
 use super::uri;
@@ -61,7 +61,7 @@ pub(super) fn uncompress(
     if count == 0 {
         return Ok(None);
     }
-    let files = streams.write(files, buffers, left == 0)?;
+    let files = streams.write_plain_files(files, buffers, left == 0)?;
     Ok(Some((files, count)))
 }
 
@@ -242,7 +242,10 @@ impl<'a> DracoUncompressor<'_, 'a> {
         let (doc, fault) = (self.doc, self.doc.fault);
         let described = &doc.accessors.values[accessor];
         let Some(layout) = AccessorLayout::of(described, &doc.views.values) else {
-            return Err(fault.malformed(place, format!("accessor {accessor} is of a type that glTF does not know")));
+            return Err(fault.malformed(
+                place,
+                format!("accessor {accessor} is of a type that glTF does not know"),
+            ));
         };
         if usize::from(attribute.num_components()) != layout.lanes || described.shape.starts_with("MAT") {
             let problem = format!(
@@ -283,7 +286,11 @@ impl<'a> DracoUncompressor<'_, 'a> {
             self.edits.set(text, "min", &limits.0);
             self.edits.set(text, "max", &limits.1);
         }
-        let stride = if stride == element { String::new() } else { format!(r#","byteStride":{stride}"#) };
+        let stride = if stride == element {
+            String::new()
+        } else {
+            format!(r#","byteStride":{stride}"#)
+        };
         self.add_view(&bytes, &format!(r#"{stride},"target":34962"#));
         Ok(())
     }
@@ -312,13 +319,15 @@ impl<'a> DracoUncompressor<'_, 'a> {
     }
 
     /// The files with all edits made; `none_left` when no primitive has the extension any more.
-    fn write(mut self, files: &FileSet, buffers: &BufferBytes, none_left: bool) -> Result<FileSet, Error> {
+    fn write_plain_files(mut self, files: &FileSet, buffers: &BufferBytes, none_left: bool) -> Result<FileSet, Error> {
         let doc = self.doc;
         let takes_more = |i: &usize| {
             buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
         };
         let target = (0..doc.buffers.len()).find(takes_more);
-        let stored = target.and_then(|i| buffers.stored[i].bytes.as_deref()).unwrap_or_default();
+        let stored = target
+            .and_then(|i| buffers.stored[i].bytes.as_deref())
+            .unwrap_or_default();
         let mut bytes = stored.to_vec();
         bytes.resize(bytes.len().next_multiple_of(4), 0);
         let (first, buffer) = (bytes.len(), target.unwrap_or(doc.buffers.len()));
@@ -410,7 +419,11 @@ fn whole_bounds(bytes: &[u8], stride: usize, layout: AccessorLayout) -> (String,
             let unsigned = number.iter().rev().fold(0i64, |v, b| v << 8 | i64::from(*b));
             let bits = 8 * size as u32;
             let signed = matches!(layout.component, ComponentType::I8 | ComponentType::I16);
-            let value = if signed && unsigned >= 1 << (bits - 1) { unsigned - (1 << bits) } else { unsigned };
+            let value = if signed && unsigned >= 1 << (bits - 1) {
+                unsigned - (1 << bits)
+            } else {
+                unsigned
+            };
             *lane = (lane.0.min(value), lane.1.max(value));
         }
     }

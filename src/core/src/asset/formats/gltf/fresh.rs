@@ -3,16 +3,21 @@
 use super::container;
 use super::document::GLB_FORMAT;
 use super::fault::GltfFault;
-use super::patch::json_floats;
+use super::float_json::json_floats;
+use super::media_type::media_type_of;
 use super::text::quoted;
 use super::uri;
+use crate::asset::material::{AlphaCoverage, BaseLook, BaseMaterial, MaterialPicture};
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
 use crate::mesh::shading;
 use glam::Vec3;
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// One buffer, one node and mesh for each primitive, with positions, indices, and normals, texture coordinates and
-/// colours where there are any; and a material for each name.
+/// colours where there are any; and materials with their pictures.
 pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error> {
     let fault = GltfFault(format);
     let mut asset = BuiltAsset {
@@ -22,6 +27,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
         accessors: Vec::new(),
         meshes: Vec::new(),
         materials: Vec::new(),
+        pictures: Vec::new(),
     };
     let mut nodes = Vec::new();
     for own in neutral.primitives() {
@@ -36,23 +42,14 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
         return Err(fault.unwritable("there are no triangles"));
     }
     let scene: Vec<String> = (0..nodes.len()).map(|i| i.to_string()).collect();
+    let (materials, companions) = asset.material_sections();
     let BuiltAsset {
         bytes,
         views,
         accessors,
         meshes,
-        materials,
         ..
     } = asset;
-    let materials = if materials.is_empty() {
-        String::new()
-    } else {
-        let one = |name: &String| format!(r#"{{"name":{}}}"#, quoted(name));
-        format!(
-            r#","materials":[{}]"#,
-            materials.iter().map(one).collect::<Vec<_>>().join(",")
-        )
-    };
     let embedded = if format == GLB_FORMAT {
         String::new()
     } else {
@@ -77,7 +74,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
     } else {
         json.into_bytes()
     };
-    Ok(WrittenFiles::single(main))
+    Ok(WrittenFiles { main, companions })
 }
 
 fn name_of(primitive: &Primitive) -> String {
@@ -94,9 +91,18 @@ struct BuiltAsset {
     views: Vec<String>,
     accessors: Vec<String>,
     meshes: Vec<String>,
-    /// Names of materials.
-    materials: Vec<String>,
+    materials: Vec<Arc<BaseMaterial>>,
+    /// Pictures of the materials.
+    pictures: Vec<MaterialPicture>,
 }
+
+/// What stands as itself in the URI of a file.
+const PLAIN: &AsciiSet = &NON_ALPHANUMERIC
+    .remove(b'-')
+    .remove(b'_')
+    .remove(b'.')
+    .remove(b'~')
+    .remove(b'/');
 
 impl BuiltAsset {
     fn add_primitive(&mut self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Result<(), Error> {
@@ -153,7 +159,7 @@ impl BuiltAsset {
         let material = part
             .material
             .as_ref()
-            .map(|name| format!(r#","material":{}"#, self.material_number(name)));
+            .map(|material| format!(r#","material":{}"#, self.material_number(material)));
         let material = material.unwrap_or_default();
         let indices = self.add_indices(&indices, count);
         let name = name_of(primitive);
@@ -178,12 +184,82 @@ impl BuiltAsset {
         )
     }
 
-    fn material_number(&mut self, name: &str) -> usize {
-        let known = self.materials.iter().position(|n| n == name);
+    fn material_number(&mut self, material: &Arc<BaseMaterial>) -> usize {
+        let known = self.materials.iter().position(|known| known == material);
         known.unwrap_or_else(|| {
-            self.materials.push(name.to_owned());
+            self.materials.push(Arc::clone(material));
             self.materials.len() - 1
         })
+    }
+
+    /// The sections of materials, textures and images, each with a comma before it; and the pictures of kinds that a
+    /// buffer cannot hold, as files.
+    fn material_sections(&mut self) -> (String, BTreeMap<String, Vec<u8>>) {
+        let materials = std::mem::take(&mut self.materials);
+        let texts: Vec<String> = materials.iter().map(|m| self.material_text(m)).collect();
+        let (mut images, mut companions) = (Vec::new(), BTreeMap::new());
+        for picture in std::mem::take(&mut self.pictures) {
+            let bytes = picture.bytes.as_deref();
+            let media_type = bytes.and_then(|bytes| media_type_of(&picture.name, bytes));
+            if let (Some(bytes), Some(media_type)) = (bytes, media_type) {
+                self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+                let (offset, length) = (self.bytes.len(), bytes.len());
+                self.bytes.extend_from_slice(bytes);
+                self.views
+                    .push(format!(r#"{{"buffer":0,"byteOffset":{offset},"byteLength":{length}}}"#));
+                let (view, name) = (self.views.len() - 1, quoted(&picture.name));
+                images.push(format!(
+                    r#"{{"bufferView":{view},"mimeType":"{media_type}","name":{name}}}"#
+                ));
+                continue;
+            }
+            let uri = utf8_percent_encode(&picture.name, PLAIN).to_string();
+            images.push(format!(r#"{{"uri":{}}}"#, quoted(&uri)));
+            if let Some(bytes) = bytes {
+                companions.insert(picture.name.clone(), bytes.to_vec());
+            }
+        }
+        let textures: Vec<String> = (0..images.len()).map(|i| format!(r#"{{"source":{i}}}"#)).collect();
+        let mut sections = String::new();
+        for (key, list) in [("materials", texts), ("textures", textures), ("images", images)] {
+            if !list.is_empty() {
+                sections += &format!(r#","{key}":[{}]"#, list.join(","));
+            }
+        }
+        (sections, companions)
+    }
+
+    fn material_text(&mut self, material: &BaseMaterial) -> String {
+        let name = quoted(&material.name);
+        let Some(look) = &material.look else {
+            return format!(r#"{{"name":{name}}}"#);
+        };
+        let BaseLook {
+            colour,
+            picture,
+            coverage,
+            double_sided,
+        } = look;
+        // What comes from a format without metals is none.
+        let mut base = format!(
+            r#""baseColorFactor":{},"metallicFactor":0,"roughnessFactor":1"#,
+            json_floats(colour)
+        );
+        if let Some(picture) = picture {
+            let known = self.pictures.iter().position(|known| known == picture);
+            let number = known.unwrap_or_else(|| {
+                self.pictures.push(picture.clone());
+                self.pictures.len() - 1
+            });
+            base += &format!(r#","baseColorTexture":{{"index":{number}}}"#);
+        }
+        let coverage = match coverage {
+            AlphaCoverage::Opaque => String::new(),
+            AlphaCoverage::Mask(cutoff) => format!(r#","alphaMode":"MASK","alphaCutoff":{:?}"#, f64::from(*cutoff)),
+            AlphaCoverage::Blend => r#","alphaMode":"BLEND""#.to_owned(),
+        };
+        let sides = if *double_sided { r#","doubleSided":true"# } else { "" };
+        format!(r#"{{"name":{name},"pbrMetallicRoughness":{{{base}}}{coverage}{sides}}}"#)
     }
 
     fn add_indices(&mut self, indices: &[u32], vertices: usize) -> usize {

@@ -3,6 +3,7 @@
 use super::accessors::{AccessorLayout, ShapeAttribute};
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
+use super::float_json::bounds;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
 use super::slots::AttributeSlot;
 use super::text::{JsonEdits, items, value_of};
@@ -284,23 +285,4 @@ fn edit_mesh<'a>(
             _ => edits.remove(extensions, DRACO),
         }
     }
-}
-
-/// The least and the largest value of each lane as JSON, which read back as exactly the same floats.
-pub(super) fn bounds(values: &[f32], lanes: usize) -> (String, String) {
-    let mut least = vec![f32::INFINITY; lanes];
-    let mut most = vec![f32::NEG_INFINITY; lanes];
-    for element in values.chunks_exact(lanes) {
-        for (lane, &v) in element.iter().enumerate() {
-            least[lane] = least[lane].min(v);
-            most[lane] = most[lane].max(v);
-        }
-    }
-    (json_floats(&least), json_floats(&most))
-}
-
-/// As doubles: whoever reads doubles and whoever reads floats sees the same number.
-pub(super) fn json_floats(values: &[f32]) -> String {
-    let texts: Vec<String> = values.iter().map(|&v| format!("{:?}", f64::from(v))).collect();
-    format!("[{}]", texts.join(","))
 }

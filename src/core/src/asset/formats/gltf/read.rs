@@ -87,7 +87,8 @@ pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(
             let doc = GltfDocument::parse(&plain, format)?;
             super::check::check(&doc)?;
             let (mut geometry, mut notes) = read_document(&doc, &plain, format, limits)?;
-            let message = format!("{count} primitives were compressed with Draco; a changed model comes back without it");
+            let message =
+                format!("{count} primitives were compressed with Draco; a changed model comes back without it");
             geometry.warn("draco-decoded", message, "meshes");
             notes.uncompressed = Some(plain);
             return Ok((geometry, notes));

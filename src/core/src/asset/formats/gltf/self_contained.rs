@@ -3,6 +3,7 @@
 use super::companions::uri_of;
 use super::container;
 use super::fault::GltfFault;
+use super::media_type::media_type_of;
 use super::text::{JsonEdits, items, quoted, value_of};
 use super::uri::{self, RelativeName};
 use crate::asset::{Error, WrittenFiles};
@@ -188,35 +189,6 @@ impl<'a> CompanionEmbedder<'a> {
                 .edits
                 .set(self.text, "bufferViews", &format!("[{}]", views.join(","))),
         }
-    }
-}
-
-/// The media type of a picture by its first bytes, else by its name; `None` for a kind that glTF has none for.
-fn media_type_of(name: &str, bytes: &[u8]) -> Option<&'static str> {
-    const BY_CONTENT: [(&[u8], &str); 4] = [
-        (b"\x89PNG\r\n\x1a\n", "image/png"),
-        (b"\xff\xd8\xff", "image/jpeg"),
-        (b"\xabKTX 20\xbb\r\n\x1a\n", "image/ktx2"),
-        (b"DDS ", "image/vnd-ms.dds"),
-    ];
-    let by_content = BY_CONTENT.iter().find(|(mark, _)| bytes.starts_with(mark));
-    if let Some((_, media_type)) = by_content {
-        return Some(media_type);
-    }
-    if bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP") {
-        return Some("image/webp");
-    }
-    if bytes.get(4..8) == Some(b"ftyp") && bytes.get(8..12).is_some_and(|brand| brand.starts_with(b"avi")) {
-        return Some("image/avif");
-    }
-    let (_, extension) = name.rsplit_once('.')?;
-    match extension.to_ascii_lowercase().as_str() {
-        "png" => Some("image/png"),
-        "jpg" | "jpeg" => Some("image/jpeg"),
-        "webp" => Some("image/webp"),
-        "ktx2" => Some("image/ktx2"),
-        "avif" => Some("image/avif"),
-        _ => None,
     }
 }
 

@@ -84,6 +84,14 @@ fn companion_name(uri: &str, place: &str, fault: GltfFault) -> Result<String, Er
     }
 }
 
+/// The bytes of a data URI of any media type; `None` for what is none.
+pub(super) fn embedded_bytes(uri: &str) -> Option<Vec<u8>> {
+    let (kind, payload) = uri.get(5..)?.split_once(',')?;
+    let is_data = uri[..5].eq_ignore_ascii_case("data:") && kind.to_ascii_lowercase().ends_with(";base64");
+    let payload: Vec<u8> = percent_decode_str(payload).collect();
+    is_data.then(|| BASE64.decode(&payload).ok()).flatten()
+}
+
 /// What a URI that is not embedded data names.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum RelativeName {

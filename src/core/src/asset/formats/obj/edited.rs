@@ -1,20 +1,24 @@
 //! OBJ out after edits of the topology, and what an edited OBJ gives to other formats.
 
 use super::super::text::{NumberPrecision, push_number};
+use super::coordinates::{RunCoordinates, coordinates_of};
+use super::library::{MaterialLibrary, read_libraries};
 use super::parted::{CornerAttributes, TextureCoordinate, divide_corners};
 use super::read::ObjNotes;
-use super::statements::{FaceState, ObjStatements, name_in, object_numbers, read};
-use super::write::{printable, push_corner, push_line, push_numbers};
-use crate::asset::Error;
+use super::statements::{FaceState, ObjStatements, name_in, object_numbers, printable, read};
+use super::write::{push_corner, push_line, push_numbers};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces};
+use crate::asset::material::BaseMaterial;
 use crate::asset::neutral::{RunAttributes, SeamPart};
+use crate::asset::{Error, WrittenFiles};
 use glam::DVec3;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// A text of the edited model. Vertices are in the order of the blends; faces are in order within each
 /// object; those of more than three corners that the edit left alone stay whole. Other bases follow with their texture coordinates, normals and material names.
-pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
+pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let EditedOutput { edited, positions, .. } = *output;
     let all = edited.read_bases(|model, _: &ObjNotes| Ok(read(&model.files.main, &model.positions)))?;
     let mut out = Vec::new();
@@ -54,7 +58,19 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
     for base in (0..edited.bases.len()).filter(|&b| all[b].is_none()) {
         foreign_base(&mut out, output, base as u32, &mut faces)?;
     }
-    Ok(out)
+    // Libraries and pictures of every base; where two have one name, the first base's.
+    let mut companions = BTreeMap::new();
+    for base in edited
+        .bases
+        .iter()
+        .zip(&all)
+        .filter_map(|(base, own)| own.as_ref().map(|_| base))
+    {
+        for (name, bytes) in &base.model.files.companions {
+            companions.entry(name.clone()).or_insert_with(|| bytes.to_vec());
+        }
+    }
+    Ok(WrittenFiles { main: out, companions })
 }
 
 /// `v` lines, with the numbers after the coordinates blended.
@@ -216,7 +232,7 @@ fn foreign_base(
         }
         out.extend(format!("o {name}\n").bytes());
         if let Some(material) = &own.attributes.material {
-            out.extend(format!("usemtl {}\n", printable(material)).bytes());
+            out.extend(format!("usemtl {}\n", printable(&material.name)).bytes());
         }
         own.each_face(|corners| {
             out.push(b'f');
@@ -235,7 +251,7 @@ fn foreign_base(
     Ok(())
 }
 
-/// Colours and the first material of runs, for formats that know no corners.
+/// Texture coordinates, colours and the first material of runs, for formats that divide no vertices.
 pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Vec<RunAttributes> {
     let Some(first) = runs.first() else {
         return Vec::new();
@@ -253,6 +269,8 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
         }
         colour.map(|c| (c as f32).clamp(0.0, 1.0))
     };
+    let library = read_libraries(&model.files, &statements.libraries);
+    let material_of = |line: &[u8]| material_named(&library, line);
     let one = |run: &&PrimitiveRun| RunAttributes {
         uv: Vec::new(),
         colours: if lanes == 3 {
@@ -260,10 +278,27 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
         } else {
             Vec::new()
         },
-        material: statements.states.first().and_then(|s| s.material).map(name_in),
+        corner_uv: Vec::new(),
+        material: statements.states.first().and_then(|s| s.material).map(&material_of),
         faces: None,
     };
-    runs.iter().map(one).collect()
+    let coordinates = |run: &&PrimitiveRun| -> RunAttributes {
+        let mut attributes = one(run);
+        match coordinates_of(edited, run, &statements) {
+            RunCoordinates::None => {}
+            RunCoordinates::OfVertices(uv) => attributes.uv = uv,
+            RunCoordinates::OfCorners(uv) => attributes.corner_uv = uv,
+        }
+        attributes
+    };
+    runs.iter().map(coordinates).collect()
+}
+
+/// The material that a `usemtl` line names, with what a library says of it.
+fn material_named(library: &MaterialLibrary, line: &[u8]) -> Arc<BaseMaterial> {
+    let name = name_in(line);
+    let known = library.get(&name).cloned();
+    known.unwrap_or_else(|| Arc::new(BaseMaterial::of_name(name)))
 }
 
 /// A run with its vertices parted where texture coordinates, normals or materials part, one for each material.
@@ -271,6 +306,7 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions
     let model = edited.base(run).model;
     let statements = read(&model.files.main, &model.geometry.positions);
     let parted = divide_corners(edited, run, positions, &statements);
+    let library = read_libraries(&model.files, &statements.libraries);
     let mut of_material: BTreeMap<Option<&[u8]>, Vec<usize>> = BTreeMap::new();
     for (i, state) in parted.states.iter().enumerate() {
         of_material.entry(state.material).or_default().push(i);
@@ -282,7 +318,7 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions
         let with_uv = triangles.iter().any(|&t| parted.corner_textures[t].is_some());
         let with_normals = triangles.iter().any(|&t| parted.corner_normals[t].is_some());
         let mut seamed = SeamPart::default();
-        seamed.attributes.material = material.map(name_in);
+        seamed.attributes.material = material.map(|line| material_named(&library, line));
         let mut known: BTreeMap<(u32, u32, u32), u32> = BTreeMap::new();
         for t in triangles {
             let corner = |k: usize| {

@@ -3,8 +3,10 @@
 //! A render vertex is a `v` line, in file order, whether a face uses it or not. Lines that the mesh does not need
 //! (materials, groups, curves, whatever is unknown) are never interpreted, so they survive untouched.
 
+mod coordinates;
 mod corner;
 mod edited;
+mod library;
 mod normals;
 mod parted;
 mod read;
@@ -33,6 +35,10 @@ impl FormatCodec for ObjCodec {
         read::read(&files.main, limits).map(share_notes)
     }
 
+    fn companion_names(&self, files: &FileSet, _: Format) -> Vec<String> {
+        library::companion_names(files)
+    }
+
     fn patch_positions(
         &self,
         model: &Model,
@@ -44,11 +50,11 @@ impl FormatCodec for ObjCodec {
     }
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
-        Ok(WrittenFiles::single(write::build(neutral)))
+        Ok(write::build(neutral))
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
-        edited::write_edited(output).map(WrittenFiles::single)
+        edited::write_edited(output)
     }
 
     fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {

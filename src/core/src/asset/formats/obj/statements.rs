@@ -210,3 +210,8 @@ pub(super) fn name_in(line: &[u8]) -> String {
     let start = line.iter().position(|b| b.is_ascii_whitespace()).unwrap_or(line.len());
     String::from_utf8_lossy(line[start..].trim_ascii()).into_owned()
 }
+
+/// A name without what would end its line.
+pub(super) fn printable(name: &str) -> String {
+    name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}

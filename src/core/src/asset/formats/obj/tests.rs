@@ -241,7 +241,7 @@ fn a_fresh_file_keeps_names_normals_and_order() {
             ..Default::default()
         })
         .to_vec();
-    let text = String::from_utf8(build(&NeutralModel::from_geometry(geometry.clone()))).expect("text");
+    let text = String::from_utf8(build(&NeutralModel::from_geometry(geometry.clone())).main).expect("text");
     assert!(
         text.contains("o a b\nf 1//1 2//2 3//3\no \nf 1//1 2//2 4//4\n"),
         "{text}"

@@ -2,13 +2,18 @@
 
 use super::super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_number, push_triple};
 use super::corner::{FaceCorner, STYLE, resolve, three_words};
+use super::library::write_library;
 use super::normals::{NormalLines, NormalPlan};
 use super::read::ObjNotes;
-use crate::asset::Geometry;
+use super::statements::printable;
+use crate::asset::material::BaseMaterial;
 use crate::asset::model::position_bits;
-use crate::asset::neutral::NeutralModel;
+use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
+use crate::asset::{Geometry, WrittenFiles};
 use glam::{DVec3, Vec3};
+use std::collections::BTreeMap;
 use std::io::Write as _;
+use std::sync::Arc;
 
 /// The uploaded text with the vertices at `positions`.
 pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: &[DVec3]) -> Vec<u8> {
@@ -180,67 +185,125 @@ pub(super) fn push_numbers(out: &mut Vec<u8>, numbers: &[f64]) {
     }
 }
 
-/// A name without what would end its line.
-pub(super) fn printable(name: &str) -> String {
-    name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
-}
-
 /// A fresh text: one object for each primitive, normals where every vertex has one, texture coordinates where the
-/// primitive has them, colours behind the coordinates where any primitive has some, and the names of materials.
-pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
-    let NeutralModel {
-        geometry, uv, colours, ..
-    } = neutral;
-    let mut out = b"# pliant\n".to_vec();
+/// primitive has them, colours behind the coordinates where any primitive has some, polygons as they were, and materials
+/// in a library beside it where more than their names is known.
+pub(super) fn build(neutral: &NeutralModel) -> WrittenFiles {
+    let NeutralModel { geometry, colours, .. } = neutral;
+    let mut written = WrittenFiles::single(b"# pliant\n".to_vec());
+    let out = &mut written.main;
+    let materials = named_materials(neutral);
+    if materials.iter().any(|(_, material)| material.look.is_some()) {
+        let stem = if neutral.stem.is_empty() {
+            "model"
+        } else {
+            &neutral.stem
+        };
+        out.extend(format!("mtllib {stem}.mtl\n").bytes());
+        let (library, pictures) = write_library(&materials);
+        written.companions = pictures;
+        written.companions.insert(format!("{stem}.mtl"), library);
+    }
     for (i, &position) in geometry.positions.iter().enumerate() {
-        push_line(&mut out, b"v ", position, NumberPrecision::Double, b"");
+        push_line(out, b"v ", position, NumberPrecision::Double, b"");
         if let Some([r, g, b, _]) = colours.get(i) {
             out.push(b' ');
-            push_triple(&mut out, Vec3::new(*r, *g, *b).as_dvec3(), NumberPrecision::Single);
+            push_triple(out, Vec3::new(*r, *g, *b).as_dvec3(), NumberPrecision::Single);
         }
         out.push(b'\n');
     }
-    let mut texture_number = Vec::with_capacity(uv.len());
-    for own in neutral.primitives().filter(|own| own.attributes.has_uv) {
-        let range = own.vertices;
-        let next = texture_number.last().map_or(1u32, |&last: &u32| last + 1);
-        texture_number.resize(range.start, 0);
-        for (number, [u, v]) in (next..).zip(uv.get(range).unwrap_or(&[])) {
-            texture_number.push(number);
-            out.extend_from_slice(b"vt ");
-            push_numbers(&mut out, &[f64::from(*u), f64::from(1.0 - v)]);
-            out.push(b'\n');
-        }
+    let mut textures = TextureLines::default();
+    for own in neutral.primitives() {
+        textures.add_primitive(out, neutral, &own);
     }
     let with_normals = geometry.all_have_normals();
     if with_normals {
         for &normal in &geometry.normals {
             let normal: Vec3 = normal;
-            push_line(&mut out, b"vn ", normal.as_dvec3(), NumberPrecision::Single, b"\n");
+            push_line(out, b"vn ", normal.as_dvec3(), NumberPrecision::Single, b"\n");
         }
     }
     for own in neutral.primitives() {
         if geometry.primitives.len() > 1 || !own.primitive.name.is_empty() {
             out.extend(format!("o {}\n", printable(&own.primitive.name)).bytes());
         }
-        if let Some(material) = &own.attributes.material {
-            out.extend(format!("usemtl {}\n", printable(material)).bytes());
+        let material = own.attributes.material.as_ref();
+        if let Some((name, _)) = material.and_then(|m| materials.iter().find(|(_, known)| known == m)) {
+            out.extend(format!("usemtl {name}\n").bytes());
         }
         own.each_face(|corners| {
             out.push(b'f');
             for &corner in corners {
                 let v = own.vertex_at(corner);
                 let number = u64::from(v) + 1;
-                let texture = texture_number.get(v as usize).filter(|_| own.attributes.has_uv);
-                push_corner(
-                    &mut out,
-                    number,
-                    texture.map(|&t| u64::from(t)),
-                    with_normals.then_some(number),
-                );
+                let texture = textures.line_number(neutral, &own, corner);
+                push_corner(out, number, texture, with_normals.then_some(number));
             }
             out.push(b'\n');
         });
     }
-    out
+    written
+}
+
+/// The materials of a model, each under a name of its own.
+fn named_materials(neutral: &NeutralModel) -> Vec<(String, Arc<BaseMaterial>)> {
+    let mut named: Vec<(String, Arc<BaseMaterial>)> = Vec::new();
+    for material in neutral.attributes.iter().filter_map(|a| a.material.as_ref()) {
+        if named.iter().any(|(_, known)| known == material) {
+            continue;
+        }
+        let plain = printable(&material.name);
+        let mut name = plain.clone();
+        while named.iter().any(|(known, _)| *known == name) {
+            name = format!("{plain}.{}", named.len());
+        }
+        named.push((name, Arc::clone(material)));
+    }
+    named
+}
+
+/// The `vt` lines of a fresh text: one for each vertex, or one for each pair of numbers where corners have them.
+#[derive(Default)]
+struct TextureLines {
+    count: u64,
+    /// For each vertex the number of its line, 0 without one.
+    of_vertex: Vec<u64>,
+    of_pair: BTreeMap<[u32; 2], u64>,
+}
+
+impl TextureLines {
+    fn add_primitive(&mut self, out: &mut Vec<u8>, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) {
+        let mut push = |[u, v]: [f32; 2]| {
+            out.extend_from_slice(b"vt ");
+            push_numbers(out, &[f64::from(u), f64::from(1.0 - v)]);
+            out.push(b'\n');
+        };
+        if own.attributes.has_corner_uv {
+            let corners = 0..3 * own.triangles.len() as u32;
+            for pair in corners.filter_map(|corner| neutral.uv_at(own, corner)) {
+                let next = self.count + 1;
+                if *self.of_pair.entry(pair.map(f32::to_bits)).or_insert(next) == next {
+                    self.count = next;
+                    push(pair);
+                }
+            }
+        } else if own.attributes.has_uv {
+            self.of_vertex.resize(own.vertices.start, 0);
+            for pair in neutral.uv.get(own.vertices.clone()).unwrap_or(&[]) {
+                self.count += 1;
+                self.of_vertex.push(self.count);
+                push(*pair);
+            }
+        }
+    }
+
+    /// The number of the line of a corner.
+    fn line_number(&self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>, corner: u32) -> Option<u64> {
+        if own.attributes.has_corner_uv {
+            let pair = neutral.uv_at(own, corner)?;
+            return self.of_pair.get(&pair.map(f32::to_bits)).copied();
+        }
+        let number = self.of_vertex.get(own.vertex_at(corner) as usize).copied();
+        number.filter(|n| own.attributes.has_uv && *n > 0)
+    }
 }

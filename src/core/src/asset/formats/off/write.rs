@@ -36,18 +36,27 @@ pub(super) fn patch(bytes: &[u8], notes: &OffNotes, rest: &Geometry, positions: 
     patch.finish()
 }
 
-/// A fresh text, with normals where every vertex has one, and polygons as they were.
+/// A fresh text, with normals where every vertex has one, colours where any has some, and polygons as they were.
 pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
     let geometry = &neutral.geometry;
     let with_normals = geometry.all_have_normals();
     let faces: usize = neutral.primitives().map(|own| own.face_count()).sum();
-    let keyword = if with_normals { "NOFF" } else { "OFF" };
+    let colours = &neutral.colours;
+    let keyword = match (colours.is_empty(), with_normals) {
+        (true, false) => "OFF",
+        (true, true) => "NOFF",
+        (false, false) => "COFF",
+        (false, true) => "CNOFF",
+    };
     let mut out = format!("{keyword}\n{} {faces} 0\n", geometry.positions.len()).into_bytes();
     for (i, &position) in geometry.positions.iter().enumerate() {
         push_triple(&mut out, position, NumberPrecision::Double);
         if with_normals {
             out.push(b' ');
             push_triple(&mut out, geometry.normals[i].as_dvec3(), NumberPrecision::Single);
+        }
+        for share in colours.get(i).into_iter().flatten() {
+            out.extend(format!(" {}", (share.clamp(0.0, 1.0) * 255.0).round()).bytes());
         }
         out.push(b'\n');
     }

@@ -449,6 +449,21 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
                 .vertices()
                 .map(|v| [value(v, uv[0]) as f32, (1.0 - value(v, uv[1])) as f32])
                 .collect();
+        } else if let Some(corners) = table.corner_coordinates().filter(|_| run.triangle_count > 0) {
+            let old = &model.geometry.triangles;
+            let origins = TriangleOrigins::new(edited, run, old);
+            let seam = number_pairs(&corners);
+            let corners = FaceCorners {
+                triangles: &edited.triangles[run.triangles()],
+                origins: (corners.len() == 3 * old.len()).then_some(&origins),
+                coordinates: Some(&corners),
+                seam: &seam,
+            };
+            let at = |c: u32| {
+                let [u, v] = corners.coordinates(c);
+                [u as f32, (1.0 - v) as f32]
+            };
+            extras.corner_uv = (0..3 * run.triangle_count).map(at).collect();
         }
         extras
     };

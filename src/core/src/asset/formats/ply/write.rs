@@ -86,12 +86,18 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
     for own in neutral.primitives() {
         own.each_face(|corners| most_corners = most_corners.max(corners.len()));
     }
-    let is_small = most_corners <= usize::from(u8::MAX);
+    let with_corners = !neutral.corner_uv.is_empty();
+    let is_small = most_corners * if with_corners { 2 } else { 1 } <= usize::from(u8::MAX);
     let count_type = if is_small { "uchar" } else { "uint" };
+    let corners = if with_corners {
+        format!("property list {count_type} float texcoord\n")
+    } else {
+        String::new()
+    };
     let result = write!(
         out,
         "element vertex {}\nproperty double x\nproperty double y\nproperty double z\n{normals}{coordinates}{bytes}\
-         element face {}\nproperty list {count_type} uint vertex_indices\nend_header\n",
+         element face {}\nproperty list {count_type} uint vertex_indices\n{corners}end_header\n",
         geometry.positions.len(),
         neutral.primitives().map(|own| own.face_count()).sum::<usize>()
     );
@@ -110,9 +116,17 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
     }
     for own in neutral.primitives() {
         own.each_face(|corners| {
-            let count = (corners.len() as u32).to_le_bytes();
-            out.extend_from_slice(if is_small { &count[..1] } else { &count });
+            let count = |out: &mut Vec<u8>, number: usize| {
+                let bytes = (number as u32).to_le_bytes();
+                out.extend_from_slice(if is_small { &bytes[..1] } else { &bytes });
+            };
+            count(&mut out, corners.len());
             out.extend(corners.iter().flat_map(|&c| own.vertex_at(c).to_le_bytes()));
+            if with_corners {
+                count(&mut out, 2 * corners.len());
+                let at = |c: &u32| neutral.uv_at(&own, *c).map_or([0.0; 2], |[u, v]| [u, 1.0 - v]);
+                out.extend(corners.iter().flat_map(at).flat_map(f32::to_le_bytes));
+            }
         });
     }
     out

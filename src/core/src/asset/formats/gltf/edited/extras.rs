@@ -3,14 +3,15 @@
 use super::super::read::{GltfNotes, reopen};
 use super::super::text::{items, value_of};
 use super::channels::{AttributeBlender, read};
-use super::kept::unparsed_items;
+use super::looks::read_looks;
 use super::places;
 use crate::asset::Error;
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::RunAttributes;
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
-/// The first texture coordinates, the first colours and the name of the material of runs of one base.
+/// The texture coordinates of the base colour, the first colours and the material of runs of one base.
 pub(in super::super) fn run_attributes(
     edited: &EditedModel<'_>,
     runs: &[&PrimitiveRun],
@@ -20,19 +21,29 @@ pub(in super::super) fn run_attributes(
         return Ok(Vec::new());
     };
     let (doc, mut buffers) = reopen(model, notes)?;
-    let materials: Vec<Option<String>> = unparsed_items(&doc, "materials").into_iter().map(name_of).collect();
+    let materials = read_looks(&doc, notes.files(model), &buffers)?;
     let mut all = Vec::with_capacity(runs.len());
     for run in runs {
         let row = &notes.rows[run.primitive as usize];
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         let mixer = AttributeBlender::new(edited, run);
         let mut extras = RunAttributes::default();
-        let used: BTreeSet<usize> = ["TEXCOORD_0", "COLOR_0"]
-            .iter()
-            .filter_map(|n| primitive.attribute(n))
-            .collect();
+        let stored = value_of(doc.meshes.items[row.mesh], "primitives")
+            .and_then(|p| items(p).ok())
+            .unwrap_or_default();
+        let material = stored
+            .get(row.primitive)
+            .and_then(|p| value_of(p, "material"))
+            .and_then(places::index)
+            .and_then(|m| materials.get(m));
+        extras.material = material.map(|(material, _)| Arc::clone(material));
+        // The coordinates that the picture of the base colour uses.
+        let own_set = material.map(|(_, set)| format!("TEXCOORD_{set}"));
+        let set = own_set.filter(|set| primitive.attribute(set).is_some());
+        let set = set.as_deref().unwrap_or("TEXCOORD_0");
+        let used: BTreeSet<usize> = [set, "COLOR_0"].iter().filter_map(|n| primitive.attribute(n)).collect();
         buffers.decode_for(&doc, &used)?;
-        if let Some(accessor) = primitive.attribute("TEXCOORD_0") {
+        if let Some(accessor) = primitive.attribute(set) {
             let channel = read(&doc, &buffers, accessor)?;
             if channel.lanes == 2 {
                 extras.uv = mixer.blend_linearly(&channel).as_chunks::<2>().0.to_vec();
@@ -52,23 +63,7 @@ pub(in super::super) fn run_attributes(
                 _ => Vec::new(),
             };
         }
-        let stored = value_of(doc.meshes.items[row.mesh], "primitives")
-            .and_then(|p| items(p).ok())
-            .unwrap_or_default();
-        let material = stored
-            .get(row.primitive)
-            .and_then(|p| value_of(p, "material"))
-            .and_then(places::index);
-        extras.material = material.and_then(|m| {
-            let name = materials.get(m)?.clone();
-            Some(name.unwrap_or_else(|| format!("material_{m}")))
-        });
         all.push(extras);
     }
     Ok(all)
-}
-
-fn name_of(material: &str) -> Option<String> {
-    let name: String = serde_json::from_str(value_of(material, "name")?).ok()?;
-    (!name.is_empty()).then_some(name)
 }

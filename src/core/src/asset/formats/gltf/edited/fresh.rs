@@ -1,7 +1,7 @@
 //! New accessors, each with a view of its own; equal ones are stored once.
 
 use super::super::fault::GltfFault;
-use super::super::patch::bounds;
+use super::super::float_json::bounds;
 use crate::asset::Error;
 use std::collections::BTreeMap;
 use std::hash::Hasher as _;

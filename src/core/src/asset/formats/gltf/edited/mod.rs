@@ -12,6 +12,7 @@ mod handles;
 mod joined;
 mod joined_bases;
 mod kept;
+mod looks;
 mod material;
 mod places;
 mod primitives;

@@ -1,0 +1,153 @@
+//! What the materials of a glTF look like to other formats: base colour, picture, opacity, both sides.
+
+use super::super::buffers::BufferBytes;
+use super::super::document::GltfDocument;
+use super::super::media_type::file_extension;
+use super::super::uri::{self, RelativeName};
+use super::kept::unparsed_items;
+use crate::asset::material::{AlphaCoverage, BaseLook, BaseMaterial, MaterialPicture, inside_folder};
+use crate::asset::{Error, FileSet};
+use bytes::Bytes;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// A material, and the set of texture coordinates that its picture uses.
+pub(super) type LookedAt = (Arc<BaseMaterial>, usize);
+
+/// All materials of a document.
+pub(super) fn read_looks(
+    doc: &GltfDocument<'_>,
+    files: &FileSet,
+    buffers: &BufferBytes,
+) -> Result<Vec<LookedAt>, Error> {
+    let textures = parsed_items(doc, "textures")?;
+    let images = parsed_items(doc, "images")?;
+    let mut pictures = ImageNames {
+        doc,
+        files,
+        buffers,
+        images: &images,
+        taken: BTreeSet::new(),
+        made: vec![None; images.len()],
+    };
+    let mut looks = Vec::new();
+    for (m, material) in parsed_items(doc, "materials")?.iter().enumerate() {
+        let name = material["name"].as_str().filter(|name| !name.is_empty());
+        let name = name.map_or_else(|| format!("material_{m}"), str::to_owned);
+        let (look, set) = read_look(material, &textures, &mut pictures);
+        looks.push((Arc::new(BaseMaterial { name, look }), set));
+    }
+    Ok(looks)
+}
+
+fn parsed_items(doc: &GltfDocument<'_>, key: &str) -> Result<Vec<Value>, Error> {
+    let parse = |(i, text): (usize, &str)| {
+        let parsed = serde_json::from_str(text);
+        parsed.map_err(|e| doc.fault.malformed(format!("{key}/{i}"), e.to_string()))
+    };
+    unparsed_items(doc, key).into_iter().enumerate().map(parse).collect()
+}
+
+/// What a material says of its base; `None` where it says nothing that another format knows.
+fn read_look(material: &Value, textures: &[Value], pictures: &mut ImageNames<'_, '_>) -> (Option<BaseLook>, usize) {
+    let base = &material["pbrMetallicRoughness"];
+    let mut look = BaseLook {
+        double_sided: material["doubleSided"].as_bool().unwrap_or(false),
+        ..BaseLook::default()
+    };
+    for (lane, to) in look.colour.iter_mut().enumerate() {
+        if let Some(value) = base["baseColorFactor"][lane].as_f64() {
+            *to = (value as f32).clamp(0.0, 1.0);
+        }
+    }
+    look.coverage = match material["alphaMode"].as_str() {
+        Some("MASK") => AlphaCoverage::Mask(material["alphaCutoff"].as_f64().unwrap_or(0.5) as f32),
+        Some("BLEND") => AlphaCoverage::Blend,
+        _ => AlphaCoverage::Opaque,
+    };
+    let texture = &base["baseColorTexture"];
+    let moved = &texture["extensions"]["KHR_texture_transform"]["texCoord"];
+    let set = moved.as_u64().or(texture["texCoord"].as_u64()).unwrap_or(0);
+    let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
+    if let Some(stored) = number(&texture["index"]).and_then(|t| textures.get(t)) {
+        let others = [
+            "EXT_texture_webp",
+            "EXT_texture_avif",
+            "KHR_texture_basisu",
+            "MSFT_texture_dds",
+        ];
+        let other = || {
+            others
+                .iter()
+                .find_map(|name| number(&stored["extensions"][name]["source"]))
+        };
+        let source = number(&stored["source"]).or_else(other);
+        look.picture = source.and_then(|image| pictures.picture_of(image));
+    }
+    let says_something = look != BaseLook::default();
+    (says_something.then_some(look), usize::try_from(set).unwrap_or(0))
+}
+
+/// The images of a document as files: by the names that they have, else by new ones.
+struct ImageNames<'i, 'a> {
+    doc: &'i GltfDocument<'a>,
+    files: &'i FileSet,
+    buffers: &'i BufferBytes,
+    images: &'i [Value],
+    taken: BTreeSet<String>,
+    made: Vec<Option<MaterialPicture>>,
+}
+
+impl ImageNames<'_, '_> {
+    fn picture_of(&mut self, image: usize) -> Option<MaterialPicture> {
+        let stored = self.images.get(image)?;
+        if let Some(made) = self.made.get(image)?.clone() {
+            return Some(made);
+        }
+        let uri = stored["uri"].as_str();
+        let made = match uri.map(uri::relative_name) {
+            Some(RelativeName::Inside(name)) => {
+                let bytes = self.files.companions.get(&name).cloned();
+                self.taken.insert(name.clone());
+                MaterialPicture { name, bytes }
+            }
+            _ => {
+                let bytes = match uri {
+                    Some(uri) => Bytes::from(uri::embedded_bytes(uri)?),
+                    None => {
+                        let view = usize::try_from(stored["bufferView"].as_u64()?).ok()?;
+                        Bytes::copy_from_slice(self.buffers.view(self.doc, view).ok()?)
+                    }
+                };
+                let extension = file_extension(stored["mimeType"].as_str(), &bytes);
+                let name = self.free_name(stored["name"].as_str().unwrap_or("image"), image, extension);
+                let bytes = Some(bytes);
+                MaterialPicture { name, bytes }
+            }
+        };
+        self.made[image] = Some(made.clone());
+        Some(made)
+    }
+
+    /// A name for a file that no other image has.
+    fn free_name(&mut self, wanted: &str, image: usize, extension: &str) -> String {
+        let plain = |c: char| {
+            if c.is_alphanumeric() || "-_.".contains(c) {
+                c
+            } else {
+                '_'
+            }
+        };
+        let stem: String = wanted.chars().take(80).map(plain).collect();
+        let stem = stem
+            .strip_suffix(&format!(".{extension}"))
+            .unwrap_or(&stem)
+            .trim_matches('.');
+        let name = format!("{stem}.{extension}");
+        let free = inside_folder(&name).filter(|name| !stem.is_empty() && !self.taken.contains(name));
+        let name = free.unwrap_or_else(|| format!("{stem}-{image}.{extension}"));
+        self.taken.insert(name.clone());
+        name
+    }
+}

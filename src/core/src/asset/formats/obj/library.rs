@@ -1,0 +1,191 @@
+//! Libraries of materials (MTL) that an OBJ names: base colours, opacity and pictures, in and out.
+//!
+//! Colours go through as they are written, as other converters do it. Pictures are named from the OBJ's folder.
+
+use super::super::text::{NumberPrecision, TextLexer, number, push_number};
+use super::corner::STYLE;
+use super::statements::{name_in, printable};
+use crate::asset::FileSet;
+use crate::asset::material::{AlphaCoverage, BaseLook, BaseMaterial, MaterialPicture, inside_folder};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// Materials by their names.
+pub(super) type MaterialLibrary = BTreeMap<String, Arc<BaseMaterial>>;
+
+/// The files that `mtllib` lines may mean: all words as one name, and each for itself.
+fn library_names(line: &[u8]) -> Vec<String> {
+    let rest = name_in(line);
+    let words = rest.split_whitespace().filter(|word| *word != rest);
+    std::iter::once(rest.as_str())
+        .chain(words)
+        .filter_map(inside_folder)
+        .collect()
+}
+
+/// The names of the files that an OBJ and its libraries so far name.
+pub(super) fn companion_names(files: &FileSet) -> Vec<String> {
+    let mut names = Vec::new();
+    let mut seen = BTreeSet::new();
+    let mut add = |name: String| {
+        if seen.insert(name.clone()) {
+            names.push(name);
+        }
+    };
+    let lines = || files.main.split(|b| matches!(b, b'\n' | b'\r'));
+    let libraries: Vec<String> = lines()
+        .map(<[u8]>::trim_ascii)
+        .filter(|line| line.starts_with(b"mtllib") && line.get(6).is_some_and(u8::is_ascii_whitespace))
+        .flat_map(library_names)
+        .collect();
+    libraries.iter().cloned().for_each(&mut add);
+    for text in libraries.iter().filter_map(|name| files.companions.get(name)) {
+        statements_of(text, |keyword, rest| {
+            let lower = keyword.to_ascii_lowercase();
+            let is_map = lower.starts_with("map_") || matches!(&lower[..], "bump" | "disp" | "decal" | "refl" | "norm");
+            if let Some(name) = is_map.then(|| picture_name(rest)).flatten() {
+                add(name);
+            }
+        });
+    }
+    names
+}
+
+/// Hands out the statements of a library: keyword and the rest of the line.
+fn statements_of(text: &[u8], mut statement: impl FnMut(&str, &str)) {
+    let mut lexer = TextLexer::new(text, STYLE);
+    while let Some(token) = lexer.token() {
+        let keyword = String::from_utf8_lossy(lexer.text(token)).into_owned();
+        let rest = lexer.rest_of_line();
+        statement(&keyword, String::from_utf8_lossy(&text[rest]).trim());
+        lexer.end_line();
+    }
+}
+
+/// The name of a picture behind the options of its statement.
+fn picture_name(rest: &str) -> Option<String> {
+    let mut words = rest.split_whitespace().peekable();
+    let mut left = rest;
+    while let Some(option) = words.next_if(|word| word.starts_with('-') && word.len() > 1) {
+        left = after_word(left, option);
+        let most = match option {
+            "-o" | "-s" | "-t" => 3,
+            "-mm" => 2,
+            _ => 1,
+        };
+        for k in 0..most {
+            // Options of one to three numbers end where no number stands.
+            let is_number = |word: &&str| number(word.as_bytes()).is_some();
+            let Some(value) = words.next_if(|word| (k == 0 && most == 1) || is_number(word)) else {
+                break;
+            };
+            left = after_word(left, value);
+        }
+    }
+    inside_folder(left)
+}
+
+/// The text behind its first word.
+fn after_word<'a>(text: &'a str, word: &str) -> &'a str {
+    let text = text.trim_start();
+    text.strip_prefix(word).unwrap_or(text).trim_start()
+}
+
+/// Reads the libraries that `mtllib` lines name, as far as they were sent along.
+pub(super) fn read_libraries(files: &FileSet, lines: &[&[u8]]) -> MaterialLibrary {
+    let mut library = MaterialLibrary::new();
+    let mut read = BTreeSet::new();
+    for name in lines.iter().flat_map(|line| library_names(line)) {
+        if let Some(text) = files.companions.get(&name)
+            && read.insert(name)
+        {
+            read_library(text, files, &mut library);
+        }
+    }
+    library
+}
+
+fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
+    let mut current: Option<BaseMaterial> = None;
+    let mut keep = |material: Option<BaseMaterial>| {
+        if let Some(material) = material {
+            // The first of a name counts, as in other readers.
+            library
+                .entry(material.name.clone())
+                .or_insert_with(|| Arc::new(material));
+        }
+    };
+    statements_of(text, |keyword, rest| {
+        if keyword == "newmtl" {
+            let look = Some(BaseLook::default());
+            let name = rest.to_owned();
+            keep(current.replace(BaseMaterial { name, look }));
+            return;
+        }
+        let Some(look) = current.as_mut().and_then(|m| m.look.as_mut()) else {
+            return;
+        };
+        let share = |text: &str| {
+            let value = text.split_whitespace().next().and_then(|word| number(word.as_bytes()));
+            value.filter(|v| v.is_finite()).map(|v| v.clamp(0.0, 1.0) as f32)
+        };
+        match keyword {
+            "Kd" => {
+                let numbers: Vec<f32> = rest.split_whitespace().map_while(share).collect();
+                match numbers.as_slice() {
+                    [r, g, b, ..] => look.colour[..3].copy_from_slice(&[*r, *g, *b]),
+                    // One number stands for grey.
+                    [grey] => look.colour[..3].fill(*grey),
+                    _ => {}
+                }
+            }
+            "d" | "Tr" => {
+                let value = share(rest.trim_start_matches("-halo"));
+                if let Some(value) = value {
+                    look.colour[3] = if keyword == "d" { value } else { 1.0 - value };
+                    if look.colour[3] < 1.0 {
+                        look.coverage = AlphaCoverage::Blend;
+                    }
+                }
+            }
+            "map_Kd" => {
+                look.picture = picture_name(rest).map(|name| MaterialPicture {
+                    bytes: files.companions.get(&name).cloned(),
+                    name,
+                });
+            }
+            "map_d" => look.coverage = AlphaCoverage::Blend,
+            _ => {}
+        }
+    });
+    keep(current);
+}
+
+/// The text of a library of materials, each with its name, and the pictures that they need by the names of their files.
+pub(super) fn write_library(materials: &[(String, Arc<BaseMaterial>)]) -> (Vec<u8>, BTreeMap<String, Vec<u8>>) {
+    let mut out = b"# pliant\n".to_vec();
+    let mut pictures = BTreeMap::new();
+    for (name, material) in materials {
+        out.extend(format!("\nnewmtl {name}\n").bytes());
+        let Some(look) = &material.look else { continue };
+        let [r, g, b, opacity] = look.colour;
+        out.extend_from_slice(b"Kd");
+        for value in [r, g, b] {
+            out.push(b' ');
+            push_number(&mut out, f64::from(value), NumberPrecision::Single);
+        }
+        out.extend_from_slice(b"\nd ");
+        push_number(&mut out, f64::from(opacity), NumberPrecision::Single);
+        out.push(b'\n');
+        let Some(picture) = &look.picture else { continue };
+        let name = printable(&picture.name);
+        out.extend(format!("map_Kd {name}\n").bytes());
+        if look.coverage != AlphaCoverage::Opaque {
+            out.extend(format!("map_d {name}\n").bytes());
+        }
+        if let Some(bytes) = &picture.bytes {
+            pictures.insert(name, bytes.to_vec());
+        }
+    }
+    (out, pictures)
+}
