@@ -9,7 +9,7 @@ use crate::progress::Progress as _;
 use crate::stage_clock::StageClock;
 use crate::wire::{
     DeformOptions, Error, change_poses, edit, edit_name, edit_result, handle_set, open_options, pb, quality_message,
-    session_message,
+    session_message, warning_message,
 };
 use glam::DVec3;
 use std::sync::Arc;
@@ -94,6 +94,7 @@ pub fn run(
         shape: ModelShape { positions, .. },
         ..
     } = batch;
+    let pulled = deformer.pose_warnings(&poses);
     let written = deformer.write(&positions, format.unwrap_or(deformer.model().format))?;
     if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take_stage_ms().remove("encode")) {
         step.ms.insert("encode".into(), ms);
@@ -102,6 +103,7 @@ pub fn run(
     let (passengers, carried) = riders.write_files()?;
     let mut warnings = facts.warnings;
     warnings.extend(large_faces_warning(&quality));
+    warnings.extend(pulled.iter().map(warning_message));
     let report = pb::Report {
         passengers,
         model: facts.model,

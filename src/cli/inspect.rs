@@ -45,6 +45,25 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
     write!(std::io::stdout(), "{text}").map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
 }
 
+/// How many parts nothing joins to others, and the largest of them.
+fn describe_loose_parts(solver: &pb::SolverFacts) -> String {
+    let told: Vec<String> = (solver.loose.iter())
+        .map(|part| {
+            let name = match part.name.as_str() {
+                "" => String::new(),
+                name => format!(" of \"{name}\""),
+            };
+            format!("part {}{name} ({} vertices)", part.component, part.vertices)
+        })
+        .collect();
+    let more = (solver.loose_parts as usize).saturating_sub(told.len());
+    match (told.is_empty(), more) {
+        (true, _) => solver.loose_parts.to_string(),
+        (false, 0) => format!("{}: {}", solver.loose_parts, told.join(", ")),
+        (false, more) => format!("{}: {} and {more} more", solver.loose_parts, told.join(", ")),
+    }
+}
+
 fn describe_inspection(found: &pb::Inspection) -> String {
     let model = found.model.clone().unwrap_or_default();
     let solver = found.solver.clone().unwrap_or_default();
@@ -83,6 +102,10 @@ fn describe_inspection(found: &pb::Inspection) -> String {
     );
     line("hierarchy", levels.join(" > "));
     line("parts", count(found.components));
+    if found.components > 1 {
+        line("ties", count(solver.ties));
+        line("loose parts", describe_loose_parts(&solver));
+    }
     line("closed", yes_no(found.closed).into());
     line("holes", count(found.boundary_loops));
     line(

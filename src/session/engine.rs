@@ -5,9 +5,9 @@
 
 use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::{
-    CarriedModel, Deformer, DeformerFacts, DeformerLimits, EditCommand, EditOutcome, Error, HandlePose, HandlePoses,
-    HandleSet, ModelShape, OpenOptions, QualityReport, Shader, ShapeId, SolveMode, SolveSettings, SolveUpdate,
-    SolvedShape, TopologyState,
+    CarriedModel, Deformer, DeformerFacts, DeformerLimits, DeformerWarning, EditCommand, EditOutcome, Error,
+    HandlePose, HandlePoses, HandleSet, ModelShape, OpenOptions, QualityReport, Shader, ShapeId, SolveMode,
+    SolveSettings, SolveUpdate, SolvedShape, TopologyState,
 };
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
@@ -37,6 +37,10 @@ pub trait Engine: Send + 'static {
     fn initial_poses(&self) -> HandlePoses;
     /// `poses` with those that `changes` names replaced.
     fn change_poses(&self, poses: &HandlePoses, changes: &[(String, HandlePose)]) -> Result<HandlePoses, Error>;
+    /// What a user should know of `poses`.
+    fn pose_warnings(&self, _poses: &HandlePoses) -> Vec<DeformerWarning> {
+        Vec::new()
+    }
     /// Solves a pose.
     fn solve(
         &mut self,
@@ -126,6 +130,10 @@ impl EngineOpener for OpenDeformer {
 }
 
 impl Engine for Deformer {
+    fn pose_warnings(&self, poses: &HandlePoses) -> Vec<DeformerWarning> {
+        self.pose_warnings(poses)
+    }
+
     fn facts(&self) -> DeformerFacts {
         Self::facts(self)
     }

@@ -6,13 +6,15 @@ use super::check::{enumerated, number};
 use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
 use crate::asset::{Following, Format, MorphTargetRule};
-use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, VolumeMode};
-use crate::engine::OpenOptions;
+use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, TieOptions, VolumeMode};
+use crate::engine::{KeptApart, OpenOptions};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
+/// Most numbers in one list of parts to be kept apart.
+const MOST_KEPT_APART: usize = 1 << 16;
 /// The longest label, in bytes.
 const LONGEST_LABEL: usize = 256;
 
@@ -119,6 +121,16 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             ));
         }
     };
+    let ties = match enumerated(create.parts, "parts")? {
+        pb::create_options::Parts::Tied => Some(TieOptions {
+            distance: length(create.tie_distance, "tieDistance")?,
+            ..TieOptions::default()
+        }),
+        pb::create_options::Parts::Separate => {
+            refuse_without_ties(create)?;
+            None
+        }
+    };
     let graph = VolumeOptions {
         interval: length(volume.interval, "volumeGraph.interval")?,
         valence,
@@ -135,9 +147,45 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             graph,
             operators,
             apart: false,
+            ties,
         },
         passengers: passengers(&create.passengers)?,
         following: Following { morph_targets },
+        kept_apart: kept_apart(create.keep_apart.as_ref())?,
+    })
+}
+
+/// Refuses what says how parts are tied where none are.
+fn refuse_without_ties(create: &pb::CreateOptions) -> Result<(), Error> {
+    let given = [
+        ("tieDistance", create.tie_distance != 0.0),
+        ("keepApart", create.keep_apart.is_some()),
+    ];
+    match given.into_iter().find(|g| g.1) {
+        Some((field, _)) => Err(Error::invalid(
+            field,
+            "is given, but parts SEPARATE have no ties; leave one out",
+        )),
+        None => Ok(()),
+    }
+}
+
+/// Reads which parts get no ties.
+fn kept_apart(message: Option<&pb::create_options::KeepApart>) -> Result<KeptApart, Error> {
+    let Some(message) = message else {
+        return Ok(KeptApart::default());
+    };
+    let lists = [
+        ("keepApart.primitives", &message.primitives),
+        ("keepApart.components", &message.components),
+    ];
+    if let Some((field, list)) = lists.into_iter().find(|(_, list)| list.len() > MOST_KEPT_APART) {
+        let problem = format!("has {} entries, at most {MOST_KEPT_APART} are allowed", list.len());
+        return Err(Error::invalid(field, problem));
+    }
+    Ok(KeptApart {
+        primitives: message.primitives.clone(),
+        components: message.components.clone(),
     })
 }
 
@@ -159,6 +207,30 @@ mod tests {
         }
         let told = read("3h").expect_err("too long").to_string();
         assert_eq!(told, "ttl: \"3h\" is out of range, 1s to 2h is allowed");
+    }
+
+    #[test]
+    fn parts_are_tied_unless_asked_otherwise() {
+        let read = |text: &str| open_options(&crate::wire::json::from_json(text.as_bytes()).expect("options"));
+        let ties = |text: &str| read(text).expect("allowed").body.ties;
+        assert_eq!(ties("{}"), Some(TieOptions::default()));
+        assert_eq!(ties(r#"{"parts": "SEPARATE"}"#), None);
+        assert_eq!(ties(r#"{"tieDistance": 0.5}"#).and_then(|t| t.distance), Some(0.5));
+        let kept = read(r#"{"keepApart": {"primitives": [1], "components": [2, 3]}}"#).expect("allowed");
+        assert_eq!(kept.kept_apart.components, [2, 3]);
+        for (text, field) in [
+            (r#"{"tieDistance": -1}"#, "tieDistance"),
+            (r#"{"tieDistance": "NaN"}"#, "tieDistance"),
+            (r#"{"parts": "SEPARATE", "tieDistance": 1}"#, "tieDistance"),
+            (r#"{"parts": "SEPARATE", "keepApart": {}}"#, "keepApart"),
+            (r#"{"parts": 7}"#, "parts"),
+        ] {
+            let told = read(text).expect_err(text);
+            assert!(
+                matches!(&told, Error::Invalid { field: at, .. } if at == field),
+                "{text}: {told}"
+            );
+        }
     }
 
     #[test]

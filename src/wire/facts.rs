@@ -3,7 +3,7 @@
 use super::pb;
 use super::poses::handle_pose_message;
 use crate::asset::Primitive;
-use crate::engine::{DeformerFacts, DeformerWarning, HandlePose, HandlePoses, QualityReport, WarningPlace};
+use crate::engine::{DeformerFacts, DeformerWarning, HandlePose, HandlePoses, LoosePart, QualityReport, WarningPlace};
 
 /// Writes what is told of a session about model, solver and handles; id, revision, times and limits are the caller's.
 pub fn session_message(facts: &DeformerFacts) -> pb::Session {
@@ -27,6 +27,9 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
                 .map(|&(vertices, edges)| pb::solver_facts::Level { vertices, edges })
                 .collect(),
             bytes: solver.byte_size,
+            ties: solver.ties.ties,
+            loose_parts: solver.ties.loose_parts,
+            loose: solver.ties.loose.iter().map(loose_part_message).collect(),
         }),
         handles: (facts.handles.iter())
             .map(|h| pb::HandleFacts {
@@ -86,6 +89,15 @@ pub fn quality_message(quality: &QualityReport) -> pb::Quality {
         max_stretch: quality.max_stretch,
         self_intersections: quality.self_intersections,
         faces_too_large: quality.faces_too_large,
+    }
+}
+
+fn loose_part_message(part: &LoosePart) -> pb::solver_facts::LoosePart {
+    pb::solver_facts::LoosePart {
+        component: part.component,
+        vertices: part.vertices,
+        primitive: part.primitive,
+        name: part.name.clone(),
     }
 }
 

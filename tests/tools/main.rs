@@ -7,6 +7,7 @@ mod check;
 mod cli;
 mod floors;
 mod outputs;
+mod parts;
 mod render;
 mod source;
 #[path = "../support/mod.rs"]

@@ -4,7 +4,7 @@
 //! they fit a budget of bytes; an older one is solved again from its recipe, which gives the same bits. Knows no
 //! engine and no task: it is told what was solved.
 
-use crate::engine::{DeformerFacts, HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
+use crate::engine::{DeformerFacts, DeformerWarning, HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
 use crate::session::answers::{CommitFacts, HistoryFacts};
 use crate::session::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, RecordedShapeId, SessionState, ShapeRecipe,
@@ -55,6 +55,7 @@ impl CommitHistory {
                 set: opened.handles,
             }),
             poses: opened.poses,
+            pose_warnings: Arc::default(),
             facts: Arc::new(opened.facts),
             shape,
             digest: opened.digest,
@@ -140,14 +141,21 @@ impl CommitHistory {
         let state = SessionState {
             handles,
             poses,
+            pose_warnings: Arc::default(),
             facts: Arc::new(facts),
             ..self.current().clone()
         };
         self.push_commit("handles", state);
     }
 
-    /// Records a solved pose. What was undone is gone.
-    pub fn commit_pose(&mut self, poses: HandlePoses, settings: SolveSettings, shape: ModelShape, digest: String) {
+    /// Records solved poses, with what was noticed of them. What was undone is gone.
+    pub fn commit_pose(
+        &mut self,
+        (poses, warnings): (HandlePoses, Vec<DeformerWarning>),
+        settings: SolveSettings,
+        shape: ModelShape,
+        digest: String,
+    ) {
         let state = self.current().clone();
         let recipe = ShapeRecipe::Solved {
             topology: state.topology.clone(),
@@ -158,6 +166,7 @@ impl CommitHistory {
         let shape = self.record_shape(recipe, shape);
         let state = SessionState {
             poses,
+            pose_warnings: Arc::new(warnings),
             shape,
             digest,
             ..state
@@ -183,6 +192,7 @@ impl CommitHistory {
             diagonal: edited.diagonal,
             handles,
             poses: edited.poses,
+            pose_warnings: Arc::default(),
             facts: Arc::new(edited.facts),
             shape: self.record_shape(recipe, shape),
             digest: edited.digest,

@@ -45,7 +45,7 @@ fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
 
 fn pose(history: &mut CommitHistory, x: f64) {
     let shape = ModelShape::from_positions(Arc::new(vec![DVec3::splat(x); 10]));
-    history.commit_pose(HandlePoses::default(), settings(), shape, format!("{x}"));
+    history.commit_pose((HandlePoses::default(), Vec::new()), settings(), shape, format!("{x}"));
 }
 
 #[test]

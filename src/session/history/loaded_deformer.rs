@@ -2,8 +2,8 @@
 //! time: the next one brings the engine back to the handles that it needs.
 
 use crate::engine::{
-    DeformerFacts, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet, ModelShape, QualityReport,
-    Shader, Shading, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
+    DeformerFacts, DeformerWarning, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet, ModelShape,
+    QualityReport, Shader, Shading, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
 };
 use crate::exec::Exec;
 use crate::pool::Pool;
@@ -24,6 +24,8 @@ pub(in crate::session) struct CommitSolution {
     pub digest: String,
     /// How far the shape of a commit is from the rest shape.
     pub quality: Option<QualityReport>,
+    /// What a user should know of the poses of a commit.
+    pub warnings: Vec<DeformerWarning>,
     pub solve_time: Duration,
 }
 
@@ -128,6 +130,7 @@ impl LoadedDeformer {
         let solve_time = watch.elapsed();
         let quality = (self.engine).measure(&solved.positions, settings.output.self_intersections, exec)?;
         Ok(CommitSolution {
+            warnings: self.engine.pose_warnings(&poses),
             poses,
             shading: self.shade(&solved.positions, settings),
             digest: digest(&solved.positions),

@@ -1,6 +1,6 @@
 //! What a commit leaves a session in, and how its shape can be made again.
 
-use crate::engine::{DeformerFacts, HandlePoses, HandleSet, SolveSettings, TopologyState};
+use crate::engine::{DeformerFacts, DeformerWarning, HandlePoses, HandleSet, SolveSettings, TopologyState};
 use std::sync::Arc;
 
 /// This number names a shape of one session.
@@ -29,6 +29,8 @@ pub(in crate::session) struct SessionState {
     pub handles: Arc<CommittedHandles>,
     /// Their poses.
     pub poses: HandlePoses,
+    /// What was noticed of these.
+    pub pose_warnings: Arc<Vec<DeformerWarning>>,
     /// What the engine says about model, solver and handles.
     pub facts: Arc<DeformerFacts>,
     /// The shape.

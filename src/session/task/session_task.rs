@@ -4,7 +4,7 @@
 //! succeeded, so a call that fails or is given up leaves everything as it was. While work runs on the compute pool the
 //! engine is there too; everything that others read meanwhile is in the session's published view.
 
-use crate::engine::{self, SolveSettings};
+use crate::engine::{self, DeformerFacts, SolveSettings};
 use crate::pool::Pool;
 use crate::progress::{CancelFlag, Progress as _};
 use crate::session::calls::command::SessionCommand;
@@ -14,6 +14,7 @@ use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
 use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
+use crate::session::history::session_state::SessionState;
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::stream::mailbox::{Mailbox, StreamWork};
@@ -158,8 +159,9 @@ impl SessionTask {
     /// Records a solved pose as a commit, shows it to everybody and counts it.
     pub fn commit_solution(&mut self, solution: &CommitSolution, settings: SolveSettings) {
         let (poses, shape) = (solution.poses.clone(), solution.solved.shape());
+        let warnings = solution.warnings.clone();
         self.history
-            .commit_pose(poses, settings, shape, solution.digest.clone());
+            .commit_pose((poses, warnings), settings, shape, solution.digest.clone());
         self.publish_view();
         self.shared.metrics.commits.inc();
         self.count_solve(solution);
@@ -200,7 +202,7 @@ impl SessionTask {
         let positions = shape.map(|s| s.positions).unwrap_or_default();
         let view = SessionView {
             revision: self.history.revision(),
-            facts: Arc::clone(&state.facts),
+            facts: facts_of(state),
             handles: Arc::clone(&state.handles),
             poses: state.poses.clone(),
             build_ms: self.build_ms.clone(),
@@ -212,6 +214,16 @@ impl SessionTask {
         let engine = self.deformer.as_ref().map_or(0, LoadedDeformer::byte_size);
         self.memory.resize(engine.saturating_add(self.history.byte_size()));
     }
+}
+
+/// What is told of a state: that of model, solver and handles, and what was noticed of the poses.
+fn facts_of(state: &SessionState) -> Arc<DeformerFacts> {
+    if state.pose_warnings.is_empty() {
+        return Arc::clone(&state.facts);
+    }
+    let mut facts = state.facts.as_ref().clone();
+    facts.warnings.extend(state.pose_warnings.iter().cloned());
+    Arc::new(facts)
 }
 
 /// Deforming needs handles.

@@ -253,6 +253,7 @@ impl TurnContext {
             shading: deformer.shade(&solved.positions, settings),
             digest: String::new(),
             quality: None,
+            warnings: Vec::new(),
             solve_time,
             solved,
         })

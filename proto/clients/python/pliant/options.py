@@ -8,7 +8,7 @@ from typing import Literal, Union
 from typing_extensions import TypedDict
 
 from .regions import enum
-from .values import mapping, number, put, seen
+from .values import mapping, number, put, seen, whole
 from .v1 import pliant_pb2 as pb
 
 
@@ -84,6 +84,15 @@ class VolumeGraph(TypedDict, total=False):
     shell_offset: float
 
 
+class KeepApart(TypedDict, total=False):
+    """Parts that get no ties while others are tied."""
+
+    #: Indices of primitives: parts with vertices of any of them.
+    primitives: Sequence[int]
+    #: Numbers of connected parts.
+    components: Sequence[int]
+
+
 class CreateFields(TypedDict, total=False):
     """How a session is built from its model, all optional."""
 
@@ -106,6 +115,12 @@ class CreateFields(TypedDict, total=False):
     passengers: Sequence[Union[int, str]]
     #: Whether morph targets of glTF turn and grow with the surface under them.
     morph_targets: Literal["follow", "keep"]
+    #: Whether parts that touch are tied, so that they deform as one.
+    parts: Literal["tied", "separate"]
+    #: How far apart two parts may lie to be tied, in model units; absent = chosen from the model.
+    tie_distance: float
+    #: Parts that get no ties.
+    keep_apart: KeepApart
 
 
 def create_options(fields: CreateFields) -> pb.CreateOptions:
@@ -130,6 +145,12 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
                 put(passenger, "primitives_named" if isinstance(which, str) else "primitive", which)
         elif name == "morph_targets":
             message.morph_targets = enum(name, pb.CreateOptions.MorphTargets.Rule, value)
+        elif name == "parts":
+            message.parts = enum(name, pb.CreateOptions.Parts, value)
+        elif name == "tie_distance":
+            message.tie_distance = number(name, value)
+        elif name == "keep_apart":
+            _keep_apart(fields["keep_apart"], message.keep_apart)
         elif name == "volume_graph":
             graph = fields["volume_graph"]
             _volume_graph({"mode": graph} if isinstance(graph, str) else graph, message.volume_graph)
@@ -137,6 +158,14 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
             allowed = ", ".join(CreateFields.__annotations__)
             raise TypeError(f"{name}: no such option of a session; allowed are {allowed}")
     return message
+
+
+def _keep_apart(fields: KeepApart, message: pb.CreateOptions.KeepApart) -> None:
+    message.SetInParent()
+    for name, value in mapping("keep_apart", fields, "a dict").items():
+        if name not in ("primitives", "components"):
+            raise TypeError(f"keep_apart: {name}: allowed are primitives and components")
+        getattr(message, name).extend(whole(f"keep_apart: {name}", index) for index in value)
 
 
 def _volume_graph(fields: VolumeGraph, message: pb.CreateOptions.VolumeGraph) -> None:

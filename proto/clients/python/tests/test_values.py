@@ -177,6 +177,11 @@ def test_options_know_their_names_and_values() -> None:
     created = create_options({"volume_graph": "off", "weld": 1e-3, "ttl": "1h", "components": "hold"})
     assert created.volume_graph.mode == pb.CreateOptions.VolumeGraph.OFF and created.weld.tolerance == 1e-3
     assert create_options({"volume_graph": {"valence": 8}}).volume_graph.valence == 8
+    tied = create_options({"tie_distance": 0.5, "keep_apart": {"primitives": [1], "components": np.array([2, 3])}})
+    assert tied.tie_distance == 0.5 and list(tied.keep_apart.components) == [2, 3]
+    assert create_options({"parts": "separate"}).parts == pb.CreateOptions.SEPARATE
+    with pytest.raises(TypeError, match="allowed are primitives and components"):
+        create_options({"keep_apart": {"parts": [1]}})  # type: ignore[typeddict-unknown-key]
 
 
 def test_edits_are_carried_by_name() -> None:

@@ -8,7 +8,7 @@ use crate::solver::{self, Hierarchy};
 use glam::DVec3;
 use rayon::prelude::*;
 
-pub use crate::graph::EdgeWeights;
+pub use crate::graph::{EdgeWeights, TieFamilies, TieOptions};
 pub use crate::solver::CoarseOperators;
 
 /// When interior nodes are built.
@@ -32,8 +32,10 @@ pub struct BodyOptions {
     pub graph: graph::VolumeOptions,
     /// Operators of the hierarchy.
     pub operators: CoarseOperators,
-    /// Whether parts that touch have nothing to do with each other, as after a cut.
+    /// Whether parts of the mesh get no inside in common, as after a cut. Ties may join them all the same.
     pub apart: bool,
+    /// How parts that touch are tied to each other; `None` leaves them to themselves.
+    pub ties: Option<TieOptions>,
 }
 
 /// The graph of a mesh, its hierarchy, and the rest pose in the coordinates that solving uses.
@@ -86,6 +88,10 @@ impl DeformableBody {
             Some(graph) => graph,
             None if options.volume == VolumeMode::Required => return Err(Error::NoInside),
             None => graph::surface(mesh, options.graph.weights),
+        };
+        let graph = match &options.ties {
+            Some(ties) => graph::tie_parts(graph, mesh, ties, exec)?,
+            None => graph,
         };
         exec.check()?;
 

@@ -4,7 +4,7 @@
 use crate::deform::body::{DeformableBody, differential, laplacian, place};
 use crate::deform::error::Error;
 use crate::exec::Exec;
-use crate::graph::{self, MeshChange};
+use crate::graph::{self, MeshChange, TieOptions};
 use crate::mesh::BoundingBox;
 use crate::solver::{self, Hierarchy};
 use glam::DVec3;
@@ -38,7 +38,7 @@ impl DeformableBody {
     /// mesh has grown or moved out of the solving coordinates, or when a deformation has strained the lattice.
     ///
     /// `moved` has all nodes, in model space, where a deformation that has become the rest shape left them; `None` when
-    /// the shape at rest was edited. Edges keep their weights but around the change. The result depends on the arguments alone.
+    /// the shape at rest was edited. `ties` are those of the body, with the families of the vertices after the edit. Edges keep their weights but around the change. The result depends on the arguments alone.
     /// Reports the stages "graph" and "hierarchy".
     ///
     /// # Errors
@@ -47,6 +47,7 @@ impl DeformableBody {
         &self,
         change: &MeshChange<'_>,
         moved: Option<&[DVec3]>,
+        ties: Option<&TieOptions>,
         exec: &Exec<'_>,
     ) -> Result<Option<EditedBody>, Error> {
         exec.progress.report("graph", 0.0);
@@ -58,7 +59,7 @@ impl DeformableBody {
             return Ok(None);
         }
         let at = moved.unwrap_or(&self.graph.positions);
-        let Some(resampled) = graph::resample(&self.graph, at, change, exec)? else {
+        let Some(resampled) = graph::resample_tied(&self.graph, at, change, ties, exec)? else {
             return Ok(None);
         };
         let graph = resampled.graph;

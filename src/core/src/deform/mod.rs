@@ -73,7 +73,7 @@ mod second_pass;
 mod thin_faces;
 mod transform;
 
-pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, VolumeMode};
+pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
 pub use edited_body::EditedBody;
 pub use error::Error;
 pub use fields::{FieldRestart, HarmonicFields, KeptFields};

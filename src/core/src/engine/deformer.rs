@@ -15,6 +15,7 @@ use super::resolved_handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handle
 use super::riding::mark_passengers;
 use super::settings::OpenOptions;
 use super::shape::{ModelShape, ShapeId};
+use super::tie_facts::PulledTies;
 use super::topology_id::TopologyId;
 use crate::asset::{FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
@@ -250,11 +251,27 @@ impl Deformer {
                 graph_vertices: count_u32(body.nodes()),
                 graph_edges: body.graph.neighbours.len() as u64 / 2,
                 components: count_u32(parts.count),
+                ties: self.derived.tie_facts().clone(),
                 levels: levels.iter().map(|l| (count_u32(l.vertices), l.edges as u64)).collect(),
                 byte_size: self.byte_size(),
             },
             handles: self.handle_facts(),
         }
+    }
+
+    /// What a user should know of `poses`: handles that take tied parts from each other. Poses of other handles give none.
+    pub fn pose_warnings(&self, poses: &HandlePoses) -> Vec<DeformerWarning> {
+        let (Some(rig), Ok(transforms)) = (&self.rig, self.transforms(poses)) else {
+            return Vec::new();
+        };
+        let pulled = PulledTies {
+            body: self.body(),
+            rig,
+            mesh: self.mesh(),
+            primitives: &self.geometry().primitives,
+            handles: self.handles(),
+        };
+        pulled.pull_warnings(&transforms)
     }
 
     fn handle_facts(&self) -> Vec<HandleFacts> {

@@ -1,18 +1,20 @@
 //! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
 
 use super::error::Error;
-use super::facts::{DeformerWarning, WarningPlace};
+use super::facts::{DeformerWarning, TieFacts, WarningPlace};
 use super::followed_nodes::FollowedNodes;
 use super::interior::{BYTES_PER_NODE, fit_lattice, interior_warnings};
 use super::limits::DeformerLimits;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
+use super::part_families::PartFamilies;
 use super::riding::RidingVertices;
 use super::settings::OpenOptions;
+use super::tie_facts::tie_facts;
 use super::topology_id::TopologyId;
 use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyLineage, TopologyState};
 use crate::asset::Model;
-use crate::deform::{BodyOptions, DeformableBody, EditedBody, NeedlesAndCaps, VolumeMode};
+use crate::deform::{BodyOptions, DeformableBody, EditedBody, NeedlesAndCaps, TieOptions, VolumeMode};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
@@ -30,6 +32,8 @@ pub(super) struct DerivedStructures {
     pub lineage: Arc<TopologyLineage>,
     pub mesh: Mesh,
     pub parts: Components,
+    /// Which parts were one, so that they are not tied to each other.
+    pub families: PartFamilies,
     pub body: DeformableBody,
     /// Needles and caps of the mesh.
     pub thin: NeedlesAndCaps,
@@ -41,6 +45,7 @@ pub(super) struct DerivedStructures {
     carry: OnceLock<Arc<CarrySurface>>,
     /// The vertices that ride along, once a shape was solved.
     riders: OnceLock<RidingVertices>,
+    ties: OnceLock<TieFacts>,
 }
 
 /// What an edit made of a model.
@@ -78,14 +83,13 @@ impl DerivedStructures {
             mesh.positions.len()
         };
         admit_bytes(estimate(vertices, nodes as u64) + files, limits)?;
-        let body = DeformableBody::build(&mesh, &body_options(&topology, options, limits), exec)?;
-        let parts = parts_of(&mesh);
+        let parts = MeshParts::find_parts(&topology, &mesh, options)?;
+        let body = DeformableBody::build(&mesh, &body_options(&topology, &parts.families, options, limits), exec)?;
         Ok(Self::new(
             TopologyLineage::from_built(id, topology),
             mesh,
             parts,
-            body,
-            FollowedNodes::default(),
+            (body, FollowedNodes::default()),
             options,
         ))
     }
@@ -107,20 +111,23 @@ impl DerivedStructures {
             let delta = MeshDelta::between_meshes(&self.mesh.triangles, at, &mesh, change.applied);
             let lists = delta.change_lists(&self.mesh.triangles);
             let moved = change.nodes.clone();
+            let families = change.topology.edited.as_ref().map(|e| e.families.clone());
+            let families = families.unwrap_or_default();
+            let ties = tie_options(&families, options);
             // What there is to go back along costs no more than what it leads to.
             let step = self
                 .lineage
                 .past
-                .followed_by(delta, moved, self.body.byte_size() as u64);
+                .followed_by(delta, moved, ties.clone(), self.body.byte_size() as u64);
             let followed = match step {
                 None => None,
                 Some(step) => {
                     let graph_change = lists.as_mesh_change(&mesh.positions, &mesh.triangles);
                     let nodes = change.nodes.as_ref().map(|n| n.as_slice());
+                    let follow = || self.body.follow(&graph_change, nodes, ties.as_ref(), exec);
                     // Finding the parts takes one thread; what follows has work for the others.
-                    let (parts, followed) = exec
-                        .pool
-                        .install(|| rayon::join(|| parts_of(&mesh), || self.body.follow(&graph_change, nodes, exec)));
+                    let (parts, followed) = exec.pool.install(|| rayon::join(|| parts_of(&mesh), follow));
+                    let parts = MeshParts { parts, families };
                     followed?.map(|followed| (step, followed, parts))
                 }
             };
@@ -140,7 +147,7 @@ impl DerivedStructures {
                     past: LineageOrigin::Edited(step),
                     restart: change.carried,
                 };
-                return Ok(Self::new(lineage, mesh, parts, body, nodes, options));
+                return Ok(Self::new(lineage, mesh, parts, (body, nodes), options));
             }
         }
         Self::build(id, change.topology, options, limits, exec)
@@ -155,19 +162,21 @@ impl DerivedStructures {
     ) -> Result<Self, Error> {
         let path = &state.0;
         if let LineageOrigin::Edited(_) = path.past {
-            let fit = |topology: &ModelTopology| body_options(topology, options, limits);
+            let fit = |topology: &ModelTopology, mesh: &Mesh| {
+                let families = MeshParts::find_parts(topology, mesh, options)?.families;
+                Ok(body_options(topology, &families, options, limits))
+            };
             let remade = path.past.retrace(options, &fit, exec)?;
             let remade = remade.ok_or_else(|| Error::Internal("an edit cannot be followed again".into()))?;
             let mesh = path.topology.mesh(options.weld)?;
-            let parts = parts_of(&mesh);
+            let parts = MeshParts::find_parts(&path.topology, &mesh, options)?;
             return Ok(Self {
                 lineage: Arc::clone(path),
                 ..Self::new(
                     TopologyLineage::from_built(path.id, Arc::clone(&path.topology)),
                     mesh,
                     parts,
-                    remade.body,
-                    remade.nodes,
+                    (remade.body, remade.nodes),
                     options,
                 )
             });
@@ -181,15 +190,15 @@ impl DerivedStructures {
     fn new(
         lineage: TopologyLineage,
         mesh: Mesh,
-        parts: Components,
-        body: DeformableBody,
-        followed: FollowedNodes,
+        MeshParts { parts, families }: MeshParts,
+        (body, followed): (DeformableBody, FollowedNodes),
         options: &OpenOptions,
     ) -> Self {
         Self {
             lineage: Arc::new(lineage),
             parts,
             thin: NeedlesAndCaps::find(&mesh),
+            families,
             mesh,
             body,
             followed,
@@ -197,6 +206,7 @@ impl DerivedStructures {
             report: OnceLock::new(),
             carry: OnceLock::new(),
             riders: OnceLock::new(),
+            ties: OnceLock::new(),
         }
     }
 
@@ -241,6 +251,13 @@ impl DerivedStructures {
         })
     }
 
+    /// What holds the parts together; looked for when first asked.
+    pub fn tie_facts(&self) -> &TieFacts {
+        let primitives = &self.topology().geometry().primitives;
+        self.ties
+            .get_or_init(|| tie_facts(&self.mesh, &self.parts, &self.body, primitives))
+    }
+
     /// What the user should know about model, mesh and graph.
     pub fn warnings(&self) -> Vec<DeformerWarning> {
         let mut warnings = model_warnings(&self.topology().model, self.report());
@@ -272,15 +289,47 @@ impl DerivedStructures {
     }
 }
 
+/// The connected parts of a mesh, and which of them were one.
+struct MeshParts {
+    parts: Components,
+    families: PartFamilies,
+}
+
+impl MeshParts {
+    fn find_parts(topology: &ModelTopology, mesh: &Mesh, options: &OpenOptions) -> Result<Self, Error> {
+        let parts = parts_of(mesh);
+        let families = match &topology.edited {
+            Some(edited) => edited.families.clone(),
+            None => PartFamilies::of_model(mesh, &parts, &topology.geometry().primitives, &options.kept_apart)?,
+        };
+        Ok(Self { parts, families })
+    }
+}
+
 fn parts_of(mesh: &Mesh) -> Components {
     Components::of_triangles(mesh.positions.len(), &mesh.triangles)
 }
 
+/// How the parts of these families are tied to each other.
+fn tie_options(families: &PartFamilies, options: &OpenOptions) -> Option<TieOptions> {
+    options.body.ties.as_ref().map(|ties| TieOptions {
+        families: families.tie_families(),
+        ..ties.clone()
+    })
+}
+
 /// How the body of a model is built within `limits`.
-fn body_options(topology: &ModelTopology, options: &OpenOptions, limits: &DeformerLimits) -> BodyOptions {
+fn body_options(
+    topology: &ModelTopology,
+    families: &PartFamilies,
+    options: &OpenOptions,
+    limits: &DeformerLimits,
+) -> BodyOptions {
     let beside = topology.rest.len() as u64 * BYTES_PER_VERTEX + topology.model.files.total_bytes();
+    let ties = tie_options(families, options);
     let mut options = options.body.clone();
     options.apart = topology.is_apart();
+    options.ties = ties;
     fit_lattice(&mut options, beside, limits);
     options
 }

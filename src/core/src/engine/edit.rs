@@ -66,7 +66,10 @@ impl Deformer {
         self.admit_size(&applied)?;
         let carried = self.carry(&applied, &planned, at_rest.then_some(order.poses))?;
         let mut report = self.report_edit(before, &applied, &planned, &carried);
-        let (topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, planned.parts);
+        let points_before = self.derived.mesh.positions.len();
+        let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
+        let separated = (families, planned.parts);
+        let (topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, separated);
         drop((surface, origins));
         exec.check()?;
         let nodes = match points {

@@ -49,12 +49,38 @@ pub struct SolverFacts {
     pub graph_vertices: u32,
     /// Edges of the graph, each counted once.
     pub graph_edges: u64,
-    /// Connected components of the mesh.
+    /// Connected parts of the mesh.
     pub components: u32,
+    /// What holds them together.
+    pub ties: TieFacts,
     /// Vertices and edges of each level of the hierarchy, finest first.
     pub levels: Vec<(u32, u64)>,
     /// Bytes held by the deformer.
     pub byte_size: u64,
+}
+
+/// What holds the connected parts of a model together.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct TieFacts {
+    /// Edges that tie parts to each other, each counted once.
+    pub ties: u64,
+    /// Parts that neither ties nor a common inside join to any other, where there are several parts.
+    pub loose_parts: u32,
+    /// The largest of them, by falling number of vertices.
+    pub loose: Vec<LoosePart>,
+}
+
+/// A connected part that nothing joins to any other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LoosePart {
+    /// Its number among the connected parts.
+    pub component: u32,
+    /// Its render vertices.
+    pub vertices: u32,
+    /// The primitive that its first vertex belongs to.
+    pub primitive: u32,
+    /// The name of that primitive.
+    pub name: String,
 }
 
 /// A handle in force.

@@ -46,22 +46,27 @@ pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<
         );
         warnings.push(warning("volume-graph-coarse", message, String::new()));
     }
-    let sheets = stats.component_has_volume.iter().filter(|has| !**has).count();
+    // Ties make one component of several parts.
+    let (component, has_volume) = match &graph.ties {
+        Some(ties) => (ties.untied_component(), ties.component_has_volume()),
+        None => (&graph.component[..], &stats.component_has_volume[..]),
+    };
+    let sheets = has_volume.iter().filter(|has| !**has).count();
     if sheets > 0 {
-        let mut first = vec![None; graph.components];
-        for (node, &c) in graph.component[..graph.surface].iter().enumerate().rev() {
+        let mut first = vec![None; has_volume.len()];
+        for (node, &c) in component[..graph.surface].iter().enumerate().rev() {
             first[c as usize] = Some(graph.positions[node]);
         }
         let points: Vec<DVec3> = first
             .iter()
-            .zip(&stats.component_has_volume)
+            .zip(has_volume)
             .filter_map(|(p, has)| p.filter(|_| !has))
             .take(PLACES)
             .collect();
         let places: Vec<String> = points.iter().map(|&p| format!("at {}", brief_point(p))).collect();
         let message = format!(
             "{sheets} of {} parts enclose no volume or too little, so they deform as surfaces",
-            graph.components
+            has_volume.len()
         );
         let more = sheets.saturating_sub(PLACES);
         let more = if more > 0 {

@@ -44,6 +44,7 @@ mod large_faces;
 mod limits;
 mod mesh_delta;
 mod model_topology;
+mod part_families;
 mod passenger;
 mod pose;
 mod quality;
@@ -55,6 +56,7 @@ mod settings;
 mod shading;
 mod shape;
 mod solve;
+mod tie_facts;
 mod topology_id;
 mod topology_state;
 mod vertex_origins;
@@ -67,14 +69,15 @@ pub use edit_command::{
 };
 pub use error::{Error, InputPlace, RegionPlace};
 pub use facts::{
-    DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts, WarningPlace,
+    DeformerFacts, DeformerWarning, HandleFacts, LoosePart, MeshCounts, ModelFacts, QualityReport, SolverFacts,
+    TieFacts, WarningPlace,
 };
 pub use handle::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet};
 pub use limits::DeformerLimits;
 pub use passenger::{CarriedModel, Passenger, PassengerKind};
 pub use pose::{HandlePose, HandlePoses, HandleRotation, HandleScale};
 pub use region::{Plane, Region, VertexRange};
-pub use settings::{COMMIT_REFINE, OpenOptions, SolveMode, SolveSettings};
+pub use settings::{COMMIT_REFINE, KeptApart, OpenOptions, SolveMode, SolveSettings};
 pub use shading::{Shader, Shading, shading};
 pub use shape::{ModelShape, ShapeId};
 pub use solve::{SolveUpdate, SolvedShape};

@@ -1,6 +1,7 @@
 //! What everything in a deformer is derived from: the model as it was read, or as edits have left it.
 
 use super::error::Error;
+use super::part_families::PartFamilies;
 use super::vertex_origins::VertexOrigins;
 use crate::asset::{self, Following, Format, Geometry, Model, Primitive, WrittenFiles};
 use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
@@ -36,6 +37,8 @@ pub(super) struct EditedTopology {
     pub points: u32,
     /// Whether a cut has made parts that touch and do not belong together.
     pub apart: bool,
+    /// Which parts were one.
+    pub families: PartFamilies,
 }
 
 impl ModelTopology {
@@ -129,20 +132,20 @@ impl ModelTopology {
     /// Bytes held, without those of the files.
     pub fn byte_size(&self) -> u64 {
         let edited = self.edited.as_ref().map_or(0, |e| {
-            e.geometry.bytes_held() + e.origins.byte_size() + 4 * e.point_of.capacity() as u64
+            e.geometry.bytes_held() + e.origins.byte_size() + e.families.byte_size() + 4 * e.point_of.capacity() as u64
         });
         self.model.geometry.bytes_held() + edited + (self.rest.capacity() * 24) as u64
     }
 
     /// The topology after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
-    /// `applied`. `parts` tells that it may have made parts that touch.
+    /// `applied`. `families` are those of the surface after it; `parts` tells that it may have made parts that touch.
     pub fn after_edit(
         &self,
         before: &EditSurface,
         origins: &VertexOrigins,
         mut applied: PatchedSurface,
         patch: &SurfacePatch,
-        parts: bool,
+        (families, parts): (PartFamilies, bool),
     ) -> (Self, PatchedSurface) {
         let normals = edited_normals(before, &applied);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
@@ -165,6 +168,7 @@ impl ModelTopology {
                 point_of: take(&mut applied.point_of),
                 points: applied.points,
                 apart: parts || self.is_apart(),
+                families,
             }),
         };
         (topology, applied)

@@ -2,14 +2,15 @@
 
 use super::passenger::Passenger;
 use crate::asset::{Following, Format};
-use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FreePartPolicy, VolumeMode};
+use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FreePartPolicy, TieOptions, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
 /// How often a commit fits rotations unless asked otherwise.
 pub const COMMIT_REFINE: u32 = 4;
 
-/// How a deformer is built from its model. The default builds a volume graph wherever the model has an inside.
+/// How a deformer is built from its model. The default builds a volume graph wherever the model has an inside, and ties parts
+/// that touch.
 #[derive(Debug, Clone)]
 pub struct OpenOptions {
     /// The format of the model; `None`: told by its first bytes.
@@ -18,12 +19,24 @@ pub struct OpenOptions {
     pub weld: Weld,
     /// What happens to connected parts in which no handle lies.
     pub policy: FreePartPolicy,
-    /// How graph and hierarchy are built.
+    /// How graph and hierarchy are built, and whether parts are tied to each other. Which parts may be is told by
+    /// `kept_apart`.
     pub body: BodyOptions,
+    /// Parts that get no ties.
+    pub kept_apart: KeptApart,
     /// What rides along without being part of what is solved.
     pub passengers: Vec<Passenger>,
     /// What else of the model's file follows its shape.
     pub following: Following,
+}
+
+/// Parts of a model that are not tied to others.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct KeptApart {
+    /// Indices of primitives: parts with vertices of any of them.
+    pub primitives: Vec<u32>,
+    /// Indices of connected parts of the mesh.
+    pub components: Vec<u32>,
 }
 
 impl Default for OpenOptions {
@@ -41,9 +54,11 @@ impl Default for OpenOptions {
                 },
                 operators: CoarseOperators::FiniteVolume,
                 apart: false,
+                ties: Some(TieOptions::default()),
             },
             passengers: Vec::new(),
             following: Following::default(),
+            kept_apart: KeptApart::default(),
         }
     }
 }

@@ -11,8 +11,9 @@ use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
 use super::settings::OpenOptions;
 use super::topology_id::TopologyId;
-use crate::deform::{DeformableBody, EditedBody, KeptFields};
+use crate::deform::{BodyOptions, DeformableBody, EditedBody, KeptFields, TieOptions};
 use crate::exec::Exec;
+use crate::mesh::Mesh;
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -57,6 +58,8 @@ pub(super) struct LineageEdit {
     delta: MeshDelta,
     /// All nodes where a deformation, which is the rest shape now, left them.
     nodes: Option<Arc<Vec<DVec3>>>,
+    /// How parts are tied after it.
+    ties: Option<TieOptions>,
     length: u32,
     /// Bytes of this step and those before it.
     bytes: u64,
@@ -105,7 +108,13 @@ impl TopologyLineage {
 impl LineageOrigin {
     /// One edit more; `None` when there have been so many that a body is to be built from nothing. The bytes of all of them
     /// stay below `most`.
-    pub fn followed_by(&self, delta: MeshDelta, nodes: Option<Arc<Vec<DVec3>>>, most: u64) -> Option<Arc<LineageEdit>> {
+    pub fn followed_by(
+        &self,
+        delta: MeshDelta,
+        nodes: Option<Arc<Vec<DVec3>>>,
+        ties: Option<TieOptions>,
+        most: u64,
+    ) -> Option<Arc<LineageEdit>> {
         let (length, bytes) = match self {
             Self::Built(_) => (0, 0),
             Self::Edited(step) => (step.length, step.bytes),
@@ -114,6 +123,7 @@ impl LineageOrigin {
             before: self.clone(),
             delta,
             nodes,
+            ties,
             length: length + 1,
             bytes: 0,
         };
@@ -126,7 +136,7 @@ impl LineageOrigin {
     pub fn retrace(
         &self,
         options: &OpenOptions,
-        fit: &dyn Fn(&ModelTopology) -> crate::deform::BodyOptions,
+        fit: &dyn Fn(&ModelTopology, &Mesh) -> Result<BodyOptions, Error>,
         exec: &Exec<'_>,
     ) -> Result<Option<RetracedBody>, Error> {
         let mut steps = Vec::new();
@@ -141,7 +151,7 @@ impl LineageOrigin {
             }
         };
         let mesh = start.mesh(options.weld)?;
-        let body = DeformableBody::build(&mesh, &fit(start), exec)?;
+        let body = DeformableBody::build(&mesh, &fit(start, &mesh)?, exec)?;
         let mut now = RetracedBody {
             body,
             nodes: FollowedNodes::default(),
@@ -154,7 +164,7 @@ impl LineageOrigin {
             let lists = step.delta.change_lists(&now.triangles);
             let (positions, triangles) = step.delta.apply(at, &now.triangles);
             let change = lists.as_mesh_change(&positions, &triangles);
-            let Some(followed) = now.body.follow(&change, nodes, exec)? else {
+            let Some(followed) = now.body.follow(&change, nodes, step.ties.as_ref(), exec)? else {
                 return Ok(None);
             };
             let EditedBody {

@@ -165,6 +165,7 @@ pub(super) fn assemble(
         components: components.count,
         stats,
         recipe,
+        ties: None,
     }
 }
 

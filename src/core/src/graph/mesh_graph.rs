@@ -1,6 +1,7 @@
 //! The graph itself, and facts about it.
 
 use crate::graph::recipe::GraphRecipe;
+use crate::graph::ties::part_ties::PartTies;
 use glam::DVec3;
 
 /// A symmetric weighted graph with positions.
@@ -30,6 +31,8 @@ pub struct MeshGraph {
     pub stats: GraphStats,
     /// What [`resample`] needs to follow an edit of the mesh.
     pub recipe: GraphRecipe,
+    /// What holds parts of the mesh together; `None` where nothing does, or there is one part only.
+    pub ties: Option<PartTies>,
 }
 
 /// Facts about a graph.
@@ -81,5 +84,6 @@ impl MeshGraph {
             + self.positions.capacity() * size_of::<DVec3>()
             + self.stats.component_has_volume.capacity()
             + self.recipe.byte_size()
+            + self.ties.as_ref().map_or(0, PartTies::byte_size)
     }
 }

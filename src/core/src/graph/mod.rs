@@ -6,7 +6,8 @@
 //!
 //! A volume graph has three kinds of nodes, in this order: the solver vertices of the mesh; the *shell*, a copy of each
 //! vertex moved inwards; and the *lattice*, a body-centred cubic grid further inside. Room `volume` builds it, room
-//! `resample` follows an edit of the mesh, and room `winding` tells what lies inside.
+//! `resample` follows an edit of the mesh, and room `winding` tells what lies inside. Room `ties` joins parts of the mesh
+//! that touch.
 
 mod assemble;
 mod error;
@@ -15,6 +16,7 @@ mod parallel;
 mod recipe;
 mod resample;
 mod surface;
+mod ties;
 mod volume;
 mod weights;
 mod winding;
@@ -24,6 +26,7 @@ pub use mesh_graph::{GraphStats, MeshGraph};
 pub use recipe::GraphRecipe;
 pub use resample::{MeshChange, ResampledGraph, resample};
 pub use surface::surface;
+pub use ties::{LOOSE, PartTies, TieAnchor, TieFamilies, TieOptions, resample_tied, tie_parts};
 pub use volume::{VolumeOptions, estimate_nodes, volume, volume_apart};
 pub use weights::EdgeWeights;
 pub use winding::WindingTree;

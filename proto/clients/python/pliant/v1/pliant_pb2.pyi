@@ -24,7 +24,7 @@ class Companion(_message.Message):
     def __init__(self, uri: _Optional[str] = ...) -> None: ...
 
 class CreateOptions(_message.Message):
-    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "passengers")
+    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "parts", "tie_distance", "keep_apart", "passengers")
     class Components(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         FOLLOW: _ClassVar[CreateOptions.Components]
@@ -33,6 +33,12 @@ class CreateOptions(_message.Message):
     FOLLOW: CreateOptions.Components
     HOLD: CreateOptions.Components
     FREE: CreateOptions.Components
+    class Parts(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        TIED: _ClassVar[CreateOptions.Parts]
+        SEPARATE: _ClassVar[CreateOptions.Parts]
+    TIED: CreateOptions.Parts
+    SEPARATE: CreateOptions.Parts
     class Weights(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         UNIFORM: _ClassVar[CreateOptions.Weights]
@@ -64,6 +70,13 @@ class CreateOptions(_message.Message):
         valence: int
         shell_offset: float
         def __init__(self, mode: _Optional[_Union[CreateOptions.VolumeGraph.Mode, str]] = ..., interval: _Optional[float] = ..., valence: _Optional[int] = ..., shell_offset: _Optional[float] = ...) -> None: ...
+    class KeepApart(_message.Message):
+        __slots__ = ("primitives", "components")
+        PRIMITIVES_FIELD_NUMBER: _ClassVar[int]
+        COMPONENTS_FIELD_NUMBER: _ClassVar[int]
+        primitives: _containers.RepeatedScalarFieldContainer[int]
+        components: _containers.RepeatedScalarFieldContainer[int]
+        def __init__(self, primitives: _Optional[_Iterable[int]] = ..., components: _Optional[_Iterable[int]] = ...) -> None: ...
     class Weld(_message.Message):
         __slots__ = ("tolerance",)
         TOLERANCE_FIELD_NUMBER: _ClassVar[int]
@@ -87,6 +100,9 @@ class CreateOptions(_message.Message):
     WELD_FIELD_NUMBER: _ClassVar[int]
     OPERATORS_FIELD_NUMBER: _ClassVar[int]
     MORPH_TARGETS_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    TIE_DISTANCE_FIELD_NUMBER: _ClassVar[int]
+    KEEP_APART_FIELD_NUMBER: _ClassVar[int]
     PASSENGERS_FIELD_NUMBER: _ClassVar[int]
     format: str
     volume_graph: CreateOptions.VolumeGraph
@@ -97,8 +113,11 @@ class CreateOptions(_message.Message):
     weld: CreateOptions.Weld
     operators: CreateOptions.Operators
     morph_targets: CreateOptions.MorphTargets.Rule
+    parts: CreateOptions.Parts
+    tie_distance: float
+    keep_apart: CreateOptions.KeepApart
     passengers: _containers.RepeatedCompositeFieldContainer[Passenger]
-    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
+    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., parts: _Optional[_Union[CreateOptions.Parts, str]] = ..., tie_distance: _Optional[float] = ..., keep_apart: _Optional[_Union[CreateOptions.KeepApart, _Mapping]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
 
 class Passenger(_message.Message):
     __slots__ = ("name", "primitive", "primitives_named", "points", "file")
@@ -211,7 +230,7 @@ class ModelFacts(_message.Message):
     def __init__(self, format: _Optional[str] = ..., bytes: _Optional[int] = ..., sha256: _Optional[str] = ..., vertices: _Optional[int] = ..., triangles: _Optional[int] = ...) -> None: ...
 
 class SolverFacts(_message.Message):
-    __slots__ = ("solver_vertices", "graph_vertices", "graph_edges", "components", "levels", "bytes")
+    __slots__ = ("solver_vertices", "graph_vertices", "graph_edges", "components", "levels", "bytes", "ties", "loose_parts", "loose")
     class Level(_message.Message):
         __slots__ = ("vertices", "edges")
         VERTICES_FIELD_NUMBER: _ClassVar[int]
@@ -219,19 +238,36 @@ class SolverFacts(_message.Message):
         vertices: int
         edges: int
         def __init__(self, vertices: _Optional[int] = ..., edges: _Optional[int] = ...) -> None: ...
+    class LoosePart(_message.Message):
+        __slots__ = ("component", "vertices", "primitive", "name")
+        COMPONENT_FIELD_NUMBER: _ClassVar[int]
+        VERTICES_FIELD_NUMBER: _ClassVar[int]
+        PRIMITIVE_FIELD_NUMBER: _ClassVar[int]
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        component: int
+        vertices: int
+        primitive: int
+        name: str
+        def __init__(self, component: _Optional[int] = ..., vertices: _Optional[int] = ..., primitive: _Optional[int] = ..., name: _Optional[str] = ...) -> None: ...
     SOLVER_VERTICES_FIELD_NUMBER: _ClassVar[int]
     GRAPH_VERTICES_FIELD_NUMBER: _ClassVar[int]
     GRAPH_EDGES_FIELD_NUMBER: _ClassVar[int]
     COMPONENTS_FIELD_NUMBER: _ClassVar[int]
     LEVELS_FIELD_NUMBER: _ClassVar[int]
     BYTES_FIELD_NUMBER: _ClassVar[int]
+    TIES_FIELD_NUMBER: _ClassVar[int]
+    LOOSE_PARTS_FIELD_NUMBER: _ClassVar[int]
+    LOOSE_FIELD_NUMBER: _ClassVar[int]
     solver_vertices: int
     graph_vertices: int
     graph_edges: int
     components: int
     levels: _containers.RepeatedCompositeFieldContainer[SolverFacts.Level]
     bytes: int
-    def __init__(self, solver_vertices: _Optional[int] = ..., graph_vertices: _Optional[int] = ..., graph_edges: _Optional[int] = ..., components: _Optional[int] = ..., levels: _Optional[_Iterable[_Union[SolverFacts.Level, _Mapping]]] = ..., bytes: _Optional[int] = ...) -> None: ...
+    ties: int
+    loose_parts: int
+    loose: _containers.RepeatedCompositeFieldContainer[SolverFacts.LoosePart]
+    def __init__(self, solver_vertices: _Optional[int] = ..., graph_vertices: _Optional[int] = ..., graph_edges: _Optional[int] = ..., components: _Optional[int] = ..., levels: _Optional[_Iterable[_Union[SolverFacts.Level, _Mapping]]] = ..., bytes: _Optional[int] = ..., ties: _Optional[int] = ..., loose_parts: _Optional[int] = ..., loose: _Optional[_Iterable[_Union[SolverFacts.LoosePart, _Mapping]]] = ...) -> None: ...
 
 class Session(_message.Message):
     __slots__ = ("id", "revision", "primitives", "warnings", "build_ms", "model", "solver", "expires_at", "label", "handles", "limits")

@@ -165,6 +165,12 @@ impl HandleSystem {
         &self.positions.fixed
     }
 
+    /// The hold that has a node hard in place; `None` where none has, and on nodes that may not move at all.
+    pub fn hard_holder(&self, node: usize) -> Option<usize> {
+        let holder = *self.position.hard.get(node)?;
+        (holder != NOBODY && (holder as usize) < self.handle_count()).then_some(holder as usize)
+    }
+
     /// By node: extra diagonal of soft handles, in units of edge weights; `None` without soft handles.
     pub fn stiffness(&self) -> Option<Vec<f64>> {
         self.position.stiffness()

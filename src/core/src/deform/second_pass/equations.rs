@@ -90,6 +90,7 @@ impl HandleSystem {
                     }
                 });
         });
+        add_tie_offsets(body, &posed.frames, given, rhs);
         if self.position.soft.is_empty() {
             return;
         }
@@ -132,6 +133,42 @@ fn right_hand_side(body: &DeformableBody, frames: &[LocalFrame], i: usize) -> DV
         .map(|(j, w)| linear(&frames[j]) * (p - DVec3::from_array(body.rest[j])) * w)
         .sum();
     0.5 * (own + others)
+}
+
+/// Has ties keep the offset of a vertex from the flat triangle that it is tied to.
+///
+/// The edges of a tie to the corners of a large triangle would each follow the bend between their ends, and take the vertex
+/// off the triangle, which stays flat: by as much as an arc stands off its chord. So all edges of a tie are shifted alike,
+/// until together they ask for the turned offset. For triangles that are small against the bend this is next to nothing.
+fn add_tie_offsets(body: &DeformableBody, frames: &[LocalFrame], given: &[bool], rhs: &mut [f64]) {
+    let Some(ties) = &body.graph.ties else { return };
+    let rest = |v: u32| DVec3::from_array(body.rest[v as usize]);
+    let mut add = |v: u32, by: DVec3| {
+        let v = v as usize;
+        if !given[v] {
+            let entries = rhs[3 * v..3 * v + 3].iter_mut().zip(by.to_array());
+            entries.for_each(|(r, b)| *r += b);
+        }
+    };
+    for anchor in ties.anchors() {
+        let own = linear(&frames[anchor.vertex as usize]);
+        let (mut offset, mut follows, mut turn, mut sum) = (DVec3::ZERO, DVec3::ZERO, DMat3::ZERO, 0.0);
+        for (corner, weight) in anchor.weighted_corners() {
+            let weight = f64::from(weight);
+            let frame = linear(&frames[corner as usize]);
+            let edge = rest(anchor.vertex) - rest(corner);
+            offset += edge * weight;
+            follows += (own + frame) * edge * (0.5 * weight);
+            turn += frame * weight;
+            sum += weight;
+        }
+        // What is missing of the turned offset, for one unit of weight.
+        let shift = ((turn * (0.5 / sum) + own * 0.5) * offset - follows) / sum;
+        add(anchor.vertex, shift * sum);
+        anchor
+            .weighted_corners()
+            .for_each(|(corner, weight)| add(corner, -shift * f64::from(weight)));
+    }
 }
 
 fn linear(frame: &LocalFrame) -> DMat3 {

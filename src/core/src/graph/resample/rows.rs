@@ -99,6 +99,7 @@ pub(super) fn write_rows(
             components: count,
             stats,
             recipe,
+            ties: None,
         },
         new_from_old,
         old_from_new,

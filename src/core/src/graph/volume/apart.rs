@@ -101,6 +101,7 @@ fn unite_graphs(mesh: &Mesh, graphs: &[(Vec<u32>, MeshGraph)]) -> MeshGraph {
         components: graphs.len(),
         stats: GraphStats::default(),
         recipe: GraphRecipe::default(),
+        ties: None,
     };
     whole.offsets.push(0);
     for (part, node) in of {

@@ -17,6 +17,24 @@ pub struct SurfacePoint {
     pub vertex: u32,
 }
 
+/// Who is shown the triangles near a point, nearest boxes first.
+pub(crate) trait NearVisitor {
+    /// Whether a node of the tree, whose box is the root of `square` away, need not be looked into.
+    fn skips_node(&self, _node: usize, _square: f64) -> bool {
+        false
+    }
+
+    /// Looks at a triangle, told as a place in the order of the leaves; may lower the squared distance that the search
+    /// goes to.
+    fn see_triangle(&mut self, place: usize, limit: &mut f64);
+}
+
+impl<See: FnMut(usize, &mut f64)> NearVisitor for See {
+    fn see_triangle(&mut self, place: usize, limit: &mut f64) {
+        self(place, limit);
+    }
+}
+
 impl TriangleBvh<'_> {
     /// Finds the point of the surface that is closest to `point`; `None` when there are no triangles.
     pub fn closest_point(&self, point: DVec3) -> Option<SurfacePoint> {
@@ -26,7 +44,7 @@ impl TriangleBvh<'_> {
     /// Finds the closest point of the surface if it is not further away than `radius`.
     pub fn closest_point_within(&self, point: DVec3, radius: f64) -> Option<SurfacePoint> {
         let mut best: Option<(f64, u32, DVec3)> = None;
-        self.visit_near(point, radius * radius, |place, limit| {
+        self.visit_near(point, radius * radius, &mut |place: usize, limit: &mut f64| {
             let on = closest_point_on_triangle(point, self.corners(place));
             let found = (on.distance_squared(point), self.order[place]);
             if found.0 <= *limit && best.is_none_or(|b| found < (b.0, b.1)) {
@@ -45,7 +63,7 @@ impl TriangleBvh<'_> {
     /// Tells whether any triangle is nearer than `radius`.
     pub fn has_triangle_within(&self, point: DVec3, radius: f64) -> bool {
         let mut found = false;
-        self.visit_near(point, radius * radius, |place, limit| {
+        self.visit_near(point, radius * radius, &mut |place: usize, limit: &mut f64| {
             if !found && closest_point_on_triangle(point, self.corners(place)).distance_squared(point) < *limit {
                 found = true;
                 // Nothing is nearer than this, so the search ends.
@@ -64,15 +82,19 @@ impl TriangleBvh<'_> {
     /// When `near` is no vertex.
     pub fn closest_vertex(&self, point: DVec3, near: Option<u32>) -> Option<u32> {
         let mut best = near.map(|v| (self.positions[v as usize].distance_squared(point), v));
-        self.visit_near(point, best.map_or(f64::INFINITY, |b| b.0), |place, limit| {
-            for v in self.triangles[self.order[place] as usize] {
-                let found = (self.positions[v as usize].distance_squared(point), v);
-                if best.is_none_or(|b| found < b) {
-                    *limit = found.0;
-                    best = Some(found);
+        self.visit_near(
+            point,
+            best.map_or(f64::INFINITY, |b| b.0),
+            &mut |place: usize, limit: &mut f64| {
+                for v in self.triangles[self.order[place] as usize] {
+                    let found = (self.positions[v as usize].distance_squared(point), v);
+                    if best.is_none_or(|b| found < b) {
+                        *limit = found.0;
+                        best = Some(found);
+                    }
                 }
-            }
-        });
+            },
+        );
         best.map(|b| b.1)
     }
 
@@ -84,9 +106,9 @@ impl TriangleBvh<'_> {
         nearer(nearer(a, b), c)
     }
 
-    /// Shows `see` the triangles (as places in the order of the leaves) of all leaves whose box is not further than
-    /// the square root of the limit, nearest boxes first; `see` may lower the limit.
-    fn visit_near(&self, point: DVec3, mut limit: f64, mut see: impl FnMut(usize, &mut f64)) {
+    /// Shows a visitor the triangles (as places in the order of the leaves) of all leaves whose box is not further than
+    /// the square root of the limit, nearest boxes first; the visitor may lower the limit and leave nodes out.
+    pub(crate) fn visit_near(&self, point: DVec3, mut limit: f64, visitor: &mut impl NearVisitor) {
         let Some(root) = self.nodes.len().checked_sub(1) else {
             return;
         };
@@ -96,12 +118,13 @@ impl TriangleBvh<'_> {
         while len > 0 {
             len -= 1;
             let (square, index) = waiting[len];
-            if square > limit {
+            if square > limit || visitor.skips_node(index as usize, square) {
                 continue;
             }
             let node = &self.nodes[index as usize];
             let Some(inner) = (index as usize).checked_sub(self.leaves) else {
-                (node.first as usize..(node.first + node.count) as usize).for_each(|place| see(place, &mut limit));
+                (node.first as usize..(node.first + node.count) as usize)
+                    .for_each(|place| visitor.see_triangle(place, &mut limit));
                 continue;
             };
             let squares = self.boxes[inner].distances_squared(point);

@@ -12,6 +12,7 @@ mod nearest_points;
 mod segment_hit;
 
 pub use bvh::TriangleBvh;
+pub(crate) use closest_surface_point::NearVisitor;
 pub use closest_surface_point::SurfacePoint;
 pub use nearest_points::NearestPoints;
 pub use segment_hit::SegmentHit;

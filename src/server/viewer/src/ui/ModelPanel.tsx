@@ -1,10 +1,23 @@
 /** What was opened, and what the server and the page noticed about it. */
 
+import type { schema } from "pliant-client";
 import type { JSX } from "preact";
 import * as s from "../app/signals.ts";
 import { wardrobe } from "../app/dressing.ts";
 import { Facts, Section, bytes, count, things } from "./parts.tsx";
 import { FaultLine, WarningLine } from "./WarningLine.tsx";
+
+type Row = [name: string, value: string, meaning: string];
+
+/** What holds the parts of a model together, where there are several. */
+function partRows(parts: number, solver: schema.SolverFacts | undefined): Row[] {
+  if (parts < 2 || solver === undefined) return [];
+  const loose = solver.loose.map((part) => `${part.name || `part ${part.component}`}, ${count(part.vertices)} vertices`);
+  return [
+    ["Ties", count(solver.ties), "Edges that hold parts together where they touch"],
+    ["Loose parts", count(solver.looseParts), loose.length > 0 ? `Joined to nothing: ${loose.join("; ")}` : "Joined to nothing"],
+  ];
+}
 
 export function ModelPanel(): JSX.Element | null {
   const open = s.doc.value;
@@ -31,6 +44,7 @@ export function ModelPanel(): JSX.Element | null {
           ["Primitives", count(facts.primitives.length)],
           ["Seam vertices", count(report.seamVertices), "Vertices that share their place with another; they are solved as one"],
           ["Parts", count(report.parts.length), "Connected pieces"],
+          ...partRows(report.parts.length, solver),
           ["Holes", count(report.holes), "Loops of edges with one triangle"],
           ["Crowded edges", count(report.crowdedEdges), "Edges with more than two triangles"],
           ["Inner nodes", inner > 0 ? count(inner) : "none", "Nodes inside that keep the volume"],
