@@ -103,7 +103,7 @@ fn describe_inspection(found: &pb::Inspection) -> String {
     line("hierarchy", levels.join(" > "));
     line("parts", count(found.components));
     if found.components > 1 {
-        line("ties", count(solver.ties));
+        line("ties", grouped_count(solver.ties));
         line("loose parts", describe_loose_parts(&solver));
     }
     line("closed", yes_no(found.closed).into());
