@@ -23,7 +23,7 @@ async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
     let server = Server::start().await;
     let id = server.bar_session().await;
     // Above the top of the bar, beside it, and inside its held base.
-    let points = json!([0.5, 0.5, 4.3, 1.3, 0.5, 3.9, 0.5, 0.5, 0.1]);
+    let points = json!([0.25, 0.25, 4.3, 0.65, 0.25, 3.95, 0.25, 0.25, 0.125]);
     let rest = carry(&server, &id, json!({"points": points})).await;
     assert_eq!(rest["points"], points);
     assert_eq!(
@@ -44,11 +44,11 @@ async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
     let posed = carry(&server, &id, order.clone()).await;
     let now = numbers(&posed["points"]);
     // The top turns by a radian about the bar's middle and rises by a quarter.
-    let beside = [0.5 + 0.8 * 1f64.cos(), 0.5 + 0.8 * 1f64.sin(), 4.15];
-    for (at, expected) in [(0, [0.5, 0.5, 4.55]), (3, beside), (6, [0.5, 0.5, 0.1])] {
+    let beside = [0.25 + 0.4 * 1f64.cos(), 0.25 + 0.4 * 1f64.sin(), 4.2];
+    for (at, expected) in [(0, [0.25, 0.25, 4.55]), (3, beside), (6, [0.25, 0.25, 0.125])] {
         for k in 0..3 {
             assert!(
-                (now[at + k] - expected[k]).abs() < 0.03,
+                (now[at + k] - expected[k]).abs() < 0.05,
                 "point {}: {:?}",
                 at / 3,
                 &now[at..at + 3]
@@ -56,7 +56,8 @@ async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
         }
     }
     let turned = numbers(&posed["rotations"]);
-    let angle = |q: &[f64]| 2.0 * q[2].atan2(q[3]);
+    // A quaternion and its negative are one rotation.
+    let angle = |q: &[f64]| 2.0 * (q[2] * q[3].signum()).atan2(q[3].abs());
     assert!(
         (angle(&turned[..4]) - 1.0 - std::f64::consts::FRAC_PI_2).abs() < 0.05,
         "{turned:?}"
@@ -160,5 +161,5 @@ async fn what_cannot_be_carried_is_told_by_its_field() {
         .create_session(futures::stream::iter([first, chunk]))
         .await
         .expect_err("refused");
-    assert!(refused.message().starts_with("passengers[0].points"), "{refused:?}");
+    assert!(refused.message().contains("passengers[0].points"), "{refused:?}");
 }
