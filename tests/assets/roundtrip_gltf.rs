@@ -443,6 +443,8 @@ fn the_khronos_validator_finds_nothing_new() {
         let new: Vec<_> = findings[&after]
             .difference(&findings[before])
             .filter(|code| *code != "DATA_URI_GLB")
+            // The validator does not look into Draco, and so sees the weights of the model first in what is written.
+            .filter(|code| *code != "ACCESSOR_WEIGHTS_NON_NORMALIZED" || !before.to_string_lossy().contains("draco"))
             .collect();
         assert!(new.is_empty(), "{} has new findings: {new:?}", before.display());
     }
