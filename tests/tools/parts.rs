@@ -51,7 +51,16 @@ fn lifted(folder: &Path, create: &Value) -> Result<Value, String> {
         ],
     });
     fs::write(folder.join("job.json"), job.to_string()).expect("written");
-    let arguments = ["deform", "parts.obj", "--job", "job.json", "-o", "out.obj", "--json"];
+    let arguments = [
+        "deform",
+        "parts.obj",
+        "--job",
+        "job.json",
+        "-o",
+        "out.obj",
+        "--json",
+        "--force",
+    ];
     match pliant(folder, &arguments) {
         (Some(0), stdout, _) => Ok(serde_json::from_str(&stdout).expect("one JSON document")),
         (_, _, stderr) => Err(stderr),

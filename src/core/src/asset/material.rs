@@ -4,14 +4,14 @@ use bytes::Bytes;
 
 /// A material on its way from one format to another.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct BaseMaterial {
+pub(super) struct NamedMaterial {
     /// Its name.
     pub name: String,
     /// What it looks like; `None` where only the name is known.
     pub look: Option<BaseLook>,
 }
 
-impl BaseMaterial {
+impl NamedMaterial {
     /// A material of which only the name is known.
     pub fn of_name(name: impl Into<String>) -> Self {
         let name = name.into();

@@ -3,7 +3,7 @@
 //! Texture coordinates count from the upper left corner of the picture, as in glTF.
 
 use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
-use super::material::BaseMaterial;
+use super::material::NamedMaterial;
 use super::{Error, Format, Geometry, Primitive};
 use glam::{DVec3, Vec3};
 use std::ops::Range;
@@ -33,7 +33,7 @@ pub(super) struct PrimitiveAttributes {
     /// Whether it has texture coordinates by corner.
     pub has_corner_uv: bool,
     /// Its material.
-    pub material: Option<Arc<BaseMaterial>>,
+    pub material: Option<Arc<NamedMaterial>>,
     /// Its faces, where some have more than three corners.
     pub faces: Option<RunFaces>,
 }
@@ -48,7 +48,7 @@ pub(super) struct RunAttributes {
     /// Per corner of the run's triangles, where they differ around a vertex; empty when there are none.
     pub corner_uv: Vec<[f32; 2]>,
     /// Its material.
-    pub material: Option<Arc<BaseMaterial>>,
+    pub material: Option<Arc<NamedMaterial>>,
     /// Its faces, where some have more than three corners.
     pub faces: Option<RunFaces>,
 }

@@ -5,12 +5,12 @@ use crate::mesh::{Lists, Mesh};
 use glam::DVec3;
 
 /// A length is short below this share of the longest edge around it.
-const SHORT: f64 = 0.15;
+const SHORT: f64 = 0.1;
 
 /// How often reaches are spread over the mesh, at most. An even mesh has nothing to spread.
 const SPREAD: usize = 8;
 
-/// A vertex is averaged with at most so many others.
+/// A vertex is averaged with at most so many others; one that has more within reach is left as it is.
 const CROWD: usize = 256;
 
 impl NeedlesAndCaps {
@@ -38,6 +38,9 @@ impl NeedlesAndCaps {
             }
             let row = found.crowded.len() as u32;
             gather_crowd(vertex, reach[vertex as usize], &near, &mesh.positions, &mut seen);
+            if seen.len() > CROWD {
+                continue;
+            }
             pairs.extend(seen[1..].iter().map(|&other| (row, other)));
             found.crowded.push(vertex);
             found.reach.push(reach[vertex as usize]);

@@ -25,10 +25,16 @@ impl NeedlesAndCaps {
         if self.is_empty() || frames.len() != positions.len() {
             return;
         }
+        // What is tied to another part stays at its place beside it.
+        let mut held = handles.held_nodes().to_vec();
+        for anchor in body.graph.ties.iter().flat_map(|ties| ties.anchors()) {
+            held[anchor.vertex as usize] = true;
+            anchor.corners.iter().for_each(|&v| held[v as usize] = true);
+        }
         let shape = PosedNodes {
             rest: &body.graph.positions,
             frames,
-            held: handles.held_nodes(),
+            held: &held,
         };
         let averaged = |row: usize| self.averaged(row, &shape, positions);
         let moved: Vec<Option<DVec3>> = pool.install(|| {

@@ -7,7 +7,7 @@ use super::float_json::json_floats;
 use super::media_type::media_type_of;
 use super::text::quoted;
 use super::uri;
-use crate::asset::material::{AlphaCoverage, BaseLook, BaseMaterial, MaterialPicture};
+use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial};
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
 use crate::mesh::shading;
@@ -91,7 +91,7 @@ struct BuiltAsset {
     views: Vec<String>,
     accessors: Vec<String>,
     meshes: Vec<String>,
-    materials: Vec<Arc<BaseMaterial>>,
+    materials: Vec<Arc<NamedMaterial>>,
     /// Pictures of the materials.
     pictures: Vec<MaterialPicture>,
 }
@@ -184,7 +184,7 @@ impl BuiltAsset {
         )
     }
 
-    fn material_number(&mut self, material: &Arc<BaseMaterial>) -> usize {
+    fn material_number(&mut self, material: &Arc<NamedMaterial>) -> usize {
         let known = self.materials.iter().position(|known| known == material);
         known.unwrap_or_else(|| {
             self.materials.push(Arc::clone(material));
@@ -229,7 +229,7 @@ impl BuiltAsset {
         (sections, companions)
     }
 
-    fn material_text(&mut self, material: &BaseMaterial) -> String {
+    fn material_text(&mut self, material: &NamedMaterial) -> String {
         let name = quoted(&material.name);
         let Some(look) = &material.look else {
             return format!(r#"{{"name":{name}}}"#);

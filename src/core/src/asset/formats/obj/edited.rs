@@ -9,7 +9,7 @@ use super::statements::{FaceState, ObjStatements, name_in, object_numbers, print
 use super::write::{push_corner, push_line, push_numbers};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces};
-use crate::asset::material::BaseMaterial;
+use crate::asset::material::NamedMaterial;
 use crate::asset::neutral::{RunAttributes, SeamPart};
 use crate::asset::{Error, WrittenFiles};
 use glam::DVec3;
@@ -295,10 +295,10 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
 }
 
 /// The material that a `usemtl` line names, with what a library says of it.
-fn material_named(library: &MaterialLibrary, line: &[u8]) -> Arc<BaseMaterial> {
+fn material_named(library: &MaterialLibrary, line: &[u8]) -> Arc<NamedMaterial> {
     let name = name_in(line);
     let known = library.get(&name).cloned();
-    known.unwrap_or_else(|| Arc::new(BaseMaterial::of_name(name)))
+    known.unwrap_or_else(|| Arc::new(NamedMaterial::of_name(name)))
 }
 
 /// A run with its vertices parted where texture coordinates, normals or materials part, one for each material.

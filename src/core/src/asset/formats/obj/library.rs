@@ -6,12 +6,12 @@ use super::super::text::{NumberPrecision, TextLexer, number, push_number};
 use super::corner::STYLE;
 use super::statements::{name_in, printable};
 use crate::asset::FileSet;
-use crate::asset::material::{AlphaCoverage, BaseLook, BaseMaterial, MaterialPicture, inside_folder};
+use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Materials by their names.
-pub(super) type MaterialLibrary = BTreeMap<String, Arc<BaseMaterial>>;
+pub(super) type MaterialLibrary = BTreeMap<String, Arc<NamedMaterial>>;
 
 /// The files that `mtllib` lines may mean: all words as one name, and each for itself.
 fn library_names(line: &[u8]) -> Vec<String> {
@@ -106,8 +106,8 @@ pub(super) fn read_libraries(files: &FileSet, lines: &[&[u8]]) -> MaterialLibrar
 }
 
 fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
-    let mut current: Option<BaseMaterial> = None;
-    let mut keep = |material: Option<BaseMaterial>| {
+    let mut current: Option<NamedMaterial> = None;
+    let mut keep = |material: Option<NamedMaterial>| {
         if let Some(material) = material {
             // The first of a name counts, as in other readers.
             library
@@ -119,7 +119,7 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
         if keyword == "newmtl" {
             let look = Some(BaseLook::default());
             let name = rest.to_owned();
-            keep(current.replace(BaseMaterial { name, look }));
+            keep(current.replace(NamedMaterial { name, look }));
             return;
         }
         let Some(look) = current.as_mut().and_then(|m| m.look.as_mut()) else {
@@ -162,7 +162,7 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
 }
 
 /// The text of a library of materials, each with its name, and the pictures that they need by the names of their files.
-pub(super) fn write_library(materials: &[(String, Arc<BaseMaterial>)]) -> (Vec<u8>, BTreeMap<String, Vec<u8>>) {
+pub(super) fn write_library(materials: &[(String, Arc<NamedMaterial>)]) -> (Vec<u8>, BTreeMap<String, Vec<u8>>) {
     let mut out = b"# pliant\n".to_vec();
     let mut pictures = BTreeMap::new();
     for (name, material) in materials {

@@ -6,7 +6,7 @@ use super::library::write_library;
 use super::normals::{NormalLines, NormalPlan};
 use super::read::ObjNotes;
 use super::statements::printable;
-use crate::asset::material::BaseMaterial;
+use crate::asset::material::NamedMaterial;
 use crate::asset::model::position_bits;
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Geometry, WrittenFiles};
@@ -246,8 +246,8 @@ pub(super) fn build(neutral: &NeutralModel) -> WrittenFiles {
 }
 
 /// The materials of a model, each under a name of its own.
-fn named_materials(neutral: &NeutralModel) -> Vec<(String, Arc<BaseMaterial>)> {
-    let mut named: Vec<(String, Arc<BaseMaterial>)> = Vec::new();
+fn named_materials(neutral: &NeutralModel) -> Vec<(String, Arc<NamedMaterial>)> {
+    let mut named: Vec<(String, Arc<NamedMaterial>)> = Vec::new();
     for material in neutral.attributes.iter().filter_map(|a| a.material.as_ref()) {
         if named.iter().any(|(_, known)| known == material) {
             continue;

@@ -5,7 +5,7 @@ use super::super::document::GltfDocument;
 use super::super::media_type::file_extension;
 use super::super::uri::{self, RelativeName};
 use super::kept::unparsed_items;
-use crate::asset::material::{AlphaCoverage, BaseLook, BaseMaterial, MaterialPicture, inside_folder};
+use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::asset::{Error, FileSet};
 use bytes::Bytes;
 use serde_json::Value;
@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// A material, and the set of texture coordinates that its picture uses.
-pub(super) type LookedAt = (Arc<BaseMaterial>, usize);
+pub(super) type LookedAt = (Arc<NamedMaterial>, usize);
 
 /// All materials of a document.
 pub(super) fn read_looks(
@@ -36,7 +36,7 @@ pub(super) fn read_looks(
         let name = material["name"].as_str().filter(|name| !name.is_empty());
         let name = name.map_or_else(|| format!("material_{m}"), str::to_owned);
         let (look, set) = read_look(material, &textures, &mut pictures);
-        looks.push((Arc::new(BaseMaterial { name, look }), set));
+        looks.push((Arc::new(NamedMaterial { name, look }), set));
     }
     Ok(looks)
 }
