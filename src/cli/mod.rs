@@ -12,6 +12,7 @@ mod json_output;
 mod model_files;
 mod output_files;
 mod render;
+mod sample;
 pub mod serve;
 mod stage_spinner;
 mod threads;
@@ -40,6 +41,8 @@ enum PliantCommand {
     Check(check::CheckArgs),
     /// Draw a model, maybe beside what it was, as a png
     Render(render::RenderArgs),
+    /// Write a built-in model to a file
+    Sample(sample::SampleArgs),
 }
 
 /// Runs the command line of this process.
@@ -61,6 +64,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Inspect(args) => inspect::run_inspect(&args),
         PliantCommand::Check(args) => check::run_check(&args),
         PliantCommand::Render(args) => render::run_render(&args),
+        PliantCommand::Sample(args) => sample::run_sample(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -2,6 +2,7 @@
 
 use super::failure::CliFailure;
 use crate::asset::FileSet;
+use crate::asset::sample::BuiltInModel;
 use crate::engine::{HandlePose, HandleSet, OpenOptions};
 use crate::server::config::{self, ConfigKeys, ServeSettings};
 use crate::server::{self, sample};
@@ -158,10 +159,11 @@ impl Signals {
 async fn open_sample(manager: &Manager, address: SocketAddr) -> Result<(), session::Error> {
     let tenant = Tenant::default();
     let started = Instant::now();
-    let files = FileSet::single(format!("{}.glb", sample::NAME), sample::glb().await?);
+    let shown = BuiltInModel::Creature;
+    let files = FileSet::single(format!("{}.glb", shown.name()), sample::glb(shown).await?);
     let options = SessionOptions {
         open: OpenOptions::default(),
-        label: sample::NAME.into(),
+        label: shown.name().into(),
         // It stands ready for a person, who may take a while.
         ttl: Some(manager.config().max_ttl),
     };

@@ -1,24 +1,26 @@
-//! The built-in creature, so that a first call needs no file.
+//! The built-in models, so that a first call needs no file.
 
-use crate::asset::sample;
+use crate::asset::sample::{self, BuiltInModel};
 use crate::engine::{Handle, Region};
 use crate::session::{Error, ErrorCode};
 use bytes::Bytes;
 use std::sync::LazyLock;
 use xxhash_rust::xxh3::xxh3_64;
 
-/// Its name.
-pub const NAME: &str = "creature";
+static CREATURE: LazyLock<Bytes> = LazyLock::new(|| Bytes::from(BuiltInModel::Creature.glb()));
+static FIGURE: LazyLock<Bytes> = LazyLock::new(|| Bytes::from(BuiltInModel::Figure.glb()));
 
-static GLB: LazyLock<Bytes> = LazyLock::new(|| Bytes::from(sample::creature_glb()));
-
-/// Its model. The first call makes it, which takes a moment, away from the threads that serve.
+/// A built-in model's file. The first call makes it, which takes a moment, away from the threads that serve.
 ///
 /// # Errors
 /// `INTERNAL`, when making it fails.
-pub async fn glb() -> Result<Bytes, Error> {
-    let made = tokio::task::spawn_blocking(|| GLB.clone()).await;
-    made.map_err(|_| Error::new(ErrorCode::Internal, "the built-in model cannot be made"))
+pub async fn glb(model: BuiltInModel) -> Result<Bytes, Error> {
+    let made = tokio::task::spawn_blocking(move || match model {
+        BuiltInModel::Creature => CREATURE.clone(),
+        BuiltInModel::Figure => FIGURE.clone(),
+    });
+    made.await
+        .map_err(|_| Error::new(ErrorCode::Internal, "the built-in model cannot be made"))
 }
 
 /// Strong entity tag of a model that never changes while the server runs.
@@ -26,7 +28,7 @@ pub(super) fn etag(glb: &Bytes) -> String {
     format!("\"{:016x}\"", xxh3_64(glb))
 }
 
-/// Handles that hold its feet and move its head.
+/// Handles that hold the creature's feet and move its head.
 pub fn handles() -> [Handle; 2] {
     let (normal, offset) = sample::HANDLES.feet;
     let (center, radius) = sample::HANDLES.head;

@@ -1,6 +1,7 @@
 //! Files in and out: what survives a round trip, and what is refused.
 
 mod draco;
+mod figure;
 mod hostile_gltf;
 mod materials;
 mod morphs;

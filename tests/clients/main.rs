@@ -5,3 +5,12 @@ mod pages;
 mod python;
 #[path = "../support/mod.rs"]
 mod support;
+
+use std::sync::{Mutex, MutexGuard};
+
+/// Held by whoever installs or builds the TypeScript package: `npm ci` empties its folder of packages before it fills it.
+static TYPESCRIPT_PACKAGE: Mutex<()> = Mutex::new(());
+
+fn hold_typescript_package() -> MutexGuard<'static, ()> {
+    TYPESCRIPT_PACKAGE.lock().unwrap_or_else(|failed| failed.into_inner())
+}

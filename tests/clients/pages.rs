@@ -121,6 +121,7 @@ fn cookbook_for_ci() {
 
 #[test]
 fn cookbook_for_the_web() {
+    let _held = super::hold_typescript_package();
     let checkout = play("deploy/docs/cookbook-web.md");
     let page = checkout.path("target/page/dist");
     let packages = root().join("tests/clients/viewer/node_modules");

@@ -28,6 +28,26 @@ fn workplace() -> tempfile::TempDir {
     folder
 }
 
+#[test]
+fn a_sample_is_written_where_it_may_be() {
+    let folder = workplace();
+    let written = pliant(folder.path(), &["sample", "figure", "-o", "figure.glb"]);
+    assert_eq!(written.0, Some(0), "{}", written.2);
+    assert_eq!(
+        fs::read(folder.path().join("figure.glb")).expect("a file"),
+        sample::figure_glb()
+    );
+    for (arguments, told) in [
+        (["sample", "dragon", "-o", "dragon.glb"], "creature or figure"),
+        (["sample", "figure", "-o", "figure.glb"], "--force"),
+        (["sample", "figure", "-o", "figure.obj"], "written as glb"),
+    ] {
+        let (code, _, last) = pliant(folder.path(), &arguments);
+        assert_eq!(code, Some(2), "{arguments:?}");
+        assert!(last.contains(told), "{arguments:?}: {last}");
+    }
+}
+
 const JOB: &str = r#"{
   "handles": [
     {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}},

@@ -11,6 +11,7 @@ use super::body;
 use super::problem::{Problem, clip};
 use super::request::Caller;
 use super::sessions::session_json;
+use crate::asset::sample::BuiltInModel;
 use crate::asset::{FileSet, Format};
 use crate::server::sample;
 use crate::server::state::State;
@@ -77,17 +78,18 @@ pub(super) async fn create(From(state): From<State>, caller: Caller, request: Re
 }
 
 async fn built_in(name: &str) -> Result<Received, Problem> {
-    if name != sample::NAME {
-        let allowed = sample::NAME;
-        return Err(Error::invalid(
-            "sample",
-            format!("\"{}\" is not built in; there is {allowed}", clip(name)),
-        )
-        .into());
-    }
+    let model = built_in_model("sample", name)?;
     Ok(Received {
-        files: FileSet::single(format!("{name}.glb"), sample::glb().await?),
+        files: FileSet::single(format!("{name}.glb"), sample::glb(model).await?),
         held: None,
+    })
+}
+
+/// The built-in model of that name, which a parameter gave.
+pub(super) fn built_in_model(parameter: &str, name: &str) -> Result<BuiltInModel, Error> {
+    BuiltInModel::from_name(name).ok_or_else(|| {
+        let (seen, allowed) = (clip(name), BuiltInModel::name_list());
+        Error::invalid(parameter, format!("\"{seen}\" is not built in; there is {allowed}"))
     })
 }
 

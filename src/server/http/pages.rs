@@ -1,14 +1,17 @@
 //! What is not a call of the schema: health, counts, the API description, the sample, and a page for people.
 
+use super::create::built_in_model;
 use super::download::Download;
 use super::problem::Problem;
+use super::query;
 use super::request::Caller;
+use crate::asset::sample::BuiltInModel;
 use crate::server::state::State;
 use crate::server::{openapi, sample};
 use crate::session::Error;
 use axum::extract::State as From;
 use axum::response::{IntoResponse as _, Response};
-use http::{HeaderMap, StatusCode, header};
+use http::{HeaderMap, StatusCode, Uri, header};
 
 /// The process lives.
 pub(super) async fn alive() -> &'static str {
@@ -48,14 +51,16 @@ pub(super) async fn openapi() -> Result<Response, Problem> {
     Ok(([(header::CONTENT_TYPE, "application/json")], document).into_response())
 }
 
-pub(super) async fn sample(_: Caller, headers: HeaderMap) -> Result<Response, Problem> {
-    let bytes = sample::glb().await?;
+pub(super) async fn sample(_: Caller, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+    let name = query::parameters(&uri, &["name"])?.remove("name");
+    let model = name.map_or(Ok(BuiltInModel::Creature), |name| built_in_model("name", &name))?;
+    let bytes = sample::glb(model).await?;
     let etag = sample::etag(&bytes);
     let download = Download {
         bytes,
         media_type: crate::asset::Format::GLB.media_type(),
         etag,
-        file_name: format!("{}.glb", sample::NAME),
+        file_name: format!("{}.glb", model.name()),
     };
     download.respond(&headers)
 }

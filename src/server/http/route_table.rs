@@ -56,7 +56,10 @@ pub(in crate::server) const ROUTES: [Route; 23] = [
                 "CreateOptions.volumeGraph.mode; its other fields as volumeGraph.interval and so on",
             ),
             ("weld", "CreateOptions.weld.tolerance"),
-            ("sample", "creature: open the built-in model; the body stays empty"),
+            (
+                "sample",
+                "creature or figure: open a built-in model; the body stays empty",
+            ),
         ],
         keyed: true,
         ..PLAIN
@@ -202,7 +205,8 @@ pub(in crate::server) const ROUTES: [Route; 23] = [
     },
     Route {
         path: "/v1/sample.glb",
-        summary: "The built-in creature.",
+        summary: "A built-in model.",
+        query: &[("name", "creature (when absent) or figure")],
         ..PLAIN
     },
     Route {

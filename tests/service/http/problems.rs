@@ -38,7 +38,8 @@ POST /v1/sessions/{id}/solve   | application/json | {"options": {"method": 7}} |
 POST /v1/sessions?colour=red   | -                | x      | 400 INVALID_ARGUMENT    | colour    | volumeGraph
 POST /v1/sessions?format=doc   | -                | x      | 422 INVALID_ARGUMENT    | format    | doc; glb
 POST /v1/sessions?ttl=soon     | -                | v 0 0 0 | 422 INVALID_ARGUMENT   | ttl       | soon
-POST /v1/sessions?sample=dragon | -               | -      | 422 INVALID_ARGUMENT    | sample    | dragon; creature
+POST /v1/sessions?sample=dragon | -               | -      | 422 INVALID_ARGUMENT    | sample    | dragon; creature or figure
+GET /v1/sample.glb?name=dragon  | -               | -      | 422 INVALID_ARGUMENT    | name      | dragon; creature or figure
 POST /v1/sessions              | -                | -      | 400 INVALID_ARGUMENT    | -         | empty
 POST /v1/sessions              | -                | what is this | 400 INVALID_ARGUMENT | -      | glb, gltf, obj
 POST /v1/sessions?format=obj   | -                | v 0 0 zero | 400 INVALID_ARGUMENT | -        | line 1; zero

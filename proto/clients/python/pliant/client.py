@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any
+from urllib.parse import quote
 
 from typing_extensions import Unpack
 
@@ -97,9 +98,10 @@ class Client:
         assert isinstance(answer, pb.Limits)
         return answer
 
-    def sample(self) -> bytes:
-        """The server's built-in creature, a GLB."""
-        return self._calls.get("/v1/sample.glb")
+    def sample(self, name: str = "creature") -> bytes:
+        """A built-in model, a GLB: the creature, or the figure, which has a skeleton, clips, levels of detail, a hull and
+        sockets."""
+        return self._calls.get(f"/v1/sample.glb?name={quote(name, safe='')}")
 
     def close(self) -> None:
         """Closes the connection. Sessions stay until they are closed or expire."""

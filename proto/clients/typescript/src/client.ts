@@ -51,10 +51,12 @@ export class Client {
     return new Session(this.transport, facts);
   }
 
-  /** Opens a session with the built-in creature. */
-  async sample(options: Omit<OpenOptions, "companions" | "onProgress"> = {}): Promise<Session> {
-    const { create = {}, ...call } = options;
-    const path = `/v1/sessions?sample=creature&options=${query(create)}`;
+  /** Opens a session with a built-in model: the creature, or the figure, which has a skeleton, clips, levels of detail and sockets. */
+  async sample(
+    options: Omit<OpenOptions, "companions" | "onProgress"> & { name?: "creature" | "figure" } = {},
+  ): Promise<Session> {
+    const { create = {}, name = "creature", ...call } = options;
+    const path = `/v1/sessions?sample=${name}&options=${query(create)}`;
     return new Session(this.transport, await this.transport.message(SessionSchema, "POST", path, call));
   }
 

@@ -39,6 +39,8 @@ mod polygons;
 mod stl;
 mod text;
 
+pub(super) use gltf::{ElementShape, GlbWriter};
+
 use super::codec::FormatCodec;
 use super::format::{Format, Recognition};
 

@@ -53,6 +53,7 @@ mod edited;
 mod fault;
 mod float_json;
 mod fresh;
+mod glb_writer;
 mod influences;
 mod looks;
 mod media_type;
@@ -74,6 +75,7 @@ mod text;
 mod uri;
 
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
+pub(in crate::asset) use glb_writer::{ElementShape, GlbWriter};
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};

@@ -3,11 +3,12 @@
 //! It is about two units long, stands on the ground y = 0 with the origin between its feet, y up, looking along +x. Its
 //! skin is one closed manifold: the zero of a field that blends rounded limbs.
 
-use super::formats::codec_of;
-use super::neutral::NeutralModel;
-use super::surface_nets::{Lattice, gradient, polygonise, relax};
-use super::{Format, Geometry};
-use glam::{DVec2, DVec3, USizeVec3};
+use super::limbs::{Body, Bone, bone};
+use crate::asset::formats::codec_of;
+use crate::asset::neutral::NeutralModel;
+use crate::asset::surface_nets::Lattice;
+use crate::asset::{Format, Geometry};
+use glam::{DVec3, USizeVec3};
 
 /// Useful regions of the creature, in its rest pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,24 +33,12 @@ const CELL: f64 = 0.03;
 
 /// The creature as a mesh with smooth normals. The same bits every time.
 pub fn creature() -> Geometry {
-    let limbs: Vec<Limb> = BONES.iter().map(Limb::new).collect();
-    let field = |p: DVec3| skin(&limbs, p);
     let lattice = Lattice {
         low: DVec3::new(-1.25, -0.16, -0.60),
         cell: CELL,
         cells: USizeVec3::new(82, 62, 40),
     };
-    let (mut positions, triangles) = polygonise(&field, lattice);
-    relax(&field, &mut positions, &triangles, CELL, 4);
-    let normals = positions
-        .iter()
-        .map(|&p| gradient(&field, p, CELL).normalize_or_zero().as_vec3())
-        .collect();
-    let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
-    for primitive in &mut geometry.primitives {
-        primitive.name = "creature".into();
-    }
-    geometry
+    Body::of(&BONES, 2).polygonised("creature", lattice, 0.0)
 }
 
 /// The creature as a GLB file.
@@ -61,19 +50,6 @@ pub fn creature_glb() -> Vec<u8> {
         .build(&NeutralModel::from_geometry(creature()), Format::GLB)
         .expect("a small finite mesh fits the format")
         .main
-}
-
-/// A bent bone: a curve from the first point to the last that the middle one pulls toward itself (a quadratic Bézier),
-/// with a radius that goes along in the same way.
-struct Bone {
-    points: [[f64; 3]; 3],
-    radii: [f64; 3],
-    /// Over what distance its skin blends with what it grows from.
-    blend: f64,
-}
-
-const fn bone(points: [[f64; 3]; 3], radii: [f64; 3], blend: f64) -> Bone {
-    Bone { points, radii, blend }
 }
 
 /// What lies at z > 0 has a twin on the other side.
@@ -145,107 +121,6 @@ const BONES: [Bone; 12] = [
         0.05,
     ),
 ];
-
-/// Straight pieces that a bone is made of.
-const PIECES: usize = 10;
-
-/// A bone ready for measuring distances.
-struct Limb {
-    pieces: [RoundCone; PIECES],
-    blend: f64,
-    paired: bool,
-    /// A ball around all of it.
-    ball: (DVec3, f64),
-}
-
-impl Limb {
-    fn new(bone: &Bone) -> Self {
-        let points = bone.points.map(DVec3::from_array);
-        let joint = |i: usize| {
-            let t = i as f64 / PIECES as f64;
-            let weights = [(1.0 - t) * (1.0 - t), 2.0 * t * (1.0 - t), t * t];
-            let point = (0..3).map(|k| points[k] * weights[k]).sum::<DVec3>();
-            (point, (0..3).map(|k| bone.radii[k] * weights[k]).sum::<f64>())
-        };
-        let center = joint(PIECES / 2).0;
-        let reach = |(point, radius): (DVec3, f64)| center.distance(point) + radius;
-        Self {
-            pieces: std::array::from_fn(|i| RoundCone::new(joint(i), joint(i + 1))),
-            blend: bone.blend,
-            paired: points[0].z > 0.0,
-            ball: (center, (0..=PIECES).map(|i| reach(joint(i))).fold(0.0, f64::max)),
-        }
-    }
-
-    /// Blends the limb's distance into that of what is there already.
-    fn blend_into(&self, distance: f64, point: DVec3) -> f64 {
-        if point.distance(self.ball.0) - self.ball.1 >= distance + self.blend {
-            return distance;
-        }
-        let own = self
-            .pieces
-            .iter()
-            .map(|piece| piece.distance(point))
-            .fold(f64::INFINITY, f64::min);
-        smooth_min(distance, own, self.blend)
-    }
-}
-
-/// The hull of two balls.
-struct RoundCone {
-    start: DVec3,
-    axis: DVec3,
-    length: f64,
-    radius: f64,
-    /// By how much the radius shrinks along the axis, and the tangent of that angle.
-    slope: f64,
-    lean: f64,
-}
-
-impl RoundCone {
-    fn new((start, radius): (DVec3, f64), (end, end_radius): (DVec3, f64)) -> Self {
-        let length = start.distance(end);
-        let slope = (radius - end_radius) / length;
-        let lean = slope / (1.0 - slope * slope).sqrt();
-        Self {
-            start,
-            axis: (end - start) / length,
-            length,
-            radius,
-            slope,
-            lean,
-        }
-    }
-
-    /// Signed distance from its surface.
-    fn distance(&self, point: DVec3) -> f64 {
-        let offset = point - self.start;
-        let along = offset.dot(self.axis);
-        let aside = (offset.length_squared() - along * along).max(0.0).sqrt();
-        // The nearest ball's centre lies off the foot of the perpendicular, by the lean of the mantle.
-        let center = (along - aside * self.lean).clamp(0.0, self.length);
-        DVec2::new(aside, along - center).length() - (self.radius - self.slope * center)
-    }
-}
-
-/// About the signed distance from the skin, negative inside.
-fn skin(limbs: &[Limb], point: DVec3) -> f64 {
-    let mut distance = 10.0;
-    for limb in limbs {
-        distance = limb.blend_into(distance, point);
-        if limb.paired {
-            distance = limb.blend_into(distance, DVec3::new(point.x, point.y, -point.z));
-        }
-    }
-    // The ground cuts the soles flat.
-    -smooth_min(-distance, point.y, 0.03)
-}
-
-/// The smaller of two numbers, rounded off where they differ by less than `blend`.
-fn smooth_min(a: f64, b: f64, blend: f64) -> f64 {
-    let overlap = (blend - (a - b).abs()).max(0.0) / blend;
-    a.min(b) - overlap * overlap * blend * 0.25
-}
 
 #[cfg(test)]
 mod tests {
