@@ -30,4 +30,4 @@ pub mod wire;
 
 /// Mesh deformation without a server: a crate of its own, with the solver's in it.
 pub use pliant_core as core;
-pub use pliant_core::{asset, deform, edit, engine, exec, graph, mesh, pool, progress, render, solver};
+pub use pliant_core::{asset, deform, edit, engine, exec, graph, mesh, motion, pool, progress, render, solver};

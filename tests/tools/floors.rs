@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The floor of every module of the library. A new module gets its line here, in `src/lib.rs` and in deploy/docs/architecture.md.
-const FLOORS: [(&str, u8); 18] = [
+const FLOORS: [(&str, u8); 19] = [
     ("mesh", 0),
     ("asset", 0),
     ("pool", 0),
@@ -21,6 +21,7 @@ const FLOORS: [(&str, u8); 18] = [
     ("render", 1),
     ("deform", 2),
     ("edit", 2),
+    ("motion", 2),
     ("engine", 3),
     ("wire", 3),
     ("batch", 4),
@@ -37,7 +38,8 @@ const CRATES: [(&str, &[&str]); 2] = [
     (
         "core",
         &[
-            "mesh", "asset", "graph", "render", "deform", "edit", "engine", "solver", "pool", "progress", "exec",
+            "mesh", "asset", "graph", "render", "deform", "edit", "motion", "engine", "solver", "pool", "progress",
+            "exec",
         ],
     ),
 ];

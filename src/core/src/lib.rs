@@ -6,7 +6,7 @@
 //! | floor | modules | what |
 //! |---|---|---|
 //! | 3 | [`engine`] | the deformer: typed handles, regions, poses and edits |
-//! | 2 | [`deform`], [`edit`] | two passes: rotation fields, positions; topology operations |
+//! | 2 | [`deform`], [`edit`], [`motion`] | two passes: rotation fields, positions; topology operations; clips and skeletons |
 //! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
 //! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`] | triangles; model formats; threads; cancelling; both as one |
 //!
@@ -20,6 +20,7 @@ pub mod edit;
 pub mod engine;
 pub mod graph;
 pub mod mesh;
+pub mod motion;
 pub mod render;
 
 /// Multigrid on a weighted graph, with the threads and the watcher that every computing function takes: a crate of its own.

@@ -79,7 +79,7 @@ fn print_circles(files: &[SourceFile]) {
 /// Files that name protobuf or its messages below the room that translates them.
 pub fn protobuf_below_wire(files: &[SourceFile]) -> Vec<(String, usize)> {
     let engine = [
-        "mesh", "asset", "pool", "progress", "exec", "solver", "graph", "render", "deform", "edit", "engine",
+        "mesh", "asset", "pool", "progress", "exec", "solver", "graph", "render", "deform", "edit", "motion", "engine",
     ];
     // Before there was a room for messages, `job` was the engine.
     let before = !files.iter().any(|f| f.module.first().is_some_and(|m| m == "wire"));

@@ -1,0 +1,12 @@
+//! Motion: skeletons, clips that move them, and where their joints are at a time (section 7 of the paper).
+
+pub mod bvh;
+mod clip;
+mod curve;
+mod error;
+mod skeleton;
+
+pub use clip::{JointCurves, MotionClip, RecordedFrames};
+pub use curve::{CurveValue, Interpolation, KeyedCurve, SplinePlace};
+pub use error::Error;
+pub use skeleton::{JointPose, Skeleton, SkeletonJoint};
