@@ -30,7 +30,7 @@ pub(super) fn read_rows(
     let width = tree.width();
     let numbers = read_numbers(lines, width, limits)?;
     // Where no joint moves, rows are blank and cannot be counted.
-    let count = if width == 0 { declared } else { numbers.len() / width };
+    let count = numbers.len().checked_div(width).unwrap_or(declared);
     if count < declared {
         let problem = format!("{declared} frames are declared, {count} follow");
         let line = lines.number();
