@@ -5,13 +5,14 @@ use super::error::Error;
 use super::facts::count_u32;
 use super::facts::{DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts};
 use super::handle::HandleSet;
+use super::held_inside::HeldBeforeEdit;
 use super::large_faces::warn_of_large_faces;
 use super::limits::DeformerLimits;
 use super::model_topology::ModelTopology;
 use super::pose::HandlePoses;
 use super::quality::measure_quality;
 use super::region_context::RegionContext;
-use super::resolved_handles::{HandlesBeforeEdit, ResolvedHandles, resolve_handles};
+use super::resolved_handles::{ResolvedHandles, resolve_handles};
 use super::riding::mark_passengers;
 use super::settings::OpenOptions;
 use super::shape::{ModelShape, ShapeId};
@@ -314,10 +315,12 @@ impl Deformer {
         let is_empty = handles.handles.is_empty();
         // What an edit carried over, whoever asks for it.
         let carried = lineage.restart.as_ref().filter(|c| c.set == handles);
-        let before = carried.map(|c| HandlesBeforeEdit {
+        let followed_edit = carried.map(|c| HeldBeforeEdit::Followed {
             rigging: c.fields.setup(),
             old_from_new: &followed.old_from_new,
         });
+        let rebuilt = lineage.inside.as_ref().filter(|inside| inside.set == handles);
+        let before = followed_edit.or(rebuilt.map(HeldBeforeEdit::Rebuilt));
         let regions = self.rest_regions();
         let (resolved, rigging) = resolve_handles(&regions, body, handles, self.options.policy, before)?;
         let field_bytes = (rigging.handles.len() as u64 + 1) * body.nodes() as u64 * 12;

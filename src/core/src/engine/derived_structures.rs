@@ -3,6 +3,7 @@
 use super::error::Error;
 use super::facts::{DeformerWarning, TieFacts, WarningPlace};
 use super::followed_nodes::FollowedNodes;
+use super::held_inside::HeldInside;
 use super::interior::{BYTES_PER_NODE, fit_lattice, interior_warnings};
 use super::limits::DeformerLimits;
 use super::mesh_delta::MeshDelta;
@@ -54,6 +55,8 @@ pub(super) struct TopologyChange<'a> {
     pub applied: &'a PatchedSurface,
     /// All nodes of the graph before, in the shape that was edited; `None` when that was the rest shape.
     pub nodes: Option<Arc<Vec<DVec3>>>,
+    /// Whether it is known where the nodes of the graph before are in the shape that was edited.
+    pub knows_nodes: bool,
     /// Whether the body may follow, or has to be built.
     pub follow: bool,
     /// The handles that the edit carries over, with their fields before it.
@@ -146,11 +149,25 @@ impl DerivedStructures {
                     topology: change.topology,
                     past: LineageOrigin::Edited(step),
                     restart: change.carried,
+                    inside: None,
                 };
                 return Ok(Self::new(lineage, mesh, parts, (body, nodes), options));
             }
         }
-        Self::build(id, change.topology, options, limits, exec)
+        let built = Self::build(id, Arc::clone(&change.topology), options, limits, exec)?;
+        let Some(carried) = change.carried.filter(|_| change.knows_nodes) else {
+            return Ok(built);
+        };
+        let old = change.nodes.as_deref().unwrap_or(&self.body.graph.positions);
+        let inside = HeldInside::nearest(carried.set, carried.fields.setup(), old, &built.body.graph, exec);
+        let lineage = TopologyLineage {
+            inside: Some(inside),
+            ..TopologyLineage::from_built(id, change.topology)
+        };
+        Ok(Self {
+            lineage: Arc::new(lineage),
+            ..built
+        })
     }
 
     /// What `state` leads to, again.

@@ -81,6 +81,7 @@ impl Deformer {
         let change = TopologyChange {
             topology: Arc::new(topology),
             applied: &applied,
+            knows_nodes: nodes.is_some(),
             follow: nodes.is_some() && applied.old_from_point.len() == applied.points as usize,
             nodes: nodes.flatten(),
             carried: self.keep_fields(&carried),

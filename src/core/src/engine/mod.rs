@@ -39,6 +39,7 @@ mod error;
 mod facts;
 mod followed_nodes;
 mod handle;
+mod held_inside;
 mod interior;
 mod large_faces;
 mod limits;

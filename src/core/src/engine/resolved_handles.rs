@@ -3,6 +3,7 @@
 use super::error::{Error, InputPlace};
 use super::facts::DeformerWarning;
 use super::handle::{Falloff, FalloffCurve, Handle, HandleSet};
+use super::held_inside::HeldBeforeEdit;
 use super::pose::HandlePose;
 use super::region::Region;
 use super::region_context::{
@@ -31,51 +32,18 @@ pub(super) struct ResolvedHandles {
     pub warnings: Vec<DeformerWarning>,
 }
 
-/// What handles held before an edit that carried them over.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct HandlesBeforeEdit<'a> {
-    pub rigging: &'a HandleSetup,
-    /// For each node its number before the edit, or [`NONE`].
-    pub old_from_new: &'a [u32],
-}
-
-impl HandlesBeforeEdit<'_> {
-    /// For each node before the edit its number now.
-    fn new_from_old(&self) -> Vec<u32> {
-        let most = self.old_from_new.iter().filter(|o| **o != NONE).max();
-        let mut new = vec![NONE; most.map_or(0, |&m| m as usize + 1)];
-        for (n, &old) in (0u32..).zip(self.old_from_new).filter(|n| *n.1 != NONE) {
-            new[old as usize] = n;
-        }
-        new
-    }
-}
-
-impl HandlesBeforeEdit<'_> {
-    /// Lets a handle go on to hold the nodes inside that it held: a list of vertices, as which it comes back, does not tell
-    /// them.
-    fn keep_inside(&self, handle: usize, surface: u32, new_from_old: &[u32], nodes: &mut Vec<u32>) {
-        let is_new = |n: &u32| self.old_from_new.get(*n as usize).is_none_or(|o| *o == NONE);
-        nodes.retain(|n| *n < surface || is_new(n));
-        let held = self.rigging.handles[handle].nodes.iter();
-        let still = held.filter_map(|&old| new_from_old.get(old as usize).copied());
-        nodes.extend(still.filter(|&n| n != NONE && n >= surface));
-        nodes.sort_unstable();
-    }
-}
-
 /// Resolves handles. With `before` they go on to hold the nodes inside that they held.
 pub(super) fn resolve_handles(
     context: &RegionContext<'_>,
     body: &DeformableBody,
     set: HandleSet,
     policy: FreePartPolicy,
-    before: Option<HandlesBeforeEdit<'_>>,
+    before: Option<HeldBeforeEdit<'_>>,
 ) -> Result<(ResolvedHandles, HandleSetup), Error> {
     let mirror = set.symmetry_plane.map(|p| p.unit_normal_and_point());
     // Mirror images are found from what handles hold, so those stay as they are listed.
-    let before = before.filter(|b| mirror.is_none() && b.rigging.handles.len() == set.handles.len());
-    let numbers = before.map(|b| b.new_from_old()).unwrap_or_default();
+    let before = before.filter(|b| mirror.is_none() && b.handle_count() == set.handles.len());
+    let inside = before.map(|b| b.held_inside(body.graph.surface as u32));
     let graph = &body.graph;
     let mut resolved = ResolvedHandles {
         mirror,
@@ -86,8 +54,8 @@ pub(super) fn resolve_handles(
         let place = |part| InputPlace::HandleRegion(k, part);
         let vertices = vertices_in_region(context, &handle.region, None).map_err(|e| e.with_place(place))?;
         let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.with_place(place))?;
-        if let Some(before) = before.filter(|_| held.weights.is_none()) {
-            before.keep_inside(k, graph.surface as u32, &numbers, &mut held.nodes);
+        if let Some(inside) = inside.as_ref().filter(|_| held.weights.is_none()) {
+            inside.keep_inside(k, &mut held.nodes);
         }
         (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
         if handle.falloff.is_some() && handle.stiffness.is_none() {

@@ -7,6 +7,7 @@
 use super::error::Error;
 use super::followed_nodes::FollowedNodes;
 use super::handle::HandleSet;
+use super::held_inside::HeldInside;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
 use super::settings::OpenOptions;
@@ -33,6 +34,8 @@ pub(super) struct TopologyLineage {
     pub past: LineageOrigin,
     /// What the fields of the handles that the last edit carried over begin from.
     pub restart: Option<KeptHandleFields>,
+    /// What these handles hold inside, where the body was built anew after the edit.
+    pub inside: Option<HeldInside>,
 }
 
 /// The handles that an edit carried over, and the fields that they had before it.
@@ -83,7 +86,9 @@ impl TopologyState {
             LineageOrigin::Edited(step) => step.own_bytes(),
         };
         let kept = self.0.restart.as_ref().map_or(0, |c| c.fields.byte_size() as u64);
+        let inside = self.0.inside.as_ref().map_or(0, |inside| inside.byte_size() as u64);
         step + kept
+            + inside
             + self
                 .0
                 .topology
@@ -101,6 +106,7 @@ impl TopologyLineage {
             past: LineageOrigin::Built(Arc::clone(&topology)),
             topology,
             restart: None,
+            inside: None,
         }
     }
 }

@@ -46,6 +46,16 @@ impl LongSide {
         HandlePose::rotation(DVec3::AXES[(self.axis + 1) % 3] * angle)
     }
 
+    /// The middle of the box around what the top holds.
+    pub fn middle_of_top(&self, positions: &[DVec3]) -> DVec3 {
+        let first = positions[0];
+        let low = positions.iter().fold(first, |a, b| a.min(*b));
+        let high = positions.iter().fold(first, |a, b| a.max(*b));
+        let mut middle = 0.5 * (low + high);
+        middle[self.axis] = self.low + (1.0 - 0.5 * HELD) * self.size;
+        middle
+    }
+
     fn is_held(&self, p: DVec3) -> bool {
         let share = (p[self.axis] - self.low) / self.size;
         !(HELD..=1.0 - HELD).contains(&share)

@@ -1,6 +1,7 @@
 //! Hard-surface and low-poly models: thin faces follow, large ones are told and divided, density does not decide the bend.
 
 mod bend;
+mod density;
 mod large_faces;
 mod models;
 mod thin_faces;

@@ -1,14 +1,11 @@
 //! Needles and caps do not open, and how finely a part is divided does not decide where it goes.
 
 use crate::bend::LongSide;
-use crate::models::{data_models, open_model, open_shape, open_surface};
+use crate::models::{data_models, open_model, open_shape};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::deform::NeedlesAndCaps;
-use pliant_core::edit::SubdivisionScheme;
-use pliant_core::engine::{
-    Deformer, Edit, EditCommand, EditedShape, HandlePoses, Region, SolveMode, SolveSettings, SolvedShape,
-};
+use pliant_core::engine::{Deformer, HandlePoses, SolveMode, SolveSettings, SolvedShape};
 use pliant_core::exec::Exec;
 use pliant_core::mesh::{Mesh, Weld};
 use pliant_core::pool::Pool;
@@ -130,60 +127,4 @@ fn faces_neither_open_nor_turn_over_where_handles_do_not_force_it_on_five_models
         bad.len(),
         bad.join("\n")
     );
-}
-
-/// By how much vertices go elsewhere when the triangles of one half are cut into four, over the largest displacement.
-fn difference_of_density(deformer: &mut Deformer, exec: &Exec<'_>) -> Option<f64> {
-    let rest = deformer.rest().clone();
-    let side = LongSide::of(&rest);
-    side.hold_ends(deformer, exec).ok()?;
-    let poses = deformer
-        .change_poses(&deformer.initial_poses(), [("top", side.turn(FRAC_PI_4))])
-        .ok()?;
-    let settings = SolveSettings {
-        refine: Some(0),
-        tolerance: Some(1e-8),
-        ..Default::default()
-    };
-    let before = solve_with(deformer, &poses, &settings, exec);
-    let farthest = rest
-        .iter()
-        .zip(before.positions.iter())
-        .map(|(p, q)| p.distance(*q))
-        .fold(0.0, f64::max);
-    let across = (side.axis + 1) % 3;
-    let of = |f: fn(f64, f64) -> f64, start: f64| rest.iter().map(|p| p[across]).fold(start, f);
-    let middle = 0.5 * (of(f64::min, f64::INFINITY) + of(f64::max, f64::NEG_INFINITY));
-    let edit = Edit::Subdivide {
-        region: Some(Region::half_space(DVec3::AXES[across], middle)),
-        scheme: SubdivisionScheme::Midpoint,
-    };
-    let command = EditCommand {
-        edit: &edit,
-        on: EditedShape::Rest,
-        shape: &before.shape(),
-        poses: &poses,
-        settings: Some(&settings),
-    };
-    let after = deformer.edit(&command, exec).ok()?;
-    let mut worst = 0.0f64;
-    for run in &after.report.kept {
-        let pairs = before.positions[run.was as usize..][..run.count as usize]
-            .iter()
-            .zip(&after.shape.positions[run.now as usize..]);
-        worst = pairs.map(|(p, q)| p.distance(*q)).fold(worst, f64::max);
-    }
-    Some(worst / farthest)
-}
-
-/// Of the surface alone, by the paper's two passes. Interior nodes are placed anew for a finer surface, and count for more the
-/// closer they are together.
-#[test]
-fn how_finely_half_of_a_surface_is_divided_does_not_decide_where_vertices_go() {
-    let pool = Pool::new(2).expect("threads");
-    let exec = Exec::new(&pool, &Silent);
-    let (positions, triangles) = shapes::box_with_cells(DVec3::new(1.0, 1.0, 6.0), [10, 10, 60]);
-    let mut deformer = open_surface(&positions, &triangles, &exec);
-    let difference = difference_of_density(&mut deformer, &exec).expect("a bar can be divided");
-    assert!(difference < 0.01, "{difference}");
 }
