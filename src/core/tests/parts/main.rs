@@ -8,4 +8,5 @@ mod engine;
 mod laws;
 mod offsets;
 mod shapes;
+mod soup;
 mod sweep;
