@@ -59,6 +59,7 @@
 //! | `first_pass` | the local frame of each node |
 //! | `second_pass` | equation (8), solving it, and fitting rotations to the result |
 //! | `thin_faces` | needles and caps, which follow the shape around them |
+//! | `folds` | faces that turned over, brought back where nothing forces them |
 //! | `comparison` | other methods, to compare with: orientation diffusion, linear frames, radial basis functions |
 
 mod body;
@@ -67,6 +68,7 @@ mod edited_body;
 mod error;
 mod fields;
 mod first_pass;
+mod folds;
 mod handles;
 mod rotation;
 mod second_pass;
@@ -78,6 +80,7 @@ pub use edited_body::EditedBody;
 pub use error::Error;
 pub use fields::{FieldRestart, HarmonicFields, KeptFields};
 pub use first_pass::{FirstPass, LocalFrame, frames};
+pub use folds::unfold_faces;
 pub use handles::{
     FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, carry, shares_difference,
 };

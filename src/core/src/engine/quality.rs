@@ -2,15 +2,14 @@
 
 use super::facts::QualityReport;
 use super::large_faces::count_kinked_faces;
+use crate::mesh::distortion::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::{BoundingBox, Mesh, shading};
 use crate::pool::Pool;
-use glam::{DMat2, DMat3, DVec2, DVec3};
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 /// Triangles whose numbers are summed by one thread. QualitySums depend on it, so it is fixed.
 const BLOCK: usize = 4096;
-/// Triangles whose gradients are held at a time.
-const RUN: usize = 1 << 16;
 
 /// Compares a shape of the welded mesh with its rest shape. `closed` says whether the mesh has a volume.
 ///
@@ -89,53 +88,16 @@ impl QualitySums {
     }
 }
 
-/// The larger singular value of the map between two triangles; `None` for one without area at rest.
-fn largest_stretch(p: [DVec3; 3], q: [DVec3; 3]) -> Option<f64> {
-    let (e, f) = (p[1] - p[0], p[2] - p[0]);
-    let x = e.try_normalize()?;
-    let y = (f - x * x.dot(f)).try_normalize()?;
-    let rest = DMat2::from_cols(DVec2::new(e.length(), 0.0), DVec2::new(f.dot(x), f.dot(y)));
-    let inverse = rest.inverse();
-    let (g, h) = (q[1] - q[0], q[2] - q[0]);
-    // Columns of the 3×2 Jacobian.
-    let a = g * inverse.x_axis.x + h * inverse.x_axis.y;
-    let b = g * inverse.y_axis.x + h * inverse.y_axis.y;
-    let (aa, bb, ab) = (a.length_squared(), b.length_squared(), a.dot(b));
-    let root = ((aa - bb) * (aa - bb) + 4.0 * ab * ab).sqrt();
-    let stretch = (0.5 * (aa + bb + root)).sqrt();
-    stretch.is_finite().then_some(stretch)
-}
-
-/// Triangles whose normal opposes what the shape around them did to it, and those too large for the bend that they are in.
-/// Runs on the pool of the caller.
+/// Triangles that turned over, and those too large for the bend that they are in. Runs on the pool of the caller.
 fn count_bad_faces(mesh: &Mesh, deformed: &[DVec3]) -> (u32, u32) {
-    let corners = |shape: &[DVec3], t: &[u32; 3]| t.map(|v| shape[v as usize]);
-    // A gradient for each vertex from the triangles around it, in proportion to their areas.
-    let mut gradients = vec![DMat3::ZERO; mesh.positions.len()];
-    for run in mesh.triangles.chunks(RUN) {
-        let of_triangles: Vec<DMat3> = run
-            .par_iter()
-            .map(|t| shading::area_gradient(corners(&mesh.positions, t), corners(deformed, t)).unwrap_or(DMat3::ZERO))
-            .collect();
-        // In the order of the triangles, so that the sums are the same for any number of threads.
-        for (t, gradient) in run.iter().zip(&of_triangles) {
-            t.iter().for_each(|&v| gradients[v as usize] += *gradient);
-        }
-    }
+    let gradients = vertex_gradients(mesh, deformed);
     let cofactors: Vec<DMat3> = gradients.par_iter().map(shading::cofactor).collect();
     let count = mesh
         .triangles
         .par_iter()
         .filter(|t| {
-            let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
-            let Some(rest) = normal(corners(&mesh.positions, t)).try_normalize() else {
-                return false;
-            };
-            let carried: DVec3 = t
-                .iter()
-                .map(|&v| (cofactors[v as usize] * rest).try_normalize().unwrap_or(rest))
-                .sum();
-            carried.dot(normal(corners(deformed, t))) < 0.0
+            let [p, q] = [&mesh.positions[..], deformed].map(|shape| t.map(|v| shape[v as usize]));
+            is_turned_over(p, q, t.map(|v| &cofactors[v as usize]))
         })
         .count();
     let diagonal = BoundingBox::of(&mesh.positions).diagonal();

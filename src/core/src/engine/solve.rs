@@ -10,6 +10,7 @@ use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
 use super::shape::{ModelShape, ShapeId};
 use crate::deform::{
     CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
+    unfold_faces,
 };
 use crate::exec::Exec;
 use crate::mesh::carry::CarrySurface;
@@ -171,6 +172,9 @@ impl Deformer {
         derived
             .thin
             .settle(body, rig, &solution.frames, &mut solution.positions, exec.pool);
+        if mode == SolveMode::Commit && !settings.spatial_rbf {
+            unfold_faces(&derived.mesh, rig, &mut solution.positions, exec.pool);
+        }
         let solver = method_name(&solution);
         let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));
         *solutions += 1;

@@ -8,6 +8,7 @@ mod adjacency;
 mod boundary;
 pub mod carry;
 mod components;
+pub mod distortion;
 mod error;
 mod findings;
 mod inspect;

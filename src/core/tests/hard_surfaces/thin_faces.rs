@@ -93,7 +93,7 @@ fn even_meshes_have_no_thin_faces() {
 }
 
 #[test]
-fn faces_neither_open_nor_turn_over_where_handles_do_not_force_it_on_five_models_in_six() {
+fn faces_neither_open_nor_turn_over_where_handles_do_not_force_it_on_nine_models_in_ten() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
     let (mut models, mut bad) = (0, Vec::new());
@@ -122,7 +122,7 @@ fn faces_neither_open_nor_turn_over_where_handles_do_not_force_it_on_five_models
     }
     println!("{} of {models} models\n{}", bad.len(), bad.join("\n"));
     assert!(
-        bad.len() * 6 <= models,
+        bad.len() * 10 <= models,
         "{} of {models}:\n{}",
         bad.len(),
         bad.join("\n")
