@@ -20,7 +20,7 @@ use std::time::Instant;
 /// Arguments of `pliant deform`.
 #[derive(Debug, Args)]
 pub struct DeformArgs {
-    /// The model: glb, gltf, obj, ply, off or stl
+    /// The model: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
     /// The job: handles, steps and options as JSON
     #[arg(long)]

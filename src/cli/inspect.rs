@@ -17,7 +17,7 @@ use std::path::PathBuf;
 /// Arguments of `pliant inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// The model: glb, gltf, obj, ply, off or stl
+    /// The model: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
     /// Print everything as JSON on stdout
     #[arg(long)]

@@ -90,8 +90,12 @@ fn inside_on_disk(folder: &Path, file: &Path) -> bool {
 
 /// Tells the format that an output path asks for.
 pub(super) fn output_format(path: &Path) -> Result<Format, CliFailure> {
-    Format::from_file_name(&path.to_string_lossy()).ok_or_else(|| {
+    let format = Format::from_file_name(&path.to_string_lossy()).ok_or_else(|| {
         let problem = format!("its extension must be one of {}", Format::name_list("and"));
         CliFailure::Input(format!("cannot tell the format of {}: {problem}", path.display()))
-    })
+    })?;
+    match format.refusal_to_write() {
+        Some(problem) => Err(CliFailure::Input(format!("cannot write {}: {problem}", path.display()))),
+        None => Ok(format),
+    }
 }

@@ -20,7 +20,7 @@ const APART: f64 = 0.06;
 /// Arguments of `pliant render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// The model: glb, gltf, obj, ply, off or stl
+    /// The model: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
     /// Where to write the picture, a png file
     #[arg(short, long, value_name = "PICTURE")]

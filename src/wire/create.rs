@@ -75,7 +75,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         name => Some(Format::from_name(name).ok_or_else(|| {
             Error::invalid(
                 "format",
-                format!("is \"{name}\", allowed are {}", Format::name_list("and")),
+                format!("is \"{name}\", allowed are {}", Format::read_name_list("and")),
             )
         })?),
     };

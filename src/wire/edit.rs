@@ -186,7 +186,7 @@ fn merge(merge: &message::Merge, other: Option<&FileSet>) -> Result<ModelMerge, 
     let format = match merge.format.as_str() {
         "" => None,
         name => Some(Format::from_name(name).ok_or_else(|| {
-            let problem = format!("is \"{name}\", allowed are {}", Format::name_list("and"));
+            let problem = format!("is \"{name}\", allowed are {}", Format::read_name_list("and"));
             Error::invalid("merge.format", problem)
         })?),
     };

@@ -151,6 +151,9 @@ fn passenger_file(file: &pb::passenger::File, at: &str) -> Result<CarriedModel, 
         let problem = format!("is \"{}\", its extension must be one of {allowed}", file.output);
         return Err(Error::invalid(field, problem));
     };
+    if let Some(problem) = output.refusal_to_write() {
+        return Err(Error::invalid(field, format!("is \"{}\": {problem}", file.output)));
+    }
     Ok(CarriedModel {
         format: named_format(&file.format, &format!("{at}.format"))?,
         files: FileSet::single(String::new(), bytes),
@@ -163,7 +166,7 @@ fn named_format(name: &str, field: &str) -> Result<Option<Format>, Error> {
     if name.is_empty() {
         return Ok(None);
     }
-    let problem = || format!("is \"{name}\", allowed are {}", Format::name_list("and"));
+    let problem = || format!("is \"{name}\", allowed are {}", Format::read_name_list("and"));
     let format = Format::from_name(name);
     format.map(Some).ok_or_else(|| Error::invalid(field, problem()))
 }

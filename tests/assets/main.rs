@@ -2,6 +2,8 @@
 
 mod clips;
 mod draco;
+mod fbx;
+mod fbx_text;
 mod figure;
 mod hostile_gltf;
 mod materials;

@@ -51,7 +51,7 @@ pub(super) async fn create(From(state): From<State>, caller: Caller, request: Re
     } else {
         let by_type = Format::from_media_type(&kind);
         if by_type.is_none() && !GENERAL.contains(&kind.as_str()) {
-            let models = Format::ALL.map(Format::media_type).join(", ");
+            let models = Format::READ.map(Format::media_type).join(", ");
             return Err(Problem::media_type(
                 &kind,
                 &format!("{models}, application/octet-stream and multipart/form-data"),

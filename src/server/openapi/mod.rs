@@ -3,6 +3,7 @@
 mod schemas;
 
 use super::http::{ROUTES, Route};
+use crate::asset::Format;
 
 use crate::session::Error;
 use crate::wire;
@@ -145,16 +146,16 @@ fn bytes() -> Value {
     json!({"schema": {"type": "string", "format": "binary"}})
 }
 
-fn models() -> Map<String, Value> {
-    crate::asset::Format::ALL
-        .into_iter()
+fn models(formats: &[Format]) -> Map<String, Value> {
+    formats
+        .iter()
         .map(|format| (format.media_type().to_owned(), bytes()))
         .collect()
 }
 
 fn request_body(route: &Route) -> Option<Value> {
     if route.rpc == Some("CreateSession") {
-        let mut content = models();
+        let mut content = models(&Format::READ);
         content.insert("application/octet-stream".into(), bytes());
         content.insert(
             "multipart/form-data".into(),
@@ -180,9 +181,9 @@ fn success(route: &Route) -> Value {
     match route.path {
         "/v1/sessions/{id}/solve" => {
             content.insert("application/octet-stream".into(), bytes());
-            content.extend(models());
+            content.extend(models(&Format::ALL));
         }
-        "/v1/sessions/{id}/model" => content = models(),
+        "/v1/sessions/{id}/model" => content = models(&Format::ALL),
         "/v1/sessions/{id}/positions" => {
             content.insert("application/octet-stream".into(), bytes());
         }

@@ -42,7 +42,7 @@ pub fn provoke() -> Vec<Said> {
     let port = taken.local_addr().expect("an address").port().to_string();
     let here = format!("127.0.0.1:{port}");
 
-    let cases: [(&'static str, &[&str]); 13] = [
+    let cases: [(&'static str, &[&str]); 14] = [
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
         ("a time without a unit", &["serve", "--config", "time.toml"]),
@@ -52,6 +52,10 @@ pub fn provoke() -> Vec<Said> {
         ("points alone", &["inspect", "points.obj"]),
         (
             "an extension that is none",
+            &["deform", "square.obj", "--job", "held.json", "-o", "out.dae"],
+        ),
+        (
+            "a format that is read only",
             &["deform", "square.obj", "--job", "held.json", "-o", "out.fbx"],
         ),
         (

@@ -96,7 +96,7 @@ class KeepApart(TypedDict, total=False):
 class CreateFields(TypedDict, total=False):
     """How a session is built from its model, all optional."""
 
-    #: "glb", "gltf", "obj", "ply", "off" or "stl"; absent = told by the first bytes.
+    #: "glb", "gltf", "obj", "ply", "off", "stl" or "fbx"; absent = told by the first bytes.
     format: str
     volume_graph: Union[Literal["auto", "off", "required"], VolumeGraph]
     #: What happens to parts in which no handle lies.

@@ -1,6 +1,7 @@
 //! What every format implements: reading, patching positions, building, and writing an edited model.
 //!
-//! Knows no format. The formats implement [`FormatCodec`] in [`formats`](super::formats); [`write`](super::write) and
+//! Knows no format. The formats implement [`FormatCodec`] in [`formats`](super::formats), or [`FormatTranslator`] where they
+//! are read only; [`write`](super::write) and
 //! [`Model::read`](super::Model::read) call it.
 
 use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
@@ -131,4 +132,23 @@ pub(super) struct EditedOutput<'a> {
     pub neutral_base: &'a dyn Fn(u32) -> Result<NeutralModel, Error>,
     /// For each run of the edited model its faces, where some have more than three corners.
     pub run_faces: &'a dyn Fn(&PrimitiveRun) -> Option<RunFaces>,
+}
+
+/// Reads a format that is not written: its files become those of one that is, and from there on the model is one of that.
+pub(super) trait FormatTranslator: Sync {
+    /// As [`FormatCodec::companion_names`].
+    fn companion_names(&self, files: &FileSet) -> Vec<String>;
+
+    /// Makes the files of the other format, for a reader with the same limits.
+    fn translate(&self, files: &FileSet, limits: &Limits) -> Result<Translation, Error>;
+}
+
+/// What a [`FormatTranslator`] makes of a model.
+pub(super) struct Translation {
+    /// The files of the other format.
+    pub files: FileSet,
+    /// The other format, which has a codec.
+    pub format: Format,
+    /// Places where a choice was made: (code, message, where).
+    pub warnings: Vec<(String, String, String)>,
 }

@@ -1,15 +1,17 @@
 //! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
 
 use super::codec::EditedOutput;
+use super::codec::Translation;
 use super::edited::{self, BaseModel, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
-use super::formats::codec_of;
+use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
 use super::neutral::NeutralModel;
 use super::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
 use glam::{DAffine3, DVec3};
 
 impl Model {
-    /// Reads a model. The format is `format` when given, else what the bytes say, else what the file name says.
+    /// Reads a model. The format is `format` when given, else what the bytes say, else what the file name says. A format
+    /// that is read only ([`Format::READ`]) becomes a model of another one, with that one's files.
     ///
     /// # Errors
     /// [`Error`] with the place and what is allowed; nothing is read outside `files`.
@@ -35,9 +37,19 @@ impl Model {
             } else {
                 files.name
             };
-            let allowed = Format::name_list("and");
+            let allowed = Format::read_name_list("and");
             return Err(Error::UnknownFormat { place, allowed });
         };
+        if let Some(translator) = translator_of(format) {
+            let Translation {
+                files,
+                format,
+                warnings,
+            } = translator.translate(&files, limits)?;
+            let mut model = Self::read(files, Some(format), limits)?;
+            model.geometry.warnings.splice(0..0, warnings);
+            return Ok(model);
+        }
         let (geometry, notes) = codec_of(format).read(&files, format, limits)?;
         geometry.check(format, limits)?;
         Ok(Self {
@@ -107,7 +119,7 @@ impl Model {
         if format == self.format && is_same(&self.positions, positions) {
             return Ok(WrittenFiles::from_upload(&self.files));
         }
-        let codec = codec_of(format);
+        let codec = writer_of(format)?;
         if codec.patches_files_of(self.format) {
             return codec.patch_positions(self, positions, format, following);
         }
@@ -121,7 +133,7 @@ impl Model {
 }
 
 /// The names of files that a model refers to and that are not in the set: buffers and images of a glTF,
-/// material libraries of an OBJ and their pictures. They are
+/// material libraries of an OBJ and their pictures, pictures of an FBX. They are
 /// relative to the folder of the main file and never lead out of it. Files that come with the set may name more, so whoever
 /// gathers files asks until nothing new is named.
 ///
@@ -137,7 +149,10 @@ pub fn missing_companions(files: &FileSet) -> Vec<String> {
     let Some(format) = Format::from_file(&files.name, &files.main) else {
         return Vec::new();
     };
-    let mut names = codec_of(format).companion_names(files, format);
+    let mut names = match translator_of(format) {
+        Some(translator) => translator.companion_names(files),
+        None => codec_of(format).companion_names(files, format),
+    };
     names.retain(|name| !files.companions.contains_key(name));
     names
 }
@@ -198,7 +213,7 @@ pub fn write_edited_model_following(
     let Some(first) = edited.bases.first() else {
         return Err(Error::unwritable(format, "there is no base"));
     };
-    let codec = codec_of(format);
+    let codec = writer_of(format)?;
     if !codec.edits(first.model.format) {
         return codec.build(&neutral_edited_model(edited, positions, format)?, format);
     }

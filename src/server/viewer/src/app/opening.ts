@@ -27,7 +27,7 @@ import { view } from "./view.ts";
 export const client = new Client();
 
 /** Extensions that name a model; other files dropped with it are its companions. */
-export const EXTENSIONS = ["glb", "gltf", "obj", "ply", "off", "stl"] as const;
+export const EXTENSIONS = ["glb", "gltf", "obj", "ply", "off", "stl", "fbx"] as const;
 
 /** Where the open model came from. */
 type Source = Pick<Kept, "name" | "model" | "companions" | "sample">;

@@ -12,7 +12,6 @@ use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
 use crate::mesh::shading;
 use glam::Vec3;
-use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -95,14 +94,6 @@ struct BuiltAsset {
     /// Pictures of the materials.
     pictures: Vec<MaterialPicture>,
 }
-
-/// What stands as itself in the URI of a file.
-const PLAIN: &AsciiSet = &NON_ALPHANUMERIC
-    .remove(b'-')
-    .remove(b'_')
-    .remove(b'.')
-    .remove(b'~')
-    .remove(b'/');
 
 impl BuiltAsset {
     fn add_primitive(&mut self, neutral: &NeutralModel, own: &NeutralPrimitive<'_>) -> Result<(), Error> {
@@ -213,7 +204,7 @@ impl BuiltAsset {
                 ));
                 continue;
             }
-            let uri = utf8_percent_encode(&picture.name, PLAIN).to_string();
+            let uri = uri::of_file_name(&picture.name);
             images.push(format!(r#"{{"uri":{}}}"#, quoted(&uri)));
             if let Some(bytes) = bytes {
                 companions.insert(picture.name.clone(), bytes.to_vec());

@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::asset) enum ElementShape {
     Scalar,
+    Vec2,
     Vec3,
     Vec4,
     Mat4,
@@ -19,6 +20,7 @@ impl ElementShape {
     fn name_and_lanes(self) -> (&'static str, usize) {
         match self {
             Self::Scalar => ("SCALAR", 1),
+            Self::Vec2 => ("VEC2", 2),
             Self::Vec3 => ("VEC3", 3),
             Self::Vec4 => ("VEC4", 4),
             Self::Mat4 => ("MAT4", 16),
@@ -49,6 +51,29 @@ impl GlbWriter {
         accessor
     }
 
+    /// Adds vectors of `count` vertices that are zero but for those of `places`, which ascend; returns the accessor's number.
+    pub(in crate::asset) fn add_sparse(&mut self, count: usize, places: &[u32], values: &[[f32; 3]]) -> usize {
+        let mut accessor = json!({"componentType": 5126, "count": count, "type": "VEC3"});
+        if !places.is_empty() {
+            let bytes: Vec<u8> = places.iter().flat_map(|p| p.to_le_bytes()).collect();
+            let indices = self.add_view(&bytes);
+            let bytes: Vec<u8> = values.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+            accessor["sparse"] = json!({
+                "count": places.len(),
+                "indices": {"bufferView": indices, "componentType": 5125},
+                "values": {"bufferView": self.add_view(&bytes)},
+            });
+        }
+        let with_zero = |pick: fn(f32, f32) -> f32| -> Vec<f64> {
+            let over = |lane: usize| values.iter().map(|v| v[lane]).fold(0.0, pick);
+            (0..3).map(|lane| f64::from(over(lane))).collect()
+        };
+        accessor["min"] = json!(with_zero(f32::min));
+        accessor["max"] = json!(with_zero(f32::max));
+        self.accessors.push(accessor);
+        self.accessors.len() - 1
+    }
+
     /// Adds floats; returns the accessor's number.
     pub(in crate::asset) fn add_floats(&mut self, values: &[f32], shape: ElementShape) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -70,18 +95,29 @@ impl GlbWriter {
 
     fn add_accessor(&mut self, bytes: &[u8], component: u32, numbers: usize, shape: ElementShape) -> usize {
         let (name, lanes) = shape.name_and_lanes();
-        let offset = self.bytes.len();
-        self.views
-            .push(json!({"buffer": 0, "byteOffset": offset, "byteLength": bytes.len()}));
-        self.bytes.extend_from_slice(bytes);
-        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        let view = self.add_view(bytes);
         self.accessors.push(json!({
-            "bufferView": self.views.len() - 1,
+            "bufferView": view,
             "componentType": component,
             "count": numbers / lanes,
             "type": name,
         }));
         self.accessors.len() - 1
+    }
+
+    /// Adds bytes as a view of their own, such as a picture; returns its number.
+    pub(in crate::asset) fn add_view(&mut self, bytes: &[u8]) -> usize {
+        let offset = self.bytes.len();
+        self.views
+            .push(json!({"buffer": 0, "byteOffset": offset, "byteLength": bytes.len()}));
+        self.bytes.extend_from_slice(bytes);
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        self.views.len() - 1
+    }
+
+    /// How many bytes it holds.
+    pub(in crate::asset) fn byte_count(&self) -> u64 {
+        self.bytes.len() as u64
     }
 
     /// The file: `document` with the asset, the accessors and the buffer added.

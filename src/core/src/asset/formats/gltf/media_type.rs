@@ -11,7 +11,7 @@ const KINDS: [(&str, &str); 6] = [
 ];
 
 /// The media type of a picture by its first bytes, else by its name; `None` for a kind that glTF has none for.
-pub(super) fn media_type_of(name: &str, bytes: &[u8]) -> Option<&'static str> {
+pub(in super::super) fn media_type_of(name: &str, bytes: &[u8]) -> Option<&'static str> {
     const BY_CONTENT: [(&[u8], &str); 4] = [
         (b"\x89PNG\r\n\x1a\n", "image/png"),
         (b"\xff\xd8\xff", "image/jpeg"),

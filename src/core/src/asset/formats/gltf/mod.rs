@@ -76,6 +76,8 @@ mod uri;
 
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
 pub(in crate::asset) use glb_writer::{ElementShape, GlbWriter};
+pub(super) use media_type::media_type_of;
+pub(super) use uri::of_file_name as uri_of_name;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};

@@ -6,7 +6,7 @@ use base64::Engine as _;
 use base64::alphabet::STANDARD;
 use base64::engine::DecodePaddingMode;
 use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
-use percent_encoding::percent_decode_str;
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use std::borrow::Cow;
 
 /// Padding is often forgotten and never needed.
@@ -17,6 +17,19 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
 
 /// The media types that glTF allows for embedded buffers; the first is the one we write.
 const MEDIA_TYPES: [&str; 2] = ["application/octet-stream", "application/gltf-buffer"];
+
+/// What stands as itself in the URI of a file.
+const PLAIN: &AsciiSet = &NON_ALPHANUMERIC
+    .remove(b'-')
+    .remove(b'_')
+    .remove(b'.')
+    .remove(b'~')
+    .remove(b'/');
+
+/// The URI of a file beside the model, by its name.
+pub(in super::super) fn of_file_name(name: &str) -> String {
+    utf8_percent_encode(name, PLAIN).to_string()
+}
 
 /// What a buffer's URI means.
 #[derive(Debug, PartialEq)]

@@ -95,7 +95,7 @@ export const CompanionSchema: GenMessage<Companion> = /*@__PURE__*/
  */
 export type CreateOptions = Message<"pliant.v1.CreateOptions"> & {
   /**
-   * "glb", "gltf", "obj", "ply", "off" or "stl"; empty = told by the first bytes.
+   * "glb", "gltf", "obj", "ply", "off", "stl" or "fbx"; empty = told by the first bytes.
    *
    * @generated from field: string format = 1;
    */
@@ -591,7 +591,7 @@ export type Passenger_File = Message<"pliant.v1.Passenger.File"> & {
   } | { case: undefined; value?: undefined };
 
   /**
-   * Format of the model: glb, gltf, obj, ply, off or stl; empty = told by its first bytes.
+   * Format of the model: glb, gltf, obj, ply, off, stl or fbx; empty = told by its first bytes.
    *
    * @generated from field: string format = 3;
    */
@@ -3052,7 +3052,7 @@ export type EditRequest_Merge = Message<"pliant.v1.EditRequest.Merge"> & {
   tolerance: number;
 
   /**
-   * Format of the model: glb, gltf, obj, ply, off or stl; empty = told by its first bytes.
+   * Format of the model: glb, gltf, obj, ply, off, stl or fbx; empty = told by its first bytes.
    *
    * @generated from field: string format = 7;
    */
@@ -3479,7 +3479,7 @@ export type CarryRequest = Message<"pliant.v1.CarryRequest"> & {
   model: Uint8Array;
 
   /**
-   * Format of the model: glb, gltf, obj, ply, off or stl; empty = told by its first bytes.
+   * Format of the model: glb, gltf, obj, ply, off, stl or fbx; empty = told by its first bytes.
    *
    * @generated from field: string format = 5;
    */

@@ -1,0 +1,162 @@
+//! Vertices of a mesh whose polygons number positions, normals, texture coordinates and colours apart.
+//!
+//! A vertex is made for each combination that occurs, in the order in which polygons name them, so corners with the same
+//! values share one even where the file counts them apart.
+
+use super::super::polygons::Polygons;
+use glam::DVec3;
+use std::collections::HashMap;
+use ufbx::{Mesh, MeshPart};
+
+/// An attribute of corners: for a place in the mesh's corners its value.
+pub(super) type CornerAttribute<'a, const N: usize> = Box<dyn Fn(u32) -> [f32; N] + 'a>;
+
+/// What every corner of a mesh has beyond its position.
+pub(super) struct CornerAttributes<'a> {
+    pub normal: Option<CornerAttribute<'a, 3>>,
+    pub uv: Vec<CornerAttribute<'a, 2>>,
+    pub colours: Vec<CornerAttribute<'a, 4>>,
+}
+
+/// How many sets of texture coordinates or colours come along.
+const MOST_SETS: usize = 8;
+
+impl<'a> CornerAttributes<'a> {
+    /// The attributes of a mesh. Texture coordinates count from the upper left corner of the picture, as glTF has it.
+    pub(super) fn of_mesh(mesh: &'a Mesh) -> Self {
+        let uv = mesh.uv_sets.iter().filter(|set| set.vertex_uv.exists).take(MOST_SETS);
+        let colours = mesh
+            .color_sets
+            .iter()
+            .filter(|set| set.vertex_color.exists)
+            .take(MOST_SETS);
+        Self {
+            normal: mesh.vertex_normal.exists.then(|| {
+                boxed(move |corner| {
+                    let v = value_at(&mesh.vertex_normal.values, &mesh.vertex_normal.indices, corner);
+                    v.map_or([0.0; 3], |v| [v.x, v.y, v.z].map(plain))
+                })
+            }),
+            uv: uv
+                .map(|set| {
+                    boxed(move |corner| {
+                        let v = value_at(&set.vertex_uv.values, &set.vertex_uv.indices, corner);
+                        v.map_or([0.0; 2], |v| [v.x, 1.0 - v.y].map(plain))
+                    })
+                })
+                .collect(),
+            colours: colours
+                .map(|set| {
+                    boxed(move |corner| {
+                        let v = value_at(&set.vertex_color.values, &set.vertex_color.indices, corner);
+                        v.map_or([1.0; 4], |v| [v.x, v.y, v.z, v.w].map(plain))
+                    })
+                })
+                .collect(),
+        }
+    }
+}
+
+fn boxed<'a, const N: usize>(f: impl Fn(u32) -> [f32; N] + 'a) -> CornerAttribute<'a, N> {
+    Box::new(f)
+}
+
+fn value_at<'a, T>(values: &'a [T], indices: &[u32], corner: u32) -> Option<&'a T> {
+    values.get(*indices.get(corner as usize)? as usize)
+}
+
+/// A number in 32 bits, without a sign where it is zero.
+fn plain(value: f64) -> f32 {
+    value as f32 + 0.0
+}
+
+/// The vertices and triangles of the faces of one material.
+#[derive(Default)]
+pub(super) struct PartVertices {
+    /// For each vertex a corner of the mesh that has its values.
+    pub corner: Vec<u32>,
+    /// For each vertex the position of the mesh that it stands at.
+    pub control_point: Vec<u32>,
+    pub triangles: Vec<[u32; 3]>,
+    /// How many faces were too large to cut well.
+    pub crude: usize,
+}
+
+/// The faces of a part as places in the mesh's corners, without holes and with what they stand on in range.
+fn faces_of<'a>(mesh: &'a Mesh, part: &'a MeshPart) -> impl Iterator<Item = std::ops::Range<u32>> + 'a {
+    let is_hole = |face: u32| mesh.face_hole.get(face as usize).copied().unwrap_or(false);
+    let faces = part.face_indices.iter().filter(move |&&face| !is_hole(face));
+    faces.filter_map(|&face| {
+        let face = mesh.faces.get(face as usize)?;
+        let end = face.index_begin.checked_add(face.num_indices)?;
+        let is_face = face.num_indices >= 3 && end as usize <= mesh.vertex_indices.len();
+        is_face.then_some(face.index_begin..end)
+    })
+}
+
+/// How many triangles the faces of a part give.
+pub(super) fn triangle_count(mesh: &Mesh, part: &MeshPart) -> u64 {
+    faces_of(mesh, part).map(|face| face.len() as u64 - 2).sum()
+}
+
+/// Cuts the faces of a part into triangles and makes its vertices.
+pub(super) fn divide(mesh: &Mesh, part: &MeshPart, attributes: &CornerAttributes<'_>) -> PartVertices {
+    let mut polygons = Polygons::default();
+    let mut corners: Vec<u32> = Vec::new();
+    for face in faces_of(mesh, part) {
+        let own = &mesh.vertex_indices.as_ref()[face.start as usize..face.end as usize];
+        if own.iter().all(|&v| (v as usize) < mesh.vertices.len()) {
+            polygons.corners.extend_from_slice(own);
+            polygons.end_face();
+            corners.extend(face);
+        }
+    }
+    let points: Vec<DVec3> = mesh.vertices.iter().map(|p| DVec3::new(p.x, p.y, p.z)).collect();
+    let (slots, crude) = polygons.triangulate(&points);
+
+    let mut ids = polygons.corners.clone();
+    let mut refine = Refinement::default();
+    refine.split(&mut ids, corners.iter().map(|_| [0u32; 1]));
+    let bits = |values: &CornerAttribute<'_, 2>, corner: u32| values(corner).map(f32::to_bits);
+    for set in &attributes.uv {
+        refine.split(&mut ids, corners.iter().map(|&c| bits(set, c)));
+    }
+    for set in &attributes.colours {
+        refine.split(&mut ids, corners.iter().map(|&c| set(c).map(f32::to_bits)));
+    }
+    if let Some(normal) = &attributes.normal {
+        refine.split(&mut ids, corners.iter().map(|&c| normal(c).map(f32::to_bits)));
+    }
+    let mut made = PartVertices {
+        triangles: slots.iter().map(|t| t.map(|slot| ids[slot as usize])).collect(),
+        crude,
+        ..Default::default()
+    };
+    for (slot, &id) in ids.iter().enumerate() {
+        // Numbers are given in the order of first use, so a new one is the next.
+        if id as usize == made.corner.len() {
+            made.corner.push(corners[slot]);
+            made.control_point.push(polygons.corners[slot]);
+        }
+    }
+    made
+}
+
+/// Divides classes of corners further and further.
+#[derive(Default)]
+struct Refinement {
+    known: HashMap<(u32, [u32; 4]), u32>,
+}
+
+impl Refinement {
+    /// Gives corners of one class with different values different numbers, counted by first use.
+    fn split<const N: usize>(&mut self, ids: &mut [u32], values: impl Iterator<Item = [u32; N]>) {
+        self.known.clear();
+        for (id, value) in ids.iter_mut().zip(values) {
+            let mut key = [0; 4];
+            key[..N].copy_from_slice(&value);
+            let next = self.known.len() as u32;
+            *id = *self.known.entry((*id, key)).or_insert(next);
+        }
+    }
+}

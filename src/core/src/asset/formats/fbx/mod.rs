@@ -1,0 +1,86 @@
+//! Autodesk FBX, read and not written: a file becomes a GLB, which is a model like any other.
+//!
+//! What a rest pose, a morph target or a clip is to the rest of the house is said once, by [`gltf`](super::gltf). So an
+//! FBX is made into the GLB that says the same, in metres and with Y up, and what comes back of it is a GLB. The bytes are
+//! taken apart by `ufbx` (one C file, under limits of memory); everything that is handed on is checked here.
+//!
+//! [`scene`] opens the file, [`corners`] makes vertices of the corners of polygons, [`meshes`] primitives of them with
+//! [`morphs`] and [`skins`], [`materials`] base colours and pictures, [`nodes`] places them, [`clips`] samples animation
+//! stacks, [`buffer`] holds the numbers, and [`notes`] what a caller is told.
+
+mod buffer;
+mod clips;
+mod corners;
+mod fault;
+mod materials;
+mod meshes;
+mod morphs;
+mod nodes;
+mod notes;
+mod scene;
+mod skins;
+
+pub(super) use fault::FORMAT;
+
+use super::gltf;
+use crate::asset::codec::{FormatTranslator, Translation};
+use crate::asset::{Error, FileSet, Limits};
+use buffer::GlbBuffer;
+use clips::AddedClips;
+use materials::MaterialTable;
+use nodes::SceneNodes;
+use notes::TranslationNotes;
+use serde_json::{Value, json};
+
+/// Reads FBX by way of GLB.
+pub(super) struct FbxTranslator;
+
+impl FormatTranslator for FbxTranslator {
+    fn companion_names(&self, files: &FileSet) -> Vec<String> {
+        scene::texture_names(files)
+    }
+
+    fn translate(&self, files: &FileSet, limits: &Limits) -> Result<Translation, Error> {
+        let opened = scene::open(files, limits)?;
+        let mut notes = TranslationNotes::default();
+        let version = opened.metadata.version;
+        let message = format!("an FBX {version} file is read as the GLB that comes back, in metres and with Y up");
+        notes.warn("fbx-as-glb", message, "file");
+        scene::tell_of_repairs(&opened, &mut notes);
+        let mut buffer = GlbBuffer::new(limits);
+        let mut materials = MaterialTable::new(files);
+        let nodes = SceneNodes::build(&opened, &mut buffer, &mut materials, &mut notes, limits)?;
+        let clips = AddedClips::build(&opened, &nodes, &mut buffer, &mut notes, limits)?;
+        let (looks, companions) = materials.finish(&mut buffer)?;
+        let main = buffer.finish(document(nodes, clips, looks))?;
+        Ok(Translation {
+            files: FileSet {
+                name: files.name.clone(),
+                main: main.into(),
+                companions,
+            },
+            format: gltf::GLB_FORMAT,
+            warnings: notes.finish(),
+        })
+    }
+}
+
+/// The document of the whole asset, without what its buffer adds.
+fn document(nodes: SceneNodes, clips: AddedClips, looks: materials::LookSections) -> Value {
+    let mut root = json!({"scene": 0, "scenes": [{"nodes": nodes.roots}]});
+    let sections = [
+        ("nodes", nodes.nodes),
+        ("meshes", nodes.meshes),
+        ("skins", nodes.skins),
+        ("materials", looks.materials),
+        ("textures", looks.textures),
+        ("images", looks.images),
+        ("animations", clips.animations),
+    ];
+    for (key, list) in sections {
+        if !list.is_empty() {
+            root[key] = Value::Array(list);
+        }
+    }
+    root
+}

@@ -1,0 +1,157 @@
+//! Opening an FBX with `ufbx`: options, limits, and what its errors and repairs are called here.
+
+use super::fault::{FORMAT, refuse};
+use super::notes::TranslationNotes;
+use crate::asset::material::inside_folder;
+use crate::asset::{Error, FileSet, Limits};
+use std::collections::BTreeSet;
+use ufbx::ErrorType;
+
+/// How deep nodes may hang below each other: far more than any rig, and few enough for all that walks them.
+const DEEPEST: u32 = 1000;
+
+/// How many repairs a warning lists.
+const MOST_LISTED: usize = 4;
+
+/// What decoding may take of memory, and into how many pieces.
+pub(super) fn allocator(limits: &Limits) -> ufbx::AllocatorOpts {
+    ufbx::AllocatorOpts {
+        memory_limit: usize::try_from(limits.decoded_bytes).unwrap_or(usize::MAX).max(1),
+        allocation_limit: 10_000_000,
+        ..Default::default()
+    }
+}
+
+/// Opens a file: in metres, Y up, right-handed, with what glTF cannot say of nodes (geometric transforms, ways to inherit
+/// scale) worked into geometry and nodes. Nothing outside of `files` is opened.
+pub(super) fn open(files: &FileSet, limits: &Limits) -> Result<ufbx::SceneRoot, Error> {
+    load(files, limits, false)
+}
+
+fn load(files: &FileSet, limits: &Limits, names_only: bool) -> Result<ufbx::SceneRoot, Error> {
+    let options = ufbx::LoadOpts {
+        temp_allocator: allocator(limits),
+        result_allocator: allocator(limits),
+        file_format: ufbx::FileFormat::Fbx,
+        no_format_from_content: true,
+        no_format_from_extension: true,
+        ignore_geometry: names_only,
+        ignore_animation: names_only,
+        load_external_files: false,
+        index_error_handling: ufbx::IndexErrorHandling::AbortLoading,
+        clean_skin_weights: true,
+        use_blender_pbr_material: true,
+        normalize_normals: true,
+        node_depth_limit: DEEPEST,
+        target_axes: ufbx::CoordinateAxes::right_handed_y_up(),
+        target_unit_meters: 1.0,
+        space_conversion: ufbx::SpaceConversion::ModifyGeometry,
+        geometry_transform_handling: ufbx::GeometryTransformHandling::ModifyGeometry,
+        inherit_mode_handling: ufbx::InheritModeHandling::Compensate,
+        handedness_conversion_axis: ufbx::MirrorAxis::X,
+        ..Default::default()
+    };
+    ufbx::load_memory(&files.main, options).map_err(|error| fault_of(&error, files, limits))
+}
+
+/// What the reader says of a file, in the words of this house.
+fn fault_of(error: &ufbx::Error, files: &FileSet, limits: &Limits) -> Error {
+    let unsupported = |problem: String, hint: &str| Error::Unsupported {
+        format: FORMAT,
+        place: "file".into(),
+        problem,
+        hint: hint.into(),
+    };
+    match error.type_ {
+        ErrorType::MemoryLimit | ErrorType::AllocationLimit | ErrorType::OutOfMemory => unsupported(
+            format!(
+                "decoding takes more than the {} bytes that are allowed",
+                limits.decoded_bytes
+            ),
+            "divide the model, or have the limit raised",
+        ),
+        ErrorType::NodeDepthLimit => refuse("nodes", format!("hang more than {DEEPEST} deep below each other")),
+        ErrorType::UnsupportedVersion => unsupported(
+            "is of a version of FBX that is not read".into(),
+            "export it as FBX 2014 or newer, or as glb",
+        ),
+        ErrorType::EmptyFile => refuse("file", "is empty"),
+        ErrorType::TruncatedFile => refuse(format!("byte {}", files.main.len()), "the file ends too early"),
+        ErrorType::UnrecognizedFileFormat => refuse("file", "does not begin as an FBX does, binary or text"),
+        ErrorType::BadIndex => refuse(
+            "meshes",
+            "an index of a polygon or attribute is out of range of what it counts",
+        ),
+        _ => {
+            // The reader often says no more than that it failed.
+            let cause = match (&*error.description, error.info()) {
+                ("Failed to load", "") => "a list, number or index in it cannot be".to_owned(),
+                (description, "") => description.to_lowercase(),
+                (description, info) => format!("{} ({info})", description.to_lowercase()),
+            };
+            refuse("file", format!("is broken: {cause}"))
+        }
+    }
+}
+
+/// Tells of what the reader had to mend, in one warning.
+pub(super) fn tell_of_repairs(scene: &ufbx::Scene, notes: &mut TranslationNotes) {
+    let list = &scene.metadata.warnings;
+    let texts: Vec<String> = list
+        .iter()
+        .take(MOST_LISTED)
+        .map(|warning| match warning.count {
+            0 | 1 => warning.description.to_lowercase(),
+            count => format!("{} ({count} times)", warning.description.to_lowercase()),
+        })
+        .collect();
+    if !texts.is_empty() {
+        let more = list.len().saturating_sub(MOST_LISTED);
+        let rest = if more > 0 {
+            format!(" and {more} more")
+        } else {
+            String::new()
+        };
+        let message = format!("mended while reading: {}{rest}", texts.join("; "));
+        notes.warn("fbx-mended", message, "file");
+    }
+}
+
+/// The file of a texture, relative to the model's folder and inside of it: the relative name, else the last part of any.
+/// Exporters write paths of their own machine, and the picture lies beside the model where it came along at all.
+pub(super) fn texture_file(texture: &ufbx::Texture) -> Option<String> {
+    let names = [
+        &texture.relative_filename,
+        &texture.filename,
+        &texture.absolute_filename,
+    ];
+    let inside = names.iter().find_map(|name| inside_folder(name));
+    inside.or_else(|| {
+        let last_part = |name: &str| inside_folder(name.rsplit(['/', '\\']).next().unwrap_or_default());
+        names.iter().find_map(|name| last_part(name))
+    })
+}
+
+/// The bytes of a texture that the file holds itself.
+pub(super) fn embedded_bytes(texture: &ufbx::Texture) -> Option<&[u8]> {
+    let own: &[u8] = &texture.content;
+    let of_video = || texture.video.as_ref().map_or(&[][..], |video| &*video.content);
+    let bytes = if own.is_empty() { of_video() } else { own };
+    (!bytes.is_empty()).then_some(bytes)
+}
+
+/// The names of the files that textures are kept in beside the model, each once. None where the file cannot be read:
+/// whoever reads it says why.
+pub(super) fn texture_names(files: &FileSet) -> Vec<String> {
+    let Ok(scene) = load(files, &Limits::default(), true) else {
+        return Vec::new();
+    };
+    let mut seen = BTreeSet::new();
+    let outside = (&scene.textures)
+        .into_iter()
+        .filter(|texture| embedded_bytes(texture).is_none());
+    outside
+        .filter_map(texture_file)
+        .filter(|name| seen.insert(name.clone()))
+        .collect()
+}
