@@ -146,7 +146,7 @@ impl Geometry {
     }
 
     /// The runs of triangles that belong to each primitive, in order.
-    pub(super) fn triangles_of_primitives(&self) -> impl Iterator<Item = (&Primitive, &[[u32; 3]])> {
+    pub fn triangles_of_primitives(&self) -> impl Iterator<Item = (&Primitive, &[[u32; 3]])> {
         let mut rest = self.triangles.as_slice();
         self.primitives.iter().map(move |primitive| {
             let (run, after) = rest.split_at((primitive.index_count as usize / 3).min(rest.len()));

@@ -5,14 +5,13 @@
 
 use super::super::polygons::Polygons;
 use glam::DVec3;
-use std::collections::HashMap;
 use ufbx::{Mesh, MeshPart};
 
 /// An attribute of corners: for a place in the mesh's corners its value.
 pub(super) type CornerAttribute<'a, const N: usize> = Box<dyn Fn(u32) -> [f32; N] + 'a>;
 
 /// What every corner of a mesh has beyond its position.
-pub(super) struct CornerAttributes<'a> {
+pub(super) struct FbxCornerAttributes<'a> {
     pub normal: Option<CornerAttribute<'a, 3>>,
     pub uv: Vec<CornerAttribute<'a, 2>>,
     pub colours: Vec<CornerAttribute<'a, 4>>,
@@ -21,7 +20,7 @@ pub(super) struct CornerAttributes<'a> {
 /// How many sets of texture coordinates or colours come along.
 const MOST_SETS: usize = 8;
 
-impl<'a> CornerAttributes<'a> {
+impl<'a> FbxCornerAttributes<'a> {
     /// The attributes of a mesh. Texture coordinates count from the upper left corner of the picture, as glTF has it.
     pub(super) fn of_mesh(mesh: &'a Mesh) -> Self {
         let uv = mesh.uv_sets.iter().filter(|set| set.vertex_uv.exists).take(MOST_SETS);
@@ -100,7 +99,7 @@ pub(super) fn triangle_count(mesh: &Mesh, part: &MeshPart) -> u64 {
 }
 
 /// Cuts the faces of a part into triangles and makes its vertices.
-pub(super) fn divide(mesh: &Mesh, part: &MeshPart, attributes: &CornerAttributes<'_>) -> PartVertices {
+pub(super) fn divide(mesh: &Mesh, part: &MeshPart, attributes: &FbxCornerAttributes<'_>) -> PartVertices {
     let mut polygons = Polygons::default();
     let mut corners: Vec<u32> = Vec::new();
     for face in faces_of(mesh, part) {
@@ -115,17 +114,16 @@ pub(super) fn divide(mesh: &Mesh, part: &MeshPart, attributes: &CornerAttributes
     let (slots, crude) = polygons.triangulate(&points);
 
     let mut ids = polygons.corners.clone();
-    let mut refine = Refinement::default();
-    refine.split(&mut ids, corners.iter().map(|_| [0u32; 1]));
+    split(&mut ids, corners.iter().map(|_| [0u32; 1]));
     let bits = |values: &CornerAttribute<'_, 2>, corner: u32| values(corner).map(f32::to_bits);
     for set in &attributes.uv {
-        refine.split(&mut ids, corners.iter().map(|&c| bits(set, c)));
+        split(&mut ids, corners.iter().map(|&c| bits(set, c)));
     }
     for set in &attributes.colours {
-        refine.split(&mut ids, corners.iter().map(|&c| set(c).map(f32::to_bits)));
+        split(&mut ids, corners.iter().map(|&c| set(c).map(f32::to_bits)));
     }
     if let Some(normal) = &attributes.normal {
-        refine.split(&mut ids, corners.iter().map(|&c| normal(c).map(f32::to_bits)));
+        split(&mut ids, corners.iter().map(|&c| normal(c).map(f32::to_bits)));
     }
     let mut made = PartVertices {
         triangles: slots.iter().map(|t| t.map(|slot| ids[slot as usize])).collect(),
@@ -142,21 +140,27 @@ pub(super) fn divide(mesh: &Mesh, part: &MeshPart, attributes: &CornerAttributes
     made
 }
 
-/// Divides classes of corners further and further.
-#[derive(Default)]
-struct Refinement {
-    known: HashMap<(u32, [u32; 4]), u32>,
-}
-
-impl Refinement {
-    /// Gives corners of one class with different values different numbers, counted by first use.
-    fn split<const N: usize>(&mut self, ids: &mut [u32], values: impl Iterator<Item = [u32; N]>) {
-        self.known.clear();
-        for (id, value) in ids.iter_mut().zip(values) {
-            let mut key = [0; 4];
-            key[..N].copy_from_slice(&value);
-            let next = self.known.len() as u32;
-            *id = *self.known.entry((*id, key)).or_insert(next);
+/// Gives corners of one class with different values different numbers, counted by first use.
+fn split<const N: usize>(ids: &mut [u32], values: impl Iterator<Item = [u32; N]>) {
+    let keys: Vec<(u32, [u32; N])> = ids.iter().copied().zip(values).collect();
+    let mut order: Vec<u32> = (0..keys.len() as u32).collect();
+    order.sort_by_key(|&corner| (keys[corner as usize], corner));
+    // The first corner of each class stands for it.
+    let mut first_of = vec![0; keys.len()];
+    let mut first = 0;
+    for (place, &corner) in order.iter().enumerate() {
+        let begins = place == 0 || keys[order[place - 1] as usize] != keys[corner as usize];
+        first = if begins { corner } else { first };
+        first_of[corner as usize] = first;
+    }
+    let mut next = 0;
+    for corner in 0..ids.len() {
+        let first = first_of[corner] as usize;
+        if first == corner {
+            ids[corner] = next;
+            next += 1;
+        } else {
+            ids[corner] = ids[first];
         }
     }
 }

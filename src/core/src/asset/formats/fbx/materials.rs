@@ -28,7 +28,7 @@ struct ShownPicture {
 }
 
 /// The sections of the asset that say how it looks.
-pub(super) struct LookSections {
+pub(super) struct MaterialSections {
     pub materials: Vec<Value>,
     pub textures: Vec<Value>,
     pub images: Vec<Value>,
@@ -126,7 +126,7 @@ impl<'a> MaterialTable<'a> {
     }
 
     /// The sections, with pictures put into the buffer; those of kinds that it cannot hold are files beside the asset.
-    pub(super) fn finish(self, buffer: &mut GlbBuffer) -> Result<(LookSections, BTreeMap<String, Bytes>), Error> {
+    pub(super) fn finish(self, buffer: &mut GlbBuffer) -> Result<(MaterialSections, BTreeMap<String, Bytes>), Error> {
         let (mut images, mut companions) = (Vec::new(), BTreeMap::new());
         for ShownPicture { name, bytes } in self.pictures {
             let kind = bytes.as_deref().and_then(|bytes| gltf::media_type_of(&name, bytes));
@@ -142,7 +142,7 @@ impl<'a> MaterialTable<'a> {
             }
         }
         let textures = (0..images.len()).map(|i| json!({"source": i})).collect();
-        let sections = LookSections {
+        let sections = MaterialSections {
             materials: self.materials,
             textures,
             images,

@@ -1,7 +1,7 @@
 //! Meshes: one primitive for the faces of each material.
 
 use super::buffer::GlbBuffer;
-use super::corners::{self, CornerAttribute, CornerAttributes, PartVertices};
+use super::corners::{self, CornerAttribute, FbxCornerAttributes, PartVertices};
 use super::fault::place_of;
 use super::materials::MaterialTable;
 use super::morphs;
@@ -37,7 +37,7 @@ impl MeshSink<'_, '_> {
         if has_between {
             self.notes.leave_out("in-between shapes");
         }
-        let attributes = CornerAttributes::of_mesh(mesh);
+        let attributes = FbxCornerAttributes::of_mesh(mesh);
         let mut primitives = Vec::new();
         let name = place_of("mesh", &mesh.element);
         for part in &mesh.material_parts {
@@ -89,7 +89,7 @@ impl MeshSink<'_, '_> {
         &mut self,
         mesh: &Mesh,
         part: &PartVertices,
-        attributes: &CornerAttributes<'_>,
+        attributes: &FbxCornerAttributes<'_>,
         place: &str,
     ) -> Result<Value, Error> {
         let positions: Vec<DVec3> = part

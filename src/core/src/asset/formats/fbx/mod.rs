@@ -66,7 +66,7 @@ impl FormatTranslator for FbxTranslator {
 }
 
 /// The document of the whole asset, without what its buffer adds.
-fn document(nodes: SceneNodes, clips: AddedClips, looks: materials::LookSections) -> Value {
+fn document(nodes: SceneNodes, clips: AddedClips, looks: materials::MaterialSections) -> Value {
     let mut root = json!({"scene": 0, "scenes": [{"nodes": nodes.roots}]});
     let sections = [
         ("nodes", nodes.nodes),
