@@ -1,10 +1,11 @@
 //! Primitives that ride along: no part of the solve, and where the body takes them in every shape.
 
-use glam::DVec3;
+use glam::{DMat4, DVec3};
 use pliant_core::asset::{FileSet, Format, sample, shapes};
+use pliant_core::edit::{KeptSide, SubdivisionScheme};
 use pliant_core::engine::{
-    CarriedModel, Deformer, DeformerLimits, Edit, Error, Handle, HandlePose, InputPlace, OpenOptions, Passenger,
-    PassengerKind, Region, SolveSettings,
+    CarriedModel, CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditedShape, Error, Handle, HandlePose,
+    InputPlace, MergeJoin, ModelMerge, OpenOptions, Passenger, PassengerKind, Plane, Region, SolveSettings,
 };
 use pliant_core::exec::Exec;
 use pliant_core::mesh::query::TriangleBvh;
@@ -211,7 +212,7 @@ fn wrong_passengers_are_refused_with_their_number() {
 }
 
 #[test]
-fn what_rides_along_is_neither_held_nor_edited() {
+fn what_rides_along_is_not_held() {
     let pool = Pool::new(1).expect("a thread");
     let exec = Exec::new(&pool, &Silent);
     let (bar, sleeve) = bar_and_sleeve();
@@ -230,14 +231,162 @@ fn what_rides_along_is_neither_held_nor_edited() {
     let up = [("high", HandlePose::translation([0.0, 0.5, 0.0]))];
     let solved = deformer.commit(up, &SolveSettings::default(), &exec).expect("solved");
     assert!(solved.positions.iter().all(|p| p.is_finite()));
-    let edited = deformer.edit_rest(
-        &Edit::Decimate {
-            region: None,
-            ratio: 0.5,
-        },
-        &exec,
-    );
-    assert!(matches!(edited, Err(Error::Precondition(told)) if told.contains("passengers")));
+}
+
+/// The triangles of a primitive of the model as it is now.
+fn faces_of(deformer: &Deformer, primitive: usize) -> Vec<[u32; 3]> {
+    let faces: Vec<Vec<[u32; 3]>> = (deformer.geometry().triangles_of_primitives())
+        .map(|(p, faces)| faces.iter().map(|t| t.map(|v| v - p.first_vertex)).collect())
+        .collect();
+    faces[primitive].clone()
+}
+
+/// The vertices of a primitive in a shape.
+fn vertices_of<'a>(deformer: &Deformer, primitive: usize, positions: &'a [DVec3]) -> &'a [DVec3] {
+    &positions[deformer.geometry().primitives[primitive].vertices()]
+}
+
+#[test]
+fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (bar, sleeve) = bar_and_sleeve();
+    let settings = SolveSettings::default();
+    let cut = Edit::Cut {
+        along: CutLine::Plane(Plane::new([0.0, 1.0, 0.0], 2.5)),
+        keep: KeptSide::Below,
+        fill: true,
+    };
+    let halves = Edit::Subdivide {
+        region: Some(Region::half_space([0.0, 1.0, 0.0], 1.6)),
+        scheme: SubdivisionScheme::Midpoint,
+    };
+    let thin = Edit::Decimate {
+        region: None,
+        ratio: 0.6,
+    };
+    // Before, between and after what is solved.
+    for (own, parts) in [
+        (0, vec![("sleeve", &sleeve), ("body", &bar)]),
+        (1, vec![("body", &bar), ("sleeve", &sleeve)]),
+    ] {
+        let other = 1 - own;
+        let files = model_of(&parts);
+        let options = riding(PassengerKind::PrimitivesNamed("sleeve".into()));
+        let mut deformer = open(files, &options, &exec).expect("opened");
+        let low = Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.2));
+        let high = Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 2.2));
+        deformer.set_handles([low, high], &exec).expect("held");
+        let faces = faces_of(&deformer, own);
+        for edit in [&cut, &halves, &thin] {
+            let bend = [("high", HandlePose::rotation([0.5, 0.0, 0.0]))];
+            let bent = deformer.commit(bend, &settings, &exec).expect("solved");
+            let seat = vertices_of(&deformer, own, &bent.positions).to_vec();
+            let (state, rest) = (deformer.topology_state(), deformer.rest().to_vec());
+            let before = faces_of(&deformer, other).len();
+            let command = EditCommand {
+                edit,
+                on: EditedShape::Current,
+                shape: &bent.shape(),
+                poses: &deformer.initial_poses(),
+                settings: Some(&settings),
+            };
+            let outcome = deformer.edit(&command, &exec).expect("edited");
+            assert_eq!(faces_of(&deformer, own), faces, "no edit touches what rides along");
+            assert_ne!(faces_of(&deformer, other).len(), before);
+            assert_eq!(outcome.report.after.faces as usize, deformer.geometry().triangles.len());
+            assert_eq!(
+                vertices_of(&deformer, own, deformer.rest()),
+                seat,
+                "it stays where the bent body took it"
+            );
+            assert!(
+                deformer
+                    .facts()
+                    .warnings
+                    .iter()
+                    .all(|w| w.code != "unreferenced-vertex")
+            );
+
+            // It goes on riding, and it is written.
+            let on = deformer.commit([("high", HandlePose::translation([0.2, 0.3, 0.0]))], &settings, &exec);
+            let on = on.expect("solved").positions;
+            let moved = seat
+                .iter()
+                .zip(vertices_of(&deformer, own, &on))
+                .map(|(a, b)| a.distance(*b));
+            assert!(moved.fold(0.0, f64::max) > 0.05, "it moves with the body");
+            let written = deformer.write(&on, Format::GLB).expect("written");
+            let again = FileSet::single("again.glb", written.main);
+            let again = open(again, &OpenOptions::default(), &exec).expect("read back");
+            assert_eq!(faces_of(&again, own).len(), faces.len());
+            assert_eq!(faces_of(&again, other).len(), faces_of(&deformer, other).len());
+            let seen = vertices_of(&again, own, again.rest());
+            let wanted = vertices_of(&deformer, own, &on);
+            assert!(seen.iter().zip(wanted).all(|(a, b)| a.distance(*b) < 1e-6));
+
+            // Back and forth, to the bit.
+            let after = (
+                deformer.topology_state(),
+                deformer.rest().to_vec(),
+                deformer.geometry().triangles.clone(),
+            );
+            deformer.restore_topology(&state, &exec).expect("undone");
+            assert_eq!(deformer.rest()[..], rest[..]);
+            assert_eq!(faces_of(&deformer, other).len(), before);
+            deformer.restore_topology(&after.0, &exec).expect("redone");
+            assert_eq!(
+                (&deformer.rest()[..], &deformer.geometry().triangles),
+                (&after.1[..], &after.2)
+            );
+            let ends = [
+                Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.2)),
+                Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 2.0)),
+            ];
+            deformer.set_handles(ends, &exec).expect("held");
+        }
+    }
+}
+
+#[test]
+fn edits_of_the_rest_shape_and_merged_models_leave_passengers_alone() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let (bar, sleeve) = bar_and_sleeve();
+    let files = model_of(&[("sleeve", &sleeve), ("body", &bar)]);
+    let mut deformer = open(files, &riding(PassengerKind::Primitive(0)), &exec).expect("opened");
+    let rest = vertices_of(&deformer, 0, deformer.rest()).to_vec();
+    let beside: Shape = (bar.0.iter().map(|p| *p + DVec3::X * 3.0).collect(), bar.1.clone());
+    let merge = Edit::Merge(Box::new(ModelMerge {
+        files: model_of(&[("second", &beside)]),
+        from_session: false,
+        format: None,
+        own_from_other: DMat4::IDENTITY,
+        join: MergeJoin::Loose,
+        tolerance: None,
+    }));
+    let thin = Edit::Decimate {
+        region: None,
+        ratio: 0.5,
+    };
+    let weld = Edit::Weld { tolerance: 1e-4 };
+    for edit in [merge, thin, weld] {
+        deformer.edit_rest(&edit, &exec).expect("edited");
+        assert_eq!(vertices_of(&deformer, 0, deformer.rest()), rest);
+        assert_eq!(faces_of(&deformer, 0), sleeve.1);
+        assert_eq!(deformer.geometry().primitives.len(), 3);
+        let marked: Vec<bool> = deformer.geometry().primitives.iter().map(|p| p.is_passenger).collect();
+        assert_eq!(marked, [true, false, false]);
+    }
+    for format in [Format::GLB, Format::OBJ] {
+        let written = deformer.write(deformer.rest(), format).expect("written");
+        let again = open(FileSet::single("again", written.main), &OpenOptions::default(), &exec).expect("read back");
+        assert_eq!(
+            again.geometry().triangles.len(),
+            deformer.geometry().triangles.len(),
+            "{format}"
+        );
+    }
 }
 
 /// A level of detail of a quarter of the triangles lies on the deformed original as it lay on the original, within half a

@@ -32,11 +32,6 @@ impl Deformer {
     pub fn edit(&mut self, order: &EditCommand<'_>, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
         exec.progress.report("edit", 0.0);
         let at_rest = order.on == EditedShape::Rest;
-        if self.topology().has_passengers() {
-            let problem =
-                "a model whose primitives ride along as passengers is not edited; edit it first and open the result";
-            return Err(Error::Precondition(problem.into()));
-        }
         if order.shape.positions.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }
@@ -105,9 +100,11 @@ impl Deformer {
         planned: &PlannedEdit,
         carried: &CarriedHandles,
     ) -> EditReport {
+        // What rides along is in no patch.
+        let riding = self.topology().passenger_triangles();
         let mut report = EditReport {
             before: mesh_counts(before.0, before.1),
-            after: mesh_counts(applied.positions.len(), applied.triangles.len()),
+            after: mesh_counts(applied.positions.len(), applied.triangles.len() + riding),
             handles_kept: carried.kept.clone(),
             warnings: carried.warnings.clone(),
             kept: kept_vertex_runs(applied, before.0),
@@ -220,7 +217,7 @@ impl Deformer {
             ),
             (
                 "the number of triangles after the edit",
-                applied.triangles.len(),
+                applied.triangles.len() + self.topology().passenger_triangles(),
                 limits.triangles,
             ),
         ];

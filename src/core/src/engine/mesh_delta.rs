@@ -87,8 +87,8 @@ impl MeshDelta {
         }
         // A triangle that kept its place but not its corners, as where points were joined, is a new one.
         let mut fresh = Vec::new();
-        let old_triangle = |(t, &source): (&[u32; 3], &u32)| {
-            let old = applied.old_from_triangle.get(source as usize).copied().unwrap_or(NONE);
+        let old_triangle = |(k, t): (usize, &[u32; 3])| {
+            let old = applied.old_from_triangle.get(k).copied().unwrap_or(NONE);
             let same = triangles.get(old as usize).is_some_and(|o| t.map(was) == *o);
             if same {
                 return old;
@@ -98,7 +98,7 @@ impl MeshDelta {
         };
         Self {
             points: NumberRuns::from_numbers((0..mesh.positions.len() as u32).map(was)),
-            triangles: NumberRuns::from_numbers(mesh.triangles.iter().zip(&mesh.source_triangle).map(old_triangle)),
+            triangles: NumberRuns::from_numbers(mesh.triangles.iter().enumerate().map(old_triangle)),
             placed,
             fresh,
         }

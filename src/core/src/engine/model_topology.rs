@@ -69,11 +69,14 @@ impl ModelTopology {
 
     /// The mesh that the solver sees.
     pub fn mesh(&self, weld: Weld) -> Result<Mesh, Error> {
-        let triangles = &self.geometry().triangles;
-        let mesh = match &self.edited {
-            None if self.has_passengers() => self.mesh_without_passengers(weld),
+        let build = |triangles: &[[u32; 3]]| match &self.edited {
             None => Mesh::build(&self.rest, triangles, weld),
             Some(e) => Mesh::of_points(&self.rest, triangles, e.point_of.clone(), e.points as usize),
+        };
+        let mesh = if self.has_passengers() {
+            self.mesh_without_passengers(build)
+        } else {
+            build(&self.geometry().triangles)
         };
         let format = self.model.format;
         mesh.map_err(|e| {
@@ -94,13 +97,16 @@ impl ModelTopology {
     }
 
     /// The mesh of all triangles but those of passengers, in the numbers of all.
-    fn mesh_without_passengers(&self, weld: Weld) -> Result<Mesh, crate::mesh::Error> {
+    fn mesh_without_passengers(
+        &self,
+        build: impl Fn(&[[u32; 3]]) -> Result<Mesh, crate::mesh::Error>,
+    ) -> Result<Mesh, crate::mesh::Error> {
         let geometry = self.geometry();
         let of_triangle = triangle_primitives(&geometry.primitives, geometry.triangles.len());
         let solved = |t: &u32| !geometry.primitives[of_triangle[*t as usize] as usize].is_passenger;
         let kept: Vec<u32> = (0..geometry.triangles.len() as u32).filter(solved).collect();
         let triangles: Vec<[u32; 3]> = kept.iter().map(|&t| geometry.triangles[t as usize]).collect();
-        let mut mesh = Mesh::build(&self.rest, &triangles, weld)?;
+        let mut mesh = build(&triangles)?;
         let Mesh {
             source_triangle,
             collapsed_triangles,
@@ -113,9 +119,16 @@ impl ModelTopology {
         Ok(mesh)
     }
 
-    /// What the vertices are made of; `mesh` is this model's.
+    /// Number of triangles that ride along.
+    pub fn passenger_triangles(&self) -> usize {
+        let passengers = self.geometry().primitives.iter().filter(|p| p.is_passenger);
+        passengers.map(|p| p.index_count as usize / 3).sum()
+    }
+
+    /// What the vertices and the triangles of the mesh are made of; `mesh` is this model's.
     pub fn origins(&self, mesh: &Mesh) -> VertexOrigins {
         match &self.edited {
+            Some(e) if self.has_passengers() => e.origins.with_triangles(&mesh.source_triangle),
             Some(e) => e.origins.clone(),
             None => VertexOrigins::of_model(&self.model, &mesh.source_triangle),
         }
@@ -149,8 +162,8 @@ impl ModelTopology {
     ) -> (Self, PatchedSurface) {
         let normals = edited_normals(before, &applied);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
-        let origins = origins.after_edit(&applied, patch, own);
-        let geometry = Geometry {
+        let mut origins = origins.after_edit(&applied, patch, own);
+        let mut geometry = Geometry {
             positions: Vec::new(),
             normals,
             tangents: edited_tangents(before, &applied, patch),
@@ -158,6 +171,9 @@ impl ModelTopology {
             warnings: self.model.warnings.clone(),
             triangles: take(&mut applied.triangles),
         };
+        if self.has_passengers() {
+            self.seat_passengers(&mut geometry, &mut origins, &applied.vertex_from_old);
+        }
         let topology = Self {
             model: Arc::clone(&self.model),
             sha256: Arc::clone(&self.sha256),
@@ -172,6 +188,40 @@ impl ModelTopology {
             }),
         };
         (topology, applied)
+    }
+
+    /// Puts the triangles of passengers, which no edit touches, back among those of an edited mesh: `geometry` and `origins`
+    /// have all primitives and the triangles of the others.
+    fn seat_passengers(&self, geometry: &mut Geometry, origins: &mut VertexOrigins, vertex_from_old: &[u32]) {
+        let old = self.geometry();
+        let mut own = old.triangles_of_primitives();
+        let (mut triangles, mut was) = (Vec::new(), Vec::new());
+        let (mut solved, mut first_old) = (0, 0);
+        for primitive in &mut geometry.primitives {
+            let (before, theirs) = own.next().unzip();
+            let theirs = theirs.unwrap_or_default();
+            if before.is_some_and(|p| p.is_passenger) {
+                primitive.index_count = 3 * theirs.len() as u32;
+                triangles.extend(theirs.iter().map(|t| t.map(|v| vertex_from_old[v as usize])));
+                was.extend((first_old..first_old + theirs.len()).map(|t| self.base_triangle(t)));
+            } else {
+                let end = solved + primitive.index_count as usize / 3;
+                triangles.extend_from_slice(&geometry.triangles[solved..end]);
+                was.extend((solved..end).map(|t| origins.base_triangle(t)));
+                solved = end;
+            }
+            first_old += theirs.len();
+        }
+        geometry.triangles = triangles;
+        origins.set_triangles(was);
+    }
+
+    /// The triangle of its base that a triangle was.
+    fn base_triangle(&self, triangle: usize) -> u32 {
+        match &self.edited {
+            Some(e) => e.origins.base_triangle(triangle),
+            None => triangle as u32,
+        }
     }
 
     /// Whether a cut has made parts that touch and do not belong together.

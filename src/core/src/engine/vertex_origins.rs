@@ -58,6 +58,24 @@ impl VertexOrigins {
         self.bases.push((Arc::clone(model), placement));
     }
 
+    /// The same with the triangles of these numbers alone.
+    pub fn with_triangles(&self, numbers: &[u32]) -> Self {
+        Self {
+            triangles: numbers.iter().map(|&t| self.base_triangle(t as usize)).collect(),
+            ..self.clone()
+        }
+    }
+
+    /// The triangle of its base that a triangle was; [`NONE`] for one that an edit has made.
+    pub fn base_triangle(&self, triangle: usize) -> u32 {
+        self.triangles.get(triangle).copied().unwrap_or(NONE)
+    }
+
+    /// Says anew which triangle of its base each triangle was.
+    pub fn set_triangles(&mut self, was: Vec<u32>) {
+        self.triangles = was;
+    }
+
     /// What the vertices are made of after an edit. `bare` tells of new vertices whether their surface is the edit's own.
     pub fn after_edit(&self, applied: &PatchedSurface, patch: &SurfacePatch, bare: impl Fn(usize) -> bool) -> Self {
         let old = self.blends.len();
