@@ -5,7 +5,7 @@
 use super::check::{enumerated, number};
 use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
-use crate::asset::{Following, Format, MorphTargetRule};
+use crate::asset::{Following, Format, MorphTargetRule, RigRule};
 use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, TieOptions, VolumeMode};
 use crate::engine::{KeptApart, OpenOptions};
 use crate::graph::VolumeOptions;
@@ -105,6 +105,10 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         pb::create_options::morph_targets::Rule::Follow => MorphTargetRule::Follow,
         pb::create_options::morph_targets::Rule::Keep => MorphTargetRule::Keep,
     };
+    let rig = match enumerated(create.rig, "rig")? {
+        pb::create_options::rig::Rule::Follow => RigRule::Follow,
+        pb::create_options::rig::Rule::Keep => RigRule::Keep,
+    };
     let volume = create.volume_graph.unwrap_or_default();
     let mode = match enumerated(volume.mode, "volumeGraph.mode")? {
         pb::create_options::volume_graph::Mode::Auto => VolumeMode::Auto,
@@ -150,7 +154,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             ties,
         },
         passengers: passengers(&create.passengers)?,
-        following: Following { morph_targets },
+        following: Following { morph_targets, rig },
         kept_apart: kept_apart(create.keep_apart.as_ref())?,
     })
 }

@@ -9,6 +9,7 @@ mod hostile_gltf;
 mod materials;
 mod morphs;
 mod polygons;
+mod rigs;
 mod roundtrip_gltf;
 mod roundtrip_text;
 mod skins;

@@ -76,6 +76,7 @@ fn a_turned_and_grown_model_shows_its_targets_turned_and_grown() {
 fn targets_that_are_to_stay_keep_their_numbers() {
     let following = Following {
         morph_targets: MorphTargetRule::Keep,
+        ..Following::default()
     };
     for (path, model, file) in morphed_models("kept targets") {
         let positions: Vec<DVec3> = model.positions.iter().map(|p| DVec3::new(p.y, p.z, p.x)).collect();

@@ -8,7 +8,7 @@ use crate::support::data::data_folder;
 use glam::DVec3;
 use gltf_parsed::{Parsed, parse};
 use gltf_sets::{file_set, gltf_files};
-use pliant::asset::{FileSet, Format, Limits, Model, Primitive, WrittenFiles};
+use pliant::asset::{FileSet, Following, Format, Limits, Model, Primitive, RigRule, WrittenFiles};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -72,6 +72,17 @@ fn owned(files: &FileSet) -> BTreeMap<String, Vec<u8>> {
         .iter()
         .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
         .collect()
+}
+
+/// Writes a model while its skeleton stays as it is.
+fn write_without_rig(model: &Model, positions: &[DVec3]) -> WrittenFiles {
+    let following = Following {
+        rig: RigRule::Keep,
+        ..Following::default()
+    };
+    model
+        .write_following(positions, model.format, following)
+        .expect("writable")
 }
 
 #[test]
@@ -189,7 +200,8 @@ fn a_part_that_stays_keeps_its_bytes() {
         wanted[..first.vertex_count as usize]
             .iter_mut()
             .for_each(|p| p.y += 0.125);
-        let again = read_back(&model.write(&wanted, model.format).expect("writable"), model.format);
+        // Where joints follow, what stays is drawn by other matrices; the laws of rigs look at its bytes there.
+        let again = read_back(&write_without_rig(&model, &wanted), model.format);
         for p in rest {
             let run = p.first_vertex as usize..(p.first_vertex + p.vertex_count) as usize;
             let used: BTreeSet<u32> = model
@@ -329,7 +341,7 @@ fn a_moved_model_differs_in_geometry_only() {
             continue;
         }
         let before = parse(&model.files.main, &owned(&model.files));
-        let written = model.write(&swayed(&model), model.format).expect("writable");
+        let written = write_without_rig(&model, &swayed(&model));
         let after = parse(&written.main, &written.companions);
 
         let mut found = Vec::new();

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Every skinned model of data/gltf that is read, with its path and the document.
-fn skinned_models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
+pub fn skinned_models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
     let Some(data) = data_folder(what) else {
         return Vec::new();
     };
@@ -34,19 +34,19 @@ fn skinned_models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
     models
 }
 
-fn corners(positions: &[DVec3]) -> (DVec3, DVec3) {
+pub fn corners(positions: &[DVec3]) -> (DVec3, DVec3) {
     let low = positions.iter().fold(DVec3::INFINITY, |a, &p| a.min(p));
     (low, positions.iter().fold(DVec3::NEG_INFINITY, |a, &p| a.max(p)))
 }
 
-fn diagonal(positions: &[DVec3]) -> f64 {
+pub fn diagonal(positions: &[DVec3]) -> f64 {
     let (low, high) = corners(positions);
     (high - low).length()
 }
 
 /// The largest distance of a model's vertices from where a plain player of the file draws them; `None` for files that it does
 /// not read.
-fn off_from_drawn(model_positions: &[DVec3], model: &Model, file: &Parsed) -> Option<f64> {
+pub fn off_from_drawn(model_positions: &[DVec3], model: &Model, file: &Parsed) -> Option<f64> {
     let drawn = draw(file, None, &[])?;
     let mut worst = 0.0_f64;
     for row in &model.primitives {
@@ -171,7 +171,7 @@ fn leant(positions: &[DVec3]) -> Vec<DVec3> {
     positions.iter().map(lean).collect()
 }
 
-fn read_back(written: &WrittenFiles, format: Format) -> (Model, Parsed) {
+pub fn read_back(written: &WrittenFiles, format: Format) -> (Model, Parsed) {
     let files = pliant::asset::FileSet {
         name: "written".into(),
         main: written.main.clone().into(),

@@ -115,6 +115,8 @@ class CreateFields(TypedDict, total=False):
     passengers: Sequence[Union[int, str]]
     #: Whether morph targets of glTF turn and grow with the surface under them.
     morph_targets: Literal["follow", "keep"]
+    #: Whether joints of skinned glTF move and turn with what they hold.
+    rig: Literal["follow", "keep"]
     #: Whether parts that touch are tied, so that they deform as one.
     parts: Literal["tied", "separate"]
     #: How far apart two parts may lie to be tied, in model units; absent = chosen from the model.
@@ -145,6 +147,8 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
                 put(passenger, "primitives_named" if isinstance(which, str) else "primitive", which)
         elif name == "morph_targets":
             message.morph_targets = enum(name, pb.CreateOptions.MorphTargets.Rule, value)
+        elif name == "rig":
+            message.rig = enum(name, pb.CreateOptions.Rig.Rule, value)
         elif name == "parts":
             message.parts = enum(name, pb.CreateOptions.Parts, value)
         elif name == "tie_distance":

@@ -39,7 +39,7 @@ mod write;
 pub use edited::{BaseModel, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
 pub use error::Error;
 pub use files::{FileSet, Limits, WrittenFiles};
-pub use following::{Following, MorphTargetRule};
+pub use following::{Following, MorphTargetRule, RigRule};
 pub use format::Format;
 pub use geometry::{Geometry, Primitive};
 pub use look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};

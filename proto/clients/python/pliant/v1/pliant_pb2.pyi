@@ -24,7 +24,7 @@ class Companion(_message.Message):
     def __init__(self, uri: _Optional[str] = ...) -> None: ...
 
 class CreateOptions(_message.Message):
-    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "parts", "tie_distance", "keep_apart", "passengers")
+    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "rig", "parts", "tie_distance", "keep_apart", "passengers")
     class Components(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         FOLLOW: _ClassVar[CreateOptions.Components]
@@ -91,6 +91,15 @@ class CreateOptions(_message.Message):
         FOLLOW: CreateOptions.MorphTargets.Rule
         KEEP: CreateOptions.MorphTargets.Rule
         def __init__(self) -> None: ...
+    class Rig(_message.Message):
+        __slots__ = ()
+        class Rule(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            FOLLOW: _ClassVar[CreateOptions.Rig.Rule]
+            KEEP: _ClassVar[CreateOptions.Rig.Rule]
+        FOLLOW: CreateOptions.Rig.Rule
+        KEEP: CreateOptions.Rig.Rule
+        def __init__(self) -> None: ...
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     VOLUME_GRAPH_FIELD_NUMBER: _ClassVar[int]
     COMPONENTS_FIELD_NUMBER: _ClassVar[int]
@@ -100,6 +109,7 @@ class CreateOptions(_message.Message):
     WELD_FIELD_NUMBER: _ClassVar[int]
     OPERATORS_FIELD_NUMBER: _ClassVar[int]
     MORPH_TARGETS_FIELD_NUMBER: _ClassVar[int]
+    RIG_FIELD_NUMBER: _ClassVar[int]
     PARTS_FIELD_NUMBER: _ClassVar[int]
     TIE_DISTANCE_FIELD_NUMBER: _ClassVar[int]
     KEEP_APART_FIELD_NUMBER: _ClassVar[int]
@@ -113,11 +123,12 @@ class CreateOptions(_message.Message):
     weld: CreateOptions.Weld
     operators: CreateOptions.Operators
     morph_targets: CreateOptions.MorphTargets.Rule
+    rig: CreateOptions.Rig.Rule
     parts: CreateOptions.Parts
     tie_distance: float
     keep_apart: CreateOptions.KeepApart
     passengers: _containers.RepeatedCompositeFieldContainer[Passenger]
-    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., parts: _Optional[_Union[CreateOptions.Parts, str]] = ..., tie_distance: _Optional[float] = ..., keep_apart: _Optional[_Union[CreateOptions.KeepApart, _Mapping]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
+    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., rig: _Optional[_Union[CreateOptions.Rig.Rule, str]] = ..., parts: _Optional[_Union[CreateOptions.Parts, str]] = ..., tie_distance: _Optional[float] = ..., keep_apart: _Optional[_Union[CreateOptions.KeepApart, _Mapping]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
 
 class Passenger(_message.Message):
     __slots__ = ("name", "primitive", "primitives_named", "points", "file")

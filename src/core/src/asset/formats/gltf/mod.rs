@@ -3,8 +3,8 @@
 //! What a deformation does not change comes back as it was: the JSON text outside the changed places to the byte, the
 //! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins. Existing indices never change; what is new is appended.
 //!
-//! Displacements of morph targets turn and grow with the surface around their vertices ([`targets`]), unless they are to
-//! stay.
+//! Displacements of morph targets turn and grow with the surface around their vertices ([`targets`]), and skeletons follow
+//! the body ([`rig`]), unless they are to stay.
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
 //! [`text`], [`check`] checks references and ranges, [`companions`] tells which files it names, [`buffers`] finds bytes
@@ -61,6 +61,7 @@ mod package;
 mod patch;
 mod placement;
 mod read;
+mod rig;
 mod scene;
 mod schema;
 mod seams;
@@ -83,7 +84,7 @@ use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::look::SurfaceLook;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::{Error, FileSet, Following, Format, Limits, Model, MorphTargetRule, WrittenFiles};
+use crate::asset::{Error, FileSet, Following, Format, Limits, Model, MorphTargetRule, RigRule, WrittenFiles};
 use crate::mesh::local_turns::local_turns;
 use glam::DVec3;
 use std::sync::Arc;
@@ -111,6 +112,15 @@ impl FormatCodec for GltfCodec {
         let notes = model.notes_or_refuse(format)?;
         let (doc, mut buffers) = read::reopen(model, notes)?;
         let rest = &model.geometry;
+        let mut rig = None;
+        if following.rig == RigRule::Follow && rig::has_rig(notes) {
+            let shape = rig::shape_of_rows(&doc, &mut buffers, notes, rest, positions)?;
+            rig = rig::FollowedRig::fit(&doc, &mut buffers, notes, &shape)?.map(|rig| {
+                let to_write = rig.positions_to_write(&shape);
+                (rig, to_write)
+            });
+        }
+        let positions = rig.as_ref().map_or(positions, |(_, to_write)| to_write);
         let follows = following.morph_targets == MorphTargetRule::Follow && targets::has_targets(&doc);
         let shape = deformed::NewShape {
             rest,
@@ -121,7 +131,10 @@ impl FormatCodec for GltfCodec {
         let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape)?;
         let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
-        let written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
+        let mut written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
+        if let Some((rig, _)) = rig {
+            written = rig.rewrite(written, format)?;
+        }
         self_contained_if_new(written, model.format, format)
     }
 

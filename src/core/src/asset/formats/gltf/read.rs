@@ -28,6 +28,8 @@ pub(super) struct PlacedPrimitive {
     pub(super) primitive: usize,
     /// The skin of its node.
     pub(super) skin: Option<usize>,
+    /// Whether the joints of that skin place it.
+    pub(super) follows_joints: bool,
     /// How its stored vertices get into the world.
     pub(super) placement: Placement,
     /// Its first render vertex, and one past its last.
@@ -69,8 +71,12 @@ const UNLIMITED: Limits = Limits {
 
 /// Parses the document of a model that was read before, and finds its bytes.
 pub(super) fn reopen<'a>(model: &'a Model, notes: &'a GltfNotes) -> Result<(GltfDocument<'a>, BufferBytes), Error> {
-    let files = notes.files(model);
-    let doc = GltfDocument::parse(files, notes.format)?;
+    parse_again(notes.files(model), notes.format)
+}
+
+/// Parses the document of files that are known to be right, and finds its bytes.
+pub(super) fn parse_again(files: &FileSet, format: Format) -> Result<(GltfDocument<'_>, BufferBytes), Error> {
+    let doc = GltfDocument::parse(files, format)?;
     super::check::check(&doc)?;
     let buffers = BufferBytes::load(&doc, files, &UNLIMITED)?;
     Ok((doc, buffers))
@@ -262,7 +268,11 @@ impl GltfReader<'_, '_> {
             return Ok(false);
         }
         let stored = accessors::read_floats(doc, &self.buffers, positions, ShapeAttribute::Position)?;
-        let (how, transforms) = self.find_transforms(scene, placement, primitive, &stored, &place())?;
+        let by_joints = self.find_transforms(scene, placement, primitive, &stored, &place())?;
+        let follows_joints = by_joints.is_some();
+        let of_node = placement.world_from_mesh;
+        let by_node = (Placement::Whole(of_node), VertexTransforms::Whole(of_node));
+        let (how, transforms) = by_joints.unwrap_or(by_node);
         let placed = PlacedVertices {
             primitive,
             node: placement.node,
@@ -302,6 +312,7 @@ impl GltfReader<'_, '_> {
             mesh: placement.mesh,
             primitive: p,
             skin: placement.skin,
+            follows_joints,
             placement: how,
             vertices: first_vertex..self.geometry.positions.len(),
             triangles: first_triangle..self.geometry.triangles.len(),
@@ -341,7 +352,8 @@ impl GltfReader<'_, '_> {
         Ok(to_triangles(&corners, primitive.mode()))
     }
 
-    /// How the vertices of a primitive get into the world. A skin that cannot say leaves them where they were bound.
+    /// How joints put the vertices of a primitive into the world; `None` where its node does. A skin that cannot say leaves
+    /// them where they were bound.
     fn find_transforms(
         &mut self,
         scene: &PlacedScene,
@@ -349,24 +361,22 @@ impl GltfReader<'_, '_> {
         primitive: &MeshPrimitive,
         stored: &[f32],
         place: &str,
-    ) -> Result<(Placement, VertexTransforms), Error> {
-        let of_node = placement.world_from_mesh;
-        let by_node = (Placement::Whole(of_node), VertexTransforms::Whole(of_node));
+    ) -> Result<Option<(Placement, VertexTransforms)>, Error> {
         let Some(skin) = placement.skin else {
-            return Ok(by_node);
+            return Ok(None);
         };
         let by_joints = match self.skin_pose(scene, skin) {
             Ok(pose) => self.place_by_joints(&pose, primitive, stored, place)?,
             Err(problem) => Err(problem),
         };
-        Ok(by_joints.unwrap_or_else(|problem| {
+        if let Err(problem) = &by_joints {
             let message = format!(
                 "skin {skin} of node {} does not say where it stands ({problem}); it is taken in bind coordinates",
                 placement.node
             );
             self.warn("skin-not-applied", message, place);
-            by_node
-        }))
+        }
+        Ok(by_joints.ok())
     }
 
     /// The joints of a skin in the rest pose.

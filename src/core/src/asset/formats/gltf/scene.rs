@@ -22,6 +22,8 @@ pub(super) struct PlacedScene {
     pub(super) placements: Vec<MeshPlacement>,
     /// For each node of the document the transform from its space to the world's.
     pub(super) world_from_node: Vec<DAffine3>,
+    /// For each node the one that it is a child of.
+    pub(super) parents: Vec<Option<usize>>,
     /// Whether the scene reaches each node.
     pub(super) is_reached: Vec<bool>,
 }
@@ -85,6 +87,7 @@ pub(super) fn place_meshes(doc: &GltfDocument<'_>, warnings: &mut Warnings) -> R
     Ok(PlacedScene {
         placements,
         world_from_node,
+        parents,
         is_reached: visited,
     })
 }
@@ -135,7 +138,8 @@ fn world_transforms(doc: &GltfDocument<'_>, parents: &[Option<usize>]) -> Result
         .collect()
 }
 
-fn local_transform(doc: &GltfDocument<'_>, index: usize, node: &GltfNode) -> Result<DAffine3, Error> {
+/// The transform from a node's space to its parent's.
+pub(super) fn local_transform(doc: &GltfDocument<'_>, index: usize, node: &GltfNode) -> Result<DAffine3, Error> {
     let place = || format!("nodes/{index}");
     if let Some(m) = node.matrix {
         if node.translation.is_some() || node.rotation.is_some() || node.scale.is_some() {
@@ -154,8 +158,7 @@ fn local_transform(doc: &GltfDocument<'_>, index: usize, node: &GltfNode) -> Res
         });
     }
     let rotation = match node.rotation {
-        None => DMat3::IDENTITY,
-        Some([0.0, 0.0, 0.0, 1.0]) => DMat3::IDENTITY,
+        None => DQuat::IDENTITY,
         Some(r) => {
             // Writers round quaternions; only one without a direction means nothing.
             let q = DQuat::from_array(r);
@@ -165,17 +168,25 @@ fn local_transform(doc: &GltfDocument<'_>, index: usize, node: &GltfNode) -> Res
                     .fault
                     .malformed(place() + "/rotation", format!("{r:?} is not a rotation")));
             }
-            DMat3::from_quat(q / length)
+            q / length
         }
     };
     let scale = DVec3::from_array(node.scale.unwrap_or([1.0; 3]));
+    let translation = DVec3::from_array(node.translation.unwrap_or_default());
+    Ok(joined_transform(translation, rotation, scale))
+}
+
+/// First a scale, then a rotation (a unit quaternion), then a translation.
+pub(super) fn joined_transform(translation: DVec3, rotation: DQuat, scale: DVec3) -> DAffine3 {
+    let rotation = if rotation == DQuat::IDENTITY {
+        DMat3::IDENTITY
+    } else {
+        DMat3::from_quat(rotation)
+    };
     let matrix3 = DMat3::from_cols(
         rotation.x_axis * scale.x,
         rotation.y_axis * scale.y,
         rotation.z_axis * scale.z,
     );
-    Ok(DAffine3 {
-        matrix3,
-        translation: DVec3::from_array(node.translation.unwrap_or_default()),
-    })
+    DAffine3 { matrix3, translation }
 }

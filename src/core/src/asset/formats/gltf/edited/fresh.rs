@@ -8,11 +8,13 @@ use std::hash::Hasher as _;
 
 /// How the numbers of a new accessor are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum NewAccessorKind {
+pub(in super::super) enum NewAccessorKind {
     /// A vertex attribute of 32-bit floats.
     Floats,
     /// The same with the bounds that positions must have.
     Positions,
+    /// 32-bit floats that are no attribute of vertices.
+    Numbers,
     /// Four joints in 8 or 16 bits.
     Joints8,
     Joints16,
@@ -37,7 +39,7 @@ struct NewAccessor {
 
 /// New data, to be appended to what is kept of the old.
 #[derive(Default)]
-pub(super) struct NewAccessors {
+pub(in super::super) struct NewAccessors {
     bytes: Vec<u8>,
     views: Vec<NewView>,
     accessors: Vec<NewAccessor>,
@@ -45,13 +47,18 @@ pub(super) struct NewAccessors {
 }
 
 impl NewAccessors {
+    /// Whether nothing is new.
+    pub(in super::super) fn is_empty(&self) -> bool {
+        self.views.is_empty()
+    }
+
     /// The bytes of all views.
-    pub(super) fn bytes(&self) -> &[u8] {
+    pub(in super::super) fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
     /// Adds an attribute of floats; its number among the new accessors.
-    pub(super) fn add_floats(
+    pub(in super::super) fn add_floats(
         &mut self,
         values: &[f32],
         lanes: usize,
@@ -122,25 +129,26 @@ impl NewAccessors {
         bounds: Option<(String, String)>,
     ) -> usize {
         let (component, target) = match kind {
-            NewAccessorKind::Floats | NewAccessorKind::Positions => (5126, 34962),
-            NewAccessorKind::Joints8 => (5121, 34962),
-            NewAccessorKind::Joints16 => (5123, 34962),
-            NewAccessorKind::Indices16 => (5123, 34963),
-            NewAccessorKind::Indices32 => (5125, 34963),
+            NewAccessorKind::Floats | NewAccessorKind::Positions => (5126, Some(34962)),
+            NewAccessorKind::Numbers => (5126, None),
+            NewAccessorKind::Joints8 => (5121, Some(34962)),
+            NewAccessorKind::Joints16 => (5123, Some(34962)),
+            NewAccessorKind::Indices16 => (5123, Some(34963)),
+            NewAccessorKind::Indices32 => (5125, Some(34963)),
         };
         let mut hasher = std::hash::DefaultHasher::new();
         hasher.write(bytes);
         let hash = hasher.finish();
         let same = |&&i: &&usize| {
             let (old, view) = (&self.accessors[i], &self.views[self.accessors[i].view]);
-            (old.component, old.count, old.shape, view.target) == (component, count, shape, Some(target))
+            (old.component, old.count, old.shape, view.target) == (component, count, shape, target)
                 && old.bounds == bounds
                 && self.bytes.get(view.start..view.start + view.length) == Some(bytes)
         };
         if let Some(&found) = self.known.get(&hash).and_then(|list| list.iter().find(same)) {
             return found;
         }
-        let view = self.add_view(bytes, Some(target));
+        let view = self.add_view(bytes, target);
         self.accessors.push(NewAccessor {
             view,
             component,
@@ -154,7 +162,7 @@ impl NewAccessors {
     }
 
     /// The views as JSON, with their bytes beginning at `offset` of `buffer`.
-    pub(super) fn view_texts(&self, buffer: usize, offset: usize) -> Vec<String> {
+    pub(in super::super) fn view_texts(&self, buffer: usize, offset: usize) -> Vec<String> {
         let one = |view: &NewView| {
             let target = view.target.map(|t| format!(r#","target":{t}"#)).unwrap_or_default();
             let (start, length) = (offset + view.start, view.length);
@@ -164,7 +172,7 @@ impl NewAccessors {
     }
 
     /// The accessors as JSON, with their views numbered from `first_view` on.
-    pub(super) fn accessor_texts(&self, first_view: usize) -> Vec<String> {
+    pub(in super::super) fn accessor_texts(&self, first_view: usize) -> Vec<String> {
         let one = |accessor: &NewAccessor| {
             let bounds = accessor.bounds.as_ref();
             let bounds = bounds
@@ -182,7 +190,7 @@ impl NewAccessors {
     }
 
     /// Refuses more than one buffer holds, `kept` bytes standing before.
-    pub(super) fn check_size(&self, kept: usize, fault: GltfFault) -> Result<(), Error> {
+    pub(in super::super) fn check_size(&self, kept: usize, fault: GltfFault) -> Result<(), Error> {
         let length = kept as u64 + self.bytes.len() as u64;
         if length > u64::from(u32::MAX) {
             return Err(fault.unwritable(format!("a buffer would have {length} bytes, 4 GiB is the most")));

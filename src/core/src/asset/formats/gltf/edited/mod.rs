@@ -14,12 +14,15 @@ mod joined_bases;
 mod kept;
 mod looks;
 mod material;
-mod places;
+pub(super) mod places;
 mod primitives;
+mod rigged;
 mod skins;
 mod targets;
 
 pub(super) use extras::run_attributes;
+pub(super) use fresh::{NewAccessorKind, NewAccessors};
+pub(super) use places::References;
 
 use super::buffers::{BufferBytes, BufferOrigin};
 use super::container;
@@ -28,14 +31,14 @@ use super::fault::GltfFault;
 use super::package::package;
 use super::patch::PatchedDocument;
 use super::read::{GltfNotes, reopen};
+use super::rig::FollowedRig;
 use super::targets::TargetBudget;
 use super::text::{JsonEdits, members, quoted};
 use super::uri;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::PrimitiveRun;
-use crate::asset::{Error, FileSet, WrittenFiles};
+use crate::asset::{Error, FileSet, RigRule, WrittenFiles};
 use frame::EditedMeshes;
-use fresh::NewAccessors;
 use joined_bases::JoinedBases;
 use kept::KeptData;
 use primitives::PrimitiveMaker;
@@ -47,13 +50,24 @@ type JsonSections = BTreeMap<&'static str, Option<String>>;
 
 /// Writes an edited model of which the first base is a glTF. The description has been checked.
 pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
-    let EditedOutput { edited, positions, .. } = *output;
+    let edited = output.edited;
     let fault = GltfFault(output.format);
     let first = edited.bases.first().map(|base| base.model);
     let Some((model, notes)) = first.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
         return Err(fault.unwritable("the first base is no glTF"));
     };
     let (doc, mut buffers) = reopen(model, notes)?;
+    let mut rig = None;
+    if output.following.rig == RigRule::Follow && super::rig::has_rig(notes) {
+        let before = rigged::positions_before(edited);
+        let shape = rigged::shape_of_runs((&doc, &mut buffers), notes, output, &before)?;
+        rig = FollowedRig::fit(&doc, &mut buffers, notes, &shape)?.map(|rig| {
+            let to_write = rig.positions_to_write(&shape);
+            (rig, to_write)
+        });
+    }
+    let positions = rig.as_ref().map_or(output.positions, |(_, to_write)| to_write);
+    let output = &EditedOutput { positions, ..*output };
     let mut fresh = NewAccessors::default();
     let own: Vec<&PrimitiveRun> = edited.runs.iter().filter(|run| run.base == 0).collect();
     let turns = EditedTurns::new(edited, positions, output.following.morph_targets);
@@ -80,12 +94,18 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         joined,
         fault,
     };
-    if kept::may_drop(&doc)
-        && let Some(kept) = kept::pack_kept_data(&doc, &mut buffers, &writer.frame)?
-    {
-        return writer.write_packed(kept, &buffers);
+    let kept = match kept::may_drop(&doc) {
+        true => kept::pack_kept_data(&doc, &mut buffers, &writer.frame)?,
+        false => None,
+    };
+    let written = match kept {
+        Some(kept) => writer.write_packed(kept, &buffers)?,
+        None => writer.write_appended(&buffers)?,
+    };
+    match &rig {
+        Some((rig, _)) => rig.rewrite(written, output.format),
+        None => Ok(written),
     }
-    writer.write_appended(&buffers)
 }
 
 struct EditedGltfWriter<'a> {

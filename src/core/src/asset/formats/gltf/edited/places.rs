@@ -5,15 +5,15 @@ use super::super::text::{JsonEdits, items, members, value_of};
 
 /// Numbers in one item of a section.
 #[derive(Default)]
-pub(super) struct References<'a> {
+pub(in super::super) struct References<'a> {
     /// Those that name accessors.
-    pub(super) accessors: Vec<&'a str>,
+    pub(in super::super) accessors: Vec<&'a str>,
     /// Those that name buffer views.
     pub(super) views: Vec<&'a str>,
 }
 
 /// The index that a text holds.
-pub(super) fn index(json: &str) -> Option<usize> {
+pub(in super::super) fn index(json: &str) -> Option<usize> {
     serde_json::from_str::<WholeNumber>(json).ok().map(WholeNumber::index)
 }
 
@@ -33,7 +33,7 @@ fn value_at_path<'a>(object: &'a str, path: &[&str]) -> Option<&'a str> {
 pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
 
 /// In a mesh.
-pub(super) fn of_mesh(mesh: &str) -> References<'_> {
+pub(in super::super) fn of_mesh(mesh: &str) -> References<'_> {
     let mut places = References::default();
     for primitive in array_items(mesh, "primitives") {
         places
@@ -51,7 +51,7 @@ pub(super) fn of_mesh(mesh: &str) -> References<'_> {
 }
 
 /// In a skin.
-pub(super) fn of_skin(skin: &str) -> References<'_> {
+pub(in super::super) fn of_skin(skin: &str) -> References<'_> {
     References {
         accessors: value_of(skin, "inverseBindMatrices").into_iter().collect(),
         views: Vec::new(),
@@ -59,7 +59,7 @@ pub(super) fn of_skin(skin: &str) -> References<'_> {
 }
 
 /// In an animation.
-pub(super) fn of_animation(animation: &str) -> References<'_> {
+pub(in super::super) fn of_animation(animation: &str) -> References<'_> {
     let named = |sampler| {
         ["input", "output"]
             .into_iter()
@@ -72,7 +72,7 @@ pub(super) fn of_animation(animation: &str) -> References<'_> {
 }
 
 /// In a node: the attributes of its instances.
-pub(super) fn of_node(node: &str) -> References<'_> {
+pub(in super::super) fn of_node(node: &str) -> References<'_> {
     let attributes = value_at_path(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
     References {
         accessors: attributes.map(member_values).unwrap_or_default(),
@@ -157,14 +157,14 @@ pub(super) fn without_extensions(object: &str, names: &[&str]) -> String {
 }
 
 /// The object with a key set.
-pub(super) fn with_member(object: &str, key: &str, json: &str) -> String {
+pub(in super::super) fn with_member(object: &str, key: &str, json: &str) -> String {
     let mut edits = JsonEdits::new(object);
     edits.set(object, key, json);
     edits.apply()
 }
 
 /// A list of texts as one JSON array.
-pub(super) fn json_array(texts: &[String]) -> String {
+pub(in super::super) fn json_array(texts: &[String]) -> String {
     format!("[{}]", texts.join(","))
 }
 

@@ -54,10 +54,15 @@ impl BlendedSkin {
         Ok(Some(skin))
     }
 
+    /// Which of so many joints hold the vertices.
+    pub(super) fn influences(&self, joints: usize, fault: GltfFault) -> Result<VertexInfluences, Error> {
+        let influences = VertexInfluences::from_sets(&self.joints, &self.weights, joints);
+        influences.map_err(|problem| fault.unwritable(problem))
+    }
+
     /// Where joints at these transforms put the vertices.
     pub(super) fn transforms(&self, of_joint: &[DAffine3], fault: GltfFault) -> Result<VertexTransforms, Error> {
-        let influences = VertexInfluences::from_sets(&self.joints, &self.weights, of_joint.len());
-        let influences = influences.map_err(|problem| fault.unwritable(problem))?;
+        let influences = self.influences(of_joint.len(), fault)?;
         Ok(VertexTransforms::of_influences(&influences, of_joint))
     }
 

@@ -41,7 +41,7 @@ impl ByteSpan {
 }
 
 /// All uses of every buffer, by where they start.
-pub(super) struct ByteSpans {
+pub(in super::super) struct ByteSpans {
     /// Per buffer: uses, and the furthest end among a use and all before it.
     buffers: Vec<Vec<(ByteSpan, u64)>>,
     own: Vec<Option<(usize, ByteSpan)>>,
@@ -49,7 +49,7 @@ pub(super) struct ByteSpans {
 
 impl ByteSpans {
     /// Finds who uses which bytes: accessors, and views that anything else names.
-    pub(super) fn collect(doc: &GltfDocument<'_>) -> Self {
+    pub(in super::super) fn collect(doc: &GltfDocument<'_>) -> Self {
         let mut buffers: Vec<Vec<(ByteSpan, u64)>> = vec![Vec::new(); doc.buffers.len()];
         let mut own = Vec::with_capacity(doc.accessors.len());
         let mut read_by_accessors = BTreeSet::new();
@@ -124,7 +124,7 @@ impl ByteSpans {
     }
 
     /// Whether nothing but this accessor uses its bytes.
-    pub(super) fn is_alone(&self, accessor: usize) -> bool {
+    pub(in super::super) fn is_alone(&self, accessor: usize) -> bool {
         let Some(Some((buffer, own))) = self.own.get(accessor) else {
             return false;
         };

@@ -21,6 +21,7 @@ mod indices;
 mod mesh_ref;
 mod variants;
 
+pub(super) use bytes::ByteSpans;
 pub(super) use mesh_ref::MeshRef;
 pub(super) use variants::MeshCopy;
 

@@ -4,6 +4,7 @@ mod instances;
 mod morphs;
 mod places;
 mod reading;
+mod rigs;
 mod skins;
 mod writing;
 

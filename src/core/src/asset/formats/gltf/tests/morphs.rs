@@ -35,7 +35,14 @@ fn with_rule(files: &FileSet, morph_targets: MorphTargetRule, f: impl Fn(DVec3) 
     let model = open(files);
     let positions: Vec<DVec3> = model.positions.iter().map(|&p| f(p)).collect();
     model
-        .write_following(&positions, Format::GLB, Following { morph_targets })
+        .write_following(
+            &positions,
+            Format::GLB,
+            Following {
+                morph_targets,
+                ..Following::default()
+            },
+        )
         .expect("writable")
 }
 
@@ -165,6 +172,7 @@ fn targets_too_many_to_follow_are_refused() {
     assert!(error.as_ref().is_some_and(|e| e.contains("morph targets")), "{error:?}");
     let following = Following {
         morph_targets: MorphTargetRule::Keep,
+        ..Following::default()
     };
     assert!(model.write_following(&positions, Format::GLB, following).is_ok());
 }

@@ -1,0 +1,235 @@
+//! The skeleton follows the body: joints move and turn with what they hold, and clips play on the new rest pose.
+//!
+//! When the rest shape of a skinned model changes, each joint gets the rigid motion of the vertices that it holds
+//! ([`motions`], by sums of [`moments`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins
+//! new inverse bind matrices, so that joint times inverse bind matrix is what it was: at rest every vertex is drawn where it was
+//! put, and the bind shape is the new one. Clips are rewritten relative to the new rest pose ([`clips`]): where a clip equals
+//! the old rest pose it equals the new one, and it turns joints about their own new axes. [`rewrite`] does it to files that
+//! were written as if nothing had moved, whether they were patched or made after an edit.
+//!
+//! A joint whose motion is none within rounding keeps every byte: its node, its matrix, its clips.
+
+mod clips;
+mod moments;
+mod motions;
+mod nodes;
+mod rewrite;
+
+pub(super) use motions::{HeldVertices, SkinnedShape};
+
+use super::buffers::BufferBytes;
+use super::document::GltfDocument;
+use super::influences::{VertexInfluences, influence_accessors};
+use super::placement::{Placement, invert};
+use super::read::GltfNotes;
+use super::scene::{PlacedScene, place_meshes};
+use super::skin::SkinPose;
+use crate::asset::{Error, Geometry};
+use crate::mesh::BoundingBox;
+use glam::{DAffine3, DMat3, DVec3};
+use motions::joint_motions;
+use nodes::{MovedNodes, move_nodes};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// What rounding of matrices to 32 bits may do to a vertex that has not moved, relative to the model's diagonal, before it
+/// is written anew.
+const ROUNDING: f64 = 5e-7;
+
+/// New inverse bind matrices by the number of the joint in its skin.
+type BindChanges = BTreeMap<usize, [f32; 16]>;
+
+/// A skeleton that has followed its body.
+pub(super) struct FollowedRig {
+    nodes: MovedNodes,
+    /// By skin.
+    binds: BTreeMap<usize, BindChanges>,
+    /// The skins at rest, before and after.
+    poses: BTreeMap<usize, [Arc<SkinPose>; 2]>,
+    world_from_node: Vec<DAffine3>,
+    size: f64,
+}
+
+/// Whether any primitive of a model is placed by joints.
+pub(super) fn has_rig(notes: &GltfNotes) -> bool {
+    notes.rows.iter().any(|row| row.follows_joints)
+}
+
+/// The vertices of a model as its file has them, and which joints hold them.
+pub(super) fn shape_of_rows<'a>(
+    doc: &GltfDocument<'_>,
+    buffers: &mut BufferBytes,
+    notes: &GltfNotes,
+    rest: &'a Geometry,
+    positions: &'a [DVec3],
+) -> Result<SkinnedShape<'a>, Error> {
+    let mut shape = SkinnedShape {
+        before: &rest.positions,
+        now: positions,
+        held: Vec::new(),
+        fixed: Vec::new(),
+    };
+    for row in &notes.rows {
+        match row.skin {
+            None => shape.fixed.push((row.node, row.vertices.clone())),
+            Some(skin) if row.follows_joints => {
+                let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+                let used = influence_accessors(primitive).into_iter().flat_map(|(j, w)| [j, w]);
+                buffers.decode_for(doc, &used.collect::<BTreeSet<usize>>())?;
+                let joints = joint_count(doc, skin);
+                let influences = VertexInfluences::read(doc, buffers, primitive, joints);
+                shape.held.push(HeldVertices {
+                    skin,
+                    first: row.vertices.start,
+                    influences: influences.map_err(|problem| doc.fault.unwritable(problem))?,
+                    placement: row.placement.clone(),
+                });
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(shape)
+}
+
+/// How many joints a skin has; 0 for one that cannot be read.
+pub(super) fn joint_count(doc: &GltfDocument<'_>, skin: usize) -> usize {
+    let parsed = doc.skins.get(skin).and_then(|text| serde_json::from_str(text).ok());
+    parsed.map_or(0, |skin: super::schema::GltfSkin| skin.joints.len())
+}
+
+impl FollowedRig {
+    /// Lets the joints of a document follow a shape; `None` when none of them moves.
+    pub(super) fn fit(
+        doc: &GltfDocument<'_>,
+        buffers: &mut BufferBytes,
+        notes: &GltfNotes,
+        shape: &SkinnedShape<'_>,
+    ) -> Result<Option<Self>, Error> {
+        let scene = place_meshes(doc, &mut Vec::new())?;
+        let size = BoundingBox::of(shape.before).diagonal();
+        let mut known = BTreeMap::new();
+        for skin in 0..doc.skins.len() {
+            if let Ok(pose) = SkinPose::read(doc, buffers, skin, &scene.world_from_node) {
+                known.insert(skin, Arc::new(pose));
+            }
+        }
+        let of_rows = |follows: bool| -> BTreeSet<usize> {
+            let rows = notes.rows.iter().filter(|row| row.follows_joints == follows);
+            rows.filter_map(|row| row.skin).collect()
+        };
+        let (drawn, broken) = (of_rows(true), of_rows(false));
+        let followed = known.iter().filter(|(skin, _)| drawn.contains(*skin));
+        let followed = followed.map(|(skin, pose)| (*skin, Arc::clone(pose))).collect();
+        let mut motions = joint_motions(shape, &followed, &scene);
+        // What a broken skin draws nobody knows, so its joints had better stay.
+        for pose in broken.iter().filter_map(|skin| known.get(skin)) {
+            motions.extend(pose.joints.iter().map(|&joint| (joint, None)));
+        }
+        if motions.values().all(Option::is_none) {
+            return Ok(None);
+        }
+        let nodes = move_nodes(doc, &scene, &motions, size)?;
+        if nodes.moved.is_empty() {
+            return Ok(None);
+        }
+        let PlacedScene { world_from_node, .. } = scene;
+        let mut rig = Self {
+            binds: BTreeMap::new(),
+            poses: BTreeMap::new(),
+            world_from_node,
+            nodes,
+            size,
+        };
+        for (skin, pose) in known {
+            rig.bind_anew(skin, pose);
+        }
+        Ok(Some(rig))
+    }
+
+    /// Finds the inverse bind matrices that keep what a skin draws.
+    fn bind_anew(&mut self, skin: usize, pose: Arc<SkinPose>) {
+        let mut changes = BindChanges::new();
+        let mut after = SkinPose::clone(&pose);
+        for (number, (&node, place)) in pose.joints.iter().zip(&mut after.world_from_bind).enumerate() {
+            if !self.nodes.is_elsewhere[node] {
+                continue;
+            }
+            let world = &self.nodes.world_from_node[node];
+            if let Some(bind) = invert(world).map(|back| back * *place).filter(DAffine3::is_finite) {
+                let rounded = rounded_matrix(&bind);
+                *place = *world * affine_of(&rounded);
+                changes.insert(number, rounded);
+            }
+        }
+        if !changes.is_empty() {
+            self.binds.insert(skin, changes);
+            self.poses.insert(skin, [pose, Arc::new(after)]);
+        }
+    }
+
+    /// The positions that have to be written as if nothing but vertices had moved, so that the moved nodes and joints draw
+    /// the shape. A vertex that has not moved keeps its bits where rounding alone would change them.
+    pub(super) fn positions_to_write(&self, shape: &SkinnedShape<'_>) -> Vec<DVec3> {
+        let mut positions = shape.now.to_vec();
+        for (node, range) in &shape.fixed {
+            if self.nodes.is_elsewhere[*node]
+                && let Some(back) = invert(&self.nodes.world_from_node[*node])
+            {
+                let back = self.world_from_node[*node] * back;
+                for vertex in range.clone() {
+                    let place = back.transform_point3(shape.now[vertex]);
+                    self.write_back(&mut positions[vertex], place, shape.before[vertex]);
+                }
+            }
+        }
+        for held in &shape.held {
+            let Some([before, after]) = self.poses.get(&held.skin) else {
+                continue;
+            };
+            let changes = self.binds.get(&held.skin);
+            let is_changed = |joint: &u32| changes.is_some_and(|all| all.contains_key(&(*joint as usize)));
+            if !held.influences.joints_in_use().iter().any(is_changed) {
+                continue;
+            }
+            for i in 0..held.influences.len() {
+                let old = match &held.placement {
+                    Placement::Whole(one) => *one,
+                    Placement::Blended(_) => held.influences.blend(i, &before.world_from_bind),
+                };
+                let new = held.influences.blend(i, &after.world_from_bind);
+                let vertex = held.first + i;
+                if let Some(back) = invert(&new) {
+                    let place = (old * back).transform_point3(shape.now[vertex]);
+                    self.write_back(&mut positions[vertex], place, shape.before[vertex]);
+                }
+            }
+        }
+        positions
+    }
+
+    /// Replaces a vertex by what has to be written for it.
+    fn write_back(&self, now: &mut DVec3, place: DVec3, rest: DVec3) {
+        let is_still = *now == rest && (place - rest).length() <= ROUNDING * self.size;
+        if place.is_finite() && !is_still {
+            *now = place;
+        }
+    }
+}
+
+fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
+    let mut matrix = [0.0; 16];
+    let m = &transform.matrix3;
+    for (c, column) in [m.x_axis, m.y_axis, m.z_axis, transform.translation].iter().enumerate() {
+        matrix[4 * c..4 * c + 3].copy_from_slice(&column.as_vec3().to_array());
+    }
+    matrix[15] = 1.0;
+    matrix
+}
+
+fn affine_of(matrix: &[f32; 16]) -> DAffine3 {
+    let column = |c: usize| DVec3::new(matrix[4 * c].into(), matrix[4 * c + 1].into(), matrix[4 * c + 2].into());
+    DAffine3 {
+        matrix3: DMat3::from_cols(column(0), column(1), column(2)),
+        translation: column(3),
+    }
+}

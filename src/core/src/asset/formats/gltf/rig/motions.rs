@@ -1,0 +1,244 @@
+//! How joints move with the body.
+//!
+//! A joint goes and turns as the surface around it does: the vertices that it and the joint above it hold, each by its weight
+//! and the nearer the more, so that what hinges on the joint still hinges there. A joint that holds nothing follows all of
+//! the surface around it in the same way. A joint keeps its scale. One of which nothing has moved stays to the bit.
+
+use super::super::influences::VertexInfluences;
+use super::super::placement::Placement;
+use super::super::scene::PlacedScene;
+use super::super::skin::SkinPose;
+use super::moments::MotionMoments;
+use crate::mesh::BoundingBox;
+use glam::{DAffine3, DMat3, DVec3};
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// A shape that a model was given, and which vertices joints hold.
+pub(in super::super) struct SkinnedShape<'a> {
+    /// Where vertices were.
+    pub(in super::super) before: &'a [DVec3],
+    /// Where they are now.
+    pub(in super::super) now: &'a [DVec3],
+    /// Vertices that joints place.
+    pub(in super::super) held: Vec<HeldVertices>,
+    /// Vertices that a node places, with the node.
+    pub(in super::super) fixed: Vec<(usize, Range<usize>)>,
+}
+
+/// The vertices of one placed primitive that joints hold.
+pub(in super::super) struct HeldVertices {
+    pub(in super::super) skin: usize,
+    /// The first of them in the shape.
+    pub(in super::super) first: usize,
+    pub(in super::super) influences: VertexInfluences,
+    /// How they are written back.
+    pub(in super::super) placement: Placement,
+}
+
+/// The rigid motions of joints by their nodes; `None` for one that stays where it is.
+pub(super) type JointMotions = BTreeMap<usize, Option<DAffine3>>;
+
+/// A motion by less than this, relative to the model's diagonal and as half an angle, is none.
+const STILL: f64 = 1e-6;
+
+/// How far around a place the surface is looked at, as a multiple of the distance of the nearest vertex.
+const REACH: f64 = 4.0;
+
+/// The most pairs of joints and vertices that are looked at beyond those that hold each other. Beyond it, joints that hold
+/// nothing look at every n-th vertex, and others only at their own.
+const MOST_PAIRS: u64 = 400_000_000;
+
+/// How many nodes that are no joints are passed between two joints.
+const MOST_BETWEEN: usize = 64;
+
+/// How vertices around a place count by their distance: smoothly down to nothing.
+#[derive(Clone, Copy)]
+struct Nearness {
+    nearest: f64,
+}
+
+impl Nearness {
+    fn of_nearest(squared: f64, size: f64) -> Option<Self> {
+        let nearest = squared.sqrt().max(1e-3 * size);
+        nearest.is_finite().then_some(Self { nearest })
+    }
+
+    fn weight(self, squared: f64) -> f64 {
+        let reach = REACH * self.nearest;
+        let left = 1.0 - squared.sqrt() / reach;
+        if left <= 0.0 {
+            return 0.0;
+        }
+        left * left / (1.0 + squared / (self.nearest * self.nearest))
+    }
+}
+
+/// What is known of one joint.
+struct JointFit {
+    place: DVec3,
+    /// The surface around it.
+    around: MotionMoments,
+    /// Square of the distance of the nearest vertex; one that it holds little of counts as further away.
+    nearest: f64,
+    /// How many vertices it holds.
+    held: u64,
+    is_moved: bool,
+    /// The joints right below it.
+    below: Vec<usize>,
+}
+
+impl JointFit {
+    fn at(place: DVec3) -> Self {
+        Self {
+            place,
+            around: MotionMoments::default(),
+            nearest: f64::INFINITY,
+            held: 0,
+            is_moved: false,
+            below: Vec::new(),
+        }
+    }
+
+    /// Counts a vertex by how near it is.
+    fn look_at(&mut self, weight: f64, before: DVec3, now: DVec3, size: f64) {
+        if let Some(nearness) = Nearness::of_nearest(self.nearest, size) {
+            let near = weight * nearness.weight(before.distance_squared(self.place));
+            if near > 0.0 {
+                self.around.add(near, before - self.place, now - before);
+            }
+        }
+    }
+
+    fn motion(&self, whole: &DMat3, size: f64) -> Option<DAffine3> {
+        if !self.is_moved || self.around.is_empty() {
+            return None;
+        }
+        let rotation = self.around.rotation(whole);
+        let turn = DMat3::from_quat(rotation);
+        let shift = self.around.shift_of_place(&turn);
+        let is_still = shift.length() <= STILL * size && rotation.xyz().length() <= STILL;
+        (!is_still && shift.is_finite() && turn.is_finite()).then(|| DAffine3 {
+            matrix3: turn,
+            translation: self.place + shift - turn * self.place,
+        })
+    }
+}
+
+/// The joints of some skins, numbered from 0.
+struct JointFits<'a> {
+    numbers: BTreeMap<usize, usize>,
+    list: Vec<JointFit>,
+    poses: &'a BTreeMap<usize, Arc<SkinPose>>,
+    size: f64,
+}
+
+/// How the joints of these skins move in a scene.
+pub(super) fn joint_motions(
+    shape: &SkinnedShape<'_>,
+    poses: &BTreeMap<usize, Arc<SkinPose>>,
+    scene: &PlacedScene,
+) -> JointMotions {
+    let nodes: BTreeSet<usize> = poses.values().flat_map(|pose| &pose.joints).copied().collect();
+    let place = |node: &usize| JointFit::at(scene.world_from_node[*node].translation);
+    let mut fits = JointFits {
+        list: nodes.iter().map(place).collect(),
+        numbers: nodes.into_iter().zip(0..).collect(),
+        poses,
+        size: BoundingBox::of(shape.before).diagonal(),
+    };
+    fits.find_below(&scene.parents);
+    fits.find_nearest(shape);
+    fits.look_at_held(shape);
+    fits.look_at_surface(shape);
+    let mut all = MotionMoments::default();
+    for (&p, &q) in shape.before.iter().zip(shape.now) {
+        all.add(1.0, p - shape.before[0], q - p);
+    }
+    let whole = DMat3::from_quat(all.rotation(&DMat3::IDENTITY));
+    let motions = fits.list.iter().map(|fit| fit.motion(&whole, fits.size));
+    fits.numbers.into_keys().zip(motions).collect()
+}
+
+impl JointFits<'_> {
+    fn find_below(&mut self, parents: &[Option<usize>]) {
+        for (&node, &number) in &self.numbers {
+            // Nodes that are no joints may lie between, but not without end: then the joints above are left out.
+            let mut above = parents[node];
+            for _ in 0..MOST_BETWEEN {
+                let Some(parent) = above else { break };
+                if let Some(&parent) = self.numbers.get(&parent) {
+                    self.list[parent].below.push(number);
+                    break;
+                }
+                above = parents[parent];
+            }
+        }
+    }
+
+    /// The numbers of the joints of a skin.
+    fn joints(&self, held: &HeldVertices) -> Vec<usize> {
+        let joints = self.poses.get(&held.skin).map_or(&[][..], |pose| &pose.joints);
+        joints.iter().map(|node| self.numbers[node]).collect()
+    }
+
+    fn find_nearest(&mut self, shape: &SkinnedShape<'_>) {
+        for held in &shape.held {
+            let joints = self.joints(held);
+            for i in 0..held.influences.len() {
+                let (p, q) = (shape.before[held.first + i], shape.now[held.first + i]);
+                for &(joint, weight) in held.influences.of(i) {
+                    let fit = &mut self.list[joints[joint as usize]];
+                    fit.held += 1;
+                    fit.is_moved |= p != q;
+                    fit.nearest = fit.nearest.min(p.distance_squared(fit.place) / (weight * weight));
+                }
+            }
+        }
+    }
+
+    /// Looks at the vertices that joints hold, for themselves and for the joints right below them.
+    fn look_at_held(&mut self, shape: &SkinnedShape<'_>) {
+        let pairs = self
+            .list
+            .iter()
+            .map(|fit| fit.held.saturating_mul(fit.below.len() as u64));
+        let looks_up = pairs.fold(0, u64::saturating_add) <= MOST_PAIRS;
+        let below: Vec<Vec<usize>> = self.list.iter_mut().map(|fit| std::mem::take(&mut fit.below)).collect();
+        for held in &shape.held {
+            let joints = self.joints(held);
+            for i in 0..held.influences.len() {
+                let (p, q) = (shape.before[held.first + i], shape.now[held.first + i]);
+                for &(joint, weight) in held.influences.of(i) {
+                    let joint = joints[joint as usize];
+                    self.list[joint].look_at(weight, p, q, self.size);
+                    for &child in below[joint].iter().filter(|_| looks_up) {
+                        if self.list[child].held > 0 {
+                            self.list[child].look_at(weight, p, q, self.size);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Looks at the surface around joints that hold nothing.
+    fn look_at_surface(&mut self, shape: &SkinnedShape<'_>) {
+        let mut loose: Vec<&mut JointFit> = self.list.iter_mut().filter(|fit| fit.held == 0).collect();
+        let pairs = (loose.len() as u64).saturating_mul(shape.before.len() as u64);
+        let step = 1 + usize::try_from(pairs / MOST_PAIRS).unwrap_or(usize::MAX - 1);
+        for fit in &mut loose {
+            let vertices = || shape.before.iter().zip(shape.now).step_by(step);
+            let distances = vertices().map(|(p, _)| p.distance_squared(fit.place));
+            fit.nearest = distances.fold(f64::INFINITY, f64::min);
+            let Some(nearness) = Nearness::of_nearest(fit.nearest, self.size) else {
+                continue;
+            };
+            for (&p, &q) in vertices() {
+                fit.is_moved |= p != q && nearness.weight(p.distance_squared(fit.place)) > 0.0;
+                fit.look_at(1.0, p, q, self.size);
+            }
+        }
+    }
+}

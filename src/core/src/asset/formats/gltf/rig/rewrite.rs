@@ -1,0 +1,343 @@
+//! Puts moved joints into files: nodes, inverse bind matrices, and clips.
+
+use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
+use super::super::buffers::BufferBytes;
+use super::super::document::GltfDocument;
+use super::super::edited::{NewAccessorKind, NewAccessors, References, places};
+use super::super::float_json::{bounds, json_floats};
+use super::super::package::package;
+use super::super::patch::PatchedDocument;
+use super::super::read::parse_again;
+use super::super::sharing::ByteSpans;
+use super::super::text::{JsonEdits, value_of};
+use super::clips::{ChangedSampler, ClipTarget, SampledValues, carried_values, changed_samplers};
+use super::{BindChanges, FollowedRig};
+use crate::asset::{Error, FileSet, Format, WrittenFiles};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How many bytes of clips are rewritten for one file: channels may share their numbers, so that their size is not bounded by
+/// the file's.
+const MOST_REWRITTEN: u64 = 1 << 30;
+
+impl FollowedRig {
+    /// Puts the followed joints into files that were written as if none had moved.
+    pub(in super::super) fn rewrite(&self, written: WrittenFiles, format: Format) -> Result<WrittenFiles, Error> {
+        let files = FileSet {
+            name: String::new(),
+            main: written.main.into(),
+            companions: written.companions.into_iter().map(|(n, b)| (n, b.into())).collect(),
+        };
+        let (doc, buffers) = parse_again(&files, format)?;
+        let mut writer = RigWriter {
+            edits: JsonEdits::new(doc.text),
+            uses: accessor_uses(&doc),
+            spans: ByteSpans::collect(&doc),
+            doc: &doc,
+            buffers,
+            fresh: NewAccessors::default(),
+            overwritten: BTreeMap::new(),
+            rewritten: 0,
+        };
+        writer.write_nodes(self);
+        for (&skin, changes) in &self.binds {
+            writer.write_binds(skin, changes)?;
+        }
+        writer.write_clips(self)?;
+        writer.finish(&files, format)
+    }
+}
+
+struct RigWriter<'d, 'a> {
+    doc: &'d GltfDocument<'a>,
+    buffers: BufferBytes,
+    edits: JsonEdits<'a>,
+    fresh: NewAccessors,
+    /// Whole new contents by buffer.
+    overwritten: BTreeMap<usize, Vec<u8>>,
+    /// How often each accessor is named.
+    uses: Vec<u32>,
+    spans: ByteSpans,
+    rewritten: u64,
+}
+
+/// New values on their way into a file.
+struct NewValues<'v> {
+    values: &'v [f32],
+    lanes: usize,
+    shape: &'static str,
+}
+
+impl<'a> RigWriter<'_, 'a> {
+    fn write_nodes(&mut self, rig: &FollowedRig) {
+        for (&index, node) in &rig.nodes.moved {
+            let text = self.doc.nodes.items[index];
+            let parts = [
+                ("translation", node.translation.as_ref().map(|v| &v[..])),
+                ("rotation", node.rotation.as_ref().map(|v| &v[..])),
+                ("matrix", node.matrix.as_ref().map(|v| &v[..])),
+            ];
+            let json: Vec<(&str, String)> = parts
+                .into_iter()
+                .filter_map(|(key, values)| Some((key, json_floats(values?))))
+                .collect();
+            self.set_all(text, &json);
+        }
+    }
+
+    /// Sets several keys of one object, which may be empty.
+    fn set_all(&mut self, object: &'a str, json: &[(&str, String)]) {
+        for (key, value) in json {
+            self.edits.set(object, key, value);
+        }
+    }
+
+    fn write_binds(&mut self, skin: usize, changes: &BindChanges) -> Result<(), Error> {
+        let doc = self.doc;
+        let (Some(&text), count) = (doc.skins.get(skin), super::joint_count(doc, skin)) else {
+            return Ok(());
+        };
+        let accessor = value_of(text, "inverseBindMatrices").and_then(places::index);
+        let mut values: Vec<f32> = match accessor {
+            Some(accessor) => self.read(accessor, 16)?.unwrap_or_default(),
+            None => Vec::new(),
+        };
+        let one = glam::Mat4::IDENTITY.to_cols_array();
+        while values.len() < 16 * count {
+            values.extend(one);
+        }
+        for (number, matrix) in changes {
+            values[16 * number..16 * number + 16].copy_from_slice(matrix);
+        }
+        let new = NewValues {
+            values: &values,
+            lanes: 16,
+            shape: "MAT4",
+        };
+        // Skins that share their matrices come one by one; the first to come would spoil those of the others.
+        let in_place = accessor.filter(|_| self.names(accessor) == 1);
+        if let Some(at) = self.store(in_place, &new)? {
+            self.edits.set(text, "inverseBindMatrices", &at.to_string());
+        }
+        Ok(())
+    }
+
+    fn names(&self, accessor: Option<usize>) -> u32 {
+        accessor.and_then(|a| self.uses.get(a)).copied().unwrap_or(0)
+    }
+
+    fn write_clips(&mut self, rig: &FollowedRig) -> Result<(), Error> {
+        let samplers = changed_samplers(self.doc, &rig.nodes);
+        let mut wanted: BTreeMap<(SampledValues, ClipTarget), Vec<&ChangedSampler<'a>>> = BTreeMap::new();
+        for sampler in &samplers {
+            wanted
+                .entry((sampler.values, sampler.target))
+                .or_default()
+                .push(sampler);
+        }
+        // New samplers by animation, in order.
+        let mut parted: BTreeMap<usize, Vec<String>> = BTreeMap::new();
+        for ((sampled, target), users) in wanted {
+            let (Some(node), Some(stored)) = (
+                rig.nodes.moved.get(&target.node),
+                self.read(sampled.accessor, target.lanes())?,
+            ) else {
+                continue;
+            };
+            let values = carried_values(&stored, node, target.is_rotation, sampled.is_spline);
+            if values
+                .iter()
+                .map(|v| v.to_bits())
+                .eq(stored.iter().map(|v| v.to_bits()))
+            {
+                continue;
+            }
+            self.spend(4 * values.len() as u64)?;
+            let direct = users.iter().filter(|user| user.parting.is_empty()).count();
+            let is_all = direct == users.len() && self.names(Some(sampled.accessor)) as usize == direct;
+            let new = NewValues {
+                values: &values,
+                lanes: target.lanes(),
+                shape: if target.is_rotation { "VEC4" } else { "VEC3" },
+            };
+            let Some(at) = self.store(Some(sampled.accessor).filter(|_| is_all), &new)? else {
+                continue;
+            };
+            for user in users {
+                self.point_sampler(user, at, &mut parted);
+            }
+        }
+        for (animation, samplers) in parted {
+            if let Some(array) = value_of(self.doc.animations[animation], "samplers") {
+                self.edits.push(array, &samplers);
+            }
+        }
+        Ok(())
+    }
+
+    /// Points a sampler at new values, or the channels that part from it at a new sampler.
+    fn point_sampler(&mut self, user: &ChangedSampler<'a>, accessor: usize, parted: &mut BTreeMap<usize, Vec<String>>) {
+        if user.parting.is_empty() {
+            self.edits.set(user.sampler, "output", &accessor.to_string());
+            return;
+        }
+        let stored = value_of(self.doc.animations[user.animation], "samplers");
+        let stored = stored
+            .and_then(|list| super::super::text::items(list).ok())
+            .map_or(0, |list| list.len());
+        let new = parted.entry(user.animation).or_default();
+        let number = (stored + new.len()).to_string();
+        new.push(places::with_member(user.sampler, "output", &accessor.to_string()));
+        for channel in &user.parting {
+            self.edits.set(channel, "sampler", &number);
+        }
+    }
+
+    fn spend(&mut self, bytes: u64) -> Result<(), Error> {
+        self.rewritten = self.rewritten.saturating_add(bytes);
+        if self.rewritten > MOST_REWRITTEN {
+            return Err(Error::TooLarge {
+                what: "number of bytes of clips that follow",
+                seen: self.rewritten,
+                limit: MOST_REWRITTEN,
+            });
+        }
+        Ok(())
+    }
+
+    /// The values of an accessor with so many lanes; `None` for one of another kind.
+    fn read(&mut self, accessor: usize, lanes: usize) -> Result<Option<Vec<f32>>, Error> {
+        let described = self.doc.accessors.get(accessor);
+        let layout = described.and_then(|a| AccessorLayout::of(a, &self.doc.views.values));
+        let Some(layout) = layout.filter(|l| l.lanes == lanes) else {
+            return Ok(None);
+        };
+        check_unbacked(self.doc, accessor, layout)?;
+        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
+        read_values(self.doc, &self.buffers, accessor, layout).map(Some)
+    }
+
+    /// Stores values in place of those of an accessor where that changes nothing else, in a new accessor otherwise, the number of
+    /// which is returned.
+    fn store(&mut self, in_place: Option<usize>, new: &NewValues<'_>) -> Result<Option<usize>, Error> {
+        if let Some(accessor) = in_place
+            && self.overwrite(accessor, new)
+        {
+            return Ok(None);
+        }
+        let number = self
+            .fresh
+            .add_floats(new.values, new.lanes, new.shape, NewAccessorKind::Numbers);
+        Ok(Some(self.doc.accessors.len() + number))
+    }
+
+    fn overwrite(&mut self, index: usize, new: &NewValues<'_>) -> bool {
+        let doc = self.doc;
+        let accessor = &doc.accessors.values[index];
+        let layout = AccessorLayout::of(accessor, &doc.views.values);
+        let (Some(layout), Some(view)) = (layout, accessor.buffer_view.and_then(|v| doc.views.get(v.index()))) else {
+            return false;
+        };
+        let buffer = view.buffer.index();
+        let fits = layout.component == ComponentType::F32
+            && accessor.sparse.is_none()
+            && accessor.count.index().saturating_mul(new.lanes) == new.values.len()
+            && view.compression().is_none()
+            && self.buffers.is_exclusive(buffer)
+            && !doc.buffers.values[buffer].is_fallback()
+            && self.spans.is_alone(index);
+        if !fits {
+            return false;
+        }
+        let stored = &self.buffers.stored;
+        let bytes = self.overwritten.entry(buffer).or_insert_with(|| {
+            let bytes = stored.get(buffer).and_then(|s| s.bytes.as_ref());
+            bytes.map(|b| b.to_vec()).unwrap_or_default()
+        });
+        let (start, stride) = ((view.offset() + accessor.offset()) as usize, layout.stride as usize);
+        let end = start + (accessor.count.index().saturating_sub(1)) * stride + 4 * new.lanes;
+        if bytes.len() < end {
+            return false;
+        }
+        for (i, element) in new.values.chunks_exact(new.lanes).enumerate() {
+            let place = &mut bytes[start + i * stride..][..4 * new.lanes];
+            for (to, value) in place.as_chunks_mut::<4>().0.iter_mut().zip(element) {
+                *to = value.to_le_bytes();
+            }
+        }
+        let text = doc.accessors.items[index];
+        let (least, most) = bounds(new.values, new.lanes);
+        for (key, value) in [("min", least), ("max", most)] {
+            if value_of(text, key).is_some() {
+                self.edits.set(text, key, &value);
+            }
+        }
+        true
+    }
+
+    /// Adds what is new to the end of the first buffer that takes more, and makes the files.
+    fn finish(self, files: &FileSet, format: Format) -> Result<WrittenFiles, Error> {
+        let Self {
+            doc,
+            buffers,
+            mut edits,
+            fresh,
+            mut overwritten,
+            ..
+        } = self;
+        let mut added_buffer = None;
+        if !fresh.is_empty() {
+            let takes_more = |i: &usize| {
+                buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
+            };
+            let target = (0..doc.buffers.len()).find(takes_more);
+            let mut bytes = target.map_or_else(Vec::new, |i| {
+                let stored = || buffers.stored[i].bytes.as_ref().map(|b| b.to_vec());
+                overwritten.remove(&i).or_else(stored).unwrap_or_default()
+            });
+            bytes.resize(bytes.len().next_multiple_of(4), 0);
+            fresh.check_size(bytes.len(), doc.fault)?;
+            let views = fresh.view_texts(target.unwrap_or(doc.buffers.len()), bytes.len());
+            let accessors = fresh.accessor_texts(doc.views.len());
+            bytes.extend_from_slice(fresh.bytes());
+            for (key, array, json) in [
+                ("bufferViews", doc.views.text, views),
+                ("accessors", doc.accessors.text, accessors),
+            ] {
+                match array {
+                    Some(array) => edits.push(array, &json),
+                    None => edits.set(doc.text, key, &places::json_array(&json)),
+                }
+            }
+            match target {
+                Some(i) => {
+                    edits.set(doc.buffers.items[i], "byteLength", &bytes.len().to_string());
+                    overwritten.insert(i, bytes);
+                }
+                None => added_buffer = Some(bytes),
+            }
+        }
+        let patched = PatchedDocument {
+            edits,
+            buffers: overwritten,
+            added_buffer,
+        };
+        package(doc, files, &buffers, patched, format)
+    }
+}
+
+/// How often each accessor is named.
+fn accessor_uses(doc: &GltfDocument<'_>) -> Vec<u32> {
+    let mut uses = vec![0; doc.accessors.len()];
+    let mut count = |places: References<'_>| {
+        for index in places.accessors.into_iter().filter_map(places::index) {
+            if let Some(uses) = uses.get_mut(index) {
+                *uses += 1;
+            }
+        }
+    };
+    doc.meshes.items.iter().for_each(|text| count(places::of_mesh(text)));
+    doc.nodes.items.iter().for_each(|text| count(places::of_node(text)));
+    doc.skins.iter().for_each(|text| count(places::of_skin(text)));
+    doc.animations.iter().for_each(|text| count(places::of_animation(text)));
+    uses
+}
