@@ -29,7 +29,7 @@ pub(super) enum VertexTransforms {
 
 /// How different the transforms of joints may be, in units of the size of the mesh, and still count as one. Below it lies
 /// what rounding to 32 bits leaves of a skin that was bound in its rest pose.
-const SAME: f64 = 1e-6;
+const SAME: f64 = 2.5e-7;
 
 /// The largest condition number (Frobenius) of a blend of joints through which positions are written back. Ordinary
 /// skins have some tens; at this limit, rounding to 32 bits costs three digits.
