@@ -56,7 +56,11 @@ impl RigDraft {
 
 /// The upper two vertices turn about the x axis by a quarter and go up by one.
 fn raised(i: usize, p: DVec3) -> DVec3 {
-    if i < 2 { p } else { quarter_turn() * (p - DVec3::Y) + DVec3::Y * 2.0 }
+    if i < 2 {
+        p
+    } else {
+        quarter_turn() * (p - DVec3::Y) + DVec3::Y * 2.0
+    }
 }
 
 fn quarter_turn() -> DQuat {
@@ -70,11 +74,21 @@ fn floats_of(written: &WrittenFiles, accessor: usize) -> Vec<f32> {
     let start = view["byteOffset"].as_u64().unwrap_or(0) as usize;
     let length = view["byteLength"].as_u64().expect("a length") as usize;
     let bytes = bin(&written.main)[start..start + length].to_vec();
-    bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+    bytes
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|b| f32::from_le_bytes(*b))
+        .collect()
 }
 
 fn numbers(value: &serde_json::Value) -> Vec<f64> {
-    value.as_array().into_iter().flatten().filter_map(|v| v.as_f64()).collect()
+    value
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(|v| v.as_f64())
+        .collect()
 }
 
 fn is_near(a: &[f64], b: &[f64]) -> bool {
@@ -84,18 +98,30 @@ fn is_near(a: &[f64], b: &[f64]) -> bool {
 #[test]
 fn a_joint_goes_and_turns_with_what_it_holds_and_what_hangs_on_it_rides_along() {
     let draft = RigDraft::default();
-    let written = moved(&draft.files(), |i, p| quarter_turn() * p + DVec3::Y * if i < 4 { 2.0 } else { 0.0 });
+    let written = moved(&draft.files(), |i, p| {
+        quarter_turn() * p + DVec3::Y * if i < 4 { 2.0 } else { 0.0 }
+    });
     let nodes = &json(&written)["nodes"];
     assert!(is_near(&numbers(&nodes[1]["translation"]), &[0.0, 2.0, 0.0]), "{nodes}");
     let half = f64::from(HALF);
-    assert!(is_near(&numbers(&nodes[1]["rotation"]), &[half, 0.0, 0.0, half]), "{nodes}");
+    assert!(
+        is_near(&numbers(&nodes[1]["rotation"]), &[half, 0.0, 0.0, half]),
+        "{nodes}"
+    );
     for same in [2, 3] {
-        assert_eq!(nodes[same], json(&again_as_written(&draft))["nodes"][same], "it rides along");
+        assert_eq!(
+            nodes[same],
+            json(&again_as_written(&draft))["nodes"][same],
+            "it rides along"
+        );
     }
     let skin = &json(&written)["skins"][0];
     assert_eq!(skin["inverseBindMatrices"], 4, "in its place");
     let bind = DAffine3::from_mat4(glam::DMat4::from_cols_slice(
-        &floats_of(&written, 4)[..16].iter().map(|&v| f64::from(v)).collect::<Vec<_>>(),
+        &floats_of(&written, 4)[..16]
+            .iter()
+            .map(|&v| f64::from(v))
+            .collect::<Vec<_>>(),
     ));
     let joint = DAffine3::from_rotation_translation(quarter_turn(), DVec3::Y * 2.0);
     assert!((bind.inverse().translation - joint.translation).length() < 1e-5);
@@ -116,10 +142,16 @@ fn a_clip_turns_and_shifts_a_joint_from_its_new_rest() {
     assert_eq!(animation["samplers"][0]["output"], 6, "in its place");
     let rotations: Vec<f64> = floats_of(&written, 6).into_iter().map(f64::from).collect();
     let half = f64::from(HALF);
-    assert!(is_near(&rotations, &[half, 0.0, 0.0, half, 1.0, 0.0, 0.0, 0.0]), "{rotations:?}");
+    assert!(
+        is_near(&rotations, &[half, 0.0, 0.0, half, 1.0, 0.0, 0.0, 0.0]),
+        "{rotations:?}"
+    );
     // From the old rest in the origin by one, then one and a half upwards: that is along z now.
     let translations: Vec<f64> = floats_of(&written, 7).into_iter().map(f64::from).collect();
-    assert!(is_near(&translations, &[0.0, 0.0, 4.0, 0.0, 0.0, 4.5]), "{translations:?}");
+    assert!(
+        is_near(&translations, &[0.0, 0.0, 4.0, 0.0, 0.0, 4.5]),
+        "{translations:?}"
+    );
 }
 
 #[test]
@@ -148,7 +180,10 @@ fn channels_that_share_numbers_part_when_their_joints_do() {
     let animations = &json(&written)["animations"];
     // The lower joint stays, and so do its channels and their numbers; the upper one gets its own.
     assert_eq!(json(&written)["nodes"][1], serde_json::json!({"children": [2]}));
-    assert_eq!(animations[1], serde_json::from_str::<serde_json::Value>(&text(&files.main)).expect("JSON")["animations"][1]);
+    assert_eq!(
+        animations[1],
+        serde_json::from_str::<serde_json::Value>(&text(&files.main)).expect("JSON")["animations"][1]
+    );
     assert_eq!(animations[0]["channels"][0]["sampler"], 0);
     assert_eq!(animations[0]["channels"][1]["sampler"], 1);
     assert_eq!(floats_of(&written, 6), draft.rotations.as_flattened());
@@ -183,7 +218,9 @@ fn a_mesh_on_a_bone_stays_where_it_was_put() {
 fn matrices_of_nodes_stay_matrices_and_rules_are_kept() {
     let mut draft = RigDraft::default();
     let matrix = "1,0,0,0,0,1,0,0,0,0,1,0,0,1,0,1";
-    draft.nodes = draft.nodes.replace(r#""translation":[0,1,0]"#, &format!(r#""matrix":[{matrix}]"#));
+    draft.nodes = draft
+        .nodes
+        .replace(r#""translation":[0,1,0]"#, &format!(r#""matrix":[{matrix}]"#));
     let files = draft.files();
     let model = open(&files);
     let positions: Vec<DVec3> = model.positions.iter().enumerate().map(|(i, &p)| raised(i, p)).collect();
@@ -192,7 +229,9 @@ fn matrices_of_nodes_stay_matrices_and_rules_are_kept() {
             rig,
             ..Following::default()
         };
-        let written = model.write_following(&positions, Format::GLB, following).expect("writable");
+        let written = model
+            .write_following(&positions, Format::GLB, following)
+            .expect("writable");
         json(&written)["nodes"].clone()
     };
     let before: serde_json::Value = serde_json::from_str(&text(&files.main)).expect("JSON");
