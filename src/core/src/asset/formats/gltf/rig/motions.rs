@@ -156,7 +156,9 @@ pub(super) fn joint_motions(
     for (&p, &q) in shape.before.iter().zip(shape.now) {
         all.add(1.0, p - shape.before[0], q - p);
     }
-    let whole = DMat3::from_quat(all.rotation(&DMat3::IDENTITY));
+    // Twice, so that the hint of the first, that nothing has turned, leaves no trace.
+    let roughly = DMat3::from_quat(all.rotation(&DMat3::IDENTITY));
+    let whole = DMat3::from_quat(all.rotation(&roughly));
     let motions = fits.list.iter().map(|fit| fit.motion(&whole, fits.size));
     fits.numbers.into_keys().zip(motions).collect()
 }
