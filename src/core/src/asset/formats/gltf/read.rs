@@ -238,21 +238,9 @@ impl GltfReader<'_, '_> {
         let layout = accessors::check_role(doc, positions, ShapeAttribute::Position)?;
         accessors::check_unbacked(doc, positions, layout)?;
 
-        // Counts against the limits before anything is allocated for them.
         let count = doc.accessors.values[positions].count.0;
         let first_vertex = self.geometry.positions.len();
-        self.limits
-            .check_vertices((first_vertex as u64).saturating_add(count))?;
-        let corners = primitive
-            .indices
-            .map_or(count, |i| doc.accessors.values[i.index()].count.0);
-        let most = if primitive.mode() == 4 {
-            corners / 3
-        } else {
-            corners.saturating_sub(2)
-        };
-        self.examined = self.examined.saturating_add(most);
-        self.limits.check_triangles(self.examined)?;
+        let most = self.count_primitive(primitive, count)?;
 
         let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
         let used: BTreeSet<usize> = used.chain(primitive.indices.map(|i| i.index())).collect();
@@ -318,6 +306,23 @@ impl GltfReader<'_, '_> {
             triangles: first_triangle..self.geometry.triangles.len(),
         });
         Ok(true)
+    }
+
+    /// Counts a primitive of so many vertices against the limits, before anything is allocated for it; returns the most
+    /// triangles that it may have.
+    fn count_primitive(&mut self, primitive: &MeshPrimitive, vertices: u64) -> Result<u64, Error> {
+        let before = self.geometry.positions.len() as u64;
+        self.limits.check_vertices(before.saturating_add(vertices))?;
+        let indexed = primitive.indices.map(|i| self.doc.accessors.values[i.index()].count.0);
+        let corners = indexed.unwrap_or(vertices);
+        let most = if primitive.mode() == 4 {
+            corners / 3
+        } else {
+            corners.saturating_sub(2)
+        };
+        self.examined = self.examined.saturating_add(most);
+        self.limits.check_triangles(self.examined)?;
+        Ok(most)
     }
 
     fn warn(&mut self, code: &str, message: impl Into<String>, place: impl Into<String>) {

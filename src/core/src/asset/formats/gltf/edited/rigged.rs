@@ -4,7 +4,7 @@ use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
 use super::super::influences::{VertexInfluences, influence_accessors};
 use super::super::read::GltfNotes;
-use super::super::rig::{HeldVertices, SkinnedShape, joint_count};
+use super::super::rig::{JointHeldVertices, SkinnedShape, joint_count};
 use super::channels::AttributeBlender;
 use super::skins::BlendedSkin;
 use crate::asset::Error;
@@ -57,7 +57,7 @@ pub(super) fn shape_of_runs<'a>(
                 None => continue,
             }
         };
-        shape.held.push(HeldVertices {
+        shape.held.push(JointHeldVertices {
             skin,
             first: run.first_vertex as usize,
             influences,

@@ -15,7 +15,7 @@ mod motions;
 mod nodes;
 mod rewrite;
 
-pub(super) use motions::{HeldVertices, SkinnedShape};
+pub(super) use motions::{JointHeldVertices, SkinnedShape};
 
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
@@ -78,7 +78,7 @@ pub(super) fn shape_of_rows<'a>(
                 buffers.decode_for(doc, &used.collect::<BTreeSet<usize>>())?;
                 let joints = joint_count(doc, skin);
                 let influences = VertexInfluences::read(doc, buffers, primitive, joints);
-                shape.held.push(HeldVertices {
+                shape.held.push(JointHeldVertices {
                     skin,
                     first: row.vertices.start,
                     influences: influences.map_err(|problem| doc.fault.unwritable(problem))?,

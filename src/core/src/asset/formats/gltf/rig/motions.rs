@@ -22,13 +22,13 @@ pub(in super::super) struct SkinnedShape<'a> {
     /// Where they are now.
     pub(in super::super) now: &'a [DVec3],
     /// Vertices that joints place.
-    pub(in super::super) held: Vec<HeldVertices>,
+    pub(in super::super) held: Vec<JointHeldVertices>,
     /// Vertices that a node places, with the node.
     pub(in super::super) fixed: Vec<(usize, Range<usize>)>,
 }
 
 /// The vertices of one placed primitive that joints hold.
-pub(in super::super) struct HeldVertices {
+pub(in super::super) struct JointHeldVertices {
     pub(in super::super) skin: usize,
     /// The first of them in the shape.
     pub(in super::super) first: usize,
@@ -180,7 +180,7 @@ impl JointFits<'_> {
     }
 
     /// The numbers of the joints of a skin.
-    fn joints(&self, held: &HeldVertices) -> Vec<usize> {
+    fn joints(&self, held: &JointHeldVertices) -> Vec<usize> {
         let joints = self.poses.get(&held.skin).map_or(&[][..], |pose| &pose.joints);
         joints.iter().map(|node| self.numbers[node]).collect()
     }
