@@ -51,3 +51,44 @@ pub(super) fn map_along<T: Sync, R: Send>(
     })?;
     Ok(answers.into_iter().flatten().collect())
 }
+
+/// As [`map`], for numbers that rise. Many are asked about in the order of `space`, which the numbers of near things stand next to
+/// each other in, so that one query finds in the cache what the last one read; `space` has all of them, each once.
+pub(super) fn map_in_space<R: Send>(
+    numbers: &[u32],
+    space: impl FnOnce() -> Vec<u32>,
+    exec: &Exec<'_>,
+    ask: impl Fn(&u32) -> R + Sync + Send,
+) -> Result<Vec<R>, Cancelled> {
+    let Some(&last) = numbers.last().filter(|_| numbers.len() > BLOCK) else {
+        return map(numbers, exec, ask);
+    };
+    let mut place = vec![u32::MAX; last as usize + 1];
+    (0u32..).zip(numbers).for_each(|(k, &n)| place[n as usize] = k);
+    let place_of = |n: u32| place.get(n as usize).copied().filter(|&k| k != u32::MAX);
+    let order: Vec<u32> = space().into_iter().filter_map(place_of).collect();
+    debug_assert_eq!(order.len(), numbers.len());
+    let found = map(&order, exec, |&k| ask(&numbers[k as usize]))?;
+    let mut answers: Vec<Option<R>> = numbers.iter().map(|_| None).collect();
+    for (k, answer) in order.into_iter().zip(found) {
+        answers[k as usize] = Some(answer);
+    }
+    Ok(answers.into_iter().flatten().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pool::Pool;
+    use crate::progress::Silent;
+
+    #[test]
+    fn answers_stand_in_the_order_of_the_questions_whatever_order_they_are_asked_in() {
+        let pool = Pool::new(2).expect("threads");
+        let exec = Exec::new(&pool, &Silent);
+        let numbers: Vec<u32> = (0..2 * BLOCK as u32).map(|k| 3 * k + 1).collect();
+        let backwards = || (0..6 * BLOCK as u32 + 9).rev().collect();
+        let answers = map_in_space(&numbers, backwards, &exec, |n| n + 5).expect("not cancelled");
+        assert!(answers.into_iter().eq(numbers.iter().map(|n| n + 5)));
+    }
+}

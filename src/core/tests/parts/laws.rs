@@ -7,7 +7,8 @@ use pliant_core::exec::Exec;
 use pliant_core::graph::{
     Error, LOOSE, MeshGraph, TieAnchor, TieFamilies, TieOptions, VolumeOptions, surface, tie_parts, volume,
 };
-use pliant_core::mesh::Mesh;
+use pliant_core::mesh::query::closest_point::closest_weights_on_triangle;
+use pliant_core::mesh::{Components, Mesh};
 use pliant_core::pool::Pool;
 use pliant_core::progress::Silent;
 use proptest::prelude::*;
@@ -106,6 +107,62 @@ fn a_part_alone_keeps_its_graph_to_the_bit() {
         let mesh = unwelded(&shape);
         assert!(tied(&mesh) == untied(&mesh, 2), "{name}");
     }
+}
+
+#[test]
+fn ties_lead_to_the_nearest_places_of_the_three_nearest_parts() {
+    let mut state = 7u64;
+    let mut next = || {
+        state = state
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
+        (state >> 11) as f64 / (1u64 << 53) as f64
+    };
+    // So few triangles that all of them may be compared for each vertex.
+    let mut crowd = vec![
+        block([0.5; 3], [0.4; 3], [2; 3]),
+        block([0.7; 3], [0.4; 3], [2; 3]),
+        block([0.5, 0.5, 0.8], [0.2; 3], [2; 3]),
+    ];
+    crowd.extend((0..100).map(|_| {
+        let middle = DVec3::new(next(), next(), next());
+        let corners = (0..3).map(|_| middle + 0.3 * DVec3::new(next(), next(), next()));
+        (corners.collect(), vec![[0, 1, 2]])
+    }));
+    let mesh = unwelded(&together(crowd));
+    assert!(mesh.triangles.len() < 256);
+    let parts = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
+    let part = |v: u32| parts.of_vertex[v as usize];
+    let square = |v: u32, t: &[u32; 3]| {
+        let corners = t.map(|c| mesh.positions[c as usize]);
+        closest_weights_on_triangle(mesh.positions[v as usize], corners).1
+    };
+    let (reach, mut most) = (0.1, 0);
+    let options = TieOptions {
+        distance: Some(reach),
+        ..TieOptions::default()
+    };
+    let graph = tied_with(&mesh, &options, 2);
+    for v in 0..mesh.positions.len() as u32 {
+        let mut nearest = vec![f64::INFINITY; parts.count];
+        for t in mesh.triangles.iter().filter(|t| part(t[0]) != part(v)) {
+            let own = &mut nearest[part(t[0]) as usize];
+            *own = own.min(square(v, t));
+        }
+        nearest.retain(|&square| square <= reach * reach);
+        nearest.sort_by(f64::total_cmp);
+        nearest.truncate(3);
+        let own: Vec<&TieAnchor> = anchors(&graph).iter().filter(|a| a.vertex == v).collect();
+        let mut found: Vec<f64> = own.iter().map(|a| square(v, &a.corners)).collect();
+        found.sort_by(f64::total_cmp);
+        let same = |(a, b): (&f64, &f64)| (a.sqrt() - b.sqrt()).abs() < 1e-12;
+        assert!(
+            found.len() == nearest.len() && found.iter().zip(&nearest).all(same),
+            "vertex {v}: {found:?} for {nearest:?}"
+        );
+        most = most.max(found.len());
+    }
+    assert!(most == 3 && anchors(&graph).is_sorted_by_key(|a| a.vertex));
 }
 
 #[test]

@@ -8,6 +8,7 @@ use crate::graph::ties::part_ties::{TieAnchor, TieReach};
 use crate::graph::ties::part_tree::{NearPlace, PartTree};
 use crate::mesh::BoundingBox;
 use crate::progress::Cancelled;
+use rayon::prelude::*;
 
 /// The shortest and the longest reach that is chosen, as parts of the diagonal.
 const REACH: [f64; 2] = [0.005, 0.02];
@@ -56,7 +57,8 @@ impl TieReach {
 pub(super) fn find_anchors(site: &TieSite, asked: &[u32], exec: &Exec<'_>) -> Result<Vec<TieAnchor>, Cancelled> {
     let surface = &site.graph.positions[..site.graph.surface];
     let tree = PartTree::build_tree(surface, site.triangles, site.families, exec.pool);
-    let mut anchors = Vec::new();
+    let asked = in_space_order(&tree, asked, surface.len());
+    let mut anchors: Vec<TieAnchor> = Vec::new();
     // Some runs at a time, with a look at the progress in between.
     for runs in asked.chunks(64 * RUN) {
         let runs: Vec<&[u32]> = runs.chunks(RUN).collect();
@@ -71,7 +73,20 @@ pub(super) fn find_anchors(site: &TieSite, asked: &[u32], exec: &Exec<'_>) -> Re
         })?;
         found.into_iter().for_each(|found| anchors.extend(found));
     }
+    // Those of one vertex lie next to each other and stay in their order.
+    exec.pool.install(|| anchors.par_sort_by_key(|a| a.vertex));
     Ok(anchors)
+}
+
+/// The vertices `asked` in the order of the tree, so that one search finds in the cache what the last one read; those without
+/// triangles last.
+fn in_space_order(tree: &PartTree, asked: &[u32], vertices: usize) -> Vec<u32> {
+    let mut waiting = vec![false; vertices];
+    asked.iter().for_each(|&v| waiting[v as usize] = true);
+    let mut order = tree.vertices_in_space_order();
+    order.retain(|&v| std::mem::replace(&mut waiting[v as usize], false));
+    order.extend(asked.iter().copied().filter(|&v| waiting[v as usize]));
+    order
 }
 
 /// How far a vertex looks for other parts.

@@ -146,7 +146,7 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
     if site.hull.is_none() && site.soup.is_none() {
         return Ok(None);
     }
-    let (inward, turns) = parts.inward(mesh, &adjacency, |p| site.contains(p), step, exec)?;
+    let (inward, turns) = parts.inward(tree.bvh(), &adjacency, |p| site.contains(p), step, exec)?;
 
     exec.progress.report("graph", 0.2);
     let offset = options.shell_offset.unwrap_or(mean_edge);

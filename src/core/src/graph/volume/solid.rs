@@ -7,9 +7,10 @@
 
 use crate::exec::Exec;
 use crate::graph::error::Error;
-use crate::graph::parallel::map;
+use crate::graph::parallel::{map, map_in_space};
 use crate::graph::volume::caps::ClosedHull;
 use crate::graph::winding::tree::WindingTree;
+use crate::mesh::query::TriangleBvh;
 use crate::mesh::{Adjacency, Components, Mesh};
 use glam::DVec3;
 
@@ -75,7 +76,8 @@ impl ClassifiedParts {
                 .filter(|&t| kinds[part(t)] == PartKind::Sheet)
                 .collect();
             let looked_at = sample(faces, components.count, part);
-            let open = map(&looked_at, exec, |&t| {
+            let space = || tree.bvh().triangle_order().to_vec();
+            let open = map_in_space(&looked_at, space, exec, |&t| {
                 let [a, b, c] = mesh.triangles[t as usize].map(|v| mesh.positions[v as usize]);
                 let beside = (b - a).cross(c - a).try_normalize()? * step;
                 let winding = tree.rough_winding_number((a + b + c) / 3.0 - beside);
@@ -166,16 +168,17 @@ impl ClassifiedParts {
     /// normals were turned, or 0 when it has no inside.
     pub(in crate::graph) fn inward(
         &self,
-        mesh: &Mesh,
+        surface: &TriangleBvh,
         adjacency: &Adjacency,
         contains: impl Fn(DVec3) -> bool + Sync,
         step: f64,
         exec: &Exec<'_>,
     ) -> Result<(InwardDirections, Vec<f64>), Error> {
-        let vertices: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+        let (positions, triangles) = (surface.positions(), surface.triangles());
+        let vertices: Vec<u32> = (0..positions.len() as u32).collect();
         let mut inward = map(&vertices, exec, |&v| {
             if self.kind(v) != PartKind::Sheet {
-                -normal(&mesh.positions, &mesh.triangles, adjacency, v)
+                -normal(positions, triangles, adjacency, v)
             } else {
                 DVec3::ZERO
             }
@@ -186,8 +189,9 @@ impl ClassifiedParts {
             .filter(|&v| inward[v as usize] != DVec3::ZERO)
             .collect();
         let asked = sample(candidates, self.kinds.len(), part);
-        let sides = map(&asked, exec, |&v| {
-            let (p, d) = (mesh.positions[v as usize], inward[v as usize] * step);
+        let space = || surface.vertices_in_space_order();
+        let sides = map_in_space(&asked, space, exec, |&v| {
+            let (p, d) = (positions[v as usize], inward[v as usize] * step);
             (contains(p + d), contains(p - d))
         })?;
         let mut votes = vec![(0usize, 0usize); self.kinds.len()];

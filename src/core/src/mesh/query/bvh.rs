@@ -51,7 +51,7 @@ pub(crate) struct BvhNode {
 
 /// The boxes around up to four children, laid out so that four are tested at once.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct ChildBoxes {
+pub(crate) struct ChildBoxes {
     /// By axis, then by child.
     pub(super) min: [[f64; FAN]; 3],
     pub(super) max: [[f64; FAN]; 3],
@@ -121,6 +121,26 @@ impl<'a> TriangleBvh<'a> {
     /// The corners of the triangle at a place in the order of the leaves.
     pub(crate) fn corners(&self, place: usize) -> [DVec3; 3] {
         self.triangles[self.order[place] as usize].map(|v| self.positions[v as usize])
+    }
+
+    /// The boxes around the triangles of each leaf.
+    pub(crate) fn triangle_boxes(&self) -> Vec<ChildBoxes> {
+        let bounds = |place: usize| BoundingBox::of(&self.corners(place));
+        let leaf = |node: &BvhNode| {
+            let places = node.first as usize..(node.first + node.count) as usize;
+            let mut boxes = [BoundingBox::of(&[]); FAN];
+            let count = places.len();
+            boxes
+                .iter_mut()
+                .zip(places)
+                .for_each(|(own, place)| *own = bounds(place));
+            ChildBoxes::around(&boxes[..count])
+        };
+        self.nodes[..self.leaves]
+            .par_iter()
+            .with_min_len(256)
+            .map(leaf)
+            .collect()
     }
 
     /// All nodes: leaves first, then each level above; the root is last.
@@ -217,7 +237,7 @@ impl ChildBoxes {
 
     /// Squared distances from `p`; anything for children that are not there.
     #[inline]
-    pub(super) fn distances_squared(&self, p: DVec3) -> [f64; FAN] {
+    pub(crate) fn distances_squared(&self, p: DVec3) -> [f64; FAN] {
         let mut square = [0.0; FAN];
         for axis in 0..3 {
             let (min, max, p) = (&self.min[axis], &self.max[axis], p[axis]);

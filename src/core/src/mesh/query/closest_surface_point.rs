@@ -3,6 +3,7 @@
 use crate::mesh::query::bvh::{FAN, TriangleBvh};
 use crate::mesh::query::closest_point::closest_point_on_triangle;
 use glam::DVec3;
+use std::ops::Range;
 
 /// A point of a surface that was found closest to a query.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,19 +20,24 @@ pub struct SurfacePoint {
 
 /// Who is shown the triangles near a point, nearest boxes first.
 pub(crate) trait NearVisitor {
+    /// Whether nothing below a node of the tree is wanted, whatever else is found.
+    fn ignores_node(&self, _node: usize) -> bool {
+        false
+    }
+
     /// Whether a node of the tree, whose box is the root of `square` away, need not be looked into.
     fn skips_node(&self, _node: usize, _square: f64) -> bool {
         false
     }
 
-    /// Looks at a triangle, told as a place in the order of the leaves; may lower the squared distance that the search
-    /// goes to.
-    fn see_triangle(&mut self, place: usize, limit: &mut f64);
+    /// Looks at the triangles of a leaf, told as places in the order of the leaves; may lower the squared distance that the
+    /// search goes to.
+    fn see_leaf(&mut self, leaf: usize, places: Range<usize>, limit: &mut f64);
 }
 
 impl<See: FnMut(usize, &mut f64)> NearVisitor for See {
-    fn see_triangle(&mut self, place: usize, limit: &mut f64) {
-        self(place, limit);
+    fn see_leaf(&mut self, _leaf: usize, places: Range<usize>, limit: &mut f64) {
+        places.for_each(|place| self(place, limit));
     }
 }
 
@@ -123,26 +129,29 @@ impl TriangleBvh<'_> {
             }
             let node = &self.nodes[index as usize];
             let Some(inner) = (index as usize).checked_sub(self.leaves) else {
-                (node.first as usize..(node.first + node.count) as usize)
-                    .for_each(|place| visitor.see_triangle(place, &mut limit));
+                let places = node.first as usize..(node.first + node.count) as usize;
+                visitor.see_leaf(index as usize, places, &mut limit);
                 continue;
             };
             let squares = self.boxes[inner].distances_squared(point);
-            let mut near: [(f64, u32); FAN] = std::array::from_fn(|child| {
+            let mut near: [(f64, u32, bool); FAN] = std::array::from_fn(|child| {
                 let there = (child as u32) < node.count;
-                (
-                    if there { squares[child] } else { f64::INFINITY },
-                    node.first + child as u32,
-                )
+                let square = if there { squares[child] } else { f64::INFINITY };
+                let index = node.first + child as u32;
+                let within = square <= limit && square < f64::INFINITY;
+                (square, index, within && !visitor.ignores_node(index as usize))
             });
-            // Farthest first onto the stack, so that the nearest is visited next.
-            for (i, j) in [(0, 1), (2, 3), (0, 2), (1, 3), (1, 2)] {
-                if near[i].0 < near[j].0 {
-                    near.swap(i, j);
+            // Farthest first onto the stack, so that the nearest is visited next. One alone needs no order.
+            if near.iter().filter(|n| n.2).count() > 1 {
+                for (i, j) in [(0, 1), (2, 3), (0, 2), (1, 3), (1, 2)] {
+                    let (a, b) = (near[i], near[j]);
+                    let swapped = a.0 < b.0;
+                    near[i] = if swapped { b } else { a };
+                    near[j] = if swapped { a } else { b };
                 }
             }
-            for n in near.into_iter().filter(|n| n.0 <= limit && n.0 < f64::INFINITY) {
-                waiting[len] = n;
+            for (square, index, _) in near.into_iter().filter(|n| n.2) {
+                waiting[len] = (square, index);
                 len += 1;
             }
         }
