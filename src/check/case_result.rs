@@ -18,8 +18,11 @@ pub struct CaseResult {
     pub digest: String,
     /// Whether `positions` are rounded to 32 bits, as they come from a server.
     pub rounded: bool,
-    /// Numbers that the engine tells of it; one that the way it was run does not tell is absent.
+    /// Numbers that the engine tells of it; one that the way it was run does not tell is absent, as is the volume of an
+    /// open surface.
     pub numbers: BTreeMap<Metric, f64>,
+    /// Whether the surface is open, so that it encloses no volume that could change.
+    pub open_surface: bool,
     /// Expectations of the job that can be told without a golden and do not hold.
     pub unmet: Vec<String>,
     /// The shape before, as the model's file has it.
@@ -65,13 +68,21 @@ impl TopologyDigests {
 impl CaseResult {
     /// Takes the numbers of a report's quality. Distances of constraints are told apart, in model units.
     pub fn take_quality(&mut self, quality: &pb::Quality) {
+        self.open_surface = quality.open_surface;
         self.numbers.extend([
             (Metric::EdgeRms, quality.edge_rms),
             (Metric::MaxStretch, quality.max_stretch),
-            (Metric::VolumeChange, quality.volume_change),
             (Metric::AreaChange, quality.area_change),
             (Metric::FoldedTriangles, f64::from(quality.flipped_triangles)),
         ]);
+        if self.has_metric(Metric::VolumeChange) {
+            self.numbers.insert(Metric::VolumeChange, quality.volume_change);
+        }
+    }
+
+    /// Whether the metric means anything for this shape, told or not.
+    pub fn has_metric(&self, metric: Metric) -> bool {
+        metric != Metric::VolumeChange || !self.open_surface
     }
 
     /// Tells in words what is not finite; `None` when everything is.
@@ -105,6 +116,25 @@ mod tests {
         assert_eq!(one.unwound, wound.unwound);
         let other = TopologyDigests::from_triangles(4, &[[0, 1, 2], [0, 1, 3]]);
         assert_ne!(one.unwound, other.unwound);
+    }
+
+    #[test]
+    fn an_open_surface_has_no_volume_and_a_closed_one_has() {
+        let taken = |open_surface| {
+            let mut found = CaseResult::default();
+            found.take_quality(&pb::Quality {
+                open_surface,
+                area_change: 0.5,
+                ..Default::default()
+            });
+            found.numbers
+        };
+        assert_eq!(taken(false)[&Metric::VolumeChange], 0.0);
+        let open = taken(true);
+        assert_eq!(
+            (open.get(&Metric::VolumeChange), open[&Metric::AreaChange]),
+            (None, 0.5)
+        );
     }
 
     #[test]

@@ -36,6 +36,8 @@ pub struct VerdictReason {
 pub struct MetricDifference {
     /// What it is.
     pub metric: Metric,
+    /// Whether the shape has such a number at all; an open surface has no volume.
+    pub applies: bool,
     /// Now; `None` when it could not be told.
     pub value: Option<f64>,
     /// In the golden; `None` for what is measured against the stored positions.
@@ -64,11 +66,16 @@ impl MetricDifference {
         }
     }
 
+    /// What stands for people where there is no number.
+    pub fn absent_word(&self) -> &'static str {
+        if self.applies { "not told" } else { "n/a" }
+    }
+
     /// Writes the difference and what is allowed, for people.
     pub fn describe(&self) -> String {
         let name = self.metric.name();
         let Some(difference) = self.difference else {
-            return format!("{name} not told");
+            return format!("{name} {}", self.absent_word());
         };
         let more = match (self.metric.kind(), self.value, self.stored) {
             (MetricKind::Shape, ..) => String::new(),
@@ -250,6 +257,7 @@ fn measure_differences(
 ) -> Vec<MetricDifference> {
     let of = |metric: Metric| {
         let tolerance = tolerances.for_metric(metric);
+        let applies = found.has_metric(metric);
         let (value, stored, difference) = match metric.kind() {
             MetricKind::Shape => {
                 let value = comparison.numbers.get(&metric).copied();
@@ -260,6 +268,8 @@ fn measure_differences(
                     found.numbers.get(&metric).copied(),
                     golden.numbers.get(&metric).copied(),
                 );
+                // Goldens of before open surfaces were told apart hold a volume that stands for none.
+                let stored = stored.filter(|_| applies);
                 let difference = value.zip(stored).map(|(now, stored)| match kind {
                     MetricKind::Growth => (now - stored).max(0.0),
                     _ => (now - stored).abs(),
@@ -269,6 +279,7 @@ fn measure_differences(
         };
         MetricDifference {
             metric,
+            applies,
             value,
             stored,
             difference,

@@ -252,3 +252,51 @@ fn a_small_difference_passes_within_a_tolerance_that_has_a_reason() {
     assert_eq!(ran.json()["cases"][0]["identical"], false);
     assert!(folder.read("r.xml").contains("value=\"the solve is looser\""));
 }
+
+#[test]
+fn an_open_surface_has_no_volume_and_a_golden_that_stores_one_still_passes() {
+    let folder = folder::Suite::new();
+    let bar = crate::support::server::bar_obj(20);
+    let (open, _) = bar.trim_end().rsplit_once('\n').expect("triangles");
+    folder.write("open.obj", open);
+    folder.job("open", "open.obj", 0.8);
+    let blessed = folder.check(&["--bless"]);
+    assert!(
+        blessed.code == Some(0) && !blessed.err.contains("volumeChange") && blessed.err.contains("areaChange "),
+        "{}",
+        blessed.err
+    );
+    let golden = folder.read("open.golden.json");
+    assert!(!golden.contains("volumeChange") && golden.contains("areaChange"));
+    let volume = |ran: &Ran| {
+        let metrics = ran.json()["cases"][0]["metrics"].as_array().expect("metrics").clone();
+        metrics.into_iter().find(|m| m["name"] == "volumeChange").expect("it")
+    };
+    // As goldens were stored before: with a volume that stood for none, which cannot fail and is shown nowhere.
+    let old = golden.replacen("\"metrics\": {", "\"metrics\": {\n    \"volumeChange\": 0.0,", 1);
+    for text in [&golden, &old] {
+        folder.write("open.golden.json", text);
+        let ran = folder.check(&["--json", "--html", "r.html", "--junit", "r.xml", "--force"]);
+        assert_eq!(ran.code, Some(0), "{}", ran.err);
+        let told = volume(&ran);
+        assert!(
+            told.get("value").is_none() && told.get("stored").is_none() && told["holds"] == true,
+            "{told}"
+        );
+        let row = "<td>volumeChange</td><td class=\"number\">n/a</td><td class=\"number\">0</td>\
+                   <td class=\"number\">n/a</td><td class=\"number\">n/a</td>";
+        assert!(folder.read("r.html").contains(row));
+        assert!(folder.read("r.xml").contains("name=\"volumeChange\" value=\"n/a\""));
+    }
+    let again = folder.check(&["--bless"]);
+    assert!(
+        again.code == Some(0) && again.err.contains("volumeChange 0 -> n/a"),
+        "{}",
+        again.err
+    );
+    assert_eq!(folder.read("open.golden.json"), golden);
+    // What has a volume keeps it.
+    folder.case("open", "open.obj");
+    let closed = folder.check(&["--bless"]);
+    assert!(closed.err.contains("volumeChange n/a -> 0."), "{}", closed.err);
+}

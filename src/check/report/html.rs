@@ -128,7 +128,7 @@ fn write_facts(body: &mut String, case: &CaseReport) {
 }
 
 fn write_difference(body: &mut String, m: &MetricDifference) {
-    let number = |x: Option<f64>| x.map_or("not told".into(), |x| m.metric.format_value(x));
+    let number = |x: Option<f64>| x.map_or(m.absent_word().into(), |x| m.metric.format_value(x));
     let (stored, now) = match m.metric.kind() {
         MetricKind::Shape => (String::new(), String::new()),
         _ => (number(m.stored), number(m.value)),

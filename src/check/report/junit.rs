@@ -92,7 +92,7 @@ fn case_properties(case: &CaseReport) -> Vec<(String, String)> {
     for m in &case.verdict.measures {
         let name = m.metric.name();
         let Some(difference) = m.difference else {
-            facts.push((name.into(), "not told".into()));
+            facts.push((name.into(), m.absent_word().into()));
             continue;
         };
         facts.push((name.into(), format_exact(difference)));

@@ -26,6 +26,7 @@ fn sample_case(name: &str, title: &str, verdict: CaseVerdict) -> CaseReport {
 fn sample_difference(metric: Metric, difference: f64, allowed: f64) -> MetricDifference {
     MetricDifference {
         metric,
+        applies: true,
         value: Some(difference),
         stored: None,
         difference: Some(difference),

@@ -123,7 +123,7 @@ pub fn describe_changes(old: Option<&Golden>, new: &Golden, measures: &[MetricDi
         match (old.numbers.get(&metric), new.numbers.get(&metric)) {
             (a, b) if a == b => {}
             (a, b) => {
-                let show = |x: Option<&f64>| x.map_or("none".into(), |x| metric.format_value(*x));
+                let show = |x: Option<&f64>| x.map_or("n/a".into(), |x| metric.format_value(*x));
                 lines.push(format!("{} {} -> {}", metric.name(), show(a), show(b)));
             }
         }
