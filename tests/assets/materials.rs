@@ -180,6 +180,58 @@ fn coordinates_that_part_at_a_seam_survive_in_a_ply() {
 }
 
 #[test]
+fn coordinates_by_corner_of_a_ply_are_those_of_vertices_in_a_glb() {
+    let header = "ply\nformat ascii 1.0\nelement vertex 7\nproperty float x\nproperty float y\nproperty float z\n\
+        property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 2\n\
+        property list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n";
+    let vertices =
+        "0 0 0 255 0 0\n1 0 0 0 255 0\n1 1 0 0 0 255\n0 1 0 255 0 0\n2 0 0 255 0 0\n2 1 0 255 0 0\n9 9 9 0 0 0\n";
+    let seamed = "4 0 1 2 3 8 0 0 1 0 1 1 0 1\n4 1 4 5 2 8 0.5 0.25 1 0.25 1 0.75 0.5 0.75\n";
+    // Places, colours and coordinates of the corners of all triangles, by way of a GLB.
+    let by_way_of_a_glb = |faces: &str| {
+        let model = read(FileSet::single("two.ply", format!("{header}{vertices}{faces}")));
+        let glb = again(Format::GLB, write(&model, Format::GLB));
+        let obj = String::from_utf8(write(&glb, Format::OBJ).main).expect("text");
+        let lines = |of: &str| -> Vec<&str> { obj.lines().filter_map(|l| l.strip_prefix(of)).collect() };
+        let (places, coordinates) = (lines("v "), lines("vt "));
+        let corner = |word: &str| {
+            let numbers: Vec<usize> = word.split('/').take(2).map(|n| n.parse().expect("a number")).collect();
+            format!("{} | {}", places[numbers[0] - 1], coordinates[numbers[1] - 1])
+        };
+        let triangles: Vec<Vec<String>> = (lines("f ").iter())
+            .map(|face| face.split(' ').map(corner).collect())
+            .collect();
+        (glb.positions.len(), triangles)
+    };
+    let (count, triangles) = by_way_of_a_glb(seamed);
+    let first = [
+        "0 0 0 1 0 0 | 0 0",
+        "1 0 0 0 1 0 | 1 0",
+        "1 1 0 0 0 1 | 1 1",
+        "0 1 0 1 0 0 | 0 1",
+    ];
+    let second = [
+        "1 0 0 0 1 0 | 0.5 0.25",
+        "2 0 0 1 0 0 | 1 0.25",
+        "2 1 0 1 0 0 | 1 0.75",
+        "1 1 0 0 0 1 | 0.5 0.75",
+    ];
+    let wanted = [first, second].map(|[a, b, c, d]| [[a, b, c], [a, c, d]]).concat();
+    assert_eq!(triangles, wanted);
+    assert_eq!(
+        count, 9,
+        "the two vertices at the seam are there twice, the others once"
+    );
+    // Where all corners of a vertex agree, no vertex is copied.
+    let (count, triangles) = by_way_of_a_glb(
+        &seamed
+            .replace("0.5 0.25 1", "1 0 1")
+            .replace("0.75 0.5 0.75", "0.75 1 1"),
+    );
+    assert_eq!((count, triangles[3][2].as_str()), (7, "1 1 0 0 0 1 | 1 1"));
+}
+
+#[test]
 fn colours_of_vertices_go_everywhere() {
     let text = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n";
     let mut here = read(FileSet::single("colours.obj", text));

@@ -112,7 +112,8 @@ pub(super) trait FormatCodec: Sync {
         Ok(None)
     }
 
-    /// Whether models built in this format have their vertices divided at seams, as [`FormatCodec::seam_parts`] does it.
+    /// Whether models built in this format have their vertices divided at seams, as [`FormatCodec::seam_parts`] does it,
+    /// and by [`RunAttributes::corner_uv`] where a format has no more than those.
     fn divides_at_seams(&self) -> bool {
         false
     }

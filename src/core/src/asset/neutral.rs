@@ -6,6 +6,7 @@ use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
 use super::material::NamedMaterial;
 use super::{Error, Format, Geometry, Primitive};
 use glam::{DVec3, Vec3};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -63,6 +64,52 @@ pub(super) struct SeamPart {
     pub triangles: Vec<[u32; 3]>,
     /// Per vertex of this part.
     pub attributes: RunAttributes,
+}
+
+impl SeamPart {
+    /// Divides a run by its texture coordinates at corners: each vertex keeps those of its first corner, and for each
+    /// other pair around it there is one copy, after all vertices. `triangles` are over the run's vertices; `normals` are
+    /// empty or one for each of these.
+    pub fn of_corners(vertices: usize, triangles: &[[u32; 3]], normals: &[Vec3], attributes: RunAttributes) -> Self {
+        let RunAttributes {
+            colours,
+            corner_uv,
+            material,
+            ..
+        } = attributes;
+        let mut copy_of: Vec<u32> = (0..vertices as u32).collect();
+        let mut uv: Vec<Option<[f32; 2]>> = vec![None; vertices];
+        let mut copies: BTreeMap<(u32, [u32; 2]), u32> = BTreeMap::new();
+        let divided = triangles.iter().enumerate().map(|(i, triangle)| {
+            [0, 1, 2].map(|k| {
+                let vertex = triangle[k];
+                let here = corner_uv.get(3 * i + k).copied().unwrap_or_default();
+                let bits = here.map(f32::to_bits);
+                if uv[vertex as usize].get_or_insert(here).map(f32::to_bits) == bits {
+                    return vertex;
+                }
+                *copies.entry((vertex, bits)).or_insert_with(|| {
+                    copy_of.push(vertex);
+                    uv.push(Some(here));
+                    copy_of.len() as u32 - 1
+                })
+            })
+        });
+        let triangles = divided.collect();
+        let copied = |v: &u32| *v as usize;
+        Self {
+            triangles,
+            normals: copy_of.iter().filter_map(|v| normals.get(copied(v)).copied()).collect(),
+            attributes: RunAttributes {
+                uv: uv.into_iter().map(Option::unwrap_or_default).collect(),
+                colours: copy_of.iter().filter_map(|v| colours.get(copied(v)).copied()).collect(),
+                corner_uv: Vec::new(),
+                material,
+                faces: None,
+            },
+            copy_of,
+        }
+    }
 }
 
 /// One primitive of a neutral model and everything it has.
@@ -140,6 +187,31 @@ impl NeutralModel {
         let here = positions[run.vertices()].iter().copied();
         self.push_primitive(&primitive.name, here, &normals, &carried.triangles);
         self.push_attributes(attributes);
+    }
+
+    /// Adds a run whose texture coordinates differ around vertices, with those vertices copied.
+    ///
+    /// # Errors
+    /// When 32-bit numbers do not count that many vertices; they would be those of a file of `format`.
+    pub fn push_divided_run(
+        &mut self,
+        edited: &EditedModel<'_>,
+        run: &PrimitiveRun,
+        positions: &[DVec3],
+        attributes: RunAttributes,
+        format: Format,
+    ) -> Result<(), Error> {
+        let primitive = edited.primitive(run);
+        let normals = if primitive.has_normals {
+            CarriedAttributes::new(edited, run, positions).normals()
+        } else {
+            Vec::new()
+        };
+        let triangles = edited.local_triangles(run);
+        let part = SeamPart::of_corners(run.vertex_count as usize, &triangles, &normals, attributes);
+        self.check_room(part.copy_of.len(), format)?;
+        self.push_seam_part(&primitive.name, &positions[run.vertices()], part);
+        Ok(())
     }
 
     /// Adds a part of a run; `own` are the positions of the run's vertices.

@@ -330,8 +330,12 @@ fn add_base(
             Some(attributes) => attributes,
             none => none.insert(source.run_attributes(edited, &runs)?.into_iter()),
         };
-        neutral.check_room(run.vertex_count as usize, format)?;
         let mut attributes = attributes.next().unwrap_or_default();
+        if divides && !attributes.corner_uv.is_empty() {
+            neutral.push_divided_run(edited, run, positions, attributes, format)?;
+            continue;
+        }
+        neutral.check_room(run.vertex_count as usize, format)?;
         attributes.faces = faces_of_run(edited, run);
         neutral.push_run(edited, run, positions, attributes);
     }
