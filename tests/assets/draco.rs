@@ -49,6 +49,38 @@ fn document(written: &WrittenFiles) -> Value {
     serde_json::from_slice(json).expect("JSON")
 }
 
+/// The sum of a number of every item of a section.
+fn sum_of(json: &Value, section: &str) -> u64 {
+    let items = json[section].as_array().map_or(&[][..], Vec::as_slice);
+    items.iter().filter_map(|item| item["byteLength"].as_u64()).sum()
+}
+
+fn buffer_bytes(json: &Value) -> u64 {
+    sum_of(json, "buffers")
+}
+
+fn view_bytes(json: &Value) -> u64 {
+    sum_of(json, "bufferViews")
+}
+
+/// Views that nothing in a document names.
+fn unnamed_views(json: &Value) -> Vec<usize> {
+    fn collect(value: &Value, named: &mut Vec<u64>) {
+        match value {
+            Value::Object(members) => members.iter().for_each(|(key, value)| match value.as_u64() {
+                Some(view) if key == "bufferView" => named.push(view),
+                _ => collect(value, named),
+            }),
+            Value::Array(items) => items.iter().for_each(|item| collect(item, named)),
+            _ => {}
+        }
+    }
+    let mut named = Vec::new();
+    collect(json, &mut named);
+    let count = json["bufferViews"].as_array().map_or(0, Vec::len);
+    (0..count).filter(|view| !named.contains(&(*view as u64))).collect()
+}
+
 #[test]
 fn compressed_models_come_back_as_they_were_or_uncompressed() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -77,6 +109,20 @@ fn compressed_models_come_back_as_they_were_or_uncompressed() {
             let written = model.write(&moved, format).expect("writable");
             let json = document(&written);
             assert!(!json.to_string().contains("KHR_draco_mesh_compression"), "{place}");
+            let compressed = document(&same);
+            let (before, after) = (unnamed_views(&compressed), unnamed_views(&json));
+            assert!(
+                after.iter().all(|v| before.contains(v)),
+                "{place}: {after:?} of {before:?}"
+            );
+            // What lies between views is no more than alignment: the streams are gone.
+            let (bytes, views) = (buffer_bytes(&json), json["bufferViews"].as_array().map_or(0, Vec::len));
+            let idle = bytes.saturating_sub(view_bytes(&json));
+            let idle_before = buffer_bytes(&compressed).saturating_sub(view_bytes(&compressed));
+            assert!(
+                idle <= idle_before + 11 * views as u64,
+                "{place}: {idle} of {bytes} bytes are in no view"
+            );
             let at = folder.path().join(format!("{k}{name}/model.{format}"));
             khronos::store(&written, &at);
             let mut again = FileSet::single(format!("model.{format}"), written.main);

@@ -2,7 +2,8 @@
 //!
 //! A document with primitives that are kept in Draco alone is read, edited and written in a form without them: each
 //! decoded attribute gets a view of its own behind the data that is there, its accessor names that view, and the extension
-//! goes. Numbers of accessors, views and meshes stay. A model that nothing was done to still comes back as it was uploaded.
+//! goes. Streams that nothing else names go too: the first decoded view takes the place of theirs. Numbers of accessors,
+//! views and meshes stay. A model that nothing was done to still comes back as it was uploaded.
 
 use super::accessors::{AccessorLayout, ComponentType};
 use super::buffers::{BufferBytes, BufferOrigin};
@@ -10,6 +11,7 @@ use super::container;
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::fault::GltfFault;
 use super::float_json::bounds;
+use super::reclaimed::{BufferCuts, count_view_uses};
 use super::schema::{MeshPrimitive, WholeNumber};
 use super::text::{JsonEdits, items, members, quoted, value_of};
 use super::uri;
@@ -46,23 +48,29 @@ pub(super) fn uncompress(
         filled: BTreeMap::new(),
         data: Vec::new(),
         views: Vec::new(),
+        uses_left: count_view_uses(doc).unwrap_or_default(),
+        unused: Vec::new(),
+        replaced: Vec::new(),
     };
-    let (mut count, mut left) = (0, 0);
+    let (mut compressed, mut left) = (Vec::new(), 0);
     for (m, mesh) in doc.meshes.values.iter().enumerate() {
         for (p, primitive) in mesh.primitives.iter().enumerate().filter(|(_, p)| p.has_draco()) {
             if needs_draco(doc, primitive) {
-                streams.uncompress_primitive(buffers, m, p)?;
-                count += 1;
+                compressed.push((m, p));
             } else {
                 left += 1;
             }
         }
     }
-    if count == 0 {
+    if compressed.is_empty() {
         return Ok(None);
     }
+    compressed.iter().for_each(|&(m, p)| streams.forget_use(m, p));
+    for &(m, p) in &compressed {
+        streams.uncompress_primitive(buffers, m, p)?;
+    }
     let files = streams.write_plain_files(files, buffers, left == 0)?;
-    Ok(Some((files, count)))
+    Ok(Some((files, compressed.len())))
 }
 
 /// Whether a primitive's triangles are only to be had from its Draco stream.
@@ -85,15 +93,43 @@ struct DracoUncompressor<'d, 'a> {
     /// New data, and the views over it; offsets count from where the data will begin.
     data: Vec<u8>,
     views: Vec<(usize, usize, String)>,
+    /// How often each view of the document is named by what stays; empty when that cannot be told.
+    uses_left: Vec<usize>,
+    /// Views of decoded streams that nothing names any more.
+    unused: Vec<usize>,
+    /// For each of those the new view that takes its number.
+    replaced: Vec<usize>,
 }
 
 impl<'a> DracoUncompressor<'_, 'a> {
+    fn primitive_text(&self, m: usize, p: usize) -> &'a str {
+        let all = value_of(self.doc.meshes.items[m], "primitives").and_then(|list| items(list).ok());
+        all.and_then(|list| list.get(p).copied()).unwrap_or("{}")
+    }
+
+    /// Counts off that a primitive names its stream, which it will not.
+    fn forget_use(&mut self, m: usize, p: usize) {
+        let extensions = value_of(self.primitive_text(m, p), "extensions");
+        let stream = extensions.and_then(|text| value_of(text, DRACO));
+        let read = stream.and_then(|text| serde_json::from_str::<DracoStream>(text).ok());
+        if let Some(uses) = read.and_then(|s| self.uses_left.get_mut(s.buffer_view.index())) {
+            *uses = uses.saturating_sub(1);
+        }
+    }
+
+    /// The number of the view that is added next: that of a stream which nothing uses, or one behind all.
+    fn next_view(&self) -> usize {
+        let waiting = self.unused.get(self.replaced.len());
+        waiting
+            .copied()
+            .unwrap_or(self.doc.views.len() + self.views.len() - self.replaced.len())
+    }
+
     fn uncompress_primitive(&mut self, buffers: &mut BufferBytes, m: usize, p: usize) -> Result<(), Error> {
         let (doc, fault) = (self.doc, self.doc.fault);
         let place = format!("meshes/{m}/primitives/{p}/extensions/{DRACO}");
         let primitive = &doc.meshes.values[m].primitives[p];
-        let all = value_of(doc.meshes.items[m], "primitives").and_then(|list| items(list).ok());
-        let text = all.and_then(|list| list.get(p).copied()).unwrap_or("{}");
+        let text = self.primitive_text(m, p);
         let extensions = value_of(text, "extensions").unwrap_or("{}");
         let stream = value_of(extensions, DRACO).unwrap_or("{}");
         let stream: DracoStream =
@@ -143,6 +179,9 @@ impl<'a> DracoUncompressor<'_, 'a> {
                 ErrorKind::LimitExceeded => fault.unsupported(place, problem, "decimate the model"),
                 _ => fault.malformed(place, problem),
             });
+        }
+        if self.uses_left.get(view) == Some(&0) && self.doc.views.values[view].compression().is_none() {
+            self.unused.push(view);
         }
         self.limits.check_vertices(mesh.num_points() as u64)?;
         self.limits.check_triangles(mesh.num_faces() as u64)?;
@@ -298,7 +337,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
     /// Lets an accessor stand for the next view.
     fn set_accessor(&mut self, accessor: usize, count: usize, (least, most): &(String, String)) {
         let text = self.doc.accessors.items[accessor];
-        let view = self.doc.views.len() + self.views.len();
+        let view = self.next_view();
         self.edits.set(text, "bufferView", &view.to_string());
         self.edits.set(text, "count", &count.to_string());
         if value_of(text, "byteOffset").is_some() {
@@ -314,6 +353,9 @@ impl<'a> DracoUncompressor<'_, 'a> {
 
     fn add_view(&mut self, bytes: &[u8], more: &str) {
         self.data.resize(self.data.len().next_multiple_of(4), 0);
+        if self.replaced.len() < self.unused.len() {
+            self.replaced.push(self.views.len());
+        }
         self.views.push((self.data.len(), bytes.len(), more.to_owned()));
         self.data.extend_from_slice(bytes);
     }
@@ -328,7 +370,16 @@ impl<'a> DracoUncompressor<'_, 'a> {
         let stored = target
             .and_then(|i| buffers.stored[i].bytes.as_deref())
             .unwrap_or_default();
-        let mut bytes = stored.to_vec();
+        self.unused.truncate(self.replaced.len());
+        let unused = std::mem::take(&mut self.unused);
+        let mut bytes = match target {
+            Some(buffer) => {
+                let cuts = BufferCuts::new(doc, buffer, &unused);
+                cuts.move_views(doc, &mut self.edits);
+                cuts.kept_bytes(stored)
+            }
+            None => Vec::new(),
+        };
         bytes.resize(bytes.len().next_multiple_of(4), 0);
         let (first, buffer) = (bytes.len(), target.unwrap_or(doc.buffers.len()));
         bytes.extend_from_slice(&self.data);
@@ -336,8 +387,16 @@ impl<'a> DracoUncompressor<'_, 'a> {
             let offset = first + offset;
             format!(r#"{{"buffer":{buffer},"byteOffset":{offset},"byteLength":{length}{more}}}"#)
         };
-        let views: Vec<String> = self.views.iter().map(view).collect();
-        self.add_items("bufferViews", doc.views.text, &views);
+        let mut added = Vec::new();
+        for (k, text) in self.views.iter().map(view).enumerate() {
+            match self.replaced.binary_search(&k) {
+                Ok(at) => self.edits.replace(doc.views.items[unused[at]], text),
+                Err(_) => added.push(text),
+            }
+        }
+        if !added.is_empty() {
+            self.add_items("bufferViews", doc.views.text, &added);
+        }
         let mut plain = files.clone();
         let mut bin = doc.container.as_ref().and_then(|c| c.bin).map(<[u8]>::to_vec);
         match target {

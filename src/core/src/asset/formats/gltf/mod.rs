@@ -8,7 +8,7 @@
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
 //! [`text`], [`check`] checks references and ranges, [`companions`] tells which files it names, [`buffers`] finds bytes
-//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] does away with Draco, [`scene`] places meshes,
+//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] does away with Draco and [`reclaimed`] with its bytes, [`scene`] places meshes,
 //! [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles together. Writing: [`deformed`] computes
 //! what each attribute should become, [`sharing`] decides which copies must part, [`patch`] edits text and bytes,
 //! [`package`] makes the files, and [`self_contained`] puts those that lie beside a .gltf into a GLB. [`fresh`] makes an asset from other formats' geometry. After edits of the topology,
@@ -61,6 +61,7 @@ mod package;
 mod patch;
 mod placement;
 mod read;
+mod reclaimed;
 mod rig;
 mod scene;
 mod schema;

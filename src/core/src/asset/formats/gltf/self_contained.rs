@@ -10,7 +10,7 @@ use crate::asset::{Error, WrittenFiles};
 use std::collections::BTreeMap;
 
 /// Names of the extensions that name a buffer inside of a view.
-const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
+pub(super) const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 
 /// Moves the buffers and images of a written GLB that lie in companions into its binary chunk. An image of a kind that
 /// glTF has no media type for stays a companion, and so does every file that nothing names.
