@@ -381,16 +381,40 @@ fn coordinates_colours_and_materials_go_from_one_format_to_another() {
     let again = Edited::of(&open("back.ply", back.clone()), false)
         .write(&open("back.ply", back), Format::PLY)
         .expect("writable");
-    let text = String::from_utf8_lossy(&again.main).into_owned();
-    assert!(text.contains("property uchar red"), "{text}");
-    let bytes = &again.main[again
-        .main
-        .windows(11)
-        .position(|w| w == b"end_header\n")
-        .expect("a header")
-        + 11..];
-    assert_eq!(bytes[24..28], [255, 0, 0, 255]);
-    assert_eq!(bytes[28 + 24..28 + 28], [0, 255, 0, 255]);
+    let rows = vertex_rows(&again.main, "red");
+    assert_eq!(rows[0][..4], [255, 0, 0, 255]);
+    assert_eq!(rows[1][..4], [0, 255, 0, 255]);
+    // Corners that differ around a vertex have parted on the way, so that each has its own.
+    assert_eq!(rows.len(), 6);
+    let first = vertex_rows(&again.main, "s");
+    let uv = |row: &Vec<u8>| [0, 4].map(|k| f32::from_le_bytes(row[k..k + 4].try_into().expect("four bytes")));
+    assert_eq!(uv(&first[1]), [1.0, 0.0]);
+}
+
+/// The bytes of each vertex of a binary PLY from a property on.
+fn vertex_rows(ply: &[u8], property: &str) -> Vec<Vec<u8>> {
+    let mark = b"end_header\n";
+    let end = ply.windows(mark.len()).position(|w| w == mark).expect("a header");
+    let head = String::from_utf8_lossy(&ply[..end]).into_owned();
+    let told = head.split_once("element vertex ").expect("vertices").1;
+    let count: usize = told
+        .lines()
+        .next()
+        .and_then(|n| n.trim().parse().ok())
+        .expect("a count");
+    let (mut size, mut start) = (0, None);
+    for line in told.lines().skip(1).take_while(|line| line.starts_with("property")) {
+        let [kind, name] = [1, 2].map(|k| line.split_whitespace().nth(k).expect("a word"));
+        start = start.or((name == property).then_some(size));
+        size += match kind {
+            "float" => 4,
+            "uchar" => 1,
+            _ => panic!("{line}"),
+        };
+    }
+    let start = start.unwrap_or_else(|| panic!("no {property} in {head}"));
+    let rows = ply[end + mark.len()..].chunks_exact(size).take(count);
+    rows.map(|row| row[start..].to_vec()).collect()
 }
 
 /// What a shape is told by without the order of its triangles: its area as a vector, and area times place.

@@ -99,7 +99,19 @@ impl<'a> JsonEdits<'a> {
                 let end = self.range_of(last.value).end;
                 self.list.push((end..end, format!(",{}:{json}", quoted(key))));
             }
-            (None, None) => self.replace(object, format!("{{{}:{json}}}", quoted(key))),
+            (None, None) => self.fill(object, &format!("{}:{json}", quoted(key))),
+        }
+    }
+
+    /// Gives an object without members one, or one more when it was given some before.
+    fn fill(&mut self, object: &'a str, member: &str) {
+        let range = self.range_of(object);
+        match self.list.iter_mut().find(|(filled, _)| *filled == range) {
+            Some((_, text)) if text.ends_with('}') => {
+                text.pop();
+                *text += &format!(",{member}}}");
+            }
+            _ => self.list.push((range, format!("{{{member}}}"))),
         }
     }
 
@@ -225,6 +237,17 @@ mod tests {
         edits.set(text, "x", "5");
         edits.set(text, "y", "6");
         assert_eq!(edits.apply(), r#"{"list":[ 1,2,3 ],"none":[4],"x":5,"y":6}"#);
+    }
+
+    #[test]
+    fn an_object_without_members_takes_several() {
+        let text = r#"[{ },{}]"#;
+        let objects = items(text).expect("a list");
+        let mut edits = JsonEdits::new(text);
+        edits.set(objects[0], "a", "1");
+        edits.set(objects[1], "c", "3");
+        edits.set(objects[0], "b", "[2]");
+        assert_eq!(edits.apply(), r#"[{"a":1,"b":[2]},{"c":3}]"#);
     }
 
     #[test]
