@@ -407,6 +407,7 @@ fn vertex_rows(ply: &[u8], property: &str) -> Vec<Vec<u8>> {
         let [kind, name] = [1, 2].map(|k| line.split_whitespace().nth(k).expect("a word"));
         start = start.or((name == property).then_some(size));
         size += match kind {
+            "double" => 8,
             "float" => 4,
             "uchar" => 1,
             _ => panic!("{line}"),
