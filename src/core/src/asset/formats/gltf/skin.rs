@@ -85,7 +85,7 @@ pub(super) fn inverse_bind_matrices(
 }
 
 /// An affine transform from a matrix in columns; `None` when it is not finite or its last row is not 0 0 0 1.
-fn affine_of(m: &[f32; 16]) -> Option<DAffine3> {
+pub(super) fn affine_of(m: &[f32; 16]) -> Option<DAffine3> {
     let last = [m[3], m[7], m[11], m[15] - 1.0];
     if !m.iter().all(|v| v.is_finite()) || last.iter().any(|v| v.abs() > 1e-5) {
         return None;

@@ -23,10 +23,10 @@ use super::influences::{VertexInfluences, influence_accessors};
 use super::placement::{Placement, invert};
 use super::read::GltfNotes;
 use super::scene::{PlacedScene, place_meshes};
-use super::skin::SkinPose;
+use super::skin::{SkinPose, affine_of};
 use crate::asset::{Error, Geometry};
 use crate::mesh::BoundingBox;
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DVec3};
 use motions::joint_motions;
 use nodes::{MovedNodes, move_nodes};
 use std::collections::{BTreeMap, BTreeSet};
@@ -157,8 +157,10 @@ impl FollowedRig {
             let world = &self.nodes.world_from_node[node];
             if let Some(bind) = invert(world).map(|back| back * *place).filter(DAffine3::is_finite) {
                 let rounded = rounded_matrix(&bind);
-                *place = *world * affine_of(&rounded);
-                changes.insert(number, rounded);
+                if let Some(read) = affine_of(&rounded) {
+                    *place = *world * read;
+                    changes.insert(number, rounded);
+                }
             }
         }
         if !changes.is_empty() {
@@ -224,12 +226,4 @@ fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
     }
     matrix[15] = 1.0;
     matrix
-}
-
-fn affine_of(matrix: &[f32; 16]) -> DAffine3 {
-    let column = |c: usize| DVec3::new(matrix[4 * c].into(), matrix[4 * c + 1].into(), matrix[4 * c + 2].into());
-    DAffine3 {
-        matrix3: DMat3::from_cols(column(0), column(1), column(2)),
-        translation: column(3),
-    }
 }
