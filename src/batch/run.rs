@@ -8,8 +8,8 @@ use crate::mesh::MeshReport;
 use crate::progress::Progress as _;
 use crate::stage_clock::StageClock;
 use crate::wire::{
-    DeformOptions, Error, change_poses, edit, edit_name, edit_result, handle_set, open_options, pb, quality_message,
-    session_message, warning_message,
+    DeformOptions, Error, change_poses, edit, edit_name, edit_result, followed_message, handle_set, open_options, pb,
+    quality_message, session_message, warning_message,
 };
 use glam::DVec3;
 use std::sync::Arc;
@@ -106,6 +106,7 @@ pub fn run(
     warnings.extend(pulled.iter().map(warning_message));
     let report = pb::Report {
         passengers,
+        followed: followed_message(&written.followed),
         model: facts.model,
         warnings,
         quality: Some(quality),

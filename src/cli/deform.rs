@@ -7,7 +7,7 @@ use super::model_files::{output_format, read_model};
 use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
-use crate::asset::FileSet;
+use crate::asset::{FileSet, FollowedCounts};
 use crate::batch;
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
@@ -75,7 +75,7 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     if args.json {
         print_json(&outcome.report)?;
     } else {
-        print_summary(&outcome.report, millis());
+        print_summary(&outcome.report, &outcome.written.followed, millis());
     }
     for name in &outcome.unchecked {
         eprintln!("expect.{name} needs a stored result and was not checked");
@@ -105,7 +105,7 @@ fn check_passenger_outputs(job: &pb::Job, folder: &Path, args: &DeformArgs) -> R
     Ok(())
 }
 
-fn print_summary(report: &pb::Report, millis: f64) {
+fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
     let solver = report.solver.clone().unwrap_or_default();
     for w in &report.warnings {
         eprintln!("warning {}: {}", w.code, w.message);
@@ -149,6 +149,9 @@ fn print_summary(report: &pb::Report, millis: f64) {
     );
     if let Some(pairs) = quality.self_intersections {
         eprintln!("{pairs} pairs of triangles cross");
+    }
+    if !followed.is_none() {
+        eprintln!("followed: {followed}");
     }
     eprintln!("{} -> {}", report.digest, report.output.join(", "));
 }

@@ -3,9 +3,10 @@
 //! A session's options are those of its deformer, a label for people, and how long it outlives its last use.
 
 use super::check::{enumerated, number};
+use super::following::following;
 use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
-use crate::asset::{Following, Format, MorphTargetRule, RigRule};
+use crate::asset::Format;
 use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, TieOptions, VolumeMode};
 use crate::engine::{KeptApart, OpenOptions};
 use crate::graph::VolumeOptions;
@@ -101,14 +102,6 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         pb::create_options::Operators::FiniteVolume => CoarseOperators::FiniteVolume,
         pb::create_options::Operators::Paper => CoarseOperators::Paper,
     };
-    let morph_targets = match enumerated(create.morph_targets, "morphTargets")? {
-        pb::create_options::morph_targets::Rule::Follow => MorphTargetRule::Follow,
-        pb::create_options::morph_targets::Rule::Keep => MorphTargetRule::Keep,
-    };
-    let rig = match enumerated(create.rig, "rig")? {
-        pb::create_options::rig::Rule::Follow => RigRule::Follow,
-        pb::create_options::rig::Rule::Keep => RigRule::Keep,
-    };
     let volume = create.volume_graph.unwrap_or_default();
     let mode = match enumerated(volume.mode, "volumeGraph.mode")? {
         pb::create_options::volume_graph::Mode::Auto => VolumeMode::Auto,
@@ -154,7 +147,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
             ties,
         },
         passengers: passengers(&create.passengers)?,
-        following: Following { morph_targets, rig },
+        following: following(create)?,
         kept_apart: kept_apart(create.keep_apart.as_ref())?,
     })
 }

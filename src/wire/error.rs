@@ -103,6 +103,7 @@ fn field_of_input(place: InputPlace) -> String {
         InputPlace::VolumeGraph => "volumeGraph".into(),
         InputPlace::VolumeGraphMode => "volumeGraph.mode".into(),
         InputPlace::Passenger(k) => format!("passengers[{k}]"),
+        InputPlace::RigidChain(k) => format!("rigidChains[{k}]"),
         InputPlace::KeptPrimitive(k) => format!("keepApart.primitives[{k}]"),
         InputPlace::KeptComponent(k) => format!("keepApart.components[{k}]"),
     }

@@ -82,7 +82,7 @@ fn targets_that_are_to_stay_keep_their_numbers() {
         let positions: Vec<DVec3> = model.positions.iter().map(|p| DVec3::new(p.y, p.z, p.x)).collect();
         let again = reread(
             &model
-                .write_following(&positions, model.format, following)
+                .write_following(&positions, model.format, following.clone())
                 .expect("writable"),
         );
         let targets = |file: &Parsed| -> Vec<Vec<f64>> {

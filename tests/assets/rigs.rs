@@ -6,13 +6,13 @@ use crate::support::gltf_parsed::Parsed;
 use crate::support::skinning::{ClipTime, DrawnPrimitive, clip_length, draw, numbers, world_transforms};
 use glam::{DAffine3, DQuat, DVec3};
 use pliant::asset::{
-    BaseModel, EditedModel, Following, Model, MorphTargetRule, Primitive, PrimitiveRun, RigRule, VertexBlends,
-    WrittenFiles, write_edited_model,
+    BaseModel, EditedModel, Following, Model, Primitive, PrimitiveRun, RigRule, VertexBlends, WrittenFiles,
+    write_edited_model,
 };
 
 /// Ways to reshape the upper half while the lower one is held.
 #[derive(Debug, Clone, Copy)]
-enum Reshaping {
+pub enum Reshaping {
     Turned,
     Twisted,
     Scaled,
@@ -20,9 +20,9 @@ enum Reshaping {
 }
 
 impl Reshaping {
-    const ALL: [Self; 4] = [Self::Turned, Self::Twisted, Self::Scaled, Self::Longer];
+    pub const ALL: [Self; 4] = [Self::Turned, Self::Twisted, Self::Scaled, Self::Longer];
 
-    fn of(self, positions: &[DVec3]) -> Vec<DVec3> {
+    pub fn of(self, positions: &[DVec3]) -> Vec<DVec3> {
         let (low, high) = corners(positions);
         let middle = (low + high) * 0.5;
         let tall = (high - low).y.max(1e-9);
@@ -44,7 +44,7 @@ impl Reshaping {
 fn write_with(model: &Model, positions: &[DVec3], rig: RigRule) -> WrittenFiles {
     let following = Following {
         rig,
-        morph_targets: MorphTargetRule::Follow,
+        ..Following::default()
     };
     model
         .write_following(positions, model.format, following)
@@ -52,7 +52,7 @@ fn write_with(model: &Model, positions: &[DVec3], rig: RigRule) -> WrittenFiles 
 }
 
 /// The lengths of all edges of what is drawn.
-fn edge_lengths(model: &Model, drawn: &[DrawnPrimitive]) -> Vec<f64> {
+pub fn edge_lengths(model: &Model, drawn: &[DrawnPrimitive]) -> Vec<f64> {
     let mut lengths = Vec::new();
     for row in &model.primitives {
         let own = drawn
@@ -72,7 +72,7 @@ fn edge_lengths(model: &Model, drawn: &[DrawnPrimitive]) -> Vec<f64> {
 
 /// How many times as long as at rest the edges of a model become over the times of all clips, ascending; `None` for files
 /// that the plain player does not read, or without clips.
-fn stretches(model: &Model, file: &Parsed) -> Option<Vec<f64>> {
+pub fn stretches(model: &Model, file: &Parsed) -> Option<Vec<f64>> {
     let rest = edge_lengths(model, &draw(file, None, &[])?);
     let size = diagonal(&model.positions);
     let mut all = Vec::new();
@@ -90,18 +90,18 @@ fn stretches(model: &Model, file: &Parsed) -> Option<Vec<f64>> {
 }
 
 /// The largest of a list in order, and the one that only one in a thousand is above.
-fn largest(ascending: &[f64]) -> [f64; 2] {
+pub fn largest(ascending: &[f64]) -> [f64; 2] {
     let last = ascending.len() - 1;
     [ascending[last], ascending[last - last / 1000]]
 }
 
-fn worst_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
+pub fn worst_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
     assert_eq!(a.len(), b.len());
     a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
 }
 
 /// The nodes that are joints.
-fn joints(file: &Parsed) -> Vec<usize> {
+pub fn joints(file: &Parsed) -> Vec<usize> {
     let skins = file.json["skins"].as_array().into_iter().flatten();
     let all = skins.flat_map(|skin| skin["joints"].as_array().into_iter().flatten());
     let mut all: Vec<usize> = all.filter_map(|j| j.as_u64()).map(|j| j as usize).collect();

@@ -348,3 +348,53 @@ async fn a_client_that_hangs_up_stops_its_call() {
     .await;
     assert_eq!(server.manager.metrics().sessions.get(), 0);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_export_tells_what_followed_with_its_first_piece_and_in_a_header() {
+    let server = Server::start().await;
+    let mut client = server.grpc().await;
+    let url = server.url("/v1/sessions?sample=figure");
+    let figure: serde_json::Value = http().post(url).send().await.unwrap().json().await.unwrap();
+    let id = figure["id"].as_str().unwrap().to_owned();
+    let handles = serde_json::json!({"handles": [
+        {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.08}}},
+        {"id": "head", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.54}}}]});
+    let url = server.url(&format!("/v1/sessions/{id}/handles"));
+    assert!(
+        http()
+            .put(url)
+            .json(&handles)
+            .send()
+            .await
+            .unwrap()
+            .status()
+            .is_success()
+    );
+    let pose = serde_json::json!({"pose": {"handles": [{"id": "head", "pose": {"translation": [0, 0.2, 0]}}]}});
+    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    assert!(http().post(url).json(&pose).send().await.unwrap().status().is_success());
+
+    let chunks = export(&mut client, &id, "").await.unwrap();
+    let (first, rest) = chunks.split_first().unwrap();
+    let told = first.followed.as_ref().unwrap();
+    assert!(
+        told.joints == 17 && told.moved_joints > 9 && told.rewritten_clips == 2,
+        "{told:?}"
+    );
+    assert!(told.farthest.iter().any(|joint| joint.name == "head"), "{told:?}");
+    assert!(rest.iter().all(|chunk| chunk.followed.is_none()));
+    let url = server.url(&format!("/v1/sessions/{id}/model"));
+    let headers = http().get(url).send().await.unwrap().headers().clone();
+    let wanted = format!(
+        "joints={}/17, clips=2/2, morph-targets=0/0, passengers=0/0",
+        told.moved_joints
+    );
+    assert_eq!(headers["x-pliant-followed"], wanted.as_str());
+
+    // In another format nothing of the kind is written, and a bar has nothing.
+    let bar = server.bar_session().await;
+    for (id, format) in [(&id, "obj"), (&bar, "")] {
+        let chunks = export(&mut client, id, format).await.unwrap();
+        assert!(chunks.iter().all(|chunk| chunk.followed.is_none()), "{format}");
+    }
+}

@@ -188,10 +188,16 @@ async fn ranges_of_requests_are_kept() {
         let url = server.url(&format!("/v1/sessions/{id}/solve"));
         http().post(url).json(&json!({"options": options}))
     };
+    let chains = |names: usize| {
+        let list = vec!["%22hips%22"; names].join(",");
+        let url = format!("/v1/sessions?sample=figure&options=%7B%22rigidChains%22:[{list}]%7D");
+        http().post(server.url(&url))
+    };
     let rows = book::table(&page(), "| field | allowed |");
     let fields: Vec<&str> = rows.iter().map(|row| row[0].as_str()).collect();
     let tried = [
         ("label of a session", create(256), create(257)),
+        ("rigidChains of a session or job", chains(1024), chains(1025)),
         ("pageSize of a list", list(1000), list(1001)),
         (
             "refine of a solve",

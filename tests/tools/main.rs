@@ -6,6 +6,7 @@ mod book;
 mod check;
 mod cli;
 mod floors;
+mod followed;
 mod outputs;
 mod parts;
 mod render;

@@ -199,11 +199,14 @@ impl Deformer for Calls {
             .export(&tenant, &message.session_id, format)
             .await
             .map_err(status)?;
+        let mut followed = wire::followed_message(&exported.written.followed);
         let main = (String::new(), exported.written.main);
         let files: Vec<_> = std::iter::once(main).chain(exported.written.companions).collect();
-        Ok(Response::new(sent(
-            files.into_iter().flat_map(|(uri, bytes)| chunks(uri, bytes.into())),
-        )))
+        let all = files.into_iter().flat_map(|(uri, bytes)| chunks(uri, bytes.into()));
+        Ok(Response::new(sent(all.map(move |chunk| pb::Chunk {
+            followed: followed.take(),
+            ..chunk
+        }))))
     }
 
     async fn carry(&self, request: Request<pb::CarryRequest>) -> GrpcAnswer<pb::CarryResponse> {
@@ -229,6 +232,7 @@ fn chunks(uri: String, bytes: Bytes) -> impl Iterator<Item = pb::Chunk> + Send {
         pb::Chunk {
             data: bytes.slice(first..last),
             uri: uri.clone(),
+            followed: None,
         }
     })
 }

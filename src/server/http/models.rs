@@ -4,15 +4,19 @@ use super::download::{self, Download};
 use super::problem::{Problem, clip};
 use super::query;
 use super::request::{Caller, Names};
+use crate::asset::FollowedCounts;
 use crate::server::format_name::parse_format_name;
 use crate::server::state::State;
 use crate::session::{Error, ExportedModel};
 use axum::extract::State as From;
 use axum::response::Response;
 use bytes::Bytes;
-use http::{HeaderMap, HeaderValue, Uri, header};
+use http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
 use xxhash_rust::xxh3::xxh3_64;
+
+/// Says what followed the shape of an exported model.
+const FOLLOWED: HeaderName = HeaderName::from_static("x-pliant-followed");
 
 /// `GET …/model`. A glTF file with external buffers is the main file with a `Link` header for every companion; with
 /// `?uri=` it is that companion.
@@ -52,6 +56,11 @@ pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) 
         file_name,
     };
     let mut response = download.respond(headers)?;
+    if let Some(text) = followed_text(&written.followed)
+        && let Ok(value) = HeaderValue::from_str(&text)
+    {
+        response.headers_mut().insert(FOLLOWED, value);
+    }
     for uri in written.companions.keys() {
         let target = utf8_percent_encode(uri, NON_ALPHANUMERIC);
         if let Ok(link) = HeaderValue::from_str(&format!(
@@ -61,6 +70,23 @@ pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) 
         }
     }
     Ok(response)
+}
+
+/// What followed the shape, in numbers; `None` where the file holds nothing of the kind.
+fn followed_text(counts: &FollowedCounts) -> Option<String> {
+    (!counts.is_none()).then(|| {
+        format!(
+            "joints={}/{}, clips={}/{}, morph-targets={}/{}, passengers={}/{}",
+            counts.moved_joints,
+            counts.joints,
+            counts.rewritten_clips,
+            counts.clips,
+            counts.carried_morph_targets,
+            counts.morph_targets,
+            counts.moved_passengers,
+            counts.passengers
+        )
+    })
 }
 
 fn companion(exported: ExportedModel, uri: &str, headers: &HeaderMap) -> Result<Response, Problem> {

@@ -180,7 +180,7 @@ pub(in crate::server) const ROUTES: [Route; 23] = [
     Route {
         path: "/v1/sessions/{id}/model",
         rpc: Some("Export"),
-        summary: "Download the model. Honours Range, If-Range and If-None-Match. Companion files of a glTF are named by Link headers.",
+        summary: "Download the model. Honours Range, If-Range and If-None-Match. Companion files of a glTF are named by Link headers; x-pliant-followed counts what followed the shape.",
         query: &[FORMAT, ("uri", "a companion file of a glTF instead of the main file")],
         ..PLAIN
     },

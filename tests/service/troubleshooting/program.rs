@@ -36,13 +36,15 @@ pub fn provoke() -> Vec<Said> {
         "away.json",
         r#"{"handles": [{"id": "head", "region": {"sphere": {"center": [9, 9, 9], "radius": 1}}}]}"#,
     );
+    fs::write(folder.path().join("figure.glb"), sample::figure_glb()).expect("written");
+    write("chain.json", r#"{"create": {"rigidChains": ["tail"]}}"#);
     write("slip.toml", "sessons = 4\n");
     write("time.toml", "ttl = \"15\"\n");
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("an address").port().to_string();
     let here = format!("127.0.0.1:{port}");
 
-    let cases: [(&'static str, &[&str]); 14] = [
+    let cases: [(&'static str, &[&str]); 15] = [
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
         ("a time without a unit", &["serve", "--config", "time.toml"]),
@@ -73,6 +75,10 @@ pub fn provoke() -> Vec<Said> {
         (
             "a region beside the model",
             &["deform", "creature.glb", "--job", "away.json", "-o", "out.glb"],
+        ),
+        (
+            "a chain that is none",
+            &["deform", "figure.glb", "--job", "chain.json", "-o", "out.glb"],
         ),
         (
             "another digest",

@@ -141,7 +141,8 @@ def open(
     `companions` are files that the model refers to, by URI; those of a .gltf, buffers and images, are found beside it. The session is
     deleted when it is closed, unless `keep` is given. `create` says how the session is built: ``volume_graph``,
     ``components``, ``parts``, ``tie_distance``, ``keep_apart``, ``weights``, ``weld``, ``operators``,
-    ``morph_targets``, ``rig``, ``passengers``, ``ttl``, ``label``, ``format``. `server` and `way` are as in :func:`connect`.
+    ``morph_targets``, ``rig``, ``bone_lengths``, ``rigid_chains``, ``passengers``, ``ttl``, ``label``, ``format``. `server` and
+    `way` are as in :func:`connect`.
     """
     client = Client(server, **(way or {}))
     try:

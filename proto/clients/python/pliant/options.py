@@ -117,6 +117,10 @@ class CreateFields(TypedDict, total=False):
     morph_targets: Literal["follow", "keep"]
     #: Whether joints of skinned glTF move and turn with what they hold.
     rig: Literal["follow", "keep"]
+    #: Whether bones become longer and shorter with the body, where joints follow.
+    bone_lengths: Literal["follow", "keep"]
+    #: Names of joints below which alone bones keep their lengths.
+    rigid_chains: Sequence[str]
     #: Whether parts that touch are tied, so that they deform as one.
     parts: Literal["tied", "separate"]
     #: How far apart two parts may lie to be tied, in model units; absent = chosen from the model.
@@ -149,6 +153,12 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
             message.morph_targets = enum(name, pb.CreateOptions.MorphTargets.Rule, value)
         elif name == "rig":
             message.rig = enum(name, pb.CreateOptions.Rig.Rule, value)
+        elif name == "bone_lengths":
+            message.bone_lengths = enum(name, pb.CreateOptions.BoneLengths.Rule, value)
+        elif name == "rigid_chains":
+            if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(v, str) for v in value):
+                raise TypeError(f"rigid_chains: {seen(value)}, a list of names of joints is allowed")
+            message.rigid_chains.extend(value)
         elif name == "parts":
             message.parts = enum(name, pb.CreateOptions.Parts, value)
         elif name == "tie_distance":

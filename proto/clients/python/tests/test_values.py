@@ -179,6 +179,10 @@ def test_options_know_their_names_and_values() -> None:
     assert create_options({"volume_graph": {"valence": 8}}).volume_graph.valence == 8
     tied = create_options({"tie_distance": 0.5, "keep_apart": {"primitives": [1], "components": np.array([2, 3])}})
     assert tied.tie_distance == 0.5 and list(tied.keep_apart.components) == [2, 3]
+    rigid = create_options({"bone_lengths": "keep", "rigid_chains": ["hips"]})
+    assert rigid.bone_lengths == pb.CreateOptions.BoneLengths.KEEP and list(rigid.rigid_chains) == ["hips"]
+    with pytest.raises(TypeError, match="a list of names of joints"):
+        create_options({"rigid_chains": "hips"})
     assert create_options({"parts": "separate"}).parts == pb.CreateOptions.SEPARATE
     with pytest.raises(TypeError, match="allowed are primitives and components"):
         create_options({"keep_apart": {"parts": [1]}})  # type: ignore[typeddict-unknown-key]

@@ -8,8 +8,9 @@ use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
-use super::{Error, FileSet, Following, Format, Geometry, Limits, Model, WrittenFiles};
+use super::{Error, FileSet, FollowedCounts, Following, Format, Geometry, Limits, Model, WrittenFiles};
 use glam::DVec3;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// What a reader returns: the mesh that the files describe, and what the writers have to remember of the files.
@@ -63,6 +64,18 @@ pub(super) trait FormatCodec: Sync {
         format: Format,
         following: Following,
     ) -> Result<WrittenFiles, Error>;
+
+    /// What is told of a model of this codec that comes back as it was read: what could follow its shape.
+    fn nothing_followed(&self, model: &Model) -> Result<FollowedCounts, Error> {
+        let _ = model;
+        Ok(FollowedCounts::default())
+    }
+
+    /// The names of the joints of a model that this codec has read.
+    fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {
+        let _ = model;
+        Ok(BTreeSet::new())
+    }
 
     /// Makes fresh files of a model that came in another format.
     fn build(&self, neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error>;
@@ -128,7 +141,7 @@ pub(super) struct EditedOutput<'a> {
     /// The format of the file.
     pub format: Format,
     /// What else of the file follows.
-    pub following: Following,
+    pub following: &'a Following,
     /// The neutral form of what comes from the base of that number, for bases of other formats.
     pub neutral_base: &'a dyn Fn(u32) -> Result<NeutralModel, Error>,
     /// For each run of the edited model its faces, where some have more than three corners.

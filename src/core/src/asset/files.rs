@@ -1,6 +1,6 @@
 //! The files that make a model, as they came and as they go.
 
-use super::Error;
+use super::{Error, FollowedCounts};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 
@@ -79,12 +79,14 @@ fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
 }
 
 /// A model written to bytes.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct WrittenFiles {
     /// The main file.
     pub main: Vec<u8>,
     /// Companions by name: buffers and images of a .gltf, material libraries of an OBJ and their pictures.
     pub companions: BTreeMap<String, Vec<u8>>,
+    /// What in them followed the model's shape.
+    pub followed: FollowedCounts,
 }
 
 impl WrittenFiles {
@@ -102,6 +104,7 @@ impl WrittenFiles {
         Self {
             main: files.main.to_vec(),
             companions: companions.map(|(uri, bytes)| (uri.clone(), bytes.to_vec())).collect(),
+            ..Self::default()
         }
     }
 }

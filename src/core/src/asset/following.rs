@@ -20,6 +20,23 @@ pub enum RigRule {
     Keep,
 }
 
+/// What becomes of the lengths of bones: of the distances between joints and the nearest joints above them, in the rest pose.
+///
+/// A joint of which the length stays is put in the direction in which it would have gone, seen from where the joint above is
+/// now, and turned as it would have been. Joints with none above are free. Translations of its clips turn with the bone, so
+/// that it is at every time as long as it was then, unless a node that is no joint or a stretched parent stands between.
+/// Lengths are kept to the rounding of 32-bit numbers: to a millionth of themselves and of the model's diagonal.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum BoneLengthRule {
+    /// They follow the body.
+    #[default]
+    Follow,
+    /// All stay as they are.
+    Keep,
+    /// Those stay that are below joints of these names, however far below.
+    KeepBelow(Vec<String>),
+}
+
 /// What follows the shape of a model into its file. The default is that everything does; formats that hold nothing of the
 /// kind are not concerned.
 ///
@@ -28,10 +45,12 @@ pub enum RigRule {
 /// assert_eq!(Following::default().rig, RigRule::Follow);
 /// assert_eq!(Following::default().morph_targets, MorphTargetRule::Follow);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Following {
     /// Morph targets (blend shapes) of glTF.
     pub morph_targets: MorphTargetRule,
     /// The joints of skinned glTF.
     pub rig: RigRule,
+    /// The lengths of bones, where joints follow.
+    pub bone_lengths: BoneLengthRule,
 }

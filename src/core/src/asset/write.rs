@@ -2,7 +2,7 @@
 
 use super::codec::EditedOutput;
 use super::codec::Translation;
-use super::edited::{self, BaseModel, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
+use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
 use super::neutral::NeutralModel;
@@ -116,8 +116,22 @@ impl Model {
                 format!("the position of vertex {i} is {}, not finite", positions[i]),
             ));
         }
+        let mut written = self.write_checked(positions, format, following)?;
+        let passengers = self.geometry.primitives.iter().filter(|p| p.is_passenger);
+        for passenger in passengers {
+            let own = passenger.vertices();
+            let has_moved = !is_same(&self.positions[own.clone()], &positions[own]);
+            written.followed.count_passenger(has_moved);
+        }
+        Ok(written)
+    }
+
+    fn write_checked(&self, positions: &[DVec3], format: Format, following: Following) -> Result<WrittenFiles, Error> {
         if format == self.format && is_same(&self.positions, positions) {
-            return Ok(WrittenFiles::from_upload(&self.files));
+            return Ok(WrittenFiles {
+                followed: codec_of(format).nothing_followed(self)?,
+                ..WrittenFiles::from_upload(&self.files)
+            });
         }
         let codec = writer_of(format)?;
         if codec.patches_files_of(self.format) {
@@ -129,6 +143,14 @@ impl Model {
             NeutralModel::from_geometry(self.geometry.deformed(positions))
         };
         codec.build(&neutral, format)
+    }
+
+    /// The names of the joints of the model, of its skins in the order of the alphabet.
+    ///
+    /// # Errors
+    /// [`Error`] when the files cannot be read again.
+    pub fn joint_names(&self) -> Result<Vec<String>, Error> {
+        Ok(codec_of(self.format).joint_names(self)?.into_iter().collect())
     }
 }
 
@@ -210,6 +232,23 @@ pub fn write_edited_model_following(
     following: Following,
 ) -> Result<WrittenFiles, Error> {
     edited::check(edited, positions, format)?;
+    let mut written = write_checked_edit(edited, positions, format, &following)?;
+    let passengers = edited.runs.iter().filter(|run| edited.primitive(run).is_passenger);
+    for run in passengers {
+        let before = CarriedAttributes::before(edited, run);
+        written
+            .followed
+            .count_passenger(!is_same(&before, &positions[run.vertices()]));
+    }
+    Ok(written)
+}
+
+fn write_checked_edit(
+    edited: &EditedModel<'_>,
+    positions: &[DVec3],
+    format: Format,
+    following: &Following,
+) -> Result<WrittenFiles, Error> {
     let Some(first) = edited.bases.first() else {
         return Err(Error::unwritable(format, "there is no base"));
     };

@@ -14,6 +14,7 @@ use super::quality::measure_quality;
 use super::region_context::RegionContext;
 use super::resolved_handles::{ResolvedHandles, resolve_handles};
 use super::riding::mark_passengers;
+use super::rigid_chains::check_rigid_chains;
 use super::settings::OpenOptions;
 use super::shape::{ModelShape, ShapeId};
 use super::tie_facts::PulledTies;
@@ -72,6 +73,7 @@ impl Deformer {
         exec.progress.report("read", 0.0);
         let mut model = Model::read(files, options.format, &limits.model)?;
         mark_passengers(&mut model.geometry.primitives, &options.passengers)?;
+        check_rigid_chains(&model, &options.following.bone_lengths)?;
         exec.check()?;
         let derived = DerivedStructures::build(
             TopologyId(0),
@@ -185,7 +187,7 @@ impl Deformer {
     /// # Errors
     /// Those of [`Model::write`].
     pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
-        self.topology().write(positions, format, self.options.following)
+        self.topology().write(positions, format, self.options.following.clone())
     }
 
     /// What was found about the mesh.

@@ -72,6 +72,8 @@ pub enum InputPlace {
     VolumeGraphMode,
     /// The passenger with this index.
     Passenger(usize),
+    /// The joint with this index in the list of those below which bones are rigid.
+    RigidChain(usize),
     /// The primitive with this index in the list of those that are kept apart.
     KeptPrimitive(usize),
     /// The connected part with this index in the list of those that are kept apart.
@@ -149,6 +151,7 @@ impl fmt::Display for InputPlace {
             Self::VolumeGraph => f.write_str("volume graph"),
             Self::VolumeGraphMode => f.write_str("mode of the volume graph"),
             Self::Passenger(k) => write!(f, "passenger {k}"),
+            Self::RigidChain(k) => write!(f, "rigid chain {k}"),
             Self::KeptPrimitive(k) => write!(f, "primitive {k} to be kept apart"),
             Self::KeptComponent(k) => write!(f, "part {k} to be kept apart"),
         }

@@ -53,6 +53,7 @@ mod region;
 mod region_context;
 mod resolved_handles;
 mod riding;
+mod rigid_chains;
 mod settings;
 mod shading;
 mod shape;

@@ -24,7 +24,7 @@ class Companion(_message.Message):
     def __init__(self, uri: _Optional[str] = ...) -> None: ...
 
 class CreateOptions(_message.Message):
-    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "rig", "parts", "tie_distance", "keep_apart", "passengers")
+    __slots__ = ("format", "volume_graph", "components", "weights", "label", "ttl", "weld", "operators", "morph_targets", "rig", "bone_lengths", "rigid_chains", "parts", "tie_distance", "keep_apart", "passengers")
     class Components(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         FOLLOW: _ClassVar[CreateOptions.Components]
@@ -100,6 +100,15 @@ class CreateOptions(_message.Message):
         FOLLOW: CreateOptions.Rig.Rule
         KEEP: CreateOptions.Rig.Rule
         def __init__(self) -> None: ...
+    class BoneLengths(_message.Message):
+        __slots__ = ()
+        class Rule(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            FOLLOW: _ClassVar[CreateOptions.BoneLengths.Rule]
+            KEEP: _ClassVar[CreateOptions.BoneLengths.Rule]
+        FOLLOW: CreateOptions.BoneLengths.Rule
+        KEEP: CreateOptions.BoneLengths.Rule
+        def __init__(self) -> None: ...
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     VOLUME_GRAPH_FIELD_NUMBER: _ClassVar[int]
     COMPONENTS_FIELD_NUMBER: _ClassVar[int]
@@ -110,6 +119,8 @@ class CreateOptions(_message.Message):
     OPERATORS_FIELD_NUMBER: _ClassVar[int]
     MORPH_TARGETS_FIELD_NUMBER: _ClassVar[int]
     RIG_FIELD_NUMBER: _ClassVar[int]
+    BONE_LENGTHS_FIELD_NUMBER: _ClassVar[int]
+    RIGID_CHAINS_FIELD_NUMBER: _ClassVar[int]
     PARTS_FIELD_NUMBER: _ClassVar[int]
     TIE_DISTANCE_FIELD_NUMBER: _ClassVar[int]
     KEEP_APART_FIELD_NUMBER: _ClassVar[int]
@@ -124,11 +135,13 @@ class CreateOptions(_message.Message):
     operators: CreateOptions.Operators
     morph_targets: CreateOptions.MorphTargets.Rule
     rig: CreateOptions.Rig.Rule
+    bone_lengths: CreateOptions.BoneLengths.Rule
+    rigid_chains: _containers.RepeatedScalarFieldContainer[str]
     parts: CreateOptions.Parts
     tie_distance: float
     keep_apart: CreateOptions.KeepApart
     passengers: _containers.RepeatedCompositeFieldContainer[Passenger]
-    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., rig: _Optional[_Union[CreateOptions.Rig.Rule, str]] = ..., parts: _Optional[_Union[CreateOptions.Parts, str]] = ..., tie_distance: _Optional[float] = ..., keep_apart: _Optional[_Union[CreateOptions.KeepApart, _Mapping]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
+    def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., rig: _Optional[_Union[CreateOptions.Rig.Rule, str]] = ..., bone_lengths: _Optional[_Union[CreateOptions.BoneLengths.Rule, str]] = ..., rigid_chains: _Optional[_Iterable[str]] = ..., parts: _Optional[_Union[CreateOptions.Parts, str]] = ..., tie_distance: _Optional[float] = ..., keep_apart: _Optional[_Union[CreateOptions.KeepApart, _Mapping]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
 
 class Passenger(_message.Message):
     __slots__ = ("name", "primitive", "primitives_named", "points", "file")
@@ -918,13 +931,46 @@ class ExportRequest(_message.Message):
     format: str
     def __init__(self, session_id: _Optional[str] = ..., format: _Optional[str] = ...) -> None: ...
 
+class Followed(_message.Message):
+    __slots__ = ("joints", "moved_joints", "clips", "rewritten_clips", "morph_targets", "carried_morph_targets", "passengers", "moved_passengers", "farthest")
+    class Joint(_message.Message):
+        __slots__ = ("node", "name", "distance")
+        NODE_FIELD_NUMBER: _ClassVar[int]
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        DISTANCE_FIELD_NUMBER: _ClassVar[int]
+        node: int
+        name: str
+        distance: float
+        def __init__(self, node: _Optional[int] = ..., name: _Optional[str] = ..., distance: _Optional[float] = ...) -> None: ...
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    MOVED_JOINTS_FIELD_NUMBER: _ClassVar[int]
+    CLIPS_FIELD_NUMBER: _ClassVar[int]
+    REWRITTEN_CLIPS_FIELD_NUMBER: _ClassVar[int]
+    MORPH_TARGETS_FIELD_NUMBER: _ClassVar[int]
+    CARRIED_MORPH_TARGETS_FIELD_NUMBER: _ClassVar[int]
+    PASSENGERS_FIELD_NUMBER: _ClassVar[int]
+    MOVED_PASSENGERS_FIELD_NUMBER: _ClassVar[int]
+    FARTHEST_FIELD_NUMBER: _ClassVar[int]
+    joints: int
+    moved_joints: int
+    clips: int
+    rewritten_clips: int
+    morph_targets: int
+    carried_morph_targets: int
+    passengers: int
+    moved_passengers: int
+    farthest: _containers.RepeatedCompositeFieldContainer[Followed.Joint]
+    def __init__(self, joints: _Optional[int] = ..., moved_joints: _Optional[int] = ..., clips: _Optional[int] = ..., rewritten_clips: _Optional[int] = ..., morph_targets: _Optional[int] = ..., carried_morph_targets: _Optional[int] = ..., passengers: _Optional[int] = ..., moved_passengers: _Optional[int] = ..., farthest: _Optional[_Iterable[_Union[Followed.Joint, _Mapping]]] = ...) -> None: ...
+
 class Chunk(_message.Message):
-    __slots__ = ("data", "uri")
+    __slots__ = ("data", "uri", "followed")
     DATA_FIELD_NUMBER: _ClassVar[int]
     URI_FIELD_NUMBER: _ClassVar[int]
+    FOLLOWED_FIELD_NUMBER: _ClassVar[int]
     data: bytes
     uri: str
-    def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ...) -> None: ...
+    followed: Followed
+    def __init__(self, data: _Optional[bytes] = ..., uri: _Optional[str] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ...) -> None: ...
 
 class CarryRequest(_message.Message):
     __slots__ = ("session_id", "points", "rotations", "model", "format")
@@ -997,7 +1043,7 @@ class Job(_message.Message):
     def __init__(self, create: _Optional[_Union[CreateOptions, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Step, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., expect: _Optional[_Union[Expect, _Mapping]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
 
 class Report(_message.Message):
-    __slots__ = ("model", "warnings", "steps", "quality", "digest", "solver", "build_ms", "handles", "output", "passengers")
+    __slots__ = ("model", "warnings", "steps", "quality", "digest", "solver", "build_ms", "handles", "output", "passengers", "followed")
     class Step(_message.Message):
         __slots__ = ("kind", "ms", "cycles", "residual", "max_error", "levels", "bytes", "quality", "digest", "field_cycles", "solver", "edit")
         class MsEntry(_message.Message):
@@ -1062,6 +1108,7 @@ class Report(_message.Message):
     HANDLES_FIELD_NUMBER: _ClassVar[int]
     OUTPUT_FIELD_NUMBER: _ClassVar[int]
     PASSENGERS_FIELD_NUMBER: _ClassVar[int]
+    FOLLOWED_FIELD_NUMBER: _ClassVar[int]
     model: ModelFacts
     warnings: _containers.RepeatedCompositeFieldContainer[Warning]
     steps: _containers.RepeatedCompositeFieldContainer[Report.Step]
@@ -1072,7 +1119,8 @@ class Report(_message.Message):
     handles: _containers.RepeatedCompositeFieldContainer[HandleFacts]
     output: _containers.RepeatedScalarFieldContainer[str]
     passengers: _containers.RepeatedCompositeFieldContainer[Report.Passenger]
-    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ..., passengers: _Optional[_Iterable[_Union[Report.Passenger, _Mapping]]] = ...) -> None: ...
+    followed: Followed
+    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., steps: _Optional[_Iterable[_Union[Report.Step, _Mapping]]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., digest: _Optional[str] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., handles: _Optional[_Iterable[_Union[HandleFacts, _Mapping]]] = ..., output: _Optional[_Iterable[str]] = ..., passengers: _Optional[_Iterable[_Union[Report.Passenger, _Mapping]]] = ..., followed: _Optional[_Union[Followed, _Mapping]] = ...) -> None: ...
 
 class Quality(_message.Message):
     __slots__ = ("edge_rms", "volume_change", "area_change", "flipped_triangles", "max_stretch", "self_intersections", "faces_too_large", "open_surface")

@@ -8,7 +8,7 @@ use super::fault::GltfFault;
 use super::placement::VertexTransforms;
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::slots::{AttributeSlot, target_slots};
-use super::targets::{TargetBudget, TargetCarrier};
+use super::targets::{TargetCarrier, TargetTally};
 use crate::asset::{Error, Geometry};
 use crate::mesh::local_turns::LocalTurn;
 use crate::mesh::shading;
@@ -32,18 +32,19 @@ pub(super) fn wanted_attributes(
     buffers: &mut BufferBytes,
     notes: &GltfNotes,
     shape: &NewShape<'_>,
+    tally: &mut TargetTally,
 ) -> Result<Vec<DeformedAttributes>, Error> {
-    let mut budget = TargetBudget::default();
     notes
         .rows
         .iter()
         .map(|row| {
+            let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+            tally.meet(0, row.node, primitive);
             let own = row.vertices.clone();
             let moved = moved_vertices(&shape.rest.positions[own.clone()], &shape.positions[own]);
             if !moved.contains(&true) {
                 return Ok(DeformedAttributes::default());
             }
-            let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
             let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
             let targets = target_slots(primitive);
             let of_targets = targets.iter().filter(|_| shape.turns.is_some());
@@ -76,7 +77,11 @@ pub(super) fn wanted_attributes(
                     world_from_old: &writer.world_from_mesh,
                     new_from_world: &writer.mesh_from_world,
                 };
-                changes.extend(carrier.changes(doc, buffers, primitive, &mut budget)?);
+                let of_targets = carrier.changes(doc, buffers, primitive, tally)?;
+                for target in of_targets.iter().filter_map(|(slot, _)| slot.target) {
+                    tally.carry(0, row.node, target);
+                }
+                changes.extend(of_targets);
             }
             Ok(DeformedAttributes(changes))
         })

@@ -73,7 +73,11 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
     } else {
         json.into_bytes()
     };
-    Ok(WrittenFiles { main, companions })
+    Ok(WrittenFiles {
+        main,
+        companions,
+        ..WrittenFiles::default()
+    })
 }
 
 fn name_of(primitive: &Primitive) -> String {

@@ -4,7 +4,7 @@
 //! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins. Existing indices never change; what is new is appended.
 //!
 //! Displacements of morph targets turn and grow with the surface around their vertices ([`targets`]), and skeletons follow
-//! the body ([`rig`]), unless they are to stay.
+//! the body ([`rig`]), unless they are to stay. What of it was done is counted ([`counts`]).
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
 //! [`text`], [`check`] checks references and ranges, [`companions`] tells which files it names, [`buffers`] finds bytes
@@ -46,6 +46,7 @@ mod check;
 mod companions;
 mod compressed;
 mod container;
+mod counts;
 mod deformed;
 mod document;
 mod draco;
@@ -85,9 +86,12 @@ use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::look::SurfaceLook;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::{Error, FileSet, Following, Format, Limits, Model, MorphTargetRule, RigRule, WrittenFiles};
+use crate::asset::{
+    Error, FileSet, FollowedCounts, Following, Format, Limits, Model, MorphTargetRule, RigRule, WrittenFiles,
+};
 use crate::mesh::local_turns::local_turns;
 use glam::DVec3;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Reads and writes GLB and glTF.
@@ -116,7 +120,7 @@ impl FormatCodec for GltfCodec {
         let mut rig = None;
         if following.rig == RigRule::Follow && rig::has_rig(notes) {
             let shape = rig::shape_of_rows(&doc, &mut buffers, notes, rest, positions)?;
-            rig = rig::FollowedRig::fit(&doc, &mut buffers, notes, &shape)?.map(|rig| {
+            rig = rig::FollowedRig::fit(&doc, &mut buffers, notes, &shape, &following.bone_lengths)?.map(|rig| {
                 let to_write = rig.positions_to_write(&shape);
                 (rig, to_write)
             });
@@ -129,18 +133,39 @@ impl FormatCodec for GltfCodec {
             turns: follows.then(|| local_turns(&rest.positions, positions, &rest.triangles)),
             fault: fault::GltfFault(format),
         };
-        let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape)?;
+        let mut tally = targets::TargetTally::default();
+        let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape, &mut tally)?;
         let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
         let mut written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
+        let mut followed = counts::followable(&doc, doc.animations.len());
+        tally.count_into(&mut followed);
         if let Some((rig, _)) = rig {
             written = rig.rewrite(written, format)?;
+            rig.count_into(&doc, &mut followed);
         }
+        followed.rewritten_clips = written.followed.rewritten_clips;
+        written.followed = followed;
         self_contained_if_new(written, model.format, format)
     }
 
     fn build(&self, neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error> {
         fresh::build(neutral, format)
+    }
+
+    fn nothing_followed(&self, model: &Model) -> Result<FollowedCounts, Error> {
+        let notes = model.notes_or_refuse(model.format)?;
+        let (doc, _) = read::reopen(model, notes)?;
+        Ok(counts::nothing_followed(&doc, notes))
+    }
+
+    fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {
+        let notes = model.notes_or_refuse(model.format)?;
+        let (doc, _) = read::reopen(model, notes)?;
+        let joints = skin::joint_nodes(&doc).into_iter();
+        Ok(joints
+            .filter_map(|joint| doc.nodes.values[joint].name.clone())
+            .collect())
     }
 
     fn divides_at_seams(&self) -> bool {

@@ -32,6 +32,7 @@ pub(super) fn package(
         return Ok(WrittenFiles {
             main: files.main.to_vec(),
             companions,
+            ..WrittenFiles::default()
         });
     }
 
@@ -95,7 +96,11 @@ pub(super) fn package(
     } else {
         json.into_bytes()
     };
-    Ok(WrittenFiles { main, companions })
+    Ok(WrittenFiles {
+        main,
+        companions,
+        ..WrittenFiles::default()
+    })
 }
 
 /// A buffer's bytes without what lies beyond its length. One that has grown has a new length: all of it.

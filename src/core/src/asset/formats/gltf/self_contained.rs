@@ -18,7 +18,11 @@ pub(super) fn embed_companions(written: WrittenFiles, fault: GltfFault) -> Resul
     if written.companions.is_empty() {
         return Ok(written);
     }
-    let WrittenFiles { main, mut companions } = written;
+    let WrittenFiles {
+        main,
+        mut companions,
+        followed,
+    } = written;
     let parts = container::split(&main, fault)?;
     let Ok(text) = std::str::from_utf8(parts.json) else {
         return Err(fault.unwritable("the document is not UTF-8"));
@@ -37,7 +41,11 @@ pub(super) fn embed_companions(written: WrittenFiles, fault: GltfFault) -> Resul
     } = embedder;
     if taken.is_empty() {
         drop(parts);
-        return Ok(WrittenFiles { main, companions });
+        return Ok(WrittenFiles {
+            main,
+            companions,
+            followed,
+        });
     }
     if let Some(first) = section_items(text, "buffers").first() {
         edits.set(first, "byteLength", &bin.len().to_string());
@@ -45,7 +53,11 @@ pub(super) fn embed_companions(written: WrittenFiles, fault: GltfFault) -> Resul
     let json = edits.apply();
     let main = container::join(json.trim_end(), Some(&bin), &parts.rest, fault)?;
     taken.iter().for_each(|name| drop(companions.remove(name)));
-    Ok(WrittenFiles { main, companions })
+    Ok(WrittenFiles {
+        main,
+        companions,
+        followed,
+    })
 }
 
 fn section_items<'a>(text: &'a str, key: &str) -> Vec<&'a str> {
@@ -216,7 +228,15 @@ mod tests {
             companion("odd.xyz", b"?"),
             companion("nobody's.txt", b"text"),
         ]);
-        let written = embed_companions(WrittenFiles { main, companions }, fault).expect("fits");
+        let written = embed_companions(
+            WrittenFiles {
+                main,
+                companions,
+                ..WrittenFiles::default()
+            },
+            fault,
+        )
+        .expect("fits");
         let left: Vec<&String> = written.companions.keys().collect();
         assert_eq!(left, ["nobody's.txt", "odd.xyz"]);
         let parts = container::split(&written.main, fault).expect("valid");

@@ -50,6 +50,16 @@ impl SkinPose {
     }
 }
 
+/// The nodes that are joints of any skin that can be read.
+pub(super) fn joint_nodes(doc: &GltfDocument<'_>) -> BTreeSet<usize> {
+    let skins = doc.skins.iter().filter_map(|text| serde_json::from_str(text).ok());
+    let joints = skins.flat_map(|skin: GltfSkin| skin.joints);
+    joints
+        .map(|joint| joint.index())
+        .filter(|&joint| joint < doc.nodes.len())
+        .collect()
+}
+
 /// The inverse bind matrices of so many joints.
 pub(super) fn inverse_bind_matrices(
     doc: &GltfDocument<'_>,

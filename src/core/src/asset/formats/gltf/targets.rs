@@ -7,9 +7,10 @@ use super::document::GltfDocument;
 use super::placement::VertexTransforms;
 use super::schema::MeshPrimitive;
 use super::slots::{AttributeSlot, target_slots};
-use crate::asset::Error;
+use crate::asset::{Error, FollowedCounts};
 use crate::mesh::local_turns::LocalTurn;
 use glam::{DMat3, Vec3};
+use std::collections::BTreeMap;
 
 /// How many bytes of displacements are carried for one file. Targets may be sparse or share their numbers, so that
 /// their size is not bounded by the file's.
@@ -21,18 +22,46 @@ pub(super) fn has_targets(doc: &GltfDocument<'_>) -> bool {
     primitives.any(|primitive| !primitive.targets.is_empty())
 }
 
-/// Counts the displacements that were carried.
+/// Counts the displacements that are carried, and which targets have some.
 #[derive(Default)]
-pub(super) struct TargetBudget(u64);
+pub(super) struct TargetTally {
+    spent: u64,
+    /// For each node of a base that draws targets, which of them were carried.
+    carried: BTreeMap<(u32, usize), Vec<bool>>,
+}
 
-impl TargetBudget {
+impl TargetTally {
+    /// Counts the targets of a primitive that a node of a base draws.
+    pub(super) fn meet(&mut self, base: u32, node: usize, primitive: &MeshPrimitive) {
+        let targets = primitive.targets.len();
+        if targets > 0 {
+            let known = self.carried.entry((base, node)).or_default();
+            known.resize(known.len().max(targets), false);
+        }
+    }
+
+    /// Counts a target as carried that has been met.
+    pub(super) fn carry(&mut self, base: u32, node: usize, target: usize) {
+        let known = self.carried.get_mut(&(base, node));
+        if let Some(carried) = known.and_then(|known| known.get_mut(target)) {
+            *carried = true;
+        }
+    }
+
+    /// Adds what was met and carried to what is told of a file.
+    pub(super) fn count_into(&self, counts: &mut FollowedCounts) {
+        let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        counts.morph_targets = number(self.carried.values().flatten().count());
+        counts.carried_morph_targets = number(self.carried.values().flatten().filter(|c| **c).count());
+    }
+
     /// Refuses more than is carried for one file.
     pub(super) fn spend(&mut self, vertices: usize) -> Result<(), Error> {
-        self.0 = self.0.saturating_add(12 * vertices as u64);
-        if self.0 > MOST_CARRIED {
+        self.spent = self.spent.saturating_add(12 * vertices as u64);
+        if self.spent > MOST_CARRIED {
             return Err(Error::TooLarge {
                 what: "number of bytes of morph targets that follow",
-                seen: self.0,
+                seen: self.spent,
                 limit: MOST_CARRIED,
             });
         }
@@ -56,14 +85,14 @@ impl TargetCarrier<'_> {
         doc: &GltfDocument<'_>,
         buffers: &BufferBytes,
         primitive: &MeshPrimitive,
-        budget: &mut TargetBudget,
+        tally: &mut TargetTally,
     ) -> Result<Vec<(AttributeSlot, ChangedAttribute)>, Error> {
         let mut changes = Vec::new();
         if self.turns.iter().all(Option::is_none) {
             return Ok(changes);
         }
         for slot in target_slots(primitive) {
-            budget.spend(self.turns.len())?;
+            tally.spend(self.turns.len())?;
             if let Some(accessor) = slot.accessor(primitive)
                 && let Some(stored) = read_displacements(doc, buffers, accessor)?
                 && let Some(change) = ChangedAttribute::where_changed(&stored, self.carried(slot.role, &stored), 3)

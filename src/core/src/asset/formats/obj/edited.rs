@@ -70,7 +70,11 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Er
             companions.entry(name.clone()).or_insert_with(|| bytes.to_vec());
         }
     }
-    Ok(WrittenFiles { main: out, companions })
+    Ok(WrittenFiles {
+        main: out,
+        companions,
+        ..WrittenFiles::default()
+    })
 }
 
 /// `v` lines, with the numbers after the coordinates blended.

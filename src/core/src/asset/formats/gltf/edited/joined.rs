@@ -11,7 +11,7 @@ use super::super::document::GltfDocument;
 use super::super::fault::GltfFault;
 use super::super::read::{GltfNotes, reopen};
 use super::super::scene;
-use super::super::targets::TargetBudget;
+use super::super::targets::TargetTally;
 use super::super::text::{items, quoted, value_of};
 use super::frame::EditedMeshes;
 use super::fresh::{NewAccessorKind, NewAccessors};
@@ -34,7 +34,7 @@ pub(super) fn join_bases(
     files: &FileSet,
     frame: &EditedMeshes,
     output: &EditedOutput<'_>,
-    (fresh, turns, budget): (&mut NewAccessors, &EditedTurns<'_>, &mut TargetBudget),
+    (fresh, turns, tally): (&mut NewAccessors, &EditedTurns<'_>, &mut TargetTally),
 ) -> Result<JoinedBases, Error> {
     let mut joined = JoinedBases::default();
     let EditedOutput { edited, positions, .. } = *output;
@@ -49,7 +49,7 @@ pub(super) fn join_bases(
             positions,
             fresh: &mut *fresh,
             turns,
-            budget: &mut *budget,
+            tally: &mut *tally,
             joined: &mut joined,
             fault: GltfFault(output.format),
         };
@@ -69,7 +69,7 @@ struct BaseJoiner<'j, 'a> {
     positions: &'a [DVec3],
     fresh: &'j mut NewAccessors,
     turns: &'j EditedTurns<'j>,
-    budget: &'j mut TargetBudget,
+    tally: &'j mut TargetTally,
     joined: &'j mut JoinedBases,
     fault: GltfFault,
 }
@@ -128,7 +128,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                         fault: self.fault,
                         is_frame: false,
                         turns: self.turns,
-                        budget: &mut *self.budget,
+                        tally: &mut *self.tally,
                     };
                     let row = &notes.rows[run.primitive as usize];
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);

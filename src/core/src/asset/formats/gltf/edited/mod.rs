@@ -32,7 +32,7 @@ use super::package::package;
 use super::patch::PatchedDocument;
 use super::read::{GltfNotes, reopen};
 use super::rig::FollowedRig;
-use super::targets::TargetBudget;
+use super::targets::TargetTally;
 use super::text::{JsonEdits, members, quoted};
 use super::uri;
 use crate::asset::codec::EditedOutput;
@@ -61,7 +61,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     if output.following.rig == RigRule::Follow && super::rig::has_rig(notes) {
         let before = rigged::positions_before(edited);
         let shape = rigged::shape_of_runs((&doc, &mut buffers), notes, output, &before)?;
-        rig = FollowedRig::fit(&doc, &mut buffers, notes, &shape)?.map(|rig| {
+        rig = FollowedRig::fit(&doc, &mut buffers, notes, &shape, &output.following.bone_lengths)?.map(|rig| {
             let to_write = rig.positions_to_write(&shape);
             (rig, to_write)
         });
@@ -71,7 +71,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let mut fresh = NewAccessors::default();
     let own: Vec<&PrimitiveRun> = edited.runs.iter().filter(|run| run.base == 0).collect();
     let turns = EditedTurns::new(edited, positions, output.following.morph_targets);
-    let mut budget = TargetBudget::default();
+    let mut tally = TargetTally::default();
     let mut maker = PrimitiveMaker {
         doc: &doc,
         buffers: &mut buffers,
@@ -81,10 +81,10 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         fault,
         is_frame: true,
         turns: &turns,
-        budget: &mut budget,
+        tally: &mut tally,
     };
     let frame = frame::remake_meshes(&mut maker, notes, &own)?;
-    let targets = (&mut fresh, &turns, &mut budget);
+    let targets = (&mut fresh, &turns, &mut tally);
     let joined = joined::join_bases(&doc, notes.files(model), &frame, output, targets)?;
     let mut writer = EditedGltfWriter {
         doc: &doc,
@@ -98,14 +98,20 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         true => kept::pack_kept_data(&doc, &mut buffers, &writer.frame)?,
         false => None,
     };
-    let written = match kept {
+    let mut written = match kept {
         Some(kept) => writer.write_packed(kept, &buffers)?,
         None => writer.write_appended(&buffers)?,
     };
-    match &rig {
-        Some((rig, _)) => rig.rewrite(written, output.format),
-        None => Ok(written),
+    let clips = writer.frame.animations.iter().flatten().count();
+    let mut followed = super::counts::followable(&doc, clips);
+    tally.count_into(&mut followed);
+    if let Some((rig, _)) = &rig {
+        written = rig.rewrite(written, output.format)?;
+        rig.count_into(&doc, &mut followed);
     }
+    followed.rewritten_clips = written.followed.rewritten_clips;
+    written.followed = followed;
+    Ok(written)
 }
 
 struct EditedGltfWriter<'a> {
@@ -233,7 +239,11 @@ impl EditedGltfWriter<'_> {
         if let Some(name) = companion {
             companions.insert(name, bytes);
         }
-        Ok(WrittenFiles { main, companions })
+        Ok(WrittenFiles {
+            main,
+            companions,
+            ..WrittenFiles::default()
+        })
     }
 
     /// The document with all of its old data where it was, and new data behind it.

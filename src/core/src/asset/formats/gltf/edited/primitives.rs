@@ -7,7 +7,7 @@ use super::super::fault::GltfFault;
 use super::super::placement::{Placement, VertexTransforms};
 use super::super::read::PlacedPrimitive;
 use super::super::schema::{Attributes, MeshPrimitive};
-use super::super::targets::TargetBudget;
+use super::super::targets::TargetTally;
 use super::channels::{AttributeBlender, AttributeValues, read, shape_of};
 use super::fresh::{NewAccessorKind, NewAccessors};
 use super::handles::AccessorHandle;
@@ -49,7 +49,7 @@ pub(super) struct PrimitiveMaker<'a, 'f> {
     pub(super) is_frame: bool,
     /// How the surface turned around the vertices of the edited model, for morph targets.
     pub(super) turns: &'a EditedTurns<'a>,
-    pub(super) budget: &'a mut TargetBudget,
+    pub(super) tally: &'a mut TargetTally,
 }
 
 impl<'a> PrimitiveMaker<'a, '_> {
@@ -62,6 +62,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
     ) -> Result<Option<MadePrimitive>, Error> {
         let doc = self.doc;
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        self.tally.meet(run.base, row.node, primitive);
         let base = self.edited.base(run);
         let old = &base.model.geometry;
         let untouched = self.is_frame && self.edited.is_untouched(run, &old.triangles[row.triangles.clone()]);
@@ -105,9 +106,13 @@ impl<'a> PrimitiveMaker<'a, '_> {
         if !primitive.targets.is_empty() {
             let old = (&row.placement, row.placement.transforms(doc, self.buffers, primitive)?);
             let blender = TargetBlender::new(self.turns, run, &mixer, old, &world_from_mesh);
-            for target in &primitive.targets {
+            for (number, target) in primitive.targets.iter().enumerate() {
                 let from = (doc, &*self.buffers);
-                targets.push(blender.blend_target(target, from, self.fresh, untouched, self.budget)?);
+                let (made, is_carried) = blender.blend_target(target, from, self.fresh, untouched, self.tally)?;
+                if is_carried {
+                    self.tally.carry(run.base, row.node, number);
+                }
+                targets.push(made);
             }
         }
         let indices = if untouched {

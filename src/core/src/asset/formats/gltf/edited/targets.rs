@@ -5,7 +5,7 @@ use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
 use super::super::placement::{Placement, VertexTransforms};
 use super::super::schema::Attributes;
-use super::super::targets::{TargetBudget, displacement_map};
+use super::super::targets::{TargetTally, displacement_map};
 use super::channels::{AttributeBlender, AttributeValues, read, shape_of};
 use super::fresh::{NewAccessorKind, NewAccessors};
 use super::handles::AccessorHandle;
@@ -82,22 +82,25 @@ impl<'a> TargetBlender<'a> {
         }
     }
 
-    /// One target. Those attributes that stay as they are stored have their old accessors, when these `may_stay`.
+    /// One target, and whether displacements turned or grew with the surface. Those attributes that stay as they are stored
+    /// have their old accessors, when these `may_stay`.
     pub(super) fn blend_target(
         &self,
         target: &Attributes,
         (doc, buffers): (&GltfDocument<'_>, &BufferBytes),
         fresh: &mut NewAccessors,
         may_stay: bool,
-        budget: &mut TargetBudget,
-    ) -> Result<BTreeMap<String, AccessorHandle>, Error> {
+        tally: &mut TargetTally,
+    ) -> Result<(BTreeMap<String, AccessorHandle>, bool), Error> {
         let mut made = BTreeMap::new();
+        let mut is_carried = false;
         for (name, accessor) in target {
             let channel = read(doc, buffers, accessor.index())?;
             let role = ShapeAttribute::ALL.into_iter().find(|role| role.name() == name);
             let role = role.filter(|_| channel.lanes == 3);
-            budget.spend(self.mixer.len())?;
+            tally.spend(self.mixer.len())?;
             let values = self.carried(role, &channel);
+            is_carried |= role.is_some() && self.has_turned(&values);
             let is_stored = || {
                 values
                     .iter()
@@ -116,7 +119,13 @@ impl<'a> TargetBlender<'a> {
             };
             made.insert(name.clone(), at);
         }
-        Ok(made)
+        Ok((made, is_carried))
+    }
+
+    /// Whether the surface has turned or grown anywhere where a target displaces it.
+    fn has_turned(&self, values: &[f32]) -> bool {
+        let mut vertices = values.as_chunks::<3>().0.iter().zip(&self.turns);
+        vertices.any(|(value, turn)| turn.is_some() && *value != [0.0; 3])
     }
 
     fn carried(&self, role: Option<ShapeAttribute>, channel: &AttributeValues) -> Vec<f32> {

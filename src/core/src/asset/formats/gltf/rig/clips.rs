@@ -2,7 +2,7 @@
 //!
 //! Old and new rest pose of a node differ by a turn in its parent's frame and by where it stands there. A rotation of a clip is
 //! turned by the same, and a translation's difference from the old rest is turned and added to the new. In the node's own
-//! frame a clip so does what it did. All of it is linear in what interpolation mixes, tangents of splines included.
+//! frame a clip so does what it did. Where a bone keeps its length, translations turn with the bone instead. All of it is linear in what interpolation mixes, tangents of splines included.
 
 use super::super::document::GltfDocument;
 use super::super::text::{items, value_of};
@@ -124,13 +124,14 @@ pub(super) fn carried_values(stored: &[f32], node: &MovedNode, is_rotation: bool
         }
         return values;
     }
+    let turn = node.bone_turn.unwrap_or(node.turn);
     for (i, value) in values.as_chunks_mut::<3>().0.iter_mut().enumerate() {
         let stored = DVec3::from_array(value.map(f64::from));
         let is_tangent = is_spline && i % 3 != 1;
         let carried = if is_tangent {
-            node.turn * stored
+            turn * stored
         } else {
-            node.to + node.turn * (stored - node.from)
+            node.to + turn * (stored - node.from)
         };
         if carried.as_vec3().is_finite() {
             *value = carried.as_vec3().to_array();

@@ -7,9 +7,14 @@
 //! the old rest pose it equals the new one, and it turns joints about their own new axes. [`rewrite`] does it to files that
 //! were written as if nothing had moved, whether they were patched or made after an edit.
 //!
+//! Bones may keep their lengths ([`bones`]); the matrices then make up for joints that are not where the body would have them.
+//! What followed is counted for reports ([`counts`]).
+//!
 //! A joint whose motion is none within rounding keeps every byte: its node, its matrix, its clips.
 
+mod bones;
 mod clips;
+mod counts;
 mod moments;
 mod motions;
 mod nodes;
@@ -24,8 +29,9 @@ use super::placement::{Placement, invert};
 use super::read::GltfNotes;
 use super::scene::{PlacedScene, place_meshes};
 use super::skin::{SkinPose, affine_of};
-use crate::asset::{Error, Geometry};
+use crate::asset::{BoneLengthRule, Error, Geometry};
 use crate::mesh::BoundingBox;
+use bones::RigidBones;
 use glam::{DAffine3, DVec3};
 use motions::joint_motions;
 use nodes::{MovedNodes, move_nodes};
@@ -104,6 +110,7 @@ impl FollowedRig {
         buffers: &mut BufferBytes,
         notes: &GltfNotes,
         shape: &SkinnedShape<'_>,
+        bone_lengths: &BoneLengthRule,
     ) -> Result<Option<Self>, Error> {
         let scene = place_meshes(doc, &mut Vec::new())?;
         let size = BoundingBox::of(shape.before).diagonal();
@@ -128,7 +135,8 @@ impl FollowedRig {
         if motions.values().all(Option::is_none) {
             return Ok(None);
         }
-        let nodes = move_nodes(doc, &scene, &motions, size)?;
+        let bones = RigidBones::find(doc, &scene, bone_lengths);
+        let nodes = move_nodes(doc, &scene, &motions, &bones, size)?;
         if nodes.moved.is_empty() {
             return Ok(None);
         }

@@ -4,6 +4,7 @@ use super::super::document::GltfDocument;
 use super::super::placement::invert;
 use super::super::scene::{PlacedScene, joined_transform, local_transform};
 use super::super::schema::GltfNode;
+use super::bones::{RigidBones, turn_of_bone};
 use super::motions::JointMotions;
 use crate::asset::Error;
 use crate::mesh::rotation::fit_rotation;
@@ -23,6 +24,8 @@ pub(super) struct MovedNode {
     pub(super) matrix: Option<[f32; 16]>,
     /// By what its rotation was turned, in its parent's frame: the new one is this times the old one.
     pub(super) turn: DQuat,
+    /// By what translations of clips are turned, where that is something else.
+    pub(super) bone_turn: Option<DQuat>,
     /// Its translation before and after.
     pub(super) from: DVec3,
     pub(super) to: DVec3,
@@ -39,12 +42,14 @@ pub(super) struct MovedNodes {
     pub(super) is_elsewhere: Vec<bool>,
 }
 
-/// Gives nodes local transforms so that joints move as they should. Other nodes keep theirs and so ride with their parents.
+/// Gives nodes local transforms so that joints move as they should, as far as rigid bones let them. Other nodes keep theirs and so
+/// ride with their parents.
 /// `size`: that of the model.
 pub(super) fn move_nodes(
     doc: &GltfDocument<'_>,
     scene: &PlacedScene,
     motions: &JointMotions,
+    bones: &RigidBones,
     size: f64,
 ) -> Result<MovedNodes, Error> {
     let nodes = &doc.nodes.values;
@@ -62,7 +67,14 @@ pub(super) fn move_nodes(
             (scene.world_from_node[p], all.world_from_node[p])
         });
         let rides = parent.is_some_and(|p| all.is_elsewhere[p]);
-        let motion = motions.get(&index);
+        let mut motion = motions.get(&index).copied();
+        let bone = bones.above(index).filter(|_| rides || motion.flatten().is_some());
+        if let Some(bone) = bone {
+            let ridden = || invert(&old_parent).map_or(DAffine3::IDENTITY, |back| new_parent * back);
+            let free = motion.map_or_else(ridden, Option::unwrap_or_default);
+            let rest = scene.world_from_node[index].translation;
+            motion = Some(Some(bone.hold(&free, rest, scene, &all.world_from_node)));
+        }
         // A joint that stays has to be held back when its parent moves.
         let change = match motion {
             Some(motion) if rides || motion.is_some() => invert(&new_parent)
@@ -70,7 +82,8 @@ pub(super) fn move_nodes(
                 .and_then(|parent_from_parent| changed_node(node, &parent_from_parent, &new_parent, size)),
             _ => None,
         };
-        if let Some((change, local)) = change {
+        if let Some((mut change, local)) = change {
+            change.bone_turn = bone.and_then(|_| turn_of_bone(change.turn, change.from, change.to));
             all.world_from_node[index] = new_parent * local;
             all.is_elsewhere[index] = true;
             all.moved.insert(index, change);
@@ -115,6 +128,7 @@ fn changed_node(
         rotation: None,
         matrix: None,
         turn,
+        bone_turn: None,
         from,
         to,
     };

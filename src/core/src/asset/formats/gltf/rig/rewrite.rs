@@ -20,7 +20,7 @@ use std::collections::{BTreeMap, BTreeSet};
 const MOST_REWRITTEN: u64 = 1 << 30;
 
 impl FollowedRig {
-    /// Puts the followed joints into files that were written as if none had moved.
+    /// Puts the followed joints into files that were written as if none had moved, and counts the clips that change.
     pub(in super::super) fn rewrite(&self, written: WrittenFiles, format: Format) -> Result<WrittenFiles, Error> {
         let files = FileSet {
             name: String::new(),
@@ -37,13 +37,17 @@ impl FollowedRig {
             fresh: NewAccessors::default(),
             overwritten: BTreeMap::new(),
             rewritten: 0,
+            clips: BTreeSet::new(),
         };
         writer.write_nodes(self);
         for (&skin, changes) in &self.binds {
             writer.write_binds(skin, changes)?;
         }
         writer.write_clips(self)?;
-        writer.finish(&files, format)
+        let clips = u32::try_from(writer.clips.len()).unwrap_or(u32::MAX);
+        let mut written = writer.finish(&files, format)?;
+        written.followed.rewritten_clips = clips;
+        Ok(written)
     }
 }
 
@@ -58,6 +62,8 @@ struct RigWriter<'d, 'a> {
     uses: Vec<u32>,
     spans: ByteSpans,
     rewritten: u64,
+    /// Clips that change.
+    clips: BTreeSet<usize>,
 }
 
 /// New values on their way into a file.
@@ -159,6 +165,7 @@ impl<'a> RigWriter<'_, 'a> {
                 lanes: target.lanes(),
                 shape: if target.is_rotation { "VEC4" } else { "VEC3" },
             };
+            self.clips.extend(users.iter().map(|user| user.animation));
             let Some(at) = self.store(Some(sampled.accessor).filter(|_| is_all), &new)? else {
                 continue;
             };

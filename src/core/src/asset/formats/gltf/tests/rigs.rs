@@ -5,12 +5,12 @@ use crate::asset::{Following, RigRule};
 use glam::{DAffine3, DQuat};
 
 /// A square of which joint 1 holds the lower two vertices and joint 2, its child, the upper two.
-struct RigDraft {
-    nodes: String,
+pub(super) struct RigDraft {
+    pub(super) nodes: String,
     /// Animations, with accessor 5 for times, 6 for rotations and 7 for translations of two keys.
-    animations: String,
-    rotations: Vec<[f32; 4]>,
-    translations: Vec<[f32; 3]>,
+    pub(super) animations: String,
+    pub(super) rotations: Vec<[f32; 4]>,
+    pub(super) translations: Vec<[f32; 3]>,
 }
 
 const HALF: f32 = std::f32::consts::FRAC_1_SQRT_2;
@@ -27,7 +27,7 @@ impl Default for RigDraft {
 }
 
 impl RigDraft {
-    fn files(&self) -> FileSet {
+    pub(super) fn files(&self) -> FileSet {
         let mut draft = DocumentDraft::default();
         draft.points(&SQUARE);
         draft.indices(&CORNERS);
@@ -55,7 +55,7 @@ impl RigDraft {
 }
 
 /// The upper two vertices turn about the z axis by a quarter, around their middle, and go up by one.
-fn raised(i: usize, p: DVec3) -> DVec3 {
+pub(super) fn raised(i: usize, p: DVec3) -> DVec3 {
     let middle = DVec3::new(0.5, 1.0, 0.0);
     let turn = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
     if i < 2 {

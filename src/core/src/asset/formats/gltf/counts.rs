@@ -1,0 +1,28 @@
+//! What there is in a document that can follow its model's shape.
+
+use super::document::GltfDocument;
+use super::read::GltfNotes;
+use super::skin::joint_nodes;
+use super::targets::TargetTally;
+use crate::asset::FollowedCounts;
+
+/// The joints of a document, and so many clips.
+pub(super) fn followable(doc: &GltfDocument<'_>, clips: usize) -> FollowedCounts {
+    let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    FollowedCounts {
+        joints: number(joint_nodes(doc).len()),
+        clips: number(clips),
+        ..FollowedCounts::default()
+    }
+}
+
+/// What is told of a document that comes back as it was read.
+pub(super) fn nothing_followed(doc: &GltfDocument<'_>, notes: &GltfNotes) -> FollowedCounts {
+    let mut tally = TargetTally::default();
+    for row in &notes.rows {
+        tally.meet(0, row.node, &doc.meshes.values[row.mesh].primitives[row.primitive]);
+    }
+    let mut counts = followable(doc, doc.animations.len());
+    tally.count_into(&mut counts);
+    counts
+}
