@@ -1,7 +1,7 @@
-//! What rides along with the model of a job and is no part of it: points and other models.
+//! What rides along with the model of a job and is no part of its mesh: nodes of its file, points and other models.
 
 use crate::asset::{Format, Limits, Model, WrittenFiles};
-use crate::engine::{Deformer, Passenger, PassengerKind};
+use crate::engine::{CarriedNode, Deformer, Passenger, PassengerKind};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::wire::{Error, pb};
@@ -16,8 +16,8 @@ pub struct CarriedFile {
     pub written: WrittenFiles,
 }
 
-/// Points and other models that ride along, where they are in the rest pose that is in force: an edit of the current shape
-/// makes that shape the rest pose.
+/// Nodes, points and other models that ride along; of points and models where they are in the rest pose that is in force: an
+/// edit of the current shape makes that shape the rest pose.
 pub(super) struct Riders(Vec<Rider>);
 
 struct Rider {
@@ -26,6 +26,8 @@ struct Rider {
 }
 
 enum RiderKind {
+    /// Nodes of the model's file, which the deformer carries; by the number of their passenger.
+    Nodes(usize),
     Points(Vec<CarriedFrame>),
     Model {
         model: Box<Model>,
@@ -45,6 +47,7 @@ impl Riders {
         for (k, passenger) in passengers.iter().enumerate() {
             let kind = match &passenger.kind {
                 PassengerKind::Primitive(_) | PassengerKind::PrimitivesNamed(_) => continue,
+                PassengerKind::Node(_) | PassengerKind::NodesNamed(_) => RiderKind::Nodes(k),
                 PassengerKind::Points { positions, rotations } => {
                     let places = positions.iter().zip(rotations);
                     let frame = |(&position, &rotation)| CarriedFrame {
@@ -92,6 +95,7 @@ impl Riders {
             exec.progress.report("passengers", 0.0);
             exec.check()?;
             match &mut rider.kind {
+                RiderKind::Nodes(_) => {}
                 RiderKind::Points(frames) => {
                     let places: Vec<DVec3> = frames.iter().map(|f| f.position).collect();
                     for (frame, moved) in frames.iter_mut().zip(carrier.carry_points(&places, exec.pool)) {
@@ -111,11 +115,11 @@ impl Riders {
         Ok(())
     }
 
-    /// What is told of all, and the files of those that are models.
+    /// What is told of all, and the files of those that are models. `nodes` are those of the model's file in its final shape.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the passenger that cannot be written.
-    pub fn write_files(self) -> Result<(Vec<pb::report::Passenger>, Vec<CarriedFile>), Error> {
+    pub fn write_files(self, nodes: &[CarriedNode]) -> Result<(Vec<pb::report::Passenger>, Vec<CarriedFile>), Error> {
         let (mut told, mut files) = (Vec::new(), Vec::new());
         for Rider { name, kind } in self.0 {
             let mut message = pb::report::Passenger {
@@ -123,11 +127,16 @@ impl Riders {
                 ..Default::default()
             };
             match kind {
-                RiderKind::Points(frames) => {
-                    message.positions = frames.iter().flat_map(|f| f.position.to_array()).collect();
-                    message.rotations = frames.iter().flat_map(|f| f.rotation.to_array()).collect();
-                    message.scales = frames.iter().map(|f| f.scale).collect();
+                RiderKind::Nodes(k) => {
+                    let own: Vec<&CarriedNode> = nodes.iter().filter(|node| node.passenger == k).collect();
+                    if let (true, Some(first)) = (message.name.is_empty(), own.first()) {
+                        message.name.clone_from(&first.name);
+                    }
+                    message.nodes = own.iter().map(|node| node.node as u32).collect();
+                    let frames: Vec<CarriedFrame> = own.iter().map(|node| node.frame).collect();
+                    tell_frames(&mut message, &frames);
                 }
+                RiderKind::Points(frames) => tell_frames(&mut message, &frames),
                 RiderKind::Model {
                     model,
                     positions,
@@ -143,4 +152,10 @@ impl Riders {
         }
         Ok((told, files))
     }
+}
+
+fn tell_frames(message: &mut pb::report::Passenger, frames: &[CarriedFrame]) {
+    message.positions = frames.iter().flat_map(|f| f.position.to_array()).collect();
+    message.rotations = frames.iter().flat_map(|f| f.rotation.to_array()).collect();
+    message.scales = frames.iter().map(|f| f.scale).collect();
 }

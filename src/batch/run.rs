@@ -4,7 +4,6 @@ use super::riders::{CarriedFile, Riders};
 use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::{Deformer, DeformerLimits, EditCommand, EditedShape, HandlePoses, ModelShape, SolveMode, digest};
 use crate::exec::Exec;
-use crate::mesh::MeshReport;
 use crate::progress::Progress as _;
 use crate::stage_clock::StageClock;
 use crate::wire::{
@@ -95,12 +94,12 @@ pub fn run(
         ..
     } = batch;
     let pulled = deformer.pose_warnings(&poses);
-    let written = deformer.write(&positions, format.unwrap_or(deformer.model().format))?;
+    let written = deformer.write(&positions, format.unwrap_or(deformer.model().format), &exec)?;
     if let (Some(step), Some(ms)) = (steps.last_mut(), stages.take_stage_ms().remove("encode")) {
         step.ms.insert("encode".into(), ms);
     }
     let facts = session_message(&deformer.facts());
-    let (passengers, carried) = riders.write_files()?;
+    let (passengers, carried) = riders.write_files(&deformer.carry_nodes(&positions, &exec)?)?;
     let mut warnings = facts.warnings;
     warnings.extend(large_faces_warning(&quality));
     warnings.extend(pulled.iter().map(warning_message));
@@ -348,43 +347,6 @@ pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (
             .map(|(name, _)| name)
             .collect(),
     )
-}
-
-/// Reads a model and tells what the solver would see, without solving anything.
-///
-/// # Errors
-/// As [`Deformer::open`].
-pub fn inspect(
-    files: FileSet,
-    create: &pb::CreateOptions,
-    limits: &DeformerLimits,
-    exec: &Exec<'_>,
-) -> Result<pb::Inspection, Error> {
-    let bench = Deformer::open(files, &open_options(create)?, limits, exec)?;
-    let facts = session_message(&bench.facts());
-    let report: &MeshReport = bench.report();
-    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-    let renders = report.render_vertices - report.unreferenced_vertices;
-    Ok(pb::Inspection {
-        components: count(report.parts.len()),
-        boundary_loops: count(report.boundary_loops.len()),
-        non_manifold_edges: count(report.non_manifold_edges),
-        non_manifold_vertices: count(report.non_manifold_vertices),
-        seam_vertices: count(renders.min(report.coincident_vertices)),
-        closed: report.closed,
-        box_min: report.bounds.min.to_array().to_vec(),
-        box_max: report.bounds.max.to_array().to_vec(),
-        area: report.area,
-        volume: if report.closed { report.volume } else { 0.0 },
-        memory_estimate: bench.estimate(),
-        degenerate_faces: count(report.degenerate_triangles),
-        duplicate_faces: count(report.duplicate_triangles),
-        unreferenced_vertices: count(report.unreferenced_vertices),
-        model: facts.model,
-        primitives: facts.primitives,
-        solver: facts.solver,
-        warnings: facts.warnings,
-    })
 }
 
 #[cfg(test)]

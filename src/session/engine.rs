@@ -78,7 +78,7 @@ pub trait Engine: Send + 'static {
         Err(Error::Unimplemented(format!("the edit {name}")))
     }
     /// Writes the model with new positions.
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error>;
+    fn write(&self, positions: &[DVec3], format: Format, exec: &Exec<'_>) -> Result<WrittenFiles, Error>;
     /// Carries points of the rest space along with a shape.
     fn carry_points(
         &self,
@@ -206,8 +206,8 @@ impl Engine for Deformer {
         Self::edit(self, command, exec)
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
-        Self::write(self, positions, format)
+    fn write(&self, positions: &[DVec3], format: Format, exec: &Exec<'_>) -> Result<WrittenFiles, Error> {
+        Self::write(self, positions, format, exec)
     }
 
     fn carry_points(&self, positions: &[DVec3], points: &[DVec3], exec: &Exec<'_>) -> Result<Vec<CarriedFrame>, Error> {

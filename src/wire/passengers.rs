@@ -79,7 +79,10 @@ pub(super) fn require_own_passengers(passengers: &[Passenger]) -> Result<(), Err
         let field = match passenger.kind {
             PassengerKind::Points { .. } => "points",
             PassengerKind::Model(_) => "file",
-            PassengerKind::Primitive(_) | PassengerKind::PrimitivesNamed(_) => continue,
+            PassengerKind::Primitive(_)
+            | PassengerKind::PrimitivesNamed(_)
+            | PassengerKind::Node(_)
+            | PassengerKind::NodesNamed(_) => continue,
         };
         let problem = "is for jobs; a session carries points and models when Carry is called";
         return Err(Error::invalid(format!("passengers[{k}].{field}"), problem));
@@ -95,13 +98,11 @@ fn passenger(message: &pb::Passenger, at: &str) -> Result<Passenger, Error> {
     }
     let kind = match &message.passenger {
         Some(Kind::Primitive(index)) => PassengerKind::Primitive(*index),
-        Some(Kind::PrimitivesNamed(name)) if name.is_empty() => {
-            return Err(Error::invalid(
-                format!("{at}.primitivesNamed"),
-                "is empty, a name is needed",
-            ));
+        Some(Kind::PrimitivesNamed(name)) => {
+            PassengerKind::PrimitivesNamed(given_name(name, || format!("{at}.primitivesNamed"))?)
         }
-        Some(Kind::PrimitivesNamed(name)) => PassengerKind::PrimitivesNamed(name.clone()),
+        Some(Kind::Node(index)) => PassengerKind::Node(*index),
+        Some(Kind::NodesNamed(name)) => PassengerKind::NodesNamed(given_name(name, || format!("{at}.nodesNamed"))?),
         Some(Kind::Points(given)) => {
             let positions = rest_points(&given.positions, &format!("{at}.points.positions"))?;
             let field = format!("{at}.points.rotations");
@@ -112,7 +113,7 @@ fn passenger(message: &pb::Passenger, at: &str) -> Result<Passenger, Error> {
         }
         Some(Kind::File(file)) => PassengerKind::Model(passenger_file(file, &format!("{at}.file"))?),
         None => {
-            let problem = "is empty, allowed is one of primitive, primitivesNamed, points or file";
+            let problem = "is empty, allowed is one of primitive, primitivesNamed, node, nodesNamed, points or file";
             return Err(Error::invalid(at, problem));
         }
     };
@@ -120,6 +121,13 @@ fn passenger(message: &pb::Passenger, at: &str) -> Result<Passenger, Error> {
         name: message.name.clone(),
         kind,
     })
+}
+
+fn given_name(name: &str, field: impl Fn() -> String) -> Result<String, Error> {
+    match name.is_empty() {
+        true => Err(Error::invalid(field(), "is empty, a name is needed")),
+        false => Ok(name.to_owned()),
+    }
 }
 
 fn passenger_file(file: &pb::passenger::File, at: &str) -> Result<CarriedModel, Error> {

@@ -9,6 +9,7 @@ mod figure;
 mod hostile_gltf;
 mod materials;
 mod morphs;
+mod nodes;
 mod polygons;
 mod rigs;
 mod roundtrip_gltf;

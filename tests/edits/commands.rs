@@ -71,7 +71,9 @@ fn edited(bench: &mut Deformer, request: &pb::EditRequest) -> EditedByMessage {
 }
 
 fn read_back(bench: &Deformer, format: Format) -> Model {
-    let written = bench.write(bench.rest(), format).expect("written");
+    let written = bench
+        .write(bench.rest(), format, &Exec::new(&pool(2), &Silent))
+        .expect("written");
     let files = FileSet::single("back", written.main);
     Model::read(files, Some(format), &ModelLimits::default()).expect("read back")
 }

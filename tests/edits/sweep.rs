@@ -170,7 +170,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
         }
     }
     let format = bench.model().format;
-    match bench.write(&shape, format) {
+    match bench.write(&shape, format, &Exec::new(&pool, &Silent)) {
         Err(e) => line += &format!(" | not written as {format}: {e}"),
         Ok(written) => {
             let companions = written

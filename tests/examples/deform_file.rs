@@ -22,7 +22,7 @@ pub fn turn_head(model: Vec<u8>) -> Result<Vec<u8>, Box<dyn Error>> {
     )?;
     let turned = HandlePose::rotation([0.0, 0.8, 0.0]);
     let shape = deformer.commit([("head", turned)], &SolveSettings::default(), &exec)?;
-    Ok(deformer.write(&shape.positions, Format::GLB)?.main)
+    Ok(deformer.write(&shape.positions, Format::GLB, &exec)?.main)
 }
 
 /// Reads the model that is named, or the built-in creature.

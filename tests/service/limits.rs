@@ -129,6 +129,10 @@ fn limits_without_a_key_are_those_of_the_program() {
         ("old shapes that one session keeps", size(snapshot_bytes)),
         ("building a session or its handles", time(build)),
         ("points that ride along in one job passenger", (1 << 24).to_string()),
+        (
+            "nodes that one inspection lists",
+            pliant::batch::MOST_NODES_TOLD.to_string(),
+        ),
         ("commits waiting on one stream", stream_commits.to_string()),
         ("calls waiting on one session", session_queue.to_string()),
         ("pieces of work waiting for a compute slot", compute_queue.to_string()),

@@ -167,7 +167,7 @@ fn a_passenger_changes_nothing_for_the_body_and_goes_where_it_goes() {
         assert!((0.05..0.2).contains(&gap), "a gap of {gap}");
     }
     // At rest all is as it was, and written to the byte.
-    let written = deformer.write(deformer.rest(), Format::GLTF).expect("written");
+    let written = deformer.write(deformer.rest(), Format::GLTF, &exec).expect("written");
     assert_eq!(written.main, both().main.to_vec());
     // The same with other threads.
     let one = Pool::new(1).expect("a thread");
@@ -316,7 +316,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
                 .zip(vertices_of(&deformer, own, &on))
                 .map(|(a, b)| a.distance(*b));
             assert!(moved.fold(0.0, f64::max) > 0.05, "it moves with the body");
-            let written = deformer.write(&on, Format::GLB).expect("written");
+            let written = deformer.write(&on, Format::GLB, &exec).expect("written");
             let again = FileSet::single("again.glb", written.main);
             let again = open(again, &OpenOptions::default(), &exec).expect("read back");
             assert_eq!(faces_of(&again, own).len(), faces.len());
@@ -379,7 +379,7 @@ fn edits_of_the_rest_shape_and_merged_models_leave_passengers_alone() {
         assert_eq!(marked, [true, false, false]);
     }
     for format in [Format::GLB, Format::OBJ] {
-        let written = deformer.write(deformer.rest(), format).expect("written");
+        let written = deformer.write(deformer.rest(), format, &exec).expect("written");
         let again = open(FileSet::single("again", written.main), &OpenOptions::default(), &exec).expect("read back");
         assert_eq!(
             again.geometry().triangles.len(),

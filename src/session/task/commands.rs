@@ -182,8 +182,9 @@ impl SessionTask {
         let topology = self.history.current().topology.clone();
         let (written, watch) = self
             .compute(&call.cancel, limit, move |deformer, pool, watch, _| {
-                deformer.go_to_topology(topology.as_ref(), &Exec::new(pool, watch))?;
-                deformer.engine.write(&positions, format)
+                let exec = Exec::new(pool, watch);
+                deformer.go_to_topology(topology.as_ref(), &exec)?;
+                deformer.engine.write(&positions, format, &exec)
             })
             .await?;
         Ok(ExportedModel {

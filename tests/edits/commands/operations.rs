@@ -239,7 +239,8 @@ fn another_model_is_welded_or_stitched_on() {
     // The same bar without its bottom, upon the first one without its top.
     let mut donor = held();
     edited(&mut donor, &delete(half_space([0.0, 0.0, -1.0], 2.0 - 1e-9), false));
-    let upper = donor.write(donor.rest(), Format::OBJ).expect("written").main;
+    let upper = donor.write(donor.rest(), Format::OBJ, &Exec::new(&pool(2), &Silent));
+    let upper = upper.expect("written").main;
     let lid = delete(half_space([0.0, 0.0, 1.0], 2.0 - 1e-9), false);
     for (how, gap) in [(merge::How::Weld, 4.0), (merge::How::Stitch, 4.3)] {
         let mut bench = held();

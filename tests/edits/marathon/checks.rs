@@ -1,9 +1,12 @@
 //! What holds after every edit, done or refused.
 
+use crate::support::bench::pool;
 use crate::support::messages::{DeformerMessages, EditedByMessage};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
 use pliant::engine::{Deformer, TopologyState, digest};
+use pliant::exec::Exec;
+use pliant::progress::Silent;
 use pliant::wire::{Error, pb};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -192,7 +195,9 @@ fn curve(bench: &Deformer, curve: &[u32]) {
 
 /// What is written is read back, and all its numbers are finite.
 pub fn written(bench: &Deformer, shape: &[DVec3]) {
-    let written = bench.write(shape, Format::GLB).expect("written");
+    let written = bench
+        .write(shape, Format::GLB, &Exec::new(&pool(1), &Silent))
+        .expect("written");
     finite(&written.main);
     let files = FileSet::single("back.glb", written.main);
     let back = Model::read(files, Some(Format::GLB), &Limits::default()).expect("read back");

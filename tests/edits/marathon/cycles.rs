@@ -49,7 +49,8 @@ fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
     for round in 0..4 {
         run.go(edits / 4);
         run.hold();
-        let written = run.bench.write(run.bench.rest(), Format::OBJ).expect("written");
+        let exec = Exec::new(&run.pool, &Silent);
+        let written = run.bench.write(run.bench.rest(), Format::OBJ, &exec).expect("written");
         let files = FileSet::single("edited.obj", written.main);
         let mut fresh = Deformer::open(
             files,

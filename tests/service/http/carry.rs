@@ -1,7 +1,9 @@
 //! Points and models carried along with a session's shape.
 
 use super::{get, post};
+use crate::support::gltf_parsed::parse;
 use crate::support::server::*;
+use crate::support::skinning::world_transforms;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use pliant::wire::pb;
@@ -147,7 +149,7 @@ async fn what_cannot_be_carried_is_told_by_its_field() {
             .status(),
         404
     );
-    // Passengers that are no part of the model are a job's.
+    // Passengers that are no part of the model's file are a job's.
     let points = json!({"passengers": [{"points": {"positions": [0, 0, 0]}}]});
     let mut client = server.grpc().await;
     let options: pb::CreateOptions = pliant::wire::json::from_json(points.to_string().as_bytes()).expect("options");
@@ -162,4 +164,70 @@ async fn what_cannot_be_carried_is_told_by_its_field() {
         .await
         .expect_err("refused");
     assert!(refused.message().contains("passengers[0].points"), "{refused:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_of_the_model_rides_along_through_poses_edits_and_undo() {
+    let server = Server::start().await;
+    let options = json!({"rig": "KEEP", "passengers": [{"primitivesNamed": "lod1"}, {"nodesNamed": "hatSocket"}]});
+    let options =
+        percent_encoding::utf8_percent_encode(&options.to_string(), percent_encoding::NON_ALPHANUMERIC).to_string();
+    let opened = http()
+        .post(server.url(&format!("/v1/sessions?sample=figure&options={options}")))
+        .send();
+    let opened: Value = within("a session", opened).await.unwrap().json().await.unwrap();
+    let id = opened["id"].as_str().expect("an id");
+    let path = |rest: &str| format!("/v1/sessions/{id}/{rest}");
+    // Where the exported file has the socket, seen by another reader.
+    let exported = async || {
+        let file = get(&server, &path("model?format=glb")).await.bytes().await.unwrap();
+        let file = parse(&file, &Default::default());
+        let mut nodes = file.json["nodes"].as_array().into_iter().flatten();
+        let socket = nodes.position(|node| node["name"] == "hatSocket").expect("a socket");
+        world_transforms(&file, None).expect("nodes")[socket].translation
+    };
+    let at_rest = exported().await;
+    let points = json!({"points": at_rest.to_array()});
+    let handles = json!({"handles": [
+        {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.3}}},
+        {"id": "head", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.54}}},
+    ]});
+    let set = http().put(server.url(&path("handles"))).json(&handles).send();
+    assert_eq!(within("handles", set).await.unwrap().status(), 200);
+    let turn = |x: f64| json!({"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0.2, 0.6, 0], "translation": [x, 0.1, 0]}}]}});
+    assert_eq!(post(&server, &path("solve"), turn(0.1)).await.status(), 200);
+    let carried = glam::DVec3::from_slice(&numbers(&carry(&server, id, points).await["points"]));
+    let bent = exported().await;
+    assert!(
+        bent.distance(carried) < 2e-6 && bent.distance(at_rest) > 0.05,
+        "{bent} {carried}"
+    );
+
+    // What the edit sees becomes the rest pose, and the socket rides on from there.
+    let finer = json!({"on": "CURRENT", "subdivide": {"scheme": "MIDPOINT"}});
+    let edited = post(&server, &path("edits"), finer).await;
+    assert_eq!(edited.status(), 200, "{}", edited.text().await.unwrap());
+    assert!(exported().await.distance(bent) < 2e-6);
+    let points = json!({"points": bent.to_array()});
+    assert_eq!(post(&server, &path("solve"), turn(-0.2)).await.status(), 200);
+    let carried = glam::DVec3::from_slice(&numbers(&carry(&server, id, points).await["points"]));
+    let on = exported().await;
+    assert!(
+        on.distance(carried) < 4e-6 && on.distance(bent) > 0.05,
+        "{on} {carried}"
+    );
+    for (way, wanted) in [
+        ("undo", bent),
+        ("undo", bent),
+        ("redo", bent),
+        ("redo", on),
+        ("undo", bent),
+    ] {
+        assert_eq!(post(&server, &path(way), json!({})).await.status(), 200);
+        assert!(exported().await.distance(wanted) < 2e-6, "{way}");
+    }
+    for _ in 0..2 {
+        post(&server, &path("undo"), json!({})).await;
+    }
+    assert_eq!(exported().await, at_rest);
 }

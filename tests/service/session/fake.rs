@@ -278,7 +278,7 @@ impl Engine for Fake {
         })
     }
 
-    fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+    fn write(&self, positions: &[DVec3], format: Format, _exec: &Exec<'_>) -> Result<WrittenFiles, Error> {
         if format == Format::STL {
             return Err(asset::Error::Unwritable {
                 format,

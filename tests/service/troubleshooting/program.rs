@@ -9,6 +9,14 @@ use std::process::Command;
 
 const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n";
 
+/// A triangle under a frame, a socket, and a joint of its skin.
+const SCENE: &str = r#"{"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1, 2]}],
+    "nodes": [{"name": "frame", "mesh": 0, "skin": 0}, {"name": "socket"}, {"name": "bone"}], "skins": [{"joints": [2]}],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+    "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}],
+    "bufferViews": [{"buffer": 0, "byteLength": 36}],
+    "buffers": [{"byteLength": 36, "uri": "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]}"#;
+
 const HELD: &str = r#"{"handles": [{"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}}], "expect": {"digest": "xxh3:0000000000000000"}}"#;
 
 /// The last line of stderr; fails when there was no failure.
@@ -44,7 +52,19 @@ pub fn provoke() -> Vec<Said> {
     let port = taken.local_addr().expect("an address").port().to_string();
     let here = format!("127.0.0.1:{port}");
 
-    let cases: [(&'static str, &[&str]); 15] = [
+    write("scene.gltf", SCENE);
+    for (name, node) in [
+        ("hook", r#"{"nodesNamed": "hook"}"#),
+        ("far", r#"{"node": 7}"#),
+        ("bone", r#"{"node": 2}"#),
+    ] {
+        write(
+            &format!("{name}.json"),
+            &format!(r#"{{"create": {{"passengers": [{node}]}}}}"#),
+        );
+    }
+
+    let cases: [(&'static str, &[&str]); 19] = [
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
         ("a time without a unit", &["serve", "--config", "time.toml"]),
@@ -79,6 +99,22 @@ pub fn provoke() -> Vec<Said> {
         (
             "a chain that is none",
             &["deform", "figure.glb", "--job", "chain.json", "-o", "out.glb"],
+        ),
+        (
+            "a node that is not there",
+            &["deform", "scene.gltf", "--job", "hook.json", "-o", "out.glb"],
+        ),
+        (
+            "a node beyond the last",
+            &["deform", "scene.gltf", "--job", "far.json", "-o", "out.glb"],
+        ),
+        (
+            "a joint that is to ride along",
+            &["deform", "scene.gltf", "--job", "bone.json", "-o", "out.glb"],
+        ),
+        (
+            "a node of a format without nodes",
+            &["deform", "square.obj", "--job", "far.json", "-o", "out.obj"],
         ),
         (
             "another digest",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, Union
 
 from typing_extensions import TypedDict
@@ -93,6 +93,13 @@ class KeepApart(TypedDict, total=False):
     components: Sequence[int]
 
 
+class NodePassenger(TypedDict):
+    """A node of a glTF that rides along: a socket, a camera, a light, and what hangs on it."""
+
+    #: Its index in the file, or its name, which then stands for all nodes of that name. No joint of a skin.
+    node: Union[int, str]
+
+
 class CreateFields(TypedDict, total=False):
     """How a session is built from its model, all optional."""
 
@@ -111,8 +118,8 @@ class CreateFields(TypedDict, total=False):
     weld: float
     #: Operators of the multigrid hierarchy.
     operators: Literal["finite_volume", "paper"]
-    #: Primitives that ride along without being solved: their indices, or the names of their nodes.
-    passengers: Sequence[Union[int, str]]
+    #: What rides along without being solved: primitives by their indices or the names of their nodes, and other nodes.
+    passengers: Sequence[Union[int, str, NodePassenger]]
     #: Whether morph targets of glTF turn and grow with the surface under them.
     morph_targets: Literal["follow", "keep"]
     #: Whether joints of skinned glTF move and turn with what they hold.
@@ -147,8 +154,7 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
             if isinstance(value, str) or not isinstance(value, Sequence):
                 raise TypeError(f"passengers: {seen(value)}, a list of indices and names of primitives is allowed")
             for which in value:
-                passenger = message.passengers.add()
-                put(passenger, "primitives_named" if isinstance(which, str) else "primitive", which)
+                _passenger(which, message.passengers.add())
         elif name == "morph_targets":
             message.morph_targets = enum(name, pb.CreateOptions.MorphTargets.Rule, value)
         elif name == "rig":
@@ -172,6 +178,15 @@ def create_options(fields: CreateFields) -> pb.CreateOptions:
             allowed = ", ".join(CreateFields.__annotations__)
             raise TypeError(f"{name}: no such option of a session; allowed are {allowed}")
     return message
+
+
+def _passenger(which: Union[int, str, NodePassenger], message: pb.Passenger) -> None:
+    if not isinstance(which, Mapping):
+        put(message, "primitives_named" if isinstance(which, str) else "primitive", which)
+    elif list(which) != ["node"]:
+        raise TypeError(f"passengers: {seen(which)}, a dict has the key node alone")
+    else:
+        put(message, "nodes_named" if isinstance(which["node"], str) else "node", which["node"])
 
 
 def _keep_apart(fields: KeepApart, message: pb.CreateOptions.KeepApart) -> None:

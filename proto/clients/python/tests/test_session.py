@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,30 @@ def test_passengers_are_shown_and_do_not_hold(server: pliant.LocalServer) -> Non
         pliant.open(ball.encode(), server=server, format="obj", passengers=[9])
     with pytest.raises(pliant.InvalidArgument, match="nothing is left"):
         pliant.open(ball.encode(), server=server, format="obj", passengers=[0])
+
+
+def test_a_node_of_the_model_rides_along_into_its_export(server: pliant.LocalServer, tmp_path: Path) -> None:
+    with pliant.connect(server) as client:
+        figure = client.sample("figure")
+    for wrong, error, said in [
+        ({"node": "hips"}, pliant.InvalidArgument, "joint of a skin"),
+        ({"node": 99}, pliant.InvalidArgument, "counted from 0"),
+        ({"bone": 1}, TypeError, "the key node alone"),
+    ]:
+        with pytest.raises(error, match=said):
+            pliant.open(figure, server=server, passengers=[wrong])
+    with pliant.open(figure, server=server, passengers=["lod1", {"node": "hatSocket"}], rig="keep") as session:
+        session.handle("feet", half_space=((0, -1, 0), -0.3))
+        session.handle("head", half_space=((0, 1, 0), 1.54))
+        session.solve({"head": {"rotation_vector": (0, 0.6, 0), "translation": (0.1, 0.1, 0)}})
+        session.export(tmp_path / "turned.glb")
+
+    def nodes(glb: bytes) -> list[dict[str, object]]:
+        return json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])["nodes"]
+
+    before, after = nodes(figure), nodes((tmp_path / "turned.glb").read_bytes())
+    changed = [node["name"] for node, now in zip(before, after) if node != now]
+    assert changed == ["hatSocket"]
 
 
 def test_handles_say_what_they_hold_and_keep_their_poses_when_another_is_added(held: pliant.Session) -> None:

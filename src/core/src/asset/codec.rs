@@ -8,7 +8,7 @@ use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
-use super::{Error, FileSet, FollowedCounts, Following, Format, Geometry, Limits, Model, WrittenFiles};
+use super::{Error, FileSet, FollowedCounts, Format, Geometry, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -62,7 +62,7 @@ pub(super) trait FormatCodec: Sync {
         model: &Model,
         positions: &[DVec3],
         format: Format,
-        following: Following,
+        followers: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error>;
 
     /// What is told of a model of this codec that comes back as it was read: what could follow its shape.
@@ -96,6 +96,12 @@ pub(super) trait FormatCodec: Sync {
 
     /// What a model that this codec has read looks like; `None` for formats that say it by way of a GLB.
     fn surface_look(&self, model: &Model) -> Result<Option<SurfaceLook>, Error> {
+        let _ = model;
+        Ok(None)
+    }
+
+    /// The nodes of a model that this codec has read, by their index in the file; `None` for formats without nodes.
+    fn nodes(&self, model: &Model) -> Result<Option<Vec<ModelNode>>, Error> {
         let _ = model;
         Ok(None)
     }
@@ -141,7 +147,7 @@ pub(super) struct EditedOutput<'a> {
     /// The format of the file.
     pub format: Format,
     /// What else of the file follows.
-    pub following: &'a Following,
+    pub followers: &'a ShapeFollowers<'a>,
     /// The neutral form of what comes from the base of that number, for bases of other formats.
     pub neutral_base: &'a dyn Fn(u32) -> Result<NeutralModel, Error>,
     /// For each run of the edited model its faces, where some have more than three corners.

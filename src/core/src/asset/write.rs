@@ -6,7 +6,7 @@ use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRu
 use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
 use super::neutral::NeutralModel;
-use super::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
+use super::{Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::{DAffine3, DVec3};
 
 impl Model {
@@ -97,11 +97,11 @@ impl Model {
     ///
     /// # Errors
     /// Those of [`Model::write`].
-    pub fn write_following(
+    pub fn write_following<'a>(
         &self,
         positions: &[DVec3],
         format: Format,
-        following: Following,
+        followers: impl Into<ShapeFollowers<'a>>,
     ) -> Result<WrittenFiles, Error> {
         let (seen, count) = (positions.len(), self.positions.len());
         if seen != count {
@@ -116,7 +116,7 @@ impl Model {
                 format!("the position of vertex {i} is {}, not finite", positions[i]),
             ));
         }
-        let mut written = self.write_checked(positions, format, following)?;
+        let mut written = self.write_checked(positions, format, &followers.into())?;
         let passengers = self.geometry.primitives.iter().filter(|p| p.is_passenger);
         for passenger in passengers {
             let own = passenger.vertices();
@@ -126,7 +126,12 @@ impl Model {
         Ok(written)
     }
 
-    fn write_checked(&self, positions: &[DVec3], format: Format, following: Following) -> Result<WrittenFiles, Error> {
+    fn write_checked(
+        &self,
+        positions: &[DVec3],
+        format: Format,
+        followers: &ShapeFollowers<'_>,
+    ) -> Result<WrittenFiles, Error> {
         if format == self.format && is_same(&self.positions, positions) {
             return Ok(WrittenFiles {
                 followed: codec_of(format).nothing_followed(self)?,
@@ -135,7 +140,7 @@ impl Model {
         }
         let codec = writer_of(format)?;
         if codec.patches_files_of(self.format) {
-            return codec.patch_positions(self, positions, format, following);
+            return codec.patch_positions(self, positions, format, followers);
         }
         let neutral = if codec.takes_attributes() {
             neutral_model(self, positions, format)?
@@ -151,6 +156,14 @@ impl Model {
     /// [`Error`] when the files cannot be read again.
     pub fn joint_names(&self) -> Result<Vec<String>, Error> {
         Ok(codec_of(self.format).joint_names(self)?.into_iter().collect())
+    }
+
+    /// The nodes of the model's file, by their index there; `None` for a model of a format without nodes, which all but glTF are.
+    ///
+    /// # Errors
+    /// [`Error`] when the files cannot be read again.
+    pub fn nodes(&self) -> Result<Option<Vec<ModelNode>>, Error> {
+        codec_of(self.format).nodes(self)
     }
 }
 
@@ -225,14 +238,14 @@ pub fn write_edited_model(
 ///
 /// # Errors
 /// Those of [`write_edited_model`].
-pub fn write_edited_model_following(
+pub fn write_edited_model_following<'a>(
     edited: &EditedModel<'_>,
     positions: &[DVec3],
     format: Format,
-    following: Following,
+    followers: impl Into<ShapeFollowers<'a>>,
 ) -> Result<WrittenFiles, Error> {
     edited::check(edited, positions, format)?;
-    let mut written = write_checked_edit(edited, positions, format, &following)?;
+    let mut written = write_checked_edit(edited, positions, format, &followers.into())?;
     let passengers = edited.runs.iter().filter(|run| edited.primitive(run).is_passenger);
     for run in passengers {
         let before = CarriedAttributes::before(edited, run);
@@ -247,7 +260,7 @@ fn write_checked_edit(
     edited: &EditedModel<'_>,
     positions: &[DVec3],
     format: Format,
-    following: &Following,
+    followers: &ShapeFollowers<'_>,
 ) -> Result<WrittenFiles, Error> {
     let Some(first) = edited.bases.first() else {
         return Err(Error::unwritable(format, "there is no base"));
@@ -265,7 +278,7 @@ fn write_checked_edit(
         edited,
         positions,
         format,
-        following,
+        followers,
         neutral_base: &neutral_base,
         run_faces: &|run| faces_of_run(edited, run),
     })

@@ -3,6 +3,7 @@
 use super::Deformer;
 use super::error::Error;
 use super::passenger::CarriedModel;
+use super::riding_nodes::{CarriedNode, RidingNodes};
 use crate::asset::{Model, WrittenFiles};
 use crate::exec::Exec;
 use crate::mesh::carry::{CarriedFrame, SurfaceCarrier};
@@ -34,6 +35,25 @@ impl Deformer {
         exec: &Exec<'_>,
     ) -> Result<Vec<CarriedFrame>, Error> {
         Ok(self.carrier(positions, exec)?.carry_points(points, exec.pool))
+    }
+
+    /// Tells where a shape of this model carries the nodes of its file that ride along, in the order of
+    /// [`OpenOptions::passengers`](super::OpenOptions::passengers).
+    ///
+    /// # Errors
+    /// Those of [`Deformer::carrier`].
+    pub fn carry_nodes(&self, positions: &[DVec3], exec: &Exec<'_>) -> Result<Vec<CarriedNode>, Error> {
+        Ok(self.riding_nodes_at(positions, exec)?.told())
+    }
+
+    /// The nodes that ride along, where a shape carries them.
+    pub(super) fn riding_nodes_at(&self, positions: &[DVec3], exec: &Exec<'_>) -> Result<Arc<RidingNodes>, Error> {
+        let at_rest = &self.topology().riding_nodes;
+        if at_rest.is_empty() {
+            return Ok(Arc::clone(at_rest));
+        }
+        let carrier = self.carrier(positions, exec)?;
+        Ok(Arc::new(at_rest.carried_along(&carrier, exec.pool)))
     }
 
     /// Carries another model that stands in the rest space along with a shape of this one, and writes it in `output`, or in

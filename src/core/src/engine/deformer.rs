@@ -14,12 +14,13 @@ use super::quality::measure_quality;
 use super::region_context::RegionContext;
 use super::resolved_handles::{ResolvedHandles, resolve_handles};
 use super::riding::mark_passengers;
+use super::riding_nodes::RidingNodes;
 use super::rigid_chains::check_rigid_chains;
 use super::settings::OpenOptions;
 use super::shape::{ModelShape, ShapeId};
 use super::tie_facts::PulledTies;
 use super::topology_id::TopologyId;
-use crate::asset::{FileSet, Format, Geometry, Model, WrittenFiles};
+use crate::asset::{FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
 use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
@@ -74,14 +75,13 @@ impl Deformer {
         let mut model = Model::read(files, options.format, &limits.model)?;
         mark_passengers(&mut model.geometry.primitives, &options.passengers)?;
         check_rigid_chains(&model, &options.following.bone_lengths)?;
+        let riding_nodes = Arc::new(RidingNodes::find(&model, &options.passengers)?);
         exec.check()?;
-        let derived = DerivedStructures::build(
-            TopologyId(0),
-            Arc::new(ModelTopology::new(model)),
-            options,
-            limits,
-            exec,
-        )?;
+        let topology = ModelTopology {
+            riding_nodes,
+            ..ModelTopology::new(model)
+        };
+        let derived = DerivedStructures::build(TopologyId(0), Arc::new(topology), options, limits, exec)?;
         Ok(Self {
             derived: Arc::new(derived),
             options: options.clone(),
@@ -182,12 +182,17 @@ impl Deformer {
         self.topology().geometry()
     }
 
-    /// The model at `positions` (one per render vertex) as files.
+    /// The model at `positions` (one per render vertex) as files; nodes that ride along are where these carry them.
     ///
     /// # Errors
-    /// Those of [`Model::write`].
-    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
-        self.topology().write(positions, format, self.options.following.clone())
+    /// Those of [`Model::write`] and, with nodes that ride along, [`Deformer::carrier`].
+    pub fn write(&self, positions: &[DVec3], format: Format, exec: &Exec<'_>) -> Result<WrittenFiles, Error> {
+        let motions = self.riding_nodes_at(positions, exec)?.motions();
+        let followers = ShapeFollowers {
+            rules: self.options.following.clone(),
+            nodes: &motions,
+        };
+        self.topology().write(positions, format, &followers)
     }
 
     /// What was found about the mesh.

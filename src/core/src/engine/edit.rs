@@ -64,7 +64,11 @@ impl Deformer {
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let separated = (families, planned.parts);
-        let (topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, separated);
+        let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, separated);
+        if shape.id != rest.id {
+            // What the edit sees becomes the rest pose, of what rides along too.
+            topology.riding_nodes = self.riding_nodes_at(&shape.positions, exec)?;
+        }
         drop((surface, origins));
         exec.check()?;
         let nodes = match points {

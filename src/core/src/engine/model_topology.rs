@@ -2,8 +2,9 @@
 
 use super::error::Error;
 use super::part_families::PartFamilies;
+use super::riding_nodes::RidingNodes;
 use super::vertex_origins::VertexOrigins;
-use crate::asset::{self, Following, Format, Geometry, Model, Primitive, WrittenFiles};
+use crate::asset::{self, Format, Geometry, Model, Primitive, ShapeFollowers, WrittenFiles};
 use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, Weld};
 use glam::{DVec3, Vec3, Vec4};
@@ -20,6 +21,8 @@ pub(super) struct ModelTopology {
     pub sha256: Arc<str>,
     /// Rest positions, one per render vertex.
     pub rest: Arc<Vec<DVec3>>,
+    /// Nodes of its file that ride along, where they are in the rest pose.
+    pub riding_nodes: Arc<RidingNodes>,
     /// What edits have made of it.
     pub edited: Option<EditedTopology>,
 }
@@ -58,6 +61,7 @@ impl ModelTopology {
             rest: Arc::new(model.positions.clone()),
             model,
             sha256: "".into(),
+            riding_nodes: Arc::default(),
             edited: None,
         }
     }
@@ -135,10 +139,15 @@ impl ModelTopology {
     }
 
     /// The model at `positions` as files.
-    pub fn write(&self, positions: &[DVec3], format: Format, following: Following) -> Result<WrittenFiles, Error> {
+    pub fn write(
+        &self,
+        positions: &[DVec3],
+        format: Format,
+        followers: &ShapeFollowers<'_>,
+    ) -> Result<WrittenFiles, Error> {
         Ok(match &self.edited {
-            None => self.model.write_following(positions, format, following)?,
-            Some(edited) => edited.origins.write(&edited.geometry, positions, format, following)?,
+            None => self.model.write_following(positions, format, followers.clone())?,
+            Some(edited) => edited.origins.write(&edited.geometry, positions, format, followers)?,
         })
     }
 
@@ -147,7 +156,7 @@ impl ModelTopology {
         let edited = self.edited.as_ref().map_or(0, |e| {
             e.geometry.bytes_held() + e.origins.byte_size() + e.families.byte_size() + 4 * e.point_of.capacity() as u64
         });
-        self.model.geometry.bytes_held() + edited + (self.rest.capacity() * 24) as u64
+        self.model.geometry.bytes_held() + edited + (self.rest.capacity() * 24 + self.riding_nodes.byte_size()) as u64
     }
 
     /// The topology after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
@@ -178,6 +187,7 @@ impl ModelTopology {
             model: Arc::clone(&self.model),
             sha256: Arc::clone(&self.sha256),
             rest: Arc::new(take(&mut applied.positions)),
+            riding_nodes: Arc::clone(&self.riding_nodes),
             edited: Some(EditedTopology {
                 geometry,
                 origins,

@@ -12,7 +12,7 @@ pub struct Passenger {
     pub kind: PassengerKind,
 }
 
-/// The kinds of passengers. Those of the model itself are the deformer's; points and other models are carried by whoever asks
+/// The kinds of passengers. Primitives and nodes of the model itself are the deformer's; points and other models are carried by whoever asks
 /// for them, with [`crate::engine::Deformer::carry_points`] and [`crate::engine::Deformer::carry_model`].
 #[derive(Debug, Clone)]
 pub enum PassengerKind {
@@ -20,6 +20,10 @@ pub enum PassengerKind {
     Primitive(u32),
     /// All primitives of this name: of a glTF those under the node of this name.
     PrimitivesNamed(String),
+    /// The node of the model's file with this index.
+    Node(u32),
+    /// All nodes of this name.
+    NodesNamed(String),
     /// Points with axes.
     Points {
         /// Where they are at rest.

@@ -34,7 +34,10 @@ pub(super) fn mark_passengers(primitives: &mut [Primitive], passengers: &[Passen
                 }
                 named
             }
-            PassengerKind::Points { .. } | PassengerKind::Model(_) => continue,
+            PassengerKind::Node(_)
+            | PassengerKind::NodesNamed(_)
+            | PassengerKind::Points { .. }
+            | PassengerKind::Model(_) => continue,
         };
         for index in meant {
             if std::mem::replace(&mut primitives[index].is_passenger, true) {
@@ -48,7 +51,8 @@ pub(super) fn mark_passengers(primitives: &mut [Primitive], passengers: &[Passen
     Ok(())
 }
 
-fn clip_name(name: &str) -> String {
+/// As much of a name as a refusal repeats.
+pub(super) fn clip_name(name: &str) -> String {
     name.chars().take(64).collect()
 }
 

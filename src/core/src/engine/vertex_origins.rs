@@ -2,7 +2,7 @@
 //! model is written.
 
 use crate::asset::{
-    BaseModel, EditedModel, Error, Following, Format, Model, PrimitiveRun, VertexBlends, WrittenFiles,
+    BaseModel, EditedModel, Error, Format, Model, PrimitiveRun, ShapeFollowers, VertexBlends, WrittenFiles,
     write_edited_model_following,
 };
 use crate::edit::{PatchedSurface, SurfacePatch};
@@ -112,7 +112,7 @@ impl VertexOrigins {
         geometry: &crate::asset::Geometry,
         positions: &[DVec3],
         format: Format,
-        following: Following,
+        followers: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error> {
         let bases: Vec<BaseModel<'_>> = (self.bases.iter())
             .map(|(model, placement)| BaseModel {
@@ -143,7 +143,7 @@ impl VertexOrigins {
             origins: &self.triangles,
             bare: &self.bare,
         };
-        write_edited_model_following(&edited, positions, format, following)
+        write_edited_model_following(&edited, positions, format, followers.clone())
     }
 
     /// Bytes held, with those of the models that were merged in.

@@ -144,7 +144,7 @@ class CreateOptions(_message.Message):
     def __init__(self, format: _Optional[str] = ..., volume_graph: _Optional[_Union[CreateOptions.VolumeGraph, _Mapping]] = ..., components: _Optional[_Union[CreateOptions.Components, str]] = ..., weights: _Optional[_Union[CreateOptions.Weights, str]] = ..., label: _Optional[str] = ..., ttl: _Optional[str] = ..., weld: _Optional[_Union[CreateOptions.Weld, _Mapping]] = ..., operators: _Optional[_Union[CreateOptions.Operators, str]] = ..., morph_targets: _Optional[_Union[CreateOptions.MorphTargets.Rule, str]] = ..., rig: _Optional[_Union[CreateOptions.Rig.Rule, str]] = ..., bone_lengths: _Optional[_Union[CreateOptions.BoneLengths.Rule, str]] = ..., rigid_chains: _Optional[_Iterable[str]] = ..., parts: _Optional[_Union[CreateOptions.Parts, str]] = ..., tie_distance: _Optional[float] = ..., keep_apart: _Optional[_Union[CreateOptions.KeepApart, _Mapping]] = ..., passengers: _Optional[_Iterable[_Union[Passenger, _Mapping]]] = ...) -> None: ...
 
 class Passenger(_message.Message):
-    __slots__ = ("name", "primitive", "primitives_named", "points", "file")
+    __slots__ = ("name", "primitive", "primitives_named", "points", "file", "node", "nodes_named")
     class Points(_message.Message):
         __slots__ = ("positions", "rotations")
         POSITIONS_FIELD_NUMBER: _ClassVar[int]
@@ -168,12 +168,16 @@ class Passenger(_message.Message):
     PRIMITIVES_NAMED_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
     FILE_FIELD_NUMBER: _ClassVar[int]
+    NODE_FIELD_NUMBER: _ClassVar[int]
+    NODES_NAMED_FIELD_NUMBER: _ClassVar[int]
     name: str
     primitive: int
     primitives_named: str
     points: Passenger.Points
     file: Passenger.File
-    def __init__(self, name: _Optional[str] = ..., primitive: _Optional[int] = ..., primitives_named: _Optional[str] = ..., points: _Optional[_Union[Passenger.Points, _Mapping]] = ..., file: _Optional[_Union[Passenger.File, _Mapping]] = ...) -> None: ...
+    node: int
+    nodes_named: str
+    def __init__(self, name: _Optional[str] = ..., primitive: _Optional[int] = ..., primitives_named: _Optional[str] = ..., points: _Optional[_Union[Passenger.Points, _Mapping]] = ..., file: _Optional[_Union[Passenger.File, _Mapping]] = ..., node: _Optional[int] = ..., nodes_named: _Optional[str] = ...) -> None: ...
 
 class SessionRequest(_message.Message):
     __slots__ = ("session_id",)
@@ -1086,18 +1090,20 @@ class Report(_message.Message):
         value: float
         def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
     class Passenger(_message.Message):
-        __slots__ = ("name", "positions", "rotations", "scales", "output")
+        __slots__ = ("name", "positions", "rotations", "scales", "output", "nodes")
         NAME_FIELD_NUMBER: _ClassVar[int]
         POSITIONS_FIELD_NUMBER: _ClassVar[int]
         ROTATIONS_FIELD_NUMBER: _ClassVar[int]
         SCALES_FIELD_NUMBER: _ClassVar[int]
         OUTPUT_FIELD_NUMBER: _ClassVar[int]
+        NODES_FIELD_NUMBER: _ClassVar[int]
         name: str
         positions: _containers.RepeatedScalarFieldContainer[float]
         rotations: _containers.RepeatedScalarFieldContainer[float]
         scales: _containers.RepeatedScalarFieldContainer[float]
         output: str
-        def __init__(self, name: _Optional[str] = ..., positions: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ..., output: _Optional[str] = ...) -> None: ...
+        nodes: _containers.RepeatedScalarFieldContainer[int]
+        def __init__(self, name: _Optional[str] = ..., positions: _Optional[_Iterable[float]] = ..., rotations: _Optional[_Iterable[float]] = ..., scales: _Optional[_Iterable[float]] = ..., output: _Optional[str] = ..., nodes: _Optional[_Iterable[int]] = ...) -> None: ...
     MODEL_FIELD_NUMBER: _ClassVar[int]
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
     STEPS_FIELD_NUMBER: _ClassVar[int]
@@ -1143,7 +1149,7 @@ class Quality(_message.Message):
     def __init__(self, edge_rms: _Optional[float] = ..., volume_change: _Optional[float] = ..., area_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., self_intersections: _Optional[int] = ..., faces_too_large: _Optional[int] = ..., open_surface: bool = ...) -> None: ...
 
 class Inspection(_message.Message):
-    __slots__ = ("model", "primitives", "solver", "warnings", "components", "boundary_loops", "non_manifold_edges", "non_manifold_vertices", "seam_vertices", "closed", "box_min", "box_max", "area", "volume", "memory_estimate", "degenerate_faces", "duplicate_faces", "unreferenced_vertices")
+    __slots__ = ("model", "primitives", "solver", "warnings", "components", "boundary_loops", "non_manifold_edges", "non_manifold_vertices", "seam_vertices", "closed", "box_min", "box_max", "area", "volume", "memory_estimate", "degenerate_faces", "duplicate_faces", "unreferenced_vertices", "nodes", "node_count")
     MODEL_FIELD_NUMBER: _ClassVar[int]
     PRIMITIVES_FIELD_NUMBER: _ClassVar[int]
     SOLVER_FIELD_NUMBER: _ClassVar[int]
@@ -1162,6 +1168,8 @@ class Inspection(_message.Message):
     DEGENERATE_FACES_FIELD_NUMBER: _ClassVar[int]
     DUPLICATE_FACES_FIELD_NUMBER: _ClassVar[int]
     UNREFERENCED_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    NODES_FIELD_NUMBER: _ClassVar[int]
+    NODE_COUNT_FIELD_NUMBER: _ClassVar[int]
     model: ModelFacts
     primitives: _containers.RepeatedCompositeFieldContainer[Primitive]
     solver: SolverFacts
@@ -1180,4 +1188,18 @@ class Inspection(_message.Message):
     degenerate_faces: int
     duplicate_faces: int
     unreferenced_vertices: int
-    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., components: _Optional[int] = ..., boundary_loops: _Optional[int] = ..., non_manifold_edges: _Optional[int] = ..., non_manifold_vertices: _Optional[int] = ..., seam_vertices: _Optional[int] = ..., closed: bool = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., area: _Optional[float] = ..., volume: _Optional[float] = ..., memory_estimate: _Optional[int] = ..., degenerate_faces: _Optional[int] = ..., duplicate_faces: _Optional[int] = ..., unreferenced_vertices: _Optional[int] = ...) -> None: ...
+    nodes: _containers.RepeatedCompositeFieldContainer[ModelNode]
+    node_count: int
+    def __init__(self, model: _Optional[_Union[ModelFacts, _Mapping]] = ..., primitives: _Optional[_Iterable[_Union[Primitive, _Mapping]]] = ..., solver: _Optional[_Union[SolverFacts, _Mapping]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., components: _Optional[int] = ..., boundary_loops: _Optional[int] = ..., non_manifold_edges: _Optional[int] = ..., non_manifold_vertices: _Optional[int] = ..., seam_vertices: _Optional[int] = ..., closed: bool = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., area: _Optional[float] = ..., volume: _Optional[float] = ..., memory_estimate: _Optional[int] = ..., degenerate_faces: _Optional[int] = ..., duplicate_faces: _Optional[int] = ..., unreferenced_vertices: _Optional[int] = ..., nodes: _Optional[_Iterable[_Union[ModelNode, _Mapping]]] = ..., node_count: _Optional[int] = ...) -> None: ...
+
+class ModelNode(_message.Message):
+    __slots__ = ("index", "name", "joint", "position")
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    JOINT_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    index: int
+    name: str
+    joint: bool
+    position: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, index: _Optional[int] = ..., name: _Optional[str] = ..., joint: bool = ..., position: _Optional[_Iterable[float]] = ...) -> None: ...

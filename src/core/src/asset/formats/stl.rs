@@ -10,7 +10,7 @@ use crate::asset::files::check_main_size;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::model::{FileNotes, is_same};
 use crate::asset::neutral::NeutralModel;
-use crate::asset::{Error, FileSet, Following, Format, Geometry, Limits, Model, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, ShapeFollowers, WrittenFiles};
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -43,7 +43,7 @@ impl FormatCodec for StlCodec {
         model: &Model,
         positions: &[DVec3],
         _: Format,
-        _: Following,
+        _: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error> {
         patch(model, positions).map(WrittenFiles::single)
     }

@@ -4,7 +4,7 @@
 //! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins. Existing indices never change; what is new is appended.
 //!
 //! Displacements of morph targets turn and grow with the surface around their vertices ([`targets`]), and skeletons follow
-//! the body ([`rig`]), unless they are to stay. What of it was done is counted ([`counts`]).
+//! the body ([`rig`]), unless they are to stay; so do other [`nodes`] that are to. What of it was done is counted ([`counts`]).
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
 //! [`text`], [`check`] checks references and ranges, [`companions`] tells which files it names, [`buffers`] finds bytes
@@ -58,6 +58,7 @@ mod glb_writer;
 mod influences;
 mod looks;
 mod media_type;
+mod nodes;
 mod package;
 mod patch;
 mod placement;
@@ -87,7 +88,7 @@ use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::look::SurfaceLook;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::{
-    Error, FileSet, FollowedCounts, Following, Format, Limits, Model, MorphTargetRule, RigRule, WrittenFiles,
+    Error, FileSet, FollowedCounts, Format, Limits, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,
 };
 use crate::mesh::local_turns::local_turns;
 use glam::DVec3;
@@ -112,21 +113,21 @@ impl FormatCodec for GltfCodec {
         model: &Model,
         positions: &[DVec3],
         format: Format,
-        following: Following,
+        followers: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error> {
         let notes = model.notes_or_refuse(format)?;
         let (doc, mut buffers) = read::reopen(model, notes)?;
         let rest = &model.geometry;
-        let mut rig = None;
-        if following.rig == RigRule::Follow && rig::has_rig(notes) {
+        let mut tree = None;
+        if rig::may_move_nodes(notes, followers) {
             let shape = rig::shape_of_rows(&doc, &mut buffers, notes, rest, positions)?;
-            rig = rig::FollowedRig::fit(&doc, &mut buffers, notes, &shape, &following.bone_lengths)?.map(|rig| {
-                let to_write = rig.positions_to_write(&shape);
-                (rig, to_write)
+            tree = rig::FollowedNodeTree::fit(&doc, &mut buffers, notes, &shape, followers)?.map(|tree| {
+                let to_write = tree.positions_to_write(&shape);
+                (tree, to_write)
             });
         }
-        let positions = rig.as_ref().map_or(positions, |(_, to_write)| to_write);
-        let follows = following.morph_targets == MorphTargetRule::Follow && targets::has_targets(&doc);
+        let positions = tree.as_ref().map_or(positions, |(_, to_write)| to_write);
+        let follows = followers.rules.morph_targets == MorphTargetRule::Follow && targets::has_targets(&doc);
         let shape = deformed::NewShape {
             rest,
             positions,
@@ -140,9 +141,9 @@ impl FormatCodec for GltfCodec {
         let mut written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
         let mut followed = counts::followable(&doc, doc.animations.len());
         tally.count_into(&mut followed);
-        if let Some((rig, _)) = rig {
-            written = rig.rewrite(written, format)?;
-            rig.count_into(&doc, &mut followed);
+        if let Some((tree, _)) = tree {
+            written = tree.rewrite(written, format)?;
+            tree.count_into(&doc, &mut followed);
         }
         followed.rewritten_clips = written.followed.rewritten_clips;
         written.followed = followed;
@@ -175,6 +176,11 @@ impl FormatCodec for GltfCodec {
     fn surface_look(&self, model: &Model) -> Result<Option<SurfaceLook>, Error> {
         let notes = model.notes_or_refuse(model.format)?;
         looks::surface_look(model, notes).map(Some)
+    }
+
+    fn nodes(&self, model: &Model) -> Result<Option<Vec<ModelNode>>, Error> {
+        let notes = model.notes_or_refuse(model.format)?;
+        nodes::model_nodes(model, notes).map(Some)
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {

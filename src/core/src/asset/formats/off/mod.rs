@@ -14,7 +14,7 @@ pub(super) use read::FORMAT;
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
 use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Limits, Model, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 
 /// Reads and writes OFF.
@@ -34,7 +34,7 @@ impl FormatCodec for OffCodec {
         model: &Model,
         positions: &[DVec3],
         format: Format,
-        _: Following,
+        _: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error> {
         patch_text_file(model, positions, format, write::patch)
     }

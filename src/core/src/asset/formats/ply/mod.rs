@@ -17,7 +17,7 @@ pub(super) use read::FORMAT;
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Limits, Model, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 
 /// Reads and writes PLY.
@@ -37,7 +37,7 @@ impl FormatCodec for PlyCodec {
         model: &Model,
         positions: &[DVec3],
         format: Format,
-        _: Following,
+        _: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error> {
         let notes = model.notes_or_refuse(format)?;
         write::patch(&model.files.main, notes, &model.geometry, positions).map(WrittenFiles::single)

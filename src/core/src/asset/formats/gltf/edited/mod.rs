@@ -31,13 +31,13 @@ use super::fault::GltfFault;
 use super::package::package;
 use super::patch::PatchedDocument;
 use super::read::{GltfNotes, reopen};
-use super::rig::FollowedRig;
+use super::rig::FollowedNodeTree;
 use super::targets::TargetTally;
 use super::text::{JsonEdits, members, quoted};
 use super::uri;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::PrimitiveRun;
-use crate::asset::{Error, FileSet, RigRule, WrittenFiles};
+use crate::asset::{Error, FileSet, WrittenFiles};
 use frame::EditedMeshes;
 use joined_bases::JoinedBases;
 use kept::KeptData;
@@ -57,20 +57,20 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         return Err(fault.unwritable("the first base is no glTF"));
     };
     let (doc, mut buffers) = reopen(model, notes)?;
-    let mut rig = None;
-    if output.following.rig == RigRule::Follow && super::rig::has_rig(notes) {
+    let mut tree = None;
+    if super::rig::may_move_nodes(notes, output.followers) {
         let before = rigged::positions_before(edited);
         let shape = rigged::shape_of_runs((&doc, &mut buffers), notes, output, &before)?;
-        rig = FollowedRig::fit(&doc, &mut buffers, notes, &shape, &output.following.bone_lengths)?.map(|rig| {
-            let to_write = rig.positions_to_write(&shape);
-            (rig, to_write)
+        tree = FollowedNodeTree::fit(&doc, &mut buffers, notes, &shape, output.followers)?.map(|tree| {
+            let to_write = tree.positions_to_write(&shape);
+            (tree, to_write)
         });
     }
-    let positions = rig.as_ref().map_or(output.positions, |(_, to_write)| to_write);
+    let positions = tree.as_ref().map_or(output.positions, |(_, to_write)| to_write);
     let output = &EditedOutput { positions, ..*output };
     let mut fresh = NewAccessors::default();
     let own: Vec<&PrimitiveRun> = edited.runs.iter().filter(|run| run.base == 0).collect();
-    let turns = EditedTurns::new(edited, positions, output.following.morph_targets);
+    let turns = EditedTurns::new(edited, positions, output.followers.rules.morph_targets);
     let mut tally = TargetTally::default();
     let mut maker = PrimitiveMaker {
         doc: &doc,
@@ -105,9 +105,9 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let clips = writer.frame.animations.iter().flatten().count();
     let mut followed = super::counts::followable(&doc, clips);
     tally.count_into(&mut followed);
-    if let Some((rig, _)) = &rig {
-        written = rig.rewrite(written, output.format)?;
-        rig.count_into(&doc, &mut followed);
+    if let Some((tree, _)) = &tree {
+        written = tree.rewrite(written, output.format)?;
+        tree.count_into(&doc, &mut followed);
     }
     followed.rewritten_clips = written.followed.rewritten_clips;
     written.followed = followed;

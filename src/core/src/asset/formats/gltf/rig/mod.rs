@@ -1,4 +1,5 @@
-//! The skeleton follows the body: joints move and turn with what they hold, and clips play on the new rest pose.
+//! Nodes follow the body: joints move and turn with what they hold, others as they are told, and clips play on the new rest
+//! pose.
 //!
 //! When the rest shape of a skinned model changes, each joint gets the rigid motion of the vertices that it holds
 //! ([`motions`], by sums of [`moments`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins
@@ -9,6 +10,9 @@
 //!
 //! Bones may keep their lengths ([`bones`]); the matrices then make up for joints that are not where the body would have them.
 //! What followed is counted for reports ([`counts`]).
+//! Nodes that are no joints move only when they ride along by themselves: where is told by whoever writes
+//! ([`ShapeFollowers`]). What hangs on a moved node rides rigidly, but for meshes that are part of the shape: their vertices
+//! are drawn where the shape has them. Joints that are to stay do so also under a node that goes.
 //!
 //! A joint whose motion is none within rounding keeps every byte: its node, its matrix, its clips.
 
@@ -29,7 +33,7 @@ use super::placement::{Placement, invert};
 use super::read::GltfNotes;
 use super::scene::{PlacedScene, place_meshes};
 use super::skin::{SkinPose, affine_of};
-use crate::asset::{BoneLengthRule, Error, Geometry};
+use crate::asset::{BoneLengthRule, Error, Geometry, RigRule, ShapeFollowers};
 use crate::mesh::BoundingBox;
 use bones::RigidBones;
 use glam::{DAffine3, DVec3};
@@ -45,8 +49,8 @@ const ROUNDING: f64 = 5e-7;
 /// New inverse bind matrices by the number of the joint in its skin.
 type BindChanges = BTreeMap<usize, [f32; 16]>;
 
-/// A skeleton that has followed its body.
-pub(super) struct FollowedRig {
+/// The nodes of a document after some have followed the body.
+pub(super) struct FollowedNodeTree {
     nodes: MovedNodes,
     /// By skin.
     binds: BTreeMap<usize, BindChanges>,
@@ -56,9 +60,10 @@ pub(super) struct FollowedRig {
     size: f64,
 }
 
-/// Whether any primitive of a model is placed by joints.
-pub(super) fn has_rig(notes: &GltfNotes) -> bool {
-    notes.rows.iter().any(|row| row.follows_joints)
+/// Whether a shape may move nodes at all: joints that hold primitives, or nodes that ride along by themselves.
+pub(super) fn may_move_nodes(notes: &GltfNotes, followers: &ShapeFollowers<'_>) -> bool {
+    let has_rig = || notes.rows.iter().any(|row| row.follows_joints);
+    !followers.nodes.is_empty() || (followers.rules.rig == RigRule::Follow && has_rig())
 }
 
 /// The vertices of a model as its file has them, and which joints hold them.
@@ -103,14 +108,14 @@ pub(super) fn joint_count(doc: &GltfDocument<'_>, skin: usize) -> usize {
     parsed.map_or(0, |skin: super::schema::GltfSkin| skin.joints.len())
 }
 
-impl FollowedRig {
-    /// Lets the joints of a document follow a shape; `None` when none of them moves.
+impl FollowedNodeTree {
+    /// Lets the nodes of a document follow a shape; `None` when none of them moves.
     pub(super) fn fit(
         doc: &GltfDocument<'_>,
         buffers: &mut BufferBytes,
         notes: &GltfNotes,
         shape: &SkinnedShape<'_>,
-        bone_lengths: &BoneLengthRule,
+        followers: &ShapeFollowers<'_>,
     ) -> Result<Option<Self>, Error> {
         let scene = place_meshes(doc, &mut Vec::new())?;
         let size = BoundingBox::of(shape.before).diagonal();
@@ -126,22 +131,31 @@ impl FollowedRig {
         };
         let (drawn, broken) = (of_rows(true), of_rows(false));
         let followed = known.iter().filter(|(skin, _)| drawn.contains(*skin));
-        let followed = followed.map(|(skin, pose)| (*skin, Arc::clone(pose))).collect();
-        let mut motions = joint_motions(shape, &followed, &scene);
+        let followed: BTreeMap<usize, Arc<SkinPose>> = followed.map(|(skin, pose)| (*skin, Arc::clone(pose))).collect();
+        let still = |pose: &Arc<SkinPose>| -> Vec<_> { pose.joints.iter().map(|&joint| (joint, None)).collect() };
+        let mut motions = match followers.rules.rig {
+            RigRule::Follow => joint_motions(shape, &followed, &scene),
+            // They stay where they are, even under a node that goes.
+            RigRule::Keep => followed.values().flat_map(still).collect(),
+        };
         // What a broken skin draws nobody knows, so its joints had better stay.
-        for pose in broken.iter().filter_map(|skin| known.get(skin)) {
-            motions.extend(pose.joints.iter().map(|&joint| (joint, None)));
-        }
+        motions.extend(broken.iter().filter_map(|skin| known.get(skin)).flat_map(still));
+        motions.extend(followers.nodes.iter().filter(|(node, _)| **node < doc.nodes.len()));
         if motions.values().all(Option::is_none) {
             return Ok(None);
         }
+        // Where joints stay, so do the lengths of bones.
+        let bone_lengths = match followers.rules.rig {
+            RigRule::Follow => &followers.rules.bone_lengths,
+            RigRule::Keep => &BoneLengthRule::Follow,
+        };
         let bones = RigidBones::find(doc, &scene, bone_lengths);
         let nodes = move_nodes(doc, &scene, &motions, &bones, size)?;
         if nodes.moved.is_empty() {
             return Ok(None);
         }
         let PlacedScene { world_from_node, .. } = scene;
-        let mut rig = Self {
+        let mut tree = Self {
             binds: BTreeMap::new(),
             poses: BTreeMap::new(),
             world_from_node,
@@ -149,9 +163,9 @@ impl FollowedRig {
             size,
         };
         for (skin, pose) in known {
-            rig.bind_anew(skin, pose);
+            tree.bind_anew(skin, pose);
         }
-        Ok(Some(rig))
+        Ok(Some(tree))
     }
 
     /// Finds the inverse bind matrices that keep what a skin draws.

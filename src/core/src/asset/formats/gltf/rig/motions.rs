@@ -9,6 +9,7 @@ use super::super::placement::Placement;
 use super::super::scene::PlacedScene;
 use super::super::skin::SkinPose;
 use super::moments::MotionMoments;
+use crate::asset::NodeMotions;
 use crate::mesh::BoundingBox;
 use glam::{DAffine3, DMat3, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,9 +37,6 @@ pub(in super::super) struct JointHeldVertices {
     /// How they are written back.
     pub(in super::super) placement: Placement,
 }
-
-/// The rigid motions of joints by their nodes; `None` for one that stays where it is.
-pub(super) type JointMotions = BTreeMap<usize, Option<DAffine3>>;
 
 /// A motion by less than this, relative to the model's diagonal and as half an angle, is none.
 const STILL: f64 = 1e-6;
@@ -139,7 +137,7 @@ pub(super) fn joint_motions(
     shape: &SkinnedShape<'_>,
     poses: &BTreeMap<usize, Arc<SkinPose>>,
     scene: &PlacedScene,
-) -> JointMotions {
+) -> NodeMotions {
     let nodes: BTreeSet<usize> = poses.values().flat_map(|pose| &pose.joints).copied().collect();
     let place = |node: &usize| JointFit::at(scene.world_from_node[*node].translation);
     let mut fits = JointFits {

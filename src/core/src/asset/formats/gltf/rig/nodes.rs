@@ -1,12 +1,11 @@
-//! Nodes after joints have moved: new local transforms, from parents to children.
+//! Nodes after joints and others have moved: new local transforms, from parents to children.
 
 use super::super::document::GltfDocument;
 use super::super::placement::invert;
 use super::super::scene::{PlacedScene, joined_transform, local_transform};
 use super::super::schema::GltfNode;
 use super::bones::{RigidBones, turn_of_bone};
-use super::motions::JointMotions;
-use crate::asset::Error;
+use crate::asset::{Error, NodeMotions};
 use crate::mesh::rotation::fit_rotation;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use std::collections::BTreeMap;
@@ -31,7 +30,7 @@ pub(super) struct MovedNode {
     pub(super) to: DVec3,
 }
 
-/// All nodes after joints have moved.
+/// All nodes after some have moved.
 #[derive(Debug)]
 pub(super) struct MovedNodes {
     /// Those whose local transforms have changed.
@@ -42,13 +41,13 @@ pub(super) struct MovedNodes {
     pub(super) is_elsewhere: Vec<bool>,
 }
 
-/// Gives nodes local transforms so that joints move as they should, as far as rigid bones let them. Other nodes keep theirs and so
-/// ride with their parents.
+/// Gives nodes local transforms so that those with a motion move as they should, joints as far as rigid bones let them. Other
+/// nodes keep theirs and so ride with their parents.
 /// `size`: that of the model.
 pub(super) fn move_nodes(
     doc: &GltfDocument<'_>,
     scene: &PlacedScene,
-    motions: &JointMotions,
+    motions: &NodeMotions,
     bones: &RigidBones,
     size: f64,
 ) -> Result<MovedNodes, Error> {
@@ -75,7 +74,7 @@ pub(super) fn move_nodes(
             let rest = scene.world_from_node[index].translation;
             motion = Some(Some(bone.hold(&free, rest, scene, &all.world_from_node)));
         }
-        // A joint that stays has to be held back when its parent moves.
+        // One that stays has to be held back when its parent moves.
         let change = match motion {
             Some(motion) if rides || motion.is_some() => invert(&new_parent)
                 .map(|back| back * motion.unwrap_or(DAffine3::IDENTITY) * old_parent)

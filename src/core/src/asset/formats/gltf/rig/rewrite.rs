@@ -1,4 +1,4 @@
-//! Puts moved joints into files: nodes, inverse bind matrices, and clips.
+//! Puts moved nodes into files: nodes, inverse bind matrices, and clips.
 
 use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
 use super::super::buffers::BufferBytes;
@@ -11,7 +11,7 @@ use super::super::read::parse_again;
 use super::super::sharing::ByteSpans;
 use super::super::text::{JsonEdits, value_of};
 use super::clips::{ChangedSampler, ClipTarget, SampledValues, carried_values, changed_samplers};
-use super::{BindChanges, FollowedRig};
+use super::{BindChanges, FollowedNodeTree};
 use crate::asset::{Error, FileSet, Format, WrittenFiles};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,8 +19,8 @@ use std::collections::{BTreeMap, BTreeSet};
 /// the file's.
 const MOST_REWRITTEN: u64 = 1 << 30;
 
-impl FollowedRig {
-    /// Puts the followed joints into files that were written as if none had moved, and counts the clips that change.
+impl FollowedNodeTree {
+    /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change.
     pub(in super::super) fn rewrite(&self, written: WrittenFiles, format: Format) -> Result<WrittenFiles, Error> {
         let files = FileSet {
             name: String::new(),
@@ -74,8 +74,8 @@ struct NewValues<'v> {
 }
 
 impl<'a> RigWriter<'_, 'a> {
-    fn write_nodes(&mut self, rig: &FollowedRig) {
-        for (&index, node) in &rig.nodes.moved {
+    fn write_nodes(&mut self, tree: &FollowedNodeTree) {
+        for (&index, node) in &tree.nodes.moved {
             let text = self.doc.nodes.items[index];
             let parts = [
                 ("translation", node.translation.as_ref().map(|v| &v[..])),
@@ -131,8 +131,8 @@ impl<'a> RigWriter<'_, 'a> {
         accessor.and_then(|a| self.uses.get(a)).copied().unwrap_or(0)
     }
 
-    fn write_clips(&mut self, rig: &FollowedRig) -> Result<(), Error> {
-        let samplers = changed_samplers(self.doc, &rig.nodes);
+    fn write_clips(&mut self, tree: &FollowedNodeTree) -> Result<(), Error> {
+        let samplers = changed_samplers(self.doc, &tree.nodes);
         let mut wanted: BTreeMap<(SampledValues, ClipTarget), Vec<&ChangedSampler<'a>>> = BTreeMap::new();
         for sampler in &samplers {
             wanted
@@ -144,7 +144,7 @@ impl<'a> RigWriter<'_, 'a> {
         let mut parted: BTreeMap<usize, Vec<String>> = BTreeMap::new();
         for ((sampled, target), users) in wanted {
             let (Some(node), Some(stored)) = (
-                rig.nodes.moved.get(&target.node),
+                tree.nodes.moved.get(&target.node),
                 self.read(sampled.accessor, target.lanes())?,
             ) else {
                 continue;

@@ -1,0 +1,586 @@
+//! Nodes of a model's own file that ride along: sockets, cameras and what hangs on them, through jobs.
+
+use crate::support::bench::pool;
+use crate::support::data::{data_path, tell_skipped};
+use crate::support::gltf_parsed::{Parsed, parse};
+use crate::support::skinning::{ClipTime, draw, world_transforms};
+use crate::support::{gltf_sets, khronos};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+use pliant::asset::{FileSet, Format, sample, shapes};
+use pliant::batch::BatchOutcome;
+use pliant::engine::DeformerLimits;
+use pliant::exec::Exec;
+use pliant::progress::Silent;
+use pliant::wire::{Error, json as wire_json, pb};
+use serde_json::{Value, json};
+
+const SOCKET: usize = 2;
+const LAMP: usize = 3;
+const CAMERA: usize = 4;
+const GROUND: usize = 5;
+/// Two nodes of one name; a clip moves the first of them by a pointer.
+const TWINS: [usize; 2] = [6, 7];
+const OUTSIDE: usize = 8;
+
+/// A bar along z, 1 wide and 4 long, under a turned and larger frame, with a block that stands apart from it on a lamp, which
+/// hangs on a socket of the frame; a camera by its matrix, and marks beside the scene. A clip moves socket and twin.
+fn bar_with_nodes() -> FileSet {
+    let (bar, bar_faces) = shapes::box_with_cells(DVec3::new(1.0, 1.0, 4.0), [4, 4, 16]);
+    let (block, block_faces) = shapes::box_with_cells(DVec3::splat(0.25), [2, 2, 2]);
+    let mut buffer: Vec<u8> = Vec::new();
+    let (mut views, mut accessors) = (Vec::new(), Vec::new());
+    let mut add = |bytes: Vec<u8>, mut accessor: Value| {
+        accessor["bufferView"] = json!(views.len());
+        views.push(json!({"buffer": 0, "byteOffset": buffer.len(), "byteLength": bytes.len()}));
+        accessors.push(accessor);
+        buffer.extend(bytes);
+    };
+    let floats = |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|v| v.to_le_bytes()).collect() };
+    // Where the bar is put back by the frame that it hangs on.
+    let stored = |p: &DVec3| ((*p - DVec3::new(0.5, 0.5, 0.0)) * 0.5).as_vec3().to_array();
+    for (points, faces) in [
+        (bar.iter().map(stored).collect::<Vec<_>>(), &bar_faces),
+        (block.iter().map(stored).collect(), &block_faces),
+    ] {
+        let bound = |pick: fn(f32, f32) -> f32| -> Vec<f32> {
+            (0..3)
+                .map(|k| points.iter().map(|p| p[k]).reduce(pick).expect("points"))
+                .collect()
+        };
+        let of_points = json!({"componentType": 5126, "count": points.len(), "type": "VEC3", "min": bound(f32::min), "max": bound(f32::max)});
+        add(floats(points.as_flattened()), of_points);
+        let corners: Vec<u32> = faces.iter().flatten().copied().collect();
+        let of_corners = json!({"componentType": 5125, "count": corners.len(), "type": "SCALAR"});
+        add(corners.iter().flat_map(|v| v.to_le_bytes()).collect(), of_corners);
+    }
+    add(
+        floats(&[0.0, 1.0]),
+        json!({"componentType": 5126, "count": 2, "type": "SCALAR", "min": [0], "max": [1]}),
+    );
+    add(
+        floats(&[0.3, 0.1, 1.6, 0.3, 0.4, 1.6]),
+        json!({"componentType": 5126, "count": 2, "type": "VEC3"}),
+    );
+    add(
+        floats(&[0.6, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0]),
+        json!({"componentType": 5126, "count": 2, "type": "VEC4"}),
+    );
+    add(
+        floats(&[-0.8, 0.0, 3.0, -0.8, 0.0, 3.5]),
+        json!({"componentType": 5126, "count": 2, "type": "VEC3"}),
+    );
+    let sampler = |output: usize| json!({"input": 4, "output": output});
+    let channel = |sampler: usize, path: &str| json!({"sampler": sampler, "target": {"node": SOCKET, "path": path}});
+    let pointer = json!({"sampler": 2, "target": {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": format!("/nodes/{}/translation", TWINS[0])}}}});
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let document = json!({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, CAMERA, GROUND, 6, 7]}],
+        "extensionsUsed": ["KHR_animation_pointer"],
+        "nodes": [
+            {"name": "frame", "children": [1, SOCKET], "translation": [0, 0, 0], "rotation": [0, 0, half, half], "scale": [2, 2, 2]},
+            {"name": "body", "mesh": 0},
+            {"name": "socket", "children": [LAMP], "translation": [0.3, 0.1, 1.6], "rotation": [0.6, 0, 0, 0.8]},
+            {"name": "lamp", "mesh": 1, "translation": [0, 0.1, 0.3]},
+            {"name": "camera", "camera": 0, "matrix": [0, 0, -1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 1.5, 0.25, 3.5, 1]},
+            {"name": "ground", "translation": [0.25, 0.125, 0.0625]},
+            {"name": "twin", "translation": [-0.8, 0, 3]},
+            {"name": "twin", "translation": [0, -0.8, 3], "rotation": [0, half, 0, half]},
+            {"name": "outside", "translation": [0, 0, 4.5]},
+        ],
+        "cameras": [{"type": "perspective", "perspective": {"yfov": 0.7, "znear": 0.01}}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}, {"primitives": [{"attributes": {"POSITION": 2}, "indices": 3}]}],
+        "animations": [{"samplers": [sampler(5), sampler(6), sampler(7)], "channels": [channel(0, "translation"), channel(1, "rotation"), pointer]}],
+        "buffers": [{"byteLength": buffer.len()}], "bufferViews": views, "accessors": accessors,
+    });
+    let mut text = document.to_string().into_bytes();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    buffer.resize(buffer.len().next_multiple_of(4), 0);
+    let mut glb = b"glTF\x02\0\0\0".to_vec();
+    glb.extend((28 + text.len() as u32 + buffer.len() as u32).to_le_bytes());
+    for (kind, chunk) in [(b"JSON", text), (b"BIN\0", buffer)] {
+        glb.extend((chunk.len() as u32).to_le_bytes());
+        glb.extend(kind);
+        glb.extend(chunk);
+    }
+    FileSet::single("bar.glb", glb)
+}
+
+/// Holds one end and bends the other, with `passengers` and after `first` steps.
+fn bending(passengers: &Value, first: &[Value]) -> Value {
+    let bend = json!({"pose": {"handles": [{"id": "top", "pose": {"rotationVector": [0.9, 0, 0.4], "translation": [0.1, 0.5, -0.2]}}]}});
+    let steps = [first, &[bend]].concat();
+    json!({
+        "create": {"passengers": passengers},
+        "handles": [
+            {"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -0.8}}},
+            {"id": "top", "region": {"halfSpace": {"normal": [0, 0, 1], "offset": 3.7}}},
+        ],
+        "steps": steps,
+    })
+}
+
+fn try_run(files: FileSet, job: &Value, format: Option<Format>) -> Result<BatchOutcome, Error> {
+    let job: pb::Job = wire_json::from_json(job.to_string().as_bytes()).expect("a job");
+    let limits = DeformerLimits::default();
+    pliant::batch::run(files, &job, format, &limits, &Exec::new(&pool(2), &Silent), &|| 0.0)
+}
+
+fn run(files: FileSet, job: &Value) -> BatchOutcome {
+    try_run(files, job, None).expect("the job runs")
+}
+
+fn parsed(outcome: &BatchOutcome) -> Parsed {
+    parse(&outcome.written.main, &outcome.written.companions)
+}
+
+fn parsed_files(files: &FileSet) -> Parsed {
+    let companions = files
+        .companions
+        .iter()
+        .map(|(name, bytes)| (name.clone(), bytes.to_vec()));
+    parse(&files.main, &companions.collect())
+}
+
+fn at_rest(file: &Parsed) -> Vec<DAffine3> {
+    world_transforms(file, None).expect("nodes")
+}
+
+fn all_nodes() -> Value {
+    json!([
+        {"node": SOCKET}, {"nodesNamed": "camera", "name": "view"}, {"node": GROUND}, {"nodesNamed": "twin"}, {"nodesNamed": "outside"},
+    ])
+}
+
+/// Points with axes at the places of nodes.
+fn as_points(world: &[DAffine3], nodes: &[usize]) -> Value {
+    let positions: Vec<f64> = nodes.iter().flat_map(|&n| world[n].translation.to_array()).collect();
+    let rotations: Vec<f64> = nodes.iter().flat_map(|&n| turn_of(&world[n]).to_array()).collect();
+    json!({"name": "points", "points": {"positions": positions, "rotations": rotations}})
+}
+
+fn turn_of(world: &DAffine3) -> DQuat {
+    let m = &world.matrix3;
+    DQuat::from_mat3(&DMat3::from_cols(
+        m.x_axis.normalize(),
+        m.y_axis.normalize(),
+        m.z_axis.normalize(),
+    ))
+}
+
+fn frames(told: &pb::report::Passenger) -> Vec<(DVec3, DQuat)> {
+    let places = told.positions.chunks_exact(3).map(DVec3::from_slice);
+    places
+        .zip(told.rotations.chunks_exact(4).map(DQuat::from_slice))
+        .collect()
+}
+
+fn off(a: &DAffine3, b: &DAffine3) -> f64 {
+    let axes = (0..3).map(|k| a.matrix3.col(k).distance(b.matrix3.col(k)));
+    axes.fold(a.translation.distance(b.translation), f64::max)
+}
+
+/// Runs a job with nodes and one with points at their places, and says how far the written nodes stand and are turned from
+/// the points, at most; `report` entries are compared too.
+fn off_from_points(files: &FileSet, nodes: &Value, order: &[usize], first: &[Value]) -> (BatchOutcome, f64) {
+    let before = at_rest(&parsed_files(files));
+    let mut passengers = nodes.as_array().expect("a list").clone();
+    passengers.push(as_points(&before, order));
+    let outcome = run(files.clone(), &bending(&json!(passengers), first));
+    let after = at_rest(&parsed(&outcome));
+    let (points, told) = outcome.report.passengers.split_last().expect("passengers");
+    let points = frames(points);
+    let nodes: Vec<u32> = told.iter().flat_map(|p| p.nodes.clone()).collect();
+    assert_eq!(nodes, order.iter().map(|&n| n as u32).collect::<Vec<_>>());
+    let told: Vec<_> = told.iter().flat_map(frames).collect();
+    let mut worst = 0.0f64;
+    for ((&node, (place, turn)), (told_place, told_turn)) in order.iter().zip(&points).zip(&told) {
+        // A quaternion and its negative are one rotation.
+        let apart = |q: DQuat| (q - *turn).length().min((q + *turn).length());
+        worst = worst.max(told_place.distance(*place)).max(apart(*told_turn));
+        worst = worst
+            .max(after[node].translation.distance(*place))
+            .max(apart(turn_of(&after[node])));
+        for k in 0..3 {
+            let lengths = [&before, &after].map(|world| world[node].matrix3.col(k).length());
+            assert!(
+                (lengths[0] - lengths[1]).abs() < 1e-5,
+                "node {node} keeps its scale: {lengths:?}"
+            );
+        }
+    }
+    (outcome, worst)
+}
+
+const ORDER: [usize; 6] = [SOCKET, CAMERA, GROUND, TWINS[0], TWINS[1], OUTSIDE];
+
+#[test]
+fn nodes_go_where_points_at_their_places_go_and_what_hangs_on_them_rides_along() {
+    let files = bar_with_nodes();
+    let (outcome, off_points) = off_from_points(&files, &all_nodes(), &ORDER, &[]);
+    let (file, source) = (parsed(&outcome), parsed_files(&files));
+    let (before, after) = (at_rest(&source), at_rest(&file));
+    assert!(off_points < 1e-6 * 4.2, "{off_points}");
+    for node in [SOCKET, CAMERA, TWINS[0], TWINS[1], OUTSIDE] {
+        assert!(off(&before[node], &after[node]) > 0.3, "node {node} moves");
+    }
+    let names: Vec<&str> = outcome.report.passengers.iter().map(|p| p.name.as_str()).collect();
+    assert_eq!(names, ["socket", "view", "ground", "twin", "outside", "points"]);
+    // The lamp hangs on the socket as it did.
+    let hung = |world: &[DAffine3]| world[SOCKET].inverse() * world[LAMP];
+    assert!(off(&hung(&before), &hung(&after)) < 1e-5);
+    // What did not move, or rides along, is the same text.
+    for node in [0, 1, LAMP, GROUND] {
+        assert_eq!(file.json["nodes"][node], source.json["nodes"][node]);
+    }
+    assert!(file.json["nodes"][CAMERA]["matrix"].is_array() && file.json["nodes"][CAMERA].get("rotation").is_none());
+    // The block on the lamp is part of what was solved, and drawn where the solve put it.
+    let drawn = draw(&file, None, &[]).expect("drawn");
+    assert_eq!(drawn.len(), 2);
+    let drawn: Vec<DVec3> = drawn.into_iter().flat_map(|d| d.positions).collect();
+    for (seen, solved) in drawn.iter().zip(outcome.positions.iter()) {
+        assert!(seen.distance(*solved) < 1e-6 * 4.2, "{seen} {solved}");
+    }
+}
+
+#[test]
+fn clips_play_on_the_new_rest_pose_of_a_node() {
+    let files = bar_with_nodes();
+    let source = parsed_files(&files);
+    let outcome = run(files, &bending(&all_nodes(), &[]));
+    let file = parsed(&outcome);
+    let at = |file: &Parsed, seconds: f64| {
+        // The plain player knows no pointers.
+        let mut plain = parse(&outcome.written.main, &outcome.written.companions);
+        plain.json = file.json.clone();
+        plain.buffers.clone_from(&file.buffers);
+        let channels = plain.json["animations"][0]["channels"]
+            .as_array_mut()
+            .expect("channels");
+        channels.retain(|c| c["target"]["path"] != "pointer");
+        world_transforms(&plain, Some(ClipTime { clip: 0, seconds })).expect("played")
+    };
+    let rest = at_rest(&file);
+    for node in [SOCKET, LAMP] {
+        assert!(
+            off(&at(&file, 0.0)[node], &rest[node]) < 2e-5,
+            "the first key is the rest pose"
+        );
+    }
+    // In the node's own frame the clip does what it did.
+    let done = |file: &Parsed| at_rest(file)[SOCKET].inverse() * at(file, 1.0)[SOCKET];
+    assert!(
+        off(&done(&file), &done(&source)) < 1e-5,
+        "{:?} {:?}",
+        done(&file),
+        done(&source)
+    );
+    let pointed = |file: &Parsed| {
+        let output = &file.json["animations"][0]["samplers"][2]["output"];
+        let keys = crate::support::skinning::numbers(file, output).expect("numbers");
+        [0, 3].map(|k| DVec3::from_slice(&keys[k..]))
+    };
+    let (old, new) = (pointed(&source), pointed(&file));
+    assert!(new[0].distance(rest[TWINS[0]].translation) < 1e-5, "{new:?}");
+    assert!((new[1].distance(new[0]) - old[1].distance(old[0])).abs() < 1e-5 && new[0].distance(old[0]) > 0.3);
+}
+
+#[test]
+fn a_model_that_does_not_move_comes_back_to_the_byte() {
+    let files = bar_with_nodes();
+    let mut job = bending(&all_nodes(), &[]);
+    job["steps"] = json!([]);
+    let still = run(files.clone(), &job);
+    assert!(still.written.main == files.main);
+    let there = &still.report.passengers[0];
+    assert_eq!(
+        (there.nodes.as_slice(), there.scales.as_slice()),
+        (&[SOCKET as u32][..], &[1.0][..])
+    );
+    // Without nodes that ride along nothing of the scene but its meshes changes.
+    let plain = run(files.clone(), &bending(&json!([]), &[]));
+    assert_eq!(parsed(&plain).json["nodes"], parsed_files(&files).json["nodes"]);
+}
+
+#[test]
+fn nodes_ride_on_after_edits() {
+    let files = bar_with_nodes();
+    let half = json!({"pose": {"handles": [{"id": "top", "pose": {"rotationVector": [0, 0.5, 0], "translation": [0.3, 0, 0]}}]}});
+    let finer = |on: &str| json!({"edit": {"on": on, "subdivide": {"scheme": "MIDPOINT"}}});
+    for first in [vec![finer("REST")], vec![half, finer("CURRENT")]] {
+        let (outcome, off_points) = off_from_points(&files, &all_nodes(), &ORDER, &first);
+        assert!(off_points < 1e-6 * 4.2, "{off_points}");
+        let file = parsed(&outcome);
+        let drawn = draw(&file, None, &[]).expect("drawn");
+        let drawn: Vec<DVec3> = drawn.into_iter().flat_map(|d| d.positions).collect();
+        assert_eq!(drawn.len(), outcome.positions.len());
+        for (seen, solved) in drawn.iter().zip(outcome.positions.iter()) {
+            assert!(seen.distance(*solved) < 1e-6 * 4.2, "{seen} {solved}");
+        }
+        // The first key of the clip is the rest pose still.
+        let keys = &file.json["animations"][0]["samplers"][0]["output"];
+        let keys = crate::support::skinning::numbers(&file, keys).expect("numbers");
+        let at: Vec<f64> = serde_json::from_value(file.json["nodes"][SOCKET]["translation"].clone()).expect("numbers");
+        assert!(DVec3::from_slice(&keys).distance(DVec3::from_slice(&at)) < 1e-5);
+    }
+}
+
+#[test]
+fn wrong_nodes_are_refused_with_their_passenger() {
+    let told = |files: FileSet, passengers: Value| {
+        let mut job = bending(&passengers, &[]);
+        job["handles"] = json!([]);
+        job["steps"] = json!([]);
+        try_run(files, &job, None).expect_err("refused").to_string()
+    };
+    let obj = FileSet::single("one.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    let figure = || FileSet::single("figure.glb", sample::figure_glb());
+    for (files, passengers, at, needle) in [
+        (
+            bar_with_nodes(),
+            json!([{"node": 9}]),
+            0,
+            "is node 9, the model has 9 nodes, counted from 0",
+        ),
+        (
+            bar_with_nodes(),
+            json!([{"node": 4}, {"nodesNamed": "hook"}]),
+            1,
+            "no node is named \"hook\", there are \"frame\", \"body\", \"socket\"",
+        ),
+        (
+            bar_with_nodes(),
+            json!([{"node": 4}, {"nodesNamed": "camera"}]),
+            1,
+            "node 4 is a passenger already",
+        ),
+        (
+            bar_with_nodes(),
+            json!([{"nodesNamed": ""}]),
+            0,
+            "nodesNamed: is empty, a name is needed",
+        ),
+        (
+            obj,
+            json!([{"node": 0}]),
+            0,
+            "is a node, but the model is obj; only glTF has nodes",
+        ),
+        (
+            figure(),
+            json!([{"nodesNamed": "hips"}]),
+            0,
+            "node 0 \"hips\" is a joint of a skin",
+        ),
+        (
+            figure(),
+            json!([{"nodesNamed": "nobody"}]),
+            0,
+            "there are \"rightHandSocket\", \"hatSocket\", \"body\"",
+        ),
+    ] {
+        let told = told(files, passengers);
+        assert!(
+            told.starts_with(&format!("passengers[{at}]")) && told.contains(needle),
+            "{told}"
+        );
+    }
+}
+
+#[test]
+fn a_socket_below_a_joint_follows_the_flesh_and_joints_that_stay_do_so_under_a_node_that_goes() {
+    let figure = FileSet::single("figure.glb", sample::figure_glb());
+    let job = |rig: &str| {
+        json!({
+            "create": {"rig": rig, "passengers": [{"nodesNamed": "hatSocket"}]},
+            "handles": [
+                {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.3}}},
+                {"id": "head", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.54}}},
+            ],
+            "steps": [{"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0.3, 0.6, 0], "translation": [0.1, 0.1, 0]}}]}}],
+        })
+    };
+    let source = parsed_files(&figure);
+    let socket = (source.json["nodes"].as_array().into_iter().flatten()).position(|n| n["name"] == "hatSocket");
+    let socket = socket.expect("a socket");
+    for rig in ["FOLLOW", "KEEP"] {
+        let outcome = run(figure.clone(), &job(rig));
+        let file = parsed(&outcome);
+        let (before, after) = (at_rest(&source), at_rest(&file));
+        let (place, _) = frames(&outcome.report.passengers[0])[0];
+        assert!(after[socket].translation.distance(place) < 1e-5, "{rig}");
+        assert!(before[socket].translation.distance(place) > 0.05, "{rig}");
+        let joints = source.json["skins"][0]["joints"].as_array().expect("joints");
+        let joints = joints.iter().filter_map(Value::as_u64).map(|j| j as usize);
+        let moved = joints.map(|j| off(&before[j], &after[j])).fold(0.0, f64::max);
+        assert_eq!(moved == 0.0, rig == "KEEP", "{moved}");
+    }
+
+    // A skeleton under a node of its own, which rides along while the joints stay.
+    let mut glb = source.json.clone();
+    let roots = glb["scenes"][0]["nodes"].as_array().expect("roots").clone();
+    let nodes = glb["nodes"].as_array_mut().expect("nodes");
+    let armature = nodes.len();
+    nodes.push(json!({"name": "armature", "translation": [0, 1.6, 0]}));
+    let is_hips = |n: &Value| n.as_u64() == Some(0);
+    let others: Vec<Value> = roots
+        .iter()
+        .filter(|n| !is_hips(n))
+        .cloned()
+        .chain([json!(armature)])
+        .collect();
+    nodes[armature]["children"] = json!([0]);
+    let hips = nodes[0]["translation"].as_array().expect("a place").clone();
+    nodes[0]["translation"][1] = json!(hips[1].as_f64().expect("a number") - 1.6);
+    glb["scenes"][0]["nodes"] = json!(others);
+    glb["buffers"][0]["uri"] = json!("figure.bin");
+    let mut files = FileSet::single("figure.gltf", glb.to_string());
+    files
+        .companions
+        .insert("figure.bin".into(), source.buffers[0].clone().into());
+    for rig in ["FOLLOW", "KEEP"] {
+        let mut job = job(rig);
+        job["create"]["passengers"] = json!([{"nodesNamed": "armature"}]);
+        let outcome = run(files.clone(), &job);
+        let file = parsed(&outcome);
+        let (before, after) = (at_rest(&parsed_files(&files)), at_rest(&file));
+        assert!(off(&before[armature], &after[armature]) > 0.05, "{rig}");
+        if rig == "KEEP" {
+            assert!(off(&before[0], &after[0]) < 1e-6, "{:?} {:?}", before[0], after[0]);
+        }
+        let drawn = draw(&file, None, &[]).expect("drawn");
+        let body = drawn.iter().find(|d| d.node == 19).expect("the body");
+        for (seen, solved) in body.positions.iter().zip(outcome.positions.iter()) {
+            assert!(seen.distance(*solved) < 1e-5, "{rig}: {seen} {solved}");
+        }
+    }
+}
+
+#[test]
+fn cameras_of_real_models_ride_along() {
+    let Some(folder) = data_path("cameras of real models", "gltf") else {
+        return;
+    };
+    let mut tried = 0;
+    for path in gltf_sets::gltf_files(&folder) {
+        let name = path.file_name().expect("a file").to_string_lossy().into_owned();
+        if !(name.starts_with("Duck") || name.starts_with("2Cylinder")) {
+            continue;
+        }
+        let files = gltf_sets::file_set(&path);
+        let source = parsed_files(&files);
+        let nodes = source.json["nodes"].as_array().cloned().unwrap_or_default();
+        let Some(camera) = nodes.iter().position(|n| n.get("camera").is_some()) else {
+            continue;
+        };
+        tried += 1;
+        let found = pliant::batch::inspect(
+            files.clone(),
+            &pb::CreateOptions::default(),
+            &DeformerLimits::default(),
+            &Exec::new(&pool(2), &Silent),
+        );
+        let found = found.expect("inspected");
+        assert_eq!(
+            found.nodes[camera].position,
+            at_rest(&source)[camera].translation.to_array().to_vec()
+        );
+        let height = |t: f64| found.box_min[1] + t * (found.box_max[1] - found.box_min[1]);
+        let job = json!({
+            "create": {"passengers": [{"node": camera}], "volumeGraph": {"mode": "OFF"}},
+            "handles": [
+                {"id": "low", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -height(0.1)}}},
+                {"id": "high", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": height(0.8)}}},
+            ],
+            "steps": [{"pose": {"handles": [{"id": "high", "pose": {"rotationVector": [0.3, 0.5, 0]}}]}}],
+        });
+        let outcome = run(files, &job);
+        let file = parsed(&outcome);
+        let (place, turn) = frames(&outcome.report.passengers[0])[0];
+        let after = at_rest(&file)[camera];
+        let size = DVec3::from_slice(&found.box_max).distance(DVec3::from_slice(&found.box_min));
+        assert!(
+            after.translation.distance(place) < 1e-6 * size.max(place.length()),
+            "{name}"
+        );
+        let turned = turn_of(&after);
+        let apart = (turned - turn).length().min((turned + turn).length());
+        assert!(apart < 1e-6, "{name}: {turned} {turn}");
+        assert!(
+            at_rest(&source)[camera].translation.distance(place) > 1e-3 * size,
+            "{name}: it moves"
+        );
+        // A mesh that several nodes draw has parted.
+        let but_mesh = |node: &Value| {
+            let mut node = node.clone();
+            node.as_object_mut().map(|members| members.remove("mesh"));
+            node
+        };
+        let changed = (0..nodes.len()).filter(|&n| but_mesh(&file.json["nodes"][n]) != but_mesh(&nodes[n]));
+        assert_eq!(changed.collect::<Vec<_>>(), [camera], "{name}");
+    }
+    assert!(tried >= 4, "{tried}");
+}
+
+#[test]
+fn the_khronos_validator_finds_nothing_new_about_moved_nodes() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let files = bar_with_nodes();
+    let before = folder.path().join("before.glb");
+    std::fs::write(&before, &files.main).expect("written");
+    let mut all = vec![before.clone()];
+    let finer = json!({"edit": {"on": "REST", "subdivide": {"scheme": "MIDPOINT"}}});
+    for (name, first) in [("bent", vec![]), ("edited", vec![finer])] {
+        for format in [Format::GLB, Format::GLTF] {
+            let outcome = try_run(files.clone(), &bending(&all_nodes(), &first), Some(format)).expect("runs");
+            let at = folder
+                .path()
+                .join(format!("{name}-{}/model.{}", format.name(), format.name()));
+            khronos::store(&outcome.written, &at);
+            all.push(at);
+        }
+    }
+    let Some(findings) = khronos::validate(&all) else {
+        return tell_skipped("moved nodes", "no validator");
+    };
+    for at in &all[1..] {
+        let new: Vec<_> = findings[at].difference(&findings[&before]).collect();
+        assert!(new.is_empty(), "{}: {new:?}", at.display());
+    }
+}
+
+#[test]
+fn nodes_of_an_fbx_ride_along_where_the_result_has_nodes() {
+    let files = || FileSet::single("cube.fbx", crate::fbx_text::cube().text().into_bytes());
+    let found = pliant::batch::inspect(
+        files(),
+        &pb::CreateOptions::default(),
+        &DeformerLimits::default(),
+        &Exec::new(&pool(2), &Silent),
+    );
+    let found = found.expect("inspected");
+    let node = found.primitives[0].node;
+    let job = json!({
+        "create": {"passengers": [{"node": node}]},
+        "handles": [
+            {"id": "low", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.6}}},
+            {"id": "high", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 2.4}}},
+        ],
+        "steps": [{"pose": {"handles": [{"id": "low", "pose": {"rotationVector": [0, 0.4, 0], "translation": [0.5, 0.2, 0]}}]}}],
+    });
+    let outcome = try_run(files(), &job, Some(Format::GLB)).expect("the job runs");
+    let file = parsed(&outcome);
+    let (place, _) = frames(&outcome.report.passengers[0])[0];
+    let after = at_rest(&file)[node as usize];
+    assert!(after.translation.distance(place) < 3e-6);
+    let before = DVec3::from_slice(&found.nodes[node as usize].position);
+    assert!(place.distance(before) > 0.1, "{place} {before}");
+    // The mesh hangs on that node, and is drawn where it was solved.
+    let drawn = draw(&file, None, &[]).expect("drawn");
+    for (seen, solved) in drawn[0].positions.iter().zip(outcome.positions.iter()) {
+        assert!(seen.distance(*solved) < 3e-6, "{seen} {solved}");
+    }
+    // A format without nodes is written all the same, and the report has the place.
+    let plain = try_run(files(), &job, Some(Format::OBJ)).expect("the job runs");
+    assert_eq!(plain.report.passengers, outcome.report.passengers);
+    assert!(plain.written.main.starts_with(b"#") || plain.written.main.contains(&b'v'));
+}
