@@ -115,7 +115,8 @@ impl Riders {
         Ok(())
     }
 
-    /// What is told of all, and the files of those that are models. `nodes` are those of the model's file in its final shape.
+    /// What is told of all, and the files of those that are models. `nodes` are those of the model's file in its final shape, in
+    /// the order of passengers.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the passenger that cannot be written.
@@ -128,7 +129,8 @@ impl Riders {
             };
             match kind {
                 RiderKind::Nodes(k) => {
-                    let own: Vec<&CarriedNode> = nodes.iter().filter(|node| node.passenger == k).collect();
+                    let own = &nodes[nodes.partition_point(|node| node.passenger < k)..];
+                    let own = &own[..own.partition_point(|node| node.passenger == k)];
                     if let (true, Some(first)) = (message.name.is_empty(), own.first()) {
                         message.name.clone_from(&first.name);
                     }

@@ -10,6 +10,7 @@ mod hostile_gltf;
 mod materials;
 mod morphs;
 mod nodes;
+mod nodes_of_files;
 mod polygons;
 mod rigs;
 mod roundtrip_gltf;

@@ -8,6 +8,7 @@ use crate::mesh::carry::{CarriedFrame, SurfaceCarrier};
 use crate::mesh::rotation::fit_rotation;
 use crate::pool::Pool;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
+use std::collections::BTreeMap;
 
 /// How many names a refusal lists.
 const NAMES_TOLD: usize = 8;
@@ -57,11 +58,32 @@ impl RidingNodes {
             let problem = format!("is a node, but the model is {}; only glTF has nodes", model.format);
             return Err(Error::invalid(InputPlace::Passenger(first), problem));
         };
+        let mut named: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (index, node) in nodes.iter().enumerate() {
+            named.entry(&node.name).or_default().push(index);
+        }
         let mut riding = Vec::new();
         let mut taken = vec![false; nodes.len()];
         for (k, passenger) in passengers.iter().enumerate() {
             let refuse = |problem: String| Error::invalid(InputPlace::Passenger(k), problem);
-            for index in meant_nodes(&passenger.kind, &nodes).map_err(refuse)? {
+            let meant = match &passenger.kind {
+                PassengerKind::Node(index) if (*index as usize) < nodes.len() => vec![*index as usize],
+                PassengerKind::Node(index) => {
+                    let count = nodes.len();
+                    return Err(refuse(format!(
+                        "is node {index}, the model has {count} nodes, counted from 0"
+                    )));
+                }
+                PassengerKind::NodesNamed(name) => match named.get(name.as_str()) {
+                    Some(meant) => meant.clone(),
+                    None => return Err(refuse(no_node_named(name, &nodes))),
+                },
+                PassengerKind::Primitive(_)
+                | PassengerKind::PrimitivesNamed(_)
+                | PassengerKind::Points { .. }
+                | PassengerKind::Model(_) => continue,
+            };
+            for index in meant {
                 let node = &nodes[index];
                 if node.is_joint {
                     let problem = format!(
@@ -156,31 +178,16 @@ impl RidingNode {
     }
 }
 
-/// The nodes that a passenger means, ascending; none for one of another kind.
-fn meant_nodes(kind: &PassengerKind, nodes: &[ModelNode]) -> Result<Vec<usize>, String> {
-    let count = nodes.len();
-    match kind {
-        PassengerKind::Node(index) if (*index as usize) < count => Ok(vec![*index as usize]),
-        PassengerKind::Node(index) => Err(format!("is node {index}, the model has {count} nodes, counted from 0")),
-        PassengerKind::NodesNamed(name) => {
-            let named: Vec<usize> = (0..count).filter(|&n| nodes[n].name == *name).collect();
-            if !named.is_empty() {
-                return Ok(named);
-            }
-            let can_ride = nodes.iter().filter(|node| !node.is_joint && !node.name.is_empty());
-            let told: Vec<String> = can_ride
-                .take(NAMES_TOLD)
-                .map(|node| format!("\"{}\"", clip_name(&node.name)))
-                .collect();
-            let there = match told.is_empty() {
-                true => "and none that could ride along has a name; name it by its index".into(),
-                false => format!("there are {}", told.join(", ")),
-            };
-            Err(format!("no node is named \"{}\", {there}", clip_name(name)))
-        }
-        PassengerKind::Primitive(_)
-        | PassengerKind::PrimitivesNamed(_)
-        | PassengerKind::Points { .. }
-        | PassengerKind::Model(_) => Ok(Vec::new()),
-    }
+/// Why a name means no node, with names that would.
+fn no_node_named(name: &str, nodes: &[ModelNode]) -> String {
+    let can_ride = nodes.iter().filter(|node| !node.is_joint && !node.name.is_empty());
+    let told: Vec<String> = can_ride
+        .take(NAMES_TOLD)
+        .map(|node| format!("\"{}\"", clip_name(&node.name)))
+        .collect();
+    let there = match told.is_empty() {
+        true => "and none that could ride along has a name; name it by its index".into(),
+        false => format!("there are {}", told.join(", ")),
+    };
+    format!("no node is named \"{}\", {there}", clip_name(name))
 }
