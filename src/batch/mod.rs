@@ -1,9 +1,11 @@
 //! Runs a declarative job in process: opens a model, sets handles, solves and edits step by step, writes the result.
 
+mod animate;
 mod inspect;
 mod riders;
 mod run;
 
+pub use animate::{AnimationOrder, play, prepare};
 pub use inspect::{MOST_NODES_TOLD, inspect};
 pub use riders::CarriedFile;
 pub use run::{BatchOutcome, pose_steps, run, unmet_expectations};

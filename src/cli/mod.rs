@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 a check failed, 2 bad input or usage, 3 internal. The last line of stderr says why. With
 //! `--json` stdout carries exactly one JSON document.
 
+mod animate;
 mod check;
 mod deform;
 mod failure;
@@ -39,6 +40,8 @@ enum PliantCommand {
     Inspect(inspect::InspectArgs),
     /// Run a suite of jobs and compare each result with the one that was stored
     Check(check::CheckArgs),
+    /// Play a clip on a model, every frame solved
+    Animate(animate::AnimateArgs),
     /// Draw a model, maybe beside what it was, as a png
     Render(render::RenderArgs),
     /// Write a built-in model to a file
@@ -63,6 +66,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Deform(args) => deform::run_deform(&args),
         PliantCommand::Inspect(args) => inspect::run_inspect(&args),
         PliantCommand::Check(args) => check::run_check(&args),
+        PliantCommand::Animate(args) => animate::run_animate(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => sample::run_sample(&args),
     };

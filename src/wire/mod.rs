@@ -20,6 +20,7 @@ mod options;
 mod passengers;
 pub mod pb;
 mod poses;
+mod rig;
 mod stream;
 
 pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
@@ -34,4 +35,5 @@ pub use handles::{handle_set, handle_set_message, region_message};
 pub use options::DeformOptions;
 pub use passengers::{CarryOrder, carry_order};
 pub use poses::{PoseEntry, change_poses, handle_pose, handle_pose_message, pose_changes};
+pub use rig::{motion_rig, rig_from_json};
 pub use stream::{StreamLimits, StreamPose, StreamRequest, stream_request};

@@ -26,6 +26,7 @@
 //! This module knows no message, no connection and no clock: `wire` turns messages into its types and back, and checks them
 //! on the way. What only the model can tell is checked here; an [`Error`] names the place in the input by an [`InputPlace`].
 
+mod animation;
 mod carry;
 mod carry_handles;
 mod deformer;
@@ -58,12 +59,16 @@ mod rigid_chains;
 mod settings;
 mod shading;
 mod shape;
+mod shape_transfer;
 mod solve;
 mod tie_facts;
 mod topology_id;
 mod topology_state;
 mod vertex_origins;
 
+pub use animation::{
+    AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, FrameTimes, RigHandleFacts,
+};
 pub use deformer::Deformer;
 pub use digest::digest;
 pub use drag::Drag;

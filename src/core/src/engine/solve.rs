@@ -4,19 +4,14 @@ use super::Deformer;
 use super::deformer::CommittedShape;
 use super::error::{Error, InputPlace};
 use super::pose::{HandlePose, HandlePoses};
-use super::resolved_handles::ResolvedHandles;
-use super::riding::RidingVertices;
 use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
 use super::shape::{ModelShape, ShapeId};
+use super::shape_transfer::ShapeTransfer;
 use crate::deform::{
-    CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform,
-    unfold_faces,
+    CycleReport, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform, unfold_faces,
 };
 use crate::exec::Exec;
-use crate::mesh::carry::CarrySurface;
-use crate::mesh::{Mesh, NONE};
-use crate::pool::Pool;
-use glam::{DVec3, Mat3};
+use glam::DVec3;
 use std::sync::Arc;
 
 /// A state of a solve that is under way, given to the watcher after every cycle.
@@ -151,7 +146,7 @@ impl Deformer {
             body,
             mesh: &derived.mesh,
             rest: &derived.topology().rest,
-            handles,
+            strays: &handles.strays,
             riders: derived.riding_vertices(exec.pool),
             pool: exec.pool,
         };
@@ -193,53 +188,6 @@ impl Deformer {
             max_error: solution.max_error,
             solver,
         })
-    }
-}
-
-/// From graph nodes back to render vertices.
-struct ShapeTransfer<'a> {
-    body: &'a DeformableBody,
-    mesh: &'a Mesh,
-    rest: &'a [DVec3],
-    handles: &'a ResolvedHandles,
-    riders: Option<(&'a CarrySurface, &'a RidingVertices)>,
-    pool: &'a Pool,
-}
-
-impl ShapeTransfer<'_> {
-    fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[Transform]) -> Vec<DVec3> {
-        let at_rest = &self.body.graph.positions;
-        let mut positions: Vec<DVec3> = self
-            .rest
-            .iter()
-            .zip(&self.mesh.solver_from_render)
-            .map(|(&rest, &solver)| {
-                let s = solver as usize;
-                // Bits, not values: -0 and 0 are different bytes of the model.
-                if solver == NONE || nodes[s] == at_rest[s] {
-                    return rest;
-                }
-                // Welding by tolerance leaves render vertices a little beside their solver vertex.
-                let beside = rest - at_rest[s];
-                let frame = frames.get(s).map_or(Mat3::IDENTITY, Mat3::from_cols_array);
-                if beside == DVec3::ZERO {
-                    nodes[s]
-                } else {
-                    nodes[s] + frame.as_dmat3() * beside
-                }
-            })
-            .collect();
-        for &(vertex, hold) in &self.handles.strays {
-            if let Some(t) = transforms.get(hold as usize) {
-                positions[vertex as usize] = t.map()(positions[vertex as usize]);
-            }
-        }
-        if let Some((surface, riders)) = self.riders {
-            // As elsewhere: what has not moved keeps the bits of the rest shape.
-            let current = &nodes[..self.mesh.positions.len()];
-            riders.place(surface, current, &mut positions, self.pool);
-        }
-        positions
     }
 }
 

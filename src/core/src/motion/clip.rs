@@ -56,6 +56,26 @@ impl MotionClip {
     }
 }
 
+impl MotionClip {
+    /// Whether the first recorded frame is a pose of its own, as the T-pose that many recordings begin with: some joint turns
+    /// from it to the second by more than 20 degrees, and by less than a third of that to the third.
+    pub fn begins_apart(&self) -> bool {
+        let Some(recorded) = self.recorded.filter(|r| r.count > 2) else {
+            return false;
+        };
+        let [first, second, third] = [0.0, 1.0, 2.0].map(|k| self.pose_at(k * recorded.interval));
+        let largest = |a: &[JointPose], b: &[JointPose]| {
+            let turns = a.iter().zip(b).map(|(a, b)| {
+                let cosine = a.rotation.dot(b.rotation).abs().min(1.0);
+                2.0 * libm::acos(cosine)
+            });
+            turns.fold(0.0, f64::max)
+        };
+        let step = largest(&first, &second);
+        step > 20f64.to_radians() && largest(&second, &third) < step / 3.0
+    }
+}
+
 fn value_or<T: super::curve::CurveValue>(curve: &Option<KeyedCurve<T>>, seconds: f64, rest: T) -> T {
     curve.as_ref().map_or(rest, |curve| curve.value_at(seconds))
 }

@@ -4,6 +4,7 @@ pub mod bvh;
 mod clip;
 mod curve;
 mod error;
+pub mod rig;
 mod skeleton;
 
 pub use clip::{JointCurves, MotionClip, RecordedFrames};

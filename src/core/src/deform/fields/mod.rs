@@ -4,6 +4,7 @@ pub(super) mod equations;
 pub(super) mod harmonic;
 pub(super) mod restart;
 pub(super) mod solve;
+pub(super) mod sparse;
 
 pub use harmonic::HarmonicFields;
 pub use restart::{FieldRestart, KeptFields};

@@ -3,6 +3,7 @@
 pub(super) mod blend;
 pub(super) mod frame;
 pub(super) mod spread;
+mod weighted_sum;
 
 pub use frame::LocalFrame;
 pub use spread::{FirstPass, frames};

@@ -8,6 +8,7 @@ use crate::deform::comparison::{linear_frames, orientation_diffusion};
 use crate::deform::error::Error;
 use crate::deform::first_pass::blend::PoseBlend;
 use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation, pack_frame};
+use crate::deform::first_pass::weighted_sum::weighted_sums;
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
@@ -27,6 +28,9 @@ pub enum FirstPass {
     /// The linear frames of Lipman et al. 2005, made orthogonal afterwards, for comparison: they pile turns up half-way
     /// between handles and know none beyond half a circle.
     LinearFrames,
+    /// Weighted sums of the quaternions of the few handles with a say at a node: little work, for animations, and blind to
+    /// whole turns. What handles that constrain rotations alone do is taken whole where a solve starts from the last one.
+    WeightedSum,
 }
 
 /// The frames of all nodes for the holds' transforms (`transforms[k]` belongs to hold k of the rig), by harmonic fields.
@@ -68,6 +72,7 @@ pub(in crate::deform) fn replacing_rotations(
         FirstPass::Harmonic => Ok(None),
         _ if blend.is_unturned() => Ok(None),
         FirstPass::Diffusion => orientation_diffusion::diffuse(body, rig, &blend, exec).map(Some),
+        FirstPass::WeightedSum => Ok(Some(weighted_sums(rig, transforms, exec.pool))),
         FirstPass::LinearFrames => Ok(Some(linear_frames::linear_frames(&blend, body.nodes(), exec.pool))),
     }
 }

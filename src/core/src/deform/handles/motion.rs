@@ -44,6 +44,41 @@ pub fn carry(x: &mut [f64], motions: &[HandleMotion<'_>], pool: &Pool) {
 }
 
 impl HandleSystem {
+    /// Carries solving coordinates from one pose to the next with all handles that constrain rotations, by the few that have
+    /// a say at each node.
+    pub(in crate::deform) fn carry_by_shares(
+        &self,
+        body: &DeformableBody,
+        from: &[Transform],
+        to: &[Transform],
+        x: &mut [f64],
+        pool: &Pool,
+    ) {
+        let into = solving_to_model(body);
+        let back = into.inverse();
+        let mut maps: Vec<DAffine3> = (from.iter().zip(to))
+            .map(|(from, to)| match from == to {
+                true => DAffine3::IDENTITY,
+                false => back * affine(to) * affine(from).inverse() * into,
+            })
+            .collect();
+        maps.push(DAffine3::IDENTITY);
+        let shares = self.sparse_shares(pool);
+        pool.install(|| {
+            let nodes = x.as_chunks_mut::<3>().0.par_iter_mut().with_min_len(4096);
+            nodes.enumerate().for_each(|(i, x)| {
+                let some = shares.at(i);
+                let here = DVec3::from_array(*x);
+                let there: DVec3 = (some.iter())
+                    .map(|&(k, share)| maps[k as usize].transform_point3(here) * f64::from(share))
+                    .sum();
+                if !some.is_empty() && there.is_finite() {
+                    *x = there.to_array();
+                }
+            });
+        });
+    }
+
     /// Carries solving coordinates from one pose to the next. Where a handle's scale was close to nothing, nodes stay.
     pub(in crate::deform) fn carry(
         &self,
@@ -53,11 +88,7 @@ impl HandleSystem {
         x: &mut [f64],
         pool: &Pool,
     ) {
-        let into = DAffine3::from_scale_rotation_translation(
-            DVec3::splat(body.unit()),
-            glam::DQuat::IDENTITY,
-            body.model_from_solving(DVec3::ZERO),
-        );
+        let into = solving_to_model(body);
         let motions: Vec<HandleMotion<'_>> = from
             .iter()
             .zip(to)
@@ -71,6 +102,14 @@ impl HandleSystem {
             .collect();
         carry(x, &motions, pool);
     }
+}
+
+fn solving_to_model(body: &DeformableBody) -> DAffine3 {
+    DAffine3::from_scale_rotation_translation(
+        DVec3::splat(body.unit()),
+        glam::DQuat::IDENTITY,
+        body.model_from_solving(DVec3::ZERO),
+    )
 }
 
 fn affine(transform: &Transform) -> DAffine3 {

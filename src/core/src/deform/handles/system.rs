@@ -5,6 +5,7 @@ use crate::deform::error::Error;
 use crate::deform::fields::harmonic::HarmonicFields;
 use crate::deform::fields::restart::{FieldRestart, KeptFields};
 use crate::deform::fields::solve::solve_fields;
+use crate::deform::fields::sparse::SparseShares;
 use crate::deform::handles::free_parts::FreeParts;
 use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
 use crate::deform::handles::setup::{HandleConstraint, HandleSetup};
@@ -13,7 +14,7 @@ use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::solver::{Constraints, LinearSystem};
 use glam::DVec3;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// A system with the nodes that it takes as given.
 pub(in crate::deform) struct ConstrainedSystem {
@@ -36,6 +37,8 @@ pub struct HandleSystem {
     /// With rigid regions that nothing holds hard: the system in which they are given too.
     pub(in crate::deform) rigid: Option<ConstrainedSystem>,
     pub(in crate::deform) parts: FreeParts,
+    /// The fields that rotations are blended with, node by node; made when first asked for.
+    sparse: OnceLock<SparseShares>,
     /// Iterations that the fields took, for reports.
     pub field_iterations: usize,
 }
@@ -127,6 +130,7 @@ impl HandleSystem {
             positions,
             rigid,
             parts,
+            sparse: OnceLock::new(),
             field_iterations,
         })
     }
@@ -144,6 +148,19 @@ impl HandleSystem {
     /// Number of handles.
     pub fn handle_count(&self) -> usize {
         self.setup.handles.len()
+    }
+
+    /// Makes ready what [`crate::deform::FirstPass::WeightedSum`] blends with, which else the first pose does that asks for it.
+    pub fn prepare_shares(&self, pool: &Pool) {
+        self.sparse_shares(pool);
+    }
+
+    /// The fields that rotations are blended with, node by node.
+    pub(in crate::deform) fn sparse_shares(&self, pool: &Pool) -> &SparseShares {
+        self.sparse.get_or_init(|| {
+            let fields = self.blending_fields.as_ref().unwrap_or(&self.rotation_fields);
+            SparseShares::of(fields, self.position.hard.len(), pool)
+        })
     }
 
     /// The fields of the handles that constrain rotation.
@@ -225,6 +242,7 @@ impl HandleSystem {
             + self.rotation_fields.byte_size()
             + self.blending_fields.as_ref().map_or(0, HarmonicFields::byte_size)
             + self.scale_fields.as_ref().map_or(0, |f| f.byte_size())
+            + self.sparse.get().map_or(0, SparseShares::byte_size)
             + self.position.byte_size()
             + self.rotation.byte_size()
             + self.positions.fixed.capacity()

@@ -3,7 +3,7 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
 use crate::deform::first_pass::frame::LocalRotation;
-use crate::deform::first_pass::spread;
+use crate::deform::first_pass::spread::{self, FirstPass};
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
 use crate::deform::second_pass::equations::PosedHandles;
 use crate::deform::second_pass::pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart};
@@ -104,7 +104,11 @@ impl PoseSolve<'_> {
         let warm = request.start == SolveStart::Warm;
         if warm {
             state.begin(body, request.transforms.len());
-            rig.carry(body, &state.transforms, request.transforms, &mut state.x, pool);
+            let (from, to) = (&state.transforms, request.transforms);
+            match request.first_pass {
+                FirstPass::WeightedSum => rig.carry_by_shares(body, from, to, &mut state.x, pool),
+                _ => rig.carry(body, from, to, &mut state.x, pool),
+            }
         }
         state.transforms.clear();
         state.transforms.extend_from_slice(request.transforms);

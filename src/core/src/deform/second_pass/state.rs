@@ -40,6 +40,11 @@ impl SolveState {
         }
     }
 
+    /// Lets go of what refinement had added to the first pass's rotations, so that the next solve fits them anew.
+    pub fn forget_fits(&mut self) {
+        self.extra.clear();
+    }
+
     /// Lets go of the last solution.
     pub(in crate::deform) fn forget(&mut self) {
         self.x.clear();

@@ -1,0 +1,171 @@
+//! The frames of an animation, block by block.
+
+use super::prepare::Animation;
+use super::settings::{AnimationRefinement, BLOCK_FRAMES};
+use crate::deform::{
+    FirstPass, PoseRequest, PoseSolution, Refinement, SolveStart, SolveState, Transform, unfold_faces,
+};
+use crate::engine::error::Error;
+use crate::engine::shape_transfer::ShapeTransfer;
+use crate::exec::Exec;
+use crate::mesh::rotation::log_rotation;
+use crate::motion::rig::RigidMotion;
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// How often the first frame of a block is fitted where others go on from it.
+const FRESH_FITS: u32 = 32;
+/// How often those are.
+const CARRIED_FITS: u32 = 1;
+
+/// A solved frame.
+#[derive(Debug, Clone)]
+pub struct AnimatedFrame {
+    /// Its number in the animation.
+    pub index: usize,
+    /// When it is, in seconds of the clip.
+    pub seconds: f64,
+    /// What the root bone does.
+    pub root: RigidMotion,
+    /// One per render vertex, model space, as the root bone sees it.
+    pub positions: Vec<DVec3>,
+    /// Cycles of the solver.
+    pub cycles: usize,
+}
+
+impl AnimatedFrame {
+    /// Moves positions along with the root bone.
+    pub fn bake_root(&mut self) {
+        let root = std::mem::replace(&mut self.root, RigidMotion::IDENTITY);
+        self.positions.iter_mut().for_each(|p| *p = root.place(*p));
+    }
+}
+
+impl Animation {
+    /// Solves the frames of a range, some blocks at the same time, and gives them to `take` in order; `false` ends it.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`]; [`Error::Internal`] for a defect.
+    pub fn solve(
+        &self,
+        range: Range<usize>,
+        blocks_at_once: usize,
+        exec: &Exec<'_>,
+        take: &mut dyn FnMut(AnimatedFrame) -> bool,
+    ) -> Result<(), Error> {
+        let end = range.end.min(self.times.count);
+        let blocks: Vec<usize> = (range.start / BLOCK_FRAMES..end.div_ceil(BLOCK_FRAMES)).collect();
+        for wave in blocks.chunks(blocks_at_once.max(1)) {
+            let of_block = |block: &usize| {
+                let mut frames = Vec::new();
+                self.solve_block(*block, range.start..end, exec, &mut |frame| {
+                    frames.push(frame);
+                    true
+                })?;
+                Ok(frames)
+            };
+            if let [block] = wave {
+                if !self.solve_block(*block, range.start..end, exec, take)? {
+                    return Ok(());
+                }
+                continue;
+            }
+            let solved: Vec<Result<Vec<AnimatedFrame>, Error>> = exec
+                .pool
+                .install(|| wave.par_iter().with_max_len(1).map(of_block).collect());
+            for frames in solved {
+                for frame in frames? {
+                    if !take(frame) {
+                        return Ok(());
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Solves a block from its beginning, and gives those of its frames that lie in `wanted` to `take`; answers whether it
+    /// wants more.
+    fn solve_block(
+        &self,
+        block: usize,
+        wanted: Range<usize>,
+        exec: &Exec<'_>,
+        take: &mut dyn FnMut(AnimatedFrame) -> bool,
+    ) -> Result<bool, Error> {
+        let first = block * BLOCK_FRAMES;
+        let last = (first + BLOCK_FRAMES).min(wanted.end);
+        let mut state = SolveState::default();
+        for index in first..last {
+            exec.check()?;
+            let frame = self.solve_frame(index, index == first, &mut state, exec)?;
+            if index >= wanted.start && !take(frame) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    fn solve_frame(
+        &self,
+        index: usize,
+        is_first: bool,
+        state: &mut SolveState,
+        exec: &Exec<'_>,
+    ) -> Result<AnimatedFrame, Error> {
+        let seconds = self.times.at(index);
+        let pose = self.driver.pose_at(seconds);
+        let transforms: Vec<Transform> = (self.handles.iter())
+            .map(|handle| transform(&handle.motion(&self.rig, &pose)))
+            .collect();
+        let (start, steps) = match (is_first, self.settings.refinement) {
+            (true, AnimationRefinement::Carried) => (SolveStart::Fresh, FRESH_FITS),
+            (true, AnimationRefinement::Steps(steps)) => (SolveStart::Fresh, steps),
+            (false, AnimationRefinement::Carried) => (SolveStart::Warm, CARRIED_FITS),
+            (false, AnimationRefinement::Steps(steps)) => {
+                state.forget_fits();
+                (SolveStart::Warm, steps)
+            }
+        };
+        let request = PoseRequest {
+            transforms: &transforms,
+            tolerance: self.settings.tolerance,
+            max_error: self.settings.max_error,
+            start,
+            first_pass: FirstPass::WeightedSum,
+            refinement: Refinement { steps, smoothing: 0.0 },
+        };
+        let derived = &self.derived;
+        let mut solution: PoseSolution = self.system.solve(&derived.body, &request, state, exec, &mut |_| true)?;
+        let nodes = &mut solution.positions;
+        derived
+            .thin
+            .settle(&derived.body, &self.system, &solution.frames, nodes, exec.pool);
+        unfold_faces(&derived.mesh, &self.system, nodes, exec.pool);
+        let shape = ShapeTransfer {
+            body: &derived.body,
+            mesh: &derived.mesh,
+            rest: &derived.topology().rest,
+            strays: &[],
+            riders: derived.riding_vertices(exec.pool),
+            pool: exec.pool,
+        };
+        Ok(AnimatedFrame {
+            index,
+            seconds,
+            root: pose.root,
+            positions: shape.render(&solution.positions, &solution.frames, &transforms),
+            cycles: solution.iterations,
+        })
+    }
+}
+
+fn transform(motion: &RigidMotion) -> Transform {
+    Transform {
+        translation: motion.to - motion.from,
+        rotation: log_rotation(motion.rotation),
+        log_scale: DMat3::ZERO,
+        pivot: motion.from,
+    }
+}

@@ -1,0 +1,69 @@
+//! How an animation is solved, and when its frames are.
+
+/// Frames of one block.
+pub const BLOCK_FRAMES: usize = 64;
+
+/// How rotations are fitted in the frames of an animation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AnimationRefinement {
+    /// The first frame of a block is fitted 32 times, every other one goes on from what the frame before came to.
+    Carried,
+    /// So many times in every frame, each from the blend of the handles' rotations. 0: the paper's two passes.
+    Steps(u32),
+}
+
+/// How an animation is solved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnimationSettings {
+    /// Relative residual to reach, when asked for.
+    pub tolerance: Option<f64>,
+    /// Largest missing displacement as a fraction of the diagonal, when asked for.
+    pub max_error: Option<f64>,
+    /// How rotations are fitted.
+    pub refinement: AnimationRefinement,
+}
+
+impl Default for AnimationSettings {
+    fn default() -> Self {
+        Self {
+            tolerance: Some(1e-3),
+            max_error: Some(1e-3),
+            refinement: AnimationRefinement::Carried,
+        }
+    }
+}
+
+/// When the frames of an animation are, in seconds of its clip.
+///
+/// ```
+/// use pliant_core::engine::FrameTimes;
+/// let times = FrameTimes { start: 0.5, rate: 30.0, count: 31 };
+/// assert_eq!((times.at(0), times.at(30)), (0.5, 1.5));
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameTimes {
+    /// When the first is.
+    pub start: f64,
+    /// Frames a second.
+    pub rate: f64,
+    /// How many there are.
+    pub count: usize,
+}
+
+impl FrameTimes {
+    /// Frames at `rate` from `start` to `end`, both included when they fall on a frame, or within a thousandth of one: files
+    /// round the time between frames.
+    pub fn between(start: f64, end: f64, rate: f64) -> Self {
+        let intervals = ((end - start).max(0.0) * rate + 1e-3).floor();
+        Self {
+            start,
+            rate,
+            count: intervals as usize + 1,
+        }
+    }
+
+    /// When a frame is.
+    pub fn at(&self, frame: usize) -> f64 {
+        self.start + frame as f64 / self.rate
+    }
+}

@@ -1,0 +1,282 @@
+//! A clip's motion as that of a model's bones.
+
+use super::align::{BonePair, heading, scale};
+use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed, whole};
+use super::rigid::RigidMotion;
+use crate::motion::clip::MotionClip;
+use glam::{DQuat, DVec3};
+
+/// Above this turn of a bone about its own axis against its parent, in degrees, a clip is likely not to mean it.
+const WILD_TWIST: f64 = 170.0;
+
+/// How a clip drives a rig.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct DriveOptions {
+    /// Model units for one unit of the clip, in place of the rig's.
+    pub scale: Option<f64>,
+    /// What the bones are fitted to, in place of the rig's.
+    pub reference: Option<ReferencePose>,
+}
+
+/// Where the bones of a rig are at a time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigPose {
+    /// What the root bone does in the model's space.
+    pub root: RigidMotion,
+    /// What each bone does as the root bone sees it, so that a turn of the whole changes nothing.
+    pub bones: Vec<RigidMotion>,
+}
+
+/// A clip that drives a rig.
+#[derive(Debug, Clone)]
+pub struct RigDriver {
+    clip: MotionClip,
+    bones: Vec<DrivenBone>,
+    heading: DQuat,
+    scale: f64,
+    /// Where the root's joint is in the clip's reference pose.
+    root_at_reference: DVec3,
+    warnings: Vec<String>,
+}
+
+/// What a driver knows of a bone.
+#[derive(Debug, Clone)]
+struct DrivenBone {
+    parent: Option<usize>,
+    from: DVec3,
+    joint: usize,
+    /// From rest to the attitude that fits the clip's reference pose.
+    base: DQuat,
+    /// Back from how the joint is turned in the clip's reference pose.
+    back_from_reference: DQuat,
+    /// In radians.
+    limit: Option<f64>,
+}
+
+/// Where the joints of a clip are, and how they are turned, at one time.
+struct ClipState {
+    places: Vec<DVec3>,
+    turns: Vec<DQuat>,
+}
+
+impl ClipState {
+    fn of(clip: &MotionClip, pose: &[crate::motion::JointPose]) -> Self {
+        let world = clip.skeleton.world_transforms(pose);
+        let mut turns: Vec<DQuat> = Vec::with_capacity(pose.len());
+        for (joint, own) in clip.skeleton.joints.iter().zip(pose) {
+            let above = joint.parent.map_or(DQuat::IDENTITY, |p| turns[p]);
+            turns.push((above * own.rotation).normalize());
+        }
+        Self {
+            places: world.iter().map(|w| w.translation).collect(),
+            turns,
+        }
+    }
+
+    fn at(clip: &MotionClip, seconds: f64) -> Self {
+        Self::of(clip, &clip.pose_at(seconds))
+    }
+}
+
+impl RigDriver {
+    /// Fits a rig's bones to a clip.
+    ///
+    /// # Errors
+    /// [`RigError`] for a joint that the clip lacks (with the clip's names) or a reference frame that it does not have.
+    pub fn new(rig: &MotionRig, clip: MotionClip, options: &DriveOptions) -> Result<Self, RigError> {
+        let reference = match options.reference.unwrap_or(rig.reference) {
+            ReferencePose::Rest => ClipState::of(&clip, &clip.skeleton.rest_pose()),
+            ReferencePose::Frame(frame) => ClipState::at(&clip, time_of_frame(&clip, frame)?),
+        };
+        let mut joints = Vec::with_capacity(rig.bones.len());
+        let mut pairs = Vec::with_capacity(rig.bones.len());
+        for bone in &rig.bones {
+            let joint = joint_named(&clip, &bone.joint, bone, "joint")?;
+            let aim = match &bone.aim {
+                Some(name) => Some(joint_named(&clip, name, bone, "aim")?),
+                None => first_below_elsewhere(&clip, joint, &reference.places),
+            };
+            joints.push(joint);
+            pairs.push(BonePair {
+                model: [bone.from, bone.to],
+                clip: (reference.places[joint], aim.map(|a| reference.places[a])),
+            });
+        }
+        let heading = heading(&pairs);
+        let scale = options.scale.or(rig.scale).unwrap_or_else(|| scale(&rig.bones, &pairs));
+        let mut driver = Self {
+            bones: Vec::with_capacity(rig.bones.len()),
+            heading,
+            scale,
+            root_at_reference: reference.places[joints[0]],
+            warnings: clip.warnings.clone(),
+            clip,
+        };
+        for ((bone, pair), &joint) in rig.bones.iter().zip(&pairs).zip(&joints) {
+            let above = bone.parent.map_or(DQuat::IDENTITY, |p| driver.bones[p].base);
+            let base = driver.base_attitude(bone, pair, above);
+            driver.bones.push(DrivenBone {
+                parent: bone.parent,
+                from: bone.from,
+                joint,
+                base,
+                back_from_reference: reference.turns[joint].inverse(),
+                limit: bone.limit_degrees.map(f64::to_radians),
+            });
+        }
+        Ok(driver)
+    }
+
+    /// How a bone of the model stands when the clip is in its reference pose, from how it stands at rest.
+    fn base_attitude(&mut self, bone: &RigBone, pair: &BonePair, above: DQuat) -> DQuat {
+        match bone.rest {
+            RestAttitude::Orientation => DQuat::IDENTITY,
+            RestAttitude::Parent => above,
+            RestAttitude::Direction => {
+                let Some(own) = bone.direction() else {
+                    self.warnings.push(format!(
+                        "bone \"{}\" has no length, so it is turned as its parent is",
+                        bone.id
+                    ));
+                    return above;
+                };
+                let meant = pair
+                    .clip
+                    .1
+                    .and_then(|end| (self.heading * (end - pair.clip.0)).try_normalize());
+                match meant {
+                    Some(meant) => (DQuat::from_rotation_arc(above * own, meant) * above).normalize(),
+                    None => {
+                        let problem = format!(
+                            "joint \"{}\" of the clip points nowhere, so bone \"{}\" is turned as its parent is",
+                            bone.joint, bone.id
+                        );
+                        self.warnings.push(problem);
+                        above
+                    }
+                }
+            }
+        }
+    }
+
+    /// The clip.
+    pub fn clip(&self) -> &MotionClip {
+        &self.clip
+    }
+
+    /// What was noticed, one line each; those of the clip come first.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Model units for one unit of the clip.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// Where the bones are at a time of the clip in seconds.
+    pub fn pose_at(&self, seconds: f64) -> RigPose {
+        let state = ClipState::at(&self.clip, seconds);
+        let mut world: Vec<RigidMotion> = Vec::with_capacity(self.bones.len());
+        for bone in &self.bones {
+            let turned = self.heading * state.turns[bone.joint] * bone.back_from_reference * self.heading.inverse();
+            let mut rotation = (turned * bone.base).normalize();
+            let to = match bone.parent {
+                None => {
+                    let way = self.heading * (state.places[bone.joint] - self.root_at_reference);
+                    bone.from + way * self.scale
+                }
+                Some(parent) => {
+                    if let Some(limit) = bone.limit {
+                        let base = (self.bones[parent].base.inverse() * bone.base).normalize();
+                        rotation = world[parent].rotation
+                            * within_limit(world[parent].rotation.inverse() * rotation, base, limit);
+                    }
+                    world[parent].place(bone.from)
+                }
+            };
+            world.push(RigidMotion {
+                rotation: rotation.normalize(),
+                from: bone.from,
+                to,
+            });
+        }
+        let root = world[0];
+        RigPose {
+            bones: world.iter().map(|motion| motion.seen_from(&root)).collect(),
+            root,
+        }
+    }
+
+    /// Warns of bones that a clip turns about themselves by nearly half a circle at one of these times.
+    pub fn warn_of_twists(&mut self, rig: &MotionRig, times: impl IntoIterator<Item = f64>) {
+        let mut told = vec![false; rig.bones.len()];
+        for seconds in times {
+            let pose = self.pose_at(seconds);
+            for (number, bone) in rig.bones.iter().enumerate() {
+                let (false, Some(parent), Some(axis)) = (told[number], bone.parent, bone.direction()) else {
+                    continue;
+                };
+                let relative = pose.bones[parent].rotation.inverse() * pose.bones[number].rotation;
+                let twist = super::swing_twist::twist_angle(relative, axis).to_degrees();
+                if twist.abs() > WILD_TWIST {
+                    told[number] = true;
+                    self.warnings.push(format!(
+                        "bone \"{}\" is twisted by {twist:.0} degrees at {seconds:.2} s, which no limb is; look at joint \"{}\"",
+                        bone.id, bone.joint
+                    ));
+                }
+            }
+        }
+    }
+}
+
+/// A turn relative to a parent, brought back to at most `limit` radians from `base`.
+fn within_limit(relative: DQuat, base: DQuat, limit: f64) -> DQuat {
+    let beyond = relative * base.inverse();
+    let beyond = if beyond.w < 0.0 { -beyond } else { beyond };
+    let sine = beyond.xyz().length();
+    let half = libm::atan2(sine, beyond.w);
+    if 2.0 * half <= limit || sine == 0.0 {
+        return relative;
+    }
+    super::swing_twist::rotation_about(beyond.xyz() / sine, limit) * base
+}
+
+/// When a frame of a clip is, in seconds; of clips that were not recorded in frames, only the first is known.
+pub(super) fn time_of_frame(clip: &MotionClip, frame: usize) -> Result<f64, RigError> {
+    let count = clip.recorded.map_or(1, |r| r.count);
+    if frame >= count {
+        let problem = format!("is {frame}, the clip has {count} frames, counted from 0");
+        return Err(whole("referenceFrame", problem));
+    }
+    Ok(clip.recorded.map_or(0.0, |r| r.interval * frame as f64))
+}
+
+fn joint_named(clip: &MotionClip, name: &str, bone: &RigBone, field: &'static str) -> Result<usize, RigError> {
+    clip.skeleton.joint_named(name).ok_or_else(|| {
+        let joints = clip.skeleton.joints.iter();
+        let names = listed(joints.map(|j| j.name.as_str()).filter(|n| !n.is_empty()));
+        let problem = format!(
+            "\"{name}\" of bone \"{}\" is no joint of the clip; it has {names}",
+            bone.id
+        );
+        whole(field, problem)
+    })
+}
+
+/// The first joint below another that lies elsewhere.
+fn first_below_elsewhere(clip: &MotionClip, joint: usize, places: &[DVec3]) -> Option<usize> {
+    let joints = &clip.skeleton.joints;
+    let mut is_below = vec![false; joints.len()];
+    is_below[joint] = true;
+    for number in joint + 1..joints.len() {
+        if joints[number].parent.is_some_and(|p| is_below[p]) {
+            if places[number] != places[joint] {
+                return Some(number);
+            }
+            is_below[number] = true;
+        }
+    }
+    None
+}

@@ -1,0 +1,120 @@
+//! Bones of the model follow those of the clip, whichever way it faces.
+
+use crate::arm::{ENDS, animate, arm_rig, clip_text, frames, open_arm};
+use glam::DVec3;
+use pliant_core::engine::AnimationRefinement;
+use pliant_core::exec::Exec;
+use pliant_core::motion::bvh::{ClipLimits, read_bvh};
+use pliant_core::motion::rig::{DriveOptions, MotionRig, RigDriver, RigError};
+use pliant_core::pool::Pool;
+use pliant_core::progress::Silent;
+
+const ROWS: [[f64; 2]; 3] = [[0.0, 0.0], [35.0, 20.0], [70.0, -80.0]];
+
+#[test]
+fn the_model_stands_at_rest_where_the_clip_does_and_turns_with_its_root() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let deformer = open_arm(&exec);
+    let animation = animate(
+        &deformer,
+        &clip_text(0.0, &ROWS),
+        arm_rig(3),
+        AnimationRefinement::Steps(1),
+        &exec,
+    );
+    assert!((animation.driver().scale() - 0.01).abs() < 1e-9);
+    assert!(
+        animation.handle_facts().iter().all(|h| h.nodes >= 8),
+        "{:?}",
+        animation.handle_facts()
+    );
+    let frames = frames(&animation, 0..3, 1, &exec);
+    let rest = deformer.rest();
+    for (p, q) in rest.iter().zip(&frames[0].positions) {
+        assert!(p.distance(*q) < 1e-6, "{p} {q}");
+    }
+    // The upper arm is the root: what turns about its axis is told apart, and nothing is left of it in the shape.
+    let root = frames[1].root;
+    let end = root.place(DVec3::X * ENDS[1]);
+    let expected = DVec3::X * ENDS[0] + glam::DQuat::from_rotation_y(35f64.to_radians()) * (DVec3::X * 2.4);
+    assert!(end.distance(expected) < 1e-6, "{end} {expected}");
+}
+
+#[test]
+fn a_clip_that_faces_elsewhere_gives_the_same_shape() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let deformer = open_arm(&exec);
+    let shapes = [0.0, 180.0, 77.0].map(|heading| {
+        let animation = animate(
+            &deformer,
+            &clip_text(heading, &ROWS),
+            arm_rig(3),
+            AnimationRefinement::Carried,
+            &exec,
+        );
+        frames(&animation, 0..3, 1, &exec)
+    });
+    for other in &shapes[1..] {
+        for (a, b) in shapes[0].iter().zip(other) {
+            let worst = a
+                .positions
+                .iter()
+                .zip(&b.positions)
+                .map(|(p, q)| p.distance(*q))
+                .fold(0.0, f64::max);
+            assert!(worst < 1e-5 * deformer.diagonal(), "frame {}: {worst}", a.index);
+            let far = a.root.place(DVec3::ONE).distance(b.root.place(DVec3::ONE));
+            assert!(far < 1e-5 * deformer.diagonal(), "root of frame {}: {far}", a.index);
+        }
+    }
+}
+
+#[test]
+fn a_joint_that_the_clip_lacks_is_refused_with_those_that_it_has() {
+    let clip = read_bvh(clip_text(0.0, &ROWS).as_bytes(), &ClipLimits::default()).expect("a clip");
+    let refused = |rig: &MotionRig| RigDriver::new(rig, clip.clone(), &DriveOptions::default()).map(drop);
+    let mut rig = arm_rig(1);
+    rig.bones[1].joint = "LeftForeArm".into();
+    let told = refused(&rig).expect_err("refused").to_string();
+    let expected =
+        "joint: \"LeftForeArm\" of bone \"fore\" is no joint of the clip; it has \"upper\", \"fore\", \"hand\"";
+    assert!(told.starts_with(expected), "{told}");
+    rig = arm_rig(1);
+    rig.reference = pliant_core::motion::rig::ReferencePose::Frame(3);
+    let told = refused(&rig);
+    assert!(
+        matches!(
+            &told,
+            Err(RigError::Field {
+                field: "referenceFrame",
+                ..
+            })
+        ),
+        "{told:?}"
+    );
+}
+
+#[test]
+fn a_rig_outside_the_model_is_refused() {
+    let pool = Pool::new(1).expect("a thread");
+    let exec = Exec::new(&pool, &Silent);
+    let deformer = open_arm(&exec);
+    let mut rig = arm_rig(1);
+    for bone in &mut rig.bones {
+        bone.from.y += 5e4;
+        bone.to.y += 5e4;
+    }
+    let clip = read_bvh(clip_text(0.0, &ROWS).as_bytes(), &ClipLimits::default()).expect("a clip");
+    let times = pliant_core::engine::FrameTimes::between(0.0, clip.duration, 30.0);
+    let driver = RigDriver::new(&rig, clip, &DriveOptions::default()).expect("a driver");
+    let refused = deformer
+        .animation(rig, driver, times, &Default::default(), &exec)
+        .map(drop);
+    let told = refused.expect_err("refused").to_string();
+    assert!(
+        told.contains("holds nothing; its joints have to lie inside the model"),
+        "{told}"
+    );
+}

@@ -1,0 +1,6 @@
+//! Clips drive models: bones follow, frames do not depend on what else is solved, twists are spread.
+
+mod arm;
+mod blocks;
+mod follow;
+mod twist;
