@@ -194,7 +194,11 @@ fn read_order(
             }
         },
     };
-    let options = DriveOptions { scale, reference: None };
+    let options = DriveOptions {
+        scale,
+        reference: None,
+        start,
+    };
     let driver = RigDriver::new(&rig, clip, &options).map_err(Error::from)?;
     let mut settings = AnimationSettings {
         refinement,

@@ -34,7 +34,7 @@ pub(in crate::deform) fn weighted_sums(
         for &(hold, share) in some {
             let hold = holds[hold as usize];
             let share = if hold.dot(most) < 0.0 { -share } else { share };
-            sum = sum + hold * share;
+            sum += hold * share;
         }
         match sum.length_squared() > 1e-12 {
             true => sum.normalize().to_array(),

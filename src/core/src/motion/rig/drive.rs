@@ -16,6 +16,9 @@ pub struct DriveOptions {
     pub scale: Option<f64>,
     /// What the bones are fitted to, in place of the rig's.
     pub reference: Option<ReferencePose>,
+    /// When the motion starts, in seconds: where the root is then, is where it is in the model. How high it stands is told by the
+    /// reference frame, so that who begins crouched stays so.
+    pub start: f64,
 }
 
 /// Where the bones of a rig are at a time.
@@ -34,8 +37,8 @@ pub struct RigDriver {
     bones: Vec<DrivenBone>,
     heading: DQuat,
     scale: f64,
-    /// Where the root's joint is in the clip's reference pose.
-    root_at_reference: DVec3,
+    /// Where the root's joint is when the model's is where it is at rest.
+    root_origin: DVec3,
     warnings: Vec<String>,
 }
 
@@ -84,7 +87,8 @@ impl RigDriver {
     /// # Errors
     /// [`RigError`] for a joint that the clip lacks (with the clip's names) or a reference frame that it does not have.
     pub fn new(rig: &MotionRig, clip: MotionClip, options: &DriveOptions) -> Result<Self, RigError> {
-        let reference = match options.reference.unwrap_or(rig.reference) {
+        let fitted_to = options.reference.unwrap_or(rig.reference);
+        let reference = match fitted_to {
             ReferencePose::Rest => ClipState::of(&clip, &clip.skeleton.rest_pose()),
             ReferencePose::Frame(frame) => ClipState::at(&clip, time_of_frame(&clip, frame)?),
         };
@@ -104,11 +108,15 @@ impl RigDriver {
         }
         let heading = heading(&pairs);
         let scale = options.scale.or(rig.scale).unwrap_or_else(|| scale(&rig.bones, &pairs));
+        let mut root_origin = ClipState::at(&clip, options.start).places[joints[0]];
+        if let ReferencePose::Frame(_) = fitted_to {
+            root_origin.y = reference.places[joints[0]].y;
+        }
         let mut driver = Self {
             bones: Vec::with_capacity(rig.bones.len()),
             heading,
             scale,
-            root_at_reference: reference.places[joints[0]],
+            root_origin,
             warnings: clip.warnings.clone(),
             clip,
         };
@@ -183,7 +191,7 @@ impl RigDriver {
             let mut rotation = (turned * bone.base).normalize();
             let to = match bone.parent {
                 None => {
-                    let way = self.heading * (state.places[bone.joint] - self.root_at_reference);
+                    let way = self.heading * (state.places[bone.joint] - self.root_origin);
                     bone.from + way * self.scale
                 }
                 Some(parent) => {
