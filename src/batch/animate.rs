@@ -1,20 +1,32 @@
 //! Animations run in process: a model, a rig and a clip to frames and their report.
 
-use crate::asset::FileSet;
-use crate::engine::{
-    AnimatedFrame, Animation, AnimationSettings, Deformer, DeformerLimits, FrameTimes, OpenOptions, digest,
-};
+use crate::engine::{AnimatedFrame, Animation, AnimationSettings, Deformer, FrameTimes, digest};
 use crate::exec::Exec;
-use crate::motion::rig::{MotionRig, RigDriver};
+use crate::motion::rig::{DriveOptions, MotionRig, RigDriver, rig_of_skin};
+use crate::motion::{MotionClip, NodeOrder, clip_of_scene};
 use crate::wire::{Error, pb};
 use std::ops::Range;
 
-/// A clip on a rig, to be played by a model.
-pub struct AnimationOrder {
+/// Where a clip comes from.
+pub enum ClipSource<'a> {
+    /// From a recording, for a rig.
+    Recorded(MotionClip),
+    /// From the model itself, by name or by number.
+    OfModel(&'a str),
+}
+
+/// A clip on a rig.
+pub struct MovingClip {
     /// The rig.
     pub rig: MotionRig,
-    /// The clip on it.
-    pub driver: RigDriver,
+    /// The clip.
+    pub clip: MotionClip,
+    /// Whether the clip's joints are those of the model's skin.
+    is_own: bool,
+}
+
+/// Which frames of an animation are wanted, and how.
+pub struct AnimationOrder {
     /// When the frames are.
     pub times: FrameTimes,
     /// Which of them are wanted.
@@ -27,21 +39,92 @@ pub struct AnimationOrder {
     pub bakes_root: bool,
 }
 
-/// Opens a model and prepares an animation of it.
+/// Finds a clip for a model, and the rig that it drives: the one given, or the skin's.
 ///
 /// # Errors
-/// Those of [`Deformer::open`] and [`Deformer::animation`].
+/// [`Error::Invalid`] for a clip that is not there (with those that are), or a model without a skin and no rig given.
+pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&MotionRig>) -> Result<MovingClip, Error> {
+    let name = match (source, rig) {
+        (ClipSource::Recorded(clip), Some(rig)) => {
+            let rig = rig.clone();
+            return Ok(MovingClip {
+                rig,
+                clip,
+                is_own: false,
+            });
+        }
+        (ClipSource::Recorded(_), None) => {
+            return Err(Error::invalid(
+                "rig",
+                "is missing; a recorded clip needs to be told which bones it drives",
+            ));
+        }
+        (ClipSource::OfModel(name), _) => name,
+    };
+    let model = deformer.model();
+    let Some(scene) = model.moving_scene()? else {
+        let problem = format!("a {} file has no clips of its own", model.format);
+        return Err(Error::invalid("clip", problem));
+    };
+    let names = &scene.clip_names;
+    let by_number = || name.parse::<usize>().ok().filter(|k| *k < names.len());
+    let Some(index) = names.iter().position(|n| n == name).or_else(by_number) else {
+        let listed: Vec<String> = names
+            .iter()
+            .take(8)
+            .enumerate()
+            .map(|(k, n)| format!("{k} \"{n}\""))
+            .collect();
+        let there = if listed.is_empty() {
+            "none".into()
+        } else {
+            listed.join(", ")
+        };
+        let problem = format!("\"{name}\" is no clip of the model; there are {there}");
+        return Err(Error::invalid("clip", problem));
+    };
+    let stored = model.scene_clip(index)?;
+    let order = NodeOrder::of(&scene);
+    let clip = clip_of_scene(&scene, &order, stored.as_ref());
+    Ok(match rig {
+        Some(rig) => MovingClip {
+            rig: rig.clone(),
+            clip,
+            is_own: false,
+        },
+        None => MovingClip {
+            rig: rig_of_skin(&scene, &order, &clip, deformer.rest())?,
+            clip,
+            is_own: true,
+        },
+    })
+}
+
+/// Prepares the animation of a model by a clip. `scale`: model units for one unit of the clip, in place of the rig's.
+///
+/// # Errors
+/// Those of [`RigDriver::new`] and [`Deformer::animation`].
 pub fn prepare(
-    files: FileSet,
-    options: &OpenOptions,
+    deformer: &Deformer,
+    moving: MovingClip,
+    scale: Option<f64>,
     order: &AnimationOrder,
-    limits: &DeformerLimits,
     exec: &Exec<'_>,
-) -> Result<(Deformer, Animation), Error> {
-    let deformer = Deformer::open(files, options, limits, exec)?;
-    let (rig, driver) = (order.rig.clone(), order.driver.clone());
-    let animation = deformer.animation(rig, driver, order.times, &order.settings, exec)?;
-    Ok((deformer, animation))
+) -> Result<Animation, Error> {
+    let MovingClip { rig, clip, is_own } = moving;
+    let start = order.times.start;
+    let driver = match is_own {
+        true => RigDriver::of_skin(&rig, clip, start)?,
+        false => {
+            let options = DriveOptions {
+                scale,
+                reference: None,
+                start,
+            };
+            RigDriver::new(&rig, clip, &options)?
+        }
+    };
+    Ok(deformer.animation(rig, driver, order.times, &order.settings, exec)?)
 }
 
 /// Solves the frames of an order, gives each to `take` and tells of it. `millis` is a clock.

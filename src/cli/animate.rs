@@ -6,16 +6,25 @@ use super::model_files::{output_format, read_file, read_model};
 use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
-use crate::batch::{AnimationOrder, play, prepare};
-use crate::engine::{AnimatedFrame, AnimationRefinement, AnimationSettings, DeformerLimits, FrameTimes, OpenOptions};
+use crate::batch::{AnimationOrder, ClipSource, moving_clip, play, prepare};
+use crate::engine::{
+    AnimatedFrame, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameTimes, OpenOptions,
+};
 use crate::exec::Exec;
 use crate::motion::MotionClip;
 use crate::motion::bvh::{ClipLimits, read_bvh};
-use crate::motion::rig::{DriveOptions, MotionRig, RigDriver};
-use crate::wire::{self, Error};
+use crate::wire::{self, Error, pb};
 use clap::{Args, ValueEnum};
+use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
+
+/// Most frames a second.
+const FASTEST: f64 = 10_000.0;
+/// Frames a second of clips that were not recorded in frames.
+const UNRECORDED_RATE: f64 = 30.0;
+/// Most frames of an animation.
+const MOST_FRAMES: usize = 1_000_000;
 
 /// Arguments of `pliant animate`.
 #[derive(Debug, Args)]
@@ -23,11 +32,14 @@ pub struct AnimateArgs {
     /// The model: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
     /// The clip, a BVH file
+    #[arg(long, conflicts_with = "clip")]
+    bvh: Option<PathBuf>,
+    /// A clip of the model itself, by name or by number from 0
     #[arg(long)]
-    bvh: PathBuf,
-    /// Which bones of the model the clip's joints drive
+    clip: Option<String>,
+    /// Which bones of the model the clip's joints drive; a skinned model's own clip needs none
     #[arg(long)]
-    rig: PathBuf,
+    rig: Option<PathBuf>,
     /// Where to write: a folder of numbered models when it ends in a slash
     #[arg(short, long)]
     output: Option<PathBuf>,
@@ -71,18 +83,43 @@ enum SkipFirst {
 
 /// Runs the command.
 pub(super) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
+    let settings = args.settings()?;
+    let scale = args.scale()?;
     let pool = args.threads.start_pool()?;
-    let rig = wire::rig_from_json(&read_file(&args.rig)?).map_err(|e| in_file(&args.rig, e))?;
-    let clip = read_bvh(&read_file(&args.bvh)?, &ClipLimits::default());
-    let clip = clip.map_err(|e| CliFailure::Input(format!("{}: {e}", args.bvh.display())))?;
-    let order = read_order(args, rig, clip, pool.threads())?;
+    let rig = match &args.rig {
+        Some(path) => Some(wire::rig_from_json(&read_file(path)?).map_err(|e| in_file(path, e))?),
+        None => None,
+    };
+    let bvh = match &args.bvh {
+        Some(path) => {
+            let clip = read_bvh(&read_file(path)?, &ClipLimits::default());
+            Some(clip.map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))?)
+        }
+        None => None,
+    };
     let files = read_model(&args.model)?;
     let spinner = StageSpinner::new(args.json);
     let exec = Exec::new(&pool, &spinner);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
-    let options = OpenOptions::default();
-    let (deformer, animation) = prepare(files, &options, &order, &DeformerLimits::default(), &exec)?;
+    let deformer = Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec);
+    let deformer = deformer.map_err(Error::from)?;
+    let source = match (bvh, &args.clip) {
+        (Some(clip), _) => ClipSource::Recorded(clip),
+        (None, Some(name)) => ClipSource::OfModel(name),
+        (None, None) => return Err(CliFailure::Input("give a clip, --bvh FILE or --clip NAME".into())),
+    };
+    let moving = moving_clip(&deformer, source, rig.as_ref())?;
+    let times = args.times(&moving.clip)?;
+    let range = args.range(&times)?;
+    let order = AnimationOrder {
+        times,
+        range,
+        settings,
+        blocks_at_once: pool.threads(),
+        bakes_root: true,
+    };
+    let animation = prepare(&deformer, moving, scale, &order, &exec)?;
     let ready = millis();
     let mut write = |frame: &AnimatedFrame| -> Result<(), CliFailure> {
         let Some(folder) = &args.output else { return Ok(()) };
@@ -98,7 +135,12 @@ pub(super) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
     if args.json {
         return print_json(&report);
     }
-    let totals = report.totals.clone().unwrap_or_default();
+    print_summary(&report, ready);
+    Ok(())
+}
+
+fn print_summary(report: &pb::AnimationReport, ready: f64) {
+    let totals = report.totals.unwrap_or_default();
     for warning in &report.warnings {
         eprintln!("warning: {warning}");
     }
@@ -112,7 +154,6 @@ pub(super) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
         totals.flipped_triangles_mean,
         totals.flipped_triangles_worst
     );
-    Ok(())
 }
 
 fn in_file(path: &std::path::Path, e: Error) -> CliFailure {
@@ -122,99 +163,91 @@ fn in_file(path: &std::path::Path, e: Error) -> CliFailure {
     }
 }
 
-fn read_order(
-    args: &AnimateArgs,
-    rig: MotionRig,
-    clip: MotionClip,
-    threads: usize,
-) -> Result<AnimationOrder, CliFailure> {
-    let input = |problem: String| CliFailure::Input(problem);
-    let recorded = clip.recorded;
-    let rate = match (args.fps, recorded) {
-        (Some(fps), _) if fps.is_finite() && fps > 0.0 && fps <= 1e4 => fps,
-        (Some(fps), _) => {
-            return Err(input(format!(
-                "--fps is {fps}, a number above 0 and up to 10000 is needed"
-            )));
+impl AnimateArgs {
+    fn settings(&self) -> Result<AnimationSettings, CliFailure> {
+        let refinement = match self.refine.as_str() {
+            "carried" => AnimationRefinement::Carried,
+            text => match text.parse::<u32>() {
+                Ok(steps) if steps <= 32 => AnimationRefinement::Steps(steps),
+                _ => {
+                    let problem = format!("--refine is \"{text}\", allowed are carried and 0 to 32");
+                    return Err(CliFailure::Input(problem));
+                }
+            },
+        };
+        let mut settings = AnimationSettings {
+            refinement,
+            ..Default::default()
+        };
+        if let Some(tolerance) = self.tolerance {
+            if !(tolerance.is_finite() && (1e-12..1.0).contains(&tolerance)) {
+                let problem = format!("--tolerance is {tolerance}, allowed is 1e-12 up to 1");
+                return Err(CliFailure::Input(problem));
+            }
+            settings.tolerance = Some(tolerance);
+            settings.max_error = None;
         }
-        (None, Some(recorded)) => 1.0 / recorded.interval,
-        (None, None) => 30.0,
-    };
-    let skips = match args.skip_first {
-        SkipFirst::Yes => true,
-        SkipFirst::No => false,
-        SkipFirst::Auto => clip.begins_apart(),
-    };
-    let start = if skips {
-        recorded.map_or(0.0, |r| r.interval)
-    } else {
-        0.0
-    };
-    let times = FrameTimes::between(start, clip.duration, rate);
-    let range = match &args.frames {
-        None => 0..times.count,
-        Some(text) => {
-            let parts = text
-                .split_once(':')
-                .and_then(|(a, b)| Some((a.parse::<usize>().ok()?, b.parse::<usize>().ok()?)));
-            let Some((first, count)) = parts else {
-                return Err(input(format!(
-                    "--frames is \"{text}\", FIRST:COUNT is needed, such as 0:100"
-                )));
-            };
-            if first >= times.count || count == 0 {
-                let problem = format!(
-                    "--frames is \"{text}\", the animation has {} frames, counted from 0",
-                    times.count
-                );
-                return Err(input(problem));
-            }
-            first..first.saturating_add(count).min(times.count)
-        }
-    };
-    let refinement = match args.refine.as_str() {
-        "carried" => AnimationRefinement::Carried,
-        text => match text.parse::<u32>() {
-            Ok(steps) if steps <= 32 => AnimationRefinement::Steps(steps),
-            _ => {
-                return Err(input(format!(
-                    "--refine is \"{text}\", allowed are carried and 0 to 32"
-                )));
-            }
-        },
-    };
-    let scale = match args.scale.as_str() {
-        "auto" => None,
-        text => match text.parse::<f64>() {
-            Ok(scale) if scale.is_finite() && scale > 0.0 => Some(scale),
-            _ => {
-                return Err(input(format!(
-                    "--scale is \"{text}\", allowed are auto and numbers above 0"
-                )));
-            }
-        },
-    };
-    let options = DriveOptions {
-        scale,
-        reference: None,
-        start,
-    };
-    let driver = RigDriver::new(&rig, clip, &options).map_err(Error::from)?;
-    let mut settings = AnimationSettings {
-        refinement,
-        ..Default::default()
-    };
-    if let Some(tolerance) = args.tolerance {
-        settings.tolerance = Some(tolerance);
-        settings.max_error = None;
+        Ok(settings)
     }
-    Ok(AnimationOrder {
-        rig,
-        driver,
-        times,
-        range,
-        settings,
-        blocks_at_once: threads,
-        bakes_root: true,
-    })
+
+    fn scale(&self) -> Result<Option<f64>, CliFailure> {
+        match self.scale.as_str() {
+            "auto" => Ok(None),
+            text => match text.parse::<f64>() {
+                Ok(scale) if scale.is_finite() && scale > 0.0 => Ok(Some(scale)),
+                _ => {
+                    let problem = format!("--scale is \"{text}\", allowed are auto and numbers above 0");
+                    Err(CliFailure::Input(problem))
+                }
+            },
+        }
+    }
+
+    /// When the frames of a clip are.
+    fn times(&self, clip: &MotionClip) -> Result<FrameTimes, CliFailure> {
+        let rate = match (self.fps, clip.recorded) {
+            (Some(fps), _) if fps.is_finite() && fps > 0.0 && fps <= FASTEST => fps,
+            (Some(fps), _) => {
+                let problem = format!("--fps is {fps}, a number above 0 and up to {FASTEST} is needed");
+                return Err(CliFailure::Input(problem));
+            }
+            (None, Some(recorded)) => 1.0 / recorded.interval,
+            (None, None) => UNRECORDED_RATE,
+        };
+        let skips = match self.skip_first {
+            SkipFirst::Yes => true,
+            SkipFirst::No => false,
+            SkipFirst::Auto => clip.begins_apart(),
+        };
+        let start = clip.recorded.filter(|_| skips).map_or(0.0, |r| r.interval);
+        let times = FrameTimes::between(start, clip.duration, rate);
+        if times.count > MOST_FRAMES {
+            let problem = format!(
+                "{} frames are asked for, at most {MOST_FRAMES} are allowed",
+                times.count
+            );
+            return Err(CliFailure::Input(problem));
+        }
+        Ok(times)
+    }
+
+    fn range(&self, times: &FrameTimes) -> Result<Range<usize>, CliFailure> {
+        let Some(text) = &self.frames else {
+            return Ok(0..times.count);
+        };
+        let parts = text.split_once(':');
+        let parts = parts.and_then(|(a, b)| Some((a.parse::<usize>().ok()?, b.parse::<usize>().ok()?)));
+        let Some((first, count)) = parts else {
+            let problem = format!("--frames is \"{text}\", FIRST:COUNT is needed, such as 0:100");
+            return Err(CliFailure::Input(problem));
+        };
+        if first >= times.count || count == 0 {
+            let problem = format!(
+                "--frames is \"{text}\", the animation has {} frames, counted from 0",
+                times.count
+            );
+            return Err(CliFailure::Input(problem));
+        }
+        Ok(first..first.saturating_add(count).min(times.count))
+    }
 }

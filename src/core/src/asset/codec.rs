@@ -7,6 +7,7 @@
 use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::look::SurfaceLook;
 use super::model::FileNotes;
+use super::moving_scene::{MovingScene, SceneClip};
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
@@ -103,6 +104,18 @@ pub(super) trait FormatCodec: Sync {
     /// The nodes of a model that this codec has read, by their index in the file; `None` for formats without nodes.
     fn nodes(&self, model: &Model) -> Result<Option<Vec<ModelNode>>, Error> {
         let _ = model;
+        Ok(None)
+    }
+
+    /// What moves in the scene of a model that this codec has read; `None` for formats that know no motion.
+    fn moving_scene(&self, model: &Model) -> Result<Option<MovingScene>, Error> {
+        let _ = model;
+        Ok(None)
+    }
+
+    /// A clip of that scene.
+    fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {
+        let _ = (model, index);
         Ok(None)
     }
 

@@ -31,6 +31,7 @@ mod look;
 mod material;
 mod model;
 mod model_look;
+mod moving_scene;
 mod neutral;
 mod node;
 pub mod sample;
@@ -48,4 +49,7 @@ pub use geometry::{Geometry, Primitive};
 pub use look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;
 pub use node::{ModelNode, NodeMotions, ShapeFollowers};
+pub use moving_scene::{
+    ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, SceneChannel, SceneClip, SceneNode,
+};
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};

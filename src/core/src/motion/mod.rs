@@ -4,10 +4,12 @@ pub mod bvh;
 mod clip;
 mod curve;
 mod error;
+mod of_scene;
 pub mod rig;
 mod skeleton;
 
 pub use clip::{JointCurves, MotionClip, RecordedFrames};
 pub use curve::{CurveValue, Interpolation, KeyedCurve, SplinePlace};
 pub use error::Error;
+pub use of_scene::{NodeOrder, clip_of_scene};
 pub use skeleton::{JointPose, Skeleton, SkeletonJoint};

@@ -3,8 +3,9 @@
 use super::align::{BonePair, heading, scale};
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed, whole};
 use super::rigid::RigidMotion;
+use crate::mesh::rotation::fit_rotation;
 use crate::motion::clip::MotionClip;
-use glam::{DQuat, DVec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 /// Above this turn of a bone about its own axis against its parent, in degrees, a clip is likely not to mean it.
 const WILD_TWIST: f64 = 170.0;
@@ -39,6 +40,8 @@ pub struct RigDriver {
     scale: f64,
     /// Where the root's joint is when the model's is where it is at rest.
     root_origin: DVec3,
+    /// For a skin's own clip: by joint, back from where it is at rest. Its joints are the bones', so nothing is fitted.
+    back_from_rest: Option<Vec<DAffine3>>,
     warnings: Vec<String>,
 }
 
@@ -117,6 +120,7 @@ impl RigDriver {
             heading,
             scale,
             root_origin,
+            back_from_rest: None,
             warnings: clip.warnings.clone(),
             clip,
         };
@@ -133,6 +137,61 @@ impl RigDriver {
             });
         }
         Ok(driver)
+    }
+
+    /// Lets a clip of a model's own skeleton drive the rig that was made of its skin: bones do what joints do, whatever moves
+    /// them. Of what joints scale and shear the nearest rotation is taken, with a warning.
+    ///
+    /// # Errors
+    /// As [`RigDriver::new`].
+    pub fn of_skin(rig: &MotionRig, clip: MotionClip, start: f64) -> Result<Self, RigError> {
+        let options = DriveOptions {
+            scale: Some(1.0),
+            reference: Some(ReferencePose::Rest),
+            start,
+        };
+        let mut driver = Self::new(rig, clip, &options)?;
+        let rest = driver.clip.skeleton.world_transforms(&driver.clip.skeleton.rest_pose());
+        driver.heading = DQuat::IDENTITY;
+        driver.back_from_rest = Some(rest.iter().map(inverse_or_identity).collect());
+        let scales = |motion: &DAffine3| {
+            let m = &motion.matrix3;
+            let apart = (m.transpose() * *m - DMat3::IDENTITY).to_cols_array();
+            apart.iter().any(|v| v.abs() > 0.02)
+        };
+        let ends = [start, 0.5 * (start + driver.clip.duration), driver.clip.duration];
+        let is_scaled = |bone: &DrivenBone| ends.iter().any(|&t| scales(&driver.joint_motions(t)[bone.joint]));
+        let scaled: Vec<&str> = (rig.bones.iter().zip(&driver.bones))
+            .filter(|(_, driven)| is_scaled(driven))
+            .map(|(bone, _)| bone.id.as_str())
+            .collect();
+        if !scaled.is_empty() {
+            let names = listed(scaled.iter());
+            driver.warnings.push(format!(
+                "the clip scales or shears {names}; they are turned and moved, not scaled"
+            ));
+        }
+        Ok(driver)
+    }
+
+    /// What joints do to what they held at rest.
+    fn joint_motions(&self, seconds: f64) -> Vec<DAffine3> {
+        let world = self.clip.skeleton.world_transforms(&self.clip.pose_at(seconds));
+        let back = self.back_from_rest.iter().flatten();
+        world.iter().zip(back).map(|(now, back)| *now * *back).collect()
+    }
+
+    fn skin_motions(&self, seconds: f64) -> Vec<RigidMotion> {
+        let joints = self.joint_motions(seconds);
+        let motion = |bone: &DrivenBone| {
+            let joint = &joints[bone.joint];
+            RigidMotion {
+                rotation: fit_rotation(joint.matrix3),
+                from: bone.from,
+                to: joint.transform_point3(bone.from),
+            }
+        };
+        self.bones.iter().map(motion).collect()
     }
 
     /// How a bone of the model stands when the clip is in its reference pose, from how it stands at rest.
@@ -184,6 +243,18 @@ impl RigDriver {
 
     /// Where the bones are at a time of the clip in seconds.
     pub fn pose_at(&self, seconds: f64) -> RigPose {
+        let world = match self.back_from_rest {
+            Some(_) => self.skin_motions(seconds),
+            None => self.fitted_motions(seconds),
+        };
+        let root = world[0];
+        RigPose {
+            bones: world.iter().map(|motion| motion.seen_from(&root)).collect(),
+            root,
+        }
+    }
+
+    fn fitted_motions(&self, seconds: f64) -> Vec<RigidMotion> {
         let state = ClipState::at(&self.clip, seconds);
         let mut world: Vec<RigidMotion> = Vec::with_capacity(self.bones.len());
         for bone in &self.bones {
@@ -209,11 +280,7 @@ impl RigDriver {
                 to,
             });
         }
-        let root = world[0];
-        RigPose {
-            bones: world.iter().map(|motion| motion.seen_from(&root)).collect(),
-            root,
-        }
+        world
     }
 
     /// Warns of bones that a clip turns about themselves by nearly half a circle at one of these times.
@@ -236,6 +303,16 @@ impl RigDriver {
                 }
             }
         }
+    }
+}
+
+/// The inverse; nothing for a transform that flattens space.
+fn inverse_or_identity(transform: &DAffine3) -> DAffine3 {
+    let inverse = transform.inverse();
+    if inverse.is_finite() {
+        inverse
+    } else {
+        DAffine3::IDENTITY
     }
 }
 

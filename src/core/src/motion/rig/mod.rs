@@ -10,10 +10,12 @@ mod align;
 mod bones;
 mod drive;
 mod handles;
+mod of_skin;
 mod rigid;
 mod swing_twist;
 
 pub use bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 pub use drive::{DriveOptions, RigDriver, RigPose};
 pub use handles::{RigHandle, RigHandleShape, rig_handles};
+pub use of_skin::rig_of_skin;
 pub use rigid::RigidMotion;

@@ -58,6 +58,7 @@ mod glb_writer;
 mod influences;
 mod looks;
 mod media_type;
+mod moving;
 mod nodes;
 mod package;
 mod patch;
@@ -86,6 +87,7 @@ pub(super) use uri::of_file_name as uri_of_name;
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::look::SurfaceLook;
+use crate::asset::moving_scene::{MovingScene, SceneClip};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::{
     Error, FileSet, FollowedCounts, Format, Limits, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,
@@ -181,6 +183,14 @@ impl FormatCodec for GltfCodec {
     fn nodes(&self, model: &Model) -> Result<Option<Vec<ModelNode>>, Error> {
         let notes = model.notes_or_refuse(model.format)?;
         nodes::model_nodes(model, notes).map(Some)
+    }
+
+    fn moving_scene(&self, model: &Model) -> Result<Option<MovingScene>, Error> {
+        moving::moving_scene(model, model.notes_or_refuse(model.format)?).map(Some)
+    }
+
+    fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {
+        moving::scene_clip(model, model.notes_or_refuse(model.format)?, index)
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -1,0 +1,277 @@
+//! Nodes and clips of a document, and which joints hold which vertices.
+
+use super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
+use super::buffers::BufferBytes;
+use super::document::GltfDocument;
+use super::influences::{VertexInfluences, influence_accessors};
+use super::read::{GltfNotes, reopen};
+use super::scene::{local_transform, place_meshes};
+use super::schema::{GltfNode, GltfSkin, WholeNumber};
+use super::text::value_of;
+use crate::asset::moving_scene::{
+    ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, SceneChannel, SceneClip, SceneNode,
+};
+use crate::asset::{Error, Model};
+use crate::mesh::rotation::fit_rotation;
+use glam::{DQuat, DVec3};
+use serde::Deserialize;
+use std::collections::BTreeSet;
+
+/// How many numbers the channels of one clip may have together: they may share accessors, so that their size is not bounded
+/// by the file's.
+const MOST_NUMBERS: u64 = 1 << 26;
+
+/// What moves in the scene of a model.
+pub(super) fn moving_scene(model: &Model, notes: &GltfNotes) -> Result<MovingScene, Error> {
+    let (doc, mut buffers) = reopen(model, notes)?;
+    let scene = place_meshes(&doc, &mut Vec::new())?;
+    let mut nodes = Vec::with_capacity(doc.nodes.len());
+    for (index, node) in doc.nodes.values.iter().enumerate() {
+        nodes.push(scene_node(&doc, index, node, scene.parents[index])?);
+    }
+    let (influences, is_joint) = joint_influences(&doc, &mut buffers, notes, model.positions.len())?;
+    let names = doc.animations.iter().map(|text| {
+        let name = value_of(text, "name").and_then(|name| serde_json::from_str(name).ok());
+        name.unwrap_or_default()
+    });
+    Ok(MovingScene {
+        nodes,
+        is_joint,
+        influences,
+        clip_names: names.collect(),
+    })
+}
+
+fn scene_node(
+    doc: &GltfDocument<'_>,
+    index: usize,
+    node: &GltfNode,
+    parent: Option<usize>,
+) -> Result<SceneNode, Error> {
+    let name = node.name.clone().unwrap_or_default();
+    let local = local_transform(doc, index, node)?;
+    let (rotation, scale) = match node.matrix {
+        Some(_) => {
+            let m = &local.matrix3;
+            let rotation = fit_rotation(*m);
+            let length = |axis: DVec3, unit: DVec3| axis.length().copysign(axis.dot(rotation * unit));
+            // A mirrored axis points away from where the rotation takes it.
+            let [x, y, z] = DVec3::AXES;
+            let scale = DVec3::new(length(m.x_axis, x), length(m.y_axis, y), length(m.z_axis, z));
+            (rotation, scale)
+        }
+        None => (
+            node.rotation.map_or(DQuat::IDENTITY, DQuat::from_array).normalize(),
+            DVec3::from_array(node.scale.unwrap_or([1.0; 3])),
+        ),
+    };
+    Ok(SceneNode {
+        name,
+        parent,
+        translation: local.translation,
+        rotation,
+        scale,
+    })
+}
+
+/// Which joints hold which render vertices, and which nodes are such joints.
+fn joint_influences(
+    doc: &GltfDocument<'_>,
+    buffers: &mut BufferBytes,
+    notes: &GltfNotes,
+    vertices: usize,
+) -> Result<(JointInfluences, Vec<bool>), Error> {
+    let mut of_vertex: Vec<Vec<(u32, f32)>> = vec![Vec::new(); vertices];
+    let mut is_joint = vec![false; doc.nodes.len()];
+    for row in notes.rows.iter().filter(|row| row.follows_joints) {
+        let Some(text) = row.skin.and_then(|skin| doc.skins.get(skin)) else {
+            continue;
+        };
+        let refuse = |problem: String| doc.fault.malformed(format!("nodes/{}", row.node), problem);
+        let skin: GltfSkin = serde_json::from_str(text).map_err(|e| refuse(e.to_string()))?;
+        let joints: Vec<usize> = skin.joints.iter().map(|j| j.index()).collect();
+        joints.iter().for_each(|&joint| is_joint[joint] = true);
+        let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        let used = influence_accessors(primitive).into_iter().flat_map(|(j, w)| [j, w]);
+        buffers.decode_for(doc, &used.collect::<BTreeSet<usize>>())?;
+        let read = VertexInfluences::read(doc, buffers, primitive, joints.len()).map_err(refuse)?;
+        for (number, vertex) in row.vertices.clone().enumerate() {
+            let held = read.of(number).iter();
+            of_vertex[vertex] = held
+                .map(|&(joint, w)| (joints[joint as usize] as u32, w as f32))
+                .collect();
+        }
+    }
+    let mut influences = JointInfluences {
+        starts: vec![0],
+        entries: Vec::new(),
+    };
+    for own in of_vertex {
+        influences.entries.extend(own);
+        influences.starts.push(influences.entries.len() as u32);
+    }
+    Ok((influences, is_joint))
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct ClipText {
+    name: String,
+    channels: Vec<ChannelText>,
+    samplers: Vec<SamplerText>,
+}
+
+#[derive(Deserialize)]
+struct ChannelText {
+    sampler: WholeNumber,
+    target: TargetText,
+}
+
+#[derive(Deserialize)]
+struct TargetText {
+    node: Option<WholeNumber>,
+    path: String,
+}
+
+#[derive(Deserialize)]
+struct SamplerText {
+    input: WholeNumber,
+    output: WholeNumber,
+    #[serde(default)]
+    interpolation: Option<String>,
+}
+
+/// A clip of a model's scene.
+pub(super) fn scene_clip(model: &Model, notes: &GltfNotes, index: usize) -> Result<Option<SceneClip>, Error> {
+    let (doc, mut buffers) = reopen(model, notes)?;
+    let Some(text) = doc.animations.get(index) else {
+        return Ok(None);
+    };
+    let place = format!("animations/{index}");
+    let clip: ClipText = serde_json::from_str(text).map_err(|e| doc.fault.malformed(&*place, e.to_string()))?;
+    let mut reader = ClipReader {
+        doc: &doc,
+        buffers: &mut buffers,
+        samplers: &clip.samplers,
+        numbers: 0,
+    };
+    let mut channels = Vec::new();
+    for (number, channel) in clip.channels.iter().enumerate() {
+        channels.extend(reader.channel(channel, &format!("{place}/channels/{number}"))?);
+    }
+    Ok(Some(SceneClip {
+        name: clip.name,
+        channels,
+    }))
+}
+
+struct ClipReader<'r, 'a> {
+    doc: &'r GltfDocument<'a>,
+    buffers: &'r mut BufferBytes,
+    samplers: &'r [SamplerText],
+    numbers: u64,
+}
+
+impl ClipReader<'_, '_> {
+    /// A channel; `None` for one that moves nothing of a node.
+    fn channel(&mut self, channel: &ChannelText, place: &str) -> Result<Option<SceneChannel>, Error> {
+        let fault = self.doc.fault;
+        let lanes = match channel.target.path.as_str() {
+            "rotation" => 4,
+            "translation" | "scale" => 3,
+            _ => return Ok(None),
+        };
+        let Some(node) = channel.target.node.map(WholeNumber::index) else {
+            return Ok(None);
+        };
+        let nodes = self.doc.nodes.len();
+        if node >= nodes {
+            let problem = format!("is {node}, there are {nodes} nodes");
+            return Err(fault.malformed(format!("{place}/target/node"), problem));
+        }
+        let sampler = channel.sampler.index();
+        let Some(sampler) = self.samplers.get(sampler) else {
+            let problem = format!("is {sampler}, there are {} samplers", self.samplers.len());
+            return Err(fault.malformed(format!("{place}/sampler"), problem));
+        };
+        let interpolation = match sampler.interpolation.as_deref() {
+            None | Some("LINEAR") => ChannelInterpolation::Linear,
+            Some("STEP") => ChannelInterpolation::Step,
+            Some("CUBICSPLINE") => ChannelInterpolation::CubicSpline,
+            Some(other) => {
+                let problem = format!("is \"{other}\", allowed are LINEAR, STEP and CUBICSPLINE");
+                return Err(fault.malformed(format!("{place}/sampler/interpolation"), problem));
+            }
+        };
+        let times = self.values(sampler.input.index(), 1, &format!("{place}/sampler/input"))?;
+        let values = self.values(sampler.output.index(), lanes, &format!("{place}/sampler/output"))?;
+        let each = if interpolation == ChannelInterpolation::CubicSpline {
+            3
+        } else {
+            1
+        };
+        if times.is_empty() || values.len() != times.len() * each * lanes {
+            let problem = format!("{} times have {} values", times.len(), values.len() / lanes);
+            return Err(fault.malformed(format!("{place}/sampler"), problem));
+        }
+        if !times.is_sorted() {
+            return Err(fault.malformed(format!("{place}/sampler/input"), "the times do not rise"));
+        }
+        let vectors = || {
+            values
+                .as_chunks::<3>()
+                .0
+                .iter()
+                .map(|v| DVec3::from_array(v.map(f64::from)))
+                .collect()
+        };
+        let values = match channel.target.path.as_str() {
+            "rotation" => {
+                let rotations = values.as_chunks::<4>().0.iter();
+                ChannelValues::Rotation(rotations.map(|q| DQuat::from_array(q.map(f64::from))).collect())
+            }
+            "translation" => ChannelValues::Translation(vectors()),
+            _ => ChannelValues::Scale(vectors()),
+        };
+        Ok(Some(SceneChannel {
+            node,
+            times: times.into_iter().map(f64::from).collect(),
+            values,
+            interpolation,
+        }))
+    }
+
+    /// The finite numbers of an accessor with so many lanes.
+    fn values(&mut self, accessor: usize, lanes: usize, place: &str) -> Result<Vec<f32>, Error> {
+        let fault = self.doc.fault;
+        let count = self.doc.accessors.len();
+        let Some(described) = self.doc.accessors.get(accessor) else {
+            return Err(fault.malformed(place, format!("is {accessor}, there are {count} accessors")));
+        };
+        let layout = AccessorLayout::of(described, &self.doc.views.values);
+        let fits = |l: &AccessorLayout| {
+            l.lanes == lanes && (l.component == ComponentType::F32 || (described.normalized && lanes > 1))
+        };
+        let Some(layout) = layout.filter(fits) else {
+            let problem = format!("accessor {accessor} has elements of another kind than {lanes} floats");
+            return Err(fault.malformed(place, problem));
+        };
+        self.numbers = self
+            .numbers
+            .saturating_add(described.count.0.saturating_mul(lanes as u64));
+        if self.numbers > MOST_NUMBERS {
+            return Err(Error::TooLarge {
+                what: "numbers of a clip",
+                seen: self.numbers,
+                limit: MOST_NUMBERS,
+            });
+        }
+        check_unbacked(self.doc, accessor, layout)?;
+        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
+        let values = read_values(self.doc, self.buffers, accessor, layout)?;
+        match values.iter().position(|v| !v.is_finite()) {
+            Some(at) => Err(fault.malformed(place, format!("number {at} of accessor {accessor} is {}", values[at]))),
+            None => Ok(values),
+        }
+    }
+}

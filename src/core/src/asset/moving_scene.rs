@@ -1,0 +1,111 @@
+//! What moves in a scene: nodes, clips, and which nodes hold which vertices.
+
+use super::formats::codec_of;
+use super::{Error, Model};
+use glam::{DQuat, DVec3};
+
+/// How a channel runs from key to key.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ChannelInterpolation {
+    /// The value of the key before.
+    Step,
+    /// Straight, or along the shorter great circle for rotations.
+    Linear,
+    /// By a cubic Hermite spline; each key has the tangent that leads to it, its value and the tangent that leads away.
+    CubicSpline,
+}
+
+/// What a channel moves of a node.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ChannelValues {
+    /// Relative to the node above.
+    Translation(Vec<DVec3>),
+    /// Relative to the node above; as stored, of about unit length where they are no tangents.
+    Rotation(Vec<DQuat>),
+    /// Along the node's own axes.
+    Scale(Vec<DVec3>),
+}
+
+/// A channel of a clip: one value per time, three for a spline.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneChannel {
+    /// The node that it moves.
+    pub node: usize,
+    /// Seconds, rising.
+    pub times: Vec<f64>,
+    /// The values.
+    pub values: ChannelValues,
+    /// How it runs from key to key.
+    pub interpolation: ChannelInterpolation,
+}
+
+/// A clip of a scene.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SceneClip {
+    /// What it is called; may be empty.
+    pub name: String,
+    /// What it moves of nodes. What else it moves, such as weights of morph targets, is left out.
+    pub channels: Vec<SceneChannel>,
+}
+
+/// A node of a scene: scaled, then turned, then moved, relative to the node above.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneNode {
+    /// What it is called; may be empty.
+    pub name: String,
+    /// The node above, by number.
+    pub parent: Option<usize>,
+    /// Where it is at rest.
+    pub translation: DVec3,
+    /// How it is turned at rest, of unit length.
+    pub rotation: DQuat,
+    /// How it is scaled at rest. A matrix that shears has the nearest rotation, and the lengths of its columns here.
+    pub scale: DVec3,
+}
+
+/// The vertices of a model that follow joints.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct JointInfluences {
+    /// For each render vertex where its entries begin; one more than there are vertices.
+    pub starts: Vec<u32>,
+    /// Nodes that are joints, with weights above 0 that sum to 1 for each vertex that has any.
+    pub entries: Vec<(u32, f32)>,
+}
+
+impl JointInfluences {
+    /// The joints of a vertex with their weights.
+    pub fn of(&self, vertex: usize) -> &[(u32, f32)] {
+        &self.entries[self.starts[vertex] as usize..self.starts[vertex + 1] as usize]
+    }
+}
+
+/// What moves in a scene.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MovingScene {
+    /// All nodes of the file, by number.
+    pub nodes: Vec<SceneNode>,
+    /// For each node whether it is a joint that places vertices of the model.
+    pub is_joint: Vec<bool>,
+    /// Which joints hold which render vertices.
+    pub influences: JointInfluences,
+    /// The names of all clips, in order; may be empty.
+    pub clip_names: Vec<String>,
+}
+
+impl Model {
+    /// What moves in the model's scene; `None` for formats that know no motion.
+    ///
+    /// # Errors
+    /// [`Error`] when what places vertices cannot be read.
+    pub fn moving_scene(&self) -> Result<Option<MovingScene>, Error> {
+        codec_of(self.format).moving_scene(self)
+    }
+
+    /// Reads a clip by its number in [`MovingScene::clip_names`]; `None` where there is none.
+    ///
+    /// # Errors
+    /// [`Error`] with the channel that cannot be read: one that names what is not there, or whose numbers do not fit.
+    pub fn scene_clip(&self, index: usize) -> Result<Option<SceneClip>, Error> {
+        codec_of(self.format).scene_clip(self, index)
+    }
+}
