@@ -31,6 +31,7 @@ mod look;
 mod material;
 mod model;
 mod model_look;
+mod model_motion;
 mod moving_scene;
 mod neutral;
 mod node;

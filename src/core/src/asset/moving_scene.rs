@@ -1,7 +1,5 @@
 //! What moves in a scene: nodes, clips, and which nodes hold which vertices.
 
-use super::formats::codec_of;
-use super::{Error, Model};
 use glam::{DQuat, DVec3};
 
 /// How a channel runs from key to key.
@@ -90,22 +88,4 @@ pub struct MovingScene {
     pub influences: JointInfluences,
     /// The names of all clips, in order; may be empty.
     pub clip_names: Vec<String>,
-}
-
-impl Model {
-    /// What moves in the model's scene; `None` for formats that know no motion.
-    ///
-    /// # Errors
-    /// [`Error`] when what places vertices cannot be read.
-    pub fn moving_scene(&self) -> Result<Option<MovingScene>, Error> {
-        codec_of(self.format).moving_scene(self)
-    }
-
-    /// Reads a clip by its number in [`MovingScene::clip_names`]; `None` where there is none.
-    ///
-    /// # Errors
-    /// [`Error`] with the channel that cannot be read: one that names what is not there, or whose numbers do not fit.
-    pub fn scene_clip(&self, index: usize) -> Result<Option<SceneClip>, Error> {
-        codec_of(self.format).scene_clip(self, index)
-    }
 }
