@@ -151,6 +151,15 @@ pub fn play<E: From<Error>>(
             .collect(),
         ..Default::default()
     };
+    let empty = report.handles.iter().filter(|h| h.nodes == 0);
+    let empty: Vec<String> = empty.map(|h| format!("\"{}\"", h.name)).collect();
+    if !empty.is_empty() {
+        let told = format!(
+            "{} of the rig hold nothing, because others hold all there is near them",
+            empty.join(", ")
+        );
+        report.warnings.push(told);
+    }
     let begun = millis();
     let mut last = begun;
     let mut refused = None;

@@ -13,6 +13,8 @@ const FEWEST: usize = 8;
 /// By what the radius of a handle with fewer nodes grows, and how often at most.
 const GROWTH: f64 = 1.25;
 const STEPS: i32 = 24;
+/// A holder keeps so many nodes when others have none.
+const SPARED: usize = 2;
 
 /// What a handle of a rig came to hold.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,36 +88,28 @@ pub(super) fn hold_nodes(
             }
         }
     }
-    let mut facts = Vec::with_capacity(handles.len());
-    for (k, (handle, reach)) in handles.iter().zip(&reaches).enumerate() {
-        let mut widened = 1.0;
-        if held[k].len() < FEWEST {
-            let holders = &mut holders[usize::from(!reach.is_place)];
-            let free = (0u32..)
-                .zip(&graph.positions)
-                .filter(|(node, _)| holders[*node as usize].is_none());
-            let mut near: Vec<(f64, u32)> = free.map(|(node, p)| (reach.distance(*p), node)).collect();
-            near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            let missing = FEWEST - held[k].len();
-            let mut step = 0;
-            let farthest = near.get(missing - 1).map_or(f64::INFINITY, |n| n.0);
-            while step < STEPS && widened * reach.radius < farthest {
-                step += 1;
-                widened *= GROWTH;
-            }
-            let taken = near.iter().take_while(|n| n.0 <= widened * reach.radius).take(missing);
-            for &(_, node) in taken {
-                holders[node as usize] = Some(k);
-                held[k].push(node);
-            }
-            held[k].sort_unstable();
+    let mut widened = vec![1.0; handles.len()];
+    for k in 0..handles.len() {
+        let holders = &mut holders[usize::from(!reaches[k].is_place)];
+        widened[k] = widen(k, &reaches[k], graph, holders, &mut held);
+    }
+    for k in 0..handles.len() {
+        if held[k].is_empty() {
+            let holders = &mut holders[usize::from(!reaches[k].is_place)];
+            widened[k] = take_one(k, &reaches[k], graph, holders, &mut held);
         }
-        facts.push(RigHandleFacts {
+    }
+    held.iter_mut().for_each(|nodes| nodes.sort_unstable());
+    let facts = handles
+        .iter()
+        .zip(&held)
+        .zip(widened)
+        .map(|((handle, nodes), widened)| RigHandleFacts {
             name: handle.name.clone(),
-            nodes: held[k].len(),
+            nodes: nodes.len(),
             widened,
         });
-    }
+    let facts = facts.collect();
     let constraints = held.into_iter().zip(&reaches).map(|(nodes, reach)| HandleConstraint {
         nodes,
         position: reach.is_place,
@@ -123,4 +117,56 @@ pub(super) fn hold_nodes(
         ..Default::default()
     });
     (constraints.collect(), facts)
+}
+
+/// Nodes with their distances from a handle, nearest first.
+fn by_distance(reach: &Reach, graph: &MeshGraph, may: impl Fn(u32) -> bool) -> Vec<(f64, u32)> {
+    let nodes = (0u32..).zip(&graph.positions).filter(|(node, _)| may(*node));
+    let mut near: Vec<(f64, u32)> = nodes.map(|(node, p)| (reach.distance(*p), node)).collect();
+    near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    near
+}
+
+/// Widens a handle with too few nodes until it has enough of those that nobody holds; answers by how much.
+fn widen(handle: usize, reach: &Reach, graph: &MeshGraph, holders: &mut [Option<usize>], held: &mut [Vec<u32>]) -> f64 {
+    let mut widened = 1.0;
+    if held[handle].len() >= FEWEST {
+        return widened;
+    }
+    let near = by_distance(reach, graph, |node| holders[node as usize].is_none());
+    let missing = FEWEST - held[handle].len();
+    let farthest = near.get(missing - 1).or(near.last()).map_or(0.0, |n| n.0);
+    let mut step = 0;
+    while step < STEPS && widened * reach.radius < farthest {
+        step += 1;
+        widened *= GROWTH;
+    }
+    let taken = near.iter().take_while(|n| n.0 <= widened * reach.radius).take(missing);
+    for &(_, node) in taken {
+        holders[node as usize] = Some(handle);
+        held[handle].push(node);
+    }
+    widened
+}
+
+/// Gives a handle that found nothing free the node nearest to it, of a holder that can spare one; answers by how much it was
+/// widened.
+fn take_one(
+    handle: usize,
+    reach: &Reach,
+    graph: &MeshGraph,
+    holders: &mut [Option<usize>],
+    held: &mut [Vec<u32>],
+) -> f64 {
+    let can_spare = |node: u32| holders[node as usize].is_some_and(|k| held[k].len() > SPARED);
+    let farthest = reach.radius * libm::pow(GROWTH, f64::from(STEPS));
+    let near = by_distance(reach, graph, can_spare);
+    let Some(&(distance, node)) = near.first().filter(|n| n.0 <= farthest) else {
+        return 1.0;
+    };
+    if let Some(before) = holders[node as usize].replace(handle) {
+        held[before].retain(|n| *n != node);
+    }
+    held[handle].push(node);
+    (distance / reach.radius).max(1.0)
 }
