@@ -5,11 +5,7 @@ mod inspect;
 mod riders;
 mod run;
 
-<<<<<<< HEAD
-pub use animate::{AnimationOrder, play, prepare};
-pub use inspect::{MOST_NODES_TOLD, inspect};
-=======
 pub use animate::{AnimationOrder, ClipSource, MovingClip, moving_clip, play, prepare};
->>>>>>> 34f1c9b (A skinned model's own clip drives the rig of its skin)
+pub use inspect::{MOST_NODES_TOLD, inspect};
 pub use riders::CarriedFile;
 pub use run::{BatchOutcome, pose_steps, run, unmet_expectations};

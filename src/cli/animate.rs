@@ -125,7 +125,7 @@ pub(super) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
         let Some(folder) = &args.output else { return Ok(()) };
         let path = folder.join(format!("frame_{:05}.obj", frame.index));
         let written = deformer
-            .write(&frame.positions, output_format(&path)?)
+            .write(&frame.positions, output_format(&path)?, &exec)
             .map_err(Error::from)?;
         args.permission.write_file(&path, &written.main)
     };

@@ -14,10 +14,11 @@ use std::io::Write as _;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 16] = [
+const PAGES: [&str; 17] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
+    "deploy/docs/animation.md",
     "deploy/docs/architecture.md",
     "deploy/docs/command-line.md",
     "deploy/docs/concepts.md",
@@ -98,6 +99,16 @@ fn command_line() {
     let checkout = play("deploy/docs/command-line.md");
     if checkout.path("target/turned.glb").exists() {
         assert!(checkout.path("target/turned.png").exists(), "the picture is drawn");
+    }
+}
+
+#[test]
+fn animation() {
+    let checkout = play("deploy/docs/animation.md");
+    if checkout.path("target/nod").exists() {
+        for picture in ["target/walk.png", "target/nod.png"] {
+            assert!(checkout.path(picture).exists(), "{picture} is drawn");
+        }
     }
 }
 

@@ -49,8 +49,8 @@ pub use format::Format;
 pub use geometry::{Geometry, Primitive};
 pub use look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;
-pub use node::{ModelNode, NodeMotions, ShapeFollowers};
 pub use moving_scene::{
     ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, SceneChannel, SceneClip, SceneNode,
 };
+pub use node::{ModelNode, NodeMotions, ShapeFollowers};
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};

@@ -1203,3 +1203,147 @@ class ModelNode(_message.Message):
     joint: bool
     position: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, index: _Optional[int] = ..., name: _Optional[str] = ..., joint: bool = ..., position: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Rig(_message.Message):
+    __slots__ = ("version", "joints", "bones", "reference_frame", "scale", "model")
+    class Rest(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        REST_UNSPECIFIED: _ClassVar[Rig.Rest]
+        DIRECTION: _ClassVar[Rig.Rest]
+        ORIENTATION: _ClassVar[Rig.Rest]
+        PARENT: _ClassVar[Rig.Rest]
+    REST_UNSPECIFIED: Rig.Rest
+    DIRECTION: Rig.Rest
+    ORIENTATION: Rig.Rest
+    PARENT: Rig.Rest
+    class Joint(_message.Message):
+        __slots__ = ("at",)
+        AT_FIELD_NUMBER: _ClassVar[int]
+        at: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, at: _Optional[_Iterable[float]] = ...) -> None: ...
+    class Bone(_message.Message):
+        __slots__ = ("id", "to", "parent", "joint", "aim", "rest", "radius", "slices", "span", "joint_radius", "limit_degrees")
+        ID_FIELD_NUMBER: _ClassVar[int]
+        FROM_FIELD_NUMBER: _ClassVar[int]
+        TO_FIELD_NUMBER: _ClassVar[int]
+        PARENT_FIELD_NUMBER: _ClassVar[int]
+        JOINT_FIELD_NUMBER: _ClassVar[int]
+        AIM_FIELD_NUMBER: _ClassVar[int]
+        REST_FIELD_NUMBER: _ClassVar[int]
+        RADIUS_FIELD_NUMBER: _ClassVar[int]
+        SLICES_FIELD_NUMBER: _ClassVar[int]
+        SPAN_FIELD_NUMBER: _ClassVar[int]
+        JOINT_RADIUS_FIELD_NUMBER: _ClassVar[int]
+        LIMIT_DEGREES_FIELD_NUMBER: _ClassVar[int]
+        id: str
+        to: str
+        parent: str
+        joint: str
+        aim: str
+        rest: Rig.Rest
+        radius: float
+        slices: int
+        span: _containers.RepeatedScalarFieldContainer[float]
+        joint_radius: float
+        limit_degrees: float
+        def __init__(self, id: _Optional[str] = ..., to: _Optional[str] = ..., parent: _Optional[str] = ..., joint: _Optional[str] = ..., aim: _Optional[str] = ..., rest: _Optional[_Union[Rig.Rest, str]] = ..., radius: _Optional[float] = ..., slices: _Optional[int] = ..., span: _Optional[_Iterable[float]] = ..., joint_radius: _Optional[float] = ..., limit_degrees: _Optional[float] = ..., **kwargs) -> None: ...
+    class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: Rig.Joint
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[_Union[Rig.Joint, _Mapping]] = ...) -> None: ...
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    BONES_FIELD_NUMBER: _ClassVar[int]
+    REFERENCE_FRAME_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    version: int
+    joints: _containers.MessageMap[str, Rig.Joint]
+    bones: _containers.RepeatedCompositeFieldContainer[Rig.Bone]
+    reference_frame: int
+    scale: float
+    model: str
+    def __init__(self, version: _Optional[int] = ..., joints: _Optional[_Mapping[str, Rig.Joint]] = ..., bones: _Optional[_Iterable[_Union[Rig.Bone, _Mapping]]] = ..., reference_frame: _Optional[int] = ..., scale: _Optional[float] = ..., model: _Optional[str] = ...) -> None: ...
+
+class AnimationReport(_message.Message):
+    __slots__ = ("frames", "totals", "handles", "warnings", "scale", "build_ms", "output")
+    class FrameReport(_message.Message):
+        __slots__ = ("index", "time", "ms", "cycles", "volume_change", "flipped_triangles", "max_stretch", "edge_rms", "digest", "root_translation", "root_rotation")
+        INDEX_FIELD_NUMBER: _ClassVar[int]
+        TIME_FIELD_NUMBER: _ClassVar[int]
+        MS_FIELD_NUMBER: _ClassVar[int]
+        CYCLES_FIELD_NUMBER: _ClassVar[int]
+        VOLUME_CHANGE_FIELD_NUMBER: _ClassVar[int]
+        FLIPPED_TRIANGLES_FIELD_NUMBER: _ClassVar[int]
+        MAX_STRETCH_FIELD_NUMBER: _ClassVar[int]
+        EDGE_RMS_FIELD_NUMBER: _ClassVar[int]
+        DIGEST_FIELD_NUMBER: _ClassVar[int]
+        ROOT_TRANSLATION_FIELD_NUMBER: _ClassVar[int]
+        ROOT_ROTATION_FIELD_NUMBER: _ClassVar[int]
+        index: int
+        time: float
+        ms: float
+        cycles: int
+        volume_change: float
+        flipped_triangles: int
+        max_stretch: float
+        edge_rms: float
+        digest: str
+        root_translation: _containers.RepeatedScalarFieldContainer[float]
+        root_rotation: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, index: _Optional[int] = ..., time: _Optional[float] = ..., ms: _Optional[float] = ..., cycles: _Optional[int] = ..., volume_change: _Optional[float] = ..., flipped_triangles: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms: _Optional[float] = ..., digest: _Optional[str] = ..., root_translation: _Optional[_Iterable[float]] = ..., root_rotation: _Optional[_Iterable[float]] = ...) -> None: ...
+    class HeldNodes(_message.Message):
+        __slots__ = ("name", "nodes", "widened")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        NODES_FIELD_NUMBER: _ClassVar[int]
+        WIDENED_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        nodes: int
+        widened: float
+        def __init__(self, name: _Optional[str] = ..., nodes: _Optional[int] = ..., widened: _Optional[float] = ...) -> None: ...
+    class Totals(_message.Message):
+        __slots__ = ("frames", "ms", "frames_per_second", "volume_change_mean", "volume_change_worst", "flipped_triangles_mean", "flipped_triangles_worst", "max_stretch", "edge_rms_mean")
+        FRAMES_FIELD_NUMBER: _ClassVar[int]
+        MS_FIELD_NUMBER: _ClassVar[int]
+        FRAMES_PER_SECOND_FIELD_NUMBER: _ClassVar[int]
+        VOLUME_CHANGE_MEAN_FIELD_NUMBER: _ClassVar[int]
+        VOLUME_CHANGE_WORST_FIELD_NUMBER: _ClassVar[int]
+        FLIPPED_TRIANGLES_MEAN_FIELD_NUMBER: _ClassVar[int]
+        FLIPPED_TRIANGLES_WORST_FIELD_NUMBER: _ClassVar[int]
+        MAX_STRETCH_FIELD_NUMBER: _ClassVar[int]
+        EDGE_RMS_MEAN_FIELD_NUMBER: _ClassVar[int]
+        frames: int
+        ms: float
+        frames_per_second: float
+        volume_change_mean: float
+        volume_change_worst: float
+        flipped_triangles_mean: float
+        flipped_triangles_worst: int
+        max_stretch: float
+        edge_rms_mean: float
+        def __init__(self, frames: _Optional[int] = ..., ms: _Optional[float] = ..., frames_per_second: _Optional[float] = ..., volume_change_mean: _Optional[float] = ..., volume_change_worst: _Optional[float] = ..., flipped_triangles_mean: _Optional[float] = ..., flipped_triangles_worst: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms_mean: _Optional[float] = ...) -> None: ...
+    class BuildMsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    TOTALS_FIELD_NUMBER: _ClassVar[int]
+    HANDLES_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    BUILD_MS_FIELD_NUMBER: _ClassVar[int]
+    OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    frames: _containers.RepeatedCompositeFieldContainer[AnimationReport.FrameReport]
+    totals: AnimationReport.Totals
+    handles: _containers.RepeatedCompositeFieldContainer[AnimationReport.HeldNodes]
+    warnings: _containers.RepeatedScalarFieldContainer[str]
+    scale: float
+    build_ms: _containers.ScalarMap[str, float]
+    output: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, frames: _Optional[_Iterable[_Union[AnimationReport.FrameReport, _Mapping]]] = ..., totals: _Optional[_Union[AnimationReport.Totals, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[AnimationReport.HeldNodes, _Mapping]]] = ..., warnings: _Optional[_Iterable[str]] = ..., scale: _Optional[float] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., output: _Optional[_Iterable[str]] = ...) -> None: ...
