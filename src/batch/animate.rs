@@ -127,7 +127,7 @@ pub fn prepare(
     Ok(deformer.animation(rig, driver, order.times, &order.settings, exec)?)
 }
 
-/// Solves the frames of an order, gives each to `take` and tells of it. `millis` is a clock.
+/// Solves the frames of an order, gives each to `take` with what is told of it, and tells of all. `millis` is a clock.
 ///
 /// # Errors
 /// Those of [`Animation::solve`], and what `take` refuses with.
@@ -137,7 +137,7 @@ pub fn play<E: From<Error>>(
     order: &AnimationOrder,
     exec: &Exec<'_>,
     millis: &dyn Fn() -> f64,
-    take: &mut dyn FnMut(&AnimatedFrame) -> Result<(), E>,
+    take: &mut dyn FnMut(&AnimatedFrame, &pb::animation_report::FrameReport) -> Result<(), E>,
 ) -> Result<pb::AnimationReport, E> {
     let mut report = pb::AnimationReport {
         warnings: animation.driver().warnings().to_vec(),
@@ -168,10 +168,9 @@ pub fn play<E: From<Error>>(
         if order.bakes_root {
             frame.bake_root();
         }
-        refused = take(&frame).err();
-        let now = millis();
-        told.ms = now - last;
-        last = now;
+        told.ms = millis() - last;
+        refused = take(&frame, &told).err();
+        last = millis();
         report.frames.push(told);
         refused.is_none()
     });
@@ -179,7 +178,7 @@ pub fn play<E: From<Error>>(
         return Err(refused);
     }
     solved.map_err(Error::from)?;
-    report.totals = Some(totals(&report.frames, last - begun));
+    report.totals = Some(frame_totals(&report.frames, last - begun));
     Ok(report)
 }
 
@@ -200,7 +199,8 @@ fn frame_report(deformer: &Deformer, frame: &AnimatedFrame, exec: &Exec<'_>) -> 
     }
 }
 
-fn totals(frames: &[pb::animation_report::FrameReport], ms: f64) -> pb::animation_report::Totals {
+/// Sums over frames that took so many milliseconds together.
+pub fn frame_totals(frames: &[pb::animation_report::FrameReport], ms: f64) -> pb::animation_report::Totals {
     let count = frames.len().max(1) as f64;
     let mean = |of: &dyn Fn(&pb::animation_report::FrameReport) -> f64| frames.iter().map(of).sum::<f64>() / count;
     let worst = frames.iter().map(|f| f.volume_change);

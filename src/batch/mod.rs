@@ -5,7 +5,7 @@ mod inspect;
 mod riders;
 mod run;
 
-pub use animate::{AnimationOrder, ClipSource, MovingClip, moving_clip, play, prepare};
+pub use animate::{AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare};
 pub use inspect::{MOST_NODES_TOLD, inspect};
 pub use riders::CarriedFile;
 pub use run::{BatchOutcome, pose_steps, run, unmet_expectations};

@@ -9,7 +9,7 @@ use crate::asset::{FileSet, WrittenFiles};
 use clap::Args;
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Write as _;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// What a command may do to the folder that it writes into.
@@ -50,6 +50,36 @@ impl OutputPermission {
     /// Writes one file.
     pub(super) fn write_file(self, path: &Path, bytes: &[u8]) -> Result<(), CliFailure> {
         self.write_all(&BTreeMap::from([(path.to_owned(), bytes)]))
+    }
+
+    /// Writes one file bit by bit.
+    pub(super) fn write_streamed(
+        self,
+        path: &Path,
+        fill: &mut dyn FnMut(&mut dyn Write) -> std::io::Result<()>,
+    ) -> Result<(), CliFailure> {
+        let refuse =
+            |path: &Path, e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
+        self.check_target(path)?;
+        self.make_folder_of(path)?;
+        let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        let temp = fill_beside(&target, fill).map_err(|e| refuse(path, e))?;
+        let renamed = self
+            .check_target(path)
+            .and_then(|()| fs::rename(&temp, &target).map_err(|e| refuse(&target, e)));
+        if renamed.is_err() {
+            let _ = fs::remove_file(&temp);
+        }
+        renamed
+    }
+
+    /// Makes the folder that a file is to lie in, where that is allowed.
+    pub(super) fn make_folder_of(self, path: &Path) -> Result<(), CliFailure> {
+        if !self.parents {
+            return Ok(());
+        }
+        let refuse = |e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
+        fs::create_dir_all(folder_of(path)).map_err(refuse)
     }
 
     /// Writes a model and its companions beside it. A companion that lies there already, byte for byte, is left alone.
@@ -98,11 +128,7 @@ impl OutputPermission {
         files.keys().try_for_each(|path| self.check_target(path))?;
         let refuse =
             |path: &Path, e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
-        if self.parents {
-            for path in files.keys() {
-                fs::create_dir_all(folder_of(path)).map_err(|e| refuse(path, e))?;
-            }
-        }
+        files.keys().try_for_each(|path| self.make_folder_of(path))?;
         let mut temporary: Vec<(PathBuf, PathBuf)> = Vec::new();
         let clean_up = |temporary: &[(PathBuf, PathBuf)]| {
             temporary.iter().for_each(|(temp, _)| drop(fs::remove_file(temp)));
@@ -152,11 +178,16 @@ fn holds_bytes(path: &Path, bytes: &[u8]) -> bool {
 }
 
 fn write_beside(target: &Path, bytes: &[u8]) -> std::io::Result<PathBuf> {
+    fill_beside(target, &mut |file| file.write_all(bytes))
+}
+
+/// Writes a temporary file beside a place; where it lies.
+fn fill_beside(target: &Path, fill: &mut dyn FnMut(&mut dyn Write) -> std::io::Result<()>) -> std::io::Result<PathBuf> {
     let mut name = target.file_name().unwrap_or_default().to_os_string();
     name.push(format!(".{}.part", std::process::id()));
     let temp = target.with_file_name(name);
     let mut file = fs::File::create(&temp)?;
-    let written = file.write_all(bytes).and_then(|()| file.sync_data());
+    let written = fill(&mut file).and_then(|()| file.sync_data());
     if written.is_err() {
         let _ = fs::remove_file(&temp);
     }

@@ -11,6 +11,7 @@ mod materials;
 mod morphs;
 mod nodes;
 mod nodes_of_files;
+mod played;
 mod polygons;
 mod rigs;
 mod roundtrip_gltf;

@@ -199,7 +199,7 @@ fn play(file: &Parsed, at: ClipTime, locals: &mut [Local]) -> Option<()> {
         let Some(node) = channel["target"]["node"].as_u64() else {
             continue;
         };
-        let value = sample(file, sampler, lanes, at.seconds)?;
+        let value = sample(file, sampler, (lanes, path == "rotation"), at.seconds)?;
         let Local::Parts(t, r, s) = &mut locals[node as usize] else {
             continue;
         };
@@ -212,8 +212,8 @@ fn play(file: &Parsed, at: ClipTime, locals: &mut [Local]) -> Option<()> {
     Some(())
 }
 
-/// The value of a sampler at a time.
-fn sample(file: &Parsed, sampler: &Value, lanes: usize, seconds: f64) -> Option<Vec<f64>> {
+/// The value of a sampler at a time: so many numbers, or a turn.
+fn sample(file: &Parsed, sampler: &Value, (lanes, is_turn): (usize, bool), seconds: f64) -> Option<Vec<f64>> {
     let (times, values) = (numbers(file, &sampler["input"])?, numbers(file, &sampler["output"])?);
     let kind = sampler["interpolation"].as_str().unwrap_or("LINEAR");
     let cubic = kind == "CUBICSPLINE";
@@ -241,7 +241,7 @@ fn sample(file: &Parsed, sampler: &Value, lanes: usize, seconds: f64) -> Option<
             };
             (0..lanes).map(at).collect()
         }
-        _ if lanes == 4 => DQuat::from_slice(&a)
+        _ if is_turn => DQuat::from_slice(&a)
             .normalize()
             .slerp(DQuat::from_slice(&b).normalize(), u)
             .to_array()
@@ -259,13 +259,30 @@ pub fn clip_length(file: &Parsed, clip: usize) -> f64 {
     last.fold(0.0, f64::max)
 }
 
-/// Everything that the nodes draw, with morph targets at these weights; `None` when some of it is compressed.
+/// The weights of the morph targets of a node at a time of a clip, where it has them.
+fn clip_weights(file: &Parsed, at: ClipTime, node: usize) -> Option<Vec<f64>> {
+    let clip = &file.json["animations"][at.clip];
+    let mut channels = list(&clip["channels"])
+        .iter()
+        .map(|channel| (channel, &channel["target"]));
+    let is_own = |target: &Value| target["path"] == "weights" && target["node"].as_u64() == Some(node as u64);
+    let (channel, _) = channels.find(|(_, target)| is_own(target))?;
+    let mesh = whole(&file.json["nodes"][node]["mesh"], 0);
+    let targets = list(&file.json["meshes"][mesh]["primitives"][0]["targets"]).len();
+    let sampler = &clip["samplers"][whole(&channel["sampler"], 0)];
+    sample(file, sampler, (targets, false), at.seconds)
+}
+
+/// Everything that the nodes draw, with morph targets at these weights or those of the clip; `None` when some of it is
+/// compressed.
 pub fn draw(file: &Parsed, at: Option<ClipTime>, weights: &[f64]) -> Option<Vec<DrawnPrimitive>> {
     let json = &file.json;
     let world = world_transforms(file, at)?;
     let mut drawn = Vec::new();
     for (n, node) in list(&json["nodes"]).iter().enumerate() {
         let Some(mesh) = node["mesh"].as_u64() else { continue };
+        let of_clip = at.and_then(|at| clip_weights(file, at, n));
+        let weights = of_clip.as_deref().unwrap_or(weights);
         for (p, primitive) in list(&json["meshes"][mesh as usize]["primitives"]).iter().enumerate() {
             if whole(&primitive["mode"], 4) < 4 || !primitive["extensions"]["KHR_draco_mesh_compression"].is_null() {
                 continue;

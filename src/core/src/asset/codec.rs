@@ -9,6 +9,7 @@ use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::moving_scene::{MovingScene, SceneClip};
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
+use super::played_clip::PlayedClip;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 use std::collections::BTreeSet;
@@ -117,6 +118,13 @@ pub(super) trait FormatCodec: Sync {
     fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {
         let _ = (model, index);
         Ok(None)
+    }
+
+    /// Writes a model that this codec has read, at rest, with a clip that plays on it. `vertices`: for each of its vertices
+    /// the one of the clip that it is or is a copy of. Counts and times have been checked.
+    fn write_played(&self, rest: &Model, vertices: &[u32], clip: &PlayedClip<'_>) -> Result<WrittenFiles, Error> {
+        let _ = (vertices, clip);
+        Err(Error::unwritable(rest.format, "it holds no clips"))
     }
 
     /// Which faces of a model that this codec has read have more than three corners; `None` when all are triangles.

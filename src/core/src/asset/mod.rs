@@ -32,12 +32,15 @@ mod material;
 mod model;
 mod model_look;
 mod model_motion;
+mod model_played;
 mod moving_scene;
 mod neutral;
 mod node;
+mod played_clip;
 pub mod sample;
 pub mod shapes;
 mod surface_nets;
+mod vertex_cache;
 mod write;
 
 pub use edited::{BaseModel, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
@@ -53,4 +56,6 @@ pub use moving_scene::{
     ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, SceneChannel, SceneClip, SceneNode,
 };
 pub use node::{ModelNode, NodeMotions, ShapeFollowers};
+pub use played_clip::{MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+pub use vertex_cache::VertexCache;
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};

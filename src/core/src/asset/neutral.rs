@@ -22,6 +22,8 @@ pub(super) struct NeutralModel {
     pub colours: Vec<[f32; 4]>,
     /// One per corner of a triangle, or empty when no primitive has any: where they differ around a vertex.
     pub corner_uv: Vec<[f32; 2]>,
+    /// For each vertex of added runs the one of the edited model that it is or is a copy of.
+    pub copy_of: Vec<u32>,
     /// What files beside the model are named after; may be empty.
     pub stem: String,
 }
@@ -186,6 +188,7 @@ impl NeutralModel {
         };
         let here = positions[run.vertices()].iter().copied();
         self.push_primitive(&primitive.name, here, &normals, &carried.triangles);
+        self.copy_of.extend(run.vertices().map(|v| v as u32));
         self.push_attributes(attributes);
     }
 
@@ -210,14 +213,22 @@ impl NeutralModel {
         let triangles = edited.local_triangles(run);
         let part = SeamPart::of_corners(run.vertex_count as usize, &triangles, &normals, attributes);
         self.check_room(part.copy_of.len(), format)?;
-        self.push_seam_part(&primitive.name, &positions[run.vertices()], part);
+        self.push_seam_part(edited, run, positions, part);
         Ok(())
     }
 
-    /// Adds a part of a run; `own` are the positions of the run's vertices.
-    pub fn push_seam_part(&mut self, name: &str, own: &[DVec3], part: SeamPart) {
+    /// Adds a part of a run; `positions` are those of the whole edited model.
+    pub fn push_seam_part(
+        &mut self,
+        edited: &EditedModel<'_>,
+        run: &PrimitiveRun,
+        positions: &[DVec3],
+        part: SeamPart,
+    ) {
+        let own = &positions[run.vertices()];
         let here = part.copy_of.iter().map(|&v| own[v as usize]);
-        self.push_primitive(name, here, &part.normals, &part.triangles);
+        self.push_primitive(&edited.primitive(run).name, here, &part.normals, &part.triangles);
+        self.copy_of.extend(part.copy_of.iter().map(|v| run.first_vertex + v));
         self.push_attributes(part.attributes);
     }
 

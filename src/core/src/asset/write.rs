@@ -374,7 +374,7 @@ fn add_base(
         if let Some(parts) = parts {
             for part in parts {
                 neutral.check_room(part.copy_of.len(), format)?;
-                neutral.push_seam_part(&edited.primitive(run).name, &positions[run.vertices()], part);
+                neutral.push_seam_part(edited, run, positions, part);
             }
             continue;
         }

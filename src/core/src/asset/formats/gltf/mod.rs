@@ -37,6 +37,9 @@
 //! to the byte: `serde_json::Value` would round-trip numbers (`0.10`, `1e-05`), escapes and white space differently, and
 //! refuses values more than 128 levels deep, which `extras` may be.
 //!
+//! # Clips of solved frames
+//! [`played`] puts them into a GLB at rest: as morph targets, or as joints that carry every vertex.
+//!
 //! Must not: open files, fetch URIs, know of solving.
 
 mod accessors;
@@ -63,6 +66,7 @@ mod nodes;
 mod package;
 mod patch;
 mod placement;
+mod played;
 mod read;
 mod reclaimed;
 mod rig;
@@ -89,6 +93,7 @@ use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::look::SurfaceLook;
 use crate::asset::moving_scene::{MovingScene, SceneClip};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
+use crate::asset::played_clip::PlayedClip;
 use crate::asset::{
     Error, FileSet, FollowedCounts, Format, Limits, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,
 };
@@ -191,6 +196,10 @@ impl FormatCodec for GltfCodec {
 
     fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {
         moving::scene_clip(model, model.notes_or_refuse(model.format)?, index)
+    }
+
+    fn write_played(&self, rest: &Model, vertices: &[u32], clip: &PlayedClip<'_>) -> Result<WrittenFiles, Error> {
+        played::write(rest, rest.notes_or_refuse(rest.format)?, vertices, clip)
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -32,6 +32,8 @@ pub(super) struct PlacedPrimitive {
     pub(super) follows_joints: bool,
     /// How its stored vertices get into the world.
     pub(super) placement: Placement,
+    /// Whether that turns it inside out, so that its triangles are wound the other way round than its indices.
+    pub(super) is_mirrored: bool,
     /// Its first render vertex, and one past its last.
     pub(super) vertices: std::ops::Range<usize>,
     /// Its first triangle, and one past its last.
@@ -302,6 +304,7 @@ impl GltfReader<'_, '_> {
             skin: placement.skin,
             follows_joints,
             placement: how,
+            is_mirrored: mirrored,
             vertices: first_vertex..self.geometry.positions.len(),
             triangles: first_triangle..self.geometry.triangles.len(),
         });

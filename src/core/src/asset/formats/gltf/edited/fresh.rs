@@ -15,6 +15,8 @@ pub(in super::super) enum NewAccessorKind {
     Positions,
     /// 32-bit floats that are no attribute of vertices.
     Numbers,
+    /// The same with the bounds that times of clips must have.
+    Times,
     /// Four joints in 8 or 16 bits.
     Joints8,
     Joints16,
@@ -66,12 +68,13 @@ impl NewAccessors {
         kind: NewAccessorKind,
     ) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let bounds = (kind == NewAccessorKind::Positions).then(|| bounds(values, lanes));
+        let is_bounded = matches!(kind, NewAccessorKind::Positions | NewAccessorKind::Times);
+        let bounds = is_bounded.then(|| bounds(values, lanes));
         self.add_accessor(&bytes, kind, values.len() / lanes.max(1), shape, bounds)
     }
 
     /// Adds a set of joints, in 8 bits where they fit.
-    pub(super) fn add_joints(&mut self, values: &[f32]) -> usize {
+    pub(in super::super) fn add_joints(&mut self, values: &[f32]) -> usize {
         let small = values.iter().all(|&v| v <= 255.0);
         let bytes: Vec<u8> = if small {
             values.iter().map(|&v| v as u8).collect()
@@ -87,7 +90,7 @@ impl NewAccessors {
     }
 
     /// Adds the corners of triangles over so many vertices.
-    pub(super) fn add_indices(&mut self, triangles: &[[u32; 3]], vertices: usize) -> usize {
+    pub(in super::super) fn add_indices(&mut self, triangles: &[[u32; 3]], vertices: usize) -> usize {
         let corners = triangles.iter().flatten();
         // The largest value of a type is the restart mark, which no index may be.
         let (bytes, kind): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
@@ -130,7 +133,7 @@ impl NewAccessors {
     ) -> usize {
         let (component, target) = match kind {
             NewAccessorKind::Floats | NewAccessorKind::Positions => (5126, Some(34962)),
-            NewAccessorKind::Numbers => (5126, None),
+            NewAccessorKind::Numbers | NewAccessorKind::Times => (5126, None),
             NewAccessorKind::Joints8 => (5121, Some(34962)),
             NewAccessorKind::Joints16 => (5123, Some(34962)),
             NewAccessorKind::Indices16 => (5123, Some(34963)),

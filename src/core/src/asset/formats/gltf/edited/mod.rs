@@ -46,7 +46,7 @@ use std::collections::BTreeMap;
 use targets::EditedTurns;
 
 /// New texts of top-level members; `None` for those that go.
-type JsonSections = BTreeMap<&'static str, Option<String>>;
+pub(super) type JsonSections = BTreeMap<&'static str, Option<String>>;
 
 /// Writes an edited model of which the first base is a glTF. The description has been checked.
 pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
@@ -384,7 +384,7 @@ impl EditedGltfWriter<'_> {
 }
 
 /// The document with new values of some members, in the order in which they were; added ones follow.
-fn replace_members(text: &str, mut sections: JsonSections) -> String {
+pub(super) fn replace_members(text: &str, mut sections: JsonSections) -> String {
     let mut out = Vec::new();
     for member in members(text).unwrap_or_default() {
         match sections.remove(member.key.as_str()) {

@@ -127,7 +127,7 @@ pub(super) fn renumber_references<'a>(
 }
 
 /// The object without some of its keys.
-pub(super) fn without_keys(object: &str, keys: &[&str]) -> String {
+pub(in super::super) fn without_keys(object: &str, keys: &[&str]) -> String {
     let mut text = object.to_owned();
     for key in keys {
         if value_of(&text, key).is_some() {
@@ -140,7 +140,7 @@ pub(super) fn without_keys(object: &str, keys: &[&str]) -> String {
 }
 
 /// The object without some extensions; and without `extensions` when none is left.
-pub(super) fn without_extensions(object: &str, names: &[&str]) -> String {
+pub(in super::super) fn without_extensions(object: &str, names: &[&str]) -> String {
     let Some(extensions) = value_of(object, "extensions") else {
         return object.to_owned();
     };

@@ -1,20 +1,26 @@
 //! `pliant animate`: a clip drives a model, frame by frame.
 
-use super::failure::CliFailure;
-use super::json_output::print_json;
-use super::model_files::{output_format, read_file, read_model};
-use super::output_files::OutputPermission;
-use super::stage_spinner::StageSpinner;
-use super::threads::ThreadArgs;
-use crate::batch::{AnimationOrder, ClipSource, moving_clip, play, prepare};
+use super::frames_bar::FramesBar;
+use super::output::{AnimationOutputArgs, RootRule};
+use super::taken_frames::PlayedAnimation;
+use crate::asset::FileSet;
+use crate::batch::{AnimationOrder, ClipSource, frame_totals, moving_clip, play, prepare};
+use crate::cli::failure::CliFailure;
+use crate::cli::json_output::print_json;
+use crate::cli::model_files::{read_file, read_model};
+use crate::cli::stage_spinner::StageSpinner;
+use crate::cli::threads::ThreadArgs;
 use crate::engine::{
     AnimatedFrame, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameTimes, OpenOptions,
 };
 use crate::exec::Exec;
 use crate::motion::MotionClip;
 use crate::motion::bvh::{ClipLimits, read_bvh};
+use crate::motion::rig::MotionRig;
+use crate::progress::Silent;
 use crate::wire::{self, Error, pb};
 use clap::{Args, ValueEnum};
+use sha2::{Digest as _, Sha256};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -40,9 +46,8 @@ pub struct AnimateArgs {
     /// Which bones of the model the clip's joints drive; a skinned model's own clip needs none
     #[arg(long)]
     rig: Option<PathBuf>,
-    /// Where to write: a folder of numbered models when it ends in a slash
-    #[arg(short, long)]
-    output: Option<PathBuf>,
+    #[command(flatten)]
+    output: AnimationOutputArgs,
     /// Frames a second; the clip's own unless given
     #[arg(long)]
     fps: Option<f64>,
@@ -61,8 +66,6 @@ pub struct AnimateArgs {
     /// Relative residual to reach
     #[arg(long)]
     tolerance: Option<f64>,
-    #[command(flatten)]
-    permission: OutputPermission,
     /// Print a report as JSON on stdout
     #[arg(long)]
     json: bool,
@@ -81,30 +84,40 @@ enum SkipFirst {
     No,
 }
 
+/// What an animation is made of, as files say it.
+struct AnimationSources {
+    files: FileSet,
+    rig: Option<MotionRig>,
+    /// A recorded clip.
+    recorded: Option<MotionClip>,
+    /// What tells these sources from all others: lines of a name and a value.
+    identity: String,
+}
+
 /// Runs the command.
-pub(super) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
+pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
     let settings = args.settings()?;
     let scale = args.scale()?;
+    let output = args.output.output()?;
     let pool = args.threads.start_pool()?;
-    let rig = match &args.rig {
-        Some(path) => Some(wire::rig_from_json(&read_file(path)?).map_err(|e| in_file(path, e))?),
-        None => None,
-    };
-    let bvh = match &args.bvh {
-        Some(path) => {
-            let clip = read_bvh(&read_file(path)?, &ClipLimits::default());
-            Some(clip.map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))?)
-        }
-        None => None,
-    };
-    let files = read_model(&args.model)?;
+    let AnimationSources {
+        files,
+        rig,
+        recorded,
+        identity,
+    } = args.sources()?;
     let spinner = StageSpinner::new(args.json);
     let exec = Exec::new(&pool, &spinner);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
-    let deformer = Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec);
+    let deformer = Deformer::open(
+        files.clone(),
+        &OpenOptions::default(),
+        &DeformerLimits::default(),
+        &exec,
+    );
     let deformer = deformer.map_err(Error::from)?;
-    let source = match (bvh, &args.clip) {
+    let source = match (recorded, &args.clip) {
         (Some(clip), _) => ClipSource::Recorded(clip),
         (None, Some(name)) => ClipSource::OfModel(name),
         (None, None) => return Err(CliFailure::Input("give a clip, --bvh FILE or --clip NAME".into())),
@@ -112,25 +125,52 @@ pub(super) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
     let moving = moving_clip(&deformer, source, rig.as_ref())?;
     let times = args.times(&moving.clip)?;
     let range = args.range(&times)?;
-    let order = AnimationOrder {
+    let clip = args.clip_name(&moving.clip);
+    let identity = identity
+        + &output.identity()
+        + &format!(
+            "frames {}:{} of {} from {:?} at {:?}\n",
+            range.start,
+            range.len(),
+            times.count,
+            times.start,
+            times.rate
+        );
+    let quiet = Exec::new(&pool, &Silent);
+    let mut taker = output.begin(PlayedAnimation {
+        deformer: &deformer,
+        model: &args.model,
+        files: &files,
+        clip: &clip,
         times,
         range,
+        identity: &identity,
+        permission: output.permission,
+        exec: quiet,
+    })?;
+    let order = AnimationOrder {
+        times,
+        range: taker.missing(),
         settings,
         blocks_at_once: pool.threads(),
-        bakes_root: true,
+        bakes_root: output.root == RootRule::Baked,
     };
     let animation = prepare(&deformer, moving, scale, &order, &exec)?;
     let ready = millis();
-    let mut write = |frame: &AnimatedFrame| -> Result<(), CliFailure> {
-        let Some(folder) = &args.output else { return Ok(()) };
-        let path = folder.join(format!("frame_{:05}.obj", frame.index));
-        let written = deformer
-            .write(&frame.positions, output_format(&path)?, &exec)
-            .map_err(Error::from)?;
-        args.permission.write_file(&path, &written.main)
-    };
-    let mut report = play(&deformer, &animation, &order, &exec, &millis, &mut write)?;
     spinner.finish();
+    let bar = FramesBar::new(args.json, order.range.len());
+    let mut take = |frame: &AnimatedFrame, told: &pb::animation_report::FrameReport| -> Result<(), CliFailure> {
+        bar.step();
+        taker.take(frame, told)
+    };
+    let mut report = play(&deformer, &animation, &order, &quiet, &millis, &mut take)?;
+    drop(bar);
+    taker.finish(&mut report)?;
+    let ended = report.totals.unwrap_or_default();
+    report.totals = Some(pb::animation_report::Totals {
+        frames_per_second: ended.frames_per_second,
+        ..frame_totals(&report.frames, ended.ms)
+    });
     report.build_ms.insert("prepare".into(), ready);
     if args.json {
         return print_json(&report);
@@ -156,6 +196,17 @@ fn print_summary(report: &pb::AnimationReport, ready: f64) {
     );
 }
 
+/// A text that tells parts from other parts.
+fn digest_of<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> String {
+    let mut hasher = Sha256::new();
+    for part in parts {
+        hasher.update((part.len() as u64).to_le_bytes());
+        hasher.update(part);
+    }
+    let bytes = hasher.finalize();
+    bytes.iter().take(16).map(|byte| format!("{byte:02x}")).collect()
+}
+
 fn in_file(path: &std::path::Path, e: Error) -> CliFailure {
     match CliFailure::from(e) {
         CliFailure::Input(text) => CliFailure::Input(format!("{}: {text}", path.display())),
@@ -164,6 +215,52 @@ fn in_file(path: &std::path::Path, e: Error) -> CliFailure {
 }
 
 impl AnimateArgs {
+    /// Reads the files that are named.
+    fn sources(&self) -> Result<AnimationSources, CliFailure> {
+        let mut identity = format!("pliant {}\n", env!("CARGO_PKG_VERSION"));
+        let mut rig = None;
+        if let Some(path) = &self.rig {
+            let text = read_file(path)?;
+            rig = Some(wire::rig_from_json(&text).map_err(|e| in_file(path, e))?);
+            identity += &format!("rig {}\n", digest_of([&text[..]]));
+        }
+        let mut recorded = None;
+        if let Some(path) = &self.bvh {
+            let text = read_file(path)?;
+            let clip = read_bvh(&text, &ClipLimits::default());
+            recorded = Some(clip.map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))?);
+            identity += &format!("clip {}\n", digest_of([&text[..]]));
+        }
+        if let Some(name) = &self.clip {
+            identity += &format!("clip {}\n", name.escape_debug());
+        }
+        let files = read_model(&self.model)?;
+        let companions = files
+            .companions
+            .iter()
+            .flat_map(|(name, bytes)| [name.as_bytes(), &bytes[..]]);
+        let digest = digest_of([&files.main[..]].into_iter().chain(companions));
+        let tolerance = self.tolerance.map_or_else(|| "usual".to_owned(), |t| format!("{t:?}"));
+        identity += &format!(
+            "model {digest}\nrefine {}\nscale {}\ntolerance {tolerance}\n",
+            self.refine, self.scale
+        );
+        Ok(AnimationSources {
+            files,
+            rig,
+            recorded,
+            identity,
+        })
+    }
+
+    /// What the clip is called in what is written.
+    fn clip_name(&self, clip: &MotionClip) -> String {
+        let stem = self.bvh.as_ref().and_then(|path| path.file_stem());
+        let stem = stem.map(|stem| stem.to_string_lossy().into_owned());
+        stem.filter(|_| clip.name.is_empty())
+            .unwrap_or_else(|| clip.name.clone())
+    }
+
     fn settings(&self) -> Result<AnimationSettings, CliFailure> {
         let refinement = match self.refine.as_str() {
             "carried" => AnimationRefinement::Carried,

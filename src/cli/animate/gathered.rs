@@ -1,0 +1,106 @@
+//! Frames that become one file: kept in a partial file until the last one is there.
+
+use super::frames_file::FramesFile;
+use super::morphs::write_morphs;
+use super::taken_frames::{FrameTaker, PlayedAnimation};
+use crate::asset::VertexCache;
+use crate::cli::failure::CliFailure;
+use crate::engine::AnimatedFrame;
+use crate::wire::pb;
+use std::io::Write;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// What frames in one file become.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum GatheredKind {
+    /// A point cache.
+    Cache(VertexCache),
+    /// A GLB with so many morph targets at most.
+    Morphs(usize),
+}
+
+/// An output of one file.
+pub(super) struct GatheredFrames<'a> {
+    path: PathBuf,
+    kind: GatheredKind,
+    has_root: bool,
+    played: PlayedAnimation<'a>,
+    frames: FramesFile,
+    /// Frames that an earlier run solved.
+    before: usize,
+}
+
+impl<'a> GatheredFrames<'a> {
+    /// Begins a partial file, or goes on with the one that is there.
+    pub(super) fn begin(
+        path: &Path,
+        kind: GatheredKind,
+        (has_root, resumes): (bool, bool),
+        played: PlayedAnimation<'a>,
+    ) -> Result<Self, CliFailure> {
+        let (part, permission) = (FramesFile::path_for(path), played.permission);
+        let vertices = played.deformer.rest().len();
+        let frames = if resumes && part.exists() {
+            FramesFile::open(&part, played.identity, vertices, played.range.start)?
+        } else {
+            if part.exists() && !permission.force {
+                let problem =
+                    "it holds frames of a run that was stopped; --resume goes on with them, --force begins anew";
+                return Err(CliFailure::Input(format!("cannot write {}: {problem}", part.display())));
+            }
+            permission.make_folder_of(&part)?;
+            FramesFile::create(&part, played.identity, vertices)?
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            kind,
+            has_root,
+            before: frames.frames.len().min(played.range.len()),
+            played,
+            frames,
+        })
+    }
+
+    fn write_cache(&mut self, cache: VertexCache) -> Result<(), CliFailure> {
+        let played = &self.played;
+        let seconds: Vec<f64> = played.range.clone().map(|f| played.seconds(f)).collect();
+        let vertices = played.deformer.rest().len() as u32;
+        let frames = &mut self.frames;
+        played
+            .permission
+            .write_streamed(&self.path, &mut |file: &mut dyn Write| {
+                file.write_all(&cache.header(vertices, &seconds))?;
+                for frame in 0..seconds.len() {
+                    file.write_all(&cache.frame(&frames.positions(frame)?))?;
+                }
+                Ok(())
+            })
+    }
+}
+
+impl FrameTaker for GatheredFrames<'_> {
+    fn missing(&self) -> Range<usize> {
+        let Range { start, end } = self.played.range;
+        start + self.before..end
+    }
+
+    fn take(&mut self, frame: &AnimatedFrame, told: &pb::animation_report::FrameReport) -> Result<(), CliFailure> {
+        self.frames.push(frame, told)
+    }
+
+    fn finish(&mut self, report: &mut pb::AnimationReport) -> Result<(), CliFailure> {
+        match self.kind {
+            GatheredKind::Cache(cache) => self.write_cache(cache)?,
+            GatheredKind::Morphs(most) => {
+                let told = write_morphs(&self.path, &self.played, &mut self.frames, (most, self.has_root))?;
+                report.warnings.extend(told);
+            }
+        }
+        let earlier = self.frames.frames.iter().take(self.before);
+        report.frames.splice(0..0, earlier.map(|frame| frame.told.clone()));
+        report.output.push(self.path.display().to_string());
+        self.frames.remove();
+        Ok(())
+    }
+}

@@ -1,0 +1,58 @@
+//! Frames as a GLB with morph targets.
+
+use super::frames_file::FramesFile;
+use super::key_frames::choose_key_frames;
+use super::taken_frames::PlayedAnimation;
+use crate::asset::{MorphClip, NodeKeys, NodePlace};
+use crate::cli::failure::CliFailure;
+use crate::motion::rig::RigidMotion;
+use crate::wire::Error;
+use std::path::Path;
+
+/// Writes frames as a GLB with `most` morph targets, and the motion of the root as a node where `has_root`; what there is to
+/// say of it.
+pub(super) fn write_morphs(
+    path: &Path,
+    played: &PlayedAnimation<'_>,
+    frames: &mut FramesFile,
+    (most, has_root): (usize, bool),
+) -> Result<Option<String>, CliFailure> {
+    let count = played.range.len();
+    let keys = choose_key_frames(frames, count, most)?;
+    let first = played.range.start;
+    let seconds = |frame: usize| played.seconds(first + frame);
+    let times: Vec<f64> = keys.chosen.iter().map(|frame| seconds(*frame)).collect();
+    let all: Vec<f64> = (0..count).map(seconds).collect();
+    let roots = frames.frames.iter().take(count);
+    let places: Vec<NodePlace> = roots.map(|frame| node_place(&frame.root)).collect();
+    let moves = has_root && places.iter().any(|place| *place != NodePlace::IDENTITY);
+    let clip = MorphClip {
+        name: if played.clip.is_empty() { "clip" } else { played.clip },
+        times: &times,
+        shapes: &keys.shapes,
+        root: moves.then_some(NodeKeys {
+            times: &all,
+            places: &places,
+        }),
+    };
+    let model = played.deformer.model();
+    let written = model.write_morph_clip(&clip).map_err(Error::from)?;
+    played
+        .permission
+        .write_model(path, &written, played.model, played.files)?;
+    Ok((keys.chosen.len() < count).then(|| {
+        let percent = 100.0 * keys.error / played.deformer.diagonal();
+        format!(
+            "{count} frames are blended from {} shapes; at worst a vertex is off by {percent:.3} % of the diagonal",
+            keys.chosen.len()
+        )
+    }))
+}
+
+/// Where a node is that moves as a root does.
+fn node_place(root: &RigidMotion) -> NodePlace {
+    NodePlace {
+        translation: root.to - root.rotation * root.from,
+        rotation: root.rotation,
+    }
+}

@@ -1,0 +1,132 @@
+//! Frames as numbered models in a folder, each written as it comes.
+//!
+//! While frames are missing, a file beside them says what they are of. Models are written beside their places and renamed, so
+//! those that are there are whole.
+
+use super::taken_frames::{FrameTaker, PlayedAnimation};
+use crate::asset::Format;
+use crate::cli::failure::CliFailure;
+use crate::engine::AnimatedFrame;
+use crate::wire::{Error, pb};
+use std::fs;
+use std::ops::Range;
+use std::path::PathBuf;
+
+/// What says what the frames of a folder are of.
+const MARK: &str = "frames.part";
+
+/// A folder of numbered models.
+pub(super) struct NumberedFrames<'a> {
+    folder: PathBuf,
+    format: Format,
+    played: PlayedAnimation<'a>,
+    missing: Range<usize>,
+    has_begun: bool,
+}
+
+impl<'a> NumberedFrames<'a> {
+    /// Checks what is in the folder.
+    pub(super) fn begin(
+        folder: PathBuf,
+        format: Format,
+        resumes: bool,
+        played: PlayedAnimation<'a>,
+    ) -> Result<Self, CliFailure> {
+        let missing = played.range.clone();
+        let mut frames = Self {
+            folder,
+            format,
+            played,
+            missing,
+            has_begun: false,
+        };
+        let mark = frames.folder.join(MARK);
+        let is_there = |frame: &usize| frames.path(*frame).is_file();
+        if resumes && !frames.played.permission.force && frames.played.range.clone().any(|f| is_there(&f)) {
+            let refuse = |problem: &str| {
+                let folder = frames.folder.display();
+                Err(CliFailure::Input(format!("cannot go on in {folder}: {problem}")))
+            };
+            match fs::read_to_string(&mark) {
+                Err(_) => return refuse("there is no frames.part that says what its frames are of"),
+                Ok(text) => {
+                    if let Some(other) = first_difference(&text, frames.played.identity) {
+                        return refuse(&format!("its frames are of another animation ({other})"));
+                    }
+                }
+            }
+            let missing: Vec<usize> = frames.played.range.clone().filter(|f| !is_there(f)).collect();
+            frames.missing = match (missing.first(), missing.last()) {
+                (Some(first), Some(last)) => *first..last + 1,
+                _ => frames.played.range.end..frames.played.range.end,
+            };
+            return Ok(frames);
+        }
+        for frame in frames.played.range.clone() {
+            frames.played.permission.check_target(&frames.path(frame))?;
+        }
+        Ok(frames)
+    }
+
+    fn path(&self, frame: usize) -> PathBuf {
+        self.folder.join(format!("frame_{frame:05}.{}", self.format))
+    }
+}
+
+impl FrameTaker for NumberedFrames<'_> {
+    fn missing(&self) -> Range<usize> {
+        self.missing.clone()
+    }
+
+    fn take(&mut self, frame: &AnimatedFrame, _: &pb::animation_report::FrameReport) -> Result<(), CliFailure> {
+        let PlayedAnimation {
+            deformer,
+            model,
+            files,
+            permission,
+            identity,
+            exec,
+            ..
+        } = &self.played;
+        let path = self.path(frame.index);
+        if !self.has_begun {
+            let mark = self.folder.join(MARK);
+            let mut allowed = *permission;
+            allowed.force = true;
+            allowed.write_file(&mark, identity.as_bytes())?;
+            self.has_begun = true;
+        }
+        if self.missing != self.played.range && path.is_file() {
+            return Ok(());
+        }
+        let written = deformer
+            .write(&frame.positions, self.format, exec)
+            .map_err(Error::from)?;
+        permission.write_model(&path, &written, model, files)?;
+        Ok(())
+    }
+
+    fn finish(&mut self, report: &mut pb::AnimationReport) -> Result<(), CliFailure> {
+        let before = self.missing.start - self.played.range.start;
+        if before > 0 {
+            report
+                .warnings
+                .push(format!("{before} frames were there already, and are not told of"));
+        }
+        let frames = self.played.range.clone();
+        report.output = frames.map(|f| self.path(f).display().to_string()).collect();
+        // Without it, the folder is complete.
+        let _ = fs::remove_file(self.folder.join(MARK));
+        Ok(())
+    }
+}
+
+/// The first line in which two texts differ, as both say it.
+pub(super) fn first_difference(there: &str, wanted: &str) -> Option<String> {
+    if there == wanted {
+        return None;
+    }
+    let mut pairs = there.lines().zip(wanted.lines());
+    let lines = pairs.find(|(a, b)| a != b);
+    Some(lines.map_or_else(|| "of another kind".into(), |(a, b)| format!("{a}, not {b}")))
+}

@@ -1,0 +1,183 @@
+//! Where the frames of an animation go: which arguments say it, and which of them fit together.
+
+use super::gathered::{GatheredFrames, GatheredKind};
+use super::numbered::NumberedFrames;
+use super::taken_frames::{FrameTaker, MeasuredFrames, PlayedAnimation};
+use crate::asset::{Format, VertexCache};
+use crate::cli::failure::CliFailure;
+use crate::cli::output_files::OutputPermission;
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
+
+/// Most morph targets of a file.
+const MOST_TARGETS: usize = 4096;
+/// Morph targets of a file unless told otherwise: what game engines take (bevy: 64).
+const USUAL_TARGETS: usize = 64;
+
+/// Where the frames of an animation go.
+#[derive(Debug, Args)]
+pub(super) struct AnimationOutputArgs {
+    /// Where to write: a .glb, a point cache (.pc2 or .mdd), or a folder of numbered models when it ends in a slash
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    /// Format of numbered models: obj unless given
+    #[arg(long)]
+    format: Option<String>,
+    /// How a .glb holds the frames
+    #[arg(long = "as", value_enum)]
+    played_as: Option<PlayedAs>,
+    /// Most morph targets of a .glb; with more frames, the shapes between chosen ones are blended [default: 64]
+    #[arg(long, value_name = "COUNT")]
+    max_targets: Option<usize>,
+    /// Where the motion of the root bone goes: node (a node above everything, the default for .glb), baked (into the
+    /// positions, the default for all others) or none (left out)
+    #[arg(long, value_enum)]
+    root: Option<RootRule>,
+    /// Go on where an animation with the same output and options was stopped
+    #[arg(long)]
+    resume: bool,
+    #[command(flatten)]
+    permission: OutputPermission,
+}
+
+/// How a GLB holds frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum PlayedAs {
+    /// As morph targets and an animation of their weights.
+    Morph,
+}
+
+/// Where the motion of the root bone goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum RootRule {
+    /// Keys of a node above everything.
+    Node,
+    /// Into the positions.
+    Baked,
+    /// Nowhere.
+    None,
+}
+
+/// What is written.
+#[derive(Debug, Clone, PartialEq)]
+enum OutputKind {
+    Nothing,
+    Numbered(PathBuf, Format),
+    Gathered(PathBuf, GatheredKind),
+}
+
+/// Where frames go, checked as far as it can be before any work.
+#[derive(Debug)]
+pub(super) struct AnimationOutput {
+    kind: OutputKind,
+    pub(super) root: RootRule,
+    resumes: bool,
+    pub(super) permission: OutputPermission,
+}
+
+impl AnimationOutputArgs {
+    /// Checks what is asked for.
+    pub(super) fn output(&self) -> Result<AnimationOutput, CliFailure> {
+        let kind = match &self.output {
+            None => OutputKind::Nothing,
+            Some(path) => self.kind_of(path)?,
+        };
+        let is_glb = matches!(kind, OutputKind::Gathered(_, GatheredKind::Morphs(_)));
+        let is_numbered = matches!(kind, OutputKind::Numbered(..));
+        for (is_given, fits, problem) in [
+            (
+                self.format.is_some(),
+                is_numbered,
+                "--format is for folders of numbered models",
+            ),
+            (self.played_as.is_some(), is_glb, "--as is for .glb files"),
+            (self.max_targets.is_some(), is_glb, "--max-targets is for .glb files"),
+            (
+                self.root == Some(RootRule::Node),
+                is_glb,
+                "--root node is for .glb files; allowed here are baked and none",
+            ),
+            (self.resume, kind != OutputKind::Nothing, "--resume needs an --output"),
+        ] {
+            if is_given && !fits {
+                return Err(CliFailure::Input(problem.into()));
+            }
+        }
+        if let OutputKind::Gathered(path, _) = &kind {
+            self.permission.check_target(path)?;
+        }
+        let usual = if is_glb { RootRule::Node } else { RootRule::Baked };
+        Ok(AnimationOutput {
+            kind,
+            root: self.root.unwrap_or(usual),
+            resumes: self.resume,
+            permission: self.permission,
+        })
+    }
+
+    fn kind_of(&self, path: &Path) -> Result<OutputKind, CliFailure> {
+        let text = path.to_string_lossy();
+        if text.ends_with(['/', std::path::MAIN_SEPARATOR]) || path.is_dir() {
+            return Ok(OutputKind::Numbered(path.to_owned(), self.numbered_format()?));
+        }
+        if let Some(cache) = VertexCache::from_file_name(&text) {
+            return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Cache(cache)));
+        }
+        match Format::from_file_name(&text) {
+            Some(format) if format == Format::GLB => {}
+            Some(format) => {
+                let problem =
+                    format!("one {format} holds one frame; a folder of them ends in a slash, with --format {format}");
+                return Err(CliFailure::Input(format!("cannot write {text}: {problem}")));
+            }
+            None => {
+                let problem = "allowed are .glb, .pc2, .mdd and a folder, which ends in a slash";
+                return Err(CliFailure::Input(format!(
+                    "cannot tell what to write into {text}: {problem}"
+                )));
+            }
+        }
+        let most = self.max_targets.unwrap_or(USUAL_TARGETS);
+        if !(2..=MOST_TARGETS).contains(&most) {
+            let problem = format!("--max-targets is {most}, allowed are 2 to {MOST_TARGETS}");
+            return Err(CliFailure::Input(problem));
+        }
+        Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Morphs(most)))
+    }
+
+    fn numbered_format(&self) -> Result<Format, CliFailure> {
+        let Some(name) = &self.format else {
+            return Ok(Format::OBJ);
+        };
+        let written = Format::ALL.into_iter().find(|format| format.name() == name);
+        written.ok_or_else(|| {
+            let allowed = Format::name_list("and");
+            CliFailure::Input(format!("--format is \"{name}\", allowed are {allowed}"))
+        })
+    }
+}
+
+impl AnimationOutput {
+    /// Begins to write, or goes on with what is there.
+    pub(super) fn begin<'a>(&self, played: PlayedAnimation<'a>) -> Result<Box<dyn FrameTaker + 'a>, CliFailure> {
+        Ok(match &self.kind {
+            OutputKind::Nothing => Box::new(MeasuredFrames(played.range)),
+            OutputKind::Numbered(folder, format) => {
+                Box::new(NumberedFrames::begin(folder.clone(), *format, self.resumes, played)?)
+            }
+            OutputKind::Gathered(path, kind) => {
+                let has_root = self.root == RootRule::Node;
+                Box::new(GatheredFrames::begin(path, *kind, (has_root, self.resumes), played)?)
+            }
+        })
+    }
+
+    /// What of the output makes a difference to the frames that are kept.
+    pub(super) fn identity(&self) -> String {
+        let root = if self.root == RootRule::Baked { "baked" } else { "apart" };
+        match &self.kind {
+            OutputKind::Numbered(_, format) => format!("root {root}\nformat {format}\n"),
+            _ => format!("root {root}\n"),
+        }
+    }
+}

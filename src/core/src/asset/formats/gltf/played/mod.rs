@@ -1,0 +1,43 @@
+//! Clips of solved frames in a GLB: as morph targets ([`morphs`]), or as joints that carry every vertex ([`joints`]).
+//!
+//! The file at rest stays as it is but for what is played: [`document`] keeps track of nodes and meshes that change and
+//! puts the files together, [`primitives`] tells where vertices are at rest in their own space and rewrites primitives,
+//! [`scene`] puts nodes into scenes and tells which clips stay, [`channels`] writes the new clip.
+//!
+//! # Decisions
+//! - A mesh that a skin placed is drawn in model space by a node of its own at the top of the scene. Its old node stays
+//!   where it was, without the mesh. Joints stay as plain nodes: other things may hang on them.
+//! - A mesh that several nodes draw becomes one for each of them.
+//! - Morph targets that were there go. So do clips that move joints of a skin that no longer places anything, what such
+//!   joints hang on, or weights of morph targets that went; all other clips stay.
+//! - Primitives without triangles in a mesh that is played keep their place in their own space; their targets are zero,
+//!   because all primitives of a mesh must have as many.
+//! - Data that nothing uses any more stays in the file's buffer.
+
+mod channels;
+mod document;
+mod joints;
+mod morphs;
+mod primitives;
+mod scene;
+
+use super::read::{GltfNotes, reopen};
+use crate::asset::played_clip::PlayedClip;
+use crate::asset::{Error, Model, WrittenFiles};
+use document::PlayedDocument;
+
+/// Writes a model at rest with a clip. `vertices`: for each vertex of the model the one of the clip.
+pub(super) fn write(
+    rest: &Model,
+    notes: &GltfNotes,
+    vertices: &[u32],
+    clip: &PlayedClip<'_>,
+) -> Result<WrittenFiles, Error> {
+    let (doc, buffers) = reopen(rest, notes)?;
+    let mut played = PlayedDocument::new(&doc, buffers);
+    let sections = match clip {
+        PlayedClip::Morphs(clip) => morphs::add_clip(&mut played, rest, notes, vertices, clip)?,
+        PlayedClip::Joints(clip) => joints::add_clip(&mut played, rest, notes, vertices, clip)?,
+    };
+    played.finish(notes.files(rest), sections)
+}

@@ -1,0 +1,139 @@
+//! Frames as morph targets.
+
+use super::super::edited::{JsonSections, NewAccessorKind, places};
+use super::super::read::GltfNotes;
+use super::channels::{NewClip, add_times};
+use super::document::PlayedDocument;
+use super::primitives::{PlayedNode, PrimitiveChanges, RestPrimitive, changed_mesh, played_nodes, still_target};
+use super::scene::{kept_clips, kept_skins, name_member, scene_sections, take_mesh, top_nodes};
+use crate::asset::played_clip::MorphClip;
+use crate::asset::{Error, Geometry, Model};
+use glam::DVec3;
+
+/// Adds a clip of shapes; the sections of the document that it changes.
+pub(super) fn add_clip(
+    played: &mut PlayedDocument<'_, '_>,
+    rest: &Model,
+    notes: &GltfNotes,
+    vertices: &[u32],
+    clip: &MorphClip<'_>,
+) -> Result<JsonSections, Error> {
+    let doc = played.doc;
+    let nodes = played_nodes(notes);
+    let mut stands = Vec::with_capacity(notes.rows.len());
+    for row in &notes.rows {
+        stands.push(if row.skin.is_some() {
+            RestPrimitive::in_model_space(played, row, rest)
+        } else {
+            RestPrimitive::in_place(played, row)?
+        });
+    }
+    let targets = add_targets(played, rest, notes, &stands, &ClipShapes { vertices, clip });
+
+    let mut moved = Vec::new();
+    let mut drawing = Vec::new();
+    for node in &nodes {
+        let changes = node_changes(played, node, rest, (&stands, &targets));
+        let mesh = played.set_mesh(node.mesh, changed_mesh(doc.meshes.items[node.mesh], &changes));
+        if node.skin.is_some() {
+            take_mesh(played, node.node);
+            let name = name_member(doc, node.node);
+            moved.push(played.add_node(format!(r#"{{"mesh":{mesh}{name}}}"#)));
+            drawing.extend(moved.last().copied());
+        } else {
+            let bare = places::without_keys(played.node(node.node), &["weights"]);
+            played.set_node(node.node, places::with_member(&bare, "mesh", &mesh.to_string()));
+            drawing.push(node.node);
+        }
+    }
+
+    let mut new = NewClip::new(clip.name);
+    let times = add_times(played, clip.times);
+    let count = clip.shapes.len();
+    let weights: Vec<f32> = (0..count * count)
+        .map(|i| f32::from(u8::from(i / count == i % count)))
+        .collect();
+    let weights = played.add_floats(&weights, "SCALAR", NewAccessorKind::Numbers);
+    let sampler = new.add_sampler(times, weights);
+    drawing
+        .iter()
+        .for_each(|node| new.add_channel(sampler, *node, "weights"));
+    let mut sections = JsonSections::new();
+    if let Some(keys) = &clip.root {
+        let top = top_nodes(doc);
+        let below: Vec<String> = top.iter().chain(&moved).map(ToString::to_string).collect();
+        let below = places::json_array(&below);
+        let root = played.add_node(format!(r#"{{"name":"root motion","children":{below}}}"#));
+        new.add_keys(played, root, keys);
+        scene_sections(doc, &[root], Some((root, &top)), &mut sections);
+    } else if !moved.is_empty() {
+        scene_sections(doc, &moved, None, &mut sections);
+    }
+    let mut clips = kept_clips(doc, &nodes);
+    clips.push(new.text());
+    sections.insert("animations", Some(places::json_array(&clips)));
+    let skins = kept_skins(doc, &nodes);
+    sections.insert("skins", skins.map(|list| places::json_array(&list)));
+    Ok(sections)
+}
+
+/// Shapes, and for each vertex of the file the one that it is of them.
+struct ClipShapes<'c> {
+    vertices: &'c [u32],
+    clip: &'c MorphClip<'c>,
+}
+
+/// For each row the texts of its targets.
+fn add_targets(
+    played: &mut PlayedDocument<'_, '_>,
+    rest: &Geometry,
+    notes: &GltfNotes,
+    stands: &[RestPrimitive],
+    shapes: &ClipShapes<'_>,
+) -> Vec<Vec<String>> {
+    let has_normals = stands.iter().any(RestPrimitive::has_normals);
+    let mut moved = rest.clone();
+    let mut targets = vec![Vec::new(); notes.rows.len()];
+    for shape in shapes.clip.shapes {
+        let positions: Vec<DVec3> = shapes.vertices.iter().map(|v| shape[*v as usize].as_dvec3()).collect();
+        if has_normals {
+            moved = rest.deformed(&positions);
+        } else {
+            moved.positions = positions;
+        }
+        for ((row, stand), own) in notes.rows.iter().zip(stands).zip(&mut targets) {
+            own.push(stand.target(played, row, &moved));
+        }
+    }
+    targets
+}
+
+/// What becomes of each primitive of the mesh of a node.
+fn node_changes(
+    played: &mut PlayedDocument<'_, '_>,
+    node: &PlayedNode<'_>,
+    rest: &Geometry,
+    (stands, targets): (&[RestPrimitive], &[Vec<String>]),
+) -> Vec<PrimitiveChanges> {
+    let doc = played.doc;
+    let count = targets.first().map_or(0, Vec::len);
+    let mut all = Vec::new();
+    for (i, primitive) in doc.meshes.values[node.mesh].primitives.iter().enumerate() {
+        let row = node.rows.iter().find(|(_, row)| row.primitive == i);
+        let mut changes = match row {
+            Some((number, row)) if node.skin.is_some() => stands[*number].store(played, row, rest),
+            _ => PrimitiveChanges {
+                drops_joints: node.skin.is_some(),
+                ..PrimitiveChanges::default()
+            },
+        };
+        let position = primitive.attribute("POSITION").and_then(|at| doc.accessors.get(at));
+        changes.targets = match (row, position) {
+            (Some((number, _)), _) => targets[*number].clone(),
+            (None, Some(position)) => vec![still_target(played, position.count.index()); count],
+            (None, None) => Vec::new(),
+        };
+        all.push(changes);
+    }
+    all
+}

@@ -1,0 +1,112 @@
+//! New nodes in the scenes of a document, and which of its clips still say something true.
+
+use super::super::document::GltfDocument;
+use super::super::edited::{JsonSections, places};
+use super::super::schema::GltfSkin;
+use super::super::text::{items, value_of};
+use super::document::PlayedDocument;
+use super::primitives::PlayedNode;
+use std::collections::BTreeSet;
+
+/// The nodes at the top of the scene that is drawn, without those that hang on others.
+pub(super) fn top_nodes(doc: &GltfDocument<'_>) -> Vec<usize> {
+    let children = doc.nodes.values.iter().flat_map(|n| &n.children);
+    let children: BTreeSet<usize> = children.map(|c| c.index()).collect();
+    let scenes = &doc.scenes.values;
+    let listed: Vec<usize> = match doc.scene {
+        Some(scene) => scenes[scene].nodes.iter().map(|n| n.index()).collect(),
+        None if scenes.is_empty() => (0..doc.nodes.len()).collect(),
+        None => scenes.iter().flat_map(|s| &s.nodes).map(|n| n.index()).collect(),
+    };
+    let mut seen = BTreeSet::new();
+    let is_top = |node: &usize| !children.contains(node) && seen.insert(*node);
+    listed.into_iter().filter(is_top).collect()
+}
+
+/// Puts nodes at the top of the scene that is drawn. `above`: one that has taken all that were there, in every scene.
+pub(super) fn scene_sections(
+    doc: &GltfDocument<'_>,
+    added: &[usize],
+    above: Option<(usize, &[usize])>,
+    sections: &mut JsonSections,
+) {
+    let target = doc.scene.unwrap_or(0);
+    let mut scenes = Vec::new();
+    let mut seen = BTreeSet::new();
+    for (i, scene) in doc.scenes.values.iter().enumerate() {
+        seen.clear();
+        let listed = scene.nodes.iter().map(|n| n.index());
+        let moved = listed.map(|node| match above {
+            Some((above, taken)) if taken.contains(&node) => above,
+            _ => node,
+        });
+        let more = if i == target { added } else { &[] };
+        let nodes = moved.chain(more.iter().copied()).filter(|node| seen.insert(*node));
+        let nodes: Vec<String> = nodes.map(|node| node.to_string()).collect();
+        scenes.push(places::with_member(
+            doc.scenes.items[i],
+            "nodes",
+            &places::json_array(&nodes),
+        ));
+    }
+    if scenes.is_empty() {
+        let taken = above.map_or_else(|| top_nodes(doc), |(above, _)| vec![above]);
+        let nodes: Vec<String> = taken.iter().chain(added).map(ToString::to_string).collect();
+        scenes.push(format!(r#"{{"nodes":{}}}"#, places::json_array(&nodes)));
+    }
+    sections.insert("scenes", Some(places::json_array(&scenes)));
+    sections.insert("scene", Some(target.to_string()));
+}
+
+/// Takes the mesh off a node; `name` and whatever else it has stay.
+pub(super) fn take_mesh(played: &mut PlayedDocument<'_, '_>, node: usize) {
+    let bare = places::without_keys(played.node(node), &["mesh", "skin", "weights"]);
+    played.set_node(node, bare);
+}
+
+/// The name of a node as a member of another, with a comma before it; nothing where it has none.
+pub(super) fn name_member(doc: &GltfDocument<'_>, node: usize) -> String {
+    let name = value_of(doc.nodes.items[node], "name");
+    name.map(|name| format!(r#","name":{name}"#)).unwrap_or_default()
+}
+
+/// The document's own clips that stay: those that move no joint of a skin that goes, nothing such a joint hangs on, and no
+/// weights of what is played.
+pub(super) fn kept_clips(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> Vec<String> {
+    let mut parents = vec![None; doc.nodes.len()];
+    for (i, node) in doc.nodes.values.iter().enumerate() {
+        node.children.iter().for_each(|child| parents[child.index()] = Some(i));
+    }
+    let skins: BTreeSet<usize> = nodes.iter().filter_map(|n| n.skin).collect();
+    let skins = skins
+        .iter()
+        .filter_map(|skin| serde_json::from_str(doc.skins.get(*skin)?).ok());
+    let mut lost = BTreeSet::new();
+    for joint in skins.flat_map(|skin: GltfSkin| skin.joints) {
+        let mut next = Some(joint.index());
+        while let Some(node) = next.filter(|node| lost.insert(*node)) {
+            next = parents.get(node).copied().flatten();
+        }
+    }
+    let weighted: BTreeSet<usize> = nodes.iter().map(|n| n.node).collect();
+    let moves_lost = |channel: &str| {
+        let target = value_of(channel, "target");
+        let node = target.and_then(|t| value_of(t, "node")).and_then(places::index);
+        let is_weights = target.and_then(|t| value_of(t, "path")) == Some("\"weights\"");
+        node.is_some_and(|node| lost.contains(&node) || (is_weights && weighted.contains(&node)))
+    };
+    let is_kept = |clip: &&&str| {
+        let channels = value_of(clip, "channels").and_then(|list| items(list).ok());
+        !channels.unwrap_or_default().into_iter().any(moves_lost)
+    };
+    let kept = doc.animations.iter().filter(is_kept);
+    kept.map(|text| (*text).to_owned()).collect()
+}
+
+/// The document's skins, where a node that is not played still needs one; `None` where none does.
+pub(super) fn kept_skins(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> Option<Vec<String>> {
+    let played: BTreeSet<usize> = nodes.iter().map(|n| n.node).collect();
+    let mut others = doc.nodes.values.iter().enumerate();
+    let is_used = others.any(|(i, node)| node.skin.is_some() && !played.contains(&i));
+    is_used.then(|| doc.skins.iter().map(|text| (*text).to_owned()).collect())
+}

@@ -1,0 +1,131 @@
+//! Models with the frames of an animation in them, as a GLB that any engine plays.
+
+use super::files::Limits;
+use super::formats::writer_of;
+use super::played_clip::{MorphClip, NodeKeys, PlayedClip, SkinnedClip};
+use super::write::neutral_model;
+use super::{Error, FileSet, Format, Model, WrittenFiles};
+
+/// For reading what was just written.
+const UNLIMITED: Limits = Limits {
+    vertices: u64::MAX,
+    triangles: u64::MAX,
+    decoded_bytes: u64::MAX,
+};
+
+impl Model {
+    /// Writes the model at rest as a GLB, with a morph target for each shape of a clip and an animation of their weights.
+    ///
+    /// Materials, textures and whatever else the model has stay. Meshes that a skin placed are drawn in model space without
+    /// it; morph targets that were there go; and so do clips that moved those joints or targets.
+    ///
+    /// # Errors
+    /// [`Error::Unwritable`] when counts or times do not fit, or the model does not fit a GLB.
+    ///
+    /// # Example
+    /// ```
+    /// use glam::Vec3;
+    /// use pliant_core::asset::{FileSet, Format, Limits, Model, MorphClip};
+    ///
+    /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
+    /// let rest: Vec<Vec3> = model.positions.iter().map(|p| p.as_vec3()).collect();
+    /// let bent = vec![rest[0], rest[1] + Vec3::Z, rest[2]];
+    /// let clip = MorphClip { name: "bend", times: &[0.0, 0.5], shapes: &[rest, bent], root: None };
+    /// let written = model.write_morph_clip(&clip)?;
+    /// let played = Model::read(FileSet::single("one.glb", written.main), None, &Limits::default())?;
+    /// assert_eq!(played.positions, model.positions);
+    /// assert_eq!(played.moving_scene()?.expect("a scene").clip_names, ["bend"]);
+    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// ```
+    pub fn write_morph_clip(&self, clip: &MorphClip<'_>) -> Result<WrittenFiles, Error> {
+        check_keys(clip.times, clip.shapes.len(), clip.root.as_ref())?;
+        for shape in clip.shapes {
+            self.check_count("positions", shape.len())?;
+            if let Some(i) = shape.iter().position(|p| !p.is_finite()) {
+                let problem = format!("the position of vertex {i} is {}, not finite", shape[i]);
+                return Err(Error::unwritable(Format::GLB, problem));
+            }
+        }
+        self.write_played(&PlayedClip::Morphs(*clip))
+    }
+
+    /// Writes the model at rest as a GLB in which joints carry every vertex, with an animation of them.
+    ///
+    /// Materials, textures and whatever else the model has stay; skins, morph targets and the clips that moved them do not.
+    ///
+    /// # Errors
+    /// [`Error::Unwritable`] when counts, times or joints do not fit, or the model does not fit a GLB.
+    pub fn write_skinned_clip(&self, clip: &SkinnedClip<'_>) -> Result<WrittenFiles, Error> {
+        let refuse = |problem: String| Err(Error::unwritable(Format::GLB, problem));
+        check_keys(clip.times, clip.frames.len(), clip.root.as_ref())?;
+        self.check_count("influences", clip.influences.len())?;
+        let joints = clip.joints.len();
+        if joints == 0 || joints > usize::from(u16::MAX) {
+            return refuse(format!("there are {joints} joints, 1 to {} are possible", u16::MAX));
+        }
+        if let Some(frame) = clip.frames.iter().find(|f| f.len() != joints) {
+            return refuse(format!("a frame has {} of {joints} joints", frame.len()));
+        }
+        let mut entries = clip.influences.iter().flatten();
+        let is_wrong = |w: f32| !(w.is_finite() && w >= 0.0);
+        if let Some((joint, weight)) = entries.find(|(j, w)| *j as usize >= joints || is_wrong(*w)) {
+            return refuse(format!("a vertex follows joint {joint} of {joints} by {weight}"));
+        }
+        self.write_played(&PlayedClip::Joints(*clip))
+    }
+
+    fn check_count(&self, what: &str, seen: usize) -> Result<(), Error> {
+        let count = self.positions.len();
+        if seen == count {
+            return Ok(());
+        }
+        let problem = format!("{seen} {what} are given, the model has {count} vertices");
+        Err(Error::unwritable(Format::GLB, problem))
+    }
+
+    fn write_played(&self, clip: &PlayedClip<'_>) -> Result<WrittenFiles, Error> {
+        let writer = writer_of(Format::GLB)?;
+        let rest = &self.positions;
+        let (written, vertices) = if writer.patches_files_of(self.format) {
+            (self.write(rest, Format::GLB)?, (0..rest.len() as u32).collect())
+        } else {
+            let mut neutral = neutral_model(self, rest, Format::GLB)?;
+            let vertices = std::mem::take(&mut neutral.copy_of);
+            (writer.build(&neutral, Format::GLB)?, vertices)
+        };
+        let companions = written.companions.into_iter();
+        let files = FileSet {
+            name: self.files.name.clone(),
+            main: written.main.into(),
+            companions: companions.map(|(name, bytes)| (name, bytes.into())).collect(),
+        };
+        let still = Self::read(files, Some(Format::GLB), &UNLIMITED)?;
+        let seen = still.positions.len();
+        if seen != vertices.len() {
+            let problem = format!("as a GLB the model has {seen} vertices, not {}", vertices.len());
+            return Err(Error::unwritable(Format::GLB, problem));
+        }
+        writer.write_played(&still, &vertices, clip)
+    }
+}
+
+/// Refuses times that do not fit what they are of, or do not rise as 32-bit floats.
+fn check_keys(times: &[f64], count: usize, root: Option<&NodeKeys<'_>>) -> Result<(), Error> {
+    let refuse = |problem: String| Err(Error::unwritable(Format::GLB, problem));
+    let of_root = root.map(|keys| (keys.times, keys.places.len()));
+    for (times, count) in [(times, count)].into_iter().chain(of_root) {
+        if times.len() != count || count == 0 {
+            return refuse(format!("a clip has {} times and {count} keys", times.len()));
+        }
+        if !times.iter().all(|t| t.is_finite() && *t >= 0.0) {
+            return refuse("a time of a clip is not finite, or below 0".into());
+        }
+        let falls = |pair: &&[f64]| pair[0] as f32 >= pair[1] as f32;
+        if let Some(pair) = times.windows(2).find(falls) {
+            let problem = format!("the times {} and {} do not rise as 32-bit floats", pair[0], pair[1]);
+            return refuse(problem);
+        }
+    }
+    Ok(())
+}

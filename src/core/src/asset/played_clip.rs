@@ -1,0 +1,77 @@
+//! Clips that play solved frames: shapes to blend, or joints that carry vertices.
+
+use glam::{DQuat, DVec3, Vec3};
+
+/// Where a node is: it takes x to rotation · x + translation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NodePlace {
+    /// Model units.
+    pub translation: DVec3,
+    /// Of unit length.
+    pub rotation: DQuat,
+}
+
+impl NodePlace {
+    /// Where nothing is moved.
+    pub const IDENTITY: Self = Self {
+        translation: DVec3::ZERO,
+        rotation: DQuat::IDENTITY,
+    };
+}
+
+/// Where a node is at times, in between by straight lines and shortest turns.
+#[derive(Debug, Clone, Copy)]
+pub struct NodeKeys<'a> {
+    /// Seconds, rising.
+    pub times: &'a [f64],
+    /// One for each time.
+    pub places: &'a [NodePlace],
+}
+
+/// A clip of shapes: each is a morph target, and between its time and the next the two are blended.
+#[derive(Debug, Clone, Copy)]
+pub struct MorphClip<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Seconds of the shapes, rising.
+    pub times: &'a [f64],
+    /// For each time where the render vertices are, in model space, the root's motion apart.
+    pub shapes: &'a [Vec<Vec3>],
+    /// What everything does on top of that, where there is such a thing.
+    pub root: Option<NodeKeys<'a>>,
+}
+
+/// A joint of a [`SkinnedClip`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlayedJoint {
+    /// Its name.
+    pub name: String,
+    /// Where it is at rest, in model space.
+    pub rest: NodePlace,
+}
+
+/// A clip of joints that lie side by side below one root.
+#[derive(Debug, Clone, Copy)]
+pub struct SkinnedClip<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// For each render vertex the joints that carry it and how much; those with a weight of 0 do not.
+    pub influences: &'a [[(u32, f32); 4]],
+    /// The joints.
+    pub joints: &'a [PlayedJoint],
+    /// Seconds of the frames, rising.
+    pub times: &'a [f64],
+    /// For each frame where each joint is, in model space, the root's motion apart.
+    pub frames: &'a [Vec<NodePlace>],
+    /// What the root does, where it does something.
+    pub root: Option<NodeKeys<'a>>,
+}
+
+/// One of both.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum PlayedClip<'a> {
+    /// Shapes.
+    Morphs(MorphClip<'a>),
+    /// Joints.
+    Joints(SkinnedClip<'a>),
+}

@@ -1,0 +1,143 @@
+//! Every output of one small animation.
+
+use super::{FRAMES, STEP, animate_bar, farthest, make_bar, read_cache, read_glb};
+use crate::support::data::tell_skipped;
+use crate::support::khronos;
+use crate::support::skinning::{ClipTime, clip_length, draw};
+use glam::{DVec3, Vec3};
+use pliant::asset::{FileSet, Limits, Model};
+use std::fs;
+use std::path::Path;
+
+/// The positions of numbered models.
+fn read_folder(folder: &Path, extension: &str) -> Vec<Vec<DVec3>> {
+    let read = |k: usize| {
+        let name = format!("frame_{k:05}.{extension}");
+        let bytes = fs::read(folder.join(&name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let model = Model::read(FileSet::single(name, bytes), None, &Limits::default()).expect("a model");
+        model.positions.clone()
+    };
+    (0..FRAMES).map(read).collect()
+}
+
+/// For each vertex that a GLB of the bar draws the vertex of the bar that stands where it does.
+fn bar_vertices(drawn: &[DVec3], bar: &[Vec3]) -> Vec<usize> {
+    let same = |p: &DVec3| bar.iter().position(|q| p.distance(q.as_dvec3()) < 1e-6);
+    drawn.iter().map(|p| same(p).expect("a vertex of the bar")).collect()
+}
+
+fn rest_of_bar(folder: &Path) -> Vec<Vec3> {
+    let bytes = fs::read(folder.join("bar.obj")).expect("the bar");
+    let model = Model::read(FileSet::single("bar.obj", bytes), None, &Limits::default()).expect("the bar");
+    model.positions.iter().map(|p| p.as_vec3()).collect()
+}
+
+#[test]
+fn every_output_holds_the_same_positions() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    let outputs: [&[&str]; 7] = [
+        &["-o", "objs/", "--parents"],
+        &["-o", "plys/", "--parents", "--format", "ply"],
+        &["-o", "bar.pc2"],
+        &["-o", "bar.mdd", "--threads", "2"],
+        &["-o", "bar.glb"],
+        &["-o", "baked.glb", "--root", "baked"],
+        &["-o", "bare.pc2", "--root", "none"],
+    ];
+    for output in outputs {
+        animate_bar(folder, output);
+    }
+    let objs = read_folder(&folder.join("objs"), "obj");
+    let plys = read_folder(&folder.join("plys"), "ply");
+    let (_, pc2) = read_cache(&folder.join("bar.pc2"));
+    let (times, mdd) = read_cache(&folder.join("bar.mdd"));
+    let as_floats = |frames: &[Vec<DVec3>]| -> Vec<Vec<Vec3>> {
+        frames.iter().map(|f| f.iter().map(|p| p.as_vec3()).collect()).collect()
+    };
+    assert_eq!(pc2, as_floats(&objs), "to the bit, in the order of the file's v lines");
+    assert_eq!(pc2, as_floats(&plys));
+    assert_eq!(pc2, mdd);
+    let seconds: Vec<f32> = (0..FRAMES).map(|k| (k as f64 * STEP) as f32).collect();
+    assert_eq!(times, seconds);
+
+    let rest = rest_of_bar(folder);
+    for name in ["bar.glb", "baked.glb"] {
+        let file = read_glb(&folder.join(name));
+        assert_eq!(file.json["animations"][0]["name"], "bar");
+        assert!((clip_length(&file, 0) - STEP * (FRAMES - 1) as f64).abs() < 1e-6);
+        let still = draw(&file, None, &[]).expect("it is drawn").swap_remove(0);
+        assert!(still.positions.len() > rest.len(), "texture seams divide vertices");
+        let same = bar_vertices(&still.positions, &rest);
+        for (k, frame) in pc2.iter().enumerate() {
+            let at = ClipTime {
+                clip: 0,
+                seconds: STEP * k as f64,
+            };
+            let drawn = draw(&file, Some(at), &[]).expect("it is drawn").swap_remove(0);
+            let wanted: Vec<Vec3> = same.iter().map(|v| frame[*v]).collect();
+            let off = farthest(&drawn.positions, &wanted);
+            assert!(off < 1e-5, "{name}, frame {k}: {off}");
+        }
+    }
+    let (_, bare) = read_cache(&folder.join("bare.pc2"));
+    let far = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f32::max);
+    assert!(
+        far(&bare[FRAMES - 1], &pc2[FRAMES - 1]) > 2.0,
+        "the whole is turned by 99 degrees"
+    );
+    assert!(far(&bare[0], &pc2[0]) < 1e-5, "and begins as it is");
+}
+
+#[test]
+fn fewer_shapes_than_frames_are_blended_within_the_error_that_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    animate_bar(folder, &["-o", "bar.pc2"]);
+    let said = animate_bar(folder, &["-o", "bar.glb", "--max-targets", "8"]);
+    let line = said.lines().find(|l| l.contains("blended from 8 shapes")).expect(&said);
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let percent = words.iter().position(|w| *w == "%").expect("a percentage") - 1;
+    let told: f64 = words[percent].parse().expect("a number");
+    let (_, frames) = read_cache(&folder.join("bar.pc2"));
+    let rest = rest_of_bar(folder);
+    let file = read_glb(&folder.join("bar.glb"));
+    let still = draw(&file, None, &[]).expect("it is drawn").swap_remove(0);
+    let same = bar_vertices(&still.positions, &rest);
+    let targets = &file.json["meshes"][0]["primitives"][0]["targets"];
+    assert_eq!(targets.as_array().expect("targets").len(), 8);
+    let mut worst: f64 = 0.0;
+    for (k, frame) in frames.iter().enumerate() {
+        let at = ClipTime {
+            clip: 0,
+            seconds: STEP * k as f64,
+        };
+        let drawn = draw(&file, Some(at), &[]).expect("it is drawn").swap_remove(0);
+        let wanted: Vec<Vec3> = same.iter().map(|v| frame[*v]).collect();
+        worst = worst.max(farthest(&drawn.positions, &wanted));
+    }
+    let diagonal = DVec3::new(6.0, 1.0, 1.0).length();
+    assert!(
+        (100.0 * worst / diagonal - told).abs() < 2e-3,
+        "{worst} is told as {told} %"
+    );
+    assert!(told > 0.01 && told < 10.0, "{told}");
+}
+
+#[test]
+fn the_validator_finds_nothing_wrong_with_morphs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    animate_bar(folder, &["-o", "node.glb"]);
+    animate_bar(folder, &["-o", "few.glb", "--max-targets", "3", "--root", "none"]);
+    let files = ["node.glb", "few.glb"].map(|name| folder.join(name));
+    let Some(findings) = khronos::validate(&files) else {
+        return tell_skipped("morphs by the validator", "it cannot be had");
+    };
+    for file in &files {
+        assert!(findings[file].is_empty(), "{}: {:?}", file.display(), findings[file]);
+    }
+}
