@@ -1,12 +1,16 @@
 //! Real skinned models whose own clips are solved anew: what is drawn is what was solved, and nothing else is lost.
 
 use super::{animate, farthest, read_cache, read_glb};
-use crate::support::data::{data_path, tell_skipped};
+use crate::support::data::{data_path, files_below, tell_skipped};
 use crate::support::gltf_parsed::Parsed;
 use crate::support::khronos;
 use crate::support::skinning::{ClipTime, draw};
 use glam::{DVec3, Vec3};
+use pliant::asset::{
+    FileSet, Format, Limits, Model, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip, missing_companions,
+};
 use std::collections::BTreeSet;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The models, by the folder of the samples.
@@ -81,4 +85,96 @@ fn skinned_models_play_what_was_solved_as_morphs() {
         let new: BTreeSet<&String> = findings[file].difference(&findings[source]).collect();
         assert!(new.is_empty(), "{}: {new:?}", file.display());
     }
+}
+
+/// The box around positions.
+fn bounds(positions: &[DVec3]) -> [DVec3; 2] {
+    let first = [positions[0]; 2];
+    let grow = |[low, high]: [DVec3; 2], p: &DVec3| [low.min(*p), high.max(*p)];
+    positions.iter().fold(first, grow)
+}
+
+/// Reads a model with the files beside it; `None` for one that is refused.
+fn read_with_companions(path: &Path) -> Option<Model> {
+    let mut set = FileSet::single(path.display().to_string(), fs::read(path).expect("a file"));
+    for name in missing_companions(&set) {
+        let bytes = fs::read(path.parent().expect("a folder").join(&name)).ok()?;
+        set.companions.insert(name, bytes.into());
+    }
+    Model::read(set, None, &Limits::default()).ok()
+}
+
+#[test]
+fn every_model_takes_shapes_and_joints() {
+    let Some(data) = data_path("clips on every model", "gltf") else {
+        return;
+    };
+    let is_model = |p: &Path| p.extension().is_some_and(|e| e == "glb" || e == "gltf");
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut pairs = Vec::new();
+    for (k, path) in files_below(&data, is_model).into_iter().enumerate() {
+        let Some(model) = read_with_companions(&path) else {
+            continue;
+        };
+        let [low, high] = bounds(&model.positions);
+        let diagonal = low.distance(high);
+        let rest: Vec<Vec3> = model.positions.iter().map(|p| p.as_vec3()).collect();
+        let shift = (DVec3::new(0.3, -0.2, 0.1) * diagonal).as_vec3();
+        let clip = MorphClip {
+            name: "shift",
+            times: &[0.0, 1.0],
+            shapes: &[rest.clone(), rest.iter().map(|p| *p + shift).collect()],
+            root: Some(NodeKeys {
+                times: &[0.0, 1.0],
+                places: &[NodePlace::IDENTITY; 2],
+            }),
+        };
+        let joint = PlayedJoint {
+            name: "one".into(),
+            rest: NodePlace::IDENTITY,
+        };
+        let skinned = SkinnedClip {
+            name: "still",
+            influences: &vec![[(0, 1.0), (0, 0.0), (0, 0.0), (0, 0.0)]; rest.len()],
+            joints: &[joint],
+            times: &[0.0],
+            frames: &[vec![NodePlace::IDENTITY]],
+            root: None,
+        };
+        // What a conversion has against it is not a clip's.
+        let source = folder.path().join(format!("plain_{k}.glb"));
+        khronos::store(&model.write(&model.positions, Format::GLB).expect("a GLB"), &source);
+        for (what, written) in [
+            ("shapes", model.write_morph_clip(&clip)),
+            ("joints", model.write_skinned_clip(&skinned)),
+        ] {
+            let written = written.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+            let at = folder.path().join(format!("{what}_{k}.glb"));
+            khronos::store(&written, &at);
+            let played = read_with_companions(&at).unwrap_or_else(|| panic!("{}", path.display()));
+            assert_eq!(played.triangles.len(), model.triangles.len(), "{}", path.display());
+            for (seen, wanted) in bounds(&played.positions).iter().zip([low, high]) {
+                let off = seen.distance(wanted);
+                assert!(
+                    off < 1e-5 * diagonal,
+                    "{what} of {}: {off} of {diagonal}",
+                    path.display()
+                );
+            }
+            pairs.push((at, source.clone()));
+        }
+    }
+    assert!(pairs.len() > 20, "the folder has models");
+    let asked: BTreeSet<PathBuf> = pairs.iter().flat_map(|(a, b)| [a.clone(), b.clone()]).collect();
+    let Some(findings) = khronos::validate(&asked.into_iter().collect::<Vec<PathBuf>>()) else {
+        return tell_skipped("played models by the validator", "it cannot be had");
+    };
+    let mut wrong = Vec::new();
+    for (file, source) in &pairs {
+        let new: BTreeSet<&String> = findings[file].difference(&findings[source]).collect();
+        if !new.is_empty() {
+            wrong.push(format!("{} of {}: {new:?}", file.display(), source.display()));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }

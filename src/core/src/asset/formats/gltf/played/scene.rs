@@ -8,10 +8,27 @@ use super::document::PlayedDocument;
 use super::primitives::PlayedNode;
 use std::collections::BTreeSet;
 
-/// The nodes at the top of the scene that is drawn, without those that hang on others.
+/// For each node the one that it is a child of.
+fn parents(doc: &GltfDocument<'_>) -> Vec<Option<usize>> {
+    let mut parents = vec![None; doc.nodes.len()];
+    for (i, node) in doc.nodes.values.iter().enumerate() {
+        node.children.iter().for_each(|child| parents[child.index()] = Some(i));
+    }
+    parents
+}
+
+/// What a node hangs on in the end; the node itself where it hangs on nothing. Readers have refused circles.
+fn top_of(parents: &[Option<usize>], mut node: usize) -> usize {
+    while let Some(parent) = parents.get(node).copied().flatten() {
+        node = parent;
+    }
+    node
+}
+
+/// The nodes at the top of the scene that is drawn, once each. Where a scene lists a node that hangs on another, what that hangs on in the
+/// end.
 pub(super) fn top_nodes(doc: &GltfDocument<'_>) -> Vec<usize> {
-    let children = doc.nodes.values.iter().flat_map(|n| &n.children);
-    let children: BTreeSet<usize> = children.map(|c| c.index()).collect();
+    let parents = parents(doc);
     let scenes = &doc.scenes.values;
     let listed: Vec<usize> = match doc.scene {
         Some(scene) => scenes[scene].nodes.iter().map(|n| n.index()).collect(),
@@ -19,8 +36,8 @@ pub(super) fn top_nodes(doc: &GltfDocument<'_>) -> Vec<usize> {
         None => scenes.iter().flat_map(|s| &s.nodes).map(|n| n.index()).collect(),
     };
     let mut seen = BTreeSet::new();
-    let is_top = |node: &usize| !children.contains(node) && seen.insert(*node);
-    listed.into_iter().filter(is_top).collect()
+    let tops = listed.into_iter().map(|node| top_of(&parents, node));
+    tops.filter(|node| seen.insert(*node)).collect()
 }
 
 /// Puts nodes at the top of the scene that is drawn. `above`: one that has taken all that were there, in every scene.
@@ -33,11 +50,12 @@ pub(super) fn scene_sections(
     let target = doc.scene.unwrap_or(0);
     let mut scenes = Vec::new();
     let mut seen = BTreeSet::new();
+    let parents = parents(doc);
     for (i, scene) in doc.scenes.values.iter().enumerate() {
         seen.clear();
         let listed = scene.nodes.iter().map(|n| n.index());
         let moved = listed.map(|node| match above {
-            Some((above, taken)) if taken.contains(&node) => above,
+            Some((above, taken)) if taken.contains(&top_of(&parents, node)) => above,
             _ => node,
         });
         let more = if i == target { added } else { &[] };
@@ -73,10 +91,7 @@ pub(super) fn name_member(doc: &GltfDocument<'_>, node: usize) -> String {
 /// The document's own clips that stay: those that move no joint of a skin that goes, nothing such a joint hangs on, and no
 /// weights of what is played.
 pub(super) fn kept_clips(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> Vec<String> {
-    let mut parents = vec![None; doc.nodes.len()];
-    for (i, node) in doc.nodes.values.iter().enumerate() {
-        node.children.iter().for_each(|child| parents[child.index()] = Some(i));
-    }
+    let parents = parents(doc);
     let skins: BTreeSet<usize> = nodes.iter().filter_map(|n| n.skin).collect();
     let skins = skins
         .iter()
