@@ -140,6 +140,7 @@ impl Deformer {
                     SolveMode::Commit => COMMIT_REFINE,
                 }),
                 smoothing: settings.rotation_smoothing,
+                carried: false,
             },
         };
         let shape = ShapeTransfer {

@@ -93,14 +93,8 @@ impl PoseSolve<'_> {
         state: &mut SolveState,
         watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
     ) -> Result<PoseSolution, Error> {
-        let Self {
-            rig,
-            body,
-            request,
-            exec: Exec { pool, .. },
-            ..
-        } = *self;
-        let Refinement { steps, smoothing } = request.refinement;
+        let (rig, body, request, pool) = (self.rig, self.body, self.request, self.exec.pool);
+        let Refinement { steps, carried, .. } = request.refinement;
         let warm = request.start == SolveStart::Warm;
         if warm {
             state.begin(body, request.transforms.len());
@@ -113,11 +107,19 @@ impl PoseSolve<'_> {
         state.transforms.clear();
         state.transforms.extend_from_slice(request.transforms);
         prepare(body, rig, posed, warm, state, pool);
-        let fit = (steps > 0)
-            .then(|| RotationFit::new(body, rig, request.transforms, self.moved_parts, self.instead, smoothing));
+        let fit = (steps > 0).then(|| {
+            RotationFit::new(
+                body,
+                rig,
+                request.transforms,
+                self.moved_parts,
+                self.instead,
+                request.refinement,
+            )
+        });
         let mut turns = match &fit {
             Some(fit) if warm && state.extra.len() == body.nodes() => {
-                let turns = fit.resume(&state.extra, pool);
+                let turns = resumed(fit, carried, state, pool);
                 posed.frames = fit.frames(&turns, pool);
                 turns
             }
@@ -230,6 +232,15 @@ impl PoseSolve<'_> {
         )?;
         tally.iterations += stats.iterations;
         Ok(stats)
+    }
+}
+
+/// The rotations that a warm solve goes on from.
+fn resumed(fit: &RotationFit<'_>, carried: bool, state: &SolveState, pool: &Pool) -> Vec<LocalRotation> {
+    let turns = fit.resume(&state.extra, pool);
+    match carried {
+        true => fit.step(&turns, &state.x, pool),
+        false => turns,
     }
 }
 

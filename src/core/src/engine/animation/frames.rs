@@ -134,7 +134,11 @@ impl Animation {
             max_error: self.settings.max_error,
             start,
             first_pass: FirstPass::WeightedSum,
-            refinement: Refinement { steps, smoothing: 0.0 },
+            refinement: Refinement {
+                steps,
+                smoothing: 0.0,
+                carried: self.settings.refinement == AnimationRefinement::Carried,
+            },
         };
         let derived = &self.derived;
         let mut solution: PoseSolution = self.system.solve(&derived.body, &request, state, exec, &mut |_| true)?;

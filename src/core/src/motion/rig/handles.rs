@@ -13,7 +13,7 @@ use glam::DVec3;
 /// A cylinder's radius over its bone's.
 const CYLINDER: f64 = 0.35;
 /// A joint's radius over the lesser of its bones'.
-const JOINT: f64 = 0.2;
+const JOINT: f64 = 0.25;
 /// Where the sphere near the end of a bone lies on which none follows.
 const LEAF: f64 = 0.8;
 

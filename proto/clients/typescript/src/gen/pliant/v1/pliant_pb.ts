@@ -4608,7 +4608,7 @@ export type Rig_Bone = Message<"pliant.v1.Rig.Bone"> & {
   span: number[];
 
   /**
-   * Radius of the sphere that holds its beginning in place, in model units; 0 = a fifth of the radius.
+   * Radius of the sphere that holds its beginning in place, in model units; 0 = a quarter of the radius.
    *
    * @generated from field: double joint_radius = 11;
    */
