@@ -21,7 +21,17 @@ pub(super) fn following(create: &pb::CreateOptions) -> Result<Following, Error> 
         pb::create_options::rig::Rule::Keep => RigRule::Keep,
     };
     let chains = &create.rigid_chains;
-    let bone_lengths = match enumerated(create.bone_lengths, "boneLengths")? {
+    let lengths = enumerated(create.bone_lengths, "boneLengths")?;
+    if rig == RigRule::Keep {
+        let problem = "is given, but rig KEEP leaves all joints where they are; leave one out";
+        if lengths == pb::create_options::bone_lengths::Rule::Keep {
+            return Err(Error::invalid("boneLengths", problem));
+        }
+        if !chains.is_empty() {
+            return Err(Error::invalid("rigidChains", problem));
+        }
+    }
+    let bone_lengths = match lengths {
         pb::create_options::bone_lengths::Rule::Follow if chains.is_empty() => BoneLengthRule::Follow,
         pb::create_options::bone_lengths::Rule::Follow => BoneLengthRule::KeepBelow(chains.clone()),
         pb::create_options::bone_lengths::Rule::Keep if chains.is_empty() => BoneLengthRule::Keep,
@@ -89,6 +99,8 @@ mod tests {
         let many = format!(r#"{{"rigidChains": [{}"a"]}}"#, r#""a","#.repeat(1024));
         for (text, field) in [
             (r#"{"boneLengths": "KEEP", "rigidChains": ["arm"]}"#, "rigidChains"),
+            (r#"{"rig": "KEEP", "boneLengths": "KEEP"}"#, "boneLengths"),
+            (r#"{"rig": "KEEP", "rigidChains": ["arm"]}"#, "rigidChains"),
             (r#"{"rigidChains": ["arm", ""]}"#, "rigidChains[1]"),
             (r#"{"boneLengths": 7}"#, "boneLengths"),
             (&many, "rigidChains"),

@@ -2,7 +2,8 @@
 
 use super::{Error, pb};
 use prost::Message;
-use prost_reflect::{DescriptorPool, DeserializeOptions, DynamicMessage, MessageDescriptor, SerializeOptions};
+use prost_reflect::{DescriptorPool, DeserializeOptions, DynamicMessage, Kind, MessageDescriptor, SerializeOptions};
+use serde_path_to_error::{Path, Segment};
 use std::sync::LazyLock;
 
 static POOL: LazyLock<Result<DescriptorPool, String>> =
@@ -32,12 +33,14 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
     let mut json = serde_json::Deserializer::from_slice(text);
     let mut track = serde_path_to_error::Track::new();
     let tracked = serde_path_to_error::Deserializer::new(&mut json, &mut track);
-    let dynamic = DynamicMessage::deserialize_with_options(descriptor(&M::full_name())?, tracked, &options);
+    let message = descriptor(&M::full_name())?;
+    let dynamic = DynamicMessage::deserialize_with_options(message.clone(), tracked, &options);
     let dynamic = dynamic.map_err(|e| {
-        let problem = e.to_string();
+        let (path, problem) = (track.path(), e.to_string());
+        let allowed = allowed_at(message, &path).filter(|_| is_about_a_value(&problem));
         Error::Json {
-            place: place_of(&track.path().to_string(), &problem),
-            problem,
+            place: place_of(&path.to_string(), &problem),
+            problem: allowed.map_or_else(|| problem.clone(), |allowed| format!("{problem}; allowed are {allowed}")),
         }
     })?;
     json.end().map_err(|e| Error::Json {
@@ -60,6 +63,40 @@ fn place_of(path: &str, problem: &str) -> String {
         (path, None) => path.into(),
         (path, Some((name, _))) => format!("{path}.{name}"),
     }
+}
+
+/// Whether a value was refused that is of the right kind, but none of those that its field has.
+fn is_about_a_value(problem: &str) -> bool {
+    problem.starts_with("unrecognized enum value") || problem.starts_with("out of range integral type")
+}
+
+/// What a field that has only certain values may be: the names of an enum, or the range of a whole number.
+fn allowed_at(mut message: MessageDescriptor, path: &Path) -> Option<String> {
+    let mut kind = Kind::Message(message.clone());
+    for segment in path {
+        match segment {
+            Segment::Map { key } => {
+                if let Kind::Message(inner) = &kind {
+                    message = inner.clone();
+                }
+                let by_name = || message.get_field_by_name(key);
+                kind = message.get_field_by_json_name(key).or_else(by_name)?.kind();
+            }
+            Segment::Seq { .. } => {}
+            Segment::Enum { .. } | Segment::Unknown => return None,
+        }
+    }
+    Some(match kind {
+        Kind::Enum(names) => {
+            let names: Vec<String> = names.values().map(|value| format!("\"{}\"", value.name())).collect();
+            names.join(", ")
+        }
+        Kind::Uint32 | Kind::Fixed32 => format!("whole numbers from 0 to {}", u32::MAX),
+        Kind::Uint64 | Kind::Fixed64 => format!("whole numbers from 0 to {}", u64::MAX),
+        Kind::Int32 | Kind::Sint32 | Kind::Sfixed32 => format!("whole numbers from {} to {}", i32::MIN, i32::MAX),
+        Kind::Int64 | Kind::Sint64 | Kind::Sfixed64 => format!("whole numbers from {} to {}", i64::MIN, i64::MAX),
+        _ => return None,
+    })
 }
 
 /// Writes a message as JSON, with fields that have their default value, so that clients need not know the defaults.
@@ -98,6 +135,46 @@ mod tests {
         );
         refused("[1]", "body");
         refused(r#"{"options": {}} x"#, "body");
+    }
+
+    #[test]
+    fn a_value_that_a_field_does_not_have_is_refused_with_those_that_it_has() {
+        for (text, path, allowed) in [
+            (r#"{"create": {"rig": "KEP"}}"#, "create.rig", r#""FOLLOW", "KEEP""#),
+            (
+                r#"{"create": {"boneLengths": "keep"}}"#,
+                "create.boneLengths",
+                r#""FOLLOW", "KEEP""#,
+            ),
+            (
+                r#"{"create": {"bone_lengths": "keep"}}"#,
+                "create.bone_lengths",
+                r#""FOLLOW", "KEEP""#,
+            ),
+            (
+                r#"{"handles": [{"id": "a", "constrains": ["POSITION", "TURN"]}]}"#,
+                "handles[0].constrains[1]",
+                r#""POSITION", "ROTATION", "SCALE""#,
+            ),
+            (
+                r#"{"steps": [{}, {"edit": {"subdivide": {"scheme": "AUTO"}}}]}"#,
+                "steps[1].edit.subdivide.scheme",
+                r#""LOOP", "MIDPOINT""#,
+            ),
+            (
+                r#"{"create": {"passengers": [{"node": -1}]}}"#,
+                "create.passengers[0].node",
+                "whole numbers from 0 to 4294967295",
+            ),
+        ] {
+            match from_json::<pb::Job>(text.as_bytes()) {
+                Err(Error::Json { place, problem }) => {
+                    assert_eq!(place, path, "{problem}");
+                    assert!(problem.ends_with(&format!("; allowed are {allowed}")), "{problem}");
+                }
+                other => panic!("{path}: {other:?}"),
+            }
+        }
     }
 
     #[test]

@@ -124,6 +124,10 @@ fn passenger(message: &pb::Passenger, at: &str) -> Result<Passenger, Error> {
 }
 
 fn given_name(name: &str, field: impl Fn() -> String) -> Result<String, Error> {
+    if name.len() > LONGEST_NAME {
+        let problem = format!("is {} bytes, at most {LONGEST_NAME} are allowed", name.len());
+        return Err(Error::invalid(field(), problem));
+    }
     match name.is_empty() {
         true => Err(Error::invalid(field(), "is empty, a name is needed")),
         false => Ok(name.to_owned()),
@@ -244,6 +248,32 @@ mod tests {
             (read.points, read.rotations),
             (vec![DVec3::new(1.0, 2.0, 3.0)], vec![DQuat::IDENTITY])
         );
+    }
+
+    #[test]
+    fn the_name_of_what_rides_along_is_given_and_of_sane_length() {
+        use pb::passenger::Passenger as Kind;
+        type Named = (fn(String) -> Kind, &'static str);
+        let kinds: [Named; 2] = [
+            (Kind::NodesNamed, "nodesNamed"),
+            (Kind::PrimitivesNamed, "primitivesNamed"),
+        ];
+        for (kind, field) in kinds {
+            let read = |name: String| {
+                let message = pb::Passenger {
+                    passenger: Some(kind(name)),
+                    ..Default::default()
+                };
+                passengers(&[message]).map_err(|e| e.to_string())
+            };
+            assert!(read("n".repeat(256)).is_ok());
+            let told = read("n".repeat(257)).expect_err("too long");
+            assert_eq!(
+                told,
+                format!("passengers[0].{field}: is 257 bytes, at most 256 are allowed")
+            );
+            assert!(read(String::new()).expect_err("empty").contains("is empty"));
+        }
     }
 
     #[test]
