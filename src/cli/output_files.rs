@@ -102,8 +102,11 @@ impl OutputPermission {
                 )));
             }
             let target = folder_of(path).join(uri);
-            let own = is_same_file(&folder_of(model).join(uri), &target);
-            let stays = match read.companions.get(uri).filter(|_| own) {
+            // What lies beside the model under that name is the model's only if the model was read with it.
+            let before = read.companions.get(uri);
+            let before = before.filter(|_| is_same_file(&folder_of(model).join(uri), &target));
+            let own = before.is_some();
+            let stays = match before {
                 Some(before) => before.as_ref() == bytes.as_slice(),
                 None => holds_bytes(&target, bytes),
             };

@@ -253,6 +253,24 @@ fn a_link_stays_a_link_and_a_device_is_never_replaced() {
 }
 
 #[test]
+fn a_file_that_only_bears_the_name_of_a_companion_is_replaced_by_force() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    box_gltf(path);
+    let job = job_for(&path.join("box.gltf"), path);
+    let job = job.to_string_lossy();
+    let to = vec!["deform", "box.gltf", "--job", &job, "-o", "bent.obj"];
+    done(path, &to);
+    let library = fs::read(path.join("box.mtl")).expect("a library is written beside the result");
+    // The model was read without it, so it is not the model's.
+    fs::write(path.join("box.mtl"), "newmtl other\n").expect("written");
+    fs::remove_file(path.join("bent.obj")).expect("removed");
+    refused(path, &to, "box.mtl: it exists; --force replaces it");
+    done(path, &[&to[..], &["--force"]].concat());
+    assert_eq!(fs::read(path.join("box.mtl")).expect("a library"), library);
+}
+
+#[test]
 fn files_beside_the_result_are_looked_at_before_anything_is_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path();
