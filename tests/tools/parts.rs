@@ -126,7 +126,7 @@ fn options_that_do_not_fit_are_refused_with_their_place() {
         ),
         (
             json!({"keepApart": {"primitives": [0, 9]}}),
-            "keepApart.primitives[1]: is 9, the model has 1 primitives",
+            "keepApart.primitives[1]: is 9, the model has 1 primitive,",
         ),
         (
             json!({"tieDistance": -1}),

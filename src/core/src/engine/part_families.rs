@@ -1,6 +1,7 @@
 //! Which parts of a model were one: pieces that an edit has separated are not tied to each other again.
 
 use super::error::{Error, InputPlace};
+use super::riding::number_of_primitives;
 use super::settings::KeptApart;
 use crate::asset::Primitive;
 use crate::deform::TieFamilies;
@@ -181,8 +182,8 @@ fn loose_parts(
     for (k, &primitive) in kept_apart.primitives.iter().enumerate() {
         let Some(primitive) = primitives.get(primitive as usize) else {
             let problem = format!(
-                "is {primitive}, the model has {} primitives, counted from 0",
-                primitives.len()
+                "is {primitive}, the model has {}, counted from 0",
+                number_of_primitives(primitives.len())
             );
             return Err(Error::invalid(InputPlace::KeptPrimitive(k), problem));
         };

@@ -20,7 +20,8 @@ pub(super) fn mark_passengers(primitives: &mut [Primitive], passengers: &[Passen
             PassengerKind::Primitive(index) if (*index as usize) < count => vec![*index as usize],
             PassengerKind::Primitive(index) => {
                 return refuse(format!(
-                    "is primitive {index}, the model has {count} primitives, counted from 0"
+                    "is primitive {index}, the model has {}, counted from 0",
+                    number_of_primitives(count)
                 ));
             }
             PassengerKind::PrimitivesNamed(name) => {
@@ -49,6 +50,14 @@ pub(super) fn mark_passengers(primitives: &mut [Primitive], passengers: &[Passen
         }
     }
     Ok(())
+}
+
+/// So many primitives, in words.
+pub(super) fn number_of_primitives(count: usize) -> String {
+    match count {
+        1 => "1 primitive".into(),
+        _ => format!("{count} primitives"),
+    }
 }
 
 /// As much of a name as a refusal repeats.

@@ -116,7 +116,7 @@ fn parts_that_are_kept_apart_get_no_ties_and_wrong_numbers_are_refused() {
         (
             &[],
             &[0, 7],
-            "primitive 1 to be kept apart: is 7, the model has 1 primitives, counted from 0",
+            "primitive 1 to be kept apart: is 7, the model has 1 primitive, counted from 0",
         ),
     ] {
         let error = open_with(components, primitives).err().expect("refused");
