@@ -73,6 +73,8 @@ pub fn followed_message(counts: &FollowedCounts) -> Option<pb::Followed> {
         carried_morph_targets: counts.carried_morph_targets,
         passengers: counts.passengers,
         moved_passengers: counts.moved_passengers,
+        passenger_nodes: counts.passenger_nodes,
+        moved_passenger_nodes: counts.moved_passenger_nodes,
         farthest: counts.farthest.iter().map(joint).collect(),
     })
 }

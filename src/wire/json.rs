@@ -40,7 +40,10 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
         let allowed = allowed_at(message, &path).filter(|_| is_about_a_value(&problem));
         Error::Json {
             place: place_of(&path.to_string(), &problem),
-            problem: allowed.map_or_else(|| problem.clone(), |allowed| format!("{problem}; allowed are {allowed}")),
+            problem: allowed.map_or_else(
+                || problem.clone(),
+                |allowed| format!("{problem}; allowed are {allowed}"),
+            ),
         }
     })?;
     json.end().map_err(|e| Error::Json {

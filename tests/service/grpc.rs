@@ -386,7 +386,7 @@ async fn an_export_tells_what_followed_with_its_first_piece_and_in_a_header() {
     let url = server.url(&format!("/v1/sessions/{id}/model"));
     let headers = http().get(url).send().await.unwrap().headers().clone();
     let wanted = format!(
-        "joints={}/17, clips=2/2, morph-targets=0/0, passengers=0/0",
+        "joints={}/17, clips=2/2, morph-targets=0/0, passengers=0/0, passenger-nodes=0/0",
         told.moved_joints
     );
     assert_eq!(headers["x-pliant-followed"], wanted.as_str());

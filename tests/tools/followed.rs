@@ -111,6 +111,32 @@ fn what_stays_is_told_as_nothing_of_so_many() {
 }
 
 #[test]
+fn nodes_that_ride_along_are_counted_beside_primitives() {
+    let folder = workplace();
+    let mut job = stretched_figure(0.2);
+    let riders = json!([{"primitivesNamed": "lod1"}, {"primitivesNamed": "lod2"}, {"primitivesNamed": "hull"},
+        {"nodesNamed": "hatSocket"}]);
+    job["create"]["passengers"] = riders.clone();
+    let told_of = |job: &Value| followed(folder.path(), "figure.glb", job).expect("told");
+    let (told, line) = told_of(&job);
+    assert!(
+        line.ends_with("3 of 3 passenger primitives, 1 of 1 passenger node"),
+        "{line}"
+    );
+    assert!(
+        told["passengerNodes"] == 1 && told["movedPassengerNodes"] == 1,
+        "{told}"
+    );
+    // After an edit as before it, and one that stays is counted as such.
+    job["steps"].as_array_mut().expect("steps").push(json!({"edit":
+        {"subdivide": {"region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.6}}}, "on": "CURRENT"}}));
+    assert!(told_of(&job).1.ends_with(", 1 of 1 passenger node"));
+    let (told, line) = told_of(&json!({"create": {"passengers": riders}}));
+    assert!(line.ends_with(", 0 of 1 passenger node"), "{line}");
+    assert_eq!(told["movedPassengerNodes"], 0);
+}
+
+#[test]
 fn nothing_is_told_of_a_model_without_anything_of_the_kind() {
     let folder = workplace();
     let job = json!({
@@ -160,11 +186,11 @@ fn morph_targets_that_turned_are_counted_and_those_that_did_not() {
             "pose": {"rotationVector": vector, "translation": [1, 0, 0]}}]})
     };
     let line = |job: &Value| followed(folder.path(), model, job).expect("told").1;
-    assert_eq!(line(&turned([0.0, 0.5, 0.0])), "0 of 1 clip, 2 of 2 morph targets");
-    assert_eq!(line(&turned([0.0; 3])), "0 of 1 clip, 0 of 2 morph targets");
+    assert_eq!(line(&turned([0.0, 0.5, 0.0])), "2 of 2 morph targets");
+    assert_eq!(line(&turned([0.0; 3])), "0 of 2 morph targets");
     let mut edited = turned([0.0, 0.5, 0.0]);
     edited["steps"] = json!([{"pose": {}}, {"edit": {"subdivide": {}}}]);
-    assert_eq!(line(&edited), "0 of 1 clip, 2 of 2 morph targets");
+    assert_eq!(line(&edited), "2 of 2 morph targets");
 }
 
 #[test]

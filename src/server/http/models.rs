@@ -76,7 +76,7 @@ pub(super) fn main_file(id: &str, exported: ExportedModel, headers: &HeaderMap) 
 fn followed_text(counts: &FollowedCounts) -> Option<String> {
     (!counts.is_none()).then(|| {
         format!(
-            "joints={}/{}, clips={}/{}, morph-targets={}/{}, passengers={}/{}",
+            "joints={}/{}, clips={}/{}, morph-targets={}/{}, passengers={}/{}, passenger-nodes={}/{}",
             counts.moved_joints,
             counts.joints,
             counts.rewritten_clips,
@@ -84,7 +84,9 @@ fn followed_text(counts: &FollowedCounts) -> Option<String> {
             counts.carried_morph_targets,
             counts.morph_targets,
             counts.moved_passengers,
-            counts.passengers
+            counts.passengers,
+            counts.moved_passenger_nodes,
+            counts.passenger_nodes
         )
     })
 }

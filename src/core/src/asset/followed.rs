@@ -1,5 +1,7 @@
 //! What of a file followed its model's shape, in numbers.
 
+use super::NodeMotions;
+
 /// How many joints are told of by name.
 const MOST_TOLD: usize = 8;
 
@@ -14,7 +16,7 @@ pub struct FollowedCounts {
     /// Those that moved farthest, at most 8: the farthest first, among equals in the order of their nodes. Joints that only
     /// turned are not among them.
     pub farthest: Vec<JointTravel>,
-    /// Clips.
+    /// Clips that move or turn nodes; those of morph weights alone have nothing that could follow.
     pub clips: u32,
     /// Those of them of which values have changed.
     pub rewritten_clips: u32,
@@ -26,6 +28,10 @@ pub struct FollowedCounts {
     pub passengers: u32,
     /// Those of them of which vertices have moved.
     pub moved_passengers: u32,
+    /// Nodes that ride along by themselves.
+    pub passenger_nodes: u32,
+    /// Those of them that have moved.
+    pub moved_passenger_nodes: u32,
 }
 
 /// How far a joint has moved.
@@ -42,13 +48,26 @@ pub struct JointTravel {
 impl FollowedCounts {
     /// Whether there is nothing that could follow.
     pub fn is_none(&self) -> bool {
-        self.joints == 0 && self.clips == 0 && self.morph_targets == 0 && self.passengers == 0
+        [
+            self.joints,
+            self.clips,
+            self.morph_targets,
+            self.passengers,
+            self.passenger_nodes,
+        ] == [0; 5]
     }
 
     /// Counts a primitive that rides along.
     pub(super) fn count_passenger(&mut self, has_moved: bool) {
         self.passengers += 1;
         self.moved_passengers += u32::from(has_moved);
+    }
+
+    /// Counts the nodes that ride along.
+    pub(super) fn count_nodes(&mut self, nodes: &NodeMotions) {
+        let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        self.passenger_nodes = number(nodes.len());
+        self.moved_passenger_nodes = number(nodes.values().flatten().count());
     }
 
     /// Keeps those that moved farthest of joints in the order of their nodes.
@@ -68,6 +87,7 @@ impl std::fmt::Display for FollowedCounts {
             (self.rewritten_clips, self.clips, "clip"),
             (self.carried_morph_targets, self.morph_targets, "morph target"),
             (self.moved_passengers, self.passengers, "passenger primitive"),
+            (self.moved_passenger_nodes, self.passenger_nodes, "passenger node"),
         ];
         let present = parts.into_iter().filter(|(_, all, _)| *all > 0);
         for (k, (followed, all, what)) in present.enumerate() {

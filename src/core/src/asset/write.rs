@@ -116,7 +116,11 @@ impl Model {
                 format!("the position of vertex {i} is {}, not finite", positions[i]),
             ));
         }
-        let mut written = self.write_checked(positions, format, &followers.into())?;
+        let followers = followers.into();
+        let mut written = self.write_checked(positions, format, &followers)?;
+        if codec_of(format).patches_files_of(self.format) {
+            written.followed.count_nodes(followers.nodes);
+        }
         let passengers = self.geometry.primitives.iter().filter(|p| p.is_passenger);
         for passenger in passengers {
             let own = passenger.vertices();
@@ -245,7 +249,11 @@ pub fn write_edited_model_following<'a>(
     followers: impl Into<ShapeFollowers<'a>>,
 ) -> Result<WrittenFiles, Error> {
     edited::check(edited, positions, format)?;
-    let mut written = write_checked_edit(edited, positions, format, &followers.into())?;
+    let followers = followers.into();
+    let mut written = write_checked_edit(edited, positions, format, &followers)?;
+    if (edited.bases.first()).is_some_and(|base| codec_of(format).edits(base.model.format)) {
+        written.followed.count_nodes(followers.nodes);
+    }
     let passengers = edited.runs.iter().filter(|run| edited.primitive(run).is_passenger);
     for run in passengers {
         let before = CarriedAttributes::before(edited, run);

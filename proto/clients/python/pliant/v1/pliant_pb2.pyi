@@ -936,7 +936,7 @@ class ExportRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., format: _Optional[str] = ...) -> None: ...
 
 class Followed(_message.Message):
-    __slots__ = ("joints", "moved_joints", "clips", "rewritten_clips", "morph_targets", "carried_morph_targets", "passengers", "moved_passengers", "farthest")
+    __slots__ = ("joints", "moved_joints", "clips", "rewritten_clips", "morph_targets", "carried_morph_targets", "passengers", "moved_passengers", "farthest", "passenger_nodes", "moved_passenger_nodes")
     class Joint(_message.Message):
         __slots__ = ("node", "name", "distance")
         NODE_FIELD_NUMBER: _ClassVar[int]
@@ -955,6 +955,8 @@ class Followed(_message.Message):
     PASSENGERS_FIELD_NUMBER: _ClassVar[int]
     MOVED_PASSENGERS_FIELD_NUMBER: _ClassVar[int]
     FARTHEST_FIELD_NUMBER: _ClassVar[int]
+    PASSENGER_NODES_FIELD_NUMBER: _ClassVar[int]
+    MOVED_PASSENGER_NODES_FIELD_NUMBER: _ClassVar[int]
     joints: int
     moved_joints: int
     clips: int
@@ -964,7 +966,9 @@ class Followed(_message.Message):
     passengers: int
     moved_passengers: int
     farthest: _containers.RepeatedCompositeFieldContainer[Followed.Joint]
-    def __init__(self, joints: _Optional[int] = ..., moved_joints: _Optional[int] = ..., clips: _Optional[int] = ..., rewritten_clips: _Optional[int] = ..., morph_targets: _Optional[int] = ..., carried_morph_targets: _Optional[int] = ..., passengers: _Optional[int] = ..., moved_passengers: _Optional[int] = ..., farthest: _Optional[_Iterable[_Union[Followed.Joint, _Mapping]]] = ...) -> None: ...
+    passenger_nodes: int
+    moved_passenger_nodes: int
+    def __init__(self, joints: _Optional[int] = ..., moved_joints: _Optional[int] = ..., clips: _Optional[int] = ..., rewritten_clips: _Optional[int] = ..., morph_targets: _Optional[int] = ..., carried_morph_targets: _Optional[int] = ..., passengers: _Optional[int] = ..., moved_passengers: _Optional[int] = ..., farthest: _Optional[_Iterable[_Union[Followed.Joint, _Mapping]]] = ..., passenger_nodes: _Optional[int] = ..., moved_passenger_nodes: _Optional[int] = ...) -> None: ...
 
 class Chunk(_message.Message):
     __slots__ = ("data", "uri", "followed")

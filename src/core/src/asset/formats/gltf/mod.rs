@@ -146,7 +146,7 @@ impl FormatCodec for GltfCodec {
         let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
         let mut written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
-        let mut followed = counts::followable(&doc, doc.animations.len());
+        let mut followed = counts::followable(&doc, doc.animations.iter().copied());
         tally.count_into(&mut followed);
         if let Some((tree, _)) = tree {
             written = tree.rewrite(written, format)?;

@@ -102,7 +102,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         Some(kept) => writer.write_packed(kept, &buffers)?,
         None => writer.write_appended(&buffers)?,
     };
-    let clips = writer.frame.animations.iter().flatten().count();
+    let clips = writer.frame.animations.iter().flatten().map(String::as_str);
     let mut followed = super::counts::followable(&doc, clips);
     tally.count_into(&mut followed);
     if let Some((tree, _)) = &tree {

@@ -106,6 +106,15 @@ fn target_of(channel: &str) -> Option<ClipTarget> {
     (is_rotation || path == "translation").then_some(ClipTarget { node, is_rotation })
 }
 
+/// Whether a clip moves or turns any node. Others, such as those of morph weights alone, never change.
+pub(in super::super) fn moves_nodes(animation: &str) -> bool {
+    let channels = value_of(animation, "channels").and_then(|list| items(list).ok());
+    channels
+        .unwrap_or_default()
+        .into_iter()
+        .any(|channel| target_of(channel).is_some())
+}
+
 fn is_changed(nodes: &MovedNodes, target: ClipTarget) -> bool {
     let turns = |node: &MovedNode| node.turn != DQuat::IDENTITY;
     let node = nodes.moved.get(&target.node);

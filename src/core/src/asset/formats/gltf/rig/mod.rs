@@ -24,6 +24,7 @@ mod motions;
 mod nodes;
 mod rewrite;
 
+pub(super) use clips::moves_nodes;
 pub(super) use motions::{JointHeldVertices, SkinnedShape};
 
 use super::buffers::BufferBytes;
