@@ -248,7 +248,7 @@ fn a_chain_that_is_not_there_is_refused_with_those_that_are() {
         (
             "creature.glb",
             json!({"rigidChains": ["hips"]}),
-            "the model has no joint with a name",
+            "the model has no joint with a name; boneLengths KEEP",
         ),
         (
             "figure.glb",

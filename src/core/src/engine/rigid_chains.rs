@@ -21,7 +21,9 @@ pub(super) fn check_rigid_chains(model: &Model, rule: &BoneLengthRule) -> Result
             let clip = |name: &String| format!("\"{}\"", name.chars().take(LONGEST_SHOWN).collect::<String>());
             let known: Vec<String> = joints.iter().take(MOST_SHOWN).map(clip).collect();
             let known = match (joints.len(), known.join(", ")) {
-                (0, _) => "the model has no joint with a name".to_owned(),
+                (0, _) => {
+                    "the model has no joint with a name; boneLengths KEEP keeps the lengths of all bones".to_owned()
+                }
                 (all, known) if all > MOST_SHOWN => format!("there are {known} and {} more", all - MOST_SHOWN),
                 (_, known) => format!("there are {known}"),
             };
