@@ -3,13 +3,17 @@
 pub mod bvh;
 mod clip;
 mod curve;
+pub mod decomposition;
 mod error;
+mod influences;
 mod of_scene;
 pub mod rig;
 mod skeleton;
+pub mod skin_weights;
 
 pub use clip::{JointCurves, MotionClip, RecordedFrames};
 pub use curve::{CurveValue, Interpolation, KeyedCurve, SplinePlace};
 pub use error::Error;
+pub use influences::BoneInfluences;
 pub use of_scene::{NodeOrder, clip_of_scene};
 pub use skeleton::{JointPose, Skeleton, SkeletonJoint};

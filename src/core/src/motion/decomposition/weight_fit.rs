@@ -1,0 +1,286 @@
+//! Weights of each vertex, where the motions of the bones are known.
+//!
+//! The paper fits weights of all bones and cuts them down to four, which is not the best set of four. Here a set grows: the
+//! bone that promises most is taken in, weights are fitted anew (`simplex_fit`), and once there are five the one that is
+//! missed least goes, as long as the error falls.
+
+use super::bone_frames::BoneFrames;
+use super::bone_products::{BoneProducts, VertexTargets, gather_targets};
+use super::sequence::ShapeSamples;
+use super::simplex_fit::{MOST, SimplexFit, fit_on_simplex};
+use crate::exec::Exec;
+use crate::motion::influences::BoneInfluences;
+use crate::progress::Cancelled;
+use rayon::prelude::*;
+
+/// Vertices that are fitted together: what is gathered for them stays in cache.
+const RUN: usize = 16;
+/// Vertices between two looks at the progress.
+const BLOCK: usize = 1 << 13;
+/// Share of the error by which another set must be better.
+const GAIN: f64 = 1e-5;
+/// Changes of a set at most, and bones that are tried for each.
+const CHANGES: usize = 24;
+const TRIES: usize = 3;
+
+/// Fits weights to all vertices, beginning with `before` where it is given. Also answers each vertex's squared error, summed
+/// over all frames.
+pub(super) fn fit_influences(
+    samples: &ShapeSamples,
+    bones: &BoneFrames,
+    most: usize,
+    before: Option<&[BoneInfluences]>,
+    exec: &Exec<'_>,
+) -> Result<(Vec<BoneInfluences>, Vec<f64>), Cancelled> {
+    for_each_vertex(samples, bones, exec, |search, vertex, v| {
+        let start = before.map(|b| &b[v]);
+        search.best_set(vertex, most, start)
+    })
+}
+
+/// The bone that takes each vertex along best, and its squared error.
+pub(super) fn best_bones(
+    samples: &ShapeSamples,
+    bones: &BoneFrames,
+    exec: &Exec<'_>,
+) -> Result<(Vec<BoneInfluences>, Vec<f64>), Cancelled> {
+    for_each_vertex(samples, bones, exec, |search, vertex, _| {
+        let (bone, error) = search.best_single(vertex);
+        (BoneInfluences::one(bone as u16), error)
+    })
+}
+
+fn for_each_vertex(
+    samples: &ShapeSamples,
+    bones: &BoneFrames,
+    exec: &Exec<'_>,
+    fit: impl Fn(&mut SetSearch<'_>, &VertexTargets<'_>, usize) -> (BoneInfluences, f64) + Sync + Send,
+) -> Result<(Vec<BoneInfluences>, Vec<f64>), Cancelled> {
+    let products = BoneProducts::new(bones);
+    let vertices = samples.vertices();
+    let mut influences = vec![BoneInfluences::default(); vertices];
+    let mut errors = vec![0.0; vertices];
+    let blocks = influences.chunks_mut(BLOCK).zip(errors.chunks_mut(BLOCK));
+    for (block, (influences, errors)) in blocks.enumerate() {
+        exec.check()?;
+        exec.pool.install(|| {
+            let runs = influences
+                .par_chunks_mut(RUN)
+                .zip(errors.par_chunks_mut(RUN))
+                .enumerate();
+            runs.for_each_init(
+                || {
+                    (
+                        SetSearch::new(&products),
+                        vec![0.0; 4 * bones.bones() * RUN],
+                        [0.0; RUN],
+                    )
+                },
+                |(search, pulls, squares), (run, (influences, errors))| {
+                    let first = block * BLOCK + run * RUN;
+                    let count = influences.len();
+                    let pulls = &mut pulls[..4 * bones.bones() * count];
+                    gather_targets(samples, bones, first, pulls, &mut squares[..count]);
+                    for k in 0..count {
+                        let size = 4 * bones.bones();
+                        let own = &pulls[k * size..(k + 1) * size];
+                        let vertex = VertexTargets::new(samples.rest[first + k], own, squares[k]);
+                        (influences[k], errors[k]) = fit(search, &vertex, first + k);
+                    }
+                },
+            );
+        });
+    }
+    Ok((influences, errors))
+}
+
+/// Bones with weights, and the squared error that they leave.
+#[derive(Clone, Copy)]
+struct WeightedSet {
+    bones: [usize; MOST],
+    count: usize,
+    fit: SimplexFit,
+}
+
+/// Searches the sets of bones of one vertex after the other.
+struct SetSearch<'a> {
+    products: &'a BoneProducts,
+    /// Each bone's error alone.
+    alone: Vec<f64>,
+    /// Rows of the Gram matrix that are known.
+    rows: Vec<(usize, Vec<f64>)>,
+    known: usize,
+}
+
+impl<'a> SetSearch<'a> {
+    fn new(products: &'a BoneProducts) -> Self {
+        Self {
+            products,
+            alone: Vec::new(),
+            rows: Vec::new(),
+            known: 0,
+        }
+    }
+
+    fn best_single(&mut self, vertex: &VertexTargets<'_>) -> (usize, f64) {
+        let mut best = (0, f64::INFINITY);
+        for bone in 0..self.products.bones() {
+            let error = self.products.own_error(vertex, bone);
+            if error < best.1 {
+                best = (bone, error);
+            }
+        }
+        best
+    }
+
+    fn best_set(
+        &mut self,
+        vertex: &VertexTargets<'_>,
+        most: usize,
+        start: Option<&BoneInfluences>,
+    ) -> (BoneInfluences, f64) {
+        self.known = 0;
+        self.alone.clear();
+        let alone = (0..self.products.bones()).map(|bone| self.products.own_error(vertex, bone));
+        self.alone.extend(alone);
+        let mut single = 0;
+        for (bone, error) in self.alone.iter().enumerate() {
+            if *error < self.alone[single] {
+                single = bone;
+            }
+        }
+        let mut bones = [0; MOST];
+        let mut count = 0;
+        for (bone, _) in start.iter().flat_map(|s| s.iter()) {
+            bones[count] = bone;
+            count += 1;
+        }
+        if count == 0 {
+            (bones[0], count) = (single, 1);
+        }
+        let set = self.fit_set(vertex, &bones[..count]);
+        let set = self.improve(vertex, most, set);
+        let mut pairs = [(0u16, 0.0); MOST];
+        for k in 0..set.count {
+            pairs[k] = (set.bones[k] as u16, set.fit.weights[k]);
+        }
+        let found = BoneInfluences::from_pairs(&mut pairs[..set.count]);
+        (
+            found.unwrap_or_else(|| BoneInfluences::one(single as u16)),
+            set.fit.value,
+        )
+    }
+
+    /// Takes bones in and lets others go while that lessens the error.
+    fn improve(&mut self, vertex: &VertexTargets<'_>, most: usize, mut set: WeightedSet) -> WeightedSet {
+        for _ in 0..CHANGES {
+            let mut better = None;
+            for bone in self.promising(vertex, &set).into_iter().flatten() {
+                let mut bones = set.bones;
+                bones[set.count] = bone;
+                let mut grown = self.fit_set(vertex, &bones[..set.count + 1]);
+                if grown.count > most {
+                    grown = self.without_one(vertex, &grown);
+                }
+                if grown.fit.value < set.fit.value * (1.0 - GAIN) {
+                    better = Some(grown);
+                    break;
+                }
+            }
+            match better {
+                Some(better) => set = better,
+                None => break,
+            }
+        }
+        set
+    }
+
+    /// The bones outside of the set towards which the error falls most.
+    fn promising(&mut self, vertex: &VertexTargets<'_>, set: &WeightedSet) -> [Option<usize>; TRIES] {
+        let mut slope = [0usize; MOST];
+        for k in 0..set.count {
+            slope[k] = self.row(vertex, set.bones[k]);
+        }
+        let value = set.fit.value;
+        let mut best = [(0.0, None); TRIES];
+        for (bone, own) in self.alone.iter().enumerate() {
+            if set.bones[..set.count].contains(&bone) {
+                continue;
+            }
+            let gradient: f64 = (0..set.count)
+                .map(|k| set.fit.weights[k] * self.rows[slope[k]].1[bone])
+                .sum();
+            let fall = value - gradient;
+            if fall <= 0.0 {
+                continue;
+            }
+            let curve = value - 2.0 * gradient + own;
+            let gain = if fall < curve { fall * fall / curve } else { value - own };
+            let mut entry = (gain, Some(bone));
+            for place in &mut best {
+                if entry.0 > place.0 {
+                    std::mem::swap(place, &mut entry);
+                }
+            }
+        }
+        best.map(|b| b.1)
+    }
+
+    /// The best of the sets with one bone less.
+    fn without_one(&mut self, vertex: &VertexTargets<'_>, set: &WeightedSet) -> WeightedSet {
+        let mut best: Option<WeightedSet> = None;
+        for left_out in 0..set.count {
+            let mut bones = [0; MOST];
+            let kept = (0..set.count).filter(|&k| k != left_out);
+            kept.enumerate().for_each(|(to, k)| bones[to] = set.bones[k]);
+            let smaller = self.fit_set(vertex, &bones[..set.count - 1]);
+            if best.is_none_or(|b| smaller.fit.value < b.fit.value) {
+                best = Some(smaller);
+            }
+        }
+        best.unwrap_or(*set)
+    }
+
+    /// Fits weights on a set; bones that get none are left out.
+    fn fit_set(&mut self, vertex: &VertexTargets<'_>, bones: &[usize]) -> WeightedSet {
+        let mut gram = [[0.0; MOST]; MOST];
+        for (a, &j) in bones.iter().enumerate() {
+            let row = self.row(vertex, j);
+            for (b, &k) in bones.iter().enumerate() {
+                gram[a][b] = self.rows[row].1[k];
+            }
+        }
+        let fit = fit_on_simplex(&gram, bones.len());
+        let mut set = WeightedSet {
+            bones: [0; MOST],
+            count: 0,
+            fit: SimplexFit {
+                weights: [0.0; MOST],
+                value: fit.value,
+            },
+        };
+        for (k, &bone) in bones.iter().enumerate() {
+            if fit.weights[k] > 0.0 {
+                set.bones[set.count] = bone;
+                set.fit.weights[set.count] = fit.weights[k];
+                set.count += 1;
+            }
+        }
+        set
+    }
+
+    /// Where the row of a bone is kept.
+    fn row(&mut self, vertex: &VertexTargets<'_>, bone: usize) -> usize {
+        if let Some(at) = self.rows[..self.known].iter().position(|r| r.0 == bone) {
+            return at;
+        }
+        if self.known == self.rows.len() {
+            self.rows.push((bone, Vec::new()));
+        }
+        let slot = &mut self.rows[self.known];
+        slot.0 = bone;
+        self.products.gram_row(vertex, bone, &mut slot.1);
+        self.known += 1;
+        self.known - 1
+    }
+}

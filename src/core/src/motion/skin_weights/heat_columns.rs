@@ -1,0 +1,273 @@
+//! The balance of all bones' pulls: one system, a column for each bone.
+
+use super::four_heaviest::HeaviestWeights;
+use super::occupied_cells::OccupiedCells;
+use crate::exec::Exec;
+use crate::mesh::query::closest_point::closest_point_on_segment;
+use crate::motion::influences::BoneInfluences;
+use crate::progress::Cancelled;
+use crate::solver::{
+    BuildOptions, Constraints, Hierarchy, InitialGuess, SolveControl, SolveOptions, WeightedGraph, Workspace,
+};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// How a mesh is bound to bones.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SkinWeightOptions {
+    /// Bones that a vertex follows at most, 1 to 4.
+    pub influences: usize,
+    /// Cells of the box around the mesh at most; more follow thinner limbs and take longer.
+    pub cells: usize,
+    /// c: how strongly a cell is pulled to its nearest bone. More is crisper.
+    pub stiffness: f64,
+}
+
+impl Default for SkinWeightOptions {
+    fn default() -> Self {
+        Self {
+            influences: BoneInfluences::MOST,
+            cells: 1 << 20,
+            stiffness: 1.0,
+        }
+    }
+}
+
+/// A bone that vertices can follow.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SkinBone {
+    /// Where it begins and where it ends, in model space; the same point twice for a bone without length.
+    pub ends: [DVec3; 2],
+    /// Number of the bone that it hangs on, lower than its own; `None` for a root.
+    pub parent: Option<usize>,
+}
+
+/// Why a mesh cannot be bound to bones.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SkinWeightError {
+    /// Something given is not what it may be.
+    #[error("{what}: {problem}")]
+    Invalid {
+        /// What.
+        what: String,
+        /// What is wrong, and what is allowed.
+        problem: String,
+    },
+    /// Nobody wants the result any more.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// The system of the lattice cannot be solved.
+    #[error("the weights cannot be solved for: {0}")]
+    Solver(crate::solver::Error),
+}
+
+impl From<crate::solver::Error> for SkinWeightError {
+    fn from(e: crate::solver::Error) -> Self {
+        match e {
+            crate::solver::Error::Cancelled => Self::Cancelled(Cancelled),
+            other => Self::Solver(other),
+        }
+    }
+}
+
+/// The most bones.
+const MOST_BONES: usize = 4096;
+/// Columns that are solved together: memory grows with them, not with the number of bones.
+const COLUMNS: usize = 32;
+/// Relative residual of a column. What is left is far below what a weight shows.
+const TOLERANCE: f64 = 1e-5;
+/// No pull is stronger than from this distance to a bone, in cells.
+const NEAREST: f64 = 0.5;
+/// Bones whose distances differ by less than this share are equally near and share the pull: those that meet in a joint.
+const EQUAL: f64 = 1e-6;
+
+/// Weights of all vertices for bones that run from one point to another. Each vertex follows at least one bone.
+///
+/// ```
+/// use glam::DVec3;
+/// use pliant_core::{exec::Exec, pool::Pool, progress::Silent};
+/// use pliant_core::motion::skin_weights::{SkinBone, SkinWeightOptions, skin_weights};
+///
+/// let strip: Vec<DVec3> = (0..9).map(|k| DVec3::new(f64::from(k), 0.0, 0.0)).collect();
+/// let bones = [
+///     SkinBone { ends: [DVec3::ZERO, DVec3::X * 4.0], parent: None },
+///     SkinBone { ends: [DVec3::X * 4.0, DVec3::X * 8.0], parent: Some(0) },
+/// ];
+/// let pool = Pool::new(1)?;
+/// let found = skin_weights(&strip, &[], &bones, &SkinWeightOptions::default(), &Exec::new(&pool, &Silent))?;
+/// assert!(found[0].bones[0] == 0 && found[8].bones[0] == 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`SkinWeightError`] for no vertex or bone or too many bones, numbers that are not finite or not in their range, a triangle
+/// of vertices that are not there, and when nobody wants the result any more.
+pub fn skin_weights(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    bones: &[SkinBone],
+    options: &SkinWeightOptions,
+    exec: &Exec<'_>,
+) -> Result<Vec<BoneInfluences>, SkinWeightError> {
+    check(positions, triangles, bones, options)?;
+    let cells = OccupiedCells::find(positions, triangles, options.cells, exec)?;
+    let pulls = pulls(&cells, bones, options.stiffness, exec)?;
+    let (offsets, neighbours) = cells.rows();
+    let nodes = cells.places.len();
+    let points: Vec<[f64; 3]> = cells.places.iter().map(DVec3::to_array).collect();
+    let graph = WeightedGraph {
+        offsets: &offsets,
+        neighbours: &neighbours,
+        weights: None,
+        positions: Some(&points),
+    };
+    let hierarchy = Hierarchy::build(&graph, &BuildOptions::default(), exec)?;
+    let stiffness: Vec<f64> = pulls.iter().map(|p| p.stiffness).collect();
+    let fixed = vec![false; nodes];
+    let constraints = Constraints {
+        fixed: &fixed,
+        stiffness: Some(&stiffness),
+    };
+    let system = hierarchy.constrain(&constraints, exec.pool)?;
+    let mut heaviest = vec![HeaviestWeights::default(); positions.len()];
+    let mut workspace = Workspace::default();
+    let all: Vec<usize> = (0..bones.len()).collect();
+    for group in all.chunks(COLUMNS) {
+        let columns = group.len();
+        let mut rhs = vec![0.0; nodes * columns];
+        for (row, pull) in rhs.chunks_mut(columns).zip(&pulls) {
+            for bone in pull.bones.iter().filter(|b| group.contains(b)) {
+                row[bone - group[0]] = pull.stiffness / pull.bones.len() as f64;
+            }
+        }
+        let mut x = vec![0.0; nodes * columns];
+        let solve = SolveOptions {
+            start: InitialGuess::FullMultigrid {
+                frames: None,
+                rest: None,
+            },
+            tolerance: Some(TOLERANCE),
+            ..SolveOptions::default()
+        };
+        let equations = system.equations(&hierarchy, columns, &rhs);
+        equations.solve(&mut x, &solve, &mut workspace, exec, &mut |_| SolveControl::Continue)?;
+        exec.pool.install(|| {
+            let vertices = heaviest.par_iter_mut().zip(positions).with_min_len(256);
+            vertices.for_each(|(heaviest, p)| {
+                let (around, count) = cells.around_point(*p);
+                for (column, bone) in group.iter().enumerate() {
+                    let parts = around[..count].iter();
+                    let weight: f64 = parts.map(|(node, w)| w * x[*node as usize * columns + column]).sum();
+                    heaviest.add(*bone as u16, weight);
+                }
+            });
+        });
+    }
+    let parents: Vec<Option<usize>> = bones.iter().map(|b| b.parent).collect();
+    // A vertex far from any weight that is left by the solver still has its nearest bone.
+    let found = heaviest.iter().zip(positions).map(|(heaviest, p)| {
+        let cut = heaviest.cut(options.influences, &parents);
+        cut.unwrap_or_else(|| BoneInfluences::one(nearest(bones, *p).0 as u16))
+    });
+    Ok(found.collect())
+}
+
+/// To which bones a cell is pulled, and how strongly.
+struct CellPull {
+    bones: Vec<usize>,
+    stiffness: f64,
+}
+
+fn pulls(
+    cells: &OccupiedCells,
+    bones: &[SkinBone],
+    stiffness: f64,
+    exec: &Exec<'_>,
+) -> Result<Vec<CellPull>, Cancelled> {
+    exec.check()?;
+    Ok(exec.pool.install(|| {
+        let all = cells.places.par_iter().with_min_len(256);
+        let found = all.map(|p| {
+            let (_, square) = nearest(bones, *p);
+            let reach = square * (1.0 + EQUAL) * (1.0 + EQUAL) + EQUAL * EQUAL * cells.side * cells.side;
+            let near = (0..bones.len()).filter(|b| distance_squared(&bones[*b], *p) <= reach);
+            let d = square / (cells.side * cells.side);
+            CellPull {
+                bones: near.collect(),
+                stiffness: stiffness / d.max(NEAREST * NEAREST),
+            }
+        });
+        found.collect()
+    }))
+}
+
+fn distance_squared(bone: &SkinBone, p: DVec3) -> f64 {
+    let [from, to] = bone.ends;
+    closest_point_on_segment(p, from, to).distance_squared(p)
+}
+
+/// The bone nearest to a point, and its squared distance.
+fn nearest(bones: &[SkinBone], p: DVec3) -> (usize, f64) {
+    let mut best = (0, f64::INFINITY);
+    for (bone, own) in bones.iter().enumerate() {
+        let square = distance_squared(own, p);
+        if square < best.1 {
+            best = (bone, square);
+        }
+    }
+    best
+}
+
+fn check(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    bones: &[SkinBone],
+    options: &SkinWeightOptions,
+) -> Result<(), SkinWeightError> {
+    let refuse = |what: &str, problem: String| {
+        let what = what.into();
+        Err(SkinWeightError::Invalid { what, problem })
+    };
+    if positions.is_empty() {
+        return refuse("the mesh", "has no vertex, at least one is needed".into());
+    }
+    if let Some(at) = positions.iter().position(|p| !p.is_finite()) {
+        return refuse(&format!("vertex {at}"), "is no point of finite numbers".into());
+    }
+    let missing = |t: &[u32; 3]| t.iter().any(|v| *v as usize >= positions.len());
+    if let Some(at) = triangles.iter().position(missing) {
+        let problem = format!("names a vertex that is not there, there are {}", positions.len());
+        return refuse(&format!("triangle {at}"), problem);
+    }
+    if bones.is_empty() || bones.len() > MOST_BONES {
+        return refuse("bones", format!("are {}, allowed are 1 to {MOST_BONES}", bones.len()));
+    }
+    if let Some(at) = bones.iter().position(|b| !b.ends.iter().all(|p| p.is_finite())) {
+        return refuse(
+            &format!("bone {at}"),
+            "has an end that is no point of finite numbers".into(),
+        );
+    }
+    let above = |(at, bone): (usize, &SkinBone)| bone.parent.is_some_and(|p| p >= at);
+    if let Some(at) = bones.iter().enumerate().position(above) {
+        let problem = "hangs on a bone that does not come before it; parents come first".into();
+        return refuse(&format!("bone {at}"), problem);
+    }
+    if !(1..=BoneInfluences::MOST).contains(&options.influences) {
+        let problem = format!("are {}, allowed are 1 to {}", options.influences, BoneInfluences::MOST);
+        return refuse("influences", problem);
+    }
+    if !(1 << 9..=1 << 26).contains(&options.cells) {
+        return refuse(
+            "cells",
+            format!("are {}, allowed are 512 to {}", options.cells, 1 << 26),
+        );
+    }
+    if !(options.stiffness.is_finite() && options.stiffness > 0.0) {
+        return refuse(
+            "stiffness",
+            format!("is {}, a number above 0 is needed", options.stiffness),
+        );
+    }
+    Ok(())
+}
