@@ -140,17 +140,18 @@ mod tests {
 
     #[test]
     fn the_frames_where_a_path_turns_are_chosen() {
-        let heights = [0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0, 0.0, 0.0];
+        // Blends at halves and quarters are exact.
+        let heights = [0.0, 1.0, 2.0, 3.0, 4.0, 2.0, 0.0, 0.0, 0.0];
         let frames: Vec<Vec<Vec3>> = heights
             .iter()
             .map(|h| vec![Vec3::new(0.0, *h, 0.0), Vec3::ZERO])
             .collect();
-        assert_eq!(choose(&frames, 4), [0, 3, 6, 8]);
-        assert_eq!(choose(&frames, 9), [0, 3, 6, 8], "more change nothing");
+        assert_eq!(choose(&frames, 4), [0, 4, 6, 8]);
+        assert_eq!(choose(&frames, 9), [0, 4, 6, 8], "more change nothing");
         let mut moved = [0, 4, 8];
         settle(&frames, &mut moved);
-        assert_eq!(moved, [0, 3, 8], "the turn is where one frame does most");
+        assert_eq!(moved, [0, 3, 8], "off by 1.6 there, and by 2 at the turn");
         let coarse = BlendedStretch::between(&frames, [0, 6]);
-        assert_eq!((coarse.worst, coarse.error), (3, 3.0));
+        assert_eq!((coarse.worst, coarse.error), (4, 4.0));
     }
 }
