@@ -2,6 +2,7 @@
 
 use super::frames_file::FramesFile;
 use super::morphs::write_morphs;
+use super::skins::write_skin;
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::asset::VertexCache;
 use crate::cli::failure::CliFailure;
@@ -18,6 +19,8 @@ pub(super) enum GatheredKind {
     Cache(VertexCache),
     /// A GLB with so many morph targets at most.
     Morphs(usize),
+    /// A GLB with a skin of so many bones.
+    Skin(usize),
 }
 
 /// An output of one file.
@@ -94,6 +97,10 @@ impl FrameTaker for GatheredFrames<'_> {
             GatheredKind::Cache(cache) => self.write_cache(cache)?,
             GatheredKind::Morphs(most) => {
                 let told = write_morphs(&self.path, &self.played, &mut self.frames, (most, self.has_root))?;
+                report.warnings.extend(told);
+            }
+            GatheredKind::Skin(bones) => {
+                let told = write_skin(&self.path, &self.played, &mut self.frames, (bones, self.has_root))?;
                 report.warnings.extend(told);
             }
         }

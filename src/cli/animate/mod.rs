@@ -13,6 +13,7 @@ mod key_frames;
 mod morphs;
 mod numbered;
 mod output;
+mod skins;
 mod taken_frames;
 
 pub(super) use command::{AnimateArgs, run_animate};

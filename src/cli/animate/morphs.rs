@@ -50,7 +50,7 @@ pub(super) fn write_morphs(
 }
 
 /// Where a node is that moves as a root does.
-fn node_place(root: &RigidMotion) -> NodePlace {
+pub(super) fn node_place(root: &RigidMotion) -> NodePlace {
     NodePlace {
         translation: root.to - root.rotation * root.from,
         rotation: root.rotation,

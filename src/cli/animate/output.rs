@@ -6,6 +6,7 @@ use super::taken_frames::{FrameTaker, MeasuredFrames, PlayedAnimation};
 use crate::asset::{Format, VertexCache};
 use crate::cli::failure::CliFailure;
 use crate::cli::output_files::OutputPermission;
+use crate::motion::decomposition::DecompositionOptions;
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 
@@ -13,6 +14,9 @@ use std::path::{Path, PathBuf};
 const MOST_TARGETS: usize = 4096;
 /// Morph targets of a file unless told otherwise: what game engines take (bevy: 64).
 const USUAL_TARGETS: usize = 64;
+
+/// Bones of a skin unless told otherwise.
+const USUAL_BONES: usize = 40;
 
 /// Where the frames of an animation go.
 #[derive(Debug, Args)]
@@ -29,6 +33,9 @@ pub(super) struct AnimationOutputArgs {
     /// Most morph targets of a .glb; with more frames, the shapes between chosen ones are blended [default: 64]
     #[arg(long, value_name = "COUNT")]
     max_targets: Option<usize>,
+    /// Bones of a .glb that is written --as skin, 1 to 256 [default: 40]
+    #[arg(long, value_name = "COUNT")]
+    bones: Option<usize>,
     /// Where the motion of the root bone goes: node (a node above everything, the default for .glb), baked (into the
     /// positions, the default for all others) or none (left out)
     #[arg(long, value_enum)]
@@ -45,6 +52,8 @@ pub(super) struct AnimationOutputArgs {
 pub(super) enum PlayedAs {
     /// As morph targets and an animation of their weights.
     Morph,
+    /// As a skin of rigid bones, four a vertex, which any engine plays.
+    Skin,
 }
 
 /// Where the motion of the root bone goes.
@@ -82,7 +91,9 @@ impl AnimationOutputArgs {
             None => OutputKind::Nothing,
             Some(path) => self.kind_of(path)?,
         };
-        let is_glb = matches!(kind, OutputKind::Gathered(_, GatheredKind::Morphs(_)));
+        let is_morph = matches!(kind, OutputKind::Gathered(_, GatheredKind::Morphs(_)));
+        let is_skin = matches!(kind, OutputKind::Gathered(_, GatheredKind::Skin(_)));
+        let is_glb = is_morph || is_skin;
         let is_numbered = matches!(kind, OutputKind::Numbered(..));
         for (is_given, fits, problem) in [
             (
@@ -91,7 +102,12 @@ impl AnimationOutputArgs {
                 "--format is for folders of numbered models",
             ),
             (self.played_as.is_some(), is_glb, "--as is for .glb files"),
-            (self.max_targets.is_some(), is_glb, "--max-targets is for .glb files"),
+            (
+                self.max_targets.is_some(),
+                is_morph,
+                "--max-targets is for .glb files with morph targets",
+            ),
+            (self.bones.is_some(), is_skin, "--bones is for --as skin"),
             (
                 self.root == Some(RootRule::Node),
                 is_glb,
@@ -136,6 +152,16 @@ impl AnimationOutputArgs {
                     "cannot tell what to write into {text}: {problem}"
                 )));
             }
+        }
+        if self.played_as == Some(PlayedAs::Skin) {
+            let bones = self.bones.unwrap_or(USUAL_BONES);
+            let most = DecompositionOptions::MOST_BONES;
+            if !(1..=most).contains(&bones) {
+                return Err(CliFailure::Input(format!(
+                    "--bones is {bones}, allowed are 1 to {most}"
+                )));
+            }
+            return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Skin(bones)));
         }
         let most = self.max_targets.unwrap_or(USUAL_TARGETS);
         if !(2..=MOST_TARGETS).contains(&most) {

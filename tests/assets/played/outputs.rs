@@ -21,12 +21,12 @@ fn read_folder(folder: &Path, extension: &str) -> Vec<Vec<DVec3>> {
 }
 
 /// For each vertex that a GLB of the bar draws the vertex of the bar that stands where it does.
-fn bar_vertices(drawn: &[DVec3], bar: &[Vec3]) -> Vec<usize> {
+pub(super) fn bar_vertices(drawn: &[DVec3], bar: &[Vec3]) -> Vec<usize> {
     let same = |p: &DVec3| bar.iter().position(|q| p.distance(q.as_dvec3()) < 1e-6);
     drawn.iter().map(|p| same(p).expect("a vertex of the bar")).collect()
 }
 
-fn rest_of_bar(folder: &Path) -> Vec<Vec3> {
+pub(super) fn rest_of_bar(folder: &Path) -> Vec<Vec3> {
     let bytes = fs::read(folder.join("bar.obj")).expect("the bar");
     let model = Model::read(FileSet::single("bar.obj", bytes), None, &Limits::default()).expect("the bar");
     model.positions.iter().map(|p| p.as_vec3()).collect()

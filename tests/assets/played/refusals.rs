@@ -32,7 +32,7 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
     make_bar(folder);
     fs::create_dir(folder.join("there")).expect("a folder");
     let before = contents(folder);
-    let cases: [(&[&str], &str); 14] = [
+    let cases: [(&[&str], &str); 17] = [
         (&["-o", "walk"], "allowed are .glb, .pc2, .mdd and a folder"),
         (&["-o", "walk.abc"], "allowed are .glb, .pc2, .mdd and a folder"),
         (
@@ -53,6 +53,15 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
         (
             &["-o", "walk.glb", "--max-targets", "1"],
             "--max-targets is 1, allowed are 2 to 4096",
+        ),
+        (&["-o", "walk.glb", "--bones", "9"], "--bones is for --as skin"),
+        (
+            &["-o", "walk.glb", "--as", "skin", "--bones", "0"],
+            "--bones is 0, allowed are 1 to 256",
+        ),
+        (
+            &["-o", "walk.glb", "--as", "skin", "--max-targets", "9"],
+            "--max-targets is for .glb files with morph targets",
         ),
         (&["-o", "walk.pc2", "--root", "node"], "allowed here are baked and none"),
         (

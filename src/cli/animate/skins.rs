@@ -1,0 +1,109 @@
+//! Frames as a GLB with a skin of rigid bones, which any engine plays.
+
+use super::frames_file::FramesFile;
+use super::morphs::node_place;
+use super::taken_frames::PlayedAnimation;
+use crate::asset::{NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+use crate::cli::failure::CliFailure;
+use crate::motion::decomposition::{
+    DecompositionError, DecompositionOptions, ShapeSequence, SkinDecomposition, decompose,
+};
+use crate::wire::Error;
+use glam::{DQuat, DVec3};
+use std::path::Path;
+
+/// Writes frames as a GLB whose vertices follow at most four of so many `bones`, and the motion of the root as a node where
+/// `has_root`; what there is to say of it.
+pub(super) fn write_skin(
+    path: &Path,
+    played: &PlayedAnimation<'_>,
+    frames: &mut FramesFile,
+    (bones, has_root): (usize, bool),
+) -> Result<Option<String>, CliFailure> {
+    let count = played.range.len();
+    let mut sequence = ShapeSequence::new(played.deformer.rest()).map_err(refused)?;
+    let unreadable = |e: std::io::Error| CliFailure::Internal(format!("the partial file cannot be read again: {e}"));
+    for frame in 0..count {
+        let places = frames.positions(frame).map_err(unreadable)?;
+        let places: Vec<DVec3> = places.iter().map(|p| p.as_dvec3()).collect();
+        sequence.push(&places).map_err(refused)?;
+    }
+    let options = DecompositionOptions {
+        bones,
+        ..Default::default()
+    };
+    let skin = decompose(&sequence, &options, &played.exec).map_err(refused)?;
+    let first = played.range.start;
+    let times: Vec<f64> = (0..count).map(|frame| played.seconds(first + frame)).collect();
+    let roots = frames.frames.iter().take(count);
+    let roots: Vec<NodePlace> = roots.map(|frame| node_place(&frame.root)).collect();
+    let moves = has_root && roots.iter().any(|place| *place != NodePlace::IDENTITY);
+    let influences = four_influences(&skin);
+    let clip = SkinnedClip {
+        name: if played.clip.is_empty() { "clip" } else { played.clip },
+        influences: &influences,
+        joints: &resting_joints(&skin),
+        times: &times,
+        frames: &joint_places(&skin),
+        root: moves.then_some(NodeKeys {
+            times: &times,
+            places: &roots,
+        }),
+    };
+    let written = played.deformer.model().write_skinned_clip(&clip).map_err(Error::from)?;
+    played
+        .permission
+        .write_model(path, &written, played.model, played.files)?;
+    let diagonal = played.deformer.diagonal();
+    let percent = |length: f64| if diagonal > 0.0 { 100.0 * length / diagonal } else { 0.0 };
+    Ok(Some(format!(
+        "{} bones play the frames to within {:.3} % of the diagonal (root mean square), {:.3} % at worst",
+        skin.centres.len(),
+        percent(skin.rms),
+        percent(skin.max)
+    )))
+}
+
+fn refused(e: DecompositionError) -> CliFailure {
+    match e {
+        DecompositionError::Cancelled(_) => CliFailure::Internal(e.to_string()),
+        _ => CliFailure::Input(format!("--as skin: {e}")),
+    }
+}
+
+/// Each bone as a joint in the middle of what it carries.
+fn resting_joints(skin: &SkinDecomposition) -> Vec<PlayedJoint> {
+    let joint = |(bone, centre): (usize, &DVec3)| PlayedJoint {
+        name: format!("bone {}", bone + 1),
+        rest: NodePlace {
+            translation: *centre,
+            rotation: DQuat::IDENTITY,
+        },
+    };
+    skin.centres.iter().enumerate().map(joint).collect()
+}
+
+/// Where the joints are in each frame.
+fn joint_places(skin: &SkinDecomposition) -> Vec<Vec<NodePlace>> {
+    let of_frame = |motions: &Vec<_>| {
+        let places = motions.iter().zip(&skin.centres);
+        places
+            .map(|(motion, centre): (&crate::motion::rig::RigidMotion, _)| NodePlace {
+                translation: motion.place(*centre),
+                rotation: motion.rotation,
+            })
+            .collect()
+    };
+    skin.motions.iter().map(of_frame).collect()
+}
+
+fn four_influences(skin: &SkinDecomposition) -> Vec<[(u32, f32); 4]> {
+    let of_vertex = |own: &crate::motion::BoneInfluences| {
+        let mut four = [(0, 0.0); 4];
+        for (slot, (bone, weight)) in four.iter_mut().zip(own.iter()) {
+            *slot = (bone as u32, weight as f32);
+        }
+        four
+    };
+    skin.influences.iter().map(of_vertex).collect()
+}
