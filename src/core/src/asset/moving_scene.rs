@@ -71,9 +71,12 @@ pub struct JointInfluences {
 }
 
 impl JointInfluences {
-    /// The joints of a vertex with their weights.
+    /// The joints of a vertex with their weights; none for a vertex that the file does not have.
     pub fn of(&self, vertex: usize) -> &[(u32, f32)] {
-        &self.entries[self.starts[vertex] as usize..self.starts[vertex + 1] as usize]
+        let range = self.starts.get(vertex).zip(self.starts.get(vertex + 1));
+        range
+            .and_then(|(&first, &end)| self.entries.get(first as usize..end as usize))
+            .unwrap_or(&[])
     }
 }
 

@@ -55,11 +55,10 @@ impl HandleSystem {
         pool: &Pool,
     ) {
         let into = solving_to_model(body);
-        let back = into.inverse();
         let mut maps: Vec<DAffine3> = (from.iter().zip(to))
             .map(|(from, to)| match from == to {
                 true => DAffine3::IDENTITY,
-                false => back * affine(to) * affine(from).inverse() * into,
+                false => way_between(from, to, into),
             })
             .collect();
         maps.push(DAffine3::IDENTITY);
@@ -96,12 +95,17 @@ impl HandleSystem {
             .filter(|(k, (from, to))| from != to && self.setup.handles[*k].position)
             .map(|(k, (from, to))| HandleMotion {
                 field: self.rotation_fields.of(k),
-                map: into.inverse() * affine(to) * affine(from).inverse() * into,
+                map: way_between(from, to, into),
             })
             .filter(|motion| motion.map.is_finite() && !motion.field.is_empty())
             .collect();
         carry(x, &motions, pool);
     }
+}
+
+/// From where a handle's nodes were to where they are, in the coordinates that `into` takes to the model's.
+fn way_between(from: &Transform, to: &Transform, into: DAffine3) -> DAffine3 {
+    into.inverse() * affine(to) * affine(from).inverse() * into
 }
 
 fn solving_to_model(body: &DeformableBody) -> DAffine3 {

@@ -18,6 +18,8 @@ use std::ops::Range;
 const FRESH_FITS: u32 = 32;
 /// How often those are.
 const CARRIED_FITS: u32 = 1;
+/// How many bytes of frames may wait for their turn.
+const HELD_BYTES: usize = 1 << 30;
 
 /// A solved frame.
 #[derive(Debug, Clone)]
@@ -56,7 +58,9 @@ impl Animation {
     ) -> Result<(), Error> {
         let end = range.end.min(self.times.count);
         let blocks: Vec<usize> = (range.start / BLOCK_FRAMES..end.div_ceil(BLOCK_FRAMES)).collect();
-        for wave in blocks.chunks(blocks_at_once.max(1)) {
+        let block_bytes = BLOCK_FRAMES * size_of::<DVec3>() * self.derived.topology().rest.len();
+        let at_once = blocks_at_once.min(HELD_BYTES / block_bytes.max(1)).max(1);
+        for wave in blocks.chunks(at_once) {
             let of_block = |block: &usize| {
                 let mut frames = Vec::new();
                 self.solve_block(*block, range.start..end, exec, &mut |frame| {

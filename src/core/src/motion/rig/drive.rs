@@ -7,9 +7,6 @@ use crate::mesh::rotation::fit_rotation;
 use crate::motion::clip::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
-/// Above this turn of a bone about its own axis against its parent, in degrees, a clip is likely not to mean it.
-const WILD_TWIST: f64 = 170.0;
-
 /// How a clip drives a rig.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct DriveOptions {
@@ -281,28 +278,6 @@ impl RigDriver {
             });
         }
         world
-    }
-
-    /// Warns of bones that a clip turns about themselves by nearly half a circle at one of these times.
-    pub fn warn_of_twists(&mut self, rig: &MotionRig, times: impl IntoIterator<Item = f64>) {
-        let mut told = vec![false; rig.bones.len()];
-        for seconds in times {
-            let pose = self.pose_at(seconds);
-            for (number, bone) in rig.bones.iter().enumerate() {
-                let (false, Some(parent), Some(axis)) = (told[number], bone.parent, bone.direction()) else {
-                    continue;
-                };
-                let relative = pose.bones[parent].rotation.inverse() * pose.bones[number].rotation;
-                let twist = super::swing_twist::twist_angle(relative, axis).to_degrees();
-                if twist.abs() > WILD_TWIST {
-                    told[number] = true;
-                    self.warnings.push(format!(
-                        "bone \"{}\" is twisted by {twist:.0} degrees at {seconds:.2} s, which no limb is; look at joint \"{}\"",
-                        bone.id, bone.joint
-                    ));
-                }
-            }
-        }
     }
 }
 
