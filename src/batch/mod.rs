@@ -4,8 +4,10 @@ mod animate;
 mod inspect;
 mod riders;
 mod run;
+mod skin;
 
 pub use animate::{AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare};
 pub use inspect::{MOST_NODES_TOLD, inspect};
 pub use riders::CarriedFile;
 pub use run::{BatchOutcome, pose_steps, run, unmet_expectations};
+pub use skin::{BoundModel, bind_model, carrying_joints};

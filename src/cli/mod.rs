@@ -15,6 +15,7 @@ mod output_files;
 mod render;
 mod sample;
 pub mod serve;
+mod skin;
 mod stage_spinner;
 mod threads;
 
@@ -42,6 +43,8 @@ enum PliantCommand {
     Check(check::CheckArgs),
     /// Play a clip on a model, every frame solved
     Animate(animate::AnimateArgs),
+    /// Bind a model to the bones of a rig
+    Skin(skin::SkinArgs),
     /// Draw a model, maybe beside what it was, as a png
     Render(render::RenderArgs),
     /// Write a built-in model to a file
@@ -67,6 +70,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Inspect(args) => inspect::run_inspect(&args),
         PliantCommand::Check(args) => check::run_check(&args),
         PliantCommand::Animate(args) => animate::run_animate(&args),
+        PliantCommand::Skin(args) => skin::run_skin(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => sample::run_sample(&args),
     };

@@ -2,6 +2,7 @@
 
 use super::failure::CliFailure;
 use crate::asset::{FileSet, Format, missing_companions};
+use crate::wire::Error as WireError;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Component, Path};
@@ -97,5 +98,13 @@ pub(super) fn output_format(path: &Path) -> Result<Format, CliFailure> {
     match format.refusal_to_write() {
         Some(problem) => Err(CliFailure::Input(format!("cannot write {}: {problem}", path.display()))),
         None => Ok(format),
+    }
+}
+
+/// A failure of what a file says, with its path.
+pub(super) fn in_file(path: &Path, e: WireError) -> CliFailure {
+    match CliFailure::from(e) {
+        CliFailure::Input(text) => CliFailure::Input(format!("{}: {text}", path.display())),
+        other => other,
     }
 }

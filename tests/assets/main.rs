@@ -1,6 +1,7 @@
 //! Files in and out: what survives a round trip, and what is refused.
 
 mod bones;
+mod bound;
 mod clips;
 mod draco;
 mod fbx;
@@ -16,6 +17,7 @@ mod polygons;
 mod rigs;
 mod roundtrip_gltf;
 mod roundtrip_text;
+mod skin_weights;
 mod skins;
 #[path = "../support/mod.rs"]
 mod support;

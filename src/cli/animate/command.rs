@@ -7,7 +7,7 @@ use crate::asset::FileSet;
 use crate::batch::{AnimationOrder, ClipSource, frame_totals, moving_clip, play, prepare};
 use crate::cli::failure::CliFailure;
 use crate::cli::json_output::print_json;
-use crate::cli::model_files::{read_file, read_model};
+use crate::cli::model_files::{in_file, read_file, read_model};
 use crate::cli::stage_spinner::StageSpinner;
 use crate::cli::threads::ThreadArgs;
 use crate::engine::{
@@ -205,13 +205,6 @@ fn digest_of<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> String {
     }
     let bytes = hasher.finalize();
     bytes.iter().take(16).map(|byte| format!("{byte:02x}")).collect()
-}
-
-fn in_file(path: &std::path::Path, e: Error) -> CliFailure {
-    match CliFailure::from(e) {
-        CliFailure::Input(text) => CliFailure::Input(format!("{}: {text}", path.display())),
-        other => other,
-    }
 }
 
 impl AnimateArgs {

@@ -3,7 +3,8 @@
 use super::frames_file::FramesFile;
 use super::morphs::node_place;
 use super::taken_frames::PlayedAnimation;
-use crate::asset::{NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+use crate::asset::{CarryingJoints, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+use crate::batch::carrying_joints;
 use crate::cli::failure::CliFailure;
 use crate::motion::decomposition::{
     DecompositionError, DecompositionOptions, ShapeSequence, SkinDecomposition, decompose,
@@ -75,6 +76,7 @@ fn refused(e: DecompositionError) -> CliFailure {
 fn resting_joints(skin: &SkinDecomposition) -> Vec<PlayedJoint> {
     let joint = |(bone, centre): (usize, &DVec3)| PlayedJoint {
         name: format!("bone {}", bone + 1),
+        parent: None,
         rest: NodePlace {
             translation: *centre,
             rotation: DQuat::IDENTITY,
@@ -97,13 +99,6 @@ fn joint_places(skin: &SkinDecomposition) -> Vec<Vec<NodePlace>> {
     skin.motions.iter().map(of_frame).collect()
 }
 
-fn four_influences(skin: &SkinDecomposition) -> Vec<[(u32, f32); 4]> {
-    let of_vertex = |own: &crate::motion::BoneInfluences| {
-        let mut four = [(0, 0.0); 4];
-        for (slot, (bone, weight)) in four.iter_mut().zip(own.iter()) {
-            *slot = (bone as u32, weight as f32);
-        }
-        four
-    };
-    skin.influences.iter().map(of_vertex).collect()
+fn four_influences(skin: &SkinDecomposition) -> Vec<CarryingJoints> {
+    skin.influences.iter().map(carrying_joints).collect()
 }

@@ -131,11 +131,12 @@ fn every_model_takes_shapes_and_joints() {
         };
         let joint = PlayedJoint {
             name: "one".into(),
+            parent: None,
             rest: NodePlace::IDENTITY,
         };
         let skinned = SkinnedClip {
             name: "still",
-            influences: &vec![[(0, 1.0), (0, 0.0), (0, 0.0), (0, 0.0)]; rest.len()],
+            influences: &vec![[(0, 1.0); 8]; rest.len()],
             joints: &[joint],
             times: &[0.0],
             frames: &[vec![NodePlace::IDENTITY]],

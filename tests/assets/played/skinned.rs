@@ -6,17 +6,20 @@ use crate::support::khronos;
 use crate::support::skinning::{ClipTime, draw};
 use glam::{DQuat, DVec3};
 use pliant::asset::sample::BuiltInModel;
-use pliant::asset::{FileSet, Format, Limits, Model, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+use pliant::asset::{
+    CarryingJoints, FileSet, Format, Limits, Model, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip,
+};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Joints at the ends of the longest side of a model, and how much of each every vertex has.
-fn two_joints(model: &Model) -> (Vec<PlayedJoint>, Vec<[(u32, f32); 4]>) {
+fn two_joints(model: &Model) -> (Vec<PlayedJoint>, Vec<CarryingJoints>) {
     let (low, high) = bounds(model);
     let side = (high - low).max_position();
     let joint = |name: &str, at: DVec3| PlayedJoint {
         name: name.into(),
+        parent: None,
         rest: NodePlace {
             translation: at,
             rotation: DQuat::from_rotation_y(0.3),
@@ -25,7 +28,8 @@ fn two_joints(model: &Model) -> (Vec<PlayedJoint>, Vec<[(u32, f32); 4]>) {
     let share = |p: &DVec3| ((p[side] - low[side]) / (high[side] - low[side])) as f32;
     let influences = model.positions.iter().map(|p| {
         let share = share(p).clamp(0.0, 1.0);
-        [(1, share), (0, 1.0 - share), (0, 0.0), (0, 0.0)]
+        let none = (0, 0.0);
+        [(1, share), (0, 1.0 - share), none, none, none, none, none, none]
     });
     (vec![joint("low", low), joint("high", high)], influences.collect())
 }
@@ -163,13 +167,14 @@ fn clips_that_cannot_be_are_refused() {
     .expect("a model");
     let joints = [PlayedJoint {
         name: "one".into(),
+        parent: None,
         rest: NodePlace::IDENTITY,
     }];
     let frames = [vec![NodePlace::IDENTITY]];
     let skinned = |influence: (u32, f32), times: &[f64], count: usize| {
         let clip = SkinnedClip {
             name: "",
-            influences: &vec![[influence; 4]; count],
+            influences: &vec![[influence; 8]; count],
             joints: &joints,
             times,
             frames: &frames,

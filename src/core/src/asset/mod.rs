@@ -56,6 +56,6 @@ pub use moving_scene::{
     ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, SceneChannel, SceneClip, SceneNode,
 };
 pub use node::{ModelNode, NodeMotions, ShapeFollowers};
-pub use played_clip::{MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+pub use played_clip::{CarryingJoints, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
 pub use vertex_cache::VertexCache;
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};

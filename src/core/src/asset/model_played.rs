@@ -2,7 +2,7 @@
 
 use super::files::Limits;
 use super::formats::writer_of;
-use super::played_clip::{MorphClip, NodeKeys, PlayedClip, SkinnedClip};
+use super::played_clip::{MorphClip, NodeKeys, PlayedClip, PlayedJoint, SkinnedClip};
 use super::write::neutral_model;
 use super::{Error, FileSet, Format, Model, WrittenFiles};
 
@@ -50,7 +50,7 @@ impl Model {
         self.write_played(&PlayedClip::Morphs(*clip))
     }
 
-    /// Writes the model at rest as a GLB in which joints carry every vertex, with an animation of them.
+    /// Writes the model at rest as a GLB in which joints carry every vertex, with an animation of them where there are frames.
     ///
     /// Materials, textures and whatever else the model has stay; skins, morph targets and the clips that moved them do not.
     ///
@@ -58,11 +58,19 @@ impl Model {
     /// [`Error::Unwritable`] when counts, times or joints do not fit, or the model does not fit a GLB.
     pub fn write_skinned_clip(&self, clip: &SkinnedClip<'_>) -> Result<WrittenFiles, Error> {
         let refuse = |problem: String| Err(Error::unwritable(Format::GLB, problem));
-        check_keys(clip.times, clip.frames.len(), clip.root.as_ref())?;
+        if !(clip.times.is_empty() && clip.frames.is_empty() && clip.root.is_none()) {
+            check_keys(clip.times, clip.frames.len(), clip.root.as_ref())?;
+        }
         self.check_count("influences", clip.influences.len())?;
         let joints = clip.joints.len();
         if joints == 0 || joints > usize::from(u16::MAX) {
             return refuse(format!("there are {joints} joints, 1 to {} are possible", u16::MAX));
+        }
+        let above = |(at, joint): (usize, &PlayedJoint)| joint.parent.is_some_and(|p| p >= at);
+        if let Some(joint) = clip.joints.iter().enumerate().position(above) {
+            return refuse(format!(
+                "joint {joint} hangs on one that does not come before it; parents come first"
+            ));
         }
         if let Some(frame) = clip.frames.iter().find(|f| f.len() != joints) {
             return refuse(format!("a frame has {} of {joints} joints", frame.len()));

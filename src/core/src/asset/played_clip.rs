@@ -46,20 +46,25 @@ pub struct MorphClip<'a> {
 pub struct PlayedJoint {
     /// Its name.
     pub name: String,
+    /// Number of the joint that it hangs on, which is lower than its own; `None`: it hangs on the root of all.
+    pub parent: Option<usize>,
     /// Where it is at rest, in model space.
     pub rest: NodePlace,
 }
 
-/// A clip of joints that lie side by side below one root.
+/// The joints that carry a vertex and how much; those with a weight of 0 do not.
+pub type CarryingJoints = [(u32, f32); 8];
+
+/// A clip of joints that hang on each other below one root.
 #[derive(Debug, Clone, Copy)]
 pub struct SkinnedClip<'a> {
     /// Its name.
     pub name: &'a str,
-    /// For each render vertex the joints that carry it and how much; those with a weight of 0 do not.
-    pub influences: &'a [[(u32, f32); 4]],
+    /// For each render vertex the joints that carry it. Where none has more than four, that many are stored.
+    pub influences: &'a [CarryingJoints],
     /// The joints.
     pub joints: &'a [PlayedJoint],
-    /// Seconds of the frames, rising.
+    /// Seconds of the frames, rising; none for a skin without a clip.
     pub times: &'a [f64],
     /// For each frame where each joint is, in model space, the root's motion apart.
     pub frames: &'a [Vec<NodePlace>],

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-/// The bones that a vertex follows: at most four, with weights that are not negative and add up to one.
+/// The bones that a vertex follows: at most eight, with weights that are not negative and add up to one.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BoneInfluences {
     /// Numbers of the bones, heaviest first; those without weight are 0.
@@ -13,13 +13,13 @@ pub struct BoneInfluences {
 
 impl BoneInfluences {
     /// The most bones that a vertex follows.
-    pub const MOST: usize = 4;
+    pub const MOST: usize = 8;
 
     /// One bone alone.
     pub fn one(bone: u16) -> Self {
         Self {
-            bones: [bone, 0, 0, 0],
-            weights: [1.0, 0.0, 0.0, 0.0],
+            bones: [bone, 0, 0, 0, 0, 0, 0, 0],
+            weights: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         }
     }
 
@@ -30,7 +30,7 @@ impl BoneInfluences {
     }
 
     /// Puts pairs in order, the heaviest first and bones in rising order where weights are equal, and scales them to add up
-    /// to one. Pairs beyond the fourth are left out. `None` without any weight.
+    /// to one. Pairs beyond the eighth are left out. `None` without any weight.
     pub fn from_pairs(pairs: &mut [(u16, f64)]) -> Option<Self> {
         pairs.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         let kept = &pairs[..pairs.len().min(Self::MOST)];

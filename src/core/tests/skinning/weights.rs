@@ -202,7 +202,7 @@ fn what_cannot_be_is_refused_with_what_may() {
         change(&mut options);
         refused(&positions, &triangles, &bones, &options)
     };
-    assert_eq!(with(|o| o.influences = 5), "influences: are 5, allowed are 1 to 4");
+    assert_eq!(with(|o| o.influences = 9), "influences: are 9, allowed are 1 to 8");
     assert_eq!(with(|o| o.cells = 8), "cells: are 8, allowed are 512 to 67108864");
     assert_eq!(
         with(|o| o.stiffness = 0.0),

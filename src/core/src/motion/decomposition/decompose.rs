@@ -35,6 +35,8 @@ impl Default for DecompositionOptions {
 impl DecompositionOptions {
     /// The most bones.
     pub const MOST_BONES: usize = 256;
+    /// The most bones that a vertex follows.
+    pub const MOST_INFLUENCES: usize = 4;
 
     fn check(&self) -> Result<(), DecompositionError> {
         let refuse = |option, seen, most: usize| {
@@ -44,8 +46,8 @@ impl DecompositionOptions {
         if !(1..=Self::MOST_BONES).contains(&self.bones) {
             return refuse("bones", self.bones, Self::MOST_BONES);
         }
-        if !(1..=BoneInfluences::MOST).contains(&self.influences) {
-            return refuse("influences", self.influences, BoneInfluences::MOST);
+        if !(1..=Self::MOST_INFLUENCES).contains(&self.influences) {
+            return refuse("influences", self.influences, Self::MOST_INFLUENCES);
         }
         Ok(())
     }

@@ -4,6 +4,8 @@ use crate::motion::influences::BoneInfluences;
 
 /// Weights kept of each vertex; what comes after them is nothing that shows.
 const KEPT: usize = 12;
+/// Bones that mixtures are made of at most: eight parts of as many as a vertex may follow.
+const SUMS: usize = 8 * BoneInfluences::MOST;
 /// What is left out goes to bones that are one step further along the skeleton by this factor less.
 const STEP: f64 = 0.5;
 /// Steps that are counted.
@@ -25,6 +27,41 @@ impl HeaviestWeights {
                 std::mem::swap(place, &mut entry);
             }
         }
+    }
+
+    /// The heaviest of weighted sums of what others follow.
+    pub(super) fn of_mixture<'a>(parts: impl Iterator<Item = (&'a BoneInfluences, f64)>) -> Self {
+        let mut sums = [(0u16, 0.0); SUMS];
+        let mut count = 0;
+        for (own, share) in parts {
+            for (bone, weight) in own.iter() {
+                let bone = bone as u16;
+                match sums[..count].iter_mut().find(|s| s.0 == bone) {
+                    Some(sum) => sum.1 += share * weight,
+                    None if count < SUMS => {
+                        sums[count] = (bone, share * weight);
+                        count += 1;
+                    }
+                    None => {}
+                }
+            }
+        }
+        sums[..count].sort_unstable_by_key(|s| s.0);
+        let mut mixed = Self::default();
+        sums[..count]
+            .iter()
+            .for_each(|(bone, weight)| mixed.add(*bone, *weight));
+        mixed
+    }
+
+    /// What share of all weight a cut to so many takes away.
+    pub(super) fn share_cut(&self, most: usize) -> f64 {
+        let floor = self.kept[most.clamp(1, BoneInfluences::MOST)].1;
+        let (all, taken) = self
+            .kept
+            .iter()
+            .fold((0.0, 0.0), |sums, k| (sums.0 + k.1, sums.1 + k.1.min(floor)));
+        if all > 0.0 { taken / all } else { 0.0 }
     }
 
     /// At most `most` influences; `parents` has the bone that each hangs on, which has a lower number.

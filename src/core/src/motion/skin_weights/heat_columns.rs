@@ -15,7 +15,7 @@ use rayon::prelude::*;
 /// How a mesh is bound to bones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SkinWeightOptions {
-    /// Bones that a vertex follows at most, 1 to 4.
+    /// Bones that a vertex follows at most, 1 to 8.
     pub influences: usize,
     /// Cells of the box around the mesh at most; more follow thinner limbs and take longer.
     pub cells: usize,
@@ -26,9 +26,9 @@ pub struct SkinWeightOptions {
 impl Default for SkinWeightOptions {
     fn default() -> Self {
         Self {
-            influences: BoneInfluences::MOST,
+            influences: 4,
             cells: 1 << 20,
-            stiffness: 1.0,
+            stiffness: 0.5,
         }
     }
 }
@@ -76,6 +76,10 @@ const MOST_BONES: usize = 4096;
 const COLUMNS: usize = 32;
 /// Relative residual of a column. What is left is far below what a weight shows.
 const TOLERANCE: f64 = 1e-5;
+/// Rounds of smoothing where more bones pull than a vertex follows.
+const ROUNDS: usize = 64;
+/// From what share of all weight on that is left out a cell takes part in it fully.
+const LOOSE: f64 = 0.01;
 /// No pull is stronger than from this distance to a bone, in cells.
 const NEAREST: f64 = 0.5;
 /// Bones whose distances differ by less than this share are equally near and share the pull: those that meet in a joint.
@@ -129,7 +133,7 @@ pub fn skin_weights(
         stiffness: Some(&stiffness),
     };
     let system = hierarchy.constrain(&constraints, exec.pool)?;
-    let mut heaviest = vec![HeaviestWeights::default(); positions.len()];
+    let mut heaviest = vec![HeaviestWeights::default(); nodes];
     let mut workspace = Workspace::default();
     let all: Vec<usize> = (0..bones.len()).collect();
     for group in all.chunks(COLUMNS) {
@@ -152,24 +156,82 @@ pub fn skin_weights(
         let equations = system.equations(&hierarchy, columns, &rhs);
         equations.solve(&mut x, &solve, &mut workspace, exec, &mut |_| SolveControl::Continue)?;
         exec.pool.install(|| {
-            let vertices = heaviest.par_iter_mut().zip(positions).with_min_len(256);
-            vertices.for_each(|(heaviest, p)| {
-                let (around, count) = cells.around_point(*p);
-                for (column, bone) in group.iter().enumerate() {
-                    let parts = around[..count].iter();
-                    let weight: f64 = parts.map(|(node, w)| w * x[*node as usize * columns + column]).sum();
-                    heaviest.add(*bone as u16, weight);
-                }
+            let rows = heaviest.par_iter_mut().zip(x.par_chunks(columns)).with_min_len(256);
+            rows.for_each(|(heaviest, row)| {
+                let weights = group.iter().zip(row);
+                weights.for_each(|(bone, weight)| heaviest.add(*bone as u16, *weight));
             });
         });
     }
-    let parents: Vec<Option<usize>> = bones.iter().map(|b| b.parent).collect();
-    // A vertex far from any weight that is left by the solver still has its nearest bone.
-    let found = heaviest.iter().zip(positions).map(|(heaviest, p)| {
-        let cut = heaviest.cut(options.influences, &parents);
-        cut.unwrap_or_else(|| BoneInfluences::one(nearest(bones, *p).0 as u16))
-    });
-    Ok(found.collect())
+    let cut = WeightCut {
+        most: options.influences,
+        parents: bones.iter().map(|b| b.parent).collect(),
+        bones,
+    };
+    exec.pool.install(|| {
+        let of_cells = cut.smoothed(&cells, (&offsets, &neighbours), &heaviest, exec)?;
+        let all = positions.par_iter().with_min_len(256);
+        let found = all.map(|p| {
+            let (around, count) = cells.around_point(*p);
+            let parts = around[..count].iter().map(|(node, w)| (&of_cells[*node as usize], *w));
+            cut.few(&HeaviestWeights::of_mixture(parts), *p)
+        });
+        Ok(found.collect())
+    })
+}
+
+/// How many of all weights are kept.
+struct WeightCut<'a> {
+    most: usize,
+    parents: Vec<Option<usize>>,
+    bones: &'a [SkinBone],
+}
+
+impl WeightCut<'_> {
+    /// The few that a point follows. What is far from any weight that the solver left still has its nearest bone.
+    fn few(&self, heaviest: &HeaviestWeights, p: DVec3) -> BoneInfluences {
+        let few = heaviest.cut(self.most, &self.parents);
+        few.unwrap_or_else(|| BoneInfluences::one(nearest(self.bones, p).0 as u16))
+    }
+
+    /// The few of each cell, smoothed where something was taken from them: what is left of the weights there passes in less
+    /// space from bone to bone than all of them do, and a mean with the cells around that is cut again spreads it.
+    fn smoothed(
+        &self,
+        cells: &OccupiedCells,
+        (offsets, neighbours): (&[u32], &[u32]),
+        heaviest: &[HeaviestWeights],
+        exec: &Exec<'_>,
+    ) -> Result<Vec<BoneInfluences>, SkinWeightError> {
+        let few = |heaviest: &[HeaviestWeights]| -> Vec<BoneInfluences> {
+            let all = heaviest.par_iter().zip(&cells.places).with_min_len(256);
+            all.map(|(heaviest, p)| self.few(heaviest, *p)).collect()
+        };
+        let taken = heaviest.iter().map(|h| h.share_cut(self.most));
+        let loose: Vec<f64> = taken.map(|taken| (taken / LOOSE).min(1.0)).collect();
+        let mut of_cells = few(heaviest);
+        if loose.iter().all(|l| *l == 0.0) {
+            return Ok(of_cells);
+        }
+        for _ in 0..ROUNDS {
+            exec.check()?;
+            let all = (0..of_cells.len()).into_par_iter().with_min_len(256);
+            of_cells = all
+                .map(|node| {
+                    let around = &neighbours[offsets[node] as usize..offsets[node + 1] as usize];
+                    if loose[node] == 0.0 {
+                        return of_cells[node];
+                    }
+                    let share = loose[node] / (around.len() as f64 + 1.0);
+                    let own = 1.0 - share * around.len() as f64;
+                    let parts = around.iter().map(|n| (&of_cells[*n as usize], share));
+                    let mixed = HeaviestWeights::of_mixture(parts.chain([(&of_cells[node], own)]));
+                    self.few(&mixed, cells.places[node])
+                })
+                .collect();
+        }
+        Ok(of_cells)
+    }
 }
 
 /// To which bones a cell is pulled, and how strongly.

@@ -8,7 +8,7 @@ use super::channels::{NewClip, add_times};
 use super::document::PlayedDocument;
 use super::primitives::{PlayedNode, PrimitiveChanges, RestPrimitive, changed_mesh, played_nodes};
 use super::scene::{kept_clips, kept_skins, name_member, scene_sections, take_mesh};
-use crate::asset::played_clip::{NodePlace, SkinnedClip};
+use crate::asset::played_clip::{CarryingJoints, NodePlace, SkinnedClip};
 use crate::asset::{Error, Geometry, Model};
 use glam::{DAffine3, DQuat};
 
@@ -33,40 +33,118 @@ pub(super) fn add_clip(
         drawn.push(played.add_node(format!(r#"{{"mesh":{mesh},"skin":{skin}{name}}}"#)));
     }
 
-    let stands: Vec<NodePlace> = clip.joints.iter().map(|joint| as_stored(&joint.rest)).collect();
-    let mut joints = Vec::new();
-    for (joint, stand) in clip.joints.iter().zip(&stands) {
-        let shift = json_floats(&stand.translation.as_vec3().to_array());
-        let turn = json_floats(&stand.rotation.to_array().map(|v| v as f32));
-        let name = quoted(&joint.name);
-        joints.push(played.add_node(format!(r#"{{"name":{name},"translation":{shift},"rotation":{turn}}}"#)));
-    }
-    let numbers: Vec<String> = joints.iter().map(ToString::to_string).collect();
-    let numbers = places::json_array(&numbers);
-    let root = played.add_node(format!(r#"{{"name":"root motion","children":{numbers}}}"#));
-    let back: Vec<f32> = stands.iter().flat_map(inverse_matrix).collect();
+    let skeleton = add_skeleton(played, clip);
+    let back: Vec<f32> = skeleton.stands.iter().flat_map(inverse_matrix).collect();
     let back = played.add_floats(&back, "MAT4", NewAccessorKind::Numbers);
+    let (root, numbers) = (skeleton.root, number_list(&skeleton.nodes));
     skins.push(format!(
         r#"{{"inverseBindMatrices":{back},"joints":{numbers},"skeleton":{root}}}"#
     ));
 
-    let mut new = NewClip::new(clip.name);
-    let times = add_times(played, clip.times);
-    for (number, joint) in joints.iter().enumerate() {
-        new.add_places(played, *joint, times, clip.frames.iter().map(|frame| frame[number]));
-    }
-    if let Some(keys) = &clip.root {
-        new.add_keys(played, root, keys);
-    }
     let mut sections = JsonSections::new();
     let mut added = drawn;
     added.push(root);
     scene_sections(doc, &added, None, &mut sections);
     let mut clips = kept_clips(doc, &nodes);
-    clips.push(new.text());
-    sections.insert("animations", Some(places::json_array(&clips)));
+    if !clip.frames.is_empty() {
+        clips.push(new_clip(played, &skeleton, clip));
+    }
+    sections.insert("animations", (!clips.is_empty()).then(|| places::json_array(&clips)));
     sections.insert("skins", Some(places::json_array(&skins)));
     Ok(sections)
+}
+
+/// The nodes of joints that were added.
+struct NewSkeleton {
+    /// By joint its node.
+    nodes: Vec<usize>,
+    /// By joint where it is at rest in model space, as its node and those above say it.
+    stands: Vec<NodePlace>,
+    /// What they all hang on in the end.
+    root: usize,
+}
+
+/// Adds a node for each joint, below the one that it hangs on.
+fn add_skeleton(played: &mut PlayedDocument<'_, '_>, clip: &SkinnedClip<'_>) -> NewSkeleton {
+    let mut own: Vec<NodePlace> = Vec::with_capacity(clip.joints.len());
+    let mut stands: Vec<NodePlace> = Vec::with_capacity(clip.joints.len());
+    for joint in clip.joints {
+        // What is above counts as it is stored, so that nothing adds up along a chain.
+        let above = joint.parent.map(|p| stands[p]);
+        let stored = as_stored(&above.map_or(joint.rest, |above| seen_from(&above, &joint.rest)));
+        stands.push(above.map_or(stored, |above| placed_by(&above, &stored)));
+        own.push(stored);
+    }
+    let first = played.add_node(String::new());
+    let node_of = |joint: usize| first + joint;
+    let children = |parent: Option<usize>| {
+        let hang = clip.joints.iter().enumerate().filter(|(_, j)| j.parent == parent);
+        let nodes: Vec<usize> = hang.map(|(joint, _)| node_of(joint)).collect();
+        match nodes.is_empty() {
+            true => String::new(),
+            false => format!(r#","children":{}"#, number_list(&nodes)),
+        }
+    };
+    for (number, (joint, place)) in clip.joints.iter().zip(&own).enumerate() {
+        let shift = json_floats(&place.translation.as_vec3().to_array());
+        let turn = json_floats(&place.rotation.to_array().map(|v| v as f32));
+        let (name, below) = (quoted(&joint.name), children(Some(number)));
+        let text = format!(r#"{{"name":{name},"translation":{shift},"rotation":{turn}{below}}}"#);
+        match number {
+            0 => played.set_node(first, text),
+            _ => _ = played.add_node(text),
+        }
+    }
+    let name = if clip.frames.is_empty() {
+        "skeleton"
+    } else {
+        "root motion"
+    };
+    let root = played.add_node(format!(r#"{{"name":"{name}"{}}}"#, children(None)));
+    NewSkeleton {
+        nodes: (0..clip.joints.len()).map(node_of).collect(),
+        stands,
+        root,
+    }
+}
+
+/// The text of the clip.
+fn new_clip(played: &mut PlayedDocument<'_, '_>, skeleton: &NewSkeleton, clip: &SkinnedClip<'_>) -> String {
+    let mut new = NewClip::new(clip.name);
+    let times = add_times(played, clip.times);
+    for (number, (joint, node)) in clip.joints.iter().zip(&skeleton.nodes).enumerate() {
+        let in_frame = |frame: &Vec<NodePlace>| match joint.parent {
+            Some(parent) => seen_from(&frame[parent], &frame[number]),
+            None => frame[number],
+        };
+        new.add_places(played, *node, times, clip.frames.iter().map(in_frame));
+    }
+    if let Some(keys) = &clip.root {
+        new.add_keys(played, skeleton.root, keys);
+    }
+    new.text()
+}
+
+fn number_list(numbers: &[usize]) -> String {
+    let texts: Vec<String> = numbers.iter().map(ToString::to_string).collect();
+    places::json_array(&texts)
+}
+
+/// A place in model space as one that hangs on another has it.
+fn seen_from(above: &NodePlace, place: &NodePlace) -> NodePlace {
+    let back = above.rotation.inverse();
+    NodePlace {
+        translation: back * (place.translation - above.translation),
+        rotation: (back * place.rotation).normalize(),
+    }
+}
+
+/// The other way round.
+fn placed_by(above: &NodePlace, own: &NodePlace) -> NodePlace {
+    NodePlace {
+        translation: above.rotation * own.translation + above.translation,
+        rotation: (above.rotation * own.rotation).normalize(),
+    }
 }
 
 /// A place as 32-bit floats say it, so that its inverse is that of what is stored.
@@ -97,27 +175,45 @@ fn node_changes(
 ) -> Vec<PrimitiveChanges> {
     let count = played.doc.meshes.values[node.mesh].primitives.len();
     let mut all = vec![PrimitiveChanges::default(); count];
+    let has_second = clip.influences.iter().any(|own| merged_influences(own).len() > 4);
     for (_, row) in &node.rows {
         let stand = RestPrimitive::in_model_space(played, row, rest);
         let mut changes = stand.store(played, row, rest);
-        let (mut joints, mut weights) = (Vec::new(), Vec::new());
-        for vertex in &vertices[row.vertices.clone()] {
-            let (own, shares) = stored_influences(&clip.influences[*vertex as usize]);
-            joints.extend(own);
-            weights.extend(shares);
+        let own: Vec<StoredInfluences> = vertices[row.vertices.clone()]
+            .iter()
+            .map(|vertex| stored_influences(&clip.influences[*vertex as usize]))
+            .collect();
+        for (set, keys) in SETS.iter().enumerate() {
+            let range = 4 * set..4 * set + 4;
+            // All primitives of a skin have as many sets, since engines read them so.
+            if set > 0 && !has_second {
+                continue;
+            }
+            let joints: Vec<f32> = own.iter().flat_map(|i| i.joints[range.clone()].to_vec()).collect();
+            let weights: Vec<f32> = own.iter().flat_map(|i| i.weights[range.clone()].to_vec()).collect();
+            let joints = played.doc.accessors.len() + played.fresh.add_joints(&joints);
+            changes.attributes.insert(keys[0], joints);
+            let weights = played.add_floats(&weights, "VEC4", NewAccessorKind::Floats);
+            changes.attributes.insert(keys[1], weights);
         }
-        let joints = played.doc.accessors.len() + played.fresh.add_joints(&joints);
-        changes.attributes.insert("JOINTS_0", joints);
-        let weights = played.add_floats(&weights, "VEC4", NewAccessorKind::Floats);
-        changes.attributes.insert("WEIGHTS_0", weights);
         all[row.primitive] = changes;
     }
     all
 }
 
-/// Joints and weights as a file holds them: each joint once, the heaviest first, weights that sum to 1 as 32-bit floats.
-fn stored_influences(influences: &[(u32, f32); 4]) -> ([f32; 4], [f32; 4]) {
-    let mut merged: Vec<(u32, f64)> = Vec::with_capacity(4);
+/// Attributes of the first four joints of a vertex, and of four more.
+const SETS: [[&str; 2]; 2] = [["JOINTS_0", "WEIGHTS_0"], ["JOINTS_1", "WEIGHTS_1"]];
+
+/// Joints and weights of a vertex as a file holds them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct StoredInfluences {
+    joints: [f32; 8],
+    weights: [f32; 8],
+}
+
+/// Each joint once with all of its weight, the heaviest first.
+fn merged_influences(influences: &CarryingJoints) -> Vec<(u32, f64)> {
+    let mut merged: Vec<(u32, f64)> = Vec::with_capacity(influences.len());
     for &(joint, weight) in influences.iter().filter(|(_, w)| *w > 0.0) {
         match merged.iter_mut().find(|(known, _)| *known == joint) {
             Some((_, sum)) => *sum += f64::from(weight),
@@ -125,15 +221,22 @@ fn stored_influences(influences: &[(u32, f32); 4]) -> ([f32; 4], [f32; 4]) {
         }
     }
     merged.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    merged
+}
+
+/// Each joint once, the heaviest first, weights that sum to 1 as 32-bit floats.
+fn stored_influences(influences: &CarryingJoints) -> StoredInfluences {
+    let merged = merged_influences(influences);
     let total: f64 = merged.iter().map(|m| m.1).sum();
-    let (mut joints, mut weights) = ([0.0; 4], [0.0; 4]);
+    let (mut joints, mut weights) = ([0.0; 8], [0.0; 8]);
     for (i, (joint, weight)) in merged.into_iter().enumerate() {
         weights[i] = (weight / total) as f32;
         // A weight that rounds to none must name the first joint.
         joints[i] = if weights[i] > 0.0 { joint as f32 } else { 0.0 };
     }
-    weights[0] = 1.0 - (weights[3] + weights[2] + weights[1]);
-    (joints, weights)
+    let others: f32 = weights[1..].iter().rev().sum();
+    weights[0] = 1.0 - others;
+    StoredInfluences { joints, weights }
 }
 
 #[cfg(test)]
@@ -142,10 +245,15 @@ mod tests {
 
     #[test]
     fn weights_sum_to_one_and_name_every_joint_once() {
-        let (joints, weights) = stored_influences(&[(3, 0.1), (7, 0.3), (3, 0.1), (1, 0.0)]);
+        let mut given = [(0, 0.0); 8];
+        given[..4].copy_from_slice(&[(3, 0.1), (7, 0.3), (3, 0.1), (1, 0.0)]);
+        let StoredInfluences { joints, weights } = stored_influences(&given);
         assert_eq!((joints[0], joints[1]), (7.0, 3.0));
         assert!((weights[0] - 0.6).abs() < 1e-6 && (weights[1] - 0.4).abs() < 1e-6);
         assert_eq!(weights.iter().sum::<f32>(), 1.0);
-        assert_eq!(stored_influences(&[(5, 0.0); 4]), ([0.0; 4], [1.0, 0.0, 0.0, 0.0]));
+        let none = stored_influences(&[(5, 0.0); 8]);
+        assert_eq!((none.joints, none.weights[0]), ([0.0; 8], 1.0));
+        let eight = stored_influences(&[1, 2, 3, 4, 5, 6, 7, 8].map(|j| (j, 0.1)));
+        assert_eq!(eight.joints, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
     }
 }
