@@ -1,9 +1,12 @@
 //! Animations run in process: a model, a rig and a clip to frames and their report.
 
-use crate::engine::{AnimatedFrame, Animation, AnimationSettings, Deformer, FrameTimes, digest};
+use crate::asset::Model;
+use crate::engine::{
+    AnimatedFrame, Animation, AnimationSettings, Deformer, FrameTimes, Passenger, PassengerKind, digest,
+};
 use crate::exec::Exec;
 use crate::motion::rig::{DriveOptions, MotionRig, RigDriver, rig_of_skin};
-use crate::motion::{MotionClip, NodeOrder, clip_of_scene};
+use crate::motion::{MotionClip, NodeOrder, SceneMotion, clip_of_scene};
 use crate::wire::{Error, pb};
 use std::ops::Range;
 
@@ -21,8 +24,10 @@ pub struct MovingClip {
     pub rig: MotionRig,
     /// The clip.
     pub clip: MotionClip,
-    /// Whether the clip's joints are those of the model's skin.
-    is_own: bool,
+    /// The clip's number in the model, where its joints are those of the model's skin.
+    pub own: Option<usize>,
+    /// What it moves beside that skin.
+    beside: Option<SceneMotion>,
 }
 
 /// Which frames of an animation are wanted, and how.
@@ -50,7 +55,8 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
             return Ok(MovingClip {
                 rig,
                 clip,
-                is_own: false,
+                own: None,
+                beside: None,
             });
         }
         (ClipSource::Recorded(_), None) => {
@@ -86,18 +92,41 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
     let stored = model.scene_clip(index)?;
     let order = NodeOrder::of(&scene);
     let clip = clip_of_scene(&scene, &order, stored.as_ref());
-    Ok(match rig {
-        Some(rig) => MovingClip {
+    if let Some(rig) = rig {
+        return Ok(MovingClip {
             rig: rig.clone(),
             clip,
-            is_own: false,
-        },
-        None => MovingClip {
-            rig: rig_of_skin(&scene, &order, &clip, deformer.rest())?,
-            clip,
-            is_own: true,
-        },
+            own: None,
+            beside: None,
+        });
+    }
+    let rig = rig_of_skin(&scene, &order, &clip, deformer.rest())?;
+    let shapes = model.primitive_shapes()?.unwrap_or_default();
+    let beside = SceneMotion::of(&scene, &order, &stored.unwrap_or_default(), &clip, shapes);
+    Ok(MovingClip {
+        rig,
+        clip,
+        own: Some(index),
+        beside,
     })
+}
+
+/// What rides along where a model's own clip moves its skin: primitives that no skin places. They go where the clip moves their
+/// nodes, and have no part in what is solved.
+///
+/// # Errors
+/// Those of [`Model::moving_scene`].
+pub fn unskinned_passengers(model: &Model) -> Result<Vec<Passenger>, Error> {
+    let Some(scene) = model.moving_scene()?.filter(|scene| scene.is_joint.contains(&true)) else {
+        return Ok(Vec::new());
+    };
+    let unskinned = scene.primitives.iter().enumerate().filter(|(_, p)| !p.has_skin);
+    Ok(unskinned
+        .map(|(number, _)| Passenger {
+            name: model.primitives[number].name.clone(),
+            kind: PassengerKind::Primitive(number as u32),
+        })
+        .collect())
 }
 
 /// Prepares the animation of a model by a clip. `scale`: model units for one unit of the clip, in place of the rig's.
@@ -111,9 +140,9 @@ pub fn prepare(
     order: &AnimationOrder,
     exec: &Exec<'_>,
 ) -> Result<Animation, Error> {
-    let MovingClip { rig, clip, is_own } = moving;
+    let MovingClip { rig, clip, own, beside } = moving;
     let start = order.times.start;
-    let driver = match is_own {
+    let driver = match own.is_some() {
         true => RigDriver::of_skin(&rig, clip, start)?,
         false => {
             let options = DriveOptions {
@@ -124,7 +153,8 @@ pub fn prepare(
             RigDriver::new(&rig, clip, &options)?
         }
     };
-    Ok(deformer.animation(rig, driver, order.times, &order.settings, exec)?)
+    let animation = deformer.animation(rig, driver, order.times, &order.settings, exec)?;
+    Ok(animation.with_beside(beside))
 }
 
 /// Solves the frames of an order, gives each to `take` with what is told of it, and tells of all. `millis` is a clock.

@@ -6,7 +6,9 @@ mod riders;
 mod run;
 mod skin;
 
-pub use animate::{AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare};
+pub use animate::{
+    AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare, unskinned_passengers,
+};
 pub use inspect::{MOST_NODES_TOLD, inspect};
 pub use riders::CarriedFile;
 pub use run::{BatchOutcome, pose_steps, run, unmet_expectations};

@@ -3,8 +3,8 @@
 use super::frames_bar::FramesBar;
 use super::output::{AnimationOutputArgs, RootRule};
 use super::taken_frames::PlayedAnimation;
-use crate::asset::FileSet;
-use crate::batch::{AnimationOrder, ClipSource, frame_totals, moving_clip, play, prepare};
+use crate::asset::{FileSet, Model};
+use crate::batch::{AnimationOrder, ClipSource, frame_totals, moving_clip, play, prepare, unskinned_passengers};
 use crate::cli::failure::CliFailure;
 use crate::cli::json_output::print_json;
 use crate::cli::model_files::{in_file, read_file, read_model};
@@ -110,13 +110,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     let exec = Exec::new(&pool, &spinner);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
-    let deformer = Deformer::open(
-        files.clone(),
-        &OpenOptions::default(),
-        &DeformerLimits::default(),
-        &exec,
-    );
-    let deformer = deformer.map_err(Error::from)?;
+    let deformer = args.open(files.clone(), &exec)?;
     let source = match (recorded, &args.clip) {
         (Some(clip), _) => ClipSource::Recorded(clip),
         (None, Some(name)) => ClipSource::OfModel(name),
@@ -142,6 +136,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         model: &args.model,
         files: &files,
         clip: &clip,
+        own: moving.own,
         times,
         range,
         identity: &identity,
@@ -208,6 +203,19 @@ fn digest_of<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> String {
 }
 
 impl AnimateArgs {
+    /// Opens the model. Where its own clip moves its skin, what has no skin is not solved.
+    fn open(&self, files: FileSet, exec: &Exec<'_>) -> Result<Deformer, CliFailure> {
+        let limits = DeformerLimits::default();
+        exec.progress.report("read", 0.0);
+        let model = Model::read(files, None, &limits.model).map_err(Error::from)?;
+        let mut options = OpenOptions::default();
+        if self.clip.is_some() && self.rig.is_none() {
+            options.passengers = unskinned_passengers(&model)?;
+        }
+        let opened = Deformer::of_model(model, &options, &limits, exec);
+        Ok(opened.map_err(Error::from)?)
+    }
+
     /// Reads the files that are named.
     fn sources(&self) -> Result<AnimationSources, CliFailure> {
         let mut identity = format!("pliant {}\n", env!("CARGO_PKG_VERSION"));

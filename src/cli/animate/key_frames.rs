@@ -20,15 +20,21 @@ pub(super) struct KeyFrames {
 }
 
 /// Chooses up to `most` frames, at least two: again and again the frame that is farthest from what those chosen so far blend to.
-/// Then each is moved between its neighbours to where the worst of both sides is least, until none moves.
-pub(super) fn choose_key_frames(frames: &mut FramesFile, count: usize, most: usize) -> Result<KeyFrames, CliFailure> {
+/// Then each is moved between its neighbours to where the worst of both sides is least, until none moves. `own`: the vertices
+/// that matter.
+pub(super) fn choose_key_frames(
+    frames: &mut FramesFile,
+    own: &[usize],
+    count: usize,
+    most: usize,
+) -> Result<KeyFrames, CliFailure> {
     let mut chosen: Vec<usize> = (0..count).collect();
     if count > most {
         let mut looks = Vec::with_capacity(count);
         for frame in 0..count {
             let all = frames.read_positions(frame)?;
-            let step = all.len().div_ceil(LOOKED_AT).max(1);
-            looks.push(all.into_iter().step_by(step).collect::<Vec<Vec3>>());
+            let step = own.len().div_ceil(LOOKED_AT).max(1);
+            looks.push(own.iter().step_by(step).map(|v| all[*v]).collect::<Vec<Vec3>>());
         }
         chosen = choose(&looks, most);
     }
@@ -40,7 +46,9 @@ pub(super) fn choose_key_frames(frames: &mut FramesFile, count: usize, most: usi
     for (ends, pair) in chosen.windows(2).zip(shapes.windows(2)) {
         for frame in ends[0] + 1..ends[1] {
             let here = frames.read_positions(frame)?;
-            error = error.max(distance(&here, (&pair[0], &pair[1]), share(frame, ends)));
+            let share = share(frame, ends);
+            let off = |v: &usize| here[*v].distance_squared(pair[0][*v].lerp(pair[1][*v], share));
+            error = error.max(own.iter().map(off).fold(0.0, f32::max).sqrt());
         }
     }
     Ok(KeyFrames {

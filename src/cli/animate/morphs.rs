@@ -18,22 +18,23 @@ pub(super) fn write_morphs(
     (most, has_root): (usize, bool),
 ) -> Result<Option<String>, CliFailure> {
     let count = played.range.len();
-    let keys = choose_key_frames(frames, count, most)?;
+    let keys = choose_key_frames(frames, &played.played_vertices(), count, most)?;
     let first = played.range.start;
     let seconds = |frame: usize| played.seconds(first + frame);
     let times: Vec<f64> = keys.chosen.iter().map(|frame| seconds(*frame)).collect();
     let all: Vec<f64> = (0..count).map(seconds).collect();
     let roots = frames.frames.iter().take(count);
     let places: Vec<NodePlace> = roots.map(|frame| node_place(&frame.root)).collect();
-    let moves = has_root && places.iter().any(|place| *place != NodePlace::IDENTITY);
+    let moves = places.iter().any(|place| *place != NodePlace::IDENTITY);
+    let back: Vec<NodePlace> = places.iter().map(back_from).collect();
+    let [root, around] = [(&places, has_root), (&back, !has_root)]
+        .map(|(places, is_wanted)| (moves && is_wanted).then_some(NodeKeys { times: &all, places }));
     let clip = MorphClip {
         name: if played.clip.is_empty() { "clip" } else { played.clip },
         times: &times,
         shapes: &keys.shapes,
-        root: moves.then_some(NodeKeys {
-            times: &all,
-            places: &places,
-        }),
+        root,
+        beside: played.beside(around),
     };
     let model = played.deformer.model();
     let written = model.write_morph_clip(&clip).map_err(Error::from)?;
@@ -54,5 +55,14 @@ pub(super) fn node_place(root: &RigidMotion) -> NodePlace {
     NodePlace {
         translation: root.to - root.rotation * root.from,
         rotation: root.rotation,
+    }
+}
+
+/// What takes what a node moves back to where it was.
+pub(super) fn back_from(place: &NodePlace) -> NodePlace {
+    let rotation = place.rotation.inverse();
+    NodePlace {
+        translation: -(rotation * place.translation),
+        rotation,
     }
 }

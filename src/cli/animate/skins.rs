@@ -1,7 +1,7 @@
 //! Frames as a GLB with a skin of rigid bones, which any engine plays.
 
 use super::frames_file::FramesFile;
-use super::morphs::node_place;
+use super::morphs::{back_from, node_place};
 use super::taken_frames::PlayedAnimation;
 use crate::asset::{CarryingJoints, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
 use crate::batch::carrying_joints;
@@ -22,11 +22,13 @@ pub(super) fn write_skin(
     (bones, has_root): (usize, bool),
 ) -> Result<Option<String>, CliFailure> {
     let count = played.range.len();
-    let mut sequence = ShapeSequence::new(played.deformer.rest()).map_err(refused)?;
+    let own = played.played_vertices();
+    let rest: Vec<DVec3> = own.iter().map(|v| played.deformer.rest()[*v]).collect();
+    let mut sequence = ShapeSequence::new(&rest).map_err(refused)?;
     let unreadable = |e: std::io::Error| CliFailure::Internal(format!("the partial file cannot be read again: {e}"));
     for frame in 0..count {
         let places = frames.positions(frame).map_err(unreadable)?;
-        let places: Vec<DVec3> = places.iter().map(|p| p.as_dvec3()).collect();
+        let places: Vec<DVec3> = own.iter().map(|v| places[*v].as_dvec3()).collect();
         sequence.push(&places).map_err(refused)?;
     }
     let options = DecompositionOptions {
@@ -38,18 +40,22 @@ pub(super) fn write_skin(
     let times: Vec<f64> = (0..count).map(|frame| played.seconds(first + frame)).collect();
     let roots = frames.frames.iter().take(count);
     let roots: Vec<NodePlace> = roots.map(|frame| node_place(&frame.root)).collect();
-    let moves = has_root && roots.iter().any(|place| *place != NodePlace::IDENTITY);
-    let influences = four_influences(&skin);
+    let moves = roots.iter().any(|place| *place != NodePlace::IDENTITY);
+    let back: Vec<NodePlace> = roots.iter().map(back_from).collect();
+    let [root, around] = [(&roots, has_root), (&back, !has_root)]
+        .map(|(places, is_wanted)| (moves && is_wanted).then_some(NodeKeys { times: &times, places }));
+    let mut influences = vec![CarryingJoints::default(); played.deformer.rest().len()];
+    for (vertex, four) in own.iter().zip(four_influences(&skin)) {
+        influences[*vertex] = four;
+    }
     let clip = SkinnedClip {
         name: if played.clip.is_empty() { "clip" } else { played.clip },
         influences: &influences,
         joints: &resting_joints(&skin),
         times: &times,
         frames: &joint_places(&skin),
-        root: moves.then_some(NodeKeys {
-            times: &times,
-            places: &roots,
-        }),
+        root,
+        beside: played.beside(around),
     };
     let written = played.deformer.model().write_skinned_clip(&clip).map_err(Error::from)?;
     played

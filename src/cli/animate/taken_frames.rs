@@ -1,6 +1,6 @@
 //! What takes the frames of an animation as they are solved, and what it is told of them all.
 
-use crate::asset::FileSet;
+use crate::asset::{ClipBeside, FileSet, NodeKeys, Primitive};
 use crate::cli::failure::CliFailure;
 use crate::cli::output_files::OutputPermission;
 use crate::engine::{AnimatedFrame, Deformer, FrameTimes};
@@ -17,6 +17,8 @@ pub(super) struct PlayedAnimation<'a> {
     pub(super) files: &'a FileSet,
     /// The clip's name.
     pub(super) clip: &'a str,
+    /// Its number in the model, where the clip is of the model's own skin.
+    pub(super) own: Option<usize>,
     pub(super) times: FrameTimes,
     pub(super) range: Range<usize>,
     /// What tells it from every other: lines of a name and a value.
@@ -29,6 +31,26 @@ impl PlayedAnimation<'_> {
     /// When a frame is, in seconds from the first.
     pub(super) fn seconds(&self, frame: usize) -> f64 {
         (frame - self.range.start) as f64 / self.times.rate
+    }
+
+    /// The model's own clip, to go on beside what is played of it. `around`: what all that goes on does on top.
+    pub(super) fn beside<'k>(&self, around: Option<NodeKeys<'k>>) -> Option<ClipBeside<'k>> {
+        let Range { start, end } = self.range;
+        self.own.map(|clip| ClipBeside {
+            clip,
+            seconds: [start, end - 1].map(|frame| self.times.at(frame)),
+            around,
+        })
+    }
+
+    /// The vertices that are played; the others go on as the model's own clip moves them.
+    pub(super) fn played_vertices(&self) -> Vec<usize> {
+        let rests = |p: &&Primitive| self.own.is_some() && p.is_passenger;
+        let mut is_played = vec![true; self.deformer.rest().len()];
+        for primitive in self.deformer.geometry().primitives.iter().filter(rests) {
+            is_played[primitive.vertices()].fill(false);
+        }
+        (0..is_played.len()).filter(|vertex| is_played[*vertex]).collect()
     }
 }
 

@@ -128,6 +128,7 @@ fn every_model_takes_shapes_and_joints() {
                 times: &[0.0, 1.0],
                 places: &[NodePlace::IDENTITY; 2],
             }),
+            beside: None,
         };
         let joint = PlayedJoint {
             name: "one".into(),
@@ -141,6 +142,7 @@ fn every_model_takes_shapes_and_joints() {
             times: &[0.0],
             frames: &[vec![NodePlace::IDENTITY]],
             root: None,
+            beside: None,
         };
         // What a conversion has against it is not a clip's.
         let source = folder.path().join(format!("plain_{k}.glb"));

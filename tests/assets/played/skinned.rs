@@ -68,6 +68,7 @@ fn check_skinned(model: &Model, at: &Path) {
             times: &times,
             places: &roots,
         }),
+        beside: None,
     };
     let written = model.write_skinned_clip(&clip).expect("it is written");
     fs::write(at, &written.main).expect("written");
@@ -179,6 +180,7 @@ fn clips_that_cannot_be_are_refused() {
             times,
             frames: &frames,
             root: None,
+            beside: None,
         };
         model.write_skinned_clip(&clip).expect_err("refused").to_string()
     };
@@ -194,6 +196,7 @@ fn clips_that_cannot_be_are_refused() {
             times,
             shapes,
             root: None,
+            beside: None,
         };
         model.write_morph_clip(&clip).expect_err("refused").to_string()
     };

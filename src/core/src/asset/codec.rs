@@ -7,7 +7,7 @@
 use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::look::SurfaceLook;
 use super::model::FileNotes;
-use super::moving_scene::{MovingScene, SceneClip};
+use super::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
 use super::played_clip::PlayedClip;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
@@ -110,6 +110,12 @@ pub(super) trait FormatCodec: Sync {
 
     /// What moves in the scene of a model that this codec has read; `None` for formats that know no motion.
     fn moving_scene(&self, model: &Model) -> Result<Option<MovingScene>, Error> {
+        let _ = model;
+        Ok(None)
+    }
+
+    /// The primitives of that scene with their morph targets.
+    fn primitive_shapes(&self, model: &Model) -> Result<Option<Vec<PrimitiveShapes>>, Error> {
         let _ = model;
         Ok(None)
     }

@@ -53,9 +53,10 @@ pub use geometry::{Geometry, Primitive};
 pub use look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;
 pub use moving_scene::{
-    ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, SceneChannel, SceneClip, SceneNode,
+    ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, PrimitiveShapes, SceneChannel, SceneClip,
+    SceneNode, ScenePrimitive,
 };
 pub use node::{ModelNode, NodeMotions, ShapeFollowers};
-pub use played_clip::{CarryingJoints, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+pub use played_clip::{CarryingJoints, ClipBeside, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
 pub use vertex_cache::VertexCache;
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};

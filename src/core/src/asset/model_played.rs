@@ -2,7 +2,7 @@
 
 use super::files::Limits;
 use super::formats::writer_of;
-use super::played_clip::{MorphClip, NodeKeys, PlayedClip, PlayedJoint, SkinnedClip};
+use super::played_clip::{ClipBeside, MorphClip, NodeKeys, PlayedClip, PlayedJoint, SkinnedClip};
 use super::write::neutral_model;
 use super::{Error, FileSet, Format, Model, WrittenFiles};
 
@@ -31,7 +31,7 @@ impl Model {
     /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
     /// let rest: Vec<Vec3> = model.positions.iter().map(|p| p.as_vec3()).collect();
     /// let bent = vec![rest[0], rest[1] + Vec3::Z, rest[2]];
-    /// let clip = MorphClip { name: "bend", times: &[0.0, 0.5], shapes: &[rest, bent], root: None };
+    /// let clip = MorphClip { name: "bend", times: &[0.0, 0.5], shapes: &[rest, bent], root: None, beside: None };
     /// let written = model.write_morph_clip(&clip)?;
     /// let played = Model::read(FileSet::single("one.glb", written.main), None, &Limits::default())?;
     /// assert_eq!(played.positions, model.positions);
@@ -39,7 +39,7 @@ impl Model {
     /// # Ok::<(), pliant_core::asset::Error>(())
     /// ```
     pub fn write_morph_clip(&self, clip: &MorphClip<'_>) -> Result<WrittenFiles, Error> {
-        check_keys(clip.times, clip.shapes.len(), clip.root.as_ref())?;
+        check_keys(clip.times, clip.shapes.len(), [clip.root, around(clip.beside)])?;
         for shape in clip.shapes {
             self.check_count("positions", shape.len())?;
             if let Some(i) = shape.iter().position(|p| !p.is_finite()) {
@@ -59,7 +59,7 @@ impl Model {
     pub fn write_skinned_clip(&self, clip: &SkinnedClip<'_>) -> Result<WrittenFiles, Error> {
         let refuse = |problem: String| Err(Error::unwritable(Format::GLB, problem));
         if !(clip.times.is_empty() && clip.frames.is_empty() && clip.root.is_none()) {
-            check_keys(clip.times, clip.frames.len(), clip.root.as_ref())?;
+            check_keys(clip.times, clip.frames.len(), [clip.root, around(clip.beside)])?;
         }
         self.check_count("influences", clip.influences.len())?;
         let joints = clip.joints.len();
@@ -118,11 +118,15 @@ impl Model {
     }
 }
 
+fn around(beside: Option<ClipBeside<'_>>) -> Option<NodeKeys<'_>> {
+    beside.and_then(|beside| beside.around)
+}
+
 /// Refuses times that do not fit what they are of, or do not rise as 32-bit floats.
-fn check_keys(times: &[f64], count: usize, root: Option<&NodeKeys<'_>>) -> Result<(), Error> {
+fn check_keys(times: &[f64], count: usize, nodes: [Option<NodeKeys<'_>>; 2]) -> Result<(), Error> {
     let refuse = |problem: String| Err(Error::unwritable(Format::GLB, problem));
-    let of_root = root.map(|keys| (keys.times, keys.places.len()));
-    for (times, count) in [(times, count)].into_iter().chain(of_root) {
+    let of_nodes = nodes.iter().flatten().map(|keys| (keys.times, keys.places.len()));
+    for (times, count) in [(times, count)].into_iter().chain(of_nodes) {
         if times.len() != count || count == 0 {
             return refuse(format!("a clip has {} times and {count} keys", times.len()));
         }

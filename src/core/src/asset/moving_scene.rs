@@ -1,6 +1,7 @@
 //! What moves in a scene: nodes, clips, and which nodes hold which vertices.
 
-use glam::{DQuat, DVec3};
+use glam::{DAffine3, DQuat, DVec3, Vec3};
+use std::ops::Range;
 
 /// How a channel runs from key to key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +23,8 @@ pub enum ChannelValues {
     Rotation(Vec<DQuat>),
     /// Along the node's own axes.
     Scale(Vec<DVec3>),
+    /// How much each morph target of the node's mesh counts, target by target: a list of values for each.
+    Weights(Vec<Vec<f64>>),
 }
 
 /// A channel of a clip: one value per time, three for a spline.
@@ -42,7 +45,7 @@ pub struct SceneChannel {
 pub struct SceneClip {
     /// What it is called; may be empty.
     pub name: String,
-    /// What it moves of nodes. What else it moves, such as weights of morph targets, is left out.
+    /// What it moves of nodes and of their morph targets. What else it moves is left out.
     pub channels: Vec<SceneChannel>,
 }
 
@@ -59,6 +62,29 @@ pub struct SceneNode {
     pub rotation: DQuat,
     /// How it is scaled at rest. A matrix that shears has the nearest rotation, and the lengths of its columns here.
     pub scale: DVec3,
+    /// The transform at rest as the file says it, where that is a matrix.
+    pub matrix: Option<DAffine3>,
+}
+
+/// A primitive of a model, and the node that draws it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ScenePrimitive {
+    /// The node.
+    pub node: usize,
+    /// Its render vertices.
+    pub vertices: Range<usize>,
+    /// Whether the node has a skin, so that joints place it and the node itself does not.
+    pub has_skin: bool,
+}
+
+/// Where the vertices of a primitive are stored, and what its morph targets do to them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PrimitiveShapes {
+    /// One per vertex, in the space of its node; none for a primitive with a skin.
+    pub positions: Vec<Vec3>,
+    /// For each morph target by how much it moves each vertex; none for one that moves no positions. In the space of the node,
+    /// and with a skin in that of the model at rest.
+    pub targets: Vec<Vec<Vec3>>,
 }
 
 /// The vertices of a model that follow joints.
@@ -87,6 +113,8 @@ pub struct MovingScene {
     pub nodes: Vec<SceneNode>,
     /// For each node whether it is a joint that places vertices of the model.
     pub is_joint: Vec<bool>,
+    /// What draws the model's primitives, in their order.
+    pub primitives: Vec<ScenePrimitive>,
     /// Which joints hold which render vertices.
     pub influences: JointInfluences,
     /// The names of all clips, in order; may be empty.

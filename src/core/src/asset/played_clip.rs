@@ -28,6 +28,18 @@ pub struct NodeKeys<'a> {
     pub places: &'a [NodePlace],
 }
 
+/// A clip of the file itself that goes on beside what is played: nodes that no skin places are not played then, but move as it
+/// moves them.
+#[derive(Debug, Clone, Copy)]
+pub struct ClipBeside<'a> {
+    /// Its number in the file. What is played takes its place.
+    pub clip: usize,
+    /// When in it what is played begins and ends, in seconds.
+    pub seconds: [f64; 2],
+    /// What all that goes on does on top, where there is such a thing.
+    pub around: Option<NodeKeys<'a>>,
+}
+
 /// A clip of shapes: each is a morph target, and between its time and the next the two are blended.
 #[derive(Debug, Clone, Copy)]
 pub struct MorphClip<'a> {
@@ -37,8 +49,10 @@ pub struct MorphClip<'a> {
     pub times: &'a [f64],
     /// For each time where the render vertices are, in model space, the root's motion apart.
     pub shapes: &'a [Vec<Vec3>],
-    /// What everything does on top of that, where there is such a thing.
+    /// What everything that is played does on top of that, where there is such a thing.
     pub root: Option<NodeKeys<'a>>,
+    /// What goes on beside it.
+    pub beside: Option<ClipBeside<'a>>,
 }
 
 /// A joint of a [`SkinnedClip`].
@@ -70,6 +84,8 @@ pub struct SkinnedClip<'a> {
     pub frames: &'a [Vec<NodePlace>],
     /// What the root does, where it does something.
     pub root: Option<NodeKeys<'a>>,
+    /// What goes on beside it.
+    pub beside: Option<ClipBeside<'a>>,
 }
 
 /// One of both.

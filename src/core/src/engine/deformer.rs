@@ -72,7 +72,20 @@ impl Deformer {
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         exec.progress.report("read", 0.0);
-        let mut model = Model::read(files, options.format, &limits.model)?;
+        let model = Model::read(files, options.format, &limits.model)?;
+        Self::of_model(model, options, limits, exec)
+    }
+
+    /// As [`Deformer::open`], of a model that was read.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::open`].
+    pub fn of_model(
+        mut model: Model,
+        options: &OpenOptions,
+        limits: &DeformerLimits,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
         mark_passengers(&mut model.geometry.primitives, &options.passengers)?;
         check_rigid_chains(&model, &options.following.bone_lengths)?;
         let riding_nodes = Arc::new(RidingNodes::find(&model, &options.passengers)?);

@@ -47,6 +47,17 @@ impl SplinePlace {
     }
 }
 
+impl CurveValue for f64 {
+    fn between(self, end: Self, t: f64) -> Self {
+        self * (1.0 - t) + end * t
+    }
+
+    fn along_spline(self, leaving: Self, arriving: Self, end: Self, at: SplinePlace) -> Self {
+        let [a, b, c, d] = at.hermite();
+        self * a + leaving * b + arriving * c + end * d
+    }
+}
+
 impl CurveValue for DVec3 {
     fn between(self, end: Self, t: f64) -> Self {
         self.lerp(end, t)

@@ -8,6 +8,7 @@ mod error;
 mod influences;
 mod of_scene;
 pub mod rig;
+mod scene_motion;
 mod skeleton;
 pub mod skin_weights;
 
@@ -16,4 +17,5 @@ pub use curve::{CurveValue, Interpolation, KeyedCurve, SplinePlace};
 pub use error::Error;
 pub use influences::BoneInfluences;
 pub use of_scene::{NodeOrder, clip_of_scene};
+pub use scene_motion::SceneMotion;
 pub use skeleton::{JointPose, Skeleton, SkeletonJoint};

@@ -80,11 +80,7 @@ pub fn clip_of_scene(scene: &MovingScene, order: &NodeOrder, clip: Option<&Scene
 fn add_channel(motion: &mut MotionClip, joint: usize, channel: &SceneChannel) {
     let times: Arc<[f64]> = channel.times.as_slice().into();
     let end = times.last().copied().unwrap_or(0.0);
-    let interpolation = match channel.interpolation {
-        ChannelInterpolation::Step => Interpolation::Step,
-        ChannelInterpolation::Linear => Interpolation::Linear,
-        ChannelInterpolation::CubicSpline => Interpolation::CubicSpline,
-    };
+    let interpolation = interpolation_of(channel);
     let curves = &mut motion.curves[joint];
     match &channel.values {
         ChannelValues::Translation(values) => {
@@ -100,6 +96,16 @@ fn add_channel(motion: &mut MotionClip, joint: usize, channel: &SceneChannel) {
             });
             curves.rotation = KeyedCurve::through(times, rotations.collect(), interpolation);
         }
+        ChannelValues::Weights(_) => {}
     }
     motion.duration = motion.duration.max(end);
+}
+
+/// How a channel of a scene runs, as curves do.
+pub(super) fn interpolation_of(channel: &SceneChannel) -> Interpolation {
+    match channel.interpolation {
+        ChannelInterpolation::Step => Interpolation::Step,
+        ChannelInterpolation::Linear => Interpolation::Linear,
+        ChannelInterpolation::CubicSpline => Interpolation::CubicSpline,
+    }
 }

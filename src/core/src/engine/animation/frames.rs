@@ -159,11 +159,17 @@ impl Animation {
             riders: derived.riding_vertices(exec.pool),
             pool: exec.pool,
         };
+        let mut positions = shape.render(&solution.positions, &solution.frames, &transforms);
+        if let Some(beside) = &self.beside {
+            let topology = derived.topology();
+            let at_rest = (&topology.rest[..], &topology.geometry().triangles[..]);
+            beside.place(seconds, &pose.root, at_rest, &mut positions);
+        }
         Ok(AnimatedFrame {
             index,
             seconds,
             root: pose.root,
-            positions: shape.render(&solution.positions, &solution.frames, &transforms),
+            positions,
             cycles: solution.iterations,
         })
     }

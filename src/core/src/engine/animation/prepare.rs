@@ -7,6 +7,7 @@ use crate::engine::deformer::Deformer;
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::error::Error;
 use crate::exec::Exec;
+use crate::motion::SceneMotion;
 use crate::motion::rig::{MotionRig, RigDriver, RigHandle, rig_handles};
 use std::sync::Arc;
 
@@ -19,6 +20,7 @@ pub struct Animation {
     pub(super) handles: Vec<RigHandle>,
     pub(super) times: FrameTimes,
     pub(super) settings: AnimationSettings,
+    pub(super) beside: Option<SceneMotion>,
     facts: Vec<RigHandleFacts>,
 }
 
@@ -75,12 +77,21 @@ impl Deformer {
             handles,
             times,
             settings: settings.clone(),
+            beside: None,
             facts,
         })
     }
 }
 
 impl Animation {
+    /// Lets what moves in the scene of the model's file beside its skins move along with the clip. An edited model has other
+    /// vertices than its file, and no such thing.
+    #[must_use]
+    pub fn with_beside(mut self, beside: Option<SceneMotion>) -> Self {
+        self.beside = beside.filter(|_| self.derived.topology().edited.is_none());
+        self
+    }
+
     /// What each handle of the rig came to hold.
     pub fn handle_facts(&self) -> &[RigHandleFacts] {
         &self.facts

@@ -26,6 +26,11 @@ impl RigidMotion {
         self.rotation * (point - self.from) + self.to
     }
 
+    /// Where a point comes from.
+    pub fn place_back(&self, point: DVec3) -> DVec3 {
+        self.rotation.inverse() * (point - self.to) + self.from
+    }
+
     /// The motion as a point moved along with `frame` sees it: first this one, then back what `frame` did.
     ///
     /// ```

@@ -62,6 +62,7 @@ mod influences;
 mod looks;
 mod media_type;
 mod moving;
+mod moving_shapes;
 mod nodes;
 mod package;
 mod patch;
@@ -91,7 +92,7 @@ pub(super) use uri::of_file_name as uri_of_name;
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::look::SurfaceLook;
-use crate::asset::moving_scene::{MovingScene, SceneClip};
+use crate::asset::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::played_clip::PlayedClip;
 use crate::asset::{
@@ -192,6 +193,10 @@ impl FormatCodec for GltfCodec {
 
     fn moving_scene(&self, model: &Model) -> Result<Option<MovingScene>, Error> {
         moving::moving_scene(model, model.notes_or_refuse(model.format)?).map(Some)
+    }
+
+    fn primitive_shapes(&self, model: &Model) -> Result<Option<Vec<PrimitiveShapes>>, Error> {
+        moving_shapes::primitive_shapes(model, model.notes_or_refuse(model.format)?).map(Some)
     }
 
     fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {

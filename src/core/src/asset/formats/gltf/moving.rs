@@ -4,12 +4,13 @@ use super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_value
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::influences::{VertexInfluences, influence_accessors};
-use super::read::{GltfNotes, reopen};
+use super::read::{GltfNotes, PlacedPrimitive, reopen};
 use super::scene::{local_transform, place_meshes};
 use super::schema::{GltfNode, GltfSkin, WholeNumber};
 use super::text::value_of;
 use crate::asset::moving_scene::{
     ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, SceneChannel, SceneClip, SceneNode,
+    ScenePrimitive,
 };
 use crate::asset::{Error, Model};
 use crate::mesh::rotation::fit_rotation;
@@ -37,9 +38,18 @@ pub(super) fn moving_scene(model: &Model, notes: &GltfNotes) -> Result<MovingSce
     Ok(MovingScene {
         nodes,
         is_joint,
+        primitives: notes.rows.iter().map(scene_primitive).collect(),
         influences,
         clip_names: names.collect(),
     })
+}
+
+fn scene_primitive(row: &PlacedPrimitive) -> ScenePrimitive {
+    ScenePrimitive {
+        node: row.node,
+        vertices: row.vertices.clone(),
+        has_skin: row.skin.is_some(),
+    }
 }
 
 fn scene_node(
@@ -71,6 +81,7 @@ fn scene_node(
         translation: local.translation,
         rotation,
         scale,
+        matrix: node.matrix.map(|_| local),
     })
 }
 
@@ -179,6 +190,7 @@ impl ClipReader<'_, '_> {
         let lanes = match channel.target.path.as_str() {
             "rotation" => 4,
             "translation" | "scale" => 3,
+            "weights" => 1,
             _ => return Ok(None),
         };
         let Some(node) = channel.target.node.map(WholeNumber::index) else {
@@ -188,6 +200,13 @@ impl ClipReader<'_, '_> {
         if node >= nodes {
             let problem = format!("is {node}, there are {nodes} nodes");
             return Err(fault.malformed(format!("{place}/target/node"), problem));
+        }
+        let targets = match channel.target.path.as_str() {
+            "weights" => self.targets_of(node),
+            _ => 1,
+        };
+        if targets == 0 {
+            return Ok(None);
         }
         let sampler = channel.sampler.index();
         let Some(sampler) = self.samplers.get(sampler) else {
@@ -205,40 +224,38 @@ impl ClipReader<'_, '_> {
         };
         let times = self.values(sampler.input.index(), 1, &format!("{place}/sampler/input"))?;
         let values = self.values(sampler.output.index(), lanes, &format!("{place}/sampler/output"))?;
-        let each = if interpolation == ChannelInterpolation::CubicSpline {
-            3
-        } else {
-            1
+        let each = match interpolation {
+            ChannelInterpolation::CubicSpline => 3,
+            _ => 1,
         };
-        if times.is_empty() || values.len() != times.len() * each * lanes {
-            let problem = format!("{} times have {} values", times.len(), values.len() / lanes);
+        if times.is_empty() || values.len() != times.len() * each * targets * lanes {
+            let problem = match targets {
+                1 => format!("{} times have {} values", times.len(), values.len() / lanes),
+                _ => format!(
+                    "{} times have {} values for {targets} morph targets",
+                    times.len(),
+                    values.len()
+                ),
+            };
             return Err(fault.malformed(format!("{place}/sampler"), problem));
         }
         if !times.is_sorted() {
             return Err(fault.malformed(format!("{place}/sampler/input"), "the times do not rise"));
         }
-        let vectors = || {
-            values
-                .as_chunks::<3>()
-                .0
-                .iter()
-                .map(|v| DVec3::from_array(v.map(f64::from)))
-                .collect()
-        };
-        let values = match channel.target.path.as_str() {
-            "rotation" => {
-                let rotations = values.as_chunks::<4>().0.iter();
-                ChannelValues::Rotation(rotations.map(|q| DQuat::from_array(q.map(f64::from))).collect())
-            }
-            "translation" => ChannelValues::Translation(vectors()),
-            _ => ChannelValues::Scale(vectors()),
-        };
         Ok(Some(SceneChannel {
             node,
             times: times.into_iter().map(f64::from).collect(),
-            values,
+            values: channel_values(&channel.target.path, &values, targets),
             interpolation,
         }))
+    }
+
+    /// How many morph targets the mesh of a node has.
+    fn targets_of(&self, node: usize) -> usize {
+        let mesh = self.doc.nodes.values[node].mesh.map(WholeNumber::index);
+        let mesh = mesh.and_then(|mesh| self.doc.meshes.values.get(mesh));
+        let primitives = mesh.iter().flat_map(|mesh| &mesh.primitives);
+        primitives.map(|primitive| primitive.targets.len()).max().unwrap_or(0)
     }
 
     /// The finite numbers of an accessor with so many lanes.
@@ -272,6 +289,29 @@ impl ClipReader<'_, '_> {
         match values.iter().position(|v| !v.is_finite()) {
             Some(at) => Err(fault.malformed(place, format!("number {at} of accessor {accessor} is {}", values[at]))),
             None => Ok(values),
+        }
+    }
+}
+
+/// Numbers as what a channel of this path moves.
+fn channel_values(path: &str, values: &[f32], targets: usize) -> ChannelValues {
+    let vectors = || {
+        let vectors = values.as_chunks::<3>().0.iter();
+        vectors.map(|v| DVec3::from_array(v.map(f64::from))).collect()
+    };
+    match path {
+        "rotation" => {
+            let rotations = values.as_chunks::<4>().0.iter();
+            ChannelValues::Rotation(rotations.map(|q| DQuat::from_array(q.map(f64::from))).collect())
+        }
+        "translation" => ChannelValues::Translation(vectors()),
+        "scale" => ChannelValues::Scale(vectors()),
+        _ => {
+            let of_target = |target: usize| {
+                let own = values.iter().skip(target).step_by(targets);
+                own.map(|w| f64::from(*w)).collect()
+            };
+            ChannelValues::Weights((0..targets).map(of_target).collect())
         }
     }
 }

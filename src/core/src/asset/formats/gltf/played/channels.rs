@@ -1,6 +1,6 @@
 //! The text of a clip.
 
-use super::super::edited::NewAccessorKind;
+use super::super::edited::{NewAccessorKind, places};
 use super::super::text::quoted;
 use super::document::PlayedDocument;
 use crate::asset::played_clip::{NodeKeys, NodePlace};
@@ -23,12 +23,22 @@ impl NewClip {
         }
     }
 
-    /// Adds values over times, which are accessors; the number of the sampler.
+    /// Adds values over times, which are accessors, along straight lines; the number of the sampler.
     pub(super) fn add_sampler(&mut self, times: usize, values: usize) -> usize {
-        self.samplers.push(format!(
+        self.add_sampler_text(format!(
             r#"{{"input":{times},"interpolation":"LINEAR","output":{values}}}"#
-        ));
+        ))
+    }
+
+    /// Adds a sampler; its number.
+    pub(super) fn add_sampler_text(&mut self, text: String) -> usize {
+        self.samplers.push(text);
         self.samplers.len() - 1
+    }
+
+    /// Adds a channel.
+    pub(super) fn add_channel_text(&mut self, text: String) {
+        self.channels.push(text);
     }
 
     /// Lets a sampler move a node.
@@ -91,4 +101,18 @@ impl NewClip {
 pub(super) fn add_times(played: &mut PlayedDocument<'_, '_>, times: &[f64]) -> usize {
     let times: Vec<f32> = times.iter().map(|t| *t as f32).collect();
     played.add_floats(&times, "SCALAR", NewAccessorKind::Times)
+}
+
+/// Adds a node above others that follows keys; its number.
+pub(super) fn add_root(
+    played: &mut PlayedDocument<'_, '_>,
+    clip: &mut NewClip,
+    keys: &NodeKeys<'_>,
+    below: &[usize],
+) -> usize {
+    let below: Vec<String> = below.iter().map(ToString::to_string).collect();
+    let below = places::json_array(&below);
+    let root = played.add_node(format!(r#"{{"name":"root motion","children":{below}}}"#));
+    clip.add_keys(played, root, keys);
+    root
 }

@@ -1,6 +1,6 @@
 //! A document on its way to a new one: nodes and meshes that change, and data that is added.
 
-use super::super::accessors::{ShapeAttribute, read_floats};
+use super::super::accessors::{AccessorLayout, ShapeAttribute, check_unbacked, read_floats, read_values};
 use super::super::buffers::{BufferBytes, BufferOrigin};
 use super::super::container;
 use super::super::document::{GLB_FORMAT, GltfDocument};
@@ -48,6 +48,20 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
     pub(super) fn read_attribute(&mut self, accessor: usize, role: ShapeAttribute) -> Result<Vec<f32>, Error> {
         self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
         read_floats(self.doc, &self.buffers, accessor, role)
+    }
+
+    /// The numbers of an accessor, and how many each of its elements has; `None` for one that is not there or of no kind known.
+    pub(super) fn read_numbers(&mut self, accessor: usize) -> Result<Option<(Vec<f32>, usize)>, Error> {
+        let described = self.doc.accessors.get(accessor);
+        let Some(layout) = described.and_then(|a| AccessorLayout::of(a, &self.doc.views.values)) else {
+            return Ok(None);
+        };
+        check_unbacked(self.doc, accessor, layout)?;
+        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
+        Ok(Some((
+            read_values(self.doc, &self.buffers, accessor, layout)?,
+            layout.lanes,
+        )))
     }
 
     /// A node as it is by now.

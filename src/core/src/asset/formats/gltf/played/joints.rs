@@ -4,10 +4,11 @@ use super::super::edited::{JsonSections, NewAccessorKind, places};
 use super::super::float_json::json_floats;
 use super::super::read::GltfNotes;
 use super::super::text::quoted;
+use super::beside::go_on_beside;
 use super::channels::{NewClip, add_times};
 use super::document::PlayedDocument;
 use super::primitives::{PlayedNode, PrimitiveChanges, RestPrimitive, changed_mesh, played_nodes};
-use super::scene::{kept_clips, kept_skins, name_member, scene_sections, take_mesh};
+use super::scene::{kept_clips, kept_skins, name_member, take_mesh};
 use crate::asset::played_clip::{CarryingJoints, NodePlace, SkinnedClip};
 use crate::asset::{Error, Geometry, Model};
 use glam::{DAffine3, DQuat};
@@ -21,7 +22,7 @@ pub(super) fn add_clip(
     clip: &SkinnedClip<'_>,
 ) -> Result<JsonSections, Error> {
     let doc = played.doc;
-    let nodes = played_nodes(notes);
+    let nodes = played_nodes(notes, clip.beside.as_ref());
     let mut skins = kept_skins(doc, &nodes).unwrap_or_default();
     let skin = skins.len();
     let mut drawn = Vec::new();
@@ -44,10 +45,12 @@ pub(super) fn add_clip(
     let mut sections = JsonSections::new();
     let mut added = drawn;
     added.push(root);
-    scene_sections(doc, &added, None, &mut sections);
-    let mut clips = kept_clips(doc, &nodes);
+    let mut new = NewClip::new(clip.name);
+    go_on_beside(played, &mut new, (&nodes, clip.beside.as_ref()), &added, &mut sections)?;
+    let mut clips = kept_clips(doc, &nodes, clip.beside.as_ref());
     if !clip.frames.is_empty() {
-        clips.push(new_clip(played, &skeleton, clip));
+        add_joints(played, &mut new, &skeleton, clip);
+        clips.push(new.text());
     }
     sections.insert("animations", (!clips.is_empty()).then(|| places::json_array(&clips)));
     sections.insert("skins", Some(places::json_array(&skins)));
@@ -108,9 +111,8 @@ fn add_skeleton(played: &mut PlayedDocument<'_, '_>, clip: &SkinnedClip<'_>) -> 
     }
 }
 
-/// The text of the clip.
-fn new_clip(played: &mut PlayedDocument<'_, '_>, skeleton: &NewSkeleton, clip: &SkinnedClip<'_>) -> String {
-    let mut new = NewClip::new(clip.name);
+/// Lets a clip move the joints.
+fn add_joints(played: &mut PlayedDocument<'_, '_>, new: &mut NewClip, skeleton: &NewSkeleton, clip: &SkinnedClip<'_>) {
     let times = add_times(played, clip.times);
     for (number, (joint, node)) in clip.joints.iter().zip(&skeleton.nodes).enumerate() {
         let in_frame = |frame: &Vec<NodePlace>| match joint.parent {
@@ -122,7 +124,6 @@ fn new_clip(played: &mut PlayedDocument<'_, '_>, skeleton: &NewSkeleton, clip: &
     if let Some(keys) = &clip.root {
         new.add_keys(played, skeleton.root, keys);
     }
-    new.text()
 }
 
 fn number_list(numbers: &[usize]) -> String {

@@ -10,11 +10,15 @@
 //! - A mesh that several nodes draw becomes one for each of them.
 //! - Morph targets that were there go. So do clips that move joints of a skin that no longer places anything, what such
 //!   joints hang on, or weights of morph targets that went; all other clips stay.
+//! - Where the frames are of a clip of the file, nodes without a skin are not played: the new clip moves them, and what joints
+//!   carry, as that clip did. Its keys are cut to the frames' time.
 //! - Primitives without triangles in a mesh that is played keep their place in their own space; their targets are zero,
 //!   because all primitives of a mesh must have as many.
 //! - Data that nothing uses any more stays in the file's buffer.
 
+mod beside;
 mod channels;
+mod cut_keys;
 mod document;
 mod joints;
 mod morphs;

@@ -2,7 +2,8 @@
 
 use super::super::edited::{JsonSections, NewAccessorKind, places};
 use super::super::read::GltfNotes;
-use super::channels::{NewClip, add_times};
+use super::beside::go_on_beside;
+use super::channels::{NewClip, add_root, add_times};
 use super::document::PlayedDocument;
 use super::primitives::{PlayedNode, PrimitiveChanges, RestPrimitive, changed_mesh, played_nodes, still_target};
 use super::scene::{kept_clips, kept_skins, name_member, scene_sections, take_mesh, top_nodes};
@@ -19,10 +20,10 @@ pub(super) fn add_clip(
     clip: &MorphClip<'_>,
 ) -> Result<JsonSections, Error> {
     let doc = played.doc;
-    let nodes = played_nodes(notes);
-    let mut stands = Vec::with_capacity(notes.rows.len());
-    for row in &notes.rows {
-        stands.push(if row.skin.is_some() {
+    let nodes = played_nodes(notes, clip.beside.as_ref());
+    let mut stands: Vec<Option<RestPrimitive>> = (0..notes.rows.len()).map(|_| None).collect();
+    for (number, row) in nodes.iter().flat_map(|node| &node.rows) {
+        stands[*number] = Some(if row.skin.is_some() {
             RestPrimitive::in_model_space(played, row, rest)
         } else {
             RestPrimitive::in_place(played, row)?
@@ -59,17 +60,21 @@ pub(super) fn add_clip(
         .iter()
         .for_each(|node| new.add_channel(sampler, *node, "weights"));
     let mut sections = JsonSections::new();
-    if let Some(keys) = &clip.root {
+    if clip.beside.is_some() {
+        let own = match &clip.root {
+            Some(keys) => vec![add_root(played, &mut new, keys, &moved)],
+            None => moved,
+        };
+        go_on_beside(played, &mut new, (&nodes, clip.beside.as_ref()), &own, &mut sections)?;
+    } else if let Some(keys) = &clip.root {
         let top = top_nodes(doc);
-        let below: Vec<String> = top.iter().chain(&moved).map(ToString::to_string).collect();
-        let below = places::json_array(&below);
-        let root = played.add_node(format!(r#"{{"name":"root motion","children":{below}}}"#));
-        new.add_keys(played, root, keys);
+        let below: Vec<usize> = top.iter().chain(&moved).copied().collect();
+        let root = add_root(played, &mut new, keys, &below);
         scene_sections(doc, &[root], Some((root, &top)), &mut sections);
     } else if !moved.is_empty() {
         scene_sections(doc, &moved, None, &mut sections);
     }
-    let mut clips = kept_clips(doc, &nodes);
+    let mut clips = kept_clips(doc, &nodes, clip.beside.as_ref());
     clips.push(new.text());
     sections.insert("animations", Some(places::json_array(&clips)));
     let skins = kept_skins(doc, &nodes);
@@ -88,10 +93,10 @@ fn add_targets(
     played: &mut PlayedDocument<'_, '_>,
     rest: &Geometry,
     notes: &GltfNotes,
-    stands: &[RestPrimitive],
+    stands: &[Option<RestPrimitive>],
     shapes: &ClipShapes<'_>,
 ) -> Vec<Vec<String>> {
-    let has_normals = stands.iter().any(RestPrimitive::has_normals);
+    let has_normals = stands.iter().flatten().any(RestPrimitive::has_normals);
     let mut moved = rest.clone();
     let mut targets = vec![Vec::new(); notes.rows.len()];
     for shape in shapes.clip.shapes {
@@ -102,7 +107,7 @@ fn add_targets(
             moved.positions = positions;
         }
         for ((row, stand), own) in notes.rows.iter().zip(stands).zip(&mut targets) {
-            own.push(stand.target(played, row, &moved));
+            own.extend(stand.as_ref().map(|stand| stand.target(played, row, &moved)));
         }
     }
     targets
@@ -113,15 +118,16 @@ fn node_changes(
     played: &mut PlayedDocument<'_, '_>,
     node: &PlayedNode<'_>,
     rest: &Geometry,
-    (stands, targets): (&[RestPrimitive], &[Vec<String>]),
+    (stands, targets): (&[Option<RestPrimitive>], &[Vec<String>]),
 ) -> Vec<PrimitiveChanges> {
     let doc = played.doc;
-    let count = targets.first().map_or(0, Vec::len);
+    let count = targets.iter().map(Vec::len).max().unwrap_or(0);
     let mut all = Vec::new();
     for (i, primitive) in doc.meshes.values[node.mesh].primitives.iter().enumerate() {
         let row = node.rows.iter().find(|(_, row)| row.primitive == i);
-        let mut changes = match row {
-            Some((number, row)) if node.skin.is_some() => stands[*number].store(played, row, rest),
+        let stand = row.and_then(|(number, row)| Some((stands[*number].as_ref()?, row)));
+        let mut changes = match stand {
+            Some((stand, row)) if node.skin.is_some() => stand.store(played, row, rest),
             _ => PrimitiveChanges {
                 drops_joints: node.skin.is_some(),
                 ..PrimitiveChanges::default()

@@ -6,6 +6,7 @@ use super::super::placement::{Placement, invert};
 use super::super::read::{GltfNotes, PlacedPrimitive, normal_matrix};
 use super::super::text::{items, members, quoted, value_of};
 use super::document::PlayedDocument;
+use crate::asset::played_clip::ClipBeside;
 use crate::asset::{Error, Geometry};
 use glam::{DAffine3, DVec3, Vec3};
 use std::collections::BTreeMap;
@@ -20,10 +21,11 @@ pub(super) struct PlayedNode<'n> {
     pub(super) skin: Option<usize>,
 }
 
-/// The nodes of a table of primitives, in order.
-pub(super) fn played_nodes(notes: &GltfNotes) -> Vec<PlayedNode<'_>> {
+/// The nodes of a table of primitives, in order; those with a skin alone where others go on beside them.
+pub(super) fn played_nodes<'n>(notes: &'n GltfNotes, beside: Option<&ClipBeside<'_>>) -> Vec<PlayedNode<'n>> {
     let mut by_node: BTreeMap<usize, PlayedNode<'_>> = BTreeMap::new();
-    for (number, row) in notes.rows.iter().enumerate() {
+    let is_played = |row: &PlacedPrimitive| beside.is_none() || row.skin.is_some();
+    for (number, row) in notes.rows.iter().enumerate().filter(|(_, row)| is_played(row)) {
         let known = by_node.entry(row.node).or_insert_with(|| PlayedNode {
             node: row.node,
             mesh: row.mesh,

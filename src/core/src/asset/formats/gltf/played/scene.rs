@@ -6,10 +6,11 @@ use super::super::schema::GltfSkin;
 use super::super::text::{items, value_of};
 use super::document::PlayedDocument;
 use super::primitives::PlayedNode;
+use crate::asset::played_clip::ClipBeside;
 use std::collections::BTreeSet;
 
 /// For each node the one that it is a child of.
-fn parents(doc: &GltfDocument<'_>) -> Vec<Option<usize>> {
+pub(super) fn parents(doc: &GltfDocument<'_>) -> Vec<Option<usize>> {
     let mut parents = vec![None; doc.nodes.len()];
     for (i, node) in doc.nodes.values.iter().enumerate() {
         node.children.iter().for_each(|child| parents[child.index()] = Some(i));
@@ -89,8 +90,12 @@ pub(super) fn name_member(doc: &GltfDocument<'_>, node: usize) -> String {
 }
 
 /// The document's own clips that stay: those that move no joint of a skin that goes, nothing such a joint hangs on, and no
-/// weights of what is played.
-pub(super) fn kept_clips(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> Vec<String> {
+/// weights of what is played. The one that goes on beside what is played is a part of the new one.
+pub(super) fn kept_clips(
+    doc: &GltfDocument<'_>,
+    nodes: &[PlayedNode<'_>],
+    beside: Option<&ClipBeside<'_>>,
+) -> Vec<String> {
     let parents = parents(doc);
     let skins: BTreeSet<usize> = nodes.iter().filter_map(|n| n.skin).collect();
     let skins = skins
@@ -114,7 +119,9 @@ pub(super) fn kept_clips(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> Ve
         let channels = value_of(clip, "channels").and_then(|list| items(list).ok());
         !channels.unwrap_or_default().into_iter().any(moves_lost)
     };
-    let kept = doc.animations.iter().filter(is_kept);
+    let others = doc.animations.iter().enumerate();
+    let others = others.filter(|(number, _)| beside.is_none_or(|beside| beside.clip != *number));
+    let kept = others.map(|(_, text)| text).filter(is_kept);
     kept.map(|text| (*text).to_owned()).collect()
 }
 
