@@ -142,7 +142,7 @@ pub fn prepare(
 ) -> Result<Animation, Error> {
     let MovingClip { rig, clip, own, beside } = moving;
     let start = order.times.start;
-    let driver = match own.is_some() {
+    let mut driver = match own.is_some() {
         true => RigDriver::of_skin(&rig, clip, start)?,
         false => {
             let options = DriveOptions {
@@ -153,6 +153,7 @@ pub fn prepare(
             RigDriver::new(&rig, clip, &options)?
         }
     };
+    driver.warn_of_twists(&rig, order.range.clone().map(|frame| (frame, order.times.at(frame))));
     let animation = deformer.animation(rig, driver, order.times, &order.settings, exec)?;
     Ok(animation.with_beside(beside))
 }

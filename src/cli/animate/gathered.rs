@@ -96,12 +96,12 @@ impl FrameTaker for GatheredFrames<'_> {
         match self.kind {
             GatheredKind::Cache(cache) => self.write_cache(cache)?,
             GatheredKind::Morphs(most) => {
-                let told = write_morphs(&self.path, &self.played, &mut self.frames, (most, self.has_root))?;
-                report.warnings.extend(told);
+                let how = (most, self.has_root);
+                write_morphs(&self.path, &self.played, &mut self.frames, how, report)?;
             }
             GatheredKind::Skin(bones) => {
-                let told = write_skin(&self.path, &self.played, &mut self.frames, (bones, self.has_root))?;
-                report.warnings.extend(told);
+                let how = (bones, self.has_root);
+                write_skin(&self.path, &self.played, &mut self.frames, how, report)?;
             }
         }
         let earlier = self.frames.frames.iter().take(self.before);

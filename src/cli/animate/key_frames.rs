@@ -17,6 +17,8 @@ pub(super) struct KeyFrames {
     pub(super) shapes: Vec<Vec<Vec3>>,
     /// How far a vertex is off at most in a frame that is blended, in model units.
     pub(super) error: f64,
+    /// The root of the mean square over vertices and all frames.
+    pub(super) rms: f64,
 }
 
 /// Chooses up to `most` frames, at least two: again and again the frame that is farthest from what those chosen so far blend to.
@@ -42,19 +44,23 @@ pub(super) fn choose_key_frames(
     for frame in &chosen {
         shapes.push(frames.read_positions(*frame)?);
     }
-    let mut error: f32 = 0.0;
+    let (mut error, mut squares): (f32, f64) = (0.0, 0.0);
     for (ends, pair) in chosen.windows(2).zip(shapes.windows(2)) {
         for frame in ends[0] + 1..ends[1] {
             let here = frames.read_positions(frame)?;
             let share = share(frame, ends);
             let off = |v: &usize| here[*v].distance_squared(pair[0][*v].lerp(pair[1][*v], share));
-            error = error.max(own.iter().map(off).fold(0.0, f32::max).sqrt());
+            for off in own.iter().map(off) {
+                error = error.max(off);
+                squares += f64::from(off);
+            }
         }
     }
     Ok(KeyFrames {
         chosen,
         shapes,
-        error: error.into(),
+        error: error.sqrt().into(),
+        rms: (squares / (count * own.len()).max(1) as f64).sqrt(),
     })
 }
 

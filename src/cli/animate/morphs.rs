@@ -6,17 +6,18 @@ use super::taken_frames::PlayedAnimation;
 use crate::asset::{MorphClip, NodeKeys, NodePlace};
 use crate::cli::failure::CliFailure;
 use crate::motion::rig::RigidMotion;
-use crate::wire::Error;
+use crate::wire::{Error, pb};
 use std::path::Path;
 
-/// Writes frames as a GLB with `most` morph targets, and the motion of the root as a node where `has_root`; what there is to
-/// say of it.
+/// Writes frames as a GLB with `most` morph targets, and the motion of the root as a node where `has_root`; tells how
+/// far it is off.
 pub(super) fn write_morphs(
     path: &Path,
     played: &PlayedAnimation<'_>,
     frames: &mut FramesFile,
     (most, has_root): (usize, bool),
-) -> Result<Option<String>, CliFailure> {
+    report: &mut pb::AnimationReport,
+) -> Result<(), CliFailure> {
     let count = played.range.len();
     let keys = choose_key_frames(frames, &played.played_vertices(), count, most)?;
     let first = played.range.start;
@@ -41,13 +42,17 @@ pub(super) fn write_morphs(
     played
         .permission
         .write_model(path, &written, played.model, played.files)?;
-    Ok((keys.chosen.len() < count).then(|| {
-        let percent = 100.0 * keys.error / played.deformer.diagonal();
-        format!(
-            "{count} frames are blended from {} shapes; at worst a vertex is off by {percent:.3} % of the diagonal",
-            keys.chosen.len()
-        )
-    }))
+    if keys.chosen.len() == count {
+        return Ok(());
+    }
+    let off = written_error(played, keys.chosen.len(), [keys.rms, keys.error]);
+    report.warnings.push(format!(
+        "{count} frames are blended from {} shapes; at worst a vertex is off by {:.3} % of the diagonal",
+        keys.chosen.len(),
+        off.max_percent
+    ));
+    report.written_error = Some(off);
+    Ok(())
 }
 
 /// Where a node is that moves as a root does.
@@ -64,5 +69,23 @@ pub(super) fn back_from(place: &NodePlace) -> NodePlace {
     NodePlace {
         translation: -(rotation * place.translation),
         rotation,
+    }
+}
+
+/// How far so many parts are off, of a root mean square and a largest distance.
+pub(super) fn written_error(
+    played: &PlayedAnimation<'_>,
+    parts: usize,
+    lengths: [f64; 2],
+) -> pb::animation_report::WrittenError {
+    let diagonal = played.deformer.diagonal();
+    let [rms_percent, max_percent] = lengths.map(|length| match diagonal > 0.0 {
+        true => 100.0 * length / diagonal,
+        false => 0.0,
+    });
+    pb::animation_report::WrittenError {
+        rms_percent,
+        max_percent,
+        parts: u32::try_from(parts).unwrap_or(u32::MAX),
     }
 }

@@ -1,7 +1,7 @@
 //! Frames as a GLB with a skin of rigid bones, which any engine plays.
 
 use super::frames_file::FramesFile;
-use super::morphs::{back_from, node_place};
+use super::morphs::{back_from, node_place, written_error};
 use super::taken_frames::PlayedAnimation;
 use crate::asset::{CarryingJoints, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
 use crate::batch::carrying_joints;
@@ -9,18 +9,19 @@ use crate::cli::failure::CliFailure;
 use crate::motion::decomposition::{
     DecompositionError, DecompositionOptions, ShapeSequence, SkinDecomposition, decompose,
 };
-use crate::wire::Error;
+use crate::wire::{Error, pb};
 use glam::{DQuat, DVec3};
 use std::path::Path;
 
 /// Writes frames as a GLB whose vertices follow at most four of so many `bones`, and the motion of the root as a node where
-/// `has_root`; what there is to say of it.
+/// `has_root`; tells how far it is off.
 pub(super) fn write_skin(
     path: &Path,
     played: &PlayedAnimation<'_>,
     frames: &mut FramesFile,
     (bones, has_root): (usize, bool),
-) -> Result<Option<String>, CliFailure> {
+    report: &mut pb::AnimationReport,
+) -> Result<(), CliFailure> {
     let count = played.range.len();
     let own = played.played_vertices();
     let rest: Vec<DVec3> = own.iter().map(|v| played.deformer.rest()[*v]).collect();
@@ -61,14 +62,13 @@ pub(super) fn write_skin(
     played
         .permission
         .write_model(path, &written, played.model, played.files)?;
-    let diagonal = played.deformer.diagonal();
-    let percent = |length: f64| if diagonal > 0.0 { 100.0 * length / diagonal } else { 0.0 };
-    Ok(Some(format!(
+    let off = written_error(played, skin.centres.len(), [skin.rms, skin.max]);
+    report.warnings.push(format!(
         "{} bones play the frames to within {:.3} % of the diagonal (root mean square), {:.3} % at worst",
-        skin.centres.len(),
-        percent(skin.rms),
-        percent(skin.max)
-    )))
+        off.parts, off.rms_percent, off.max_percent
+    ));
+    report.written_error = Some(off);
+    Ok(())
 }
 
 fn refused(e: DecompositionError) -> CliFailure {

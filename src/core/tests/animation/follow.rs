@@ -118,3 +118,23 @@ fn a_rig_outside_the_model_is_refused() {
         "{told}"
     );
 }
+
+#[test]
+fn a_bone_that_is_twisted_nearly_half_around_is_told_once_with_its_frame() {
+    let warnings = |rows: &[[f64; 2]], heading: f64| {
+        let clip = read_bvh(clip_text(heading, rows).as_bytes(), &ClipLimits::default()).expect("a clip");
+        let rig = arm_rig(3);
+        let mut driver = RigDriver::new(&rig, clip, &DriveOptions::default()).expect("a driver");
+        let frames = (0..rows.len()).map(|frame| (frame, frame as f64 * 0.0333333));
+        driver.warn_of_twists(&rig, frames);
+        driver.warnings().to_vec()
+    };
+    for heading in [0.0, 130.0] {
+        let told = warnings(&[[0.0, 0.0], [40.0, 172.0], [10.0, -178.0], [0.0, 171.0]], heading);
+        assert_eq!(told.len(), 1, "{told:?}");
+        let wanted = "bone \"hand\" is twisted by 178 degrees about its own axis in frame 2, against how it stands";
+        assert!(told[0].starts_with(wanted), "{told:?}");
+        let none = warnings(&[[0.0, 0.0], [178.0, 168.0], [0.0, -169.0]], heading);
+        assert!(none.is_empty(), "turns of the whole count for nothing: {none:?}");
+    }
+}

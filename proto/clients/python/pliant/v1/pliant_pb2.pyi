@@ -1273,7 +1273,7 @@ class Rig(_message.Message):
     def __init__(self, version: _Optional[int] = ..., joints: _Optional[_Mapping[str, Rig.Joint]] = ..., bones: _Optional[_Iterable[_Union[Rig.Bone, _Mapping]]] = ..., reference_frame: _Optional[int] = ..., scale: _Optional[float] = ..., model: _Optional[str] = ...) -> None: ...
 
 class AnimationReport(_message.Message):
-    __slots__ = ("frames", "totals", "handles", "warnings", "scale", "build_ms", "output")
+    __slots__ = ("frames", "totals", "handles", "warnings", "scale", "build_ms", "output", "written_error")
     class FrameReport(_message.Message):
         __slots__ = ("index", "time", "ms", "cycles", "volume_change", "flipped_triangles", "max_stretch", "edge_rms", "digest", "root_translation", "root_rotation")
         INDEX_FIELD_NUMBER: _ClassVar[int]
@@ -1329,6 +1329,15 @@ class AnimationReport(_message.Message):
         max_stretch: float
         edge_rms_mean: float
         def __init__(self, frames: _Optional[int] = ..., ms: _Optional[float] = ..., frames_per_second: _Optional[float] = ..., volume_change_mean: _Optional[float] = ..., volume_change_worst: _Optional[float] = ..., flipped_triangles_mean: _Optional[float] = ..., flipped_triangles_worst: _Optional[int] = ..., max_stretch: _Optional[float] = ..., edge_rms_mean: _Optional[float] = ...) -> None: ...
+    class WrittenError(_message.Message):
+        __slots__ = ("rms_percent", "max_percent", "parts")
+        RMS_PERCENT_FIELD_NUMBER: _ClassVar[int]
+        MAX_PERCENT_FIELD_NUMBER: _ClassVar[int]
+        PARTS_FIELD_NUMBER: _ClassVar[int]
+        rms_percent: float
+        max_percent: float
+        parts: int
+        def __init__(self, rms_percent: _Optional[float] = ..., max_percent: _Optional[float] = ..., parts: _Optional[int] = ...) -> None: ...
     class BuildMsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -1343,6 +1352,7 @@ class AnimationReport(_message.Message):
     SCALE_FIELD_NUMBER: _ClassVar[int]
     BUILD_MS_FIELD_NUMBER: _ClassVar[int]
     OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    WRITTEN_ERROR_FIELD_NUMBER: _ClassVar[int]
     frames: _containers.RepeatedCompositeFieldContainer[AnimationReport.FrameReport]
     totals: AnimationReport.Totals
     handles: _containers.RepeatedCompositeFieldContainer[AnimationReport.HeldNodes]
@@ -1350,4 +1360,5 @@ class AnimationReport(_message.Message):
     scale: float
     build_ms: _containers.ScalarMap[str, float]
     output: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, frames: _Optional[_Iterable[_Union[AnimationReport.FrameReport, _Mapping]]] = ..., totals: _Optional[_Union[AnimationReport.Totals, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[AnimationReport.HeldNodes, _Mapping]]] = ..., warnings: _Optional[_Iterable[str]] = ..., scale: _Optional[float] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., output: _Optional[_Iterable[str]] = ...) -> None: ...
+    written_error: AnimationReport.WrittenError
+    def __init__(self, frames: _Optional[_Iterable[_Union[AnimationReport.FrameReport, _Mapping]]] = ..., totals: _Optional[_Union[AnimationReport.Totals, _Mapping]] = ..., handles: _Optional[_Iterable[_Union[AnimationReport.HeldNodes, _Mapping]]] = ..., warnings: _Optional[_Iterable[str]] = ..., scale: _Optional[float] = ..., build_ms: _Optional[_Mapping[str, float]] = ..., output: _Optional[_Iterable[str]] = ..., written_error: _Optional[_Union[AnimationReport.WrittenError, _Mapping]] = ...) -> None: ...

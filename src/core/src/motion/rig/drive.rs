@@ -238,16 +238,40 @@ impl RigDriver {
         self.scale
     }
 
+    /// By bone how it is turned against its parent, from how it is in the reference pose, in the axes of the model at rest; `None`
+    /// for the root.
+    pub(super) fn turns_from_reference(&self, seconds: f64) -> Vec<Option<DQuat>> {
+        let motions = self.world_motions(seconds);
+        let turn = |(own, motion): (&DrivenBone, &RigidMotion)| {
+            let parent = own.parent?;
+            let base = match self.back_from_rest {
+                Some(_) => DQuat::IDENTITY,
+                None => self.bones[parent].base.inverse() * own.base,
+            };
+            Some((base.inverse() * motions[parent].rotation.inverse() * motion.rotation).normalize())
+        };
+        self.bones.iter().zip(&motions).map(turn).collect()
+    }
+
+    /// Adds a line to what was noticed.
+    pub(super) fn warn(&mut self, line: String) {
+        self.warnings.push(line);
+    }
+
     /// Where the bones are at a time of the clip in seconds.
     pub fn pose_at(&self, seconds: f64) -> RigPose {
-        let world = match self.back_from_rest {
-            Some(_) => self.skin_motions(seconds),
-            None => self.fitted_motions(seconds),
-        };
+        let world = self.world_motions(seconds);
         let root = world[0];
         RigPose {
             bones: world.iter().map(|motion| motion.seen_from(&root)).collect(),
             root,
+        }
+    }
+
+    fn world_motions(&self, seconds: f64) -> Vec<RigidMotion> {
+        match self.back_from_rest {
+            Some(_) => self.skin_motions(seconds),
+            None => self.fitted_motions(seconds),
         }
     }
 

@@ -14,6 +14,7 @@ mod joints;
 mod of_skin;
 mod rigid;
 mod swing_twist;
+mod twists;
 
 pub use bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 pub use drive::{DriveOptions, RigDriver, RigPose};
