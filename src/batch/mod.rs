@@ -3,6 +3,7 @@
 mod animate;
 mod inspect;
 mod riders;
+mod rig;
 mod run;
 mod skin;
 
@@ -11,5 +12,6 @@ pub use animate::{
 };
 pub use inspect::{MOST_NODES_TOLD, inspect};
 pub use riders::CarriedFile;
+pub use rig::{MadeRig, RigOrder, make_rig};
 pub use run::{BatchOutcome, pose_steps, run, unmet_expectations};
 pub use skin::{BoundModel, bind_model, carrying_joints};

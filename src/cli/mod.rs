@@ -13,6 +13,7 @@ mod json_output;
 mod model_files;
 mod output_files;
 mod render;
+mod rig;
 mod sample;
 pub mod serve;
 mod skin;
@@ -43,6 +44,8 @@ enum PliantCommand {
     Check(check::CheckArgs),
     /// Play a clip on a model, every frame solved
     Animate(animate::AnimateArgs),
+    /// Find where the bones of a model lie, and which joints of a clip turn them
+    Rig(rig::RigArgs),
     /// Bind a model to the bones of a rig
     Skin(skin::SkinArgs),
     /// Draw a model, maybe beside what it was, as a png
@@ -70,6 +73,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Inspect(args) => inspect::run_inspect(&args),
         PliantCommand::Check(args) => check::run_check(&args),
         PliantCommand::Animate(args) => animate::run_animate(&args),
+        PliantCommand::Rig(args) => rig::run_rig(&args),
         PliantCommand::Skin(args) => skin::run_skin(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => sample::run_sample(&args),

@@ -133,3 +133,54 @@ impl From<RigError> for Error {
         }
     }
 }
+
+/// Spells a rig as the schema has it. `names` are joints with a name of their own; others are called as the bone that begins
+/// there, or ends.
+pub fn rig_message(rig: &MotionRig, names: &[(&str, DVec3)], model: &str) -> pb::Rig {
+    let mut message = pb::Rig {
+        version: VERSION,
+        reference_frame: match rig.reference {
+            ReferencePose::Rest => None,
+            ReferencePose::Frame(frame) => Some(u32::try_from(frame).unwrap_or(u32::MAX)),
+        },
+        scale: rig.scale.unwrap_or_default(),
+        model: model.to_owned(),
+        ..Default::default()
+    };
+    let begins = rig.bones.iter().map(|bone| (bone.id.as_str(), bone.from));
+    let known: Vec<(&str, DVec3)> = names.iter().copied().chain(begins).collect();
+    for bone in &rig.bones {
+        let mut joint = |at: DVec3, other: String| {
+            let name = known.iter().find(|k| k.1 == at).map_or(other, |k| k.0.to_owned());
+            let place = pb::rig::Joint {
+                at: at.to_array().to_vec(),
+            };
+            message.joints.insert(name.clone(), place);
+            name
+        };
+        let (from, to) = (
+            joint(bone.from, bone.id.clone()),
+            joint(bone.to, format!("{} end", bone.id)),
+        );
+        let rest = match bone.rest {
+            RestAttitude::Direction => pb::rig::Rest::Direction,
+            RestAttitude::Orientation => pb::rig::Rest::Orientation,
+            RestAttitude::Parent => pb::rig::Rest::Parent,
+        };
+        message.bones.push(pb::rig::Bone {
+            id: bone.id.clone(),
+            from,
+            to,
+            parent: bone.parent.map_or_else(String::new, |p| rig.bones[p].id.clone()),
+            joint: bone.joint.clone(),
+            aim: bone.aim.clone().unwrap_or_default(),
+            rest: rest.into(),
+            radius: bone.radius,
+            slices: bone.slices as u32,
+            span: bone.span.to_vec(),
+            joint_radius: bone.joint_radius.unwrap_or_default(),
+            limit_degrees: bone.limit_degrees.unwrap_or_default(),
+        });
+    }
+    message
+}

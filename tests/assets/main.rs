@@ -14,6 +14,7 @@ mod nodes;
 mod nodes_of_files;
 mod played;
 mod polygons;
+mod rigged;
 mod rigs;
 mod roundtrip_gltf;
 mod roundtrip_text;

@@ -5,6 +5,7 @@ mod clip;
 mod curve;
 pub mod decomposition;
 mod error;
+pub mod humanoid;
 mod influences;
 mod of_scene;
 pub mod rig;

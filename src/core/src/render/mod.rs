@@ -19,6 +19,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod bone_marks;
 mod camera;
 mod colour;
 mod colour_key;
@@ -33,6 +34,7 @@ mod texture;
 mod vertex_values;
 mod view_sheet;
 
+pub use bone_marks::BoneMarks;
 pub use camera::{Camera, PictureSize, UpAxis, ViewDirection};
 pub use colour::{ColourRamp, Rgb};
 pub use colour_key::ColourKey;

@@ -13,23 +13,63 @@ pub(super) struct BonePair {
 }
 
 /// The turn about the vertical that lets a clip face as the model does: of all such turns the one that brings the clip's joints
-/// nearest to the model's, both about their means. It is nothing where both are as good as on one vertical line.
-pub(super) fn heading(pairs: &[BonePair]) -> DQuat {
-    let points: Vec<[DVec3; 2]> = pairs.iter().flat_map(points_of).collect();
+/// nearest to the model's, both about their means. It is nothing where both are as good as on one vertical line. A clip that lies
+/// along z, as those whose vertical is z, is stood up before, where that brings it nearer.
+pub(super) fn heading(pairs: &[BonePair]) -> Heading {
+    let upright = turn_about_vertical(pairs.iter().flat_map(points_of).collect());
+    let clip = || pairs.iter().flat_map(points_of).map(|p| p[1]);
+    let low = clip().fold(DVec3::INFINITY, |a, p| a.min(p));
+    let high = clip().fold(DVec3::NEG_INFINITY, |a, p| a.max(p));
+    let (tall, long) = (high.y - low.y, high.z - low.z);
+    let as_read = Heading {
+        turn: upright.0,
+        up: DVec3::Y,
+    };
+    if long <= LYING * tall {
+        return as_read;
+    }
+    let stood = |p: DVec3| DVec3::new(p.x, p.z, -p.y);
+    let standing = pairs.iter().flat_map(points_of).map(|[m, c]| [m, stood(c)]);
+    let standing = turn_about_vertical(standing.collect());
+    if standing.1 <= upright.1 {
+        return as_read;
+    }
+    Heading {
+        turn: standing.0 * rotation_about(DVec3::X, -std::f64::consts::FRAC_PI_2),
+        up: DVec3::Z,
+    }
+}
+
+/// How a clip is turned to stand as a model does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Heading {
+    /// From the clip's space to the model's.
+    pub(super) turn: DQuat,
+    /// The clip's axis that becomes the vertical.
+    pub(super) up: DVec3,
+}
+
+/// How much longer a clip is along z than along y whose vertical may be z.
+const LYING: f64 = 1.5;
+
+/// The turn about the vertical that brings clip's points nearest to the model's, and how near they then are: larger is nearer.
+fn turn_about_vertical(points: Vec<[DVec3; 2]>) -> (DQuat, f64) {
     let count = points.len().max(1) as f64;
     let [model_mean, clip_mean] = [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<DVec3>() / count);
-    let (mut along, mut across, mut size) = (0.0, 0.0, 0.0);
+    let (mut along, mut across, mut size, mut level) = (0.0, 0.0, 0.0, 0.0);
     for [model, clip] in points {
         let (m, c) = (model - model_mean, clip - clip_mean);
         along += m.x * c.x + m.z * c.z;
         // Positive where the clip has to be turned from z towards x.
         across += m.x * c.z - m.z * c.x;
+        level += m.y * c.y;
         size += m.length() * c.length();
     }
-    if libm::hypot(along, across) <= 1e-6 * size {
-        return DQuat::IDENTITY;
+    let near = libm::hypot(along, across);
+    if near <= 1e-6 * size {
+        return (DQuat::IDENTITY, level);
     }
-    rotation_about(DVec3::Y, libm::atan2(across, along))
+    (rotation_about(DVec3::Y, libm::atan2(across, along)), level + near)
 }
 
 fn points_of(pair: &BonePair) -> impl Iterator<Item = [DVec3; 2]> {

@@ -137,7 +137,7 @@ impl MotionRig {
             above.push(found.transpose().map_err(|name| {
                 let problem = format!(
                     "is \"{name}\", there is no such bone; there are {}",
-                    listed(number.keys())
+                    listed_names(number.keys())
                 );
                 RigError::Bone {
                     bone,
@@ -168,7 +168,7 @@ pub(super) fn whole(field: &'static str, problem: String) -> RigError {
 }
 
 /// Up to eight names, in quotes.
-pub(super) fn listed<S: AsRef<str>>(names: impl Iterator<Item = S>) -> String {
+pub(in crate::motion) fn listed_names<S: AsRef<str>>(names: impl Iterator<Item = S>) -> String {
     let mut names = names;
     let shown: Vec<String> = names.by_ref().take(8).map(|n| format!("\"{}\"", n.as_ref())).collect();
     let more = names.count();
@@ -226,7 +226,7 @@ fn parents_first(bones: &[RigBone], above: &[Option<usize>]) -> Result<Vec<usize
         }
     }
     if roots.len() > 1 {
-        let names = listed(roots.iter().map(|&b| bones[b].id.as_str()));
+        let names = listed_names(roots.iter().map(|&b| bones[b].id.as_str()));
         return Err(whole(
             "bones",
             format!("{names} have no parent; all but one bone need one"),
@@ -244,7 +244,7 @@ fn parents_first(bones: &[RigBone], above: &[Option<usize>]) -> Result<Vec<usize
     let mut reached = vec![false; bones.len()];
     order.iter().for_each(|&bone| reached[bone] = true);
     let caught = (0..bones.len()).filter(|&b| !reached[b]);
-    let names = listed(caught.map(|b| bones[b].id.as_str()));
+    let names = listed_names(caught.map(|b| bones[b].id.as_str()));
     Err(whole("bones", format!("{names} hang on each other in a circle")))
 }
 

@@ -1,7 +1,7 @@
 //! A clip's motion as that of a model's bones.
 
-use super::align::{BonePair, heading, scale};
-use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed, whole};
+use super::align::{BonePair, Heading, heading, scale};
+use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names, whole};
 use super::rigid::RigidMotion;
 use crate::mesh::rotation::fit_rotation;
 use crate::motion::clip::MotionClip;
@@ -106,11 +106,12 @@ impl RigDriver {
                 clip: (reference.places[joint], aim.map(|a| reference.places[a])),
             });
         }
-        let heading = heading(&pairs);
+        let Heading { turn: heading, up } = heading(&pairs);
         let scale = options.scale.or(rig.scale).unwrap_or_else(|| scale(&rig.bones, &pairs));
         let mut root_origin = ClipState::at(&clip, options.start).places[joints[0]];
         if let ReferencePose::Frame(_) = fitted_to {
-            root_origin.y = reference.places[joints[0]].y;
+            let height = reference.places[joints[0]];
+            root_origin = root_origin * (DVec3::ONE - up) + height * up;
         }
         let mut driver = Self {
             bones: Vec::with_capacity(rig.bones.len()),
@@ -163,7 +164,7 @@ impl RigDriver {
             .map(|(bone, _)| bone.id.as_str())
             .collect();
         if !scaled.is_empty() {
-            let names = listed(scaled.iter());
+            let names = listed_names(scaled.iter());
             driver.warnings.push(format!(
                 "the clip scales or shears {names}; they are turned and moved, not scaled"
             ));
@@ -340,7 +341,7 @@ pub(super) fn time_of_frame(clip: &MotionClip, frame: usize) -> Result<f64, RigE
 fn joint_named(clip: &MotionClip, name: &str, bone: &RigBone, field: &'static str) -> Result<usize, RigError> {
     clip.skeleton.joint_named(name).ok_or_else(|| {
         let joints = clip.skeleton.joints.iter();
-        let names = listed(joints.map(|j| j.name.as_str()).filter(|n| !n.is_empty()));
+        let names = listed_names(joints.map(|j| j.name.as_str()).filter(|n| !n.is_empty()));
         let problem = format!(
             "\"{name}\" of bone \"{}\" is no joint of the clip; it has {names}",
             bone.id

@@ -16,6 +16,7 @@ mod rigid;
 mod swing_twist;
 mod twists;
 
+pub(in crate::motion) use bones::listed_names;
 pub use bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 pub use drive::{DriveOptions, RigDriver, RigPose};
 pub use handles::{RigHandle, RigHandleShape, rig_handles};

@@ -13,3 +13,4 @@ mod heat_columns;
 mod occupied_cells;
 
 pub use heat_columns::{SkinBone, SkinWeightError, SkinWeightOptions, skin_weights};
+pub(super) use occupied_cells::OccupiedCells;

@@ -18,21 +18,21 @@ const LONGEST: f64 = 256.0;
 const EMPTY: u32 = u32::MAX;
 
 /// Cells of a cubic lattice, numbered with x running fastest; the occupied ones are nodes.
-pub(super) struct OccupiedCells {
+pub(in crate::motion) struct OccupiedCells {
     /// The lowest corner.
     origin: DVec3,
     /// Side of a cell.
-    pub(super) side: f64,
+    pub(in crate::motion) side: f64,
     size: [usize; 3],
     /// By cell: its node, or [`EMPTY`].
     node: Vec<u32>,
     /// By node: the middle of its cell.
-    pub(super) places: Vec<DVec3>,
+    pub(in crate::motion) places: Vec<DVec3>,
 }
 
 impl OccupiedCells {
     /// Finds them, among `most` cells or fewer.
-    pub(super) fn find(
+    pub(in crate::motion) fn find(
         positions: &[DVec3],
         triangles: &[[u32; 3]],
         most: usize,

@@ -1,0 +1,230 @@
+//! `pliant rig`: where the bones of a model lie, and which joints of a clip turn them.
+
+use super::failure::CliFailure;
+use super::json_output::print_value;
+use super::model_files::{read_file, read_model};
+use super::output_files::OutputPermission;
+use super::stage_spinner::StageSpinner;
+use super::threads::ThreadArgs;
+use crate::asset::{Limits, Model};
+use crate::batch::{MadeRig, RigOrder, make_rig};
+use crate::exec::Exec;
+use crate::motion::bvh::{ClipLimits, read_bvh};
+use crate::motion::humanoid::BODY_JOINTS;
+use crate::motion::rig::ReferencePose;
+use crate::pool::Pool;
+use crate::render::{BoneMarks, Camera, Picture, PictureSize, ShadedSurface, UpAxis, ViewDirection, draw_surface};
+use crate::wire;
+use clap::Args;
+use glam::DVec3;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Pixels of each of the two views.
+const VIEW: (u32, u32) = (640, 800);
+
+/// Arguments of `pliant rig`.
+#[derive(Debug, Args)]
+pub struct RigArgs {
+    /// The model: glb, gltf, obj, ply, off, stl or fbx
+    model: PathBuf,
+    /// The clip that is to drive it, a BVH file: its joints' names tell which bones they turn
+    #[arg(long, conflicts_with = "preset")]
+    bvh: Option<PathBuf>,
+    /// Whose names the clips' joints have, where no clip is at hand: cmu or mixamo
+    #[arg(long)]
+    preset: Option<String>,
+    /// Where a joint lies in the model; any number of these
+    #[arg(long, value_name = "NAME=X,Y,Z", allow_hyphen_values = true)]
+    at: Vec<String>,
+    /// A JSON file of joints, {"lElbow": [x, y, z], …}, or a rig whose joints have these names
+    #[arg(long, value_name = "FILE")]
+    landmarks: Option<PathBuf>,
+    /// Where to write the rig, a JSON file
+    #[arg(short, long, value_name = "RIG")]
+    output: PathBuf,
+    /// Where to draw where the joints lie, a png file [default: beside the rig]
+    #[arg(long, value_name = "PICTURE", conflicts_with = "no_picture")]
+    picture: Option<PathBuf>,
+    /// Draw nothing
+    #[arg(long)]
+    no_picture: bool,
+    #[command(flatten)]
+    permission: OutputPermission,
+    /// Print a report as JSON on stdout
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    threads: ThreadArgs,
+}
+
+/// Runs the command.
+pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
+    let beside = args.output.with_extension("png");
+    let picture = (!args.no_picture).then(|| args.picture.clone().unwrap_or(beside));
+    for (path, ending, what) in [
+        (Some(&args.output), "json", "a rig"),
+        (picture.as_ref(), "png", "a picture"),
+    ] {
+        let Some(path) = path else { continue };
+        if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)) {
+            let problem = format!("{what} is written as {ending}, its extension must say so");
+            return Err(CliFailure::Input(format!("{}: {problem}", path.display())));
+        }
+        args.permission.check_target(path)?;
+    }
+    let landmarks = args.joints()?;
+    let clip = args.bvh.as_ref().map(|path| {
+        let clip = read_bvh(&read_file(path)?, &ClipLimits::default());
+        clip.map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))
+    });
+    let clip = clip.transpose()?;
+    let pool = args.threads.start_pool()?;
+    let files = read_model(&args.model)?;
+    let spinner = StageSpinner::new(args.json);
+    let model = Model::read(files, None, &Limits::default())
+        .map_err(|e| CliFailure::Input(format!("{}: {e}", args.model.display())))?;
+    let order = RigOrder {
+        clip: clip.as_ref(),
+        preset: args.preset.as_deref(),
+        landmarks,
+    };
+    let made = make_rig(&model, &order, &Exec::new(&pool, &spinner))?;
+    spinner.finish();
+    let names: Vec<(&str, DVec3)> = made.joints.iter().map(|j| (j.name.as_str(), j.at)).collect();
+    let of = args.model.file_name().unwrap_or_default().to_string_lossy();
+    let text = wire::json::to_json(&wire::rig_message(&made.rig, &names, &of))?;
+    let text = serde_json::to_string_pretty(&text).map_err(|e| CliFailure::Internal(e.to_string()))?;
+    let drawn = picture.as_ref().map(|_| draw_rig(&model, &made, &pool)).transpose()?;
+    args.permission.write_file(&args.output, (text + "\n").as_bytes())?;
+    if let (Some(path), Some(drawn)) = (&picture, drawn) {
+        args.permission.write_file(path, &drawn)?;
+    }
+    if args.json {
+        return print_value(&report(&made, &args.output, picture.as_deref()));
+    }
+    for warning in &made.warnings {
+        eprintln!("warning: {warning}");
+    }
+    for joint in &made.joints {
+        let [x, y, z] = joint.at.to_array();
+        let place = if joint.inside { "inside" } else { "outside" };
+        let moved = if joint.moved > 0.0 {
+            format!(", moved {:.4}", joint.moved)
+        } else {
+            String::new()
+        };
+        eprintln!("{:<12} {x:9.4} {y:9.4} {z:9.4}  {place}{moved}", joint.name);
+    }
+    let shown = picture.map_or_else(String::new, |p| format!(", drawn in {}", p.display()));
+    eprintln!(
+        "{} -> {}: {} bones, joints by {}{shown}",
+        args.model.display(),
+        args.output.display(),
+        made.rig.bones.len(),
+        made.source
+    );
+    Ok(())
+}
+
+fn report(made: &MadeRig, output: &Path, picture: Option<&Path>) -> Value {
+    let joints = made.joints.iter().map(
+        |joint| json!({"name": joint.name, "at": joint.at.to_array(), "inside": joint.inside, "moved": joint.moved}),
+    );
+    let bones = made
+        .rig
+        .bones
+        .iter()
+        .map(|bone| json!({"id": bone.id, "joint": bone.joint, "radius": bone.radius}));
+    let mut report = json!({
+        "source": made.source,
+        "joints": joints.collect::<Vec<_>>(),
+        "bones": bones.collect::<Vec<_>>(),
+        "warnings": made.warnings,
+        "output": output.display().to_string(),
+    });
+    if let ReferencePose::Frame(frame) = made.rig.reference {
+        report["referenceFrame"] = frame.into();
+    }
+    if let Some(picture) = picture {
+        report["picture"] = picture.display().to_string().into();
+    }
+    report
+}
+
+/// The model as glass with the bones in it, from the front and from the side.
+fn draw_rig(model: &Model, made: &MadeRig, pool: &Pool) -> Result<Vec<u8>, CliFailure> {
+    let surface = ShadedSurface::new(&model.positions, &model.triangles, pool)?;
+    let views = [
+        ViewDirection::new(0.0, 0.0, UpAxis::Y)?,
+        ViewDirection::new(90.0, 0.0, UpAxis::Y)?,
+    ];
+    let size = PictureSize::new(VIEW.0, VIEW.1)?;
+    let marks = BoneMarks {
+        bones: made.rig.bones.iter().map(|bone| [bone.from, bone.to]).collect(),
+        joints: made.joints.iter().map(|joint| (joint.at, joint.inside)).collect(),
+    };
+    let mut sheet = Picture::new(u64::from(2 * VIEW.0), u64::from(VIEW.1), [255; 3])?;
+    for (k, camera) in (0u32..).zip(&Camera::around_surfaces(&[&surface], &views, size)) {
+        let mut picture = draw_surface(&surface, camera, pool);
+        marks.draw_on(&mut picture, camera);
+        sheet.paste_picture(&picture, k * VIEW.0, 0);
+    }
+    Ok(sheet.encode_png()?)
+}
+
+impl RigArgs {
+    /// The joints that are given.
+    fn joints(&self) -> Result<BTreeMap<&'static str, DVec3>, CliFailure> {
+        let mut joints = BTreeMap::new();
+        let mut add = |name: &str, place: Option<DVec3>, from: &str| {
+            let Some(known) = BODY_JOINTS.iter().find(|n| **n == name) else {
+                let allowed = BODY_JOINTS.join(", ");
+                return Err(CliFailure::Input(format!(
+                    "{from}: \"{name}\" is no joint of a body; there are {allowed}"
+                )));
+            };
+            let Some(place) = place.filter(|p| p.is_finite()) else {
+                return Err(CliFailure::Input(format!(
+                    "{from}: \"{name}\" needs three finite numbers, x, y and z"
+                )));
+            };
+            joints.insert(*known, place);
+            Ok(())
+        };
+        if let Some(path) = &self.landmarks {
+            let told = path.display().to_string();
+            let value: Value =
+                serde_json::from_slice(&read_file(path)?).map_err(|e| CliFailure::Input(format!("{told}: {e}")))?;
+            let is_rig = value.get("joints").is_some();
+            let Some(entries) = value.get("joints").unwrap_or(&value).as_object() else {
+                return Err(CliFailure::Input(format!(
+                    "{told}: an object of joints by name is needed"
+                )));
+            };
+            for (name, place) in entries {
+                if is_rig && !BODY_JOINTS.contains(&name.as_str()) {
+                    continue;
+                }
+                let numbers = place.get("at").unwrap_or(place).as_array();
+                let three: Option<Vec<f64>> = numbers.and_then(|n| n.iter().map(Value::as_f64).collect());
+                add(
+                    name,
+                    three.and_then(|n| <[f64; 3]>::try_from(n).ok()).map(DVec3::from_array),
+                    &told,
+                )?;
+            }
+        }
+        for text in &self.at {
+            let (name, place) = text.split_once('=').unwrap_or((text, ""));
+            let three: Option<Vec<f64>> = place.split(',').map(|n| n.trim().parse().ok()).collect();
+            add(
+                name.trim(),
+                three.and_then(|n| <[f64; 3]>::try_from(n).ok()).map(DVec3::from_array),
+                "--at",
+            )?;
+        }
+        Ok(joints)
+    }
+}

@@ -1,0 +1,22 @@
+//! Rigs of upright figures: where the joints of a body lie in a mesh, and which joints of a clip turn its bones.
+//!
+//! A body has the joints of [`BODY_JOINTS`] and the bones of [`BODY_BONES`]. [`bones_of_names`] tells from the names of a clip's joints which
+//! of them turn which bone, [`bones_of_shape`] from how the skeleton branches. [`find_body`] looks for the joints in a mesh that
+//! stands upright and faces along z, in a lattice of the cells that it occupies: hands are the ends that lie farthest along it,
+//! arms what lies between them and the trunk, legs what a gap parts. [`rig_of_body`] brings both together; joints of limbs are
+//! brought to the middle of what is around them, and bones are as thick as that is.
+
+mod body_lattice;
+mod body_table;
+mod centred;
+mod clip_bones;
+mod found_body;
+mod rig_of_body;
+mod shape_bones;
+
+pub use body_table::{BODY_BONES, BODY_JOINTS, BodyBone};
+pub use centred::PlacedJoint;
+pub use clip_bones::{ClipBones, bones_of_names, preset_skeleton};
+pub use found_body::{FoundBody, find_body};
+pub use rig_of_body::{BodyRig, rig_of_body};
+pub use shape_bones::bones_of_shape;

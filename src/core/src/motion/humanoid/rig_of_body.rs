@@ -1,0 +1,150 @@
+//! A rig of a body's joints and a clip's.
+
+use super::body_table::{BODY_BONES, BodyBone};
+use super::centred::{PlacedJoint, middle_of_section, thickness_at};
+use super::clip_bones::ClipBones;
+use crate::graph::WindingTree;
+use crate::motion::rig::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
+use crate::motion::skeleton::Skeleton;
+use crate::pool::Pool;
+use glam::DVec3;
+use std::collections::BTreeMap;
+
+/// A bone's radius over its length where nothing tells it, and at least.
+const UNKNOWN: f64 = 0.25;
+const LEAST: f64 = 0.03;
+
+/// A rig of a body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyRig {
+    /// The rig.
+    pub rig: MotionRig,
+    /// The joints of its bones, by name.
+    pub joints: Vec<PlacedJoint>,
+}
+
+/// Makes a rig of a body's joints, given by name: those of limbs come to the middle of what is around them, but for those in
+/// `fixed`. `clip` tells which joints of `skeleton` turn bones; bones without one are left out, and their neighbours reach as far as
+/// they would.
+///
+/// # Errors
+/// [`RigError`] for joints of a body that are missing.
+pub fn rig_of_body(
+    (positions, triangles): (&[DVec3], &[[u32; 3]]),
+    joints: &BTreeMap<&'static str, DVec3>,
+    fixed: &[&str],
+    (skeleton, clip): (&Skeleton, &ClipBones),
+    reference: ReferencePose,
+    pool: &Pool,
+) -> Result<BodyRig, RigError> {
+    let tree = WindingTree::build(positions, triangles, pool);
+    let low = positions.iter().fold(DVec3::INFINITY, |a, p| a.min(*p));
+    let high = positions.iter().fold(DVec3::NEG_INFINITY, |a, p| a.max(*p));
+    let reach = 0.25 * (high - low).length();
+    let kept: Vec<&BodyBone> = BODY_BONES.iter().filter(|bone| clip.contains_key(bone.id)).collect();
+    for name in kept.iter().flat_map(|b| [b.from, b.to]) {
+        if !joints.contains_key(name) {
+            return Err(RigError::Field {
+                field: "joints",
+                problem: format!("\"{name}\" is not known, its place in the model is needed"),
+            });
+        }
+    }
+    let mut places = joints.clone();
+    for (name, ends) in [
+        ("lElbow", ["lShoulder", "lWrist"]),
+        ("rElbow", ["rShoulder", "rWrist"]),
+        ("lWrist", ["lElbow", "lHandEnd"]),
+        ("rWrist", ["rElbow", "rHandEnd"]),
+        ("lKnee", ["lHip", "lAnkle"]),
+        ("rKnee", ["rHip", "rAnkle"]),
+        ("lAnkle", ["lKnee", "lAnkle"]),
+        ("rAnkle", ["rKnee", "rAnkle"]),
+    ] {
+        let [from, at, to] = [ends[0], name, ends[1]].map(|n| joints.get(n).copied());
+        let (Some(from), Some(at), Some(to)) = (from, at, to) else {
+            continue;
+        };
+        let axis = (to - from).try_normalize();
+        if let Some(axis) = axis.filter(|_| !fixed.contains(&name)) {
+            places.insert(name, middle_of_section(tree.bvh(), at, axis, reach));
+        }
+    }
+    let mut bones = Vec::with_capacity(kept.len());
+    let mut parents = Vec::with_capacity(kept.len());
+    for bone in &kept {
+        let [from, to] = [places[bone.from], places[end_of(bone, clip)]];
+        let length = from.distance(to);
+        let radius = radius_of(&tree, [from, to], reach).unwrap_or(UNKNOWN * length);
+        let is_long = length > 2.0 * radius;
+        bones.push(RigBone {
+            id: bone.id.into(),
+            parent: None,
+            from,
+            to,
+            joint: skeleton.joints[clip[bone.id]].name.clone(),
+            aim: clip.get(bone.aim).map(|joint| skeleton.joints[*joint].name.clone()),
+            rest: bone.rest,
+            radius: radius.max(LEAST * length).max(f64::MIN_POSITIVE),
+            slices: if bone.is_limb { 3 } else { 1 },
+            span: if is_long && bone.rest == RestAttitude::Direction {
+                [0.15, 0.85]
+            } else {
+                [0.3, 0.7]
+            },
+            joint_radius: None,
+            limit_degrees: None,
+        });
+        parents.push(parent_of(bone, clip).map(str::to_owned));
+    }
+    let mut told: BTreeMap<&str, PlacedJoint> = BTreeMap::new();
+    for name in kept.iter().flat_map(|b| [b.from, end_of(b, clip)]) {
+        let at = places[name];
+        told.entry(name).or_insert_with(|| PlacedJoint {
+            name: name.to_owned(),
+            at,
+            inside: tree.contains(at),
+            moved: at.distance(joints[name]),
+        });
+    }
+    Ok(BodyRig {
+        rig: MotionRig::from_named_parents(bones, &parents, reference, None)?,
+        joints: told.into_values().collect(),
+    })
+}
+
+/// The joint where a bone ends: beyond those of the trunk that a clip lacks.
+fn end_of(bone: &BodyBone, clip: &ClipBones) -> &'static str {
+    let mut end = bone.to;
+    for next in ["abdomen", "chest", "neck", "head"] {
+        let own = BODY_BONES.iter().find(|b| b.id == next);
+        if let Some(own) = own.filter(|own| own.from == end && !clip.contains_key(next) && next != "head") {
+            end = own.to;
+        }
+    }
+    end
+}
+
+/// The nearest bone above that the clip has.
+fn parent_of(bone: &BodyBone, clip: &ClipBones) -> Option<&'static str> {
+    let mut parent = bone.parent;
+    while !parent.is_empty() {
+        if clip.contains_key(parent) {
+            return Some(parent);
+        }
+        parent = BODY_BONES.iter().find(|b| b.id == parent).map_or("", |b| b.parent);
+    }
+    None
+}
+
+/// How far the surface is around a bone.
+fn radius_of(tree: &WindingTree<'_>, [from, to]: [DVec3; 2], reach: f64) -> Option<f64> {
+    let axis = (to - from).try_normalize()?;
+    let places = [0.3, 0.5, 0.7].map(|share| from.lerp(to, share));
+    let mut met: Vec<f64> = places
+        .iter()
+        .filter_map(|p| thickness_at(tree.bvh(), *p, axis, reach))
+        .collect();
+    met.sort_by(f64::total_cmp);
+    met.get(met.len() / 2).copied()
+}
