@@ -14,6 +14,7 @@ use glam::{DQuat, DVec3, Vec3};
 use prost::Message as _;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 const MARK: &[u8; 16] = b"pliant frames 1\n";
@@ -165,8 +166,14 @@ impl FramesFile {
 
     /// Where the vertices are in a frame, counted from the first in the file.
     pub(super) fn positions(&mut self, frame: usize) -> io::Result<Vec<Vec3>> {
-        let mut bytes = vec![0; 12 * self.vertices];
-        self.file.seek(SeekFrom::Start(self.frames[frame].at))?;
+        self.positions_of(frame, 0..self.vertices)
+    }
+
+    /// Where some of them are.
+    pub(super) fn positions_of(&mut self, frame: usize, vertices: Range<usize>) -> io::Result<Vec<Vec3>> {
+        let mut bytes = vec![0; 12 * vertices.len()];
+        let start = self.frames[frame].at + 12 * vertices.start as u64;
+        self.file.seek(SeekFrom::Start(start))?;
         self.file.read_exact(&mut bytes)?;
         let numbers = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
         let numbers: Vec<f32> = numbers.collect();

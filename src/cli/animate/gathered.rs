@@ -1,14 +1,14 @@
 //! Frames that become one file: kept in a partial file until the last one is there.
 
 use super::frames_file::FramesFile;
-use super::morphs::write_morphs;
+use super::morphs::{node_place, write_morphs};
 use super::skins::write_skin;
 use super::taken_frames::{FrameTaker, PlayedAnimation};
-use crate::asset::VertexCache;
+use crate::asset::{NodePlace, UsdClip, VertexCache};
 use crate::cli::failure::CliFailure;
 use crate::engine::AnimatedFrame;
-use crate::wire::pb;
-use std::io::Write;
+use crate::wire::{Error, pb};
+use std::io::{BufWriter, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -17,6 +17,8 @@ use std::path::{Path, PathBuf};
 pub(super) enum GatheredKind {
     /// A point cache.
     Cache(VertexCache),
+    /// USD text.
+    Usd,
     /// A GLB with so many morph targets at most.
     Morphs(usize),
     /// A GLB with a skin of so many bones.
@@ -42,6 +44,10 @@ impl<'a> GatheredFrames<'a> {
         (has_root, resumes): (bool, bool),
         played: PlayedAnimation<'a>,
     ) -> Result<Self, CliFailure> {
+        if kind == GatheredKind::Usd {
+            // What cannot be written is refused before anything is solved.
+            played.deformer.model().for_usd().map_err(Error::from)?;
+        }
         let (part, permission) = (FramesFile::path_for(path), played.permission);
         let vertices = played.deformer.rest().len();
         let frames = if resumes && part.exists() {
@@ -82,6 +88,35 @@ impl<'a> GatheredFrames<'a> {
     }
 }
 
+impl GatheredFrames<'_> {
+    fn write_usd(&mut self) -> Result<(), CliFailure> {
+        let played = &self.played;
+        let usd = played.deformer.model().for_usd().map_err(Error::from)?;
+        let count = played.range.len();
+        let roots = self.frames.frames.iter().take(count);
+        let places: Vec<NodePlace> = roots.map(|frame| node_place(&frame.root)).collect();
+        let moves = self.has_root && places.iter().any(|place| *place != NodePlace::IDENTITY);
+        let clip = UsdClip {
+            name: if played.clip.is_empty() { "clip" } else { played.clip },
+            rate: played.times.rate,
+            frames: count,
+            root: moves.then_some(&places),
+        };
+        let frames = &mut self.frames;
+        played
+            .permission
+            .write_streamed(&self.path, &mut |file: &mut dyn Write| {
+                let mut buffered = BufWriter::new(file);
+                usd.write(
+                    &clip,
+                    &mut |frame, range| frames.positions_of(frame, range),
+                    &mut buffered,
+                )?;
+                buffered.flush()
+            })
+    }
+}
+
 impl FrameTaker for GatheredFrames<'_> {
     fn missing(&self) -> Range<usize> {
         let Range { start, end } = self.played.range;
@@ -95,6 +130,7 @@ impl FrameTaker for GatheredFrames<'_> {
     fn finish(&mut self, report: &mut pb::AnimationReport) -> Result<(), CliFailure> {
         match self.kind {
             GatheredKind::Cache(cache) => self.write_cache(cache)?,
+            GatheredKind::Usd => self.write_usd()?,
             GatheredKind::Morphs(most) => {
                 let how = (most, self.has_root);
                 write_morphs(&self.path, &self.played, &mut self.frames, how, report)?;

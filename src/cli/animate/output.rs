@@ -21,7 +21,7 @@ const USUAL_BONES: usize = 40;
 /// Where the frames of an animation go.
 #[derive(Debug, Args)]
 pub(super) struct AnimationOutputArgs {
-    /// Where to write: a .glb, a point cache (.pc2 or .mdd), or a folder of numbered models when it ends in a slash
+    /// Where to write: a .glb, a .usda, a point cache (.pc2 or .mdd), or a folder of numbered models when it ends in a slash
     #[arg(short, long)]
     output: Option<PathBuf>,
     /// Format of numbered models: obj unless given
@@ -36,7 +36,7 @@ pub(super) struct AnimationOutputArgs {
     /// Bones of a .glb that is written --as skin, 1 to 256 [default: 40]
     #[arg(long, value_name = "COUNT")]
     bones: Option<usize>,
-    /// Where the motion of the root bone goes: node (a node above everything, the default for .glb), baked (into the
+    /// Where the motion of the root bone goes: node (a node above everything, the default for .glb and .usda), baked (into the
     /// positions, the default for all others) or none (left out)
     #[arg(long, value_enum)]
     root: Option<RootRule>,
@@ -94,6 +94,7 @@ impl AnimationOutputArgs {
         let is_morph = matches!(kind, OutputKind::Gathered(_, GatheredKind::Morphs(_)));
         let is_skin = matches!(kind, OutputKind::Gathered(_, GatheredKind::Skin(_)));
         let is_glb = is_morph || is_skin;
+        let has_nodes = is_glb || matches!(kind, OutputKind::Gathered(_, GatheredKind::Usd));
         let is_numbered = matches!(kind, OutputKind::Numbered(..));
         for (is_given, fits, problem) in [
             (
@@ -110,8 +111,8 @@ impl AnimationOutputArgs {
             (self.bones.is_some(), is_skin, "--bones is for --as skin"),
             (
                 self.root == Some(RootRule::Node),
-                is_glb,
-                "--root node is for .glb files; allowed here are baked and none",
+                has_nodes,
+                "--root node is for .glb and .usda files; allowed here are baked and none",
             ),
             (self.resume, kind != OutputKind::Nothing, "--resume needs an --output"),
         ] {
@@ -122,7 +123,7 @@ impl AnimationOutputArgs {
         if let OutputKind::Gathered(path, _) = &kind {
             self.permission.check_target(path)?;
         }
-        let usual = if is_glb { RootRule::Node } else { RootRule::Baked };
+        let usual = if has_nodes { RootRule::Node } else { RootRule::Baked };
         Ok(AnimationOutput {
             kind,
             root: self.root.unwrap_or(usual),
@@ -139,6 +140,16 @@ impl AnimationOutputArgs {
         if let Some(cache) = VertexCache::from_file_name(&text) {
             return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Cache(cache)));
         }
+        match usd_ending(&text).as_deref() {
+            Some("usda") => return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Usd)),
+            Some(other) => {
+                let problem = format!(
+                    "USD is written as text, and .{other} is not; write a .usda, which every reader of USD takes"
+                );
+                return Err(CliFailure::Input(format!("cannot write {text}: {problem}")));
+            }
+            None => {}
+        }
         match Format::from_file_name(&text) {
             Some(format) if format == Format::GLB => {}
             Some(format) => {
@@ -147,7 +158,7 @@ impl AnimationOutputArgs {
                 return Err(CliFailure::Input(format!("cannot write {text}: {problem}")));
             }
             None => {
-                let problem = "allowed are .glb, .pc2, .mdd and a folder, which ends in a slash";
+                let problem = "allowed are .glb, .usda, .pc2, .mdd and a folder, which ends in a slash";
                 return Err(CliFailure::Input(format!(
                     "cannot tell what to write into {text}: {problem}"
                 )));
@@ -181,6 +192,15 @@ impl AnimationOutputArgs {
             CliFailure::Input(format!("--format is \"{name}\", allowed are {allowed}"))
         })
     }
+}
+
+/// The ending of a file name that USD uses, in small letters.
+fn usd_ending(name: &str) -> Option<String> {
+    let (_, ending) = name.rsplit_once('.')?;
+    let ending = ending.to_ascii_lowercase();
+    ["usd", "usda", "usdc", "usdz"]
+        .contains(&ending.as_str())
+        .then_some(ending)
 }
 
 impl AnimationOutput {

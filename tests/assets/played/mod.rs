@@ -7,6 +7,7 @@ mod outputs;
 mod refusals;
 mod resume;
 mod skinned;
+mod usd;
 
 use crate::support::gltf_parsed::{Parsed, parse};
 use glam::{DVec3, Vec3};

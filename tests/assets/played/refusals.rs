@@ -32,9 +32,13 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
     make_bar(folder);
     fs::create_dir(folder.join("there")).expect("a folder");
     let before = contents(folder);
-    let cases: [(&[&str], &str); 17] = [
-        (&["-o", "walk"], "allowed are .glb, .pc2, .mdd and a folder"),
-        (&["-o", "walk.abc"], "allowed are .glb, .pc2, .mdd and a folder"),
+    let cases: [(&[&str], &str); 18] = [
+        (&["-o", "walk"], "allowed are .glb, .usda, .pc2, .mdd and a folder"),
+        (&["-o", "walk.abc"], "allowed are .glb, .usda, .pc2, .mdd and a folder"),
+        (
+            &["-o", "walk.usdc"],
+            "USD is written as text, and .usdc is not; write a .usda",
+        ),
         (
             &["-o", "walk.ply"],
             "a folder of them ends in a slash, with --format ply",

@@ -44,7 +44,7 @@ fn a_killed_animation_goes_on_to_the_same_bytes() {
             .count()
         + 300;
     let blocks = 9 * frame / 1024;
-    for name in ["bar.pc2", "bar.mdd", "bar.glb"] {
+    for name in ["bar.pc2", "bar.mdd", "bar.glb", "bar.usda"] {
         let whole = format!("whole_{name}");
         let all: Vec<&str> = BAR.iter().copied().chain(["-o", &whole, "--json"]).collect();
         let wanted = digests(&animate(folder, &all).stdout);

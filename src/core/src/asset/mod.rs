@@ -40,6 +40,7 @@ mod played_clip;
 pub mod sample;
 pub mod shapes;
 mod surface_nets;
+mod usd;
 mod vertex_cache;
 mod write;
 
@@ -58,5 +59,6 @@ pub use moving_scene::{
 };
 pub use node::{ModelNode, NodeMotions, ShapeFollowers};
 pub use played_clip::{CarryingJoints, ClipBeside, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+pub use usd::{UsdClip, UsdModel};
 pub use vertex_cache::VertexCache;
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};
