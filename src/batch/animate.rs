@@ -2,12 +2,13 @@
 
 use crate::asset::Model;
 use crate::engine::{
-    AnimatedFrame, Animation, AnimationSettings, Deformer, FrameTimes, Passenger, PassengerKind, digest,
+    self, AnimatedFrame, Animation, AnimationSettings, Deformer, FrameSums, FrameTimes, Passenger, PassengerKind,
+    QualityReport, digest,
 };
 use crate::exec::Exec;
 use crate::motion::rig::{DriveOptions, MotionRig, RigDriver, rig_of_skin};
 use crate::motion::{MotionClip, NodeOrder, SceneMotion, clip_of_scene};
-use crate::wire::{Error, pb};
+use crate::wire::{Error, animation_totals, held_nodes_message, pb};
 use std::ops::Range;
 
 /// Where a clip comes from.
@@ -67,9 +68,17 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
         }
         (ClipSource::OfModel(name), _) => name,
     };
+    if deformer.is_edited() {
+        let problem =
+            "edits have changed the model since it was read; its own clips move vertices that it no longer has";
+        return Err(Error::Precondition(problem.into()));
+    }
     let model = deformer.model();
     let Some(scene) = model.moving_scene()? else {
-        let problem = format!("a {} file has no clips of its own", model.format);
+        let problem = format!(
+            "the {} has no clips of its own; give a recording and a rig",
+            model.format
+        );
         return Err(Error::invalid("clip", problem));
     };
     let names = &scene.clip_names;
@@ -154,7 +163,11 @@ pub fn prepare(
         }
     };
     driver.warn_of_twists(&rig, order.range.clone().map(|frame| (frame, order.times.at(frame))));
-    let animation = deformer.animation(rig, driver, order.times, &order.settings, exec)?;
+    let prepared = deformer.animation(rig, driver, order.times, &order.settings, exec);
+    let animation = prepared.map_err(|e| match e {
+        engine::Error::Precondition(problem) => Error::invalid("rig", problem),
+        e => e.into(),
+    })?;
     Ok(animation.with_beside(beside))
 }
 
@@ -171,26 +184,11 @@ pub fn play<E: From<Error>>(
     take: &mut dyn FnMut(&AnimatedFrame, &pb::animation_report::FrameReport) -> Result<(), E>,
 ) -> Result<pb::AnimationReport, E> {
     let mut report = pb::AnimationReport {
-        warnings: animation.driver().warnings().to_vec(),
+        warnings: warnings_of(animation),
         scale: animation.driver().scale(),
-        handles: (animation.handle_facts().iter())
-            .map(|held| pb::animation_report::HeldNodes {
-                name: held.name.clone(),
-                nodes: u32::try_from(held.nodes).unwrap_or(u32::MAX),
-                widened: held.widened,
-            })
-            .collect(),
+        handles: held_nodes_message(animation.handle_facts()),
         ..Default::default()
     };
-    let empty = report.handles.iter().filter(|h| h.nodes == 0);
-    let empty: Vec<String> = empty.map(|h| format!("\"{}\"", h.name)).collect();
-    if !empty.is_empty() {
-        let told = format!(
-            "{} of the rig hold nothing, because others hold all there is near them",
-            empty.join(", ")
-        );
-        report.warnings.push(told);
-    }
     let begun = millis();
     let mut last = begun;
     let mut refused = None;
@@ -213,6 +211,20 @@ pub fn play<E: From<Error>>(
     Ok(report)
 }
 
+/// What is to be said of an animation before its first frame, one line each.
+pub fn warnings_of(animation: &Animation) -> Vec<String> {
+    let mut warnings = animation.driver().warnings().to_vec();
+    let empty = animation.handle_facts().iter().filter(|h| h.nodes == 0);
+    let empty: Vec<String> = empty.map(|h| format!("\"{}\"", h.name)).collect();
+    if !empty.is_empty() {
+        warnings.push(format!(
+            "{} of the rig hold nothing, because others hold all there is near them",
+            empty.join(", ")
+        ));
+    }
+    warnings
+}
+
 fn frame_report(deformer: &Deformer, frame: &AnimatedFrame, exec: &Exec<'_>) -> pb::animation_report::FrameReport {
     let quality = deformer.quality(&frame.positions, exec.pool);
     pb::animation_report::FrameReport {
@@ -232,18 +244,15 @@ fn frame_report(deformer: &Deformer, frame: &AnimatedFrame, exec: &Exec<'_>) -> 
 
 /// Sums over frames that took so many milliseconds together.
 pub fn frame_totals(frames: &[pb::animation_report::FrameReport], ms: f64) -> pb::animation_report::Totals {
-    let count = frames.len().max(1) as f64;
-    let mean = |of: &dyn Fn(&pb::animation_report::FrameReport) -> f64| frames.iter().map(of).sum::<f64>() / count;
-    let worst = frames.iter().map(|f| f.volume_change);
-    pb::animation_report::Totals {
-        frames: u32::try_from(frames.len()).unwrap_or(u32::MAX),
-        ms,
-        frames_per_second: if ms > 0.0 { 1e3 * frames.len() as f64 / ms } else { 0.0 },
-        volume_change_mean: mean(&|f| f.volume_change),
-        volume_change_worst: worst.fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a }),
-        flipped_triangles_mean: mean(&|f| f64::from(f.flipped_triangles)),
-        flipped_triangles_worst: frames.iter().map(|f| f.flipped_triangles).max().unwrap_or(0),
-        max_stretch: frames.iter().map(|f| f.max_stretch).fold(0.0, f64::max),
-        edge_rms_mean: mean(&|f| f.edge_rms),
+    let mut sums = FrameSums::default();
+    for frame in frames {
+        sums.add(&QualityReport {
+            volume_change: frame.volume_change,
+            flipped_triangles: frame.flipped_triangles,
+            max_stretch: frame.max_stretch,
+            edge_rms: frame.edge_rms,
+            ..Default::default()
+        });
     }
+    animation_totals(&sums, ms)
 }

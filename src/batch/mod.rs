@@ -2,16 +2,23 @@
 
 mod animate;
 mod inspect;
+mod kept_frames;
+mod key_frames;
+mod morph_frames;
 mod riders;
 mod rig;
 mod run;
 mod skin;
+mod skin_frames;
 
 pub use animate::{
-    AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare, unskinned_passengers,
+    AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare, unskinned_passengers, warnings_of,
 };
 pub use inspect::{MOST_NODES_TOLD, inspect};
+pub use kept_frames::{KeptFrames, PlayedModel, WrittenOff, node_place};
+pub use morph_frames::write_morph_frames;
 pub use riders::CarriedFile;
 pub use rig::{MadeRig, RigOrder, make_rig};
 pub use run::{BatchOutcome, pose_steps, run, unmet_expectations};
 pub use skin::{BoundModel, bind_model, carrying_joints};
+pub use skin_frames::write_skin_frames;

@@ -76,5 +76,10 @@ pub(super) fn limits_message(config: &SessionConfig) -> pb::Limits {
         history: narrow(config.history),
         solve_ms: config.solve.as_secs_f64() * 1e3,
         streams: narrow(config.streams),
+        animations: narrow(config.animations),
+        clip_bytes: config.clip_bytes,
+        clip_joints: narrow(config.clip_joints),
+        animation_frames: narrow(config.animation_frames),
+        animation_vertices: config.animation_vertices,
     }
 }

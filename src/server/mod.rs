@@ -5,6 +5,7 @@
 //!
 //! [`run`] takes its listener and its wish to stop as arguments, so a test starts the real thing on a free port.
 
+mod animation_frames;
 mod auth;
 pub mod config;
 mod connection_slot;

@@ -4,6 +4,7 @@ use crate::asset::{Format, WrittenFiles};
 use crate::engine::{DeformerFacts, EditReport, HandlePoses};
 use crate::mesh::carry::CarriedFrame;
 use crate::session::error::Error;
+use crate::wire::AnimationSummary;
 use crate::wire::frames::FrameRequest;
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -130,6 +131,31 @@ pub enum StreamAnswer {
     },
     /// The answer to a ping with this number.
     Pong(u64),
+}
+
+/// What an animation says.
+#[derive(Debug, Clone)]
+pub enum AnimationAnswer {
+    /// What is under way before the first frame.
+    Stage {
+        /// Its name.
+        stage: &'static str,
+        /// How much of it is done, from 0 to 1.
+        fraction: f32,
+    },
+    /// A frame, not encoded yet.
+    Frame(Box<FrameRequest>),
+    /// All frames have come.
+    Summary(Box<AnimationSummary>),
+}
+
+/// An animation as a model that plays it.
+#[derive(Debug, Clone)]
+pub struct AnimatedModel {
+    /// The GLB.
+    pub model: Bytes,
+    /// What is told of its frames.
+    pub summary: AnimationSummary,
 }
 
 /// What was carried along with the current shape.

@@ -1,5 +1,6 @@
 //! What a server lets its sessions use.
 
+use crate::session::animation::prepared_animation::AnimationLimits;
 use crate::session::error::Error;
 use crate::wire::StreamLimits;
 use crate::{asset, engine};
@@ -45,6 +46,16 @@ pub struct SessionConfig {
     pub build: Duration,
     /// Streams open on one session at a time.
     pub streams: usize,
+    /// Animations under way at a time.
+    pub animations: usize,
+    /// Bytes of one clip.
+    pub clip_bytes: u64,
+    /// Joints of one clip.
+    pub clip_joints: usize,
+    /// Frames of one animation.
+    pub animation_frames: usize,
+    /// Frames that are wanted of one animation, times the vertices of its model.
+    pub animation_vertices: u64,
     /// Commits waiting on one stream.
     pub stream_commits: usize,
     /// Calls waiting on one session.
@@ -86,6 +97,11 @@ impl Default for SessionConfig {
             solve: Duration::from_secs(60),
             build: Duration::from_secs(600),
             streams: 4,
+            animations: 8,
+            clip_bytes: 64 << 20,
+            clip_joints: 4096,
+            animation_frames: 100_000,
+            animation_vertices: 10_000_000_000,
             stream_commits: 16,
             session_queue: 64,
             compute_threads: 0,
@@ -142,6 +158,12 @@ impl SessionConfig {
         at_least("build_ms", self.build.as_millis(), 1)?;
         at_least("streams", self.streams as u128, 1)?;
         at_most("streams", self.streams as u128, 1024)?;
+        at_least("animations", self.animations as u128, 1)?;
+        at_most("animations", self.animations as u128, 1024)?;
+        at_least("clip_bytes", self.clip_bytes.into(), 1024)?;
+        at_least("clip_joints", self.clip_joints as u128, 1)?;
+        at_least("animation_frames", self.animation_frames as u128, 1)?;
+        at_least("animation_vertices", self.animation_vertices.into(), 1)?;
         at_least("stream_commits", self.stream_commits as u128, 1)?;
         at_least("session_queue", self.session_queue as u128, 1)?;
         at_least("compute_queue", self.compute_queue as u128, 1)?;
@@ -173,6 +195,16 @@ impl SessionConfig {
             },
             memory_bytes,
             handles: self.handles,
+        }
+    }
+
+    /// How large an animation may be.
+    pub(super) fn animation_limits(&self) -> AnimationLimits {
+        AnimationLimits {
+            clip_bytes: self.clip_bytes,
+            clip_joints: self.clip_joints,
+            frames: self.animation_frames,
+            vertices: self.animation_vertices,
         }
     }
 

@@ -11,7 +11,8 @@ use crate::engine::{
 };
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
-use crate::wire::edit_kind_name;
+use crate::session::animation::prepared_animation::{AnimationLimits, PreparedAnimation};
+use crate::wire::{self, AnimateOrder, edit_kind_name};
 use glam::DVec3;
 
 /// One model with everything derived from it. Calls come from compute threads, one at a time.
@@ -96,6 +97,15 @@ pub trait Engine: Send + 'static {
         _exec: &Exec<'_>,
     ) -> Result<WrittenFiles, Error> {
         Err(Error::Unimplemented("carrying a model".into()))
+    }
+    /// Prepares an animation of the rest shape.
+    fn prepare_animation(
+        &self,
+        _order: &AnimateOrder,
+        _limits: &AnimationLimits,
+        _exec: &Exec<'_>,
+    ) -> Result<PreparedAnimation, wire::Error> {
+        Err(wire::Error::Unimplemented("animating".into()))
     }
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
@@ -221,6 +231,15 @@ impl Engine for Deformer {
         exec: &Exec<'_>,
     ) -> Result<WrittenFiles, Error> {
         Self::carry_model(self, positions, passenger, exec)
+    }
+
+    fn prepare_animation(
+        &self,
+        order: &AnimateOrder,
+        limits: &AnimationLimits,
+        exec: &Exec<'_>,
+    ) -> Result<PreparedAnimation, wire::Error> {
+        PreparedAnimation::of_model(self, order, limits, exec)
     }
 
     fn shader(&self) -> Shader {

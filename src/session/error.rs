@@ -1,6 +1,6 @@
 //! What a caller is told when a call fails, and the one table from failures to status codes of every transport.
 
-use crate::{asset, engine, wire};
+use crate::{asset, engine, motion, wire};
 use std::fmt;
 
 /// The kinds of failure. Closed: a new kind needs a row in the table below.
@@ -172,6 +172,11 @@ impl From<wire::Error> for Error {
         let message = error.to_string();
         match error {
             wire::Error::Asset(error) => error.into(),
+            wire::Error::Clip(motion::Error::TooMany { .. }) => Self::new(ErrorCode::TooLarge, message),
+            wire::Error::Clip(_) => Self {
+                field: Some("clip".into()),
+                ..Self::malformed(message)
+            },
             wire::Error::Json { place, .. } => Self {
                 field: Some(place),
                 ..Self::malformed(message)

@@ -25,6 +25,8 @@ pub struct Metrics {
     pub bytes: Gauge,
     /// Streams open.
     pub streams: Gauge,
+    /// Animations under way.
+    pub animations: Gauge,
     /// Poses that arrived on streams and solve calls.
     pub poses_received: Counter,
     /// Poses solved.
@@ -67,6 +69,7 @@ impl Default for Metrics {
             sessions_failed: Counter::default(),
             bytes: Gauge::default(),
             streams: Gauge::default(),
+            animations: Gauge::default(),
             poses_received: Counter::default(),
             poses_solved: Counter::default(),
             poses_superseded: Counter::default(),
@@ -92,7 +95,7 @@ impl Metrics {
     pub fn register(&self, memory_bytes: u64, registry: &mut Registry) {
         let limit = Gauge::<i64>::default();
         limit.set(i64::try_from(memory_bytes).unwrap_or(i64::MAX));
-        let gauges: [(&str, &str, &Gauge); 6] = [
+        let gauges: [(&str, &str, &Gauge); 7] = [
             ("sessions", "Sessions held", &self.sessions),
             (
                 "session_bytes",
@@ -100,6 +103,7 @@ impl Metrics {
                 &self.bytes,
             ),
             ("streams", "Deform streams open", &self.streams),
+            ("animations", "Animations under way", &self.animations),
             ("pool_busy", "Pieces of work being computed", &self.pool_busy),
             (
                 "pool_waiting",

@@ -16,11 +16,13 @@
 //! | `task` | a session's task: commits, edits, one turn of a stream |
 //! | `history` | the ordered commits and their shapes; the engine and what it holds |
 //! | `stream` | a stream's ends, its state, poses that wait, frames on their way out |
+//! | `animation` | an animation's task, its frames on their way out, its ends |
 //! | `capacity` | compute slots, bytes, leases, who is still inside, giving work up |
 //! | `registry`, `shared` | the sessions that are open, and what they share |
 //! | `engine` | what a session needs of the thing that deforms its model |
 //! | `config`, `error`, `metrics`, `answers` | limits, the status table, counts, answer types |
 
+mod animation;
 mod answers;
 mod calls;
 mod capacity;
@@ -34,9 +36,11 @@ mod shared;
 mod stream;
 mod task;
 
+pub use animation::ends::{AnimationControl, AnimationReader};
+pub use animation::prepared_animation::{AnimationLimits, PreparedAnimation};
 pub use answers::{
-    CallKey, CarriedAlong, CommitFacts, CommittedEdit, CommittedPose, ExportedModel, HistoryFacts, KeyedAnswer,
-    PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,
+    AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedEdit, CommittedPose, ExportedModel,
+    HistoryFacts, KeyedAnswer, PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,
 };
 pub use calls::manager::Manager;
 pub use config::{MIN_TTL, SessionConfig};

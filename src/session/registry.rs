@@ -5,6 +5,7 @@
 use crate::asset::Format;
 use crate::engine::{DeformerFacts, HandlePoses};
 use crate::progress::CancelFlag;
+use crate::session::animation::open_animations::OpenAnimations;
 use crate::session::answers::{HistoryFacts, SessionFacts, Tenant};
 use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::session_lease::SessionLease;
@@ -44,6 +45,7 @@ pub(super) struct OpenSession {
     pub lease: SessionLease,
     pub commands: mpsc::Sender<SessionCommand>,
     pub streams: OpenStreams,
+    pub animations: OpenAnimations,
     /// Wakes the session's task when a stream has work for it.
     pub wake: Arc<Notify>,
     /// Stops the session's work.

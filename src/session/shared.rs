@@ -23,6 +23,8 @@ pub(super) struct SharedResources {
     pub budget: Arc<MemoryBudget>,
     /// One permit for each session that may be held.
     pub seats: Arc<Semaphore>,
+    /// One permit for each animation that may be under way.
+    pub animations: Arc<Semaphore>,
     pub registry: SessionRegistry,
     pub idempotency: IdempotencyKeys<StoredAnswer>,
     pub opener: Box<dyn EngineOpener>,

@@ -1,9 +1,9 @@
 //! What can be wrong with a request.
 
 use super::edit_kind::edit_kind_name;
-use crate::asset;
 use crate::edit::{EditSubject, Error as Refused, ErrorPlace};
 use crate::engine::{self, InputPlace, RegionPlace};
+use crate::{asset, motion};
 
 /// Why a request was refused or could not be carried out. Nothing has changed when one of these is returned.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -11,6 +11,9 @@ pub enum Error {
     /// The model cannot be read or written.
     #[error(transparent)]
     Asset(#[from] asset::Error),
+    /// A clip cannot be read.
+    #[error("clip: {0}")]
+    Clip(#[from] motion::Error),
     /// A text is not the JSON of the message that was expected.
     #[error("{place}: {problem}")]
     Json {

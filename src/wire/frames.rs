@@ -7,6 +7,7 @@
 use super::facts::quality_message;
 use super::pb::{self, frame};
 use crate::engine::{QualityReport, Shading};
+use crate::motion::rig::RigidMotion;
 use bytes::Bytes;
 use glam::DVec3;
 use std::sync::Arc;
@@ -39,8 +40,27 @@ pub struct FrameHeader {
     pub queue_ms: f64,
     /// Poses that were skipped since the frame before.
     pub superseded: u32,
-    /// How far the shape of a commit is from the rest shape.
+    /// How far the shape of a commit, or of a frame of an animation, is from the rest shape.
     pub quality: Option<QualityReport>,
+    /// Which frame of an animation it is.
+    pub animated: Option<Box<AnimatedHeader>>,
+}
+
+/// What a frame of an animation tells beside.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnimatedHeader {
+    /// Its number.
+    pub index: usize,
+    /// Frames of the whole animation.
+    pub count: usize,
+    /// When it is, in seconds of the clip.
+    pub seconds: f64,
+    /// Where the root bone has carried the model, when that is not in the positions.
+    pub root: RigidMotion,
+    /// Digest of the positions as the root bone sees them.
+    pub digest: String,
+    /// Cycles of the solver.
+    pub cycles: usize,
 }
 
 /// What frames carry, and how.
@@ -185,6 +205,21 @@ fn header_message(header: &FrameHeader) -> pb::Frame {
         queue_ms: header.queue_ms,
         superseded: header.superseded,
         quality: header.quality.as_ref().map(quality_message),
+        animated: header.animated.as_deref().map(animated_message),
+        ..Default::default()
+    }
+}
+
+fn animated_message(header: &AnimatedHeader) -> pb::Animated {
+    let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    pb::Animated {
+        index: narrow(header.index),
+        count: narrow(header.count),
+        time: header.seconds,
+        root_translation: header.root.place(DVec3::ZERO).to_array().to_vec(),
+        root_rotation: header.root.rotation.to_array().to_vec(),
+        digest: header.digest.clone(),
+        cycles: narrow(header.cycles),
         ..Default::default()
     }
 }

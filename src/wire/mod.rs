@@ -3,6 +3,7 @@
 //! Everything that a client can ask is a message of [`pb`]. This module is the only one that checks what clients send; a
 //! refusal names the field as clients write it. It knows no session, no connection and no clock.
 
+mod animate;
 mod calls;
 mod check;
 mod create;
@@ -23,6 +24,10 @@ mod poses;
 mod rig;
 mod stream;
 
+pub use animate::{
+    AnimateOrder, AnimationSummary, OrderedClip, OrderedRoot, PlayedForm, animate_options_from_json, animate_order,
+    animation_totals, held_nodes_message, of_rig, stage_frame, summary_frame,
+};
 pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
 pub use create::{SessionOptions, open_options, session_options};
 pub use edit::{edit, edit_name, edit_result};

@@ -32,7 +32,7 @@ pub fn rig_from_json(text: &[u8]) -> Result<MotionRig, Error> {
 }
 
 /// Writes short forms as the schema has them.
-fn spell_out(rig: &mut Value) {
+pub(super) fn spell_out(rig: &mut Value) {
     let Some(rig) = rig.as_object_mut() else { return };
     if let Some(Value::Object(joints)) = rig.get_mut("joints") {
         for place in joints.values_mut().filter(|place| place.is_array()) {

@@ -108,6 +108,11 @@ fn limits_without_a_key_are_those_of_the_program() {
         solve: _,
         build,
         streams: _,
+        animations: _,
+        clip_bytes: _,
+        clip_joints: _,
+        animation_frames: _,
+        animation_vertices: _,
         stream_commits,
         session_queue,
         compute_threads: _,
@@ -150,6 +155,14 @@ fn limits_without_a_key_are_those_of_the_program() {
         (
             "points of a curve that cuts or is inserted",
             pliant::edit::MOST_POINTS.to_string(),
+        ),
+        (
+            "rows of one clip",
+            pliant::motion::bvh::ClipLimits::default().frames.to_string(),
+        ),
+        (
+            "numbers in all rows of one clip",
+            pliant::motion::bvh::ClipLimits::default().numbers.to_string(),
         ),
         ("shortest time to live that a session may name", time(MIN_TTL)),
     ];

@@ -1,5 +1,6 @@
 //! The service as its clients meet it: sessions, gRPC, HTTP, WebSockets, limits, hostile input, ends.
 
+mod animations;
 mod drain;
 mod grpc;
 mod hostile;

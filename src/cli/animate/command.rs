@@ -11,7 +11,8 @@ use crate::cli::model_files::{in_file, read_file, read_model};
 use crate::cli::stage_spinner::StageSpinner;
 use crate::cli::threads::ThreadArgs;
 use crate::engine::{
-    AnimatedFrame, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameTimes, OpenOptions,
+    AnimatedFrame, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameChoice, FrameTimes,
+    OpenOptions,
 };
 use crate::exec::Exec;
 use crate::motion::MotionClip;
@@ -25,10 +26,6 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Most frames a second.
-const FASTEST: f64 = 10_000.0;
-/// Frames a second of clips that were not recorded in frames.
-const UNRECORDED_RATE: f64 = 30.0;
 /// Most frames of an animation.
 const MOST_FRAMES: usize = 1_000_000;
 
@@ -303,22 +300,24 @@ impl AnimateArgs {
 
     /// When the frames of a clip are.
     fn times(&self, clip: &MotionClip) -> Result<FrameTimes, CliFailure> {
-        let rate = match (self.fps, clip.recorded) {
-            (Some(fps), _) if fps.is_finite() && fps > 0.0 && fps <= FASTEST => fps,
-            (Some(fps), _) => {
-                let problem = format!("--fps is {fps}, a number above 0 and up to {FASTEST} is needed");
-                return Err(CliFailure::Input(problem));
-            }
-            (None, Some(recorded)) => 1.0 / recorded.interval,
-            (None, None) => UNRECORDED_RATE,
+        if let Some(fps) = self
+            .fps
+            .filter(|fps| !(fps.is_finite() && *fps > 0.0 && *fps <= FrameChoice::FASTEST))
+        {
+            let fastest = FrameChoice::FASTEST;
+            let problem = format!("--fps is {fps}, a number above 0 and up to {fastest} is needed");
+            return Err(CliFailure::Input(problem));
+        }
+        let choice = FrameChoice {
+            fps: self.fps,
+            skip_first: match self.skip_first {
+                SkipFirst::Auto => None,
+                SkipFirst::Yes => Some(true),
+                SkipFirst::No => Some(false),
+            },
+            ..Default::default()
         };
-        let skips = match self.skip_first {
-            SkipFirst::Yes => true,
-            SkipFirst::No => false,
-            SkipFirst::Auto => clip.begins_apart(),
-        };
-        let start = clip.recorded.filter(|_| skips).map_or(0.0, |r| r.interval);
-        let times = FrameTimes::between(start, clip.duration, rate);
+        let times = choice.times(clip);
         if times.count > MOST_FRAMES {
             let problem = format!(
                 "{} frames are asked for, at most {MOST_FRAMES} are allowed",

@@ -1,13 +1,14 @@
 //! Frames that become one file: kept in a partial file until the last one is there.
 
 use super::frames_file::FramesFile;
-use super::morphs::{node_place, write_morphs};
-use super::skins::write_skin;
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::asset::{NodePlace, UsdClip, VertexCache};
+use crate::batch::{KeptFrames, PlayedModel, WrittenOff, node_place, write_morph_frames, write_skin_frames};
 use crate::cli::failure::CliFailure;
 use crate::engine::AnimatedFrame;
+use crate::motion::rig::RigidMotion;
 use crate::wire::{Error, pb};
+use glam::Vec3;
 use std::io::{BufWriter, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -86,6 +87,61 @@ impl<'a> GatheredFrames<'a> {
                 Ok(())
             })
     }
+
+    /// Writes a GLB that plays the frames, and tells what there is to say of it.
+    fn write_glb(&mut self) -> Result<Option<WrittenOff>, CliFailure> {
+        let played = &self.played;
+        let Range { start, end } = played.range;
+        let model = PlayedModel {
+            model: played.deformer.model(),
+            rest: played.deformer.rest(),
+            vertices: &played.played_vertices(),
+            own: played.own,
+            seconds: [start, end - 1].map(|frame| played.times.at(frame)),
+            diagonal: played.deformer.diagonal(),
+            clip: played.clip,
+            rate: played.times.rate,
+            has_root: self.has_root,
+        };
+        let mut frames = FramesOfRange {
+            file: &mut self.frames,
+            count: played.range.len(),
+        };
+        let (written, told) = match self.kind {
+            GatheredKind::Skin(bones) => {
+                let (written, told) = write_skin_frames(&model, &mut frames, bones, &played.exec)?;
+                (written, Some(told))
+            }
+            GatheredKind::Morphs(most) => write_morph_frames(&model, &mut frames, most)?,
+            GatheredKind::Cache(_) | GatheredKind::Usd => return Ok(None),
+        };
+        played
+            .permission
+            .write_model(&self.path, &written, played.model, played.files)?;
+        Ok(told)
+    }
+}
+
+/// The first frames of a partial file.
+struct FramesOfRange<'a> {
+    file: &'a mut FramesFile,
+    count: usize,
+}
+
+impl KeptFrames for FramesOfRange<'_> {
+    type Failure = CliFailure;
+
+    fn count(&self) -> usize {
+        self.count
+    }
+
+    fn root(&self, frame: usize) -> RigidMotion {
+        self.file.frames[frame].root
+    }
+
+    fn positions(&mut self, frame: usize) -> Result<Vec<Vec3>, CliFailure> {
+        self.file.read_positions(frame)
+    }
 }
 
 impl GatheredFrames<'_> {
@@ -131,13 +187,11 @@ impl FrameTaker for GatheredFrames<'_> {
         match self.kind {
             GatheredKind::Cache(cache) => self.write_cache(cache)?,
             GatheredKind::Usd => self.write_usd()?,
-            GatheredKind::Morphs(most) => {
-                let how = (most, self.has_root);
-                write_morphs(&self.path, &self.played, &mut self.frames, how, report)?;
-            }
-            GatheredKind::Skin(bones) => {
-                let how = (bones, self.has_root);
-                write_skin(&self.path, &self.played, &mut self.frames, how, report)?;
+            GatheredKind::Morphs(_) | GatheredKind::Skin(_) => {
+                if let Some((off, told)) = self.write_glb()? {
+                    report.warnings.push(told);
+                    report.written_error = Some(off);
+                }
             }
         }
         let earlier = self.frames.frames.iter().take(self.before);

@@ -2,18 +2,14 @@
 //!
 //! [`command`] reads arguments and runs, [`output`] tells where frames go. Numbered models are written as they come
 //! ([`numbered`]); what becomes one file is kept in a partial file beside it first ([`frames_file`], [`gathered`]), so that a
-//! stopped animation can go on, and then written as a point cache or with chosen frames as morph targets ([`key_frames`],
-//! [`morphs`]).
+//! stopped animation can go on, and then written as a point cache or as a GLB ([`crate::batch`] makes it).
 
 mod command;
 mod frames_bar;
 mod frames_file;
 mod gathered;
-mod key_frames;
-mod morphs;
 mod numbered;
 mod output;
-mod skins;
 mod taken_frames;
 
 pub(super) use command::{AnimateArgs, run_animate};

@@ -1,6 +1,6 @@
 //! What takes the frames of an animation as they are solved, and what it is told of them all.
 
-use crate::asset::{ClipBeside, FileSet, NodeKeys, Primitive};
+use crate::asset::{FileSet, Primitive};
 use crate::cli::failure::CliFailure;
 use crate::cli::output_files::OutputPermission;
 use crate::engine::{AnimatedFrame, Deformer, FrameTimes};
@@ -31,16 +31,6 @@ impl PlayedAnimation<'_> {
     /// When a frame is, in seconds from the first.
     pub(super) fn seconds(&self, frame: usize) -> f64 {
         (frame - self.range.start) as f64 / self.times.rate
-    }
-
-    /// The model's own clip, to go on beside what is played of it. `around`: what all that goes on does on top.
-    pub(super) fn beside<'k>(&self, around: Option<NodeKeys<'k>>) -> Option<ClipBeside<'k>> {
-        let Range { start, end } = self.range;
-        self.own.map(|clip| ClipBeside {
-            clip,
-            seconds: [start, end - 1].map(|frame| self.times.at(frame)),
-            around,
-        })
     }
 
     /// The vertices that are played; the others go on as the model's own clip moves them.

@@ -50,6 +50,21 @@ pub struct ConfigKeys {
     /// Streams open on one session at a time.
     #[arg(long, value_name = "N")]
     pub streams: Option<KeyValue<u32>>,
+    /// Animations under way at a time.
+    #[arg(long, value_name = "N")]
+    pub animations: Option<KeyValue<u32>>,
+    /// Bytes of one clip.
+    #[arg(long, value_name = "SIZE")]
+    pub clip_bytes: Option<KeyValue<ByteSize>>,
+    /// Joints of one clip.
+    #[arg(long, value_name = "N")]
+    pub clip_joints: Option<KeyValue<u32>>,
+    /// Frames of one animation.
+    #[arg(long, value_name = "N")]
+    pub animation_frames: Option<KeyValue<u32>>,
+    /// Frames that are wanted of one animation, times the vertices of its model.
+    #[arg(long, value_name = "N")]
+    pub animation_vertices: Option<KeyValue<u64>>,
     /// How long open work may go on once the server is asked to stop.
     #[arg(long, value_name = "TIME")]
     pub drain_deadline: Option<KeyValue<TimeSpan>>,

@@ -24,6 +24,11 @@ pub(super) fn session_config_from_keys(merged: &MergedKeys) -> Result<session::S
     set_count(&keys.handles, &mut config.handles);
     set_count(&keys.history, &mut config.history);
     set_count(&keys.streams, &mut config.streams);
+    set_count(&keys.animations, &mut config.animations);
+    set_bytes(&keys.clip_bytes, &mut config.clip_bytes);
+    set_count(&keys.clip_joints, &mut config.clip_joints);
+    set_count(&keys.animation_frames, &mut config.animation_frames);
+    config.animation_vertices = KeyValue::read(&keys.animation_vertices).unwrap_or(config.animation_vertices);
     set_count(&keys.threads, &mut config.compute_threads);
     if let Some(vertices) = KeyValue::read(&keys.vertices) {
         config.vertices = vertices;

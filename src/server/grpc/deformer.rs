@@ -1,5 +1,6 @@
 //! The calls of `pliant.v1.Deformer`.
 
+use super::animate;
 use super::services::deformer_server::Deformer;
 use super::status::status;
 use super::stream;
@@ -216,6 +217,18 @@ impl Deformer for Calls {
         let order = wire::carry_order(&message).map_err(refused)?;
         let carried = self.state.manager.carry(&tenant, &message.session_id, order).await;
         Ok(Response::new(messages::carried_message(carried.map_err(status)?)))
+    }
+
+    type AnimateStream = Sent<pb::Frame>;
+
+    async fn animate(&self, request: Request<Streaming<pb::AnimateRequest>>) -> GrpcAnswer<Self::AnimateStream> {
+        let tenant = tenant(&request)?;
+        // The head of the answer goes out at once: clients wait for it before they send their first message.
+        Ok(Response::new(Box::pin(animate::animation_frames(
+            self.state.clone(),
+            tenant,
+            request.into_inner(),
+        ))))
     }
 
     async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> GrpcAnswer<pb::Limits> {

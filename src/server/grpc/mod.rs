@@ -2,6 +2,7 @@
 //!
 //! Everything of tonic stays in this folder; no other part of the server sees its types.
 
+mod animate;
 mod deadline;
 mod deformer;
 mod status;

@@ -5,12 +5,12 @@
 mod form;
 mod options;
 mod received;
-mod upload_body;
 
 use super::body;
 use super::problem::{Problem, clip};
 use super::request::Caller;
 use super::sessions::session_json;
+use super::upload_body::next_bytes;
 use crate::asset::sample::BuiltInModel;
 use crate::asset::{FileSet, Format};
 use crate::server::sample;
@@ -24,7 +24,6 @@ use http::{HeaderValue, StatusCode, header};
 use options::Options;
 use prost::Message as _;
 use received::Received;
-use upload_body::next_bytes;
 
 /// Types that say nothing about the format, among them what clients send when nobody tells them.
 const GENERAL: [&str; 6] = [

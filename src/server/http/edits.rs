@@ -1,4 +1,4 @@
-//! Edits of the topology; and what this version refuses by name.
+//! Edits of the topology.
 
 use super::body;
 use super::problem::Problem;
@@ -6,7 +6,6 @@ use super::request::{Caller, Names};
 use super::sessions::json;
 use crate::server::messages;
 use crate::server::state::State;
-use crate::session::{Error, ErrorCode};
 use crate::wire::{self, pb};
 use axum::extract::{Request, State as From};
 use axum::response::Response;
@@ -29,17 +28,4 @@ pub(super) async fn edit(
         .edit(&caller.tenant, &message.session_id, edit, key)
         .await?;
     json(&messages::committed_edit(done))
-}
-
-pub(super) async fn animate(
-    From(state): From<State>,
-    caller: Caller,
-    Names(id): Names<String>,
-) -> Result<Response, Problem> {
-    state.manager.get(&caller.tenant, &id).await?;
-    Err(Error::new(
-        ErrorCode::Unimplemented,
-        "animations are not implemented by this version",
-    )
-    .into())
 }

@@ -3,12 +3,14 @@
 //! The order of layers, outermost first: request number and count → origin check → problem documents → compression of
 //! JSON → routes. Each call checks in the order authentication, session, then query and body.
 
+mod animate;
 mod body;
 mod carry;
 mod create;
 mod docs;
 mod download;
 mod edits;
+mod form_reader;
 mod handles;
 mod models;
 mod negotiate;
@@ -20,8 +22,10 @@ mod route_table;
 mod routes;
 mod sessions;
 mod solve;
+mod upload_body;
 mod viewer;
 
+pub(super) use animate::OFFERS as ANIMATION_TYPES;
 pub(super) use request::Caller;
 pub(super) use route_table::{ROUTES, Route};
 

@@ -149,7 +149,9 @@ pub(in crate::server) const ROUTES: [Route; 23] = [
     Route {
         method: "post",
         path: "/v1/sessions/{id}/animations",
-        summary: "Bake a motion. Not implemented by this version: answers 501.",
+        rpc: Some("Animate"),
+        summary: "Drive the model by a clip. The body is a form with the parts options and clip (a BVH file), or the options as JSON. Accept chooses frames in a row, a line of JSON each (application/x-ndjson) or length-delimited messages (application/vnd.google.protobuf), or a GLB that plays the clip.",
+        takes: Some("AnimateOptions"),
         ..PLAIN
     },
     Route {

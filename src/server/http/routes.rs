@@ -1,6 +1,6 @@
 //! Which path leads to which function.
 
-use super::{carry, create, docs, edits, handles, models, pages, sessions, solve, viewer};
+use super::{animate, carry, create, docs, edits, handles, models, pages, sessions, solve, viewer};
 use crate::server::socket;
 use crate::server::state::State;
 use axum::Router;
@@ -19,7 +19,7 @@ pub(super) fn all() -> Router<State> {
         .route("/v1/sessions/{id}/solve", post(solve::solve))
         .route("/v1/sessions/{id}/edits", post(edits::edit))
         .route("/v1/sessions/{id}/carry", post(carry::carry))
-        .route("/v1/sessions/{id}/animations", post(edits::animate))
+        .route("/v1/sessions/{id}/animations", post(animate::animate))
         .route("/v1/sessions/{id}/undo", post(sessions::undo))
         .route("/v1/sessions/{id}/redo", post(sessions::redo))
         .route("/v1/sessions/{id}/history", get(sessions::history))

@@ -2,7 +2,7 @@
 
 mod schemas;
 
-use super::http::{ROUTES, Route};
+use super::http::{ANIMATION_TYPES, ROUTES, Route};
 use crate::asset::Format;
 
 use crate::session::Error;
@@ -167,7 +167,16 @@ fn request_body(route: &Route) -> Option<Value> {
         return Some(json!({"content": content}));
     }
     let message = route.takes?;
-    Some(json!({"content": {"application/json": {"schema": {"$ref": format!("#/components/schemas/{message}")}}}}))
+    let schema = json!({"$ref": format!("#/components/schemas/{message}")});
+    if route.rpc == Some("Animate") {
+        let form = json!({"schema": {"type": "object", "properties": {
+            "options": schema,
+            "clip": {"type": "string", "format": "binary", "description": "A BVH file; without it a clip of the model itself."},
+        }}});
+        let content = json!({"application/json": {"schema": schema}, "multipart/form-data": form});
+        return Some(json!({"content": content}));
+    }
+    Some(json!({"content": {"application/json": {"schema": schema}}}))
 }
 
 fn success(route: &Route) -> Value {
@@ -182,6 +191,13 @@ fn success(route: &Route) -> Value {
         "/v1/sessions/{id}/solve" => {
             content.insert("application/octet-stream".into(), bytes());
             content.extend(models(&Format::ALL));
+        }
+        "/v1/sessions/{id}/animations" => {
+            let frame = json!({"schema": {"$ref": "#/components/schemas/Frame"}});
+            let [lines, delimited, model] = ANIMATION_TYPES;
+            content.insert(lines.into(), frame);
+            content.insert(delimited.into(), bytes());
+            content.insert(model.into(), bytes());
         }
         "/v1/sessions/{id}/model" => content = models(&Format::ALL),
         "/v1/sessions/{id}/positions" => {

@@ -3,11 +3,13 @@
 use crate::asset::Format;
 use crate::engine::DeformerFacts;
 use crate::progress::CancelFlag;
+use crate::session::animation::frame_outbox::FrameOutbox;
+use crate::session::animation::prepared_animation::ReadyAnimation;
 use crate::session::answers::{CarriedAlong, CommittedEdit, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::error::Error;
-use crate::wire::{CarryOrder, PoseCommit, SessionEdit};
+use crate::wire::{AnimateOrder, CarryOrder, PoseCommit, SessionEdit};
 use std::sync::Arc;
 use tokio::sync::oneshot;
 
@@ -21,6 +23,8 @@ pub(in crate::session) enum SessionCommand {
     Edit(Box<SessionEdit>, PendingCall<CommittedEdit>),
     Export(Option<Format>, PendingCall<ExportedModel>),
     Carry(Box<CarryOrder>, PendingCall<CarriedAlong>),
+    /// Prepares an animation, whose reader hears of the stages.
+    Animate(Box<AnimateOrder>, Arc<FrameOutbox>, PendingCall<ReadyAnimation>),
 }
 
 /// Along the commits.

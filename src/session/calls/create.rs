@@ -3,6 +3,7 @@
 use crate::asset::FileSet;
 use crate::engine::{self, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
+use crate::session::animation::open_animations::OpenAnimations;
 use crate::session::answers::{CallKey, KeyedAnswer, SessionFacts, Tenant};
 use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, RequestFingerprint, answer_of_another_call};
@@ -180,6 +181,7 @@ fn start_session(
         lease: SessionLease::new(owner.ttl),
         commands: send,
         streams: OpenStreams::new(&shared.config),
+        animations: OpenAnimations::default(),
         wake: Arc::new(Notify::new()),
         cancel: Arc::default(),
         closing: CancellationToken::new(),

@@ -53,6 +53,7 @@ impl Manager {
             compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
             budget: MemoryBudget::new(config.memory_bytes, Arc::clone(&metrics)),
             seats: Arc::new(Semaphore::new(config.sessions)),
+            animations: Arc::new(Semaphore::new(config.animations)),
             registry: SessionRegistry::default(),
             idempotency: IdempotencyKeys::new(&config),
             opener: Box::new(opener),

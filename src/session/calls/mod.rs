@@ -1,5 +1,6 @@
 //! The calls of all transports: a session's handles, poses, commits and edits, asked for by tenant and id.
 
+mod animate;
 pub(super) mod command;
 mod commits;
 mod create;

@@ -100,6 +100,27 @@ impl ComputeSlots {
         })
     }
 
+    /// Waits for a slot for one frame of an animation, behind whoever waits already. However long that takes it is not refused:
+    /// animations have a limit of their own, and half of one is of no use.
+    ///
+    /// # Cancel safety
+    /// Dropping the future gives up the place in the queue.
+    ///
+    /// # Errors
+    /// `UNAVAILABLE` when the slots are gone.
+    pub async fn slot_for_frame(&self) -> Result<ComputeSlot, Error> {
+        let asked = Instant::now();
+        let waiting = GaugeUnit::add_to(&self.metrics.pool_waiting);
+        let permit = Arc::clone(&self.slots).acquire_owned().await;
+        drop(waiting);
+        Ok(ComputeSlot {
+            permit: permit.map_err(|_| Error::draining())?,
+            pool: self.pool.clone(),
+            metrics: Arc::clone(&self.metrics),
+            queued: asked.elapsed(),
+        })
+    }
+
     /// Runs small work that needs no slot, such as packing an answer, where it waits for no solve.
     ///
     /// # Cancel safety

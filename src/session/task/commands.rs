@@ -50,6 +50,10 @@ impl SessionTask {
                 let result = self.export(format, &call).await;
                 send_answer(call, result, |_| None);
             }
+            SessionCommand::Animate(order, outbox, call) => {
+                let result = self.prepare_animation(*order, outbox, &call).await;
+                send_answer(call, result, |_| None);
+            }
             SessionCommand::Carry(order, call) => {
                 let result = self.carry_along(*order, &call).await;
                 send_answer(call, result, |_| None);

@@ -65,7 +65,7 @@ impl SessionTask {
                 }
                 () = session.wake.notified() => {}
                 () = tokio::time::sleep_until(session.lease.end()) => {
-                    if !session.streams.all().is_empty() {
+                    if !session.streams.all().is_empty() || session.animations.is_any() {
                         session.lease.renew();
                     } else if session.lease.expired() {
                         self.shared.metrics.sessions_expired.inc();

@@ -33,7 +33,7 @@ POST /v1/sessions/{id}/redo    | -                | -      | 409 FAILED_PRECONDI
 POST /v1/sessions/{id}/edits   | application/json | {"cut": {"keep": "ABOVE"}} | 422 INVALID_ARGUMENT | cut | polyline
 POST /v1/sessions/{id}/edits   | application/json | {"cut": {"plane": {"normal": [0, 0, 1], "offset": 1e6}}} | 409 FAILED_PRECONDITION | - | plane
 POST /v1/sessions/{id}/edits   | application/json | {}     | 422 INVALID_ARGUMENT    | operation | cut
-POST /v1/sessions/{id}/animations | -             | -      | 501 UNIMPLEMENTED       | -         | animations
+POST /v1/sessions/{id}/animations | -             | -      | 422 INVALID_ARGUMENT    | clip      | no clips of its own
 POST /v1/sessions/{id}/solve   | application/json | {"options": {"method": 7}} | 422 INVALID_ARGUMENT | options.method | 7
 POST /v1/sessions?colour=red   | -                | x      | 400 INVALID_ARGUMENT    | colour    | volumeGraph
 POST /v1/sessions?format=doc   | -                | x      | 422 INVALID_ARGUMENT    | format    | doc; glb

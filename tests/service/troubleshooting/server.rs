@@ -31,7 +31,8 @@ nothing to undo             | POST /v1/sessions/{bare}/undo  | -                
 a cut beside the model      | POST /v1/sessions/{id}/edits   | application/json | {"cut": {"plane": {"normal": [0, 0, 1], "offset": 99}}}
 a division without handles  | POST /v1/sessions/{bare}/edits | application/json | {"on": "REST", "subdivide": {"auto": true}}
 triangles beyond measure    | POST /v1/sessions/{id}/edits   | application/json | {"remesh": {"edgeLength": 0.0001}}
-animations                  | POST /v1/sessions/{id}/animations | -             | -
+a clip that is none         | POST /v1/sessions/{id}/animations | application/json | {}
+a recording that is none    | POST /v1/sessions/{id}/animations | application/json | {"bvh": "aGVsbG8K"}
 a browser at the stream     | GET /v1/sessions/{id}/stream   | -                | -
 a path that is none         | GET /v1/session                | -                | -
 "#;

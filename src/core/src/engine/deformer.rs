@@ -189,6 +189,11 @@ impl Deformer {
         &self.topology().model
     }
 
+    /// Whether edits have made another topology of the model as it was read.
+    pub fn is_edited(&self) -> bool {
+        self.topology().edited.is_some()
+    }
+
     /// Triangles, normals, tangents and primitives as they are now. Once edited, positions are those of [`Deformer::rest`]
     /// alone.
     pub fn geometry(&self) -> &Geometry {
@@ -426,7 +431,6 @@ impl Deformer {
 
     /// Of positions of render vertices those of the solver's vertices.
     pub(super) fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
-        let of = |s: u32| positions[self.mesh().render_vertices_of(s)[0] as usize];
-        (0..self.mesh().positions.len() as u32).map(of).collect()
+        self.derived.welded(positions)
     }
 }

@@ -67,7 +67,8 @@ mod topology_state;
 mod vertex_origins;
 
 pub use animation::{
-    AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, FrameTimes, RigHandleFacts,
+    AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, FrameChoice, FrameCursor,
+    FrameSums, FrameTimes, RigHandleFacts,
 };
 pub use deformer::Deformer;
 pub use digest::digest;

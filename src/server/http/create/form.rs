@@ -2,70 +2,32 @@
 
 use super::options::Options;
 use super::received::Received;
-use super::upload_body::next_bytes;
 use crate::asset::{FileSet, Format};
-use crate::server::http::body;
+use crate::server::http::form_reader::FormReader;
 use crate::server::http::problem::{Problem, clip};
 use crate::server::state::State;
 use crate::server::uploads::Held;
-use crate::session::{Error, ErrorCode};
+use crate::session::Error;
 use axum::extract::Request;
 use bytes::Bytes;
-use http::header;
-use multer::{Field, Multipart};
+use multer::Field;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// Companion files of one form.
 const MAX_COMPANIONS: usize = 1000;
 
 /// Receives a form.
 pub(super) async fn receive(state: &State, request: Request, options: &mut Options) -> Result<Received, Problem> {
-    let content_type = request
-        .headers()
-        .get(header::CONTENT_TYPE)
-        .and_then(|v| v.to_str().ok())
-        .unwrap_or_default();
-    let boundary = multer::parse_boundary(content_type).map_err(|_| {
-        Problem::from(Error::malformed(
-            "the content type multipart/form-data names no boundary",
-        ))
-    })?;
-    if let Some(length) = body::announced(request.headers()) {
-        // Headers of parts do not count, so the refusal of an announced length leaves them room.
-        state.uploads.announce(length.saturating_sub(1 << 20))?;
-    }
-    // The reason why the body stopped, which the form's reader would hide behind an error of its own.
-    let stopped: Arc<Mutex<Option<Problem>>> = Arc::default();
-    let stream = request.into_body().into_data_stream();
-    let chunks = futures::stream::unfold(
-        (stream, state.clone(), Arc::clone(&stopped)),
-        |(mut stream, state, stopped)| async move {
-            let next = match next_bytes(&state, &mut stream).await {
-                Ok(Some(bytes)) => Some(Ok(bytes)),
-                Ok(None) => None,
-                Err(problem) => {
-                    *stopped.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
-                    Some(Err(std::io::Error::other("the body stopped")))
-                }
-            };
-            next.map(|next| (next, (stream, state, stopped)))
-        },
-    );
-    let mut form = Multipart::new(chunks, boundary);
-    let reason = |error: multer::Error| {
-        let told = stopped.lock().unwrap_or_else(PoisonError::into_inner).take();
-        told.unwrap_or_else(|| Error::malformed(format!("the form is not readable: {error}")).into())
-    };
-    let mut parts = FormParts {
+    let mut form = FormReader::of_request(state, request)?;
+    let mut parts = ModelForm {
         held: state.uploads.hold(),
         model: None,
         by_type: None,
         options_seen: false,
         companions: BTreeMap::new(),
     };
-    while let Some(field) = form.next_field().await.map_err(reason)? {
-        parts.take(state, field, options, &reason).await?;
+    while let Some(field) = form.next_field().await? {
+        parts.take(state, &form, field, options).await?;
     }
     let Some((name, main)) = parts.model else {
         return Err(Error::malformed("the form has no part \"model\"").into());
@@ -84,7 +46,7 @@ pub(super) async fn receive(state: &State, request: Request, options: &mut Optio
     })
 }
 
-struct FormParts {
+struct ModelForm {
     held: Held,
     model: Option<(String, Bytes)>,
     by_type: Option<Format>,
@@ -92,13 +54,13 @@ struct FormParts {
     companions: BTreeMap<String, Bytes>,
 }
 
-impl FormParts {
+impl ModelForm {
     async fn take(
         &mut self,
         state: &State,
-        mut field: Field<'_>,
+        form: &FormReader,
+        mut field: Field<'static>,
         options: &mut Options,
-        reason: &impl Fn(multer::Error) -> Problem,
     ) -> Result<(), Problem> {
         let part = field.name().unwrap_or_default().to_owned();
         let file = field.file_name().map(str::to_owned);
@@ -108,15 +70,9 @@ impl FormParts {
         } else {
             usize::MAX
         };
-        let mut bytes = Vec::new();
-        while let Some(chunk) = field.chunk().await.map_err(reason)? {
-            self.held.grow(chunk.len())?;
-            if chunk.len() > limit - bytes.len() {
-                let text = format!("the part \"options\" has more than the {limit} bytes that are allowed");
-                return Err(Error::new(ErrorCode::TooLarge, text).into());
-            }
-            bytes.extend_from_slice(&chunk);
-        }
+        let bytes = form
+            .field_bytes(&mut field, limit, |count| self.held.grow(count))
+            .await?;
         match (part.as_str(), file) {
             ("model", file) => {
                 self.by_type = media_type.as_deref().and_then(Format::from_media_type);

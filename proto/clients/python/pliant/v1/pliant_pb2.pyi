@@ -343,7 +343,7 @@ class HandleFacts(_message.Message):
     def __init__(self, id: _Optional[str] = ..., vertices: _Optional[int] = ..., centroid: _Optional[_Iterable[float]] = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ...) -> None: ...
 
 class Limits(_message.Message):
-    __slots__ = ("upload_bytes", "vertices", "sessions", "memory_bytes", "handles", "message_bytes", "window", "part_bytes", "ttl_seconds", "history", "solve_ms", "streams")
+    __slots__ = ("upload_bytes", "vertices", "sessions", "memory_bytes", "handles", "message_bytes", "window", "part_bytes", "ttl_seconds", "history", "solve_ms", "streams", "animations", "clip_bytes", "clip_joints", "animation_frames", "animation_vertices")
     UPLOAD_BYTES_FIELD_NUMBER: _ClassVar[int]
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     SESSIONS_FIELD_NUMBER: _ClassVar[int]
@@ -356,6 +356,11 @@ class Limits(_message.Message):
     HISTORY_FIELD_NUMBER: _ClassVar[int]
     SOLVE_MS_FIELD_NUMBER: _ClassVar[int]
     STREAMS_FIELD_NUMBER: _ClassVar[int]
+    ANIMATIONS_FIELD_NUMBER: _ClassVar[int]
+    CLIP_BYTES_FIELD_NUMBER: _ClassVar[int]
+    CLIP_JOINTS_FIELD_NUMBER: _ClassVar[int]
+    ANIMATION_FRAMES_FIELD_NUMBER: _ClassVar[int]
+    ANIMATION_VERTICES_FIELD_NUMBER: _ClassVar[int]
     upload_bytes: int
     vertices: int
     sessions: int
@@ -368,7 +373,12 @@ class Limits(_message.Message):
     history: int
     solve_ms: float
     streams: int
-    def __init__(self, upload_bytes: _Optional[int] = ..., vertices: _Optional[int] = ..., sessions: _Optional[int] = ..., memory_bytes: _Optional[int] = ..., handles: _Optional[int] = ..., message_bytes: _Optional[int] = ..., window: _Optional[int] = ..., part_bytes: _Optional[int] = ..., ttl_seconds: _Optional[float] = ..., history: _Optional[int] = ..., solve_ms: _Optional[float] = ..., streams: _Optional[int] = ...) -> None: ...
+    animations: int
+    clip_bytes: int
+    clip_joints: int
+    animation_frames: int
+    animation_vertices: int
+    def __init__(self, upload_bytes: _Optional[int] = ..., vertices: _Optional[int] = ..., sessions: _Optional[int] = ..., memory_bytes: _Optional[int] = ..., handles: _Optional[int] = ..., message_bytes: _Optional[int] = ..., window: _Optional[int] = ..., part_bytes: _Optional[int] = ..., ttl_seconds: _Optional[float] = ..., history: _Optional[int] = ..., solve_ms: _Optional[float] = ..., streams: _Optional[int] = ..., animations: _Optional[int] = ..., clip_bytes: _Optional[int] = ..., clip_joints: _Optional[int] = ..., animation_frames: _Optional[int] = ..., animation_vertices: _Optional[int] = ...) -> None: ...
 
 class GetLimitsRequest(_message.Message):
     __slots__ = ()
@@ -628,7 +638,7 @@ class DeformRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality")
+    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality", "animated")
     class Encoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         F32: _ClassVar[Frame.Encoding]
@@ -664,6 +674,7 @@ class Frame(_message.Message):
     BOX_MIN_FIELD_NUMBER: _ClassVar[int]
     BOX_MAX_FIELD_NUMBER: _ClassVar[int]
     QUALITY_FIELD_NUMBER: _ClassVar[int]
+    ANIMATED_FIELD_NUMBER: _ClassVar[int]
     seq: int
     revision: int
     part: int
@@ -683,7 +694,110 @@ class Frame(_message.Message):
     box_min: _containers.RepeatedScalarFieldContainer[float]
     box_max: _containers.RepeatedScalarFieldContainer[float]
     quality: Quality
-    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ...) -> None: ...
+    animated: Animated
+    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., animated: _Optional[_Union[Animated, _Mapping]] = ...) -> None: ...
+
+class Animated(_message.Message):
+    __slots__ = ("index", "count", "time", "root_translation", "root_rotation", "digest", "cycles", "stage", "fraction", "report")
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    TIME_FIELD_NUMBER: _ClassVar[int]
+    ROOT_TRANSLATION_FIELD_NUMBER: _ClassVar[int]
+    ROOT_ROTATION_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
+    CYCLES_FIELD_NUMBER: _ClassVar[int]
+    STAGE_FIELD_NUMBER: _ClassVar[int]
+    FRACTION_FIELD_NUMBER: _ClassVar[int]
+    REPORT_FIELD_NUMBER: _ClassVar[int]
+    index: int
+    count: int
+    time: float
+    root_translation: _containers.RepeatedScalarFieldContainer[float]
+    root_rotation: _containers.RepeatedScalarFieldContainer[float]
+    digest: str
+    cycles: int
+    stage: str
+    fraction: float
+    report: AnimationReport
+    def __init__(self, index: _Optional[int] = ..., count: _Optional[int] = ..., time: _Optional[float] = ..., root_translation: _Optional[_Iterable[float]] = ..., root_rotation: _Optional[_Iterable[float]] = ..., digest: _Optional[str] = ..., cycles: _Optional[int] = ..., stage: _Optional[str] = ..., fraction: _Optional[float] = ..., report: _Optional[_Union[AnimationReport, _Mapping]] = ...) -> None: ...
+
+class AnimateOptions(_message.Message):
+    __slots__ = ("session_id", "clip", "bvh", "bvh_size", "rig", "fps", "first", "count", "skip_first", "scale", "refine", "tolerance", "root", "output", "window", "played_as", "max_targets", "bones")
+    class SkipFirst(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        AUTO: _ClassVar[AnimateOptions.SkipFirst]
+        YES: _ClassVar[AnimateOptions.SkipFirst]
+        NO: _ClassVar[AnimateOptions.SkipFirst]
+    AUTO: AnimateOptions.SkipFirst
+    YES: AnimateOptions.SkipFirst
+    NO: AnimateOptions.SkipFirst
+    class Root(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        NODE: _ClassVar[AnimateOptions.Root]
+        BAKED: _ClassVar[AnimateOptions.Root]
+        NONE: _ClassVar[AnimateOptions.Root]
+    NODE: AnimateOptions.Root
+    BAKED: AnimateOptions.Root
+    NONE: AnimateOptions.Root
+    class PlayedAs(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        MORPH: _ClassVar[AnimateOptions.PlayedAs]
+        SKIN: _ClassVar[AnimateOptions.PlayedAs]
+    MORPH: AnimateOptions.PlayedAs
+    SKIN: AnimateOptions.PlayedAs
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    CLIP_FIELD_NUMBER: _ClassVar[int]
+    BVH_FIELD_NUMBER: _ClassVar[int]
+    BVH_SIZE_FIELD_NUMBER: _ClassVar[int]
+    RIG_FIELD_NUMBER: _ClassVar[int]
+    FPS_FIELD_NUMBER: _ClassVar[int]
+    FIRST_FIELD_NUMBER: _ClassVar[int]
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    SKIP_FIRST_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    REFINE_FIELD_NUMBER: _ClassVar[int]
+    TOLERANCE_FIELD_NUMBER: _ClassVar[int]
+    ROOT_FIELD_NUMBER: _ClassVar[int]
+    OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    WINDOW_FIELD_NUMBER: _ClassVar[int]
+    PLAYED_AS_FIELD_NUMBER: _ClassVar[int]
+    MAX_TARGETS_FIELD_NUMBER: _ClassVar[int]
+    BONES_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    clip: str
+    bvh: bytes
+    bvh_size: int
+    rig: Rig
+    fps: float
+    first: int
+    count: int
+    skip_first: AnimateOptions.SkipFirst
+    scale: float
+    refine: int
+    tolerance: float
+    root: AnimateOptions.Root
+    output: Output
+    window: int
+    played_as: AnimateOptions.PlayedAs
+    max_targets: int
+    bones: int
+    def __init__(self, session_id: _Optional[str] = ..., clip: _Optional[str] = ..., bvh: _Optional[bytes] = ..., bvh_size: _Optional[int] = ..., rig: _Optional[_Union[Rig, _Mapping]] = ..., fps: _Optional[float] = ..., first: _Optional[int] = ..., count: _Optional[int] = ..., skip_first: _Optional[_Union[AnimateOptions.SkipFirst, str]] = ..., scale: _Optional[float] = ..., refine: _Optional[int] = ..., tolerance: _Optional[float] = ..., root: _Optional[_Union[AnimateOptions.Root, str]] = ..., output: _Optional[_Union[Output, _Mapping]] = ..., window: _Optional[int] = ..., played_as: _Optional[_Union[AnimateOptions.PlayedAs, str]] = ..., max_targets: _Optional[int] = ..., bones: _Optional[int] = ...) -> None: ...
+
+class AnimateRequest(_message.Message):
+    __slots__ = ("options", "chunk", "ack", "cancel")
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    CHUNK_FIELD_NUMBER: _ClassVar[int]
+    ACK_FIELD_NUMBER: _ClassVar[int]
+    CANCEL_FIELD_NUMBER: _ClassVar[int]
+    options: AnimateOptions
+    chunk: bytes
+    ack: Ack
+    cancel: Cancel
+    def __init__(self, options: _Optional[_Union[AnimateOptions, _Mapping]] = ..., chunk: _Optional[bytes] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., cancel: _Optional[_Union[Cancel, _Mapping]] = ...) -> None: ...
+
+class Cancel(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
 
 class Notice(_message.Message):
     __slots__ = ("code", "message", "resume_token")

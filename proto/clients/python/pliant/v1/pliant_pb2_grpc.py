@@ -100,6 +100,11 @@ class DeformerStub(object):
                 request_serializer=pliant_dot_v1_dot_pliant__pb2.CarryRequest.SerializeToString,
                 response_deserializer=pliant_dot_v1_dot_pliant__pb2.CarryResponse.FromString,
                 _registered_method=True)
+        self.Animate = channel.stream_stream(
+                '/pliant.v1.Deformer/Animate',
+                request_serializer=pliant_dot_v1_dot_pliant__pb2.AnimateRequest.SerializeToString,
+                response_deserializer=pliant_dot_v1_dot_pliant__pb2.Frame.FromString,
+                _registered_method=True)
         self.GetLimits = channel.unary_unary(
                 '/pliant.v1.Deformer/GetLimits',
                 request_serializer=pliant_dot_v1_dot_pliant__pb2.GetLimitsRequest.SerializeToString,
@@ -204,6 +209,15 @@ class DeformerServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def Animate(self, request_iterator, context):
+        """Drives the model by a clip, and answers its frames in order, one or more parts each. Stages of the preparation come before
+        them, a report of them all comes last. No frame is left out: a client that does not read holds the solver up. The
+        session's handles, shape and history have no part in it and do not change.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def GetLimits(self, request, context):
         """The limits that this server enforces.
         """
@@ -278,6 +292,11 @@ def add_DeformerServicer_to_server(servicer, server):
                     servicer.Carry,
                     request_deserializer=pliant_dot_v1_dot_pliant__pb2.CarryRequest.FromString,
                     response_serializer=pliant_dot_v1_dot_pliant__pb2.CarryResponse.SerializeToString,
+            ),
+            'Animate': grpc.stream_stream_rpc_method_handler(
+                    servicer.Animate,
+                    request_deserializer=pliant_dot_v1_dot_pliant__pb2.AnimateRequest.FromString,
+                    response_serializer=pliant_dot_v1_dot_pliant__pb2.Frame.SerializeToString,
             ),
             'GetLimits': grpc.unary_unary_rpc_method_handler(
                     servicer.GetLimits,
@@ -637,6 +656,33 @@ class Deformer(object):
             '/pliant.v1.Deformer/Carry',
             pliant_dot_v1_dot_pliant__pb2.CarryRequest.SerializeToString,
             pliant_dot_v1_dot_pliant__pb2.CarryResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Animate(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/pliant.v1.Deformer/Animate',
+            pliant_dot_v1_dot_pliant__pb2.AnimateRequest.SerializeToString,
+            pliant_dot_v1_dot_pliant__pb2.Frame.FromString,
             options,
             channel_credentials,
             insecure,

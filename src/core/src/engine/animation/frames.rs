@@ -34,6 +34,10 @@ pub struct AnimatedFrame {
     pub positions: Vec<DVec3>,
     /// Cycles of the solver.
     pub cycles: usize,
+    /// Relative residual, largest over coordinates.
+    pub residual: f64,
+    /// Estimated largest missing displacement, as a fraction of the diagonal.
+    pub max_error: f64,
 }
 
 impl AnimatedFrame {
@@ -41,6 +45,35 @@ impl AnimatedFrame {
     pub fn bake_root(&mut self) {
         let root = std::mem::replace(&mut self.root, RigidMotion::IDENTITY);
         self.positions.iter_mut().for_each(|p| *p = root.place(*p));
+    }
+}
+
+/// Goes through the frames of a range one by one, and keeps what each leaves to the next. It begins where the block of the
+/// first one does.
+#[derive(Default)]
+pub struct FrameCursor {
+    next: usize,
+    wanted: Range<usize>,
+    state: SolveState,
+}
+
+impl FrameCursor {
+    fn over(wanted: Range<usize>) -> Self {
+        Self {
+            next: wanted.start - wanted.start % BLOCK_FRAMES,
+            wanted,
+            state: SolveState::default(),
+        }
+    }
+
+    /// The number of the frame that is solved next; `None` at the end.
+    pub fn next_index(&self) -> Option<usize> {
+        (self.next < self.wanted.end).then_some(self.next)
+    }
+
+    /// Bytes held.
+    pub fn byte_size(&self) -> u64 {
+        self.state.byte_size() as u64
     }
 }
 
@@ -100,15 +133,38 @@ impl Animation {
     ) -> Result<bool, Error> {
         let first = block * BLOCK_FRAMES;
         let last = (first + BLOCK_FRAMES).min(wanted.end);
-        let mut state = SolveState::default();
-        for index in first..last {
-            exec.check()?;
-            let frame = self.solve_frame(index, index == first, &mut state, exec)?;
-            if index >= wanted.start && !take(frame) {
+        let mut cursor = FrameCursor::over(first.max(wanted.start)..last);
+        while cursor.next_index().is_some() {
+            if let Some(frame) = self.solve_next(&mut cursor, exec)?
+                && !take(frame)
+            {
                 return Ok(false);
             }
         }
         Ok(true)
+    }
+
+    /// A cursor at the beginning of a range, as far as there are frames.
+    pub fn cursor(&self, range: Range<usize>) -> FrameCursor {
+        FrameCursor::over(range.start..range.end.min(self.times.count))
+    }
+
+    /// Solves the frame at a cursor and moves on; `None` for a frame that is not wanted itself but leads to one that is.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], after which the cursor is of no more use; [`Error::Internal`] for a defect, also past the end.
+    pub fn solve_next(&self, cursor: &mut FrameCursor, exec: &Exec<'_>) -> Result<Option<AnimatedFrame>, Error> {
+        exec.check()?;
+        let Some(index) = cursor.next_index() else {
+            return Err(Error::Internal("the animation has no more frames".into()));
+        };
+        let is_first = index.is_multiple_of(BLOCK_FRAMES);
+        if is_first {
+            cursor.state = SolveState::default();
+        }
+        let frame = self.solve_frame(index, is_first, &mut cursor.state, exec)?;
+        cursor.next += 1;
+        Ok((index >= cursor.wanted.start).then_some(frame))
     }
 
     fn solve_frame(
@@ -171,6 +227,8 @@ impl Animation {
             root: pose.root,
             positions,
             cycles: solution.iterations,
+            residual: solution.residual,
+            max_error: solution.max_error,
         })
     }
 }

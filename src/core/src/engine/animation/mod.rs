@@ -9,8 +9,10 @@ mod frames;
 mod held_nodes;
 mod prepare;
 mod settings;
+mod sums;
 
-pub use frames::AnimatedFrame;
+pub use frames::{AnimatedFrame, FrameCursor};
 pub use held_nodes::RigHandleFacts;
 pub use prepare::Animation;
-pub use settings::{AnimationRefinement, AnimationSettings, BLOCK_FRAMES, FrameTimes};
+pub use settings::{AnimationRefinement, AnimationSettings, BLOCK_FRAMES, FrameChoice, FrameTimes};
+pub use sums::FrameSums;

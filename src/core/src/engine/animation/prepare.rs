@@ -2,13 +2,18 @@
 
 use super::held_nodes::{RigHandleFacts, hold_nodes};
 use super::settings::{AnimationSettings, FrameTimes};
+use crate::asset::Model;
 use crate::deform::{HandleSetup, HandleSystem};
 use crate::engine::deformer::Deformer;
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::error::Error;
+use crate::engine::facts::QualityReport;
+use crate::engine::quality::measure_quality;
 use crate::exec::Exec;
 use crate::motion::SceneMotion;
 use crate::motion::rig::{MotionRig, RigDriver, RigHandle, rig_handles};
+use crate::pool::Pool;
+use glam::DVec3;
 use std::sync::Arc;
 
 /// A clip on a model, ready to be solved frame by frame.
@@ -95,6 +100,34 @@ impl Animation {
     /// What each handle of the rig came to hold.
     pub fn handle_facts(&self) -> &[RigHandleFacts] {
         &self.facts
+    }
+
+    /// How far a frame's positions, one per render vertex, are from the rest shape.
+    pub fn quality(&self, positions: &[DVec3], pool: &Pool) -> QualityReport {
+        let derived = &self.derived;
+        let deformed = derived.welded(positions);
+        measure_quality(&derived.mesh, derived.report().closed, &deformed, pool)
+    }
+
+    /// Length of the diagonal of the model's bounding box.
+    pub fn diagonal(&self) -> f64 {
+        self.derived.body.diagonal
+    }
+
+    /// The model, and its positions at rest, one per render vertex.
+    pub fn model(&self) -> (&Arc<Model>, &Arc<Vec<DVec3>>) {
+        let topology = self.derived.topology();
+        (&topology.model, &topology.rest)
+    }
+
+    /// Whether edits have made another topology of the model as it was read.
+    pub fn is_edited(&self) -> bool {
+        self.derived.topology().edited.is_some()
+    }
+
+    /// Bytes held, without what it shares with the deformer.
+    pub fn byte_size(&self) -> u64 {
+        self.system.byte_size() as u64
     }
 
     /// When its frames are.

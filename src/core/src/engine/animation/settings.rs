@@ -1,5 +1,8 @@
 //! How an animation is solved, and when its frames are.
 
+use crate::motion::MotionClip;
+use std::ops::Range;
+
 /// Frames of one block.
 pub const BLOCK_FRAMES: usize = 64;
 
@@ -65,5 +68,40 @@ impl FrameTimes {
     /// When a frame is.
     pub fn at(&self, frame: usize) -> f64 {
         self.start + frame as f64 / self.rate
+    }
+}
+
+/// Frames a second of clips that were not recorded in frames.
+const UNRECORDED_RATE: f64 = 30.0;
+
+/// Which frames of a clip are wanted.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct FrameChoice {
+    /// Frames a second, above 0; `None`: the clip's own, or 30 where it was not recorded in frames.
+    pub fps: Option<f64>,
+    /// Whether the first recorded frame, often a T-pose, is left out; `None`: where it is far from the second.
+    pub skip_first: Option<bool>,
+    /// The first one.
+    pub first: usize,
+    /// How many; `None`: all that follow.
+    pub count: Option<usize>,
+}
+
+impl FrameChoice {
+    /// Most frames a second.
+    pub const FASTEST: f64 = 10_000.0;
+
+    /// When all frames of a clip are.
+    pub fn times(&self, clip: &MotionClip) -> FrameTimes {
+        let recorded = clip.recorded.map_or(UNRECORDED_RATE, |r| 1.0 / r.interval);
+        let skips = self.skip_first.unwrap_or_else(|| clip.begins_apart());
+        let start = clip.recorded.filter(|_| skips).map_or(0.0, |r| r.interval);
+        FrameTimes::between(start, clip.duration, self.fps.unwrap_or(recorded))
+    }
+
+    /// Which of `all` frames are wanted; `None` when there are none of them.
+    pub fn range(&self, all: usize) -> Option<Range<usize>> {
+        let end = self.first.saturating_add(self.count.unwrap_or(all)).min(all);
+        (self.first < end).then_some(self.first..end)
     }
 }

@@ -1,7 +1,6 @@
 //! Which frames become shapes, where there are more frames than shapes: those between are blended along straight lines.
 
-use super::frames_file::FramesFile;
-use crate::cli::failure::CliFailure;
+use super::kept_frames::KeptFrames;
 use glam::Vec3;
 
 /// How many vertices are looked at while frames are chosen; all of them are in the end.
@@ -24,17 +23,17 @@ pub(super) struct KeyFrames {
 /// Chooses up to `most` frames, at least two: again and again the frame that is farthest from what those chosen so far blend to.
 /// Then each is moved between its neighbours to where the worst of both sides is least, until none moves. `own`: the vertices
 /// that matter.
-pub(super) fn choose_key_frames(
-    frames: &mut FramesFile,
+pub(super) fn choose_key_frames<F: KeptFrames>(
+    frames: &mut F,
     own: &[usize],
-    count: usize,
     most: usize,
-) -> Result<KeyFrames, CliFailure> {
+) -> Result<KeyFrames, F::Failure> {
+    let count = frames.count();
     let mut chosen: Vec<usize> = (0..count).collect();
     if count > most {
         let mut looks = Vec::with_capacity(count);
         for frame in 0..count {
-            let all = frames.read_positions(frame)?;
+            let all = frames.positions(frame)?;
             let step = own.len().div_ceil(LOOKED_AT).max(1);
             looks.push(own.iter().step_by(step).map(|v| all[*v]).collect::<Vec<Vec3>>());
         }
@@ -42,12 +41,12 @@ pub(super) fn choose_key_frames(
     }
     let mut shapes = Vec::with_capacity(chosen.len());
     for frame in &chosen {
-        shapes.push(frames.read_positions(*frame)?);
+        shapes.push(frames.positions(*frame)?);
     }
     let (mut error, mut squares): (f32, f64) = (0.0, 0.0);
     for (ends, pair) in chosen.windows(2).zip(shapes.windows(2)) {
         for frame in ends[0] + 1..ends[1] {
-            let here = frames.read_positions(frame)?;
+            let here = frames.positions(frame)?;
             let share = share(frame, ends);
             let off = |v: &usize| here[*v].distance_squared(pair[0][*v].lerp(pair[1][*v], share));
             for off in own.iter().map(off) {

@@ -1,0 +1,52 @@
+//! An animation in messages, for every transport that carries it. Frames are encoded part by part as the transport asks for
+//! them, so a reader that stops costs no encoded bytes.
+
+use crate::session::{AnimationAnswer, AnimationReader, Error};
+use crate::wire::frames::{FrameParts, encode};
+use crate::wire::{pb, stage_frame, summary_frame};
+
+/// Where the messages of an animation come out.
+#[derive(Debug)]
+pub(super) struct AnimationFrames {
+    output: AnimationReader,
+    /// What is left of the frame that is being sent.
+    parts: Option<FrameParts>,
+    last_seq: u64,
+}
+
+impl AnimationFrames {
+    /// The messages of an animation.
+    pub fn of_output(output: AnimationReader) -> Self {
+        Self {
+            output,
+            parts: None,
+            last_seq: 0,
+        }
+    }
+
+    /// The next message, or `None` when the animation has ended.
+    ///
+    /// # Cancel safety
+    /// Dropping the future loses no message.
+    ///
+    /// # Errors
+    /// Why the animation ends before its last frame; then it is over.
+    pub async fn next_message(&mut self) -> Option<Result<pb::Frame, Error>> {
+        loop {
+            if let Some(part) = self.parts.as_mut().and_then(Iterator::next) {
+                self.output.count_part_bytes(part.data.len());
+                return Some(Ok(part));
+            }
+            self.parts = None;
+            match self.output.next_answer().await? {
+                Ok(AnimationAnswer::Stage { stage, fraction }) => return Some(Ok(stage_frame(stage, fraction.into()))),
+                Ok(AnimationAnswer::Frame(frame)) => {
+                    self.last_seq = frame.header.seq;
+                    self.parts = Some(encode(*frame));
+                }
+                Ok(AnimationAnswer::Summary(summary)) => return Some(Ok(summary_frame(&summary, self.last_seq))),
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    }
+}

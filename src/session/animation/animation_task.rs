@@ -1,0 +1,245 @@
+//! The task of one animation: has it prepared, then solves its frames one by one.
+
+use crate::engine;
+use crate::engine::{FrameCursor, FrameSums, digest};
+use crate::exec::Exec;
+use crate::motion::rig::RigidMotion;
+use crate::pool::Pool;
+use crate::progress::Progress as _;
+use crate::session::animation::frame_outbox::FrameOutbox;
+use crate::session::animation::prepared_animation::{PreparedAnimation, ReadyAnimation};
+use crate::session::animation::running_animation::RunningAnimation;
+use crate::session::calls::command::SessionCommand;
+use crate::session::calls::manager::Manager;
+use crate::session::capacity::memory_budget::MemoryReservation;
+use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::registry::OpenSession;
+use crate::session::stream::outbound_frame::OutboundFrame;
+use crate::wire::frames::{AnimatedHeader, FrameHeader, FrameOutput};
+use crate::wire::{AnimateOrder, AnimationSummary, OrderedRoot};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// An animation on its way to its reader.
+pub(in crate::session) struct AnimationTask {
+    pub manager: Manager,
+    pub session: Arc<OpenSession>,
+    pub outbox: Arc<FrameOutbox>,
+    /// Its place among those under way.
+    pub running: RunningAnimation,
+}
+
+/// What solving a frame needs, wherever it runs.
+struct FrameSolver {
+    prepared: Arc<PreparedAnimation>,
+    revision: u64,
+    root: OrderedRoot,
+    output: FrameOutput,
+}
+
+/// What came of one step of a cursor.
+struct SolvedFrame {
+    cursor: FrameCursor,
+    sums: FrameSums,
+    /// `None` for a frame that only leads to one that is wanted.
+    frame: Option<OutboundFrame>,
+    cycles: usize,
+}
+
+impl AnimationTask {
+    /// Runs until the last frame is sent, or none is wanted any more.
+    pub async fn run_animation(self, order: AnimateOrder) {
+        let ended = tokio::select! {
+            biased;
+            () = self.session.closing.cancelled() => Err(self.session.why()),
+            ended = self.prepare_and_solve(order) => ended,
+        };
+        match ended {
+            Ok(Some(summary)) => self.outbox.complete(summary),
+            Ok(None) => {}
+            Err(error) => self.outbox.end_early(Some(error)),
+        }
+        tracing::debug!(session.id = %self.session.id, "animation ended");
+        drop(self.running);
+    }
+
+    /// The report of all frames; `None` when they are no longer wanted.
+    async fn prepare_and_solve(&self, order: AnimateOrder) -> Result<Option<AnimationSummary>, Error> {
+        let (root, output) = (order.root, order.output);
+        let outbox = Arc::clone(&self.outbox);
+        let command = |call| SessionCommand::Animate(Box::new(order), outbox, call);
+        let ready = tokio::select! {
+            ready = self.manager.call(&self.session, None, command) => ready?,
+            () = self.outbox.wait_for_end() => return Ok(None),
+        };
+        let ReadyAnimation {
+            prepared,
+            revision,
+            build_ms,
+        } = ready;
+        let memory = self.reserve_memory(&prepared)?;
+        let summary = AnimationSummary {
+            handles: prepared.animation.handle_facts().to_vec(),
+            warnings: prepared.warnings.clone(),
+            scale: prepared.animation.driver().scale(),
+            build_ms,
+            ..Default::default()
+        };
+        let prepared = Arc::new(prepared);
+        self.outbox.tell_prepared(Arc::clone(&prepared));
+        let solver = FrameSolver {
+            prepared,
+            revision,
+            root,
+            output,
+        };
+        self.solve_frames(Arc::new(solver), memory, summary).await
+    }
+
+    /// The bytes that it needs of what all sessions together may hold.
+    fn reserve_memory(&self, prepared: &PreparedAnimation) -> Result<MemoryReservation, Error> {
+        let bytes = prepared.byte_size();
+        let shared = &self.manager.shared;
+        shared.budget.reserve(bytes, bytes).ok_or_else(|| {
+            shared.metrics.refused.inc();
+            Error::exhausted(
+                format!("the animation would need {bytes} bytes of memory, fewer are free"),
+                5,
+            )
+        })
+    }
+
+    async fn solve_frames(
+        &self,
+        solver: Arc<FrameSolver>,
+        mut memory: MemoryReservation,
+        mut summary: AnimationSummary,
+    ) -> Result<Option<AnimationSummary>, Error> {
+        let shared = &self.manager.shared;
+        let prepared = &solver.prepared;
+        let mut cursor = prepared.animation.cursor(prepared.range.clone());
+        let begun = Instant::now();
+        while let Some(index) = cursor.next_index() {
+            let wanted = prepared.range.start;
+            if index < wanted {
+                let led = index % engine::BLOCK_FRAMES;
+                let fraction = led as f32 / (led + wanted - index) as f32;
+                self.outbox.tell_stage("frames before the first", fraction);
+            }
+            if !self.outbox.wait_for_room().await {
+                return Ok(None);
+            }
+            let slot = tokio::select! {
+                slot = shared.compute.slot_for_frame() => slot?,
+                () = self.outbox.wait_for_end() => return Ok(None),
+            };
+            let flags = vec![Arc::clone(&self.outbox.cancel), Arc::clone(&self.session.cancel)];
+            let watch = Arc::new(WorkWatch::new(flags, shared.config.solve));
+            let (inside, frames, sums) = (Arc::clone(&watch), Arc::clone(&solver), summary.sums);
+            let queued = slot.queued.as_secs_f64() * 1e3;
+            let solved = slot
+                .run(move |pool| frames.solve_next(cursor, sums, &inside, pool))
+                .await
+                .map_err(|panicked| {
+                    tracing::error!(session.id = %self.session.id, panic = panicked.0, "an animation panicked");
+                    Error::from(panicked)
+                })?;
+            let solved = match solved {
+                Ok(solved) => solved,
+                Err(error) => return self.unsolved(error, &watch),
+            };
+            SolvedFrame { cursor, .. } = solved;
+            summary.sums = solved.sums;
+            memory.resize(prepared.byte_size() + cursor.byte_size());
+            shared.metrics.cycles.inc_by(solved.cycles as u64);
+            shared.metrics.solve.observe(watch.elapsed().as_secs_f64());
+            self.session.lease.renew();
+            if let Some(mut frame) = solved.frame {
+                frame.header.queue_ms = queued;
+                frame.header.solve_ms = watch.elapsed().as_secs_f64() * 1e3;
+                self.outbox.send_frame(frame);
+            }
+        }
+        summary.ms = begun.elapsed().as_secs_f64() * 1e3;
+        Ok(Some(summary))
+    }
+
+    /// What it means that a frame could not be solved.
+    fn unsolved(&self, error: engine::Error, watch: &WorkWatch) -> Result<Option<AnimationSummary>, Error> {
+        if error != engine::Error::Cancelled {
+            return Err(error.into());
+        }
+        self.manager.shared.metrics.cancelled.inc();
+        if self.session.cancel.cancelled() {
+            return Err(self.session.why());
+        }
+        if watch.abandoned() {
+            return Ok(None);
+        }
+        let limit = watch.limit().as_millis();
+        let text = format!("a frame took longer than the {limit} ms that are allowed");
+        Err(Error::new(ErrorCode::DeadlineExceeded, text))
+    }
+}
+
+impl FrameSolver {
+    /// Solves and measures the frame at a cursor.
+    fn solve_next(
+        &self,
+        mut cursor: FrameCursor,
+        mut sums: FrameSums,
+        watch: &WorkWatch,
+        pool: &Pool,
+    ) -> Result<SolvedFrame, engine::Error> {
+        let animation = &self.prepared.animation;
+        let Some(mut frame) = animation.solve_next(&mut cursor, &Exec::new(pool, watch))? else {
+            return Ok(SolvedFrame {
+                cursor,
+                sums,
+                frame: None,
+                cycles: 0,
+            });
+        };
+        let quality = animation.quality(&frame.positions, pool);
+        sums.add(&quality);
+        let digest = digest(&frame.positions);
+        match self.root {
+            OrderedRoot::Apart => {}
+            OrderedRoot::Baked => frame.bake_root(),
+            OrderedRoot::Dropped => frame.root = RigidMotion::IDENTITY,
+        }
+        let animated = AnimatedHeader {
+            index: frame.index,
+            count: animation.times().count,
+            seconds: frame.seconds,
+            root: frame.root,
+            digest,
+            cycles: frame.cycles,
+        };
+        let header = FrameHeader {
+            seq: frame.index as u64 + 1,
+            revision: self.revision,
+            is_final: true,
+            residual: frame.residual,
+            max_error: frame.max_error,
+            quality: Some(quality),
+            animated: Some(Box::new(animated)),
+            ..Default::default()
+        };
+        let shader = self.prepared.shader.as_ref();
+        let outbound = OutboundFrame {
+            header,
+            shading: shader.map(|shader| Arc::new(shader.shade(&frame.positions))),
+            output: self.output,
+            diagonal: animation.diagonal(),
+            positions: Arc::new(frame.positions),
+        };
+        Ok(SolvedFrame {
+            cursor,
+            sums,
+            frame: Some(outbound),
+            cycles: frame.cycles,
+        })
+    }
+}

@@ -1,0 +1,297 @@
+//! What lies between the task of an animation and its reader: frames going out, acknowledgements coming in.
+//!
+//! No frame is left out, so the task waits while the window is full: what a slow reader costs is the window of frames. One short
+//! lock guards the state; it is never held while anything waits or computes.
+
+use crate::progress::{CancelFlag, Progress};
+use crate::session::animation::prepared_animation::PreparedAnimation;
+use crate::session::error::Error;
+use crate::session::stream::outbound_frame::OutboundFrame;
+use crate::wire::AnimationSummary;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::Notify;
+
+/// Something for the transport.
+#[derive(Debug)]
+pub(in crate::session) enum OutboxItem {
+    /// What is under way, and how much of it is done.
+    Stage(&'static str, f32),
+    Frame(Box<OutboundFrame>),
+    /// All frames have come.
+    Summary(Box<AnimationSummary>),
+    Failure(Error),
+    End,
+}
+
+/// How an animation ended.
+#[derive(Debug)]
+enum AnimationEnding {
+    Done(Option<Box<AnimationSummary>>),
+    Failed(Option<Error>),
+}
+
+#[derive(Default)]
+struct OutboxState {
+    /// The newest stage that the reader has not seen.
+    stage: Option<(&'static str, f32)>,
+    frames: VecDeque<OutboundFrame>,
+    /// Seq of every frame taken by the transport and not acknowledged.
+    unacknowledged: VecDeque<u64>,
+    acknowledged: Option<u64>,
+    /// No acknowledgement will come any more.
+    finished: bool,
+    ending: Option<AnimationEnding>,
+    prepared: Option<Arc<PreparedAnimation>>,
+}
+
+/// One animation between its task and its reader.
+pub(in crate::session) struct FrameOutbox {
+    window: usize,
+    state: Mutex<OutboxState>,
+    /// Wakes the reader.
+    reader: Notify,
+    /// Wakes the task.
+    solver: Notify,
+    /// Stops the solve under way.
+    pub cancel: Arc<CancelFlag>,
+}
+
+impl std::fmt::Debug for FrameOutbox {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "FrameOutbox(window {})", self.window)
+    }
+}
+
+impl FrameOutbox {
+    pub fn with_window(window: u32) -> Self {
+        Self {
+            window: window as usize,
+            state: Mutex::default(),
+            reader: Notify::new(),
+            solver: Notify::new(),
+            cancel: Arc::default(),
+        }
+    }
+
+    fn lock_state(&self) -> MutexGuard<'_, OutboxState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    // The reader's side.
+
+    /// The reader has the frames up to this one.
+    pub fn acknowledge(&self, seq: u64) {
+        let mut state = self.lock_state();
+        state.unacknowledged.retain(|&s| s > seq);
+        state.acknowledged = state.acknowledged.max(Some(seq));
+        self.solver.notify_one();
+    }
+
+    /// No acknowledgement will come any more: as many frames as the window has may wait to be taken.
+    pub fn finish_input(&self) {
+        let mut state = self.lock_state();
+        state.finished = true;
+        state.unacknowledged.clear();
+        self.solver.notify_one();
+    }
+
+    /// The newest frame that the reader has acknowledged.
+    pub fn acknowledged(&self) -> Option<u64> {
+        self.lock_state().acknowledged
+    }
+
+    /// What the transport may send next; `None` when there is nothing at the moment.
+    pub fn take_item(&self) -> Option<OutboxItem> {
+        let mut state = self.lock_state();
+        if let Some((stage, fraction)) = state.stage.take() {
+            return Some(OutboxItem::Stage(stage, fraction));
+        }
+        if let Some(frame) = state.frames.pop_front() {
+            if !state.finished {
+                state.unacknowledged.push_back(frame.header.seq);
+            }
+            self.solver.notify_one();
+            return Some(OutboxItem::Frame(Box::new(frame)));
+        }
+        Some(match state.ending.as_mut()? {
+            AnimationEnding::Done(summary) => summary.take().map_or(OutboxItem::End, OutboxItem::Summary),
+            AnimationEnding::Failed(error) => error.take().map_or(OutboxItem::End, OutboxItem::Failure),
+        })
+    }
+
+    /// Waits until `take_item` may have something new.
+    ///
+    /// # Cancel safety
+    /// Dropping the future loses no wake-up.
+    pub async fn wait_for_item(&self) {
+        self.reader.notified().await;
+    }
+
+    // The task's side.
+
+    /// Tells what is under way; only the newest stage waits for the reader.
+    pub fn tell_stage(&self, stage: &'static str, fraction: f32) {
+        self.lock_state().stage = Some((stage, fraction));
+        self.reader.notify_one();
+    }
+
+    /// The animation is prepared.
+    pub fn tell_prepared(&self, prepared: Arc<PreparedAnimation>) {
+        self.lock_state().prepared = Some(prepared);
+    }
+
+    /// The animation, once it is prepared.
+    pub fn prepared(&self) -> Option<Arc<PreparedAnimation>> {
+        self.lock_state().prepared.clone()
+    }
+
+    /// Waits until there is room for a frame; false when none is wanted any more.
+    pub async fn wait_for_room(&self) -> bool {
+        loop {
+            {
+                let state = self.lock_state();
+                if state.ending.is_some() {
+                    return false;
+                }
+                if state.frames.len() + state.unacknowledged.len() < self.window {
+                    return true;
+                }
+            }
+            self.solver.notified().await;
+        }
+    }
+
+    /// Waits until no frame is wanted any more.
+    pub async fn wait_for_end(&self) {
+        while self.lock_state().ending.is_none() {
+            self.solver.notified().await;
+        }
+    }
+
+    /// Sends a frame.
+    pub fn send_frame(&self, frame: OutboundFrame) {
+        let mut state = self.lock_state();
+        if state.ending.is_none() {
+            state.frames.push_back(frame);
+            self.reader.notify_one();
+        }
+    }
+
+    /// All frames have been sent.
+    pub fn complete(&self, summary: AnimationSummary) {
+        let mut state = self.lock_state();
+        state
+            .ending
+            .get_or_insert(AnimationEnding::Done(Some(Box::new(summary))));
+        self.reader.notify_one();
+    }
+
+    /// Ends the animation before its last frame; frames that wait are void. Without an error nobody reads any more.
+    pub fn end_early(&self, error: Option<Error>) {
+        let mut state = self.lock_state();
+        if state.ending.is_none() {
+            state.stage = None;
+            state.frames.clear();
+            state.ending = Some(AnimationEnding::Failed(error));
+        }
+        self.cancel.cancel();
+        self.reader.notify_one();
+        self.solver.notify_one();
+    }
+}
+
+/// Tells the reader of an animation which stage a piece of work is at.
+pub(in crate::session) struct StageTeller<'a> {
+    pub outbox: &'a FrameOutbox,
+    pub watch: &'a dyn Progress,
+}
+
+impl Progress for StageTeller<'_> {
+    fn cancelled(&self) -> bool {
+        self.watch.cancelled() || self.outbox.cancel.cancelled()
+    }
+
+    fn report(&self, stage: &'static str, fraction: f32) {
+        self.watch.report(stage, fraction);
+        self.outbox.tell_stage(stage, fraction);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::error::ErrorCode;
+    use crate::wire::frames::{FrameHeader, FrameOutput};
+    use futures::poll;
+
+    fn frame(seq: u64) -> OutboundFrame {
+        OutboundFrame {
+            header: FrameHeader {
+                seq,
+                ..Default::default()
+            },
+            positions: Arc::default(),
+            shading: None,
+            output: FrameOutput::default(),
+            diagonal: 1.0,
+        }
+    }
+
+    fn taken(outbox: &FrameOutbox) -> Option<u64> {
+        match outbox.take_item() {
+            Some(OutboxItem::Frame(frame)) => Some(frame.header.seq),
+            _ => None,
+        }
+    }
+
+    async fn has_room(outbox: &FrameOutbox) -> bool {
+        let waiting = outbox.wait_for_room();
+        tokio::pin!(waiting);
+        poll!(waiting).is_ready()
+    }
+
+    #[tokio::test]
+    async fn the_window_holds_the_solver_until_frames_are_acknowledged() {
+        let outbox = FrameOutbox::with_window(2);
+        for seq in 1..=2 {
+            assert!(has_room(&outbox).await);
+            outbox.send_frame(frame(seq));
+        }
+        assert!(!has_room(&outbox).await);
+        assert_eq!((taken(&outbox), taken(&outbox)), (Some(1), Some(2)));
+        assert!(!has_room(&outbox).await, "taken is not acknowledged");
+        outbox.acknowledge(1);
+        assert!(has_room(&outbox).await);
+        outbox.send_frame(frame(3));
+        assert!(!has_room(&outbox).await);
+        outbox.finish_input();
+        assert!(has_room(&outbox).await, "nobody is left to acknowledge");
+    }
+
+    #[tokio::test]
+    async fn every_frame_comes_before_the_summary() {
+        let outbox = FrameOutbox::with_window(8);
+        outbox.tell_stage("clip", 0.0);
+        outbox.tell_stage("fields", 0.5);
+        outbox.send_frame(frame(1));
+        outbox.complete(AnimationSummary::default());
+        outbox.end_early(Some(Error::new(ErrorCode::NotFound, "too late")));
+        assert!(matches!(outbox.take_item(), Some(OutboxItem::Stage("fields", _))));
+        assert_eq!(taken(&outbox), Some(1));
+        assert!(matches!(outbox.take_item(), Some(OutboxItem::Summary(_))));
+        assert!(matches!(outbox.take_item(), Some(OutboxItem::End)));
+    }
+
+    #[tokio::test]
+    async fn a_failure_is_told_at_once_and_once() {
+        let outbox = FrameOutbox::with_window(8);
+        outbox.send_frame(frame(1));
+        outbox.end_early(Some(Error::new(ErrorCode::NotFound, "gone")));
+        outbox.send_frame(frame(2));
+        assert!(outbox.cancel.cancelled());
+        assert!(!outbox.wait_for_room().await);
+        assert!(matches!(outbox.take_item(), Some(OutboxItem::Failure(e)) if e.message == "gone"));
+        assert!(matches!(outbox.take_item(), Some(OutboxItem::End)));
+    }
+}

@@ -1,0 +1,144 @@
+//! All frames of an animation as one model that plays them.
+
+use crate::batch::{KeptFrames, PlayedModel, write_morph_frames, write_skin_frames};
+use crate::exec::Exec;
+use crate::motion::rig::RigidMotion;
+use crate::session::animation::ends::AnimationReader;
+use crate::session::animation::prepared_animation::PreparedAnimation;
+use crate::session::answers::{AnimatedModel, AnimationAnswer};
+use crate::session::capacity::memory_budget::MemoryReservation;
+use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
+use crate::session::error::{Error, ErrorCode};
+use crate::session::shared::SharedResources;
+use crate::wire::frames::FrameRequest;
+use crate::wire::{self, OrderedRoot, PlayedForm};
+use glam::Vec3;
+use std::sync::Arc;
+
+/// What a vertex of a frame costs: its place, and what the written model has of it.
+const VERTEX_BYTES: u64 = 48;
+
+/// Frames in memory.
+#[derive(Default)]
+struct FramesInMemory {
+    roots: Vec<RigidMotion>,
+    shapes: Vec<Vec<Vec3>>,
+}
+
+impl KeptFrames for FramesInMemory {
+    type Failure = wire::Error;
+
+    fn count(&self) -> usize {
+        self.shapes.len()
+    }
+
+    fn root(&self, frame: usize) -> RigidMotion {
+        self.roots[frame]
+    }
+
+    fn positions(&mut self, frame: usize) -> Result<Vec<Vec3>, wire::Error> {
+        Ok(self.shapes[frame].clone())
+    }
+}
+
+impl FramesInMemory {
+    fn push(&mut self, frame: &FrameRequest) {
+        let root = frame.header.animated.as_ref().map(|a| a.root);
+        self.roots.push(root.unwrap_or(RigidMotion::IDENTITY));
+        self.shapes.push(frame.positions.iter().map(|p| p.as_vec3()).collect());
+    }
+}
+
+/// Takes the frames of an animation, and writes a model that plays them.
+pub(in crate::session) async fn gather_clip(
+    shared: &SharedResources,
+    mut output: AnimationReader,
+    (form, root): (PlayedForm, OrderedRoot),
+) -> Result<AnimatedModel, Error> {
+    let mut frames = FramesInMemory::default();
+    let mut memory = None;
+    let mut summary = loop {
+        match output.next_answer().await {
+            Some(Ok(AnimationAnswer::Stage { .. })) => {}
+            Some(Ok(AnimationAnswer::Frame(frame))) => {
+                if memory.is_none() {
+                    memory = Some(reserve_frames(shared, output.prepared().as_deref())?);
+                }
+                frames.push(&frame);
+            }
+            Some(Ok(AnimationAnswer::Summary(summary))) => break *summary,
+            Some(Err(error)) => return Err(error),
+            None => return Err(Error::new(ErrorCode::Internal, "an animation ended without a word")),
+        }
+    };
+    let gone = || Error::new(ErrorCode::Internal, "an animation has frames and was never prepared");
+    let prepared = output.prepared().ok_or_else(gone)?;
+    let guard = CancelOnDrop::default();
+    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
+    let watch = Arc::new(WorkWatch::new(flags, shared.config.build));
+    let inside = Arc::clone(&watch);
+    let has_root = root == OrderedRoot::Apart;
+    let slot = shared.compute.slot_for_frame().await?;
+    let written = slot.run(move |pool| {
+        let exec = Exec::new(pool, &*inside);
+        let (model, rest) = prepared.animation.model();
+        let (times, last) = (prepared.animation.times(), prepared.range.end - 1);
+        let played = PlayedModel {
+            model,
+            rest,
+            vertices: &prepared.played_vertices(),
+            own: prepared.own_clip,
+            seconds: [prepared.range.start, last].map(|frame| times.at(frame)),
+            diagonal: prepared.animation.diagonal(),
+            clip: &prepared.clip_name,
+            rate: times.rate,
+            has_root,
+        };
+        match form {
+            PlayedForm::Morphs(most) => write_morph_frames(&played, &mut frames, most),
+            PlayedForm::Bones(bones) => {
+                write_skin_frames(&played, &mut frames, bones, &exec).map(|(files, told)| (files, Some(told)))
+            }
+        }
+    });
+    let (files, told) = written.await.map_err(Error::from)?.map_err(|error| match error {
+        wire::Error::Cancelled if !watch.abandoned() => {
+            let limit = watch.limit().as_millis();
+            let text = format!("writing the animation took longer than the {limit} ms that are allowed");
+            Error::new(ErrorCode::DeadlineExceeded, text)
+        }
+        error => error.into(),
+    })?;
+    drop(memory);
+    summary.warnings.extend(told.map(|(_, line)| line));
+    Ok(AnimatedModel {
+        model: files.main.into(),
+        summary,
+    })
+}
+
+/// The bytes that all frames will hold, of what all sessions together may.
+fn reserve_frames(shared: &SharedResources, prepared: Option<&PreparedAnimation>) -> Result<MemoryReservation, Error> {
+    let (frames, vertices) = prepared.map_or((0, 0), |p| (p.range.len(), p.animation.model().1.len()));
+    if prepared.is_some_and(|p| p.animation.is_edited()) {
+        let text =
+            "edits have changed the model since it was read, and a GLB is made of the model as it was; ask for frames";
+        return Err(Error::new(ErrorCode::FailedPrecondition, text));
+    }
+    let bytes = (frames as u64)
+        .saturating_mul(vertices as u64)
+        .saturating_mul(VERTEX_BYTES);
+    let total = shared.budget.total();
+    if bytes > total {
+        let text =
+            format!("the animation as one model would need {bytes} bytes of memory, at most {total} are allowed");
+        return Err(Error::new(ErrorCode::TooLarge, text));
+    }
+    shared.budget.reserve(bytes, bytes).ok_or_else(|| {
+        shared.metrics.refused.inc();
+        Error::exhausted(
+            format!("the animation as one model would need {bytes} bytes of memory, fewer are free"),
+            5,
+        )
+    })
+}

@@ -1,0 +1,15 @@
+//! Animations: a clip drives a session's model, and its frames go out in order.
+//!
+//! The session's task prepares an animation and is free again; what was prepared shares the model's structures and changes nothing
+//! of the session's. A task of its own then solves frame by frame. It holds a compute slot for one frame at a time, so that
+//! poses of other streams take their turn in between, and it goes on only while the reader has room for a frame.
+
+mod animation_task;
+pub(super) mod ends;
+pub(super) mod frame_outbox;
+pub(super) mod gathered_clip;
+pub(super) mod open_animations;
+pub(super) mod prepared_animation;
+pub(super) mod running_animation;
+
+pub(super) use animation_task::AnimationTask;

@@ -1,0 +1,49 @@
+//! What a session's task does for an animation: it prepares it.
+
+use crate::engine;
+use crate::exec::Exec;
+use crate::session::animation::frame_outbox::{FrameOutbox, StageTeller};
+use crate::session::animation::prepared_animation::ReadyAnimation;
+use crate::session::calls::command::PendingCall;
+use crate::session::error::Error;
+use crate::session::task::session_task::SessionTask;
+use crate::wire::{self, AnimateOrder};
+use std::sync::Arc;
+
+impl SessionTask {
+    /// Prepares an animation of the model as it is now. Handles, shape and history stay as they are.
+    pub async fn prepare_animation(
+        &mut self,
+        order: AnimateOrder,
+        outbox: Arc<FrameOutbox>,
+        call: &PendingCall<ReadyAnimation>,
+    ) -> Result<ReadyAnimation, Error> {
+        let revision = self.history.revision();
+        let topology = self.history.current().topology.clone();
+        let limits = self.shared.config.animation_limits();
+        let (prepared, watch) = self
+            .compute(
+                &call.cancel,
+                self.shared.config.build,
+                move |deformer, pool, watch, _| {
+                    let teller = StageTeller { outbox: &outbox, watch };
+                    let exec = &Exec::new(pool, &teller);
+                    deformer.go_to_topology(topology.as_ref(), exec)?;
+                    let mut prepared = deformer.engine.prepare_animation(&order, &limits, exec)?;
+                    let is_shaded = order.output.normals || order.output.tangents;
+                    prepared.shader = is_shaded.then(|| deformer.shader());
+                    Ok::<_, wire::Error>(prepared)
+                },
+            )
+            .await?;
+        let prepared = prepared.map_err(|error| match error {
+            wire::Error::Cancelled => self.failure(engine::Error::Cancelled, &watch),
+            error => error.into(),
+        })?;
+        Ok(ReadyAnimation {
+            prepared,
+            revision,
+            build_ms: watch.take_stage_ms(),
+        })
+    }
+}

@@ -1,0 +1,251 @@
+//! What is refused of an animation: clips, rigs, values, sizes.
+
+use super::*;
+use tonic::Code;
+use tonic_types::StatusExt as _;
+
+/// Asks over HTTP and expects a refusal: status, detail and field.
+async fn refused(server: &Server, id: &str, options: &Value, clip: Option<String>) -> (u16, String, String) {
+    let answer = post_animation(server, id, "*/*", animation_form(options, clip)).await;
+    let status = answer.status().as_u16();
+    let problem: Value = answer.json().await.expect("a problem document");
+    let field = problem["errors"][0]["field"].as_str().unwrap_or_default();
+    (status, text(&problem["detail"]), field.to_owned())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn damaged_clips_are_refused_with_the_line() {
+    let server = Server::start().await;
+    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let good = bending_clip(3);
+    let rows = |text: &str| good.replace("Frames: 3\nFrame Time: 0.05\n", text);
+    let first_row = good.lines().position(|l| l.starts_with("Frame Time")).expect("a line") + 2;
+    let row = good.lines().nth(first_row - 1).expect("a row");
+    let short = row.rsplit_once(' ').expect("numbers").0;
+    let cases = [
+        ("nothing", String::new(), "empty".to_owned()),
+        ("no clip", "hello\n".into(), "line 1: ".into()),
+        (
+            "no motion",
+            good[..good.find("MOTION").expect("there")].into(),
+            "MOTION".into(),
+        ),
+        (
+            "an open brace",
+            good.replacen("}\n}\n}\nMOTION", "}\n}\nMOTION", 1),
+            "line ".into(),
+        ),
+        (
+            "a short row",
+            good.replacen(row, short, 1),
+            format!("line {first_row}: "),
+        ),
+        (
+            "a long row",
+            good.replacen(row, &format!("{row} 5"), 1),
+            format!("line {first_row}: "),
+        ),
+        (
+            "NaN",
+            good.replacen(row, &row.replacen("0 0", "NaN 0", 1), 1),
+            format!("line {first_row}: "),
+        ),
+        (
+            "a decimal comma",
+            good.replacen(row, &row.replacen("0 0", "0,5 0", 1), 1),
+            format!("line {first_row}: "),
+        ),
+        ("no frames", rows("Frames: 0\nFrame Time: 0.05\n"), "line ".into()),
+        ("too few rows", rows("Frames: 9\nFrame Time: 0.05\n"), "9".into()),
+        (
+            "countless frames",
+            rows("Frames: 1000000000000\nFrame Time: 0.05\n"),
+            "1000000".into(),
+        ),
+        ("no time", rows("Frames: 3\nFrame Time: 0\n"), "line ".into()),
+        (
+            "an unknown channel",
+            good.replacen("Xposition", "Wposition", 1),
+            "Wposition".into(),
+        ),
+    ];
+    for (what, clip, told) in cases {
+        let (status, detail, field) = refused(&server, &id, &json!({"rig": bar_rig()}), Some(clip)).await;
+        assert!(
+            detail.starts_with("clip: ") && detail.contains(&told),
+            "{what}: {detail:?} lacks {told:?}"
+        );
+        let expected = if status == 413 { (413, "") } else { (400, "clip") };
+        assert_eq!((status, field.as_str()), expected, "{what}: {detail}");
+    }
+    let options = json!({"rig": bar_rig(), "count": 1});
+    let answer = post_animation(&server, &id, "*/*", animation_form(&options, Some(good))).await;
+    assert_eq!(answer.status(), 200, "the session is as good as before");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn wrong_rigs_and_values_are_refused_with_their_field() {
+    let server = Server::start().await;
+    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let changed = |pointer: &str, value: Value| {
+        let mut options = json!({"rig": bar_rig()});
+        *options.pointer_mut(pointer).expect("there") = value;
+        options
+    };
+    let far = json!({"bottom": [900, 0, 0], "middle": [900, 0, 2], "top": [900, 0, 4]});
+    let cases = [
+        (
+            changed("/rig/bones/1/joint", json!("tail")),
+            "rig.joint",
+            "no joint of the clip",
+        ),
+        (
+            changed("/rig/bones/1/parent", json!("high")),
+            "rig.bones",
+            "in a circle",
+        ),
+        (
+            changed("/rig/bones/1/to", json!("nowhere")),
+            "rig.bones[1].to",
+            "nowhere",
+        ),
+        (changed("/rig/bones/0/radius", json!(0)), "rig.bones[0].radius", "is 0"),
+        (changed("/rig/version", json!(9)), "rig.version", "is 9"),
+        (changed("/rig/joints", far), "rig", "holds nothing"),
+        (json!({}), "rig", "is missing"),
+        (
+            json!({"rig": bar_rig(), "first": 3}),
+            "first",
+            "is 3, the animation has 3 frames",
+        ),
+        (json!({"rig": bar_rig(), "refine": 40}), "refine", "0 to 32"),
+        (json!({"rig": bar_rig(), "clip": "walk"}), "clip", "is given twice"),
+        (
+            json!({"rig": bar_rig(), "bvhSize": 5, "fps": 1}),
+            "clip",
+            "is given twice",
+        ),
+    ];
+    for (options, wanted, told) in cases {
+        let (status, detail, field) = refused(&server, &id, &options, Some(bending_clip(3))).await;
+        assert_eq!((status, field.as_str()), (422, wanted), "{detail}");
+        assert!(detail.contains(told), "{detail:?} lacks {told:?}");
+    }
+    let (status, detail, field) = refused(&server, &id, &json!({"speed": 2}), None).await;
+    assert_eq!((status, field.as_str()), (400, "speed"), "{detail}");
+    let (status, detail, field) = refused(&server, &id, &json!({"clip": "walk"}), None).await;
+    assert_eq!((status, field.as_str()), (422, "clip"), "{detail}");
+    let form = animation_form(&json!({}), None).replace("\"options\"", "\"song\"");
+    let answer = post_animation(&server, &id, "*/*", form).await;
+    assert_eq!(answer.status(), 400);
+    let answer = post_animation(&server, &id, "image/png", animation_form(&json!({}), None)).await;
+    assert_eq!(answer.status(), 406);
+    let answer = post_animation(&server, "0", "*/*", animation_form(&json!({}), None)).await;
+    assert_eq!(answer.status(), 404);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_over_a_limit_is_told_with_it() {
+    let server = Server::with(|sessions, _| {
+        sessions.clip_bytes = 4096;
+        sessions.clip_joints = 4;
+        sessions.animation_frames = 40;
+        // The bar has 224 vertices.
+        sessions.animation_vertices = 224 * 20;
+    })
+    .await;
+    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (clip, options) = (bending_clip(30), json!({"rig": bar_rig(), "skipFirst": "NO"}));
+    let deep = clip.replacen("End Site\n{\nOFFSET 0 0 2\n}", "JOINT a\n{\nOFFSET 0 0 1\nCHANNELS 0\nJOINT b\n{\nOFFSET 0 0 1\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 0 1\n}\n}\n}", 1);
+    let long = format!("{clip}{}", " ".repeat(4096));
+    let dense = json!({"rig": bar_rig(), "skipFirst": "NO", "fps": 1000});
+    for (what, options, clip, told) in [
+        ("bytes", &options, long, "more than the 4096 bytes"),
+        ("joints", &options, deep, "at most 4"),
+        (
+            "frames",
+            &dense,
+            clip.clone(),
+            "the number of frames of the animation is 1451, at most 40",
+        ),
+        (
+            "vertices",
+            &options,
+            clip.clone(),
+            "the number of frames times that of vertices is",
+        ),
+    ] {
+        let (status, detail, _) = refused(&server, &id, options, Some(clip)).await;
+        assert_eq!(status, 413, "{what}: {detail}");
+        assert!(detail.contains(told), "{what}: {detail:?} lacks {told:?}");
+    }
+    let part = json!({"rig": bar_rig(), "skipFirst": "NO", "first": 9, "count": 3});
+    let answer = post_animation(&server, &id, "*/*", animation_form(&part, Some(clip))).await;
+    assert_eq!(answer.status(), 200, "a part of it is small enough");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_begins_with_options_and_brings_what_they_announce() {
+    let server = Server::start().await;
+    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let mut client = server.grpc().await;
+    let announced = |size: u64| {
+        Message::Options(pb::AnimateOptions {
+            source: Some(Source::BvhSize(size)),
+            ..bar_options(&id, "")
+        })
+    };
+    let chunk = |text: &'static str| Message::Chunk(Bytes::from_static(text.as_bytes()));
+    let options = Message::Options(bar_options(&id, &bending_clip(9)));
+    let unknown = Message::Options(bar_options("nobody", ""));
+    for (messages, code, field, told) in [
+        (vec![], Code::InvalidArgument, "options", "the first message"),
+        (vec![chunk("x")], Code::InvalidArgument, "options", "the first message"),
+        (vec![unknown], Code::NotFound, "", "nobody"),
+        (
+            vec![announced(9), chunk("1234")],
+            Code::InvalidArgument,
+            "chunk",
+            "4 of the 9 bytes",
+        ),
+        (
+            vec![announced(2), chunk("1234")],
+            Code::InvalidArgument,
+            "chunk",
+            "4 bytes have come, bvhSize says 2",
+        ),
+        (
+            vec![announced(1 << 40)],
+            Code::ResourceExhausted,
+            "",
+            "at most 67108864",
+        ),
+        (
+            vec![announced(4), chunk("1234")],
+            Code::InvalidArgument,
+            "clip",
+            "line 1",
+        ),
+        (
+            vec![options.clone(), options],
+            Code::InvalidArgument,
+            "message",
+            "allowed are ack and cancel",
+        ),
+    ] {
+        let mut animating = Animating::begin_with(&mut client, messages).await;
+        animating.half_close();
+        let status = loop {
+            match animating.next_frame().await {
+                Ok(frame) => assert!(frame.is_some(), "{told}: it came to its end"),
+                Err(status) => break status,
+            }
+        };
+        assert_eq!(status.code(), code, "{told}: {status}");
+        assert!(status.message().contains(told), "{status} lacks {told:?}");
+        let named = status
+            .get_details_bad_request()
+            .map(|d| d.field_violations[0].field.clone());
+        assert_eq!(named.unwrap_or_default(), field, "{status}");
+    }
+}
