@@ -11,6 +11,7 @@
 The same with ``async`` is in :mod:`pliant.aio`. Failures are exceptions of :mod:`pliant.errors`.
 """
 
+from .animation import AnimatedFrame
 from .books import Commit
 from .carried import Carried
 from .channel import Settings
@@ -36,6 +37,7 @@ from .errors import (
     Unimplemented,
 )
 from .frames import Frame
+from .player import Animation
 from .poses import Pose
 from .server import LocalServer
 from .session import Session
@@ -44,6 +46,8 @@ from .stream import Stream
 __all__ = [
     "Aborted",
     "AlreadyExists",
+    "AnimatedFrame",
+    "Animation",
     "Cancelled",
     "Carried",
     "Client",

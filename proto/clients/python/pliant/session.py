@@ -13,12 +13,14 @@ import numpy as np
 from typing_extensions import Unpack
 
 from . import edits, frames, model
+from .animation import AnimateFields, Playing, Rig, order, recording
 from .books import Commit, Traffic, commits
 from .calls import Calls
 from .carried import Carried, carried, model_request, points_request
 from .declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
 from .frames import Floats, Frame
 from .options import SolveFields, options
+from .player import Animation
 from .poses import Poses
 from .progress import Meter, ProgressLike
 from .stream import Stream
@@ -113,6 +115,24 @@ class Session(Declared):
                 yield from _each(stream, poses, last=commit != "last")
             if commit == "last":
                 yield stream.commit()
+
+    def animate(
+        self,
+        clip: str | int | None = None,
+        *,
+        bvh: str | Path | bytes | None = None,
+        rig: Rig | None = None,
+        progress: ProgressLike = False,
+        **how: Unpack[AnimateFields],
+    ) -> Animation:
+        """Drives the model by a clip of its own (`clip`, by name or number; absent, its first) or by a BVH file (`bvh`, a path
+        or its bytes), and answers an iterator of the frames. `rig` says which bones the clip's joints drive: a JSON file,
+        what it holds, or a ``pb.Rig``; a model's own clip needs none.
+
+        The handles, the shape and the history of the session have no part in it and do not change.
+        """
+        playing = Playing(self.id, self.vertices, order(clip, rig, how), recording(bvh))
+        return Animation(self._calls, playing, self.info.limits.message_bytes, progress)
 
     def positions(self) -> Floats:
         """The current shape, (render vertices, 3): at rest before anything was solved."""

@@ -46,6 +46,15 @@ def creature(server: pliant.LocalServer, tmp_path_factory: pytest.TempPathFactor
 
 
 @pytest.fixture(scope="session")
+def figure(server: pliant.LocalServer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built-in figure, which is skinned and has clips, as a file."""
+    path = tmp_path_factory.mktemp("figure") / "figure.glb"
+    with urllib.request.urlopen(f"{server.url}/v1/sample.glb?name=figure") as answer:
+        path.write_bytes(answer.read())
+    return path
+
+
+@pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of test models."""
     folder = Path(os.environ.get("PLIANT_DATA", ROOT.parent / "shared/data"))

@@ -1,4 +1,4 @@
-"""The README's code runs, in order, in a folder that has what it says: the server's creature."""
+"""The README's code runs, in order, in a folder that has what it says: the server's creature and figure."""
 
 from __future__ import annotations
 
@@ -20,8 +20,14 @@ PYTHON = [text for language, text in BLOCKS if language == "python"]
 
 @pytest.mark.parametrize("block", PYTHON, ids=lambda text: text.strip().splitlines()[0][:30])
 def test_a_block_of_python_runs(
-    block: str, server: pliant.LocalServer, creature: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    block: str,
+    server: pliant.LocalServer,
+    creature: Path,
+    figure: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    shutil.copy(figure, tmp_path / "figure.glb")
     shutil.copy(creature, tmp_path / "creature.glb")
     script = tmp_path / "block.py"
     script.write_text(f"import numpy as np\nimport pliant\n\n{block}")

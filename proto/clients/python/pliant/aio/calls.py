@@ -85,6 +85,11 @@ class Calls:
         self.check_open()
         return self._stub.Deform(requests, metadata=self.settings.metadata())
 
+    def animate(self, requests: AsyncIterator[pb.AnimateRequest]) -> Any:
+        """Begins an animation; nothing is repeated here."""
+        self.check_open()
+        return self._stub.Animate(requests, metadata=self.settings.metadata())
+
     async def get(self, path: str) -> bytes:
         """The body of an HTTP GET, for what has no call in gRPC."""
 

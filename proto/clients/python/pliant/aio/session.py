@@ -13,6 +13,7 @@ import numpy as np
 from typing_extensions import Unpack
 
 from .. import edits, frames, model
+from ..animation import AnimateFields, Playing, Rig, order, recording
 from ..books import Commit, Traffic, commits
 from ..carried import Carried, carried, model_request, points_request
 from ..declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
@@ -22,6 +23,7 @@ from ..poses import Poses
 from ..progress import Meter, ProgressLike
 from ..v1 import pliant_pb2 as pb
 from .calls import Calls
+from .player import Animation
 from .stream import Stream
 
 
@@ -104,6 +106,19 @@ class Session(Declared):
                 yield frame
             if commit == "last":
                 yield await stream.commit()
+
+    def animate(
+        self,
+        clip: str | int | None = None,
+        *,
+        bvh: str | Path | bytes | None = None,
+        rig: Rig | None = None,
+        progress: ProgressLike = False,
+        **how: Unpack[AnimateFields],
+    ) -> Animation:
+        """Drives the model by a clip and answers an asynchronous iterator of the frames; see :meth:`pliant.Session.animate`."""
+        playing = Playing(self.id, self.vertices, order(clip, rig, how), recording(bvh))
+        return Animation(self._calls, playing, self.info.limits.message_bytes, progress)
 
     async def positions(self) -> Floats:
         """The current shape, (render vertices, 3): at rest before anything was solved."""
