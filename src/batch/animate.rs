@@ -176,7 +176,6 @@ pub fn prepare(
 /// # Errors
 /// Those of [`Animation::solve`], and what `take` refuses with.
 pub fn play<E: From<Error>>(
-    deformer: &Deformer,
     animation: &Animation,
     order: &AnimationOrder,
     exec: &Exec<'_>,
@@ -193,7 +192,7 @@ pub fn play<E: From<Error>>(
     let mut last = begun;
     let mut refused = None;
     let solved = animation.solve(order.range.clone(), order.blocks_at_once, exec, &mut |mut frame| {
-        let mut told = frame_report(deformer, &frame, exec);
+        let mut told = frame_report(&frame);
         if order.bakes_root {
             frame.bake_root();
         }
@@ -225,8 +224,8 @@ pub fn warnings_of(animation: &Animation) -> Vec<String> {
     warnings
 }
 
-fn frame_report(deformer: &Deformer, frame: &AnimatedFrame, exec: &Exec<'_>) -> pb::animation_report::FrameReport {
-    let quality = deformer.quality(&frame.positions, exec.pool);
+fn frame_report(frame: &AnimatedFrame) -> pb::animation_report::FrameReport {
+    let quality = &frame.quality;
     pb::animation_report::FrameReport {
         index: u32::try_from(frame.index).unwrap_or(u32::MAX),
         time: frame.seconds,

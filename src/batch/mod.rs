@@ -19,6 +19,6 @@ pub use kept_frames::{KeptFrames, PlayedModel, WrittenOff, node_place};
 pub use morph_frames::write_morph_frames;
 pub use riders::CarriedFile;
 pub use rig::{MadeRig, RigOrder, make_rig};
-pub use run::{BatchOutcome, pose_steps, run, unmet_expectations};
+pub use run::{BatchOutcome, BatchOutput, StepTaker, pose_steps, run, run_and_write, unmet_expectations};
 pub use skin::{BoundModel, bind_model, carrying_joints};
 pub use skin_frames::write_skin_frames;

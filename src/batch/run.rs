@@ -35,6 +35,18 @@ pub struct BatchOutcome {
     pub unchecked: Vec<&'static str>,
 }
 
+/// Takes the model as it is after a step, told by its number; `false` ends the job there.
+pub type StepTaker<'a> = dyn FnMut(usize, &WrittenFiles) -> bool + 'a;
+
+/// What a job writes.
+#[derive(Default)]
+pub struct BatchOutput<'a> {
+    /// As what; as the model's own format when `None`.
+    pub format: Option<Format>,
+    /// Who takes the model after every step, when not only the last one is wanted.
+    pub each_step: Option<&'a mut StepTaker<'a>>,
+}
+
 /// Runs `job` on a model and writes the result as `format` (the model's own when `None`).
 ///
 /// # Errors
@@ -47,9 +59,29 @@ pub fn run(
     exec: &Exec<'_>,
     millis: &(dyn Fn() -> f64 + Sync),
 ) -> Result<BatchOutcome, Error> {
+    let output = BatchOutput {
+        format,
+        each_step: None,
+    };
+    run_and_write(files, job, output, limits, exec, millis)
+}
+
+/// As [`run`], with more to say about what is written.
+///
+/// # Errors
+/// Those of [`run`]; [`Error::Cancelled`] when who takes the steps has had enough.
+pub fn run_and_write(
+    files: FileSet,
+    job: &pb::Job,
+    output: BatchOutput<'_>,
+    limits: &DeformerLimits,
+    exec: &Exec<'_>,
+    millis: &(dyn Fn() -> f64 + Sync),
+) -> Result<BatchOutcome, Error> {
     let options = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?;
     job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
     let todo = steps_of(job)?;
+    let BatchOutput { format, mut each_step } = output;
     let stages = StageClock::new(millis, exec.progress);
     let exec = Exec::new(exec.pool, &stages);
     let mut batch = BatchRun::open(files, job, &options, limits, &exec)?;
@@ -77,6 +109,14 @@ pub fn run(
         done.bytes = facts.byte_size;
         done.digest = digest(&batch.shape.positions);
         done.field_cycles = batch.deformer.rig().map_or(0, |r| r.field_iterations as u32);
+        if let Some(take) = &mut each_step {
+            stages.report("encode", 0.0);
+            let written = batch.write(format, &exec)?;
+            done.ms.extend(stages.take_stage_ms());
+            if !take(k, &written) {
+                return Err(Error::Cancelled);
+            }
+        }
         steps.push(done);
     }
     let quality = match steps.last().and_then(|step: &pb::report::Step| step.quality) {
@@ -222,6 +262,12 @@ impl<'a> BatchRun<'a> {
             edit: Some(edit_result(&outcome.report)),
             ..Default::default()
         })
+    }
+
+    /// The model as it is now.
+    fn write(&self, format: Option<Format>, exec: &Exec<'_>) -> Result<WrittenFiles, Error> {
+        let format = format.unwrap_or(self.deformer.model().format);
+        Ok(self.deformer.write(&self.shape.positions, format, exec)?)
     }
 
     /// Compares the shape with the rest shape.

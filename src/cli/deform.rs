@@ -7,8 +7,8 @@ use super::model_files::{output_format, read_model};
 use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
-use crate::asset::{FileSet, FollowedCounts};
-use crate::batch;
+use crate::asset::{FileSet, FollowedCounts, Format, WrittenFiles};
+use crate::batch::{self, BatchOutput};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
 use crate::mesh::grouped_count;
@@ -28,6 +28,9 @@ pub struct DeformArgs {
     /// Where to write the result; the extension says the format
     #[arg(short, long)]
     output: PathBuf,
+    /// Write the model as it is after every step into this folder too, numbered
+    #[arg(long, value_name = "FOLDER")]
+    steps: Option<PathBuf>,
     #[command(flatten)]
     permission: OutputPermission,
     /// Print a report as JSON on stdout
@@ -44,26 +47,42 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     let job = read_job(&args.job)?;
     let folder = args.output.parent().unwrap_or(Path::new(""));
     check_passenger_outputs(&job, folder, args)?;
+    for step in 0..job.steps.len() {
+        let path = args.step_path(step, format);
+        path.map_or(Ok(()), |path| args.permission.check_target(&path))?;
+    }
     let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
     let spinner = StageSpinner::new(args.json);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
     let limits = DeformerLimits::default();
-    let mut outcome = batch::run(
-        files.clone(),
-        &job,
-        Some(format),
-        &limits,
-        &Exec::new(&pool, &spinner),
-        &millis,
-    )?;
+    let mut written_steps = Vec::new();
+    let mut refused = None;
+    let mut take = |step: usize, written: &WrittenFiles| {
+        let path = args.step_path(step, format).unwrap_or_default();
+        let done = args.permission.write_model(&path, written, &args.model, &files);
+        done.map(|paths| written_steps.extend(paths))
+            .map_err(|e| refused = Some(e))
+            .is_ok()
+    };
+    let output = BatchOutput {
+        format: Some(format),
+        each_step: args.steps.is_some().then_some(&mut take),
+    };
+    let exec = Exec::new(&pool, &spinner);
+    let outcome = batch::run_and_write(files.clone(), &job, output, &limits, &exec, &millis);
+    if let Some(refused) = refused {
+        return Err(refused);
+    }
+    let mut outcome = outcome?;
     spinner.finish();
 
     let written = args
         .permission
         .write_model(&args.output, &outcome.written, &args.model, &files)?;
-    outcome.report.output = written.iter().map(|p| p.display().to_string()).collect();
+    let all = written.iter().chain(&written_steps);
+    outcome.report.output = all.map(|p| p.display().to_string()).collect();
     for passenger in &outcome.carried {
         let path = folder.join(&passenger.path);
         let written = args
@@ -83,6 +102,14 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     match outcome.unmet.is_empty() {
         true => Ok(()),
         false => Err(CliFailure::Check(outcome.unmet.join("; "))),
+    }
+}
+
+impl DeformArgs {
+    /// Where the model goes as it is after a step.
+    fn step_path(&self, step: usize, format: Format) -> Option<PathBuf> {
+        let folder = self.steps.as_ref()?;
+        Some(folder.join(format!("step_{step:05}.{format}")))
     }
 }
 

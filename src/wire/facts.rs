@@ -35,6 +35,7 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
             .map(|h| pb::HandleFacts {
                 id: h.id.clone(),
                 vertices: h.vertices,
+                interior_nodes: h.interior_nodes,
                 centroid: h.centroid.to_array().to_vec(),
                 pose: None,
             })

@@ -259,6 +259,122 @@ fn position_and_rotation_may_be_held_by_different_handles() {
     assert!(held.into_iter().all(|(p, x)| p == x));
 }
 
+/// A sphere well inside the bar, at a height.
+fn core_at(height: f64) -> pb::Region {
+    let sphere = pb::region::Sphere {
+        center: vec![0.0, 0.0, height],
+        radius: 0.3,
+    };
+    pb::Region {
+        region: Some(pb::region::Region::Sphere(sphere)),
+    }
+}
+
+#[test]
+fn a_handle_may_hold_nodes_inside_alone() {
+    let mut bench = bench(&bar());
+    set(
+        &mut bench,
+        vec![handle("base", below(0.25)), handle("core", core_at(3.5))],
+    );
+    let core = &bench.facts().handles[1];
+    assert!(core.vertices == 0 && core.interior_nodes > 4, "{core:?}");
+    assert!(core.centroid.distance(DVec3::new(0.0, 0.0, 3.5)) < 0.1, "{core:?}");
+    assert!(bench.facts().warnings.is_empty(), "{:?}", bench.facts().warnings);
+    let moved = solve(&mut bench, &[("core", shift(DVec3::new(0.5, 0.0, 0.0)))], 1e-6);
+    let around = |z: f64| {
+        let near = bench
+            .rest()
+            .iter()
+            .zip(moved.positions.iter())
+            .filter(|(p, _)| (p.z - z).abs() < 0.1);
+        near.map(|(p, x)| x.x - p.x).fold(f64::MAX, f64::min)
+    };
+    assert!(
+        around(3.5) > 0.4,
+        "the surface around what is held follows, by {}",
+        around(3.5)
+    );
+    assert!(
+        around(0.2).abs() < 0.05,
+        "and what is far away does not, {}",
+        around(0.2)
+    );
+
+    let nowhere = pb::region::Sphere {
+        center: vec![9.0, 0.0, 0.0],
+        radius: 0.3,
+    };
+    let nowhere = pb::Region {
+        region: Some(pb::region::Region::Sphere(nowhere)),
+    };
+    let request = pb::SetHandlesRequest {
+        handles: vec![handle("nowhere", nowhere)],
+        ..Default::default()
+    };
+    let refused = bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent));
+    let told = refused.expect_err("it holds nothing").to_string();
+    assert!(told.starts_with("handles[0].region: holds no vertex"), "{told}");
+    assert_eq!(bench.facts().handles.len(), 2, "the handles in force stay");
+}
+
+#[test]
+fn an_edit_carries_a_handle_that_holds_nodes_inside_alone() {
+    let mut bench = bench(&bar());
+    set(
+        &mut bench,
+        vec![handle("base", below(0.25)), handle("core", core_at(3.5))],
+    );
+    let before = bench.facts().handles[1].interior_nodes;
+    let request: pb::EditRequest = pliant::wire::json::from_json(
+        br#"{"subdivide": {"region": {"halfSpace": {"normal": [0, 0, 1], "offset": 3}}}}"#,
+    )
+    .expect("an edit");
+    let (edit, on) = pliant::wire::edit(&request, None).expect("an edit");
+    let (shape, poses) = (bench.rest_shape(), bench.initial_poses());
+    let command = pliant::engine::EditCommand {
+        edit: &edit,
+        on,
+        shape: &shape,
+        poses: &poses,
+        settings: None,
+    };
+    let outcome = bench.edit(&command, &Exec::new(&pool(2), &Silent)).expect("edited");
+    assert!(outcome.report.warnings.is_empty(), "{:?}", outcome.report.warnings);
+    let handles = bench.facts().handles;
+    assert_eq!(handles.len(), 2, "{handles:?}");
+    assert!(2 * handles[1].interior_nodes > before, "{handles:?}, {before} before");
+}
+
+#[test]
+fn pulls_of_soft_handles_that_overlap_add_up() {
+    let soft = |id: &str| pb::Handle {
+        stiffness: Some(0.05),
+        ..handle(id, above(3.75))
+    };
+    let pulled = |ids: &[&str], by: f64| {
+        let mut bench = bench(&bar());
+        let mut handles = vec![handle("base", below(0.25))];
+        handles.extend(ids.iter().map(|id| soft(id)));
+        set(&mut bench, handles);
+        assert!(bench.facts().warnings.is_empty(), "{:?}", bench.facts().warnings);
+        assert!(bench.facts().handles.iter().all(|h| h.vertices > 0));
+        let away = DVec3::new(by, 0.0, 0.0);
+        let poses: Vec<_> = ids.iter().map(|&id| (id, shift(away))).collect();
+        let solved = solve(&mut bench, &poses, 1e-8);
+        let top = bench.rest().iter().position(|p| p.z > 3.99).expect("a top");
+        solved.positions[top].x - bench.rest()[top].x
+    };
+    let (one, two) = (pulled(&["a"], 1.0), pulled(&["a", "b"], 1.0));
+    assert!(two > 1.05 * one && two < 1.0, "one pulls by {one}, two by {two}");
+    // Two pulls of opposite poses cancel: a sum, and no matter which came last.
+    let mut bench = bench(&bar());
+    set(&mut bench, vec![handle("base", below(0.25)), soft("a"), soft("b")]);
+    let poses = [("a", shift(DVec3::X)), ("b", shift(-DVec3::X))];
+    let solved = solve(&mut bench, &poses, 1e-8);
+    assert!(largest_distance(&solved.positions, bench.rest()) < 1e-3);
+}
+
 #[test]
 fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing() {
     let mut bench = bent_bar();

@@ -155,7 +155,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         bar.step();
         taker.take(frame, told)
     };
-    let mut report = play(&deformer, &animation, &order, &quiet, &millis, &mut take)?;
+    let mut report = play(&animation, &order, &quiet, &millis, &mut take)?;
     drop(bar);
     taker.finish(&mut report)?;
     let ended = report.totals.unwrap_or_default();

@@ -156,6 +156,7 @@ impl Engine for Fake {
         let facts = |h: &Handle| HandleFacts {
             id: h.id.clone(),
             vertices: 0,
+            interior_nodes: 0,
             centroid: DVec3::ZERO,
         };
         DeformerFacts {

@@ -1,12 +1,14 @@
 //! What a deformation works on whatever the handles are: the graph and its hierarchy.
 
 use crate::deform::error::Error;
+use crate::deform::second_pass::single_rest::SingleRest;
 use crate::exec::Exec;
 use crate::graph::{self, MeshGraph};
 use crate::mesh::Mesh;
 use crate::solver::{self, Hierarchy};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 pub use crate::graph::{EdgeWeights, TieFamilies, TieOptions};
 pub use crate::solver::CoarseOperators;
@@ -51,6 +53,8 @@ pub struct DeformableBody {
     pub(in crate::deform) rest: Vec<[f64; 3]>,
     /// Σ w (p_i − p_j) over neighbours: the first sum of equation (8)'s right-hand side.
     pub(in crate::deform) laplacian: Vec<[f64; 3]>,
+    /// Both in single precision, once an animation asked for them.
+    pub(in crate::deform) single: OnceLock<SingleRest>,
     /// Where solving coordinates have their origin, in model space.
     pub(in crate::deform) origin: DVec3,
     /// Model units of one solving unit; a power of two.
@@ -124,6 +128,7 @@ impl DeformableBody {
             hierarchy,
             rest,
             laplacian,
+            single: OnceLock::new(),
             origin,
             unit,
             diagonal,
@@ -146,9 +151,17 @@ impl DeformableBody {
         self.unit
     }
 
+    /// Rest positions and their Laplacian in single precision; made when first asked for.
+    pub(in crate::deform) fn single_rest(&self) -> &SingleRest {
+        self.single.get_or_init(|| SingleRest::of(&self.rest, &self.laplacian))
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
-        self.graph.byte_size() + self.hierarchy.byte_size() + (self.rest.capacity() + self.laplacian.capacity()) * 24
+        self.graph.byte_size()
+            + self.hierarchy.byte_size()
+            + (self.rest.capacity() + self.laplacian.capacity()) * 24
+            + self.single.get().map_or(0, SingleRest::byte_size)
     }
 
     /// From model space to solving coordinates.

@@ -95,6 +95,7 @@ impl DeformableBody {
             hierarchy,
             rest,
             laplacian,
+            single: Default::default(),
             origin: self.origin,
             unit: self.unit,
             graph,

@@ -80,7 +80,7 @@ pub use edited_body::EditedBody;
 pub use error::Error;
 pub use fields::{FieldRestart, HarmonicFields, KeptFields};
 pub use first_pass::{FirstPass, LocalFrame, frames};
-pub use folds::unfold_faces;
+pub use folds::{FaceChanges, FaceSurroundings, unfold_faces};
 pub use handles::{
     FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, carry, shares_difference,
 };

@@ -43,6 +43,8 @@ pub(super) fn carry_handles(
     for (k, handle) in old.handles.iter().enumerate() {
         let region = match &handle.region {
             Region::Weights(values) => carry_weights(values, applied, patch),
+            // What holds nodes inside alone goes on to hold them; there are no vertices to list.
+            inside if inside.is_solid() && !held.vertices[k].contains(&true) => Some(inside.clone()),
             _ => carry_vertices(&held.vertices[k], applied, patch, true),
         };
         let Some(region) = region else {

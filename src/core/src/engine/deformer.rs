@@ -303,9 +303,10 @@ impl Deformer {
     fn handle_facts(&self) -> Vec<HandleFacts> {
         let places = self.handles.counts.iter().zip(&self.handles.centroids);
         let handles = self.handles.set.handles.iter().zip(places);
-        let facts = handles.map(|(h, (&vertices, &centroid))| HandleFacts {
+        let facts = handles.map(|(h, (held, &centroid))| HandleFacts {
             id: h.id.clone(),
-            vertices,
+            vertices: held.vertices,
+            interior_nodes: held.interior_nodes,
             centroid,
         });
         facts.collect()

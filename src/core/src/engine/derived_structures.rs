@@ -15,7 +15,9 @@ use super::tie_facts::tie_facts;
 use super::topology_id::TopologyId;
 use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyLineage, TopologyState};
 use crate::asset::Model;
-use crate::deform::{BodyOptions, DeformableBody, EditedBody, NeedlesAndCaps, TieOptions, VolumeMode};
+use crate::deform::{
+    BodyOptions, DeformableBody, EditedBody, FaceSurroundings, NeedlesAndCaps, TieOptions, VolumeMode,
+};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
@@ -47,6 +49,8 @@ pub(super) struct DerivedStructures {
     /// The vertices that ride along, once a shape was solved.
     riders: OnceLock<RidingVertices>,
     ties: OnceLock<TieFacts>,
+    /// What is around the surface's vertices, once faces of an animation turned over.
+    pub surroundings: OnceLock<FaceSurroundings>,
 }
 
 /// What an edit made of a model.
@@ -224,6 +228,7 @@ impl DerivedStructures {
             carry: OnceLock::new(),
             riders: OnceLock::new(),
             ties: OnceLock::new(),
+            surroundings: OnceLock::new(),
         }
     }
 
@@ -301,7 +306,8 @@ impl DerivedStructures {
             + self.thin.byte_size()
             + self.body.byte_size()
             + self.carry.get().map_or(0, |surface| surface.byte_size())
-            + self.riders.get().map_or(0, RidingVertices::byte_size);
+            + self.riders.get().map_or(0, RidingVertices::byte_size)
+            + self.surroundings.get().map_or(0, FaceSurroundings::byte_size);
         model + past + parts as u64
     }
 

@@ -13,7 +13,7 @@ use super::facts::{DeformerWarning, MeshCounts, count_u32};
 use super::large_faces::{HandleBend, largest_turn};
 use super::model_topology::EditSurface;
 use super::pose::HandlePoses;
-use super::region_context::{RegionContext, vertices_in_region};
+use super::region_context::{RegionContext, vertices_in_region, vertices_of_handle};
 use super::settings::{SolveMode, SolveSettings};
 use super::shape::ModelShape;
 use super::topology_state::{KeptHandleFields, TopologyState};
@@ -254,7 +254,7 @@ impl Deformer {
         let mut vertices = Vec::new();
         for (k, handle) in set.handles.iter().enumerate() {
             let place = |part| InputPlace::HandleRegion(k, part);
-            vertices.push(vertices_in_region(&context, &handle.region, None).map_err(|e| e.with_place(place))?);
+            vertices.push(vertices_of_handle(&context, &handle.region).map_err(|e| e.with_place(place))?);
         }
         if let Some(region) = &set.region_of_interest {
             let held = vertices_in_region(&context, region, None);

@@ -90,7 +90,9 @@ pub struct HandleFacts {
     pub id: String,
     /// Render vertices that it holds, after later handles took theirs.
     pub vertices: u32,
-    /// The default pivot: the mean of its solver vertices at rest.
+    /// Nodes inside the model that it holds, likewise.
+    pub interior_nodes: u32,
+    /// The default pivot: the mean of its solver vertices at rest; of its nodes inside when it holds no vertex.
     pub centroid: DVec3,
 }
 

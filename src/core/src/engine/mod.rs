@@ -85,6 +85,7 @@ pub use handle::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet};
 pub use limits::DeformerLimits;
 pub use passenger::{CarriedModel, Passenger, PassengerKind};
 pub use pose::{HandlePose, HandlePoses, HandleRotation, HandleScale};
+pub use quality::FrameQuality;
 pub use region::{Plane, Region, VertexRange};
 pub use riding_nodes::CarriedNode;
 pub use settings::{COMMIT_REFINE, KeptApart, OpenOptions, SolveMode, SolveSettings};

@@ -2,6 +2,7 @@
 
 use super::facts::QualityReport;
 use super::large_faces::count_kinked_faces;
+use crate::deform::FaceChanges;
 use crate::mesh::distortion::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::{BoundingBox, Mesh, shading};
 use crate::pool::Pool;
@@ -17,26 +18,58 @@ const BLOCK: usize = 4096;
 /// taken from its neighbours' normals: a fold shows, a part that was turned over as a whole does not.
 pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], pool: &Pool) -> QualityReport {
     let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
-    let (sums, (flipped_triangles, faces_too_large)) = pool.install(|| {
+    let (sums, max_stretch, (flipped_triangles, faces_too_large)) = pool.install(|| {
         let blocks: Vec<QualitySums> = mesh
             .triangles
             .par_chunks(BLOCK)
             .map(|block| QualitySums::of(block, [&mesh.positions, deformed], closed, centers))
             .collect();
         let sums = blocks.into_iter().fold(QualitySums::default(), QualitySums::join);
-        (sums, count_bad_faces(mesh, deformed))
+        (sums, greatest_stretch(mesh, deformed), count_bad_faces(mesh, deformed))
     });
-    let change = |[before, now]: [f64; 2]| if before != 0.0 { now / before - 1.0 } else { 0.0 };
     QualityReport {
-        edge_rms: (sums.squares / sums.edges.max(1) as f64).sqrt(),
+        edge_rms: sums.edge_rms(),
         volume_change: if closed { change(sums.volume) } else { 0.0 },
         open_surface: !closed,
         area_change: change(sums.area),
         flipped_triangles,
-        max_stretch: sums.max_stretch,
+        max_stretch,
         faces_too_large,
         self_intersections: None,
     }
+}
+
+/// How far a frame of an animation is from the rest shape.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameQuality {
+    /// As [`QualityReport::volume_change`].
+    pub volume_change: f64,
+    /// As [`QualityReport::flipped_triangles`].
+    pub flipped_triangles: u32,
+    /// As [`QualityReport::max_stretch`].
+    pub max_stretch: f64,
+    /// As [`QualityReport::edge_rms`].
+    pub edge_rms: f64,
+}
+
+impl FrameQuality {
+    /// Measures a shape of which it is known what it does to each face: the numbers of [`measure_quality`] for less work.
+    pub(super) fn measure(mesh: &Mesh, closed: bool, deformed: &[DVec3], faces: &FaceChanges, pool: &Pool) -> Self {
+        let centers = [&mesh.positions, deformed].map(|p| BoundingBox::of(p).center());
+        let of = |block: &[[u32; 3]]| QualitySums::of(block, [&mesh.positions, deformed], closed, centers);
+        let blocks: Vec<QualitySums> = pool.install(|| mesh.triangles.par_chunks(BLOCK).map(of).collect());
+        let sums = blocks.into_iter().fold(QualitySums::default(), QualitySums::join);
+        Self {
+            volume_change: if closed { change(sums.volume) } else { 0.0 },
+            flipped_triangles: u32::try_from(faces.turned_over()).unwrap_or(u32::MAX),
+            max_stretch: faces.largest_stretch(),
+            edge_rms: sums.edge_rms(),
+        }
+    }
+}
+
+fn change([before, now]: [f64; 2]) -> f64 {
+    if before != 0.0 { now / before - 1.0 } else { 0.0 }
 }
 
 /// What is added up over triangles; pairs are at rest and deformed.
@@ -44,7 +77,6 @@ pub(super) fn measure_quality(mesh: &Mesh, closed: bool, deformed: &[DVec3], poo
 struct QualitySums {
     squares: f64,
     edges: u64,
-    max_stretch: f64,
     area: [f64; 2],
     volume: [f64; 2],
 }
@@ -64,9 +96,6 @@ impl QualitySums {
                     sums.edges += 1;
                 }
             }
-            if let Some(stretch) = largest_stretch(p, q) {
-                sums.max_stretch = sums.max_stretch.max(stretch);
-            }
             for (k, [a, b, c]) in [p, q].into_iter().enumerate() {
                 let normal = (b - a).cross(c - a);
                 sums.area[k] += 0.5 * normal.length();
@@ -76,16 +105,27 @@ impl QualitySums {
         sums
     }
 
+    fn edge_rms(&self) -> f64 {
+        (self.squares / self.edges.max(1) as f64).sqrt()
+    }
+
     fn join(self, other: Self) -> Self {
         let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
         Self {
             squares: self.squares + other.squares,
             edges: self.edges + other.edges,
-            max_stretch: self.max_stretch.max(other.max_stretch),
             area: add(self.area, other.area),
             volume: add(self.volume, other.volume),
         }
     }
+}
+
+/// The largest stretch of a triangle. Runs on the pool of the caller.
+fn greatest_stretch(mesh: &Mesh, deformed: &[DVec3]) -> f64 {
+    let corners = |shape: &[DVec3], t: &[u32; 3]| t.map(|v| shape[v as usize]);
+    let stretches = (mesh.triangles.par_iter().with_min_len(BLOCK))
+        .filter_map(|t| largest_stretch(corners(&mesh.positions, t), corners(deformed, t)));
+    stretches.reduce(|| 0.0, f64::max)
 }
 
 /// Triangles that turned over, and those too large for the bend that they are in. Runs on the pool of the caller.

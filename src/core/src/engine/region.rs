@@ -140,6 +140,18 @@ impl Region {
         Self::Capsule { from, to, radius }
     }
 
+    /// Whether it is told by where points are, so that it may hold nodes inside a model and no vertex.
+    pub fn is_solid(&self) -> bool {
+        match self {
+            Self::HalfSpace { .. }
+            | Self::Sphere { .. }
+            | Self::Box { .. }
+            | Self::Capsule { .. }
+            | Self::Tube { .. } => true,
+            Self::Vertices { .. } | Self::Component(_) | Self::Primitive(_) | Self::Weights(_) => false,
+        }
+    }
+
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         match self {

@@ -71,6 +71,39 @@ pub(super) fn vertices_in_region(
     region: &Region,
     mirror: Option<MirrorPlane>,
 ) -> Result<Vec<bool>, RegionError> {
+    let vertices = find_vertices(context, region, mirror)?;
+    if mirror.is_none() && !vertices.contains(&true) {
+        return Err(holds_nothing(context));
+    }
+    Ok(vertices)
+}
+
+/// Returns for each render vertex whether a handle's region holds it. One that is told by where it is may hold none, and nodes
+/// inside alone.
+///
+/// # Errors
+/// When the region does not fit the model, or lists no vertex.
+pub(super) fn vertices_of_handle(context: &RegionContext<'_>, region: &Region) -> Result<Vec<bool>, RegionError> {
+    match region.is_solid() {
+        true => find_vertices(context, region, None),
+        false => vertices_in_region(context, region, None),
+    }
+}
+
+/// What is said of a region that holds nothing.
+pub(super) fn holds_nothing(context: &RegionContext<'_>) -> RegionError {
+    let problem = format!(
+        "holds no vertex; regions are taken in {} and in model space",
+        context.pose
+    );
+    RegionError::new(RegionPlace::Whole, problem)
+}
+
+fn find_vertices(
+    context: &RegionContext<'_>,
+    region: &Region,
+    mirror: Option<MirrorPlane>,
+) -> Result<Vec<bool>, RegionError> {
     let vertices = match (membership(context, region)?, mirror) {
         (Membership::Listed(marks), None) => marks,
         (Membership::Listed(marks), Some(mirror)) => {
@@ -88,15 +121,7 @@ pub(super) fn vertices_in_region(
             points.map(|&p| contains(unmirrored(p, mirror))).collect()
         }
     };
-    let vertices = without_passengers(context, vertices, mirror)?;
-    if mirror.is_none() && !vertices.contains(&true) {
-        let problem = format!(
-            "holds no vertex; regions are taken in {} and in model space",
-            context.pose
-        );
-        return Err(RegionError::new(RegionPlace::Whole, problem));
-    }
-    Ok(vertices)
+    without_passengers(context, vertices, mirror)
 }
 
 /// Takes the vertices of passengers out: nothing holds what rides along.
@@ -161,7 +186,8 @@ pub(super) fn nodes_in_region(
     Ok(RegionNodes { nodes, weights: None })
 }
 
-/// The mean of a region's solver vertices at rest; that of its render vertices when none of them is in a face.
+/// The mean of a region's solver vertices at rest; that of its render vertices when none of them is in a face, and that of its
+/// nodes inside when there are none either.
 pub(super) fn region_centroid(
     context: &RegionContext<'_>,
     graph: &MeshGraph,
@@ -172,11 +198,11 @@ pub(super) fn region_centroid(
     let solver: Vec<DVec3> = (nodes.iter().filter(|n| **n < surface))
         .map(|n| graph.positions[*n as usize])
         .collect();
-    let points = match solver.is_empty() {
+    let strays = || (context.positions.iter().zip(vertices).filter(|(_, held)| **held)).map(|(p, _)| *p);
+    let points: Vec<DVec3> = match solver.is_empty() {
         false => solver,
-        true => (context.positions.iter().zip(vertices).filter(|(_, held)| **held))
-            .map(|(p, _)| *p)
-            .collect(),
+        true if vertices.contains(&true) => strays().collect(),
+        true => nodes.iter().map(|n| graph.positions[*n as usize]).collect(),
     };
     points.iter().map(|p| *p / points.len().max(1) as f64).sum()
 }

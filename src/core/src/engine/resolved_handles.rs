@@ -7,13 +7,23 @@ use super::held_inside::HeldBeforeEdit;
 use super::pose::HandlePose;
 use super::region::Region;
 use super::region_context::{
-    MirrorPlane, RegionContext, RegionNodes, nodes_in_region, region_centroid, vertices_in_region,
+    MirrorPlane, RegionContext, RegionNodes, holds_nothing, nodes_in_region, region_centroid, vertices_in_region,
+    vertices_of_handle,
 };
 use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, Transform};
 use crate::mesh::NONE;
 use glam::{DMat3, DVec3};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+
+/// How much a handle holds.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct HeldCounts {
+    /// Render vertices.
+    pub vertices: u32,
+    /// Nodes inside the model.
+    pub interior_nodes: u32,
+}
 
 /// The handles in force beside the rig: their places and what the deformation does not see.
 #[derive(Debug, Clone, Default)]
@@ -22,8 +32,8 @@ pub(super) struct ResolvedHandles {
     pub set: HandleSet,
     /// Default pivot by handle.
     pub centroids: Vec<DVec3>,
-    /// Render vertices by handle, after overlaps.
-    pub counts: Vec<u32>,
+    /// What each handle holds, after overlaps.
+    pub counts: Vec<HeldCounts>,
     /// With a symmetry plane: the plane; hold `handles + k` is then the mirror image of handle k.
     pub mirror: Option<MirrorPlane>,
     /// Render vertices in no face that a hard handle holds, with its hold.
@@ -52,10 +62,14 @@ pub(super) fn resolve_handles(
     let (mut holds, mut images, mut strays) = (Vec::new(), Vec::new(), Vec::new());
     for (k, handle) in set.handles.iter().enumerate() {
         let place = |part| InputPlace::HandleRegion(k, part);
-        let vertices = vertices_in_region(context, &handle.region, None).map_err(|e| e.with_place(place))?;
+        let vertices = vertices_of_handle(context, &handle.region).map_err(|e| e.with_place(place))?;
         let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.with_place(place))?;
         if let Some(inside) = inside.as_ref().filter(|_| held.weights.is_none()) {
             inside.keep_inside(k, &mut held.nodes);
+        }
+        // What an edit left without anything is warned of below.
+        if before.is_none() && held.nodes.is_empty() && !vertices.contains(&true) {
+            return Err(holds_nothing(context).with_place(place));
         }
         (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
         if handle.falloff.is_some() && handle.stiffness.is_none() {
@@ -85,10 +99,10 @@ pub(super) fn resolve_handles(
     strays.dedup_by_key(|s| s.0);
     strays.reverse();
     resolved.strays = strays;
-    resolved.counts = count_held_vertices(context, body, &holds, set.handles.len(), &frozen);
-    for (k, count) in resolved.counts.iter().enumerate() {
-        if *count == 0 && !holds[k].nodes.is_empty() {
-            let message = format!("handle \"{}\" holds no vertex after overlaps", set.handles[k].id);
+    resolved.counts = count_held(context, body, &holds, set.handles.len(), &frozen);
+    for (k, held) in resolved.counts.iter().enumerate() {
+        if held.vertices + held.interior_nodes == 0 && (before.is_some() || !holds[k].nodes.is_empty()) {
+            let message = format!("handle \"{}\" holds nothing after overlaps", set.handles[k].id);
             (resolved.warnings).push(DeformerWarning::about_handles("empty-handle", message, [k]));
         }
     }
@@ -215,38 +229,42 @@ fn stray_vertices(context: &RegionContext<'_>, vertices: &[bool], hold: u32) -> 
         .collect()
 }
 
-/// Who holds each node in the end; the frozen surroundings count as nobody.
-fn last_holders(holds: &[HandleConstraint], nodes: usize, frozen: &[bool]) -> Vec<u32> {
-    let mut owner = vec![u32::MAX; nodes];
-    for (k, hold) in holds.iter().enumerate() {
-        hold.nodes.iter().for_each(|&n| owner[n as usize] = k as u32);
-    }
-    owner
-        .iter_mut()
-        .zip(frozen)
-        .filter(|(_, f)| **f)
-        .for_each(|(o, _)| *o = u32::MAX);
-    owner
-}
-
-fn count_held_vertices(
+/// What each handle holds in the end; the frozen surroundings are nobody's, and nodes that several pull at are each one's.
+fn count_held(
     context: &RegionContext<'_>,
     body: &DeformableBody,
     holds: &[HandleConstraint],
     handles: usize,
     frozen: &[bool],
-) -> Vec<u32> {
-    let owner = last_holders(holds, body.nodes(), frozen);
-    let mut counts = vec![0; handles];
-    for &solver in context.mesh.solver_from_render.iter().filter(|s| **s != NONE) {
-        let k = owner[solver as usize] as usize;
+) -> Vec<HeldCounts> {
+    let mut counts = vec![HeldCounts::default(); handles];
+    let mut copies = vec![0u32; body.graph.surface];
+    let drawn = context.mesh.solver_from_render.iter().filter(|s| **s != NONE);
+    drawn.for_each(|&solver| copies[solver as usize] += 1);
+    // The last hold of a node that is hard keeps it from those before.
+    let mut cut_off = vec![0u32; body.nodes()];
+    let mut last = vec![u32::MAX; body.nodes()];
+    for (k, hold) in (0u32..).zip(holds) {
+        for &n in &hold.nodes {
+            last[n as usize] = k;
+            if hold.stiffness.is_none() {
+                cut_off[n as usize] = k;
+            }
+        }
+    }
+    for (k, hold) in (0u32..).zip(holds) {
         // A mirror image counts for its handle.
-        if let Some(count) = k
-            .checked_rem(handles.max(1))
-            .filter(|_| k < holds.len())
-            .and_then(|k| counts.get_mut(k))
-        {
-            *count += 1;
+        let count = &mut counts[k as usize % handles];
+        for &n in &hold.nodes {
+            let n = n as usize;
+            let is_pulled = holds[last[n] as usize].stiffness.is_some() && hold.stiffness.is_some() && k >= cut_off[n];
+            if frozen.get(n) == Some(&true) || !(last[n] == k || is_pulled) {
+                continue;
+            }
+            match copies.get(n) {
+                Some(copies) => count.vertices += copies,
+                None => count.interior_nodes += 1,
+            }
         }
     }
     counts
@@ -270,7 +288,9 @@ fn overlap_warnings(
     for (k, hold) in all.iter().enumerate() {
         for &n in &hold.nodes {
             let before = holder[n as usize];
-            if before != u32::MAX && same_kind(all[before as usize], hold) {
+            let adds_up = |before: &HandleConstraint| before.stiffness.is_some() && hold.stiffness.is_some();
+            let taken_from = all.get(before as usize).filter(|before| !adds_up(before));
+            if taken_from.is_some_and(|before| same_kind(before, hold)) {
                 *shared.entry((before, k as u32)).or_default() += 1;
             }
             holder[n as usize] = k as u32;

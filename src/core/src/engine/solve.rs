@@ -12,7 +12,7 @@ use crate::deform::{
 };
 use crate::exec::Exec;
 use glam::DVec3;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// A state of a solve that is under way, given to the watcher after every cycle.
 pub struct SolveUpdate<'a> {
@@ -169,7 +169,8 @@ impl Deformer {
             .thin
             .settle(body, rig, &solution.frames, &mut solution.positions, exec.pool);
         if mode == SolveMode::Commit && !settings.spatial_rbf {
-            unfold_faces(&derived.mesh, rig, &mut solution.positions, exec.pool);
+            let surroundings = OnceLock::new();
+            unfold_faces(&derived.mesh, &surroundings, rig, &mut solution.positions, exec.pool);
         }
         let solver = method_name(&solution);
         let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));

@@ -45,6 +45,11 @@ impl<'a> PoseBlend<'a> {
         self.scales.at(node)
     }
 
+    /// Whether no handle is scaled.
+    pub fn is_unscaled(&self) -> bool {
+        self.scales.terms.is_empty()
+    }
+
     /// Whether any handle that constrains rotations has a say at a node.
     pub fn is_covered(&self, node: usize) -> bool {
         self.rotations.covered[self.component[node] as usize]

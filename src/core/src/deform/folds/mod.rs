@@ -9,4 +9,5 @@
 mod patch;
 mod unfold;
 
-pub use unfold::unfold_faces;
+pub use patch::FaceSurroundings;
+pub use unfold::{FaceChanges, unfold_faces};

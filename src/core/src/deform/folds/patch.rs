@@ -13,12 +13,36 @@ const SMOOTHING: usize = 4;
 /// A patch has at most so many vertices.
 const LARGEST: usize = 20_000;
 
+/// What lies around the vertices of a surface.
+#[derive(Debug)]
+pub struct FaceSurroundings {
+    /// Vertices.
+    adjacency: Adjacency,
+    /// Triangles.
+    faces: Lists,
+}
+
+impl FaceSurroundings {
+    /// Finds them. Runs on the pool of the caller.
+    pub(super) fn of(mesh: &Mesh) -> Self {
+        let vertices = mesh.positions.len();
+        let corners = || (0u32..).zip(&mesh.triangles).flat_map(|(t, c)| c.map(|v| (v, t)));
+        Self {
+            adjacency: Adjacency::build(vertices, &mesh.triangles),
+            faces: Lists::gather(vertices, corners),
+        }
+    }
+
+    /// Bytes held on the heap.
+    pub fn byte_size(&self) -> usize {
+        self.adjacency.byte_size() + self.faces.byte_size()
+    }
+}
+
 /// A surface in which faces turned over.
 pub(super) struct FoldedSurface<'a> {
     pub mesh: &'a Mesh,
-    pub adjacency: Adjacency,
-    /// The triangles around each vertex.
-    pub faces: Lists,
+    pub around: &'a FaceSurroundings,
     pub held: &'a [bool],
     /// Stretch beyond which a face counts as bad.
     pub overstretched: f64,
@@ -31,6 +55,13 @@ pub(super) struct FoldPatch {
     /// Triangles that have a say in how bad it is, rising.
     faces: Vec<u32>,
     rings: usize,
+}
+
+impl FoldPatch {
+    /// Triangles that have a say in how bad it is, rising: all that its vertices, or those around them, are corners of.
+    pub fn faces(&self) -> &[u32] {
+        &self.faces
+    }
 }
 
 /// How bad a patch is.
@@ -58,7 +89,7 @@ impl FoldedSurface<'_> {
         for _ring in 0..=rings {
             front.retain(|&v| !std::mem::replace(&mut is_in[v as usize], true));
             all.extend_from_slice(&front);
-            let around = front.iter().flat_map(|&v| self.adjacency.neighbours.of(v));
+            let around = front.iter().flat_map(|&v| self.around.adjacency.neighbours.of(v));
             front = around.copied().collect();
         }
         all.iter()
@@ -73,7 +104,7 @@ impl FoldedSurface<'_> {
             is_in[first as usize] = false;
             let (mut vertices, mut next) = (vec![first], 0);
             while next < vertices.len() {
-                for &w in self.adjacency.neighbours.of(vertices[next]) {
+                for &w in self.around.adjacency.neighbours.of(vertices[next]) {
                     if std::mem::take(&mut is_in[w as usize]) {
                         vertices.push(w);
                     }
@@ -92,7 +123,7 @@ impl FoldedSurface<'_> {
     /// Faces that have a vertex or touch one that does, rising.
     fn faces_with(&self, vertices: &[u32]) -> Vec<u32> {
         let around = |vertices: &mut dyn Iterator<Item = u32>| {
-            let mut faces: Vec<u32> = vertices.flat_map(|v| self.faces.of(v)).copied().collect();
+            let mut faces: Vec<u32> = vertices.flat_map(|v| self.around.faces.of(v)).copied().collect();
             faces.sort_unstable();
             faces.dedup();
             faces
@@ -109,8 +140,8 @@ impl FoldedSurface<'_> {
     }
 
     /// The gradient at a vertex: a sum over its triangles by area.
-    fn gradient(&self, vertex: u32, now: &[DVec3]) -> DMat3 {
-        let faces = self.faces.of(vertex).iter();
+    pub fn gradient(&self, vertex: u32, now: &[DVec3]) -> DMat3 {
+        let faces = self.around.faces.of(vertex).iter();
         let of = |&t: &u32| shading::area_gradient(self.corners(&self.mesh.positions, t), self.corners(now, t));
         faces.filter_map(of).fold(DMat3::ZERO, |sum, g| sum + g)
     }
@@ -140,7 +171,12 @@ impl FoldedSurface<'_> {
     /// Brings the vertices of a patch to where the gradients around have them.
     pub fn relax(&self, patch: &FoldPatch, now: &mut [DVec3]) {
         let mut nodes: Vec<u32> = patch.vertices.clone();
-        nodes.extend(patch.vertices.iter().flat_map(|&v| self.adjacency.neighbours.of(v)));
+        nodes.extend(
+            patch
+                .vertices
+                .iter()
+                .flat_map(|&v| self.around.adjacency.neighbours.of(v)),
+        );
         nodes.sort_unstable();
         nodes.dedup();
         let gradients = self.smooth_gradients(&nodes, patch.rings * SMOOTHING, now);
@@ -151,7 +187,7 @@ impl FoldedSurface<'_> {
             .iter()
             .map(|&v| {
                 let own = at(v);
-                let around = self.adjacency.neighbours.of(v).iter();
+                let around = self.around.adjacency.neighbours.of(v).iter();
                 let edge = |&w: &u32| {
                     let edge = rest[v as usize] - rest[w as usize];
                     let asked = (own + at(w)) * edge * 0.5;
@@ -187,7 +223,7 @@ impl FoldedSurface<'_> {
             .map(|&v| {
                 let cofactor = shading::cofactor(&self.gradient(v, now));
                 let (mut sum, mut areas) = (DMat3::ZERO, 0.0);
-                for &t in self.faces.of(v) {
+                for &t in self.around.faces.of(v) {
                     let [p, q] = [&self.mesh.positions[..], now].map(|shape| self.corners(shape, t));
                     let is_bad = is_turned_over(p, q, [&cofactor; 3])
                         || largest_stretch(p, q).is_none_or(|s| s > self.overstretched / 4.0);
@@ -202,7 +238,8 @@ impl FoldedSurface<'_> {
         let around: Vec<Vec<usize>> = nodes
             .iter()
             .map(|&v| {
-                self.adjacency
+                self.around
+                    .adjacency
                     .neighbours
                     .of(v)
                     .iter()

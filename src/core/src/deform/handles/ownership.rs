@@ -17,8 +17,8 @@ pub(in crate::deform) struct NodeOwnership {
 }
 
 impl NodeOwnership {
-    /// Settles overlaps for the holds that `constrains` says: of those whose region contains a node the last one has it,
-    /// hard or soft; falloff never takes a node from a hard holder, and pulls of several falloffs add up.
+    /// Settles overlaps for the holds that `constrains` says: of those whose region contains a node the last one has it, hard
+    /// or soft. Pulls of soft holds add up, from the last hard one on; falloff never takes a node from a hard holder.
     pub(in crate::deform) fn settle(
         setup: &HandleSetup,
         nodes: usize,
@@ -26,8 +26,12 @@ impl NodeOwnership {
     ) -> Self {
         let frozen_holder = setup.handles.len() as u32;
         let mut core = vec![NOBODY; nodes];
+        let mut last_hard = vec![NOBODY; nodes];
         for (k, hold) in setup.handles.iter().enumerate().filter(|(_, h)| constrains(h)) {
             hold.nodes.iter().for_each(|&n| core[n as usize] = k as u32);
+            if hold.stiffness.is_none() {
+                hold.nodes.iter().for_each(|&n| last_hard[n as usize] = k as u32);
+            }
         }
         for (owner, _) in core.iter_mut().zip(&setup.frozen).filter(|(_, frozen)| **frozen) {
             *owner = frozen_holder;
@@ -43,7 +47,8 @@ impl NodeOwnership {
                 }
                 let mine = in_core.peek() == Some(&node);
                 let owner = core[node as usize];
-                let allowed = owner == NOBODY || owner == k as u32 || (!mine && !is_hard(owner));
+                let comes_after = |hard: u32| hard == NOBODY || hard < k as u32;
+                let allowed = owner == NOBODY || (!is_hard(owner) && (!mine || comes_after(last_hard[node as usize])));
                 if allowed && weight > 0.0 {
                     soft.push((node, k as u32, stiffness * weight));
                 }

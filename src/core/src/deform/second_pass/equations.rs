@@ -5,10 +5,11 @@
 //! neighbours enter through α and β inside the solver; soft handles add their stiffness.
 
 use crate::deform::body::DeformableBody;
-use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation};
+use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame};
 use crate::deform::first_pass::spread::blend_frames_with;
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
+use crate::deform::second_pass::single_precision::fill_right_hand_side;
 use crate::deform::transform::Transform;
 use crate::pool::Pool;
 use glam::{DMat3, DVec3, Mat3};
@@ -28,6 +29,14 @@ pub struct SecondPassEquations {
     pub center: [f64; 3],
 }
 
+/// How sums over edges are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::deform) enum Precision {
+    /// As [`super::single_precision`] does.
+    Single,
+    Double,
+}
+
 /// A pose as the second pass sees it.
 pub(in crate::deform) struct PosedHandles {
     pub frames: Vec<LocalFrame>,
@@ -35,13 +44,16 @@ pub(in crate::deform) struct PosedHandles {
     pub targets: Vec<DVec3>,
     /// Solving around the mean of what is held makes the residual independent of where in space the model is.
     pub center: DVec3,
+    /// How the right-hand side is summed up.
+    pub precision: Precision,
 }
 
 impl HandleSystem {
     /// The equations of a pose (`transforms[k]` belongs to hold k), for those who want to solve or store them
     /// themselves. Rigid regions that nothing holds are taken as free, as in the first of their two solves.
     pub fn equations(&self, body: &DeformableBody, transforms: &[Transform], pool: &Pool) -> SecondPassEquations {
-        let posed = self.pose_frames(body, transforms, None, pool);
+        let frames = blend_frames_with(body, self, transforms, None, pool);
+        let posed = self.pose_handles(body, transforms, frames, Precision::Double);
         let mut rhs = vec![0.0; body.nodes() * 3];
         self.assemble(body, &posed, transforms, &mut rhs, pool);
         SecondPassEquations {
@@ -52,21 +64,21 @@ impl HandleSystem {
         }
     }
 
-    /// Frames and given positions of a pose; `instead` are rotations in place of the blend by harmonic fields.
-    pub(in crate::deform) fn pose_frames(
+    /// A pose with these frames.
+    pub(in crate::deform) fn pose_handles(
         &self,
         body: &DeformableBody,
         transforms: &[Transform],
-        instead: Option<&[LocalRotation]>,
-        pool: &Pool,
+        frames: Vec<LocalFrame>,
+        precision: Precision,
     ) -> PosedHandles {
-        let frames = blend_frames_with(body, self, transforms, instead, pool);
         let targets = self.given_targets(body, transforms);
         let center = mean_of(&targets, self.given());
         PosedHandles {
             frames,
             targets,
             center,
+            precision,
         }
     }
 
@@ -80,16 +92,14 @@ impl HandleSystem {
         pool: &Pool,
     ) {
         let given = self.given();
-        pool.install(|| {
-            rhs.par_chunks_exact_mut(3)
-                .with_min_len(1024)
-                .enumerate()
-                .for_each(|(i, rhs)| {
-                    if !given[i] {
-                        rhs.copy_from_slice(&right_hand_side(body, &posed.frames, i).to_array());
-                    }
-                });
-        });
+        match posed.precision {
+            Precision::Single => fill_right_hand_side(body, &posed.frames, given, rhs, pool),
+            Precision::Double => pool.install(|| {
+                let rows = rhs.par_chunks_exact_mut(3).with_min_len(1024).enumerate();
+                rows.filter(|(i, _)| !given[*i])
+                    .for_each(|(i, rhs)| rhs.copy_from_slice(&right_hand_side(body, &posed.frames, i).to_array()));
+            }),
+        }
         add_tie_offsets(body, &posed.frames, given, rhs);
         if self.position.soft.is_empty() {
             return;

@@ -3,6 +3,8 @@
 mod equations;
 pub(super) mod pose;
 pub(super) mod refine;
+pub(super) mod single_precision;
+pub(super) mod single_rest;
 mod solve;
 pub(super) mod state;
 

@@ -11,8 +11,10 @@ use crate::deform::first_pass::blend::PoseBlend;
 use crate::deform::first_pass::frame::{
     IDENTITY_FRAME, LocalFrame, LocalRotation, pack_frame, pack_rotation, unpack_rotation,
 };
+use crate::deform::first_pass::spread::FirstPass;
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
+use crate::deform::second_pass::single_precision::QuickFit;
 use crate::deform::transform::Transform;
 use crate::mesh::rotation::{exp_rotation, nearest_rotation};
 use crate::pool::Pool;
@@ -47,6 +49,8 @@ pub(in crate::deform) struct RotationFit<'a> {
     refinement: Refinement,
     /// The pull of soft handles on rotations: where each node's begin in the list.
     soft: Vec<u32>,
+    /// In single precision, where the first pass is one for animations.
+    quick: Option<QuickFit<'a>>,
 }
 
 impl<'a> RotationFit<'a> {
@@ -55,19 +59,30 @@ impl<'a> RotationFit<'a> {
         rig: &'a HandleSystem,
         transforms: &[Transform],
         moved_parts: &'a [bool],
-        instead: Option<&'a [LocalRotation]>,
+        replaced: (FirstPass, Option<&'a [LocalRotation]>),
         refinement: Refinement,
     ) -> Self {
+        let (how, instead) = replaced;
         let mut soft = Vec::new();
         if !rig.rotation.soft.is_empty() {
             soft = vec![0; body.nodes() + 1];
             rig.rotation.soft.iter().for_each(|s| soft[s.0 as usize + 1] += 1);
             (0..body.nodes()).for_each(|i| soft[i + 1] += soft[i]);
         }
+        let blend = PoseBlend::new(body, rig, transforms, instead);
+        let is_plain = blend.is_unscaled() && soft.is_empty() && refinement.smoothing == 0.0;
+        let reach = if refinement.carried { FARTHER } else { 1.0 };
+        let quick = instead.filter(|_| is_plain && how == FirstPass::WeightedSum);
+        let quick = quick.map(|first| QuickFit {
+            body,
+            first,
+            reach: reach as f32,
+        });
         Self {
+            quick,
             body,
             rig,
-            blend: PoseBlend::new(body, rig, transforms, instead),
+            blend,
             holds: transforms.iter().map(|t| exp_rotation(t.rotation)).collect(),
             moved_parts,
             refinement,
@@ -86,11 +101,17 @@ impl<'a> RotationFit<'a> {
 
     /// The first pass's rotations.
     pub fn start(&self, pool: &Pool) -> Vec<LocalRotation> {
+        if let Some(quick) = &self.quick {
+            return quick.first.to_vec();
+        }
         self.each(pool, |i| pack_rotation(self.first(i)))
     }
 
     /// The first pass's rotations, turned by what refinement had added to them in the pose before (`extra`).
     pub fn resume(&self, extra: &[LocalRotation], pool: &Pool) -> Vec<LocalRotation> {
+        if let Some(quick) = &self.quick {
+            return quick.resume(extra, |i| self.is_open(i), pool);
+        }
         self.each(pool, |i| match self.is_open(i) {
             true => pack_rotation(unpack_rotation(extra[i]) * self.first(i)),
             false => pack_rotation(self.first(i)),
@@ -99,6 +120,9 @@ impl<'a> RotationFit<'a> {
 
     /// What refinement has added to the first pass's rotations.
     pub fn extra(&self, turns: &[LocalRotation], pool: &Pool) -> Vec<LocalRotation> {
+        if let Some(quick) = &self.quick {
+            return quick.extra(turns, pool);
+        }
         self.each(pool, |i| {
             pack_rotation(unpack_rotation(turns[i]) * self.first(i).inverse())
         })
@@ -106,6 +130,9 @@ impl<'a> RotationFit<'a> {
 
     /// Frames with these rotations and the first pass's scales.
     pub fn frames(&self, turns: &[LocalRotation], pool: &Pool) -> Vec<LocalFrame> {
+        if let Some(quick) = &self.quick {
+            return quick.frames(turns, pool);
+        }
         self.each(pool, |i| match (self.blend.scale(i), self.is_open(i)) {
             (None, false) if turns[i] == [0.0, 0.0, 0.0, 1.0] => IDENTITY_FRAME,
             (scale, _) => pack_frame(unpack_rotation(turns[i]), scale),
@@ -114,6 +141,9 @@ impl<'a> RotationFit<'a> {
 
     /// One fit of all open nodes to `x` (solving coordinates, three numbers a node, any origin).
     pub fn step(&self, turns: &[LocalRotation], x: &[f64], pool: &Pool) -> Vec<LocalRotation> {
+        if let Some(quick) = &self.quick {
+            return quick.step(turns, x, |i| self.is_open(i), pool);
+        }
         self.each(pool, |i| match self.is_open(i) {
             true if self.refinement.carried => {
                 pack_rotation(farther(unpack_rotation(turns[i]), self.fitted(i, turns, x)))

@@ -5,16 +5,18 @@ use crate::deform::error::Error;
 use crate::deform::first_pass::frame::LocalRotation;
 use crate::deform::first_pass::spread::{self, FirstPass};
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
-use crate::deform::second_pass::equations::PosedHandles;
+use crate::deform::second_pass::equations::{PosedHandles, Precision};
 use crate::deform::second_pass::pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart};
 use crate::deform::second_pass::refine::Refinement;
 use crate::deform::second_pass::refine::RotationFit;
+use crate::deform::second_pass::single_precision::frames_of;
 use crate::deform::second_pass::state::SolveState;
+use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::check;
 use crate::solver::{self, SolveControl, SolveOptions};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 /// Largest missing displacement, as a fraction of the diagonal, with which rotations are fitted, unless a smaller residual
@@ -41,7 +43,16 @@ impl HandleSystem {
         }
         let instead = spread::replacing_rotations(body, self, request.transforms, request.first_pass, exec)?;
         let instead = instead.as_deref();
-        let mut posed = self.pose_frames(body, request.transforms, instead, exec.pool);
+        let quick = instead.filter(|_| request.first_pass == FirstPass::WeightedSum && !has_scales(request.transforms));
+        let frames = match quick {
+            Some(turns) => frames_of(turns, exec.pool),
+            None => spread::blend_frames_with(body, self, request.transforms, instead, exec.pool),
+        };
+        let precision = match request.first_pass {
+            FirstPass::WeightedSum => Precision::Single,
+            _ => Precision::Double,
+        };
+        let mut posed = self.pose_handles(body, request.transforms, frames, precision);
         let pose = PoseSolve {
             rig: self,
             body,
@@ -113,7 +124,7 @@ impl PoseSolve<'_> {
                 rig,
                 request.transforms,
                 self.moved_parts,
-                self.instead,
+                (request.first_pass, self.instead),
                 request.refinement,
             )
         });
@@ -126,7 +137,7 @@ impl PoseSolve<'_> {
             Some(fit) => fit.start(pool),
             None => Vec::new(),
         };
-        rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
+        self.assemble(posed, state);
 
         let mut tally = SolveTally {
             iterations: 0,
@@ -149,7 +160,7 @@ impl PoseSolve<'_> {
                 check(self.exec.progress)?;
                 turns = fit.step(&turns, &state.x, pool);
                 posed.frames = fit.frames(&turns, pool);
-                rig.assemble(body, posed, request.transforms, &mut state.rhs, pool);
+                self.assemble(posed, state);
                 tally.refined += 1;
                 let rough = if tally.refined < steps { between } else { 0.0 };
                 let start = solver::InitialGuess::Given;
@@ -184,6 +195,12 @@ impl PoseSolve<'_> {
             max_error: stats.max_error * body.unit / body.diagonal,
             method: PoseMethod::Graph(stats.method),
         })
+    }
+
+    /// Fills the right-hand side for `posed`.
+    fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
+        let transforms = self.request.transforms;
+        (self.rig).assemble(self.body, posed, transforms, &mut state.rhs, self.exec.pool);
     }
 
     /// Solves the equations in `state`: to what the request asks for, or only to the error `rough`.
@@ -233,6 +250,10 @@ impl PoseSolve<'_> {
         tally.iterations += stats.iterations;
         Ok(stats)
     }
+}
+
+fn has_scales(transforms: &[Transform]) -> bool {
+    transforms.iter().any(|t| t.log_scale != DMat3::ZERO)
 }
 
 /// The rotations that a warm solve goes on from.

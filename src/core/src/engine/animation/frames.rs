@@ -6,6 +6,7 @@ use crate::deform::{
     FirstPass, PoseRequest, PoseSolution, Refinement, SolveStart, SolveState, Transform, unfold_faces,
 };
 use crate::engine::error::Error;
+use crate::engine::quality::FrameQuality;
 use crate::engine::shape_transfer::ShapeTransfer;
 use crate::exec::Exec;
 use crate::mesh::rotation::log_rotation;
@@ -38,6 +39,8 @@ pub struct AnimatedFrame {
     pub residual: f64,
     /// Estimated largest missing displacement, as a fraction of the diagonal.
     pub max_error: f64,
+    /// How far it is from the rest shape.
+    pub quality: FrameQuality,
 }
 
 impl AnimatedFrame {
@@ -206,7 +209,9 @@ impl Animation {
         derived
             .thin
             .settle(&derived.body, &self.system, &solution.frames, nodes, exec.pool);
-        unfold_faces(&derived.mesh, &self.system, nodes, exec.pool);
+        let faces = unfold_faces(&derived.mesh, &derived.surroundings, &self.system, nodes, exec.pool);
+        let surface = &nodes[..derived.mesh.positions.len()];
+        let quality = FrameQuality::measure(&derived.mesh, derived.report().closed, surface, &faces, exec.pool);
         let shape = ShapeTransfer {
             body: &derived.body,
             mesh: &derived.mesh,
@@ -229,6 +234,7 @@ impl Animation {
             cycles: solution.iterations,
             residual: solution.residual,
             max_error: solution.max_error,
+            quality,
         })
     }
 }

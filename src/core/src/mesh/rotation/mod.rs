@@ -4,4 +4,6 @@ mod fit;
 mod vector;
 
 pub use fit::{fit_rotation, outer_product};
-pub use vector::{exp_rotation, exp_symmetric, log_rotation, nearest_rotation, relative_rotation};
+pub use vector::{
+    exp_rotation, exp_symmetric, log_rotation, nearest_rotation, nearest_rotation_within, relative_rotation,
+};

@@ -62,6 +62,12 @@ const NEAREST_STEPS: usize = 30;
 /// For R exp(ω) the trace is tr B + g·ω − ½ ωᵀ (tr(S) I − S) ω with B = Rᵀ a and S its symmetric part. Where that
 /// matrix is positive the Newton step is taken, elsewhere one along g that cannot be too long.
 pub fn nearest_rotation(a: DMat3, start: DQuat) -> DQuat {
+    nearest_rotation_within(a, start, 1e-12)
+}
+
+/// As [`nearest_rotation`], ending with the first step whose square is below `last_step_squared`, radians: about that much is
+/// left.
+pub fn nearest_rotation_within(a: DMat3, start: DQuat, last_step_squared: f64) -> DQuat {
     let size = (a.x_axis.length_squared() + a.y_axis.length_squared() + a.z_axis.length_squared()).sqrt();
     if !(size > 0.0 && size.is_finite()) {
         return start;
@@ -86,7 +92,7 @@ pub fn nearest_rotation(a: DMat3, start: DQuat) -> DQuat {
             .filter(|step| step.length_squared() < 1.0)
             .unwrap_or_else(|| gradient / (trace.abs() + gradient.length() + 1e-9));
         q = (q * DQuat::from_xyzw(0.5 * step.x, 0.5 * step.y, 0.5 * step.z, 1.0)).normalize();
-        if step.length_squared() < 1e-12 {
+        if step.length_squared() < last_step_squared {
             break;
         }
     }

@@ -11,7 +11,7 @@ use super::swing_twist::{half_way, rotation_about, twist_angle};
 use glam::DVec3;
 
 /// A cylinder's radius over its bone's.
-const CYLINDER: f64 = 0.35;
+const CYLINDER: f64 = 0.25;
 /// A joint's radius over the lesser of its bones'.
 const JOINT: f64 = 0.25;
 /// Where the sphere near the end of a bone lies on which none follows.
