@@ -4,7 +4,7 @@ use super::failure::CliFailure;
 use super::job_file::read_job;
 use super::json_output::print_json;
 use super::model_files::{output_format, read_model};
-use super::output_files::OutputPermission;
+use super::output_files::{OutputPermission, is_same_place};
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
 use crate::asset::{FileSet, FollowedCounts, Format, WrittenFiles};
@@ -48,8 +48,14 @@ pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     let folder = args.output.parent().unwrap_or(Path::new(""));
     check_passenger_outputs(&job, folder, args)?;
     for step in 0..job.steps.len() {
-        let path = args.step_path(step, format);
-        path.map_or(Ok(()), |path| args.permission.check_target(&path))?;
+        let Some(path) = args.step_path(step, format) else {
+            break;
+        };
+        if is_same_place(&path, &args.output) {
+            let problem = format!("{} is where the result is written", path.display());
+            return Err(CliFailure::Input(format!("--steps: {problem}; name another folder")));
+        }
+        args.permission.check_target(&path)?;
     }
     let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;

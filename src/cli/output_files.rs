@@ -174,6 +174,11 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
+/// Whether two paths are one place in one folder, though no file may be there yet.
+pub(super) fn is_same_place(a: &Path, b: &Path) -> bool {
+    a.file_name() == b.file_name() && is_same_file(folder_of(a), folder_of(b))
+}
+
 /// Whether a file is there and holds these bytes.
 fn holds_bytes(path: &Path, bytes: &[u8]) -> bool {
     let as_long = |facts: fs::Metadata| facts.is_file() && facts.len() == bytes.len() as u64;

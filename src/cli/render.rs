@@ -83,7 +83,7 @@ enum UpAxisChoice {
     Z,
 }
 
-fn parse_size(text: &str) -> Result<PictureSize, String> {
+pub(super) fn parse_size(text: &str) -> Result<PictureSize, String> {
     let sides = text.split_once(['x', 'X']);
     let number = |side: &str| side.trim().parse::<u32>().ok();
     match sides.and_then(|(w, h)| Some((number(w)?, number(h)?))) {
@@ -97,7 +97,7 @@ fn parse_above_zero(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "a finite number above 0 is needed".into())
 }
 
-fn parse_angles(text: &str) -> Result<[f64; 2], String> {
+pub(super) fn parse_angles(text: &str) -> Result<[f64; 2], String> {
     let parts = text.split_once(',');
     let number = |part: &str| part.trim().parse::<f64>().ok();
     match parts.and_then(|(a, e)| Some([number(a)?, number(e)?])) {

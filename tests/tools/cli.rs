@@ -196,6 +196,70 @@ fn a_job_can_ask_for_the_papers_operators() {
 }
 
 #[test]
+fn every_step_of_a_job_is_written_where_it_is_asked_for() {
+    let folder = workplace();
+    let job = r#"{
+      "handles": [
+        {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}},
+        {"id": "head", "region": {"sphere": {"center": [0.76, 1.22, 0], "radius": 0.36}}}],
+      "steps": [
+        {"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0.4, 0]}}]}},
+        {"edit": {"subdivide": {"region": {"sphere": {"center": [0.76, 1.22, 0], "radius": 0.2}}}}},
+        {"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0.8, 0]}}]}}]}"#;
+    fs::write(folder.path().join("job.json"), job).expect("written");
+    let run = |more: &[&str]| {
+        let mut arguments = vec![
+            "deform",
+            "creature.glb",
+            "--job",
+            "job.json",
+            "--json",
+            "-o",
+            "turned.obj",
+        ];
+        arguments.extend(more);
+        pliant(folder.path(), &arguments)
+    };
+    let (code, _, last) = run(&["--steps", "steps"]);
+    assert_eq!(code, Some(2), "a folder that is missing: {last}");
+    assert!(last.contains("--parents makes it"), "{last}");
+    let (code, report, last) = run(&["--steps", "steps", "--parents"]);
+    assert_eq!(code, Some(0), "{last}");
+    let report: Value = serde_json::from_str(&report).expect("one document");
+    let read = |name: &str| fs::read(folder.path().join(name)).expect(name);
+    let steps = [0, 1, 2].map(|k| read(&format!("steps/step_{k:05}.obj")));
+    assert_eq!(steps[2], read("turned.obj"), "the last step is the result");
+    let vertices = |obj: &[u8]| {
+        String::from_utf8_lossy(obj)
+            .lines()
+            .filter(|l| l.starts_with("v "))
+            .count()
+    };
+    assert!(vertices(&steps[0]) < vertices(&steps[1]) && steps[1] != steps[2]);
+    assert_eq!(
+        report["output"].as_array().map(Vec::len),
+        Some(4),
+        "{}",
+        report["output"]
+    );
+    let (code, _, last) = run(&["--steps", "steps", "--force"]);
+    assert_eq!(code, Some(0), "{last}");
+    let twice = [
+        "deform",
+        "creature.glb",
+        "--job",
+        "job.json",
+        "-o",
+        "step_00000.obj",
+        "--steps",
+        ".",
+    ];
+    let (code, _, last) = pliant(folder.path(), &twice);
+    assert_eq!(code, Some(2), "{last}");
+    assert!(last.contains("where the result is written"), "{last}");
+}
+
+#[test]
 fn an_expectation_that_does_not_hold_is_exit_1() {
     let folder = workplace();
     let strict = JOB.replacen('{', r#"{"expect": {"digest": "xxh3:0000000000000000"},"#, 1);

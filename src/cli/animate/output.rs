@@ -2,6 +2,7 @@
 
 use super::gathered::{GatheredFrames, GatheredKind};
 use super::numbered::NumberedFrames;
+use super::pictures::{FramePicture, FramePictureArgs, PicturedFrames};
 use super::taken_frames::{FrameTaker, MeasuredFrames, PlayedAnimation};
 use crate::asset::{Format, VertexCache};
 use crate::cli::failure::CliFailure;
@@ -21,7 +22,8 @@ const USUAL_BONES: usize = 40;
 /// Where the frames of an animation go.
 #[derive(Debug, Args)]
 pub(super) struct AnimationOutputArgs {
-    /// Where to write: a .glb, a .usda, a point cache (.pc2 or .mdd), or a folder of numbered models when it ends in a slash
+    /// Where to write: a .glb, a .usda, a point cache (.pc2 or .mdd), a picture (.png side by side, .apng moving), or a folder
+    /// of numbered models when it ends in a slash
     #[arg(short, long)]
     output: Option<PathBuf>,
     /// Format of numbered models: obj unless given
@@ -40,6 +42,8 @@ pub(super) struct AnimationOutputArgs {
     /// positions, the default for all others) or none (left out)
     #[arg(long, value_enum)]
     root: Option<RootRule>,
+    #[command(flatten)]
+    pictures: FramePictureArgs,
     /// Go on where an animation with the same output and options was stopped
     #[arg(long)]
     resume: bool,
@@ -73,6 +77,7 @@ enum OutputKind {
     Nothing,
     Numbered(PathBuf, Format),
     Gathered(PathBuf, GatheredKind),
+    Pictured(FramePicture),
 }
 
 /// Where frames go, checked as far as it can be before any work.
@@ -96,6 +101,7 @@ impl AnimationOutputArgs {
         let is_glb = is_morph || is_skin;
         let has_nodes = is_glb || matches!(kind, OutputKind::Gathered(_, GatheredKind::Usd));
         let is_numbered = matches!(kind, OutputKind::Numbered(..));
+        let is_picture = matches!(kind, OutputKind::Pictured(_));
         for (is_given, fits, problem) in [
             (
                 self.format.is_some(),
@@ -115,13 +121,21 @@ impl AnimationOutputArgs {
                 "--root node is for .glb and .usda files; allowed here are baked and none",
             ),
             (self.resume, kind != OutputKind::Nothing, "--resume needs an --output"),
+            (self.resume, !is_picture, "--resume is not for pictures"),
+            (
+                self.pictures.is_given(),
+                is_picture,
+                "--tiles, --tile, --view and --color are for .png and .apng",
+            ),
         ] {
             if is_given && !fits {
                 return Err(CliFailure::Input(problem.into()));
             }
         }
-        if let OutputKind::Gathered(path, _) = &kind {
-            self.permission.check_target(path)?;
+        match &kind {
+            OutputKind::Gathered(path, _) => self.permission.check_target(path)?,
+            OutputKind::Pictured(picture) => self.permission.check_target(picture.path())?,
+            OutputKind::Nothing | OutputKind::Numbered(..) => {}
         }
         let usual = if has_nodes { RootRule::Node } else { RootRule::Baked };
         Ok(AnimationOutput {
@@ -136,6 +150,9 @@ impl AnimationOutputArgs {
         let text = path.to_string_lossy();
         if text.ends_with(['/', std::path::MAIN_SEPARATOR]) || path.is_dir() {
             return Ok(OutputKind::Numbered(path.to_owned(), self.numbered_format()?));
+        }
+        if let Some(picture) = self.pictures.picture_at(path)? {
+            return Ok(OutputKind::Pictured(picture));
         }
         if let Some(cache) = VertexCache::from_file_name(&text) {
             return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Cache(cache)));
@@ -158,7 +175,7 @@ impl AnimationOutputArgs {
                 return Err(CliFailure::Input(format!("cannot write {text}: {problem}")));
             }
             None => {
-                let problem = "allowed are .glb, .usda, .pc2, .mdd and a folder, which ends in a slash";
+                let problem = "allowed are .glb, .usda, .pc2, .mdd, .png, .apng and a folder, which ends in a slash";
                 return Err(CliFailure::Input(format!(
                     "cannot tell what to write into {text}: {problem}"
                 )));
@@ -208,6 +225,7 @@ impl AnimationOutput {
     pub(super) fn begin<'a>(&self, played: PlayedAnimation<'a>) -> Result<Box<dyn FrameTaker + 'a>, CliFailure> {
         Ok(match &self.kind {
             OutputKind::Nothing => Box::new(MeasuredFrames(played.range)),
+            OutputKind::Pictured(picture) => Box::new(PicturedFrames::begin(picture.clone(), played)?),
             OutputKind::Numbered(folder, format) => {
                 Box::new(NumberedFrames::begin(folder.clone(), *format, self.resumes, played)?)
             }

@@ -178,6 +178,32 @@ fn the_report_has_how_far_what_is_written_is_off_as_numbers() {
 }
 
 #[test]
+fn pictures_show_the_frames_that_are_asked_for() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    let read = |name: &str| {
+        let file = std::io::BufReader::new(fs::File::open(folder.join(name)).expect(name));
+        let mut reader = png::Decoder::new(file).read_info().expect("a PNG");
+        let frames = reader.info().animation_control().map(|a| a.num_frames);
+        let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
+        let facts = reader.next_frame(&mut pixels).expect("an image");
+        (facts.width, facts.height, frames, pixels)
+    };
+    animate_bar(folder, &["-o", "sheet.png", "--tiles", "4", "--tile", "64x48"]);
+    let (width, height, frames, pixels) = read("sheet.png");
+    assert_eq!((width, height, frames), (128, 96, None));
+    let tile = |column: usize, row: usize| -> Vec<u8> {
+        let rows = (0..48).map(|y| ((row * 48 + y) * 128 + column * 64) * 3);
+        rows.flat_map(|start| pixels[start..start + 64 * 3].to_vec()).collect()
+    };
+    assert_ne!(tile(0, 0), tile(1, 1), "the last frame is not the first");
+    animate_bar(folder, &["-o", "bar.apng", "--tile", "64x48", "--frames", "0:5"]);
+    let (width, height, frames, _) = read("bar.apng");
+    assert_eq!((width, height, frames), (64, 48, Some(5)));
+}
+
+#[test]
 fn the_validator_finds_nothing_wrong_with_morphs() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = folder.path();

@@ -33,8 +33,14 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
     fs::create_dir(folder.join("there")).expect("a folder");
     let before = contents(folder);
     let cases: [(&[&str], &str); 18] = [
-        (&["-o", "walk"], "allowed are .glb, .usda, .pc2, .mdd and a folder"),
-        (&["-o", "walk.abc"], "allowed are .glb, .usda, .pc2, .mdd and a folder"),
+        (
+            &["-o", "walk"],
+            "allowed are .glb, .usda, .pc2, .mdd, .png, .apng and a folder",
+        ),
+        (
+            &["-o", "walk.abc"],
+            "allowed are .glb, .usda, .pc2, .mdd, .png, .apng and a folder",
+        ),
         (
             &["-o", "walk.usdc"],
             "USD is written as text, and .usdc is not; write a .usda",

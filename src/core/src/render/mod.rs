@@ -40,7 +40,7 @@ pub use colour::{ColourRamp, Rgb};
 pub use colour_key::ColourKey;
 pub use dress::SurfaceDress;
 pub use error::Error;
-pub use picture::Picture;
+pub use picture::{Picture, encode_moving_png};
 pub use raster::{background_end, draw_surface};
 pub use ring_mark::RingMark;
 pub use surface::ShadedSurface;

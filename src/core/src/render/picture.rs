@@ -135,6 +135,37 @@ impl Picture {
     }
 }
 
+/// Pictures of one size as an animated PNG file that plays again and again, `rate` of them a second. What shows no animations
+/// shows the first.
+///
+/// # Errors
+/// [`Error::Empty`] without pictures, [`Error::Png`] when their sizes differ or the encoder fails.
+pub fn encode_moving_png(pictures: &[Picture], rate: f64) -> Result<Vec<u8>, Error> {
+    let failed = |e: png::EncodingError| Error::Png(e.to_string());
+    let first = pictures.first().ok_or(Error::Empty { triangles: 0 })?;
+    if pictures
+        .iter()
+        .any(|p| (p.width, p.height) != (first.width, first.height))
+    {
+        return Err(Error::Png("frames differ in size".into()));
+    }
+    let count = u32::try_from(pictures.len()).map_err(|e| Error::Png(e.to_string()))?;
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, first.width, first.height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::High);
+    encoder.set_animated(count, 0).map_err(failed)?;
+    let millis = (1e3 / rate).round().clamp(1.0, 65535.0);
+    encoder.set_frame_delay(millis as u16, 1000).map_err(failed)?;
+    let mut writer = encoder.write_header().map_err(failed)?;
+    for picture in pictures {
+        writer.write_image_data(picture.pixels.as_flattened()).map_err(failed)?;
+    }
+    writer.finish().map_err(failed)?;
+    Ok(bytes)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
