@@ -109,7 +109,8 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
             beside: None,
         });
     }
-    let rig = rig_of_skin(&scene, &order, &clip, deformer.rest())?;
+    let rig =
+        rig_of_skin(&scene, &order, &clip, deformer.rest()).map_err(|e| skin_problem(model).unwrap_or(e.into()))?;
     let shapes = model.primitive_shapes()?.unwrap_or_default();
     let beside = SceneMotion::of(&scene, &order, &stored.unwrap_or_default(), &clip, shapes);
     Ok(MovingClip {
@@ -118,6 +119,16 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
         own: Some(index),
         beside,
     })
+}
+
+/// Why a model's skin says nothing, where it has one that cannot be read.
+fn skin_problem(model: &Model) -> Option<Error> {
+    let mut skins = model.warnings.iter().filter(|(code, _, _)| code == "skin-not-applied");
+    let (_, message, place) = skins.next()?;
+    Some(Error::invalid(
+        "rig",
+        format!("{place}: {message}; without it, give a rig"),
+    ))
 }
 
 /// What rides along where a model's own clip moves its skin: primitives that no skin places. They go where the clip moves their

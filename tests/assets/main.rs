@@ -8,6 +8,7 @@ mod fbx;
 mod fbx_text;
 mod figure;
 mod hostile_gltf;
+mod hostile_motion;
 mod materials;
 mod morphs;
 mod nodes;

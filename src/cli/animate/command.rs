@@ -128,26 +128,29 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
             times.rate
         );
     let quiet = Exec::new(&pool, &Silent);
+    let own = moving.own;
+    let mut order = AnimationOrder {
+        times,
+        range: range.clone(),
+        settings,
+        blocks_at_once: pool.threads(),
+        bakes_root: output.root == RootRule::Baked,
+    };
+    // What is refused here is refused before any file is begun.
+    let animation = prepare(&deformer, moving, scale, &order, &exec)?;
     let mut taker = output.begin(PlayedAnimation {
         deformer: &deformer,
         model: &args.model,
         files: &files,
         clip: &clip,
-        own: moving.own,
+        own,
         times,
         range,
         identity: &identity,
         permission: output.permission,
         exec: quiet,
     })?;
-    let order = AnimationOrder {
-        times,
-        range: taker.missing(),
-        settings,
-        blocks_at_once: pool.threads(),
-        bakes_root: output.root == RootRule::Baked,
-    };
-    let animation = prepare(&deformer, moving, scale, &order, &exec)?;
+    order.range = taker.missing();
     let ready = millis();
     spinner.finish();
     let bar = FramesBar::new(args.json, order.range.len());

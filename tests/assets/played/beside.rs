@@ -86,7 +86,7 @@ fn bar() -> (Vec<Vec3>, Vec<[u32; 3]>, Vec<f32>) {
 
 /// A bar on two joints that bends and walks along; a prop in its hand, by a matrix that shears; a lamp that jumps; a face that
 /// smiles along a spline; and a floor. `has_frown`: whether the bar's own morph target is moved, which lifts its end.
-fn make_scene(folder: &Path, has_frown: bool) {
+pub(super) fn make_scene(folder: &Path, has_frown: bool) {
     let mut all = Builder::default();
     let (positions, triangles, upper) = bar();
     let joints: Vec<u8> = upper.iter().flat_map(|_| [0, 1, 0, 0]).collect();

@@ -1,5 +1,6 @@
 //! `pliant animate` as a script sees it: what it writes plays what it solved, in every format.
 
+mod bad_input;
 mod beside;
 mod bones;
 mod models;

@@ -3,8 +3,8 @@
 use super::clip::{JointCurves, MotionClip};
 use super::curve::{Interpolation, KeyedCurve};
 use super::skeleton::{JointPose, Skeleton, SkeletonJoint};
-use crate::asset::{ChannelInterpolation, ChannelValues, MovingScene, SceneChannel, SceneClip};
-use glam::DQuat;
+use crate::asset::{ChannelInterpolation, ChannelValues, MovingScene, SceneChannel, SceneClip, SceneNode};
+use glam::{DMat3, DQuat};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -71,10 +71,39 @@ pub fn clip_of_scene(scene: &MovingScene, order: &NodeOrder, clip: Option<&Scene
         skeleton: Skeleton { joints },
         ..Default::default()
     };
+    motion.warnings.extend(shear_warning(scene, order));
     for channel in clip.iter().flat_map(|clip| &clip.channels) {
         add_channel(&mut motion, order.joints[channel.node], channel);
     }
     motion
+}
+
+/// Tells of joints, or what they hang on, with matrices that shear: a skeleton turns, shifts and scales alone.
+fn shear_warning(scene: &MovingScene, order: &NodeOrder) -> Option<String> {
+    let mut carries = scene.is_joint.clone();
+    for &node in order.nodes.iter().rev() {
+        if let Some(parent) = scene.nodes[node].parent.filter(|_| carries.get(node) == Some(&true)) {
+            carries[parent] = true;
+        }
+    }
+    let shears = |node: &SceneNode| {
+        let Some(matrix) = node.matrix else { return false };
+        let plain = DMat3::from_quat(node.rotation) * DMat3::from_diagonal(node.scale);
+        let off = (matrix.matrix3 - plain).to_cols_array();
+        off.iter().any(|v| v.abs() > 1e-3 * node.scale.abs().max_element())
+    };
+    let nodes = scene
+        .nodes
+        .iter()
+        .zip(&carries)
+        .filter(|(node, carries)| **carries && shears(node));
+    let names: Vec<String> = nodes.map(|(node, _)| format!("\"{}\"", node.name)).take(8).collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "the matrices of {} shear; of joints the nearest rotation is taken",
+            names.join(", ")
+        )
+    })
 }
 
 fn add_channel(motion: &mut MotionClip, joint: usize, channel: &SceneChannel) {

@@ -82,7 +82,11 @@ impl<'a> ClipLine<'a> {
         let text = std::str::from_utf8(word).ok();
         let number = text.and_then(|text| text.parse::<f64>().ok());
         match number {
-            Some(number) if number.is_finite() => Ok(number),
+            Some(number) if number.abs() <= LARGEST => Ok(number),
+            Some(number) if number.is_finite() => Err(self.refuse(format!(
+                "\"{}\" is too large; numbers from -1e9 to 1e9 are allowed",
+                shown(word)
+            ))),
             Some(_) => Err(self.refuse(format!("\"{}\" is not finite", shown(word)))),
             None if word.contains(&b',') => Err(self.refuse(format!(
                 "\"{}\" is no number; decimals need a point, not a comma",
@@ -92,6 +96,9 @@ impl<'a> ClipLine<'a> {
         }
     }
 }
+
+/// The largest number of a clip, in degrees, units or seconds: what is computed from such numbers is far from the end of doubles.
+const LARGEST: f64 = 1e9;
 
 /// At most 60 characters of a text, for a message.
 pub(super) fn shown(text: &[u8]) -> String {

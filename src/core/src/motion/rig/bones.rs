@@ -97,6 +97,8 @@ pub enum RigError {
 impl MotionRig {
     /// The most bones of a rig.
     pub const MOST_BONES: usize = 1024;
+    /// The largest coordinate and the largest scale: what is computed from such numbers is far from the end of doubles.
+    pub const FARTHEST: f64 = 1e12;
     /// The most slices of a bone.
     pub const MOST_SLICES: usize = 16;
 
@@ -115,9 +117,13 @@ impl MotionRig {
             let (count, most) = (bones.len(), Self::MOST_BONES);
             return Err(whole("bones", format!("has {count} entries, allowed are 1 to {most}")));
         }
-        if scale.is_some_and(|s| !(s.is_finite() && s > 0.0)) {
-            let scale = scale.unwrap_or_default();
-            return Err(whole("scale", format!("is {scale}, a number above 0 is needed")));
+        let sizes = 1.0 / Self::FARTHEST..=Self::FARTHEST;
+        if let Some(scale) = scale.filter(|s| !sizes.contains(s)) {
+            let most = Self::FARTHEST;
+            return Err(whole(
+                "scale",
+                format!("is {scale}, a number from 1 / {most:e} to {most:e} is needed"),
+            ));
         }
         let mut number = BTreeMap::new();
         for (bone, own) in bones.iter().enumerate() {
@@ -190,13 +196,24 @@ fn check_bone(bone: usize, own: &RigBone) -> Result<(), RigError> {
         if !point.is_finite() {
             return refuse(field, "is no point of finite numbers".into());
         }
+        if point.abs().max_element() > MotionRig::FARTHEST {
+            let most = MotionRig::FARTHEST;
+            return refuse(
+                field,
+                format!("is {point}, coordinates from -{most:e} to {most:e} are allowed"),
+            );
+        }
     }
-    let is_length = |r: f64| r.is_finite() && r > 0.0;
+    let is_length = |r: f64| r > 0.0 && r <= MotionRig::FARTHEST;
+    let needed = |r: f64| match r > 0.0 {
+        true => format!("is {r}, at most {:e} is allowed", MotionRig::FARTHEST),
+        false => format!("is {r}, a number above 0 is needed"),
+    };
     if !is_length(own.radius) {
-        return refuse("radius", format!("is {}, a number above 0 is needed", own.radius));
+        return refuse("radius", needed(own.radius));
     }
     if let Some(radius) = own.joint_radius.filter(|r| !is_length(*r)) {
-        return refuse("jointRadius", format!("is {radius}, a number above 0 is needed"));
+        return refuse("jointRadius", needed(radius));
     }
     if own.slices == 0 || own.slices > MotionRig::MOST_SLICES {
         let most = MotionRig::MOST_SLICES;

@@ -1,0 +1,253 @@
+//! Clips, rigs and skins that are damaged, row by row: what is wrong, where, and what is allowed stand in the last line.
+
+use super::beside::make_scene;
+use super::{BAR, animate, make_bar};
+use std::fs;
+use std::path::Path;
+
+/// Runs `pliant animate` on files of a folder; its exit code, and stderr. Nothing is written when it is refused.
+fn run(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
+    let all: Vec<&str> = arguments.iter().copied().chain(["-o", "out.pc2", "--force"]).collect();
+    let done = animate(folder, &all);
+    let said = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert_eq!(folder.join("out.pc2").exists(), done.status.success(), "{said}");
+    assert!(!folder.join("out.pc2.part").exists(), "{said}");
+    (done.status.code(), said)
+}
+
+/// Checks that a run is refused with these words in its last line.
+fn refused(folder: &Path, arguments: &[&str], wanted: &[&str]) {
+    let (code, said) = run(folder, arguments);
+    assert_eq!(code, Some(2), "{wanted:?}: {said}");
+    let last = said.trim_end().lines().last().unwrap_or_default();
+    for words in wanted {
+        assert!(last.contains(words), "{words}: {last}");
+    }
+}
+
+/// Puts a changed text in place of a file.
+fn change(folder: &Path, name: &str, from: &str, to: &str) -> String {
+    let text = fs::read_to_string(folder.join(name)).expect("a file");
+    assert!(text.contains(from), "{from}");
+    fs::write(folder.join(name), text.replacen(from, to, 1)).expect("written");
+    text
+}
+
+#[test]
+fn damaged_clips_are_refused_with_their_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    let row = "0 0 0 0 0 0 0 0 0\n";
+    let cases: [(&str, &str, &[&str]); 14] = [
+        ("MOTION\n", "", &["bar.bvh: line", "MOTION"]),
+        ("}\nMOTION", "MOTION", &["bar.bvh: line", "not closed"]),
+        (row, "0 0 0 nan 0 0 0 0 0\n", &["line 19", "not finite"]),
+        (row, "0 0 0 0 0 0 0 0\n", &["line 19", "8 numbers, the joints have 9"]),
+        (
+            row,
+            "0 0 0 0 0 0 0 0 0 0\n",
+            &["line 19", "10 numbers, the joints have 9"],
+        ),
+        (row, "0 0 0 0,5 0 0 0 0 0\n", &["line 19", "comma"]),
+        (
+            "Frames: 12",
+            "Frames: 13",
+            &["line", "13 frames are declared, 12 follow"],
+        ),
+        ("Frames: 12", "Frames: 0", &["line 17", "at least 1"]),
+        ("Frames: 12", "Frames: -3", &["line 17"]),
+        (
+            "Frames: 12",
+            "Frames: 1000000000000",
+            &["frames", "1000000000000", "at most"],
+        ),
+        ("Frame Time: 0.25", "Frame Time: 0", &["line 18", "frame time"]),
+        ("Frame Time: 0.25", "Frame Time: -1", &["line 18", "frame time"]),
+        ("Xposition", "Wposition", &["line 5", "Xposition"]),
+        ("MOTION", "ROOT b\n{\nOFFSET 0 0 0\n}\nMOTION", &["line", "second ROOT"]),
+    ];
+    for (from, to, wanted) in cases {
+        let whole = change(folder, "bar.bvh", from, to);
+        refused(folder, &BAR, wanted);
+        fs::write(folder.join("bar.bvh"), whole).expect("written");
+    }
+    let whole = fs::read(folder.join("bar.bvh")).expect("the clip");
+    fs::write(folder.join("bar.bvh"), "").expect("written");
+    refused(folder, &BAR, &["bar.bvh", "empty"]);
+    let chain = |count: usize| {
+        let joints = "JOINT a\n{\nOFFSET 0 1 0\nCHANNELS 0\n".repeat(count - 1);
+        let ends = "}\n".repeat(count);
+        format!("HIERARCHY\nROOT low\n{{\nOFFSET 0 0 0\nCHANNELS 0\n{joints}{ends}MOTION\nFrames: 1\nFrame Time: 1\n")
+    };
+    fs::write(folder.join("bar.bvh"), chain(6000)).expect("written");
+    refused(folder, &BAR, &["bar.bvh", "joints", "4096"]);
+    // A row more than is declared counts, with a warning.
+    fs::write(folder.join("bar.bvh"), whole).expect("written");
+    change(folder, "bar.bvh", "Frames: 12", "Frames: 11");
+    let (code, said) = run(folder, &BAR);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("warning:") && said.contains("12 frames, "), "{said}");
+}
+
+#[test]
+fn rigs_that_cannot_be_are_refused_with_the_bone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    let high = r#"{"id": "high", "from": "b", "to": "c", "parent": "low""#;
+    let cases: [(&str, &str, &[&str]); 10] = [
+        (
+            "\"joint\": \"low\"",
+            "\"joint\": \"pelvis\"",
+            &["joint: ", "\"pelvis\" of bone \"low\"", "it has \"low\", \"high\""],
+        ),
+        (
+            "\"radius\": 0.5",
+            "\"radius\": 0",
+            &["rig.json: bones[0].radius: is 0, a number above 0"],
+        ),
+        (
+            "\"radius\": 0.5",
+            "\"radius\": -1",
+            &["rig.json: bones[0].radius: is -1"],
+        ),
+        (
+            r#""id": "low","#,
+            r#""id": "low", "parent": "high","#,
+            &["bones: \"low\", \"high\" hang on each other in a circle"],
+        ),
+        (
+            high,
+            r#"{"id": "high", "from": "b", "to": "c""#,
+            &["\"low\", \"high\" have no parent; all but one"],
+        ),
+        (
+            high,
+            r#"{"id": "high", "from": "b", "to": "c", "parent": "tail""#,
+            &["bones[1].parent: is \"tail\"", "there are"],
+        ),
+        (
+            r#""from": "a""#,
+            r#""from": "z""#,
+            &["bones[0].from: is \"z\", the rig's joints have no such name"],
+        ),
+        (
+            "\"version\": 1",
+            "\"version\": 7",
+            &["version: is 7, this program reads version 1"],
+        ),
+        (
+            "\"version\": 1,",
+            "\"version\": 1, \"reference\": {\"frame\": 99},",
+            &["referenceFrame: is 99, the clip has 12 frames"],
+        ),
+        ("{\"version\"", "\"version\"", &["rig.json"]),
+    ];
+    for (from, to, wanted) in cases {
+        let whole = change(folder, "rig.json", from, to);
+        refused(folder, &BAR, wanted);
+        fs::write(folder.join("rig.json"), whole).expect("written");
+    }
+    // A bone without length makes no handle, and a warning.
+    change(
+        folder,
+        "rig.json",
+        r#""bones": ["#,
+        r#""bones": [{"id": "none", "from": "b", "to": "b", "parent": "low", "joint": "high", "radius": 0.5},"#,
+    );
+    let (code, said) = run(folder, &BAR);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("warning: bone \"none\" has no length"), "{said}");
+}
+
+#[test]
+fn a_long_chain_of_bones_is_refused_without_recursion() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    let bone = |k: usize| {
+        let parent = if k == 0 {
+            String::new()
+        } else {
+            format!("\"parent\": \"b{}\",", k - 1)
+        };
+        format!(r#"{{"id": "b{k}", {parent} "from": "a", "to": "b", "joint": "low", "radius": 0.5}}"#)
+    };
+    let bones: Vec<String> = (0..6000).map(bone).collect();
+    let rig = format!(
+        r#"{{"version": 1, "joints": {{"a": [0, 0, 0], "b": [1, 0, 0]}}, "bones": [{}]}}"#,
+        bones.join(",")
+    );
+    fs::write(folder.join("rig.json"), rig).expect("written");
+    refused(folder, &BAR, &["rig.json: bones: has", "allowed are 1 to 1024"]);
+}
+
+#[test]
+fn skins_and_clips_of_a_model_that_name_what_is_not_there_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_scene(folder, false);
+    let act = ["scene.gltf", "--clip", "act", "--fps", "5", "--refine", "0"];
+    let cases: [(&str, &str, &[&str]); 7] = [
+        (
+            r#""joints":[1,2]"#,
+            r#""joints":[1,99]"#,
+            &["node 99 as a joint, there are 7 nodes"],
+        ),
+        (
+            r#""joints":[1,2]"#,
+            r#""joints":[1,2],"inverseBindMatrices":999"#,
+            &["inverse bind matrices", "999"],
+        ),
+        (
+            r#""joints":[1,2]"#,
+            r#""joints":[1,2],"inverseBindMatrices":0"#,
+            &["inverse bind matrices"],
+        ),
+        (
+            r#"{"sampler":0,"#,
+            r#"{"sampler":77,"#,
+            &["animations/0/channels/0/sampler", "is 77, there are 5 samplers"],
+        ),
+        (
+            r#"{"sampler":0,"target":{"node":2,"#,
+            r#"{"sampler":0,"target":{"node":70,"#,
+            &["animations/0/channels/0/target/node", "is 70, there are 7 nodes"],
+        ),
+        (
+            r#""samplers":[{"input":"#,
+            r#""samplers":[{"input":5"#,
+            &["animations/0/channels/0/sampler/input", "accessors"],
+        ),
+        (
+            r#""interpolation":"STEP""#,
+            r#""interpolation":"LEAP""#,
+            &["\"LEAP\", allowed are LINEAR, STEP and CUBICSPLINE"],
+        ),
+    ];
+    for (from, to, wanted) in cases {
+        let whole = change(folder, "scene.gltf", from, to);
+        refused(folder, &act, wanted);
+        fs::write(folder.join("scene.gltf"), whole).expect("written");
+    }
+    refused(
+        folder,
+        &["scene.gltf", "--clip", "sing"],
+        &["clip: \"sing\" is no clip of the model; there are 0 \"act\""],
+    );
+    // Of a joint's matrix that shears, the nearest rotation is taken, with a warning.
+    change(
+        folder,
+        "scene.gltf",
+        r#""name":"low","#,
+        r#""name":"low","matrix":[1,0,0,0, 0.3,1,0,0, 0,0,1,0, 0,0,0,1],"#,
+    );
+    change(folder, "scene.gltf", r#""target":{"node":1,"#, r#""target":{"node":4,"#);
+    let (code, said) = run(folder, &act);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        said.contains("warning: ") && said.contains("\"low\"") && said.contains("shear"),
+        "{said}"
+    );
+}
