@@ -4,6 +4,7 @@
  * `Client` opens a `Session`; `Session.stream()` gives a `Stream` on which handles are dragged at display rate.
  */
 
+export { Animation, type AnimatedFrame, type AnimateOptions } from "./animation.js";
 export { Client, type CreateOptions, type OpenOptions } from "./client.js";
 export { companionNames, companionsOf, type PlacedFile } from "./companions.js";
 export { PliantError, statusName } from "./errors.js";

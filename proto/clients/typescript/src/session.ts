@@ -15,6 +15,8 @@ import {
   SetHandlesRequestSchema,
   SolveRequestSchema,
 } from "./gen/pliant/v1/pliant_pb.js";
+import type { AnimateOptions } from "./animation.js";
+import { Animation, formOf } from "./animation.js";
 import type { StreamEvents } from "./stream.js";
 import { Stream } from "./stream.js";
 import type { CallOptions, Transport } from "./transport.js";
@@ -129,6 +131,23 @@ export class Session {
   edit(edit: Edit, call: CallOptions = {}): Promise<EditResult> {
     const json = jsonOf(EditRequestSchema, edit);
     return this.transport.message(EditResultSchema, "POST", this.path("/edits"), { ...call, json });
+  }
+
+  /**
+   * Drives the model by a clip: one of its own by name or number (absent, its first), or a BVH file with a rig. The frames come one by
+   * one; the session's handles, shape and history stay as they are.
+   */
+  animate(options: AnimateOptions = {}, call: CallOptions = {}): Animation {
+    const accept = "application/vnd.google.protobuf";
+    const route = (body: FormData, how: CallOptions) =>
+      this.transport.bytes("POST", this.path("/animations"), accept, { ...how, body });
+    return new Animation(route, options, call);
+  }
+
+  /** As `animate`, as a GLB that plays the clip: with morph targets, or with `playedAs: 1` as a skin of rigid bones. */
+  async animatedModel(options: AnimateOptions = {}, call: CallOptions = {}): Promise<Blob> {
+    const body = formOf(options);
+    return (await this.transport.bytes("POST", this.path("/animations"), "model/gltf-binary", { ...call, body })).blob();
   }
 
   /** The current shape: x, y, z per render vertex. */

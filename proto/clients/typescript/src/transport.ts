@@ -53,7 +53,7 @@ export class Transport {
   }
 
   /** A call whose answer is bytes. */
-  async bytes(method: string, path: string, accept: string, call: CallOptions & { json?: unknown } = {}): Promise<Response> {
+  async bytes(method: string, path: string, accept: string, call: CallOptions & { body?: BodyInit; json?: unknown } = {}): Promise<Response> {
     return this.call(method, path, accept, call);
   }
 
