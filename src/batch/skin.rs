@@ -2,9 +2,9 @@
 
 use crate::asset::{CarryingJoints, Model, PlayedJoint};
 use crate::exec::Exec;
-use crate::motion::BoneInfluences;
 use crate::motion::rig::{MotionRig, rig_joints, skin_bones};
 use crate::motion::skin_weights::{SkinWeightError, SkinWeightOptions, skin_weights};
+use crate::motion::{BoneInfluences, NodeOrder, clip_of_scene};
 use crate::wire::Error;
 
 /// Joints, and which of them carry each vertex.
@@ -30,6 +30,37 @@ pub fn bind_model(model: &Model, rig: &MotionRig, influences: usize, exec: &Exec
         joints: rig_joints(rig),
         influences: found?,
     })
+}
+
+/// Which bones of a rig that was made of a model's skin carry each of its vertices: what the skin says, each joint's share with
+/// the bone of its name, or the nearest above it.
+///
+/// # Errors
+/// What reading the model's scene fails with.
+pub fn influences_of_skin(model: &Model, rig: &MotionRig) -> Result<Vec<BoneInfluences>, Error> {
+    let Some(scene) = model.moving_scene()? else {
+        return Ok(vec![BoneInfluences::one(0); model.positions.len()]);
+    };
+    let order = NodeOrder::of(&scene);
+    let skeleton = clip_of_scene(&scene, &order, None).skeleton;
+    let mut bones: Vec<u16> = Vec::with_capacity(skeleton.joints.len());
+    for joint in &skeleton.joints {
+        let own = rig.bones.iter().position(|bone| bone.joint == joint.name);
+        let above = joint.parent.map_or(0, |parent| bones[parent]);
+        bones.push(own.map_or(above, |bone| bone as u16));
+    }
+    let of_vertex = |vertex: usize| {
+        let mut pairs: Vec<(u16, f64)> = Vec::new();
+        for (node, weight) in scene.influences.of(vertex) {
+            let bone = bones[order.joints[*node as usize]];
+            match pairs.iter_mut().find(|pair| pair.0 == bone) {
+                Some(pair) => pair.1 += f64::from(*weight),
+                None => pairs.push((bone, f64::from(*weight))),
+            }
+        }
+        BoneInfluences::from_pairs(&mut pairs).unwrap_or_else(|| BoneInfluences::one(0))
+    };
+    Ok((0..model.positions.len()).map(of_vertex).collect())
 }
 
 /// What a vertex follows, as a file is told.

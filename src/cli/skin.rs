@@ -61,6 +61,7 @@ pub(super) fn run_skin(args: &SkinArgs) -> Result<(), CliFailure> {
         times: &[],
         frames: &[],
         root: None,
+        correctives: None,
         beside: None,
     });
     let written = written.map_err(Error::from)?;

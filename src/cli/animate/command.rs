@@ -160,7 +160,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     };
     let mut report = play(&animation, &order, &quiet, &millis, &mut take)?;
     drop(bar);
-    taker.finish(&mut report)?;
+    taker.finish(&mut report, &animation)?;
     let ended = report.totals.unwrap_or_default();
     report.totals = Some(pb::animation_report::Totals {
         frames_per_second: ended.frames_per_second,

@@ -3,9 +3,12 @@
 use super::frames_file::FramesFile;
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::asset::{NodePlace, UsdClip, VertexCache};
-use crate::batch::{KeptFrames, PlayedModel, WrittenOff, node_place, write_morph_frames, write_skin_frames};
+use crate::batch::{
+    DrivenFrames, KeptFrames, PlayedModel, WrittenOff, node_place, write_corrected_frames, write_morph_frames,
+    write_rig_frames, write_skin_frames,
+};
 use crate::cli::failure::CliFailure;
-use crate::engine::AnimatedFrame;
+use crate::engine::{AnimatedFrame, Animation};
 use crate::motion::rig::RigidMotion;
 use crate::wire::{Error, pb};
 use glam::Vec3;
@@ -24,6 +27,10 @@ pub(super) enum GatheredKind {
     Morphs(usize),
     /// A GLB with a skin of so many bones.
     Skin(usize),
+    /// A GLB with a skin of the rig's bones, and whether twists are spread along limbs.
+    Rig { has_twists: bool },
+    /// A GLB with a skin of the rig's bones and so many correctives at most.
+    Correctives(usize),
 }
 
 /// An output of one file.
@@ -89,7 +96,7 @@ impl<'a> GatheredFrames<'a> {
     }
 
     /// Writes a GLB that plays the frames, and tells what there is to say of it.
-    fn write_glb(&mut self) -> Result<Option<WrittenOff>, CliFailure> {
+    fn write_glb(&mut self, animation: &Animation) -> Result<Option<WrittenOff>, CliFailure> {
         let played = &self.played;
         let Range { start, end } = played.range;
         let model = PlayedModel {
@@ -103,6 +110,10 @@ impl<'a> GatheredFrames<'a> {
             rate: played.times.rate,
             has_root: self.has_root,
         };
+        let driven = DrivenFrames {
+            animation,
+            first: start,
+        };
         let mut frames = FramesOfRange {
             file: &mut self.frames,
             count: played.range.len(),
@@ -111,6 +122,14 @@ impl<'a> GatheredFrames<'a> {
             GatheredKind::Skin(bones) => {
                 let (written, told) = write_skin_frames(&model, &mut frames, bones, &played.exec)?;
                 (written, Some(told))
+            }
+            GatheredKind::Rig { has_twists } => {
+                let found = write_rig_frames(&model, &mut frames, &driven, has_twists, &played.exec)?;
+                (found.0, Some(found.1))
+            }
+            GatheredKind::Correctives(most) => {
+                let found = write_corrected_frames(&model, &mut frames, &driven, most, &played.exec)?;
+                (found.0, Some(found.1))
             }
             GatheredKind::Morphs(most) => write_morph_frames(&model, &mut frames, most)?,
             GatheredKind::Cache(_) | GatheredKind::Usd => return Ok(None),
@@ -183,12 +202,15 @@ impl FrameTaker for GatheredFrames<'_> {
         self.frames.push(frame, told)
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport) -> Result<(), CliFailure> {
+    fn finish(&mut self, report: &mut pb::AnimationReport, animation: &Animation) -> Result<(), CliFailure> {
         match self.kind {
             GatheredKind::Cache(cache) => self.write_cache(cache)?,
             GatheredKind::Usd => self.write_usd()?,
-            GatheredKind::Morphs(_) | GatheredKind::Skin(_) => {
-                if let Some((off, told)) = self.write_glb()? {
+            GatheredKind::Morphs(_)
+            | GatheredKind::Skin(_)
+            | GatheredKind::Rig { .. }
+            | GatheredKind::Correctives(_) => {
+                if let Some((off, told)) = self.write_glb(animation)? {
                     report.warnings.push(told);
                     report.written_error = Some(off);
                 }

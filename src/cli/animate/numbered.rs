@@ -6,7 +6,7 @@
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::asset::Format;
 use crate::cli::failure::CliFailure;
-use crate::engine::AnimatedFrame;
+use crate::engine::{AnimatedFrame, Animation};
 use crate::wire::{Error, pb};
 use std::fs;
 use std::ops::Range;
@@ -106,7 +106,7 @@ impl FrameTaker for NumberedFrames<'_> {
         Ok(())
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport) -> Result<(), CliFailure> {
+    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation) -> Result<(), CliFailure> {
         let before = self.missing.start - self.played.range.start;
         if before > 0 {
             report

@@ -16,6 +16,9 @@ const MOST_TARGETS: usize = 4096;
 /// Morph targets of a file unless told otherwise: what game engines take (bevy: 64).
 const USUAL_TARGETS: usize = 64;
 
+/// Most correctives of a file, and those unless told otherwise.
+const MOST_POSES: usize = 256;
+const USUAL_POSES: usize = 8;
 /// Bones of a skin unless told otherwise.
 const USUAL_BONES: usize = 40;
 
@@ -35,6 +38,12 @@ pub(super) struct AnimationOutputArgs {
     /// Most morph targets of a .glb; with more frames, the shapes between chosen ones are blended [default: 64]
     #[arg(long, value_name = "COUNT")]
     max_targets: Option<usize>,
+    /// What the bones of a .glb that is written --as skin are [default: free]
+    #[arg(long, value_enum)]
+    skeleton: Option<SkeletonKind>,
+    /// Most correctives of a .glb that is written --as correctives, 1 to 256 [default: 8]
+    #[arg(long, value_name = "COUNT")]
+    poses: Option<usize>,
     /// Bones of a .glb that is written --as skin, 1 to 256 [default: 40]
     #[arg(long, value_name = "COUNT")]
     bones: Option<usize>,
@@ -58,6 +67,19 @@ pub(super) enum PlayedAs {
     Morph,
     /// As a skin of rigid bones, four a vertex, which any engine plays.
     Skin,
+    /// As a skin of the rig's bones, with morph targets for what these do not play.
+    Correctives,
+}
+
+/// What the bones of a skin are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum SkeletonKind {
+    /// Found for the frames; they lie side by side below one root.
+    Free,
+    /// Those of the rig, with weights fitted to the frames.
+    Rig,
+    /// Those of the rig and three more along each limb, among which its twist is spread.
+    Twist,
 }
 
 /// Where the motion of the root bone goes.
@@ -97,8 +119,10 @@ impl AnimationOutputArgs {
             Some(path) => self.kind_of(path)?,
         };
         let is_morph = matches!(kind, OutputKind::Gathered(_, GatheredKind::Morphs(_)));
-        let is_skin = matches!(kind, OutputKind::Gathered(_, GatheredKind::Skin(_)));
-        let is_glb = is_morph || is_skin;
+        let is_free = matches!(kind, OutputKind::Gathered(_, GatheredKind::Skin(_)));
+        let is_skin = is_free || matches!(kind, OutputKind::Gathered(_, GatheredKind::Rig { .. }));
+        let is_corrected = matches!(kind, OutputKind::Gathered(_, GatheredKind::Correctives(_)));
+        let is_glb = is_morph || is_skin || is_corrected;
         let has_nodes = is_glb || matches!(kind, OutputKind::Gathered(_, GatheredKind::Usd));
         let is_numbered = matches!(kind, OutputKind::Numbered(..));
         let is_picture = matches!(kind, OutputKind::Pictured(_));
@@ -114,7 +138,13 @@ impl AnimationOutputArgs {
                 is_morph,
                 "--max-targets is for .glb files with morph targets",
             ),
-            (self.bones.is_some(), is_skin, "--bones is for --as skin"),
+            (
+                self.bones.is_some(),
+                is_free,
+                "--bones is for --as skin with free bones",
+            ),
+            (self.skeleton.is_some(), is_skin, "--skeleton is for --as skin"),
+            (self.poses.is_some(), is_corrected, "--poses is for --as correctives"),
             (
                 self.root == Some(RootRule::Node),
                 has_nodes,
@@ -189,7 +219,22 @@ impl AnimationOutputArgs {
                     "--bones is {bones}, allowed are 1 to {most}"
                 )));
             }
-            return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Skin(bones)));
+            let kind = match self.skeleton.unwrap_or(SkeletonKind::Free) {
+                SkeletonKind::Free => GatheredKind::Skin(bones),
+                other => GatheredKind::Rig {
+                    has_twists: other == SkeletonKind::Twist,
+                },
+            };
+            return Ok(OutputKind::Gathered(path.to_owned(), kind));
+        }
+        if self.played_as == Some(PlayedAs::Correctives) {
+            let poses = self.poses.unwrap_or(USUAL_POSES);
+            if !(1..=MOST_POSES).contains(&poses) {
+                return Err(CliFailure::Input(format!(
+                    "--poses is {poses}, allowed are 1 to {MOST_POSES}"
+                )));
+            }
+            return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Correctives(poses)));
         }
         let most = self.max_targets.unwrap_or(USUAL_TARGETS);
         if !(2..=MOST_TARGETS).contains(&most) {

@@ -3,7 +3,7 @@
 use crate::asset::{FileSet, Primitive};
 use crate::cli::failure::CliFailure;
 use crate::cli::output_files::OutputPermission;
-use crate::engine::{AnimatedFrame, Deformer, FrameTimes};
+use crate::engine::{AnimatedFrame, Animation, Deformer, FrameTimes};
 use crate::exec::Exec;
 use crate::wire::pb;
 use std::ops::Range;
@@ -53,7 +53,7 @@ pub(super) trait FrameTaker {
     fn take(&mut self, frame: &AnimatedFrame, told: &pb::animation_report::FrameReport) -> Result<(), CliFailure>;
 
     /// Ends the output after the last frame, and tells of it.
-    fn finish(&mut self, report: &mut pb::AnimationReport) -> Result<(), CliFailure>;
+    fn finish(&mut self, report: &mut pb::AnimationReport, animation: &Animation) -> Result<(), CliFailure>;
 }
 
 /// Takes frames that are only measured.
@@ -68,7 +68,7 @@ impl FrameTaker for MeasuredFrames {
         Ok(())
     }
 
-    fn finish(&mut self, _: &mut pb::AnimationReport) -> Result<(), CliFailure> {
+    fn finish(&mut self, _: &mut pb::AnimationReport, _: &Animation) -> Result<(), CliFailure> {
         Ok(())
     }
 }

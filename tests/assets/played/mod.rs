@@ -7,6 +7,7 @@ mod models;
 mod outputs;
 mod refusals;
 mod resume;
+mod rig_bones;
 mod skinned;
 mod usd;
 

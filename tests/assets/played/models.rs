@@ -142,6 +142,7 @@ fn every_model_takes_shapes_and_joints() {
             times: &[0.0],
             frames: &[vec![NodePlace::IDENTITY]],
             root: None,
+            correctives: None,
             beside: None,
         };
         // What a conversion has against it is not a clip's.

@@ -68,6 +68,7 @@ fn check_skinned(model: &Model, at: &Path) {
             times: &times,
             places: &roots,
         }),
+        correctives: None,
         beside: None,
     };
     let written = model.write_skinned_clip(&clip).expect("it is written");
@@ -180,6 +181,7 @@ fn clips_that_cannot_be_are_refused() {
             times,
             frames: &frames,
             root: None,
+            correctives: None,
             beside: None,
         };
         model.write_skinned_clip(&clip).expect_err("refused").to_string()

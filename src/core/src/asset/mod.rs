@@ -58,7 +58,9 @@ pub use moving_scene::{
     SceneNode, ScenePrimitive,
 };
 pub use node::{ModelNode, NodeMotions, ShapeFollowers};
-pub use played_clip::{CarryingJoints, ClipBeside, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
+pub use played_clip::{
+    CarryingJoints, ClipBeside, MorphClip, NodeKeys, NodePlace, PlayedCorrectives, PlayedJoint, SkinnedClip,
+};
 pub use usd::{UsdClip, UsdModel};
 pub use vertex_cache::VertexCache;
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};

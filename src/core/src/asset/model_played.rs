@@ -75,6 +75,15 @@ impl Model {
         if let Some(frame) = clip.frames.iter().find(|f| f.len() != joints) {
             return refuse(format!("a frame has {} of {joints} joints", frame.len()));
         }
+        if let Some(correctives) = &clip.correctives {
+            for shape in correctives.shapes {
+                self.check_count("positions of a corrective", shape.len())?;
+            }
+            let fits = |weights: &Vec<f64>| weights.len() == correctives.shapes.len();
+            if correctives.weights.len() != clip.frames.len() || !correctives.weights.iter().all(fits) {
+                return refuse("a frame does not have a weight for each corrective".into());
+            }
+        }
         let mut entries = clip.influences.iter().flatten();
         let is_wrong = |w: f32| !(w.is_finite() && w >= 0.0);
         if let Some((joint, weight)) = entries.find(|(j, w)| *j as usize >= joints || is_wrong(*w)) {

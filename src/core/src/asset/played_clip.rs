@@ -69,6 +69,15 @@ pub struct PlayedJoint {
 /// The joints that carry a vertex and how much; those with a weight of 0 do not.
 pub type CarryingJoints = [(u32, f32); 8];
 
+/// Shapes at rest that correct what joints make of the rest shape, by as much as they weigh in a frame.
+#[derive(Debug, Clone, Copy)]
+pub struct PlayedCorrectives<'a> {
+    /// For each where the render vertices are at rest, in model space.
+    pub shapes: &'a [Vec<Vec3>],
+    /// For each frame the weight of each.
+    pub weights: &'a [Vec<f64>],
+}
+
 /// A clip of joints that hang on each other below one root.
 #[derive(Debug, Clone, Copy)]
 pub struct SkinnedClip<'a> {
@@ -82,6 +91,8 @@ pub struct SkinnedClip<'a> {
     pub times: &'a [f64],
     /// For each frame where each joint is, in model space, the root's motion apart.
     pub frames: &'a [Vec<NodePlace>],
+    /// What corrects it, as morph targets, where something does.
+    pub correctives: Option<PlayedCorrectives<'a>>,
     /// What the root does, where it does something.
     pub root: Option<NodeKeys<'a>>,
     /// What goes on beside it.

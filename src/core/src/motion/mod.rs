@@ -2,6 +2,7 @@
 
 pub mod bvh;
 mod clip;
+pub mod correctives;
 mod curve;
 pub mod decomposition;
 mod error;

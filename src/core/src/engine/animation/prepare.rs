@@ -97,6 +97,11 @@ impl Animation {
         self
     }
 
+    /// The rig that moves.
+    pub fn moving_rig(&self) -> &MotionRig {
+        &self.rig
+    }
+
     /// What each handle of the rig came to hold.
     pub fn handle_facts(&self) -> &[RigHandleFacts] {
         &self.facts

@@ -137,6 +137,16 @@ fn add_cylinders(rig: &MotionRig, number: usize, bone: &RigBone, handles: &mut V
 }
 
 impl RigHandle {
+    /// The bone along which it is one of several slices, and where it lies; `None` for what is no slice.
+    pub fn sliced_bone(&self) -> Option<(usize, DVec3)> {
+        match (self.follows, self.shape) {
+            (Follows::Slice { bone, .. }, RigHandleShape::Cylinder { from, to, .. }) => {
+                Some((bone, from.lerp(to, 0.5)))
+            }
+            _ => None,
+        }
+    }
+
     /// Where a handle is in a pose of its rig, as the root bone sees it.
     pub fn motion(&self, rig: &MotionRig, pose: &RigPose) -> RigidMotion {
         match self.follows {

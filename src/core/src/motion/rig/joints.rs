@@ -1,6 +1,8 @@
 //! The bones of a rig as joints of a skin.
 
 use super::bones::{MotionRig, RigBone};
+use super::drive::RigPose;
+use super::handles::{RigHandle, rig_handles};
 use super::rigid::RigidMotion;
 use crate::asset::{NodePlace, PlayedJoint};
 use crate::motion::skin_weights::SkinBone;
@@ -30,6 +32,49 @@ pub fn rig_joints(rig: &MotionRig) -> Vec<PlayedJoint> {
         },
     };
     rig.bones.iter().map(joint).collect()
+}
+
+/// The joints of a rig's skin, and how a pose moves them.
+#[derive(Debug, Clone)]
+pub struct RigSkeleton {
+    /// One for each bone, then one for each slice of a limb where twists are spread.
+    pub joints: Vec<PlayedJoint>,
+    slices: Vec<RigHandle>,
+}
+
+impl RigSkeleton {
+    /// The joints of a rig; with `has_twists` limbs have joints along them among which their twists are spread.
+    pub fn of_rig(rig: &MotionRig, has_twists: bool) -> Self {
+        let mut joints = rig_joints(rig);
+        let all = if has_twists { rig_handles(rig) } else { Vec::new() };
+        let slices: Vec<RigHandle> = all
+            .into_iter()
+            .filter(|handle| handle.sliced_bone().is_some())
+            .collect();
+        for (bone, middle) in slices.iter().filter_map(RigHandle::sliced_bone) {
+            let own = joints
+                .iter()
+                .filter(|j| j.parent == Some(bone) && j.name.contains(" twist "))
+                .count();
+            joints.push(PlayedJoint {
+                name: format!("{} twist {}", rig.bones[bone].id, own + 1),
+                parent: Some(bone),
+                rest: NodePlace {
+                    translation: middle,
+                    rotation: joints[bone].rest.rotation,
+                },
+            });
+        }
+        Self { joints, slices }
+    }
+
+    /// What each joint does with what lies at rest in a pose, as something sees it that moves as `frame`.
+    pub fn motions_in(&self, rig: &MotionRig, pose: &RigPose, frame: &RigidMotion) -> Vec<RigidMotion> {
+        let slices = self.slices.iter().map(|slice| slice.motion(rig, pose));
+        let all = pose.bones.iter().copied().chain(slices);
+        all.map(|motion| motion.followed_by(&pose.root).seen_from(frame))
+            .collect()
+    }
 }
 
 /// Where joints are that move as the bones do.

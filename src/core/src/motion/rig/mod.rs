@@ -20,6 +20,6 @@ pub(in crate::motion) use bones::listed_names;
 pub use bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 pub use drive::{DriveOptions, RigDriver, RigPose};
 pub use handles::{RigHandle, RigHandleShape, rig_handles};
-pub use joints::{moved_joints, rig_joints, skin_bones};
+pub use joints::{RigSkeleton, moved_joints, rig_joints, skin_bones};
 pub use of_skin::rig_of_skin;
 pub use rigid::RigidMotion;

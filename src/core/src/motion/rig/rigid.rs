@@ -31,6 +31,16 @@ impl RigidMotion {
         self.rotation.inverse() * (point - self.to) + self.from
     }
 
+    /// This motion, and then another.
+    #[must_use]
+    pub fn followed_by(&self, next: &Self) -> Self {
+        Self {
+            rotation: (next.rotation * self.rotation).normalize(),
+            from: self.from,
+            to: next.place(self.to),
+        }
+    }
+
     /// The motion as a point moved along with `frame` sees it: first this one, then back what `frame` did.
     ///
     /// ```

@@ -7,11 +7,11 @@ use super::super::text::quoted;
 use super::beside::go_on_beside;
 use super::channels::{NewClip, add_times};
 use super::document::PlayedDocument;
-use super::primitives::{PlayedNode, PrimitiveChanges, RestPrimitive, changed_mesh, played_nodes};
+use super::primitives::{PlayedNode, PrimitiveChanges, RestPrimitive, changed_mesh, played_nodes, still_target};
 use super::scene::{kept_clips, kept_skins, name_member, take_mesh};
 use crate::asset::played_clip::{CarryingJoints, NodePlace, SkinnedClip};
 use crate::asset::{Error, Geometry, Model};
-use glam::{DAffine3, DQuat};
+use glam::{DAffine3, DQuat, DVec3, Vec3};
 
 /// Adds a clip of joints; the sections of the document that it changes.
 pub(super) fn add_clip(
@@ -26,8 +26,10 @@ pub(super) fn add_clip(
     let mut skins = kept_skins(doc, &nodes).unwrap_or_default();
     let skin = skins.len();
     let mut drawn = Vec::new();
+    let correctives = moved_at_rest(rest, vertices, clip);
     for node in &nodes {
-        let changes = node_changes(played, node, rest, vertices, clip);
+        let mut changes = node_changes(played, node, rest, vertices, clip);
+        add_correctives(played, node, (rest, &correctives), &mut changes);
         let mesh = played.set_mesh(node.mesh, changed_mesh(doc.meshes.items[node.mesh], &changes));
         take_mesh(played, node.node);
         let name = name_member(doc, node.node);
@@ -43,13 +45,20 @@ pub(super) fn add_clip(
     ));
 
     let mut sections = JsonSections::new();
-    let mut added = drawn;
+    let mut added = drawn.clone();
     added.push(root);
     let mut new = NewClip::new(clip.name);
     go_on_beside(played, &mut new, (&nodes, clip.beside.as_ref()), &added, &mut sections)?;
     let mut clips = kept_clips(doc, &nodes, clip.beside.as_ref());
     if !clip.frames.is_empty() {
         add_joints(played, &mut new, &skeleton, clip);
+        if let Some(correctives) = clip.correctives.filter(|c| !c.shapes.is_empty()) {
+            let times = add_times(played, clip.times);
+            let weights: Vec<f32> = correctives.weights.iter().flatten().map(|w| *w as f32).collect();
+            let weights = played.add_floats(&weights, "SCALAR", NewAccessorKind::Numbers);
+            let sampler = new.add_sampler(times, weights);
+            drawn.iter().for_each(|node| new.add_channel(sampler, *node, "weights"));
+        }
         clips.push(new.text());
     }
     sections.insert("animations", (!clips.is_empty()).then(|| places::json_array(&clips)));
@@ -200,6 +209,37 @@ fn node_changes(
         all[row.primitive] = changes;
     }
     all
+}
+
+/// The rest shape with each corrective, normals too.
+fn moved_at_rest(rest: &Geometry, vertices: &[u32], clip: &SkinnedClip<'_>) -> Vec<Geometry> {
+    let shapes = clip.correctives.iter().flat_map(|c| c.shapes);
+    let positions =
+        |shape: &Vec<Vec3>| -> Vec<DVec3> { vertices.iter().map(|v| shape[*v as usize].as_dvec3()).collect() };
+    shapes.map(|shape| rest.deformed(&positions(shape))).collect()
+}
+
+/// Adds a morph target for each corrective to all primitives of a node's mesh.
+fn add_correctives(
+    played: &mut PlayedDocument<'_, '_>,
+    node: &PlayedNode<'_>,
+    (rest, correctives): (&Geometry, &[Geometry]),
+    changes: &mut [PrimitiveChanges],
+) {
+    if correctives.is_empty() {
+        return;
+    }
+    let doc = played.doc;
+    for (i, primitive) in doc.meshes.values[node.mesh].primitives.iter().enumerate() {
+        if let Some((_, row)) = node.rows.iter().find(|(_, row)| row.primitive == i) {
+            let stand = RestPrimitive::in_model_space(played, row, rest);
+            let targets = correctives.iter().map(|moved| stand.target(played, row, moved));
+            changes[i].targets = targets.collect();
+        } else if let Some(position) = primitive.attribute("POSITION").and_then(|at| doc.accessors.get(at)) {
+            let still = still_target(played, position.count.index());
+            changes[i].targets = vec![still; correctives.len()];
+        }
+    }
 }
 
 /// Attributes of the first four joints of a vertex, and of four more.
