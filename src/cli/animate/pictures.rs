@@ -2,7 +2,7 @@
 
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::cli::failure::CliFailure;
-use crate::engine::AnimatedFrame;
+use crate::engine::{AnimatedFrame, Animation};
 use crate::render::{
     Camera, ColourKey, ColourRamp, Picture, PictureSize, STRETCH_RANGE, ShadedSurface, UpAxis, ViewDirection,
     background_end, draw_surface, edge_stretch, encode_moving_png,
@@ -205,7 +205,7 @@ impl FrameTaker for PicturedFrames<'_> {
         Ok(())
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport) -> Result<(), CliFailure> {
+    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation) -> Result<(), CliFailure> {
         let PlayedAnimation { permission, times, .. } = &self.played;
         let pictures = self.picture.draw(&self.shapes, &self.played)?;
         let bytes = match self.picture.moves {
