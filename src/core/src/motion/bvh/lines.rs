@@ -84,7 +84,7 @@ impl<'a> ClipLine<'a> {
         match number {
             Some(number) if number.abs() <= LARGEST => Ok(number),
             Some(number) if number.is_finite() => Err(self.refuse(format!(
-                "\"{}\" is too large; numbers from -1e9 to 1e9 are allowed",
+                "\"{}\" is too large; numbers from -1e15 to 1e15 are allowed",
                 shown(word)
             ))),
             Some(_) => Err(self.refuse(format!("\"{}\" is not finite", shown(word)))),
@@ -98,7 +98,7 @@ impl<'a> ClipLine<'a> {
 }
 
 /// The largest number of a clip, in degrees, units or seconds: what is computed from such numbers is far from the end of doubles.
-const LARGEST: f64 = 1e9;
+const LARGEST: f64 = 1e15;
 
 /// At most 60 characters of a text, for a message.
 pub(super) fn shown(text: &[u8]) -> String {
