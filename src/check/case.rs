@@ -53,6 +53,19 @@ pub enum JobSource {
     Inline(Box<pb::Job>),
     /// A file below the suite's folder.
     File(String),
+    /// No job: an animation of the model, of which every frame is kept by its digest.
+    Animation(Box<AnimationCase>),
+}
+
+/// An animation case says how a clip drives its model.
+#[derive(Debug, Clone)]
+pub struct AnimationCase {
+    /// How the session is built that a server makes of the model.
+    pub create: pb::CreateOptions,
+    /// How the clip drives it.
+    pub options: pb::AnimateOptions,
+    /// A recorded clip: a BVH file below the suite's folder.
+    pub bvh: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -62,11 +75,23 @@ struct CaseFile<'a> {
     title: String,
     model: String,
     #[serde(borrow)]
-    job: &'a RawValue,
+    job: Option<&'a RawValue>,
+    #[serde(borrow)]
+    animate: Option<JsonObject<AnimationFields<'a>>>,
     #[serde(default)]
     tolerances: Vec<JsonObject<ToleranceEntry>>,
     view: Option<JsonObject<ViewAngles>>,
     up: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AnimationFields<'a> {
+    #[serde(borrow)]
+    create: Option<&'a RawValue>,
+    #[serde(borrow)]
+    options: Option<&'a RawValue>,
+    bvh: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -100,7 +125,16 @@ impl SuiteCase {
         }
         let read: CaseFile<'_> = suite_json::from_json_object(file, text)?;
         let model = ModelSource::from_text(&read.model).map_err(|problem| refuse("model", problem))?;
-        let job = JobSource::from_json(read.job).map_err(|(place, problem)| refuse(&place, problem))?;
+        let job = match (read.job, read.animate) {
+            (Some(job), None) => JobSource::from_json(job),
+            (None, Some(JsonObject(fields))) => AnimationCase::from_fields(&fields),
+            (None, None) => Err((
+                "job".into(),
+                "missing field `job`; a case has either job or animate".into(),
+            )),
+            (Some(_), Some(_)) => Err(("animate".into(), "a case has either job or animate".into())),
+        };
+        let job = job.map_err(|(place, problem)| refuse(&place, problem))?;
         let tolerances: Vec<ToleranceEntry> = read.tolerances.into_iter().map(|t| t.0).collect();
         let tolerances = Tolerances::from_entries(&tolerances).map_err(|(place, problem)| refuse(&place, problem))?;
         let up = match read.up.as_deref() {
@@ -183,6 +217,40 @@ impl JobSource {
             }
             Err(other) => Err(("job".into(), other.to_string())),
         }
+    }
+}
+
+impl AnimationCase {
+    fn from_fields(fields: &AnimationFields<'_>) -> Result<JobSource, (String, String)> {
+        let below = |field: &str, error: wire::Error| match error {
+            wire::Error::Json { place, problem } if place == "body" => (format!("animate.{field}"), problem),
+            wire::Error::Json { place, problem } | wire::Error::Invalid { field: place, problem } => {
+                (format!("animate.{field}.{place}"), problem)
+            }
+            other => (format!("animate.{field}"), other.to_string()),
+        };
+        let text = |raw: Option<&RawValue>| raw.map_or("{}", RawValue::get).as_bytes().to_vec();
+        let create = wire::json::from_json(&text(fields.create)).map_err(|e| below("create", e))?;
+        let options = wire::animate_options_from_json(&text(fields.options)).map_err(|e| below("options", e))?;
+        if let Some(path) = fields.bvh.as_ref().filter(|path| !stays_below(path)) {
+            let problem = format!("\"{path}\" is no path that stays below the suite's folder");
+            return Err(("animate.bvh".into(), problem));
+        }
+        Ok(JobSource::Animation(Box::new(Self {
+            create,
+            options,
+            bvh: fields.bvh.clone(),
+        })))
+    }
+
+    /// Computes the SHA-256 of what it asks for in lower-case hexadecimal. The clip's bytes must be in the options.
+    pub fn input_hash(&self) -> String {
+        let mut hash = Sha256::new();
+        for part in [self.create.encode_to_vec(), self.options.encode_to_vec()] {
+            hash.update((part.len() as u64).to_le_bytes());
+            hash.update(part);
+        }
+        to_lower_hex(&hash.finalize())
     }
 }
 
@@ -288,6 +356,31 @@ mod tests {
                 .to_string()
                 .contains("no name of a case")
         );
+    }
+
+    #[test]
+    fn an_animation_stands_in_place_of_a_job() {
+        let text = r#"{"model": "figure.glb", "animate": {"options": {"clip": "walk", "count": 5}, "create": {"label": "x"}}}"#;
+        let case = SuiteCase::from_file("walk.case.json", text.as_bytes()).expect("a case");
+        let JobSource::Animation(animation) = case.job else {
+            panic!("no animation")
+        };
+        assert_eq!((animation.options.count, animation.create.label.as_str()), (5, "x"));
+        let mut other = animation.as_ref().clone();
+        assert_eq!(other.input_hash(), animation.input_hash());
+        other.options.first = 1;
+        assert_ne!(other.input_hash(), animation.input_hash());
+        for (animate, told) in [
+            (r#"{"options": {"speed": 1}}"#, "animate.options.speed"),
+            (r#"{"create": {"labl": 1}}"#, "animate.create.labl"),
+            (r#"{"bvh": "../clip.bvh"}"#, "animate.bvh"),
+            (r#"{"clip": "walk"}"#, "animate"),
+        ] {
+            let said = refused(&format!(r#"{{"model": "a.glb", "animate": {animate}}}"#));
+            assert!(said.contains(told), "{said} lacks {told}");
+        }
+        assert!(refused(r#"{"model": "a.obj"}"#).contains("either job or animate"));
+        assert!(refused(r#"{"model": "a.obj", "job": {}, "animate": {}}"#).contains("either job or animate"));
     }
 
     #[test]

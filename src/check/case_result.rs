@@ -16,6 +16,8 @@ pub struct CaseResult {
     pub triangles: Vec<[u32; 3]>,
     /// Digest of the positions before any rounding.
     pub digest: String,
+    /// Of an animation, digests of all frames; `positions` and `digest` are then those of the last one.
+    pub frames: Vec<String>,
     /// Whether `positions` are rounded to 32 bits, as they come from a server.
     pub rounded: bool,
     /// Numbers that the engine tells of it; one that the way it was run does not tell is absent, as is the volume of an

@@ -27,6 +27,8 @@ pub struct Golden {
     pub positions: QuantizedPositions,
     /// Its triangles, where they are not the model's.
     pub triangles: Option<Vec<[u32; 3]>>,
+    /// Of an animation, digests of all frames; the rest is then of the last one.
+    pub frames: Vec<String>,
 }
 
 /// Input hashes name what a result depends on.
@@ -50,6 +52,8 @@ struct GoldenFile {
     positions: QuantizedPositionsText,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     triangles: Option<Vec<String>>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    frames: Vec<String>,
 }
 
 impl Golden {
@@ -62,6 +66,7 @@ impl Golden {
             numbers: found.numbers.clone(),
             positions: QuantizedPositions::from_positions(&found.positions),
             triangles: (found.triangles != found.before.1).then(|| found.triangles.clone()),
+            frames: found.frames.clone(),
         }
     }
 
@@ -78,6 +83,7 @@ impl Golden {
             metrics: self.numbers.iter().map(|(m, x)| (m.name().to_owned(), *x)).collect(),
             positions: self.positions.to_text(),
             triangles: self.triangles.as_deref().map(triangles_text),
+            frames: self.frames.clone(),
         };
         let text = serde_json::to_string_pretty(&file).map_err(|e| e.to_string())?;
         Ok(text + "\n")
@@ -115,6 +121,7 @@ impl Golden {
             numbers,
             positions,
             triangles: triangles.transpose().map_err(|e| refuse("triangles", e))?,
+            frames: read.frames,
         })
     }
 
@@ -147,6 +154,7 @@ mod tests {
             positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
             triangles: vec![[0, 1, 2], [0, 2, 3]],
             digest: "xxh3:0011223344556677".into(),
+            frames: vec!["xxh3:01".into(), "xxh3:0011223344556677".into()],
             numbers: [(Metric::EdgeRms, 0.1 + 0.2), (Metric::Cycles, 7.0)].into(),
             ..Default::default()
         };

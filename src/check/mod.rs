@@ -37,7 +37,7 @@ mod suite_json;
 mod tolerances;
 mod verdict;
 
-pub use case::{CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, job_hash, model_hash};
+pub use case::{AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, job_hash, model_hash};
 pub use case_pictures::{CasePicture, Viewpoint, draw_case_pictures};
 pub use case_result::{CaseResult, TopologyDigests};
 pub use comparison::{GoldenComparison, compare_with_golden};

@@ -25,7 +25,7 @@ pub enum CaseStatus {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VerdictReason {
     /// A stable kebab-case word: `not-finite`, `missing-golden`, `broken-golden`, `stale-golden`, `not-run`, `skipped`,
-    /// `topology`, `winding`, `digest`, `expectation`, or `metric`.
+    /// `topology`, `winding`, `frames`, `digest`, `expectation`, or `metric`.
     pub code: &'static str,
     /// What, in a sentence.
     pub text: String,
@@ -167,6 +167,7 @@ pub fn judge_result(
     let comparison = compare_with_golden(found, &golden, pool);
     let same_digest = found.digest == golden.digest;
     let mut reasons = topology_reasons(found, &golden);
+    reasons.extend(frames_reason(found, &golden, tolerances));
     let measures = measure_differences(found, &golden, &comparison, tolerances);
     // Of a server only the digest of what it has is known, so what it sent must be the stored shape too.
     let sent = comparison.numbers.get(&Metric::MaxDisplacement).copied();
@@ -204,6 +205,23 @@ pub fn judge_result(
         measures,
     };
     (verdict, Some(comparison))
+}
+
+/// What is wrong with the frames of an animation: their number, or the first that is another one.
+fn frames_reason(found: &CaseResult, golden: &Golden, tolerances: &Tolerances) -> Option<VerdictReason> {
+    let (count, stored) = (found.frames.len(), golden.frames.len());
+    let text = if count != stored {
+        format!("there are {count} frames, stored are {stored}")
+    } else {
+        let differing = found.frames.iter().zip(&golden.frames).enumerate();
+        let mut differing = differing.filter(|(_, (now, then))| now != then);
+        let (first, (now, then)) = differing.next().filter(|_| !tolerances.allow_any())?;
+        let many = 1 + differing.count();
+        format!(
+            "{many} of {count} frames differ; the digest of the first of them, number {first}, is {now}, stored is {then}"
+        )
+    };
+    Some(VerdictReason { code: "frames", text })
 }
 
 fn digest_reason(found: &CaseResult, golden: &Golden, too_small: bool) -> VerdictReason {

@@ -1,6 +1,7 @@
 //! `pliant check` as a CI job sees it: the sample suite in process and on a server, what each kind of damage does, and
 //! what is refused.
 
+mod animations;
 mod damage;
 mod folder;
 mod pages;

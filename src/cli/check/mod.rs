@@ -1,5 +1,6 @@
 //! `pliant check`: runs a suite of jobs and compares each result with the one that was stored.
 
+mod animated;
 mod http;
 mod local;
 mod remote;

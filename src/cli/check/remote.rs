@@ -3,15 +3,17 @@
 use super::http::{HttpAnswer, HttpCall, HttpClient};
 use crate::asset::{self, FileSet, Model};
 use crate::batch;
-use crate::check::{CaseResult, Metric};
+use crate::check::{AnimationCase, CaseResult, Metric};
 use crate::wire::{self, pb};
 use bytes::Bytes;
 use glam::DVec3;
 use http::{HeaderMap, Method};
 use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
+use prost::Message as _;
 use serde_json::Value;
 
 const JSON: &str = "application/json";
+const FRAMES: &str = "application/vnd.google.protobuf";
 const BUFFER: &str = "application/octet-stream";
 
 /// Asks whether the server answers at all.
@@ -28,7 +30,32 @@ pub(super) fn ask_limits(client: &HttpClient) -> Result<(), String> {
 /// # Errors
 /// Why it cannot be run, with the server's words.
 pub(super) fn run_on_server(client: &HttpClient, files: &FileSet, job: &pb::Job) -> Result<CaseResult, String> {
-    let create = wire::json::to_json(&job.create.clone().unwrap_or_default()).map_err(|e| e.to_string())?;
+    let create = job.create.clone().unwrap_or_default();
+    with_session(client, files, &create, |session| session.run_job(job))
+}
+
+/// Runs an animation of a model, as [`run_on_server`] runs a job.
+///
+/// # Errors
+/// Why it cannot be run, with the server's words.
+pub(super) fn animate_on_server(
+    client: &HttpClient,
+    files: &FileSet,
+    animation: &AnimationCase,
+) -> Result<CaseResult, String> {
+    with_session(client, files, &animation.create, |session| {
+        session.run_animation(&animation.options)
+    })
+}
+
+/// Opens a session on a model, and closes it whatever comes of it.
+fn with_session(
+    client: &HttpClient,
+    files: &FileSet,
+    create: &pb::CreateOptions,
+    run: impl FnOnce(&RemoteSession<'_>) -> Result<CaseResult, String>,
+) -> Result<CaseResult, String> {
+    let create = wire::json::to_json(create).map_err(|e| e.to_string())?;
     let options = utf8_percent_encode(&create.to_string(), NON_ALPHANUMERIC).to_string();
     let (content_type, body) = session_body(files);
     let session = client.send(&HttpCall {
@@ -44,7 +71,7 @@ pub(super) fn run_on_server(client: &HttpClient, files: &FileSet, job: &pb::Job)
         return Err("POST /v1/sessions: the answer names no session".into());
     }
     let session = RemoteSession { client, id: &id };
-    let found = session.run_job(job);
+    let found = run(&session);
     // Also after a failure: a session that nobody closes would only wait for its expiry.
     let closed = session.send_below(Method::DELETE, "", JSON, Bytes::new()).map(drop);
     let found = found?;
@@ -77,6 +104,43 @@ impl RemoteSession<'_> {
     ) -> Result<HttpAnswer, String> {
         let body = wire::json::to_json(message).map_err(|e| e.to_string())?;
         self.send_below(method, below, accept, body.to_string().into())
+    }
+
+    fn run_animation(&self, options: &pb::AnimateOptions) -> Result<CaseResult, String> {
+        let options = pb::AnimateOptions {
+            output: None,
+            ..options.clone()
+        };
+        let answer = self.send_message(Method::POST, "/animations", FRAMES, &options)?;
+        let mut found = CaseResult {
+            rounded: true,
+            ..Default::default()
+        };
+        let mut left = answer.body;
+        let mut data = Vec::new();
+        let mut is_whole = false;
+        while !left.is_empty() {
+            let part = pb::Frame::decode_length_delimited(&mut left).map_err(|e| format!("a frame: {e}"))?;
+            let told = part.animated.unwrap_or_default();
+            is_whole |= told.report.is_some();
+            if part.parts == 0 {
+                continue;
+            }
+            if part.part == 0 {
+                data.clear();
+            }
+            data.extend_from_slice(&part.data);
+            if part.part + 1 == part.parts {
+                found.positions = positions_from_floats(&data)?;
+                found.digest.clone_from(&told.digest);
+                found.frames.push(told.digest);
+                found.take_quality(&part.quality.unwrap_or_default());
+            }
+        }
+        match is_whole {
+            true => Ok(found),
+            false => Err("the animation broke off before its last frame".into()),
+        }
     }
 
     fn run_job(&self, job: &pb::Job) -> Result<CaseResult, String> {

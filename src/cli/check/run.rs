@@ -2,12 +2,11 @@
 
 use super::http::{HttpClient, ServerAddress};
 use super::suite::LoadedCase;
-use super::{local, remote};
+use super::{animated, local, remote};
 use crate::asset::{self, FileSet, Model};
 use crate::check::report::{CaseReport, describe_changes};
 use crate::check::{
-    CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Viewpoint, draw_case_pictures, job_hash, judge_result,
-    model_hash,
+    CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Viewpoint, draw_case_pictures, judge_result, model_hash,
 };
 use crate::cli::failure::CliFailure;
 use crate::cli::stage_spinner::StageSpinner;
@@ -107,7 +106,7 @@ fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClien
     let ran = loaded.model_files().and_then(|files| {
         let inputs = InputHashes {
             model: model_hash(&files),
-            job: job_hash(&loaded.job),
+            job: loaded.job_hash(),
         };
         done.report.inputs = Some(inputs.clone());
         Ok((run_model(loaded, files, client, pool)?, inputs))
@@ -146,10 +145,9 @@ fn run_model(
     client: Option<&HttpClient>,
     pool: &Pool,
 ) -> Result<CaseResult, String> {
-    let format = loaded
-        .job
-        .create
-        .as_ref()
+    let create = loaded.animation.as_ref().map(|a| &a.create);
+    let format = create
+        .or(loaded.job.create.as_ref())
         .map(|c| c.format.as_str())
         .unwrap_or_default();
     let read = Model::read(
@@ -158,9 +156,11 @@ fn run_model(
         &asset::Limits::default(),
     );
     let before = read.map_err(|e| e.to_string())?.geometry;
-    let mut found = match client {
-        Some(client) => remote::run_on_server(client, &files, &loaded.job)?,
-        None => local::run_in_process(files, &loaded.job, pool)?,
+    let mut found = match (client, &loaded.animation) {
+        (Some(client), None) => remote::run_on_server(client, &files, &loaded.job)?,
+        (None, None) => local::run_in_process(files, &loaded.job, pool)?,
+        (Some(client), Some(animation)) => remote::animate_on_server(client, &files, animation)?,
+        (None, Some(animation)) => animated::animate_in_process(files, animation, pool)?,
     };
     if found.triangles.is_empty() && found.positions.len() == before.positions.len() {
         found.triangles = before.triangles.clone();

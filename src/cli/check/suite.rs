@@ -1,7 +1,7 @@
 //! A suite from disk: its cases with their jobs and goldens. Models are read when a case is run.
 
 use crate::asset::{FileSet, sample};
-use crate::check::{CASE_SUFFIX, GOLDEN_SUFFIX, Golden, JobSource, ModelSource, SuiteCase};
+use crate::check::{AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, Golden, JobSource, ModelSource, SuiteCase, job_hash};
 use crate::cli::failure::CliFailure;
 use crate::cli::job_file::{read_job, read_merged_models};
 use crate::cli::model_files::{read_file, read_model};
@@ -14,8 +14,10 @@ use std::path::{Path, PathBuf};
 pub(super) struct LoadedCase {
     /// What its file says.
     pub case: SuiteCase,
-    /// Its job, with the models that it merges.
+    /// Its job, with the models that it merges; an empty one of an animation.
     pub job: pb::Job,
+    /// Its animation, with the bytes of its clip.
+    pub animation: Option<AnimationCase>,
     /// What its golden holds, or why that cannot be read; `None` without a golden.
     pub golden: Option<Result<Golden, String>>,
     /// Where its golden lies, or would.
@@ -136,6 +138,11 @@ fn load_case(suite: &Path, file: &str, data: Option<&Path>) -> Result<LoadedCase
             checked.map_err(|e| in_case(CliFailure::Input(format!("{}: {e}", file.display()))))?;
             job
         }
+        JobSource::Animation(_) => pb::Job::default(),
+    };
+    let animation = match &case.job {
+        JobSource::Animation(animation) => Some(load_animation(animation, suite).map_err(in_case)?),
+        _ => None,
     };
     let model = match &case.model {
         ModelSource::Sample => CaseModel::Sample,
@@ -179,13 +186,33 @@ fn load_case(suite: &Path, file: &str, data: Option<&Path>) -> Result<LoadedCase
     Ok(LoadedCase {
         case,
         job,
+        animation,
         golden,
         golden_path,
         model,
     })
 }
 
+/// Reads the clip of an animation into its options.
+fn load_animation(animation: &AnimationCase, suite: &Path) -> Result<AnimationCase, CliFailure> {
+    let mut animation = animation.clone();
+    if let Some(name) = &animation.bvh {
+        let file = suite.join(name);
+        need_regular_file(&file)?;
+        animation.options.source = Some(pb::animate_options::Source::Bvh(read_file(&file)?.into()));
+    }
+    Ok(animation)
+}
+
 impl LoadedCase {
+    /// Tells what its result depends on beside the model.
+    pub fn job_hash(&self) -> String {
+        match &self.animation {
+            Some(animation) => animation.input_hash(),
+            None => job_hash(&self.job),
+        }
+    }
+
     /// Tells why the case cannot be run here; `None` when it can.
     pub fn absent_reason(&self) -> Option<&str> {
         match &self.model {
