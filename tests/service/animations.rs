@@ -28,7 +28,35 @@ fn bending_clip(frames: usize) -> String {
     clip
 }
 
-/// The rig that goes with it, in JSON.
+/// A clip of three frames in which a body of usual names lifts its left arm.
+fn waving_clip() -> String {
+    let mut clip = String::from("HIERARCHY\nROOT Hips\n{\nOFFSET 0 95 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n");
+    // Each chain of joints hangs on the hips or, for arms and head, on the spine; braces that end it follow its name.
+    let joints = [
+        ("Spine", "0 30 0", 0),
+        ("Head", "0 30 0", 1),
+        ("LeftArm", "18 15 0", 0),
+        ("LeftForeArm", "27 0 0", 0),
+        ("LeftHand", "25 0 0", 3),
+        ("RightArm", "-18 15 0", 0),
+        ("RightForeArm", "-27 0 0", 0),
+        ("RightHand", "-25 0 0", 4),
+        ("LeftUpLeg", "9 -5 0", 0),
+        ("LeftLeg", "0 -42 0", 2),
+        ("RightUpLeg", "-9 -5 0", 0),
+        ("RightLeg", "0 -42 0", 2),
+    ];
+    for (name, offset, ended) in joints {
+        let channels = if name == "LeftArm" { "1 Zrotation" } else { "0" };
+        write!(clip, "JOINT {name}\n{{\nOFFSET {offset}\nCHANNELS {channels}\n").expect("text");
+        if ended > 0 {
+            write!(clip, "End Site\n{{\nOFFSET {offset}\n}}\n{}", "}\n".repeat(ended)).expect("text");
+        }
+    }
+    clip + "}\nMOTION\nFrames: 3\nFrame Time: 0.1\n0 0 0 0\n0 0 5 30\n0 0 10 60\n"
+}
+
+/// The rig that goes with the bar, in JSON.
 fn bar_rig() -> Value {
     json!({
         "version": 1,

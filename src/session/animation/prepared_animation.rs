@@ -1,6 +1,8 @@
 //! An animation before its first frame: the clip read, the rig found, the handles set on the model's graph.
 
-use crate::batch::{AnimationOrder, ClipSource, moving_clip, prepare, unskinned_passengers, warnings_of};
+use crate::batch::{
+    AnimationOrder, ClipSource, MadeRig, RigOrder, make_rig, moving_clip, prepare, unskinned_passengers, warnings_of,
+};
 use crate::engine::{Animation, Deformer, PassengerKind, Shader};
 use crate::exec::Exec;
 use crate::motion::MotionClip;
@@ -74,7 +76,12 @@ impl PreparedAnimation {
             OrderedClip::Recorded(bytes) => ClipSource::Recorded(recorded_clip(bytes, limits)?),
             OrderedClip::Announced(_) => return Err(Error::Internal("the clip has not come".into())),
         };
-        let moving = moving_clip(deformer, source, order.rig.as_ref())?;
+        let made = match &source {
+            ClipSource::Recorded(clip) if order.rig.is_none() => Some(rig_of_figure(deformer, clip, exec)?),
+            _ => None,
+        };
+        let rig = order.rig.as_ref().or(made.as_ref().map(|made| &made.rig));
+        let moving = moving_clip(deformer, source, rig)?;
         let times = order.frames.times(&moving.clip);
         check_count(
             "the number of frames of the animation",
@@ -98,6 +105,7 @@ impl PreparedAnimation {
         };
         let animation = prepare(deformer, moving, order.scale, &batch, exec).map_err(of_rig)?;
         let mut warnings = warnings_of(&animation);
+        warnings.extend(made.into_iter().flat_map(|made| made.warnings));
         let beside = match own_clip {
             Some(_) => primitives_beside(deformer, &mut warnings)?,
             None => Vec::new(),
@@ -146,6 +154,22 @@ fn primitives_beside(deformer: &Deformer, warnings: &mut Vec<String>) -> Result<
         ));
     }
     Ok(numbers)
+}
+
+/// The rig that `pliant rig` makes of the model for a clip, where the request has none.
+fn rig_of_figure(deformer: &Deformer, clip: &MotionClip, exec: &Exec<'_>) -> Result<MadeRig, Error> {
+    exec.progress.report("rig", 0.0);
+    let order = RigOrder {
+        clip: Some(clip),
+        ..Default::default()
+    };
+    make_rig(deformer.model(), &order, exec).map_err(|error| match error {
+        Error::Invalid { field, problem } => Error::invalid(
+            "rig",
+            format!("is missing, and pliant rig finds none: {field}: {problem}"),
+        ),
+        other => other,
+    })
 }
 
 fn recorded_clip(bytes: &[u8], limits: &AnimationLimits) -> Result<MotionClip, Error> {

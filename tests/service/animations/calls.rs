@@ -82,6 +82,47 @@ async fn frames_are_those_of_the_command_line() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_recording_without_a_rig_drives_the_one_that_pliant_rig_makes() {
+    let server = Server::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("wave.bvh"), waving_clip()).expect("written");
+    let pliant = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
+        let done = command.current_dir(folder.path()).args(args).output().expect("it runs");
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    };
+    pliant(&["sample", "figure", "-o", "figure.glb"]);
+    pliant(&[
+        "rig",
+        "figure.glb",
+        "--bvh",
+        "wave.bvh",
+        "-o",
+        "rig.json",
+        "--no-picture",
+    ]);
+    let rig: Value =
+        serde_json::from_slice(&std::fs::read(folder.path().join("rig.json")).expect("a rig")).expect("JSON");
+    let opened = http().post(server.url("/v1/sessions?sample=figure")).send();
+    let opened: Value = (within("a session", opened).await.expect("an answer").json().await).expect("JSON");
+    let id = text(&opened["id"]);
+    let mut told = Vec::new();
+    for options in [json!({"rig": rig}), json!({})] {
+        let form = animation_form(&options, Some(waving_clip()));
+        let answer = post_animation(&server, &id, "application/x-ndjson", form).await;
+        let lines = answer.text().await.expect("lines");
+        let frames: Vec<Value> = lines.lines().map(|l| serde_json::from_str(l).expect("JSON")).collect();
+        let digests: Vec<String> = (frames.iter())
+            .filter(|f| f["part"].as_u64().unwrap_or(0) == 0 && f["parts"].as_u64().unwrap_or(0) > 0)
+            .map(|f| text(&f["animated"]["digest"]))
+            .collect();
+        assert_eq!(digests.len(), 3, "{}", lines.chars().take(300).collect::<String>());
+        told.push(digests);
+    }
+    assert_eq!(told[0], told[1], "bit for bit");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_part_of_it_has_the_same_bits() {
     let server = Server::start().await;
     let id = text(&server.open(bar_obj(16)).await["id"]);

@@ -2,10 +2,10 @@
 
 import { type FrameFacts, type PoseEntry, type Session, type SolveOptions, type Stream, schema } from "pliant-client";
 import { type HandlePose, entryOf } from "../model/handles.ts";
+import { bringBack, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
 import { keepDocument } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
-import { closeClip, playing } from "./playing.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
 
@@ -101,7 +101,7 @@ export function dragTo(id: string, pose: HandlePose): void {
 export async function commitPoses(ids: readonly string[]): Promise<void> {
   const current = stream;
   if (current === undefined) return;
-  closeClip();
+  bringBack();
   pending = undefined;
   // What the commit makes of the handles is what they are now, whatever is dragged before its answer comes.
   const recordedHandles = s.handles.peek();
@@ -141,8 +141,8 @@ export function dropFrames(): void {
 export function turn(now: number): void {
   const { stage } = view();
   const { surface } = stage;
-  // A clip shows shapes of its own; frames wait until it is closed.
-  if (stream === undefined || surface === undefined || playing.peek() !== undefined) return;
+  // A clip or an animation shows shapes of its own; frames wait until it is closed.
+  if (stream === undefined || surface === undefined || onScreen.peek() !== undefined) return;
   if (pending !== undefined) {
     stream.pose(pending);
     pending = undefined;

@@ -87,6 +87,6 @@ export async function dress(surface: Surface, session: Session, companions: Read
 export function showLooks(): void {
   const { stage } = view();
   const { materials, colouring } = settings.peek();
-  stage.surface?.showLooks(materials && colouring !== "stretch");
+  for (const surface of stage.surfaces()) surface.showLooks(materials && colouring !== "stretch");
   stage.request();
 }

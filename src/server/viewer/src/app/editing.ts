@@ -4,10 +4,10 @@ import { type Edit, PliantError, regionOf, schema } from "pliant-client";
 import { AT_REST, heldAfter } from "../model/handles.ts";
 import { otherPlaces } from "../model/warnings.ts";
 import { adoptHandles } from "./handling.ts";
+import { bringBack } from "./intermission.ts";
 import { holdBeforeEdits, holdRest, keepDocument, reload } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
 import { repaint } from "./painting.ts";
-import { closeClip } from "./playing.ts";
 import * as s from "./signals.ts";
 
 export interface CutChoice {
@@ -54,7 +54,7 @@ function region(): { region?: ReturnType<typeof regionOf> } {
 async function edit(what: string, operation: Edit): Promise<void> {
   const open = s.doc.peek();
   if (open === undefined) return;
-  closeClip();
+  bringBack();
   s.busy.value = { title: what };
   try {
     const result = await open.session.edit(operation);

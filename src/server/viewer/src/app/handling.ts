@@ -4,8 +4,8 @@ import { batch } from "@preact/signals";
 import type { Vector, schema } from "pliant-client";
 import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf, poseOf } from "../model/handles.ts";
 import { commitPoses } from "./dragging.ts";
+import { bringBack } from "./intermission.ts";
 import { refreshHistory, remember } from "./past.ts";
-import { closeClip } from "./playing.ts";
 import * as s from "./signals.ts";
 
 type Facts = schema.Session;
@@ -148,7 +148,7 @@ function selectedVertices(): Uint32Array {
 
 /** Runs a change of handles and notes where it led. */
 async function changing(what: string, change: () => Promise<void>): Promise<boolean> {
-  closeClip();
+  bringBack();
   try {
     await change();
     const revision = s.facts.peek()?.revision ?? 0n;

@@ -17,9 +17,10 @@ import { Surface } from "../scene/surface.ts";
 import { startStream, stopStream } from "./dragging.ts";
 import { dress } from "./dressing.ts";
 import { adoptHandles, sampleHandles, setAllHandles } from "./handling.ts";
+import { bringBack } from "./intermission.ts";
 import { type Kept, forget, keep, kept } from "./keeping.ts";
 import { forgetPast, pastSnapshots, refreshHistory, remember } from "./past.ts";
-import { closeClip, setCompanions } from "./playing.ts";
+import { setCompanions } from "./playing.ts";
 import * as s from "./signals.ts";
 import { recall, store } from "./storage.ts";
 import { view } from "./view.ts";
@@ -234,7 +235,7 @@ function show(session: Session, name: string, { topology, report }: Drawable, re
   const atRest = fits ? rest : topology.positions;
   const { stage, gizmo, pointer } = view();
   stopStream();
-  closeClip();
+  bringBack();
   gizmo.attach(undefined, undefined);
   const surface = new Surface(topology, report, atRest);
   // Before the signals: what watches them finds the new surface.
@@ -267,7 +268,7 @@ export function sessionOfThisTab(): string | undefined {
 /** Goes back to the start page without touching the server. */
 export function leave(): void {
   stopStream();
-  closeClip();
+  bringBack();
   source = undefined;
   const { stage, gizmo, markers } = view();
   gizmo.attach(undefined, undefined);

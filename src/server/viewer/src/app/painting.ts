@@ -2,16 +2,20 @@
 
 import { colourOf } from "../model/handles.ts";
 import { stretchColour } from "../model/stretch.ts";
+import type { Surface } from "../scene/surface.ts";
 import { activeId, handles, selection, settings } from "./signals.ts";
 import { view } from "./view.ts";
 
 const SELECTED = [255, 176, 46, 235] as const;
 
-/** Paints the surface anew. Regions are left out of the stretch picture, the selection never is. */
+/** Paints what is shown anew. Regions are left out of the stretch picture, the selection never is. */
 export function repaint(): void {
   const { stage } = view();
-  const { surface } = stage;
-  if (surface === undefined) return;
+  for (const surface of stage.surfaces()) paint(surface);
+  stage.request();
+}
+
+function paint(surface: Surface): void {
   const { colouring } = settings.peek();
   const selected = selection.peek();
   const active = activeId.peek();
@@ -39,5 +43,4 @@ export function repaint(): void {
       if (selected[v] === 1) colours.set(SELECTED, v * 4);
     }
   });
-  stage.request();
 }

@@ -4,9 +4,9 @@ import { batch } from "@preact/signals";
 import type { HandleState } from "../model/handles.ts";
 import { dropFrames } from "./dragging.ts";
 import { adoptHandles } from "./handling.ts";
+import { bringBack } from "./intermission.ts";
 import { holdRest, keepDocument, reload } from "./opening.ts";
 import { repaint } from "./painting.ts";
-import { closeClip } from "./playing.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
 
@@ -64,7 +64,7 @@ async function step(count: number): Promise<void> {
   const open = s.doc.peek();
   if (open === undefined || stepping || s.dragging.peek()) return;
   if (count < 0 ? !s.canUndo.peek() : !s.canRedo.peek()) return;
-  closeClip();
+  bringBack();
   stepping = true;
   try {
     for (let k = 0; k < Math.abs(count); k++) {

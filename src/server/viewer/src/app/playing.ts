@@ -1,9 +1,10 @@
 /** Clips on the deformed shape. While one plays, the pose is put aside; it comes back when the clip is closed. */
 
-import { effect, signal } from "@preact/signals";
+import { signal } from "@preact/signals";
 import { Puppet } from "../model/gltf/puppet.ts";
 import type { Surface } from "../scene/surface.ts";
 import { exported, wardrobe } from "./dressing.ts";
+import { putAside } from "./intermission.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
 
@@ -21,11 +22,7 @@ export const fetchingClip = signal(false);
 
 interface Act {
   readonly surface: Surface;
-  readonly revision: bigint;
   readonly puppet: Puppet;
-  /** The shape that the clip took the place of. */
-  readonly shape: Float32Array<ArrayBuffer>;
-  readonly tool: s.Tool;
   /** When the last step was made. */
   last: number | undefined;
   /** Whether the camera was asked to look. */
@@ -35,6 +32,11 @@ interface Act {
 let act: Act | undefined;
 /** The files that `.gltf` models name, for exports that name them still. */
 let companions: ReadonlyMap<string, Blob> = new Map();
+
+/** Files that came with the open model. */
+export function companionsOfModel(): ReadonlyMap<string, Blob> {
+  return companions;
+}
 
 /** Files that came with the open model. */
 export function setCompanions(files: ReadonlyMap<string, Blob>): void {
@@ -69,32 +71,9 @@ export function seekClip(seconds: number): void {
   show();
 }
 
-/** Goes back to the pose that is being edited. */
-export function closeClip(): void {
-  const ended = act;
-  act = undefined;
-  if (ended === undefined) return;
-  playing.value = undefined;
-  if (s.tool.peek() === "orbit") s.tool.value = ended.tool;
-  const { stage } = view();
-  // A surface that was replaced has a shape of its own.
-  if (stage.surface === ended.surface) {
-    ended.surface.positions.set(ended.shape);
-    ended.surface.moved(false);
-  }
-  stage.request();
-}
-
-/** Has clips advance before each painted frame, and end when the user goes on editing. */
+/** Has clips advance before each painted frame. */
 export function installPlaying(): void {
   view().stage.beforePaint(advance);
-  effect(() => {
-    if (s.tool.value !== "orbit" && playing.peek() !== undefined) closeClip();
-  });
-  effect(() => {
-    const revision = s.currentRevision.value;
-    if (act !== undefined && (s.doc.value === undefined || revision !== act.revision)) closeClip();
-  });
 }
 
 /** Fetches the current shape with everything that moves it. */
@@ -109,8 +88,11 @@ async function begin(): Promise<boolean> {
     // The model may have been edited or closed meanwhile.
     if (found === undefined || view().stage.surface !== surface || s.currentRevision.peek() !== revision || s.dragging.peek()) return false;
     const puppet = new Puppet(found.file, found.tree);
-    act = { surface, revision, puppet, shape: surface.positions.slice(), tool: s.tool.peek(), last: undefined, framed: false };
-    s.tool.value = "orbit";
+    putAside("clip", surface, () => {
+      act = undefined;
+      playing.value = undefined;
+    });
+    act = { surface, puppet, last: undefined, framed: false };
     return true;
   } catch (error) {
     s.fail("The clip cannot be played", error);

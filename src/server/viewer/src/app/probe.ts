@@ -1,6 +1,7 @@
 /** A window into the page for tests and for the console: `pliantViewer.positions()`. Reads, never writes. */
 
 import { Vector3 } from "three";
+import { animating, coming, isCompared } from "./animating.ts";
 import { paintedSoFar } from "./dragging.ts";
 import { wardrobe } from "./dressing.ts";
 import { playing } from "./playing.ts";
@@ -11,6 +12,8 @@ export interface Probe {
   session(): string | undefined;
   /** x, y, z of what is drawn. */
   positions(): Float32Array;
+  /** x, y, z of what is drawn in the left half, if something is. */
+  beside(): Float32Array | undefined;
   handles(): { id: string; name: string; vertices: number[]; pose: unknown; at: { x: number; y: number } | undefined }[];
   /** A vertex on the page, in CSS pixels. */
   place(vertex: number): { x: number; y: number } | undefined;
@@ -29,6 +32,8 @@ export interface Probe {
     pointing: boolean;
     /** The time in the clip that is shown; below 0 without one. */
     seconds: number;
+    /** The animation that is shown: frames that are there, that are wanted, the one on the screen. */
+    animation: { kept: number; wanted: number; at: number; running: boolean; coming: boolean; compared: boolean } | null;
     revision: string;
     /** Shapes painted since the page was loaded, and the milliseconds that decoding and shading them took. */
     painted: number;
@@ -55,6 +60,7 @@ export function installProbe(): void {
   window.pliantViewer = {
     session: () => s.doc.peek()?.session.id,
     positions: shown,
+    beside: () => view().stage.surfaces()[1]?.positions,
     handles: () =>
       s.handles.peek().map(({ id, name, vertices, pose, centroid }) => ({
         id,
@@ -76,9 +82,17 @@ export function installProbe(): void {
       faults: wardrobe.peek().faults.length,
       pointing: view().pointer.isShown,
       seconds: playing.peek()?.seconds ?? -1,
+      animation: animationNow(),
       revision: String(s.currentRevision.peek()),
       ...paintedSoFar(),
       gizmoPart: view().gizmo.hotPart,
     }),
   };
+}
+
+function animationNow(): ReturnType<Probe["state"]>["animation"] {
+  const shown = animating.peek();
+  if (shown === undefined) return null;
+  const { kept, wanted, at, running } = shown;
+  return { kept, wanted, at, running, coming: coming.peek() !== undefined, compared: isCompared.peek() };
 }

@@ -10,8 +10,10 @@ import { Stage } from "../scene/stage.ts";
 import { applyOptions, commitPoses, dragTo, turn } from "./dragging.ts";
 import { resume, sessionOfThisTab } from "./opening.ts";
 import { showLooks } from "./dressing.ts";
+import { installAnimating } from "./animating.ts";
+import { installIntermission, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
-import { installPlaying, playing } from "./playing.ts";
+import { installPlaying } from "./playing.ts";
 import * as s from "./signals.ts";
 import { armTool, installTools } from "./tools.ts";
 import { setView, view } from "./view.ts";
@@ -43,6 +45,8 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   installTools();
   stage.beforePaint(turn);
   installPlaying();
+  installAnimating();
+  installIntermission();
   stage.beforePaint(() => followGizmo(gizmoLabel));
 
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -63,7 +67,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   effect(() => {
     // Read first: a signal that is not read is not watched.
     const { wire } = s.settings.value;
-    if (s.doc.value !== undefined) stage.surface?.setWire(wire);
+    if (s.doc.value !== undefined) for (const surface of stage.surfaces()) surface.setWire(wire);
     stage.request();
   });
   effect(() => {
@@ -77,11 +81,11 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   effect(() => {
     const handle = s.activeHandle.value;
     const mode = MODES[s.tool.value];
-    const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined && playing.value === undefined;
+    const holds = handle !== undefined && handle.hold !== "pin" && mode !== undefined && onScreen.value === undefined;
     if (mode !== undefined) gizmo.setMode(mode, s.settings.value.localAxes, false);
     gizmo.attach(holds ? handle.centroid : undefined, holds ? handle.pose : undefined);
   });
-  effect(() => view().markers.show(playing.value === undefined ? s.handles.value : []));
+  effect(() => view().markers.show(onScreen.value === undefined ? s.handles.value : []));
   effect(() => plane.show(s.cutPlane.value));
   void resumeThisTab();
 }

@@ -23,7 +23,8 @@ export class Clothes {
     private readonly appearance: Appearance,
     private readonly textures: readonly (THREE.Texture | undefined)[],
     bare: THREE.BufferGeometry,
-    flatShading: boolean,
+    private readonly flatShading: boolean,
+    private readonly borrowed = false,
   ) {
     const { indices, source, uv, colours, looks, runs } = appearance;
     for (const name of ["position", "normal", "paint"]) {
@@ -67,9 +68,15 @@ export class Clothes {
     pair.to.needsUpdate = true;
   }
 
+  /** The same for another surface of the same vertices. Its pictures are these, and end with these. */
+  lentTo(bare: THREE.BufferGeometry): Clothes {
+    return new Clothes(this.appearance, this.textures, bare, this.flatShading, true);
+  }
+
   dispose(): void {
     this.geometry.dispose();
     for (const material of this.materials) material.dispose();
+    if (this.borrowed) return;
     for (const texture of this.textures) {
       texture?.dispose();
       (texture?.image as ImageBitmap | undefined)?.close();

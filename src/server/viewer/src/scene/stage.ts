@@ -20,6 +20,8 @@ export class Stage {
   readonly orbit: OrbitControls;
   readonly canvas: HTMLCanvasElement;
   surface: Surface | undefined;
+  /** What is shown in the left half, seen as the surface is in the right one. */
+  private beside: Surface | undefined;
   private readonly sky = new THREE.HemisphereLight(0xffffff, 0x444444, 1.5);
   private readonly lamp = new THREE.DirectionalLight(0xffffff, 1.9);
   private grid: THREE.GridHelper | undefined;
@@ -50,7 +52,7 @@ export class Stage {
       this.scheduled = requestAnimationFrame((now) => {
         this.scheduled = 0;
         for (const painter of this.painters) painter(now);
-        this.renderer.render(this.scene, this.camera);
+        this.paint();
       });
     }
   }
@@ -60,8 +62,34 @@ export class Stage {
     this.painters.add(painter);
   }
 
+  /** What is shown, the surface first. */
+  surfaces(): Surface[] {
+    return [this.surface, this.beside].filter((surface) => surface !== undefined);
+  }
+
+  /** Shows a second surface in the left half, or none. */
+  showBeside(surface: Surface | undefined): void {
+    if (this.beside !== undefined) {
+      this.scene.remove(this.beside.object);
+      this.beside.dispose();
+    }
+    const changed = (surface === undefined) !== (this.beside === undefined);
+    this.beside = surface;
+    if (this.surface !== undefined) this.surface.object.visible = true;
+    if (surface !== undefined) {
+      this.scene.add(surface.object);
+      this.setLook(this.look);
+    }
+    // Zooming towards the pointer would have to know in which half it is.
+    this.orbit.zoomToCursor = surface === undefined;
+    const { clientWidth, clientHeight } = this.canvas;
+    if (changed && clientHeight > 0) this.setAspect(clientWidth, clientHeight);
+    this.request();
+  }
+
   /** Shows another surface, or none. */
   show(surface: Surface | undefined, frame: boolean): void {
+    this.showBeside(undefined);
     if (this.surface !== undefined) {
       this.scene.remove(this.surface.object);
       this.surface.dispose();
@@ -84,7 +112,7 @@ export class Stage {
     this.sky.groundColor.setHex(ground);
     this.sky.intensity = look === "dark" ? 1.1 : 1.7;
     this.lamp.intensity = look === "dark" ? 1.8 : 1.6;
-    this.surface?.setTheme(clay, wire);
+    for (const surface of this.surfaces()) surface.setTheme(clay, wire);
     this.setGrid();
     this.request();
   }
@@ -130,8 +158,9 @@ export class Stage {
   /** Whether a point lies well inside the picture. */
   sees(point: THREE.Vector3): boolean {
     const at = this.project(point);
-    const { clientWidth: width, clientHeight: height } = this.canvas;
-    return at !== undefined && Math.abs(at.x - width / 2) < width * 0.35 && Math.abs(at.y - height / 2) < height * 0.3;
+    const { clientHeight: height } = this.canvas;
+    const { left, width } = this.pane();
+    return at !== undefined && Math.abs(at.x - left - width / 2) < width * 0.35 && Math.abs(at.y - height / 2) < height * 0.3;
   }
 
   /** Goes around the model by angles in radians, or nearer by a factor below 1. */
@@ -150,15 +179,45 @@ export class Stage {
     this.camera.updateMatrixWorld();
     const p = point.clone().project(this.camera);
     if (p.z > 1) return undefined;
-    return { x: (p.x * 0.5 + 0.5) * this.canvas.clientWidth, y: (0.5 - p.y * 0.5) * this.canvas.clientHeight };
+    const { left, width } = this.pane();
+    return { x: left + (p.x * 0.5 + 0.5) * width, y: (0.5 - p.y * 0.5) * this.canvas.clientHeight };
   }
 
   /** A place in CSS pixels of the canvas as a ray in model space. */
   rayThrough(x: number, y: number): THREE.Ray {
     const caster = new THREE.Raycaster();
-    const at = new THREE.Vector2((x / this.canvas.clientWidth) * 2 - 1, 1 - (y / this.canvas.clientHeight) * 2);
+    const { left, width } = this.pane();
+    const at = new THREE.Vector2(((x - left) / width) * 2 - 1, 1 - (y / this.canvas.clientHeight) * 2);
     caster.setFromCamera(at, this.camera);
     return caster.ray;
+  }
+
+  /** Where on the canvas the surface is seen. */
+  private pane(): { left: number; width: number } {
+    const { clientWidth } = this.canvas;
+    return this.beside === undefined ? { left: 0, width: clientWidth } : { left: clientWidth / 2, width: clientWidth / 2 };
+  }
+
+  private paint(): void {
+    const { renderer, scene, camera, surface, beside } = this;
+    if (beside === undefined || surface === undefined) return renderer.render(scene, camera);
+    const { clientWidth, clientHeight } = this.canvas;
+    const half = clientWidth / 2;
+    renderer.setScissorTest(true);
+    for (const [k, shown] of [beside, surface].entries()) {
+      beside.object.visible = shown === beside;
+      surface.object.visible = shown === surface;
+      renderer.setViewport(k * half, 0, half, clientHeight);
+      renderer.setScissor(k * half, 0, half, clientHeight);
+      renderer.render(scene, camera);
+    }
+    renderer.setScissorTest(false);
+    renderer.setViewport(0, 0, clientWidth, clientHeight);
+  }
+
+  private setAspect(width: number, height: number): void {
+    this.camera.aspect = (this.beside === undefined ? width : width / 2) / height;
+    this.camera.updateProjectionMatrix();
   }
 
   private setGrid(): void {
@@ -180,8 +239,7 @@ export class Stage {
     const { clientWidth: width, clientHeight: height } = host;
     if (width === 0 || height === 0) return;
     this.renderer.setSize(width, height);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    this.setAspect(width, height);
     this.request();
   }
 }

@@ -81,6 +81,12 @@ export class Surface {
     this.clothes = new Clothes(appearance, textures, this.geometry, this.flat);
   }
 
+  /** Takes on what another surface of the same vertices looks like. */
+  dressLike(other: Surface): void {
+    this.clothes?.dispose();
+    this.clothes = other.clothes?.lentTo(this.geometry);
+  }
+
   /** Whether it is known what the model looks like. */
   get isDressed(): boolean {
     return this.clothes !== undefined;

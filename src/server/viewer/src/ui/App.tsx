@@ -2,6 +2,7 @@
 
 import type { JSX } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
+import { AnimationBar, Panes } from "./AnimationBar.tsx";
 import { openDropped } from "./files.ts";
 import { installProbe } from "../app/probe.ts";
 import * as s from "../app/signals.ts";
@@ -45,7 +46,9 @@ export function App(): JSX.Element {
         </div>
         {failure === undefined ? !isOpen && s.busy.value === undefined && <Start /> : <NoGraphics reason={failure} />}
         <Dialogs />
+        {isOpen && <Panes />}
         {isOpen && <Transport />}
+        {isOpen && <AnimationBar />}
         <Notes />
         <DropTarget />
       </main>

@@ -1,6 +1,7 @@
 /** The side panel: what is open, what is held, how it is solved. */
 
 import type { JSX } from "preact";
+import { AnimationPanel } from "./AnimationPanel.tsx";
 import { EditPanel } from "./EditPanel.tsx";
 import { HandlePanel } from "./HandlePanel.tsx";
 import { HistoryPanel } from "./HistoryPanel.tsx";
@@ -15,6 +16,7 @@ export function Inspector(): JSX.Element {
       <SelectionPanel />
       <HandlePanel />
       <ModelPanel />
+      <AnimationPanel />
       <SolvePanel />
       <ViewPanel />
       <EditPanel />

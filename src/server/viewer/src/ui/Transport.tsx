@@ -1,15 +1,19 @@
 /** Clips of the model, at the foot of the canvas: which, play and pause, where, how fast. */
 
 import type { JSX } from "preact";
+import { animating, pauseAnimation, playAnimation } from "../app/animating.ts";
 import { wardrobe } from "../app/dressing.ts";
-import { closeClip, fetchingClip, pauseClip, playClip, playSpeed, playing, seekClip } from "../app/playing.ts";
+import { bringBack } from "../app/intermission.ts";
+import { fetchingClip, pauseClip, playClip, playSpeed, playing, seekClip } from "../app/playing.ts";
 import { useState } from "preact/hooks";
 import { Button, Select, seconds } from "./parts.tsx";
 
 const SPEEDS = ["0.25", "0.5", "1", "2"] as const;
 
-/** Plays the chosen clip, or pauses it; for the keyboard. */
+/** Plays what is on the screen, or pauses it; without that, the first clip. For the keyboard. */
 export function togglePlay(): void {
+  const animation = animating.peek();
+  if (animation !== undefined) return animation.running ? pauseAnimation() : playAnimation();
   const shown = playing.peek();
   if (shown?.running) pauseClip();
   else if (shown !== undefined) void playClip(shown.clip);
@@ -22,7 +26,7 @@ export function togglePlay(): void {
 export function Transport(): JSX.Element | null {
   const [chosen, setChosen] = useState(0);
   const { clips } = wardrobe.value;
-  if (clips.length === 0) return null;
+  if (clips.length === 0 || animating.value !== undefined) return null;
   const shown = playing.value;
   const clip = shown?.clip ?? (clips[chosen] === undefined ? 0 : chosen);
   const facts = clips[clip];
@@ -64,18 +68,25 @@ export function Transport(): JSX.Element | null {
             {seconds(shown.seconds)}
             <span class="whole"> / {seconds(duration)}</span>
           </output>
-          <span class="speed">
-            <Select
-              label="Speed"
-              value={String(playSpeed.value) as (typeof SPEEDS)[number]}
-              options={SPEEDS.map((speed) => [speed, `${speed}×`] as const)}
-              onValue={(value) => (playSpeed.value = Number(value))}
-            />
-          </span>
-          <Button bare icon="close" label="Back to editing" keys="Escape" onClick={closeClip} />
+          <Speed />
+          <Button bare icon="close" label="Back to editing" keys="Escape" onClick={bringBack} />
         </>
       )}
       {facts?.fault !== undefined && <small title={facts.fault}>{facts.fault}</small>}
     </div>
+  );
+}
+
+/** How fast clips and animations are played. */
+export function Speed(): JSX.Element {
+  return (
+    <span class="speed">
+      <Select
+        label="Speed"
+        value={String(playSpeed.value) as (typeof SPEEDS)[number]}
+        options={SPEEDS.map((speed) => [speed, `${speed}×`] as const)}
+        onValue={(value) => (playSpeed.value = Number(value))}
+      />
+    </span>
   );
 }

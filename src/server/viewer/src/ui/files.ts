@@ -1,5 +1,6 @@
 /** Files in and out of the page. */
 
+import { type ClipSource, animate, rigOf } from "../app/animating.ts";
 import { EXTENSIONS, openFiles } from "../app/opening.ts";
 import * as s from "../app/signals.ts";
 import type { Format, PlacedFile } from "pliant-client";
@@ -10,9 +11,46 @@ export function pickFiles(): void {
   input.type = "file";
   input.multiple = true;
   // Companion files have any name, so the list of extensions is a hint that also lets buffers and images through.
-  input.accept = [...EXTENSIONS.map((extension) => `.${extension}`), ".bin", ".mtl", ".png", ".jpg", ".jpeg"].join(",");
-  input.onchange = () => void openFiles([...(input.files ?? [])].map(placed));
+  input.accept = [...EXTENSIONS.map((extension) => `.${extension}`), ".bvh", ".bin", ".mtl", ".png", ".jpg", ".jpeg"].join(",");
+  input.onchange = () => void take([...(input.files ?? [])].map(placed));
   input.click();
+}
+
+/** Asks for a recording, and a rig if it has one. */
+export function pickRecording(): void {
+  const input = document.createElement("input");
+  input.type = "file";
+  input.multiple = true;
+  input.accept = ".bvh,.json";
+  input.onchange = () => void playRecording([...(input.files ?? [])].map(placed));
+  input.click();
+}
+
+/** Opens models; a recording without one moves the model that is open. */
+async function take(files: readonly PlacedFile[]): Promise<void> {
+  const hasModel = files.some(({ path }) => EXTENSIONS.some((extension) => endsWith(path, extension)));
+  if (!hasModel && files.some(({ path }) => endsWith(path, "bvh"))) await playRecording(files);
+  else await openFiles(files);
+}
+
+/** Animates the model that is open by a BVH file, and the rig beside it. */
+async function playRecording(files: readonly PlacedFile[]): Promise<void> {
+  const clip = files.find(({ path }) => endsWith(path, "bvh"));
+  const rig = files.find(({ path }) => endsWith(path, "json"));
+  if (clip === undefined) {
+    s.note("error", "That is no clip", "A BVH file is needed, and a rig (JSON) if the model is no upright figure.");
+    return;
+  }
+  try {
+    const source: ClipSource = { title: clip.path.split("/").at(-1) ?? clip.path, bvh: clip.file };
+    await animate(rig === undefined ? source : { ...source, rig: await rigOf(rig.file) });
+  } catch (error) {
+    s.fail("The clip does not play", error);
+  }
+}
+
+function endsWith(path: string, extension: string): boolean {
+  return path.toLowerCase().endsWith(`.${extension}`);
 }
 
 /** Files that are taken from what is dropped, at most; a folder may hold anything. */
@@ -24,7 +62,7 @@ export async function openDropped(transfer: DataTransfer): Promise<void> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter((entry) => entry != null);
   const plain = [...transfer.files].map(placed);
   if (!entries.some((entry) => entry.isDirectory)) {
-    await openFiles(plain);
+    await take(plain);
     return;
   }
   const found: PlacedFile[] = [];
@@ -37,7 +75,7 @@ export async function openDropped(transfer: DataTransfer): Promise<void> {
       // What cannot be read is missing, which the server tells where it matters.
     }
   }
-  await openFiles(found.sort((a, b) => (a.path < b.path ? -1 : 1)));
+  await take(found.sort((a, b) => (a.path < b.path ? -1 : 1)));
 }
 
 function placed(file: File): PlacedFile {

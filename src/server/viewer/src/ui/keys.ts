@@ -1,8 +1,9 @@
 /** Keyboard shortcuts. The help sheet shows this list, so that it cannot tell of others. */
 
+import { animating, seekFrame } from "../app/animating.ts";
 import { makeHandle, removeHandle } from "../app/handling.ts";
+import { bringBack, onScreen } from "../app/intermission.ts";
 import { redo, undo } from "../app/past.ts";
-import { closeClip, playing } from "../app/playing.ts";
 import * as s from "../app/signals.ts";
 import { clearSelection, invertSelection } from "../app/tools.ts";
 import { view } from "../app/view.ts";
@@ -36,7 +37,7 @@ const wider = (factor: number) => (): void => {
 
 const escape = (): void => {
   if (s.helpOpen.peek()) s.helpOpen.value = false;
-  else if (playing.peek() !== undefined) closeClip();
+  else if (onScreen.peek() !== undefined) bringBack();
   else if (s.cutPlane.peek() !== undefined) s.cutPlane.value = undefined;
   else clearSelection();
 };
@@ -46,6 +47,13 @@ const step = (by: number) => (): void => {
   const list = s.handles.peek().filter(({ hold }) => hold !== "pin");
   const at = list.findIndex(({ id }) => id === s.activeId.peek());
   s.activeId.value = list.at((at + by) % Math.max(1, list.length))?.id;
+};
+
+/** Steps through the frames of an animation; looks around the model while there is none. */
+const aside = (by: number) => (): void => {
+  const shown = animating.peek();
+  if (shown === undefined) view().stage.circle(by * AROUND, 0, 1);
+  else seekFrame(shown.at + by);
 };
 
 export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] = [
@@ -86,13 +94,13 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
   {
     title: "View",
     list: [
-      { keys: "ArrowLeft", what: "Look from further left", act: () => view().stage.circle(-AROUND, 0, 1) },
-      { keys: "ArrowRight", what: "Look from further right", act: () => view().stage.circle(AROUND, 0, 1) },
+      { keys: "ArrowLeft", what: "Look from further left; a frame back", act: aside(-1) },
+      { keys: "ArrowRight", what: "Look from further right; a frame on", act: aside(1) },
       { keys: "ArrowUp", what: "Look from further above", act: () => view().stage.circle(0, -AROUND, 1) },
       { keys: "ArrowDown", what: "Look from further below", act: () => view().stage.circle(0, AROUND, 1) },
       { keys: "+", what: "Nearer", act: () => view().stage.circle(0, 0, 1 / NEARER) },
       { keys: "-", what: "Further away", act: () => view().stage.circle(0, 0, NEARER) },
-      { keys: "Space", what: "Play or pause the clip", act: togglePlay },
+      { keys: "Space", what: "Play or pause the clip or the animation", act: togglePlay },
       { keys: "F", what: "Frame the model", act: () => view().stage.frame() },
       { keys: "U", what: "Materials or clay", act: () => s.choose({ materials: !s.settings.peek().materials }) },
       { keys: "W", what: "Wire on or off", act: () => s.choose({ wire: !s.settings.peek().wire }) },

@@ -2771,7 +2771,8 @@ export type AnimateOptions = Message<"pliant.v1.AnimateOptions"> & {
   } | { case: undefined; value?: undefined };
 
   /**
-   * Which bones the clip's joints drive; a model's own clip drives its skin without one.
+   * Which bones the clip's joints drive; a model's own clip drives its skin without one, and a BVH file drives the rig that
+   * `pliant rig` makes of a figure that stands upright.
    *
    * @generated from field: pliant.v1.Rig rig = 5;
    */
