@@ -1,4 +1,5 @@
-"""Pliant for Blender: vertex groups become handles, handles are dragged or keyed, results are shape keys.
+"""Pliant for Blender: vertex groups become handles, handles are dragged or keyed, results are shape keys;
+actions of armatures become point caches.
 
 The topology never changes, and every operator is one step of undo. The mathematics happens in a pliant server: one that
 the preferences name, or one that is started on this machine.
@@ -8,11 +9,11 @@ from __future__ import annotations
 
 import bpy
 
-from . import bake, drag, handles, link, operators, panel, preferences
+from . import animate, bake, drag, handles, link, operators, panel, preferences
 
 bl_info = {
     "name": "Pliant",
-    "description": "Bends large meshes by vertex groups into shape keys",
+    "description": "Bends large meshes by vertex groups into shape keys, and by armatures into point caches",
     "author": "The pliant authors",
     "version": (0, 1, 0),
     "blender": (4, 2, 0),
@@ -20,7 +21,7 @@ bl_info = {
     "category": "Mesh",
 }
 
-_MODULES = (preferences, handles, operators, drag, bake, panel)
+_MODULES = (preferences, handles, operators, drag, bake, animate, panel)
 
 
 def register() -> None:

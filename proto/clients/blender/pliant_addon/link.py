@@ -50,8 +50,7 @@ def session(object: bpy.types.Object) -> Any:
         raise mesh.Refusal(MISSING)
     named = handles.regions(object)
     points, corners = mesh.rest(object), mesh.triangles(object)
-    settings = object.pliant
-    created = {"volume_graph": settings.volume_graph.lower(), "components": settings.components.lower()}
+    created = _created(object)
     way = preferences.way()
     fingerprint = (points.tobytes(), corners.tobytes(), *created.values(), *way)
     link = _links.get(object.name)
@@ -59,13 +58,7 @@ def session(object: bpy.types.Object) -> Any:
         close(object.name)
         link = None
     if link is None:
-        client = _connect(*way)
-        try:
-            opened = client.open((points, corners), label=object.name[:100], **created)
-        except Exception:
-            client.close()
-            raise
-        link = _links[object.name] = Link(client, opened, fingerprint)
+        link = _links[object.name] = _opened(object, (points, corners), fingerprint)
     # Handles are sent when they changed; setting them costs more than a pose.
     wanted = [(group, weights.tobytes(), stiffness) for group, (weights, stiffness) in named.items()]
     if link.handles != wanted:
@@ -74,6 +67,28 @@ def session(object: bpy.types.Object) -> Any:
         link.session.apply()
         link.handles = wanted
     return link.session
+
+
+def opened(object: bpy.types.Object, model: bytes) -> Link:
+    """A session of its own with a model file, for whoever closes it."""
+    if pliant is None:
+        raise mesh.Refusal(MISSING)
+    return _opened(object, model, ())
+
+
+def _opened(object: bpy.types.Object, model: Any, fingerprint: tuple[Any, ...]) -> Link:
+    client = _connect(*preferences.way())
+    try:
+        return Link(client, client.open(model, label=object.name[:100], **_created(object)), fingerprint)
+    except Exception:
+        client.close()
+        raise
+
+
+def _created(object: bpy.types.Object) -> dict[str, Any]:
+    """How a session of the object is built."""
+    settings = object.pliant
+    return {"volume_graph": settings.volume_graph.lower(), "components": settings.components.lower()}
 
 
 def _connect(server: str, token: str, program: str) -> Any:
@@ -106,7 +121,7 @@ def words(error: Exception) -> str:
 
 def is_failure(error: Exception) -> bool:
     """Whether an exception is one that people are told of, rather than a defect of this add-on."""
-    return isinstance(error, (mesh.Refusal, ValueError)) or (
+    return isinstance(error, (mesh.Refusal, ValueError, OSError)) or (
         pliant is not None and isinstance(error, pliant.PliantError)
     )
 

@@ -34,6 +34,9 @@ class PLIANT_PT_sidebar(bpy.types.Panel):
         try:
             if link.MISSING:
                 raise mesh.Refusal(link.MISSING)
+            if object is not None and object.type == "ARMATURE":
+                layout.operator("pliant.animate", icon="ARMATURE_DATA")
+                return
             mesh.check(object, context.evaluated_depsgraph_get())
         except mesh.Refusal as refusal:
             _words(layout, str(refusal), context.region.width)
@@ -50,6 +53,8 @@ class PLIANT_PT_sidebar(bpy.types.Panel):
             column.operator("pliant.solve", icon="SHAPEKEY_DATA")
             column.operator("pliant.bake", icon="KEYFRAME")
             column.operator("pliant.rest", icon="LOOP_BACK")
+            if any(modifier.type == "ARMATURE" for modifier in object.modifiers):
+                layout.operator("pliant.animate", icon="ARMATURE_DATA")
         if settings.told:
             _words(layout, settings.told, context.region.width, icon="INFO")
 
