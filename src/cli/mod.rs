@@ -5,6 +5,7 @@
 
 mod animate;
 mod check;
+mod cutaway;
 mod deform;
 mod failure;
 mod inspect;
@@ -43,7 +44,7 @@ enum PliantCommand {
     /// Run a suite of jobs and compare each result with the one that was stored
     Check(check::CheckArgs),
     /// Play a clip on a model, every frame solved
-    Animate(animate::AnimateArgs),
+    Animate(Box<animate::AnimateArgs>),
     /// Find where the bones of a model lie, and which joints of a clip turn them
     Rig(rig::RigArgs),
     /// Bind a model to the bones of a rig

@@ -1,5 +1,6 @@
 //! `pliant render`: a picture of a model, drawn without a display.
 
+use super::cutaway::draw_cutaway;
 use super::failure::CliFailure;
 use super::model_files::read_model;
 use super::output_files::OutputPermission;
@@ -8,7 +9,7 @@ use crate::asset::{Limits, Model, SurfaceLook};
 use crate::mesh::BoundingBox;
 use crate::pool::Pool;
 use crate::render::{
-    self, ColourKey, ColourRamp, PictureSize, RingMark, STRETCH_RANGE, ShadedSurface, SurfaceDress, UpAxis,
+    self, ColourKey, ColourRamp, Picture, PictureSize, RingMark, STRETCH_RANGE, ShadedSurface, SurfaceDress, UpAxis,
     ViewDirection, ViewSheet, edge_stretch, vertex_displacements,
 };
 use clap::{Args, ValueEnum};
@@ -54,6 +55,9 @@ pub struct RenderArgs {
     /// [default: the largest distance; 1.5]
     #[arg(long, value_name = "NUMBER", value_parser = parse_above_zero)]
     range: Option<f64>,
+    /// A rig: draw the model open towards the eye, with the nodes that the rig holds in it, rotations green and positions orange
+    #[arg(long, value_name = "RIG", conflicts_with_all = ["before", "color", "turntable", "wire", "range", "marks"])]
+    rig: Option<PathBuf>,
     /// Rings around the N places that differ most
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=9))]
     marks: u32,
@@ -170,6 +174,10 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
     }
     args.permission.check_target(&args.output)?;
     let pool = args.threads.start_pool()?;
+    if let Some(rig) = &args.rig {
+        let (picture, told) = draw_cutaway(&args.model, rig, (args.first_view()?, args.size), &pool)?;
+        return args.write_picture(&picture, &format!(", {told}"));
+    }
     let mut model = ModelToDraw::open_model(&args.model)?;
     let mut before = args.before.as_deref().map(ModelToDraw::open_model).transpose()?;
     let mut colour = choose_colours(args.color, &model, before.as_ref())?;
@@ -205,11 +213,7 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
         shape = shape.with_wires();
         before = before.map(ShadedSurface::with_wires);
     }
-    let up = match args.up {
-        UpAxisChoice::Y => UpAxis::Y,
-        UpAxisChoice::Z => UpAxis::Z,
-    };
-    let first = ViewDirection::new(args.view[0], args.view[1], up)?;
+    let first = args.first_view()?;
     let count = args.turntable.unwrap_or(1);
     let views: Vec<ViewDirection> = (0..count)
         .map(|k| first.turned_by(360.0 * f64::from(k) / f64::from(count)))
@@ -223,15 +227,31 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
         marks,
     };
     let picture = sheet.draw_views(&pool)?;
-    args.permission.write_file(&args.output, &picture.encode_png()?)?;
-    eprintln!(
-        "{} -> {}, {}x{} pixels",
-        args.model.display(),
-        args.output.display(),
-        picture.width(),
-        picture.height()
-    );
-    Ok(())
+    args.write_picture(&picture, "")
+}
+
+impl RenderArgs {
+    /// The direction of the first view.
+    fn first_view(&self) -> Result<ViewDirection, CliFailure> {
+        let up = match self.up {
+            UpAxisChoice::Y => UpAxis::Y,
+            UpAxisChoice::Z => UpAxis::Z,
+        };
+        Ok(ViewDirection::new(self.view[0], self.view[1], up)?)
+    }
+
+    /// Writes the picture and tells of it.
+    fn write_picture(&self, picture: &Picture, more: &str) -> Result<(), CliFailure> {
+        self.permission.write_file(&self.output, &picture.encode_png()?)?;
+        eprintln!(
+            "{} -> {}, {}x{} pixels{more}",
+            self.model.display(),
+            self.output.display(),
+            picture.width(),
+            picture.height()
+        );
+        Ok(())
+    }
 }
 
 /// Chooses the colours to draw: those asked for where they make sense.

@@ -1,34 +1,62 @@
-//! `pliant sample`: a built-in model as a file, for trying things where no model is at hand.
+//! `pliant sample`: a built-in model or recording as a file, for trying things where none is at hand.
 
 use super::failure::CliFailure;
 use super::output_files::OutputPermission;
-use crate::asset::sample::BuiltInModel;
+use crate::asset::sample::{BuiltInModel, BuiltInRecording, body_glb};
 use clap::Args;
 use std::path::PathBuf;
 
 /// Arguments of `pliant sample`.
 #[derive(Debug, Args)]
 pub struct SampleArgs {
-    /// creature: one closed mesh; figure: a person with a skeleton, clips, levels of detail, a hull and sockets
+    /// creature: one closed mesh; figure: a person with a skeleton, clips, levels of detail, a hull and sockets; body: the figure's
+    /// body alone; boxing, ballet, twist: recordings that drive models, twist that of a hand that turns over
     #[arg(default_value = "creature", value_parser = parse_name)]
-    name: BuiltInModel,
-    /// Where to write it, a glb file
-    #[arg(short, long, value_name = "MODEL")]
+    name: BuiltInFile,
+    /// Where to write it, a glb file, or a bvh file for a recording
+    #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     permission: OutputPermission,
 }
 
-fn parse_name(text: &str) -> Result<BuiltInModel, String> {
-    BuiltInModel::from_name(text).ok_or_else(|| format!("there is {}", BuiltInModel::name_list()))
+/// What is built in.
+#[derive(Debug, Clone, Copy)]
+enum BuiltInFile {
+    Model(BuiltInModel),
+    /// The figure's body.
+    Body,
+    Recording(BuiltInRecording),
+}
+
+fn parse_name(text: &str) -> Result<BuiltInFile, String> {
+    let model = BuiltInModel::from_name(text).map(BuiltInFile::Model);
+    let body = (text == "body").then_some(BuiltInFile::Body);
+    let recording = BuiltInRecording::from_name(text).map(BuiltInFile::Recording);
+    model.or(body).or(recording).ok_or_else(|| {
+        let recordings = BuiltInRecording::ALL.map(BuiltInRecording::recording_name).join(", ");
+        format!(
+            "there is {}, body, and as recordings {recordings}",
+            BuiltInModel::name_list()
+        )
+    })
 }
 
 /// Runs the command.
 pub(super) fn run_sample(args: &SampleArgs) -> Result<(), CliFailure> {
-    if !args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb")) {
-        let problem = "a built-in model is written as glb, its extension must say so";
+    let (ending, what) = match args.name {
+        BuiltInFile::Model(_) | BuiltInFile::Body => ("glb", "model"),
+        BuiltInFile::Recording(_) => ("bvh", "recording"),
+    };
+    if !args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)) {
+        let problem = format!("a built-in {what} is written as {ending}, its extension must say so");
         return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
     args.permission.check_target(&args.output)?;
-    args.permission.write_file(&args.output, &args.name.glb())
+    let bytes = match args.name {
+        BuiltInFile::Model(model) => model.glb(),
+        BuiltInFile::Body => body_glb(),
+        BuiltInFile::Recording(recording) => recording.bvh_text().into_bytes(),
+    };
+    args.permission.write_file(&args.output, &bytes)
 }

@@ -15,6 +15,7 @@ mod nodes;
 mod nodes_of_files;
 mod played;
 mod polygons;
+mod recordings;
 mod rigged;
 mod rigs;
 mod roundtrip_gltf;

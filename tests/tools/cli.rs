@@ -41,6 +41,11 @@ fn a_sample_is_written_where_it_may_be() {
         (["sample", "dragon", "-o", "dragon.glb"], "creature or figure"),
         (["sample", "figure", "-o", "figure.glb"], "--force"),
         (["sample", "figure", "-o", "figure.obj"], "written as glb"),
+        (["sample", "boxing", "-o", "boxing.glb"], "written as bvh"),
+        (
+            ["sample", "dragon", "-o", "dragon.bvh"],
+            "recordings boxing, ballet, twist",
+        ),
     ] {
         let (code, _, last) = pliant(folder.path(), &arguments);
         assert_eq!(code, Some(2), "{arguments:?}");

@@ -140,6 +140,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     let animation = prepare(&deformer, moving, scale, &order, &exec)?;
     let mut taker = output.begin(PlayedAnimation {
         deformer: &deformer,
+        animation: &animation,
         model: &args.model,
         files: &files,
         clip: &clip,

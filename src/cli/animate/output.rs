@@ -2,7 +2,8 @@
 
 use super::gathered::{GatheredFrames, GatheredKind};
 use super::numbered::NumberedFrames;
-use super::pictures::{FramePicture, FramePictureArgs, PicturedFrames};
+use super::picture_args::{FramePicture, FramePictureArgs};
+use super::pictures::PicturedFrames;
 use super::taken_frames::{FrameTaker, MeasuredFrames, PlayedAnimation};
 use crate::asset::{Format, VertexCache};
 use crate::cli::failure::CliFailure;
@@ -155,7 +156,7 @@ impl AnimationOutputArgs {
             (
                 self.pictures.is_given(),
                 is_picture,
-                "--tiles, --tile, --view and --color are for .png and .apng",
+                "--tiles, --rest, --tile, --view, --color, --beside and --close-up are for .png and .apng",
             ),
         ] {
             if is_given && !fits {
@@ -164,7 +165,7 @@ impl AnimationOutputArgs {
         }
         match &kind {
             OutputKind::Gathered(path, _) => self.permission.check_target(path)?,
-            OutputKind::Pictured(picture) => self.permission.check_target(picture.path())?,
+            OutputKind::Pictured(picture) => self.permission.check_target(&picture.path)?,
             OutputKind::Nothing | OutputKind::Numbered(..) => {}
         }
         let usual = if has_nodes { RootRule::Node } else { RootRule::Baked };

@@ -1,141 +1,166 @@
 //! Frames as one picture: a sheet of some of them side by side, or a picture that moves.
 
+use super::linear_blend::{LinearBlendSkin, bone_motions};
+use super::picture_args::{CloseUp, FrameColour, FramePicture, MOST_TILES};
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::cli::failure::CliFailure;
 use crate::engine::{AnimatedFrame, Animation};
+use crate::motion::rig::{MotionRig, RigidMotion};
 use crate::render::{
-    Camera, ColourKey, ColourRamp, Picture, PictureSize, STRETCH_RANGE, ShadedSurface, UpAxis, ViewDirection,
+    Camera, ColourKey, ColourRamp, POSITION_COLOUR, Picture, ROTATION_COLOUR, STRETCH_RANGE, ShadedSurface,
     background_end, draw_surface, edge_stretch, encode_moving_png,
 };
 use crate::wire::pb;
-use clap::{Args, ValueEnum};
 use glam::DVec3;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
 
-/// Most frames of a sheet.
-const MOST_TILES: usize = 256;
 /// Most frames of a picture that moves.
 const MOST_MOVING: usize = 1000;
-/// Frames of a sheet unless told otherwise.
-const USUAL_TILES: usize = 16;
 /// Pixels below a sheet for the key to its colours.
 const KEY: u32 = 40;
+/// Tiles with sides shorter than this have no words.
+const WORDS: u32 = 96;
 
-/// How frames are drawn.
-#[derive(Debug, Clone, Args)]
-pub(super) struct FramePictureArgs {
-    /// Frames that a .png shows side by side, 1 to 256 [default: 16]
-    #[arg(long, value_name = "COUNT")]
-    tiles: Option<usize>,
-    /// Pixels of one frame of a picture [default: 240x320]
-    #[arg(long, value_name = "WxH", value_parser = crate::cli::render::parse_size)]
-    tile: Option<PictureSize>,
-    /// From where pictures show the model: degrees around the up axis and above the horizon [default: 30,10]
-    #[arg(long, value_name = "AZIMUTH,ELEVATION", value_parser = crate::cli::render::parse_angles, allow_hyphen_values = true)]
-    view: Option<[f64; 2]>,
-    /// What the colours of pictures show [default: plain]
-    #[arg(long, value_enum, alias = "colour")]
-    color: Option<FrameColour>,
+/// A shape that is drawn, and what linear blend skinning makes of the same pose.
+struct ShownShape {
+    /// By bone of the rig, what it does with what lies at rest.
+    motions: Vec<RigidMotion>,
+    solved: Vec<DVec3>,
+    skinned: Option<Vec<DVec3>>,
 }
 
-/// What the colours of frames show.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum FrameColour {
-    /// Nothing but the shape
-    Plain,
-    /// Edges longer (red) or shorter (blue) than at rest
-    Distortion,
+/// Takes the frames that a picture shows.
+pub(super) struct PicturedFrames<'a> {
+    picture: FramePicture,
+    played: PlayedAnimation<'a>,
+    skin: Option<LinearBlendSkin>,
+    /// The bone around whose beginning pictures are, and how far they reach.
+    near: Option<(usize, f64)>,
+    shapes: Vec<ShownShape>,
 }
 
-/// How frames become a picture.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct FramePicture {
-    path: PathBuf,
-    moves: bool,
-    tiles: usize,
-    size: PictureSize,
-    view: ViewDirection,
-    colour: FrameColour,
-}
-
-impl FramePictureArgs {
-    /// Whether anything is said of pictures.
-    pub(super) fn is_given(&self) -> bool {
-        self.tiles.is_some() || self.tile.is_some() || self.view.is_some() || self.color.is_some()
-    }
-
-    /// The picture that a path asks for, if it is one's.
-    pub(super) fn picture_at(&self, path: &Path) -> Result<Option<FramePicture>, CliFailure> {
-        let ends = |wanted: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(wanted));
-        let moves = ends("apng");
-        if !moves && !ends("png") {
-            return Ok(None);
-        }
-        if moves && self.tiles.is_some() {
-            return Err(CliFailure::Input(
-                "--tiles is for .png; a .apng shows all frames".into(),
-            ));
-        }
-        let tiles = self.tiles.unwrap_or(USUAL_TILES);
-        if !(1..=MOST_TILES).contains(&tiles) {
-            let problem = format!("--tiles is {tiles}, allowed are 1 to {MOST_TILES}");
+impl<'a> PicturedFrames<'a> {
+    /// Checks that not too many frames are asked for, and that there is what is to be seen.
+    pub(super) fn begin(picture: FramePicture, played: PlayedAnimation<'a>) -> Result<Self, CliFailure> {
+        if picture.moves && played.range.len() > MOST_MOVING {
+            let problem = format!("a .apng shows at most {MOST_MOVING} frames, not {}", played.range.len());
             return Err(CliFailure::Input(problem));
         }
-        let [azimuth, elevation] = self.view.unwrap_or([30.0, 10.0]);
-        Ok(Some(FramePicture {
-            path: path.to_owned(),
-            moves,
-            tiles,
-            size: self.tile.map_or_else(|| PictureSize::new(240, 320), Ok)?,
-            view: ViewDirection::new(azimuth, elevation, UpAxis::Y)?,
-            colour: self.color.unwrap_or(FrameColour::Plain),
-        }))
+        let rig = played.animation.moving_rig();
+        let near = picture.close_up.as_ref().map(|wanted| bone_named(rig, wanted));
+        let skin = picture.beside.map(|_| LinearBlendSkin::of_played(&played));
+        let mut frames = Self {
+            near: near.transpose()?,
+            skin: skin.transpose()?,
+            picture,
+            played,
+            shapes: Vec::new(),
+        };
+        if frames.picture.has_rest {
+            let still = vec![RigidMotion::IDENTITY; frames.played.animation.moving_rig().bones.len()];
+            frames.add_shape(still, frames.played.deformer.rest().to_vec());
+        }
+        Ok(frames)
     }
-}
 
-impl FramePicture {
-    /// Where it goes.
-    pub(super) fn path(&self) -> &Path {
-        &self.path
+    fn add_shape(&mut self, motions: Vec<RigidMotion>, solved: Vec<DVec3>) {
+        let rest = self.played.deformer.rest();
+        let pool = self.played.exec.pool;
+        let skin = self.skin.as_ref();
+        let skinned = skin.map(|skin| pool.install(|| skin.place_vertices(rest, &motions)));
+        self.shapes.push(ShownShape {
+            motions,
+            solved,
+            skinned,
+        });
     }
 
-    /// Draws the triangles of shapes with one scale, each in the middle of its own picture.
-    fn draw(&self, shapes: &[Vec<DVec3>], animated: &PlayedAnimation<'_>) -> Result<Vec<Picture>, CliFailure> {
-        let (rest, pool) = (animated.deformer.rest(), animated.exec.pool);
-        let played = animated.played_vertices();
+    /// Whether a frame is one of those shown: evenly over the range, the first and the last among them.
+    fn is_shown(&self, frame: usize) -> bool {
+        let Range { start, end } = self.played.range;
+        let last = end - start - 1;
+        let tiles = self.picture.tiles - usize::from(self.picture.has_rest);
+        let tiles = tiles.min(last + 1);
+        if self.picture.moves || tiles == last + 1 {
+            return true;
+        }
+        (0..tiles).any(|k| (k * last) / (tiles - 1).max(1) == frame - start)
+    }
+
+    /// Draws all shapes with one scale, each in the middle of its own picture; what it is compared with goes left of it, or above it
+    /// where pictures are wide.
+    fn draw_shapes(&self) -> Result<Vec<Picture>, CliFailure> {
+        let rest = self.played.deformer.rest();
+        let pool = self.played.exec.pool;
+        let played = self.played.played_vertices();
         // What the clip does not move would stand about at rest: hulls for collisions, floors.
         let is_played = |t: &&[u32; 3]| played.binary_search(&(t[0] as usize)).is_ok();
-        let triangles = &animated.deformer.geometry().triangles;
+        let triangles = &self.played.deformer.geometry().triangles;
         let triangles: Vec<[u32; 3]> = triangles.iter().filter(is_played).copied().collect();
-        let triangles = &triangles;
-        let mut surfaces = Vec::with_capacity(shapes.len());
-        for shape in shapes {
+        let mut surfaces = Vec::with_capacity(self.shapes.len());
+        let mut centers = Vec::with_capacity(self.shapes.len());
+        for shown in &self.shapes {
             // The mean moves less from frame to frame than a box does, whose sides are where hands and feet are.
-            let center = played.iter().map(|v| shape[*v]).sum::<DVec3>() / played.len().max(1) as f64;
-            let centred: Vec<DVec3> = shape.iter().map(|p| *p - center).collect();
-            let mut surface = ShadedSurface::new(&centred, triangles, pool)?;
-            if self.colour == FrameColour::Distortion {
-                let values = edge_stretch(rest, shape, triangles)?;
-                let colours: Vec<_> = values.iter().map(|x| ColourRamp::Stretch.linear_colour(*x)).collect();
-                surface = surface.with_colours(&colours)?;
+            let center = played.iter().map(|v| shown.solved[*v]).sum::<DVec3>() / played.len().max(1) as f64;
+            centers.push(center);
+            for shape in shown.skinned.iter().chain([&shown.solved]) {
+                let centred: Vec<DVec3> = shape.iter().map(|p| *p - center).collect();
+                let mut surface = ShadedSurface::new(&centred, &triangles, pool)?;
+                if self.picture.colour == FrameColour::Distortion {
+                    let values = edge_stretch(rest, shape, &triangles)?;
+                    let colours: Vec<_> = values.iter().map(|x| ColourRamp::Stretch.linear_colour(*x)).collect();
+                    surface = surface.with_colours(&colours)?;
+                }
+                surfaces.push(surface);
             }
-            surfaces.push(surface);
         }
         let all: Vec<&ShadedSurface> = surfaces.iter().collect();
-        let cameras = Camera::around_surfaces(&all, &[self.view], self.size);
-        let drawn = surfaces.iter().zip(cameras.iter().cycle());
-        Ok(drawn
-            .map(|(surface, camera)| draw_surface(surface, camera, pool))
-            .collect())
+        let whole = &Camera::around_surfaces(&all, &[self.picture.view], self.picture.size)[0];
+        let each = if self.skin.is_some() { 2 } else { 1 };
+        let mut pictures = Vec::with_capacity(self.shapes.len());
+        for (number, (own, shown)) in surfaces.chunks(each).zip(&self.shapes).enumerate() {
+            let camera = match self.near {
+                Some((bone, radius)) => {
+                    let from = self.played.animation.moving_rig().bones[bone].from;
+                    whole.close_up(shown.motions[bone].place(from) - centers[number], radius)
+                }
+                None => whole.clone(),
+            };
+            let drawn: Vec<Picture> = own.iter().map(|s| draw_surface(s, &camera, pool)).collect();
+            let has_words = self.picture.moves || number == 0;
+            pictures.push(match <[Picture; 2]>::try_from(drawn) {
+                Ok(pair) => self.join_pair(pair, has_words)?,
+                Err(mut one) => one.swap_remove(0),
+            });
+        }
+        Ok(pictures)
+    }
+
+    /// One picture of two: linear blend skinning and what was solved.
+    fn join_pair(&self, pair: [Picture; 2], has_words: bool) -> Result<Picture, CliFailure> {
+        let [width, height] = [self.picture.size.width(), self.picture.size.height()];
+        let [right, down] = if width > height { [0, height] } else { [width, 0] };
+        let mut joined = Picture::new(u64::from(width + right), u64::from(height + down), background_end())?;
+        let dot = (width.min(height) / 64).clamp(1, 3);
+        let words = [("LBS", POSITION_COLOUR), ("pliant", ROTATION_COLOUR)];
+        for (k, (picture, (word, colour))) in (0u32..).zip(pair.iter().zip(words)) {
+            let [x, y] = [k * right, k * down];
+            joined.paste_picture(picture, x, y);
+            if has_words && width.min(height) >= WORDS {
+                joined.write_text(x + 4 * dot, y + 4 * dot, dot, word, colour);
+            }
+        }
+        Ok(joined)
     }
 
     /// Puts pictures side by side, in about as many rows as fit a page.
-    fn sheet(&self, pictures: &[Picture]) -> Result<Picture, CliFailure> {
-        let columns = columns_for(pictures.len());
+    fn join_sheet(&self, pictures: &[Picture]) -> Result<Picture, CliFailure> {
+        let size = pictures.first().map_or([1, 1], |p| [p.width(), p.height()]);
+        let [width, height] = size;
+        let columns = columns_for(pictures.len(), f64::from(width) / f64::from(height));
         let rows = pictures.len().div_ceil(columns);
-        let [width, height] = [self.size.width(), self.size.height()];
-        let key = if self.colour == FrameColour::Distortion { KEY } else { 0 };
+        let is_coloured = self.picture.colour == FrameColour::Distortion;
+        let key = if is_coloured { KEY } else { 0 };
         let side = |n: usize, pixels: u32| n as u64 * u64::from(pixels);
         let mut sheet = Picture::new(
             side(columns, width),
@@ -152,45 +177,29 @@ impl FramePicture {
     }
 }
 
-/// Columns of a sheet: as few places left empty as can be, then about twice as wide as high.
-fn columns_for(tiles: usize) -> usize {
-    let (least, most) = ((1..).find(|c| c * c >= tiles).unwrap_or(1), tiles.clamp(1, MOST_TILES));
+/// The bone that is to be seen near by.
+fn bone_named(rig: &MotionRig, wanted: &CloseUp) -> Result<(usize, f64), CliFailure> {
+    let is_it = |bone: &crate::motion::rig::RigBone| bone.id == wanted.bone || bone.joint == wanted.bone;
+    let found = rig.bones.iter().position(is_it).map(|bone| (bone, wanted.radius));
+    found.ok_or_else(|| {
+        let names: Vec<&str> = rig.bones.iter().map(|bone| bone.id.as_str()).collect();
+        let problem = format!("\"{}\" is no bone of the rig; it has {}", wanted.bone, names.join(", "));
+        CliFailure::Input(format!("--close-up: {problem}"))
+    })
+}
+
+/// Columns of a sheet of tiles so many times as wide as high: as few places left empty as can be, then about twice as wide as
+/// high.
+fn columns_for(tiles: usize, aspect: f64) -> usize {
+    let most = tiles.clamp(1, MOST_TILES);
+    let is_wide = |c: &usize| (c * c) as f64 * aspect >= tiles as f64;
+    let least = (1..most).find(is_wide).unwrap_or(most);
     let choices = least..=most.min(2 * least);
-    let rank = |c: &usize| (c * tiles.div_ceil(*c) - tiles, (c * c).abs_diff(2 * tiles));
-    choices.min_by_key(rank).unwrap_or(most)
-}
-
-/// Takes the frames that a picture shows.
-pub(super) struct PicturedFrames<'a> {
-    picture: FramePicture,
-    played: PlayedAnimation<'a>,
-    shapes: Vec<Vec<DVec3>>,
-}
-
-impl<'a> PicturedFrames<'a> {
-    /// Checks that not too many frames are asked for.
-    pub(super) fn begin(picture: FramePicture, played: PlayedAnimation<'a>) -> Result<Self, CliFailure> {
-        if picture.moves && played.range.len() > MOST_MOVING {
-            let problem = format!("a .apng shows at most {MOST_MOVING} frames, not {}", played.range.len());
-            return Err(CliFailure::Input(problem));
-        }
-        Ok(Self {
-            picture,
-            played,
-            shapes: Vec::new(),
-        })
-    }
-
-    /// Whether a frame is one of those shown: evenly over the range, the first and the last among them.
-    fn is_shown(&self, frame: usize) -> bool {
-        let Range { start, end } = self.played.range;
-        let last = end - start - 1;
-        let tiles = self.picture.tiles.min(last + 1);
-        if self.picture.moves || tiles == last + 1 {
-            return true;
-        }
-        (0..tiles).any(|k| (k * last) / (tiles - 1).max(1) == frame - start)
-    }
+    let off = |c: usize| ((c * c) as f64 * aspect - 2.0 * tiles as f64).abs();
+    let empty = |c: usize| c * tiles.div_ceil(c) - tiles;
+    choices
+        .min_by(|a, b| empty(*a).cmp(&empty(*b)).then(off(*a).total_cmp(&off(*b))))
+        .unwrap_or(most)
 }
 
 impl FrameTaker for PicturedFrames<'_> {
@@ -200,17 +209,18 @@ impl FrameTaker for PicturedFrames<'_> {
 
     fn take(&mut self, frame: &AnimatedFrame, _: &pb::animation_report::FrameReport) -> Result<(), CliFailure> {
         if self.is_shown(frame.index) {
-            self.shapes.push(frame.positions.clone());
+            let motions = bone_motions(&self.played, frame);
+            self.add_shape(motions, frame.positions.clone());
         }
         Ok(())
     }
 
     fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation) -> Result<(), CliFailure> {
         let PlayedAnimation { permission, times, .. } = &self.played;
-        let pictures = self.picture.draw(&self.shapes, &self.played)?;
+        let pictures = self.draw_shapes()?;
         let bytes = match self.picture.moves {
             true => encode_moving_png(&pictures, times.rate)?,
-            false => self.picture.sheet(&pictures)?.encode_png()?,
+            false => self.join_sheet(&pictures)?.encode_png()?,
         };
         permission.write_file(&self.picture.path, &bytes)?;
         report.output = vec![self.picture.path.display().to_string()];
@@ -224,10 +234,21 @@ mod tests {
 
     #[test]
     fn a_sheet_has_no_more_empty_places_than_it_must() {
-        assert_eq!([1, 2, 6, 9, 12, 16, 64].map(columns_for), [1, 2, 3, 3, 4, 4, 8]);
+        let columns = |tiles: [usize; 7], aspect: f64| tiles.map(|count| columns_for(count, aspect));
+        assert_eq!(columns([1, 2, 6, 9, 12, 16, 64], 1.0), [1, 2, 3, 3, 4, 4, 8]);
         for tiles in 1..=MOST_TILES {
-            let columns = columns_for(tiles);
-            assert!(columns * tiles.div_ceil(columns) - tiles < columns, "{tiles}");
+            for aspect in [0.75, 1.0, 1.5] {
+                let columns = columns_for(tiles, aspect);
+                let empty = columns * tiles.div_ceil(columns) - tiles;
+                assert!(empty < columns, "{tiles}");
+            }
         }
+    }
+
+    #[test]
+    fn sheets_of_high_tiles_have_more_columns_than_sheets_of_wide_ones() {
+        assert_eq!(columns_for(16, 0.75), 8);
+        assert_eq!(columns_for(16, 3.0), 4);
+        assert_eq!(columns_for(6, 1.5), 3);
     }
 }

@@ -12,6 +12,7 @@ use std::path::Path;
 /// The animation that frames are of.
 pub(super) struct PlayedAnimation<'a> {
     pub(super) deformer: &'a Deformer,
+    pub(super) animation: &'a Animation,
     /// The model's path and files, as they were read.
     pub(super) model: &'a Path,
     pub(super) files: &'a FileSet,

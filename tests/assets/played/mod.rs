@@ -5,6 +5,7 @@ mod beside;
 mod bones;
 mod models;
 mod outputs;
+mod pictures;
 mod refusals;
 mod resume;
 mod rig_bones;

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 /// Runs the bar's clip; the exit code and the last line of stderr.
-fn refuse(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
+pub(super) fn refuse(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let all: Vec<&str> = BAR.iter().chain(arguments).copied().collect();
     let done = animate(folder, &all);
     let said = String::from_utf8_lossy(&done.stderr).into_owned();
@@ -14,7 +14,7 @@ fn refuse(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
 }
 
 /// Everything in a folder with its bytes.
-fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+pub(super) fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
     let mut all = Vec::new();
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();

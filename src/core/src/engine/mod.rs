@@ -68,7 +68,7 @@ mod vertex_origins;
 
 pub use animation::{
     AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, FrameChoice, FrameCursor,
-    FrameSums, FrameTimes, RigHandleFacts,
+    FrameSums, FrameTimes, RigHandleFacts, RigNodes,
 };
 pub use deformer::Deformer;
 pub use digest::digest;

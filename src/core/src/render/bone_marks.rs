@@ -5,8 +5,10 @@ use super::colour::Rgb;
 use super::picture::Picture;
 use glam::{DVec2, DVec3};
 
-const BONE: Rgb = [0x2f, 0x8f, 0x4e];
-const JOINT: Rgb = [0xe0, 0x7b, 0x18];
+/// What is turned: bones, and what holds rotations (figure 6 of the paper).
+pub const ROTATION_COLOUR: Rgb = [0x2f, 0x8f, 0x4e];
+/// What is put in place: joints, and what holds positions.
+pub const POSITION_COLOUR: Rgb = [0xe0, 0x7b, 0x18];
 const OUTSIDE: Rgb = [0xc8, 0x1e, 0x2b];
 const RIM: Rgb = [0xff, 0xff, 0xff];
 /// How much of the picture below is left.
@@ -36,7 +38,7 @@ impl BoneMarks {
             stroke(picture, [seen(*from), seen(*to)], [thick + 1.5, 0.4 * thick + 1.5], RIM);
         }
         for [from, to] in &self.bones {
-            stroke(picture, [seen(*from), seen(*to)], [thick, 0.4 * thick], BONE);
+            stroke(picture, [seen(*from), seen(*to)], [thick, 0.4 * thick], ROTATION_COLOUR);
         }
         for (at, inside) in &self.joints {
             let at = seen(*at);
@@ -45,7 +47,7 @@ impl BoneMarks {
                 picture,
                 [at, at],
                 [1.6 * thick; 2],
-                if *inside { JOINT } else { OUTSIDE },
+                if *inside { POSITION_COLOUR } else { OUTSIDE },
             );
         }
     }
@@ -99,8 +101,8 @@ mod tests {
             let seen = camera.project_point(p);
             picture.pixel(seen.x as u32, seen.y as u32)
         };
-        assert_eq!(colour_at(DVec3::new(0.2, 0.2, 0.0)), Some(JOINT));
+        assert_eq!(colour_at(DVec3::new(0.2, 0.2, 0.0)), Some(POSITION_COLOUR));
         assert_eq!(colour_at(DVec3::new(0.9, 0.9, 0.0)), Some(OUTSIDE));
-        assert_eq!(colour_at(DVec3::new(0.4, 0.2, 0.0)), Some(BONE));
+        assert_eq!(colour_at(DVec3::new(0.4, 0.2, 0.0)), Some(ROTATION_COLOUR));
     }
 }

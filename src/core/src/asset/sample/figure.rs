@@ -1,8 +1,10 @@
 //! A person who stands with the arms stretched out: about 1.75 units tall, on the ground y = 0, y up, looking along +z.
 
 use super::limbs::{Body, Bone, bone};
-use crate::asset::Geometry;
+use crate::asset::formats::codec_of;
+use crate::asset::neutral::NeutralModel;
 use crate::asset::surface_nets::Lattice;
+use crate::asset::{Format, Geometry};
 use glam::{DVec3, USizeVec3};
 
 /// The figure's skin as a closed mesh of cells of the edge `cell` (0.01 to 0.2), a distance `off` (0 to 0.1) outside of the body.
@@ -18,6 +20,19 @@ pub fn figure_body(name: &str, cell: f64, off: f64) -> Geometry {
     };
     Body::of(&BONES, 0).polygonised(name, lattice, off)
 }
+
+/// The figure's body alone, as a GLB file: one closed mesh, without a skeleton. The same bytes every time.
+///
+/// # Panics
+/// Never: some ten thousand finite vertices fit the format.
+pub fn body_glb() -> Vec<u8> {
+    let body = NeutralModel::from_geometry(figure_body("body", BODY_CELL, 0.0));
+    let built = codec_of(Format::GLB).build(&body, Format::GLB);
+    built.expect("a small finite mesh fits the format").main
+}
+
+/// Edge of the cells that the body alone is sampled with.
+const BODY_CELL: f64 = 0.015;
 
 /// What lies at x > 0 has a twin on the other side.
 const BONES: [Bone; 11] = [

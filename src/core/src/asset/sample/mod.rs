@@ -1,5 +1,5 @@
 //! Models made on the spot, for trying pliant where none is at hand: a creature, and a figure with everything that a game's
-//! character has.
+//! character has; and recordings that drive them.
 
 mod creature;
 mod figure;
@@ -7,10 +7,14 @@ mod figure_clips;
 mod figure_file;
 mod figure_skeleton;
 mod limbs;
+mod recorded_poses;
+mod recorded_skeleton;
+mod recordings;
 
 pub use creature::{HANDLES, SampleHandles, creature, creature_glb};
-pub use figure::figure_body;
+pub use figure::{body_glb, figure_body};
 pub use figure_file::figure_glb;
+pub use recordings::BuiltInRecording;
 
 /// A model that needs no file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]

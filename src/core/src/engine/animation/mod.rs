@@ -13,6 +13,6 @@ mod sums;
 
 pub use frames::{AnimatedFrame, FrameCursor};
 pub use held_nodes::RigHandleFacts;
-pub use prepare::Animation;
+pub use prepare::{Animation, RigNodes};
 pub use settings::{AnimationRefinement, AnimationSettings, BLOCK_FRAMES, FrameChoice, FrameTimes};
 pub use sums::FrameSums;

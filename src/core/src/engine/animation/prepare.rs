@@ -3,13 +3,14 @@
 use super::held_nodes::{RigHandleFacts, hold_nodes};
 use super::settings::{AnimationSettings, FrameTimes};
 use crate::asset::Model;
-use crate::deform::{HandleSetup, HandleSystem};
+use crate::deform::{HandleConstraint, HandleSetup, HandleSystem};
 use crate::engine::deformer::Deformer;
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::error::Error;
 use crate::engine::facts::QualityReport;
 use crate::engine::quality::measure_quality;
 use crate::exec::Exec;
+use crate::graph::MeshGraph;
 use crate::motion::SceneMotion;
 use crate::motion::rig::{MotionRig, RigDriver, RigHandle, rig_handles};
 use crate::pool::Pool;
@@ -53,16 +54,7 @@ impl Deformer {
                 limit: self.limits.handles as u64,
             });
         }
-        let (constraints, facts) = hold_nodes(&handles, &body.graph, exec.pool);
-        // On a model of few vertices some find nothing that no other holds; a rig that lies elsewhere finds nothing at all.
-        let empty = facts.iter().filter(|f| f.nodes == 0);
-        if 2 * empty.clone().count() > facts.len() {
-            let name = empty.map(|f| f.name.as_str()).next().unwrap_or_default();
-            let problem = format!(
-                "\"{name}\" of the rig holds nothing; its joints have to lie inside the model, in its rest pose and units"
-            );
-            return Err(Error::Precondition(problem));
-        }
+        let (constraints, facts) = held_by_rig(&handles, &body.graph, exec.pool)?;
         let field_bytes = (constraints.len() as u64 + 1) * body.nodes() as u64 * 12;
         admit_bytes(self.byte_size() + field_bytes, &self.limits)?;
         let setup = HandleSetup {
@@ -86,6 +78,53 @@ impl Deformer {
             facts,
         })
     }
+
+    /// Which nodes the handles of a rig hold in an animation.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] when bones lie in no part of the model.
+    pub fn nodes_of_rig(&self, rig: &MotionRig, pool: &Pool) -> Result<RigNodes, Error> {
+        let graph = &self.body().graph;
+        let (constraints, _) = held_by_rig(&rig_handles(rig), graph, pool)?;
+        let mut found = RigNodes::default();
+        for constraint in constraints {
+            let kind = if constraint.position {
+                &mut found.positions
+            } else {
+                &mut found.rotations
+            };
+            kind.extend(constraint.nodes.iter().map(|node| graph.positions[*node as usize]));
+        }
+        Ok(found)
+    }
+}
+
+/// Finds what the handles of a rig hold. On a model of few vertices some find nothing that no other holds; a rig that lies elsewhere
+/// finds nothing at all.
+fn held_by_rig(
+    handles: &[RigHandle],
+    graph: &MeshGraph,
+    pool: &Pool,
+) -> Result<(Vec<HandleConstraint>, Vec<RigHandleFacts>), Error> {
+    let (constraints, facts) = hold_nodes(handles, graph, pool);
+    let empty = facts.iter().filter(|f| f.nodes == 0);
+    if 2 * empty.clone().count() > facts.len() {
+        let name = empty.map(|f| f.name.as_str()).next().unwrap_or_default();
+        let problem = format!(
+            "\"{name}\" of the rig holds nothing; its joints have to lie inside the model, in its rest pose and units"
+        );
+        return Err(Error::Precondition(problem));
+    }
+    Ok((constraints, facts))
+}
+
+/// The graph's nodes that the handles of a rig hold, where they are at rest.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RigNodes {
+    /// Those whose rotations are set, in cylinders along bones.
+    pub rotations: Vec<DVec3>,
+    /// Those whose positions are set, in spheres at joints.
+    pub positions: Vec<DVec3>,
 }
 
 impl Animation {

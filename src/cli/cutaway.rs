@@ -1,0 +1,95 @@
+//! A model that is open towards the eye, with the nodes of its graph that a rig holds: `pliant render --rig` (figure 6 of the
+//! paper).
+
+use super::failure::CliFailure;
+use super::model_files::{in_file, read_file, read_model};
+use crate::asset::Model;
+use crate::batch::unskinned_passengers;
+use crate::engine::{Deformer, DeformerLimits, OpenOptions, RigNodes};
+use crate::exec::Exec;
+use crate::mesh::BoundingBox;
+use crate::pool::Pool;
+use crate::progress::Silent;
+use crate::render::{
+    Camera, DrawnBall, POSITION_COLOUR, Picture, PictureSize, ROTATION_COLOUR, ShadedSurface, ViewDirection,
+    draw_surface, open_surface,
+};
+use crate::wire::{self, Error};
+use glam::DVec3;
+use std::path::Path;
+
+/// Radii of nodes, in diagonals of the model.
+const ROTATION_BALL: f64 = 0.006;
+const POSITION_BALL: f64 = 0.008;
+/// Pictures smaller than this have no words.
+const WORDS: u32 = 160;
+
+/// Draws a model and what a rig holds in it, and tells how many nodes that are.
+pub(super) fn draw_cutaway(
+    model: &Path,
+    rig: &Path,
+    (view, size): (ViewDirection, PictureSize),
+    pool: &Pool,
+) -> Result<(Picture, String), CliFailure> {
+    let bones = wire::rig_from_json(&read_file(rig)?).map_err(|e| in_file(rig, e))?;
+    let limits = DeformerLimits::default();
+    let refuse = |e: Error| CliFailure::Input(format!("{}: {e}", model.display()));
+    let read = Model::read(read_model(model)?, None, &limits.model).map_err(|e| refuse(e.into()))?;
+    // As in an animation of the model's own clip, what no skin places has no part in it.
+    let options = OpenOptions {
+        passengers: unskinned_passengers(&read).map_err(refuse)?,
+        ..Default::default()
+    };
+    let exec = Exec::new(pool, &Silent);
+    let deformer = Deformer::of_model(read, &options, &limits, &exec).map_err(|e| refuse(e.into()))?;
+    let held = deformer.nodes_of_rig(&bones, pool);
+    let held = held.map_err(|e| CliFailure::Input(format!("{}: {e}", rig.display())))?;
+    let RigNodes { rotations, positions } = held;
+
+    let rest = deformer.rest();
+    let geometry = deformer.geometry();
+    let is_passenger = |vertex: u32| {
+        let own = geometry
+            .primitives
+            .iter()
+            .find(|p| p.vertices().contains(&(vertex as usize)));
+        own.is_some_and(|p| p.is_passenger)
+    };
+    let solved = geometry.triangles.iter().filter(|t| !is_passenger(t[0]));
+    let triangles: Vec<[u32; 3]> = solved.copied().collect();
+    let diagonal = BoundingBox::of(rest).diagonal();
+    let drawn = |places: &[DVec3], share: f64, colour| -> Vec<DrawnBall> {
+        let ball = |center: &DVec3| DrawnBall {
+            center: *center,
+            radius: share * diagonal,
+            colour,
+        };
+        places.iter().map(ball).collect()
+    };
+    let balls = [
+        drawn(&rotations, ROTATION_BALL, ROTATION_COLOUR),
+        drawn(&positions, POSITION_BALL, POSITION_COLOUR),
+    ]
+    .concat();
+    let closed = ShadedSurface::new(rest, &triangles, pool)?;
+    let camera = &Camera::around_surfaces(&[&closed], &[view], size)[0];
+    let open = open_surface(rest, &triangles, camera.towards_eye(), &balls, pool)?;
+    let mut picture = draw_surface(&open, camera, pool);
+    if size.width().min(size.height()) >= WORDS {
+        let dot = (size.width().min(size.height()) / 160).clamp(1, 4);
+        let below = picture_row(dot);
+        picture.write_text(4 * dot, 4 * dot, dot, "rotations", ROTATION_COLOUR);
+        picture.write_text(4 * dot, 4 * dot + below, dot, "positions", POSITION_COLOUR);
+    }
+    let told = format!(
+        "rotations of {} nodes and positions of {}",
+        rotations.len(),
+        positions.len()
+    );
+    Ok((picture, told))
+}
+
+/// Pixels from one line of words to the next.
+fn picture_row(dot: u32) -> u32 {
+    Picture::text_size(dot, "x").1 + 3 * dot
+}
