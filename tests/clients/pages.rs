@@ -2,7 +2,7 @@
 //! one uses, or equal to a file that has a test of its own; every link leads somewhere.
 //!
 //! The words behind a fence say how: `file=PATH` writes the block there; `is=PATH` says that it is that file; `by=PATH` names
-//! the test that runs it; `needs=a,b` names programs without which it is skipped. `sh` runs, `python` runs in the virtual
+//! the test that runs it; `needs=a,b` names programs, or the folder of model files (`data`), without which it is skipped. `sh` runs, `python` runs in the virtual
 //! environment that the page made, `text` is what the commands before it write, `…` standing for anything.
 
 use crate::support::book;
@@ -11,10 +11,11 @@ mod checkout;
 use checkout::{Checkout, Played, root};
 use std::fs;
 use std::io::Write as _;
+use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 17] = [
+const PAGES: [&str; 18] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
@@ -28,6 +29,7 @@ const PAGES: [&str; 17] = [
     "deploy/docs/speed.md",
     "deploy/docs/cookbook-assets.md",
     "deploy/docs/cookbook-ci.md",
+    "deploy/docs/cookbook-motion.md",
     "deploy/docs/cookbook-web.md",
     "deploy/docs/limits.md",
     "deploy/docs/other-languages.md",
@@ -128,6 +130,29 @@ fn cookbook_for_ci() {
     for picture in ["target/bent.png", "target/round.png"] {
         assert!(checkout.path(picture).exists(), "{picture} is drawn");
     }
+}
+
+#[test]
+fn cookbook_for_motion() {
+    let checkout = play("deploy/docs/cookbook-motion.md");
+    if !checkout.path("target/creature.glb").exists() {
+        return;
+    }
+    for picture in ["boxer-sheet", "cutaway", "ballet", "twist", "walk-beside"] {
+        let shown = format!("deploy/docs/pictures/{picture}.png");
+        let drawn = checkout.path(&format!("target/{}.png", picture.trim_end_matches("-sheet")));
+        assert_eq!(
+            size_of_png(&drawn),
+            size_of_png(&root().join(&shown)),
+            "{shown} is what the page's command draws"
+        );
+    }
+}
+
+/// Pixels across and down.
+fn size_of_png(path: &Path) -> [u32; 2] {
+    let bytes = fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    [16, 20].map(|at| u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four bytes")))
 }
 
 #[test]

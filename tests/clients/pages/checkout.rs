@@ -78,7 +78,10 @@ impl Checkout {
             .split(',')
             .filter(|p| !p.is_empty())
         {
-            if !has(program) {
+            if program == "data" && !has_data() {
+                return Played::Skipped("PLIANT_DATA names no folder of model files".into());
+            }
+            if program != "data" && !has(program) {
                 return Played::Skipped(format!("there is no {program}"));
             }
         }
@@ -228,6 +231,11 @@ impl Drop for Checkout {
             let _ = server.wait();
         }
     }
+}
+
+/// Whether there is a folder of model files.
+fn has_data() -> bool {
+    std::env::var_os("PLIANT_DATA").is_some_and(|folder| Path::new(&folder).is_dir())
 }
 
 /// Whether a program can be found, or for `lib:NAME` a library by pkg-config.
