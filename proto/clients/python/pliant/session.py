@@ -127,7 +127,8 @@ class Session(Declared):
     ) -> Animation:
         """Drives the model by a clip of its own (`clip`, by name or number; absent, its first) or by a BVH file (`bvh`, a path
         or its bytes), and answers an iterator of the frames. `rig` says which bones the clip's joints drive: a JSON file,
-        what it holds, or a ``pb.Rig``; a model's own clip needs none.
+        what it holds, or a ``pb.Rig``; a model's own clip needs none, and of an upright figure a BVH file drives the
+        rig that `pliant rig` makes.
 
         The handles, the shape and the history of the session have no part in it and do not change.
         """

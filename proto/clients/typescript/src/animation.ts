@@ -16,7 +16,10 @@ export type AnimateOptions = Omit<MessageInitShape<typeof AnimateOptionsSchema>,
   clip?: string | number;
   /** A BVH file. */
   bvh?: Blob | Uint8Array<ArrayBuffer> | string;
-  /** Which bones the clip's joints drive: what a rig file holds. A model's own clip drives its skin without one. */
+  /**
+   * Which bones the clip's joints drive: what a rig file holds. A model's own clip drives its skin without one, a BVH file the rig
+   * that `pliant rig` makes of an upright figure.
+   */
   rig?: unknown;
 };
 

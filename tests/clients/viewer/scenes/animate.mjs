@@ -64,7 +64,7 @@ async function ownClip({ browser, url, server, log, folder }) {
   const { animation } = await complete(sheet);
   const frames = animation.kept;
   assert.ok(frames > 20, `the walk has ${frames} frames`);
-  assert.ok(animation.compared, "a skin is shown beside it");
+  await sheet.until("a skin is shown beside it", (state) => state.animation.compared);
   const at = Math.floor(frames / 3);
   const solved = await frame(sheet, at);
   assert.ok(farthest(solved, rest) > 0.05, "it moves");
@@ -107,8 +107,35 @@ async function ownClip({ browser, url, server, log, folder }) {
   const after = await server.json("GET", `/v1/sessions/${id}/history`);
   assert.deepEqual(after, before, "the history is as it was");
   assert.equal(String(revision), String((await sheet.ask("state")).revision));
+
+  // Bent by somebody else meanwhile: the blend is still that of the model at rest, as the frames are.
+  const head = { id: "head", region: { box: { min: [-9, 1.5, -9], max: [9, 9, 9] } } };
+  const feet = { id: "feet", region: { box: { min: [-9, -9, -9], max: [9, 0.2, 9] } } };
+  await server.json("PUT", `/v1/sessions/${id}/handles`, { handles: [head, feet] });
+  await server.floats("POST", `/v1/sessions/${id}/solve`, { pose: { handles: [{ id: "head", pose: { translation: [0.3, 0.1, 0] } }] } });
+  await sheet.page.getByRole("button", { name: "Animate" }).click();
+  await complete(sheet);
+  assert.deepEqual(await frame(sheet, at), solved, "the same frames come");
+  await sheet.page.getByRole("button", { name: "Linear blend skinning beside it" }).click();
+  await sheet.until("the skin is shown again", (state) => state.animation.compared);
+  assert.ok(farthest(await beside(sheet), blended) < 1e-6, "of the model at rest");
   assert.deepEqual(sheet.complaints, []);
   await sheet.close();
+  // Taken up where the file is not at hand there is nothing to compare with.
+  const other = await Sheet.open(browser, `${url()}/?session=${id}`);
+  await other.until("the bent figure is open", ({ clips, busy, link }) => clips > 0 && !busy && link === "open");
+  const bent = await other.positions();
+  assert.ok(farthest(bent, rest) > 0.2);
+  await other.page.locator("summary", { hasText: "Animation" }).click();
+  await other.page.getByRole("button", { name: "Animate" }).click();
+  await complete(other);
+  await other.page.waitForLoadState("networkidle");
+  assert.equal((await other.ask("state")).animation.compared, false);
+  assert.deepEqual(await frame(other, at), solved);
+  await other.key("Escape");
+  assert.deepEqual(await other.positions(), bent, "it is bent as before");
+  assert.deepEqual(other.complaints, []);
+  await other.close();
 }
 
 /** Recordings: on a figure without a rig, on the creature with one; cancelled and gone on with. */

@@ -2,6 +2,7 @@
 
 import assert from "node:assert/strict";
 import { Sheet } from "../browser.mjs";
+import { nodding } from "../recordings.mjs";
 import { openSample } from "./sample.mjs";
 
 /** A telephone, and a desktop's window magnified four times. */
@@ -40,6 +41,15 @@ export async function play({ browser, url, log }) {
     log(`${width} × ${height}: the canvas is ${Math.round(await fits("the creature"))} high`);
     await sheet.page.getByRole("button", { name: "Export GLB" }).waitFor();
     await sheet.picture(`narrow-${width}`);
+    await sheet.pick(...nodding(4));
+    await sheet.until("an animation is shown", ({ animation }) => animation?.kept === 4);
+    await fits("an animation");
+    const bar = await sheet.page.locator(".transport").boundingBox();
+    const stage = await sheet.page.locator(".stage").boundingBox();
+    assert.ok(bar.x >= stage.x && bar.x + bar.width <= stage.x + stage.width, `the bar of an animation at ${width} × ${height} is beside the canvas`);
+    assert.ok(bar.height < stage.height / 2, `the bar of an animation at ${width} × ${height} is ${bar.height} high`);
+    await sheet.picture(`narrow-animation-${width}`);
+    await sheet.key("Escape");
     await sheet.page.getByRole("button", { name: "Help" }).click();
     await sheet.page.getByRole("heading", { name: "How it works" }).waitFor();
     await fits("the help");

@@ -159,7 +159,7 @@ async function receive(source: ClipSource, options: ClipOptions, into: Film): Pr
       const positions = new Float32Array(open.rest);
       frame.positionsInto(positions);
       into.frames.push({ index, time, root: { translation: rootTranslation, rotation: rootRotation }, positions });
-      if (kept === 0) await raise(source, into, wanted);
+      if (kept === 0) raise(source, into, wanted);
       if (film !== into) return;
       begun ||= performance.now();
       const rate = ((into.frames.length - from - 1) * 1000) / Math.max(1, performance.now() - begun);
@@ -212,7 +212,7 @@ async function fits(source: ClipSource, options: ClipOptions, wanted: number, co
 }
 
 /** Puts an animation on the screen in place of what was there. */
-async function raise(source: ClipSource, mine: Film, wanted: number): Promise<void> {
+function raise(source: ClipSource, mine: Film, wanted: number): void {
   takeSignDown();
   const { stage } = view();
   putAside("animation", mine.surface, () => closed(mine));
@@ -221,8 +221,8 @@ async function raise(source: ClipSource, mine: Film, wanted: number): Promise<vo
   animating.value = { source, kept: 1, wanted, at: 0, running: true };
   show(0);
   if (!stage.sees(mine.surface.bounds().center)) stage.frame();
-  await prepareComparison(source.own);
-  compare();
+  // Frames do not wait for it.
+  void prepareComparison(source.own, () => film === mine).then(() => film === mine && hasComparison.peek() && compare());
 }
 
 /** Leaves the screen to the pose; frames that are still on their way are not wanted. */

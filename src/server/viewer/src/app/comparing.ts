@@ -20,14 +20,14 @@ let puppet: Puppet | undefined;
 let clip = 0;
 let beside: Surface | undefined;
 
-/** Gets the model at rest with its skin, where the animation is of a clip that moves it. */
-export async function prepareComparison(own: number | undefined): Promise<void> {
+/** Gets the model at rest with its skin, where the animation is of a clip that moves it, unless it is no longer wanted then. */
+export async function prepareComparison(own: number | undefined, isWanted: () => boolean): Promise<void> {
   dropComparison();
   const open = s.doc.peek();
   if (own === undefined || open === undefined) return;
   try {
     const found = await atRest();
-    if (found === undefined || s.doc.peek() !== open) return;
+    if (found === undefined || !isWanted()) return;
     const { file, tree } = found;
     const vertices = tree.placements.reduce((sum, { vertices: count }) => sum + count, 0);
     const isSkinned = tree.placements.some(({ node }) => tree.nodes[node]?.["skin"] !== undefined);
@@ -46,9 +46,11 @@ async function atRest(): Promise<Exported | undefined> {
   const shown = documentNow();
   if (open === undefined) return undefined;
   const format = open.session.facts.model?.format ?? "";
-  const current = await open.session.positions();
-  const isResting = current.length === open.rest.length && current.every((x, k) => x === open.rest[k]);
-  if (isResting) return exported(open.session, companionsOfModel());
+  const { commits, current } = await open.session.history();
+  const [first] = commits;
+  const now = commits.find(({ revision }) => revision === current);
+  // A past that was cut off does not tell what rest is.
+  if (first?.kind === "create" && first.digest === now?.digest) return exported(open.session, companionsOfModel());
   if (shown?.model === undefined || !["glb", "gltf"].includes(format)) return undefined;
   const file = await openGltf(shown.model, companionsOfModel());
   return { file, tree: treeOf(file) };
