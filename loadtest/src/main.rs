@@ -3,12 +3,13 @@
 //! `loadtest stream` drags a handle of a model at a steady rate over gRPC, from one client or several, and keeps a ledger:
 //! every pose that was sent must come back as a final frame, as an error, or in the `superseded` of a frame ([`load`]).
 //! `export-system` and `solver` measure the solver alone ([`solver`]), `pipeline` and `edits` measure everything up to a
-//! frame ([`pipeline`]). `sheet` and `figures` draw what deforming does to models ([`sheets`]).
+//! frame ([`pipeline`]). `motion` measures what animations are to show ([`motion`]). `sheet` and `figures` draw what deforming does to models ([`sheets`]).
 //!
 //! Exit codes: 0 the ledger balances, 1 it does not or the server or solver failed, 2 usage.
 
 mod failure;
 mod load;
+mod motion;
 mod pipeline;
 mod shared;
 mod sheets;
@@ -38,6 +39,8 @@ enum LoadtestCommand {
     Pipeline(pipeline::first_frame::PipelineArgs),
     /// Edit a region of a model and time everything up to the next frame, repaired and built anew
     Edits(pipeline::edits::EditsArgs),
+    /// Measure clips on models, row by row, beside what they must reach
+    Motion(motion::command::MotionArgs),
     /// Deform every model of a folder and draw them all on one picture
     Sheet(sheets::contact_sheet::SheetArgs),
     /// Make the paper's figures 2 and 3: every first pass, and the deformation of space, side by side
@@ -51,6 +54,7 @@ fn main() -> ExitCode {
         LoadtestCommand::Solver(args) => solver::command::run_solver(args),
         LoadtestCommand::Pipeline(args) => pipeline::first_frame::run_pipeline(args),
         LoadtestCommand::Edits(args) => pipeline::edits::run_edits(args),
+        LoadtestCommand::Motion(args) => motion::command::run_motion(args),
         LoadtestCommand::Sheet(args) => sheets::contact_sheet::run_sheet(args),
         LoadtestCommand::Figures(args) => sheets::paper_figures::run_figures(args),
     };

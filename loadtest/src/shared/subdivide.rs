@@ -54,7 +54,7 @@ fn split_triangles(positions: &mut Vec<DVec3>, triangles: &[[u32; 3]]) -> Vec<[u
 }
 
 /// A binary PLY file with positions in double precision.
-fn write_ply(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<u8> {
+pub(crate) fn write_ply(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<u8> {
     let header = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty double x\nproperty double y\n\
          property double z\nelement face {}\nproperty list uchar uint vertex_indices\nend_header\n",

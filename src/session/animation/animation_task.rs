@@ -120,12 +120,9 @@ impl AnimationTask {
         let prepared = &solver.prepared;
         let mut cursor = prepared.animation.cursor(prepared.range.clone());
         let begun = Instant::now();
-        while let Some(index) = cursor.next_index() {
-            let wanted = prepared.range.start;
-            if index < wanted {
-                let led = index % engine::BLOCK_FRAMES;
-                let fraction = led as f32 / (led + wanted - index) as f32;
-                self.outbox.tell_stage("frames before the first", fraction);
+        while cursor.next_index().is_some() {
+            if let Some(fraction) = cursor.lead_progress() {
+                self.outbox.tell_stage("frames before those of a block", fraction);
             }
             if !self.outbox.wait_for_room().await {
                 return Ok(None);

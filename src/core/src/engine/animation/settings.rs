@@ -9,7 +9,8 @@ pub const BLOCK_FRAMES: usize = 64;
 /// How rotations are fitted in the frames of an animation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AnimationRefinement {
-    /// The first frame of a block is fitted 32 times, every other one goes on from what the frame before came to.
+    /// The first frame is fitted 32 times, every other one goes on from what the frame before came to. Blocks but the first go on
+    /// from a frame some way before their own, which is fitted 4 times.
     Carried,
     /// So many times in every frame, each from the blend of the handles' rotations. 0: the paper's two passes.
     Steps(u32),

@@ -1,0 +1,134 @@
+//! Row 7: the same bits for any number of threads and any range, and after a run that was killed.
+
+use super::ballet::{BALLET, RATE};
+use super::figure::MotionFigure;
+use super::stage::{MotionFolders, failed, solve};
+use crate::failure::LoadtestFailure;
+use pliant::engine::{AnimationRefinement, digest};
+use pliant::pool::Pool;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Frames of the whole, and the range that is solved by itself.
+const WHOLE: usize = 200;
+const PART: Range<usize> = 64..128;
+/// Frames of the run that is killed, and how many of them it must have written before.
+const KILLED: usize = 80;
+const BEFORE: u64 = 8;
+
+/// Row 7.
+pub(super) fn measure_equality(folders: &MotionFolders<'_>, most: usize) -> Result<Vec<MotionFigure>, LoadtestFailure> {
+    let digests = |threads: usize, range: &dyn Fn(usize) -> Range<usize>| -> Result<Vec<String>, LoadtestFailure> {
+        let pool = Pool::new(threads).map_err(failed)?;
+        let stage = folders.stage(BALLET, 0, &pool)?;
+        let times = stage.times(RATE, usize::MAX);
+        let animation = stage.animation(times, AnimationRefinement::Carried, &pool)?;
+        let mut all = Vec::new();
+        let range = range(times.count);
+        solve(&animation, range, &pool, &mut |frame| {
+            all.push(digest(&frame.positions))
+        })?;
+        Ok(all)
+    };
+    let whole = |count: usize| 0..count.min(WHOLE).min(most);
+    let one = digests(1, &whole)?;
+    let two = digests(2, &whole)?;
+    let differ = |a: &[String], b: &[String]| a.iter().zip(b).filter(|(a, b)| a != b).count() as f64;
+    let mut figures = vec![MotionFigure::below(
+        7,
+        format!("1 and 2 threads, 0:{}: frames that differ", one.len()),
+        (differ(&one, &two), ""),
+        [Some(0.0), None],
+    )];
+    if one.len() > PART.start {
+        let part = digests(2, &|count| PART.start..PART.end.min(count).min(one.len()))?;
+        let off = differ(&part, &one[PART.start..]);
+        figures.push(MotionFigure::below(
+            7,
+            "64:64 by itself: frames that differ",
+            (off, ""),
+            [Some(0.0), None],
+        ));
+    }
+    if let Some(off) = killed_run(folders)? {
+        figures.push(MotionFigure::below(
+            7,
+            "killed and resumed: files that differ",
+            (off, ""),
+            [Some(0.0), None],
+        ));
+    }
+    Ok(figures)
+}
+
+/// Kills a run of the command line beside this program, resumes it, and compares; `None` where there is no such program.
+fn killed_run(folders: &MotionFolders<'_>) -> Result<Option<f64>, LoadtestFailure> {
+    let own = std::env::current_exe().map_err(failed)?;
+    let pliant = own.with_file_name("pliant");
+    if !pliant.is_file() {
+        eprintln!(
+            "row 7: {} is not there, so no run is killed; cargo build --release makes it",
+            pliant.display()
+        );
+        return Ok(None);
+    }
+    let folder = std::env::temp_dir().join(format!("pliant-motion-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).map_err(failed)?;
+    let compared = compare_killed(folders, &pliant, &folder);
+    // What stays costs room, and nothing else.
+    let _ = std::fs::remove_dir_all(&folder);
+    compared.map(|is_same| Some(f64::from(u8::from(!is_same))))
+}
+
+fn compare_killed(folders: &MotionFolders<'_>, pliant: &Path, folder: &Path) -> Result<bool, LoadtestFailure> {
+    let [model, rig, clip] = BALLET;
+    let paths: [PathBuf; 3] = [
+        folders.data.join("meshes").join(model),
+        folders.data.join("bvh").join(clip),
+        folders.rigs.join(rig),
+    ];
+    let command = |name: &str, more: &[&str]| {
+        let mut command = Command::new(pliant);
+        command
+            .arg("animate")
+            .arg(&paths[0])
+            .arg("--bvh")
+            .arg(&paths[1])
+            .arg("--rig")
+            .arg(&paths[2]);
+        command
+            .args(["--fps", "30", "--frames", &format!("0:{KILLED}"), "-o"])
+            .arg(folder.join(name))
+            .args(more);
+        command.stdout(Stdio::null()).stderr(Stdio::null());
+        command
+    };
+    let succeeded = |mut command: Command| -> Result<(), LoadtestFailure> {
+        let status = command.status().map_err(failed)?;
+        status
+            .success()
+            .then_some(())
+            .ok_or_else(|| failed(format!("{command:?} ended with {status}")))
+    };
+    succeeded(command("whole.pc2", &[]))?;
+    let whole = std::fs::read(folder.join("whole.pc2")).map_err(failed)?;
+    let frame = whole.len() as u64 / KILLED as u64;
+    let mut run = command("killed.pc2", &[]).spawn().map_err(failed)?;
+    let part = folder.join("killed.pc2.part");
+    let begun = Instant::now();
+    while std::fs::metadata(&part).map_or(0, |m| m.len()) < BEFORE * frame {
+        if run.try_wait().map_err(failed)?.is_some() || begun.elapsed() > Duration::from_secs(600) {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    run.kill().map_err(failed)?;
+    run.wait().map_err(failed)?;
+    if folder.join("killed.pc2").exists() {
+        return Err(failed("row 7: the run ended before it was killed"));
+    }
+    succeeded(command("killed.pc2", &["--resume"]))?;
+    Ok(std::fs::read(folder.join("killed.pc2")).map_err(failed)? == whole)
+}
