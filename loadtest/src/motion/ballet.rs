@@ -136,11 +136,16 @@ fn second_difference(stage: &MotionStage, pool: &Pool) -> Result<f64, LoadtestFa
         let first = k * blocks / STRETCHES.min(blocks) * BLOCK_FRAMES;
         solved.last.clear();
         blended.last.clear();
-        solve(&animation, first..(first + LENGTH).min(times.count), pool, &mut |frame| {
-            let pose = animation.driver().pose_at(frame.seconds);
-            blended.take(skinned(rest, &influences, &pose.bones));
-            solved.take(frame.positions);
-        })?;
+        solve(
+            &animation,
+            first..(first + LENGTH).min(times.count),
+            pool,
+            &mut |frame| {
+                let pose = animation.driver().pose_at(frame.seconds);
+                blended.take(skinned(rest, &influences, &pose.bones));
+                solved.take(frame.positions);
+            },
+        )?;
     }
     Ok((solved.squares / blended.squares).sqrt())
 }

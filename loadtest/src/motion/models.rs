@@ -96,17 +96,21 @@ pub(super) fn measure_own_clip(
     };
     let animation = prepare(&deformer, moving, None, &order, &exec).map_err(failed)?;
     let skin = OwnSkin::of(&deformer, &rig, &clip)?;
-    let (mut volume, mut edges, mut blended_edges, mut count) = (0.0f64, 0.0, 0.0, 0);
+    let (mut volumes, mut blended_volume) = ([0.0f64; 2], 0.0);
+    let (mut edges, mut blended_edges, mut count) = (0.0, 0.0, 0usize);
     let mut off = vec![0.0f64; rig.bones.len()];
     solve(&animation, 0..times.count, pool, &mut |frame| {
         let pose = animation.driver().pose_at(frame.seconds);
         let blended = skin.blend(deformer.rest(), &pose.bones);
         let quality = deformer.quality(&frame.positions, pool);
-        if quality.volume_change.abs() > volume.abs() {
-            volume = quality.volume_change;
+        volumes[0] += 100.0 * quality.volume_change;
+        if quality.volume_change.abs() > volumes[1].abs() / 100.0 {
+            volumes[1] = 100.0 * quality.volume_change;
         }
         edges += quality.edge_rms;
-        blended_edges += deformer.quality(&blended, pool).edge_rms;
+        let beside = deformer.quality(&blended, pool);
+        blended_edges += beside.edge_rms;
+        blended_volume += 100.0 * beside.volume_change;
         for (off, here) in off.iter_mut().zip(skin.distances(&frame.positions, &blended)) {
             *off = off.max(here / deformer.diagonal());
         }
@@ -117,9 +121,11 @@ pub(super) fn measure_own_clip(
         MotionFigure::below(
             9,
             format!("CesiumMan's clip, {count} frames: volume, worst"),
-            (100.0 * volume, " %"),
+            (volumes[1], " %"),
             [Some(2.0), None],
         ),
+        MotionFigure::told(9, "volume, mean", (volumes[0] / count as f64, " %")),
+        MotionFigure::told(9, "blend skinning: volume, mean", (blended_volume / count as f64, " %")),
         MotionFigure::below(
             9,
             "edges over those of blend skinning",

@@ -32,6 +32,58 @@ fn bits_depend_neither_on_threads_nor_on_the_range() {
     assert_eq!(whole[60..70], told(&one, 60..70, 2)[..]);
 }
 
+#[test]
+fn one_frame_at_a_time_gives_the_same_frames_as_blocks() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let deformer = open_arm(&exec);
+    let text = clip_text(0.0, &wave(2 * BLOCK_FRAMES + 3));
+    for refinement in [AnimationRefinement::Carried, AnimationRefinement::Steps(1)] {
+        let animation = animate(&deformer, &text, arm_rig(1), refinement, &exec);
+        for range in [0..usize::MAX, 40..2 * BLOCK_FRAMES, 70..71] {
+            let mut one_by_one = Vec::new();
+            let mut cursor = animation.cursor(range.clone());
+            let mut led = 0.0;
+            while cursor.next_index().is_some() {
+                if let Some(progress) = cursor.lead_progress() {
+                    assert!((0.0..1.0).contains(&progress), "{progress}");
+                    led = progress.max(led);
+                }
+                let frame = animation.solve_next(&mut cursor, &exec).expect("a frame");
+                one_by_one.extend(frame.map(|f| (f.index, digest(&f.positions))));
+            }
+            let blocks: Vec<(usize, String)> = (frames(&animation, range.clone(), 2, &exec).iter())
+                .map(|f| (f.index, digest(&f.positions)))
+                .collect();
+            assert_eq!(one_by_one, blocks, "{range:?}");
+            assert_eq!(blocks.first().map(|f| f.0), Some(range.start));
+            assert!(range.start == 0 || led > 0.5, "frames led to {range:?}: {led}");
+        }
+    }
+}
+
+#[test]
+fn nobody_sees_where_a_block_begins() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let deformer = open_arm(&exec);
+    let poses = wave(BLOCK_FRAMES + 1);
+    let of = |poses: &[[f64; 2]], frame: usize| {
+        let text = clip_text(0.0, poses);
+        let animation = animate(&deformer, &text, arm_rig(1), AnimationRefinement::Carried, &exec);
+        frames(&animation, frame..frame + 1, 1, &exec).remove(0).positions
+    };
+    let begun = of(&poses, BLOCK_FRAMES);
+    // The same pose as the last of a block, which came to it through 63 others.
+    let carried = of(&poses[1..], BLOCK_FRAMES - 1);
+    let off = begun
+        .iter()
+        .zip(&carried)
+        .map(|(a, b)| a.distance(*b))
+        .fold(0.0, f64::max);
+    assert!(off < 2e-4 * deformer.diagonal(), "{}", off / deformer.diagonal());
+}
+
 /// Gives up after so many questions.
 struct Impatient(AtomicUsize);
 

@@ -213,7 +213,7 @@ impl Animation {
         is_first: bool,
         state: &mut SolveState,
         exec: &Exec<'_>,
-    ) -> Result<PosedNodes, Error> {
+    ) -> Result<SolvedPose, Error> {
         let pose = self.driver.pose_at(self.times.at(index));
         let transforms: Vec<Transform> = (self.handles.iter())
             .map(|handle| transform(&handle.motion(&self.rig, &pose)))
@@ -242,7 +242,7 @@ impl Animation {
         };
         let body = &self.derived.body;
         let solution = self.system.solve(body, &request, state, exec, &mut |_| true)?;
-        Ok(PosedNodes {
+        Ok(SolvedPose {
             root: pose.root,
             transforms,
             solution,
@@ -250,8 +250,8 @@ impl Animation {
     }
 
     /// Makes a frame of where its nodes are: thin parts and folds are settled, quality measured, vertices placed.
-    fn finish(&self, index: usize, posed: PosedNodes, exec: &Exec<'_>) -> AnimatedFrame {
-        let PosedNodes {
+    fn finish(&self, index: usize, posed: SolvedPose, exec: &Exec<'_>) -> AnimatedFrame {
+        let SolvedPose {
             root,
             transforms,
             mut solution,
@@ -293,7 +293,7 @@ impl Animation {
 }
 
 /// A frame whose nodes are placed.
-struct PosedNodes {
+struct SolvedPose {
     root: RigidMotion,
     transforms: Vec<Transform>,
     solution: PoseSolution,
