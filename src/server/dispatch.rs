@@ -5,6 +5,7 @@ use super::grpc::Grpc;
 use super::http;
 use super::origin::Origins;
 use super::state::State;
+use super::visitors;
 use ::http::{HeaderName, HeaderValue, Method, Request, Response, header};
 use axum::Router;
 use axum::body::Body;
@@ -21,6 +22,7 @@ pub(super) struct Dispatch {
     /// The same for requests of browser pages.
     pages: Cors<Sides>,
     dropped: CancellationToken,
+    state: State,
 }
 
 impl Dispatch {
@@ -35,12 +37,21 @@ impl Dispatch {
         };
         let pages = cors(&state.config).layer(sides.clone());
         let dropped = CancellationToken::new();
-        Ok(Self { sides, pages, dropped })
+        Ok(Self {
+            sides,
+            pages,
+            dropped,
+            state: state.clone(),
+        })
     }
 
     /// Answers a request.
-    pub async fn call(&self, request: Request<Body>) -> Response<Body> {
-        let answer = if request.headers().contains_key(header::ORIGIN) {
+    pub async fn call(&self, mut request: Request<Body>) -> Response<Body> {
+        let refused = visitors::refuse(&request, &self.state.config);
+        let answer = if let Some(refused) = refused {
+            request.extensions_mut().insert(refused);
+            self.sides.clone().oneshot(request).await
+        } else if request.headers().contains_key(header::ORIGIN) {
             self.pages.clone().oneshot(request).await
         } else {
             self.sides.clone().oneshot(request).await

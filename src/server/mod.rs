@@ -13,6 +13,7 @@ mod dispatch;
 mod error;
 mod format_name;
 pub mod grpc;
+mod hosts;
 mod http;
 mod listen;
 mod messages;
@@ -24,9 +25,11 @@ mod state;
 mod stream_ends;
 mod telemetry;
 mod uploads;
+mod visitors;
 
 pub use config::ServerConfig;
 pub use error::Error;
+pub use hosts::Hosts;
 pub use origin::Origins;
 pub use telemetry::start_log;
 

@@ -4,6 +4,7 @@
 //! own pages and pages served from the same machine may call, and nothing else; programs send no `Origin` and are not
 //! concerned.
 
+use super::hosts::is_this_machine;
 use http::{HeaderMap, HeaderValue, Uri, header};
 
 /// The origins that may call.
@@ -86,7 +87,7 @@ fn is_local(authority: &str) -> bool {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
         None => authority.split(':').next().unwrap_or_default(),
     };
-    matches!(host, "localhost" | "127.0.0.1" | "::1") || host.ends_with(".localhost")
+    is_this_machine(host)
 }
 
 #[cfg(test)]

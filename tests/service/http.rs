@@ -1,5 +1,6 @@
 //! HTTP: sessions and their calls as a client sees them, problems, downloads, forms.
 
+mod addressed;
 mod carry;
 mod connections;
 mod downloads;

@@ -83,6 +83,9 @@ pub struct ConfigKeys {
     /// How long that sign of life may take.
     #[arg(long, value_name = "TIME")]
     pub keepalive_timeout: Option<KeyValue<TimeSpan>>,
+    /// Names under which the server may be addressed, with commas between them.
+    #[arg(long, value_name = "HOSTS")]
+    pub hosts: Option<KeyValue<WordList>>,
     /// Origins whose pages may call, with commas between them.
     #[arg(long, value_name = "ORIGINS")]
     pub cors_origins: Option<KeyValue<WordList>>,

@@ -4,7 +4,9 @@ use super::Error;
 use super::keys::KeyValue;
 use super::sources::MergedKeys;
 use super::units::TimeSpan;
+use crate::server::hosts::Hosts;
 use crate::server::origin::Origins;
+use std::net::IpAddr;
 use std::time::Duration;
 
 /// This says how connections are treated. It is read by [`run`](crate::server::run); sessions have a configuration of their own.
@@ -22,6 +24,8 @@ pub struct ServerConfig {
     pub keepalive_timeout: Duration,
     /// From the wish to stop until everything still open is dropped.
     pub drain_deadline: Duration,
+    /// Names under which the server may be addressed.
+    pub hosts: Hosts,
     /// Browser origins that may call.
     pub origins: Origins,
     /// Whether gRPC reflection answers.
@@ -39,6 +43,7 @@ impl Default for ServerConfig {
             keepalive_interval: Duration::from_secs(30),
             keepalive_timeout: Duration::from_secs(20),
             drain_deadline: Duration::from_secs(10),
+            hosts: Hosts::default(),
             origins: Origins::default(),
             reflection: true,
             metrics: true,
@@ -51,8 +56,9 @@ const SECOND: Duration = Duration::from_secs(1);
 const HOUR: Duration = Duration::from_secs(3600);
 
 impl ServerConfig {
-    /// Reads the keys that concern connections; those that are absent leave the defaults.
-    pub(super) fn from_keys(merged: &MergedKeys) -> Result<Self, Error> {
+    /// Reads the keys that concern connections; those that are absent leave the defaults. What can be reached from elsewhere
+    /// has names that only its operator knows: without the key, it answers to all.
+    pub(super) fn from_keys(merged: &MergedKeys, listen: IpAddr) -> Result<Self, Error> {
         let (keys, defaults) = (&merged.keys, Self::default());
         let count = |key: &str, value: &Option<KeyValue<u32>>, default: u32, highest: u32| match KeyValue::read(value) {
             Some(value) if value == 0 || value > highest => {
@@ -76,6 +82,7 @@ impl ServerConfig {
                 value => Ok(value.map_or(default, |span| span.0)),
             };
         let origins = KeyValue::read(&keys.cors_origins).map(|words| Origins::parse(&words.0));
+        let hosts = KeyValue::read(&keys.hosts).map(|words| Hosts::parse(&words.0));
         Ok(Self {
             connections: count("connections", &keys.connections, defaults.connections, 1_000_000)?,
             requests_per_connection: count(
@@ -108,6 +115,11 @@ impl ServerConfig {
                 defaults.drain_deadline,
                 10 * MILLISECOND,
             )?,
+            hosts: match hosts {
+                Some(hosts) => hosts.map_err(|problem| merged.refuse("hosts", problem))?,
+                None if listen.is_loopback() => defaults.hosts,
+                None => Hosts::any(),
+            },
             origins: match origins {
                 Some(origins) => origins.map_err(|problem| merged.refuse("cors_origins", problem))?,
                 None => defaults.origins,

@@ -50,7 +50,7 @@ impl ServeSettings {
             refuse("listen", format!("\"{listen}\" is not an address; allowed are an IP address and a port, such as 127.0.0.1:7411 or [::]:7411"))
         })?;
         let session = session_config_from_keys(&merged)?;
-        let server = ServerConfig::from_keys(&merged)?;
+        let server = ServerConfig::from_keys(&merged, listen.ip())?;
         let log = KeyValue::read(&keys.log).unwrap_or_else(|| "info".to_owned());
         tracing_subscriber::EnvFilter::builder().parse(&log).map_err(|e| {
             refuse(
@@ -122,7 +122,7 @@ mod tests {
     #[test]
     fn every_error_names_key_source_and_what_is_allowed() {
         type Case<'a> = (&'a str, &'a [(&'static str, &'a str)], &'a [&'a str]);
-        let cases: [Case<'_>; 11] = [
+        let cases: [Case<'_>; 12] = [
             (
                 "upload_bytes = \"many\"",
                 &[],
@@ -156,6 +156,11 @@ mod tests {
                 "cors_origins = [\"example.org\"]",
                 &[],
                 &["cors_origins", "example.org", "https://example.org", "file "],
+            ),
+            (
+                "hosts = [\"mesh.example.org:443\"]",
+                &[],
+                &["hosts", "mesh.example.org:443", "without a port", "file "],
             ),
             ("sessons = 4", &[], &["sessons", "no such key", "sessions", "file "]),
         ];

@@ -3,11 +3,14 @@
 //! Dropping the handler or the body at the deadline is what stops the work: every call of the session floor gives up
 //! when its future is dropped.
 
+use super::status::status;
 use crate::server::telemetry::{self, Recorder, Telemetry};
+use crate::server::visitors::Refused;
 use crate::session::{Error, ErrorCode};
 use axum::body::Body;
 use bytes::Bytes;
 use futures::FutureExt as _;
+use futures::future::{Either, ready};
 use http::{HeaderMap, HeaderValue, Request, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use std::collections::BTreeSet;
@@ -49,7 +52,7 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
         Poll::Ready(Ok(()))
     }
 
-    fn call(&mut self, request: Request<tonic::body::Body>) -> Self::Future {
+    fn call(&mut self, mut request: Request<tonic::body::Body>) -> Self::Future {
         let method = request.uri().path().trim_start_matches('/');
         let route = match self.known.get(method) {
             Some(known) => known.as_str(),
@@ -70,9 +73,13 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
         let echoed = HeaderValue::from_str(&request_id);
         let mut recorder = Recorder::start(&self.telemetry, "grpc", route, request_id);
         let deadline = timeout(request.headers()).map(|timeout| Instant::now() + timeout);
-        let answer = tower::Service::call(&mut self.routes, request);
+        let refused: Option<Refused> = request.extensions_mut().remove();
+        let routed = match refused {
+            Some(Refused(error)) => Either::Left(ready(Ok(status(error).into_http()))),
+            None => Either::Right(tower::Service::call(&mut self.routes, request)),
+        };
         Box::pin(async move {
-            let answer = AssertUnwindSafe(answer).catch_unwind();
+            let answer = AssertUnwindSafe(routed).catch_unwind();
             let answered = match deadline {
                 None => Ok(answer.await),
                 Some(at) => tokio::time::timeout_at(at, answer).await,

@@ -1,6 +1,6 @@
 //! HTTP/1.1 and HTTP/2: JSON in and out, models and vertex buffers as bytes, problems as documents.
 //!
-//! The order of layers, outermost first: request number and count → origin check → problem documents → compression of
+//! The order of layers, outermost first: request number and count → what the door refused → problem documents → compression of
 //! JSON → routes. Each call checks in the order authentication, session, then query and body.
 
 mod animate;
@@ -31,6 +31,7 @@ pub(super) use route_table::{ROUTES, Route};
 
 use super::state::State;
 use super::telemetry::{self, Recorder};
+use super::visitors::Refused;
 use crate::session::Error;
 use axum::Router;
 use axum::body::Body;
@@ -92,15 +93,8 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         .to_owned();
     let mut recorder = Recorder::start(&state.telemetry, "http", route, Arc::clone(&request_id));
 
-    let changes = !matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
-    let upgrades = request.headers().contains_key(header::UPGRADE) || request.method() == Method::CONNECT;
-    let response = if (changes || upgrades) && !state.config.origins.admit(request.headers(), request.uri()) {
-        Problem::new(
-            StatusCode::FORBIDDEN,
-            "PERMISSION_DENIED",
-            "pages of this origin may not call; the key cors_origins lists who may",
-        )
-        .into_response()
+    let response = if let Some(Refused(error)) = request.extensions_mut().remove() {
+        Problem::from(error).into_response()
     } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
         Problem::from(Error::draining()).into_response()
     } else {

@@ -33,6 +33,7 @@ a division without handles  | POST /v1/sessions/{bare}/edits | application/json 
 triangles beyond measure    | POST /v1/sessions/{id}/edits   | application/json | {"remesh": {"edgeLength": 0.0001}}
 a clip that is none         | POST /v1/sessions/{id}/animations | application/json | {}
 a recording that is none    | POST /v1/sessions/{id}/animations | application/json | {"bvh": "aGVsbG8K"}
+a recording without a rig    | POST /v1/sessions/{id}/animations | application/json | {"bvh": "SElFUkFSQ0hZClJPT1QgbG93CnsKT0ZGU0VUIDAgMCAwCkNIQU5ORUxTIDMgWnJvdGF0aW9uIFhyb3RhdGlvbiBZcm90YXRpb24KRW5kIFNpdGUKewpPRkZTRVQgMCAxIDAKfQp9Ck1PVElPTgpGcmFtZXM6IDIKRnJhbWUgVGltZTogMC4wMwowIDAgMAowIDAgOQo="}
 a browser at the stream     | GET /v1/sessions/{id}/stream   | -                | -
 a path that is none         | GET /v1/session                | -                | -
 "#;
@@ -133,6 +134,15 @@ async fn of_origins_and_room(server: &Server) -> Vec<Said> {
         by: "a page of another origin",
         text: detail(foreign).await,
     };
+    let misaddressed = Said {
+        by: "a name that is not the server's",
+        text: detail(
+            http()
+                .get(server.url("/v1/limits"))
+                .header("host", "mesh.example.org:7411"),
+        )
+        .await,
+    };
     server.open(bar_obj(4)).await;
     server.open(bar_obj(4)).await;
     let full = Said {
@@ -160,7 +170,7 @@ async fn of_origins_and_room(server: &Server) -> Vec<Said> {
         by: "no memory for another session",
         text: detail(open(&one)).await,
     };
-    vec![foreign, full, alone, both]
+    vec![foreign, misaddressed, full, alone, both]
 }
 
 /// What was noticed in a model that opened all the same.

@@ -1,0 +1,21 @@
+//! Whether a request may enter at all: under which name it came, and which page sent it. Looked at before anything else.
+
+use super::config::ServerConfig;
+use crate::session::{Error, ErrorCode};
+use http::Request;
+
+/// Travels with a request that may not enter, so that it is numbered, counted and answered like any other.
+#[derive(Debug, Clone)]
+pub(super) struct Refused(pub Error);
+
+/// Why a request may not enter; `None` where it may. A page needs no answer to do harm, and may not read either: all methods are
+/// alike.
+pub(super) fn refuse<B>(request: &Request<B>, config: &ServerConfig) -> Option<Refused> {
+    let misaddressed = config.hosts.check(request).err();
+    let error = misaddressed.or_else(|| {
+        let foreign = !config.origins.admit(request.headers(), request.uri());
+        let told = "pages of this origin may not call; the key cors_origins lists who may";
+        foreign.then(|| Error::new(ErrorCode::PermissionDenied, told))
+    })?;
+    Some(Refused(error))
+}
