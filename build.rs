@@ -35,6 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     tonic_prost_build::configure()
         .out_dir(services)
         .extern_path(".pliant.v1", "crate::wire::pb")
+        .codec_path("crate::server::grpc::codec::MessageCodec")
         .compile_fds(descriptors)?;
     viewer::build(&out)
 }

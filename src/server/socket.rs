@@ -173,12 +173,19 @@ async fn read(input: &RequestEnd, mut source: SplitStream<WebSocket>, id: &str, 
     }
 }
 
-/// A message above the limit is worth telling; anything else means that nobody is there to be told.
+/// A message above the limit and a broken rule of the protocol are worth telling (RFC 6455, 7.4.1); anything else means that nobody
+/// is there to be told.
 fn broken(error: &axum::Error) -> Option<Ending> {
-    error
-        .to_string()
-        .contains("Space limit exceeded")
-        .then(|| Ending::new(1009, "the message is larger than Limits.messageBytes"))
+    let text = error.to_string();
+    let rule = text.strip_prefix("WebSocket protocol error: ");
+    match rule {
+        _ if text.contains("Space limit exceeded") => {
+            Some(Ending::new(1009, "the message is larger than Limits.messageBytes"))
+        }
+        _ if text.starts_with("UTF-8 encoding error") => Some(Ending::new(1007, "a text that is no UTF-8")),
+        Some(rule) if !rule.contains("without closing handshake") => Some(Ending::new(1002, rule)),
+        _ => None,
+    }
 }
 
 /// Writes responses as the connection takes them.

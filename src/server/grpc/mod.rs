@@ -3,6 +3,7 @@
 //! Everything of tonic stays in this folder; no other part of the server sees its types.
 
 mod animate;
+mod codec;
 mod deadline;
 mod deformer;
 mod status;

@@ -39,7 +39,7 @@ use axum::extract::{MatchedPath, Request};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse as _, Response};
 use futures::FutureExt as _;
-use http::{HeaderName, HeaderValue, Method, StatusCode, header};
+use http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use problem::Problem;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -95,6 +95,11 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
 
     let response = if let Some(Refused(error)) = request.extensions_mut().remove() {
         Problem::from(error).into_response()
+    } else if let Some(encoding) = unread_encoding(request.headers()) {
+        let told = format!("the content encoding \"{encoding}\" is not read; send the body as it is");
+        Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "INVALID_ARGUMENT", told)
+            .with_header(header::ACCEPT_ENCODING, "identity".into())
+            .into_response()
     } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
         Problem::from(Error::draining()).into_response()
     } else {
@@ -135,6 +140,14 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
     }
     recorder.set_code(status.as_str());
     response.map(|body| recorder.observe(body))
+}
+
+/// How a body is encoded that nothing here decodes.
+fn unread_encoding(headers: &HeaderMap) -> Option<String> {
+    let encodings = headers.get_all(header::CONTENT_ENCODING).iter();
+    encodings
+        .map(|value| problem::clip(&String::from_utf8_lossy(value.as_bytes())))
+        .find(|value| !value.is_empty() && !value.eq_ignore_ascii_case("identity"))
 }
 
 /// JSON answers are worth compressing; models and vertex buffers are not.

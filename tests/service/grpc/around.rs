@@ -135,10 +135,14 @@ fn web_parts(mut body: Bytes) -> (Vec<Bytes>, String) {
 }
 
 async fn web(server: &Server, rpc: &str, message: &impl prost::Message) -> (reqwest::StatusCode, Vec<Bytes>, String) {
+    web_bytes(server, rpc, &message.encode_to_vec()).await
+}
+
+async fn web_bytes(server: &Server, rpc: &str, message: &[u8]) -> (reqwest::StatusCode, Vec<Bytes>, String) {
     let mut body = BytesMut::new();
     body.extend([0u8]);
-    body.extend((message.encoded_len() as u32).to_be_bytes());
-    message.encode(&mut body).unwrap();
+    body.extend((message.len() as u32).to_be_bytes());
+    body.extend(message);
     let request = http()
         .post(server.url(&format!("/pliant.v1.Deformer/{rpc}")))
         .header("content-type", "application/grpc-web+proto")
@@ -207,4 +211,22 @@ async fn unknown_methods_are_unimplemented_and_counted_as_one() {
         counts.contains("pliant_requests_total{transport=\"grpc\",route=\"unknown\",code=\"UNIMPLEMENTED\"} 2"),
         "{counts}"
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bytes_that_are_no_message_are_the_callers_fault() {
+    let server = Server::start().await;
+    for rpc in [
+        "CreateSession",
+        "GetSession",
+        "SetHandles",
+        "Solve",
+        "Deform",
+        "Animate",
+        "Edit",
+    ] {
+        let (status, messages, code) = web_bytes(&server, rpc, &[0xff; 9]).await;
+        assert_eq!((status.as_u16(), messages.len()), (200, 0), "{rpc}");
+        assert!(code.contains("grpc-status:3"), "{rpc}: {code}");
+    }
 }

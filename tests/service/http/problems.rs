@@ -179,3 +179,20 @@ async fn what_cannot_be_accepted_is_refused_before_work_is_done() {
         .unwrap();
     assert_eq!(history["commits"].as_array().map(Vec::len), Some(2));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_body_in_an_encoding_that_is_not_read_is_415() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    for path in ["/v1/sessions".to_owned(), format!("/v1/sessions/{id}/solve")] {
+        for (encoding, status) in [("gzip", 415), ("identity, br", 415), ("identity", 0), ("", 0)] {
+            let call = http()
+                .post(server.url(&path))
+                .header("content-encoding", encoding)
+                .body(bar_obj(4));
+            let answer = call.send().await.unwrap();
+            let is_refused = answer.status() == 415 && answer.headers().contains_key("accept-encoding");
+            assert_eq!(is_refused, status == 415, "{path} {encoding}: {}", answer.status());
+        }
+    }
+}

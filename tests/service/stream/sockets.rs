@@ -5,6 +5,7 @@ use crate::support::server::*;
 use bytes::Bytes;
 use futures::SinkExt as _;
 use pliant::wire::pb::{self, deform_request, deform_response};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio_tungstenite::tungstenite;
 use tonic::Code;
 
@@ -124,6 +125,47 @@ async fn a_websocket_says_why_it_closes() {
     );
     assert_eq!(code, 4005);
     assert!(reason.contains("deleted"), "{reason}");
+}
+
+/// The close frame's code after bytes that are no frame a client may send.
+async fn closed_after_bytes(server: &Server, path: &str, bytes: &[u8]) -> u16 {
+    let mut socket = tokio::net::TcpStream::connect(server.address).await.unwrap();
+    let upgrade = format!(
+        "GET {path} HTTP/1.1\r\nhost: localhost\r\nconnection: upgrade\r\nupgrade: websocket\r\nsec-websocket-version: 13\r\n\
+         sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+    );
+    socket.write_all(upgrade.as_bytes()).await.unwrap();
+    let mut told = Vec::new();
+    while !told.ends_with(b"\r\n\r\n") {
+        told.push(within("the handshake", socket.read_u8()).await.unwrap());
+    }
+    socket.write_all(bytes).await.unwrap();
+    let mut frames = Vec::new();
+    within("the end", socket.read_to_end(&mut frames)).await.unwrap();
+    assert_eq!(frames.first(), Some(&0x88), "a close frame: {frames:?}");
+    u16::from_be_bytes([frames[2], frames[3]])
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn broken_rules_of_the_protocol_close_with_1002() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    let path = format!("/v1/sessions/{id}/stream");
+    let broken: [(&str, &[u8]); 5] = [
+        ("a frame without a mask", &[0x82, 0x01, 0x00]),
+        ("a reserved bit", &[0xf2, 0x80, 0, 0, 0, 0]),
+        ("a frame of no kind", &[0x83, 0x80, 0, 0, 0, 0]),
+        ("a ping in parts", &[0x09, 0x80, 0, 0, 0, 0]),
+        ("a part that continues nothing", &[0x80, 0x80, 0, 0, 0, 0]),
+    ];
+    for (what, bytes) in broken {
+        assert_eq!(closed_after_bytes(&server, &path, bytes).await, 1002, "{what}");
+    }
+    // A text, masked with zeros, whose bytes are no UTF-8.
+    assert_eq!(
+        closed_after_bytes(&server, &path, &[0x81, 0x81, 0, 0, 0, 0, 0xff]).await,
+        1007
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
