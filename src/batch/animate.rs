@@ -6,10 +6,15 @@ use crate::engine::{
     QualityReport, digest,
 };
 use crate::exec::Exec;
-use crate::motion::rig::{DriveOptions, MotionRig, RigDriver, rig_of_skin};
+use crate::mesh::BoundingBox;
+use crate::motion::rig::{DriveOptions, MotionRig, RestAttitude, RigBone, RigDriver, RigidMotion, rig_of_skin};
 use crate::motion::{MotionClip, NodeOrder, SceneMotion, clip_of_scene};
 use crate::wire::{Error, animation_totals, held_nodes_message, pb};
+use glam::DVec3;
 use std::ops::Range;
+
+/// How far from the origin a clip may take a bone: 32-bit floats end at 3.4e38.
+const FARTHEST_FRAME: f64 = 1e37;
 
 /// Where a clip comes from.
 pub enum ClipSource<'a> {
@@ -173,6 +178,10 @@ pub fn prepare(
             RigDriver::new(&rig, clip, &options)?
         }
     };
+    check_reach(&rig, &driver, order)?;
+    if own.is_none() {
+        warn_of_misfits(&rig, deformer.rest(), &mut driver);
+    }
     driver.warn_of_twists(&rig, order.range.clone().map(|frame| (frame, order.times.at(frame))));
     let prepared = deformer.animation(rig, driver, order.times, &order.settings, exec);
     let animation = prepared.map_err(|e| match e {
@@ -180,6 +189,64 @@ pub fn prepare(
         e => e.into(),
     })?;
     Ok(animation.with_beside(beside))
+}
+
+/// Checks that no frame takes a bone farther than 32-bit floats reach, in which positions are written.
+fn check_reach(rig: &MotionRig, driver: &RigDriver, order: &AnimationOrder) -> Result<(), Error> {
+    let is_near = |motion: &RigidMotion| motion.to.abs().cmple(DVec3::splat(FARTHEST_FRAME)).all();
+    for frame in order.range.clone() {
+        let pose = driver.pose_at(order.times.at(frame));
+        let motions = pose.bones.iter().zip(&rig.bones);
+        let far = motions.chain([(&pose.root, &rig.bones[0])]).find(|(m, _)| !is_near(m));
+        if let Some((_, bone)) = far {
+            let problem = format!(
+                "takes bone \"{}\" farther than {FARTHEST_FRAME:e} from the origin in frame {frame}",
+                bone.id
+            );
+            return Err(Error::invalid("clip", problem));
+        }
+    }
+    Ok(())
+}
+
+/// Warns of bones of a given rig that say little about the model: such as lie outside of its box, as where the rig is of another
+/// model, and such as have no length.
+fn warn_of_misfits(rig: &MotionRig, rest: &[DVec3], driver: &mut RigDriver) {
+    let space = BoundingBox::of(rest);
+    let is_outside = |bone: &&RigBone| {
+        let reach = DVec3::splat(bone.radius);
+        let misses = |p: DVec3| (p + reach).cmplt(space.min).any() || (p - reach).cmpgt(space.max).any();
+        misses(bone.from) && misses(bone.to)
+    };
+    let listed = |bones: Vec<&RigBone>| {
+        let names: Vec<String> = bones.iter().take(8).map(|b| format!("\"{}\"", b.id)).collect();
+        let more = bones.len() - names.len();
+        let rest = if more > 0 {
+            format!(" and {more} more")
+        } else {
+            String::new()
+        };
+        format!("{}{rest}", names.join(", "))
+    };
+    let outside: Vec<&RigBone> = rig.bones.iter().filter(is_outside).collect();
+    if !outside.is_empty() {
+        driver.warn(format!(
+            "bones of the rig lie outside of the model and hold what is nearest to them: {}; is the rig of another model, or in \
+             other units?",
+            listed(outside)
+        ));
+    }
+    let points: Vec<&RigBone> = rig
+        .bones
+        .iter()
+        .filter(|b| b.from == b.to && b.rest != RestAttitude::Direction)
+        .collect();
+    if !points.is_empty() {
+        driver.warn(format!(
+            "bones of the rig have no length, so that nothing is held along them: {}",
+            listed(points)
+        ));
+    }
 }
 
 /// Solves the frames of an order, gives each to `take` with what is told of it, and tells of all. `millis` is a clock.

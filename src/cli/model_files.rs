@@ -5,6 +5,7 @@ use crate::asset::{FileSet, Format, missing_companions};
 use crate::wire::Error as WireError;
 use std::collections::BTreeSet;
 use std::fs;
+use std::io::Read as _;
 use std::path::{Component, Path};
 
 /// Largest model file that the command line reads, and most bytes of a model with all of its files.
@@ -68,7 +69,15 @@ pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, CliFailure> {
         );
         return Err(CliFailure::Input(problem));
     }
-    fs::read(path).map_err(refuse)
+    // What is no regular file tells no size.
+    let mut bytes = Vec::new();
+    let file = fs::File::open(path).map_err(refuse)?;
+    file.take(LARGEST + 1).read_to_end(&mut bytes).map_err(refuse)?;
+    if bytes.len() as u64 > LARGEST {
+        let problem = format!("{} has more than {LARGEST} bytes, which are allowed", path.display());
+        return Err(CliFailure::Input(problem));
+    }
+    Ok(bytes)
 }
 
 /// Whether a URI is a relative path of plain names.

@@ -1,6 +1,6 @@
 //! How a clip drives a session's model, and what is told of the frames.
 
-use super::check::{enumerated, number, optional_within, positive};
+use super::check::{enumerated, number, optional_within};
 use super::frames::FrameOutput;
 use super::options::DeformOptions;
 use super::rig::motion_rig;
@@ -132,10 +132,12 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
         clip,
         rig: rig.map_err(of_rig)?,
         frames: frame_choice(options)?,
-        scale: match options.scale {
-            0.0 => None,
-            scale => Some(positive(scale, "scale")?),
-        },
+        scale: optional_within(
+            options.scale,
+            *MotionRig::SCALES.start(),
+            *MotionRig::SCALES.end(),
+            "scale",
+        )?,
         settings: settings(options)?,
         root: match enumerated::<Root>(options.root, "root")? {
             Root::Node => OrderedRoot::Apart,
@@ -215,7 +217,7 @@ fn played_form(options: &pb::AnimateOptions) -> Result<PlayedForm, Error> {
 /// What is wrong with a rig, told as a part of the options.
 pub fn of_rig(error: Error) -> Error {
     renamed(error, |field| match field {
-        "rig" => field.into(),
+        "rig" | "clip" => field.into(),
         _ => format!("rig.{field}"),
     })
 }
@@ -351,6 +353,13 @@ mod tests {
                     ..options()
                 },
                 "scale: is -2",
+            ),
+            (
+                pb::AnimateOptions {
+                    scale: 1e20,
+                    ..options()
+                },
+                "scale: is 100000000000000000000, allowed are 1e-12 to 1e12, or 0",
             ),
             (
                 pb::AnimateOptions {

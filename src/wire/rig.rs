@@ -1,6 +1,6 @@
 //! Rigs of messages and files.
 
-use super::check::{number, points};
+use super::check::{enumerated, number, points};
 use super::{Error, json, pb};
 use crate::motion::rig::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 use glam::DVec3;
@@ -92,7 +92,7 @@ fn rig_bone(rig: &pb::Rig, bone: &pb::rig::Bone, at: &str) -> Result<RigBone, Er
         Ok(read[0])
     };
     let (from, to) = (place(&bone.from, "from")?, place(&bone.to, "to")?);
-    let rest = match bone.rest() {
+    let rest = match enumerated::<pb::rig::Rest>(bone.rest, &format!("{at}.rest"))? {
         pb::rig::Rest::Unspecified | pb::rig::Rest::Direction => RestAttitude::Direction,
         pb::rig::Rest::Orientation => RestAttitude::Orientation,
         pb::rig::Rest::Parent => RestAttitude::Parent,

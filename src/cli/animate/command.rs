@@ -293,9 +293,9 @@ impl AnimateArgs {
         match self.scale.as_str() {
             "auto" => Ok(None),
             text => match text.parse::<f64>() {
-                Ok(scale) if scale.is_finite() && scale > 0.0 => Ok(Some(scale)),
+                Ok(scale) if MotionRig::SCALES.contains(&scale) => Ok(Some(scale)),
                 _ => {
-                    let problem = format!("--scale is \"{text}\", allowed are auto and numbers above 0");
+                    let problem = format!("--scale is \"{text}\", allowed are auto and numbers from 1e-12 to 1e12");
                     Err(CliFailure::Input(problem))
                 }
             },

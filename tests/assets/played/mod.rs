@@ -3,6 +3,7 @@
 mod bad_input;
 mod beside;
 mod bones;
+mod extremes;
 mod models;
 mod outputs;
 mod pictures;

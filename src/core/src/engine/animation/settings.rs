@@ -62,7 +62,7 @@ impl FrameTimes {
         Self {
             start,
             rate,
-            count: intervals as usize + 1,
+            count: (intervals as usize).saturating_add(1),
         }
     }
 

@@ -3,6 +3,9 @@
 use glam::DVec3;
 use std::collections::BTreeMap;
 
+/// How many characters of a name are shown.
+const LONGEST_SHOWN: usize = 64;
+
 /// How a bone of the model stands when the clip is in its reference pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum RestAttitude {
@@ -99,6 +102,8 @@ impl MotionRig {
     pub const MOST_BONES: usize = 1024;
     /// The largest coordinate and the largest scale: what is computed from such numbers is far from the end of doubles.
     pub const FARTHEST: f64 = 1e12;
+    /// The scales that are allowed.
+    pub const SCALES: std::ops::RangeInclusive<f64> = 1.0 / Self::FARTHEST..=Self::FARTHEST;
     /// The most slices of a bone.
     pub const MOST_SLICES: usize = 16;
 
@@ -117,8 +122,7 @@ impl MotionRig {
             let (count, most) = (bones.len(), Self::MOST_BONES);
             return Err(whole("bones", format!("has {count} entries, allowed are 1 to {most}")));
         }
-        let sizes = 1.0 / Self::FARTHEST..=Self::FARTHEST;
-        if let Some(scale) = scale.filter(|s| !sizes.contains(s)) {
+        if let Some(scale) = scale.filter(|s| !Self::SCALES.contains(s)) {
             let most = Self::FARTHEST;
             return Err(whole(
                 "scale",
@@ -176,11 +180,31 @@ pub(super) fn whole(field: &'static str, problem: String) -> RigError {
 /// Up to eight names, in quotes.
 pub(in crate::motion) fn listed_names<S: AsRef<str>>(names: impl Iterator<Item = S>) -> String {
     let mut names = names;
-    let shown: Vec<String> = names.by_ref().take(8).map(|n| format!("\"{}\"", n.as_ref())).collect();
+    let shown = names
+        .by_ref()
+        .take(8)
+        .map(|n| format!("\"{}\"", name_in_line(n.as_ref())));
+    let shown: Vec<String> = shown.collect();
     let more = names.count();
     match more {
         0 => shown.join(", "),
         _ => format!("{} and {more} more", shown.join(", ")),
+    }
+}
+
+/// A name of a file as it can stand in a line: no longer than is needed, and without control characters.
+fn name_in_line(name: &str) -> String {
+    let printed = |c: char| {
+        if c.is_control() {
+            c.escape_default().to_string()
+        } else {
+            c.into()
+        }
+    };
+    let shown: String = name.chars().take(LONGEST_SHOWN).map(printed).collect();
+    match name.chars().nth(LONGEST_SHOWN) {
+        Some(_) => format!("{shown}…"),
+        None => shown,
     }
 }
 

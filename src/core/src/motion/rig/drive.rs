@@ -56,6 +56,9 @@ struct DrivenBone {
     limit: Option<f64>,
 }
 
+/// At how many times, evenly over a clip, it is looked at for what it scales.
+const SCALE_LOOKS: usize = 32;
+
 /// Where the joints of a clip are, and how they are turned, at one time.
 struct ClipState {
     places: Vec<DVec3>,
@@ -157,10 +160,15 @@ impl RigDriver {
             let apart = (m.transpose() * *m - DMat3::IDENTITY).to_cols_array();
             apart.iter().any(|v| v.abs() > 0.02)
         };
-        let ends = [start, 0.5 * (start + driver.clip.duration), driver.clip.duration];
-        let is_scaled = |bone: &DrivenBone| ends.iter().any(|&t| scales(&driver.joint_motions(t)[bone.joint]));
+        let mut is_scaled = vec![false; driver.clip.skeleton.joints.len()];
+        for look in 0..=SCALE_LOOKS {
+            let seconds = start + (driver.clip.duration - start) * (look as f64 / SCALE_LOOKS as f64);
+            for (is_scaled, motion) in is_scaled.iter_mut().zip(driver.joint_motions(seconds)) {
+                *is_scaled |= scales(&motion);
+            }
+        }
         let scaled: Vec<&str> = (rig.bones.iter().zip(&driver.bones))
-            .filter(|(_, driven)| is_scaled(driven))
+            .filter(|(_, driven)| is_scaled[driven.joint])
             .map(|(bone, _)| bone.id.as_str())
             .collect();
         if !scaled.is_empty() {
@@ -255,7 +263,7 @@ impl RigDriver {
     }
 
     /// Adds a line to what was noticed.
-    pub(super) fn warn(&mut self, line: String) {
+    pub fn warn(&mut self, line: String) {
         self.warnings.push(line);
     }
 

@@ -1,0 +1,146 @@
+//! Clips and rigs at the ends of what numbers can say: what comes out is finite, or refused before anything is written.
+
+use super::beside::make_scene;
+use super::refusals::refuse;
+use super::{animate, animate_bar, make_bar};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use std::fs;
+use std::path::Path;
+
+/// When the keys of [`make_scene`]'s clip are, and where its walk goes.
+const TIMES: [f32; 4] = [0.0, 0.5, 1.1, 2.0];
+const WALK: [f32; 12] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.5, 0.0, 4.0, 0.0, 1.0];
+
+/// Puts other numbers into the buffer of a scene.
+fn replace_numbers(folder: &Path, from: &[f32], to: &[f32]) {
+    let path = folder.join("scene.gltf");
+    let text = fs::read_to_string(&path).expect("a scene");
+    let (head, tail) = text.split_once("base64,").expect("a buffer");
+    let (data, end) = tail.split_once('"').expect("its end");
+    let mut bytes = STANDARD.decode(data).expect("base64");
+    let [from, to] = [from, to].map(|v| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>());
+    let at = bytes.windows(from.len()).position(|w| w == from).expect("the numbers");
+    bytes[at..at + to.len()].copy_from_slice(&to);
+    fs::write(&path, format!("{head}base64,{}\"{end}", STANDARD.encode(&bytes))).expect("written");
+}
+
+/// Plays the clip of a scene; the exit code and what is said.
+fn act(folder: &Path) -> (Option<i32>, String) {
+    let clip = [
+        "scene.gltf",
+        "--clip",
+        "act",
+        "--refine",
+        "0",
+        "-o",
+        "act.pc2",
+        "--force",
+    ];
+    let done = animate(folder, &clip);
+    let said = String::from_utf8_lossy(&done.stderr).into_owned();
+    (done.status.code(), said)
+}
+
+#[test]
+fn a_clip_of_endless_seconds_or_endless_ways_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_scene(folder, false);
+    replace_numbers(folder, &TIMES, &[0.0, 0.5, 1.1, 1e30]);
+    let (code, said) = act(folder);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(
+        said.contains("frames are asked for, at most 1000000 are allowed"),
+        "{said}"
+    );
+    make_scene(folder, false);
+    replace_numbers(folder, &WALK[3..], &[3e38, 3e38, 3e38]);
+    let (code, said) = act(folder);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("farther than 1e37 from the origin in frame"), "{said}");
+    assert!(!folder.join("act.pc2").exists() && !folder.join("act.pc2.part").exists());
+}
+
+#[test]
+fn a_clip_that_scales_only_for_a_while_is_warned_of() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_scene(folder, false);
+    replace_numbers(folder, &TIMES, &[0.0, 0.5, 1.0, 2.0]);
+    let sizes = [1.0, 1.0, 1.0, 1.5, 1.5, 1.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0];
+    replace_numbers(folder, &WALK, &sizes);
+    let path = folder.join("scene.gltf");
+    let text = fs::read_to_string(&path).expect("a scene");
+    let walks = r#"{"node":1,"path":"translation"}"#;
+    assert!(text.contains(walks));
+    fs::write(&path, text.replace(walks, r#"{"node":1,"path":"scale"}"#)).expect("written");
+    let (code, said) = act(folder);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("warning: the clip scales or shears \"low\""), "{said}");
+}
+
+#[test]
+fn a_scale_beyond_what_floats_hold_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    for scale in ["1e300", "1e-300", "inf"] {
+        let (code, said) = refuse(folder, &["-o", "out.pc2", "--scale", scale]);
+        assert_eq!(code, Some(2), "{said}");
+        assert!(
+            said.contains("allowed are auto and numbers from 1e-12 to 1e12"),
+            "{said}"
+        );
+    }
+    assert!(!folder.join("out.pc2").exists());
+}
+
+#[test]
+fn what_a_rig_says_that_cannot_be_meant_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    let rig = fs::read_to_string(folder.join("rig.json")).expect("a rig");
+    let said = animate_bar(folder, &["-o", "there.pc2"]);
+    assert!(!said.contains("bones of the rig"), "{said}");
+
+    // The bone that the tail of another model has: it holds what is nearest.
+    let away = rig
+        .replace("[-2.7, 0, 0]", "[-2.7, 9, 0]")
+        .replace("[0, 0, 0]", "[0, 9, 0]");
+    fs::write(folder.join("rig.json"), away).expect("written");
+    let said = animate_bar(folder, &["-o", "away.pc2"]);
+    let wanted = "warning: bones of the rig lie outside of the model and hold what is nearest to them: \"low\";";
+    assert!(said.contains(wanted), "{said}");
+
+    let point = rig.replace(r#""from": "b", "to": "c""#, r#""from": "b", "to": "b""#);
+    fs::write(folder.join("rig.json"), point).expect("written");
+    let said = animate_bar(folder, &["-o", "point.pc2"]);
+    assert!(
+        said.contains("warning: bones of the rig have no length, so that nothing is held along them: \"high\""),
+        "{said}"
+    );
+
+    fs::write(folder.join("rig.json"), rig.replacen(r#""ORIENTATION""#, "99", 1)).expect("written");
+    let (code, last) = refuse(folder, &["-o", "out.pc2"]);
+    assert_eq!(code, Some(2), "{last}");
+    assert!(
+        last.contains("rig.json: bones[0].rest: is 99, no value of this enum"),
+        "{last}"
+    );
+
+    let long = format!("x\\u001b[31m{}", "y".repeat(100_000));
+    fs::write(
+        folder.join("rig.json"),
+        rig.replacen(r#""parent": "low""#, r#""parent": "none""#, 1)
+            .replace("\"low\"", &format!("\"{long}\"")),
+    )
+    .expect("written");
+    let (code, last) = refuse(folder, &["-o", "out.pc2"]);
+    assert_eq!(code, Some(2), "{last}");
+    assert!(
+        last.len() < 500 && !last.contains('\u{1b}') && last.contains("there is no such bone"),
+        "{last}"
+    );
+}
