@@ -2,7 +2,8 @@
 //! paper).
 
 use super::failure::CliFailure;
-use super::model_files::{in_file, read_file, read_model};
+use super::input_files::read_file;
+use super::model_files::{in_file, read_model};
 use crate::asset::Model;
 use crate::batch::unskinned_passengers;
 use crate::engine::{Deformer, DeformerLimits, OpenOptions, RigNodes};

@@ -1,6 +1,7 @@
 //! `pliant deform`: the engine in process, without a server.
 
 use super::failure::CliFailure;
+use super::input_files::AllowedFolders;
 use super::job_file::read_job;
 use super::json_output::print_json;
 use super::model_files::{output_format, read_model};
@@ -32,6 +33,8 @@ pub struct DeformArgs {
     #[arg(long, value_name = "FOLDER")]
     steps: Option<PathBuf>,
     #[command(flatten)]
+    allowed: AllowedFolders,
+    #[command(flatten)]
     permission: OutputPermission,
     /// Print a report as JSON on stdout
     #[arg(long)]
@@ -44,7 +47,7 @@ pub struct DeformArgs {
 pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     let format = output_format(&args.output)?;
     args.permission.check_target(&args.output)?;
-    let job = read_job(&args.job)?;
+    let job = read_job(&args.job, &args.allowed)?;
     let folder = args.output.parent().unwrap_or(Path::new(""));
     check_passenger_outputs(&job, folder, args)?;
     for step in 0..job.steps.len() {

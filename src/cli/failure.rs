@@ -29,6 +29,14 @@ impl CliFailure {
         ExitCode::from(self.exit_code())
     }
 
+    /// The same failure, told with the place of what is wrong in what was given.
+    pub(super) fn in_place(self, place: impl std::fmt::Display) -> Self {
+        match self {
+            Self::Input(text) => Self::Input(format!("{place}: {text}")),
+            other => other,
+        }
+    }
+
     /// What went wrong, in words.
     pub(super) fn message(&self) -> &str {
         match self {

@@ -8,6 +8,7 @@ mod check;
 mod cutaway;
 mod deform;
 mod failure;
+mod input_files;
 mod inspect;
 mod job_file;
 mod json_output;

@@ -4,6 +4,7 @@
 //! done. Files are written beside their places and renamed, so a command that is stopped leaves no half file.
 
 use super::failure::CliFailure;
+use super::input_files::{folder_of, read_regular_file};
 use super::model_files::stays_inside;
 use crate::asset::{FileSet, WrittenFiles};
 use clap::Args;
@@ -11,6 +12,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use tempfile::TempPath;
+
+/// Random letters in the name of a temporary file.
+const RANDOM_LETTERS: usize = 12;
 
 /// What a command may do to the folder that it writes into.
 #[derive(Debug, Clone, Copy, Default, Args)]
@@ -64,13 +69,9 @@ impl OutputPermission {
         self.make_folder_of(path)?;
         let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         let temp = fill_beside(&target, fill).map_err(|e| refuse(path, e))?;
-        let renamed = self
-            .check_target(path)
-            .and_then(|()| fs::rename(&temp, &target).map_err(|e| refuse(&target, e)));
-        if renamed.is_err() {
-            let _ = fs::remove_file(&temp);
-        }
-        renamed
+        self.check_target(path)?;
+        temp.persist(&target).map_err(|e| refuse(&target, e.error))?;
+        Ok(())
     }
 
     /// Makes the folder that a file is to lie in, where that is allowed.
@@ -132,41 +133,20 @@ impl OutputPermission {
         let refuse =
             |path: &Path, e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
         files.keys().try_for_each(|path| self.make_folder_of(path))?;
-        let mut temporary: Vec<(PathBuf, PathBuf)> = Vec::new();
-        let clean_up = |temporary: &[(PathBuf, PathBuf)]| {
-            temporary.iter().for_each(|(temp, _)| drop(fs::remove_file(temp)));
-        };
+        let mut temporary: Vec<(TempPath, PathBuf)> = Vec::new();
         for (path, bytes) in files {
             // A link stays a link: what it points to is replaced.
             let target = path.canonicalize().unwrap_or_else(|_| path.clone());
-            match write_beside(&target, bytes) {
-                Ok(temp) => temporary.push((temp, target)),
-                Err(e) => {
-                    clean_up(&temporary);
-                    return Err(refuse(path, e));
-                }
-            }
+            let temp = write_beside(&target, bytes).map_err(|e| refuse(path, e))?;
+            temporary.push((temp, target));
         }
         // Another program may have been faster while the files were written.
-        if let Err(e) = files.keys().try_for_each(|path| self.check_target(path)) {
-            clean_up(&temporary);
-            return Err(e);
-        }
-        for (i, (temp, target)) in temporary.iter().enumerate() {
-            if let Err(e) = fs::rename(temp, target) {
-                clean_up(&temporary[i..]);
-                return Err(refuse(target, e));
-            }
+        files.keys().try_for_each(|path| self.check_target(path))?;
+        for (temp, target) in temporary {
+            temp.persist(&target).map_err(|e| refuse(&target, e.error))?;
         }
         Ok(())
     }
-}
-
-/// The folder that a file lies in.
-fn folder_of(path: &Path) -> &Path {
-    path.parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."))
 }
 
 /// Whether both paths lead to one file that is there.
@@ -181,23 +161,33 @@ pub(super) fn is_same_place(a: &Path, b: &Path) -> bool {
 
 /// Whether a file is there and holds these bytes.
 fn holds_bytes(path: &Path, bytes: &[u8]) -> bool {
-    let as_long = |facts: fs::Metadata| facts.is_file() && facts.len() == bytes.len() as u64;
-    fs::metadata(path).is_ok_and(as_long) && fs::read(path).is_ok_and(|there| there == bytes)
+    read_regular_file(path, bytes.len() as u64).is_ok_and(|there| there == bytes)
 }
 
-fn write_beside(target: &Path, bytes: &[u8]) -> std::io::Result<PathBuf> {
+fn write_beside(target: &Path, bytes: &[u8]) -> std::io::Result<TempPath> {
     fill_beside(target, &mut |file| file.write_all(bytes))
 }
 
-/// Writes a temporary file beside a place; where it lies.
-fn fill_beside(target: &Path, fill: &mut dyn FnMut(&mut dyn Write) -> std::io::Result<()>) -> std::io::Result<PathBuf> {
+/// Writes a temporary file beside a place, which goes away unless it is renamed.
+///
+/// Its name cannot be foretold and is made anew, so nobody who may write into the folder can put a link or a pipe there first.
+fn fill_beside(
+    target: &Path,
+    fill: &mut dyn FnMut(&mut dyn Write) -> std::io::Result<()>,
+) -> std::io::Result<TempPath> {
     let mut name = target.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".{}.part", std::process::id()));
-    let temp = target.with_file_name(name);
-    let mut file = fs::File::create(&temp)?;
-    let written = fill(&mut file).and_then(|()| file.sync_data());
-    if written.is_err() {
-        let _ = fs::remove_file(&temp);
+    name.push(".");
+    let mut made = tempfile::Builder::new();
+    made.prefix(&name).rand_bytes(RANDOM_LETTERS).suffix(".part");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        // As any other file: what others may do with it is for the umask to say.
+        made.permissions(fs::Permissions::from_mode(0o666));
     }
-    written.map(|()| temp)
+    let mut file = made.tempfile_in(folder_of(target))?;
+    fill(file.as_file_mut())?;
+    file.as_file().sync_data()?;
+    // Closed: a model may have more files than may be open at once.
+    Ok(file.into_temp_path())
 }

@@ -1,8 +1,9 @@
 //! `pliant rig`: where the bones of a model lie, and which joints of a clip turn them.
 
 use super::failure::CliFailure;
+use super::input_files::read_file;
 use super::json_output::print_value;
-use super::model_files::{read_file, read_model};
+use super::model_files::read_model;
 use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;

@@ -1,7 +1,8 @@
 //! `pliant skin`: a model bound to the bones of a rig, as a glTF that any engine poses.
 
 use super::failure::CliFailure;
-use super::model_files::{in_file, read_file, read_model};
+use super::input_files::read_file;
+use super::model_files::{in_file, read_model};
 use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;

@@ -7,6 +7,7 @@ mod check;
 mod cli;
 mod floors;
 mod followed;
+mod named_files;
 mod outputs;
 mod parts;
 mod render;

@@ -6,8 +6,9 @@ use super::taken_frames::PlayedAnimation;
 use crate::asset::{FileSet, Model};
 use crate::batch::{AnimationOrder, ClipSource, frame_totals, moving_clip, play, prepare, unskinned_passengers};
 use crate::cli::failure::CliFailure;
+use crate::cli::input_files::read_file;
 use crate::cli::json_output::print_json;
-use crate::cli::model_files::{in_file, read_file, read_model};
+use crate::cli::model_files::{in_file, read_model};
 use crate::cli::stage_spinner::StageSpinner;
 use crate::cli::threads::ThreadArgs;
 use crate::engine::{

@@ -6,6 +6,7 @@
 
 use super::numbered::first_difference;
 use crate::cli::failure::CliFailure;
+use crate::cli::input_files::open_regular_file;
 use crate::engine::AnimatedFrame;
 use crate::motion::rig::RigidMotion;
 use crate::wire::pb::animation_report::FrameReport;
@@ -52,8 +53,13 @@ impl FramesFile {
     /// Begins a file, in place of one that is there.
     pub(super) fn create(path: &Path, identity: &str, vertices: usize) -> Result<Self, CliFailure> {
         let make = || {
+            // Taken away first, and made anew: through a link that lies there, another file would be written over.
+            match fs::remove_file(path) {
+                Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
+                _ => {}
+            }
             let mut open = OpenOptions::new();
-            let mut file = open.read(true).write(true).create(true).truncate(true).open(path)?;
+            let mut file = open.read(true).write(true).create_new(true).open(path)?;
             let mut head = MARK.to_vec();
             head.extend((identity.len() as u32).to_le_bytes());
             head.extend(identity.as_bytes());
@@ -73,11 +79,7 @@ impl FramesFile {
     /// Opens a file that is there, and cuts off what is not whole. The frames are numbered from `first` on.
     pub(super) fn open(path: &Path, identity: &str, vertices: usize, first: usize) -> Result<Self, CliFailure> {
         let refuse = |e: &io::Error| failure("read", path, e);
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .open(path)
-            .map_err(|e| refuse(&e))?;
+        let mut file = open_regular_file(path, OpenOptions::new().read(true).write(true))?;
         let mut head = vec![0; MARK.len() + 4];
         let other = |problem: &str| {
             let place = path.display();

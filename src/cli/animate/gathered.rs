@@ -58,10 +58,12 @@ impl<'a> GatheredFrames<'a> {
         }
         let (part, permission) = (FramesFile::path_for(path), played.permission);
         let vertices = played.deformer.rest().len();
-        let frames = if resumes && part.exists() {
+        // A link that leads nowhere is there too.
+        let is_there = part.symlink_metadata().is_ok();
+        let frames = if resumes && is_there {
             FramesFile::open(&part, played.identity, vertices, played.range.start)?
         } else {
-            if part.exists() && !permission.force {
+            if is_there && !permission.force {
                 let problem =
                     "it holds frames of a run that was stopped; --resume goes on with them, --force begins anew";
                 return Err(CliFailure::Input(format!("cannot write {}: {problem}", part.display())));

@@ -6,6 +6,7 @@
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::asset::Format;
 use crate::cli::failure::CliFailure;
+use crate::cli::input_files::read_file;
 use crate::engine::{AnimatedFrame, Animation};
 use crate::wire::{Error, pb};
 use std::fs;
@@ -47,9 +48,10 @@ impl<'a> NumberedFrames<'a> {
                 let folder = frames.folder.display();
                 Err(CliFailure::Input(format!("cannot go on in {folder}: {problem}")))
             };
-            match fs::read_to_string(&mark) {
+            match read_file(&mark) {
                 Err(_) => return refuse("there is no frames.part that says what its frames are of"),
                 Ok(text) => {
+                    let text = String::from_utf8_lossy(&text);
                     if let Some(other) = first_difference(&text, frames.played.identity) {
                         return refuse(&format!("its frames are of another animation ({other})"));
                     }

@@ -8,6 +8,7 @@ mod run;
 mod suite;
 
 use super::failure::CliFailure;
+use super::input_files::AllowedFolders;
 use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
@@ -39,6 +40,8 @@ pub struct CheckArgs {
     /// The folder of the models that cases name as data:
     #[arg(long, value_name = "FOLDER", env = "PLIANT_DATA")]
     data: Option<PathBuf>,
+    #[command(flatten)]
+    allowed: AllowedFolders,
     /// Print the report as JSON on stdout
     #[arg(long)]
     json: bool,
@@ -67,7 +70,7 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
         .map(|url| ServerAddress::new(url, args.token.as_deref()));
     let server = server.transpose().map_err(CliFailure::Input)?;
     let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
-    let suite::LoadedSuite { cases, notes } = suite::load_suite(&args.suite, data)?;
+    let suite::LoadedSuite { cases, notes } = suite::load_suite(&args.suite, data, &args.allowed)?;
     if let Some(address) = &server {
         let client = HttpClient::new(address).map_err(CliFailure::Internal)?;
         remote::ask_limits(&client).map_err(|e| CliFailure::Input(format!("the server cannot be used: {e}")))?;

@@ -3,8 +3,9 @@
 use crate::asset::{FileSet, sample};
 use crate::check::{AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, Golden, JobSource, ModelSource, SuiteCase, job_hash};
 use crate::cli::failure::CliFailure;
-use crate::cli::job_file::{read_job, read_merged_models};
-use crate::cli::model_files::{read_file, read_model};
+use crate::cli::input_files::{AllowedFolders, NamedFiles, UnreadFile, folder_of};
+use crate::cli::job_file::{job_from_text, largest_named, read_named_models};
+use crate::cli::model_files::with_companions;
 use crate::wire::pb;
 use std::collections::BTreeSet;
 use std::fs;
@@ -35,16 +36,37 @@ pub(super) struct LoadedSuite {
 
 enum CaseModel {
     Sample,
-    File(PathBuf),
+    File {
+        name: String,
+        path: PathBuf,
+        /// The folders that it may lie in.
+        files: NamedFiles,
+    },
     /// A file of the shared data that is not here, and why.
     Absent(String),
 }
 
+/// The folders that the files of a suite lie in.
+struct SuiteFolders<'a> {
+    suite: &'a Path,
+    /// What the suite may name.
+    files: NamedFiles,
+    /// The folder of shared data.
+    data: Option<&'a Path>,
+    allowed: &'a AllowedFolders,
+}
+
 /// Reads a suite. `data` is the folder of shared data.
+///
+/// Whatever it names lies below its folder, that of the data, or one that is allowed, once links have been followed.
 ///
 /// # Errors
 /// What is wrong with the suite, where, and what is allowed.
-pub(super) fn load_suite(suite: &Path, data: Option<&Path>) -> Result<LoadedSuite, CliFailure> {
+pub(super) fn load_suite(
+    suite: &Path,
+    data: Option<&Path>,
+    allowed: &AllowedFolders,
+) -> Result<LoadedSuite, CliFailure> {
     let unreadable = |e: std::io::Error| CliFailure::Input(format!("cannot read the suite {}: {e}", suite.display()));
     let mut cases = BTreeSet::new();
     let mut goldens = BTreeSet::new();
@@ -72,7 +94,13 @@ pub(super) fn load_suite(suite: &Path, data: Option<&Path>) -> Result<LoadedSuit
         let problem = format!("holds no case; a case is a file whose name ends with {CASE_SUFFIX}");
         return Err(CliFailure::Input(format!("the suite {} {problem}", suite.display())));
     }
-    let loaded = cases.iter().map(|file| load_case(suite, file, data));
+    let folders = SuiteFolders {
+        suite,
+        files: NamedFiles::new(suite, allowed)?,
+        data,
+        allowed,
+    };
+    let loaded = cases.iter().map(|file| load_case(file, &folders));
     let loaded: Vec<LoadedCase> = loaded.collect::<Result<_, _>>()?;
     if let Some(lost) = goldens.iter().find(|g| loaded.iter().all(|l| l.case.name != **g)) {
         let path = suite.join(format!("{lost}{GOLDEN_SUFFIX}"));
@@ -96,44 +124,23 @@ fn case_names_in(folder: &Path) -> Vec<String> {
     names.filter(|name| name.ends_with(CASE_SUFFIX)).collect()
 }
 
-/// Refuses what is there and is neither a file nor a link to one: reading a pipe may never end.
-fn need_regular_file(path: &Path) -> Result<(), CliFailure> {
-    match fs::metadata(path) {
-        Ok(facts) if !facts.is_file() => {
-            let what = if facts.is_dir() { "a folder" } else { "no regular file" };
-            Err(CliFailure::Input(format!(
-                "{} is {what}, a file is needed",
-                path.display()
-            )))
-        }
-        // What cannot be opened is told by who reads it.
-        _ => Ok(()),
-    }
-}
-
-fn load_case(suite: &Path, file: &str, data: Option<&Path>) -> Result<LoadedCase, CliFailure> {
+fn load_case(file: &str, folders: &SuiteFolders<'_>) -> Result<LoadedCase, CliFailure> {
+    let SuiteFolders { suite, files, .. } = folders;
     let path = suite.join(file);
     let in_suite = |e: crate::check::SuiteError| CliFailure::Input(format!("{}: {}", path.display(), e.problem));
-    let in_case = |e: CliFailure| match e {
-        CliFailure::Input(text) => CliFailure::Input(format!("{}: {text}", path.display())),
-        other => other,
-    };
-    let in_model = |e: CliFailure| match e {
-        CliFailure::Input(text) => in_case(CliFailure::Input(format!("model: {text}"))),
-        other => other,
-    };
-    need_regular_file(&path)?;
-    let case = SuiteCase::from_file(file, &read_file(&path)?).map_err(in_suite)?;
+    let in_case = |e: CliFailure| e.in_place(path.display());
+    let case = SuiteCase::from_file(file, &files.read_named(file, largest_named())?).map_err(in_suite)?;
     let job = match &case.job {
         JobSource::Inline(job) => {
             let mut job = job.as_ref().clone();
-            read_merged_models(&mut job, &path).map_err(in_case)?;
+            read_named_models(&mut job, "job.", files).map_err(in_case)?;
             job
         }
         JobSource::File(name) => {
             let file = suite.join(name);
-            need_regular_file(&file).map_err(in_case)?;
-            let job = read_job(&file).map_err(in_case)?;
+            let read = files.read_named(name, largest_named()).map_err(CliFailure::from);
+            let read = read.and_then(|text| job_from_text(&text, &file, &files.beginning_in(folder_of(&file))));
+            let job = read.map_err(in_case)?;
             let checked = job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"));
             checked.map_err(|e| in_case(CliFailure::Input(format!("{}: {e}", file.display()))))?;
             job
@@ -141,65 +148,77 @@ fn load_case(suite: &Path, file: &str, data: Option<&Path>) -> Result<LoadedCase
         JobSource::Animation(_) => pb::Job::default(),
     };
     let animation = match &case.job {
-        JobSource::Animation(animation) => Some(load_animation(animation, suite).map_err(in_case)?),
+        JobSource::Animation(animation) => Some(load_animation(animation, files).map_err(in_case)?),
         _ => None,
     };
-    let model = match &case.model {
-        ModelSource::Sample => CaseModel::Sample,
-        ModelSource::Suite(name) => {
-            let model = suite.join(name);
-            need_regular_file(&model).map_err(in_model)?;
-            if !model.is_file() {
-                return Err(in_model(CliFailure::Input(format!(
-                    "there is no file {}",
-                    model.display()
-                ))));
-            }
-            CaseModel::File(model)
-        }
-        ModelSource::Data(name) => match data {
-            None => CaseModel::Absent(format!("data:{name} is absent: PLIANT_DATA names no folder")),
-            // A folder that was named and is not there is a slip, not data that this machine does not have.
-            Some(data) if !data.is_dir() => {
-                let problem = format!("--data (or PLIANT_DATA) is {}, which is no folder", data.display());
-                return Err(in_model(CliFailure::Input(problem)));
-            }
-            Some(data) => {
-                let model = data.join(name);
-                need_regular_file(&model).map_err(in_model)?;
-                match model.is_file() {
-                    true => CaseModel::File(model),
-                    false => CaseModel::Absent(format!("data:{name} is absent from the folder of PLIANT_DATA")),
-                }
-            }
-        },
-    };
-    let golden_path = suite.join(case.golden_file());
-    need_regular_file(&golden_path)?;
-    let golden = match golden_path.is_file() {
-        true => {
-            let read = Golden::from_file(&case.golden_file(), &read_file(&golden_path)?);
-            Some(read.map_err(|e| e.to_string()))
-        }
-        false => None,
+    let model = find_model(&case.model, folders).map_err(|e| in_case(e.in_place("model")))?;
+    let golden = match files.read_named(&case.golden_file(), largest_named()) {
+        Ok(text) => Some(Golden::from_file(&case.golden_file(), &text).map_err(|e| e.to_string())),
+        Err(UnreadFile::Absent { .. }) => None,
+        Err(e) => return Err(e.into()),
     };
     Ok(LoadedCase {
+        golden_path: suite.join(case.golden_file()),
         case,
         job,
         animation,
         golden,
-        golden_path,
         model,
     })
 }
 
+/// Finds a case's model, and opens it once: what is no file is told before any case is run.
+fn find_model(model: &ModelSource, folders: &SuiteFolders<'_>) -> Result<CaseModel, CliFailure> {
+    match model {
+        ModelSource::Sample => Ok(CaseModel::Sample),
+        ModelSource::Suite(name) => {
+            let path = folders.suite.join(name);
+            match folders.files.open_named(name, largest_named()) {
+                Ok(_) => Ok(CaseModel::File {
+                    name: name.clone(),
+                    path,
+                    files: folders.files.clone(),
+                }),
+                Err(UnreadFile::Absent { .. }) => {
+                    Err(CliFailure::Input(format!("there is no file {}", path.display())))
+                }
+                Err(e) => Err(e.into()),
+            }
+        }
+        ModelSource::Data(name) => match folders.data {
+            None => Ok(CaseModel::Absent(format!(
+                "data:{name} is absent: PLIANT_DATA names no folder"
+            ))),
+            // A folder that was named and is not there is a slip, not data that this machine does not have.
+            Some(data) if !data.is_dir() => {
+                let problem = format!("--data (or PLIANT_DATA) is {}, which is no folder", data.display());
+                Err(CliFailure::Input(problem))
+            }
+            Some(data) => {
+                let files = NamedFiles::new(data, folders.allowed)?;
+                match files.open_named(name, largest_named()) {
+                    Ok(_) => Ok(CaseModel::File {
+                        name: name.clone(),
+                        path: data.join(name),
+                        files,
+                    }),
+                    Err(UnreadFile::Absent { .. }) => Ok(CaseModel::Absent(format!(
+                        "data:{name} is absent from the folder of PLIANT_DATA"
+                    ))),
+                    Err(e) => Err(e.into()),
+                }
+            }
+        },
+    }
+}
+
 /// Reads the clip of an animation into its options.
-fn load_animation(animation: &AnimationCase, suite: &Path) -> Result<AnimationCase, CliFailure> {
+fn load_animation(animation: &AnimationCase, files: &NamedFiles) -> Result<AnimationCase, CliFailure> {
     let mut animation = animation.clone();
     if let Some(name) = &animation.bvh {
-        let file = suite.join(name);
-        need_regular_file(&file)?;
-        animation.options.source = Some(pb::animate_options::Source::Bvh(read_file(&file)?.into()));
+        let clip = files.read_named(name, largest_named());
+        let clip = clip.map_err(|e| CliFailure::from(e).in_place("animate.bvh"))?;
+        animation.options.source = Some(pb::animate_options::Source::Bvh(clip.into()));
     }
     Ok(animation)
 }
@@ -228,7 +247,11 @@ impl LoadedCase {
     pub fn model_files(&self) -> Result<FileSet, String> {
         match &self.model {
             CaseModel::Sample => Ok(FileSet::single("creature.glb", sample::creature_glb())),
-            CaseModel::File(path) => read_model(path).map_err(|e| e.message().to_owned()),
+            CaseModel::File { name, path, files } => {
+                let read = files.read_named(name, largest_named()).map_err(CliFailure::from);
+                let read = read.and_then(|main| with_companions(path, main));
+                read.map_err(|e| e.message().to_owned())
+            }
             CaseModel::Absent(why) => Err(why.clone()),
         }
     }

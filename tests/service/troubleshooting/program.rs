@@ -41,6 +41,10 @@ pub fn provoke() -> Vec<Said> {
     write("held.json", HELD);
     write("slip.json", r#"{"handles": [{"id": "head", "regoin": {}}]}"#);
     write(
+        "outside.json",
+        r#"{"steps": [{"edit": {"merge": {"file": "/etc/passwd"}}}]}"#,
+    );
+    write(
         "away.json",
         r#"{"handles": [{"id": "head", "region": {"sphere": {"center": [9, 9, 9], "radius": 1}}}]}"#,
     );
@@ -64,7 +68,7 @@ pub fn provoke() -> Vec<Said> {
         );
     }
 
-    let cases: [(&'static str, &[&str]); 19] = [
+    let cases: [(&'static str, &[&str]); 21] = [
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
         ("a time without a unit", &["serve", "--config", "time.toml"]),
@@ -92,6 +96,11 @@ pub fn provoke() -> Vec<Said> {
             "a field that is none",
             &["deform", "creature.glb", "--job", "slip.json", "-o", "out.glb"],
         ),
+        (
+            "a file that lies outside",
+            &["deform", "creature.glb", "--job", "outside.json", "-o", "out.glb"],
+        ),
+        ("a device", &["inspect", "/dev/zero"]),
         (
             "a region beside the model",
             &["deform", "creature.glb", "--job", "away.json", "-o", "out.glb"],

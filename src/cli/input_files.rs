@@ -1,0 +1,199 @@
+//! Files that are read: regular ones alone, opened without waiting, and never more of them than is allowed.
+//!
+//! A path that someone typed may lead anywhere. A name that stands in a file, which may come from a stranger, leads only to
+//! what lies in that file's folder or in one that was allowed, once links have been followed.
+
+use super::failure::CliFailure;
+use clap::Args;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read as _};
+use std::path::{Path, PathBuf};
+
+/// Largest file that the command line reads, and most bytes of all files that a model or a job names.
+pub(super) const LARGEST: u64 = 4 << 30;
+
+/// The folders that a command was told to allow beside those that it takes files from anyway.
+#[derive(Debug, Clone, Default, Args)]
+pub(super) struct AllowedFolders {
+    /// Let files that jobs name lie below this folder too; may be given more than once
+    #[arg(long = "allow", value_name = "FOLDER")]
+    pub folders: Vec<PathBuf>,
+}
+
+/// Why a file is not read.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum UnreadFile {
+    /// Nothing is there, or no way leads to it.
+    #[error("cannot read {}: {error}", path.display())]
+    Absent { path: PathBuf, error: io::Error },
+    /// It is there, and reading it fails.
+    #[error("cannot read {}: {error}", path.display())]
+    Unreadable { path: PathBuf, error: io::Error },
+    #[error("{} is a folder, a file is needed", .0.display())]
+    Folder(PathBuf),
+    /// A pipe, a socket or a device: reading it may never end.
+    #[error("{} is no regular file, a file is needed", .0.display())]
+    Irregular(PathBuf),
+    #[error("{} has {bytes} bytes or more, at most {most} are allowed", path.display())]
+    TooLarge { path: PathBuf, bytes: u64, most: u64 },
+    #[error("\"{name}\" is {}, which does not lie in {allowed}; --allow FOLDER adds a folder", path.display())]
+    Outside {
+        name: String,
+        path: PathBuf,
+        allowed: String,
+    },
+}
+
+impl From<UnreadFile> for CliFailure {
+    fn from(e: UnreadFile) -> Self {
+        Self::Input(e.to_string())
+    }
+}
+
+/// The folder that a file lies in.
+pub(super) fn folder_of(path: &Path) -> &Path {
+    path.parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
+}
+
+/// Reads a whole file of a path that someone typed.
+pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, CliFailure> {
+    Ok(read_regular_file(path, LARGEST)?)
+}
+
+/// Reads a whole regular file of at most so many bytes.
+pub(super) fn read_regular_file(path: &Path, most: u64) -> Result<Vec<u8>, UnreadFile> {
+    let file = open_regular_file(path, OpenOptions::new().read(true))?;
+    read_opened(file, path, most)
+}
+
+/// Reads a file that has been opened.
+fn read_opened(file: File, path: &Path, most: u64) -> Result<Vec<u8>, UnreadFile> {
+    let unreadable = |error| UnreadFile::Unreadable {
+        path: path.to_owned(),
+        error,
+    };
+    let too_large = |bytes| UnreadFile::TooLarge {
+        path: path.to_owned(),
+        bytes,
+        most,
+    };
+    let length = file.metadata().map_err(unreadable)?.len();
+    if length > most {
+        return Err(too_large(length));
+    }
+    let mut bytes = Vec::new();
+    let reserved = bytes.try_reserve_exact(length as usize);
+    reserved.map_err(|_| unreadable(io::ErrorKind::OutOfMemory.into()))?;
+    // A file may grow, and some, such as those of /proc, are longer than they say.
+    file.take(most.saturating_add(1))
+        .read_to_end(&mut bytes)
+        .map_err(unreadable)?;
+    match bytes.len() as u64 > most {
+        true => Err(too_large(bytes.len() as u64)),
+        false => Ok(bytes),
+    }
+}
+
+/// Opens a regular file. A pipe without a writer would otherwise be waited for here.
+pub(super) fn open_regular_file(path: &Path, how: &mut OpenOptions) -> Result<File, UnreadFile> {
+    #[cfg(unix)]
+    {
+        use rustix::fs::OFlags;
+        use std::os::unix::fs::OpenOptionsExt as _;
+        how.custom_flags((OFlags::NONBLOCK | OFlags::NOCTTY).bits() as i32);
+    }
+    let irregular = |facts: &fs::Metadata| match facts.is_dir() {
+        true => UnreadFile::Folder(path.to_owned()),
+        false => UnreadFile::Irregular(path.to_owned()),
+    };
+    let opened = how
+        .open(path)
+        .and_then(|file| file.metadata().map(|facts| (file, facts)));
+    match opened {
+        // Asked of what is open: another file may lie at the path by now.
+        Ok((file, facts)) if facts.is_file() => Ok(file),
+        Ok((_, facts)) => Err(irregular(&facts)),
+        Err(error) => match fs::metadata(path) {
+            // Sockets cannot be opened at all, and folders not everywhere.
+            Ok(facts) if !facts.is_file() => Err(irregular(&facts)),
+            _ => Err(UnreadFile::Unreadable {
+                path: path.to_owned(),
+                error,
+            }),
+        },
+    }
+}
+
+/// Named files are those that a document names: they are read from the folders that it may name files of.
+#[derive(Debug, Clone)]
+pub(super) struct NamedFiles {
+    /// Where relative names begin.
+    folder: PathBuf,
+    /// The folders that files may lie in, without links.
+    allowed: Vec<PathBuf>,
+}
+
+impl NamedFiles {
+    /// Allows what lies in the document's folder and in further ones.
+    pub(super) fn new(folder: &Path, more: &AllowedFolders) -> Result<Self, CliFailure> {
+        let unreadable = |e: io::Error| CliFailure::Input(format!("cannot read {}: {e}", folder.display()));
+        let mut allowed = vec![folder.canonicalize().map_err(unreadable)?];
+        for more in &more.folders {
+            let refuse = || CliFailure::Input(format!("--allow is {}, which is no folder", more.display()));
+            let real = more.canonicalize().ok().filter(|real| real.is_dir());
+            allowed.push(real.ok_or_else(refuse)?);
+        }
+        Ok(Self {
+            folder: folder.to_owned(),
+            allowed,
+        })
+    }
+
+    /// The same folders, with relative names that begin in another one.
+    pub(super) fn beginning_in(&self, folder: &Path) -> Self {
+        Self {
+            folder: folder.to_owned(),
+            allowed: self.allowed.clone(),
+        }
+    }
+
+    /// Reads a file of at most so many bytes.
+    pub(super) fn read_named(&self, name: &str, most: u64) -> Result<Vec<u8>, UnreadFile> {
+        let file = self.open_named(name, most)?;
+        read_opened(file, &self.folder.join(name), most)
+    }
+
+    /// Opens a file of at most so many bytes.
+    pub(super) fn open_named(&self, name: &str, most: u64) -> Result<File, UnreadFile> {
+        let path = self.folder.join(name);
+        let real = match path.canonicalize() {
+            Ok(real) => real,
+            Err(error) => return Err(UnreadFile::Absent { path, error }),
+        };
+        if !self.allowed.iter().any(|folder| real.starts_with(folder)) {
+            let allowed: Vec<String> = self.allowed.iter().map(|f| f.display().to_string()).collect();
+            return Err(UnreadFile::Outside {
+                name: name.to_owned(),
+                path: real,
+                allowed: allowed.join(" or "),
+            });
+        }
+        let file = open_regular_file(&real, OpenOptions::new().read(true)).map_err(|e| match e {
+            // Told as it was named.
+            UnreadFile::Folder(_) => UnreadFile::Folder(path.clone()),
+            UnreadFile::Irregular(_) => UnreadFile::Irregular(path.clone()),
+            other => other,
+        })?;
+        match file.metadata() {
+            Ok(facts) if facts.len() > most => Err(UnreadFile::TooLarge {
+                path,
+                bytes: facts.len(),
+                most,
+            }),
+            Ok(_) => Ok(file),
+            Err(error) => Err(UnreadFile::Unreadable { path, error }),
+        }
+    }
+}
