@@ -9,6 +9,7 @@ use super::config::ServerConfig;
 use super::connection_slot::ConnectionSlot;
 use super::dispatch::Dispatch;
 use super::error::Error;
+use super::peers::Peers;
 use super::state::State;
 use axum::body::Body;
 use bytes::Bytes;
@@ -19,6 +20,7 @@ use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
 use std::future::Future;
 use std::io;
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -37,6 +39,12 @@ const IDLE_CLOSE: Duration = Duration::from_millis(300);
 /// Connections that are told at the same time that there are too many.
 const REFUSALS: usize = 64;
 
+/// How long such a connection may take to hear it.
+const REFUSAL: Duration = Duration::from_secs(1);
+
+/// How long it may take to ask how the server is, which is answered even then.
+const HEALTH_QUESTION: Duration = Duration::from_millis(200);
+
 /// Serves connections of `listener` until `shutdown` and the drain after it.
 pub(super) async fn serve(
     listener: TcpListener,
@@ -50,6 +58,7 @@ pub(super) async fn serve(
         builder: Arc::new(builder(&state.config)),
         slots: Arc::new(Semaphore::new(state.config.connections as usize)),
         refusals: Arc::new(Semaphore::new(REFUSALS)),
+        peers: Peers::default(),
         connections: connections.clone(),
         polite: polite.clone(),
         state: state.clone(),
@@ -138,6 +147,7 @@ struct Doors {
     builder: Arc<auto::Builder<TokioExecutor>>,
     slots: Arc<Semaphore>,
     refusals: Arc<Semaphore>,
+    peers: Peers,
     connections: TaskTracker,
     polite: CancellationToken,
     state: State,
@@ -149,7 +159,7 @@ impl Doors {
     async fn accept(&self, listener: &TcpListener) {
         loop {
             match listener.accept().await {
-                Ok((socket, _)) => self.admit(socket),
+                Ok((socket, peer)) => self.admit(socket, peer.ip()),
                 Err(error) => {
                     // Out of descriptors, or a peer that left at once: neither is a reason to stop.
                     tracing::warn!(error = %error, "a connection could not be accepted");
@@ -159,20 +169,25 @@ impl Doors {
         }
     }
 
-    fn admit(&self, socket: TcpStream) {
+    fn admit(&self, socket: TcpStream, peer: IpAddr) {
         // Frames are written whole; waiting for more only delays them.
         let _ = socket.set_nodelay(true);
-        let Ok(permit) = Arc::clone(&self.slots).try_acquire_owned() else {
+        let room = Arc::clone(&self.slots).try_acquire_owned().ok();
+        let place = room.and_then(|permit| {
+            let peer = self.peers.admit(peer, self.state.config.connections_per_peer)?;
+            Some(ConnectionSlot::new(permit, peer))
+        });
+        let Some(slot) = place else {
             self.state.telemetry.connections_refused.inc();
             if let Ok(permit) = Arc::clone(&self.refusals).try_acquire_owned() {
+                let dispatch = self.dispatch.clone();
                 tokio::spawn(async move {
-                    let _ = tokio::time::timeout(Duration::from_secs(1), turn_away(socket)).await;
+                    let _ = tokio::time::timeout(REFUSAL, turn_away(socket, dispatch)).await;
                     drop(permit);
                 });
             }
             return;
         };
-        let slot = ConnectionSlot::new(permit);
         let (state, dispatch) = (self.state.clone(), self.dispatch.clone());
         let (builder, polite) = (Arc::clone(&self.builder), self.polite.clone());
         let dropped = self.dispatch.dropped();
@@ -261,8 +276,24 @@ fn is_watch(request: &Request<Incoming>) -> bool {
     path.starts_with("/grpc.health.") || path.starts_with("/grpc.reflection.")
 }
 
-/// Tells a connection beyond the limit to come back later.
-async fn turn_away(mut socket: TcpStream) {
+/// Tells a connection beyond the limit to come back later; but who only asks for the server's health is answered, or a crowd of
+/// idle clients would look like a server that is ill.
+async fn turn_away(mut socket: TcpStream, dispatch: Dispatch) {
+    let mut head = [0u8; 16];
+    let asked = tokio::time::timeout(HEALTH_QUESTION, socket.peek(&mut head)).await;
+    let head = &head[..asked.map_or(0, |n| n.unwrap_or(0))];
+    if head.starts_with(b"GET /healthz ") || head.starts_with(b"GET /readyz ") {
+        let service = hyper::service::service_fn(move |request: Request<Incoming>| {
+            let dispatch = dispatch.clone();
+            async move { Ok::<_, std::convert::Infallible>(dispatch.call(request.map(Body::new)).await) }
+        });
+        let mut one = hyper::server::conn::http1::Builder::new();
+        let _ = one
+            .keep_alive(false)
+            .serve_connection(TokioIo::new(socket), service)
+            .await;
+        return;
+    }
     let text = r#"{"type":"urn:pliant:problem:unavailable","title":"unavailable","status":503,"detail":"too many connections are open","code":"UNAVAILABLE"}"#;
     let answer = format!(
         "HTTP/1.1 503 Service Unavailable\r\ncontent-type: {}\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{text}",

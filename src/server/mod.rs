@@ -19,11 +19,13 @@ mod listen;
 mod messages;
 mod openapi;
 mod origin;
+mod peers;
 pub mod sample;
 mod socket;
 mod state;
 mod stream_ends;
 mod telemetry;
+mod upload_pace;
 mod uploads;
 mod visitors;
 

@@ -71,6 +71,9 @@ pub struct ConfigKeys {
     /// Connections held at a time.
     #[arg(long, value_name = "N")]
     pub connections: Option<KeyValue<u32>>,
+    /// Connections of one address at a time.
+    #[arg(long, value_name = "N")]
+    pub connections_per_peer: Option<KeyValue<u32>>,
     /// HTTP/2 streams of one connection at a time.
     #[arg(long, value_name = "N")]
     pub requests_per_connection: Option<KeyValue<u32>>,
@@ -83,6 +86,12 @@ pub struct ConfigKeys {
     /// How long that sign of life may take.
     #[arg(long, value_name = "TIME")]
     pub keepalive_timeout: Option<KeyValue<TimeSpan>>,
+    /// Slowest upload, in bytes a second on average.
+    #[arg(long, value_name = "SIZE")]
+    pub upload_rate: Option<KeyValue<ByteSize>>,
+    /// Longest time that an upload may take.
+    #[arg(long, value_name = "TIME")]
+    pub upload_deadline: Option<KeyValue<TimeSpan>>,
     /// Names under which the server may be addressed, with commas between them.
     #[arg(long, value_name = "HOSTS")]
     pub hosts: Option<KeyValue<WordList>>,

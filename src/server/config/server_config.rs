@@ -3,7 +3,7 @@
 use super::Error;
 use super::keys::KeyValue;
 use super::sources::MergedKeys;
-use super::units::TimeSpan;
+use super::units::{ByteSize, TimeSpan};
 use crate::server::hosts::Hosts;
 use crate::server::origin::Origins;
 use std::net::IpAddr;
@@ -14,6 +14,8 @@ use std::time::Duration;
 pub struct ServerConfig {
     /// Connections held at a time; one more is told to come back later.
     pub connections: u32,
+    /// Connections of one address at a time; one more is told to come back later.
+    pub connections_per_peer: u32,
     /// HTTP/2 streams of one connection at a time.
     pub requests_per_connection: u32,
     /// How long a connection may take to send a request's head.
@@ -22,6 +24,10 @@ pub struct ServerConfig {
     pub keepalive_interval: Duration,
     /// How long that sign of life may take.
     pub keepalive_timeout: Duration,
+    /// Slowest upload that is not given up, in bytes a second on average.
+    pub upload_rate: u64,
+    /// Longest time that an upload may take.
+    pub upload_deadline: Duration,
     /// From the wish to stop until everything still open is dropped.
     pub drain_deadline: Duration,
     /// Names under which the server may be addressed.
@@ -38,10 +44,13 @@ impl Default for ServerConfig {
     fn default() -> Self {
         Self {
             connections: 4096,
+            connections_per_peer: 1024,
             requests_per_connection: 64,
             header_timeout: Duration::from_secs(10),
             keepalive_interval: Duration::from_secs(30),
             keepalive_timeout: Duration::from_secs(20),
+            upload_rate: 4096,
+            upload_deadline: Duration::from_secs(600),
             drain_deadline: Duration::from_secs(10),
             hosts: Hosts::default(),
             origins: Origins::default(),
@@ -85,6 +94,12 @@ impl ServerConfig {
         let hosts = KeyValue::read(&keys.hosts).map(|words| Hosts::parse(&words.0));
         Ok(Self {
             connections: count("connections", &keys.connections, defaults.connections, 1_000_000)?,
+            connections_per_peer: count(
+                "connections_per_peer",
+                &keys.connections_per_peer,
+                defaults.connections_per_peer,
+                1_000_000,
+            )?,
             requests_per_connection: count(
                 "requests_per_connection",
                 &keys.requests_per_connection,
@@ -108,6 +123,18 @@ impl ServerConfig {
                 &keys.keepalive_timeout,
                 defaults.keepalive_timeout,
                 SECOND,
+            )?,
+            upload_rate: match KeyValue::read(&keys.upload_rate) {
+                Some(ByteSize(0)) => {
+                    return Err(merged.refuse("upload_rate", "0 is out of range; allowed is 1 or more".into()));
+                }
+                rate => rate.map_or(defaults.upload_rate, |rate| rate.0),
+            },
+            upload_deadline: time(
+                "upload_deadline",
+                &keys.upload_deadline,
+                defaults.upload_deadline,
+                10 * MILLISECOND,
             )?,
             drain_deadline: time(
                 "drain_deadline",

@@ -3,10 +3,12 @@
 use super::status::status;
 use crate::asset::FileSet;
 use crate::server::state::State;
+use crate::server::upload_pace::UploadPace;
 use crate::server::uploads::Held;
-use crate::session::{Error, ErrorCode};
+use crate::session::Error;
 use crate::wire::pb::{self, create_session_request::Message};
 use bytes::Bytes;
+use prost::Message as _;
 use std::collections::BTreeMap;
 use tonic::{Status, Streaming};
 
@@ -33,21 +35,20 @@ pub(super) async fn receive(state: &State, mut inbound: Streaming<pb::CreateSess
         current: None,
         messages: 0,
     };
-    // A peer that stops sending holds memory, so it has to show a sign of life as any connection has.
-    let patience = state.config.keepalive_interval + state.config.keepalive_timeout;
+    let mut pace = UploadPace::new(&state.config);
     loop {
         let message = tokio::select! {
-            message = tokio::time::timeout(patience, inbound.message()) => message,
+            message = tokio::time::timeout_at(pace.due(), inbound.message()) => message,
             () = state.draining.cancelled() => return Err(status(Error::draining())),
         };
         match message {
-            Ok(Ok(Some(request))) => parts.take(request).map_err(status)?,
+            Ok(Ok(Some(request))) => {
+                pace.take(request.encoded_len());
+                parts.take(request).map_err(status)?;
+            }
             Ok(Ok(None)) => return Ok(parts.finish()),
             Ok(Err(broken)) => return Err(broken),
-            Err(_) => {
-                let text = format!("the upload stood still for {}", humantime::format_duration(patience));
-                return Err(status(Error::new(ErrorCode::DeadlineExceeded, text)));
-            }
+            Err(_) => return Err(status(pace.late())),
         }
     }
 }

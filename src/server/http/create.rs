@@ -15,6 +15,7 @@ use crate::asset::sample::BuiltInModel;
 use crate::asset::{FileSet, Format};
 use crate::server::sample;
 use crate::server::state::State;
+use crate::server::upload_pace::UploadPace;
 use crate::session::Error;
 use crate::wire;
 use axum::extract::{Request, State as From};
@@ -99,8 +100,9 @@ async fn raw(state: &State, request: Request) -> Result<Received, Problem> {
     }
     let mut held = state.uploads.hold();
     let mut stream = request.into_body().into_data_stream();
+    let mut pace = UploadPace::new(&state.config);
     let mut main = Vec::new();
-    while let Some(bytes) = next_bytes(state, &mut stream).await? {
+    while let Some(bytes) = next_bytes(state, &mut stream, &mut pace).await? {
         held.grow(bytes.len())?;
         main.extend_from_slice(&bytes);
     }

@@ -4,6 +4,7 @@ use super::body;
 use super::problem::Problem;
 use super::upload_body::next_bytes;
 use crate::server::state::State;
+use crate::server::upload_pace::UploadPace;
 use crate::session::{Error, ErrorCode};
 use axum::extract::Request;
 use http::header;
@@ -37,9 +38,14 @@ impl FormReader {
         let stopped: Arc<Mutex<Option<Problem>>> = Arc::default();
         let stream = request.into_body().into_data_stream();
         let chunks = futures::stream::unfold(
-            (stream, state.clone(), Arc::clone(&stopped)),
-            |(mut stream, state, stopped)| async move {
-                let next = match next_bytes(&state, &mut stream).await {
+            (
+                stream,
+                state.clone(),
+                Arc::clone(&stopped),
+                UploadPace::new(&state.config),
+            ),
+            |(mut stream, state, stopped, mut pace)| async move {
+                let next = match next_bytes(&state, &mut stream, &mut pace).await {
                     Ok(Some(bytes)) => Some(Ok(bytes)),
                     Ok(None) => None,
                     Err(problem) => {
@@ -47,7 +53,7 @@ impl FormReader {
                         Some(Err(std::io::Error::other("the body stopped")))
                     }
                 };
-                next.map(|next| (next, (stream, state, stopped)))
+                next.map(|next| (next, (stream, state, stopped, pace)))
             },
         );
         Ok(Self {

@@ -1,6 +1,7 @@
 //! Connections: protocols, their number, and those that do not begin.
 
 use crate::support::server::*;
+use pliant::server::ServerConfig;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
@@ -46,6 +47,87 @@ async fn one_connection_too_many_is_told_so() {
     })
     .await;
     assert!(server.metric("pliant_connections_refused_total").await >= 1.0);
+}
+
+/// What a connection of its own is answered to a request for a path.
+async fn asked_alone(server: &Server, path: &str) -> String {
+    let mut socket = TcpStream::connect(server.address).await.unwrap();
+    let head = format!("GET {path} HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n");
+    socket.write_all(head.as_bytes()).await.unwrap();
+    let mut told = String::new();
+    within("an answer", socket.read_to_string(&mut told)).await.unwrap();
+    told
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_crowd_does_not_make_the_server_look_ill() {
+    let server = Server::with(|_, config| config.connections = 1).await;
+    let silent = TcpStream::connect(server.address).await.unwrap();
+    for (path, answer) in [
+        ("/healthz", "HTTP/1.1 200"),
+        ("/readyz", "HTTP/1.1 200"),
+        ("/v1/limits", "HTTP/1.1 503"),
+    ] {
+        let told = asked_alone(&server, path).await;
+        assert!(told.starts_with(answer), "{path}: {told}");
+    }
+    drop(silent);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_address_has_its_share_of_connections() {
+    let server = Server::with(|_, config| config.connections_per_peer = 2).await;
+    let first = TcpStream::connect(server.address).await.unwrap();
+    let second = TcpStream::connect(server.address).await.unwrap();
+    assert!(asked_alone(&server, "/v1/limits").await.starts_with("HTTP/1.1 503"));
+    drop(first);
+    eventually("a free place", async || {
+        asked_alone(&server, "/v1/limits").await.starts_with("HTTP/1.1 200")
+    })
+    .await;
+    drop(second);
+}
+
+/// What an upload is told whose bytes come one by one.
+async fn trickled(server: &Server) -> String {
+    let mut socket = TcpStream::connect(server.address).await.unwrap();
+    let head = "POST /v1/sessions HTTP/1.1\r\nhost: localhost\r\ncontent-length: 100000\r\n\r\n";
+    socket.write_all(head.as_bytes()).await.unwrap();
+    let (mut from, mut to) = socket.into_split();
+    let sending = tokio::spawn(async move {
+        while to.write_all(b"#").await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+    let mut told = vec![0; 4096];
+    let count = within("an answer", from.read(&mut told)).await.unwrap();
+    sending.abort();
+    String::from_utf8_lossy(&told[..count]).into_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_upload_that_trickles_is_given_up() {
+    let hasty = |config: &mut ServerConfig| {
+        config.keepalive_interval = Duration::from_millis(300);
+        config.keepalive_timeout = Duration::from_millis(200);
+    };
+    let slow = Server::with(|_, config| hasty(config)).await;
+    let told = trickled(&slow).await;
+    assert!(
+        told.starts_with("HTTP/1.1 408") && told.contains("slower than 4096 bytes"),
+        "{told}"
+    );
+    let long = Server::with(|_, config| {
+        hasty(config);
+        config.upload_rate = 1;
+        config.upload_deadline = Duration::from_millis(700);
+    })
+    .await;
+    let told = trickled(&long).await;
+    assert!(
+        told.starts_with("HTTP/1.1 408") && told.contains("longer than 700ms"),
+        "{told}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
