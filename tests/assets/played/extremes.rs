@@ -2,9 +2,10 @@
 
 use super::beside::make_scene;
 use super::refusals::refuse;
-use super::{animate, animate_bar, make_bar};
+use super::{animate, animate_bar, make_bar, read_cache};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use glam::Vec3;
 use std::fs;
 use std::path::Path;
 
@@ -143,4 +144,24 @@ fn what_a_rig_says_that_cannot_be_meant_is_told() {
         last.len() < 500 && !last.contains('\u{1b}') && last.contains("there is no such bone"),
         "{last}"
     );
+}
+
+#[test]
+fn weights_of_morph_targets_may_be_whole_numbers() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_scene(folder, false);
+    let path = folder.join("scene.gltf");
+    let text = fs::read_to_string(&path).expect("a scene");
+    let floats = r#""componentType":5126,"count":24,"type":"SCALAR""#;
+    assert!(text.contains(floats));
+    let bytes = r#""componentType":5121,"normalized":true,"count":24,"type":"SCALAR""#;
+    fs::write(&path, text.replace(floats, bytes)).expect("written");
+    let (code, said) = act(folder);
+    assert_eq!(code, Some(0), "{said}");
+    // The last key's weight is byte 20 of the floats that stood there: 0.8 begins with 0xcd.
+    let (_, frames) = read_cache(&folder.join("act.pc2"));
+    let smiling = Vec3::new(0.5 + 205.0 / 255.0, 5.0, 0.0);
+    let last = frames.last().expect("frames");
+    assert!(last.iter().any(|p| p.distance(smiling) < 1e-3), "{smiling}: {last:?}");
 }

@@ -222,8 +222,8 @@ impl ClipReader<'_, '_> {
                 return Err(fault.malformed(format!("{place}/sampler/interpolation"), problem));
             }
         };
-        let times = self.values(sampler.input.index(), 1, &format!("{place}/sampler/input"))?;
-        let values = self.values(sampler.output.index(), lanes, &format!("{place}/sampler/output"))?;
+        let times = self.values(sampler.input.index(), None, &format!("{place}/sampler/input"))?;
+        let values = self.values(sampler.output.index(), Some(lanes), &format!("{place}/sampler/output"))?;
         let each = match interpolation {
             ChannelInterpolation::CubicSpline => 3,
             _ => 1,
@@ -258,8 +258,10 @@ impl ClipReader<'_, '_> {
         primitives.map(|primitive| primitive.targets.len()).max().unwrap_or(0)
     }
 
-    /// The finite numbers of an accessor with so many lanes.
-    fn values(&mut self, accessor: usize, lanes: usize, place: &str) -> Result<Vec<f32>, Error> {
+    /// The finite numbers of an accessor with so many lanes, floats or integers that are scaled to them; `None`: times, which are
+    /// floats alone.
+    fn values(&mut self, accessor: usize, lanes: Option<usize>, place: &str) -> Result<Vec<f32>, Error> {
+        let (is_scaled, lanes) = (lanes.is_some(), lanes.unwrap_or(1));
         let fault = self.doc.fault;
         let count = self.doc.accessors.len();
         let Some(described) = self.doc.accessors.get(accessor) else {
@@ -267,7 +269,7 @@ impl ClipReader<'_, '_> {
         };
         let layout = AccessorLayout::of(described, &self.doc.views.values);
         let fits = |l: &AccessorLayout| {
-            l.lanes == lanes && (l.component == ComponentType::F32 || (described.normalized && lanes > 1))
+            l.lanes == lanes && (l.component == ComponentType::F32 || (described.normalized && is_scaled))
         };
         let Some(layout) = layout.filter(fits) else {
             let problem = format!("accessor {accessor} has elements of another kind than {lanes} floats");
