@@ -6,11 +6,12 @@ use crate::asset::Format;
 use crate::engine::{DeformerFacts, HandlePoses};
 use crate::progress::CancelFlag;
 use crate::session::animation::open_animations::OpenAnimations;
-use crate::session::answers::{HistoryFacts, SessionFacts, Tenant};
+use crate::session::answers::{SessionFacts, Tenant};
 use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
+use crate::session::history::commit_history::ShownCommits;
 use crate::session::history::session_state::CommittedHandles;
 use crate::session::stream::mailbox::Mailbox;
 use dashmap::DashMap;
@@ -30,7 +31,7 @@ pub(super) struct SessionView {
     pub build_ms: BTreeMap<String, f64>,
     pub positions: Arc<Vec<DVec3>>,
     pub digest: String,
-    pub history: HistoryFacts,
+    pub history: ShownCommits,
 }
 
 /// One session, as seen from outside its task.

@@ -169,7 +169,7 @@ fn start_session(
         build_ms: build_ms.clone(),
         positions: deformer.engine.rest_shape().positions,
         digest: state.digest.clone(),
-        history: history.describe(),
+        history: history.show(),
     };
     let (send, commands) = mpsc::channel(shared.config.session_queue);
     let session = Arc::new(OpenSession {

@@ -151,7 +151,11 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`.
     pub async fn history(&self, tenant: &Tenant, id: &str) -> Result<HistoryFacts, Error> {
-        Ok(self.find(tenant, id)?.view().history.clone())
+        let view = self.find(tenant, id)?.view();
+        Ok(HistoryFacts {
+            commits: view.history.list.iter().cloned().collect(),
+            current: view.history.current,
+        })
     }
 
     pub(in crate::session) fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<OpenSession>, Error> {

@@ -5,37 +5,77 @@
 //! engine and no task: it is told what was solved.
 
 use crate::engine::{DeformerFacts, DeformerWarning, HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
-use crate::session::answers::{CommitFacts, HistoryFacts};
+use crate::session::answers::CommitFacts;
+use crate::session::history::commit_list::CommitList;
 use crate::session::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, RecordedShapeId, SessionState, ShapeRecipe,
 };
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 /// Bytes of handles and poses that one session's commits may hold; the oldest are folded before there are more.
 const LOG_BYTES: u64 = 64 << 20;
 
+/// Bytes of a recorded pose of one handle, about.
+const POSE_BYTES: u64 = 256;
+
 /// A commit that can be gone back to, with the state that it left.
 #[derive(Debug, Clone)]
 struct CommitRecord {
     revision: u64,
-    kind: &'static str,
     state: SessionState,
+    /// Bytes of its poses, and of its handles where the commit before has others.
+    log_bytes: u64,
 }
 
 #[derive(Debug)]
 struct RecordedShape {
     recipe: ShapeRecipe,
     snapshot: Option<ModelShape>,
+    /// Commits that have it.
+    uses: usize,
 }
 
-/// The commits of one session. Never empty: the first is the session's creation, or what older commits were folded into.
+impl RecordedShape {
+    /// Bytes of its snapshot; the rest shape is the engine's.
+    fn snapshot_bytes(&self) -> u64 {
+        match (&self.recipe, &self.snapshot) {
+            (ShapeRecipe::Solved { .. }, Some(shape)) => size_of_val(shape.positions.as_slice()) as u64,
+            _ => 0,
+        }
+    }
+}
+
+/// Commits that follow each other and have the same edited model.
+#[derive(Debug)]
+struct SameTopology {
+    topology: TopologyState,
+    commits: usize,
+}
+
+/// The commits as they are shown.
+#[derive(Debug, Clone)]
+pub(in crate::session) struct ShownCommits {
+    /// The commits, oldest first.
+    pub list: CommitList,
+    /// Revision of the one that the session is at.
+    pub current: u64,
+}
+
+/// The commits of one session. Never empty: the first is the session's creation, or what older commits were folded into. What is
+/// held is counted as it comes and goes, so a commit costs the same however many there are.
 #[derive(Debug)]
 pub(in crate::session) struct CommitHistory {
     records: VecDeque<CommitRecord>,
     at: usize,
     revision: u64,
+    shown: CommitList,
     shapes: BTreeMap<RecordedShapeId, RecordedShape>,
+    /// The shapes whose snapshots count.
+    snapshots: BTreeSet<RecordedShapeId>,
+    runs: VecDeque<SameTopology>,
+    held_snapshot_bytes: u64,
+    held_log_bytes: u64,
     next_shape: u64,
     next_handle_set: u64,
     limit: usize,
@@ -63,21 +103,25 @@ impl CommitHistory {
         let recorded = RecordedShape {
             recipe: ShapeRecipe::Rest { topology },
             snapshot: Some(rest),
+            uses: 0,
         };
-        Self {
-            records: VecDeque::from([CommitRecord {
-                revision: 1,
-                kind: "create",
-                state,
-            }]),
+        let mut history = Self {
+            records: VecDeque::new(),
             at: 0,
             revision: 1,
+            shown: CommitList::default(),
             shapes: BTreeMap::from([(shape, recorded)]),
+            snapshots: BTreeSet::new(),
+            runs: VecDeque::new(),
+            held_snapshot_bytes: 0,
+            held_log_bytes: 0,
             next_shape: 1,
             next_handle_set: 1,
             limit,
             snapshot_bytes,
-        }
+        };
+        history.add_record("create", state);
+        history
     }
 
     fn number_handles(&mut self, set: HandleSet) -> Arc<CommittedHandles> {
@@ -89,9 +133,27 @@ impl CommitHistory {
     fn record_shape(&mut self, recipe: ShapeRecipe, shape: ModelShape) -> RecordedShapeId {
         let id = RecordedShapeId(self.next_shape);
         self.next_shape += 1;
-        let snapshot = Some(shape);
-        self.shapes.insert(id, RecordedShape { recipe, snapshot });
+        let recorded = RecordedShape {
+            recipe,
+            snapshot: None,
+            uses: 0,
+        };
+        self.shapes.insert(id, recorded);
+        self.set_snapshot(id, Some(shape));
         id
+    }
+
+    /// Keeps or drops the snapshot of a shape.
+    fn set_snapshot(&mut self, id: RecordedShapeId, snapshot: Option<ModelShape>) {
+        let Some(shape) = self.shapes.get_mut(&id) else { return };
+        self.held_snapshot_bytes -= shape.snapshot_bytes();
+        shape.snapshot = snapshot;
+        self.held_snapshot_bytes += shape.snapshot_bytes();
+        if shape.snapshot.is_some() && matches!(shape.recipe, ShapeRecipe::Solved { .. }) {
+            self.snapshots.insert(id);
+        } else {
+            self.snapshots.remove(&id);
+        }
     }
 
     /// Number of the newest change.
@@ -204,106 +266,145 @@ impl CommitHistory {
     pub fn go_to_commit(&mut self, index: usize, given: ModelShape) {
         self.at = index.min(self.records.len() - 1);
         self.revision += 1;
-        if let Some(shape) = self.shapes.get_mut(&self.records[self.at].state.shape) {
-            shape.snapshot = Some(given);
-        }
+        self.set_snapshot(self.records[self.at].state.shape, Some(given));
         self.fold_oldest();
     }
 
     fn push_commit(&mut self, kind: &'static str, state: SessionState) {
-        self.records.truncate(self.at + 1);
+        while self.records.len() > self.at + 1 {
+            self.drop_newest();
+        }
         self.revision += 1;
-        self.records.push_back(CommitRecord {
-            revision: self.revision,
-            kind,
-            state,
-        });
+        self.add_record(kind, state);
         self.at += 1;
         self.fold_oldest();
+    }
+
+    fn add_record(&mut self, kind: &'static str, state: SessionState) {
+        let last = self.records.back().map(|r| r.state.handles.id);
+        let handles = if last == Some(state.handles.id) {
+            0
+        } else {
+            handle_bytes(&state)
+        };
+        let log_bytes = handles + state.poses.0.len() as u64 * POSE_BYTES;
+        self.held_log_bytes += log_bytes;
+        if let Some(shape) = self.shapes.get_mut(&state.shape) {
+            shape.uses += 1;
+        }
+        if let Some(topology) = &state.topology {
+            match self.runs.back_mut().filter(|run| run.topology.is_same(topology)) {
+                Some(run) => run.commits += 1,
+                None => self.runs.push_back(SameTopology {
+                    topology: topology.clone(),
+                    commits: 1,
+                }),
+            }
+        }
+        self.shown.push(CommitFacts {
+            revision: self.revision,
+            kind,
+            digest: state.digest.clone(),
+        });
+        self.records.push_back(CommitRecord {
+            revision: self.revision,
+            state,
+            log_bytes,
+        });
+    }
+
+    fn drop_newest(&mut self) {
+        let Some(gone) = self.records.pop_back() else { return };
+        self.shown.truncate(self.records.len());
+        self.held_log_bytes -= gone.log_bytes;
+        if gone.state.topology.is_some()
+            && let Some(run) = self.runs.back_mut()
+        {
+            run.commits -= 1;
+            if run.commits == 0 {
+                self.runs.pop_back();
+            }
+        }
+        self.release_shape(gone.state.shape);
+    }
+
+    fn drop_oldest(&mut self) {
+        let Some(gone) = self.records.pop_front() else { return };
+        self.shown.forget_first();
+        self.held_log_bytes -= gone.log_bytes;
+        // Its handles go on in the next one, where they count from now on.
+        if let Some(next) = self.records.front_mut()
+            && next.state.handles.id == gone.state.handles.id
+        {
+            let handles = handle_bytes(&next.state);
+            next.log_bytes += handles;
+            self.held_log_bytes += handles;
+        }
+        if gone.state.topology.is_some()
+            && let Some(run) = self.runs.front_mut()
+        {
+            run.commits -= 1;
+            if run.commits == 0 {
+                self.runs.pop_front();
+            }
+        }
+        self.release_shape(gone.state.shape);
+    }
+
+    /// A commit that had a shape is gone; with the last one the shape goes.
+    fn release_shape(&mut self, id: RecordedShapeId) {
+        let Some(shape) = self.shapes.get_mut(&id) else { return };
+        shape.uses -= 1;
+        if shape.uses == 0 {
+            self.set_snapshot(id, None);
+            self.shapes.remove(&id);
+        }
     }
 
     /// Folds the oldest commits away and drops snapshots until the limits hold.
     fn fold_oldest(&mut self) {
         let too_many = |h: &Self| h.records.len() > h.limit.saturating_add(1);
-        let too_large = |h: &Self| h.log_bytes() > LOG_BYTES || h.edit_bytes() > h.snapshot_bytes.max(LOG_BYTES);
+        let too_large = |h: &Self| h.held_log_bytes > LOG_BYTES || h.edit_bytes() > h.snapshot_bytes.max(LOG_BYTES);
         while self.at > 0 && (too_many(self) || (self.at > 1 && too_large(self))) {
-            self.records.pop_front();
+            self.drop_oldest();
             self.at -= 1;
         }
-        let used: std::collections::BTreeSet<RecordedShapeId> = self.records.iter().map(|r| r.state.shape).collect();
-        self.shapes.retain(|id, _| used.contains(id));
         let current = self.current().shape;
-        let mut bytes = self.snapshot_bytes_held();
         // Undo goes from new to old, so the oldest snapshots are missed last.
-        for (_, shape) in self.shapes.iter_mut().filter(|(id, _)| **id != current) {
-            if bytes <= self.snapshot_bytes {
-                break;
-            }
-            let evictable = matches!(shape.recipe, ShapeRecipe::Solved { .. });
-            if evictable && let Some(ModelShape { positions, .. }) = shape.snapshot.take() {
-                bytes = bytes.saturating_sub(size_of_val(positions.as_slice()) as u64);
-            }
+        while self.held_snapshot_bytes > self.snapshot_bytes
+            && let Some(oldest) = self.snapshots.iter().copied().find(|id| *id != current)
+        {
+            self.set_snapshot(oldest, None);
         }
-    }
-
-    /// Bytes of the snapshots; the rest shape is the engine's.
-    fn snapshot_bytes_held(&self) -> u64 {
-        let solved = self
-            .shapes
-            .values()
-            .filter(|s| matches!(s.recipe, ShapeRecipe::Solved { .. }));
-        solved
-            .filter_map(|s| s.snapshot.as_ref())
-            .map(|s| size_of_val(s.positions.as_slice()) as u64)
-            .sum()
     }
 
     /// Bytes of what edits have made of the model, beyond what the engine holds itself.
     fn edit_bytes(&self) -> u64 {
         let now = self.current().topology.as_ref();
-        let mut last = None;
-        let mut bytes = 0;
-        for topology in self.records.iter().filter_map(|r| r.state.topology.as_ref()) {
-            let is_same = |other: Option<&TopologyState>| other.is_some_and(|t| t.is_same(topology));
-            if !is_same(now) && !is_same(last) {
-                bytes += topology.byte_size();
-            }
-            last = Some(topology);
-        }
-        bytes
-    }
-
-    /// Bytes of the handles and poses recorded, about.
-    fn log_bytes(&self) -> u64 {
-        let mut bytes = 0;
-        let mut last = None;
-        for SessionState { handles, poses, .. } in self.records.iter().map(|r| &r.state) {
-            if last != Some(handles.id) {
-                bytes += handles.set.byte_size() as u64;
-            }
-            last = Some(handles.id);
-            bytes += poses.0.len() as u64 * 256;
-        }
-        bytes
+        let others = self.runs.iter().map(|run| &run.topology);
+        others
+            .filter(|topology| !now.is_some_and(|now| now.is_same(topology)))
+            .map(TopologyState::byte_size)
+            .sum()
     }
 
     /// Bytes held.
     pub fn byte_size(&self) -> u64 {
-        self.snapshot_bytes_held() + self.log_bytes() + self.edit_bytes()
+        self.held_snapshot_bytes + self.held_log_bytes + self.edit_bytes()
     }
 
     /// The commits as clients see them.
-    pub fn describe(&self) -> HistoryFacts {
-        let commit = |r: &CommitRecord| CommitFacts {
-            revision: r.revision,
-            kind: r.kind,
-            digest: r.state.digest.clone(),
-        };
-        HistoryFacts {
-            commits: self.records.iter().map(commit).collect(),
+    pub fn show(&self) -> ShownCommits {
+        ShownCommits {
+            list: self.shown.clone(),
             current: self.records[self.at].revision,
         }
     }
+}
+
+/// Bytes of a state's handles, about.
+fn handle_bytes(state: &SessionState) -> u64 {
+    state.handles.set.byte_size() as u64
 }
 
 #[cfg(test)]

@@ -61,8 +61,8 @@ fn handles_keep_the_shape_and_undone_commits_go_when_a_new_one_comes() {
     history.go_to_commit(back, shape);
     assert_eq!(history.redo_target(), Some(2));
     pose(&mut history, 2.0);
-    let said = history.describe();
-    let kinds: Vec<&str> = said.commits.iter().map(|c| c.kind).collect();
+    let said = history.show();
+    let kinds: Vec<&str> = said.list.iter().map(|c| c.kind).collect();
     assert_eq!((kinds, said.current), (vec!["create", "pose", "pose"], 5));
     assert!(history.redo_target().is_none());
 }
@@ -82,9 +82,21 @@ fn old_snapshots_give_way_to_their_recipes_but_not_the_current_one() {
 fn the_oldest_commits_are_folded() {
     let mut history = history(2, 1 << 20);
     (1..=5).for_each(|x| pose(&mut history, f64::from(x)));
-    let digests: Vec<String> = history.describe().commits.into_iter().map(|c| c.digest).collect();
+    let digests: Vec<String> = history.show().list.iter().map(|c| c.digest.clone()).collect();
     assert_eq!(digests, ["3", "4", "5"]);
     assert_eq!(history.shapes.len(), 3);
+}
+
+/// Bytes of handles and poses, counted anew.
+fn counted_log_bytes(history: &CommitHistory) -> u64 {
+    let mut last = None;
+    let each = history.records.iter().map(|record| {
+        let handles = record.state.handles.as_ref();
+        let is_new = last.replace(handles.id) != Some(handles.id);
+        let set = if is_new { handle_bytes(&record.state) } else { 0 };
+        set + record.state.poses.0.len() as u64 * POSE_BYTES
+    });
+    each.sum()
 }
 
 proptest! {
@@ -135,13 +147,18 @@ proptest! {
                     at -= 1;
                 }
             }
-            let said = history.describe();
+            let said = history.show();
             prop_assert_eq!(said.current, model[at].1);
             prop_assert_eq!(history.revision(), revision);
             prop_assert_eq!(&history.current().digest, &model[at].0);
-            let commits: Vec<_> = said.commits.into_iter().map(|c| (c.digest, c.revision)).collect();
+            let commits: Vec<_> = said.list.iter().map(|c| (c.digest.clone(), c.revision)).collect();
             prop_assert_eq!(&commits, &model);
             prop_assert!(history.shape(history.current().shape).is_ok(), "the current shape is at hand");
+            prop_assert_eq!(history.held_log_bytes, counted_log_bytes(&history));
+            let snapshots: u64 = history.shapes.values().map(RecordedShape::snapshot_bytes).sum();
+            prop_assert_eq!(history.held_snapshot_bytes, snapshots);
+            let uses: usize = history.shapes.values().map(|shape| shape.uses).sum();
+            prop_assert_eq!(uses, history.records.len());
         }
     }
 }

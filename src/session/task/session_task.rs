@@ -208,7 +208,7 @@ impl SessionTask {
             build_ms: self.build_ms.clone(),
             positions,
             digest: state.digest.clone(),
-            history: self.history.describe(),
+            history: self.history.show(),
         };
         self.session.publish(view);
         let engine = self.deformer.as_ref().map_or(0, LoadedDeformer::byte_size);
