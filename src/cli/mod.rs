@@ -21,6 +21,7 @@ pub mod serve;
 mod skin;
 mod stage_spinner;
 mod threads;
+mod token;
 
 use clap::{Parser, Subcommand};
 use failure::CliFailure;
@@ -54,6 +55,8 @@ enum PliantCommand {
     Render(render::RenderArgs),
     /// Write a built-in model to a file
     Sample(sample::SampleArgs),
+    /// Make a token by which a server knows who asks
+    Token(token::TokenArgs),
 }
 
 /// Runs the command line of this process.
@@ -79,6 +82,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Skin(args) => skin::run_skin(&args),
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => sample::run_sample(&args),
+        PliantCommand::Token(args) => token::run_token(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

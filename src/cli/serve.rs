@@ -81,7 +81,7 @@ pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
 
 /// Reads the configuration, serves until SIGTERM or SIGINT, drains and returns.
 ///
-/// Prints one line on stdout once it listens: `listening on http://ADDRESS:PORT`.
+/// Prints one line on stdout once it listens: `listening on http://ADDRESS:PORT`, or `https` where it speaks TLS.
 ///
 /// # Errors
 /// When the configuration, the port or the services cannot be had. A drain that met its deadline is no error.
@@ -100,13 +100,14 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     let address = listener.local_addr().map_err(refuse)?;
     let manager = Manager::new(settings.session)?;
     let limits = manager.config();
+    let scheme = if settings.server.tls.is_some() { "https" } else { "http" };
     tracing::info!(
         server.version = env!("CARGO_PKG_VERSION"),
         server.address = %address,
         limits.sessions = limits.sessions,
         limits.memory_bytes = limits.memory_bytes,
         limits.upload_bytes = limits.upload_bytes,
-        "listening on http://{address}"
+        "listening on {scheme}://{address}"
     );
     if settings.sample {
         let (manager, shown) = (manager.clone(), address);
@@ -118,7 +119,7 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     }
     // Whoever started this process may wait for the line; that nobody reads it is no reason to stop.
     let mut out = std::io::stdout();
-    let _ = writeln!(out, "listening on http://{address}").and_then(|()| out.flush());
+    let _ = writeln!(out, "listening on {scheme}://{address}").and_then(|()| out.flush());
     let hurried = manager.clone();
     let shutdown = async move {
         signals.next().await;

@@ -1,11 +1,13 @@
 //! One port, two families: requests of gRPC and gRPC-Web go to one side, all others to HTTP.
 
+use super::auth::Gatekeeper;
 use super::config::ServerConfig;
+use super::connection_facts::ConnectionFacts;
 use super::grpc::Grpc;
 use super::http;
 use super::origin::Origins;
 use super::state::State;
-use super::visitors;
+use super::visitors::{self, Refused};
 use ::http::{HeaderName, HeaderValue, Method, Request, Response, header};
 use axum::Router;
 use axum::body::Body;
@@ -34,6 +36,7 @@ impl Dispatch {
         let sides = Sides {
             grpc: Grpc::new(state).await?,
             http: http::router(state),
+            gatekeeper: state.gatekeeper.clone(),
         };
         let pages = cors(&state.config).layer(sides.clone());
         let dropped = CancellationToken::new();
@@ -82,6 +85,7 @@ impl Dispatch {
 struct Sides {
     grpc: Grpc,
     http: Router,
+    gatekeeper: Gatekeeper,
 }
 
 impl Service<Request<Body>> for Sides {
@@ -93,9 +97,18 @@ impl Service<Request<Body>> for Sides {
         std::task::Poll::Ready(Ok(()))
     }
 
-    fn call(&mut self, request: Request<Body>) -> Self::Future {
-        let Self { grpc, http } = self.clone();
+    /// Who asks is looked at here, inside of what pages are told about who may call: they must be able to read that they are not
+    /// known, and their browser asks first without saying who they are.
+    fn call(&mut self, mut request: Request<Body>) -> Self::Future {
+        let Self { grpc, http, gatekeeper } = self.clone();
         Box::pin(async move {
+            if request.extensions().get::<Refused>().is_none() {
+                let shown = request.extensions().get::<ConnectionFacts>().cloned();
+                let shown = shown.as_ref().and_then(|facts| facts.shown.as_ref());
+                if let Err(error) = gatekeeper.admit(&mut request, shown) {
+                    request.extensions_mut().insert(Refused(error));
+                }
+            }
             if Grpc::takes(&request) {
                 Ok(grpc.call(request).await)
             } else {

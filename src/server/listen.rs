@@ -6,14 +6,16 @@
 //! would hold them for ever.
 
 use super::config::ServerConfig;
+use super::connection_facts::ConnectionFacts;
 use super::connection_slot::ConnectionSlot;
 use super::dispatch::Dispatch;
 use super::error::Error;
 use super::peers::Peers;
 use super::state::State;
+use super::tls::TlsDoor;
 use axum::body::Body;
 use bytes::Bytes;
-use http::{Request, Response};
+use http::{HeaderValue, Request, Response, header};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use hyper::body::Incoming;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
@@ -180,9 +182,12 @@ impl Doors {
         let Some(slot) = place else {
             self.state.telemetry.connections_refused.inc();
             if let Ok(permit) = Arc::clone(&self.refusals).try_acquire_owned() {
-                let dispatch = self.dispatch.clone();
+                let (dispatch, tls) = (self.dispatch.clone(), self.state.tls.clone());
                 tokio::spawn(async move {
-                    let _ = tokio::time::timeout(REFUSAL, turn_away(socket, dispatch)).await;
+                    let _ = match tls {
+                        None => tokio::time::timeout(REFUSAL, turn_away(socket, dispatch)).await,
+                        Some(door) => tokio::time::timeout(REFUSAL, turn_away_encrypted(socket, door, dispatch)).await,
+                    };
                     drop(permit);
                 });
             }
@@ -193,8 +198,15 @@ impl Doors {
         let dropped = self.dispatch.dropped();
         self.connections.spawn(async move {
             state.telemetry.connections.inc();
+            let seat = Seat {
+                builder: &builder,
+                state: &state,
+                dispatch,
+                slot,
+                polite: &polite,
+            };
             tokio::select! {
-                () = connection(socket, &builder, &state, dispatch, slot, &polite) => {}
+                () = seat.welcome(socket) => {}
                 () = dropped.cancelled() => {}
             }
             state.telemetry.connections.dec();
@@ -211,14 +223,45 @@ struct Activity {
     busy: AtomicUsize,
 }
 
-async fn connection(
-    socket: TcpStream,
-    builder: &auto::Builder<TokioExecutor>,
-    state: &State,
+/// What a connection is served with.
+struct Seat<'a> {
+    builder: &'a auto::Builder<TokioExecutor>,
+    state: &'a State,
     dispatch: Dispatch,
     slot: ConnectionSlot,
-    polite: &CancellationToken,
-) {
+    polite: &'a CancellationToken,
+}
+
+impl Seat<'_> {
+    /// Serves a connection that was just accepted; one that is to be encrypted has as long for its handshake as another for the
+    /// head of a request.
+    async fn welcome(self, socket: TcpStream) {
+        let Some(door) = &self.state.tls else {
+            return connection(self, socket, ConnectionFacts::new(None)).await;
+        };
+        let shaken = tokio::select! {
+            shaken = tokio::time::timeout(self.state.config.header_timeout, door.shake_hands(socket)) => shaken,
+            () = self.polite.cancelled() => return,
+        };
+        match shaken {
+            Ok(Ok((stream, tenant))) => connection(self, stream, ConnectionFacts::new(tenant)).await,
+            Ok(Err(error)) => tracing::debug!("a TLS handshake failed: {error}"),
+            Err(_) => tracing::debug!("a TLS handshake took too long"),
+        }
+    }
+}
+
+async fn connection<S>(seat: Seat<'_>, socket: S, facts: ConnectionFacts)
+where
+    S: AsyncRead + AsyncWrite + Send + Unpin + 'static,
+{
+    let Seat {
+        builder,
+        state,
+        dispatch,
+        slot,
+        polite,
+    } = seat;
     let activity = Arc::new(Activity::default());
     let socket = Watched {
         socket,
@@ -228,6 +271,7 @@ async fn connection(
     let heard = Arc::clone(&activity);
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(slot.clone());
+        request.extensions_mut().insert(facts.clone());
         let busy = Busy::new(&heard, !is_watch(&request));
         let dispatch = dispatch.clone();
         async move {
@@ -283,28 +327,53 @@ async fn turn_away(mut socket: TcpStream, dispatch: Dispatch) {
     let asked = tokio::time::timeout(HEALTH_QUESTION, socket.peek(&mut head)).await;
     let head = &head[..asked.map_or(0, |n| n.unwrap_or(0))];
     if head.starts_with(b"GET /healthz ") || head.starts_with(b"GET /readyz ") {
-        let service = hyper::service::service_fn(move |request: Request<Incoming>| {
-            let dispatch = dispatch.clone();
-            async move { Ok::<_, std::convert::Infallible>(dispatch.call(request.map(Body::new)).await) }
-        });
-        let mut one = hyper::server::conn::http1::Builder::new();
-        let _ = one
-            .keep_alive(false)
-            .serve_connection(TokioIo::new(socket), service)
-            .await;
+        answer_health(socket, dispatch).await;
         return;
     }
-    let text = r#"{"type":"urn:pliant:problem:unavailable","title":"unavailable","status":503,"detail":"too many connections are open","code":"UNAVAILABLE"}"#;
     let answer = format!(
-        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: {}\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{text}",
+        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: {}\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{FULL}",
         super::http::problem::PROBLEM_JSON,
-        text.len()
+        FULL.len()
     );
     let _ = socket.write_all(answer.as_bytes()).await;
     let _ = socket.shutdown().await;
     // What the client sends is read, or the answer would be lost with the reset that unread bytes cause.
     let mut sink = [0u8; 1024];
     while matches!(socket.read(&mut sink).await, Ok(n) if n > 0) {}
+}
+
+/// The same, where nothing can be read before the handshake.
+async fn turn_away_encrypted(socket: TcpStream, door: TlsDoor, dispatch: Dispatch) {
+    if let Ok((stream, _)) = door.shake_hands(socket).await {
+        answer_health(stream, dispatch).await;
+    }
+}
+
+/// What a connection beyond the limit is told.
+const FULL: &str = r#"{"type":"urn:pliant:problem:unavailable","title":"unavailable","status":503,"detail":"too many connections are open","code":"UNAVAILABLE"}"#;
+
+/// Answers one request, if it asks for the server's health.
+async fn answer_health<S: AsyncRead + AsyncWrite + Send + Unpin + 'static>(socket: S, dispatch: Dispatch) {
+    let service = hyper::service::service_fn(move |request: Request<Incoming>| {
+        let dispatch = dispatch.clone();
+        async move {
+            if matches!(request.uri().path(), "/healthz" | "/readyz") {
+                return Ok::<_, std::convert::Infallible>(dispatch.call(request.map(Body::new)).await);
+            }
+            let mut full = Response::new(Body::from(FULL));
+            *full.status_mut() = http::StatusCode::SERVICE_UNAVAILABLE;
+            let headers = full.headers_mut();
+            let kind = HeaderValue::from_static(super::http::problem::PROBLEM_JSON);
+            headers.insert(header::CONTENT_TYPE, kind);
+            headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
+            Ok(full)
+        }
+    });
+    let mut one = hyper::server::conn::http1::Builder::new();
+    let _ = one
+        .keep_alive(false)
+        .serve_connection(TokioIo::new(socket), service)
+        .await;
 }
 
 /// One answer under way.
@@ -351,8 +420,8 @@ impl HttpBody for Answer {
 }
 
 /// A socket that notes when its peer has sent the beginning of a request.
-struct Watched {
-    socket: TcpStream,
+struct Watched<S> {
+    socket: S,
     activity: Arc<Activity>,
     heard: usize,
 }
@@ -361,7 +430,7 @@ struct Watched {
 /// protocol libraries do.
 const PREFACE: usize = 24;
 
-impl AsyncRead for Watched {
+impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.socket).poll_read(cx, buffer);
@@ -375,7 +444,7 @@ impl AsyncRead for Watched {
     }
 }
 
-impl AsyncWrite for Watched {
+impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         Pin::new(&mut self.socket).poll_write(cx, bytes)
     }

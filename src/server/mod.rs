@@ -6,8 +6,9 @@
 //! [`run`] takes its listener and its wish to stop as arguments, so a test starts the real thing on a free port.
 
 mod animation_frames;
-mod auth;
+pub mod auth;
 pub mod config;
+mod connection_facts;
 mod connection_slot;
 mod dispatch;
 mod error;
@@ -15,16 +16,19 @@ mod format_name;
 pub mod grpc;
 mod hosts;
 mod http;
+pub mod https_client;
 mod listen;
 mod messages;
 mod openapi;
 mod origin;
 mod peers;
+mod reload;
 pub mod sample;
 mod socket;
 mod state;
 mod stream_ends;
 mod telemetry;
+mod tls;
 mod upload_pace;
 mod uploads;
 mod visitors;
@@ -34,6 +38,7 @@ pub use error::Error;
 pub use hosts::Hosts;
 pub use origin::Origins;
 pub use telemetry::start_log;
+pub use tls::{CertificateField, LARGEST_TLS_FILE, TlsConfig};
 
 use crate::session::Manager;
 use std::future::Future;
@@ -53,7 +58,14 @@ pub async fn run(
     config: ServerConfig,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), Error> {
-    let state = state::State::new(manager, config);
+    let address = listener.local_addr().map_err(|e| Error::Start(e.to_string()))?;
+    config.check_address(address.ip()).map_err(Error::Start)?;
+    let tls = config.tls.as_ref().map(tls::TlsDoor::open).transpose();
+    let tls = tls.map_err(Error::Start)?;
+    let state = state::State::new(manager, config, tls);
     let dispatch = dispatch::Dispatch::new(&state).await.map_err(Error::Start)?;
-    listen::serve(listener, state, dispatch, shutdown).await
+    let watcher = tokio::spawn(reload::follow_files(state.clone()));
+    let served = listen::serve(listener, state, dispatch, shutdown).await;
+    watcher.abort();
+    served
 }

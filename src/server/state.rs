@@ -1,7 +1,9 @@
 //! What every call of the server can reach.
 
+use super::auth::Gatekeeper;
 use super::config::ServerConfig;
 use super::telemetry::Telemetry;
+use super::tls::TlsDoor;
 use super::uploads::Budget;
 use crate::session::Manager;
 use std::sync::Arc;
@@ -17,6 +19,10 @@ pub(super) struct Inner {
     pub manager: Manager,
     /// How connections are treated.
     pub config: ServerConfig,
+    /// Who may call.
+    pub gatekeeper: Gatekeeper,
+    /// Where connections are encrypted.
+    pub tls: Option<TlsDoor>,
     /// Counts.
     pub telemetry: Telemetry,
     /// Bytes of uploads on their way.
@@ -33,7 +39,9 @@ pub(super) struct Inner {
 
 impl State {
     /// The state of a new server.
-    pub fn new(manager: Manager, config: ServerConfig) -> Self {
+    pub fn new(manager: Manager, config: ServerConfig, tls: Option<TlsDoor>) -> Self {
+        let certificates = tls.as_ref().is_some_and(TlsDoor::takes_certificates);
+        let gatekeeper = Gatekeeper::new(&config.auth, certificates);
         let sessions = manager.config();
         let uploads = Budget::new(sessions.upload_bytes, sessions.memory_bytes / 2);
         let message_bytes = usize::try_from(sessions.message_bytes).unwrap_or(usize::MAX);
@@ -41,6 +49,8 @@ impl State {
         Self(Arc::new(Inner {
             manager,
             config,
+            gatekeeper,
+            tls,
             telemetry,
             uploads,
             draining: CancellationToken::new(),

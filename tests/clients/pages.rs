@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 18] = [
+const PAGES: [&str; 19] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
@@ -26,6 +26,7 @@ const PAGES: [&str; 18] = [
     "deploy/docs/formats.md",
     "deploy/docs/glossary.md",
     "deploy/docs/quality.md",
+    "deploy/docs/security.md",
     "deploy/docs/speed.md",
     "deploy/docs/cookbook-assets.md",
     "deploy/docs/cookbook-ci.md",
@@ -117,6 +118,11 @@ fn animation() {
 #[test]
 fn running_the_server() {
     play("deploy/README.md");
+}
+
+#[test]
+fn security() {
+    play("deploy/docs/security.md");
 }
 
 #[test]

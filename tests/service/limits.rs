@@ -165,6 +165,12 @@ fn limits_without_a_key_are_those_of_the_program() {
             pliant::motion::bvh::ClipLimits::default().numbers.to_string(),
         ),
         ("shortest time to live that a session may name", time(MIN_TTL)),
+        ("tokens of one file", pliant::server::config::MOST_TOKENS.to_string()),
+        ("one token", size(pliant::server::auth::LONGEST_TOKEN as u64)),
+        (
+            "one file of certificates or keys",
+            size(pliant::server::LARGEST_TLS_FILE),
+        ),
     ];
     let told: Vec<(String, String)> = book::table(&page(), "| limit | value |")
         .into_iter()
@@ -180,7 +186,8 @@ fn limits_without_a_key_are_those_of_the_program() {
 fn size(bytes: u64) -> String {
     match bytes {
         b if b >= 1 << 30 => format!("{} GiB", b >> 30),
-        b => format!("{} MiB", b >> 20),
+        b if b >= 1 << 20 => format!("{} MiB", b >> 20),
+        b => format!("{} KiB", b >> 10),
     }
 }
 

@@ -6,6 +6,7 @@ mod grpc;
 mod hostile;
 mod http;
 mod limits;
+mod security;
 mod session;
 mod stream;
 #[path = "../support/mod.rs"]

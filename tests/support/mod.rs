@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod book;
+pub mod certificates;
 pub mod data;
 pub mod gltf_parsed;
 pub mod gltf_sets;

@@ -133,6 +133,25 @@ impl Server {
         answer.json().await.expect("JSON")
     }
 
+    /// A session of the default tenant, opened beside all transports.
+    pub async fn manager_session(&self) -> String {
+        self.labelled_session("default").await
+    }
+
+    /// A session of a tenant, labelled with its name and opened beside all transports.
+    pub async fn labelled_session(&self, tenant: &str) -> String {
+        let files = pliant::asset::FileSet::single("bar.obj", bar_obj(8).into_bytes());
+        let options = pliant::wire::SessionOptions {
+            open: pliant::engine::OpenOptions::default(),
+            label: tenant.into(),
+            ttl: None,
+        };
+        let tenant = session::Tenant(tenant.into());
+        let opened = self.manager.create(&tenant, files, options, None);
+        let opened = within("a session", opened).await.expect("a session");
+        opened.value.id
+    }
+
     /// A figure of `/metrics`; 0 when it is not there.
     pub async fn metric(&self, name: &str) -> f64 {
         let text = http()

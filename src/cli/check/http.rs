@@ -1,11 +1,14 @@
 //! A small HTTP client: one server, one call at a time, whole bodies.
 
+use crate::server::https_client::https_connector;
 use bytes::Bytes;
 use http::{HeaderMap, Method, Request, StatusCode, Uri, header};
 use http_body_util::{BodyExt as _, Full, Limited};
+use hyper_rustls::HttpsConnector;
 use hyper_util::client::legacy::Client as Connections;
 use hyper_util::client::legacy::connect::HttpConnector;
 use hyper_util::rt::TokioExecutor;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Largest answer that is read, bytes.
@@ -22,11 +25,13 @@ const LONGEST_WAIT: u64 = 10;
 pub(super) struct ServerAddress {
     base: String,
     token: Option<String>,
+    /// PEM file of the authorities that may sign its certificate, in place of the machine's.
+    ca: Option<PathBuf>,
 }
 
 impl ServerAddress {
     /// Checks a URL such as `http://127.0.0.1:7411`, maybe with a path before the calls' own.
-    pub fn new(url: &str, token: Option<&str>) -> Result<Self, String> {
+    pub fn new(url: &str, token: Option<&str>, ca: Option<&Path>) -> Result<Self, String> {
         let wrong = |problem: &str| {
             Err(format!(
                 "--server is \"{url}\": {problem}, such as http://127.0.0.1:7411"
@@ -36,13 +41,8 @@ impl ServerAddress {
             return wrong("is no URL; it must be one");
         };
         match uri.scheme_str() {
-            Some("http") => {}
-            Some("https") => {
-                return wrong(
-                    "this program speaks no TLS; give the address behind the proxy that does, or a tunnel to it",
-                );
-            }
-            _ => return wrong("it must begin with http://"),
+            Some("http" | "https") => {}
+            _ => return wrong("it must begin with http:// or https://"),
         }
         if uri.query().is_some() || uri.authority().is_none_or(|a| a.as_str().contains('@')) {
             return wrong("it must be host, port and maybe a path");
@@ -53,6 +53,7 @@ impl ServerAddress {
         Ok(Self {
             base: url.trim_end_matches('/').to_owned(),
             token: token.map(str::to_owned),
+            ca: ca.map(Path::to_owned),
         })
     }
 }
@@ -78,7 +79,7 @@ pub(super) struct HttpCall<'a> {
 /// An HTTP client calls one server. It is owned by one thread.
 pub(super) struct HttpClient {
     address: ServerAddress,
-    connections: Connections<HttpConnector, Full<Bytes>>,
+    connections: Connections<HttpsConnector<HttpConnector>, Full<Bytes>>,
     runtime: tokio::runtime::Runtime,
 }
 
@@ -88,7 +89,7 @@ impl HttpClient {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         Ok(Self {
             address: address.clone(),
-            connections: Connections::builder(TokioExecutor::new()).build_http(),
+            connections: Connections::builder(TokioExecutor::new()).build(https_connector(address.ca.as_deref())?),
             runtime: runtime.map_err(|e| format!("cannot start a runtime: {e}"))?,
         })
     }
@@ -183,21 +184,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_is_plain_http() {
+    fn an_address_is_one_of_http_with_or_without_tls() {
         let refused = |url: &str, words: &str| {
-            let told = ServerAddress::new(url, None).expect_err(url);
+            let told = ServerAddress::new(url, None, None).expect_err(url);
             assert!(told.contains(words) && told.contains("--server"), "{told}");
         };
         assert_eq!(
-            ServerAddress::new("http://[::1]:80/pliant/", None).map(|a| a.base),
+            ServerAddress::new("http://[::1]:80/pliant/", None, None).map(|a| a.base),
             Ok("http://[::1]:80/pliant".into())
         );
-        refused("https://example.org", "TLS");
+        assert!(ServerAddress::new("https://example.org", None, None).is_ok());
+        refused("ftp://example.org", "https://");
         refused("127.0.0.1:7411", "http://");
         refused("http://me:secret@host", "host, port");
         refused("http://a b", "no URL");
         assert!(
-            ServerAddress::new("http://host", Some("a b"))
+            ServerAddress::new("http://host", Some("a b"), None)
                 .expect_err("a space")
                 .contains("--token")
         );

@@ -34,6 +34,9 @@ pub struct CheckArgs {
     /// Sent to the server as a bearer token
     #[arg(long, value_name = "TOKEN", env = "PLIANT_TOKEN", hide_env_values = true)]
     token: Option<String>,
+    /// Authorities that may sign the server's certificate, in PEM, in place of the machine's
+    #[arg(long, value_name = "FILE", requires = "server")]
+    ca: Option<PathBuf>,
     /// A case whose data is absent fails instead of being skipped
     #[arg(long)]
     no_skip: bool,
@@ -67,12 +70,12 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
     let server = args
         .server
         .as_deref()
-        .map(|url| ServerAddress::new(url, args.token.as_deref()));
+        .map(|url| ServerAddress::new(url, args.token.as_deref(), args.ca.as_deref()));
     let server = server.transpose().map_err(CliFailure::Input)?;
     let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
     let suite::LoadedSuite { cases, notes } = suite::load_suite(&args.suite, data, &args.allowed)?;
     if let Some(address) = &server {
-        let client = HttpClient::new(address).map_err(CliFailure::Internal)?;
+        let client = HttpClient::new(address).map_err(CliFailure::Input)?;
         remote::ask_limits(&client).map_err(|e| CliFailure::Input(format!("the server cannot be used: {e}")))?;
     }
     let plan = CheckPlan {

@@ -1,5 +1,6 @@
 //! The keys of the configuration, written down once: for the command line, the file and the environment.
 
+use super::auth_table::AuthTable;
 use super::units::{ByteSize, TimeSpan, WordList};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -98,6 +99,21 @@ pub struct ConfigKeys {
     /// Origins whose pages may call, with commas between them.
     #[arg(long, value_name = "ORIGINS")]
     pub cors_origins: Option<KeyValue<WordList>>,
+    /// File of the server's TLS certificate, in PEM, those that signed it after it.
+    #[arg(long, value_name = "FILE")]
+    pub tls_certificate: Option<KeyValue<String>>,
+    /// File of its private key, in PEM.
+    #[arg(long, value_name = "FILE")]
+    pub tls_key: Option<KeyValue<String>>,
+    /// File of the authorities whose certificates clients may show, in PEM.
+    #[arg(long, value_name = "FILE")]
+    pub tls_client_ca: Option<KeyValue<String>>,
+    /// What of a client's certificate is its tenant: cn or uri.
+    #[arg(long, value_name = "FIELD")]
+    pub tls_client_tenant: Option<KeyValue<String>>,
+    /// Serve whoever reaches the port, also where that is not this machine alone.
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
+    pub insecure_open: Option<KeyValue<bool>>,
     /// Which log lines are written, such as info or info,pliant=debug.
     #[arg(long, value_name = "DIRECTIVES")]
     pub log: Option<KeyValue<String>>,
@@ -113,6 +129,10 @@ pub struct ConfigKeys {
     /// Whether /metrics answers.
     #[arg(long, value_name = "BOOL")]
     pub metrics: Option<KeyValue<bool>>,
+    /// Who may call; a table of the file.
+    #[arg(skip)]
+    #[serde(skip_serializing)]
+    pub auth: Option<AuthTable>,
 }
 
 impl ConfigKeys {

@@ -3,14 +3,20 @@
 //! Precedence: defaults < file < environment (`PLIANT_` and the key in capitals) < flags. An unknown key of a file is an
 //! error; every error names the key, where its value came from, and what is allowed.
 
+mod auth_settings;
+mod auth_table;
 mod error;
 mod keys;
 mod server_config;
 mod session_config;
 mod settings;
 mod sources;
+mod tls_keys;
 mod units;
 
+pub use auth_settings::MOST_TOKENS;
+pub(super) use auth_settings::tokens_of_file;
+pub use auth_table::{AuthTable, TokenTable};
 pub use error::Error;
 pub use keys::{ConfigKeys, KeyValue};
 pub use server_config::ServerConfig;

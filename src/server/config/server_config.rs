@@ -1,12 +1,17 @@
 //! How connections are treated.
 
 use super::Error;
+use super::auth_settings::auth_from_keys;
 use super::keys::KeyValue;
 use super::sources::MergedKeys;
+use super::tls_keys::tls_from_keys;
 use super::units::{ByteSize, TimeSpan};
+use crate::server::auth::AuthConfig;
 use crate::server::hosts::Hosts;
 use crate::server::origin::Origins;
+use crate::server::tls::TlsConfig;
 use std::net::IpAddr;
+use std::path::Path;
 use std::time::Duration;
 
 /// This says how connections are treated. It is read by [`run`](crate::server::run); sessions have a configuration of their own.
@@ -38,6 +43,12 @@ pub struct ServerConfig {
     pub reflection: bool,
     /// Whether `/metrics` answers.
     pub metrics: bool,
+    /// How callers prove who they are.
+    pub auth: AuthConfig,
+    /// TLS, where the server speaks it.
+    pub tls: Option<TlsConfig>,
+    /// Whether to serve whoever reaches the port, also where that is not this machine alone.
+    pub insecure_open: bool,
 }
 
 impl Default for ServerConfig {
@@ -56,6 +67,9 @@ impl Default for ServerConfig {
             origins: Origins::default(),
             reflection: true,
             metrics: true,
+            auth: AuthConfig::default(),
+            tls: None,
+            insecure_open: false,
         }
     }
 }
@@ -65,9 +79,30 @@ const SECOND: Duration = Duration::from_secs(1);
 const HOUR: Duration = Duration::from_secs(3600);
 
 impl ServerConfig {
+    /// Whether callers must say who they are.
+    pub fn asks_callers(&self) -> bool {
+        let by_certificate = self.tls.as_ref().is_some_and(|tls| tls.client_ca.is_some());
+        by_certificate || !self.auth.tokens.is_empty()
+    }
+
+    /// Refuses to listen where others than this machine's users are, and serve them all unasked.
+    ///
+    /// # Errors
+    /// What to do about it.
+    pub fn check_address(&self, listen: IpAddr) -> Result<(), String> {
+        if listen.to_canonical().is_loopback() || self.insecure_open || self.asks_callers() {
+            return Ok(());
+        }
+        Err(format!(
+            "{listen} can be reached from elsewhere, and anybody could use the server; say who may call by tokens ([[auth.tokens]] \
+             in the file, `pliant token` makes one) or by certificates of clients (tls_client_ca), or let in everybody with \
+             --insecure-open"
+        ))
+    }
+
     /// Reads the keys that concern connections; those that are absent leave the defaults. What can be reached from elsewhere
     /// has names that only its operator knows: without the key, it answers to all.
-    pub(super) fn from_keys(merged: &MergedKeys, listen: IpAddr) -> Result<Self, Error> {
+    pub(super) fn from_keys(merged: &MergedKeys, listen: IpAddr, file: Option<&Path>) -> Result<Self, Error> {
         let (keys, defaults) = (&merged.keys, Self::default());
         let count = |key: &str, value: &Option<KeyValue<u32>>, default: u32, highest: u32| match KeyValue::read(value) {
             Some(value) if value == 0 || value > highest => {
@@ -153,6 +188,9 @@ impl ServerConfig {
             },
             reflection: KeyValue::read(&keys.reflection).unwrap_or(defaults.reflection),
             metrics: KeyValue::read(&keys.metrics).unwrap_or(defaults.metrics),
+            auth: auth_from_keys(merged, file)?,
+            tls: tls_from_keys(merged)?,
+            insecure_open: KeyValue::read(&keys.insecure_open).unwrap_or(defaults.insecure_open),
         })
     }
 }

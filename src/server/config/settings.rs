@@ -5,6 +5,7 @@ use super::keys::{ConfigKeys, KeyValue};
 use super::server_config::ServerConfig;
 use super::session_config::session_config_from_keys;
 use super::sources::{MergedKeys, unknown_variables};
+use crate::server::tls::TlsDoor;
 use crate::session;
 use std::{net::SocketAddr, path::Path};
 
@@ -50,7 +51,13 @@ impl ServeSettings {
             refuse("listen", format!("\"{listen}\" is not an address; allowed are an IP address and a port, such as 127.0.0.1:7411 or [::]:7411"))
         })?;
         let session = session_config_from_keys(&merged)?;
-        let server = ServerConfig::from_keys(&merged, listen.ip())?;
+        let server = ServerConfig::from_keys(&merged, listen.ip(), file)?;
+        server
+            .check_address(listen.ip())
+            .map_err(|problem| refuse("listen", problem))?;
+        if let Some(tls) = &server.tls {
+            TlsDoor::open(tls).map_err(|problem| refuse("tls_certificate", problem))?;
+        }
         let log = KeyValue::read(&keys.log).unwrap_or_else(|| "info".to_owned());
         tracing_subscriber::EnvFilter::builder().parse(&log).map_err(|e| {
             refuse(
@@ -68,10 +75,13 @@ impl ServeSettings {
                 ));
             }
         };
-        let remarks = unknown_variables()
-            .into_iter()
+        let unknown = unknown_variables().into_iter();
+        let mut remarks: Vec<String> = unknown
             .map(|name| format!("environment variable {name} is no configuration key and was ignored"))
             .collect();
+        if !listen.ip().to_canonical().is_loopback() && server.tls.is_none() {
+            remarks.push("what clients send is not encrypted, tokens among it; set tls_certificate and tls_key, or let a proxy do it".into());
+        }
         Ok(Self {
             listen,
             server,

@@ -61,7 +61,9 @@ impl MergedKeys {
 
     /// The refusal of a key's value, with the source that it came from.
     pub fn refuse(&self, key: &str, problem: String) -> Error {
-        let metadata = self.sources.find_metadata(key);
+        // Of what stands in a list, the list is known.
+        let listed = key.split('[').next().unwrap_or(key);
+        let metadata = self.sources.find_metadata(listed);
         Error::Value {
             key: key.to_owned(),
             place: metadata.map_or_else(|| "the defaults".to_owned(), |m| describe_source(m, key)),
@@ -78,6 +80,11 @@ fn refuse_unreadable(sources: &Figment, error: &figment::Error) -> Error {
         None => "the configuration".to_owned(),
     };
     match &error.kind {
+        Kind::UnknownField(_, allowed) if error.path.len() > 1 => Error::Value {
+            key,
+            place,
+            problem: format!("no such key; allowed are {}", allowed.join(", ")),
+        },
         Kind::UnknownField(name, _) => {
             let file = sources
                 .metadata()
@@ -86,7 +93,10 @@ fn refuse_unreadable(sources: &Figment, error: &figment::Error) -> Error {
             Error::Value {
                 key: name.clone(),
                 place: if error.metadata.is_some() { place } else { file },
-                problem: format!("no such key; allowed are {}", ConfigKeys::names().join(", ")),
+                problem: format!(
+                    "no such key; allowed are {}, and the table auth",
+                    ConfigKeys::names().join(", ")
+                ),
             }
         }
         kind => Error::Value {

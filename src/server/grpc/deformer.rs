@@ -59,7 +59,8 @@ fn call_key(key: Option<String>, request: &impl prost::Message) -> Option<CallKe
 }
 
 fn tenant<T>(request: &Request<T>) -> Result<Tenant, Status> {
-    auth::tenant(request.metadata().as_ref()).map_err(status)
+    let principal = auth::principal(request.extensions()).map_err(status)?;
+    Ok(principal.tenant.clone())
 }
 
 /// New work is refused while the server is going away; what only reads is not.

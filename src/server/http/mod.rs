@@ -93,6 +93,10 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         .to_owned();
     let mut recorder = Recorder::start(&state.telemetry, "http", route, Arc::clone(&request_id));
 
+    if request.version() < http::Version::HTTP_2 {
+        let body = std::mem::replace(request.body_mut(), Body::empty());
+        *request.body_mut() = body::linger(body);
+    }
     let response = if let Some(Refused(error)) = request.extensions_mut().remove() {
         Problem::from(error).into_response()
     } else if let Some(encoding) = unread_encoding(request.headers()) {
@@ -103,11 +107,6 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
     } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
         Problem::from(Error::draining()).into_response()
     } else {
-        let over_http1 = request.version() < http::Version::HTTP_2;
-        if over_http1 {
-            let body = std::mem::replace(request.body_mut(), Body::empty());
-            *request.body_mut() = body::linger(body);
-        }
         // A defect costs its call an answer of 500, not the connection.
         match AssertUnwindSafe(next.run(request)).catch_unwind().await {
             Ok(response) => response,

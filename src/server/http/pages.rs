@@ -8,7 +8,7 @@ use super::request::Caller;
 use crate::asset::sample::BuiltInModel;
 use crate::server::state::State;
 use crate::server::{openapi, sample};
-use crate::session::Error;
+use crate::session::{Error, ErrorCode};
 use axum::extract::State as From;
 use axum::response::{IntoResponse as _, Response};
 use http::{HeaderMap, StatusCode, Uri, header};
@@ -34,13 +34,17 @@ pub(super) async fn ready(From(state): From<State>) -> Result<&'static str, Prob
     Ok("ready\n")
 }
 
-pub(super) async fn metrics(From(state): From<State>) -> Result<Response, Problem> {
+pub(super) async fn metrics(From(state): From<State>, caller: Caller) -> Result<Response, Problem> {
     if !state.config.metrics {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,
             "NOT_FOUND",
             "counts are switched off (key metrics)",
         ));
+    }
+    if !caller.reads_metrics {
+        let text = "this caller may not read the counts of all tenants; its token must say metrics = true";
+        return Err(Error::new(ErrorCode::PermissionDenied, text).into());
     }
     let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
     Ok(([(header::CONTENT_TYPE, kind)], state.telemetry.text()).into_response())

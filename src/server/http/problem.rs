@@ -115,6 +115,11 @@ impl From<session::Error> for Problem {
         let status = StatusCode::from_u16(error.http_status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let mut problem = Self::new(status, error.code_name(), error.message);
         problem.field = error.field;
+        if status == StatusCode::UNAUTHORIZED {
+            problem
+                .headers
+                .push((header::WWW_AUTHENTICATE, "Bearer realm=\"pliant\"".into()));
+        }
         // An overloaded or leaving server always says when to come back.
         let waits = matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE);
         if let Some(seconds) = error.retry_after_s.or(waits.then_some(1)) {

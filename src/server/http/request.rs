@@ -13,6 +13,8 @@ use serde::de::DeserializeOwned;
 pub(in crate::server) struct Caller {
     /// The tenant.
     pub tenant: Tenant,
+    /// Whether it may read the counts of the whole server.
+    pub reads_metrics: bool,
     /// The idempotency key, where one was sent.
     key: Option<Result<String, Error>>,
 }
@@ -41,14 +43,19 @@ impl FromRequestParts<State> for Caller {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, _: &State) -> Result<Self, Problem> {
-        let tenant = auth::tenant(&parts.headers)?;
+        let principal = auth::principal(&parts.extensions)?;
+        let (tenant, reads_metrics) = (principal.tenant.clone(), principal.reads_metrics);
         let key = parts.headers.get("idempotency-key").map(|value| {
             let text = value
                 .to_str()
                 .map_err(|_| Error::invalid("Idempotency-Key", "is not printable ASCII"))?;
             Ok(text.to_owned())
         });
-        Ok(Self { tenant, key })
+        Ok(Self {
+            tenant,
+            reads_metrics,
+            key,
+        })
     }
 }
 

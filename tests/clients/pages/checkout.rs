@@ -179,7 +179,8 @@ impl Checkout {
         let mut stdout = BufReader::new(server.stdout.take().expect("piped"));
         let mut line = String::new();
         stdout.read_line(&mut line).expect("the server says where it listens");
-        let address = line.trim().strip_prefix("listening on http://");
+        let address = line.trim().strip_prefix("listening on ");
+        let address = address.and_then(|url| Some(url.split_once("://")?.1));
         self.address = Some(
             address
                 .unwrap_or_else(|| panic!("the server said {line:?} first"))

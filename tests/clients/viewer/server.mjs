@@ -22,14 +22,16 @@ export class Server {
     this.url = `http://127.0.0.1:${port}`;
   }
 
-  static async start() {
+  /** A server, and more keys of its configuration. */
+  static async start(...keys) {
     const server = new Server(await freePort());
+    server.keys = keys;
     await server.start();
     return server;
   }
 
   async start() {
-    const child = spawn(BINARY, ["serve", "--listen", `127.0.0.1:${this.port}`, "--drain-deadline", "500ms"]);
+    const child = spawn(BINARY, ["serve", "--listen", `127.0.0.1:${this.port}`, "--drain-deadline", "500ms", ...(this.keys ?? [])]);
     this.#child = child;
     for (const stream of [child.stdout, child.stderr]) stream.on("data", (text) => (this.#log += text));
     const exited = new Promise((_, reject) => {

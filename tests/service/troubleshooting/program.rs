@@ -68,10 +68,11 @@ pub fn provoke() -> Vec<Said> {
         );
     }
 
-    let cases: [(&'static str, &[&str]); 21] = [
+    let cases: [(&'static str, &[&str]); 22] = [
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
         ("a time without a unit", &["serve", "--config", "time.toml"]),
+        ("an address that others reach", &["serve", "--listen", "0.0.0.0:0"]),
         ("an unknown flag", &["serve", "--port", "80"]),
         ("no such file", &["inspect", "bunny.glb"]),
         ("no model", &["inspect", "notes.txt"]),

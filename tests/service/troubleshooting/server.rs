@@ -2,6 +2,8 @@
 
 use super::Said;
 use crate::support::server::*;
+use pliant::server::auth::{TokenEntry, token_digest};
+use pliant::session::Tenant;
 use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::{Value, json};
 
@@ -91,6 +93,7 @@ pub async fn provoke() -> Vec<Said> {
     said.extend(of_streams(&server, &id).await);
     said.extend(of_origins_and_room(&server).await);
     said.extend(of_warnings().await);
+    said.extend(of_strangers().await);
     said.push(of_leaving().await);
     said
 }
@@ -201,6 +204,36 @@ async fn of_warnings() -> Vec<Said> {
         .await
         .expect("JSON");
     vec![without, warning(&set, "handles that overlap", "overlapping-handles")]
+}
+
+/// A server that must know who asks.
+async fn of_strangers() -> Vec<Said> {
+    let entry = |token: &str, expires| TokenEntry {
+        tenant: Tenant("a".into()),
+        sha256: token_digest(token),
+        name: "a".into(),
+        expires,
+        metrics: false,
+    };
+    let tokens = vec![
+        entry("known", None),
+        entry("old", Some(std::time::SystemTime::UNIX_EPOCH)),
+    ];
+    let server = Server::with(|_, config| config.auth.tokens = tokens).await;
+    let limits = || http().get(server.url("/v1/limits"));
+    let calls = [
+        ("no token", limits()),
+        ("an unknown token", limits().bearer_auth("unknown")),
+        ("an old token", limits().bearer_auth("old")),
+        ("a password", limits().basic_auth("a", Some("b"))),
+        ("counts of all", http().get(server.url("/metrics")).bearer_auth("known")),
+    ];
+    let mut said = Vec::new();
+    for (by, call) in calls {
+        let text = detail(call).await;
+        said.push(Said { by, text });
+    }
+    said
 }
 
 /// A server that was asked to stop while a stream is open.

@@ -183,9 +183,11 @@ fn cases_below_the_suites_folder_are_noted() {
 fn wrong_arguments_are_exit_2() {
     let folder = Suite::new();
     folder.case("bar", "bar.obj");
-    let cases: [(&[&str], &str); 7] = [
+    let cases: [(&[&str], &str); 8] = [
         (&["--bless", "--server", "http://127.0.0.1:1"], "--bless"),
-        (&["--server", "https://127.0.0.1:1"], "TLS"),
+        // Nothing listens there.
+        (&["--server", "https://127.0.0.1:1"], "the server cannot be used"),
+        (&["--server", "https://127.0.0.1:1", "--ca", "none.pem"], "none.pem"),
         (&["--server", "127.0.0.1:1"], "http://"),
         // Nothing listens there.
         (&["--server", "http://127.0.0.1:1"], "the server cannot be used"),

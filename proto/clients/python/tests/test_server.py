@@ -100,6 +100,23 @@ def test_the_environment_may_name_a_server(server: pliant.LocalServer, monkeypat
     assert pliant.connect().url == server.url
 
 
+def test_a_token_tells_the_server_who_asks(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made = subprocess.run([binary(), "token", "studio"], capture_output=True, text=True, check=True).stdout
+    token, lines = made.split("\n\n", 1)
+    config = tmp_path / "pliant.toml"
+    config.write_text(lines)
+    monkeypatch.delenv("PLIANT_TOKEN", raising=False)
+    with pliant.LocalServer(binary(), config=config) as server:
+        for wrong in (None, "pliant_of-another-server"):
+            with pliant.connect(server, token=wrong) as client, pytest.raises(pliant.Unauthenticated, match="token"):
+                client.limits()
+        with pliant.connect(server, token=token) as client:
+            assert client.limits().vertices > 0
+        monkeypatch.setenv("PLIANT_TOKEN", token)
+        with pliant.connect(server) as client:
+            assert client.limits().vertices > 0
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see processes")
 @pytest.mark.parametrize("ending", ["returns", "raises", "is killed", "is interrupted"])
 def test_no_server_is_left_when_python_ends(ending: str, creature: Path) -> None:

@@ -8,7 +8,14 @@ import { PliantError, problemOf } from "./errors.js";
 export interface TransportOptions {
   /** Where the server is, such as `https://mesh.example.org`. Default: where the page came from, else 127.0.0.1:7411. */
   url?: string;
-  /** Headers of every call, such as an authorization. A browser's WebSocket cannot send them. */
+  /** Tells the server who asks, with every call and WebSocket. Default: the environment variable `PLIANT_TOKEN`, where there is one. */
+  token?: string;
+  /**
+   * Asked for a token when the server does not know who asks, and told whether one was refused. The call is made again with the
+   * token; without one it fails.
+   */
+  askToken?: (refused: boolean) => Promise<string | undefined>;
+  /** Headers of every call. A browser's WebSocket cannot send them. */
   headers?: Record<string, string>;
   /** In place of the global `fetch`. */
   fetch?: typeof globalThis.fetch;
@@ -30,6 +37,9 @@ export type Progress = (fraction: number) => void;
 export class Transport {
   readonly url: string;
   private readonly headers: Record<string, string>;
+  private readonly askToken: ((refused: boolean) => Promise<string | undefined>) | undefined;
+  private token: string | undefined;
+  private asking: Promise<string | undefined> | undefined;
   private readonly fetch: typeof globalThis.fetch;
   private readonly Socket: typeof globalThis.WebSocket | undefined;
 
@@ -37,6 +47,8 @@ export class Transport {
     const page = typeof location === "object" && location.protocol.startsWith("http") ? location.origin : undefined;
     this.url = (options.url ?? page ?? "http://127.0.0.1:7411").replace(/\/+$/, "");
     this.headers = options.headers ?? {};
+    this.token = options.token ?? environment("PLIANT_TOKEN");
+    this.askToken = options.askToken;
     this.fetch = options.fetch ?? globalThis.fetch.bind(globalThis);
     this.Socket = options.WebSocket ?? globalThis.WebSocket;
   }
@@ -83,7 +95,9 @@ export class Transport {
     if (this.Socket === undefined) {
       throw new PliantError("UNIMPLEMENTED", "there is no WebSocket here; give one in the options of the client");
     }
-    const socket = new this.Socket(this.url.replace(/^http/, "ws") + path, ["pliant.v1"]);
+    // A page cannot give its WebSocket headers; the token goes as a sub-protocol, which the server does not repeat.
+    const protocols = this.token === undefined ? ["pliant.v1"] : ["pliant.v1", `pliant.bearer.${this.token}`];
+    const socket = new this.Socket(this.url.replace(/^http/, "ws") + path, protocols);
     socket.binaryType = "arraybuffer";
     return socket;
   }
@@ -110,10 +124,14 @@ export class Transport {
       init.signal = signal;
     }
     let response: Response;
-    try {
-      response = await this.fetch(this.url + path, init);
-    } catch (error) {
-      throw unreachable(this.url, error);
+    for (;;) {
+      const shown = this.show(headers);
+      try {
+        response = await this.fetch(this.url + path, init);
+      } catch (error) {
+        throw unreachable(this.url, error);
+      }
+      if (response.status !== 401 || !(await this.hasOther(shown))) break;
     }
     if (!response.ok) {
       const { status, statusText } = response;
@@ -122,18 +140,37 @@ export class Transport {
     return response;
   }
 
+  /** Adds the token to the headers of a call; answers which. */
+  private show(headers: Record<string, string>): string | undefined {
+    if (this.token !== undefined) headers["authorization"] = `Bearer ${this.token}`;
+    return this.token;
+  }
+
+  /** Whether there is another token than the one that was refused; asks for it once, however many calls wait. */
+  private async hasOther(refused: string | undefined): Promise<boolean> {
+    if (this.token !== refused) return true;
+    if (this.askToken === undefined) return false;
+    this.asking ??= this.askToken(refused !== undefined).finally(() => (this.asking = undefined));
+    const token = await this.asking;
+    if (token !== undefined) this.token = token;
+    return token !== undefined;
+  }
+
   private uploadWatched(
     path: string,
     body: Blob | FormData,
     type: string | undefined,
-    { signal, idempotencyKey }: CallOptions,
+    call: CallOptions,
     onProgress: Progress,
   ): Promise<string> {
+    const { signal, idempotencyKey } = call;
+    const headers = { ...this.headers };
+    const shown = this.show(headers);
     return new Promise((resolve, reject) => {
       const request = new XMLHttpRequest();
       request.open("POST", this.url + path);
       request.setRequestHeader("accept", "application/json");
-      for (const [name, value] of Object.entries(this.headers)) {
+      for (const [name, value] of Object.entries(headers)) {
         request.setRequestHeader(name, value);
       }
       if (type !== undefined) {
@@ -147,9 +184,16 @@ export class Transport {
         const { status, statusText, responseText } = request;
         if (status >= 200 && status < 300) {
           resolve(responseText);
-        } else {
-          reject(problemOf(status, statusText, responseText, request.getResponseHeader("retry-after")));
+          return;
         }
+        const problem = problemOf(status, statusText, responseText, request.getResponseHeader("retry-after"));
+        if (status !== 401) {
+          reject(problem);
+          return;
+        }
+        this.hasOther(shown)
+          .then((other) => (other ? this.uploadWatched(path, body, type, call, onProgress) : Promise.reject(problem)))
+          .then(resolve, reject);
       };
       request.onerror = () => reject(unreachable(this.url, undefined));
       request.onabort = () => reject(signal?.reason ?? new DOMException("aborted", "AbortError"));
@@ -167,6 +211,12 @@ export function jsonOf<D extends DescMessage>(schema: D, message: MessageInitSha
 function parse<D extends DescMessage>(schema: D, body: string): MessageShape<D> {
   // A newer server may say more than this client knows.
   return fromJson(schema, JSON.parse(body), { ignoreUnknownFields: true });
+}
+
+/** A variable of the environment, where there is one. */
+function environment(name: string): string | undefined {
+  const { process } = globalThis as { process?: { env?: Record<string, string | undefined> } };
+  return process?.env?.[name] || undefined;
 }
 
 async function text(response: Response): Promise<string> {

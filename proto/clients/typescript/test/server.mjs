@@ -1,19 +1,28 @@
 /** The server that tests talk to: `PLIANT_SERVER` names a running one, else the one that is built is started. */
 
-import { spawn } from "node:child_process";
+import { execFileSync, spawn } from "node:child_process";
 import { existsSync } from "node:fs";
 
 const built = ["release", "debug"].map((kind) => new URL(`../../../../target/${kind}/pliant`, import.meta.url).pathname);
 const binary = [process.env.PLIANT_BIN, ...built].find((path) => path !== undefined && existsSync(path));
 
-/** Why tests against a server cannot run, if so. */
+/** Why tests against a server of their own cannot run, if so. */
+export const skipOwn = binary === undefined ? "there is no program; cargo build makes one" : false;
+
+/** Why tests against any server cannot run, if so. */
 export const skip =
   process.env.PLIANT_SERVER === undefined && binary === undefined ? "there is no server; cargo build makes one" : false;
 
-/** Where the server is, and how to end it. */
-export async function start() {
-  if (process.env.PLIANT_SERVER !== undefined) return { url: process.env.PLIANT_SERVER, stop: () => undefined };
-  const child = spawn(binary, ["serve", "--listen", "127.0.0.1:0"]);
+/** A new token, and the lines by which a server knows it. */
+export function newToken(tenant) {
+  const [token, lines] = execFileSync(binary, ["token", tenant], { encoding: "utf8" }).split("\n\n");
+  return { token, lines };
+}
+
+/** Where the server is, and how to end it. Keys of its configuration ask for one of its own. */
+export async function start(...keys) {
+  if (keys.length === 0 && process.env.PLIANT_SERVER !== undefined) return { url: process.env.PLIANT_SERVER, stop: () => undefined };
+  const child = spawn(binary, ["serve", "--listen", "127.0.0.1:0", ...keys]);
   const url = await new Promise((resolve, reject) => {
     let said = "";
     const listen = (text) => {

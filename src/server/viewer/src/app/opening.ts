@@ -23,9 +23,12 @@ import { forgetPast, pastSnapshots, refreshHistory, remember } from "./past.ts";
 import { setCompanions } from "./playing.ts";
 import * as s from "./signals.ts";
 import { recall, store } from "./storage.ts";
+import { askToken, keptToken } from "./token.ts";
 import { view } from "./view.ts";
 
-export const client = new Client();
+const token = keptToken();
+
+export const client = new Client({ askToken, ...(token === undefined ? {} : { token }) });
 
 /** Extensions that name a model; other files dropped with it are its companions. */
 export const EXTENSIONS = ["glb", "gltf", "obj", "ply", "off", "stl", "fbx"] as const;

@@ -17,6 +17,7 @@ import { Start } from "./Start.tsx";
 import { StatusBar } from "./StatusBar.tsx";
 import { ToolRail } from "./ToolRail.tsx";
 import { TopBar } from "./TopBar.tsx";
+import { TokenDialog } from "./TokenDialog.tsx";
 import { Transport } from "./Transport.tsx";
 
 export function App(): JSX.Element {
@@ -55,6 +56,7 @@ export function App(): JSX.Element {
       {isOpen && <Inspector />}
       <StatusBar />
       <Help />
+      <TokenDialog />
     </div>
   );
 }

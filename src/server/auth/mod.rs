@@ -1,0 +1,15 @@
+//! Who asks: told by a bearer token or a client's certificate, and looked at before anything else of a request.
+//!
+//! A caller is known by what it proves alone. No header, path or message names a tenant.
+
+mod auth_config;
+mod gatekeeper;
+mod presented_token;
+mod principal;
+mod token_list;
+
+pub use auth_config::{AuthConfig, TokenEntry, parse_expiry};
+pub(super) use gatekeeper::Gatekeeper;
+pub use presented_token::LONGEST_TOKEN;
+pub(super) use principal::{Principal, principal};
+pub use token_list::token_digest;

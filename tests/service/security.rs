@@ -1,0 +1,45 @@
+//! Who may do what, from outside: tokens, certificates, and what a server refuses to be started as.
+
+mod certificates;
+mod start;
+mod tokens;
+
+use crate::support::server::*;
+use pliant::server::auth::{AuthConfig, TokenEntry, token_digest};
+use pliant::session::Tenant;
+use std::time::{Duration, SystemTime};
+
+/// A token of a tenant that does not expire.
+fn entry(tenant: &str, token: &str) -> TokenEntry {
+    TokenEntry {
+        tenant: Tenant(tenant.into()),
+        sha256: token_digest(token),
+        name: format!("{tenant}'s"),
+        expires: None,
+        metrics: false,
+    }
+}
+
+/// A server that knows the token `a` of tenant `a`, `b` of `b`, `watcher`, who may read the counts, and one that has expired.
+async fn guarded() -> Server {
+    let past = SystemTime::now() - Duration::from_secs(1);
+    let tokens = vec![
+        entry("a", "a"),
+        entry("b", "b"),
+        TokenEntry {
+            metrics: true,
+            ..entry("watch", "watcher")
+        },
+        TokenEntry {
+            expires: Some(past),
+            ..entry("a", "expired")
+        },
+    ];
+    Server::with(|_, config| {
+        config.auth = AuthConfig {
+            tokens,
+            ..AuthConfig::default()
+        };
+    })
+    .await
+}
