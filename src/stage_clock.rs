@@ -66,6 +66,10 @@ impl Progress for StageClock<'_> {
         self.watcher.cancelled()
     }
 
+    fn may_hold(&self, bytes: u64) -> bool {
+        self.watcher.may_hold(bytes)
+    }
+
     fn report(&self, stage: &'static str, fraction: f32) {
         let is_running = self.times().open.is_some_and(|(open, _)| open == stage);
         if !is_running {

@@ -8,9 +8,11 @@ use super::http;
 use super::origin::Origins;
 use super::state::State;
 use super::visitors::{self, Refused};
+use crate::session::Error;
 use ::http::{HeaderName, HeaderValue, Method, Request, Response, header};
 use axum::Router;
 use axum::body::Body;
+use axum::response::IntoResponse as _;
 use std::convert::Infallible;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
@@ -62,6 +64,20 @@ impl Dispatch {
         match answer {
             Ok(response) => response,
             Err(never) => match never {},
+        }
+    }
+
+    /// Whether a request is answered in gRPC's way.
+    pub fn is_grpc<B>(request: &Request<B>) -> bool {
+        Grpc::takes(request)
+    }
+
+    /// The answer to a request that is refused after it was answered.
+    pub fn refusal(error: Error, is_grpc: bool) -> Response<Body> {
+        if is_grpc {
+            super::grpc::refusal(error)
+        } else {
+            http::problem::Problem::from(error).into_response()
         }
     }
 

@@ -13,9 +13,10 @@ use super::error::Error;
 use super::peers::Peers;
 use super::state::State;
 use super::tls::TlsDoor;
+use super::unread::UnreadAnswer;
 use axum::body::Body;
 use bytes::Bytes;
-use http::{HeaderValue, Request, Response, header};
+use http::{HeaderValue, Request, Response, Version, header};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use hyper::body::Incoming;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
@@ -269,14 +270,28 @@ where
         heard: 0,
     };
     let heard = Arc::clone(&activity);
+    let unread = CancellationToken::new();
+    let (ledger, stalled) = (Arc::clone(state.manager.ledger()), unread.clone());
+    let deadline = state.config.unread_deadline;
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(slot.clone());
         request.extensions_mut().insert(facts.clone());
         let busy = Busy::new(&heard, !is_watch(&request));
-        let dispatch = dispatch.clone();
+        let (dispatch, ledger) = (dispatch.clone(), Arc::clone(&ledger));
+        // On HTTP/1 nothing else can follow an answer that is not read; of HTTP/2 it is one of many.
+        let stalled = match request.version() {
+            Version::HTTP_2 => CancellationToken::new(),
+            _ => stalled.clone(),
+        };
         async move {
+            let is_grpc = Dispatch::is_grpc(&request);
             let response: Response<Body> = dispatch.call(request.map(Body::new)).await;
-            Ok::<_, std::convert::Infallible>(response.map(|inner| Answer { inner, _busy: busy }))
+            let watched = UnreadAnswer::watch(response, &ledger, deadline, stalled.clone());
+            let watched = watched.or_else(|error| {
+                let refusal = Dispatch::refusal(error, is_grpc);
+                UnreadAnswer::watch(refusal, &ledger, deadline, stalled)
+            });
+            watched.map(|response| response.map(|inner| Answer { inner, _busy: busy }))
         }
     });
     let serving = builder.serve_connection_with_upgrades(TokioIo::new(socket), service);
@@ -297,6 +312,7 @@ where
             return;
         }
         () = silent => return,
+        () = unread.cancelled() => return,
         () = polite.cancelled() => {}
     }
     if !activity.spoke.load(Ordering::Relaxed) && activity.busy.load(Ordering::Relaxed) == 0 {
@@ -398,7 +414,7 @@ impl Drop for Busy {
 
 /// A response body that keeps its connection busy until it has been sent.
 struct Answer {
-    inner: Body,
+    inner: UnreadAnswer,
     _busy: Busy,
 }
 

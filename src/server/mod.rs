@@ -29,6 +29,7 @@ mod state;
 mod stream_ends;
 mod telemetry;
 mod tls;
+mod unread;
 mod upload_pace;
 mod uploads;
 mod visitors;

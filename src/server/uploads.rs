@@ -1,6 +1,6 @@
 //! Bytes of uploads that are on their way: they belong to no session yet, so they are counted here.
 
-use crate::session::{Error, ErrorCode};
+use crate::session::{Error, ErrorCode, MemoryLedger, MemoryReservation, MemoryUse};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -10,6 +10,7 @@ pub(super) struct Budget {
     used: Arc<AtomicU64>,
     total: u64,
     each: u64,
+    ledger: Arc<MemoryLedger>,
 }
 
 /// What one upload holds; given back when dropped.
@@ -17,15 +18,18 @@ pub(super) struct Budget {
 pub(super) struct Held {
     budget: Budget,
     bytes: u64,
+    /// The same bytes in the ledger of everything that is held.
+    counted: Option<MemoryReservation>,
 }
 
 impl Budget {
-    /// `each` bytes for one upload, `total` for all together.
-    pub fn new(each: u64, total: u64) -> Self {
+    /// `each` bytes for one upload, `total` for all together, and for them and all else what the ledger has left.
+    pub fn new(each: u64, total: u64, ledger: &Arc<MemoryLedger>) -> Self {
         Self {
             used: Arc::default(),
             total: total.max(each),
             each,
+            ledger: Arc::clone(ledger),
         }
     }
 
@@ -34,6 +38,7 @@ impl Budget {
         Held {
             budget: self.clone(),
             bytes: 0,
+            counted: self.ledger.reserve(MemoryUse::Uploads, 0, 0),
         }
     }
 
@@ -73,7 +78,8 @@ impl Held {
         }
         let before = self.budget.used.fetch_add(bytes, Ordering::Relaxed);
         self.bytes = mine;
-        if before.saturating_add(bytes) > self.budget.total {
+        let has_room = self.counted.as_ref().is_none_or(|counted| counted.grow_to(mine));
+        if !has_room || before.saturating_add(bytes) > self.budget.total {
             return Err(Error::exhausted("too many uploads are under way", 2));
         }
         Ok(())
@@ -89,10 +95,12 @@ impl Drop for Held {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session::{Manager, SessionConfig};
 
     #[test]
     fn one_upload_and_all_together_are_bounded_and_given_back() {
-        let budget = Budget::new(100, 150);
+        let manager = Manager::new(SessionConfig::default()).expect("a manager");
+        let budget = Budget::new(100, 150, manager.ledger());
         assert_eq!(budget.announce(101).unwrap_err().http_status(), 413);
         let mut first = budget.hold();
         first.grow(100).unwrap();
@@ -100,7 +108,9 @@ mod tests {
         let mut second = budget.hold();
         second.grow(50).unwrap();
         assert_eq!(second.grow(1).unwrap_err().http_status(), 429);
+        assert_eq!(manager.ledger().used(), 151, "and the byte that was one too many");
         drop((first, second));
+        assert_eq!(manager.ledger().used(), 0);
         assert_eq!(budget.used.load(Ordering::Relaxed), 0);
     }
 }

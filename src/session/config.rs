@@ -191,7 +191,8 @@ impl SessionConfig {
             model: asset::Limits {
                 vertices: self.vertices,
                 triangles: self.triangles,
-                decoded_bytes: self.decoded_bytes,
+                decoded_bytes: self.decoded_bytes.min(memory_bytes),
+                document_bytes: self.decoded_bytes.min(memory_bytes),
             },
             memory_bytes,
             handles: self.handles,

@@ -1,5 +1,6 @@
 //! Counts that operators watch. The server publishes them; here they are only counted.
 
+use crate::session::capacity::memory_use::MemoryUse;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
@@ -21,8 +22,8 @@ pub struct Metrics {
     pub sessions_expired: Counter,
     /// Sessions lost to a defect.
     pub sessions_failed: Counter,
-    /// Bytes held, and reserved for builds under way.
-    pub bytes: Gauge,
+    /// Bytes held and reserved, by what they are held for, in the order of [`MemoryUse::ALL`].
+    bytes: [Gauge; MemoryUse::ALL.len()],
     /// Streams open.
     pub streams: Gauge,
     /// Animations under way.
@@ -67,7 +68,7 @@ impl Default for Metrics {
             sessions_created: Counter::default(),
             sessions_expired: Counter::default(),
             sessions_failed: Counter::default(),
-            bytes: Gauge::default(),
+            bytes: Default::default(),
             streams: Gauge::default(),
             animations: Gauge::default(),
             poses_received: Counter::default(),
@@ -90,6 +91,11 @@ impl Default for Metrics {
 }
 
 impl Metrics {
+    /// Bytes held and reserved for one use.
+    pub fn held_bytes(&self, what: MemoryUse) -> &Gauge {
+        &self.bytes[what as usize]
+    }
+
     /// Adds every count to a registry, under the names that operators know. `memory_bytes` is what all sessions together
     /// may hold.
     pub fn register(&self, memory_bytes: u64, registry: &mut Registry) {
@@ -100,7 +106,7 @@ impl Metrics {
             (
                 "session_bytes",
                 "Bytes held by sessions and builds under way",
-                &self.bytes,
+                self.held_bytes(MemoryUse::Sessions),
             ),
             ("streams", "Deform streams open", &self.streams),
             ("animations", "Animations under way", &self.animations),
@@ -112,12 +118,17 @@ impl Metrics {
             ),
             (
                 "session_bytes_limit",
-                "Bytes that all sessions together may hold",
+                "Bytes that sessions, uploads and answers may hold together",
                 &limit,
             ),
         ];
         for (name, help, gauge) in gauges {
             registry.register(name, help, gauge.clone());
+        }
+        for what in MemoryUse::ALL {
+            let label = ("use".into(), what.name().into());
+            let labelled = registry.sub_registry_with_label(label);
+            labelled.register("memory_bytes", "Bytes held, by use", self.held_bytes(what).clone());
         }
         let counters: [(&str, &str, &Counter); 13] = [
             ("sessions_created", "Sessions created", &self.sessions_created),

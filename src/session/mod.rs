@@ -43,6 +43,8 @@ pub use answers::{
     HistoryFacts, KeyedAnswer, PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,
 };
 pub use calls::manager::Manager;
+pub use capacity::memory_ledger::{MemoryLedger, MemoryReservation};
+pub use capacity::memory_use::MemoryUse;
 pub use config::{MIN_TTL, SessionConfig};
 pub use engine::{Engine, EngineOpener, OpenDeformer};
 pub use error::{Error, ErrorCode};

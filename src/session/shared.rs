@@ -5,7 +5,7 @@ use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::IdempotencyKeys;
 use crate::session::capacity::call_gate::CallGate;
 use crate::session::capacity::compute_slots::ComputeSlots;
-use crate::session::capacity::memory_budget::MemoryBudget;
+use crate::session::capacity::memory_ledger::MemoryLedger;
 use crate::session::config::SessionConfig;
 use crate::session::engine::EngineOpener;
 use crate::session::metrics::Metrics;
@@ -20,7 +20,7 @@ pub(super) struct SharedResources {
     pub config: SessionConfig,
     pub metrics: Arc<Metrics>,
     pub compute: ComputeSlots,
-    pub budget: Arc<MemoryBudget>,
+    pub ledger: Arc<MemoryLedger>,
     /// One permit for each session that may be held.
     pub seats: Arc<Semaphore>,
     /// One permit for each animation that may be under way.

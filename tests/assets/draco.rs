@@ -186,6 +186,7 @@ fn streams_that_are_damaged_are_refused_or_read_and_never_panic() {
             vertices: 200_000,
             triangles: 200_000,
             decoded_bytes: 64 << 20,
+            ..Limits::default()
         };
         // Places all over where the streams may be, turned over.
         let holds = |name: Option<&String>| match name {

@@ -284,7 +284,7 @@ proptest! {
         cut in any::<prop::sample::Index>(),
         truncate in 0u8..4,
     ) {
-        let limits = Limits { vertices: 10_000, triangles: 10_000, decoded_bytes: 20_000_000 };
+        let limits = Limits { vertices: 10_000, triangles: 10_000, decoded_bytes: 20_000_000, ..Limits::default() };
         for (i, file) in [cube(), bar(), shaped_cube()].iter().enumerate() {
             let mut bytes = file.text().into_bytes();
             for (place, value) in &edits {

@@ -7,6 +7,7 @@ use crate::support::data::data_folder;
 use glam::DVec3;
 use gltf_sets::{file_set, gltf_files};
 use pliant::asset::{Error, FileSet, Format, Limits, Model};
+use pliant::progress::CancelFlag;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
@@ -85,6 +86,7 @@ fn exercise(files: FileSet, format: Format) -> Result<Model, Error> {
         vertices: 1_000_000,
         triangles: 2_000_000,
         decoded_bytes: 1 << 28,
+        ..Limits::default()
     };
     let model = Model::read(files, Some(format), &limits)?;
     assert!(model.positions.iter().all(|p| p.is_finite()));
@@ -219,6 +221,7 @@ fn sizes_above_the_limits_are_refused_before_anything_is_read() {
         vertices,
         triangles,
         decoded_bytes,
+        ..Limits::default()
     };
     let cases = [
         (small(10, 1 << 20, 1 << 20), "vertices"),
@@ -240,6 +243,50 @@ fn sizes_above_the_limits_are_refused_before_anything_is_read() {
         matches!(refused, Some(Error::TooLarge { seen: 180_000_000, .. })),
         "{refused:?}"
     );
+}
+
+#[test]
+fn empty_items_are_refused_before_they_take_memory() {
+    for section in ["nodes", "scenes"] {
+        let items = vec!["{}"; 1_000_000].join(",");
+        let json = format!(r#"{{"asset":{{"version":"2.0"}},"{section}":[{items}]}}"#);
+        let bytes = json.len();
+        let refused = Model::read(FileSet::single("a.gltf", json), None, &Limits::default()).expect_err("refused");
+        let text = refused.to_string();
+        let told = "1000000 items, of which many are empty, take";
+        assert!(
+            text.contains(told) && text.contains(&format!("{bytes} bytes of text")),
+            "{text}"
+        );
+    }
+    // As many as a small file may have are only useless.
+    let items = vec!["{}"; 10_000].join(",");
+    let json = format!(r#"{{"asset":{{"version":"2.0"}},"nodes":[{items}]}}"#);
+    let files = FileSet::single("a.gltf", json);
+    let refused = Model::read(files.clone(), None, &Limits::default()).expect_err("no mesh");
+    assert!(matches!(refused, Error::NoMesh { .. }), "{refused}");
+    let narrow = Limits {
+        document_bytes: 1 << 20,
+        ..Limits::default()
+    };
+    let refused = Model::read(files, None, &narrow).expect_err("no room");
+    assert!(
+        matches!(refused, Error::TooLarge { what: "the bytes of the parsed document", limit, .. } if limit == 1 << 20),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_read_that_nobody_wants_any_more_stops() {
+    let flag = CancelFlag::default();
+    flag.cancel();
+    let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    let (_, glb) = seeds().remove(0);
+    for files in [FileSet::single("a.obj", obj), FileSet::single("a.glb", glb)] {
+        let read = |flag: &CancelFlag| Model::read_watched(files.clone(), None, &Limits::default(), flag);
+        assert!(matches!(read(&flag), Err(Error::Cancelled)), "{}", files.name);
+        read(&CancelFlag::default()).expect("readable while it is wanted");
+    }
 }
 
 #[test]

@@ -279,6 +279,7 @@ fn exercise(bytes: Vec<u8>, format: Option<Format>) {
         vertices: 100_000,
         triangles: 100_000,
         decoded_bytes: 10_000_000,
+        ..Limits::default()
     };
     let Ok(model) = Model::read(FileSet::single("", bytes), format, &limits) else {
         return;

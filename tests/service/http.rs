@@ -5,6 +5,7 @@ mod carry;
 mod connections;
 mod downloads;
 mod forms;
+mod ledger;
 mod operators;
 mod problems;
 

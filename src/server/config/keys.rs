@@ -93,6 +93,9 @@ pub struct ConfigKeys {
     /// Longest time that an upload may take.
     #[arg(long, value_name = "TIME")]
     pub upload_deadline: Option<KeyValue<TimeSpan>>,
+    /// How long an answer may wait for its reader to take some more of it.
+    #[arg(long, value_name = "TIME")]
+    pub unread_deadline: Option<KeyValue<TimeSpan>>,
     /// Names under which the server may be addressed, with commas between them.
     #[arg(long, value_name = "HOSTS")]
     pub hosts: Option<KeyValue<WordList>>,

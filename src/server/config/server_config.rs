@@ -33,6 +33,8 @@ pub struct ServerConfig {
     pub upload_rate: u64,
     /// Longest time that an upload may take.
     pub upload_deadline: Duration,
+    /// How long an answer may wait for its reader to take some more of it.
+    pub unread_deadline: Duration,
     /// From the wish to stop until everything still open is dropped.
     pub drain_deadline: Duration,
     /// Names under which the server may be addressed.
@@ -62,6 +64,7 @@ impl Default for ServerConfig {
             keepalive_timeout: Duration::from_secs(20),
             upload_rate: 4096,
             upload_deadline: Duration::from_secs(600),
+            unread_deadline: Duration::from_secs(60),
             drain_deadline: Duration::from_secs(10),
             hosts: Hosts::default(),
             origins: Origins::default(),
@@ -169,6 +172,12 @@ impl ServerConfig {
                 "upload_deadline",
                 &keys.upload_deadline,
                 defaults.upload_deadline,
+                10 * MILLISECOND,
+            )?,
+            unread_deadline: time(
+                "unread_deadline",
+                &keys.unread_deadline,
+                defaults.unread_deadline,
                 10 * MILLISECOND,
             )?,
             drain_deadline: time(

@@ -203,8 +203,10 @@ mod tests {
                 "{key} is not explained in deploy/config.toml"
             );
         }
-        let told = load(&active, &[]).unwrap();
-        let defaults = load("", &[]).unwrap();
+        let mut told = load(&active, &[]).unwrap();
+        let mut defaults = load("", &[]).unwrap();
+        // Each was read from a file of its own.
+        assert!(told.server.auth.file.take().is_some() && defaults.server.auth.file.take().is_some());
         assert_eq!(
             (told.listen, &told.server, &told.session),
             (defaults.listen, &defaults.server, &defaults.session)

@@ -100,8 +100,9 @@ impl Deformer for Calls {
         let key = call_key(key, &options);
         let manager = &self.state.manager;
         let options = wire::session_options(&options, manager.config().ttl_range()).map_err(refused)?;
-        let created = manager.create(&tenant, files, options, key).await;
+        // From here on the session's own reservation has room for them.
         drop(held);
+        let created = manager.create(&tenant, files, options, key).await;
         self.session(created.map(|answer| answer.value))
     }
 

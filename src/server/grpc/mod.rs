@@ -102,3 +102,8 @@ impl Grpc {
         self.health.set_service_status("", ServingStatus::NotServing).await;
     }
 }
+
+/// The answer that says only that a call is refused.
+pub(super) fn refusal(error: crate::session::Error) -> Response<Body> {
+    status::status(error).into_http()
+}

@@ -11,7 +11,8 @@ use crate::session::animation::prepared_animation::{PreparedAnimation, ReadyAnim
 use crate::session::animation::running_animation::RunningAnimation;
 use crate::session::calls::command::SessionCommand;
 use crate::session::calls::manager::Manager;
-use crate::session::capacity::memory_budget::MemoryReservation;
+use crate::session::capacity::memory_ledger::MemoryReservation;
+use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::registry::OpenSession;
@@ -101,7 +102,7 @@ impl AnimationTask {
     fn reserve_memory(&self, prepared: &PreparedAnimation) -> Result<MemoryReservation, Error> {
         let bytes = prepared.byte_size();
         let shared = &self.manager.shared;
-        shared.budget.reserve(bytes, bytes).ok_or_else(|| {
+        shared.ledger.reserve(MemoryUse::Sessions, bytes, bytes).ok_or_else(|| {
             shared.metrics.refused.inc();
             Error::exhausted(
                 format!("the animation would need {bytes} bytes of memory, fewer are free"),
@@ -113,7 +114,7 @@ impl AnimationTask {
     async fn solve_frames(
         &self,
         solver: Arc<FrameSolver>,
-        mut memory: MemoryReservation,
+        memory: MemoryReservation,
         mut summary: AnimationSummary,
     ) -> Result<Option<AnimationSummary>, Error> {
         let shared = &self.manager.shared;

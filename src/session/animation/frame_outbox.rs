@@ -212,6 +212,10 @@ impl Progress for StageTeller<'_> {
         self.watch.cancelled() || self.outbox.cancel.cancelled()
     }
 
+    fn may_hold(&self, bytes: u64) -> bool {
+        self.watch.may_hold(bytes)
+    }
+
     fn report(&self, stage: &'static str, fraction: f32) {
         self.watch.report(stage, fraction);
         self.outbox.tell_stage(stage, fraction);

@@ -6,7 +6,8 @@ use crate::motion::rig::RigidMotion;
 use crate::session::animation::ends::AnimationReader;
 use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::answers::{AnimatedModel, AnimationAnswer};
-use crate::session::capacity::memory_budget::MemoryReservation;
+use crate::session::capacity::memory_ledger::MemoryReservation;
+use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::shared::SharedResources;
@@ -128,13 +129,13 @@ fn reserve_frames(shared: &SharedResources, prepared: Option<&PreparedAnimation>
     let bytes = (frames as u64)
         .saturating_mul(vertices as u64)
         .saturating_mul(VERTEX_BYTES);
-    let total = shared.budget.total();
+    let total = shared.ledger.total();
     if bytes > total {
         let text =
             format!("the animation as one model would need {bytes} bytes of memory, at most {total} are allowed");
         return Err(Error::new(ErrorCode::TooLarge, text));
     }
-    shared.budget.reserve(bytes, bytes).ok_or_else(|| {
+    shared.ledger.reserve(MemoryUse::Sessions, bytes, bytes).ok_or_else(|| {
         shared.metrics.refused.inc();
         Error::exhausted(
             format!("the animation as one model would need {bytes} bytes of memory, fewer are free"),

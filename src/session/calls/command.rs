@@ -8,9 +8,11 @@ use crate::session::animation::prepared_animation::ReadyAnimation;
 use crate::session::answers::{CarriedAlong, CommittedEdit, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::KeyClaim;
+use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::error::Error;
 use crate::wire::{AnimateOrder, CarryOrder, PoseCommit, SessionEdit};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
 /// A request and where its answer goes.
@@ -40,7 +42,32 @@ pub(in crate::session) struct PendingCall<T> {
     pub reply: oneshot::Sender<Result<T, Error>>,
     /// Raised when nobody waits any more.
     pub cancel: Arc<CancelFlag>,
+    /// When it was asked for: waiting counts against the time it may take.
+    pub arrived: Instant,
     pub claim: Option<KeyClaim<StoredAnswer>>,
+}
+
+impl<T> PendingCall<T> {
+    /// Its work, which may take as long as `limit` from its arrival on.
+    pub fn order(&self, lane: WorkLane, limit: Duration) -> WorkOrder {
+        WorkOrder {
+            lane,
+            flag: Arc::clone(&self.cancel),
+            arrived: self.arrived,
+            limit,
+        }
+    }
+}
+
+/// A piece of work for a session's engine.
+#[derive(Debug)]
+pub(in crate::session) struct WorkOrder {
+    pub lane: WorkLane,
+    /// Stops it.
+    pub flag: Arc<CancelFlag>,
+    pub arrived: Instant,
+    /// How long after its arrival it may go on.
+    pub limit: Duration,
 }
 
 /// An answer kept by idempotency key.

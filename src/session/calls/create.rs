@@ -1,13 +1,15 @@
 //! Opens sessions: checks what can be checked for nothing, takes a seat and memory, builds the engine, starts the task.
 
-use crate::asset::FileSet;
+use crate::asset::{self, FileSet};
 use crate::engine::{self, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
 use crate::session::animation::open_animations::OpenAnimations;
 use crate::session::answers::{CallKey, KeyedAnswer, SessionFacts, Tenant};
 use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, RequestFingerprint, answer_of_another_call};
-use crate::session::capacity::memory_budget::MemoryReservation;
+use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::memory_ledger::MemoryReservation;
+use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::engine::Engine;
@@ -21,7 +23,7 @@ use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionOptions;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, OnceLock, RwLock};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::{Notify, OwnedSemaphorePermit, mpsc};
 use tokio_util::sync::CancellationToken;
 
@@ -64,12 +66,13 @@ pub(in crate::session) async fn create_session(
         Some(ClaimOutcome::New(claim)) => Some(claim),
         None => None,
     };
-    let (seat, mut memory) = reserve_place(shared, upload)?;
+    let arrived = Instant::now();
+    let (seat, memory) = reserve_place(shared, upload)?;
     let guard = CancelOnDrop::default();
     let SessionOptions { open, label, ttl } = options;
-    let opened = open_model(shared, &memory, files, open, &guard).await?;
+    let opened = open_model(shared, &memory, (files, open), arrived, &guard).await?;
     if !memory.resize(opened.held) {
-        let used = shared.budget.used() - opened.held;
+        let used = shared.ledger.used().saturating_sub(opened.held);
         shared.compute.discard(opened.deformer);
         let text = format!("the session needs {} bytes and {used} are in use", opened.held);
         return Err(refuse(shared, text));
@@ -118,7 +121,10 @@ fn refuse(shared: &SharedResources, text: String) -> Error {
 }
 
 /// Takes a seat, and the memory that a model of `upload` bytes is likely to need.
-fn reserve_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePermit, MemoryReservation), Error> {
+fn reserve_place(
+    shared: &SharedResources,
+    upload: u64,
+) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), Error> {
     let seat = Arc::clone(&shared.seats).try_acquire_owned().map_err(|_| {
         let text = format!(
             "{} sessions are open, no more are allowed; delete one or wait for one to expire",
@@ -129,14 +135,17 @@ fn reserve_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphor
     let likely = upload
         .saturating_mul(BYTES_PER_UPLOADED_BYTE)
         .saturating_add(LEAST_BYTES);
-    let memory = shared.budget.reserve(LEAST_BYTES, likely).ok_or_else(|| {
-        let used = shared.budget.used();
+    let memory = shared
+        .ledger
+        .reserve(MemoryUse::Sessions, LEAST_BYTES.max(upload), likely);
+    let memory = memory.ok_or_else(|| {
+        let used = shared.ledger.used();
         refuse(
             shared,
             format!("{used} bytes of memory are in use, no more sessions fit"),
         )
     })?;
-    Ok((seat, memory))
+    Ok((seat, Arc::new(memory)))
 }
 
 /// Whose session it is, and for how long.
@@ -151,7 +160,7 @@ fn start_session(
     shared: &Arc<SharedResources>,
     owner: SessionOwner,
     opened: OpenedModel,
-    memory: MemoryReservation,
+    memory: Arc<MemoryReservation>,
     seat: OwnedSemaphorePermit,
 ) -> Result<Arc<OpenSession>, Error> {
     let OpenedModel {
@@ -217,23 +226,21 @@ struct OpenedModel {
 /// Builds the engine on the compute pool.
 async fn open_model(
     shared: &Arc<SharedResources>,
-    memory: &MemoryReservation,
-    files: FileSet,
-    options: OpenOptions,
+    memory: &Arc<MemoryReservation>,
+    (files, options): (FileSet, OpenOptions),
+    arrived: Instant,
     guard: &CancelOnDrop,
 ) -> Result<OpenedModel, Error> {
     let slot = tokio::select! {
         biased;
         () = shared.aborted.cancelled() => return Err(Error::draining()),
-        slot = shared.compute.slot() => slot?,
+        slot = shared.compute.slot(WorkLane::Builds, arrived) => slot?,
     };
     let config = &shared.config;
     let room = memory.room();
     let limits = config.deformer_limits(room);
-    let watch = Arc::new(WorkWatch::new(
-        vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)],
-        config.build,
-    ));
+    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
+    let watch = Arc::new(WorkWatch::since(arrived, flags, config.build).within(Arc::clone(memory)));
     let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
     let built = slot.run(move |pool| -> Result<OpenedModel, engine::Error> {
         crate::progress::check(&*inner_watch)?;
@@ -272,7 +279,10 @@ async fn open_model(
         engine::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up"),
         engine::Error::Cancelled => build_took_too_long(watch.limit()),
         // Too large for what is free now, not for the server: later it may fit.
-        engine::Error::TooLarge { seen, limit, .. } if limit == room && seen <= shared.budget.total() => {
+        engine::Error::TooLarge { seen, limit, .. }
+        | engine::Error::Asset(asset::Error::TooLarge { seen, limit, .. })
+            if limit == room && seen <= shared.ledger.total() =>
+        {
             let text = format!("the session would need {seen} bytes of memory, {room} are free");
             refuse(shared, text)
         }

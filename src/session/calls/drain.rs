@@ -7,9 +7,9 @@ use std::sync::atomic::Ordering::SeqCst;
 impl Manager {
     /// Whether new sessions are welcome: not draining, and memory below the high-water mark.
     pub fn admits(&self) -> bool {
-        let budget = &self.shared.budget;
-        let mark = budget.total() as f64 * self.shared.config.high_water;
-        !self.shared.draining.load(SeqCst) && budget.used() as f64 <= mark
+        let ledger = &self.shared.ledger;
+        let mark = ledger.total() as f64 * self.shared.config.high_water;
+        !self.shared.draining.load(SeqCst) && ledger.used() as f64 <= mark
     }
 
     /// Takes no new sessions and streams from now on, and tells the open streams.

@@ -4,6 +4,8 @@
 //! the call failed or was given up, frees the key. Failures are not kept: nothing happened, so a retry may try.
 
 use crate::session::answers::Tenant;
+use crate::session::capacity::memory_ledger::{MemoryLedger, MemoryReservation};
+use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use std::collections::{BTreeMap, VecDeque};
@@ -12,8 +14,9 @@ use std::time::Duration;
 use tokio::time::Instant;
 use xxhash_rust::xxh3::Xxh3;
 
-/// Bytes of answers kept for one tenant.
+/// Bytes of answers kept for one tenant, and never more than this share of the memory that there is.
 const TENANT_BYTES: u64 = 256 << 20;
+const TENANT_SHARE: u64 = 8;
 /// Tenants whose keys are kept.
 const TENANTS: usize = 10_000;
 
@@ -39,6 +42,9 @@ pub(in crate::session) struct IdempotencyKeys<A> {
     tenants: Arc<Mutex<BTreeMap<Tenant, TenantKeys<A>>>>,
     age: Duration,
     keys: usize,
+    /// Bytes kept for one tenant.
+    bytes: u64,
+    ledger: Arc<MemoryLedger>,
 }
 
 #[derive(Debug)]
@@ -62,8 +68,16 @@ impl<A> Default for TenantKeys<A> {
 #[derive(Debug)]
 struct KeyEntry<A> {
     fingerprint: RequestFingerprint,
-    answer: Option<(A, u64)>,
+    answer: Option<KeptAnswer<A>>,
     number: u64,
+}
+
+/// An answer, and its bytes in the ledger.
+#[derive(Debug)]
+struct KeptAnswer<A> {
+    answer: A,
+    bytes: u64,
+    _counted: Option<MemoryReservation>,
 }
 
 /// What a key says about a call.
@@ -81,6 +95,7 @@ pub(in crate::session) struct KeyClaim<A> {
     tenants: Arc<Mutex<BTreeMap<Tenant, TenantKeys<A>>>>,
     tenant: Tenant,
     key: Arc<str>,
+    ledger: Arc<MemoryLedger>,
     open: bool,
 }
 
@@ -90,8 +105,10 @@ pub(in crate::session) fn answer_of_another_call() -> Error {
 }
 
 impl<A: Clone> IdempotencyKeys<A> {
-    pub fn new(config: &SessionConfig) -> Self {
+    pub fn new(config: &SessionConfig, ledger: &Arc<MemoryLedger>) -> Self {
         Self {
+            bytes: TENANT_BYTES.min(ledger.total() / TENANT_SHARE),
+            ledger: Arc::clone(ledger),
             tenants: Arc::default(),
             age: config.idempotency_age,
             keys: config.idempotency_keys,
@@ -113,7 +130,7 @@ impl<A: Clone> IdempotencyKeys<A> {
         let mut tenants = self.tenants.lock().unwrap_or_else(PoisonError::into_inner);
         if !tenants.contains_key(tenant) && tenants.len() >= TENANTS {
             tenants.retain(|_, keys| {
-                keys.forget(self.age, self.keys);
+                keys.forget(self.age, self.keys, self.bytes);
                 !keys.entries.is_empty()
             });
             if tenants.len() >= TENANTS {
@@ -124,14 +141,14 @@ impl<A: Clone> IdempotencyKeys<A> {
             }
         }
         let keys = tenants.entry(tenant.clone()).or_default();
-        keys.forget(self.age, self.keys);
+        keys.forget(self.age, self.keys, self.bytes);
         if let Some(entry) = keys.entries.get(key) {
             return match &entry.answer {
                 _ if entry.fingerprint != fingerprint => Err(Error::invalid(
                     "idempotency-key",
                     "was used for a different request; choose a new key",
                 )),
-                Some((answer, _)) => Ok(ClaimOutcome::Done(answer.clone())),
+                Some(kept) => Ok(ClaimOutcome::Done(kept.answer.clone())),
                 None => Err(Error {
                     retry_after_s: Some(1),
                     ..Error::new(
@@ -143,7 +160,7 @@ impl<A: Clone> IdempotencyKeys<A> {
         }
         if keys.entries.len() >= self.keys {
             // Whatever is finished may go; what runs may not.
-            keys.forget(self.age, self.keys.saturating_sub(1));
+            keys.forget(self.age, self.keys.saturating_sub(1), self.bytes);
             if keys.entries.len() >= self.keys {
                 return Err(Error::exhausted("too many calls with idempotency keys are running", 1));
             }
@@ -161,6 +178,7 @@ impl<A: Clone> IdempotencyKeys<A> {
             tenants: Arc::clone(&self.tenants),
             tenant: tenant.clone(),
             key,
+            ledger: Arc::clone(&self.ledger),
             open: true,
         }))
     }
@@ -168,10 +186,10 @@ impl<A: Clone> IdempotencyKeys<A> {
 
 impl<A> TenantKeys<A> {
     /// Drops answers that are too old, and the oldest ones beyond `keys` and the bytes allowed.
-    fn forget(&mut self, age: Duration, keys: usize) {
+    fn forget(&mut self, age: Duration, keys: usize, bytes: u64) {
         while let Some((when, number, _)) = self.finished.front() {
             let (when, number) = (*when, *number);
-            if when.elapsed() < age && self.entries.len() <= keys && self.bytes <= TENANT_BYTES {
+            if when.elapsed() < age && self.entries.len() <= keys && self.bytes <= bytes {
                 break;
             }
             let Some((_, _, key)) = self.finished.pop_front() else {
@@ -181,12 +199,9 @@ impl<A> TenantKeys<A> {
                 .entries
                 .get(&key)
                 .is_some_and(|e| e.number == number && e.answer.is_some())
-                && let Some(KeyEntry {
-                    answer: Some((_, bytes)),
-                    ..
-                }) = self.entries.remove(&key)
+                && let Some(KeyEntry { answer: Some(kept), .. }) = self.entries.remove(&key)
             {
-                self.bytes = self.bytes.saturating_sub(bytes);
+                self.bytes = self.bytes.saturating_sub(kept.bytes);
             }
         }
     }
@@ -204,7 +219,14 @@ impl<A> KeyClaim<A> {
         let Some(entry) = keys.entries.get_mut(&self.key) else {
             return;
         };
-        entry.answer = Some((answer, bytes));
+        // It was given already, so it is kept even where that breaks the budget.
+        let counted = self.ledger.reserve(MemoryUse::KeptAnswers, 0, 0);
+        counted.iter().for_each(|counted| _ = counted.resize(bytes));
+        entry.answer = Some(KeptAnswer {
+            answer,
+            bytes,
+            _counted: counted,
+        });
         entry.number = number;
         keys.bytes = keys.bytes.saturating_add(bytes);
         keys.finished.push_back((Instant::now(), number, Arc::clone(&self.key)));
@@ -225,6 +247,10 @@ impl<A> Drop for KeyClaim<A> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn keys_with(config: SessionConfig) -> IdempotencyKeys<u32> {
+        IdempotencyKeys::new(&config, &MemoryLedger::new(1 << 20, Arc::default()))
+    }
 
     fn keep(store: &IdempotencyKeys<u32>, key: &str, body: &str, answer: u32) {
         match store
@@ -255,7 +281,7 @@ mod tests {
 
     #[tokio::test]
     async fn the_first_answer_is_given_again() {
-        let store = IdempotencyKeys::new(&SessionConfig::default());
+        let store = keys_with(SessionConfig::default());
         keep(&store, "a", "x", 1);
         assert_eq!(ask(&store, "a", "x").expect("same request"), Some(1));
         assert_eq!(ask(&store, "a", "y").expect_err("another request").http_status(), 422);
@@ -268,7 +294,7 @@ mod tests {
 
     #[tokio::test]
     async fn an_answer_that_is_too_old_is_forgotten() {
-        let store = IdempotencyKeys::new(&SessionConfig {
+        let store = keys_with(SessionConfig {
             idempotency_age: Duration::ZERO,
             ..SessionConfig::default()
         });
@@ -280,7 +306,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_running_call_holds_its_key_and_a_failed_one_frees_it() {
-        let store: IdempotencyKeys<u32> = IdempotencyKeys::new(&SessionConfig::default());
+        let store: IdempotencyKeys<u32> = keys_with(SessionConfig::default());
         let claim = store
             .claim(&Tenant::default(), "a", RequestFingerprint::of("op", &[]))
             .expect("new");
@@ -297,7 +323,7 @@ mod tests {
 
     #[tokio::test]
     async fn keys_are_bounded_and_checked() {
-        let store = IdempotencyKeys::new(&SessionConfig {
+        let store = keys_with(SessionConfig {
             idempotency_keys: 2,
             ..SessionConfig::default()
         });

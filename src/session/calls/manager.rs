@@ -16,7 +16,7 @@ use crate::session::calls::idempotency::{
 };
 use crate::session::capacity::call_gate::CallGate;
 use crate::session::capacity::compute_slots::ComputeSlots;
-use crate::session::capacity::memory_budget::MemoryBudget;
+use crate::session::capacity::memory_ledger::MemoryLedger;
 use crate::session::capacity::work_watch::CancelOnDrop;
 use crate::session::config::SessionConfig;
 use crate::session::engine::{EngineOpener, OpenDeformer};
@@ -27,6 +27,7 @@ use crate::session::shared::SharedResources;
 use crate::wire::{SessionOptions, SessionPage};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::time::Instant;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
@@ -49,13 +50,14 @@ impl Manager {
     pub fn with_opener(config: SessionConfig, opener: impl EngineOpener) -> Result<Self, Error> {
         config.validate()?;
         let metrics = Arc::new(Metrics::default());
+        let ledger = MemoryLedger::new(config.memory_bytes, Arc::clone(&metrics));
         let shared = SharedResources {
             compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
-            budget: MemoryBudget::new(config.memory_bytes, Arc::clone(&metrics)),
             seats: Arc::new(Semaphore::new(config.sessions)),
             animations: Arc::new(Semaphore::new(config.animations)),
             registry: SessionRegistry::default(),
-            idempotency: IdempotencyKeys::new(&config),
+            idempotency: IdempotencyKeys::new(&config, &ledger),
+            ledger,
             opener: Box::new(opener),
             gate: CallGate::new(),
             numbers: AtomicU64::new(1),
@@ -73,6 +75,11 @@ impl Manager {
     /// The configuration.
     pub fn config(&self) -> &SessionConfig {
         &self.shared.config
+    }
+
+    /// What is held and may be held, by sessions and by whatever is on its way in or out.
+    pub fn ledger(&self) -> &Arc<MemoryLedger> {
+        &self.shared.ledger
     }
 
     /// What happened so far.
@@ -210,6 +217,7 @@ impl Manager {
         let command = command(PendingCall {
             reply,
             cancel: Arc::clone(&guard.0),
+            arrived: Instant::now(),
             claim,
         });
         session.commands.try_send(command).map_err(|error| match error {

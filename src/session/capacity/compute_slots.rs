@@ -1,7 +1,9 @@
-//! Process-wide compute slots: async callers on one side, the thread pool on the other.
+//! Process-wide compute slots: async callers on one side, the thread pools on the other.
 //!
-//! A slot is asked for before anything is moved to the pool, so that a refused caller loses nothing. Slots are given in
-//! the order in which they were asked for, to however many sessions there are.
+//! A slot is asked for before anything is moved to a pool, so that a refused caller loses nothing. There are two lanes, each with
+//! slots and threads of its own, so that what somebody waits for never stands behind a long build: poses, commits and what reads
+//! a shape run in the interactive lane; what builds, edits and animates in the lane of builds, whose threads the operating
+//! system serves last. Within a lane slots are given in the order in which they were asked for.
 
 use crate::pool::Pool;
 use crate::session::config::SessionConfig;
@@ -12,13 +14,38 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
-/// The thread pool and who may use it now.
+/// Threads that pack answers and drop what is large.
+const PACKING_THREADS: usize = 2;
+
+/// Answers that may wait to be packed.
+const PACKING_QUEUE: usize = 256;
+
+/// Which line work waits in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::session) enum WorkLane {
+    /// Somebody drags, or waits for one pose.
+    Interactive,
+    /// Builds, edits and frames of animations.
+    Builds,
+}
+
+/// Threads, and who may use them now.
 #[derive(Debug, Clone)]
-pub(in crate::session) struct ComputeSlots {
+struct ComputeLane {
     pool: Pool,
     slots: Arc<Semaphore>,
     /// Bounds those who wait for a slot.
     seats: Arc<Semaphore>,
+}
+
+/// The thread pools and who may use them now.
+#[derive(Debug, Clone)]
+pub(in crate::session) struct ComputeSlots {
+    interactive: ComputeLane,
+    builds: ComputeLane,
+    /// For what needs no slot, where it waits for no solve.
+    packing: Pool,
+    packing_seats: Arc<Semaphore>,
     wait: Duration,
     metrics: Arc<Metrics>,
 }
@@ -43,44 +70,65 @@ impl From<WorkPanicked> for Error {
     }
 }
 
-impl ComputeSlots {
-    pub fn new(config: &SessionConfig, metrics: Arc<Metrics>) -> Result<Self, Error> {
-        let pool = Pool::new(config.compute_threads).map_err(|e| Error::new(ErrorCode::Internal, e.to_string()))?;
+impl ComputeLane {
+    fn new(config: &SessionConfig, pool: Pool) -> Self {
         let slots = if config.compute_slots == 0 {
             pool.threads()
         } else {
             config.compute_slots
         };
-        Ok(Self {
+        Self {
             pool,
             slots: Arc::new(Semaphore::new(slots.min(Semaphore::MAX_PERMITS))),
             seats: Arc::new(Semaphore::new(config.compute_queue.min(Semaphore::MAX_PERMITS))),
+        }
+    }
+}
+
+impl ComputeSlots {
+    pub fn new(config: &SessionConfig, metrics: Arc<Metrics>) -> Result<Self, Error> {
+        let unstarted = |e: crate::pool::PoolError| Error::new(ErrorCode::Internal, e.to_string());
+        let threads = config.compute_threads;
+        let builds = Pool::started_with(threads, "build", give_way).map_err(unstarted)?;
+        Ok(Self {
+            interactive: ComputeLane::new(config, Pool::new(threads).map_err(unstarted)?),
+            builds: ComputeLane::new(config, builds),
+            packing: Pool::started_with(PACKING_THREADS, "pack", || {}).map_err(unstarted)?,
+            packing_seats: Arc::new(Semaphore::new(PACKING_QUEUE)),
             wait: config.compute_wait,
             metrics,
         })
     }
 
-    /// Waits for a slot, first come, first served.
+    fn lane(&self, lane: WorkLane) -> &ComputeLane {
+        match lane {
+            WorkLane::Interactive => &self.interactive,
+            WorkLane::Builds => &self.builds,
+        }
+    }
+
+    /// Waits for a slot for a call that arrived then, first come, first served.
     ///
     /// # Cancel safety
     /// Dropping the future gives up the place in the queue.
     ///
     /// # Errors
-    /// `RESOURCE_EXHAUSTED` when too many wait already, or after the longest wait.
-    pub async fn slot(&self) -> Result<ComputeSlot, Error> {
+    /// `RESOURCE_EXHAUSTED` when too many wait already, or after the longest wait since the call arrived.
+    pub async fn slot(&self, lane: WorkLane, arrived: Instant) -> Result<ComputeSlot, Error> {
         let refuse = |text: String| {
             self.metrics.refused.inc();
             Error::exhausted(text, 1)
         };
-        let asked = Instant::now();
-        let slots = Arc::clone(&self.slots);
+        let lane = self.lane(lane);
+        let slots = Arc::clone(&lane.slots);
         let permit = match Arc::clone(&slots).try_acquire_owned() {
             Ok(permit) => permit,
             Err(_) => {
-                let seat = self.seats.try_acquire();
+                let seat = lane.seats.try_acquire();
                 let _seat = seat.map_err(|_| refuse("too much work waits to be computed; try again later".into()))?;
                 let _waiting = GaugeUnit::add_to(&self.metrics.pool_waiting);
-                let waited = tokio::time::timeout(self.wait, slots.acquire_owned()).await;
+                let left = self.wait.saturating_sub(arrived.elapsed());
+                let waited = tokio::time::timeout(left, slots.acquire_owned()).await;
                 let permit = waited.map_err(|_| {
                     refuse(format!(
                         "no compute slot came free within {} ms; try again later",
@@ -90,11 +138,11 @@ impl ComputeSlots {
                 permit.map_err(|_| Error::draining())?
             }
         };
-        let queued = asked.elapsed();
+        let queued = arrived.elapsed();
         self.metrics.queue.observe(queued.as_secs_f64());
         Ok(ComputeSlot {
             permit,
-            pool: self.pool.clone(),
+            pool: lane.pool.clone(),
             metrics: Arc::clone(&self.metrics),
             queued,
         })
@@ -110,12 +158,13 @@ impl ComputeSlots {
     /// `UNAVAILABLE` when the slots are gone.
     pub async fn slot_for_frame(&self) -> Result<ComputeSlot, Error> {
         let asked = Instant::now();
+        let lane = &self.builds;
         let waiting = GaugeUnit::add_to(&self.metrics.pool_waiting);
-        let permit = Arc::clone(&self.slots).acquire_owned().await;
+        let permit = Arc::clone(&lane.slots).acquire_owned().await;
         drop(waiting);
         Ok(ComputeSlot {
             permit: permit.map_err(|_| Error::draining())?,
-            pool: self.pool.clone(),
+            pool: lane.pool.clone(),
             metrics: Arc::clone(&self.metrics),
             queued: asked.elapsed(),
         })
@@ -125,22 +174,40 @@ impl ComputeSlots {
     ///
     /// # Cancel safety
     /// Dropping the future discards the result.
-    pub async fn offload<R: Send + 'static>(
-        &self,
-        work: impl FnOnce() -> R + Send + 'static,
-    ) -> Result<R, WorkPanicked> {
-        tokio::task::spawn_blocking(move || caught(work))
-            .await
-            .unwrap_or_else(|_| Err(WorkPanicked("the runtime is shutting down".into())))
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` when too much of it waits already, `INTERNAL` when it panicked.
+    pub async fn offload<R: Send + 'static>(&self, work: impl FnOnce() -> R + Send + 'static) -> Result<R, Error> {
+        let seat = Arc::clone(&self.packing_seats).try_acquire_owned().map_err(|_| {
+            self.metrics.refused.inc();
+            Error::exhausted("too many answers wait to be packed; try again later", 1)
+        })?;
+        let (give, result) = oneshot::channel();
+        self.packing.spawn(move || {
+            let result = caught(work);
+            drop(seat);
+            let _ = give.send(result);
+        });
+        let result = result.await;
+        result.map_err(|_| Error::draining())?.map_err(Error::from)
     }
 
     /// Drops what is large without holding up the caller or waiting for a solve.
     pub fn discard(&self, what: impl Send + 'static) {
-        tokio::task::spawn_blocking(move || {
+        self.packing.spawn(move || {
             if let Err(WorkPanicked(text)) = caught(move || drop(what)) {
                 tracing::error!(panic = text, "dropping panicked");
             }
         });
+    }
+}
+
+/// Lets the operating system serve this thread after those that somebody waits for.
+fn give_way() {
+    #[cfg(target_os = "linux")]
+    {
+        // Of Linux's threads each has its own; where it is not allowed, both lanes share evenly.
+        let _ = rustix::process::nice(10);
     }
 }
 
@@ -200,10 +267,13 @@ mod tests {
             compute_slots: 1,
             ..SessionConfig::default()
         });
-        let slot = one.slot().await.expect("a slot");
+        let slot = one.slot(WorkLane::Interactive, Instant::now()).await.expect("a slot");
         let ended = slot.run(|_| -> u32 { std::panic::panic_any("on purpose") }).await;
         assert_eq!(ended.expect_err("panicked").0, "on purpose");
-        let slot = one.slot().await.expect("the slot is free again");
+        let slot = one
+            .slot(WorkLane::Interactive, Instant::now())
+            .await
+            .expect("the slot is free again");
         assert_eq!(slot.run(|pool| pool.threads()).await.expect("runs"), 1);
     }
 
@@ -215,11 +285,14 @@ mod tests {
             compute_queue: 1,
             ..SessionConfig::default()
         });
-        let held = one.slot().await.expect("a slot");
-        let waiter = one.slot();
+        let held = one.slot(WorkLane::Interactive, Instant::now()).await.expect("a slot");
+        let waiter = one.slot(WorkLane::Interactive, Instant::now());
         tokio::pin!(waiter);
         assert!(futures::poll!(waiter.as_mut()).is_pending());
-        let refused = one.slot().await.expect_err("no place to wait");
+        let refused = one
+            .slot(WorkLane::Interactive, Instant::now())
+            .await
+            .expect_err("no place to wait");
         assert_eq!((refused.http_status(), refused.retry_after_s), (429, Some(1)));
         drop(held);
         waiter.await.expect("its turn");
@@ -235,9 +308,17 @@ mod tests {
             compute_wait: wait,
             ..SessionConfig::default()
         });
-        let held = one.slot().await.expect("a slot");
-        assert_eq!(one.slot().await.expect_err("waited too long").http_status(), 429);
+        let held = one.slot(WorkLane::Interactive, Instant::now()).await.expect("a slot");
+        assert_eq!(
+            one.slot(WorkLane::Interactive, Instant::now())
+                .await
+                .expect_err("waited too long")
+                .http_status(),
+            429
+        );
         drop(held);
-        one.slot().await.expect("free again");
+        one.slot(WorkLane::Interactive, Instant::now())
+            .await
+            .expect("free again");
     }
 }

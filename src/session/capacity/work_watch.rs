@@ -1,6 +1,7 @@
 //! Why a piece of work should stop, and what it said while it ran.
 
 use crate::progress::{CancelFlag, Progress, Silent};
+use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::stage_clock::StageClock;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,18 +23,36 @@ pub(in crate::session) struct WorkWatch {
     flags: Vec<Arc<CancelFlag>>,
     started: Instant,
     limit: Duration,
+    deadline: Instant,
+    /// What the work may hold beside what it was given.
+    memory: Option<Arc<MemoryReservation>>,
     stages: StageClock<'static>,
 }
 
 impl WorkWatch {
     /// The time starts running now.
     pub fn new(flags: Vec<Arc<CancelFlag>>, limit: Duration) -> Self {
+        Self::since(Instant::now(), flags, limit)
+    }
+
+    /// The time of `limit` has been running since a call arrived.
+    pub fn since(arrived: Instant, flags: Vec<Arc<CancelFlag>>, limit: Duration) -> Self {
         let started = Instant::now();
         Self {
             flags,
             started,
             limit,
+            deadline: arrived.checked_add(limit).unwrap_or(started + limit),
+            memory: None,
             stages: StageClock::new(move || started.elapsed().as_secs_f64() * 1e3, &Silent),
+        }
+    }
+
+    /// Counts what the work is about to hold against a reservation, which grows as long as there is room.
+    pub fn within(self, memory: Arc<MemoryReservation>) -> Self {
+        Self {
+            memory: Some(memory),
+            ..self
         }
     }
 
@@ -60,7 +79,11 @@ impl WorkWatch {
 
 impl Progress for WorkWatch {
     fn cancelled(&self) -> bool {
-        self.abandoned() || self.started.elapsed() >= self.limit
+        self.abandoned() || Instant::now() >= self.deadline
+    }
+
+    fn may_hold(&self, bytes: u64) -> bool {
+        self.memory.as_ref().is_none_or(|memory| memory.grow_to(bytes))
     }
 
     fn report(&self, stage: &'static str, fraction: f32) {

@@ -5,6 +5,7 @@ use crate::exec::Exec;
 use crate::session::animation::frame_outbox::{FrameOutbox, StageTeller};
 use crate::session::animation::prepared_animation::ReadyAnimation;
 use crate::session::calls::command::PendingCall;
+use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::error::Error;
 use crate::session::task::session_task::SessionTask;
 use crate::wire::{self, AnimateOrder};
@@ -23,8 +24,7 @@ impl SessionTask {
         let limits = self.shared.config.animation_limits();
         let (prepared, watch) = self
             .compute(
-                &call.cancel,
-                self.shared.config.build,
+                call.order(WorkLane::Builds, self.shared.config.build),
                 move |deformer, pool, watch, _| {
                     let teller = StageTeller { outbox: &outbox, watch };
                     let exec = &Exec::new(pool, &teller);

@@ -8,6 +8,7 @@ use crate::pool::Pool;
 use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer};
 use crate::session::calls::handle_change::HandleChange;
+use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
@@ -18,6 +19,9 @@ use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::{CarryOrder, PoseCommit};
 use glam::DVec3;
 use std::sync::Arc;
+
+/// Handles up to which setting them is no build.
+const FEW_HANDLES: usize = 16;
 
 impl SessionTask {
     pub async fn serve_command(&mut self, command: SessionCommand) {
@@ -70,14 +74,22 @@ impl SessionTask {
         let set = change.apply_to(&state.handles.set, &state.poses)?;
         let limit = self.shared.config.build;
         let topology = state.topology.clone();
+        // A few handles are somebody's next drag, many take as long as a build.
+        let lane = match set.handles.len() <= FEW_HANDLES {
+            true => WorkLane::Interactive,
+            false => WorkLane::Builds,
+        };
+        let room = self.memory.room();
         let (replaced, watch) = self
-            .compute(&call.cancel, limit, move |deformer, pool, watch, _| {
+            .compute(call.order(lane, limit), move |deformer, pool, watch, _| {
+                deformer.engine.limit_memory(room);
                 let replaced = deformer.replace_handles(topology.as_ref(), &set, &Exec::new(pool, watch));
                 (replaced, set, watch.take_stage_ms())
             })
             .await?;
         let (replaced, set, stages) = replaced;
-        let (poses, facts) = replaced.map_err(|e| self.failure(e, &watch))?;
+        let (poses, facts) = replaced.map_err(|e| self.memory_failure(e, room, &watch))?;
+        self.refuse_beyond_memory()?;
         self.build_ms.extend(stages);
         self.history.commit_handles(set, poses, facts);
         if let Some(deformer) = &mut self.deformer {
@@ -99,16 +111,19 @@ impl SessionTask {
         let PoseCommit { seq, changes, options } = request;
         let settings = options.solve.clone();
         let (solved, watch) = self
-            .compute(&call.cancel, limit, move |deformer, pool, watch, queued| {
-                let solution = deformer.solve_for_commit(&state, &changes, &options, watch, pool)?;
-                let context = FrameContext {
-                    revision,
-                    diagonal,
-                    queued,
-                };
-                let frame = context.final_frame(seq, &options, &solution);
-                Ok::<_, engine::Error>((frame.into_request(&[], part_bytes), solution))
-            })
+            .compute(
+                call.order(WorkLane::Interactive, limit),
+                move |deformer, pool, watch, queued| {
+                    let solution = deformer.solve_for_commit(&state, &changes, &options, watch, pool)?;
+                    let context = FrameContext {
+                        revision,
+                        diagonal,
+                        queued,
+                    };
+                    let frame = context.final_frame(seq, &options, &solution);
+                    Ok::<_, engine::Error>((frame.into_request(&[], part_bytes), solution))
+                },
+            )
             .await?;
         let (frame, solution) = solved.map_err(|e| self.failure(e, &watch))?;
         self.commit_solution(&solution, settings);
@@ -139,7 +154,7 @@ impl SessionTask {
                 let replay = move |deformer: &mut LoadedDeformer, pool: &Pool, watch: &WorkWatch, _| {
                     deformer.solve_recipe(&recipe, &Exec::new(pool, watch))
                 };
-                let (shape, watch) = self.compute(&call.cancel, limit, replay).await?;
+                let (shape, watch) = self.compute(call.order(WorkLane::Interactive, limit), replay).await?;
                 shape.map_err(|e| self.failure(e, &watch))?
             }
         };
@@ -159,11 +174,14 @@ impl SessionTask {
         let positions = Arc::clone(&view.positions);
         let topology = self.history.current().topology.clone();
         let (carried, watch) = self
-            .compute(&call.cancel, limit, move |deformer, pool, watch, _| {
-                let exec = Exec::new(pool, watch);
-                deformer.go_to_topology(topology.as_ref(), &exec)?;
-                carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
-            })
+            .compute(
+                call.order(WorkLane::Interactive, limit),
+                move |deformer, pool, watch, _| {
+                    let exec = Exec::new(pool, watch);
+                    deformer.go_to_topology(topology.as_ref(), &exec)?;
+                    carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
+                },
+            )
             .await?;
         let (frames, model) = carried.map_err(|e| self.failure(e, &watch))?;
         Ok(CarriedAlong {
@@ -185,11 +203,14 @@ impl SessionTask {
         let positions = Arc::clone(&view.positions);
         let topology = self.history.current().topology.clone();
         let (written, watch) = self
-            .compute(&call.cancel, limit, move |deformer, pool, watch, _| {
-                let exec = Exec::new(pool, watch);
-                deformer.go_to_topology(topology.as_ref(), &exec)?;
-                deformer.engine.write(&positions, format, &exec)
-            })
+            .compute(
+                call.order(WorkLane::Interactive, limit),
+                move |deformer, pool, watch, _| {
+                    let exec = Exec::new(pool, watch);
+                    deformer.go_to_topology(topology.as_ref(), &exec)?;
+                    deformer.engine.write(&positions, format, &exec)
+                },
+            )
             .await?;
         Ok(ExportedModel {
             written: written.map_err(|e| self.failure(e, &watch))?,

@@ -4,6 +4,7 @@ use crate::engine::{self, EditCommand};
 use crate::exec::Exec;
 use crate::session::answers::CommittedEdit;
 use crate::session::calls::command::PendingCall;
+use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
 use crate::session::history::session_state::{EditedState, ShapeRecipe};
@@ -11,13 +12,13 @@ use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionEdit;
 
 impl SessionTask {
-    /// Of an edit that takes more memory than is free now, but not more than the server has, that it may fit later.
-    fn edit_failure(&self, error: engine::Error, room: u64, watch: &WorkWatch) -> Error {
+    /// Of a change that takes more memory than is free now, but not more than the server has, that it may fit later.
+    pub fn memory_failure(&self, error: engine::Error, room: u64, watch: &WorkWatch) -> Error {
         match error {
-            engine::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.budget.total() => {
+            engine::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.ledger.total() => {
                 self.shared.metrics.refused.inc();
                 Error::exhausted(
-                    format!("the session would need {seen} bytes of memory after the edit, {room} are free"),
+                    format!("the session would need {seen} bytes of memory, {room} are free"),
                     5,
                 )
             }
@@ -33,8 +34,7 @@ impl SessionTask {
         let room = self.memory.room();
         let (done, watch) = self
             .compute(
-                &call.cancel,
-                limit,
+                call.order(WorkLane::Builds, limit),
                 move |deformer, pool, watch, _| -> Result<_, engine::Error> {
                     let exec = &Exec::new(pool, watch);
                     deformer.load_state(state.topology.as_ref(), &state.handles, exec)?;
@@ -63,7 +63,8 @@ impl SessionTask {
                 },
             )
             .await?;
-        let (outcome, facts, topology, diagonal) = done.map_err(|e| self.edit_failure(e, room, &watch))?;
+        let (outcome, facts, topology, diagonal) = done.map_err(|e| self.memory_failure(e, room, &watch))?;
+        self.refuse_beyond_memory()?;
         let ms = watch.take_stage_ms();
         let edited = EditedState {
             topology,

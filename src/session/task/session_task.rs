@@ -6,10 +6,10 @@
 
 use crate::engine::{self, DeformerFacts, SolveSettings};
 use crate::pool::Pool;
-use crate::progress::{CancelFlag, Progress as _};
-use crate::session::calls::command::SessionCommand;
+use crate::progress::Progress as _;
+use crate::session::calls::command::{SessionCommand, WorkOrder};
 use crate::session::capacity::compute_slots::WorkPanicked;
-use crate::session::capacity::memory_budget::MemoryReservation;
+use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
@@ -32,7 +32,7 @@ pub(in crate::session) struct SessionTask {
     pub deformer: Option<LoadedDeformer>,
     pub history: CommitHistory,
     pub build_ms: BTreeMap<String, f64>,
-    pub memory: MemoryReservation,
+    pub memory: Arc<MemoryReservation>,
     pub seat: OwnedSemaphorePermit,
     /// Which stream is asked for work first.
     pub next_stream: usize,
@@ -113,24 +113,22 @@ impl SessionTask {
         None
     }
 
-    /// Runs work on the compute pool with the engine. The flags and `limit` stop it.
+    /// Runs work on a compute pool with the engine. Its flag, the session's end and its limit stop it.
     pub async fn compute<R: Send + 'static>(
         &mut self,
-        flag: &Arc<CancelFlag>,
-        limit: Duration,
+        order: WorkOrder,
         work: impl FnOnce(&mut LoadedDeformer, &Pool, &WorkWatch, Duration) -> R + Send + 'static,
     ) -> Result<(R, Arc<WorkWatch>), Error> {
         let slot = tokio::select! {
             biased;
             () = self.session.closing.cancelled() => return Err(self.session.why()),
-            slot = self.shared.compute.slot() => slot?,
+            slot = self.shared.compute.slot(order.lane, order.arrived) => slot?,
         };
         let lost = || Error::new(ErrorCode::Internal, "the session's engine is gone");
         let mut deformer = self.deformer.take().ok_or_else(lost)?;
-        let watch = Arc::new(WorkWatch::new(
-            vec![Arc::clone(flag), Arc::clone(&self.session.cancel)],
-            limit,
-        ));
+        let flags = vec![order.flag, Arc::clone(&self.session.cancel)];
+        let watch = WorkWatch::since(order.arrived, flags, order.limit).within(Arc::clone(&self.memory));
+        let watch = Arc::new(watch);
         let (inside, queued) = (Arc::clone(&watch), slot.queued);
         let ran = slot.run(move |pool| {
             let value = work(&mut deformer, pool, &inside, queued);
@@ -138,9 +136,8 @@ impl SessionTask {
         });
         match ran.await {
             Ok((deformer, value)) => {
-                let held = deformer.byte_size().saturating_add(self.history.byte_size());
-                self.memory.resize(held);
                 self.deformer = Some(deformer);
+                self.count_memory();
                 Ok((value, watch))
             }
             Err(WorkPanicked(text)) => {
@@ -211,8 +208,28 @@ impl SessionTask {
             history: self.history.show(),
         };
         self.session.publish(view);
+        self.count_memory();
+    }
+
+    /// Tells the ledger what the session holds; false when that is more than there is room for.
+    fn count_memory(&self) -> bool {
         let engine = self.deformer.as_ref().map_or(0, LoadedDeformer::byte_size);
-        self.memory.resize(engine.saturating_add(self.history.byte_size()));
+        self.memory.resize(engine.saturating_add(self.history.byte_size()))
+    }
+
+    /// Refuses a change that is ready when what it would hold does not fit; what was there before is loaded again when it is
+    /// needed.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED`.
+    pub fn refuse_beyond_memory(&mut self) -> Result<(), Error> {
+        if self.count_memory() {
+            return Ok(());
+        }
+        self.shared.metrics.refused.inc();
+        let held = self.memory.bytes();
+        let text = format!("the session would hold {held} bytes of memory, which do not fit beside the others");
+        Err(Error::exhausted(text, 5))
     }
 }
 

@@ -3,6 +3,8 @@
 use crate::engine::{self, HandlePose, SolveMode, SolveSettings, SolveUpdate};
 use crate::exec::Exec;
 use crate::pool::Pool;
+use crate::session::calls::command::WorkOrder;
+use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
 use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
@@ -13,7 +15,7 @@ use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
 use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::{DeformOptions, Error as WireError, PoseEntry};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// What a turn came to.
 struct StreamTurn {
@@ -59,8 +61,14 @@ impl SessionTask {
         // A drag takes its best result in time; only one that has none after twice the time is given up.
         let limit = if commit { longest } else { longest.saturating_mul(2) };
         let (revision, desk) = (self.history.revision(), Arc::clone(&mailbox));
+        let order = WorkOrder {
+            lane: WorkLane::Interactive,
+            flag: Arc::clone(&mailbox.cancel),
+            arrived: Instant::now(),
+            limit,
+        };
         let ran = self
-            .compute(&mailbox.cancel, limit, move |deformer, pool, watch, queued| {
+            .compute(order, move |deformer, pool, watch, queued| {
                 let frames = FrameContext {
                     revision,
                     diagonal: state.diagonal,

@@ -33,9 +33,22 @@ pub struct PoolError {
 impl Pool {
     /// Starts `threads` threads; 0 means one for each core that this process may use.
     pub fn new(threads: usize) -> Result<Self, PoolError> {
+        Self::started_with(threads, "compute", || {})
+    }
+
+    /// As [`Pool::new`]; threads are called `pliant-ROLE-N`, and each begins with `on_start`.
+    ///
+    /// # Errors
+    /// [`PoolError`].
+    pub fn started_with(
+        threads: usize,
+        role: &'static str,
+        on_start: impl Fn() + Send + Sync + 'static,
+    ) -> Result<Self, PoolError> {
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
-            .thread_name(|i| format!("pliant-compute-{i}"))
+            .thread_name(move |i| format!("pliant-{role}-{i}"))
+            .start_handler(move |_| on_start())
             .build()
             .map(|pool| Self {
                 threads: Arc::new(pool),

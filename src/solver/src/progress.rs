@@ -9,6 +9,13 @@ pub trait Progress: Sync {
         false
     }
 
+    /// Asked before something large is allocated: whether the work may hold `bytes` in all, what it was given included.
+    /// Where the answer is no, the work ends with an error that names the size.
+    fn may_hold(&self, bytes: u64) -> bool {
+        let _ = bytes;
+        true
+    }
+
     /// Tells that `fraction` (0 to 1) of `stage` is done. Called rarely, from the thread that started the work.
     fn report(&self, stage: &'static str, fraction: f32) {
         let _ = (stage, fraction);

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::support::server::{Server, eventually, floats, http, text, within};
+use pliant::session::MemoryUse;
 use serde_json::json;
 
 struct Talk {
@@ -170,10 +171,10 @@ async fn a_session_with_undo_and_redo() {
             sessions.history = 1000;
         })
         .await;
-        let base = server.manager.metrics().bytes.get();
+        let base = server.manager.metrics().held_bytes(MemoryUse::Sessions).get();
         let id = server.bar_session().await;
         let talk = Talk { server, id };
-        let held = talk.server.manager.metrics().bytes.get();
+        let held = talk.server.manager.metrics().held_bytes(MemoryUse::Sessions).get();
         assert!(held > base);
         runs.push(steps(&talk, 21, 80).await);
         let gone = http()
@@ -181,7 +182,10 @@ async fn a_session_with_undo_and_redo() {
             .send();
         assert_eq!(within("delete", gone).await.expect("an answer").status(), 204);
         let metrics = talk.server.manager.metrics();
-        eventually("memory back at base", async || metrics.bytes.get() == base).await;
+        eventually("memory back at base", async || {
+            metrics.held_bytes(MemoryUse::Sessions).get() == base
+        })
+        .await;
     }
     let [done, refused, walked] = runs[0].1;
     println!("session: {done} edits done, {refused} refused, {walked} undone or redone");

@@ -8,6 +8,7 @@ use glam::DVec3;
 use pliant::asset::shapes;
 use pliant::edit::SubdivisionScheme;
 use pliant::engine::{Edit, EditedShape, Handle, HandlePose, HandleSet, Region};
+use pliant::session::MemoryUse;
 use pliant::session::{Manager, SessionConfig};
 use pliant::wire::SessionEdit;
 
@@ -107,7 +108,7 @@ async fn a_session_tells_the_poses_in_force() {
 async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
     let open = Manager::new(small()).expect("valid");
     let id = bar(&open).await;
-    let one = open.metrics().bytes.get() as u64;
+    let one = open.metrics().held_bytes(MemoryUse::Sessions).get() as u64;
     let twice = || {
         edit_of_current(Edit::Subdivide {
             region: None,
@@ -130,7 +131,7 @@ async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
             refused = Some((id, e));
             break;
         }
-        let held = manager.metrics().bytes.get() as u64;
+        let held = manager.metrics().held_bytes(MemoryUse::Sessions).get() as u64;
         assert!(held <= 12 * one, "{held} bytes are held, {one} by a bar");
     }
     let (id, error) = refused.expect("at some time there is no room");

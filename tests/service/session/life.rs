@@ -1,6 +1,7 @@
 //! Expiry, deleting, idempotency keys, draining, many sessions at once.
 
 use super::fake::*;
+use pliant::session::MemoryUse;
 use pliant::session::{ErrorCode, SessionConfig, StreamAnswer};
 use pliant::wire::SessionOptions;
 use std::time::Duration;
@@ -54,7 +55,10 @@ async fn an_unused_session_expires_and_frees_its_memory() {
         .await
         .expect("an open stream keeps it");
     drop(stream);
-    until(|| manager.metrics().sessions_expired.get() == 3 && manager.metrics().bytes.get() == 0).await;
+    until(|| {
+        manager.metrics().sessions_expired.get() == 3 && manager.metrics().held_bytes(MemoryUse::Sessions).get() == 0
+    })
+    .await;
     assert_eq!(manager.metrics().sessions.get(), 0);
 }
 
@@ -73,7 +77,10 @@ async fn deleting_ends_work_and_streams() {
     tokio::task::yield_now().await;
     manager.delete(tenant(), &id).await.expect("deleted");
     assert_eq!(
-        (manager.metrics().pool_busy.get(), manager.metrics().bytes.get()),
+        (
+            manager.metrics().pool_busy.get(),
+            manager.metrics().held_bytes(MemoryUse::Sessions).get()
+        ),
         (0, 0)
     );
     assert_eq!(solving.await.expect("no panic").expect_err("gone").http_status(), 404);
@@ -236,7 +243,11 @@ async fn many_sessions_share_few_slots() {
     }
     let metrics = manager.metrics();
     assert_eq!(
-        (metrics.sessions.get(), metrics.streams.get(), metrics.bytes.get()),
+        (
+            metrics.sessions.get(),
+            metrics.streams.get(),
+            metrics.held_bytes(MemoryUse::Sessions).get()
+        ),
         (0, 0, 0)
     );
     assert_eq!((metrics.poses_solved.get(), metrics.commits.get()), (8 * 21, 8 * 2));

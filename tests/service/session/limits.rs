@@ -1,9 +1,11 @@
 //! What is refused, with which code, and that it costs nobody else anything.
 
 use super::fake::*;
+use pliant::session::MemoryUse;
 use pliant::session::{Error, Manager, SessionConfig, Tenant};
 use pliant::wire::{SessionOptions, SessionPage};
 use std::sync::Arc;
+use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 
 async fn refused(manager: &Manager, text: &str, options: SessionOptions) -> Error {
@@ -27,7 +29,10 @@ async fn creation_checks_sizes() {
     assert_eq!((never.http_status(), never.retry_after_s), (413, None));
     assert_eq!(refused(&manager, "panic", options()).await.http_status(), 500);
     assert_eq!(
-        (manager.metrics().sessions.get(), manager.metrics().bytes.get()),
+        (
+            manager.metrics().sessions.get(),
+            manager.metrics().held_bytes(MemoryUse::Sessions).get()
+        ),
         (0, 0)
     );
     let id = create(&manager, "points 4").await;
@@ -43,7 +48,7 @@ async fn memory_that_is_taken_is_asked_for_again_later() {
     });
     assert!(manager.admits());
     let id = create(&manager, "points 30000").await;
-    assert!(manager.metrics().bytes.get() >= 3_000_000 && !manager.admits());
+    assert!(manager.metrics().held_bytes(MemoryUse::Sessions).get() >= 3_000_000 && !manager.admits());
     let later = refused(&manager, "large 3000000", options()).await;
     assert_eq!(
         (later.http_status(), later.retry_after_s.is_some()),
@@ -57,7 +62,13 @@ async fn memory_that_is_taken_is_asked_for_again_later() {
         "an estimate that was too low is caught when the truth is known"
     );
     manager.delete(tenant(), &id).await.expect("deleted");
-    assert_eq!((manager.metrics().bytes.get(), manager.admits()), (0, true));
+    assert_eq!(
+        (
+            manager.metrics().held_bytes(MemoryUse::Sessions).get(),
+            manager.admits()
+        ),
+        (0, true)
+    );
     create(&manager, "points 30000").await;
 }
 
@@ -108,6 +119,55 @@ async fn a_session_that_is_busy_takes_only_so_many_calls() {
 }
 
 #[tokio::test]
+async fn calls_that_wait_grow_old_together() {
+    let (manager, control) = manager(SessionConfig {
+        solve: Duration::from_millis(200),
+        ..small()
+    });
+    let id = open(&manager).await;
+    control.hold();
+    let call = || {
+        let (manager, id) = (manager.clone(), id.clone());
+        tokio::spawn(async move { manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None).await })
+    };
+    let calls: Vec<_> = (0..20).map(|_| call()).collect();
+    for call in calls {
+        let error = call.await.expect("no panic").expect_err("its time was over");
+        assert_eq!(error.http_status(), 504, "{error}");
+    }
+    assert_eq!(
+        control.solves.load(SeqCst),
+        1,
+        "those behind the first were never begun"
+    );
+    control.release();
+    manager
+        .solve(tenant(), &id, solve(&[("a", 1.0)]), None)
+        .await
+        .expect("the session works on");
+}
+
+#[tokio::test]
+async fn a_pose_never_waits_behind_builds() {
+    let (manager, control) = manager(SessionConfig {
+        compute_slots: 1,
+        ..small()
+    });
+    let id = open(&manager).await;
+    control.hold();
+    let slow = manager.clone();
+    let build = tokio::spawn(async move { slow.create(tenant(), model("slow 4"), options(), None).await });
+    control.held_up().await;
+    let (quick, posed) = (manager.clone(), id.clone());
+    let pose = tokio::spawn(async move { quick.solve(tenant(), &posed, solve(&[("a", 1.0)]), None).await });
+    until(|| control.solves.load(SeqCst) == 1).await;
+    assert!(!build.is_finished());
+    control.release();
+    pose.await.expect("no panic").expect("solved");
+    build.await.expect("no panic").expect("built");
+}
+
+#[tokio::test]
 async fn a_build_that_nobody_waits_for_stops() {
     let (manager, control) = manager(small());
     control.hold();
@@ -116,7 +176,8 @@ async fn a_build_that_nobody_waits_for_stops() {
         manager.create(tenant(), model("slow 4"), options(), None),
     );
     assert!(create.await.is_err());
-    until(|| manager.metrics().pool_busy.get() == 0 && manager.metrics().bytes.get() == 0).await;
+    until(|| manager.metrics().pool_busy.get() == 0 && manager.metrics().held_bytes(MemoryUse::Sessions).get() == 0)
+        .await;
     assert_eq!(manager.metrics().sessions.get(), 0);
 }
 

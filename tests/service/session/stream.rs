@@ -1,6 +1,7 @@
 //! The deform stream's promises.
 
 use super::fake::*;
+use pliant::session::MemoryUse;
 use pliant::session::{ErrorCode, SessionConfig, StreamAnswer};
 use pliant::wire::frames::{FrameOutput, encode};
 use pliant::wire::{self, DeformOptions, StreamRequest};
@@ -159,7 +160,7 @@ async fn a_reader_that_stops_costs_no_more_than_its_window() {
     let (manager, control) = manager(small());
     let id = open(&manager).await;
     let mut client = Client::open(&manager, &id).await;
-    let before = manager.metrics().bytes.get();
+    let before = manager.metrics().held_bytes(MemoryUse::Sessions).get();
     for half in [1..=10_000, 10_001..=20_000] {
         for seq in half {
             client.drag(seq, &[("a", seq as f64), ("b", 1.0)]);
@@ -170,7 +171,10 @@ async fn a_reader_that_stops_costs_no_more_than_its_window() {
     client.drag(20_001, &[("a", 7.0)]);
     tokio::time::sleep(Duration::from_millis(50)).await;
     assert_eq!(
-        (control.solves.load(SeqCst), manager.metrics().bytes.get()),
+        (
+            control.solves.load(SeqCst),
+            manager.metrics().held_bytes(MemoryUse::Sessions).get()
+        ),
         (2, before)
     );
     let (first, second) = (client.frame().await.header, client.frame().await.header);

@@ -5,6 +5,7 @@
 //! [`Model::read`](super::Model::read) call it.
 
 use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
+use super::files::ReadWatch;
 use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
@@ -48,7 +49,7 @@ pub(super) trait FormatCodec: Sync {
     fn patches_files_of(&self, source: Format) -> bool;
 
     /// Reads a model, of which `format` is the form. What it returns is checked by [`Geometry::check`].
-    fn read(&self, files: &FileSet, format: Format, limits: &Limits) -> Result<ReadFile, Error>;
+    fn read(&self, files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error>;
 
     /// The names of the files that a model's main file and its companions so far name, relative to the main file's
     /// folder and inside of it, each once. Nothing is checked: what cannot be taken apart names none.

@@ -45,6 +45,9 @@ pub enum Error {
         /// The size allowed.
         limit: u64,
     },
+    /// Nobody wants the model any more.
+    #[error("cancelled")]
+    Cancelled,
     /// No triangle was found.
     #[error("{format}: no mesh: {problem}")]
     NoMesh {

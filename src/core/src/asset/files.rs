@@ -1,8 +1,10 @@
 //! The files that make a model, as they came and as they go.
 
 use super::{Error, FollowedCounts};
+use crate::progress::{self, Progress};
 use bytes::Bytes;
 use std::collections::BTreeMap;
+use std::ops::Deref;
 
 /// What was uploaded: one main file and the companions that it names: buffers and images of a glTF, material
 /// libraries of an OBJ and their pictures. Nothing outside this set is ever read.
@@ -41,6 +43,8 @@ pub struct Limits {
     pub triangles: u64,
     /// Bytes that decoding (compressed or sparse data) may take.
     pub decoded_bytes: u64,
+    /// Bytes that the parsed text of a document may take, beside what it describes.
+    pub document_bytes: u64,
 }
 
 impl Default for Limits {
@@ -49,6 +53,7 @@ impl Default for Limits {
             vertices: 20_000_000,
             triangles: 40_000_000,
             decoded_bytes: 4 << 30,
+            document_bytes: 4 << 30,
         }
     }
 }
@@ -62,6 +67,47 @@ impl Limits {
     /// Refuses more triangles than allowed.
     pub(super) fn check_triangles(&self, seen: u64) -> Result<(), Error> {
         within("triangles", seen, self.triangles)
+    }
+}
+
+/// The limits of one read, and who waits for it. Dereferences to the limits.
+#[derive(Clone, Copy)]
+pub(super) struct ReadWatch<'a> {
+    limits: &'a Limits,
+    progress: &'a dyn Progress,
+}
+
+impl<'a> ReadWatch<'a> {
+    /// Within `limits`, until `progress` is cancelled.
+    pub(super) fn new(limits: &'a Limits, progress: &'a dyn Progress) -> Self {
+        Self { limits, progress }
+    }
+
+    /// Stops the read when nobody wants it any more.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        progress::check(self.progress).map_err(|_| Error::Cancelled)
+    }
+
+    /// As [`ReadWatch::check`], for every 4096th of many items.
+    pub(super) fn check_at(&self, item: usize) -> Result<(), Error> {
+        if item.is_multiple_of(4096) {
+            self.check()
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Refuses a document whose parsed text would take more bytes than allowed, before it is parsed.
+    pub(super) fn check_document(&self, bytes: u64) -> Result<(), Error> {
+        within("the bytes of the parsed document", bytes, self.document_bytes)
+    }
+}
+
+impl Deref for ReadWatch<'_> {
+    type Target = Limits;
+
+    fn deref(&self) -> &Limits {
+        self.limits
     }
 }
 

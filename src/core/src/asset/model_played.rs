@@ -11,6 +11,7 @@ const UNLIMITED: Limits = Limits {
     vertices: u64::MAX,
     triangles: u64::MAX,
     decoded_bytes: u64::MAX,
+    document_bytes: u64::MAX,
 };
 
 impl Model {

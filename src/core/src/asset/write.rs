@@ -3,10 +3,12 @@
 use super::codec::EditedOutput;
 use super::codec::Translation;
 use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
+use super::files::ReadWatch;
 use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
 use super::neutral::NeutralModel;
 use super::{Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
+use crate::progress::{Progress, Silent};
 use glam::{DAffine3, DVec3};
 
 impl Model {
@@ -30,6 +32,19 @@ impl Model {
     /// # Ok::<(), pliant_core::asset::Error>(())
     /// ```
     pub fn read(files: FileSet, format: Option<Format>, limits: &Limits) -> Result<Self, Error> {
+        Self::read_watched(files, format, limits, &Silent)
+    }
+
+    /// As [`Model::read`], until `progress` is cancelled.
+    ///
+    /// # Errors
+    /// Those of [`Model::read`], and [`Error::Cancelled`].
+    pub fn read_watched(
+        files: FileSet,
+        format: Option<Format>,
+        limits: &Limits,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
         let recognised = || Format::from_file(&files.name, &files.main);
         let Some(format) = format.or_else(recognised) else {
             let place = if files.name.is_empty() {
@@ -46,11 +61,11 @@ impl Model {
                 format,
                 warnings,
             } = translator.translate(&files, limits)?;
-            let mut model = Self::read(files, Some(format), limits)?;
+            let mut model = Self::read_watched(files, Some(format), limits, progress)?;
             model.geometry.warnings.splice(0..0, warnings);
             return Ok(model);
         }
-        let (geometry, notes) = codec_of(format).read(&files, format, limits)?;
+        let (geometry, notes) = codec_of(format).read(&files, format, &ReadWatch::new(limits, progress))?;
         geometry.check(format, limits)?;
         Ok(Self {
             format,

@@ -67,7 +67,7 @@ impl Deformer {
         passenger: CarriedModel,
         exec: &Exec<'_>,
     ) -> Result<WrittenFiles, Error> {
-        let model = Model::read(passenger.files, passenger.format, &self.limits.model)?;
+        let model = Model::read_watched(passenger.files, passenger.format, &self.limits.model, exec.progress)?;
         exec.check()?;
         let carried = self.carry_points(positions, &model.positions, exec)?;
         let now: Vec<DVec3> = carried.iter().map(|frame| frame.position).collect();

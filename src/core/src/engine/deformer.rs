@@ -28,6 +28,9 @@ use crate::pool::Pool;
 use glam::DVec3;
 use std::sync::Arc;
 
+/// Bytes of a harmonic field for each handle and node.
+const FIELD_BYTES: u64 = 12;
+
 /// A model with everything derived from it. One owner; solves need `&mut`.
 pub struct Deformer {
     pub(super) derived: Arc<DerivedStructures>,
@@ -72,7 +75,7 @@ impl Deformer {
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         exec.progress.report("read", 0.0);
-        let model = Model::read(files, options.format, &limits.model)?;
+        let model = Model::read_watched(files, options.format, &limits.model, exec.progress)?;
         Self::of_model(model, options, limits, exec)
     }
 
@@ -145,6 +148,14 @@ impl Deformer {
     /// Says how many bytes the deformer may hold after its next edit, at most those of its limits.
     pub fn limit_memory(&mut self, bytes: u64) {
         self.room = bytes.min(self.limits.memory_bytes);
+    }
+
+    /// The limits, with as much memory as there is room for.
+    fn room_limits(&self) -> DeformerLimits {
+        DeformerLimits {
+            memory_bytes: self.room,
+            ..self.limits
+        }
     }
 
     /// A state that was left a short while ago.
@@ -348,9 +359,14 @@ impl Deformer {
         let rebuilt = lineage.inside.as_ref().filter(|inside| inside.set == handles);
         let before = followed_edit.or(rebuilt.map(HeldBeforeEdit::Rebuilt));
         let regions = self.rest_regions();
-        let (resolved, rigging) = resolve_handles(&regions, body, handles, self.options.policy, before)?;
-        let field_bytes = (rigging.handles.len() as u64 + 1) * body.nodes() as u64 * 12;
-        admit_bytes(self.estimate() + field_bytes, &self.limits)?;
+        // A mirror image of each may come beside it.
+        let most = handles.handles.len() as u64 * if handles.symmetry_plane.is_some() { 2 } else { 1 };
+        let held = self.estimate() + (most + 1) * body.nodes() as u64 * FIELD_BYTES;
+        let admit = |held_by_handles: u64| {
+            exec.check()?;
+            admit_bytes(held + held_by_handles, &self.room_limits(), exec)
+        };
+        let (resolved, rigging) = resolve_handles((&regions, body), handles, self.options.policy, before, &admit)?;
         let restart = carried.map(|c| FieldRestart {
             before: &c.fields,
             old_from_new: &followed.old_from_new,

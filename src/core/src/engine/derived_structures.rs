@@ -79,7 +79,7 @@ impl DerivedStructures {
         exec.progress.report("mesh", 0.0);
         let vertices = topology.rest.len() as u64;
         let files = topology.model.files.total_bytes();
-        admit_bytes(vertices * BYTES_PER_VERTEX + files, limits)?;
+        admit_bytes(vertices * BYTES_PER_VERTEX + files, limits, exec)?;
         let mesh = topology.mesh(options.weld)?;
         exec.check()?;
 
@@ -89,7 +89,7 @@ impl DerivedStructures {
         } else {
             mesh.positions.len()
         };
-        admit_bytes(estimate(vertices, nodes as u64) + files, limits)?;
+        admit_bytes(estimate(vertices, nodes as u64) + files, limits, exec)?;
         let parts = MeshParts::find_parts(&topology, &mesh, options)?;
         let body = DeformableBody::build(&mesh, &body_options(&topology, &parts.families, options, limits), exec)?;
         Ok(Self::new(
@@ -147,7 +147,7 @@ impl DerivedStructures {
                 let nodes = FollowedNodes { old_from_new, touched };
                 let vertices = change.topology.rest.len() as u64;
                 let files = change.topology.model.files.total_bytes();
-                admit_bytes(estimate(vertices, body.nodes() as u64) + files, limits)?;
+                admit_bytes(estimate(vertices, body.nodes() as u64) + files, limits, exec)?;
                 let lineage = TopologyLineage {
                     id,
                     topology: change.topology,
@@ -367,8 +367,9 @@ fn estimate(vertices: u64, nodes: u64) -> u64 {
     vertices * BYTES_PER_VERTEX + nodes * BYTES_PER_NODE
 }
 
-pub(super) fn admit_bytes(bytes: u64, limits: &DeformerLimits) -> Result<(), Error> {
-    if bytes <= limits.memory_bytes {
+/// Refuses work that would hold more bytes in all than the limits, or whoever watches it, allow.
+pub(super) fn admit_bytes(bytes: u64, limits: &DeformerLimits, exec: &Exec<'_>) -> Result<(), Error> {
+    if bytes <= limits.memory_bytes && exec.progress.may_hold(bytes) {
         return Ok(());
     }
     Err(Error::TooLarge {

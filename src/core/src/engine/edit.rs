@@ -52,13 +52,14 @@ impl Deformer {
             }),
             surface: &mut surface,
             origins: &mut origins,
+            admit_growth: &|triangles| self.admit_growth(triangles, exec),
         };
         let mut planned = plan_edit(&mut context, order.edit, exec)?;
         exec.check()?;
         planned.patch.idle = std::mem::take(&mut surface.idle_vertices);
         let patch = &planned.patch;
         let applied = apply_patch(&surface.surface(), patch, &surface.first_vertices())?;
-        self.admit_size(&applied)?;
+        self.admit_size(&applied, exec)?;
         let carried = self.carry(&applied, &planned, at_rest.then_some(order.poses))?;
         let mut report = self.report_edit(before, &applied, &planned, &carried);
         let points_before = self.derived.mesh.positions.len();
@@ -211,28 +212,32 @@ impl Deformer {
         EditSurface::new(&self.derived.mesh, geometry, shape, shading.normals, tangents)
     }
 
-    fn admit_size(&self, applied: &PatchedSurface) -> Result<(), Error> {
+    /// Refuses an edit that would add about so many triangles, and half as many vertices, by its estimate alone.
+    fn admit_growth(&self, triangles: f64, exec: &Exec<'_>) -> Result<(), Error> {
+        // Beyond 2^63 there is nothing left to tell apart.
+        let added = triangles.clamp(0.0, 1e18) as u64;
+        let (vertices, faces) = (self.rest().len() as u64, self.geometry().triangles.len() as u64);
+        self.admit_counts((vertices + added / 2, faces.saturating_add(added)), exec)
+    }
+
+    fn admit_size(&self, applied: &PatchedSurface, exec: &Exec<'_>) -> Result<(), Error> {
+        let triangles = applied.triangles.len() + self.topology().passenger_triangles();
+        self.admit_counts((applied.positions.len() as u64, triangles as u64), exec)
+    }
+
+    fn admit_counts(&self, (vertices, triangles): (u64, u64), exec: &Exec<'_>) -> Result<(), Error> {
         let limits = &self.limits.model;
         let sizes = [
-            (
-                "the number of vertices after the edit",
-                applied.positions.len(),
-                limits.vertices,
-            ),
-            (
-                "the number of triangles after the edit",
-                applied.triangles.len() + self.topology().passenger_triangles(),
-                limits.triangles,
-            ),
+            ("the number of vertices after the edit", vertices, limits.vertices),
+            ("the number of triangles after the edit", triangles, limits.triangles),
         ];
-        if let Some((what, seen, limit)) = sizes.into_iter().find(|(_, seen, limit)| *seen as u64 > *limit) {
-            let seen = seen as u64;
+        if let Some((what, seen, limit)) = sizes.into_iter().find(|(_, seen, limit)| seen > limit) {
             return Err(Error::TooLarge { what, seen, limit });
         }
         // What grows is expected to need as much for each vertex as what there is.
-        let (before, after) = (self.rest().len().max(1) as u64, applied.positions.len() as u64);
-        let seen = self.derived.estimate() / before * after;
-        if after > before && seen > self.room {
+        let before = self.rest().len().max(1) as u64;
+        let seen = (self.derived.estimate() / before).saturating_mul(vertices);
+        if vertices > before && (seen > self.room || !exec.progress.may_hold(seen)) {
             return Err(Error::TooLarge {
                 what: "the estimated memory of the session in bytes",
                 seen,

@@ -34,6 +34,8 @@ pub(super) struct EditContext<'a> {
     pub surface: &'a mut EditSurface,
     /// What its vertices are made of.
     pub origins: &'a mut VertexOrigins,
+    /// Refuses an edit that would add about so many triangles, before it is begun.
+    pub admit_growth: &'a dyn Fn(f64) -> Result<(), Error>,
 }
 
 /// A planned operation.
@@ -86,6 +88,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
         }
         Edit::Subdivide { region, scheme } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
+            (context.admit_growth)(3.0 * faces.len() as f64)?;
             edit::subdivide_region(&context.surface.surface(), &faces, *scheme, progress)?
         }
         Edit::SubdivideForPose { region } => {
@@ -121,6 +124,11 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
                 None => RemeshTarget::Auto { rest: context.rest },
                 Some(length) => RemeshTarget::Length(*length),
             };
+            let expected = edit::expected_triangles(&context.surface.surface(), &faces, target)?;
+            // What no surface may have is refused as such.
+            if expected <= edit::MOST_TRIANGLES as f64 {
+                (context.admit_growth)(expected - faces.len() as f64)?;
+            }
             edit::remesh_region(&context.surface.surface(), &faces, target, progress)?
         }
         Edit::Merge(merge) => plan_merge(context, merge, exec)?,
@@ -215,7 +223,8 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
         Error::Asset(asset::Error::TooLarge { .. }) | Error::TooLarge { .. } | Error::Cancelled => e,
         other => Error::invalid(source, format!("cannot be taken: {other}")),
     };
-    let model = Model::read(merge.files.clone(), merge.format, &context.limits.model).map_err(|e| unfit(e.into()))?;
+    let (files, limits) = (merge.files.clone(), &context.limits.model);
+    let model = Model::read_watched(files, merge.format, limits, exec.progress).map_err(|e| unfit(e.into()))?;
     let model = Arc::new(model);
     let other = ModelTopology::from_shared_model(Arc::clone(&model));
     let mesh = other.mesh(Weld::Exact).map_err(unfit)?;

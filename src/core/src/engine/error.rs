@@ -9,7 +9,7 @@ use std::fmt;
 pub enum Error {
     /// The model cannot be read or written.
     #[error(transparent)]
-    Asset(#[from] asset::Error),
+    Asset(asset::Error),
     /// A value of the input does not fit the model.
     #[error("{place}: {problem}")]
     Invalid {
@@ -168,6 +168,15 @@ impl fmt::Display for RegionPlace {
             Self::Primitive => f.write_str("primitive"),
             Self::Weights => f.write_str("weights"),
             Self::Weight(k) => write!(f, "weight {k}"),
+        }
+    }
+}
+
+impl From<asset::Error> for Error {
+    fn from(error: asset::Error) -> Self {
+        match error {
+            asset::Error::Cancelled => Self::Cancelled,
+            error => Self::Asset(error),
         }
     }
 }

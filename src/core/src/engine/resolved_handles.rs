@@ -42,13 +42,16 @@ pub(super) struct ResolvedHandles {
     pub warnings: Vec<DeformerWarning>,
 }
 
+/// What handles hold besides, while they are resolved: asked with the bytes of all so far, before the next one is.
+pub(super) type HeldBytesAdmission<'a> = dyn Fn(u64) -> Result<(), Error> + 'a;
+
 /// Resolves handles. With `before` they go on to hold the nodes inside that they held.
 pub(super) fn resolve_handles(
-    context: &RegionContext<'_>,
-    body: &DeformableBody,
+    (context, body): (&RegionContext<'_>, &DeformableBody),
     set: HandleSet,
     policy: FreePartPolicy,
     before: Option<HeldBeforeEdit<'_>>,
+    admit: &HeldBytesAdmission<'_>,
 ) -> Result<(ResolvedHandles, HandleSetup), Error> {
     let mirror = set.symmetry_plane.map(|p| p.unit_normal_and_point());
     // Mirror images are found from what handles hold, so those stay as they are listed.
@@ -60,7 +63,9 @@ pub(super) fn resolve_handles(
         ..Default::default()
     };
     let (mut holds, mut images, mut strays) = (Vec::new(), Vec::new(), Vec::new());
+    let mut held_bytes = 0;
     for (k, handle) in set.handles.iter().enumerate() {
+        admit(held_bytes)?;
         let place = |part| InputPlace::HandleRegion(k, part);
         let vertices = vertices_of_handle(context, &handle.region).map_err(|e| e.with_place(place))?;
         let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.with_place(place))?;
@@ -86,10 +91,13 @@ pub(super) fn resolve_handles(
             // A node of both belongs to the handle itself, not to its mirror image.
             image.nodes.retain(|n| hold.nodes.binary_search(n).is_err());
             image.pulls.retain(|(n, _)| hold.nodes.binary_search(n).is_err());
+            held_bytes += constraint_bytes(&image);
             images.push(image);
         }
+        held_bytes += constraint_bytes(&hold);
         holds.push(hold);
     }
+    admit(held_bytes)?;
     let frozen = frozen_nodes(context, body, set.region_of_interest.as_ref())?;
     resolved.warnings = overlap_warnings(&set.handles, &holds, &images, &frozen);
     holds.extend(images);
@@ -134,6 +142,12 @@ impl ResolvedHandles {
         }
         all
     }
+}
+
+/// Bytes of what a handle does, in the lists of nodes here and in those that the system makes of them.
+fn constraint_bytes(hold: &HandleConstraint) -> u64 {
+    const COPIES: usize = 3;
+    (COPIES * (size_of_val(&hold.nodes[..]) + size_of_val(&hold.pulls[..]))) as u64
 }
 
 /// What a handle does to the nodes that it holds.

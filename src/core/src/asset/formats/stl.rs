@@ -6,11 +6,11 @@
 use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, shown};
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
-use crate::asset::files::check_main_size;
+use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::model::{FileNotes, is_same};
 use crate::asset::neutral::NeutralModel;
-use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -34,8 +34,8 @@ impl FormatCodec for StlCodec {
         format == FORMAT
     }
 
-    fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
-        read(&files.main, limits).map(share_notes)
+    fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
+        read(&files.main, watch).map(share_notes)
     }
 
     fn patch_positions(
@@ -95,7 +95,7 @@ const STYLE: TextStyle = TextStyle {
 };
 
 /// Reads an STL file.
-fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, StlNotes), Error> {
+fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, StlNotes), Error> {
     check_main_size(bytes)?;
     let text = bytes
         .trim_ascii_start()
@@ -121,10 +121,11 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, StlNotes), Error> {
             return Err(Error::malformed(FORMAT, "byte 80", problem));
         }
         extra = bytes.len() - HEADER - count as usize * FACET;
-        limits.check_vertices(count * 3)?;
-        limits.check_triangles(count)?;
+        watch.check_vertices(count * 3)?;
+        watch.check_triangles(count)?;
         positions.reserve_exact(count as usize * 3);
         for (i, facet) in bytes[HEADER..].chunks_exact(FACET).take(count as usize).enumerate() {
+            watch.check_at(i)?;
             for corner in 0..3 {
                 let position = read_vector(facet, corner + 1);
                 if !position.is_finite() {
@@ -142,7 +143,8 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, StlNotes), Error> {
             for words in corners {
                 positions.push(facets.read_position(words)?);
             }
-            limits.check_vertices(positions.len() as u64)?;
+            watch.check_vertices(positions.len() as u64)?;
+            watch.check_at(positions.len() / 3)?;
         }
     }
     let triangles = (0..positions.len() as u32 / 3)
@@ -387,6 +389,7 @@ fn check_single(positions: &[DVec3]) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::asset::Limits;
     use crate::asset::{FileSet, Model};
     use glam::Vec3;
 

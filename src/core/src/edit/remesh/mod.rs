@@ -79,6 +79,18 @@ pub fn remesh_region(
     Ok(patch)
 }
 
+/// About how many triangles [`remesh_region`] would make of the region, which now has `region.len()`, before anything is
+/// remeshed. What comes in the end is within four times as many.
+///
+/// # Errors
+/// [`Error::Invalid`] as of [`remesh_region`].
+pub fn expected_triangles(surface: &SurfaceView, region: &[u32], target: RemeshTarget) -> Result<f64, Error> {
+    let gathered = gather_region(surface, region, target)?;
+    Ok(gathered.map_or(0.0, |(mesh, wanted)| {
+        sizing::estimate_triangles(&mesh, &sizing::grade_lengths(&mesh, &wanted))
+    }))
+}
+
 /// Checks the arguments and gathers what is to be remeshed with the target length at each point; `None` when no face of
 /// the region is stretched.
 fn gather_region(

@@ -56,7 +56,7 @@ impl Deformer {
         }
         let (constraints, facts) = held_by_rig(&handles, &body.graph, exec.pool)?;
         let field_bytes = (constraints.len() as u64 + 1) * body.nodes() as u64 * 12;
-        admit_bytes(self.byte_size() + field_bytes, &self.limits)?;
+        admit_bytes(self.byte_size() + field_bytes, &self.limits, exec)?;
         let setup = HandleSetup {
             handles: constraints,
             policy: self.options.policy,

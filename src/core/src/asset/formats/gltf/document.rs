@@ -3,10 +3,12 @@
 use super::container::{self, GlbContainer};
 use super::fault::GltfFault;
 use super::schema::{AssetHeader, BufferView, GltfAccessor, GltfBuffer, GltfMesh, GltfNode, GltfScene, WholeNumber};
-use super::text::{items, members};
+use super::text::{count_items, items, members};
+use crate::asset::files::ReadWatch;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::{Error, FileSet, Format};
 use serde::de::DeserializeOwned;
+use std::cell::Cell;
 
 /// Binary glTF, by what it is known.
 pub(in super::super) const GLB_FORMAT: Format = Format::new(&FormatDetails {
@@ -67,7 +69,9 @@ pub(super) struct GltfDocument<'a> {
 
 impl<'a> GltfDocument<'a> {
     /// Parses the main file of a set; references between sections are checked by [`super::check`].
-    pub(super) fn parse(files: &'a FileSet, format: Format) -> Result<Self, Error> {
+    ///
+    /// What the parsed text will take is counted before it is: an empty item of three bytes becomes hundreds.
+    pub(super) fn parse(files: &'a FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<Self, Error> {
         let fault = GltfFault(format);
         let container = if format == GLB_FORMAT {
             Some(container::split(&files.main, fault)?)
@@ -82,6 +86,7 @@ impl<'a> GltfDocument<'a> {
             .map_err(|e| fault.malformed("json", format!("byte {} is not UTF-8", e.valid_up_to())))?;
         let root = JsonRoot {
             fault,
+            allowance: DocumentAllowance::new(text, watch),
             members: members(text).map_err(|e| fault.malformed("json", e.to_string()))?,
         };
 
@@ -118,12 +123,63 @@ impl<'a> GltfDocument<'a> {
     }
 }
 
-struct JsonRoot<'a> {
+/// What the items of a document may take, and what those that were counted will.
+struct DocumentAllowance<'a> {
+    watch: &'a ReadWatch<'a>,
+    most: u64,
+    counted: Cell<u64>,
+}
+
+impl<'a> DocumentAllowance<'a> {
+    /// Bytes for each byte of the text: a node that only places a mesh takes less.
+    const BYTES_PER_BYTE: u64 = 64;
+    /// Bytes that no document is refused for.
+    const FREE: u64 = 16 << 20;
+    /// Bytes of an item beside its value: slices of the text, its place in the scene.
+    const BYTES_PER_ITEM: u64 = 192;
+
+    fn new(text: &str, watch: &'a ReadWatch<'a>) -> Self {
+        Self {
+            watch,
+            most: (text.len() as u64).saturating_mul(Self::BYTES_PER_BYTE) + Self::FREE,
+            counted: Cell::new(0),
+        }
+    }
+
+    /// Counts the items of one section, each a value of so many bytes.
+    fn count_section(&self, key: &str, text: &str, value_bytes: usize, fault: GltfFault) -> Result<usize, Error> {
+        let mut cancelled = false;
+        let items = count_items(text, |item| {
+            cancelled = self.watch.check_at(item).is_err();
+            !cancelled
+        });
+        if cancelled {
+            return Err(Error::Cancelled);
+        }
+        let items = items.map_err(|e| fault.malformed(key, without_position(&e.to_string())))?;
+        let bytes = (items as u64).saturating_mul(value_bytes as u64 + Self::BYTES_PER_ITEM);
+        let all = self.counted.get().saturating_add(bytes);
+        self.counted.set(all);
+        if all > self.most {
+            let problem = format!(
+                "{items} items, of which many are empty, take {all} bytes; {} bytes of text may take {}",
+                (self.most - Self::FREE) / Self::BYTES_PER_BYTE,
+                self.most
+            );
+            return Err(fault.malformed(key, problem));
+        }
+        self.watch.check_document(all)?;
+        Ok(items)
+    }
+}
+
+struct JsonRoot<'a, 'w> {
     fault: GltfFault,
+    allowance: DocumentAllowance<'w>,
     members: Vec<super::text::JsonMember<'a>>,
 }
 
-impl<'a> JsonRoot<'a> {
+impl<'a> JsonRoot<'a, '_> {
     fn find(&self, key: &str) -> Result<Option<&'a str>, Error> {
         let mut found = self.members.iter().filter(|m| m.key == key).map(|m| m.value);
         match (found.next(), found.next()) {
@@ -139,19 +195,25 @@ impl<'a> JsonRoot<'a> {
     }
 
     fn texts(&self, key: &str) -> Result<Vec<&'a str>, Error> {
+        self.texts_of_values(key, 0)
+    }
+
+    /// The items of a section as texts, of which values of so many bytes will be made.
+    fn texts_of_values(&self, key: &str, value_bytes: usize) -> Result<Vec<&'a str>, Error> {
         let Some(text) = self.find(key)? else {
             return Ok(Vec::new());
         };
+        self.allowance.count_section(key, text, value_bytes, self.fault)?;
         items(text).map_err(|e| self.fault.malformed(key, without_position(&e.to_string())))
     }
 
     fn section<T: DeserializeOwned>(&self, key: &str) -> Result<DocumentSection<'a, T>, Error> {
-        let items = self.texts(key)?;
-        let values = items
-            .iter()
-            .enumerate()
-            .map(|(i, text)| parse_value(text, &format!("{key}/{i}"), self.fault))
-            .collect::<Result<_, _>>()?;
+        let items = self.texts_of_values(key, size_of::<T>())?;
+        let mut values = Vec::with_capacity(items.len());
+        for (i, text) in items.iter().enumerate() {
+            self.allowance.watch.check_at(i)?;
+            values.push(parse_value(text, &format!("{key}/{i}"), self.fault)?);
+        }
         Ok(DocumentSection {
             text: self.find(key)?,
             items,

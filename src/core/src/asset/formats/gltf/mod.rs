@@ -91,12 +91,13 @@ pub(super) use uri::of_file_name as uri_of_name;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
+use crate::asset::files::ReadWatch;
 use crate::asset::look::SurfaceLook;
 use crate::asset::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::played_clip::PlayedClip;
 use crate::asset::{
-    Error, FileSet, FollowedCounts, Format, Limits, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,
+    Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,
 };
 use crate::mesh::local_turns::local_turns;
 use glam::DVec3;
@@ -111,8 +112,8 @@ impl FormatCodec for GltfCodec {
         format == GLB_FORMAT || format == GLTF_FORMAT
     }
 
-    fn read(&self, files: &FileSet, format: Format, limits: &Limits) -> Result<ReadFile, Error> {
-        let (geometry, notes) = read::read(files, format, limits)?;
+    fn read(&self, files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
+        let (geometry, notes) = read::read(files, format, watch)?;
         Ok((geometry, Arc::new(notes)))
     }
 

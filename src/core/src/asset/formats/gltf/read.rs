@@ -10,8 +10,10 @@ use super::scene::{self, MeshPlacement, PlacedScene, Warnings};
 use super::schema::MeshPrimitive;
 use super::seams::SkinSeams;
 use super::skin::SkinPose;
+use crate::asset::files::ReadWatch;
 use crate::asset::model::FileNotes;
 use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
+use crate::progress::Silent;
 use glam::{DMat3, DVec3, Vec3, Vec4};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -69,7 +71,13 @@ const UNLIMITED: Limits = Limits {
     vertices: u64::MAX,
     triangles: u64::MAX,
     decoded_bytes: u64::MAX,
+    document_bytes: u64::MAX,
 };
+
+/// Parses a document that was parsed before, within the limits of that time.
+pub(super) fn parse_known(files: &FileSet, format: Format) -> Result<GltfDocument<'_>, Error> {
+    GltfDocument::parse(files, format, &ReadWatch::new(&UNLIMITED, &Silent))
+}
 
 /// Parses the document of a model that was read before, and finds its bytes.
 pub(super) fn reopen<'a>(model: &'a Model, notes: &'a GltfNotes) -> Result<(GltfDocument<'a>, BufferBytes), Error> {
@@ -78,21 +86,22 @@ pub(super) fn reopen<'a>(model: &'a Model, notes: &'a GltfNotes) -> Result<(Gltf
 
 /// Parses the document of files that are known to be right, and finds its bytes.
 pub(super) fn parse_again(files: &FileSet, format: Format) -> Result<(GltfDocument<'_>, BufferBytes), Error> {
-    let doc = GltfDocument::parse(files, format)?;
+    let doc = parse_known(files, format)?;
     super::check::check(&doc)?;
     let buffers = BufferBytes::load(&doc, files, &UNLIMITED)?;
     Ok((doc, buffers))
 }
 
 /// Reads a model, checking everything it relies on.
-pub(super) fn read(files: &FileSet, format: Format, limits: &Limits) -> Result<(Geometry, GltfNotes), Error> {
-    let doc = GltfDocument::parse(files, format)?;
+pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<(Geometry, GltfNotes), Error> {
+    let limits: &Limits = watch;
+    let doc = GltfDocument::parse(files, format, watch)?;
     super::check::check(&doc)?;
     if doc.uses(draco::DRACO) {
         let mut buffers = BufferBytes::load(&doc, files, limits)?;
         if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, limits)? {
             drop(buffers);
-            let doc = GltfDocument::parse(&plain, format)?;
+            let doc = GltfDocument::parse(&plain, format, watch)?;
             super::check::check(&doc)?;
             let (mut geometry, mut notes) = read_document(&doc, &plain, format, limits)?;
             let message =

@@ -4,7 +4,7 @@
 //! of them. Key order, number texts, escapes, duplicate keys and white space of everything else stay as they were.
 
 use serde::Deserialize;
-use serde::de::{Deserializer, MapAccess, Visitor};
+use serde::de::{Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 use std::fmt;
 use std::ops::Range;
@@ -24,6 +24,31 @@ pub(super) fn members(text: &str) -> Result<Vec<JsonMember<'_>>, serde_json::Err
 pub(super) fn items(text: &str) -> Result<Vec<&str>, serde_json::Error> {
     let raw: Vec<&RawValue> = serde_json::from_str(text)?;
     Ok(raw.into_iter().map(RawValue::get).collect())
+}
+
+/// How many items the array that `text` holds has, without keeping any. Stops with an error when `goes_on` says so.
+pub(super) fn count_items(text: &str, goes_on: impl FnMut(usize) -> bool) -> Result<usize, serde_json::Error> {
+    struct Count<F>(F);
+    impl<'de, F: FnMut(usize) -> bool> Visitor<'de> for Count<F> {
+        type Value = usize;
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a sequence")
+        }
+        fn visit_seq<A: SeqAccess<'de>>(mut self, mut seq: A) -> Result<usize, A::Error> {
+            let mut count = 0;
+            while seq.next_element::<IgnoredAny>()?.is_some() {
+                if !(self.0)(count) {
+                    return Err(A::Error::custom("stopped"));
+                }
+                count += 1;
+            }
+            Ok(count)
+        }
+    }
+    let mut reader = serde_json::Deserializer::from_str(text);
+    let count = reader.deserialize_seq(Count(goes_on))?;
+    reader.end()?;
+    Ok(count)
 }
 
 /// The value of `key` in the object that `text` holds; the last one when the key is repeated.

@@ -19,8 +19,9 @@ pub(super) use read::FORMAT;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
 use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
+use crate::asset::files::ReadWatch;
 use crate::asset::neutral::{NeutralModel, RunAttributes, SeamPart};
-use crate::asset::{Error, FileSet, Format, Limits, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Model, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 
 /// Reads and writes OBJ.
@@ -31,8 +32,8 @@ impl FormatCodec for ObjCodec {
         format == FORMAT
     }
 
-    fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
-        read::read(&files.main, limits).map(share_notes)
+    fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
+        read::read(&files.main, watch).map(share_notes)
     }
 
     fn companion_names(&self, files: &FileSet, _: Format) -> Vec<String> {

@@ -5,11 +5,11 @@ use super::super::text::{NumberPrecision, TextLexer, TextToken, coordinate, numb
 use super::corner::{FaceCorner, NO_NORMAL, STYLE, resolve, three_words};
 use super::normals::NormalLines;
 use crate::asset::edited::FaceOutlines;
-use crate::asset::files::check_main_size;
+use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
 use crate::asset::model::FileNotes;
-use crate::asset::{Error, Format, Geometry, Limits};
+use crate::asset::{Error, Format, Geometry};
 use glam::{DVec3, Vec3};
 
 /// The format, by what it is known.
@@ -46,9 +46,9 @@ fn recognise(bytes: &[u8]) -> Recognition {
 }
 
 /// Reads an OBJ file.
-pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, ObjNotes), Error> {
+pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, ObjNotes), Error> {
     check_main_size(bytes)?;
-    let mut reader = ObjReader::new(bytes, limits);
+    let mut reader = ObjReader::new(bytes, *watch);
     reader.read_statements()?;
     reader.finish()
 }
@@ -60,7 +60,7 @@ fn malformed(line: u32, problem: impl Into<String>) -> Error {
 /// Reads the statements that the mesh needs.
 pub(super) struct ObjReader<'a> {
     lexer: TextLexer<'a>,
-    limits: &'a Limits,
+    watch: ReadWatch<'a>,
     positions: Vec<DVec3>,
     /// Unit normals of the `vn` lines, zero where a line gives none.
     pub normals: Vec<Vec3>,
@@ -91,10 +91,10 @@ impl Occurrences {
 }
 
 impl<'a> ObjReader<'a> {
-    pub fn new(bytes: &'a [u8], limits: &'a Limits) -> Self {
+    pub fn new(bytes: &'a [u8], watch: ReadWatch<'a>) -> Self {
         Self {
             lexer: TextLexer::new(bytes, STYLE),
-            limits,
+            watch,
             positions: Vec::new(),
             normals: Vec::new(),
             texture_count: 0,
@@ -108,7 +108,10 @@ impl<'a> ObjReader<'a> {
 
     /// Reads all statements.
     pub fn read_statements(&mut self) -> Result<(), Error> {
+        let mut statements = 0;
         while let Some(keyword) = self.lexer.token() {
+            self.watch.check_at(statements)?;
+            statements += 1;
             match self.lexer.text(keyword) {
                 b"v" => {
                     let words = self.read_triple(keyword)?;
@@ -118,7 +121,7 @@ impl<'a> ObjReader<'a> {
                             .map_err(|problem| malformed(word.line, problem))?;
                     }
                     self.positions.push(position);
-                    self.limits.check_vertices(self.positions.len() as u64)?;
+                    self.watch.check_vertices(self.positions.len() as u64)?;
                 }
                 b"vn" => {
                     let normal = self.read_normal(keyword)?;
@@ -205,7 +208,7 @@ impl<'a> ObjReader<'a> {
         }
         self.faces.end_face();
         self.corner_normals.truncate(self.faces.corners.len());
-        self.limits.check_triangles(self.faces.triangle_count())
+        self.watch.check_triangles(self.faces.triangle_count())
     }
 
     fn finish(self) -> Result<(Geometry, ObjNotes), Error> {

@@ -1,8 +1,10 @@
 use super::read::ObjReader;
 use super::write::build;
+use crate::asset::files::ReadWatch;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};
 use crate::mesh::shading;
+use crate::progress::Silent;
 use glam::{DQuat, DVec3, Vec3};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -318,7 +320,7 @@ proptest! {
 /// Vertex, number of the `vn` line, and normal of each face corner.
 fn named_corners(text: &str) -> Vec<(u32, u32, Vec3)> {
     let limits = Limits::default();
-    let mut reader = ObjReader::new(text.as_bytes(), &limits);
+    let mut reader = ObjReader::new(text.as_bytes(), ReadWatch::new(&limits, &Silent));
     reader.read_statements().unwrap_or_else(|e| panic!("{e}"));
     let corner = |(&v, &n): (&u32, &u32)| (v, n, reader.normals[n as usize]);
     reader

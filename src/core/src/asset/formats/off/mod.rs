@@ -13,8 +13,9 @@ pub(super) use read::FORMAT;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
 use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
+use crate::asset::files::ReadWatch;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::{Error, FileSet, Format, Limits, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Model, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 
 /// Reads and writes OFF.
@@ -25,8 +26,8 @@ impl FormatCodec for OffCodec {
         format == FORMAT
     }
 
-    fn read(&self, files: &FileSet, _: Format, limits: &Limits) -> Result<ReadFile, Error> {
-        read::read(&files.main, limits).map(share_notes)
+    fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
+        read::read(&files.main, watch).map(share_notes)
     }
 
     fn patch_positions(

@@ -3,11 +3,11 @@
 use super::super::polygons::Polygons;
 use super::super::text::{NumberPrecision, TextLexer, TextStyle, TextToken, coordinate, integer, number, shown};
 use crate::asset::edited::FaceOutlines;
-use crate::asset::files::check_main_size;
+use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
 use crate::asset::model::FileNotes;
-use crate::asset::{Error, Format, Geometry, Limits};
+use crate::asset::{Error, Format, Geometry};
 use glam::{DVec3, Vec3};
 
 /// The format, by what it is known.
@@ -52,15 +52,15 @@ fn malformed(line: u32, problem: impl Into<String>) -> Error {
 }
 
 /// Reads an OFF file.
-pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes), Error> {
+pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, OffNotes), Error> {
     check_main_size(bytes)?;
     let mut lexer = TextLexer::new(bytes, STYLE);
     let has_normals = read_header(&mut lexer)?;
     let (vertex_count, vertex_line) = read_count(&mut lexer, "vertices")?;
     let (face_count, face_line) = read_count(&mut lexer, "faces")?;
     lexer.end_line();
-    limits.check_vertices(vertex_count)?;
-    limits.check_triangles(face_count)?;
+    watch.check_vertices(vertex_count)?;
+    watch.check_triangles(face_count)?;
     // A vertex takes three digits, each with a blank or a line end; a face, a digit and a line end.
     let (left, needed) = (lexer.bytes_left() as u64 + 1, vertex_count * 6 + face_count * 2);
     if needed > left {
@@ -73,6 +73,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes)
     let mut positions = Vec::with_capacity(vertex_count as usize);
     let mut normals = Vec::with_capacity(if has_normals { vertex_count as usize } else { 0 });
     for i in 0..vertex_count {
+        watch.check_at(i as usize)?;
         positions.push(read_triple(&mut lexer, &format_args!("vertex {i}"))?);
         if has_normals {
             normals.push(read_normal(&mut lexer, i)?);
@@ -81,7 +82,8 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, OffNotes)
     }
     let mut faces = Polygons::default();
     for i in 0..face_count {
-        read_face(&mut lexer, i, vertex_count, &mut faces, limits)?;
+        watch.check_at(i as usize)?;
+        read_face(&mut lexer, i, vertex_count, &mut faces, watch)?;
     }
     let (slots, crude) = faces.triangulate(&positions);
     let outlines = faces.find_outlines(&slots);
@@ -203,7 +205,7 @@ fn read_face(
     face: u64,
     vertex_count: u64,
     faces: &mut Polygons,
-    limits: &Limits,
+    watch: &ReadWatch<'_>,
 ) -> Result<(), Error> {
     let (corners, line) = read_count(lexer, &format!("corners of face {face}"))?;
     let left = lexer.bytes_left() as u64;
@@ -213,7 +215,7 @@ fn read_face(
             format!("face {face} declares {corners} corners, {left} bytes are left"),
         ));
     }
-    limits.check_triangles(faces.triangle_count() + corners.saturating_sub(2))?;
+    watch.check_triangles(faces.triangle_count() + corners.saturating_sub(2))?;
     for _ in 0..corners {
         let Some(token) = lexer.token() else {
             return Err(malformed(lexer.line(), format!("the file ends inside face {face}")));

@@ -4,11 +4,11 @@ use super::super::polygons::Polygons;
 use super::body::PlyBody;
 use super::header::{PlyElement, PlyEncoding, PlyHeader};
 use crate::asset::edited::FaceOutlines;
-use crate::asset::files::check_main_size;
+use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::geometry::unit_or_zero;
 use crate::asset::model::FileNotes;
-use crate::asset::{Error, Format, Geometry, Limits};
+use crate::asset::{Error, Format, Geometry};
 use glam::{DVec3, Vec3};
 
 /// The format, by what it is known.
@@ -41,11 +41,11 @@ impl FileNotes for PlyNotes {
 }
 
 /// Reads a PLY file.
-pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes), Error> {
+pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, PlyNotes), Error> {
     check_main_size(bytes)?;
     let header = PlyHeader::read(bytes)?;
     let vertex = single_element(&header, "vertex")?.clone();
-    limits.check_vertices(vertex.rows)?;
+    watch.check_vertices(vertex.rows)?;
     let position = ["x", "y", "z"].map(|name| vertex.scalar_property(name));
     let [Some(x), Some(y), Some(z)] = position else {
         return Err(Error::malformed(
@@ -85,7 +85,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Geometry, PlyNotes)
                 notes.vertices_at = body.next_place();
                 (positions, normals) = read_vertices(&mut body, &notes)?;
             }
-            "face" | "tristrips" => read_faces(&mut body, element, notes.vertex.rows, &mut faces, limits)?,
+            "face" | "tristrips" => read_faces(&mut body, element, notes.vertex.rows, &mut faces, watch)?,
             _ => body.skip_rows(element)?,
         }
     }
@@ -149,7 +149,7 @@ fn read_faces(
     element: &PlyElement,
     vertex_count: u64,
     faces: &mut Polygons,
-    limits: &Limits,
+    watch: &ReadWatch<'_>,
 ) -> Result<(), Error> {
     let list = element
         .properties
@@ -160,6 +160,7 @@ fn read_faces(
     };
     let strips = element.name == "tristrips";
     for row in 0..element.rows {
+        watch.check_at(row as usize)?;
         for (i, property) in element.properties.iter().enumerate() {
             let Some(count) = property.count.filter(|_| i == list) else {
                 body.skip_property(property)?;
@@ -168,7 +169,7 @@ fn read_faces(
             let mut strip = TriangleStrip::default();
             let items = body.list_count(count, property.scalar)?;
             if !strips {
-                limits.check_triangles(faces.triangle_count() + items.saturating_sub(2))?;
+                watch.check_triangles(faces.triangle_count() + items.saturating_sub(2))?;
             }
             for _ in 0..items {
                 let index = body.read_number(property.scalar)?;
@@ -184,7 +185,7 @@ fn read_faces(
                 } else if let Some(triangle) = strip.next(index as u32) {
                     faces.corners.extend(triangle);
                     faces.end_face();
-                    limits.check_triangles(faces.triangle_count())?;
+                    watch.check_triangles(faces.triangle_count())?;
                 }
             }
             faces.end_face();

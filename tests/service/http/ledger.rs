@@ -1,0 +1,153 @@
+//! Memory and work that are refused before they are taken: handles, edits, and answers that nobody reads.
+
+use super::*;
+use pliant::session::MemoryUse;
+use std::time::Duration;
+
+/// The bytes that sessions and answers hold now.
+fn held(server: &Server) -> [i64; 2] {
+    [MemoryUse::Sessions, MemoryUse::Answers].map(|what| server.manager.metrics().held_bytes(what).get())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn soft_handles_that_reach_far_are_counted_before_they_are_held() {
+    let server = Server::with(|sessions, _| sessions.memory_bytes = 24 << 20).await;
+    let id = server.bar_session().await;
+    let before = held(&server);
+    let soft = |k: usize| {
+        json!({
+            "id": format!("soft {k}"),
+            "region": {"sphere": {"center": [0, 0, 0.004 * k as f64], "radius": 0.8}},
+            "stiffness": 1.0,
+            "falloff": {"radius": 100.0, "kind": "SMOOTH"}
+        })
+    };
+    let path = format!("/v1/sessions/{id}/handles");
+    let put = |count: usize| {
+        let mut handles: Vec<Value> = (0..count).map(soft).collect();
+        handles.extend(ends().as_array().cloned().unwrap_or_default());
+        http()
+            .put(server.url(&path))
+            .json(&json!({ "handles": handles }))
+            .send()
+    };
+    let refused = within("handles", put(900)).await.expect("an answer");
+    let status = refused.status();
+    let told: Value = refused.json().await.expect("a problem");
+    assert_eq!(status, 413, "{told}");
+    assert!(
+        text(&told["detail"]).contains("the estimated memory of the session"),
+        "{told}"
+    );
+    let session: Value = get(&server, &format!("/v1/sessions/{id}"))
+        .await
+        .json()
+        .await
+        .expect("JSON");
+    assert_eq!(
+        session["handles"].as_array().map(Vec::len),
+        Some(2),
+        "the old ones stay"
+    );
+    let solved = post(&server, &format!("/v1/sessions/{id}/solve"), turn_json(0.5)).await;
+    assert_eq!(solved.status(), 200);
+    assert!(
+        held(&server)[0] < before[0] + (4 << 20),
+        "{:?} and {before:?}",
+        held(&server)
+    );
+    assert_eq!(within("handles", put(20)).await.expect("an answer").status(), 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_edit_that_would_grow_too_large_is_refused_by_its_estimate() {
+    let server = Server::with(|sessions, _| sessions.memory_bytes = 256 << 20).await;
+    let id = server.bar_session().await;
+    let path = format!("/v1/sessions/{id}/edits");
+    // Some 4 million triangles.
+    let edit = json!({"remesh": {"edgeLength": 0.004}});
+    let refused = post(&server, &path, edit).await;
+    let status = refused.status();
+    let told: Value = refused.json().await.expect("a problem");
+    assert_eq!(status, 413, "{told}");
+    assert!(
+        text(&told["detail"]).contains("the estimated memory of the session"),
+        "{told}"
+    );
+    let cycles = server.metric("pliant_commits_total").await;
+    let fine = post(&server, &path, json!({"remesh": {"edgeLength": 0.2}})).await;
+    assert_eq!(fine.status(), 200, "{}", fine.text().await.unwrap_or_default());
+    assert_eq!(server.metric("pliant_commits_total").await, cycles + 1.0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn answers_that_nobody_reads_are_counted_and_given_up() {
+    let server = Server::with(|_, config| config.unread_deadline = Duration::from_millis(300)).await;
+    let session = server.open(large_bar()).await;
+    let id = text(&session["id"]);
+    let lazy = reqwest::Client::builder()
+        .http2_prior_knowledge()
+        .http2_initial_stream_window_size(1024)
+        .http2_initial_connection_window_size(1024)
+        .build()
+        .expect("a client");
+    let path = server.url(&format!("/v1/sessions/{id}/positions"));
+    let mut unread = Vec::new();
+    for _ in 0..8 {
+        unread.push(within("an answer", lazy.get(&path).send()).await.expect("an answer"));
+    }
+    let length = unread[0].content_length().expect("its length") as i64;
+    let held_before = server.manager.metrics().held_bytes(MemoryUse::Answers).get();
+    assert!(
+        held_before == 0 || held_before % length == 0,
+        "{held_before} of {length}"
+    );
+    eventually("they are given up", async || held(&server)[1] == 0).await;
+    // What the others had been sent of the connection's window goes back with them.
+    let first = unread.remove(0);
+    drop(unread);
+    let late = within("an end", first.bytes()).await;
+    assert!(late.is_err(), "{} bytes came", late.map_or(0, |b| b.len()));
+    let whole = get(&server, &format!("/v1/sessions/{id}/positions"))
+        .await
+        .bytes()
+        .await;
+    assert_eq!(whole.expect("all of it").len() as i64, length);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn more_answers_than_there_is_memory_for_are_refused() {
+    let server = Server::start().await;
+    let session = server.open(large_bar()).await;
+    let id = text(&session["id"]);
+    let path = server.url(&format!("/v1/sessions/{id}/positions"));
+    let length = http().head(&path).send().await.expect("an answer").content_length();
+    let ledger = server.manager.ledger();
+    let rest = ledger.total() - ledger.used();
+    let taken = ledger
+        .reserve(MemoryUse::Sessions, rest, rest)
+        .expect("all that is left");
+    let refused = within("an answer", http().get(&path).send()).await.expect("an answer");
+    assert_eq!(
+        (
+            refused.status().as_u16(),
+            refused.headers()["retry-after"].to_str().ok()
+        ),
+        (429, Some("2"))
+    );
+    let told: Value = refused.json().await.expect("a problem");
+    assert_eq!(told["code"], "RESOURCE_EXHAUSTED", "{told} for {length:?} bytes");
+    let mut client = server.grpc().await;
+    let request = pliant::wire::pb::SessionRequest { session_id: id.clone() };
+    within("a small answer", client.get_session(request))
+        .await
+        .expect("small answers go on");
+    drop(taken);
+    assert_eq!(
+        within("an answer", http().get(&path).send())
+            .await
+            .expect("an answer")
+            .status(),
+        200
+    );
+}
