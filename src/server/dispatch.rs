@@ -121,7 +121,7 @@ impl Service<Request<Body>> for Sides {
             if request.extensions().get::<Refused>().is_none() {
                 let shown = request.extensions().get::<ConnectionFacts>().cloned();
                 let shown = shown.as_ref().and_then(|facts| facts.shown.as_ref());
-                if let Err(error) = gatekeeper.admit(&mut request, shown) {
+                if let Err(error) = gatekeeper.admit(&mut request, shown).await {
                     request.extensions_mut().insert(Refused(error));
                 }
             }

@@ -63,7 +63,7 @@ pub async fn run(
     config.check_address(address.ip()).map_err(Error::Start)?;
     let tls = config.tls.as_ref().map(tls::TlsDoor::open).transpose();
     let tls = tls.map_err(Error::Start)?;
-    let state = state::State::new(manager, config, tls);
+    let state = state::State::new(manager, config, tls).map_err(Error::Start)?;
     let dispatch = dispatch::Dispatch::new(&state).await.map_err(Error::Start)?;
     let watcher = tokio::spawn(reload::follow_files(state.clone()));
     let served = listen::serve(listener, state, dispatch, shutdown).await;

@@ -1,4 +1,4 @@
-//! Files that are followed while the server runs: its tokens and its certificates.
+//! Files that are followed while the server runs: its tokens, the keys that tokens are checked with, and its certificates.
 //!
 //! They are looked at every now and then, by content: an editor that replaces a file, a link that points elsewhere and a renewed
 //! certificate are all seen. What cannot be read changes nothing, and is told once.
@@ -15,6 +15,7 @@ pub(super) async fn follow_files(state: State) {
     let mut told = Told::default();
     let mut known = state.config.auth.tokens.clone();
     loop {
+        state.gatekeeper.follow_keys().await;
         tokio::time::sleep(PERIOD).await;
         if let Some(file) = state.config.auth.file.clone() {
             match tokio::task::spawn_blocking(move || tokens_of_file(&file)).await {

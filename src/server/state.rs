@@ -39,14 +39,17 @@ pub(super) struct Inner {
 
 impl State {
     /// The state of a new server.
-    pub fn new(manager: Manager, config: ServerConfig, tls: Option<TlsDoor>) -> Self {
+    ///
+    /// # Errors
+    /// A text, when the keys that tokens are checked with cannot be used.
+    pub fn new(manager: Manager, config: ServerConfig, tls: Option<TlsDoor>) -> Result<Self, String> {
         let certificates = tls.as_ref().is_some_and(TlsDoor::takes_certificates);
-        let gatekeeper = Gatekeeper::new(&config.auth, certificates);
+        let gatekeeper = Gatekeeper::new(&config.auth, certificates)?;
         let sessions = manager.config();
         let uploads = Budget::new(sessions.upload_bytes, sessions.memory_bytes / 2, manager.ledger());
         let message_bytes = usize::try_from(sessions.message_bytes).unwrap_or(usize::MAX);
         let telemetry = Telemetry::new(&manager);
-        Self(Arc::new(Inner {
+        Ok(Self(Arc::new(Inner {
             manager,
             config,
             gatekeeper,
@@ -57,7 +60,7 @@ impl State {
             closing: CancellationToken::new(),
             sockets: TaskTracker::new(),
             message_bytes,
-        }))
+        })))
     }
 }
 

@@ -1,6 +1,7 @@
 //! Who may do what, from outside: tokens, certificates, and what a server refuses to be started as.
 
 mod certificates;
+mod jwt;
 mod start;
 mod tokens;
 

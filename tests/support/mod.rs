@@ -13,4 +13,5 @@ pub mod process;
 pub mod recipes;
 pub mod server;
 pub mod shapes;
+pub mod signed_tokens;
 pub mod skinning;

@@ -1,5 +1,6 @@
 //! How callers prove who they are.
 
+use super::jwt::JwtConfig;
 use crate::session::Tenant;
 use std::fmt;
 use std::path::PathBuf;
@@ -13,6 +14,8 @@ pub struct AuthConfig {
     pub tokens: Vec<TokenEntry>,
     /// The file that they were read from; tokens follow it when it changes.
     pub file: Option<PathBuf>,
+    /// The tokens of an issuer that are believed.
+    pub jwt: Option<JwtConfig>,
 }
 
 /// Reads a point in time, such as `2027-01-31T12:00:00Z`, or a day, which stands for its beginning in UTC.
@@ -21,6 +24,13 @@ pub fn parse_expiry(text: &str) -> Result<SystemTime, String> {
     let whole = if text.len() == 10 { &day } else { text };
     humantime::parse_rfc3339_weak(whole)
         .map_err(|_| format!("\"{text}\" is no time; allowed are 2027-01-31, 2027-01-31T12:00:00Z and the like"))
+}
+
+impl AuthConfig {
+    /// Whether a token can be known.
+    pub fn knows_tokens(&self) -> bool {
+        !self.tokens.is_empty() || self.jwt.is_some()
+    }
 }
 
 /// A token that is known. It holds what the token hashes to, which is of no use to who reads it.

@@ -1,6 +1,7 @@
 //! The one place where requests are let in.
 
 use super::auth_config::{AuthConfig, TokenEntry};
+use super::jwt::JwtVerifier;
 use super::presented_token::presented_token;
 use super::principal::{Principal, unknown_caller};
 use super::token_list::token_bearer;
@@ -17,6 +18,7 @@ pub(in crate::server) struct Gatekeeper(Arc<Known>);
 
 struct Known {
     tokens: ArcSwap<Vec<TokenEntry>>,
+    jwt: Option<JwtVerifier>,
     /// Whether callers must say who they are. Once they must, they must until the server ends: a list of tokens that was emptied
     /// by mistake opens nothing.
     asks: AtomicBool,
@@ -24,11 +26,22 @@ struct Known {
 
 impl Gatekeeper {
     /// Knows what `config` says; `certificates` is whether clients may show certificates instead.
-    pub fn new(config: &AuthConfig, certificates: bool) -> Self {
-        Self(Arc::new(Known {
-            asks: AtomicBool::new(certificates || !config.tokens.is_empty()),
+    ///
+    /// # Errors
+    /// The file of keys that cannot be used, and why.
+    pub fn new(config: &AuthConfig, certificates: bool) -> Result<Self, String> {
+        Ok(Self(Arc::new(Known {
+            asks: AtomicBool::new(certificates || config.knows_tokens()),
             tokens: ArcSwap::from_pointee(config.tokens.clone()),
-        }))
+            jwt: config.jwt.as_ref().map(JwtVerifier::new).transpose()?,
+        })))
+    }
+
+    /// Looks whether the keys that tokens are checked with have changed.
+    pub async fn follow_keys(&self) {
+        if let Some(jwt) = &self.0.jwt {
+            jwt.follow().await;
+        }
     }
 
     /// Replaces the tokens; requests from now on are compared with these.
@@ -43,7 +56,8 @@ impl Gatekeeper {
     ///
     /// # Errors
     /// `UNAUTHENTICATED` where nobody knows, or what was shown does not hold. Pages that belong to nobody are let in unasked.
-    pub fn admit<B>(&self, request: &mut Request<B>, shown: Option<&Principal>) -> Result<(), Error> {
+    /// `UNAVAILABLE` where it cannot be checked now.
+    pub async fn admit<B>(&self, request: &mut Request<B>, shown: Option<&Principal>) -> Result<(), Error> {
         if !self.0.asks.load(Ordering::Relaxed) {
             request.extensions_mut().insert(Principal::anyone());
             return Ok(());
@@ -51,10 +65,12 @@ impl Gatekeeper {
         if is_open(request.uri().path()) {
             return Ok(());
         }
-        let principal = match (presented_token(request.headers())?, shown) {
-            (Some(token), _) => token_bearer(&self.0.tokens.load(), token, SystemTime::now())?,
-            (None, Some(shown)) => shown.clone(),
-            (None, None) => return Err(unknown_caller()),
+        let token = presented_token(request.headers())?.map(str::to_owned);
+        let principal = match (token, &self.0.jwt, shown) {
+            (Some(token), Some(jwt), _) if JwtVerifier::looks_like_one(&token) => jwt.bearer(&token).await?,
+            (Some(token), _, _) => token_bearer(&self.0.tokens.load(), &token, SystemTime::now())?,
+            (None, _, Some(shown)) => shown.clone(),
+            (None, _, None) => return Err(unknown_caller()),
         };
         request.extensions_mut().insert(principal);
         Ok(())

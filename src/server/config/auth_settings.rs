@@ -1,12 +1,16 @@
 //! Who may call, as the table `auth` says.
 
 use super::Error;
-use super::auth_table::TokenTable;
+use super::auth_table::{JwtTable, TokenTable};
 use super::keys::ConfigKeys;
 use super::sources::MergedKeys;
-use crate::server::auth::{AuthConfig, TokenEntry, parse_expiry};
+use super::units::TimeSpan;
+use crate::server::auth::{AuthConfig, JwtConfig, KeySource, TokenEntry, parse_expiry};
+use crate::server::hosts::is_this_machine;
 use crate::session::Tenant;
-use std::path::Path;
+use http::Uri;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Most tokens of one file: each call compares with all of them.
 pub const MOST_TOKENS: usize = 10_000;
@@ -36,8 +40,11 @@ pub(super) fn auth_from_keys(merged: &MergedKeys, file: Option<&Path>) -> Result
         }
         tokens.push(entry);
     }
+    let refuse_jwt = |field: &str, problem: String| merged.refuse(&format!("auth.jwt.{field}"), problem);
+    let jwt = table.jwt.map(|told| read_jwt(told, &refuse_jwt)).transpose()?;
     Ok(AuthConfig {
         tokens,
+        jwt,
         file: file.map(Path::to_owned),
     })
 }
@@ -74,6 +81,74 @@ fn read_token(told: TokenTable, refuse: &dyn Fn(&str, String) -> Error) -> Resul
         expires: expires.transpose()?,
         metrics: told.metrics,
     })
+}
+
+fn read_jwt(told: JwtTable, refuse: &dyn Fn(&str, String) -> Error) -> Result<JwtConfig, Error> {
+    let audiences: Vec<String> = told.audience.0.into_iter().filter(|name| !name.is_empty()).collect();
+    let tenant_claim = told.tenant_claim.unwrap_or_else(|| "tenant".into());
+    for (field, is_empty) in [
+        ("issuer", told.issuer.is_empty()),
+        ("audience", audiences.is_empty()),
+        ("tenant_claim", tenant_claim.is_empty()),
+        ("jwks", told.jwks.is_empty()),
+    ] {
+        if is_empty {
+            return Err(refuse(field, "is empty".into()));
+        }
+    }
+    let listed = told
+        .algorithms
+        .map_or_else(|| ["RS256", "ES256", "EdDSA"].map(String::from).to_vec(), |list| list.0);
+    let mut algorithms = Vec::new();
+    for name in &listed {
+        match JwtConfig::ALGORITHMS.iter().find(|(known, _)| known == name) {
+            Some((_, algorithm)) => algorithms.push(*algorithm),
+            None => {
+                let known: Vec<&str> = JwtConfig::ALGORITHMS.iter().map(|(name, _)| *name).collect();
+                let problem = format!("\"{name}\" is not believed here; allowed are {}", known.join(", "));
+                return Err(refuse("algorithms", problem));
+            }
+        }
+    }
+    if algorithms.is_empty() {
+        return Err(refuse("algorithms", "is empty, so no token could be believed".into()));
+    }
+    let span = |field: &str, told: Option<TimeSpan>, default: u64, from: u64, to: u64| {
+        let seconds = told.map_or(Duration::from_secs(default), |span| span.0);
+        if seconds < Duration::from_secs(from) || seconds > Duration::from_secs(to) {
+            return Err(refuse(field, format!("is out of range; allowed are {from}s to {to}s")));
+        }
+        Ok(seconds)
+    };
+    Ok(JwtConfig {
+        keys: key_source(&told.jwks, told.ca, refuse)?,
+        issuer: told.issuer,
+        audiences,
+        algorithms,
+        tenant_claim,
+        leeway: span("leeway", told.leeway, 60, 0, 300)?,
+        refresh: span("refresh", told.refresh, 600, 10, 86_400)?,
+        unknown_key_pause: Duration::from_secs(30),
+    })
+}
+
+/// An address begins with a scheme; whoever can change what it answers decides who may call, so it is encrypted, but on this
+/// machine.
+fn key_source(jwks: &str, ca: Option<String>, refuse: &dyn Fn(&str, String) -> Error) -> Result<KeySource, Error> {
+    if !jwks.contains("://") {
+        return Ok(KeySource::File(jwks.into()));
+    }
+    let uri = jwks.parse::<Uri>().ok();
+    let guarded = uri.is_some_and(|uri| match (uri.scheme_str(), uri.host()) {
+        (Some("https"), Some(_)) => true,
+        (Some("http"), Some(host)) => is_this_machine(host.trim_matches(['[', ']'])),
+        _ => false,
+    });
+    if !guarded {
+        let allowed = "allowed are a file, https://…, and http://… of this machine";
+        return Err(refuse("jwks", format!("\"{jwks}\" is not taken; {allowed}")));
+    }
+    Ok(KeySource::Url(jwks.to_owned(), ca.map(PathBuf::from)))
 }
 
 fn from_hex(text: &str) -> Option<[u8; 32]> {

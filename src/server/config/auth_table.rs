@@ -1,5 +1,6 @@
 //! The table `auth` of the configuration's file, as it stands there.
 
+use super::units::{TimeSpan, WordList};
 use serde::Deserialize;
 
 /// The table `auth` says who may call. It stands in the file alone: neither flags nor the environment are a place for it.
@@ -9,6 +10,8 @@ pub struct AuthTable {
     /// Tokens that are known.
     #[serde(default)]
     pub(super) tokens: Vec<TokenTable>,
+    /// Tokens of an issuer that are believed.
+    pub(super) jwt: Option<JwtTable>,
 }
 
 /// One token, as it stands in the file.
@@ -21,4 +24,18 @@ pub struct TokenTable {
     pub(super) expires: Option<String>,
     #[serde(default)]
     pub(super) metrics: bool,
+}
+
+/// Whose tokens are believed, as it stands in the file.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JwtTable {
+    pub(super) jwks: String,
+    pub(super) ca: Option<String>,
+    pub(super) issuer: String,
+    pub(super) audience: WordList,
+    pub(super) algorithms: Option<WordList>,
+    pub(super) tenant_claim: Option<String>,
+    pub(super) leeway: Option<TimeSpan>,
+    pub(super) refresh: Option<TimeSpan>,
 }

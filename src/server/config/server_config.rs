@@ -85,7 +85,7 @@ impl ServerConfig {
     /// Whether callers must say who they are.
     pub fn asks_callers(&self) -> bool {
         let by_certificate = self.tls.as_ref().is_some_and(|tls| tls.client_ca.is_some());
-        by_certificate || !self.auth.tokens.is_empty()
+        by_certificate || self.auth.knows_tokens()
     }
 
     /// Refuses to listen where others than this machine's users are, and serve them all unasked.
@@ -98,7 +98,7 @@ impl ServerConfig {
         }
         Err(format!(
             "{listen} can be reached from elsewhere, and anybody could use the server; say who may call by tokens ([[auth.tokens]] \
-             in the file, `pliant token` makes one) or by certificates of clients (tls_client_ca), or let in everybody with \
+             in the file, `pliant token` makes one, or [auth.jwt]) or by certificates of clients (tls_client_ca), or let in everybody with \
              --insecure-open"
         ))
     }

@@ -5,6 +5,7 @@ use super::keys::{ConfigKeys, KeyValue};
 use super::server_config::ServerConfig;
 use super::session_config::session_config_from_keys;
 use super::sources::{MergedKeys, unknown_variables};
+use crate::server::auth::JwtVerifier;
 use crate::server::tls::TlsDoor;
 use crate::session;
 use std::{net::SocketAddr, path::Path};
@@ -55,6 +56,9 @@ impl ServeSettings {
         server
             .check_address(listen.ip())
             .map_err(|problem| refuse("listen", problem))?;
+        if let Some(jwt) = &server.auth.jwt {
+            JwtVerifier::new(jwt).map_err(|problem| refuse("auth.jwt.jwks", problem))?;
+        }
         if let Some(tls) = &server.tls {
             TlsDoor::open(tls).map_err(|problem| refuse("tls_certificate", problem))?;
         }

@@ -73,7 +73,13 @@ fn an_address_that_others_reach_needs_to_know_who_calls() {
     for listen in ["0.0.0.0:0", "[::]:0", "192.0.2.7:0"] {
         let (code, out, last) = done(folder.path(), &["serve", "--listen", listen]);
         assert_eq!((code, out.as_str()), (Some(2), ""), "{listen}: {last}");
-        for way in ["[[auth.tokens]]", "tls_client_ca", "--insecure-open", "flag --listen"] {
+        for way in [
+            "[[auth.tokens]]",
+            "[auth.jwt]",
+            "tls_client_ca",
+            "--insecure-open",
+            "flag --listen",
+        ] {
             assert!(last.contains(way), "{listen}: {last} lacks {way}");
         }
     }
