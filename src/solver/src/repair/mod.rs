@@ -17,6 +17,8 @@ mod place;
 mod regroup;
 mod rows;
 #[cfg(test)]
+mod irregular_tests;
+#[cfg(test)]
 mod tests;
 
 pub use self::change::{GraphChange, RepairReport};

@@ -12,7 +12,7 @@ use crate::storage::{NO_ROW, SLICE_ROWS};
 use crate::testing::{BoxLattice, pool};
 
 /// A graph that tests change: weights by pair of ids that never change, dead vertices left out of views.
-struct EditableRows {
+pub(super) struct EditableRows {
     positions: Vec<[f64; 3]>,
     edges: std::collections::BTreeMap<(u32, u32), f32>,
     lives: Vec<bool>,
@@ -20,17 +20,17 @@ struct EditableRows {
 }
 
 /// A view of clay in dense numbers.
-struct RowsCast {
+pub(super) struct RowsCast {
     offsets: Vec<u32>,
     neighbours: Vec<u32>,
     weights: Option<Vec<f32>>,
-    positions: Vec<[f64; 3]>,
+    pub(super) positions: Vec<[f64; 3]>,
     /// Dense number of each vertex ever.
     numbers: Vec<u32>,
 }
 
 impl RowsCast {
-    fn view(&self) -> WeightedGraph<'_> {
+    pub(super) fn view(&self) -> WeightedGraph<'_> {
         WeightedGraph {
             offsets: &self.offsets,
             neighbours: &self.neighbours,
@@ -41,6 +41,19 @@ impl RowsCast {
 }
 
 impl EditableRows {
+    /// With weights of their own.
+    pub(super) fn new(
+        positions: Vec<[f64; 3]>,
+        edges: std::collections::BTreeMap<(u32, u32), f32>,
+    ) -> EditableRows {
+        EditableRows {
+            lives: vec![true; positions.len()],
+            positions,
+            edges,
+            weighted: true,
+        }
+    }
+
     fn of(block: &BoxLattice) -> EditableRows {
         let mut edges = std::collections::BTreeMap::new();
         for i in 0..block.positions.len() {
@@ -57,7 +70,7 @@ impl EditableRows {
         }
     }
 
-    fn cast(&self) -> RowsCast {
+    pub(super) fn cast(&self) -> RowsCast {
         let mut numbers = vec![NO_ROW; self.lives.len()];
         let alive: Vec<usize> = (0..self.lives.len()).filter(|&i| self.lives[i]).collect();
         for (n, &i) in alive.iter().enumerate() {
@@ -94,7 +107,7 @@ impl EditableRows {
     }
 
     /// Deletes the vertices within `radius` of `p`.
-    fn bite(&mut self, p: [f64; 3], radius: f64) {
+    pub(super) fn bite(&mut self, p: [f64; 3], radius: f64) {
         for i in 0..self.lives.len() {
             self.lives[i] &= self.distance(i, p) > radius;
         }
@@ -103,7 +116,7 @@ impl EditableRows {
     }
 
     /// Adds a vertex at `p` with edges to all within `reach`.
-    fn grow(&mut self, p: [f64; 3], reach: f64) {
+    pub(super) fn grow(&mut self, p: [f64; 3], reach: f64) {
         let new = self.lives.len() as u32;
         let near: Vec<usize> = self.within(p, reach).collect();
         for i in near {
@@ -115,7 +128,7 @@ impl EditableRows {
         self.lives.push(true);
     }
 
-    fn disconnect(&mut self, p: [f64; 3]) {
+    pub(super) fn disconnect(&mut self, p: [f64; 3]) {
         let near = (0..self.lives.len()).filter(|&i| self.lives[i]);
         let near = near.min_by(|&a, &b| self.distance(a, p).total_cmp(&self.distance(b, p)));
         if let Some(i) = near.map(|i| i as u32) {
@@ -125,7 +138,7 @@ impl EditableRows {
 }
 
 /// The change between two casts of one piece of clay.
-fn difference(before: &RowsCast, after: &RowsCast) -> (Vec<u32>, Vec<u32>) {
+pub(super) fn difference(before: &RowsCast, after: &RowsCast) -> (Vec<u32>, Vec<u32>) {
     let old: Vec<usize> = (0..before.numbers.len())
         .filter(|&i| before.numbers[i] != NO_ROW)
         .collect();
@@ -156,7 +169,7 @@ fn difference(before: &RowsCast, after: &RowsCast) -> (Vec<u32>, Vec<u32>) {
 }
 
 /// Everything that a level promises.
-fn check_levels(hierarchy: &Hierarchy, graph: &WeightedGraph<'_>) {
+pub(super) fn check_levels(hierarchy: &Hierarchy, graph: &WeightedGraph<'_>) {
     let n = graph.vertices();
     let mut row_of = vec![NO_ROW; n];
     assert_eq!(hierarchy.order.len(), hierarchy.levels[0].rows());
