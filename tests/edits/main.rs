@@ -8,6 +8,7 @@ mod cut_hostile;
 mod dragon;
 mod edit_support;
 mod marathon;
+mod no_numbers;
 mod remesh;
 mod statue;
 #[path = "../support/mod.rs"]

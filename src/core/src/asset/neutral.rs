@@ -301,18 +301,23 @@ impl NeutralModel {
             let corners = 3 * self.geometry.triangles.len();
             let own = self.geometry.primitives.last().map_or(0, |p| p.index_count as usize);
             self.corner_uv.resize(corners - own, [0.0; 2]);
-            self.corner_uv.extend(corner_uv);
+            self.corner_uv.extend(corner_uv.into_iter().map(finite_or_zero));
             self.corner_uv.resize(corners, [0.0; 2]);
         }
         if !uv.is_empty() || !self.uv.is_empty() {
             self.uv.resize(count - added, [0.0; 2]);
-            self.uv.extend(uv);
+            self.uv.extend(uv.into_iter().map(finite_or_zero));
             self.uv.resize(count, [0.0; 2]);
         }
         if !colours.is_empty() || !self.colours.is_empty() {
             self.colours.resize(count - added, [1.0; 4]);
-            self.colours.extend(colours);
+            self.colours.extend(colours.into_iter().map(finite_or_zero));
             self.colours.resize(count, [1.0; 4]);
         }
     }
+}
+
+/// What no format can hold, and no program draws, is zero.
+fn finite_or_zero<const N: usize>(values: [f32; N]) -> [f32; N] {
+    values.map(|v| if v.is_finite() { v } else { 0.0 })
 }

@@ -74,7 +74,10 @@ fn repair(hierarchy: &mut Hierarchy, (before, after): (&RowsCast, &RowsCast), po
         touched: &touched,
     };
     let exec = Exec::new(pool, &Silent);
-    !hierarchy.repair(&after.view(), &change, &exec).expect("repaired").rebuilt
+    !hierarchy
+        .repair(&after.view(), &change, &exec)
+        .expect("repaired")
+        .rebuilt
 }
 
 /// Sweeps every row once, on several threads and on one: the same bits, which a row that is written while it is read would spoil.
@@ -112,7 +115,10 @@ fn graphs_without_order_keep_the_promises_through_builds_and_repairs_on_several_
             Hierarchy::build(&cast.view(), &Default::default(), &Exec::new(&pools[0], &Silent)).expect("built")
         };
         let mut hierarchy = build(&before);
-        assert!(hierarchy.levels.iter().filter(|l| l.rows() >= 8192).count() >= 2, "levels that threads share");
+        assert!(
+            hierarchy.levels.iter().filter(|l| l.rows() >= 8192).count() >= 2,
+            "levels that threads share"
+        );
         check_levels(&hierarchy, &before.view());
         sweeps_agree(&hierarchy, &before, &pools);
         let mut numbers = Numbers(seed + 100);

@@ -12,12 +12,12 @@
 mod change;
 mod compact;
 mod follow;
+#[cfg(test)]
+mod irregular_tests;
 mod marks;
 mod place;
 mod regroup;
 mod rows;
-#[cfg(test)]
-mod irregular_tests;
 #[cfg(test)]
 mod tests;
 

@@ -42,10 +42,7 @@ impl RowsCast {
 
 impl EditableRows {
     /// With weights of their own.
-    pub(super) fn new(
-        positions: Vec<[f64; 3]>,
-        edges: std::collections::BTreeMap<(u32, u32), f32>,
-    ) -> EditableRows {
+    pub(super) fn new(positions: Vec<[f64; 3]>, edges: std::collections::BTreeMap<(u32, u32), f32>) -> EditableRows {
         EditableRows {
             lives: vec![true; positions.len()],
             positions,

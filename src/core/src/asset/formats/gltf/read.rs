@@ -1,6 +1,6 @@
 //! From a document to world-space triangles.
 
-use super::accessors::{self, ShapeAttribute};
+use super::accessors::{self, AccessorLayout, ComponentType, ShapeAttribute};
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::draco;
@@ -254,7 +254,9 @@ impl GltfReader<'_, '_> {
         let most = self.count_primitive(primitive, count)?;
 
         let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
-        let used: BTreeSet<usize> = used.chain(primitive.indices.map(|i| i.index())).collect();
+        let coordinates: Vec<usize> = texture_coordinates(primitive).collect();
+        let used = used.chain(primitive.indices.map(|i| i.index()));
+        let used: BTreeSet<usize> = used.chain(coordinates.iter().copied()).collect();
         self.buffers.decode_for(doc, &used)?;
 
         let triangles = if most > 0 {
@@ -285,6 +287,7 @@ impl GltfReader<'_, '_> {
         }
         let has_normals = self.read_normals(&placed, first_vertex)?;
         let has_tangents = self.read_tangents(&placed, first_vertex)?;
+        self.check_coordinates(&coordinates, &placed.place);
 
         let first_triangle = self.geometry.triangles.len();
         let mirrored = placed.transforms.is_mirrored();
@@ -503,12 +506,36 @@ impl GltfReader<'_, '_> {
         Ok(true)
     }
 
+    /// Tells of texture coordinates that are no numbers. They stay in files that are only patched.
+    fn check_coordinates(&mut self, accessors: &[usize], place: &str) {
+        let mut odd = 0;
+        for &index in accessors {
+            let layout = (self.doc.accessors.get(index)).and_then(|a| AccessorLayout::of(a, &self.doc.views.values));
+            let floats = layout.filter(|layout| layout.component == ComponentType::F32);
+            let values = floats.and_then(|layout| accessors::read_values(self.doc, &self.buffers, index, layout).ok());
+            let values = values.iter().flat_map(|values| values.as_chunks::<2>().0);
+            odd += values.filter(|pair| !pair.iter().all(|v| v.is_finite())).count();
+        }
+        if odd > 0 {
+            let message = format!("{odd} texture coordinates are not finite; where they are written anew they are 0");
+            self.warn("bad-texture-coordinate", message, place);
+        }
+    }
+
     fn warn_odd(&mut self, what: &str, count: usize, place: &str) {
         if count > 0 {
             let message = format!("{count} {what}s have no direction; they are taken as absent");
             self.warn(&format!("bad-{what}"), message, place);
         }
     }
+}
+
+/// The accessors of a primitive's texture coordinates.
+fn texture_coordinates(primitive: &MeshPrimitive) -> impl Iterator<Item = usize> {
+    let named = primitive.attributes.iter();
+    named
+        .filter(|(name, _)| name.starts_with("TEXCOORD_"))
+        .map(|(_, accessor)| accessor.index())
 }
 
 /// Takes normals along with the points: the inverse transpose up to a positive factor, also for singular matrices.

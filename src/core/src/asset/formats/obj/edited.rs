@@ -4,7 +4,7 @@ use super::super::text::{NumberPrecision, push_number};
 use super::coordinates::{RunCoordinates, coordinates_of};
 use super::library::{MaterialLibrary, read_libraries};
 use super::parted::{CornerAttributes, TextureCoordinate, divide_corners};
-use super::read::ObjNotes;
+use super::read::{ObjNotes, has_no_number};
 use super::statements::{FaceState, ObjStatements, name_in, object_numbers, printable, read};
 use super::write::{push_corner, push_line, push_numbers};
 use crate::asset::codec::EditedOutput;
@@ -130,8 +130,12 @@ impl<'a> EditedFaces<'a> {
         for texture in &parted.textures {
             out.extend_from_slice(b"vt ");
             match texture {
-                TextureCoordinate::Old(text) => out.extend_from_slice(text),
-                TextureCoordinate::New(numbers) => push_numbers(out, numbers),
+                TextureCoordinate::Old(text) if !has_no_number(text) => out.extend_from_slice(text),
+                TextureCoordinate::Old(_) => out.extend_from_slice(b"0 0"),
+                TextureCoordinate::New(numbers) => {
+                    let finite = numbers.iter().map(|v| if v.is_finite() { *v } else { 0.0 });
+                    push_numbers(out, &finite.collect::<Vec<f64>>());
+                }
             }
             out.push(b'\n');
         }

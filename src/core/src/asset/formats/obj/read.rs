@@ -72,6 +72,7 @@ pub(super) struct ObjReader<'a> {
     largest: [(u32, u32); 3],
     small_faces: Occurrences,
     bad_normals: Occurrences,
+    bad_coordinates: Occurrences,
 }
 
 /// How often something was seen, and on which line first.
@@ -103,6 +104,7 @@ impl<'a> ObjReader<'a> {
             largest: [(0, 0); 3],
             small_faces: Occurrences::default(),
             bad_normals: Occurrences::default(),
+            bad_coordinates: Occurrences::default(),
         }
     }
 
@@ -127,7 +129,13 @@ impl<'a> ObjReader<'a> {
                     let normal = self.read_normal(keyword)?;
                     self.normals.push(normal);
                 }
-                b"vt" => self.texture_count += 1,
+                b"vt" => {
+                    self.texture_count += 1;
+                    let words = self.lexer.rest_of_line();
+                    if has_no_number(self.lexer.bytes_at(words)) {
+                        self.bad_coordinates.count_on_line(keyword.line);
+                    }
+                }
                 b"f" => self.read_face(keyword)?,
                 _ => {}
             }
@@ -252,9 +260,21 @@ impl<'a> ObjReader<'a> {
             self.bad_normals,
             "normals that are not finite are kept as they are",
         );
+        warn(
+            "bad-texture-coordinate",
+            self.bad_coordinates,
+            "texture coordinates are not finite; where they are written anew they are 0",
+        );
         geometry.warn_about_crude_polygons(crude);
         Ok((geometry, ObjNotes { normals, outlines }))
     }
+}
+
+/// Whether one of the numbers of a text is infinite or none at all.
+pub(super) fn has_no_number(text: &[u8]) -> bool {
+    let mut words = text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+    // Only words with such a letter can be meant; the others are read where they are needed.
+    words.any(|word| word.iter().any(|b| b"nNiI".contains(b)) && number(word).is_some_and(|v| !v.is_finite()))
 }
 
 const KINDS: [&str; 3] = ["vertex", "texture coordinate", "normal"];

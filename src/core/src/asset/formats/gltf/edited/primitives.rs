@@ -262,11 +262,16 @@ impl<'a> PrimitiveMaker<'a, '_> {
             let at = if name.starts_with("JOINTS_") && channel.lanes == 4 {
                 self.fresh.add_joints(&mixer.take_heaviest(&channel))
             } else {
-                let values = if is_identifier(name, &channel) {
+                let mut values = if is_identifier(name, &channel) {
                     mixer.take_heaviest(&channel)
                 } else {
                     mixer.blend_linearly(&channel)
                 };
+                if name.starts_with("TEXCOORD_") || name.starts_with("COLOR_") {
+                    // Vertices that were only copied bring what the file had; in what is written anew that is no number.
+                    let wrong = values.iter_mut().filter(|v| !v.is_finite());
+                    wrong.for_each(|v| *v = 0.0);
+                }
                 self.fresh
                     .add_floats(&values, channel.lanes, shape_of(stored), NewAccessorKind::Floats)
             };
