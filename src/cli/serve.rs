@@ -6,11 +6,13 @@ use crate::asset::sample::BuiltInModel;
 use crate::engine::{HandlePose, HandleSet, OpenOptions};
 use crate::server::config::{self, ConfigKeys, ServeSettings};
 use crate::server::{self, sample};
-use crate::session::{self, Manager, Tenant};
+use crate::session::store::{DatabaseStore, StoreError, StoreLocation};
+use crate::session::{self, Manager, OpenDeformer, Tenant};
 use crate::wire::{DeformOptions, PoseCommit, SessionOptions};
 use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Instant;
 use tokio::net::TcpListener;
 
@@ -48,6 +50,9 @@ pub enum ServeError {
     /// The sessions cannot be held.
     #[error("{0}")]
     Session(#[from] session::Error),
+    /// The store of sessions cannot be had.
+    #[error("the store of sessions: {0}")]
+    Store(#[from] StoreError),
     /// The services cannot start.
     #[error(transparent)]
     Server(#[from] server::Error),
@@ -56,7 +61,10 @@ pub enum ServeError {
 impl ServeError {
     /// Whether the user can mend it: exit code 2, else 3.
     pub fn is_usage(&self) -> bool {
-        matches!(self, Self::Config(_) | Self::Listen { .. } | Self::Session(_))
+        matches!(
+            self,
+            Self::Config(_) | Self::Listen { .. } | Self::Session(_) | Self::Store(_)
+        )
     }
 }
 
@@ -98,7 +106,22 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     };
     let listener = TcpListener::bind(settings.listen).await.map_err(refuse)?;
     let address = listener.local_addr().map_err(refuse)?;
-    let manager = Manager::new(settings.session)?;
+    let manager = match &settings.data_dir {
+        Some(folder) => {
+            let location = StoreLocation {
+                data_dir: folder.clone(),
+                build: None,
+            };
+            let store = DatabaseStore::open(&location).await?;
+            let manager = Manager::with_store(settings.session, OpenDeformer, Arc::new(store)).await?;
+            tracing::info!("sessions are kept in {}", folder.display());
+            manager
+        }
+        None => {
+            tracing::info!("sessions are in memory alone and end with this process; --data-dir keeps them");
+            Manager::new(settings.session)?
+        }
+    };
     let limits = manager.config();
     let scheme = if settings.server.tls.is_some() { "https" } else { "http" };
     tracing::info!(

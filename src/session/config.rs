@@ -36,6 +36,8 @@ pub struct SessionConfig {
     pub default_ttl: Duration,
     /// Longest time to live that a session may ask for.
     pub max_ttl: Duration,
+    /// How long a session that is kept in a store stays in memory when nobody uses it.
+    pub idle: Duration,
     /// Commits that can be undone.
     pub history: usize,
     /// Bytes of old shapes that one session keeps, so that going back costs no solve.
@@ -92,6 +94,7 @@ impl Default for SessionConfig {
             part_bytes: 1 << 20,
             default_ttl: Duration::from_secs(15 * 60),
             max_ttl: Duration::from_secs(24 * 3600),
+            idle: Duration::from_secs(300),
             history: 100,
             snapshot_bytes: 256 << 20,
             solve: Duration::from_secs(60),
@@ -168,6 +171,7 @@ impl SessionConfig {
         at_least("session_queue", self.session_queue as u128, 1)?;
         at_least("compute_queue", self.compute_queue as u128, 1)?;
         at_least("idempotency_keys", self.idempotency_keys as u128, 1)?;
+        at_least("idle", self.idle.as_millis(), 100)?;
         at_least("max_ttl", self.max_ttl.as_millis(), MIN_TTL.as_millis())?;
         at_most(
             "max_ttl",

@@ -33,6 +33,8 @@ pub enum ErrorCode {
     DeadlineExceeded,
     /// The server is going away.
     Unavailable,
+    /// What was stored is damaged.
+    DataLoss,
     /// A defect of the server.
     Internal,
     /// The caller gave up.
@@ -57,6 +59,7 @@ impl ErrorCode {
             Self::Unimplemented => (12, 501, "UNIMPLEMENTED"),
             Self::Internal => (13, 500, "INTERNAL"),
             Self::Unavailable => (14, 503, "UNAVAILABLE"),
+            Self::DataLoss => (15, 500, "DATA_LOSS"),
             Self::Unauthenticated => (16, 401, "UNAUTHENTICATED"),
         }
     }
@@ -246,6 +249,7 @@ mod tests {
             (ErrorCode::Unimplemented, 12, 501, "UNIMPLEMENTED"),
             (ErrorCode::DeadlineExceeded, 4, 504, "DEADLINE_EXCEEDED"),
             (ErrorCode::Unavailable, 14, 503, "UNAVAILABLE"),
+            (ErrorCode::DataLoss, 15, 500, "DATA_LOSS"),
             (ErrorCode::Internal, 13, 500, "INTERNAL"),
             (ErrorCode::Cancelled, 1, 499, "CANCELLED"),
         ];

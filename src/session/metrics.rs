@@ -20,6 +20,10 @@ pub struct Metrics {
     pub sessions_created: Counter,
     /// Sessions that expired unused.
     pub sessions_expired: Counter,
+    /// Stored sessions that came back into memory.
+    pub sessions_reopened: Counter,
+    /// Commits that could not be stored.
+    pub store_failures: Counter,
     /// Sessions lost to a defect.
     pub sessions_failed: Counter,
     /// Bytes held and reserved, by what they are held for, in the order of [`MemoryUse::ALL`].
@@ -67,6 +71,8 @@ impl Default for Metrics {
             sessions: Gauge::default(),
             sessions_created: Counter::default(),
             sessions_expired: Counter::default(),
+            sessions_reopened: Counter::default(),
+            store_failures: Counter::default(),
             sessions_failed: Counter::default(),
             bytes: Default::default(),
             streams: Gauge::default(),
@@ -130,7 +136,7 @@ impl Metrics {
             let labelled = registry.sub_registry_with_label(label);
             labelled.register("memory_bytes", "Bytes held, by use", self.held_bytes(what).clone());
         }
-        let counters: [(&str, &str, &Counter); 13] = [
+        let counters: [(&str, &str, &Counter); 15] = [
             ("sessions_created", "Sessions created", &self.sessions_created),
             (
                 "sessions_expired",
@@ -138,6 +144,16 @@ impl Metrics {
                 &self.sessions_expired,
             ),
             ("sessions_failed", "Sessions lost to a defect", &self.sessions_failed),
+            (
+                "sessions_reopened",
+                "Stored sessions that came back into memory",
+                &self.sessions_reopened,
+            ),
+            (
+                "store_failures",
+                "Commits and sessions that could not be stored",
+                &self.store_failures,
+            ),
             ("poses_received", "Poses that arrived", &self.poses_received),
             ("poses_solved", "Poses solved", &self.poses_solved),
             (

@@ -20,6 +20,8 @@
 //! | `capacity` | compute slots, bytes, leases, who is still inside, giving work up |
 //! | `registry`, `shared` | the sessions that are open, and what they share |
 //! | `engine` | what a session needs of the thing that deforms its model |
+//! | `keeping` | sessions with a store: commits kept, idle sessions out of memory and back |
+//! | `store` | sessions kept on disk: a database, and objects by content |
 //! | `config`, `error`, `metrics`, `answers` | limits, the status table, counts, answer types |
 
 mod animation;
@@ -30,9 +32,11 @@ mod config;
 mod engine;
 mod error;
 mod history;
+mod keeping;
 mod metrics;
 mod registry;
 mod shared;
+pub mod store;
 mod stream;
 mod task;
 

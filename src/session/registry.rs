@@ -17,6 +17,7 @@ use crate::session::stream::mailbox::Mailbox;
 use dashmap::DashMap;
 use glam::DVec3;
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
 use tokio::sync::{Notify, mpsc};
 use tokio_util::sync::CancellationToken;
@@ -57,6 +58,12 @@ pub(super) struct OpenSession {
     pub ended: CancellationToken,
     pub view: RwLock<Arc<SessionView>>,
     pub why: OnceLock<Error>,
+    /// Raised when the session is to leave memory if nobody uses it.
+    pub leave: AtomicBool,
+    /// Raised when it has left memory and is in its store alone: whoever comes late finds it there.
+    pub unloaded: AtomicBool,
+    /// Whether its task works.
+    pub busy: AtomicBool,
 }
 
 impl OpenSession {
@@ -88,6 +95,11 @@ impl OpenSession {
     pub fn etag(view: &SessionView, representation: &str) -> String {
         let digest = view.digest.rsplit(':').next().unwrap_or_default();
         format!("\"{}-{representation}-{digest}\"", view.revision)
+    }
+
+    /// Whether it has left memory.
+    pub fn has_left(&self) -> bool {
+        self.unloaded.load(SeqCst)
     }
 
     /// Ends the session: its work stops, its streams say why, later calls do too.
@@ -153,6 +165,16 @@ impl OpenStreams {
         self.open().as_ref().map_or_else(Vec::new, Vec::clone)
     }
 
+    /// Ends the place for streams unless there are some. False when there are.
+    pub fn close_if_none(&self) -> bool {
+        let mut open = self.open();
+        if open.as_ref().is_some_and(|list| !list.is_empty()) {
+            return false;
+        }
+        *open = None;
+        true
+    }
+
     fn close(&self, why: &Error) {
         let list = self.open().take();
         list.into_iter().flatten().for_each(|m| m.close(why.clone()));
@@ -170,6 +192,21 @@ impl SessionRegistry {
 
     pub fn remove(&self, id: &str) {
         self.0.remove(id);
+    }
+
+    /// Removes this session, and not one that came back under its id.
+    pub fn remove_this(&self, session: &Arc<OpenSession>) {
+        self.0.remove_if(&session.id, |_, there| Arc::ptr_eq(there, session));
+    }
+
+    /// Whether a session is in memory.
+    pub fn holds(&self, id: &str) -> bool {
+        self.0.contains_key(id)
+    }
+
+    /// A session in memory, its lease left as it is.
+    pub fn peek(&self, id: &str) -> Option<Arc<OpenSession>> {
+        self.0.get(id).map(|entry| Arc::clone(entry.value()))
     }
 
     /// The tenant's session of that id, its lease renewed.

@@ -8,8 +8,10 @@ use crate::session::capacity::compute_slots::ComputeSlots;
 use crate::session::capacity::memory_ledger::MemoryLedger;
 use crate::session::config::SessionConfig;
 use crate::session::engine::EngineOpener;
+use crate::session::keeping::session_locks::SessionLocks;
 use crate::session::metrics::Metrics;
 use crate::session::registry::SessionRegistry;
+use crate::session::store::SessionStore;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use tokio::sync::Semaphore;
@@ -26,6 +28,10 @@ pub(super) struct SharedResources {
     /// One permit for each animation that may be under way.
     pub animations: Arc<Semaphore>,
     pub registry: SessionRegistry,
+    /// Where sessions are kept; without it they end with the process.
+    pub store: Option<Arc<dyn SessionStore>>,
+    /// Held by who brings a session into memory or out of it.
+    pub locks: SessionLocks,
     pub idempotency: IdempotencyKeys<StoredAnswer>,
     pub opener: Box<dyn EngineOpener>,
     pub gate: CallGate,

@@ -99,7 +99,7 @@ impl FrameEncoding {
         }
     }
 
-    fn to_message(self) -> frame::Encoding {
+    pub(super) fn to_message(self) -> frame::Encoding {
         match self {
             Self::F32 => frame::Encoding::F32,
             Self::U16 => frame::Encoding::U16,

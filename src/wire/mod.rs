@@ -21,6 +21,7 @@ mod options;
 mod passengers;
 pub mod pb;
 mod poses;
+pub mod record;
 mod rig;
 mod stream;
 

@@ -103,6 +103,7 @@ fn limits_without_a_key_are_those_of_the_program() {
         part_bytes,
         default_ttl: _,
         max_ttl: _,
+        idle: _,
         history: _,
         snapshot_bytes,
         solve: _,

@@ -2,6 +2,7 @@
 
 mod animations;
 mod drain;
+mod durable;
 mod grpc;
 mod hostile;
 mod http;

@@ -8,5 +8,6 @@ mod fake;
 mod following;
 mod life;
 mod limits;
+mod other_build;
 mod real;
 mod stream;

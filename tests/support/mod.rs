@@ -10,6 +10,7 @@ pub mod gltf_sets;
 pub mod khronos;
 pub mod messages;
 pub mod process;
+pub mod program;
 pub mod recipes;
 pub mod server;
 pub mod shapes;

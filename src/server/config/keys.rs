@@ -12,6 +12,9 @@ pub struct ConfigKeys {
     /// Address and port [default: 127.0.0.1:7411]; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub listen: Option<KeyValue<String>>,
+    /// Folder where sessions are kept, so that they outlive the process [default: none, sessions are in memory alone].
+    #[arg(long, value_name = "FOLDER")]
+    pub data_dir: Option<KeyValue<String>>,
     /// Compute threads [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<KeyValue<u32>>,
@@ -42,6 +45,9 @@ pub struct ConfigKeys {
     /// Longest time that a session may ask for.
     #[arg(long, value_name = "TIME")]
     pub max_ttl: Option<KeyValue<TimeSpan>>,
+    /// How long a kept session that nobody uses stays in memory.
+    #[arg(long, value_name = "TIME")]
+    pub idle: Option<KeyValue<TimeSpan>>,
     /// Commits that can be undone.
     #[arg(long, value_name = "N")]
     pub history: Option<KeyValue<u32>>,

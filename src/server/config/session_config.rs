@@ -40,6 +40,7 @@ pub(super) fn session_config_from_keys(merged: &MergedKeys) -> Result<session::S
     config.max_ttl = KeyValue::read(&keys.max_ttl).map_or(config.max_ttl, |span| span.0);
     let default_ttl = config.default_ttl.min(config.max_ttl);
     config.default_ttl = KeyValue::read(&keys.ttl).map_or(default_ttl, |span| span.0);
+    config.idle = KeyValue::read(&keys.idle).map_or(config.idle, |span| span.0);
     config.drain = KeyValue::read(&keys.drain_deadline).map_or(config.drain, |span| span.0);
     if let Some(ms) = KeyValue::read(&keys.solve_ms) {
         if !(1.0..=3_600_000.0).contains(&ms) {

@@ -8,7 +8,8 @@ use super::sources::{MergedKeys, unknown_variables};
 use crate::server::auth::JwtVerifier;
 use crate::server::tls::TlsDoor;
 use crate::session;
-use std::{net::SocketAddr, path::Path};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 
 /// How log lines look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,6 +33,8 @@ pub struct ServeSettings {
     pub log: String,
     /// How they look.
     pub log_format: LogFormat,
+    /// Where sessions are kept; `None`: in memory alone.
+    pub data_dir: Option<PathBuf>,
     /// Whether a session with the built-in creature is opened at the start.
     pub sample: bool,
     /// What should be said about the configuration once logs are open.
@@ -92,6 +95,9 @@ impl ServeSettings {
             session,
             log,
             log_format,
+            data_dir: KeyValue::read(&keys.data_dir)
+                .filter(|d| !d.is_empty())
+                .map(PathBuf::from),
             sample: KeyValue::read(&keys.sample).unwrap_or(false),
             remarks,
         })
@@ -216,8 +222,8 @@ mod tests {
             (defaults.listen, &defaults.server, &defaults.session)
         );
         assert_eq!(
-            (told.log, told.log_format, told.sample),
-            (defaults.log, defaults.log_format, defaults.sample)
+            (told.log, told.log_format, told.sample, told.data_dir),
+            (defaults.log, defaults.log_format, defaults.sample, defaults.data_dir)
         );
     }
 }

@@ -116,7 +116,7 @@ impl Deformer for Calls {
         let tenant = tenant(&request)?;
         let page = wire::session_page(request.get_ref()).map_err(refused)?;
         let manager = &self.state.manager;
-        let list = manager.list(&tenant, page).await;
+        let list = manager.list(&tenant, page).await.map_err(status)?;
         Ok(Response::new(messages::session_list(&list, manager.config())))
     }
 

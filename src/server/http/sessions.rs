@@ -41,7 +41,7 @@ pub(super) async fn list(From(state): From<State>, caller: Caller, uri: Uri) -> 
     };
     let page_token = take("pageToken", "page_token").unwrap_or_default();
     let page = wire::session_page(&pb::ListSessionsRequest { page_size, page_token })?;
-    let list = state.manager.list(&caller.tenant, page).await;
+    let list = state.manager.list(&caller.tenant, page).await?;
     json(&messages::session_list(&list, state.manager.config()))
 }
 

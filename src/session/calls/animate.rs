@@ -25,7 +25,7 @@ impl Manager {
         id: &str,
         order: AnimateOrder,
     ) -> Result<(AnimationControl, AnimationReader), Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         let shared = &self.shared;
         if shared.draining.load(SeqCst) {
             return Err(Error::draining());

@@ -10,6 +10,7 @@ use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::error::Error;
+use crate::wire::record::AnsweredFrame;
 use crate::wire::{AnimateOrder, CarryOrder, PoseCommit, SessionEdit};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -23,6 +24,8 @@ pub(in crate::session) enum SessionCommand {
     /// One commit forward or back.
     Step(HistoryDirection, PendingCall<SessionFacts>),
     Edit(Box<SessionEdit>, PendingCall<CommittedEdit>),
+    /// The answer of a pose that was committed with this revision; `None` when it cannot be gone to any more.
+    Recall(u64, Box<AnsweredFrame>, PendingCall<Option<CommittedPose>>),
     Export(Option<Format>, PendingCall<ExportedModel>),
     Carry(Box<CarryOrder>, PendingCall<CarriedAlong>),
     /// Prepares an animation, whose reader hears of the stages.
@@ -76,6 +79,11 @@ pub(in crate::session) enum StoredAnswer {
     Session(Box<SessionFacts>),
     Edited(Box<CommittedEdit>),
     Solved(Box<CommittedPose>),
+    /// The answer follows from a commit of a stored session.
+    Recorded {
+        session: String,
+        sequence: u64,
+    },
 }
 
 impl StoredAnswer {
@@ -98,6 +106,7 @@ impl StoredAnswer {
                 size_of::<CommittedEdit>() + names + size_of_val(&report.kept[..]) + size_of_val(&report.curve[..])
             }
             Self::Solved(solved) => return solved.frame.byte_size(),
+            Self::Recorded { session, .. } => size_of::<Self>() + session.len(),
         };
         bytes as u64
     }

@@ -26,7 +26,7 @@ impl Manager {
         handles: HandleSet,
         key: Option<CallKey>,
     ) -> Result<SessionFacts, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         let claim = self.claim_request(tenant, id, key.as_ref(), "set_handles")?;
         self.change_handles(&session, HandleChange::Replace(handles), claim)
             .await
@@ -46,7 +46,7 @@ impl Manager {
         patch: HandlePatch,
         key: Option<CallKey>,
     ) -> Result<SessionFacts, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         let claim = self.claim_request(tenant, id, key.as_ref(), "put_handle")?;
         self.change_handles(&session, HandleChange::Put(Box::new(patch)), claim)
             .await
@@ -66,7 +66,7 @@ impl Manager {
         handle_id: &str,
         key: Option<&str>,
     ) -> Result<SessionFacts, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         let claim = self.claim(tenant, key, "remove_handle", &[id.as_bytes(), handle_id.as_bytes()])?;
         self.change_handles(&session, HandleChange::Remove(handle_id.to_owned()), claim)
             .await
@@ -87,10 +87,12 @@ impl Manager {
         pose: PoseCommit,
         key: Option<CallKey>,
     ) -> Result<CommittedPose, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         let claim = match self.claim_request(tenant, id, key.as_ref(), "solve")? {
-            Some(ClaimOutcome::Done(StoredAnswer::Solved(solved))) => return Ok(*solved),
-            Some(ClaimOutcome::Done(_)) => return Err(answer_of_another_call()),
+            Some(ClaimOutcome::Done(answer)) => match self.kept_answer(tenant, answer).await? {
+                StoredAnswer::Solved(solved) => return Ok(*solved),
+                _ => return Err(answer_of_another_call()),
+            },
             Some(ClaimOutcome::New(claim)) => Some(claim),
             None => None,
         };
@@ -151,7 +153,7 @@ impl Manager {
         direction: HistoryDirection,
         key: Option<&str>,
     ) -> Result<SessionFacts, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         let operation = if direction == HistoryDirection::Undo {
             "undo"
         } else {

@@ -4,9 +4,9 @@ use crate::asset::{self, FileSet};
 use crate::engine::{self, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
 use crate::session::animation::open_animations::OpenAnimations;
-use crate::session::answers::{CallKey, KeyedAnswer, SessionFacts, Tenant};
+use crate::session::answers::{CallKey, SessionFacts, Tenant};
 use crate::session::calls::command::StoredAnswer;
-use crate::session::calls::idempotency::{ClaimOutcome, RequestFingerprint, answer_of_another_call};
+use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
@@ -17,11 +17,16 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
 use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::history::session_state::EditedState;
+use crate::session::keeping::kept_session::KeptSession;
+use crate::session::keeping::made_room::make_room;
+use crate::session::keeping::residence::Residence;
 use crate::session::registry::{OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
+use crate::session::store::{NewCommit, NewSession};
 use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionOptions;
-use std::sync::atomic::Ordering::SeqCst;
+use crate::wire::record::{FileReferences, LoggedCommit, RecordedModel};
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Arc, OnceLock, RwLock};
 use std::time::{Duration, Instant};
 use tokio::sync::{Notify, OwnedSemaphorePermit, mpsc};
@@ -42,7 +47,7 @@ pub(in crate::session) async fn create_session(
     files: FileSet,
     options: SessionOptions,
     key: Option<CallKey>,
-) -> Result<KeyedAnswer<SessionFacts>, Error> {
+) -> Result<CreatedSession, Error> {
     if shared.draining.load(SeqCst) {
         return Err(Error::draining());
     }
@@ -56,20 +61,15 @@ pub(in crate::session) async fn create_session(
     }
     let inside = shared.gate.enter();
     let claim = match claim_key(shared, tenant, &files, key).await? {
-        Some(ClaimOutcome::Done(StoredAnswer::Session(value))) => {
-            return Ok(KeyedAnswer {
-                value: *value,
-                repeated: true,
-            });
-        }
-        Some(ClaimOutcome::Done(_)) => return Err(answer_of_another_call()),
+        Some(ClaimOutcome::Done(answer)) => return Ok(CreatedSession::Before(answer)),
         Some(ClaimOutcome::New(claim)) => Some(claim),
         None => None,
     };
     let arrived = Instant::now();
-    let (seat, memory) = reserve_place(shared, upload)?;
+    let (seat, memory) = reserve_place(shared, upload).await?;
     let guard = CancelOnDrop::default();
     let SessionOptions { open, label, ttl } = options;
+    let kept_files = shared.store.is_some().then(|| (files.clone(), open.clone()));
     let opened = open_model(shared, &memory, (files, open), arrived, &guard).await?;
     if !memory.resize(opened.held) {
         let used = shared.ledger.used().saturating_sub(opened.held);
@@ -78,11 +78,26 @@ pub(in crate::session) async fn create_session(
         return Err(refuse(shared, text));
     }
     let owner = SessionOwner {
+        id: new_id()?,
+        number: shared.numbers.fetch_add(1, SeqCst),
         tenant: tenant.clone(),
         label,
         ttl: ttl.unwrap_or(shared.config.default_ttl),
     };
-    let session = start_session(shared, owner, opened, memory, seat)?;
+    let kept = match (&shared.store, kept_files) {
+        (Some(store), Some((files, open))) => {
+            let new = new_session(&owner, (files, open), &opened, claim.as_ref().map(KeyClaim::logged));
+            let kept = KeptSession::new(Arc::clone(store));
+            store.create(kept.first_of(new)).await.inspect_err(|error| {
+                shared.metrics.store_failures.inc();
+                tracing::error!("a session could not be stored: {error}");
+            })?;
+            Some(kept)
+        }
+        _ => None,
+    };
+    let session = start_session(shared, owner, opened, (memory, seat), kept);
+    shared.metrics.sessions_created.inc();
     // An abort that began meanwhile may have missed this session.
     if shared.aborted.is_cancelled() {
         session.close(Error::draining());
@@ -96,7 +111,13 @@ pub(in crate::session) async fn create_session(
     }
     tracing::info!(session.id = %session.id, size_bytes = upload, "session opened");
     drop(inside);
-    Ok(KeyedAnswer { value, repeated: false })
+    Ok(CreatedSession::Now(Box::new(value)))
+}
+
+/// A session that was created, now or by an earlier call with the same key, whose answer is kept.
+pub(in crate::session) enum CreatedSession {
+    Now(Box<SessionFacts>),
+    Before(StoredAnswer),
 }
 
 /// Claims the key of a creation; its request is the model too, which may be large.
@@ -120,11 +141,21 @@ fn refuse(shared: &SharedResources, text: String) -> Error {
     Error::exhausted(text, 5)
 }
 
-/// Takes a seat, and the memory that a model of `upload` bytes is likely to need.
-fn reserve_place(
+/// Takes a seat, and the memory that a model of `upload` bytes is likely to need. Idle sessions that are kept make room for it.
+pub(in crate::session) async fn reserve_place(
     shared: &SharedResources,
     upload: u64,
 ) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), Error> {
+    loop {
+        match take_place(shared, upload) {
+            Err(error) if !make_room(shared).await => return Err(error),
+            Err(_) => {}
+            place => return place,
+        }
+    }
+}
+
+fn take_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), Error> {
     let seat = Arc::clone(&shared.seats).try_acquire_owned().map_err(|_| {
         let text = format!(
             "{} sessions are open, no more are allowed; delete one or wait for one to expire",
@@ -148,21 +179,61 @@ fn reserve_place(
     Ok((seat, Arc::new(memory)))
 }
 
-/// Whose session it is, and for how long.
-struct SessionOwner {
-    tenant: Tenant,
-    label: String,
-    ttl: Duration,
+/// Which session it is, whose, and for how long.
+pub(in crate::session) struct SessionOwner {
+    pub id: String,
+    /// Sessions are numbered in the order of their creation.
+    pub number: u64,
+    pub tenant: Tenant,
+    pub label: String,
+    pub ttl: Duration,
+}
+
+/// A session as its store keeps it.
+fn new_session(
+    owner: &SessionOwner,
+    (files, options): (FileSet, OpenOptions),
+    opened: &OpenedModel,
+    key: Option<(Tenant, String, u128)>,
+) -> NewSession {
+    let state = opened.history.current();
+    NewSession {
+        id: owner.id.clone(),
+        tenant: owner.tenant.clone(),
+        number: owner.number,
+        ttl: owner.ttl,
+        model: RecordedModel {
+            files: FileReferences::default(),
+            options,
+            label: owner.label.clone(),
+            format: opened.deformer.engine.format(),
+        },
+        files,
+        first: NewCommit {
+            session: owner.id.clone(),
+            sequence: 0,
+            revision: opened.history.revision(),
+            digest: state.digest.clone(),
+            build: String::new(),
+            facts_at: 0,
+            poses_at: 0,
+            commit: LoggedCommit::Create {
+                facts: (*state.facts).clone(),
+            },
+            files: None,
+            key,
+        },
+    }
 }
 
 /// Registers a session on an opened model and starts its task.
-fn start_session(
+pub(in crate::session) fn start_session(
     shared: &Arc<SharedResources>,
     owner: SessionOwner,
     opened: OpenedModel,
-    memory: Arc<MemoryReservation>,
-    seat: OwnedSemaphorePermit,
-) -> Result<Arc<OpenSession>, Error> {
+    (memory, seat): (Arc<MemoryReservation>, OwnedSemaphorePermit),
+    kept: Option<KeptSession>,
+) -> Arc<OpenSession> {
     let OpenedModel {
         deformer,
         history,
@@ -182,9 +253,9 @@ fn start_session(
     };
     let (send, commands) = mpsc::channel(shared.config.session_queue);
     let session = Arc::new(OpenSession {
-        id: new_id()?,
+        id: owner.id,
         tenant: owner.tenant,
-        number: shared.numbers.fetch_add(1, SeqCst),
+        number: owner.number,
         label: owner.label,
         format: deformer.engine.format(),
         lease: SessionLease::new(owner.ttl),
@@ -197,11 +268,13 @@ fn start_session(
         ended: CancellationToken::new(),
         view: RwLock::new(Arc::new(view)),
         why: OnceLock::new(),
+        leave: AtomicBool::new(false),
+        unloaded: AtomicBool::new(false),
+        busy: AtomicBool::new(false),
     });
     shared.registry.insert(Arc::clone(&session));
     shared.metrics.sessions.inc();
-    shared.metrics.sessions_created.inc();
-    let task = SessionTask {
+    let mut task = SessionTask {
         session: Arc::clone(&session),
         shared: Arc::clone(shared),
         commands,
@@ -211,20 +284,24 @@ fn start_session(
         memory,
         seat,
         next_stream: 0,
+        kept,
+        residence: Residence::Whole,
     };
+    task.publish_view();
     tokio::spawn(task.run());
-    Ok(session)
+    session
 }
 
-struct OpenedModel {
-    deformer: LoadedDeformer,
-    history: CommitHistory,
-    build_ms: std::collections::BTreeMap<String, f64>,
-    held: u64,
+/// A model, opened, with its history.
+pub(in crate::session) struct OpenedModel {
+    pub deformer: LoadedDeformer,
+    pub history: CommitHistory,
+    pub build_ms: std::collections::BTreeMap<String, f64>,
+    pub held: u64,
 }
 
 /// Builds the engine on the compute pool.
-async fn open_model(
+pub(in crate::session) async fn open_model(
     shared: &Arc<SharedResources>,
     memory: &Arc<MemoryReservation>,
     (files, options): (FileSet, OpenOptions),

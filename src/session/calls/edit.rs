@@ -27,10 +27,12 @@ impl Manager {
         mut edit: SessionEdit,
         key: Option<CallKey>,
     ) -> Result<CommittedEdit, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         let claim = match self.claim_request(tenant, id, key.as_ref(), "edit")? {
-            Some(ClaimOutcome::Done(StoredAnswer::Edited(edited))) => return Ok(*edited),
-            Some(ClaimOutcome::Done(_)) => return Err(answer_of_another_call()),
+            Some(ClaimOutcome::Done(answer)) => match self.kept_answer(tenant, answer).await? {
+                StoredAnswer::Edited(edited) => return Ok(*edited),
+                _ => return Err(answer_of_another_call()),
+            },
             Some(ClaimOutcome::New(claim)) => Some(claim),
             None => None,
         };

@@ -96,6 +96,7 @@ pub(in crate::session) struct KeyClaim<A> {
     tenant: Tenant,
     key: Arc<str>,
     ledger: Arc<MemoryLedger>,
+    fingerprint: RequestFingerprint,
     open: bool,
 }
 
@@ -113,6 +114,29 @@ impl<A: Clone> IdempotencyKeys<A> {
             age: config.idempotency_age,
             keys: config.idempotency_keys,
         }
+    }
+
+    /// Puts back a key that was answered before the process was started, `age` ago.
+    pub fn restore(&self, tenant: &Tenant, key: &str, fingerprint: u128, age: Duration, (answer, bytes): (A, u64)) {
+        let now = Instant::now();
+        let finished = now.checked_sub(age).unwrap_or(now);
+        let mut tenants = self.tenants.lock().unwrap_or_else(PoisonError::into_inner);
+        let keys = tenants.entry(tenant.clone()).or_default();
+        let number = keys.finished.back().map_or(1, |(_, n, _)| n + 1);
+        let key: Arc<str> = Arc::from(key);
+        keys.bytes = keys.bytes.saturating_add(bytes);
+        keys.finished.push_back((finished, number, Arc::clone(&key)));
+        let fingerprint = RequestFingerprint(fingerprint);
+        let entry = KeyEntry {
+            fingerprint,
+            answer: Some(KeptAnswer {
+                answer,
+                bytes,
+                _counted: None,
+            }),
+            number,
+        };
+        keys.entries.insert(key, entry);
     }
 
     /// Claims `key` for a request.
@@ -179,6 +203,7 @@ impl<A: Clone> IdempotencyKeys<A> {
             tenant: tenant.clone(),
             key,
             ledger: Arc::clone(&self.ledger),
+            fingerprint,
             open: true,
         }))
     }
@@ -208,6 +233,11 @@ impl<A> TenantKeys<A> {
 }
 
 impl<A> KeyClaim<A> {
+    /// Tenant, key and the fingerprint of the request, to be kept with the commit that answers it.
+    pub fn logged(&self) -> (Tenant, String, u128) {
+        (self.tenant.clone(), self.key.to_string(), self.fingerprint.0)
+    }
+
     /// Keeps the answer, which holds about `bytes`.
     pub fn complete(mut self, answer: A, bytes: u64) {
         self.open = false;

@@ -10,7 +10,7 @@ use crate::asset::FileSet;
 use crate::engine::HandleSet;
 use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionFacts, SessionList, Tenant};
 use crate::session::calls::command::{PendingCall, SessionCommand, StoredAnswer};
-use crate::session::calls::create::create_session;
+use crate::session::calls::create::{CreatedSession, create_session};
 use crate::session::calls::idempotency::{
     ClaimOutcome, IdempotencyKeys, KeyClaim, RequestFingerprint, answer_of_another_call,
 };
@@ -21,13 +21,19 @@ use crate::session::capacity::work_watch::CancelOnDrop;
 use crate::session::config::SessionConfig;
 use crate::session::engine::{EngineOpener, OpenDeformer};
 use crate::session::error::{Error, ErrorCode};
+use crate::session::keeping::reopen::reopen_session;
+use crate::session::keeping::session_locks::SessionLocks;
+use crate::session::keeping::stored_list::listed_facts;
+use crate::session::keeping::sweep::sweep_for_ever;
 use crate::session::metrics::Metrics;
 use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
+use crate::session::store::SessionStore;
+use crate::session::store::session_store::now_ms;
 use crate::wire::{SessionOptions, SessionPage};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
@@ -48,6 +54,48 @@ impl Manager {
 
     /// As [`Manager::new`], with another engine.
     pub fn with_opener(config: SessionConfig, opener: impl EngineOpener) -> Result<Self, Error> {
+        Self::put_together(config, opener, None, 1)
+    }
+
+    /// Sessions that are kept in a store: those that it holds, and new ones. To be called inside a runtime, on which the store is looked
+    /// after.
+    ///
+    /// # Errors
+    /// As [`Manager::new`]; `UNAVAILABLE` when the store does not answer.
+    pub async fn with_store(
+        config: SessionConfig,
+        opener: impl EngineOpener,
+        store: Arc<dyn SessionStore>,
+    ) -> Result<Self, Error> {
+        let first = store.highest_number().await?.saturating_add(1);
+        let kept_keys = store.keys().await?;
+        let manager = Self::put_together(config, opener, Some(store), first)?;
+        let shared = &manager.shared;
+        let now = now_ms();
+        for key in kept_keys {
+            let age = Duration::from_millis(now.saturating_sub(key.at_ms));
+            if age < shared.config.idempotency_age {
+                let answer = StoredAnswer::Recorded {
+                    session: key.session,
+                    sequence: key.sequence,
+                };
+                let bytes = answer.byte_size();
+                let restored = (answer, bytes);
+                shared
+                    .idempotency
+                    .restore(&key.tenant, &key.key, key.fingerprint, age, restored);
+            }
+        }
+        tokio::spawn(sweep_for_ever(Arc::downgrade(shared)));
+        Ok(manager)
+    }
+
+    fn put_together(
+        config: SessionConfig,
+        opener: impl EngineOpener,
+        store: Option<Arc<dyn SessionStore>>,
+        first_number: u64,
+    ) -> Result<Self, Error> {
         config.validate()?;
         let metrics = Arc::new(Metrics::default());
         let ledger = MemoryLedger::new(config.memory_bytes, Arc::clone(&metrics));
@@ -56,11 +104,13 @@ impl Manager {
             seats: Arc::new(Semaphore::new(config.sessions)),
             animations: Arc::new(Semaphore::new(config.animations)),
             registry: SessionRegistry::default(),
+            store,
+            locks: SessionLocks::default(),
             idempotency: IdempotencyKeys::new(&config, &ledger),
             ledger,
             opener: Box::new(opener),
             gate: CallGate::new(),
-            numbers: AtomicU64::new(1),
+            numbers: AtomicU64::new(first_number),
             draining: AtomicBool::new(false),
             aborted: CancellationToken::new(),
             abort_flag: Arc::default(),
@@ -102,7 +152,19 @@ impl Manager {
         options: SessionOptions,
         key: Option<CallKey>,
     ) -> Result<KeyedAnswer<SessionFacts>, Error> {
-        create_session(&self.shared, tenant, files, options, key).await
+        match create_session(&self.shared, tenant, files, options, key).await? {
+            CreatedSession::Now(value) => Ok(KeyedAnswer {
+                value: *value,
+                repeated: false,
+            }),
+            CreatedSession::Before(answer) => match self.kept_answer(tenant, answer).await? {
+                StoredAnswer::Session(value) => Ok(KeyedAnswer {
+                    value: *value,
+                    repeated: true,
+                }),
+                _ => Err(answer_of_another_call()),
+            },
+        }
     }
 
     /// Describes a session and renews its lease.
@@ -110,7 +172,7 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`.
     pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<SessionFacts, Error> {
-        Ok(self.find(tenant, id)?.describe())
+        Ok(self.find(tenant, id).await?.describe())
     }
 
     /// The handles in force.
@@ -118,20 +180,47 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`.
     pub async fn handles(&self, tenant: &Tenant, id: &str) -> Result<HandleSet, Error> {
-        Ok(self.find(tenant, id)?.view().handles.set.clone())
+        Ok(self.find(tenant, id).await?.view().handles.set.clone())
     }
 
-    /// A page of the tenant's sessions, oldest first. Renews no lease.
-    pub async fn list(&self, tenant: &Tenant, page: SessionPage) -> SessionList {
+    /// A page of the tenant's sessions, oldest first. Renews no lease, and brings no session into memory.
+    ///
+    /// # Errors
+    /// `UNAVAILABLE` when sessions are kept in a store and it does not answer.
+    pub async fn list(&self, tenant: &Tenant, page: SessionPage) -> Result<SessionList, Error> {
+        if let Some(store) = &self.shared.store {
+            return self.list_stored(store, tenant, page).await;
+        }
         let mut sessions = self.shared.registry.all();
         sessions.retain(|s| s.tenant == *tenant && s.number > page.after && !s.closing.is_cancelled());
         sessions.sort_unstable_by_key(|s| s.number);
         let more = sessions.len() > page.size;
         sessions.truncate(page.size);
-        SessionList {
+        Ok(SessionList {
             sessions: sessions.iter().map(|s| s.describe()).collect(),
             next_after: sessions.last().filter(|_| more).map(|s| s.number),
+        })
+    }
+
+    async fn list_stored(
+        &self,
+        store: &Arc<dyn SessionStore>,
+        tenant: &Tenant,
+        page: SessionPage,
+    ) -> Result<SessionList, Error> {
+        let mut found = store.list(tenant.clone(), page.after, page.size + 1).await?;
+        let more = found.len() > page.size;
+        found.truncate(page.size);
+        let next_after = found.last().filter(|_| more).map(|(number, _)| *number);
+        let mut sessions = Vec::with_capacity(found.len());
+        for (_, listed) in found {
+            let Some(listed) = listed else { continue };
+            sessions.push(match self.shared.registry.peek(&listed.id) {
+                Some(open) => open.describe(),
+                None => listed_facts(&listed)?,
+            });
         }
+        Ok(SessionList { sessions, next_after })
     }
 
     /// Closes a session: its work stops within a cycle, its streams end with `NOT_FOUND`, its memory is free when this
@@ -143,12 +232,28 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`.
     pub async fn delete(&self, tenant: &Tenant, id: &str) -> Result<(), Error> {
-        let session = self.find(tenant, id)?;
         let _inside = self.shared.gate.enter();
-        self.shared.registry.remove(id);
-        let text = format!("session \"{id}\" was deleted");
-        session.close(Error::new(ErrorCode::NotFound, text));
-        session.ended.cancelled().await;
+        // Nobody brings it into memory meanwhile.
+        let lock = self.shared.locks.lock(id).await;
+        let session = self.shared.registry.find(tenant, id);
+        match (&self.shared.store, &session) {
+            (None, Err(error)) => return Err(error.clone()),
+            (None, Ok(_)) => {}
+            (Some(store), _) => {
+                if session.is_err() && !store.holds(tenant.clone(), id.to_owned()).await? {
+                    return Err(Error::no_session(id));
+                }
+                store.delete(id.to_owned()).await?;
+            }
+        }
+        if let Ok(session) = session {
+            self.shared.registry.remove(id);
+            let text = format!("session \"{id}\" was deleted");
+            session.close(Error::new(ErrorCode::NotFound, text));
+            // Its task may be on its way out and wait for it.
+            drop(lock);
+            session.ended.cancelled().await;
+        }
         tracing::info!(session.id = %id, "session deleted");
         Ok(())
     }
@@ -158,15 +263,21 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`.
     pub async fn history(&self, tenant: &Tenant, id: &str) -> Result<HistoryFacts, Error> {
-        let view = self.find(tenant, id)?.view();
+        let view = self.find(tenant, id).await?.view();
         Ok(HistoryFacts {
             commits: view.history.list.iter().cloned().collect(),
             current: view.history.current,
         })
     }
 
-    pub(in crate::session) fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<OpenSession>, Error> {
-        self.shared.registry.find(tenant, id)
+    /// The tenant's session of that id, its lease renewed; one that has left memory comes back.
+    pub(in crate::session) async fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<OpenSession>, Error> {
+        match (self.shared.registry.find(tenant, id), &self.shared.store) {
+            (Err(error), Some(store)) if error.code == ErrorCode::NotFound => {
+                reopen_session(&self.shared, store, tenant, id).await
+            }
+            (found, _) => found,
+        }
     }
 
     /// Claims the idempotency key of a call, or gives the answer that is kept for it.
@@ -193,8 +304,10 @@ impl Manager {
         command: impl FnOnce(PendingCall<SessionFacts>) -> SessionCommand,
     ) -> Result<SessionFacts, Error> {
         let claim = match claim {
-            Some(ClaimOutcome::Done(StoredAnswer::Session(session))) => return Ok(*session),
-            Some(ClaimOutcome::Done(_)) => return Err(answer_of_another_call()),
+            Some(ClaimOutcome::Done(answer)) => match self.kept_answer(&session.tenant, answer).await? {
+                StoredAnswer::Session(session) => return Ok(*session),
+                _ => return Err(answer_of_another_call()),
+            },
             Some(ClaimOutcome::New(claim)) => Some(claim),
             None => None,
         };
@@ -214,23 +327,31 @@ impl Manager {
         let _inside = self.shared.gate.enter();
         let guard = CancelOnDrop::default();
         let (reply, answer) = oneshot::channel();
-        let command = command(PendingCall {
+        let mut command = command(PendingCall {
             reply,
             cancel: Arc::clone(&guard.0),
             arrived: Instant::now(),
             claim,
         });
-        session.commands.try_send(command).map_err(|error| match error {
-            mpsc::error::TrySendError::Full(_) => {
-                self.shared.metrics.refused.inc();
-                let text = format!(
-                    "{} calls wait on this session already",
-                    self.shared.config.session_queue
-                );
-                Error::exhausted(text, 1)
+        let mut session = Arc::clone(session);
+        while let Err(error) = session.commands.try_send(command) {
+            match error {
+                mpsc::error::TrySendError::Full(_) => {
+                    self.shared.metrics.refused.inc();
+                    let text = format!(
+                        "{} calls wait on this session already",
+                        self.shared.config.session_queue
+                    );
+                    return Err(Error::exhausted(text, 1));
+                }
+                // It left memory since it was found, and comes back for the call.
+                mpsc::error::TrySendError::Closed(refused) if session.has_left() => {
+                    command = refused;
+                    session = self.find(&session.tenant, &session.id).await?;
+                }
+                mpsc::error::TrySendError::Closed(_) => return Err(session.why()),
             }
-            mpsc::error::TrySendError::Closed(_) => session.why(),
-        })?;
+        }
         answer.await.unwrap_or_else(|_| Err(session.why()))
     }
 }

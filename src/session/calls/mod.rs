@@ -3,10 +3,11 @@
 mod animate;
 pub(super) mod command;
 mod commits;
-mod create;
+pub(super) mod create;
 mod drain;
 mod edit;
 pub(super) mod handle_change;
 pub(super) mod idempotency;
 pub(super) mod manager;
+mod recorded_answer;
 mod shape;

@@ -22,7 +22,7 @@ impl Manager {
     /// # Errors
     /// `INVALID_ARGUMENT` when the model cannot be written in that format.
     pub async fn export(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<ExportedModel, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         self.call(&session, None, |call| SessionCommand::Export(format, call))
             .await
     }
@@ -32,7 +32,7 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`.
     pub async fn export_etag(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<String, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         Ok(OpenSession::etag(
             &session.view(),
             format.unwrap_or(session.format).name(),
@@ -47,7 +47,7 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`; what is wrong with the model that is to be carried.
     pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<CarriedAlong, Error> {
-        let session = self.find(tenant, id)?;
+        let session = self.find(tenant, id).await?;
         self.call(&session, None, |call| SessionCommand::Carry(Box::new(order), call))
             .await
     }
@@ -57,7 +57,7 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`.
     pub async fn positions(&self, tenant: &Tenant, id: &str) -> Result<PositionBuffer, Error> {
-        let view = self.find(tenant, id)?.view();
+        let view = self.find(tenant, id).await?.view();
         let etag = OpenSession::etag(&view, "f32");
         let bytes = self.shared.compute.offload(move || f32_bytes(&view.positions)).await?;
         Ok(PositionBuffer { bytes, etag })
@@ -68,16 +68,27 @@ impl Manager {
     /// # Errors
     /// `NOT_FOUND`, `RESOURCE_EXHAUSTED` when the session has as many streams as allowed, `UNAVAILABLE` while draining.
     pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<DeformStream, Error> {
-        let session = self.find(tenant, id)?;
+        let mut session = self.find(tenant, id).await?;
         if self.shared.draining.load(SeqCst) {
             return Err(Error::draining());
         }
         let (config, metrics) = (&self.shared.config, Arc::clone(&self.shared.metrics));
-        let mailbox = Mailbox::new(&session.id, config, Arc::clone(&metrics), Arc::clone(&session.wake));
-        let mailbox = Arc::new(mailbox);
-        session.streams.add(Arc::clone(&mailbox)).inspect_err(|_| {
-            metrics.refused.inc();
-        })?;
+        let mailbox = loop {
+            let mailbox = Mailbox::new(&session.id, config, Arc::clone(&metrics), Arc::clone(&session.wake));
+            let mailbox = Arc::new(mailbox);
+            match session.streams.add(Arc::clone(&mailbox)) {
+                Ok(()) => break mailbox,
+                // It left memory since it was found, and comes back for the stream.
+                Err(_) if session.has_left() => {
+                    tokio::task::yield_now().await;
+                    session = self.find(tenant, id).await?;
+                }
+                Err(error) => {
+                    metrics.refused.inc();
+                    return Err(error);
+                }
+            }
+        };
         let inside = self.shared.gate.enter();
         let stream = DeformStream::new(mailbox, session, config.part_bytes, metrics, inside);
         // A drain that began meanwhile may have missed this stream.

@@ -28,6 +28,11 @@ impl SessionLease {
         self.last_use_ms.fetch_max(now, Relaxed);
     }
 
+    /// When it was used last.
+    pub fn last_use(&self) -> Instant {
+        self.opened + Duration::from_millis(self.last_use_ms.load(Relaxed))
+    }
+
     /// When it ends if nothing uses it until then.
     pub fn end(&self) -> Instant {
         // Rounded up, so that it never ends early.

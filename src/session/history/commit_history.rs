@@ -130,7 +130,7 @@ impl CommitHistory {
         Arc::new(CommittedHandles { id, set })
     }
 
-    fn record_shape(&mut self, recipe: ShapeRecipe, shape: ModelShape) -> RecordedShapeId {
+    fn record_shape(&mut self, recipe: ShapeRecipe, shape: Option<ModelShape>) -> RecordedShapeId {
         let id = RecordedShapeId(self.next_shape);
         self.next_shape += 1;
         let recorded = RecordedShape {
@@ -139,7 +139,7 @@ impl CommitHistory {
             uses: 0,
         };
         self.shapes.insert(id, recorded);
-        self.set_snapshot(id, Some(shape));
+        self.set_snapshot(id, shape);
         id
     }
 
@@ -210,12 +210,13 @@ impl CommitHistory {
         self.push_commit("handles", state);
     }
 
-    /// Records solved poses, with what was noticed of them. What was undone is gone.
+    /// Records solved poses, with what was noticed of them. What was undone is gone. Without the shape, it is solved when it is asked
+    /// for.
     pub fn commit_pose(
         &mut self,
         (poses, warnings): (HandlePoses, Vec<DeformerWarning>),
         settings: SolveSettings,
-        shape: ModelShape,
+        shape: impl Into<Option<ModelShape>>,
         digest: String,
     ) {
         let state = self.current().clone();
@@ -225,7 +226,7 @@ impl CommitHistory {
             poses: poses.clone(),
             settings,
         };
-        let shape = self.record_shape(recipe, shape);
+        let shape = self.record_shape(recipe, shape.into());
         let state = SessionState {
             poses,
             pose_warnings: Arc::new(warnings),
@@ -256,18 +257,80 @@ impl CommitHistory {
             poses: edited.poses,
             pose_warnings: Arc::default(),
             facts: Arc::new(edited.facts),
-            shape: self.record_shape(recipe, shape),
+            shape: self.record_shape(recipe, Some(shape)),
             digest: edited.digest,
         };
         self.push_commit("edit", state);
     }
 
-    /// Goes to commit `index`, whose shape is given.
-    pub fn go_to_commit(&mut self, index: usize, given: ModelShape) {
+    /// Goes to commit `index`, whose shape is given. Without it, it is solved when it is asked for.
+    pub fn go_to_commit(&mut self, index: usize, given: impl Into<Option<ModelShape>>) {
         self.at = index.min(self.records.len() - 1);
         self.revision += 1;
-        self.set_snapshot(self.records[self.at].state.shape, Some(given));
+        if let Some(given) = given.into() {
+            self.set_snapshot(self.records[self.at].state.shape, Some(given));
+        }
         self.fold_oldest();
+    }
+
+    /// Keeps the shape of the current commit, which was solved again.
+    pub fn keep_current_shape(&mut self, given: ModelShape) {
+        self.set_snapshot(self.current().shape, Some(given));
+        self.fold_oldest();
+    }
+
+    /// Drops all snapshots but that of the current shape: they can be solved again.
+    pub fn drop_snapshots(&mut self) {
+        let current = self.current().shape;
+        let others: Vec<_> = self.snapshots.iter().copied().filter(|id| *id != current).collect();
+        others.into_iter().for_each(|id| self.set_snapshot(id, None));
+    }
+
+    /// Records another digest of commit `index` and all that have its shape.
+    pub fn record_digest(&mut self, index: usize, digest: &str) {
+        let Some(shape) = self.state(index).map(|s| s.shape) else {
+            return;
+        };
+        for (k, record) in self
+            .records
+            .iter_mut()
+            .enumerate()
+            .filter(|(_, r)| r.state.shape == shape)
+        {
+            digest.clone_into(&mut record.state.digest);
+            self.shown.set_digest(k, digest);
+        }
+    }
+
+    /// Sets how many commits can be undone.
+    pub fn set_limit(&mut self, limit: usize) {
+        self.limit = limit;
+        self.fold_oldest();
+    }
+
+    /// Whether the current shape is another than the rest shape.
+    pub fn is_solved(&self) -> bool {
+        matches!(self.recipe(self.current().shape), ShapeRecipe::Solved { .. })
+    }
+
+    /// The revision of the commit that the session is at.
+    pub fn current_revision(&self) -> u64 {
+        self.records[self.at].revision
+    }
+
+    /// The revision of commit `index`.
+    pub fn revision_of(&self, index: usize) -> Option<u64> {
+        self.records.get(index).map(|r| r.revision)
+    }
+
+    /// The commit of a revision, if it can be gone to.
+    pub fn index_of(&self, revision: u64) -> Option<usize> {
+        self.records.iter().position(|r| r.revision == revision)
+    }
+
+    /// The revision of the oldest commit that can be gone to.
+    pub fn oldest_revision(&self) -> u64 {
+        self.records.front().map_or(0, |r| r.revision)
     }
 
     fn push_commit(&mut self, kind: &'static str, state: SessionState) {

@@ -45,6 +45,18 @@ impl CommitList {
         }
     }
 
+    /// Tells another digest of the commit at `index`.
+    pub(super) fn set_digest(&mut self, index: usize, digest: &str) {
+        let mut at = index + self.gone;
+        for piece in &mut self.pieces {
+            if at < piece.len() {
+                digest.clone_into(&mut Arc::make_mut(piece)[at].digest);
+                return;
+            }
+            at -= piece.len();
+        }
+    }
+
     /// Forgets the oldest commit.
     pub(super) fn forget_first(&mut self) {
         let Some(first) = self.pieces.front() else { return };
@@ -73,8 +85,8 @@ mod tests {
     proptest! {
         /// Against a plain list.
         #[test]
-        fn it_is_a_list(steps in prop::collection::vec((0u8..3, 1usize..400), 0..40)) {
-            let (mut list, mut plain) = (CommitList::default(), VecDeque::new());
+        fn it_is_a_list(steps in prop::collection::vec((0u8..4, 1usize..400), 0..40)) {
+            let (mut list, mut plain) = (CommitList::default(), VecDeque::<CommitFacts>::new());
             let mut revision = 0;
             for (kind, count) in steps {
                 match kind {
@@ -90,6 +102,11 @@ mod tests {
                         list.truncate(kept);
                         plain.truncate(kept);
                     }
+                    2 => if !plain.is_empty() {
+                        let at = count % plain.len();
+                        list.set_digest(at, "other");
+                        plain[at].digest = "other".into();
+                    },
                     _ => for _ in 0..count.min(plain.len()) {
                         list.forget_first();
                         plain.pop_front();

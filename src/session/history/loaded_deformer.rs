@@ -2,15 +2,16 @@
 //! time: the next one brings the engine back to the handles that it needs.
 
 use crate::engine::{
-    DeformerFacts, DeformerWarning, EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet, ModelShape,
-    QualityReport, Shader, Shading, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
+    DeformerFacts, DeformerWarning, EditCommand, EditOutcome, EditReport, Error, HandlePose, HandlePoses, HandleSet,
+    ModelShape, QualityReport, Shader, Shading, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
+    digest,
 };
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::engine::Engine;
-use crate::session::history::session_state::{CommittedHandles, HandleSetId, SessionState, ShapeRecipe};
-use crate::wire::DeformOptions;
+use crate::session::history::session_state::{CommittedHandles, EditedState, HandleSetId, SessionState, ShapeRecipe};
+use crate::wire::{DeformOptions, SessionEdit};
 use glam::DVec3;
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,6 +28,13 @@ pub(in crate::session) struct CommitSolution {
     /// What a user should know of the poses of a commit.
     pub warnings: Vec<DeformerWarning>,
     pub solve_time: Duration,
+}
+
+/// What an edit begins with: a state, its shape where it is at hand, and how that is made again.
+pub(in crate::session) struct EditStart<'a> {
+    pub state: &'a SessionState,
+    pub shape: Result<ModelShape, ShapeRecipe>,
+    pub recipe: &'a ShapeRecipe,
 }
 
 /// The engine of one session. Moves to the compute pool and back with every piece of work.
@@ -87,6 +95,51 @@ impl LoadedDeformer {
         let outcome = self.engine.edit(command, exec)?;
         self.forget_derived();
         Ok(outcome)
+    }
+
+    /// Edits the shape of a state, as [`LoadedDeformer::edit`] does, with at most `room` bytes held after it.
+    pub fn edit_state(
+        &mut self,
+        start: EditStart<'_>,
+        edit: &SessionEdit,
+        room: u64,
+        exec: &Exec<'_>,
+    ) -> Result<(EditedState, ModelShape, EditReport), Error> {
+        let EditStart { state, shape, recipe } = start;
+        self.load_state(state.topology.as_ref(), &state.handles, exec)?;
+        self.engine.limit_memory(room);
+        // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine happens to remember.
+        let shape = match shape {
+            Ok(shape) if self.engine.remembers(shape.id) => shape,
+            _ => self.solve_recipe(recipe, exec)?,
+        };
+        let settings = match recipe {
+            ShapeRecipe::Solved { settings, .. } => Some(settings),
+            ShapeRecipe::Rest { .. } => None,
+        };
+        let command = EditCommand {
+            edit: &edit.edit,
+            on: edit.on,
+            shape: &shape,
+            poses: &state.poses,
+            settings,
+        };
+        let outcome = self.edit(state.topology.as_ref(), &state.handles, &command, exec)?;
+        let edited = EditedState {
+            topology: self.engine.topology_state(),
+            diagonal: self.engine.diagonal(),
+            handles: outcome.handles,
+            poses: outcome.poses,
+            facts: self.engine.facts(),
+            digest: outcome.report.digest.clone(),
+            solved_with: outcome.solved,
+        };
+        Ok((edited, outcome.shape, outcome.report))
+    }
+
+    /// Drops what is derived from the engine and made again when it is asked for.
+    pub fn drop_derived(&mut self) {
+        self.shader = None;
     }
 
     /// What was derived from the engine's state is out of date.

@@ -1,12 +1,12 @@
 //! The calls that a session's task serves, one at a time.
 
 use crate::asset::Format;
-use crate::engine;
+use crate::engine::{self, ModelShape};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::pool::Pool;
 use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts};
-use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer};
+use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer, WorkOrder};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_watch::WorkWatch;
@@ -14,8 +14,9 @@ use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::registry::OpenSession;
-use crate::session::stream::outbound_frame::FrameContext;
+use crate::session::stream::outbound_frame::{FrameContext, OutboundFrame};
 use crate::session::task::session_task::{SessionTask, no_handles};
+use crate::wire::record::{AnsweredFrame, LoggedCommit};
 use crate::wire::{CarryOrder, PoseCommit};
 use glam::DVec3;
 use std::sync::Arc;
@@ -49,6 +50,10 @@ impl SessionTask {
                 send_answer(call, result, |result| {
                     Some(StoredAnswer::Edited(Box::new(result.clone())))
                 });
+            }
+            SessionCommand::Recall(revision, frame, call) => {
+                let result = self.recall(revision, *frame, &call).await;
+                send_answer(call, result, |_| None);
             }
             SessionCommand::Export(format, call) => {
                 let result = self.export(format, &call).await;
@@ -90,6 +95,12 @@ impl SessionTask {
         let (replaced, set, stages) = replaced;
         let (poses, facts) = replaced.map_err(|e| self.memory_failure(e, room, &watch))?;
         self.refuse_beyond_memory()?;
+        let commit = || LoggedCommit::Handles {
+            set: set.clone(),
+            poses: poses.clone(),
+            facts: facts.clone(),
+        };
+        self.keep_handles(commit, call.claim.as_ref()).await?;
         self.build_ms.extend(stages);
         self.history.commit_handles(set, poses, facts);
         if let Some(deformer) = &mut self.deformer {
@@ -126,6 +137,12 @@ impl SessionTask {
             )
             .await?;
         let (frame, solution) = solved.map_err(|e| self.failure(e, &watch))?;
+        let answer = call.claim.is_some().then(|| AnsweredFrame {
+            header: frame.header.clone(),
+            output: frame.output,
+        });
+        self.keep_pose(&solution, &settings, answer, call.claim.as_ref())
+            .await?;
         self.commit_solution(&solution, settings);
         self.shared.metrics.frames_sent.inc();
         Ok(CommittedPose {
@@ -146,22 +163,86 @@ impl SessionTask {
         };
         let nothing = || Error::new(ErrorCode::FailedPrecondition, nothing);
         let index = target.ok_or_else(nothing)?;
-        let shape = self.history.state(index).ok_or_else(nothing)?.shape;
-        let shape = match self.history.shape(shape) {
-            Ok(shape) => shape,
-            Err(recipe) => {
-                let limit = self.shared.config.build;
-                let replay = move |deformer: &mut LoadedDeformer, pool: &Pool, watch: &WorkWatch, _| {
-                    deformer.solve_recipe(&recipe, &Exec::new(pool, watch))
-                };
-                let (shape, watch) = self.compute(call.order(WorkLane::Interactive, limit), replay).await?;
-                shape.map_err(|e| self.failure(e, &watch))?
-            }
-        };
+        let limit = self.shared.config.build;
+        let shape = self
+            .shape_of_commit(index, call.order(WorkLane::Interactive, limit))
+            .await?
+            .ok_or_else(nothing)?;
+        self.keep_step(direction, index, call.claim.as_ref()).await?;
         self.history.go_to_commit(index, shape);
         self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
         self.publish_view();
         Ok(self.session.describe())
+    }
+
+    /// The shape of commit `index`, solved again where it is not at hand; `None` when there is no such commit.
+    async fn shape_of_commit(&mut self, index: usize, order: WorkOrder) -> Result<Option<ModelShape>, Error> {
+        let Some(state) = self.history.state(index) else {
+            return Ok(None);
+        };
+        let recipe = match self.history.shape(state.shape) {
+            Ok(shape) => return Ok(Some(shape)),
+            Err(recipe) => recipe,
+        };
+        let (recorded, diagonal) = (state.digest.clone(), state.diagonal);
+        let replay = move |deformer: &mut LoadedDeformer, pool: &Pool, watch: &WorkWatch, _| {
+            deformer.solve_recipe(&recipe, &Exec::new(pool, watch))
+        };
+        let (shape, watch) = self.compute(order, replay).await?;
+        let shape = shape.map_err(|e| self.failure(e, &watch))?;
+        let now = engine::digest(&shape.positions);
+        if now != recorded {
+            self.check_solved_again(index, &now, &shape, diagonal).await?;
+        }
+        Ok(Some(shape))
+    }
+
+    /// The frame of a pose that was committed with this revision.
+    async fn recall(
+        &mut self,
+        revision: u64,
+        frame: AnsweredFrame,
+        call: &PendingCall<Option<CommittedPose>>,
+    ) -> Result<Option<CommittedPose>, Error> {
+        let Some(index) = self.history.index_of(revision) else {
+            return Ok(None);
+        };
+        let limit = self.shared.config.build;
+        let Some(shape) = self
+            .shape_of_commit(index, call.order(WorkLane::Interactive, limit))
+            .await?
+        else {
+            return Ok(None);
+        };
+        let Some(state) = self.history.state(index) else {
+            return Ok(None);
+        };
+        let (digest, diagonal, topology) = (state.digest.clone(), state.diagonal, state.topology.clone());
+        let AnsweredFrame { mut header, output } = frame;
+        header.revision = revision;
+        let part_bytes = self.shared.config.part_bytes;
+        let order = call.order(WorkLane::Interactive, limit);
+        let (made, watch) = self
+            .compute(order, move |deformer, pool, watch, _| {
+                deformer.go_to_topology(topology.as_ref(), &Exec::new(pool, watch))?;
+                let is_shaded = output.normals || output.tangents;
+                let shading = is_shaded.then(|| Arc::new(deformer.shader().shade(&shape.positions)));
+                let frame = OutboundFrame {
+                    header,
+                    positions: shape.positions,
+                    shading,
+                    output,
+                    diagonal,
+                };
+                Ok::<_, engine::Error>(frame.into_request(&[], part_bytes))
+            })
+            .await?;
+        let frame = made.map_err(|e| self.failure(e, &watch))?;
+        Ok(Some(CommittedPose {
+            frame,
+            revision,
+            digest,
+        }))
     }
 
     async fn carry_along(

@@ -3,5 +3,7 @@
 mod animate;
 mod commands;
 mod edit;
+mod keep_commit;
 pub(super) mod session_task;
+mod step_out;
 mod stream_turn;

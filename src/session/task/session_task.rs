@@ -15,11 +15,14 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
 use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
 use crate::session::history::session_state::SessionState;
+use crate::session::keeping::kept_session::KeptSession;
+use crate::session::keeping::residence::Residence;
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::stream::mailbox::{Mailbox, StreamWork};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 
@@ -36,6 +39,9 @@ pub(in crate::session) struct SessionTask {
     pub seat: OwnedSemaphorePermit,
     /// Which stream is asked for work first.
     pub next_stream: usize,
+    /// What is known of the log in the store, if the session is kept.
+    pub kept: Option<KeptSession>,
+    pub residence: Residence,
 }
 
 impl SessionTask {
@@ -54,28 +60,57 @@ impl SessionTask {
             }
             if worked {
                 // Work may have taken longer than the lease.
-                session.lease.renew();
+                self.finish_work();
                 continue;
             }
+            session.busy.store(false, SeqCst);
+            if self.step_out().await {
+                break;
+            }
+            let step_out = self.next_step_out();
             tokio::select! {
                 () = session.closing.cancelled() => {}
                 Some(command) = self.commands.recv() => {
+                    session.busy.store(true, SeqCst);
                     self.serve_command(command).await;
-                    session.lease.renew();
+                    self.finish_work();
                 }
                 () = session.wake.notified() => {}
+                () = tokio::time::sleep_until(step_out.unwrap_or_else(|| session.lease.end())), if step_out.is_some() => {}
                 () = tokio::time::sleep_until(session.lease.end()) => {
                     if !session.streams.all().is_empty() || session.animations.is_any() {
                         session.lease.renew();
                     } else if session.lease.expired() {
-                        self.shared.metrics.sessions_expired.inc();
-                        tracing::info!(session.id = %session.id, "session expired");
-                        session.close(Error::no_session(&session.id));
+                        self.expire().await;
                     }
                 }
             }
         }
         self.end();
+    }
+
+    /// After work: the session was used, and is whole again.
+    fn finish_work(&mut self) {
+        self.session.lease.renew();
+        self.residence = Residence::Whole;
+        self.keep_shape_in_time();
+    }
+
+    /// The time of the session is over. If its store does not answer, the session goes from there later.
+    async fn expire(&mut self) {
+        let id = self.session.id.clone();
+        let shared = Arc::clone(&self.shared);
+        let lock = shared.locks.lock(&id).await;
+        self.session.close(Error::no_session(&id));
+        shared.registry.remove(&id);
+        if let Some(store) = &shared.store
+            && let Err(error) = store.delete(id.clone()).await
+        {
+            tracing::warn!(session.id = %id, "an expired session is still in the store: {error}");
+        }
+        drop(lock);
+        shared.metrics.sessions_expired.inc();
+        tracing::info!(session.id = %id, "session expired");
     }
 
     fn end(self) {
@@ -90,7 +125,7 @@ impl SessionTask {
             ..
         } = self;
         session.close(Error::no_session(&session.id));
-        shared.registry.remove(&session.id);
+        shared.registry.remove_this(&session);
         shared.metrics.sessions.dec();
         // Whoever waits for an answer learns of the end by this.
         drop(commands);

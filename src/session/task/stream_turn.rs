@@ -117,6 +117,13 @@ impl SessionTask {
             }
         };
         if commit {
+            if let Err(error) = self.keep_pose(&solution, &settings.solve, None, None).await {
+                return mailbox.complete_work(StreamWorkResult {
+                    dragged: before,
+                    refused: Some((seq, error)),
+                    ..StreamWorkResult::default()
+                });
+            }
             self.commit_solution(&solution, settings.solve.clone());
             // What was dragged is in the commit now.
             dragged.clear();

@@ -33,6 +33,8 @@ pub struct Control {
     pub solves: AtomicU64,
     /// Cycles done.
     pub cycles: AtomicU64,
+    /// By how many billionths results differ from those of other processors.
+    pub late_digits: AtomicU64,
 }
 
 #[derive(Default)]
@@ -241,7 +243,7 @@ impl Engine for Fake {
         let trace = if mode == SolveMode::Drag {
             f64::from(self.drags) * 1e-9
         } else {
-            0.0
+            self.control.late_digits.load(SeqCst) as f64 * 1e-9
         };
         let at = |share: f64| -> Vec<DVec3> {
             let moved = |(v, &p): (usize, &DVec3)| match poses.0[v % handles].translation {

@@ -240,7 +240,10 @@ async fn a_tenant_sees_its_own_sessions_only() {
             .http_status(),
         404
     );
-    let listed = manager.list(&stranger, SessionPage { size: 100, after: 0 }).await;
+    let listed = manager
+        .list(&stranger, SessionPage { size: 100, after: 0 })
+        .await
+        .expect("a list");
     assert!(listed.sessions.is_empty());
 }
 
@@ -253,7 +256,10 @@ async fn lists_come_in_pages_oldest_first() {
     }
     let (mut seen, mut after) = (Vec::new(), Some(0));
     while let Some(last) = after {
-        let page = manager.list(tenant(), SessionPage { size: 2, after: last }).await;
+        let page = manager
+            .list(tenant(), SessionPage { size: 2, after: last })
+            .await
+            .expect("a list");
         assert!(page.sessions.len() <= 2);
         seen.extend(page.sessions.into_iter().map(|s| s.id));
         after = page.next_after;

@@ -1,0 +1,78 @@
+//! Answers of calls with an idempotency key from before the server was started again. What a call answered follows from its
+//! commit, so the commit alone is kept.
+
+use crate::session::answers::{CommittedEdit, CommittedPose, SessionFacts, Tenant};
+use crate::session::calls::command::{SessionCommand, StoredAnswer};
+use crate::session::calls::idempotency::answer_of_another_call;
+use crate::session::calls::manager::Manager;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::keeping::stored_list::state_facts;
+use crate::session::store::{SessionStore, StoredCommit};
+use crate::wire::record::LoggedCommit;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+impl Manager {
+    /// An answer that is kept, brought back from the store where only its commit is known.
+    pub(in crate::session) async fn kept_answer(
+        &self,
+        tenant: &Tenant,
+        answer: StoredAnswer,
+    ) -> Result<StoredAnswer, Error> {
+        let StoredAnswer::Recorded { session, sequence } = answer else {
+            return Ok(answer);
+        };
+        let store = self.shared.store.as_ref().ok_or_else(answer_of_another_call)?;
+        let gone = || {
+            let text = "the call with this idempotency key was carried out, but what it changed is gone since";
+            Error::new(ErrorCode::AlreadyExists, text)
+        };
+        let stored = store.commit(session.clone(), sequence).await?.ok_or_else(gone)?;
+        match &stored.commit {
+            LoggedCommit::Edit { report, .. } => Ok(StoredAnswer::Edited(Box::new(CommittedEdit {
+                report: (**report).clone(),
+                revision: stored.revision,
+                ms: BTreeMap::new(),
+            }))),
+            LoggedCommit::Pose { frame, .. } => {
+                let frame = frame.clone().ok_or_else(answer_of_another_call)?;
+                let open = self.find(tenant, &session).await?;
+                let revision = stored.revision;
+                let recalled: Option<CommittedPose> = self
+                    .call(&open, None, |call| SessionCommand::Recall(revision, frame, call))
+                    .await?;
+                recalled
+                    .map(|pose| StoredAnswer::Solved(Box::new(pose)))
+                    .ok_or_else(gone)
+            }
+            _ => {
+                let open = self.find(tenant, &session).await?;
+                let described = self.state_then(store, &stored, open.describe()).await?;
+                Ok(StoredAnswer::Session(Box::new(described)))
+            }
+        }
+    }
+
+    /// A session as it was after a commit.
+    async fn state_then(
+        &self,
+        store: &Arc<dyn SessionStore>,
+        stored: &StoredCommit,
+        now: SessionFacts,
+    ) -> Result<SessionFacts, Error> {
+        let missing = || Error::new(ErrorCode::DataLoss, "a commit that a later one names is missing");
+        let mut parts = Vec::with_capacity(2);
+        for sequence in [stored.facts_at, stored.poses_at] {
+            let part = store.commit(now.id.clone(), sequence).await?.ok_or_else(missing)?;
+            parts.push(part.commit);
+        }
+        let (deformer, poses) = state_facts(&parts[0], &parts[1])?;
+        Ok(SessionFacts {
+            revision: stored.revision,
+            deformer: Arc::new(deformer),
+            poses,
+            build_ms: BTreeMap::new(),
+            ..now
+        })
+    }
+}

@@ -1,0 +1,33 @@
+//! Idle sessions that are kept leave memory before a new one is refused.
+
+use crate::session::registry::OpenSession;
+use crate::session::shared::SharedResources;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::SeqCst;
+use std::time::Duration;
+
+/// How long an idle session may take to leave.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Asks the session that was idle for the longest time to leave memory, and waits for it. False when none can leave.
+pub(in crate::session) async fn make_room(shared: &SharedResources) -> bool {
+    if shared.store.is_none() {
+        return false;
+    }
+    let is_idle = |s: &Arc<OpenSession>| {
+        !s.closing.is_cancelled() && s.streams.all().is_empty() && !s.animations.is_any() && !s.busy.load(SeqCst)
+    };
+    let mut idle = shared.registry.all();
+    idle.retain(is_idle);
+    idle.sort_by_key(|s| s.lease.last_use());
+    for session in idle {
+        session.leave.store(true, SeqCst);
+        session.wake.notify_one();
+        let left = tokio::time::timeout(PATIENCE, session.ended.cancelled()).await;
+        if left.is_ok() {
+            return true;
+        }
+        session.leave.store(false, SeqCst);
+    }
+    false
+}

@@ -1,0 +1,11 @@
+//! Sessions with a store: their commits are kept before they are acknowledged, idle ones leave memory, and all come back when they are
+//! asked for.
+
+pub(super) mod kept_session;
+pub(super) mod made_room;
+pub(super) mod reopen;
+pub(super) mod replay;
+pub(super) mod residence;
+pub(super) mod session_locks;
+pub(super) mod stored_list;
+pub(super) mod sweep;

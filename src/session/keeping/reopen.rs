@@ -1,0 +1,213 @@
+//! A session that is not in memory comes back from its store.
+
+use crate::asset::FileSet;
+use crate::engine;
+use crate::exec::Exec;
+use crate::session::answers::Tenant;
+use crate::session::calls::create::{OpenedModel, SessionOwner, open_model, reserve_place, start_session};
+use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::memory_ledger::MemoryReservation;
+use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
+use crate::session::error::{Error, ErrorCode};
+use crate::session::keeping::kept_session::KeptSession;
+use crate::session::keeping::replay::{Replay, ReplayError, ReplayedLog};
+use crate::session::registry::OpenSession;
+use crate::session::shared::SharedResources;
+use crate::session::store::session_store::now_ms;
+use crate::session::store::shape_object::read_shape;
+use crate::session::store::{SessionStore, StoreError, StoredSession};
+use crate::wire::record::{FileReferences, LoggedCommit};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::SeqCst;
+use std::time::Instant;
+
+/// Opens a stored session, or finds it when somebody else has opened it meanwhile.
+///
+/// # Errors
+/// `NOT_FOUND`; `UNAVAILABLE` when the store does not answer, `DATA_LOSS` when what it holds is damaged; what hinders the opening of any
+/// session.
+pub(in crate::session) async fn reopen_session(
+    shared: &Arc<SharedResources>,
+    store: &Arc<dyn SessionStore>,
+    tenant: &Tenant,
+    id: &str,
+) -> Result<Arc<OpenSession>, Error> {
+    if shared.draining.load(SeqCst) {
+        return Err(Error::draining());
+    }
+    if !store.holds(tenant.clone(), id.to_owned()).await? {
+        return Err(Error::no_session(id));
+    }
+    let lock = shared.locks.lock(id).await;
+    if let Ok(session) = shared.registry.find(tenant, id) {
+        return Ok(session);
+    }
+    let inside = shared.gate.enter();
+    let stored = store.load(tenant.clone(), id.to_owned()).await.inspect_err(|error| {
+        tracing::error!(session.id = %id, "a stored session cannot be read: {error}");
+    })?;
+    let stored = stored.ok_or_else(|| Error::no_session(id))?;
+    let ttl_ms = u64::try_from(stored.ttl.as_millis()).unwrap_or(u64::MAX);
+    if stored.used_ms.saturating_add(ttl_ms) < now_ms() {
+        return Err(Error::no_session(id));
+    }
+    let opened = open_stored(shared, store, stored).await.inspect_err(|error| {
+        tracing::error!(session.id = %id, "a stored session cannot be opened: {error}");
+    });
+    drop((lock, inside));
+    opened
+}
+
+async fn open_stored(
+    shared: &Arc<SharedResources>,
+    store: &Arc<dyn SessionStore>,
+    stored: StoredSession,
+) -> Result<Arc<OpenSession>, Error> {
+    let files = read_files(store, &stored.model.files).await?;
+    let owner = SessionOwner {
+        id: stored.id.clone(),
+        number: stored.number,
+        tenant: stored.tenant.clone(),
+        label: stored.model.label.clone(),
+        ttl: stored.ttl,
+    };
+    let arrived = Instant::now();
+    let (seat, memory) = reserve_place(shared, files.total_bytes()).await?;
+    let guard = CancelOnDrop::default();
+    let opened = open_model(shared, &memory, (files, stored.model.options.clone()), arrived, &guard).await?;
+    if !memory.resize(opened.held) {
+        shared.compute.discard(opened.deformer);
+        return Err(Error::exhausted("no memory is free for the stored session", 5));
+    }
+    let log = ReplayedLog {
+        files: read_merged(store, &stored).await?,
+        snapshot: read_snapshot(store, &stored).await,
+        commits: stored.commits,
+    };
+    let (opened, kept, anew) = replay_log(shared, store, (opened, log), &memory, &guard).await?;
+    // Counted even where it breaks the budget: the session was admitted before.
+    memory.resize(opened.held);
+    if !anew.is_empty() {
+        tracing::warn!(
+            session.id = %owner.id,
+            "{} commits of another build or processor were made again and recorded with this one's digests",
+            anew.len()
+        );
+        store.adopt(owner.id.clone(), kept.build.clone(), anew).await?;
+    }
+    let session = start_session(shared, owner, opened, (memory, seat), Some(kept));
+    shared.metrics.sessions_reopened.inc();
+    tracing::info!(session.id = %session.id, "session came back from the store");
+    Ok(session)
+}
+
+async fn read_files(store: &Arc<dyn SessionStore>, names: &FileReferences) -> Result<FileSet, StoreError> {
+    let mut files = FileSet::single(names.name.clone(), store.object(names.main.clone()).await?);
+    for (uri, object) in &names.companions {
+        files
+            .companions
+            .insert(uri.clone(), store.object(object.clone()).await?);
+    }
+    Ok(files)
+}
+
+async fn read_merged(
+    store: &Arc<dyn SessionStore>,
+    stored: &StoredSession,
+) -> Result<BTreeMap<u64, FileSet>, StoreError> {
+    let mut merged = BTreeMap::new();
+    for commit in &stored.commits {
+        if let LoggedCommit::Edit { files: Some(names), .. } = &commit.commit {
+            merged.insert(commit.sequence, read_files(store, names).await?);
+        }
+    }
+    Ok(merged)
+}
+
+/// The newest kept shape. It saves solving and no more: one that is damaged is solved again, and compared with its digest.
+async fn read_snapshot(store: &Arc<dyn SessionStore>, stored: &StoredSession) -> Option<(u64, Arc<Vec<glam::DVec3>>)> {
+    let snapshot = stored.snapshot.as_ref()?;
+    let read = match store.object(snapshot.object.clone()).await {
+        Ok(bytes) => read_shape(&bytes),
+        Err(error) => Err(error),
+    };
+    let positions = read
+        .inspect_err(|error| tracing::warn!(session.id = %stored.id, "a kept shape is not used: {error}"))
+        .ok()?;
+    let commit = stored.commits.iter().find(|c| c.sequence == snapshot.sequence)?;
+    if engine::digest(&positions) != commit.digest {
+        tracing::warn!(session.id = %stored.id, "a kept shape is not used: it is not that of its commit");
+        return None;
+    }
+    Some((snapshot.sequence, Arc::new(positions)))
+}
+
+type Replayed = (OpenedModel, KeptSession, Vec<(u64, String)>);
+
+/// Follows the log on the compute pool.
+async fn replay_log(
+    shared: &Arc<SharedResources>,
+    store: &Arc<dyn SessionStore>,
+    (opened, log): (OpenedModel, ReplayedLog),
+    memory: &Arc<MemoryReservation>,
+    guard: &CancelOnDrop,
+) -> Result<Replayed, Error> {
+    let arrived = Instant::now();
+    let slot = tokio::select! {
+        biased;
+        () = shared.aborted.cancelled() => return Err(Error::draining()),
+        slot = shared.compute.slot(WorkLane::Builds, arrived) => slot?,
+    };
+    let (limit, room) = (shared.config.history, memory.room());
+    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
+    let watch = Arc::new(WorkWatch::since(arrived, flags, shared.config.build).within(Arc::clone(memory)));
+    let inner_watch = Arc::clone(&watch);
+    let mut kept = KeptSession::new(Arc::clone(store));
+    kept.shape_at = log.snapshot.as_ref().map_or(0, |(sequence, _)| *sequence);
+    let done = slot.run(move |pool| -> Result<Replayed, ReplayError> {
+        let OpenedModel {
+            mut deformer,
+            mut history,
+            build_ms,
+            ..
+        } = opened;
+        let mut replay = Replay {
+            deformer: &mut deformer,
+            history: &mut history,
+            kept: &mut kept,
+            room,
+            exec: &Exec::new(pool, &*inner_watch),
+            anew: Vec::new(),
+        };
+        replay.follow(&log, limit)?;
+        let anew = std::mem::take(&mut replay.anew);
+        let held = deformer.byte_size().saturating_add(history.byte_size());
+        let opened = OpenedModel {
+            deformer,
+            history,
+            build_ms,
+            held,
+        };
+        Ok((opened, kept, anew))
+    });
+    let done = done.await.map_err(|panicked| {
+        tracing::error!(panic = panicked.0, "following a stored session panicked");
+        Error::from(panicked)
+    })?;
+    done.map_err(|error| match error {
+        ReplayError::Store(error) => error.into(),
+        ReplayError::Engine(engine::Error::Cancelled) if shared.aborted.is_cancelled() => Error::draining(),
+        ReplayError::Engine(engine::Error::Cancelled) if watch.abandoned() => {
+            Error::new(ErrorCode::Cancelled, "the caller gave up")
+        }
+        ReplayError::Engine(engine::Error::Cancelled) => Error::new(
+            ErrorCode::DeadlineExceeded,
+            "opening the stored session took longer than allowed",
+        ),
+        ReplayError::Engine(error) => {
+            let text = format!("what is stored of the session cannot be followed and is not served: {error}");
+            Error::new(ErrorCode::DataLoss, text)
+        }
+    })
+}

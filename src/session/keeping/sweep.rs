@@ -1,0 +1,89 @@
+//! What is done for stored sessions from time to time: uses are noted, those whose time is over go, old keys are forgotten.
+
+use crate::session::shared::SharedResources;
+use crate::session::store::session_store::now_ms;
+use crate::session::store::{SessionStore, StoreError, UsedSession};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+/// Between two sweeps.
+const PERIOD: Duration = Duration::from_secs(1);
+/// Uses are noted so often at most: a crash may cost a session that much of its time.
+const NOTED_EVERY: u32 = 5;
+/// Sweeps between two looks at the keys.
+const KEYS_EVERY: u32 = 60;
+
+/// Sweeps as long as there are sessions.
+pub(in crate::session) async fn sweep_for_ever(shared: Weak<SharedResources>) {
+    let mut noted: BTreeMap<String, u64> = BTreeMap::new();
+    let mut round = 0u32;
+    loop {
+        tokio::time::sleep(PERIOD).await;
+        let Some(shared) = shared.upgrade() else { return };
+        let Some(store) = &shared.store else { return };
+        if shared.aborted.is_cancelled() {
+            return;
+        }
+        round = round.wrapping_add(1);
+        if let Err(error) = sweep(&shared, store, &mut noted, round).await {
+            // Told once a minute at most: calls tell it too.
+            if round.is_multiple_of(KEYS_EVERY) {
+                tracing::warn!("the store of sessions does not answer: {error}");
+            }
+        }
+    }
+}
+
+async fn sweep(
+    shared: &SharedResources,
+    store: &Arc<dyn SessionStore>,
+    noted: &mut BTreeMap<String, u64>,
+    round: u32,
+) -> Result<(), StoreError> {
+    if round.is_multiple_of(NOTED_EVERY) {
+        note_uses(shared, store, noted).await?;
+    }
+    for id in store.expired(now_ms()).await? {
+        let _lock = shared.locks.lock(&id).await;
+        // One in memory knows its last use better.
+        if shared.registry.holds(&id) {
+            continue;
+        }
+        store.delete(id.clone()).await?;
+        shared.metrics.sessions_expired.inc();
+        tracing::info!(session.id = %id, "stored session expired");
+    }
+    if round.is_multiple_of(KEYS_EVERY) {
+        let age = u64::try_from(shared.config.idempotency_age.as_millis()).unwrap_or(u64::MAX);
+        store.forget_keys(now_ms().saturating_sub(age)).await?;
+    }
+    Ok(())
+}
+
+/// Notes when the sessions in memory were used last, where that has changed.
+pub(in crate::session) async fn note_uses(
+    shared: &SharedResources,
+    store: &Arc<dyn SessionStore>,
+    noted: &mut BTreeMap<String, u64>,
+) -> Result<(), StoreError> {
+    let now = now_ms();
+    let uses = shared.registry.all().into_iter().map(|session| {
+        let ago = u64::try_from(session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
+        (session.id.clone(), now.saturating_sub(ago))
+    });
+    let uses: BTreeMap<String, u64> = uses.collect();
+    let changed = |(id, at): &(&String, &u64)| noted.get(*id).is_none_or(|before| **at > before + 500);
+    let sessions: Vec<UsedSession> = (uses.iter())
+        .filter(changed)
+        .map(|(id, at)| UsedSession {
+            id: id.clone(),
+            used_ms: *at,
+        })
+        .collect();
+    if !sessions.is_empty() {
+        store.note_use(sessions).await?;
+    }
+    *noted = uses;
+    Ok(())
+}

@@ -1,0 +1,34 @@
+//! Sessions kept on disk: the log of their commits in a database, models and shapes as objects.
+//!
+//! A commit is a row, written and synced before it is acknowledged; what is large is an object, named by its content, written and
+//! synced before the row that names it. Nothing that the store holds is trusted: rows carry checksums, objects are compared
+//! with their names, and what does not fit is told as damage and never served.
+//!
+//! | file | what |
+//! |---|---|
+//! | `session_store` | the trait that sessions use, and its values |
+//! | `database_store` | the trait on a database and a folder of objects |
+//! | `connection`, `schema` | the database and its tables |
+//! | `writer`, `write_order` | one task writes, what comes together in one transaction |
+//! | `rows`, `reading` | rows with their checksums, read again |
+//! | `objects` | what is large, by content |
+//! | `shape_object` | a shape as an object |
+//! | `build_identity` | which build and processor made results |
+
+mod build_identity;
+mod connection;
+mod database_store;
+mod objects;
+mod reading;
+mod rows;
+mod schema;
+pub(super) mod session_store;
+pub(super) mod shape_object;
+mod write_order;
+mod writer;
+
+pub use database_store::{DatabaseStore, StoreLocation};
+pub use session_store::{
+    AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, StoredCommit, StoredSession,
+    StoredSnapshot, UsedSession,
+};

@@ -1,0 +1,229 @@
+//! What is read from the database.
+
+use super::rows::{COMMIT_COLUMNS, CommitRow, check_format, column, signed, unsigned};
+use super::session_store::{ListedSession, LoggedKey, StoreError, StoredCommit, StoredSession, StoredSnapshot};
+use super::write_order::session_checksum;
+use crate::session::answers::Tenant;
+use crate::wire::record::RecordedModel;
+use sqlx::AnyPool;
+use sqlx::any::AnyRow;
+use std::sync::Arc;
+use std::time::Duration;
+
+const SESSION_COLUMNS: &str = "id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum";
+
+/// A row of the sessions.
+struct SessionRow {
+    id: String,
+    tenant: String,
+    number: i64,
+    ttl_ms: i64,
+    used_ms: i64,
+    newest: i64,
+    model: Vec<u8>,
+}
+
+impl SessionRow {
+    fn read(row: &AnyRow) -> Result<Self, StoreError> {
+        let read = Self {
+            id: column(row, 0)?,
+            tenant: column(row, 1)?,
+            number: column(row, 2)?,
+            ttl_ms: column(row, 3)?,
+            used_ms: column(row, 4)?,
+            newest: column(row, 5)?,
+            model: column(row, 7)?,
+        };
+        check_format(column(row, 6)?)?;
+        let expected: Vec<u8> = column(row, 8)?;
+        if read.checksum() != expected {
+            let text = "the session's row does not have the checksum that it was written with";
+            return Err(StoreError::Damaged(text.into()));
+        }
+        Ok(read)
+    }
+
+    fn checksum(&self) -> Vec<u8> {
+        session_checksum(&self.id, &self.tenant, &self.model, [self.number, self.ttl_ms])
+    }
+
+    fn model(&self) -> Result<RecordedModel, StoreError> {
+        RecordedModel::read(&self.model)
+            .map_err(|e| StoreError::Damaged(format!("how the model was opened cannot be read: {e}")))
+    }
+}
+
+fn unreadable(error: sqlx::Error) -> StoreError {
+    match error {
+        sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => {
+            StoreError::Damaged(format!("a row cannot be read: {error}"))
+        }
+        error if error.to_string().contains("malformed") => StoreError::Damaged(error.to_string()),
+        error => StoreError::Unavailable(error.to_string()),
+    }
+}
+
+/// The row of a session; `None` when the tenant has none of that id.
+async fn session_row(pool: &AnyPool, tenant: &str, id: &str) -> Result<Option<SessionRow>, StoreError> {
+    let query = format!("SELECT {SESSION_COLUMNS} FROM sessions WHERE id = $1 AND tenant = $2");
+    let found = sqlx::query(&query).bind(id).bind(tenant).fetch_optional(pool).await;
+    found.map_err(unreadable)?.as_ref().map(SessionRow::read).transpose()
+}
+
+/// Whether the tenant has a session of that id.
+pub(super) async fn has_session(pool: &AnyPool, tenant: &str, id: &str) -> Result<bool, StoreError> {
+    let query = sqlx::query("SELECT number FROM sessions WHERE id = $1 AND tenant = $2");
+    let found = query.bind(id).bind(tenant).fetch_optional(pool).await;
+    Ok(found.map_err(unreadable)?.is_some())
+}
+
+/// A session with all its commits.
+pub(super) async fn whole_session(
+    pool: &AnyPool,
+    tenant: &Tenant,
+    id: &str,
+) -> Result<Option<StoredSession>, StoreError> {
+    let Some(row) = session_row(pool, &tenant.0, id).await? else {
+        return Ok(None);
+    };
+    let query = format!("SELECT {COMMIT_COLUMNS} FROM commits WHERE session = $1 ORDER BY sequence");
+    let rows = sqlx::query(&query).bind(id).fetch_all(pool).await.map_err(unreadable)?;
+    let commits: Vec<StoredCommit> = (rows.iter())
+        .map(|row| CommitRow::read(row)?.into_commit())
+        .collect::<Result<_, _>>()?;
+    let newest = unsigned(row.newest)?;
+    let is_whole = commits.iter().map(|c| c.sequence).eq(0..=newest);
+    if !is_whole {
+        let text = format!(
+            "{} commits are there, {} were written",
+            commits.len(),
+            newest.saturating_add(1)
+        );
+        return Err(StoreError::Damaged(text));
+    }
+    let query = sqlx::query("SELECT sequence, object FROM snapshots WHERE session = $1").bind(id);
+    let snapshot = query.fetch_optional(pool).await.map_err(unreadable)?;
+    let snapshot = snapshot.map(|row| {
+        Ok::<_, StoreError>(StoredSnapshot {
+            sequence: unsigned(column(&row, 0)?)?,
+            object: column(&row, 1)?,
+        })
+    });
+    Ok(Some(StoredSession {
+        id: row.id.clone(),
+        tenant: tenant.clone(),
+        number: unsigned(row.number)?,
+        ttl: Duration::from_millis(unsigned(row.ttl_ms)?),
+        used_ms: unsigned(row.used_ms)?,
+        model: row.model()?,
+        commits,
+        snapshot: snapshot.transpose()?,
+    }))
+}
+
+/// The row of a commit.
+pub(super) async fn commit_row(pool: &AnyPool, session: &str, sequence: u64) -> Result<Option<CommitRow>, StoreError> {
+    let query = format!("SELECT {COMMIT_COLUMNS} FROM commits WHERE session = $1 AND sequence = $2");
+    let found = sqlx::query(&query).bind(session).bind(signed(sequence));
+    let found = found.fetch_optional(pool).await.map_err(unreadable)?;
+    found.as_ref().map(CommitRow::read).transpose()
+}
+
+async fn one_commit(pool: &AnyPool, session: &str, sequence: u64) -> Result<StoredCommit, StoreError> {
+    match commit_row(pool, session, sequence).await? {
+        Some(row) => row.into_commit(),
+        None => Err(StoreError::Damaged(format!("commit {sequence} is missing"))),
+    }
+}
+
+/// A page of a tenant's sessions. One that is damaged is left out: whoever asks for it is told.
+pub(super) async fn listed(
+    pool: &AnyPool,
+    tenant: &str,
+    after: u64,
+    most: usize,
+) -> Result<Vec<(u64, Option<ListedSession>)>, StoreError> {
+    let query =
+        format!("SELECT {SESSION_COLUMNS} FROM sessions WHERE tenant = $1 AND number > $2 ORDER BY number LIMIT $3");
+    let query = sqlx::query(&query).bind(tenant).bind(signed(after));
+    let rows = query
+        .bind(signed(most as u64))
+        .fetch_all(pool)
+        .await
+        .map_err(unreadable)?;
+    let mut list = Vec::with_capacity(rows.len());
+    for row in &rows {
+        let number = unsigned(column(row, 2)?)?;
+        match listed_session(pool, row).await {
+            Ok(session) => list.push((number, Some(session))),
+            Err(StoreError::Damaged(problem) | StoreError::Refused(problem)) => {
+                list.push((number, None));
+                let id: String = column(row, 0).unwrap_or_default();
+                tracing::error!(
+                    session.id = id,
+                    "a stored session is damaged and is not listed: {problem}"
+                );
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(list)
+}
+
+async fn listed_session(pool: &AnyPool, row: &AnyRow) -> Result<ListedSession, StoreError> {
+    let row = SessionRow::read(row)?;
+    let newest = one_commit(pool, &row.id, unsigned(row.newest)?).await?;
+    let facts = one_commit(pool, &row.id, newest.facts_at).await?.commit;
+    let poses = one_commit(pool, &row.id, newest.poses_at).await?.commit;
+    Ok(ListedSession {
+        ttl: Duration::from_millis(unsigned(row.ttl_ms)?),
+        used_ms: unsigned(row.used_ms)?,
+        label: row.model()?.label,
+        id: row.id,
+        newest,
+        facts,
+        poses,
+    })
+}
+
+/// The sessions whose time is over.
+pub(super) async fn expired(pool: &AnyPool, now_ms: u64) -> Result<Vec<String>, StoreError> {
+    let query = sqlx::query("SELECT id FROM sessions WHERE used_ms + ttl_ms < $1 ORDER BY number LIMIT 1000");
+    let rows = query.bind(signed(now_ms)).fetch_all(pool).await.map_err(unreadable)?;
+    rows.iter().map(|row| column(row, 0)).collect()
+}
+
+/// The keys that are kept.
+pub(super) async fn keys(pool: &AnyPool) -> Result<Vec<LoggedKey>, StoreError> {
+    let query = "SELECT tenant, call_key, fingerprint, session, sequence, at_ms FROM call_keys ORDER BY at_ms";
+    let rows = sqlx::query(query).fetch_all(pool).await.map_err(unreadable)?;
+    let key = |row: &AnyRow| {
+        let tenant: String = column(row, 0)?;
+        let fingerprint: Vec<u8> = column(row, 2)?;
+        let fingerprint = <[u8; 16]>::try_from(fingerprint.as_slice())
+            .map_err(|_| StoreError::Damaged("an idempotency key has no fingerprint".into()))?;
+        Ok(LoggedKey {
+            tenant: Tenant(Arc::from(tenant)),
+            key: column(row, 1)?,
+            fingerprint: u128::from_le_bytes(fingerprint),
+            session: column(row, 3)?,
+            sequence: unsigned(column(row, 4)?)?,
+            at_ms: unsigned(column(row, 5)?)?,
+        })
+    };
+    rows.iter().map(key).collect()
+}
+
+/// The highest number of any session; 0 without sessions.
+pub(super) async fn highest_number(pool: &AnyPool) -> Result<u64, StoreError> {
+    let query = sqlx::query("SELECT number FROM sessions ORDER BY number DESC LIMIT 1");
+    let row = query.fetch_optional(pool).await.map_err(unreadable)?;
+    row.map_or(Ok(0), |row| unsigned(column(&row, 0)?))
+}
+
+/// Whether any session uses an object.
+pub(super) async fn is_used(pool: &AnyPool, object: &str) -> Result<bool, StoreError> {
+    let query = sqlx::query("SELECT session FROM object_uses WHERE object = $1 LIMIT 1");
+    let found = query.bind(object).fetch_optional(pool).await.map_err(unreadable)?;
+    Ok(found.is_some())
+}

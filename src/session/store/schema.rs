@@ -1,0 +1,111 @@
+//! The tables, and how an older database becomes a newer one.
+
+use super::session_store::StoreError;
+use sqlx::AnyConnection;
+use sqlx::Row as _;
+
+/// The databases that are spoken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Dialect {
+    Sqlite,
+}
+
+/// Steps from each version of the tables to the next. What was released is never changed, only followed by a further step.
+/// `{bytes}` and `{serial}` are what the database calls bytes and numbers that count by themselves.
+const STEPS: [&[&str]; 1] = [&[
+    "CREATE TABLE tenants (tenant TEXT PRIMARY KEY, created_ms BIGINT NOT NULL)",
+    "CREATE TABLE sessions (
+        id TEXT PRIMARY KEY,
+        tenant TEXT NOT NULL,
+        number BIGINT NOT NULL UNIQUE,
+        ttl_ms BIGINT NOT NULL,
+        used_ms BIGINT NOT NULL,
+        newest BIGINT NOT NULL,
+        format BIGINT NOT NULL,
+        model {bytes} NOT NULL,
+        checksum {bytes} NOT NULL
+    )",
+    "CREATE INDEX sessions_of_tenant ON sessions (tenant, number)",
+    "CREATE TABLE commits (
+        session TEXT NOT NULL,
+        sequence BIGINT NOT NULL,
+        revision BIGINT NOT NULL,
+        kind TEXT NOT NULL,
+        digest TEXT NOT NULL,
+        build TEXT NOT NULL,
+        facts_at BIGINT NOT NULL,
+        poses_at BIGINT NOT NULL,
+        at_ms BIGINT NOT NULL,
+        format BIGINT NOT NULL,
+        payload {bytes} NOT NULL,
+        checksum {bytes} NOT NULL,
+        PRIMARY KEY (session, sequence)
+    )",
+    "CREATE TABLE snapshots (session TEXT PRIMARY KEY, sequence BIGINT NOT NULL, object TEXT NOT NULL)",
+    "CREATE TABLE call_keys (
+        tenant TEXT NOT NULL,
+        call_key TEXT NOT NULL,
+        fingerprint {bytes} NOT NULL,
+        session TEXT NOT NULL,
+        sequence BIGINT NOT NULL,
+        at_ms BIGINT NOT NULL,
+        PRIMARY KEY (tenant, call_key)
+    )",
+    "CREATE INDEX call_keys_of_session ON call_keys (session)",
+    "CREATE TABLE object_uses (
+        session TEXT NOT NULL,
+        object TEXT NOT NULL,
+        PRIMARY KEY (session, object)
+    )",
+    "CREATE INDEX uses_of_object ON object_uses (object)",
+    "CREATE TABLE audit (
+        id {serial},
+        tenant TEXT NOT NULL,
+        at_ms BIGINT NOT NULL,
+        who TEXT NOT NULL,
+        what TEXT NOT NULL,
+        session TEXT NOT NULL
+    )",
+]];
+
+/// Brings the tables to the version of this program.
+pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) -> Result<(), StoreError> {
+    let failed = |e: sqlx::Error| StoreError::Unavailable(format!("the tables cannot be made: {e}"));
+    let make = "CREATE TABLE IF NOT EXISTS pliant_schema (version BIGINT NOT NULL)";
+    sqlx::query(make).execute(&mut *connection).await.map_err(failed)?;
+    let row = sqlx::query("SELECT version FROM pliant_schema")
+        .fetch_optional(&mut *connection)
+        .await
+        .map_err(failed)?;
+    let version = match &row {
+        Some(row) => row.try_get::<i64, _>(0).map_err(failed)?,
+        None => 0,
+    };
+    let done = usize::try_from(version)
+        .ok()
+        .filter(|n| *n <= STEPS.len())
+        .ok_or_else(|| {
+            let known = STEPS.len();
+            StoreError::Refused(format!(
+                "the database has tables of version {version}, this program knows versions up to {known}; use the program that wrote it"
+            ))
+        })?;
+    if done == STEPS.len() {
+        return Ok(());
+    }
+    let mut steps = sqlx::Connection::begin(connection).await.map_err(failed)?;
+    for statement in STEPS[done..].iter().copied().flatten() {
+        let (bytes, serial) = match dialect {
+            Dialect::Sqlite => ("BLOB", "INTEGER PRIMARY KEY"),
+        };
+        let statement = statement.replace("{bytes}", bytes).replace("{serial}", serial);
+        sqlx::query(&statement).execute(&mut *steps).await.map_err(failed)?;
+    }
+    let note = match row {
+        Some(_) => "UPDATE pliant_schema SET version = $1",
+        None => "INSERT INTO pliant_schema (version) VALUES ($1)",
+    };
+    let note = sqlx::query(note).bind(STEPS.len() as i64);
+    note.execute(&mut *steps).await.map_err(failed)?;
+    steps.commit().await.map_err(failed)
+}

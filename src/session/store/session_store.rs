@@ -1,0 +1,242 @@
+//! What sessions need of a store.
+
+use crate::asset::FileSet;
+use crate::session::answers::Tenant;
+use crate::session::error::{Error, ErrorCode};
+use crate::wire::record::{LoggedCommit, RecordedModel};
+use bytes::Bytes;
+use futures::future::BoxFuture;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// Why a store did not do what was asked.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum StoreError {
+    /// It cannot be reached or written: a full disk, a lost permission, a database that is down. Later it may work.
+    #[error("{0}")]
+    Unavailable(String),
+    /// What it holds is not what was written.
+    #[error("{0}")]
+    Damaged(String),
+    /// It cannot be used as it is: written by a later version, or used by another process.
+    #[error("{0}")]
+    Refused(String),
+}
+
+impl From<StoreError> for Error {
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::Unavailable(problem) => Self {
+                retry_after_s: Some(1),
+                ..Self::new(
+                    ErrorCode::Unavailable,
+                    format!(
+                        "the store of sessions does not answer as it should ({problem}); nothing has changed, try again later"
+                    ),
+                )
+            },
+            StoreError::Damaged(problem) => Self::new(
+                ErrorCode::DataLoss,
+                format!("what is stored of the session is damaged and is not served: {problem}"),
+            ),
+            StoreError::Refused(problem) => Self::new(ErrorCode::FailedPrecondition, problem),
+        }
+    }
+}
+
+/// An idempotency key whose answer is a commit's.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LoggedKey {
+    /// Whose key it is.
+    pub tenant: Tenant,
+    /// The key.
+    pub key: String,
+    /// What tells the request from others.
+    pub fingerprint: u128,
+    /// The session that answered.
+    pub session: String,
+    /// The commit that was the answer.
+    pub sequence: u64,
+    /// When, in milliseconds since 1970.
+    pub at_ms: u64,
+}
+
+/// A session to be kept, with its first commit.
+#[derive(Debug, Clone)]
+pub struct NewSession {
+    /// Its id.
+    pub id: String,
+    /// Whose it is.
+    pub tenant: Tenant,
+    /// Sessions are numbered in the order of their creation.
+    pub number: u64,
+    /// How long it outlives its last use.
+    pub ttl: Duration,
+    /// How its model was opened; the store fills in the names of the files.
+    pub model: RecordedModel,
+    /// The files.
+    pub files: FileSet,
+    /// The first commit.
+    pub first: NewCommit,
+}
+
+/// A commit to be kept.
+#[derive(Debug, Clone)]
+pub struct NewCommit {
+    /// Its session.
+    pub session: String,
+    /// Commits of a session are numbered from 0, undo and redo among them.
+    pub sequence: u64,
+    /// The session's revision after it.
+    pub revision: u64,
+    /// Digest of the positions after it.
+    pub digest: String,
+    /// Build and processor that made them.
+    pub build: String,
+    /// The commit whose facts hold after it.
+    pub facts_at: u64,
+    /// The commit whose poses hold after it.
+    pub poses_at: u64,
+    /// What it was; the store fills in the names of the files.
+    pub commit: LoggedCommit,
+    /// The files of a merge.
+    pub files: Option<FileSet>,
+    /// The key of the call, whose answer it is.
+    pub key: Option<(Tenant, String, u128)>,
+}
+
+/// A commit that was kept.
+#[derive(Debug, Clone)]
+pub struct StoredCommit {
+    /// As in [`NewCommit`].
+    pub sequence: u64,
+    /// As in [`NewCommit`].
+    pub revision: u64,
+    /// As in [`NewCommit`].
+    pub digest: String,
+    /// As in [`NewCommit`].
+    pub build: String,
+    /// As in [`NewCommit`].
+    pub facts_at: u64,
+    /// As in [`NewCommit`].
+    pub poses_at: u64,
+    /// What it was.
+    pub commit: LoggedCommit,
+}
+
+/// The newest shape that is kept of a session.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StoredSnapshot {
+    /// The shape is the one after this commit.
+    pub sequence: u64,
+    /// The object that holds it.
+    pub object: String,
+}
+
+/// A session that was kept.
+#[derive(Debug, Clone)]
+pub struct StoredSession {
+    /// As in [`NewSession`].
+    pub id: String,
+    /// As in [`NewSession`].
+    pub tenant: Tenant,
+    /// As in [`NewSession`].
+    pub number: u64,
+    /// As in [`NewSession`].
+    pub ttl: Duration,
+    /// Its last use, in milliseconds since 1970.
+    pub used_ms: u64,
+    /// As in [`NewSession`].
+    pub model: RecordedModel,
+    /// Its commits, in order.
+    pub commits: Vec<StoredCommit>,
+    /// Its newest shape.
+    pub snapshot: Option<StoredSnapshot>,
+}
+
+/// A session as a list tells it.
+#[derive(Debug, Clone)]
+pub struct ListedSession {
+    /// As in [`NewSession`].
+    pub id: String,
+    /// As in [`NewSession`].
+    pub ttl: Duration,
+    /// As in [`StoredSession`].
+    pub used_ms: u64,
+    /// Its label.
+    pub label: String,
+    /// Its newest commit.
+    pub newest: StoredCommit,
+    /// The commit whose facts hold.
+    pub facts: LoggedCommit,
+    /// The commit whose poses hold.
+    pub poses: LoggedCommit,
+}
+
+/// When a session was used last.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UsedSession {
+    /// The session.
+    pub id: String,
+    /// In milliseconds since 1970.
+    pub used_ms: u64,
+}
+
+/// Who did what.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AuditEntry {
+    /// The tenant concerned.
+    pub tenant: Tenant,
+    /// Who asked, as authentication names them.
+    pub who: String,
+    /// What was done, such as "create" or "export".
+    pub what: String,
+    /// The session concerned, if any.
+    pub session: Option<String>,
+}
+
+/// The answer of a store, to come.
+pub type Stored<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
+
+/// Where sessions are kept. What returns `Ok` is on disk; what returns an error has changed nothing that is ever read again.
+pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
+    /// Which build and processor makes results now.
+    fn build(&self) -> String;
+    /// Keeps a new session.
+    fn create(&self, session: NewSession) -> Stored<'_, ()>;
+    /// Keeps a commit.
+    fn append(&self, commit: NewCommit) -> Stored<'_, ()>;
+    /// Keeps a shape as the newest of a session.
+    fn keep_shape(&self, session: String, sequence: u64, shape: Bytes) -> Stored<'_, ()>;
+    /// Records digests anew, of commits by their numbers, as `build` makes them.
+    fn adopt(&self, session: String, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()>;
+    /// Reads a session with all its commits; `None` when the tenant has none of that id.
+    fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>>;
+    /// Reads one commit.
+    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<StoredCommit>>;
+    /// Whether the tenant has a session of that id.
+    fn holds(&self, tenant: Tenant, id: String) -> Stored<'_, bool>;
+    /// Lists a tenant's sessions by rising number, above `after`, at most `most`; of one that is damaged the number alone.
+    fn list(&self, tenant: Tenant, after: u64, most: usize) -> Stored<'_, Vec<(u64, Option<ListedSession>)>>;
+    /// Reads an object.
+    fn object(&self, name: String) -> Stored<'_, Bytes>;
+    /// Deletes a session and what only it used.
+    fn delete(&self, id: String) -> Stored<'_, ()>;
+    /// Notes when sessions were used.
+    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
+    /// The sessions whose time is over at `now_ms`.
+    fn expired(&self, now_ms: u64) -> Stored<'_, Vec<String>>;
+    /// The keys that are kept, oldest first.
+    fn keys(&self) -> Stored<'_, Vec<LoggedKey>>;
+    /// Forgets keys from before `before_ms`.
+    fn forget_keys(&self, before_ms: u64) -> Stored<'_, ()>;
+    /// The highest number of any session.
+    fn highest_number(&self) -> Stored<'_, u64>;
+    /// Notes who did what.
+    fn audit(&self, entry: AuditEntry) -> Stored<'_, ()>;
+}
+
+/// Milliseconds since 1970.
+pub(in crate::session) fn now_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}

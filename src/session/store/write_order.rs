@@ -1,0 +1,239 @@
+//! What is written, statement by statement. The writer decides what goes into one transaction.
+
+use super::rows::{CommitRow, RECORD_FORMAT, checksum, column, signed};
+use super::session_store::{AuditEntry, NewCommit, NewSession, StoreError, StoredSnapshot, UsedSession, now_ms};
+use sqlx::AnyConnection;
+use sqlx::query::Query;
+
+/// Something to be written.
+#[derive(Debug)]
+pub(super) enum WriteOrder {
+    /// A session with its first commit; `model` is its record, `objects` are what it uses.
+    Create {
+        session: Box<NewSession>,
+        model: Vec<u8>,
+        objects: Vec<String>,
+    },
+    /// A commit.
+    Append {
+        commit: Box<NewCommit>,
+        objects: Vec<String>,
+    },
+    /// The newest shape of a session.
+    KeepShape { session: String, snapshot: StoredSnapshot },
+    /// Digests of another build.
+    Adopt { commits: Vec<CommitRow> },
+    /// A session goes.
+    Delete { session: String },
+    /// Sessions were used.
+    NoteUse { sessions: Vec<UsedSession> },
+    /// Keys from before this time go.
+    ForgetKeys { before_ms: u64 },
+    /// Who did what.
+    Audit { entry: AuditEntry },
+    /// Nothing but what was left undone.
+    Settle,
+}
+
+type Statement<'q> = Query<'q, sqlx::Any, sqlx::any::AnyArguments<'q>>;
+
+async fn execute(statement: Statement<'_>, on: &mut AnyConnection) -> Result<u64, StoreError> {
+    let done = statement.execute(on).await;
+    done.map(|d| d.rows_affected())
+        .map_err(|e| StoreError::Unavailable(e.to_string()))
+}
+
+/// The objects that a query names.
+async fn objects_of(statement: Statement<'_>, on: &mut AnyConnection) -> Result<Vec<String>, StoreError> {
+    let rows = statement.fetch_all(on).await;
+    let rows = rows.map_err(|e| StoreError::Unavailable(e.to_string()))?;
+    rows.iter().map(|row| column(row, 0)).collect()
+}
+
+impl WriteOrder {
+    /// The commit that may be on disk though it was refused: its session, and its number. With 0 it is the session.
+    pub fn doubtful(&self) -> Option<(String, u64)> {
+        match self {
+            Self::Create { session, .. } => Some((session.id.clone(), 0)),
+            Self::Append { commit, .. } => Some((commit.session.clone(), commit.sequence)),
+            _ => None,
+        }
+    }
+
+    /// Writes it. Returns objects that may have no name any more.
+    pub async fn carry_out(&self, on: &mut AnyConnection) -> Result<Vec<String>, StoreError> {
+        match self {
+            Self::Create {
+                session,
+                model,
+                objects,
+            } => {
+                create_session(session, model, on).await?;
+                append_commit(&session.first, objects, on).await?;
+            }
+            Self::Append { commit, objects } => append_commit(commit, objects, on).await?,
+            Self::KeepShape { session, snapshot } => return keep_shape(session, snapshot, on).await,
+            Self::Adopt { commits } => {
+                for row in commits {
+                    let update = "UPDATE commits SET digest = $3, build = $4, checksum = $5
+                        WHERE session = $1 AND sequence = $2";
+                    let update = sqlx::query(update).bind(&row.session).bind(row.sequence);
+                    execute(update.bind(&row.digest).bind(&row.build).bind(row.checksum()), on).await?;
+                }
+            }
+            Self::Delete { session } => return delete_session(session, on).await,
+            Self::NoteUse { sessions } => {
+                for used in sessions {
+                    let update = sqlx::query("UPDATE sessions SET used_ms = $2 WHERE id = $1 AND used_ms < $2");
+                    execute(update.bind(&used.id).bind(signed(used.used_ms)), on).await?;
+                }
+            }
+            Self::ForgetKeys { before_ms } => {
+                let delete = sqlx::query("DELETE FROM call_keys WHERE at_ms < $1");
+                execute(delete.bind(signed(*before_ms)), on).await?;
+            }
+            Self::Audit { entry } => {
+                let insert = "INSERT INTO audit (tenant, at_ms, who, what, session) VALUES ($1, $2, $3, $4, $5)";
+                let insert = sqlx::query(insert).bind(&*entry.tenant.0).bind(signed(now_ms()));
+                let insert = insert.bind(&entry.who).bind(&entry.what);
+                execute(insert.bind(entry.session.as_deref().unwrap_or_default()), on).await?;
+            }
+            Self::Settle => {}
+        }
+        Ok(Vec::new())
+    }
+}
+
+/// Removes what was refused and may have been written all the same: commits from `sequence` on, with 0 the session.
+pub(super) async fn undo_doubtful(session: &str, sequence: u64, on: &mut AnyConnection) -> Result<(), StoreError> {
+    if sequence == 0 {
+        return delete_session(session, on).await.map(drop);
+    }
+    let number = signed(sequence);
+    let keys = sqlx::query("DELETE FROM call_keys WHERE session = $1 AND sequence >= $2");
+    execute(keys.bind(session).bind(number), on).await?;
+    let commits = sqlx::query("DELETE FROM commits WHERE session = $1 AND sequence >= $2");
+    if execute(commits.bind(session).bind(number), on).await? > 0 {
+        let newest = sqlx::query("UPDATE sessions SET newest = $2 WHERE id = $1");
+        execute(newest.bind(session).bind(number - 1), on).await?;
+    }
+    Ok(())
+}
+
+/// The checksum of a session's row, without what changes in it.
+pub(super) fn session_checksum(id: &str, tenant: &str, model: &[u8], numbers: [i64; 2]) -> Vec<u8> {
+    checksum(
+        &[id.as_bytes(), tenant.as_bytes(), model],
+        &[numbers[0], numbers[1], RECORD_FORMAT],
+    )
+}
+
+async fn create_session(session: &NewSession, model: &[u8], on: &mut AnyConnection) -> Result<(), StoreError> {
+    let tenant = &*session.tenant.0;
+    let insert = "INSERT INTO tenants (tenant, created_ms) VALUES ($1, $2) ON CONFLICT (tenant) DO NOTHING";
+    execute(sqlx::query(insert).bind(tenant).bind(signed(now_ms())), on).await?;
+    let (number, ttl) = (signed(session.number), millis(session.ttl));
+    let sum = session_checksum(&session.id, tenant, model, [number, ttl]);
+    let insert = "INSERT INTO sessions (id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum)
+        VALUES ($1, $2, $3, $4, $5, 0, $6, $7, $8)";
+    let insert = sqlx::query(insert)
+        .bind(&session.id)
+        .bind(tenant)
+        .bind(number)
+        .bind(ttl);
+    let insert = insert.bind(signed(now_ms())).bind(RECORD_FORMAT);
+    execute(insert.bind(model).bind(sum), on).await.map(drop)
+}
+
+/// Milliseconds of a time to live.
+fn millis(span: std::time::Duration) -> i64 {
+    i64::try_from(span.as_millis()).unwrap_or(i64::MAX)
+}
+
+async fn append_commit(commit: &NewCommit, objects: &[String], on: &mut AnyConnection) -> Result<(), StoreError> {
+    let (row, now) = (CommitRow::of(commit), signed(now_ms()));
+    let insert = "INSERT INTO commits
+        (session, sequence, revision, kind, digest, build, facts_at, poses_at, at_ms, format, payload, checksum)
+        VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)";
+    let insert = sqlx::query(insert)
+        .bind(&row.session)
+        .bind(row.sequence)
+        .bind(row.revision);
+    let insert = insert
+        .bind(&row.kind)
+        .bind(&row.digest)
+        .bind(&row.build)
+        .bind(row.facts_at)
+        .bind(row.poses_at);
+    let insert = insert
+        .bind(now)
+        .bind(row.format)
+        .bind(&row.payload[..])
+        .bind(row.checksum());
+    execute(insert, on).await?;
+    let newest = "UPDATE sessions SET newest = $2, used_ms = $3 WHERE id = $1";
+    let newest = sqlx::query(newest).bind(&row.session).bind(row.sequence).bind(now);
+    if execute(newest, on).await? != 1 {
+        return Err(StoreError::Damaged("the session's row is gone".into()));
+    }
+    for object in objects {
+        use_object(&row.session, object, on).await?;
+    }
+    if let Some((tenant, key, fingerprint)) = &commit.key {
+        let insert = "INSERT INTO call_keys (tenant, call_key, fingerprint, session, sequence, at_ms)
+            VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT (tenant, call_key) DO UPDATE SET
+            fingerprint = excluded.fingerprint, session = excluded.session, sequence = excluded.sequence,
+            at_ms = excluded.at_ms";
+        let insert = sqlx::query(insert).bind(&*tenant.0).bind(key);
+        let insert = insert.bind(fingerprint.to_le_bytes().to_vec()).bind(&row.session);
+        execute(insert.bind(row.sequence).bind(now), on).await?;
+    }
+    Ok(())
+}
+
+async fn use_object(session: &str, object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
+    let insert = "INSERT INTO object_uses (session, object) VALUES ($1, $2) ON CONFLICT (session, object) DO NOTHING";
+    execute(sqlx::query(insert).bind(session).bind(object), on)
+        .await
+        .map(drop)
+}
+
+async fn keep_shape(
+    session: &str,
+    snapshot: &StoredSnapshot,
+    on: &mut AnyConnection,
+) -> Result<Vec<String>, StoreError> {
+    let there = sqlx::query("SELECT id FROM sessions WHERE id = $1").bind(session);
+    if objects_of(there, on).await?.is_empty() {
+        // It was deleted meanwhile.
+        return Ok(vec![snapshot.object.clone()]);
+    }
+    let older = sqlx::query("SELECT object FROM snapshots WHERE session = $1").bind(session);
+    let mut older = objects_of(older, on).await?;
+    older.retain(|object| *object != snapshot.object);
+    let insert = "INSERT INTO snapshots (session, sequence, object) VALUES ($1, $2, $3) ON CONFLICT (session) DO UPDATE
+        SET sequence = excluded.sequence, object = excluded.object";
+    let insert = sqlx::query(insert).bind(session).bind(signed(snapshot.sequence));
+    execute(insert.bind(&snapshot.object), on).await?;
+    for object in &older {
+        let delete = sqlx::query("DELETE FROM object_uses WHERE session = $1 AND object = $2");
+        execute(delete.bind(session).bind(object), on).await?;
+    }
+    use_object(session, &snapshot.object, on).await?;
+    Ok(older)
+}
+
+async fn delete_session(session: &str, on: &mut AnyConnection) -> Result<Vec<String>, StoreError> {
+    let used = sqlx::query("SELECT object FROM object_uses WHERE session = $1").bind(session);
+    let used = objects_of(used, on).await?;
+    for delete in [
+        "DELETE FROM call_keys WHERE session = $1",
+        "DELETE FROM snapshots WHERE session = $1",
+        "DELETE FROM object_uses WHERE session = $1",
+        "DELETE FROM commits WHERE session = $1",
+        "DELETE FROM sessions WHERE id = $1",
+    ] {
+        execute(sqlx::query(delete).bind(session), on).await?;
+    }
+    Ok(used)
+}

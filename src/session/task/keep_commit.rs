@@ -1,0 +1,207 @@
+//! The commits of a session on their way to the store. A commit is kept before it becomes the session's state, so that one which
+//! cannot be kept has never happened.
+
+use crate::asset::FileSet;
+use crate::engine::{Edit, EditReport, ModelShape, SolveSettings};
+use crate::session::calls::command::{HistoryDirection, StoredAnswer};
+use crate::session::calls::idempotency::KeyClaim;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::history::loaded_deformer::CommitSolution;
+use crate::session::history::session_state::EditedState;
+use crate::session::keeping::replay::{OTHER_BUILD, check_digest};
+use crate::session::store::NewCommit;
+use crate::session::store::shape_object::write_shape;
+use crate::session::task::session_task::SessionTask;
+use crate::wire::SessionEdit;
+use crate::wire::record::{AnsweredFrame, LoggedCommit, ShapeProbe};
+use std::sync::Arc;
+
+/// Solved commits after which the newest shape is kept, so that opening solves few of them again.
+const SOLVED_PER_SHAPE: u32 = 16;
+
+type Claim = KeyClaim<StoredAnswer>;
+
+impl SessionTask {
+    /// Keeps new handles.
+    pub async fn keep_handles(
+        &mut self,
+        commit: impl FnOnce() -> LoggedCommit,
+        claim: Option<&Claim>,
+    ) -> Result<(), Error> {
+        if self.kept.is_none() {
+            return Ok(());
+        }
+        let digest = self.history.current().digest.clone();
+        self.keep(commit(), digest, None, claim).await
+    }
+
+    /// Keeps a solved pose; `frame` is its answer.
+    pub async fn keep_pose(
+        &mut self,
+        solution: &CommitSolution,
+        settings: &SolveSettings,
+        frame: Option<AnsweredFrame>,
+        claim: Option<&Claim>,
+    ) -> Result<(), Error> {
+        if self.kept.is_none() {
+            return Ok(());
+        }
+        let commit = LoggedCommit::Pose {
+            poses: solution.poses.clone(),
+            settings: settings.clone(),
+            warnings: solution.warnings.clone(),
+            probe: ShapeProbe::of(&solution.solved.positions),
+            frame: frame.map(Box::new),
+        };
+        self.keep(commit, solution.digest.clone(), None, claim).await
+    }
+
+    /// Keeps an edit: what was asked for, the state after it, its shape and what is told of it.
+    pub async fn keep_edit(
+        &mut self,
+        asked: Option<SessionEdit>,
+        edited: &EditedState,
+        (shape, report): (&ModelShape, &EditReport),
+        claim: Option<&Claim>,
+    ) -> Result<(), Error> {
+        let (Some(asked), Some(_)) = (asked, &self.kept) else {
+            return Ok(());
+        };
+        let SessionEdit { mut edit, on, .. } = asked;
+        let files: Option<FileSet> = match &mut edit {
+            Edit::Merge(merge) => Some(std::mem::take(&mut merge.files)),
+            _ => None,
+        };
+        let commit = LoggedCommit::Edit {
+            edit: Box::new(edit),
+            on,
+            files: None,
+            report: Box::new(report.clone()),
+            poses: edited.poses.clone(),
+            facts: Box::new(edited.facts.clone()),
+            probe: ShapeProbe::of(&shape.positions),
+        };
+        self.keep(commit, edited.digest.clone(), files, claim).await
+    }
+
+    /// Keeps a step to commit `index`, whose shape has this digest.
+    pub async fn keep_step(
+        &mut self,
+        direction: HistoryDirection,
+        index: usize,
+        claim: Option<&Claim>,
+    ) -> Result<(), Error> {
+        let (Some(target), Some(state)) = (self.history.revision_of(index), self.history.state(index)) else {
+            return Ok(());
+        };
+        let digest = state.digest.clone();
+        let forward = direction == HistoryDirection::Redo;
+        self.keep(LoggedCommit::Step { target, forward }, digest, None, claim)
+            .await
+    }
+
+    async fn keep(
+        &mut self,
+        commit: LoggedCommit,
+        digest: String,
+        files: Option<FileSet>,
+        claim: Option<&Claim>,
+    ) -> Result<(), Error> {
+        let Some(kept) = &mut self.kept else { return Ok(()) };
+        let (sequence, revision) = (kept.sequence + 1, self.history.revision() + 1);
+        let place = kept.place_after(&commit, self.history.current_revision(), sequence);
+        let is_step = matches!(commit, LoggedCommit::Step { .. });
+        let is_solved = matches!(commit, LoggedCommit::Pose { .. });
+        let new = NewCommit {
+            session: self.session.id.clone(),
+            sequence,
+            revision,
+            digest,
+            build: kept.build.clone(),
+            facts_at: place.facts_at,
+            poses_at: place.poses_at,
+            commit,
+            files,
+            key: claim.map(KeyClaim::logged),
+        };
+        kept.store.append(new).await.inspect_err(|error| {
+            self.shared.metrics.store_failures.inc();
+            tracing::error!(session.id = %self.session.id, "a commit could not be stored: {error}");
+        })?;
+        kept.sequence = sequence;
+        kept.solved_since += u32::from(is_solved);
+        if !is_step {
+            kept.places.insert(revision, place);
+            let oldest = self.history.oldest_revision();
+            kept.places = kept.places.split_off(&oldest);
+        }
+        Ok(())
+    }
+
+    /// Keeps the newest shape, beside the session's work, when enough was solved since the last one that was kept.
+    pub fn keep_shape_in_time(&mut self) {
+        let id = self.session.id.clone();
+        let Some(kept) = self.kept.as_mut().filter(|k| k.solved_since >= SOLVED_PER_SHAPE) else {
+            return;
+        };
+        let at = kept.place(self.history.current_revision()).shape_at;
+        kept.solved_since = 0;
+        kept.shape_at = at;
+        let (store, positions) = (Arc::clone(&kept.store), Arc::clone(&self.session.view().positions));
+        let shared = Arc::clone(&self.shared);
+        tokio::spawn(async move {
+            let Ok(shape) = shared.compute.offload(move || write_shape(&positions)).await else {
+                return;
+            };
+            if let Err(error) = store.keep_shape(id, at, shape).await {
+                tracing::warn!("a shape could not be stored, its commits can: {error}");
+            }
+        });
+    }
+
+    /// Keeps the newest shape now, unless it is kept already or is the rest shape.
+    pub async fn keep_shape_now(&mut self) -> Result<(), Error> {
+        let Some(kept) = &mut self.kept else { return Ok(()) };
+        let at = kept.place(self.history.current_revision()).shape_at;
+        if at == kept.shape_at || !self.history.is_solved() {
+            return Ok(());
+        }
+        let positions = Arc::clone(&self.session.view().positions);
+        let shape = self.shared.compute.offload(move || write_shape(&positions)).await?;
+        let store = Arc::clone(&kept.store);
+        store.keep_shape(self.session.id.clone(), at, shape).await?;
+        kept.shape_at = at;
+        kept.solved_since = 0;
+        Ok(())
+    }
+
+    /// A shape that was solved again has another digest than its commit. That is damage where this build and processor recorded it; what
+    /// another one recorded must be close, and is recorded anew.
+    pub async fn check_solved_again(
+        &mut self,
+        index: usize,
+        now: &str,
+        shape: &ModelShape,
+        diagonal: f64,
+    ) -> Result<(), Error> {
+        let damaged = || {
+            let text = "a shape of the history, solved again, is not the one that was committed; it is not served";
+            Error::new(ErrorCode::DataLoss, text)
+        };
+        let revision = self.history.revision_of(index).ok_or_else(damaged)?;
+        let kept = self.kept.as_ref().ok_or_else(damaged)?;
+        let at = kept.place(revision).shape_at;
+        let (store, id, build) = (Arc::clone(&kept.store), self.session.id.clone(), kept.build.clone());
+        let stored = store.commit(id.clone(), at).await?.ok_or_else(damaged)?;
+        let is_close = || match &stored.commit {
+            LoggedCommit::Pose { probe, .. } | LoggedCommit::Edit { probe, .. } => {
+                probe.is_close_to(&shape.positions, OTHER_BUILD * diagonal)
+            }
+            _ => true,
+        };
+        check_digest(&stored, now, stored.build == build, is_close)?;
+        store.adopt(id, build, vec![(at, now.to_owned())]).await?;
+        self.history.record_digest(index, now);
+        Ok(())
+    }
+}

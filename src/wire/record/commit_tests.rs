@@ -1,0 +1,141 @@
+//! Commits come back as they were written, and bytes that are no commit are refused.
+
+use super::*;
+use crate::asset::Format;
+use crate::engine::{Handle, HandleScale, MeshCounts, ModelFacts, Region, SolverFacts};
+use proptest::prelude::*;
+
+fn facts() -> DeformerFacts {
+    DeformerFacts {
+        model: ModelFacts {
+            format: Format::OBJ,
+            file_bytes: 3,
+            sha256: "abc".into(),
+            counts: MeshCounts { vertices: 8, faces: 12 },
+        },
+        primitives: Vec::new(),
+        solver: SolverFacts::default(),
+        handles: Vec::new(),
+        warnings: Vec::new(),
+    }
+}
+
+fn commits() -> Vec<LoggedCommit> {
+    let third = 1.0 / 3.0;
+    let pose = HandlePose {
+        scale: Some(HandleScale::Uniform(third)),
+        pivot: Some(DVec3::splat(third)),
+        ..HandlePose::translation([third, -0.0, 1e-300])
+    };
+    let poses = HandlePoses(vec![pose, HandlePose::default()].into());
+    let probe = ShapeProbe::of(&[DVec3::splat(third); 40]);
+    let weld = Edit::Weld { tolerance: third };
+    vec![
+        LoggedCommit::Create { facts: facts() },
+        LoggedCommit::Handles {
+            set: HandleSet::from([Handle::new("a", Region::Component(1)).soft(third)]),
+            poses: poses.clone(),
+            facts: facts(),
+        },
+        LoggedCommit::Pose {
+            poses: poses.clone(),
+            settings: SolveSettings {
+                tolerance: None,
+                max_error: Some(third),
+                refine: Some(0),
+                rotation_smoothing: third,
+                first_pass: FirstPass::Diffusion,
+                spatial_rbf: true,
+            },
+            warnings: vec![DeformerWarning::new("a", "b", "c")],
+            probe: probe.clone(),
+            frame: Some(Box::new(AnsweredFrame {
+                header: FrameHeader {
+                    seq: 7,
+                    is_final: true,
+                    residual: third,
+                    solve_ms: 1.0,
+                    quality: Some(Default::default()),
+                    ..FrameHeader::default()
+                },
+                output: FrameOutput {
+                    normals: true,
+                    changed_only: Some(0.0),
+                    encoding: FrameEncoding::Meshopt,
+                    ..FrameOutput::default()
+                },
+            })),
+        },
+        LoggedCommit::Pose {
+            poses: poses.clone(),
+            // No request can ask for it: a default stands where nothing is given.
+            settings: SolveSettings {
+                tolerance: None,
+                ..SolveSettings::default()
+            },
+            warnings: Vec::new(),
+            probe: probe.clone(),
+            frame: None,
+        },
+        LoggedCommit::Edit {
+            edit: Box::new(weld),
+            on: EditedShape::Rest,
+            files: Some(FileReferences {
+                name: "x".into(),
+                main: "y".into(),
+                companions: [("k".to_owned(), "z".to_owned())].into(),
+            }),
+            report: Box::new(EditReport {
+                handles_kept: vec!["a".into()],
+                curve: vec![1, 2],
+                digest: "d".into(),
+                repaired: true,
+                ..EditReport::default()
+            }),
+            poses,
+            facts: Box::new(facts()),
+            probe,
+        },
+        LoggedCommit::Step {
+            target: u64::MAX,
+            forward: true,
+        },
+    ]
+}
+
+#[test]
+fn every_kind_of_commit_comes_back_as_it_was_written() {
+    for commit in commits() {
+        let again = LoggedCommit::read(&commit.write()).expect("it was written");
+        assert_eq!(format!("{again:?}"), format!("{commit:?}"));
+    }
+}
+
+#[test]
+fn a_probe_tells_shapes_apart() {
+    let shape: Vec<DVec3> = (0..100).map(|k| DVec3::splat(f64::from(k))).collect();
+    let probe = ShapeProbe::of(&shape);
+    assert!(probe.is_close_to(&shape, 0.0));
+    let mut moved = shape.clone();
+    moved.iter_mut().for_each(|p| p.x += 1e-6);
+    assert!(probe.is_close_to(&moved, 2e-6) && !probe.is_close_to(&moved, 1e-7));
+    moved.pop();
+    assert!(!probe.is_close_to(&moved, 1.0), "another number of vertices");
+    moved[0].y = f64::NAN;
+    moved.push(DVec3::splat(99.0));
+    assert!(!probe.is_close_to(&moved, 1.0), "no number");
+    assert!(ShapeProbe::of(&[]).is_close_to(&[], 0.0));
+}
+
+proptest! {
+    /// Whatever a disk holds, reading it ends with a commit or an error.
+    #[test]
+    fn no_bytes_break_the_reader(which in 0usize..6, at: prop::sample::Index, to: u8, cut: prop::sample::Index) {
+        let mut bytes = commits()[which].write();
+        let k = at.index(bytes.len());
+        bytes[k] = to;
+        let _ = LoggedCommit::read(&bytes);
+        bytes.truncate(cut.index(bytes.len() + 1));
+        let _ = LoggedCommit::read(&bytes);
+    }
+}

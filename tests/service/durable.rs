@@ -1,0 +1,52 @@
+//! Sessions with a folder: nothing that was acknowledged is lost, whatever happens to the process, and nothing damaged is served.
+
+use crate::support::program::ServedProgram;
+use crate::support::server::{bar_obj, ends, turn_json};
+use serde_json::{Value, json};
+
+mod crashes;
+mod damage;
+mod faults;
+mod first_version;
+mod idle;
+mod restart;
+
+/// A session on a bar, with its ends as handles.
+async fn bar_session(server: &ServedProgram) -> String {
+    let id = server.open(bar_obj(12), "").await;
+    let handles = json!({"handles": ends()});
+    server.done("PUT", &path(&id, "/handles"), Some(&handles)).await;
+    id
+}
+
+fn path(id: &str, rest: &str) -> String {
+    format!("/v1/sessions/{id}{rest}")
+}
+
+/// Turns the bar's top and commits that.
+async fn turn(server: &ServedProgram, id: &str, angle: f64) -> Value {
+    server.done("POST", &path(id, "/solve"), Some(&turn_json(angle))).await
+}
+
+/// All that a client can see of a session, but for times.
+async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
+    let mut session = server.done("GET", &path(id, ""), None).await;
+    let told = session.as_object_mut().expect("an object");
+    told.remove("expiresAt");
+    told.remove("buildMs");
+    (
+        session,
+        server.done("GET", &path(id, "/history"), None).await,
+        server.positions(id).await,
+    )
+}
+
+/// A figure of `/metrics`.
+async fn metric(server: &ServedProgram, name: &str) -> f64 {
+    let text = crate::support::server::http()
+        .get(format!("{}/metrics", server.url))
+        .send();
+    let text = text.await.expect("an answer").text().await.expect("a text");
+    let line = text.lines().find(|line| line.starts_with(name));
+    line.and_then(|l| l.rsplit(' ').next()?.parse().ok()).expect("a figure")
+}

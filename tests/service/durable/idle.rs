@@ -1,0 +1,95 @@
+//! Sessions that nobody uses leave memory and come back when they are asked for.
+
+use super::{bar_session, metric, path, seen, turn};
+use crate::support::program::ServedProgram;
+use crate::support::server::{eventually, within};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_idle_session_leaves_memory_and_comes_back_as_it_was() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path().join("data");
+    let server = ServedProgram::start(&folder, &["--idle", "200ms"]);
+    let id = bar_session(&server).await;
+    for angle in [0.4, 0.8, 0.2] {
+        turn(&server, &id, angle).await;
+    }
+    server.done("POST", &path(&id, "/undo"), None).await;
+    let before = seen(&server, &id).await;
+    for _ in 0..3 {
+        eventually("an empty memory", async || {
+            metric(&server, "pliant_sessions ").await == 0.0 && metric(&server, "pliant_session_bytes ").await == 0.0
+        })
+        .await;
+        let listed = server.done("GET", "/v1/sessions", None).await;
+        assert_eq!(listed["sessions"][0]["id"], id.as_str());
+        assert_eq!(seen(&server, &id).await, before);
+    }
+    eventually("an empty memory", async || {
+        metric(&server, "pliant_sessions ").await == 0.0
+    })
+    .await;
+    server.done("POST", &path(&id, "/redo"), None).await;
+    eventually("an empty memory", async || {
+        metric(&server, "pliant_sessions ").await == 0.0
+    })
+    .await;
+    server.done("DELETE", &path(&id, ""), None).await;
+    assert_eq!(server.call("GET", &path(&id, ""), None).await.0, 404);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_holds_its_session_and_calls_never_miss_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path().join("data");
+    let server = ServedProgram::start(&folder, &["--idle", "100ms"]);
+    let held = bar_session(&server).await;
+    let url = format!("{}{}", server.url.replace("http", "ws"), path(&held, "/stream"));
+    let (stream, _) = within("a socket", tokio_tungstenite::connect_async(url))
+        .await
+        .expect("a stream");
+    // Calls come just when the session is about to leave.
+    let busy = bar_session(&server).await;
+    for k in 0..20u64 {
+        tokio::time::sleep(std::time::Duration::from_millis(85 + k * 2)).await;
+        turn(&server, &busy, k as f64 * 0.02).await;
+    }
+    eventually("one session in memory", async || {
+        metric(&server, "pliant_sessions ").await == 1.0
+    })
+    .await;
+    drop(stream);
+    eventually("none", async || metric(&server, "pliant_sessions ").await == 0.0).await;
+    let history = server.done("GET", &path(&busy, "/history"), None).await;
+    assert_eq!(history["commits"].as_array().map(Vec::len), Some(22));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn idle_sessions_make_room_before_a_new_one_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path().join("data");
+    let server = ServedProgram::start(&folder, &["--sessions", "2"]);
+    let mut known = Vec::new();
+    for angle in [0.1, 0.2, 0.3, 0.4] {
+        let id = bar_session(&server).await;
+        turn(&server, &id, angle).await;
+        let now = seen(&server, &id).await;
+        known.push((id, now));
+    }
+    for (id, was) in &known {
+        assert_eq!(&seen(&server, id).await, was);
+    }
+    assert_eq!(metric(&server, "pliant_sessions ").await, 2.0);
+    // Those that streams hold stay: then there is no room.
+    let mut streams = Vec::new();
+    for (id, _) in &known[..2] {
+        let url = format!("{}{}", server.url.replace("http", "ws"), path(id, "/stream"));
+        let opened = within("a socket", tokio_tungstenite::connect_async(url)).await;
+        streams.push(opened.expect("a stream"));
+    }
+    assert_eq!(server.call("GET", &path(&known[3].0, ""), None).await.0, 429);
+    drop(streams);
+    eventually("room", async || {
+        server.call("GET", &path(&known[3].0, ""), None).await.0 == 200
+    })
+    .await;
+}

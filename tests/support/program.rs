@@ -1,0 +1,155 @@
+//! The server as a program of its own, which a test can kill.
+
+use super::server::{http, within};
+use serde_json::Value;
+use std::fs::File;
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// A running program. Dropping it kills it.
+pub struct ServedProgram {
+    child: Child,
+    pub url: String,
+    log: PathBuf,
+}
+
+impl ServedProgram {
+    /// Starts the server with a folder for its sessions. Its log goes to a file beside that folder.
+    pub fn start(folder: &Path, arguments: &[&str]) -> Self {
+        Self::try_start(folder, arguments).expect("the server starts")
+    }
+
+    /// As `start`; the log when it does not come up.
+    pub fn try_start(folder: &Path, arguments: &[&str]) -> Result<Self, String> {
+        let log = folder.with_extension("log");
+        // A limit on the size of files ends a process that has not asked to be told otherwise.
+        let mut command = Command::new("sh");
+        command
+            .args([
+                "-c",
+                "trap '' XFSZ; exec \"$@\"",
+                "sh",
+                env!("CARGO_BIN_EXE_pliant"),
+                "serve",
+            ])
+            .args(["--listen", "127.0.0.1:0", "--threads", "2", "--data-dir"])
+            .arg(folder)
+            .args(arguments)
+            .env_remove("PLIANT_CONFIG")
+            .stdout(Stdio::piped())
+            .stderr(File::create(&log).expect("a log"));
+        let mut child = command.spawn().expect("the program starts");
+        let mut line = String::new();
+        let stdout = child.stdout.take().expect("piped");
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        match line.trim().strip_prefix("listening on ") {
+            Some(url) => Ok(Self {
+                child,
+                url: url.to_owned(),
+                log,
+            }),
+            None => {
+                let _ = child.wait();
+                Err(std::fs::read_to_string(log).unwrap_or_default())
+            }
+        }
+    }
+
+    /// The process id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// What it logged so far.
+    pub fn log(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// Ends it as a crash does: at once.
+    pub fn kill(mut self) {
+        self.child.kill().expect("it runs");
+        self.child.wait().expect("it ends");
+    }
+
+    /// Asks it to stop and waits for its end.
+    pub async fn stop(mut self) {
+        let asked = Command::new("kill").args(["-TERM", &self.id().to_string()]).status();
+        assert!(asked.expect("kill runs").success());
+        let ended = within("the end", async {
+            loop {
+                if let Some(status) = self.child.try_wait().expect("a child") {
+                    return status;
+                }
+                tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+            }
+        });
+        assert_eq!(ended.await.code(), Some(0), "{}", self.log());
+    }
+
+    /// Makes a call; the status and the JSON of the answer, null where there is none.
+    pub async fn call(&self, method: &str, path: &str, body: Option<&Value>) -> (u16, Value) {
+        self.call_with_key(method, path, body, None).await
+    }
+
+    /// As `call`, with an idempotency key.
+    pub async fn call_with_key(
+        &self,
+        method: &str,
+        path: &str,
+        body: Option<&Value>,
+        key: Option<&str>,
+    ) -> (u16, Value) {
+        let method = method.parse().expect("a method");
+        let mut request = http().request(method, format!("{}{path}", self.url));
+        if let Some(body) = body {
+            request = request.json(body);
+        }
+        if let Some(key) = key {
+            request = request.header("idempotency-key", key);
+        }
+        let answer = within(path, request.send()).await.expect("an answer");
+        let status = answer.status().as_u16();
+        let text = within(path, answer.text()).await.expect("a body");
+        (status, serde_json::from_str(&text).unwrap_or(Value::Null))
+    }
+
+    /// A call that must succeed.
+    pub async fn done(&self, method: &str, path: &str, body: Option<&Value>) -> Value {
+        let (status, answer) = self.call(method, path, body).await;
+        assert!(
+            (200..300).contains(&status),
+            "{method} {path}: {status} {answer}\n{}",
+            self.log()
+        );
+        answer
+    }
+
+    /// Opens a session on a model.
+    pub async fn open(&self, model: String, query: &str) -> String {
+        let sent = http()
+            .post(format!("{}/v1/sessions{query}", self.url))
+            .body(model)
+            .send();
+        let answer = within("a session", sent).await.expect("an answer");
+        let status = answer.status();
+        let session: Value = answer.json().await.expect("JSON");
+        assert_eq!(status.as_u16(), 201, "{session}");
+        super::server::text(&session["id"])
+    }
+
+    /// The current vertices, as the server sends them.
+    pub async fn positions(&self, id: &str) -> Vec<u8> {
+        let answer = http().get(format!("{}/v1/sessions/{id}/positions", self.url)).send();
+        let answer = within("positions", answer).await.expect("an answer");
+        assert_eq!(answer.status().as_u16(), 200, "{}", self.log());
+        answer.bytes().await.expect("a body").to_vec()
+    }
+}
+
+impl Drop for ServedProgram {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
