@@ -26,6 +26,10 @@ pub struct PoseCommit {
 pub fn pose_commit(request: &pb::SolveRequest, max_window: u32) -> Result<PoseCommit, Error> {
     let options = DeformOptions::check(&request.options.unwrap_or_default(), "options", max_window)?;
     let pose = request.pose.as_ref();
+    if pose.is_some_and(|p| !p.idempotency_key.is_empty()) {
+        let problem = "is for commits on a stream; give this call the header idempotency-key";
+        return Err(Error::invalid("pose.idempotencyKey", problem));
+    }
     Ok(PoseCommit {
         seq: pose.map_or(0, |p| p.seq),
         changes: pose.map_or_else(|| Ok(Vec::new()), pose_changes)?,

@@ -42,4 +42,4 @@ pub use options::DeformOptions;
 pub use passengers::{CarryOrder, carry_order};
 pub use poses::{PoseEntry, change_poses, handle_pose, handle_pose_message, pose_changes};
 pub use rig::{motion_rig, rig_from_json, rig_message};
-pub use stream::{StreamLimits, StreamPose, StreamRequest, stream_request};
+pub use stream::{PoseKey, StreamLimits, StreamPose, StreamRequest, stream_request};

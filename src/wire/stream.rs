@@ -3,6 +3,7 @@
 use super::options::DeformOptions;
 use super::poses::{PoseEntry, check_pose_size, pose_entries};
 use super::{Error, pb};
+use prost::Message as _;
 
 /// One request of a deform stream. What is wrong with it is a part of it: the stream tells it when its turn comes.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,8 +25,19 @@ pub struct StreamPose {
     pub seq: u64,
     /// Whether it is to be committed.
     pub commit: bool,
+    /// What tells a commit that is sent again from a new one.
+    pub key: Option<PoseKey>,
     /// The handles that it names.
     pub entries: Result<Vec<PoseEntry>, Error>,
+}
+
+/// The idempotency key of a commit on a stream. The same key with other handles is a mistake of the caller.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PoseKey {
+    /// The key.
+    pub key: String,
+    /// The handles as the client sent them.
+    pub request: Vec<u8>,
 }
 
 /// How large the requests of a stream may be.
@@ -42,14 +54,49 @@ pub fn stream_request(request: &pb::DeformRequest, limits: StreamLimits) -> Opti
     use pb::deform_request::Message;
     Some(match request.message.as_ref()? {
         Message::Options(options) => StreamRequest::Options(DeformOptions::check(options, "options", limits.window)),
-        Message::Pose(pose) => StreamRequest::Pose(StreamPose {
-            seq: pose.seq,
-            commit: pose.commit,
-            entries: check_pose_size(pose, limits.pose_entries).map(|()| pose_entries(pose)),
-        }),
+        Message::Pose(pose) => StreamRequest::Pose(stream_pose(pose, limits)),
         Message::Ack(ack) => StreamRequest::Ack(ack.seq),
         Message::Ping(ping) => StreamRequest::Ping(ping.nonce),
     })
+}
+
+fn stream_pose(pose: &pb::Pose, limits: StreamLimits) -> StreamPose {
+    let checked = check_pose_size(pose, limits.pose_entries).and_then(|()| pose_key(pose));
+    let (entries, key) = match checked {
+        Ok(key) => (Ok(pose_entries(pose)), key),
+        Err(error) => (Err(error), None),
+    };
+    StreamPose {
+        seq: pose.seq,
+        commit: pose.commit,
+        key,
+        entries,
+    }
+}
+
+/// The longest key.
+const KEY_BYTES: usize = 255;
+
+fn pose_key(pose: &pb::Pose) -> Result<Option<PoseKey>, Error> {
+    let key = pose.idempotency_key.as_str();
+    if key.is_empty() {
+        return Ok(None);
+    }
+    let wrong = |problem: &str| Err(Error::invalid("pose.idempotencyKey", problem));
+    if !pose.commit {
+        return wrong("stands on a pose that is not committed; only a commit has a key");
+    }
+    if key.len() > KEY_BYTES || !key.bytes().all(|b| b.is_ascii_graphic()) {
+        return wrong("is no key; 1 to 255 visible ASCII characters are allowed");
+    }
+    let handles = pb::Pose {
+        handles: pose.handles.clone(),
+        ..pb::Pose::default()
+    };
+    Ok(Some(PoseKey {
+        key: key.to_owned(),
+        request: handles.encode_to_vec(),
+    }))
 }
 
 #[cfg(test)]
@@ -66,6 +113,7 @@ mod tests {
             seq: 3,
             handles,
             commit: true,
+            idempotency_key: String::new(),
         };
         let request = pb::DeformRequest {
             session_id: String::new(),

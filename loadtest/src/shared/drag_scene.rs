@@ -103,6 +103,7 @@ impl DragScene {
             seq,
             handles: vec![entry],
             commit: false,
+            idempotency_key: String::new(),
         }
     }
 }

@@ -116,7 +116,12 @@ impl Mailbox {
 
     fn push_pose(&self, state: &mut StreamState, pose: StreamPose) {
         self.metrics.poses_received.inc();
-        let StreamPose { seq, commit, entries } = pose;
+        let StreamPose {
+            seq,
+            commit,
+            key,
+            entries,
+        } = pose;
         if let Some(last) = state.last_seq.filter(|&last| seq <= last) {
             let text = format!("is {seq}, above {last} is allowed: numbers grow along a stream");
             return self.refuse_pose(state, seq, Error::invalid("pose.seq", text));
@@ -138,6 +143,7 @@ impl Mailbox {
             seq,
             entries,
             commit,
+            key,
             settings,
             poses: 1,
         });

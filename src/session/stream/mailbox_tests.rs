@@ -16,6 +16,7 @@ fn posed(seq: u64, entries: Vec<PoseEntry>, commit: bool) -> StreamRequest {
     StreamRequest::Pose(StreamPose {
         seq,
         commit,
+        key: None,
         entries: Ok(entries),
     })
 }
@@ -191,6 +192,7 @@ fn what_waits_is_bounded_whatever_is_sent() {
     let large = StreamRequest::Pose(StreamPose {
         seq: 3000,
         commit: false,
+        key: None,
         entries: Err(WireError::invalid("pose.handles", "too many")),
     });
     mailbox.push(large).expect("open");

@@ -1,7 +1,7 @@
 //! Poses that wait on a stream: which are let in, and how many become few.
 
 use crate::engine::HandlePose;
-use crate::wire::{DeformOptions, PoseEntry};
+use crate::wire::{DeformOptions, PoseEntry, PoseKey};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -18,6 +18,8 @@ pub(in crate::session) struct WaitingPose {
     /// Each with what is wrong with it, which is told when the pose's turn comes, as that it names no handle is.
     pub entries: Vec<PoseEntry>,
     pub commit: bool,
+    /// Of a commit that may be sent again.
+    pub key: Option<PoseKey>,
     /// The options in force when it came.
     pub settings: Arc<DeformOptions>,
     /// Poses that it stands for, itself included; more than one only when poses had to be merged.

@@ -14,7 +14,7 @@ use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::registry::OpenSession;
-use crate::session::stream::outbound_frame::{FrameContext, OutboundFrame};
+use crate::session::stream::outbound_frame::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::record::{AnsweredFrame, LoggedCommit};
 use crate::wire::{CarryOrder, PoseCommit};
@@ -52,7 +52,9 @@ impl SessionTask {
                 });
             }
             SessionCommand::Recall(revision, frame, call) => {
-                let result = self.recall(revision, *frame, &call).await;
+                let limit = self.shared.config.build;
+                let order = || call.order(WorkLane::Interactive, limit);
+                let result = self.recall(revision, *frame, order).await;
                 send_answer(call, result, |_| None);
             }
             SessionCommand::Export(format, call) => {
@@ -176,7 +178,7 @@ impl SessionTask {
     }
 
     /// The shape of commit `index`, solved again where it is not at hand; `None` when there is no such commit.
-    async fn shape_of_commit(&mut self, index: usize, order: WorkOrder) -> Result<Option<ModelShape>, Error> {
+    pub async fn shape_of_commit(&mut self, index: usize, order: WorkOrder) -> Result<Option<ModelShape>, Error> {
         let Some(state) = self.history.state(index) else {
             return Ok(None);
         };
@@ -195,54 +197,6 @@ impl SessionTask {
             self.check_solved_again(index, &now, &shape, diagonal).await?;
         }
         Ok(Some(shape))
-    }
-
-    /// The frame of a pose that was committed with this revision.
-    async fn recall(
-        &mut self,
-        revision: u64,
-        frame: AnsweredFrame,
-        call: &PendingCall<Option<CommittedPose>>,
-    ) -> Result<Option<CommittedPose>, Error> {
-        let Some(index) = self.history.index_of(revision) else {
-            return Ok(None);
-        };
-        let limit = self.shared.config.build;
-        let Some(shape) = self
-            .shape_of_commit(index, call.order(WorkLane::Interactive, limit))
-            .await?
-        else {
-            return Ok(None);
-        };
-        let Some(state) = self.history.state(index) else {
-            return Ok(None);
-        };
-        let (digest, diagonal, topology) = (state.digest.clone(), state.diagonal, state.topology.clone());
-        let AnsweredFrame { mut header, output } = frame;
-        header.revision = revision;
-        let part_bytes = self.shared.config.part_bytes;
-        let order = call.order(WorkLane::Interactive, limit);
-        let (made, watch) = self
-            .compute(order, move |deformer, pool, watch, _| {
-                deformer.go_to_topology(topology.as_ref(), &Exec::new(pool, watch))?;
-                let is_shaded = output.normals || output.tangents;
-                let shading = is_shaded.then(|| Arc::new(deformer.shader().shade(&shape.positions)));
-                let frame = OutboundFrame {
-                    header,
-                    positions: shape.positions,
-                    shading,
-                    output,
-                    diagonal,
-                };
-                Ok::<_, engine::Error>(frame.into_request(&[], part_bytes))
-            })
-            .await?;
-        let frame = made.map_err(|e| self.failure(e, &watch))?;
-        Ok(Some(CommittedPose {
-            frame,
-            revision,
-            digest,
-        }))
     }
 
     async fn carry_along(

@@ -3,16 +3,19 @@
 use crate::engine::{self, HandlePose, SolveMode, SolveSettings, SolveUpdate};
 use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::session::calls::command::WorkOrder;
+use crate::session::answers::CommittedPose;
+use crate::session::calls::command::{StoredAnswer, WorkOrder};
+use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
 use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
 use crate::session::history::session_state::SessionState;
 use crate::session::stream::mailbox::{Mailbox, StreamWork, StreamWorkResult};
-use crate::session::stream::outbound_frame::{FrameContext, FrameShape};
+use crate::session::stream::outbound_frame::{FrameContext, FrameShape, OutboundFrame};
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
 use crate::session::task::session_task::{SessionTask, no_handles};
+use crate::wire::record::AnsweredFrame;
 use crate::wire::{DeformOptions, Error as WireError, PoseEntry};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -56,6 +59,14 @@ impl SessionTask {
                 ..p.clone()
             })
             .collect();
+        let claim = match poses.last().and_then(|p| p.key.as_ref()) {
+            None => None,
+            Some(key) => match self.claim_stream_commit(key) {
+                Ok(ClaimOutcome::New(claim)) => Some(claim),
+                Ok(ClaimOutcome::Done(answer)) => return self.answer_again(&mailbox, &poses, before, answer).await,
+                Err(error) => return refuse_all(&mailbox, &poses, before, &error),
+            },
+        };
         let commit = poses.last().is_some_and(|p| p.commit);
         let longest = self.shared.config.solve;
         // A drag takes its best result in time; only one that has none after twice the time is given up.
@@ -92,7 +103,6 @@ impl SessionTask {
             Ok(turn) => turn,
             Err(error) => return refuse_all(&mailbox, &unsolved, before, &self.failure(error, &watch)),
         };
-        let mut dragged = turn.dragged;
         let Some(SolvedStreamPose {
             seq,
             commit,
@@ -101,7 +111,7 @@ impl SessionTask {
         }) = turn.solved
         else {
             return mailbox.complete_work(StreamWorkResult {
-                dragged,
+                dragged: turn.dragged,
                 ..StreamWorkResult::default()
             });
         };
@@ -117,25 +127,84 @@ impl SessionTask {
             }
         };
         if commit {
-            if let Err(error) = self.keep_pose(&solution, &settings.solve, None, None).await {
-                return mailbox.complete_work(StreamWorkResult {
+            frames.revision = self.history.revision() + 1;
+            let frame = frames.final_frame(seq, &settings, &solution);
+            let done = match self.record(solution, &settings, &frame, claim).await {
+                // What was dragged is in the commit now.
+                Ok(()) => StreamWorkResult {
+                    frame: Some(frame),
+                    ..StreamWorkResult::default()
+                },
+                Err(error) => StreamWorkResult {
                     dragged: before,
                     refused: Some((seq, error)),
                     ..StreamWorkResult::default()
-                });
-            }
-            self.commit_solution(&solution, settings.solve.clone());
-            // What was dragged is in the commit now.
-            dragged.clear();
-            frames.revision = self.history.revision();
-        } else {
-            self.count_solve(&solution);
+                },
+            };
+            return mailbox.complete_work(done);
         }
+        self.count_solve(&solution);
         mailbox.complete_work(StreamWorkResult {
-            dragged,
+            dragged: turn.dragged,
             frame: Some(frames.final_frame(seq, &settings, &solution)),
             refused: None,
         });
+    }
+
+    /// Keeps a solved pose and commits it; its key, if it has one, stands for `frame` from now on.
+    async fn record(
+        &mut self,
+        solution: CommitSolution,
+        settings: &DeformOptions,
+        frame: &OutboundFrame,
+        claim: Option<KeyClaim<StoredAnswer>>,
+    ) -> Result<(), Error> {
+        let answered = claim.is_some().then(|| AnsweredFrame {
+            header: frame.header.clone(),
+            output: frame.output,
+        });
+        self.keep_pose(&solution, &settings.solve, answered, claim.as_ref())
+            .await?;
+        self.commit_solution(&solution, settings.solve.clone());
+        if let Some(claim) = claim {
+            let answer = StoredAnswer::Solved(Box::new(CommittedPose {
+                frame: frame.clone().into_request(&[], self.shared.config.part_bytes),
+                revision: self.history.revision(),
+                digest: solution.digest,
+            }));
+            let bytes = answer.byte_size();
+            claim.complete(answer, bytes);
+        }
+        Ok(())
+    }
+
+    /// Answers a commit that was recorded before. The drags that waited with it are part of it.
+    async fn answer_again(
+        &mut self,
+        mailbox: &Mailbox,
+        poses: &[WaitingPose],
+        before: DraggedPoses,
+        answer: StoredAnswer,
+    ) {
+        let Some(commit) = poses.last() else { return };
+        let limit = self.shared.config.build;
+        let order = || WorkOrder {
+            lane: WorkLane::Interactive,
+            flag: Arc::clone(&mailbox.cancel),
+            arrived: Instant::now(),
+            limit,
+        };
+        match self.recall_answer(answer, commit.seq, order).await {
+            Ok(frame) => {
+                let others: u32 = poses.iter().map(|p| p.poses).sum();
+                mailbox.settle_unsolved(Vec::new(), others.saturating_sub(1));
+                mailbox.complete_work(StreamWorkResult {
+                    frame: Some(frame),
+                    ..StreamWorkResult::default()
+                });
+            }
+            Err(error) => refuse_all(mailbox, poses, before, &error),
+        }
     }
 }
 

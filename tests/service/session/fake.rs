@@ -395,6 +395,7 @@ pub fn posed(seq: u64, changes: Vec<(String, HandlePose)>, commit: bool) -> Stre
     StreamRequest::Pose(StreamPose {
         seq,
         commit,
+        key: None,
         entries: Ok(changes.into_iter().map(entry).collect()),
     })
 }
