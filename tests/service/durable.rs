@@ -9,6 +9,7 @@ mod damage;
 mod faults;
 mod first_version;
 mod idle;
+mod leaving;
 mod restart;
 
 /// A session on a bar, with its ends as handles.

@@ -72,10 +72,15 @@ impl ServedProgram {
         self.child.wait().expect("it ends");
     }
 
-    /// Asks it to stop and waits for its end.
-    pub async fn stop(mut self) {
+    /// Asks it to stop, and returns at once.
+    pub fn ask_to_stop(&self) {
         let asked = Command::new("kill").args(["-TERM", &self.id().to_string()]).status();
         assert!(asked.expect("kill runs").success());
+    }
+
+    /// Asks it to stop and waits for its end, which has to be a good one.
+    pub async fn stop(mut self) {
+        self.ask_to_stop();
         let ended = within("the end", async {
             loop {
                 if let Some(status) = self.child.try_wait().expect("a child") {

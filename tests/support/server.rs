@@ -103,12 +103,7 @@ impl Server {
 
     /// A WebSocket on a path; the refusal when there is none.
     pub async fn socket(&self, path: &str) -> Result<Socket, tungstenite::Error> {
-        let url = format!("ws://{}{path}", self.address);
-        let config = tungstenite::protocol::WebSocketConfig::default().max_message_size(Some(64 << 20));
-        let connect = tokio_tungstenite::connect_async_with_config(url, Some(config), true);
-        within("a WebSocket", connect)
-            .await
-            .map(|(stream, _)| Socket { stream })
+        Socket::connect(&format!("ws://{}{path}", self.address)).await
     }
 
     /// A session with a bar and its two ends as handles; its id.
@@ -191,6 +186,14 @@ pub enum Came {
 }
 
 impl Socket {
+    /// A WebSocket on a `ws://` address; the refusal when there is none.
+    pub async fn connect(url: &str) -> Result<Self, tungstenite::Error> {
+        let config = tungstenite::protocol::WebSocketConfig::default().max_message_size(Some(64 << 20));
+        let connect = tokio_tungstenite::connect_async_with_config(url, Some(config), true);
+        let (stream, _) = within("a WebSocket", connect).await?;
+        Ok(Self { stream })
+    }
+
     pub async fn send(&mut self, message: pb::deform_request::Message) {
         let request = pb::DeformRequest {
             session_id: String::new(),

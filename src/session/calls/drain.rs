@@ -4,6 +4,10 @@ use crate::session::calls::manager::Manager;
 use crate::session::error::Error;
 use std::sync::atomic::Ordering::SeqCst;
 
+/// What a stream is told when its server stops.
+const GOING_AWAY: &str = "the server is shutting down; commits are still stored. Close this stream and open it again, with the resume token as \
+                          the session's id: a server with the same sessions goes on where it was";
+
 impl Manager {
     /// Whether new sessions are welcome: not draining, and memory below the high-water mark.
     pub fn admits(&self) -> bool {
@@ -12,17 +16,14 @@ impl Manager {
         !self.shared.draining.load(SeqCst) && ledger.used() as f64 <= mark
     }
 
-    /// Takes no new sessions and streams from now on, and tells the open streams.
+    /// Takes no new sessions and streams from now on, tells the open streams, and has what they committed stored.
     pub fn start_drain(&self) {
         if self.shared.draining.swap(true, SeqCst) {
             return;
         }
         for session in self.shared.registry.all() {
             for mailbox in session.streams.all() {
-                mailbox.send_notice(
-                    "going-away",
-                    "the server is shutting down; commit and open the stream again elsewhere",
-                );
+                mailbox.leave(GOING_AWAY);
             }
         }
     }

@@ -234,20 +234,11 @@ impl Mailbox {
     /// The next work, when there is some and its frame may be sent. `complete_work` must follow.
     pub fn take_work(&self) -> Option<StreamWork> {
         let mut state = self.lock_state();
-        if state.running
-            || state.held.is_some()
-            || state.ended.is_some()
-            || state.waiting.is_empty()
-            || state.frame_room() == 0
-        {
+        let count = state.work_at_hand();
+        if count == 0 {
             return None;
         }
-        let upto = state
-            .waiting
-            .iter()
-            .position(|w| w.commit)
-            .unwrap_or(state.waiting.len() - 1);
-        let poses = state.waiting.drain(..=upto).collect();
+        let poses = state.waiting.drain(..count).collect();
         state.running = true;
         Some(StreamWork {
             poses,
@@ -296,8 +287,7 @@ impl Mailbox {
             && let Some(mut frame) = done.frame
         {
             frame.header.superseded = std::mem::take(&mut state.superseded);
-            state.held = Some(frame);
-            state.promote_held_frame();
+            state.hold_frame(frame);
         }
         if let Some((seq, error)) = done.refused {
             self.refuse_pose(&mut state, seq, error);
@@ -310,17 +300,22 @@ impl Mailbox {
         self.lock_state().dragged.clear();
     }
 
-    /// Tells the client something.
-    pub fn send_notice(&self, code: &'static str, message: &'static str) {
+    /// The server is going: tells the client so, with what it gives to go on elsewhere, and has the commits that wait stored,
+    /// whether or not their frames are read.
+    pub fn leave(&self, message: &'static str) {
         let mut state = self.lock_state();
+        state.leaving = true;
+        let held = state.held.take();
+        state.frames.extend(held);
         if state.ended.is_none() && state.notes.len() < WAITING_NOTES {
             state.notes.push_back(StreamAnswer::Notice {
-                code,
+                code: "going-away",
                 message,
                 session: self.session.clone(),
             });
-            self.reader.notify_one();
         }
+        self.reader.notify_one();
+        self.task.notify_one();
     }
 
     /// Ends the stream from the server's side.

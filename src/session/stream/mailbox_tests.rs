@@ -133,6 +133,35 @@ fn a_window_of_one_holds_the_final_frame_until_the_first_is_acknowledged() {
 }
 
 #[test]
+fn commits_of_a_stream_that_leaves_do_not_wait_for_its_reader() {
+    let mailbox = mailbox(&SessionConfig::default());
+    mailbox.push(options(1)).expect("open");
+    mailbox.push(pose(1, &["a"], false)).expect("open");
+    let work = mailbox.take_work().expect("work");
+    mailbox.send_frame(frame(1, false));
+    complete(&mailbox, work);
+    for (seq, commit) in [(2, true), (3, false), (4, true), (5, false)] {
+        mailbox.push(pose(seq, &["a"], commit)).expect("open");
+    }
+    assert!(mailbox.take_work().is_none(), "the window is full");
+    mailbox.leave("the end is near");
+    let mut stored = Vec::new();
+    while let Some(work) = mailbox.take_work() {
+        stored.push(complete(&mailbox, work));
+    }
+    assert_eq!(stored, [2, 4], "a drag waits on");
+    assert!(matches!(
+        mailbox.next_item(),
+        Some(OutboundItem::Words(StreamAnswer::Notice { code: "going-away", .. }))
+    ));
+    let frames: Vec<_> = std::iter::from_fn(|| collect_frame(&mailbox)).collect();
+    let told: Vec<_> = frames.iter().map(|f| (f.seq, f.is_final)).collect();
+    assert_eq!(told, [(1, false), (1, true), (2, true), (4, true)]);
+    mailbox.push(StreamRequest::Ack(4)).expect("open");
+    assert_eq!(mailbox.take_work().map(|work| complete(&mailbox, work)), Some(5));
+}
+
+#[test]
 fn a_flood_is_merged_and_the_newest_entry_of_a_handle_wins() {
     let mailbox = mailbox(&SessionConfig {
         handles: 4,

@@ -30,6 +30,8 @@ pub(in crate::session) struct StreamState {
     pub pongs: VecDeque<u64>,
     /// No more requests will come.
     pub finished: bool,
+    /// The server is going: commits that wait are stored now, also behind frames that nobody takes.
+    pub leaving: bool,
     /// Nothing more is computed; an error to say, then the end.
     pub ended: Option<Option<Error>>,
 }
@@ -51,6 +53,7 @@ impl StreamState {
             notes: VecDeque::new(),
             pongs: VecDeque::new(),
             finished: false,
+            leaving: false,
             ended: None,
         }
     }
@@ -67,6 +70,30 @@ impl StreamState {
             && let Some(frame) = self.held.take()
         {
             self.frames.push_back(frame);
+        }
+    }
+
+    /// Puts the last frame of a piece of work where the transport finds it, or to the side until the window has room. Of a stream
+    /// that is leaving nothing is put aside: the commits that made these frames had their number.
+    pub fn hold_frame(&mut self, frame: OutboundFrame) {
+        if self.leaving {
+            self.frames.push_back(frame);
+        } else {
+            self.held = Some(frame);
+            self.promote_held_frame();
+        }
+    }
+
+    /// How many of the waiting poses the session may have: all up to the first commit, or all that wait, when their frame has a
+    /// place; while the server is going, a commit does not wait for one.
+    pub fn work_at_hand(&self) -> usize {
+        let to_commit = self.waiting.iter().position(|w| w.commit).map(|at| at + 1);
+        let is_blocked = self.held.is_some() || self.frame_room() == 0;
+        match to_commit {
+            _ if self.running || self.ended.is_some() => 0,
+            Some(upto) if self.leaving || !is_blocked => upto,
+            None if !is_blocked => self.waiting.len(),
+            _ => 0,
         }
     }
 

@@ -52,13 +52,7 @@ impl SessionTask {
         if state.handles.set.handles.is_empty() {
             return refuse_all(&mailbox, &poses, before, &no_handles());
         }
-        let unsolved: Vec<WaitingPose> = poses
-            .iter()
-            .map(|p| WaitingPose {
-                entries: Vec::new(),
-                ..p.clone()
-            })
-            .collect();
+        let unsolved = without_entries(&poses);
         let claim = match poses.last().and_then(|p| p.key.as_ref()) {
             None => None,
             Some(key) => match self.claim_stream_commit(key) {
@@ -129,19 +123,16 @@ impl SessionTask {
         if commit {
             frames.revision = self.history.revision() + 1;
             let frame = frames.final_frame(seq, &settings, &solution);
-            let done = match self.record(solution, &settings, &frame, claim).await {
+            let (dragged, frame, refused) = match self.record(solution, &settings, &frame, claim).await {
                 // What was dragged is in the commit now.
-                Ok(()) => StreamWorkResult {
-                    frame: Some(frame),
-                    ..StreamWorkResult::default()
-                },
-                Err(error) => StreamWorkResult {
-                    dragged: before,
-                    refused: Some((seq, error)),
-                    ..StreamWorkResult::default()
-                },
+                Ok(()) => (DraggedPoses::new(), Some(frame), None),
+                Err(error) => (before, None, Some((seq, error))),
             };
-            return mailbox.complete_work(done);
+            return mailbox.complete_work(StreamWorkResult {
+                dragged,
+                frame,
+                refused,
+            });
         }
         self.count_solve(&solution);
         mailbox.complete_work(StreamWorkResult {
@@ -206,6 +197,15 @@ impl SessionTask {
             Err(error) => refuse_all(mailbox, poses, before, &error),
         }
     }
+}
+
+/// What is needed of poses to say what became of them.
+fn without_entries(poses: &[WaitingPose]) -> Vec<WaitingPose> {
+    let bare = |p: &WaitingPose| WaitingPose {
+        entries: Vec::new(),
+        ..p.clone()
+    };
+    poses.iter().map(bare).collect()
 }
 
 fn refuse_all(mailbox: &Mailbox, poses: &[WaitingPose], dragged: DraggedPoses, error: &Error) {

@@ -124,6 +124,11 @@ async fn of_streams(server: &Server, id: &str) -> Vec<Said> {
         ..pb::Options::default()
     };
     refused("a window that is too large", deform_request::Message::Options(wide)).await;
+    let keyed = pb::Pose {
+        idempotency_key: "mine".into(),
+        ..turned(1, 0.1, false)
+    };
+    refused("a key of a drag", deform_request::Message::Pose(keyed)).await;
     said
 }
 

@@ -545,7 +545,7 @@ class SetHandlesRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., handles: _Optional[_Iterable[_Union[Handle, _Mapping]]] = ..., symmetry_plane: _Optional[_Union[Plane, _Mapping]] = ..., region_of_interest: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
 
 class Pose(_message.Message):
-    __slots__ = ("seq", "handles", "commit")
+    __slots__ = ("seq", "handles", "commit", "idempotency_key")
     class Entry(_message.Message):
         __slots__ = ("id", "pose")
         ID_FIELD_NUMBER: _ClassVar[int]
@@ -556,10 +556,12 @@ class Pose(_message.Message):
     SEQ_FIELD_NUMBER: _ClassVar[int]
     HANDLES_FIELD_NUMBER: _ClassVar[int]
     COMMIT_FIELD_NUMBER: _ClassVar[int]
+    IDEMPOTENCY_KEY_FIELD_NUMBER: _ClassVar[int]
     seq: int
     handles: _containers.RepeatedCompositeFieldContainer[Pose.Entry]
     commit: bool
-    def __init__(self, seq: _Optional[int] = ..., handles: _Optional[_Iterable[_Union[Pose.Entry, _Mapping]]] = ..., commit: bool = ...) -> None: ...
+    idempotency_key: str
+    def __init__(self, seq: _Optional[int] = ..., handles: _Optional[_Iterable[_Union[Pose.Entry, _Mapping]]] = ..., commit: bool = ..., idempotency_key: _Optional[str] = ...) -> None: ...
 
 class Output(_message.Message):
     __slots__ = ("normals", "tangents", "changed_only", "encoding", "self_intersections")

@@ -3054,7 +3054,9 @@ export const CancelSchema: GenMessage<Cancel> = /*@__PURE__*/
  */
 export type Notice = Message<"pliant.v1.Notice"> & {
   /**
-   * A stable kebab-case code, such as "going-away".
+   * A stable kebab-case code. "going-away": the server stops. Commits that were sent are stored and answered; the client then
+   * closes the stream, opens it anew, asking again while the answer is UNAVAILABLE, and sends its newest pose and the commits
+   * that have no answer, these with their idempotency_key. A client that stays is cut at the server's deadline.
    *
    * @generated from field: string code = 1;
    */
@@ -3068,7 +3070,7 @@ export type Notice = Message<"pliant.v1.Notice"> & {
   message: string;
 
   /**
-   * What a client gives to go on elsewhere: the session id today.
+   * What a client gives as the session's id when it opens the stream again.
    *
    * @generated from field: string resume_token = 3;
    */
