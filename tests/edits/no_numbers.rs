@@ -55,3 +55,27 @@ fn texture_coordinates_that_are_no_numbers_are_told_and_never_written_anew() {
         }
     }
 }
+
+#[test]
+fn what_would_collapse_into_nothing_is_not_written() {
+    let far = "v 1e9 1e9 1e9\nv 1000000001 1e9 1e9\nv 1e9 1000000001 1e9\nf 1 2 3\n";
+    let model = Model::read(FileSet::single("far.obj", far), None, &Limits::default()).expect("readable");
+    for format in [Format::GLB, Format::GLTF, Format::STL] {
+        for written in [
+            model.write(&model.positions, format),
+            Edited::of(&model, true).write(&model, format),
+        ] {
+            let refused = written.expect_err("nobody could open it again").to_string();
+            assert!(
+                refused.contains("collapses") && refused.contains("write obj, ply or off"),
+                "{refused}"
+            );
+        }
+    }
+    for format in [Format::OBJ, Format::PLY, Format::OFF] {
+        let written = Edited::of(&model, true)
+            .write(&model, format)
+            .expect("double precision");
+        assert_eq!(read_back(&written, format).triangles.len(), 4, "{format}");
+    }
+}

@@ -83,6 +83,11 @@ pub(super) trait FormatCodec: Sync {
     /// Makes fresh files of a model that came in another format.
     fn build(&self, neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error>;
 
+    /// Whether positions are rounded to single precision in this format.
+    fn rounds_to_single(&self) -> bool {
+        false
+    }
+
     /// Whether files built in this format hold more of a model than its geometry.
     fn takes_attributes(&self) -> bool {
         true

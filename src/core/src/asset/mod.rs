@@ -37,6 +37,7 @@ mod moving_scene;
 mod neutral;
 mod node;
 mod played_clip;
+mod precision;
 pub mod sample;
 pub mod shapes;
 mod surface_nets;

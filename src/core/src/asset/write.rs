@@ -7,6 +7,7 @@ use super::files::ReadWatch;
 use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
 use super::neutral::NeutralModel;
+use super::precision::check_precision;
 use super::{Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use crate::progress::{Progress, Silent};
 use glam::{DAffine3, DVec3};
@@ -157,6 +158,7 @@ impl Model {
                 ..WrittenFiles::from_upload(&self.files)
             });
         }
+        check_precision(format, positions, &self.geometry.triangles)?;
         let codec = writer_of(format)?;
         if codec.patches_files_of(self.format) {
             return codec.patch_positions(self, positions, format, followers);
@@ -264,6 +266,7 @@ pub fn write_edited_model_following<'a>(
     followers: impl Into<ShapeFollowers<'a>>,
 ) -> Result<WrittenFiles, Error> {
     edited::check(edited, positions, format)?;
+    check_precision(format, positions, edited.triangles)?;
     let followers = followers.into();
     let mut written = write_checked_edit(edited, positions, format, &followers)?;
     if (edited.bases.first()).is_some_and(|base| codec_of(format).edits(base.model.format)) {

@@ -48,6 +48,10 @@ impl FormatCodec for StlCodec {
         patch(model, positions).map(WrittenFiles::single)
     }
 
+    fn rounds_to_single(&self) -> bool {
+        true
+    }
+
     fn takes_attributes(&self) -> bool {
         false
     }

@@ -112,6 +112,10 @@ impl FormatCodec for GltfCodec {
         format == GLB_FORMAT || format == GLTF_FORMAT
     }
 
+    fn rounds_to_single(&self) -> bool {
+        true
+    }
+
     fn read(&self, files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
         let (geometry, notes) = read::read(files, format, watch)?;
         Ok((geometry, Arc::new(notes)))
