@@ -1,6 +1,8 @@
 //! What sessions answer, as messages of the schema.
 
-use crate::session::{CarriedAlong, CommittedEdit, HistoryFacts, SessionConfig, SessionFacts, SessionList};
+use crate::session::{
+    CarriedAlong, CommittedEdit, HistoryFacts, QuotaReport, QuotaUse, SessionConfig, SessionFacts, SessionList,
+};
 use crate::wire::{edit_result, handle_poses_message, page_token, pb, session_message};
 
 /// Writes a session as its owner sees it.
@@ -81,5 +83,23 @@ pub(super) fn limits_message(config: &SessionConfig) -> pb::Limits {
         clip_joints: narrow(config.clip_joints),
         animation_frames: narrow(config.animation_frames),
         animation_vertices: config.animation_vertices,
+        quotas: None,
+    }
+}
+
+/// Writes the limits with what a tenant may use of them, and what is left.
+pub(super) fn limits_left(config: &SessionConfig, report: &QuotaReport) -> pb::Limits {
+    let told = |quota: Option<QuotaUse>| quota.map(|QuotaUse { allowed, left }| pb::QuotaState { allowed, left });
+    let quotas = (*report != QuotaReport::default()).then(|| pb::Quotas {
+        sessions: told(report.sessions),
+        memory_bytes: told(report.memory_bytes),
+        stored_bytes: told(report.stored_bytes),
+        upload_bytes_per_minute: told(report.upload_bytes_per_minute),
+        solve_seconds_per_minute: told(report.solve_seconds_per_minute),
+        streams: told(report.streams),
+    });
+    pb::Limits {
+        quotas,
+        ..limits_message(config)
     }
 }

@@ -4,8 +4,8 @@ use super::auth::Gatekeeper;
 use super::config::ServerConfig;
 use super::telemetry::Telemetry;
 use super::tls::TlsDoor;
-use super::uploads::Budget;
-use crate::session::Manager;
+use super::uploads::{Budget, Held};
+use crate::session::{Error, Manager, Tenant};
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
@@ -38,6 +38,19 @@ pub(super) struct Inner {
 }
 
 impl State {
+    /// Starts an upload of a tenant; one whose length is announced is refused before any of it is read.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` where it is too large, or the tenant's quota is used up.
+    pub fn hold_upload(&self, tenant: &Tenant, announced: Option<u64>) -> Result<Held, Error> {
+        let account = self.manager.account(tenant)?;
+        if let Some(bytes) = announced {
+            self.uploads.announce(bytes)?;
+            account.check_upload(bytes)?;
+        }
+        Ok(self.uploads.hold().of_tenant(account))
+    }
+
     /// The state of a new server.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
 //! Bytes of uploads that are on their way: they belong to no session yet, so they are counted here.
 
-use crate::session::{Error, ErrorCode, MemoryLedger, MemoryReservation, MemoryUse};
+use crate::session::{Error, ErrorCode, MemoryLedger, MemoryReservation, MemoryUse, TenantAccount};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -20,6 +20,8 @@ pub(super) struct Held {
     bytes: u64,
     /// The same bytes in the ledger of everything that is held.
     counted: Option<MemoryReservation>,
+    /// Whose it is.
+    account: Option<Arc<TenantAccount>>,
 }
 
 impl Budget {
@@ -39,6 +41,7 @@ impl Budget {
             budget: self.clone(),
             bytes: 0,
             counted: self.ledger.reserve(MemoryUse::Uploads, 0, 0),
+            account: None,
         }
     }
 
@@ -66,6 +69,13 @@ impl Budget {
 }
 
 impl Held {
+    /// The same, counted as the upload of a tenant.
+    #[must_use]
+    pub fn of_tenant(mut self, account: Arc<TenantAccount>) -> Self {
+        self.account = Some(account);
+        self
+    }
+
     /// Takes `bytes` more.
     ///
     /// # Errors
@@ -75,6 +85,9 @@ impl Held {
         let mine = self.bytes.saturating_add(bytes);
         if mine > self.budget.each {
             return Err(self.budget.too_large(mine));
+        }
+        if let Some(account) = &self.account {
+            account.take_upload(bytes, mine)?;
         }
         let before = self.budget.used.fetch_add(bytes, Ordering::Relaxed);
         self.bytes = mine;

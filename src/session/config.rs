@@ -2,6 +2,7 @@
 
 use crate::session::animation::prepared_animation::AnimationLimits;
 use crate::session::error::Error;
+use crate::session::quota::tenant_quota::{TenantQuota, TenantQuotas};
 use crate::wire::StreamLimits;
 use crate::{asset, engine};
 use std::ops::RangeInclusive;
@@ -74,6 +75,8 @@ pub struct SessionConfig {
     pub idempotency_age: Duration,
     /// Idempotency keys kept for one tenant.
     pub idempotency_keys: usize,
+    /// What each tenant may use.
+    pub quotas: TenantQuotas,
     /// How long open work may go on once the server is asked to stop; enforced by the server.
     pub drain: Duration,
 }
@@ -113,6 +116,7 @@ impl Default for SessionConfig {
             compute_wait: Duration::from_secs(30),
             idempotency_age: Duration::from_secs(600),
             idempotency_keys: 1000,
+            quotas: TenantQuotas::default(),
             drain: Duration::from_secs(10),
         }
     }
@@ -180,6 +184,8 @@ impl SessionConfig {
         )?;
         at_least("ttl", self.default_ttl.as_millis(), MIN_TTL.as_millis())?;
         at_most("ttl", self.default_ttl.as_millis(), self.max_ttl.as_millis())?;
+        self.quotas.default.validate()?;
+        self.quotas.named.values().try_for_each(TenantQuota::validate)?;
         if !(self.high_water > 0.0 && self.high_water <= 1.0) {
             return Err(Error::invalid(
                 "high_water",

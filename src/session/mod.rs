@@ -17,6 +17,7 @@
 //! | `history` | the ordered commits and their shapes; the engine and what it holds |
 //! | `stream` | a stream's ends, its state, poses that wait, frames on their way out |
 //! | `animation` | an animation's task, its frames on their way out, its ends |
+//! | `quota` | what each tenant may use, and what it uses |
 //! | `capacity` | compute slots, bytes, leases, who is still inside, giving work up |
 //! | `registry`, `shared` | the sessions that are open, and what they share |
 //! | `engine` | what a session needs of the thing that deforms its model |
@@ -34,6 +35,7 @@ mod error;
 mod history;
 mod keeping;
 mod metrics;
+mod quota;
 mod registry;
 mod shared;
 pub mod store;
@@ -53,4 +55,6 @@ pub use config::{MIN_TTL, SessionConfig};
 pub use engine::{Engine, EngineOpener, OpenDeformer};
 pub use error::{Error, ErrorCode};
 pub use metrics::Metrics;
+pub use quota::tenant_account::{QuotaReport, QuotaUse, TenantAccount};
+pub use quota::tenant_quota::{TenantQuota, TenantQuotas};
 pub use stream::ends::{DeformStream, StreamInput, StreamOutput};

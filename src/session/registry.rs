@@ -19,6 +19,7 @@ use glam::DVec3;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
+use std::time::Duration;
 use tokio::sync::{Notify, mpsc};
 use tokio_util::sync::CancellationToken;
 
@@ -207,6 +208,15 @@ impl SessionRegistry {
     /// A session in memory, its lease left as it is.
     pub fn peek(&self, id: &str) -> Option<Arc<OpenSession>> {
         self.0.get(id).map(|entry| Arc::clone(entry.value()))
+    }
+
+    /// How long it takes until one of the tenant's sessions in memory ends by itself, if nobody uses it.
+    pub fn soonest_end(&self, tenant: &Tenant) -> Duration {
+        let own = self.all().into_iter().filter(|session| session.tenant == *tenant);
+        let soonest = own.map(|session| session.lease.end()).min();
+        soonest.map_or(Duration::from_secs(60), |end| {
+            end.saturating_duration_since(tokio::time::Instant::now())
+        })
     }
 
     /// The tenant's session of that id, its lease renewed.

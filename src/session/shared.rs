@@ -10,6 +10,7 @@ use crate::session::config::SessionConfig;
 use crate::session::engine::EngineOpener;
 use crate::session::keeping::session_locks::SessionLocks;
 use crate::session::metrics::Metrics;
+use crate::session::quota::tenant_accounts::TenantAccounts;
 use crate::session::registry::SessionRegistry;
 use crate::session::store::SessionStore;
 use std::sync::Arc;
@@ -25,6 +26,8 @@ pub(super) struct SharedResources {
     pub ledger: Arc<MemoryLedger>,
     /// One permit for each session that may be held.
     pub seats: Arc<Semaphore>,
+    /// What each tenant uses.
+    pub accounts: TenantAccounts,
     /// One permit for each animation that may be under way.
     pub animations: Arc<Semaphore>,
     pub registry: SessionRegistry,

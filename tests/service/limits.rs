@@ -122,6 +122,7 @@ fn limits_without_a_key_are_those_of_the_program() {
         compute_wait,
         idempotency_age,
         idempotency_keys,
+        quotas: _,
         drain: _,
     } = session::SessionConfig::default();
     assert_eq!(

@@ -1,7 +1,9 @@
 //! Who may do what, from outside: tokens, certificates, and what a server refuses to be started as.
 
 mod certificates;
+mod isolation;
 mod jwt;
+mod quotas;
 mod start;
 mod tokens;
 

@@ -1,8 +1,10 @@
 //! The keys of the configuration, written down once: for the command line, the file and the environment.
 
 use super::auth_table::AuthTable;
+use super::quota_table::QuotaTable;
 use super::units::{ByteSize, TimeSpan, WordList};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::collections::BTreeMap;
 
 /// The keys of the configuration: each is a flag of the command line, a line of the file and an environment variable. A
 /// key that is absent leaves the default.
@@ -142,6 +144,14 @@ pub struct ConfigKeys {
     #[arg(skip)]
     #[serde(skip_serializing)]
     pub auth: Option<AuthTable>,
+    /// What each tenant may use that is not named below; a table of the file.
+    #[arg(skip)]
+    #[serde(skip_serializing)]
+    pub quotas: Option<QuotaTable>,
+    /// What those may use that are named; a table of the file for each.
+    #[arg(skip)]
+    #[serde(skip_serializing)]
+    pub tenants: Option<BTreeMap<String, QuotaTable>>,
 }
 
 impl ConfigKeys {

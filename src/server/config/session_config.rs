@@ -4,8 +4,31 @@ use super::Error;
 use super::keys::KeyValue;
 use super::sources::MergedKeys;
 use super::units::ByteSize;
-use crate::session;
+use crate::session::{self, TenantQuota, TenantQuotas};
 use std::time::Duration;
+
+/// Reads what each tenant may use.
+fn quotas_from_keys(merged: &MergedKeys) -> Result<TenantQuotas, Error> {
+    let check = |place: String, quota: TenantQuota| match quota.validate() {
+        Ok(()) => Ok(quota),
+        Err(error) => {
+            let key = error.field.as_deref().unwrap_or_default();
+            let problem = error.message.strip_prefix(key).unwrap_or(&error.message);
+            Err(merged.refuse(
+                &format!("{place}.{key}"),
+                problem.trim_start_matches([':', ' ']).to_owned(),
+            ))
+        }
+    };
+    let default = merged.keys.quotas.clone().unwrap_or_default();
+    let named = merged.keys.tenants.clone().unwrap_or_default().into_iter();
+    Ok(TenantQuotas {
+        default: check("quotas".into(), default.into())?,
+        named: named
+            .map(|(name, table)| Ok((name.clone(), check(format!("tenants.{name}"), table.into())?)))
+            .collect::<Result<_, Error>>()?,
+    })
+}
 
 /// Reads the keys that concern sessions; those that are absent leave the defaults.
 pub(super) fn session_config_from_keys(merged: &MergedKeys) -> Result<session::SessionConfig, Error> {
@@ -38,6 +61,7 @@ pub(super) fn session_config_from_keys(merged: &MergedKeys) -> Result<session::S
     config.sessions = KeyValue::read(&keys.sessions).map_or(config.sessions, wide);
     config.window = KeyValue::read(&keys.window).unwrap_or(config.window);
     config.max_ttl = KeyValue::read(&keys.max_ttl).map_or(config.max_ttl, |span| span.0);
+    config.quotas = quotas_from_keys(merged)?;
     let default_ttl = config.default_ttl.min(config.max_ttl);
     config.default_ttl = KeyValue::read(&keys.ttl).map_or(default_ttl, |span| span.0);
     config.idle = KeyValue::read(&keys.idle).map_or(config.idle, |span| span.0);

@@ -94,7 +94,7 @@ fn refuse_unreadable(sources: &Figment, error: &figment::Error) -> Error {
                 key: name.clone(),
                 place: if error.metadata.is_some() { place } else { file },
                 problem: format!(
-                    "no such key; allowed are {}, and the table auth",
+                    "no such key; allowed are {}, and the tables auth, quotas and tenants",
                     ConfigKeys::names().join(", ")
                 ),
             }

@@ -70,7 +70,7 @@ impl OpenAnimation {
         state.manager.get(tenant, &id).await.map_err(status)?;
         let config = state.manager.config();
         let order = animate_order(&options, config.window, config.clip_bytes).map_err(|e| status(e.into()))?;
-        let order = with_announced_clip(&state, order, &mut inbound).await?;
+        let order = with_announced_clip((&state, tenant), order, &mut inbound).await?;
         let (input, output) = state.manager.animate(tenant, &id, order).await.map_err(status)?;
         let (tell, ended) = oneshot::channel();
         let pump = tokio::spawn(async move {
@@ -119,7 +119,7 @@ async fn next_message(
 
 /// Receives the clip whose size the options have announced.
 async fn with_announced_clip(
-    state: &State,
+    (state, tenant): (&State, &Tenant),
     order: AnimateOrder,
     inbound: &mut Streaming<pb::AnimateRequest>,
 ) -> Result<AnimateOrder, Status> {
@@ -128,7 +128,7 @@ async fn with_announced_clip(
     };
     let refuse = |problem: String| status(Error::invalid("chunk", problem));
     let patience = state.config.keepalive_interval + state.config.keepalive_timeout;
-    let mut held = state.uploads.hold();
+    let mut held = state.hold_upload(tenant, Some(size)).map_err(status)?;
     let mut clip = Vec::new();
     while (clip.len() as u64) < size {
         let Some(Message::Chunk(chunk)) = next_message(state, inbound, patience).await? else {

@@ -96,7 +96,7 @@ fn sent<T: Send + 'static>(items: impl IntoIterator<Item = T, IntoIter: Send + '
 impl Deformer for Calls {
     async fn create_session(&self, request: Request<Streaming<pb::CreateSessionRequest>>) -> GrpcAnswer<pb::Session> {
         let (tenant, key, inbound) = work(&self.state, request)?;
-        let upload::Upload { files, options, held } = upload::receive(&self.state, inbound).await?;
+        let upload::Upload { files, options, held } = upload::receive(&self.state, &tenant, inbound).await?;
         let key = call_key(key, &options);
         let manager = &self.state.manager;
         let options = wire::session_options(&options, manager.config().ttl_range()).map_err(refused)?;
@@ -234,8 +234,10 @@ impl Deformer for Calls {
     }
 
     async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> GrpcAnswer<pb::Limits> {
-        tenant(&request)?;
-        Ok(Response::new(messages::limits_message(self.state.manager.config())))
+        let tenant = tenant(&request)?;
+        let manager = &self.state.manager;
+        let left = manager.quotas_left(&tenant).await.map_err(status)?;
+        Ok(Response::new(messages::limits_left(manager.config(), &left)))
     }
 }
 

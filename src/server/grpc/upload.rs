@@ -5,7 +5,7 @@ use crate::asset::FileSet;
 use crate::server::state::State;
 use crate::server::upload_pace::UploadPace;
 use crate::server::uploads::Held;
-use crate::session::Error;
+use crate::session::{Error, Tenant};
 use crate::wire::pb::{self, create_session_request::Message};
 use bytes::Bytes;
 use prost::Message as _;
@@ -26,9 +26,13 @@ pub(super) struct Upload {
 ///
 /// # Cancel safety
 /// Dropping it gives back what was received.
-pub(super) async fn receive(state: &State, mut inbound: Streaming<pb::CreateSessionRequest>) -> Result<Upload, Status> {
+pub(super) async fn receive(
+    state: &State,
+    tenant: &Tenant,
+    mut inbound: Streaming<pb::CreateSessionRequest>,
+) -> Result<Upload, Status> {
     let mut parts = UploadParts {
-        held: state.uploads.hold(),
+        held: state.hold_upload(tenant, None).map_err(status)?,
         main: Vec::new(),
         options: None,
         companions: BTreeMap::new(),

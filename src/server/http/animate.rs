@@ -103,8 +103,8 @@ struct AnimationForm {
 
 async fn received_form(state: &State, request: Request) -> Result<AnimationForm, Problem> {
     let clip_bytes = usize::try_from(state.manager.config().clip_bytes).unwrap_or(usize::MAX);
+    let mut held = FormReader::hold_upload(state, &request)?;
     let mut form = FormReader::of_request(state, request)?;
-    let mut held = state.uploads.hold();
     let mut parts = AnimationForm::default();
     while let Some(mut field) = form.next_field().await? {
         let name = field.name().unwrap_or_default().to_owned();

@@ -13,6 +13,7 @@ use super::sessions::session_json;
 use super::upload_body::next_bytes;
 use crate::asset::sample::BuiltInModel;
 use crate::asset::{FileSet, Format};
+use crate::server::auth;
 use crate::server::sample;
 use crate::server::state::State;
 use crate::server::upload_pace::UploadPace;
@@ -95,10 +96,8 @@ pub(super) fn built_in_model(parameter: &str, name: &str) -> Result<BuiltInModel
 
 /// The body as the model.
 async fn raw(state: &State, request: Request) -> Result<Received, Problem> {
-    if let Some(length) = body::announced(request.headers()) {
-        state.uploads.announce(length)?;
-    }
-    let mut held = state.uploads.hold();
+    let tenant = &auth::principal(request.extensions())?.tenant;
+    let mut held = state.hold_upload(tenant, body::announced(request.headers()))?;
     let mut stream = request.into_body().into_data_stream();
     let mut pace = UploadPace::new(&state.config);
     let mut main = Vec::new();

@@ -3,8 +3,10 @@
 use super::body;
 use super::problem::Problem;
 use super::upload_body::next_bytes;
+use crate::server::auth;
 use crate::server::state::State;
 use crate::server::upload_pace::UploadPace;
+use crate::server::uploads::Held;
 use crate::session::{Error, ErrorCode};
 use axum::extract::Request;
 use http::header;
@@ -19,7 +21,15 @@ pub(super) struct FormReader {
 }
 
 impl FormReader {
-    /// A reader of the body; refuses an announced length that is too large.
+    /// Starts the upload that a form is; refuses an announced length that is too large. Headers of parts do not count, so that the
+    /// refusal leaves them room.
+    pub fn hold_upload(state: &State, request: &Request) -> Result<Held, Problem> {
+        let tenant = &auth::principal(request.extensions())?.tenant;
+        let announced = body::announced(request.headers()).map(|length| length.saturating_sub(1 << 20));
+        Ok(state.hold_upload(tenant, announced)?)
+    }
+
+    /// A reader of the body.
     pub fn of_request(state: &State, request: Request) -> Result<Self, Problem> {
         let content_type = request
             .headers()
@@ -31,10 +41,6 @@ impl FormReader {
                 "the content type multipart/form-data names no boundary",
             ))
         })?;
-        if let Some(length) = body::announced(request.headers()) {
-            // Headers of parts do not count, so the refusal of an announced length leaves them room.
-            state.uploads.announce(length.saturating_sub(1 << 20))?;
-        }
         let stopped: Arc<Mutex<Option<Problem>>> = Arc::default();
         let stream = request.into_body().into_data_stream();
         let chunks = futures::stream::unfold(

@@ -90,6 +90,7 @@ pub(super) async fn history(
     ))
 }
 
-pub(super) async fn limits(From(state): From<State>, _: Caller) -> Result<Response, Problem> {
-    json(&messages::limits_message(state.manager.config()))
+pub(super) async fn limits(From(state): From<State>, caller: Caller) -> Result<Response, Problem> {
+    let left = state.manager.quotas_left(&caller.tenant).await?;
+    json(&messages::limits_left(state.manager.config(), &left))
 }

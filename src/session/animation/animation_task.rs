@@ -152,6 +152,7 @@ impl AnimationTask {
             memory.resize(prepared.byte_size() + cursor.byte_size());
             shared.metrics.cycles.inc_by(solved.cycles as u64);
             shared.metrics.solve.observe(watch.elapsed().as_secs_f64());
+            self.running.charge_work(watch.elapsed());
             self.session.lease.renew();
             if let Some(mut frame) = solved.frame {
                 frame.header.queue_ms = queued;

@@ -1,8 +1,10 @@
 //! One animation under way, with its place among the others.
 
 use crate::session::metrics::{GaugeUnit, Metrics};
+use crate::session::quota::tenant_account::TenantStream;
 use crate::session::registry::OpenSession;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::OwnedSemaphorePermit;
 
 /// One animation under way, until it is dropped.
@@ -10,18 +12,29 @@ use tokio::sync::OwnedSemaphorePermit;
 pub(in crate::session) struct RunningAnimation {
     session: Arc<OpenSession>,
     _counted: GaugeUnit,
-    _permit: OwnedSemaphorePermit,
+    places: (OwnedSemaphorePermit, TenantStream),
 }
 
 impl RunningAnimation {
-    /// Counts one more; `permit` is its place among all of the server's.
-    pub fn on_session(session: &Arc<OpenSession>, permit: OwnedSemaphorePermit, metrics: &Metrics) -> Self {
+    /// Counts one more; `places` are those among all of the server's, and among the tenant's streams.
+    pub fn on_session(
+        session: &Arc<OpenSession>,
+        places: (OwnedSemaphorePermit, TenantStream),
+        metrics: &Metrics,
+    ) -> Self {
         session.animations.count_one_more();
         Self {
             session: Arc::clone(session),
             _counted: GaugeUnit::add_to(&metrics.animations),
-            _permit: permit,
+            places,
         }
+    }
+}
+
+impl RunningAnimation {
+    /// Counts work that was done for it.
+    pub fn charge_work(&self, time: Duration) {
+        self.places.1.charge_work(time);
     }
 }
 

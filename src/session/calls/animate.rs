@@ -35,7 +35,12 @@ impl Manager {
             let most = shared.config.animations;
             Error::exhausted(format!("{most} animations are under way, no more are allowed"), 5)
         })?;
-        let running = RunningAnimation::on_session(&session, permit, &shared.metrics);
+        let account = self.account(tenant)?;
+        account.check_work()?;
+        let place = account.take_stream().inspect_err(|_| {
+            shared.metrics.refused.inc();
+        })?;
+        let running = RunningAnimation::on_session(&session, (permit, place), &shared.metrics);
         let outbox = Arc::new(FrameOutbox::with_window(order.window));
         let ends = animation_ends(&outbox, shared.config.part_bytes, &shared.metrics, shared.gate.enter());
         let task = AnimationTask {

@@ -1,24 +1,17 @@
 //! Opens sessions: checks what can be checked for nothing, takes a seat and memory, builds the engine, starts the task.
 
-use crate::asset::{self, FileSet};
-use crate::engine::{self, HandleSet, OpenOptions, digest};
-use crate::exec::Exec;
+use crate::asset::FileSet;
+use crate::engine::OpenOptions;
 use crate::session::animation::open_animations::OpenAnimations;
 use crate::session::answers::{CallKey, SessionFacts, Tenant};
 use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint};
-use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::memory_ledger::MemoryReservation;
-use crate::session::capacity::memory_use::MemoryUse;
+use crate::session::calls::model_opening::{OpenedModel, open_model};
+use crate::session::calls::session_places::{SessionPlaces, place_of_tenant};
 use crate::session::capacity::session_lease::SessionLease;
-use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
-use crate::session::engine::Engine;
+use crate::session::capacity::work_watch::CancelOnDrop;
 use crate::session::error::{Error, ErrorCode};
-use crate::session::history::commit_history::CommitHistory;
-use crate::session::history::loaded_deformer::LoadedDeformer;
-use crate::session::history::session_state::EditedState;
 use crate::session::keeping::kept_session::KeptSession;
-use crate::session::keeping::made_room::make_room;
 use crate::session::keeping::residence::Residence;
 use crate::session::registry::{OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
@@ -29,13 +22,8 @@ use crate::wire::record::{FileReferences, LoggedCommit, RecordedModel};
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Arc, OnceLock, RwLock};
 use std::time::{Duration, Instant};
-use tokio::sync::{Notify, OwnedSemaphorePermit, mpsc};
+use tokio::sync::{Notify, mpsc};
 use tokio_util::sync::CancellationToken;
-
-/// Bytes that a build is expected to need for each uploaded byte, until its real size is known.
-const BYTES_PER_UPLOADED_BYTE: u64 = 32;
-/// Bytes below which no build is tried.
-const LEAST_BYTES: u64 = 1 << 20;
 
 /// See [`super::Manager::create`].
 ///
@@ -66,17 +54,12 @@ pub(in crate::session) async fn create_session(
         None => None,
     };
     let arrived = Instant::now();
-    let (seat, memory) = reserve_place(shared, upload).await?;
+    let of_tenant = place_of_tenant(shared, tenant, upload).await?;
+    let mut places = SessionPlaces::reserve(shared, of_tenant, upload).await?;
     let guard = CancelOnDrop::default();
     let SessionOptions { open, label, ttl } = options;
     let kept_files = shared.store.is_some().then(|| (files.clone(), open.clone()));
-    let opened = open_model(shared, &memory, (files, open), arrived, &guard).await?;
-    if !memory.resize(opened.held) {
-        let used = shared.ledger.used().saturating_sub(opened.held);
-        shared.compute.discard(opened.deformer);
-        let text = format!("the session needs {} bytes and {used} are in use", opened.held);
-        return Err(refuse(shared, text));
-    }
+    let opened = open_model(shared, &places, (files, open), arrived, &guard).await?;
     let owner = SessionOwner {
         id: new_id()?,
         number: shared.numbers.fetch_add(1, SeqCst),
@@ -92,11 +75,12 @@ pub(in crate::session) async fn create_session(
                 shared.metrics.store_failures.inc();
                 tracing::error!("a session could not be stored: {error}");
             })?;
+            places.of_tenant.outlive();
             Some(kept)
         }
         _ => None,
     };
-    let session = start_session(shared, owner, opened, (memory, seat), kept);
+    let session = start_session(shared, owner, opened, places, kept);
     shared.metrics.sessions_created.inc();
     // An abort that began meanwhile may have missed this session.
     if shared.aborted.is_cancelled() {
@@ -133,50 +117,6 @@ async fn claim_key(
     let files = files.clone();
     let fingerprint = shared.compute.offload(move || fingerprint(&files, &request)).await?;
     shared.idempotency.claim(tenant, &key, fingerprint).map(Some)
-}
-
-/// Counts a session that finds no place, and says why.
-fn refuse(shared: &SharedResources, text: String) -> Error {
-    shared.metrics.refused.inc();
-    Error::exhausted(text, 5)
-}
-
-/// Takes a seat, and the memory that a model of `upload` bytes is likely to need. Idle sessions that are kept make room for it.
-pub(in crate::session) async fn reserve_place(
-    shared: &SharedResources,
-    upload: u64,
-) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), Error> {
-    loop {
-        match take_place(shared, upload) {
-            Err(error) if !make_room(shared).await => return Err(error),
-            Err(_) => {}
-            place => return place,
-        }
-    }
-}
-
-fn take_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), Error> {
-    let seat = Arc::clone(&shared.seats).try_acquire_owned().map_err(|_| {
-        let text = format!(
-            "{} sessions are open, no more are allowed; delete one or wait for one to expire",
-            shared.config.sessions
-        );
-        refuse(shared, text)
-    })?;
-    let likely = upload
-        .saturating_mul(BYTES_PER_UPLOADED_BYTE)
-        .saturating_add(LEAST_BYTES);
-    let memory = shared
-        .ledger
-        .reserve(MemoryUse::Sessions, LEAST_BYTES.max(upload), likely);
-    let memory = memory.ok_or_else(|| {
-        let used = shared.ledger.used();
-        refuse(
-            shared,
-            format!("{used} bytes of memory are in use, no more sessions fit"),
-        )
-    })?;
-    Ok((seat, Arc::new(memory)))
 }
 
 /// Which session it is, whose, and for how long.
@@ -231,7 +171,7 @@ pub(in crate::session) fn start_session(
     shared: &Arc<SharedResources>,
     owner: SessionOwner,
     opened: OpenedModel,
-    (memory, seat): (Arc<MemoryReservation>, OwnedSemaphorePermit),
+    places: SessionPlaces,
     kept: Option<KeptSession>,
 ) -> Arc<OpenSession> {
     let OpenedModel {
@@ -281,8 +221,9 @@ pub(in crate::session) fn start_session(
         deformer: Some(deformer),
         history,
         build_ms,
-        memory,
-        seat,
+        memory: places.memory,
+        place: places.of_tenant,
+        seat: places.seat,
         next_stream: 0,
         kept,
         residence: Residence::Whole,
@@ -290,89 +231,6 @@ pub(in crate::session) fn start_session(
     task.publish_view();
     tokio::spawn(task.run());
     session
-}
-
-/// A model, opened, with its history.
-pub(in crate::session) struct OpenedModel {
-    pub deformer: LoadedDeformer,
-    pub history: CommitHistory,
-    pub build_ms: std::collections::BTreeMap<String, f64>,
-    pub held: u64,
-}
-
-/// Builds the engine on the compute pool.
-pub(in crate::session) async fn open_model(
-    shared: &Arc<SharedResources>,
-    memory: &Arc<MemoryReservation>,
-    (files, options): (FileSet, OpenOptions),
-    arrived: Instant,
-    guard: &CancelOnDrop,
-) -> Result<OpenedModel, Error> {
-    let slot = tokio::select! {
-        biased;
-        () = shared.aborted.cancelled() => return Err(Error::draining()),
-        slot = shared.compute.slot(WorkLane::Builds, arrived) => slot?,
-    };
-    let config = &shared.config;
-    let room = memory.room();
-    let limits = config.deformer_limits(room);
-    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
-    let watch = Arc::new(WorkWatch::since(arrived, flags, config.build).within(Arc::clone(memory)));
-    let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
-    let built = slot.run(move |pool| -> Result<OpenedModel, engine::Error> {
-        crate::progress::check(&*inner_watch)?;
-        let engine: Box<dyn Engine> = inside
-            .opener
-            .open(files, &options, &limits, &Exec::new(pool, &*inner_watch))?;
-        let build_ms = inner_watch.take_stage_ms();
-        let rest = engine.rest_shape();
-        let state = EditedState {
-            topology: engine.topology_state(),
-            diagonal: engine.diagonal(),
-            handles: HandleSet::default(),
-            poses: engine.initial_poses(),
-            facts: engine.facts(),
-            digest: digest(&rest.positions),
-            solved_with: None,
-        };
-        let config = &inside.config;
-        let history = CommitHistory::new(state, rest, config.history, config.snapshot_bytes);
-        let deformer = LoadedDeformer::new(engine, history.current().handles.id);
-        let held = deformer.byte_size().saturating_add(history.byte_size());
-        Ok(OpenedModel {
-            deformer,
-            history,
-            build_ms,
-            held,
-        })
-    });
-    let built = built.await.map_err(|panicked| {
-        tracing::error!(panic = panicked.0, "opening a model panicked");
-        Error::from(panicked)
-    })?;
-    shared.metrics.build.observe(watch.elapsed().as_secs_f64());
-    built.map_err(|error| match error {
-        engine::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining(),
-        engine::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up"),
-        engine::Error::Cancelled => build_took_too_long(watch.limit()),
-        // Too large for what is free now, not for the server: later it may fit.
-        engine::Error::TooLarge { seen, limit, .. }
-        | engine::Error::Asset(asset::Error::TooLarge { seen, limit, .. })
-            if limit == room && seen <= shared.ledger.total() =>
-        {
-            let text = format!("the session would need {seen} bytes of memory, {room} are free");
-            refuse(shared, text)
-        }
-        error => error.into(),
-    })
-}
-
-fn build_took_too_long(limit: Duration) -> Error {
-    let text = format!(
-        "building the session took longer than the {} ms that are allowed",
-        limit.as_millis()
-    );
-    Error::new(ErrorCode::DeadlineExceeded, text)
 }
 
 fn fingerprint(files: &FileSet, options: &[u8]) -> RequestFingerprint {

@@ -26,6 +26,8 @@ use crate::session::keeping::session_locks::SessionLocks;
 use crate::session::keeping::stored_list::listed_facts;
 use crate::session::keeping::sweep::sweep_for_ever;
 use crate::session::metrics::Metrics;
+use crate::session::quota::tenant_account::{QuotaReport, TenantAccount};
+use crate::session::quota::tenant_accounts::TenantAccounts;
 use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
 use crate::session::store::SessionStore;
@@ -69,8 +71,12 @@ impl Manager {
     ) -> Result<Self, Error> {
         let first = store.highest_number().await?.saturating_add(1);
         let kept_keys = store.keys().await?;
+        let stored = store.sessions_by_tenant().await?;
         let manager = Self::put_together(config, opener, Some(store), first)?;
         let shared = &manager.shared;
+        for (tenant, sessions) in stored {
+            shared.accounts.of(&tenant)?.count_stored(sessions);
+        }
         let now = now_ms();
         for key in kept_keys {
             let age = Duration::from_millis(now.saturating_sub(key.at_ms));
@@ -102,6 +108,7 @@ impl Manager {
         let shared = SharedResources {
             compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
             seats: Arc::new(Semaphore::new(config.sessions)),
+            accounts: TenantAccounts::new(config.quotas.clone()),
             animations: Arc::new(Semaphore::new(config.animations)),
             registry: SessionRegistry::default(),
             store,
@@ -130,6 +137,27 @@ impl Manager {
     /// What is held and may be held, by sessions and by whatever is on its way in or out.
     pub fn ledger(&self) -> &Arc<MemoryLedger> {
         &self.shared.ledger
+    }
+
+    /// What a tenant may use, and what it uses.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` where too many other tenants use something.
+    pub fn account(&self, tenant: &Tenant) -> Result<Arc<TenantAccount>, Error> {
+        self.shared.accounts.of(tenant)
+    }
+
+    /// What a tenant may use and what it has left.
+    ///
+    /// # Errors
+    /// As [`Manager::account`]; `UNAVAILABLE` when the store does not answer.
+    pub async fn quotas_left(&self, tenant: &Tenant) -> Result<QuotaReport, Error> {
+        let account = self.account(tenant)?;
+        let stored = match (&self.shared.store, account.stored_quota()) {
+            (Some(store), Some(_)) => store.stored_bytes(tenant.clone()).await?,
+            _ => 0,
+        };
+        Ok(account.report(stored))
     }
 
     /// What happened so far.
@@ -244,6 +272,7 @@ impl Manager {
                     return Err(Error::no_session(id));
                 }
                 store.delete(id.to_owned()).await?;
+                self.account(tenant)?.uncount_session();
             }
         }
         if let Ok(session) = session {

@@ -9,5 +9,7 @@ mod edit;
 pub(super) mod handle_change;
 pub(super) mod idempotency;
 pub(super) mod manager;
+pub(super) mod model_opening;
 mod recorded_answer;
+pub(super) mod session_places;
 mod shape;

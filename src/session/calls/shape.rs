@@ -73,6 +73,9 @@ impl Manager {
             return Err(Error::draining());
         }
         let (config, metrics) = (&self.shared.config, Arc::clone(&self.shared.metrics));
+        let place = self.account(tenant)?.take_stream().inspect_err(|_| {
+            metrics.refused.inc();
+        })?;
         let mailbox = loop {
             let mailbox = Mailbox::new(&session.id, config, Arc::clone(&metrics), Arc::clone(&session.wake));
             let mailbox = Arc::new(mailbox);
@@ -90,7 +93,7 @@ impl Manager {
             }
         };
         let inside = self.shared.gate.enter();
-        let stream = DeformStream::new(mailbox, session, config.part_bytes, metrics, inside);
+        let stream = DeformStream::new(mailbox, session, config.part_bytes, metrics, (inside, place));
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {
             Err(Error::draining())

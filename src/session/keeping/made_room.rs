@@ -1,5 +1,6 @@
 //! Idle sessions that are kept leave memory before a new one is refused.
 
+use crate::session::answers::Tenant;
 use crate::session::registry::OpenSession;
 use crate::session::shared::SharedResources;
 use std::sync::Arc;
@@ -9,8 +10,9 @@ use std::time::Duration;
 /// How long an idle session may take to leave.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Asks the session that was idle for the longest time to leave memory, and waits for it. False when none can leave.
-pub(in crate::session) async fn make_room(shared: &SharedResources) -> bool {
+/// Asks the session that was idle for the longest time to leave memory, and waits for it; of one tenant's sessions where it is named.
+/// False when none can leave.
+pub(in crate::session) async fn make_room(shared: &SharedResources, tenant: Option<&Tenant>) -> bool {
     if shared.store.is_none() {
         return false;
     }
@@ -18,7 +20,7 @@ pub(in crate::session) async fn make_room(shared: &SharedResources) -> bool {
         !s.closing.is_cancelled() && s.streams.all().is_empty() && !s.animations.is_any() && !s.busy.load(SeqCst)
     };
     let mut idle = shared.registry.all();
-    idle.retain(is_idle);
+    idle.retain(|s| tenant.is_none_or(|tenant| s.tenant == *tenant) && is_idle(s));
     idle.sort_by_key(|s| s.lease.last_use());
     for session in idle {
         session.leave.store(true, SeqCst);

@@ -4,9 +4,10 @@ use crate::asset::FileSet;
 use crate::engine;
 use crate::exec::Exec;
 use crate::session::answers::Tenant;
-use crate::session::calls::create::{OpenedModel, SessionOwner, open_model, reserve_place, start_session};
+use crate::session::calls::create::{SessionOwner, start_session};
+use crate::session::calls::model_opening::{OpenedModel, open_model};
+use crate::session::calls::session_places::SessionPlaces;
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
@@ -73,21 +74,19 @@ async fn open_stored(
         ttl: stored.ttl,
     };
     let arrived = Instant::now();
-    let (seat, memory) = reserve_place(shared, files.total_bytes()).await?;
+    let of_tenant = shared.accounts.of(&stored.tenant)?.place_again();
+    let places = SessionPlaces::reserve(shared, of_tenant, files.total_bytes()).await?;
     let guard = CancelOnDrop::default();
-    let opened = open_model(shared, &memory, (files, stored.model.options.clone()), arrived, &guard).await?;
-    if !memory.resize(opened.held) {
-        shared.compute.discard(opened.deformer);
-        return Err(Error::exhausted("no memory is free for the stored session", 5));
-    }
+    let opened = open_model(shared, &places, (files, stored.model.options.clone()), arrived, &guard).await?;
     let log = ReplayedLog {
         files: read_merged(store, &stored).await?,
         snapshot: read_snapshot(store, &stored).await,
         commits: stored.commits,
     };
-    let (opened, kept, anew) = replay_log(shared, store, (opened, log), &memory, &guard).await?;
+    let (opened, kept, anew) = replay_log(shared, store, (opened, log), &places, &guard).await?;
     // Counted even where it breaks the budget: the session was admitted before.
-    memory.resize(opened.held);
+    places.memory.resize(opened.held);
+    places.of_tenant.resize(opened.held);
     if !anew.is_empty() {
         tracing::warn!(
             session.id = %owner.id,
@@ -96,7 +95,7 @@ async fn open_stored(
         );
         store.adopt(owner.id.clone(), kept.build.clone(), anew).await?;
     }
-    let session = start_session(shared, owner, opened, (memory, seat), Some(kept));
+    let session = start_session(shared, owner, opened, places, Some(kept));
     shared.metrics.sessions_reopened.inc();
     tracing::info!(session.id = %session.id, "session came back from the store");
     Ok(session)
@@ -150,7 +149,7 @@ async fn replay_log(
     shared: &Arc<SharedResources>,
     store: &Arc<dyn SessionStore>,
     (opened, log): (OpenedModel, ReplayedLog),
-    memory: &Arc<MemoryReservation>,
+    SessionPlaces { memory, of_tenant, .. }: &SessionPlaces,
     guard: &CancelOnDrop,
 ) -> Result<Replayed, Error> {
     let arrived = Instant::now();
@@ -165,6 +164,7 @@ async fn replay_log(
     let inner_watch = Arc::clone(&watch);
     let mut kept = KeptSession::new(Arc::clone(store));
     kept.shape_at = log.snapshot.as_ref().map_or(0, |(sequence, _)| *sequence);
+    let begun = Instant::now();
     let done = slot.run(move |pool| -> Result<Replayed, ReplayError> {
         let OpenedModel {
             mut deformer,
@@ -195,6 +195,7 @@ async fn replay_log(
         tracing::error!(panic = panicked.0, "following a stored session panicked");
         Error::from(panicked)
     })?;
+    of_tenant.account().charge_work(begun.elapsed());
     done.map_err(|error| match error {
         ReplayError::Store(error) => error.into(),
         ReplayError::Engine(engine::Error::Cancelled) if shared.aborted.is_cancelled() => Error::draining(),

@@ -44,13 +44,16 @@ async fn sweep(
     if round.is_multiple_of(NOTED_EVERY) {
         note_uses(shared, store, noted).await?;
     }
-    for id in store.expired(now_ms()).await? {
+    for (tenant, id) in store.expired(now_ms()).await? {
         let _lock = shared.locks.lock(&id).await;
         // One in memory knows its last use better.
         if shared.registry.holds(&id) {
             continue;
         }
         store.delete(id.clone()).await?;
+        if let Ok(account) = shared.accounts.of(&tenant) {
+            account.uncount_session();
+        }
         shared.metrics.sessions_expired.inc();
         tracing::info!(session.id = %id, "stored session expired");
     }

@@ -6,9 +6,9 @@ use super::objects::Objects;
 use super::reading;
 use super::session_store::{
     AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
-    StoredSession, StoredSnapshot, UsedSession,
+    StoredSession, UsedSession,
 };
-use super::write_order::WriteOrder;
+use super::write_order::{StoredObject, WriteOrder};
 use super::writer::Writer;
 use crate::asset::FileSet;
 use crate::session::answers::Tenant;
@@ -50,26 +50,49 @@ impl DatabaseStore {
         let lock = lock_folder(folder)?;
         let objects = Objects::in_folder(folder)?;
         let connections = open_sqlite(&folder.join("sessions.sqlite")).await?;
-        Ok(Self {
+        let store = Self {
             build: location.build.clone().unwrap_or_else(build_identity),
             writer: Writer::start(connections.write),
             pool: connections.read,
             objects,
             _lock: lock,
-        })
+        };
+        store.measure_objects().await?;
+        Ok(store)
     }
 
-    async fn put_files(&self, files: &FileSet) -> Result<FileReferences, StoreError> {
+    /// Notes the sizes of objects that a version wrote which did not. One that is missing has none; whoever reads it is told.
+    async fn measure_objects(&self) -> Result<(), StoreError> {
+        let mut objects = Vec::new();
+        for name in reading::unmeasured_objects(&self.pool).await? {
+            let bytes = self.objects.size(&name).await.unwrap_or_default();
+            objects.push(StoredObject { name, bytes });
+        }
+        if !objects.is_empty() {
+            self.write(WriteOrder::Measure { objects }).await?;
+        }
+        Ok(())
+    }
+
+    /// Writes files; their names, and what is to be counted of them.
+    async fn put_files(&self, files: &FileSet) -> Result<(FileReferences, Vec<StoredObject>), StoreError> {
+        let mut objects = Vec::new();
         let mut names = FileReferences {
             name: files.name.clone(),
             main: self.objects.put(files.main.clone()).await?,
             companions: Default::default(),
         };
+        let counted = |name: &String, bytes: &Bytes| StoredObject {
+            name: name.clone(),
+            bytes: bytes.len() as u64,
+        };
+        objects.push(counted(&names.main, &files.main));
         for (uri, bytes) in &files.companions {
             let object = self.objects.put(bytes.clone()).await?;
+            objects.push(counted(&object, bytes));
             names.companions.insert(uri.clone(), object);
         }
-        Ok(names)
+        Ok((names, objects))
     }
 
     /// Writes an order and removes the objects that have no name after it. That a removal fails is no reason to fail: `prune`
@@ -95,9 +118,9 @@ impl DatabaseStore {
 
     async fn create_session(&self, mut session: NewSession) -> Result<(), StoreError> {
         let naming = self.objects.naming.read().await;
-        session.model.files = self.put_files(&session.files).await?;
+        let (names, objects) = self.put_files(&session.files).await?;
+        session.model.files = names;
         let model = session.model.write().map_err(|e| StoreError::Refused(e.to_string()))?;
-        let objects = session.model.files.objects().cloned().collect();
         let session = Box::new(NewSession {
             files: FileSet::default(),
             ..session
@@ -116,8 +139,8 @@ impl DatabaseStore {
         let naming = self.objects.naming.read().await;
         let mut objects = Vec::new();
         if let (Some(given), LoggedCommit::Edit { files, .. }) = (commit.files.take(), &mut commit.commit) {
-            let names = self.put_files(&given).await?;
-            objects.extend(names.objects().cloned());
+            let (names, merged) = self.put_files(&given).await?;
+            objects = merged;
             *files = Some(names);
         }
         let commit = Box::new(commit);
@@ -128,9 +151,14 @@ impl DatabaseStore {
 
     async fn keep_newest_shape(&self, session: String, sequence: u64, shape: Bytes) -> Result<(), StoreError> {
         let naming = self.objects.naming.read().await;
-        let object = self.objects.put(shape).await?;
-        let snapshot = StoredSnapshot { sequence, object };
-        let unnamed = self.writer.write(WriteOrder::KeepShape { session, snapshot }).await?;
+        let bytes = shape.len() as u64;
+        let name = self.objects.put(shape).await?;
+        let order = WriteOrder::KeepShape {
+            session,
+            sequence,
+            shape: StoredObject { name, bytes },
+        };
+        let unnamed = self.writer.write(order).await?;
         drop(naming);
         let _alone = self.objects.naming.write().await;
         for object in unnamed {
@@ -245,8 +273,16 @@ impl SessionStore for DatabaseStore {
         Box::pin(self.write(WriteOrder::NoteUse { sessions }))
     }
 
-    fn expired(&self, now_ms: u64) -> Stored<'_, Vec<String>> {
+    fn expired(&self, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
         Box::pin(reading::expired(&self.pool, now_ms))
+    }
+
+    fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {
+        Box::pin(reading::sessions_by_tenant(&self.pool))
+    }
+
+    fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64> {
+        Box::pin(async move { reading::stored_bytes(&self.pool, &tenant.0).await })
     }
 
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>> {

@@ -91,6 +91,14 @@ impl Objects {
         .await
     }
 
+    /// Bytes of an object.
+    pub async fn size(&self, name: &str) -> Result<u64, StoreError> {
+        let found = self.store.head(&object_path(name)?).await;
+        found
+            .map(|facts| facts.size)
+            .map_err(|error| StoreError::Unavailable(format!("object {name} cannot be seen: {error}")))
+    }
+
     /// Removes an object; one that is gone already is no error.
     pub async fn remove(&self, name: &str) -> Result<(), StoreError> {
         match self.store.delete(&object_path(name)?).await {

@@ -186,10 +186,50 @@ async fn listed_session(pool: &AnyPool, row: &AnyRow) -> Result<ListedSession, S
     })
 }
 
-/// The sessions whose time is over.
-pub(super) async fn expired(pool: &AnyPool, now_ms: u64) -> Result<Vec<String>, StoreError> {
-    let query = sqlx::query("SELECT id FROM sessions WHERE used_ms + ttl_ms < $1 ORDER BY number LIMIT 1000");
+/// The sessions whose time is over, and whose they are.
+pub(super) async fn expired(pool: &AnyPool, now_ms: u64) -> Result<Vec<(Tenant, String)>, StoreError> {
+    let query = sqlx::query("SELECT tenant, id FROM sessions WHERE used_ms + ttl_ms < $1 ORDER BY number LIMIT 1000");
     let rows = query.bind(signed(now_ms)).fetch_all(pool).await.map_err(unreadable)?;
+    rows.iter()
+        .map(|row| Ok((tenant_of(row, 0)?, column(row, 1)?)))
+        .collect()
+}
+
+/// How many sessions each tenant has.
+pub(super) async fn sessions_by_tenant(pool: &AnyPool) -> Result<Vec<(Tenant, u64)>, StoreError> {
+    let query = sqlx::query("SELECT tenant, COUNT(*) FROM sessions GROUP BY tenant ORDER BY tenant");
+    let rows = query.fetch_all(pool).await.map_err(unreadable)?;
+    rows.iter()
+        .map(|row| Ok((tenant_of(row, 0)?, unsigned(column(row, 1)?)?)))
+        .collect()
+}
+
+/// Bytes of a tenant's records and objects.
+pub(super) async fn stored_bytes(pool: &AnyPool, tenant: &str) -> Result<u64, StoreError> {
+    let mut sum = 0u64;
+    for query in [
+        "SELECT CAST(COALESCE(SUM(record_bytes), 0) AS BIGINT) FROM sessions WHERE tenant = $1",
+        "SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FROM object_uses JOIN sessions ON id = session WHERE tenant = $1",
+    ] {
+        let row = sqlx::query(query)
+            .bind(tenant)
+            .fetch_one(pool)
+            .await
+            .map_err(unreadable)?;
+        sum = sum.saturating_add(unsigned(column(&row, 0)?)?);
+    }
+    Ok(sum)
+}
+
+fn tenant_of(row: &AnyRow, index: usize) -> Result<Tenant, StoreError> {
+    let tenant: String = column(row, index)?;
+    Ok(Tenant(Arc::from(tenant)))
+}
+
+/// Objects whose size was not noted, by a version that did not.
+pub(super) async fn unmeasured_objects(pool: &AnyPool) -> Result<Vec<String>, StoreError> {
+    let query = sqlx::query("SELECT DISTINCT object FROM object_uses WHERE bytes < 0");
+    let rows = query.fetch_all(pool).await.map_err(unreadable)?;
     rows.iter().map(|row| column(row, 0)).collect()
 }
 
@@ -198,12 +238,11 @@ pub(super) async fn keys(pool: &AnyPool) -> Result<Vec<LoggedKey>, StoreError> {
     let query = "SELECT tenant, call_key, fingerprint, session, sequence, at_ms FROM call_keys ORDER BY at_ms";
     let rows = sqlx::query(query).fetch_all(pool).await.map_err(unreadable)?;
     let key = |row: &AnyRow| {
-        let tenant: String = column(row, 0)?;
         let fingerprint: Vec<u8> = column(row, 2)?;
         let fingerprint = <[u8; 16]>::try_from(fingerprint.as_slice())
             .map_err(|_| StoreError::Damaged("an idempotency key has no fingerprint".into()))?;
         Ok(LoggedKey {
-            tenant: Tenant(Arc::from(tenant)),
+            tenant: tenant_of(row, 0)?,
             key: column(row, 1)?,
             fingerprint: u128::from_le_bytes(fingerprint),
             session: column(row, 3)?,

@@ -12,7 +12,9 @@ pub(super) enum Dialect {
 
 /// Steps from each version of the tables to the next. What was released is never changed, only followed by a further step.
 /// `{bytes}` and `{serial}` are what the database calls bytes and numbers that count by themselves.
-const STEPS: [&[&str]; 1] = [&[
+const STEPS: [&[&str]; 2] = [FIRST, MEASURED];
+
+const FIRST: &[&str] = &[
     "CREATE TABLE tenants (tenant TEXT PRIMARY KEY, created_ms BIGINT NOT NULL)",
     "CREATE TABLE sessions (
         id TEXT PRIMARY KEY,
@@ -66,7 +68,16 @@ const STEPS: [&[&str]; 1] = [&[
         what TEXT NOT NULL,
         session TEXT NOT NULL
     )",
-]];
+];
+
+/// What sessions hold is counted. Of objects whose size nobody noted it is -1, until the store is opened.
+const MEASURED: &[&str] = &[
+    "ALTER TABLE sessions ADD COLUMN record_bytes BIGINT NOT NULL DEFAULT 0",
+    "UPDATE sessions SET record_bytes = LENGTH(model)
+        + (SELECT COALESCE(SUM(LENGTH(payload)), 0) FROM commits WHERE session = sessions.id)",
+    "CREATE INDEX record_bytes_of_tenant ON sessions (tenant, record_bytes)",
+    "ALTER TABLE object_uses ADD COLUMN bytes BIGINT NOT NULL DEFAULT -1",
+];
 
 /// Brings the tables to the version of this program.
 pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) -> Result<(), StoreError> {

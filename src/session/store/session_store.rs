@@ -223,8 +223,12 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     fn delete(&self, id: String) -> Stored<'_, ()>;
     /// Notes when sessions were used.
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
-    /// The sessions whose time is over at `now_ms`.
-    fn expired(&self, now_ms: u64) -> Stored<'_, Vec<String>>;
+    /// The sessions whose time is over at `now_ms`, and whose they are.
+    fn expired(&self, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>>;
+    /// How many sessions each tenant has.
+    fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>>;
+    /// Bytes that a tenant's sessions hold: their records and the objects that they name, one that several name for each of them.
+    fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64>;
     /// The keys that are kept, oldest first.
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>>;
     /// Forgets keys from before `before_ms`.

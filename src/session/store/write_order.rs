@@ -1,9 +1,16 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
 use super::rows::{CommitRow, RECORD_FORMAT, checksum, column, signed};
-use super::session_store::{AuditEntry, NewCommit, NewSession, StoreError, StoredSnapshot, UsedSession, now_ms};
+use super::session_store::{AuditEntry, NewCommit, NewSession, StoreError, UsedSession, now_ms};
 use sqlx::AnyConnection;
 use sqlx::query::Query;
+
+/// An object that a session uses.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct StoredObject {
+    pub name: String,
+    pub bytes: u64,
+}
 
 /// Something to be written.
 #[derive(Debug)]
@@ -12,15 +19,19 @@ pub(super) enum WriteOrder {
     Create {
         session: Box<NewSession>,
         model: Vec<u8>,
-        objects: Vec<String>,
+        objects: Vec<StoredObject>,
     },
     /// A commit.
     Append {
         commit: Box<NewCommit>,
-        objects: Vec<String>,
+        objects: Vec<StoredObject>,
     },
     /// The newest shape of a session.
-    KeepShape { session: String, snapshot: StoredSnapshot },
+    KeepShape {
+        session: String,
+        sequence: u64,
+        shape: StoredObject,
+    },
     /// Digests of another build.
     Adopt { commits: Vec<CommitRow> },
     /// A session goes.
@@ -31,6 +42,8 @@ pub(super) enum WriteOrder {
     ForgetKeys { before_ms: u64 },
     /// Who did what.
     Audit { entry: AuditEntry },
+    /// The sizes of objects that an older version wrote.
+    Measure { objects: Vec<StoredObject> },
     /// Nothing but what was left undone.
     Settle,
 }
@@ -72,7 +85,17 @@ impl WriteOrder {
                 append_commit(&session.first, objects, on).await?;
             }
             Self::Append { commit, objects } => append_commit(commit, objects, on).await?,
-            Self::KeepShape { session, snapshot } => return keep_shape(session, snapshot, on).await,
+            Self::KeepShape {
+                session,
+                sequence,
+                shape,
+            } => return keep_shape(session, *sequence, shape, on).await,
+            Self::Measure { objects } => {
+                for object in objects {
+                    let update = sqlx::query("UPDATE object_uses SET bytes = $2 WHERE object = $1 AND bytes < 0");
+                    execute(update.bind(&object.name).bind(signed(object.bytes)), on).await?;
+                }
+            }
             Self::Adopt { commits } => {
                 for row in commits {
                     let update = "UPDATE commits SET digest = $3, build = $4, checksum = $5
@@ -112,6 +135,9 @@ pub(super) async fn undo_doubtful(session: &str, sequence: u64, on: &mut AnyConn
     let number = signed(sequence);
     let keys = sqlx::query("DELETE FROM call_keys WHERE session = $1 AND sequence >= $2");
     execute(keys.bind(session).bind(number), on).await?;
+    let bytes = "UPDATE sessions SET record_bytes = record_bytes
+        - (SELECT COALESCE(SUM(LENGTH(payload)), 0) FROM commits WHERE session = $1 AND sequence >= $2) WHERE id = $1";
+    execute(sqlx::query(bytes).bind(session).bind(number), on).await?;
     let commits = sqlx::query("DELETE FROM commits WHERE session = $1 AND sequence >= $2");
     if execute(commits.bind(session).bind(number), on).await? > 0 {
         let newest = sqlx::query("UPDATE sessions SET newest = $2 WHERE id = $1");
@@ -134,15 +160,17 @@ async fn create_session(session: &NewSession, model: &[u8], on: &mut AnyConnecti
     execute(sqlx::query(insert).bind(tenant).bind(signed(now_ms())), on).await?;
     let (number, ttl) = (signed(session.number), millis(session.ttl));
     let sum = session_checksum(&session.id, tenant, model, [number, ttl]);
-    let insert = "INSERT INTO sessions (id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum)
-        VALUES ($1, $2, $3, $4, $5, 0, $6, $7, $8)";
+    let insert =
+        "INSERT INTO sessions (id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum, record_bytes)
+        VALUES ($1, $2, $3, $4, $5, 0, $6, $7, $8, $9)";
     let insert = sqlx::query(insert)
         .bind(&session.id)
         .bind(tenant)
         .bind(number)
         .bind(ttl);
     let insert = insert.bind(signed(now_ms())).bind(RECORD_FORMAT);
-    execute(insert.bind(model).bind(sum), on).await.map(drop)
+    let insert = insert.bind(model).bind(sum);
+    execute(insert.bind(signed(model.len() as u64)), on).await.map(drop)
 }
 
 /// Milliseconds of a time to live.
@@ -150,7 +178,7 @@ fn millis(span: std::time::Duration) -> i64 {
     i64::try_from(span.as_millis()).unwrap_or(i64::MAX)
 }
 
-async fn append_commit(commit: &NewCommit, objects: &[String], on: &mut AnyConnection) -> Result<(), StoreError> {
+async fn append_commit(commit: &NewCommit, objects: &[StoredObject], on: &mut AnyConnection) -> Result<(), StoreError> {
     let (row, now) = (CommitRow::of(commit), signed(now_ms()));
     let insert = "INSERT INTO commits
         (session, sequence, revision, kind, digest, build, facts_at, poses_at, at_ms, format, payload, checksum)
@@ -171,8 +199,9 @@ async fn append_commit(commit: &NewCommit, objects: &[String], on: &mut AnyConne
         .bind(&row.payload[..])
         .bind(row.checksum());
     execute(insert, on).await?;
-    let newest = "UPDATE sessions SET newest = $2, used_ms = $3 WHERE id = $1";
+    let newest = "UPDATE sessions SET newest = $2, used_ms = $3, record_bytes = record_bytes + $4 WHERE id = $1";
     let newest = sqlx::query(newest).bind(&row.session).bind(row.sequence).bind(now);
+    let newest = newest.bind(signed(row.payload.len() as u64));
     if execute(newest, on).await? != 1 {
         return Err(StoreError::Damaged("the session's row is gone".into()));
     }
@@ -191,35 +220,36 @@ async fn append_commit(commit: &NewCommit, objects: &[String], on: &mut AnyConne
     Ok(())
 }
 
-async fn use_object(session: &str, object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
-    let insert = "INSERT INTO object_uses (session, object) VALUES ($1, $2) ON CONFLICT (session, object) DO NOTHING";
-    execute(sqlx::query(insert).bind(session).bind(object), on)
-        .await
-        .map(drop)
+async fn use_object(session: &str, object: &StoredObject, on: &mut AnyConnection) -> Result<(), StoreError> {
+    let insert = "INSERT INTO object_uses (session, object, bytes) VALUES ($1, $2, $3)
+        ON CONFLICT (session, object) DO NOTHING";
+    let insert = sqlx::query(insert).bind(session).bind(&object.name);
+    execute(insert.bind(signed(object.bytes)), on).await.map(drop)
 }
 
 async fn keep_shape(
     session: &str,
-    snapshot: &StoredSnapshot,
+    sequence: u64,
+    shape: &StoredObject,
     on: &mut AnyConnection,
 ) -> Result<Vec<String>, StoreError> {
     let there = sqlx::query("SELECT id FROM sessions WHERE id = $1").bind(session);
     if objects_of(there, on).await?.is_empty() {
         // It was deleted meanwhile.
-        return Ok(vec![snapshot.object.clone()]);
+        return Ok(vec![shape.name.clone()]);
     }
     let older = sqlx::query("SELECT object FROM snapshots WHERE session = $1").bind(session);
     let mut older = objects_of(older, on).await?;
-    older.retain(|object| *object != snapshot.object);
+    older.retain(|object| *object != shape.name);
     let insert = "INSERT INTO snapshots (session, sequence, object) VALUES ($1, $2, $3) ON CONFLICT (session) DO UPDATE
         SET sequence = excluded.sequence, object = excluded.object";
-    let insert = sqlx::query(insert).bind(session).bind(signed(snapshot.sequence));
-    execute(insert.bind(&snapshot.object), on).await?;
+    let insert = sqlx::query(insert).bind(session).bind(signed(sequence));
+    execute(insert.bind(&shape.name), on).await?;
     for object in &older {
         let delete = sqlx::query("DELETE FROM object_uses WHERE session = $1 AND object = $2");
         execute(delete.bind(session).bind(object), on).await?;
     }
-    use_object(session, &snapshot.object, on).await?;
+    use_object(session, shape, on).await?;
     Ok(older)
 }
 

@@ -4,6 +4,7 @@ use crate::session::answers::StreamAnswer;
 use crate::session::capacity::call_gate::CallGuard;
 use crate::session::error::Error;
 use crate::session::metrics::Metrics;
+use crate::session::quota::tenant_account::TenantStream;
 use crate::session::registry::OpenSession;
 use crate::session::stream::frame_packer::FramePacker;
 use crate::session::stream::mailbox::Mailbox;
@@ -33,7 +34,7 @@ pub struct StreamOutput {
     packer: FramePacker,
     ended: bool,
     metrics: Arc<Metrics>,
-    _inside: CallGuard,
+    _inside: (CallGuard, TenantStream),
 }
 
 impl DeformStream {
@@ -42,7 +43,7 @@ impl DeformStream {
         session: Arc<OpenSession>,
         part_bytes: usize,
         metrics: Arc<Metrics>,
-        inside: CallGuard,
+        inside: (CallGuard, TenantStream),
     ) -> Self {
         metrics.streams.inc();
         Self {

@@ -5,6 +5,7 @@ use crate::asset::FileSet;
 use crate::engine::{Edit, EditReport, ModelShape, SolveSettings};
 use crate::session::calls::command::{HistoryDirection, StoredAnswer};
 use crate::session::calls::idempotency::KeyClaim;
+use crate::session::calls::session_places::check_stored;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::CommitSolution;
 use crate::session::history::session_state::EditedState;
@@ -107,6 +108,8 @@ impl SessionTask {
         files: Option<FileSet>,
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
+        let merged = files.as_ref().map_or(0, FileSet::total_bytes);
+        check_stored(&self.shared, self.place.account(), merged).await?;
         let Some(kept) = &mut self.kept else { return Ok(()) };
         let (sequence, revision) = (kept.sequence + 1, self.history.revision() + 1);
         let place = kept.place_after(&commit, self.history.current_revision(), sequence);

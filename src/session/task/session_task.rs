@@ -17,13 +17,14 @@ use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
 use crate::session::history::session_state::SessionState;
 use crate::session::keeping::kept_session::KeptSession;
 use crate::session::keeping::residence::Residence;
+use crate::session::quota::tenant_account::TenantSession;
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::stream::mailbox::{Mailbox, StreamWork};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 
 /// The state of one session and its task.
@@ -36,6 +37,8 @@ pub(in crate::session) struct SessionTask {
     pub history: CommitHistory,
     pub build_ms: BTreeMap<String, f64>,
     pub memory: Arc<MemoryReservation>,
+    /// The place among those of its tenant.
+    pub place: TenantSession,
     pub seat: OwnedSemaphorePermit,
     /// Which stream is asked for work first.
     pub next_stream: usize,
@@ -103,10 +106,11 @@ impl SessionTask {
         let lock = shared.locks.lock(&id).await;
         self.session.close(Error::no_session(&id));
         shared.registry.remove(&id);
-        if let Some(store) = &shared.store
-            && let Err(error) = store.delete(id.clone()).await
-        {
-            tracing::warn!(session.id = %id, "an expired session is still in the store: {error}");
+        if let Some(store) = &shared.store {
+            match store.delete(id.clone()).await {
+                Ok(()) => self.place.account().uncount_session(),
+                Err(error) => tracing::warn!(session.id = %id, "an expired session is still in the store: {error}"),
+            }
         }
         drop(lock);
         shared.metrics.sessions_expired.inc();
@@ -121,6 +125,7 @@ impl SessionTask {
             deformer,
             history,
             memory,
+            place,
             seat,
             ..
         } = self;
@@ -130,9 +135,14 @@ impl SessionTask {
         // Whoever waits for an answer learns of the end by this.
         drop(commands);
         // Dropped where it holds nobody up, in this order: what is told last is that memory and seat are free.
-        shared
-            .compute
-            .discard((deformer, history, memory, seat, session.ended.clone().drop_guard()));
+        shared.compute.discard((
+            deformer,
+            history,
+            memory,
+            place,
+            seat,
+            session.ended.clone().drop_guard(),
+        ));
     }
 
     /// Work of the next stream that has some.
@@ -154,6 +164,7 @@ impl SessionTask {
         order: WorkOrder,
         work: impl FnOnce(&mut LoadedDeformer, &Pool, &WorkWatch, Duration) -> R + Send + 'static,
     ) -> Result<(R, Arc<WorkWatch>), Error> {
+        self.place.account().check_work()?;
         let slot = tokio::select! {
             biased;
             () = self.session.closing.cancelled() => return Err(self.session.why()),
@@ -165,11 +176,14 @@ impl SessionTask {
         let watch = WorkWatch::since(order.arrived, flags, order.limit).within(Arc::clone(&self.memory));
         let watch = Arc::new(watch);
         let (inside, queued) = (Arc::clone(&watch), slot.queued);
+        let begun = Instant::now();
         let ran = slot.run(move |pool| {
             let value = work(&mut deformer, pool, &inside, queued);
             (deformer, value)
         });
-        match ran.await {
+        let ran = ran.await;
+        self.place.account().charge_work(begun.elapsed());
+        match ran {
             Ok((deformer, value)) => {
                 self.deformer = Some(deformer);
                 self.count_memory();
@@ -247,9 +261,11 @@ impl SessionTask {
     }
 
     /// Tells the ledger what the session holds; false when that is more than there is room for.
-    fn count_memory(&self) -> bool {
+    pub fn count_memory(&self) -> bool {
         let engine = self.deformer.as_ref().map_or(0, LoadedDeformer::byte_size);
-        self.memory.resize(engine.saturating_add(self.history.byte_size()))
+        let bytes = engine.saturating_add(self.history.byte_size());
+        let fits = self.memory.resize(bytes);
+        self.place.resize(bytes) && fits
     }
 
     /// Refuses a change that is ready when what it would hold does not fit; what was there before is loaded again when it is

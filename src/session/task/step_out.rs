@@ -1,7 +1,6 @@
 //! A session that nobody uses leaves memory: first what is derived and made again in no time, later all of it.
 
 use crate::session::error::{Error, ErrorCode};
-use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::keeping::residence::Residence;
 use crate::session::task::session_task::SessionTask;
 use std::sync::Arc;
@@ -52,8 +51,7 @@ impl SessionTask {
             deformer.drop_derived();
         }
         self.history.drop_snapshots();
-        let engine = self.deformer.as_ref().map_or(0, LoadedDeformer::byte_size);
-        self.memory.resize(engine.saturating_add(self.history.byte_size()));
+        self.count_memory();
     }
 
     /// Keeps the newest shape, so that the session comes back soon, and closes the door. Calls that came before are served.

@@ -1,9 +1,10 @@
 //! What the server says: the detail of problem documents, messages of pose errors, warnings.
 
 use super::Said;
+use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use pliant::server::auth::{TokenEntry, token_digest};
-use pliant::session::Tenant;
+use pliant::session::{Tenant, TenantQuota};
 use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::{Value, json};
 
@@ -94,8 +95,90 @@ pub async fn provoke() -> Vec<Said> {
     said.extend(of_origins_and_room(&server).await);
     said.extend(of_warnings().await);
     said.extend(of_strangers().await);
+    said.extend(of_quotas().await);
     said.push(of_leaving().await);
     said
+}
+
+/// A tenant that has used up what it may use.
+async fn of_quotas() -> Vec<Said> {
+    let unlimited = TenantQuota::default();
+    let of_default = async |quota| Server::with(|sessions, _| sessions.quotas.default = quota).await;
+    let open = |server: &Server, along| http().post(server.url("/v1/sessions")).body(bar_obj(along));
+    let one = of_default(TenantQuota {
+        sessions: Some(1),
+        streams: Some(1),
+        ..unlimited.clone()
+    })
+    .await;
+    let id = one.bar_session().await;
+    let path = format!("/v1/sessions/{id}/stream");
+    let _held = one.socket(&path).await.expect("a socket");
+    let upgrade = [
+        ("connection", "upgrade"),
+        ("upgrade", "websocket"),
+        ("sec-websocket-version", "13"),
+        ("sec-websocket-key", "dGhlIHNhbXBsZSBub25jZQ=="),
+    ];
+    let ask = http().get(one.url(&path));
+    let streams = upgrade.iter().fold(ask, |ask, (name, value)| ask.header(*name, *value));
+    let mut said = vec![
+        Said {
+            by: "a session beyond the quota",
+            text: detail(open(&one, 4)).await,
+        },
+        Said {
+            by: "a stream beyond the quota",
+            text: detail(streams).await,
+        },
+    ];
+    let slow = of_default(TenantQuota {
+        upload_bytes_per_minute: Some(bar_obj(8).len() as u64 + 10),
+        solve_seconds_per_minute: Some(1e-6),
+        ..unlimited.clone()
+    })
+    .await;
+    let id = text(&slow.open(bar_obj(8)).await["id"]);
+    let handles = http().put(slow.url(&format!("/v1/sessions/{id}/handles")));
+    said.push(Said {
+        by: "an upload beyond the quota",
+        text: detail(open(&slow, 8)).await,
+    });
+    said.push(Said {
+        by: "work beyond the quota",
+        text: detail(handles.json(&json!({"handles": ends()}))).await,
+    });
+    let small = of_default(TenantQuota {
+        memory_bytes: Some(1 << 20),
+        ..unlimited
+    })
+    .await;
+    let full = loop {
+        let answer = within("an answer", open(&small, 24).send()).await.expect("an answer");
+        if answer.status() != 201 {
+            break answer.json::<Value>().await.expect("a problem document");
+        }
+    };
+    said.push(Said {
+        by: "memory beyond the quota",
+        text: text(&full["detail"]),
+    });
+    said.push(Said {
+        by: "a store beyond the quota",
+        text: of_full_store().await,
+    });
+    said
+}
+
+async fn of_full_store() -> String {
+    let folder = tempfile::tempdir().expect("a folder");
+    let config = folder.path().join("pliant.toml");
+    let quota = format!("[quotas]\nstored_bytes = {}\n", bar_obj(8).len() + 2000);
+    std::fs::write(&config, quota).expect("written");
+    let arguments = ["--config", config.to_str().expect("UTF-8")];
+    let server = ServedProgram::start(&folder.path().join("data"), &arguments);
+    server.open(bar_obj(8), "").await;
+    detail(http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8))).await
 }
 
 /// What a stream says about a pose.

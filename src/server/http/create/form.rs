@@ -18,9 +18,10 @@ const MAX_COMPANIONS: usize = 1000;
 
 /// Receives a form.
 pub(super) async fn receive(state: &State, request: Request, options: &mut Options) -> Result<Received, Problem> {
+    let held = FormReader::hold_upload(state, &request)?;
     let mut form = FormReader::of_request(state, request)?;
     let mut parts = ModelForm {
-        held: state.uploads.hold(),
+        held,
         model: None,
         by_type: None,
         options_seen: false,

@@ -345,7 +345,7 @@ class HandleFacts(_message.Message):
     def __init__(self, id: _Optional[str] = ..., vertices: _Optional[int] = ..., interior_nodes: _Optional[int] = ..., centroid: _Optional[_Iterable[float]] = ..., pose: _Optional[_Union[HandlePose, _Mapping]] = ...) -> None: ...
 
 class Limits(_message.Message):
-    __slots__ = ("upload_bytes", "vertices", "sessions", "memory_bytes", "handles", "message_bytes", "window", "part_bytes", "ttl_seconds", "history", "solve_ms", "streams", "animations", "clip_bytes", "clip_joints", "animation_frames", "animation_vertices")
+    __slots__ = ("upload_bytes", "vertices", "sessions", "memory_bytes", "handles", "message_bytes", "window", "part_bytes", "ttl_seconds", "history", "solve_ms", "streams", "animations", "clip_bytes", "clip_joints", "animation_frames", "animation_vertices", "quotas")
     UPLOAD_BYTES_FIELD_NUMBER: _ClassVar[int]
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     SESSIONS_FIELD_NUMBER: _ClassVar[int]
@@ -363,6 +363,7 @@ class Limits(_message.Message):
     CLIP_JOINTS_FIELD_NUMBER: _ClassVar[int]
     ANIMATION_FRAMES_FIELD_NUMBER: _ClassVar[int]
     ANIMATION_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    QUOTAS_FIELD_NUMBER: _ClassVar[int]
     upload_bytes: int
     vertices: int
     sessions: int
@@ -380,7 +381,32 @@ class Limits(_message.Message):
     clip_joints: int
     animation_frames: int
     animation_vertices: int
-    def __init__(self, upload_bytes: _Optional[int] = ..., vertices: _Optional[int] = ..., sessions: _Optional[int] = ..., memory_bytes: _Optional[int] = ..., handles: _Optional[int] = ..., message_bytes: _Optional[int] = ..., window: _Optional[int] = ..., part_bytes: _Optional[int] = ..., ttl_seconds: _Optional[float] = ..., history: _Optional[int] = ..., solve_ms: _Optional[float] = ..., streams: _Optional[int] = ..., animations: _Optional[int] = ..., clip_bytes: _Optional[int] = ..., clip_joints: _Optional[int] = ..., animation_frames: _Optional[int] = ..., animation_vertices: _Optional[int] = ...) -> None: ...
+    quotas: Quotas
+    def __init__(self, upload_bytes: _Optional[int] = ..., vertices: _Optional[int] = ..., sessions: _Optional[int] = ..., memory_bytes: _Optional[int] = ..., handles: _Optional[int] = ..., message_bytes: _Optional[int] = ..., window: _Optional[int] = ..., part_bytes: _Optional[int] = ..., ttl_seconds: _Optional[float] = ..., history: _Optional[int] = ..., solve_ms: _Optional[float] = ..., streams: _Optional[int] = ..., animations: _Optional[int] = ..., clip_bytes: _Optional[int] = ..., clip_joints: _Optional[int] = ..., animation_frames: _Optional[int] = ..., animation_vertices: _Optional[int] = ..., quotas: _Optional[_Union[Quotas, _Mapping]] = ...) -> None: ...
+
+class Quotas(_message.Message):
+    __slots__ = ("sessions", "memory_bytes", "stored_bytes", "upload_bytes_per_minute", "solve_seconds_per_minute", "streams")
+    SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
+    STORED_BYTES_FIELD_NUMBER: _ClassVar[int]
+    UPLOAD_BYTES_PER_MINUTE_FIELD_NUMBER: _ClassVar[int]
+    SOLVE_SECONDS_PER_MINUTE_FIELD_NUMBER: _ClassVar[int]
+    STREAMS_FIELD_NUMBER: _ClassVar[int]
+    sessions: QuotaState
+    memory_bytes: QuotaState
+    stored_bytes: QuotaState
+    upload_bytes_per_minute: QuotaState
+    solve_seconds_per_minute: QuotaState
+    streams: QuotaState
+    def __init__(self, sessions: _Optional[_Union[QuotaState, _Mapping]] = ..., memory_bytes: _Optional[_Union[QuotaState, _Mapping]] = ..., stored_bytes: _Optional[_Union[QuotaState, _Mapping]] = ..., upload_bytes_per_minute: _Optional[_Union[QuotaState, _Mapping]] = ..., solve_seconds_per_minute: _Optional[_Union[QuotaState, _Mapping]] = ..., streams: _Optional[_Union[QuotaState, _Mapping]] = ...) -> None: ...
+
+class QuotaState(_message.Message):
+    __slots__ = ("allowed", "left")
+    ALLOWED_FIELD_NUMBER: _ClassVar[int]
+    LEFT_FIELD_NUMBER: _ClassVar[int]
+    allowed: float
+    left: float
+    def __init__(self, allowed: _Optional[float] = ..., left: _Optional[float] = ...) -> None: ...
 
 class GetLimitsRequest(_message.Message):
     __slots__ = ()

@@ -1,0 +1,148 @@
+//! What a session takes before it is opened: a seat among all sessions, memory, and a place among those of its tenant.
+
+use crate::session::answers::Tenant;
+use crate::session::capacity::memory_ledger::MemoryReservation;
+use crate::session::capacity::memory_use::MemoryUse;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::keeping::made_room::make_room;
+use crate::session::quota::tenant_account::{TenantAccount, TenantSession};
+use crate::session::shared::SharedResources;
+use std::sync::Arc;
+use tokio::sync::OwnedSemaphorePermit;
+
+/// Bytes that a build is expected to need for each uploaded byte, until its real size is known.
+const BYTES_PER_UPLOADED_BYTE: u64 = 32;
+/// Bytes below which no build is tried.
+const LEAST_BYTES: u64 = 1 << 20;
+
+/// What a session has taken. Given back when dropped.
+pub(in crate::session) struct SessionPlaces {
+    pub seat: OwnedSemaphorePermit,
+    pub memory: Arc<MemoryReservation>,
+    /// The place among the sessions of the tenant.
+    pub of_tenant: TenantSession,
+}
+
+impl SessionPlaces {
+    /// Takes a place among the sessions of the tenant, a seat, and the memory that a model of `upload` bytes is likely to need. Idle
+    /// sessions that are kept make room for it.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED`.
+    pub async fn reserve(shared: &SharedResources, of_tenant: TenantSession, upload: u64) -> Result<Self, Error> {
+        loop {
+            match take_place(shared, upload) {
+                Err(error) if !make_room(shared, None).await => return Err(error),
+                Err(_) => {}
+                Ok((seat, memory)) => {
+                    return Ok(Self {
+                        seat,
+                        memory,
+                        of_tenant,
+                    });
+                }
+            }
+        }
+    }
+
+    /// Counts what an opened model holds.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` where that is more than the server or the tenant may hold.
+    pub fn admit(&self, shared: &SharedResources, held: u64) -> Result<(), Error> {
+        if !self.memory.resize(held) {
+            let used = shared.ledger.used().saturating_sub(held);
+            let text = format!("the session needs {held} bytes and {used} are in use");
+            return Err(refuse(shared, text));
+        }
+        if !self.of_tenant.resize(held) {
+            let text = format!("the session needs {held} bytes, your quota of memory has fewer left");
+            return Err(refuse_until(shared, text, self.of_tenant.tenant()));
+        }
+        Ok(())
+    }
+}
+
+/// Counts a session that finds no place, and says why.
+pub(in crate::session) fn refuse(shared: &SharedResources, text: String) -> Error {
+    shared.metrics.refused.inc();
+    Error::exhausted(text, 5)
+}
+
+/// The same for what one of the tenant's own sessions would make room for: the first of them that may end.
+pub(in crate::session) fn refuse_until(shared: &SharedResources, text: String, tenant: &Tenant) -> Error {
+    let wait = shared.registry.soonest_end(tenant).as_secs().saturating_add(1);
+    Error {
+        retry_after_s: u32::try_from(wait).ok(),
+        ..refuse(shared, text)
+    }
+}
+
+/// Takes a place for one more session of the tenant, whose model has `upload` bytes.
+///
+/// # Errors
+/// `RESOURCE_EXHAUSTED` where the tenant has as many as it may have, or as many bytes in the store; `UNAVAILABLE` when the store does not
+/// answer.
+pub(in crate::session) async fn place_of_tenant(
+    shared: &SharedResources,
+    tenant: &Tenant,
+    upload: u64,
+) -> Result<TenantSession, Error> {
+    let account = shared.accounts.of(tenant)?;
+    let counted = |_: &Error| {
+        shared.metrics.refused.inc();
+    };
+    check_stored(shared, &account, upload).await.inspect_err(counted)?;
+    let place = account.take_session(|| shared.registry.soonest_end(tenant));
+    place.inspect_err(counted)
+}
+
+/// Asks whether a tenant may store `more` bytes.
+///
+/// # Errors
+/// `RESOURCE_EXHAUSTED`; too large where it never may; `UNAVAILABLE` when the store does not answer.
+pub(in crate::session) async fn check_stored(
+    shared: &SharedResources,
+    account: &TenantAccount,
+    more: u64,
+) -> Result<(), Error> {
+    let (Some(store), Some(most)) = (&shared.store, account.stored_quota()) else {
+        return Ok(());
+    };
+    if more > most {
+        let text = format!("{more} bytes are to be stored, your quota allows {most}");
+        return Err(Error::new(ErrorCode::TooLarge, text));
+    }
+    let used = store.stored_bytes(account.tenant().clone()).await?;
+    if used.saturating_add(more) > most {
+        let text = format!(
+            "your sessions hold {used} bytes in the store, {more} more are to be stored and your quota allows {most}; delete a session"
+        );
+        return Err(Error::exhausted(text, 60));
+    }
+    Ok(())
+}
+
+fn take_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), Error> {
+    let seat = Arc::clone(&shared.seats).try_acquire_owned().map_err(|_| {
+        let text = format!(
+            "{} sessions are open, no more are allowed; delete one or wait for one to expire",
+            shared.config.sessions
+        );
+        refuse(shared, text)
+    })?;
+    let likely = upload
+        .saturating_mul(BYTES_PER_UPLOADED_BYTE)
+        .saturating_add(LEAST_BYTES);
+    let memory = shared
+        .ledger
+        .reserve(MemoryUse::Sessions, LEAST_BYTES.max(upload), likely);
+    let memory = memory.ok_or_else(|| {
+        let used = shared.ledger.used();
+        refuse(
+            shared,
+            format!("{used} bytes of memory are in use, no more sessions fit"),
+        )
+    })?;
+    Ok((seat, Arc::new(memory)))
+}

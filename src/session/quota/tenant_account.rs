@@ -1,0 +1,301 @@
+//! What one tenant uses, against what it may use.
+
+use crate::session::answers::Tenant;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::quota::tenant_quota::TenantQuota;
+use crate::session::quota::token_bucket::TokenBucket;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::time::{Duration, Instant};
+
+/// What one tenant uses. All its sessions, streams and uploads share it.
+#[derive(Debug)]
+pub struct TenantAccount {
+    tenant: Tenant,
+    quota: TenantQuota,
+    sessions: AtomicU64,
+    streams: AtomicU64,
+    resident: AtomicU64,
+    uploads: Option<TokenBucket>,
+    work: Option<TokenBucket>,
+}
+
+/// One quota as its tenant is told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct QuotaUse {
+    /// What is allowed.
+    pub allowed: f64,
+    /// What of it is left.
+    pub left: f64,
+}
+
+/// What a tenant is told of its quotas; absent where it has none.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct QuotaReport {
+    /// Sessions held at a time.
+    pub sessions: Option<QuotaUse>,
+    /// Bytes of its sessions in memory.
+    pub memory_bytes: Option<QuotaUse>,
+    /// Bytes of its sessions in the store.
+    pub stored_bytes: Option<QuotaUse>,
+    /// Bytes of models and clips sent in a minute.
+    pub upload_bytes_per_minute: Option<QuotaUse>,
+    /// Seconds of computing in a minute.
+    pub solve_seconds_per_minute: Option<QuotaUse>,
+    /// Streams open at a time.
+    pub streams: Option<QuotaUse>,
+}
+
+impl TenantAccount {
+    pub(super) fn new(tenant: Tenant, quota: TenantQuota) -> Self {
+        let now = Instant::now();
+        Self {
+            tenant,
+            sessions: AtomicU64::new(0),
+            streams: AtomicU64::new(0),
+            resident: AtomicU64::new(0),
+            uploads: quota.upload_bytes_per_minute.map(|n| TokenBucket::new(n as f64, now)),
+            work: quota.solve_seconds_per_minute.map(|n| TokenBucket::new(n, now)),
+            quota,
+        }
+    }
+
+    /// Whose it is.
+    pub fn tenant(&self) -> &Tenant {
+        &self.tenant
+    }
+
+    /// What the tenant is told, whose sessions hold `stored` bytes in the store.
+    pub fn report(&self, stored: u64) -> QuotaReport {
+        let now = Instant::now();
+        let count = |allowed: Option<u64>, used: &AtomicU64| {
+            allowed.map(|allowed| QuotaUse {
+                allowed: allowed as f64,
+                left: allowed.saturating_sub(used.load(Relaxed)) as f64,
+            })
+        };
+        let rate = |bucket: &Option<TokenBucket>| {
+            bucket.as_ref().map(|bucket| QuotaUse {
+                allowed: bucket.a_minute(),
+                left: bucket.left(now).max(0.0),
+            })
+        };
+        QuotaReport {
+            sessions: count(self.quota.sessions, &self.sessions),
+            memory_bytes: count(self.quota.memory_bytes, &self.resident),
+            stored_bytes: count(self.quota.stored_bytes, &AtomicU64::new(stored)),
+            upload_bytes_per_minute: rate(&self.uploads),
+            solve_seconds_per_minute: rate(&self.work),
+            streams: count(self.quota.streams, &self.streams),
+        }
+    }
+
+    /// Whether it can be forgotten and made anew without anybody noticing, as far as it knows.
+    pub(super) fn is_idle(&self) -> bool {
+        let now = Instant::now();
+        let is_full = |bucket: &Option<TokenBucket>| bucket.as_ref().is_none_or(|b| b.left(now) >= b.a_minute());
+        let uses_none = [&self.sessions, &self.streams, &self.resident];
+        uses_none.iter().all(|used| used.load(Relaxed) == 0) && is_full(&self.uploads) && is_full(&self.work)
+    }
+
+    /// Takes the place of one session.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED`; `next` says after how long one of the tenant's sessions may end.
+    pub(in crate::session) fn take_session(
+        self: &Arc<Self>,
+        next: impl FnOnce() -> Duration,
+    ) -> Result<TenantSession, Error> {
+        if !add_below(&self.sessions, self.quota.sessions) {
+            let most = self.quota.sessions.unwrap_or_default();
+            let text = format!(
+                "{most} of your sessions are open, your quota allows no more; delete one or wait for one to expire"
+            );
+            return Err(later(text, next()));
+        }
+        Ok(TenantSession {
+            account: Arc::clone(self),
+            bytes: AtomicU64::new(0),
+            outlived: false,
+        })
+    }
+
+    /// The place of a session that is counted already and comes back into memory.
+    pub(in crate::session) fn place_again(self: &Arc<Self>) -> TenantSession {
+        TenantSession {
+            account: Arc::clone(self),
+            bytes: AtomicU64::new(0),
+            outlived: true,
+        }
+    }
+
+    /// Counts sessions that are in the store.
+    pub(in crate::session) fn count_stored(&self, sessions: u64) {
+        self.sessions.fetch_add(sessions, Relaxed);
+    }
+
+    /// A session is gone, from the store too.
+    pub(in crate::session) fn uncount_session(&self) {
+        let less = |n: u64| Some(n.saturating_sub(1));
+        let _ = self.sessions.fetch_update(Relaxed, Relaxed, less);
+    }
+
+    /// Bytes that one more session may hold; more than can be where there is no quota.
+    pub(in crate::session) fn memory_room(&self) -> u64 {
+        let used = self.resident.load(Relaxed);
+        self.quota
+            .memory_bytes
+            .map_or(u64::MAX, |most| most.saturating_sub(used))
+    }
+
+    /// The most bytes that its sessions may hold in the store.
+    pub(in crate::session) fn stored_quota(&self) -> Option<u64> {
+        self.quota.stored_bytes
+    }
+
+    /// The most bytes that its sessions may hold together.
+    pub(in crate::session) fn memory_quota(&self) -> Option<u64> {
+        self.quota.memory_bytes
+    }
+
+    /// Takes the place of one stream.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED`.
+    pub(in crate::session) fn take_stream(self: &Arc<Self>) -> Result<TenantStream, Error> {
+        if !add_below(&self.streams, self.quota.streams) {
+            let most = self.quota.streams.unwrap_or_default();
+            let text = format!("{most} of your streams are open, your quota allows no more; close one");
+            return Err(later(text, Duration::from_secs(1)));
+        }
+        Ok(TenantStream(Arc::clone(self)))
+    }
+
+    /// Counts `more` bytes of an upload of which `whole` are known of by now.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` with the time after which so much may be sent; too large where it never may.
+    pub fn take_upload(&self, more: u64, whole: u64) -> Result<(), Error> {
+        let Some(bucket) = &self.uploads else { return Ok(()) };
+        let most = bucket.a_minute();
+        if whole as f64 > most {
+            let text = format!("the upload has {whole} bytes or more, your quota allows {most} a minute");
+            return Err(Error::new(ErrorCode::TooLarge, text));
+        }
+        bucket.take(more as f64, Instant::now()).map_err(|wait| {
+            let text = format!("your quota of {most} uploaded bytes a minute is used up");
+            later(text, wait)
+        })
+    }
+
+    /// Whether an upload of so many bytes could be taken now; none is counted yet.
+    ///
+    /// # Errors
+    /// As [`TenantAccount::take_upload`].
+    pub fn check_upload(&self, bytes: u64) -> Result<(), Error> {
+        self.take_upload(bytes, bytes)?;
+        if let Some(bucket) = &self.uploads {
+            bucket.charge(-(bytes as f64), Instant::now());
+        }
+        Ok(())
+    }
+
+    /// Asks whether work may begin.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` with the time after which it may.
+    pub(in crate::session) fn check_work(&self) -> Result<(), Error> {
+        let Some(bucket) = &self.work else { return Ok(()) };
+        bucket.check(Instant::now()).map_err(|wait| {
+            let text = format!(
+                "your quota of {} seconds of computing a minute is used up",
+                bucket.a_minute()
+            );
+            later(text, wait)
+        })
+    }
+
+    /// Counts work that was done.
+    pub(in crate::session) fn charge_work(&self, time: Duration) {
+        if let Some(bucket) = &self.work {
+            bucket.charge(time.as_secs_f64(), Instant::now());
+        }
+    }
+}
+
+/// Adds one where that is allowed.
+fn add_below(count: &AtomicU64, most: Option<u64>) -> bool {
+    let most = most.unwrap_or(u64::MAX);
+    count
+        .fetch_update(Relaxed, Relaxed, |n| (n < most).then(|| n + 1))
+        .is_ok()
+}
+
+/// Refused, until a time that is rounded up.
+fn later(text: String, wait: Duration) -> Error {
+    let seconds = wait.as_secs().saturating_add(u64::from(wait.subsec_nanos() > 0));
+    Error::exhausted(text, u32::try_from(seconds).unwrap_or(u32::MAX).max(1))
+}
+
+/// The place of one session of a tenant, and the bytes that it holds. Given back when dropped.
+#[derive(Debug)]
+pub(in crate::session) struct TenantSession {
+    account: Arc<TenantAccount>,
+    bytes: AtomicU64,
+    /// The session is in the store too: it stays counted until it is deleted there.
+    outlived: bool,
+}
+
+impl TenantSession {
+    /// Whose it is.
+    pub fn tenant(&self) -> &Tenant {
+        &self.account.tenant
+    }
+
+    /// What all sessions of that tenant share.
+    pub fn account(&self) -> &Arc<TenantAccount> {
+        &self.account
+    }
+
+    /// The session is in the store and counted until [`TenantAccount::uncount_session`].
+    pub fn outlive(&mut self) {
+        self.outlived = true;
+    }
+
+    /// Says how many bytes the session holds; false where that is more than the tenant may hold. They are counted either way.
+    pub fn resize(&self, bytes: u64) -> bool {
+        let before = self.bytes.swap(bytes, Relaxed);
+        let resident = &self.account.resident;
+        let sum = match bytes.checked_sub(before) {
+            Some(more) => resident.fetch_add(more, Relaxed).saturating_add(more),
+            None => resident.fetch_sub(before - bytes, Relaxed) - (before - bytes),
+        };
+        self.account.quota.memory_bytes.is_none_or(|most| sum <= most)
+    }
+}
+
+impl Drop for TenantSession {
+    fn drop(&mut self) {
+        self.resize(0);
+        if !self.outlived {
+            self.account.uncount_session();
+        }
+    }
+}
+
+/// The place of one stream of a tenant. Given back when dropped.
+#[derive(Debug)]
+pub(in crate::session) struct TenantStream(Arc<TenantAccount>);
+
+impl TenantStream {
+    /// Counts work that was done for it.
+    pub fn charge_work(&self, time: Duration) {
+        self.0.charge_work(time);
+    }
+}
+
+impl Drop for TenantStream {
+    fn drop(&mut self) {
+        self.0.streams.fetch_sub(1, Relaxed);
+    }
+}

@@ -1,0 +1,389 @@
+//! What each tenant may use, and what it is told of it.
+
+use super::entry;
+use crate::support::program::ServedProgram;
+use crate::support::server::*;
+use pliant::server::auth::token_digest;
+use pliant::session::TenantQuota;
+use pliant::wire::pb;
+use serde_json::{Value, json};
+use std::path::Path;
+use std::time::Duration;
+use tokio_tungstenite::tungstenite::{self, client::IntoClientRequest as _};
+
+/// A server where tenant `a` has a quota and `b` none.
+async fn limited(quota: TenantQuota) -> Server {
+    Server::with(|sessions, config| {
+        sessions.quotas.named.insert("a".into(), quota);
+        config.auth.tokens = vec![entry("a", "a"), entry("b", "b")];
+    })
+    .await
+}
+
+/// A file with some tables of the configuration; its path.
+fn config_file(folder: &Path, tables: &str) -> String {
+    let path = folder.join("pliant.toml");
+    std::fs::write(&path, tables).expect("writable");
+    path.to_string_lossy().into_owned()
+}
+
+/// The SHA-256 of a token as a file has it.
+fn token_hex(token: &str) -> String {
+    token_digest(token).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Status, seconds of `Retry-After`, and the document.
+async fn answer(request: reqwest::RequestBuilder, token: &str) -> (u16, Option<u64>, Value) {
+    let answer = within("an answer", request.bearer_auth(token).send())
+        .await
+        .expect("an answer");
+    let wait = answer
+        .headers()
+        .get("retry-after")
+        .map(|v| v.to_str().expect("ASCII").parse().expect("seconds"));
+    let status = answer.status().as_u16();
+    let body = answer.bytes().await.expect("a body");
+    (status, wait, serde_json::from_slice(&body).unwrap_or_default())
+}
+
+async fn open(server: &Server, token: &str, along: usize) -> (u16, Option<u64>, Value) {
+    answer(http().post(server.url("/v1/sessions")).body(bar_obj(along)), token).await
+}
+
+async fn quotas(server: &Server, token: &str) -> Value {
+    answer(http().get(server.url("/v1/limits")), token).await.2["quotas"].clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_are_counted_by_tenant_and_come_free_when_it_was_told() {
+    let quota = TenantQuota {
+        sessions: Some(1),
+        ..TenantQuota::default()
+    };
+    let server = limited(quota).await;
+    assert_eq!(
+        quotas(&server, "a").await,
+        json!({"sessions": {"allowed": 1.0, "left": 1.0}})
+    );
+    assert_eq!(quotas(&server, "b").await, Value::Null);
+    let mut limits = tonic::Request::new(pb::GetLimitsRequest::default());
+    limits
+        .metadata_mut()
+        .insert("authorization", "Bearer a".parse().expect("ASCII"));
+    let limits = within("limits", server.grpc().await.get_limits(limits)).await;
+    let told = limits.expect("limits").into_inner().quotas.expect("quotas");
+    assert_eq!(told.sessions.map(|s| (s.allowed, s.left)), Some((1.0, 1.0)));
+    let short = http().post(server.url("/v1/sessions?ttl=2s")).body(bar_obj(4));
+    let (status, _, _) = answer(short, "a").await;
+    assert_eq!(status, 201);
+    assert_eq!(quotas(&server, "a").await["sessions"]["left"], 0.0);
+    let (status, wait, told) = open(&server, "a", 4).await;
+    assert_eq!(status, 429);
+    assert!(text(&told["detail"]).contains("your quota"), "{told}");
+    assert_eq!(open(&server, "b", 4).await.0, 201);
+    let wait = wait.expect("a time");
+    assert!((1..=3).contains(&wait), "{wait} s");
+    tokio::time::sleep(Duration::from_secs(wait)).await;
+    eventually("its place", async || open(&server, "a", 4).await.0 == 201).await;
+    assert_eq!(open(&server, "a", 4).await.0, 429);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn memory_is_counted_by_tenant() {
+    let quota = TenantQuota {
+        memory_bytes: Some(3 << 20),
+        ..TenantQuota::default()
+    };
+    let server = limited(quota).await;
+    let mut open_at_once = 0;
+    let refused = loop {
+        match open(&server, "a", 24).await {
+            (201, ..) => open_at_once += 1,
+            refused => break refused,
+        }
+        assert!(open_at_once < 100);
+    };
+    assert!(open_at_once >= 1);
+    assert_eq!(refused.0, 429, "{}", refused.2);
+    assert!(refused.1.is_some());
+    let told = quotas(&server, "a").await["memoryBytes"].clone();
+    assert!(
+        told["allowed"] == f64::from(3 << 20) && told["left"].as_f64() < Some(f64::from(3 << 20)),
+        "{told}"
+    );
+    // A model that alone is too large will not fit later either.
+    let (status, wait, told) = open(&server, "a", 4000).await;
+    assert_eq!((status, wait), (413, None), "{told}");
+    assert_eq!(open(&server, "b", 24).await.0, 201);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn uploads_are_counted_by_the_minute() {
+    let bytes = bar_obj(8).len() as u64;
+    let quota = TenantQuota {
+        // Two fit, and of a third what comes in some seconds.
+        upload_bytes_per_minute: Some(bytes * 2 + bytes / 2),
+        ..TenantQuota::default()
+    };
+    let server = limited(quota).await;
+    assert_eq!(open(&server, "a", 8).await.0, 201);
+    assert_eq!(open(&server, "a", 8).await.0, 201);
+    let (status, wait, told) = open(&server, "a", 8).await;
+    assert_eq!(status, 429, "{told}");
+    assert!((1..=60).contains(&wait.expect("a time")), "{wait:?}");
+    let left = quotas(&server, "a").await["uploadBytesPerMinute"]["left"]
+        .as_f64()
+        .expect("a number");
+    assert!(left < bytes as f64, "{left} of {bytes}");
+    // Larger than what a minute brings.
+    assert_eq!(open(&server, "a", 200).await.0, 413);
+    assert_eq!(open(&server, "b", 8).await.0, 201);
+    let chunks = futures::stream::iter(
+        bar_obj(8)
+            .into_bytes()
+            .chunks(1000)
+            .map(|c| Ok::<_, std::io::Error>(c.to_vec()))
+            .collect::<Vec<_>>(),
+    );
+    let unannounced = http()
+        .post(server.url("/v1/sessions?format=obj"))
+        .body(reqwest::Body::wrap_stream(chunks));
+    assert_eq!(answer(unannounced, "a").await.0, 429);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn computing_is_counted_by_the_minute() {
+    let quota = TenantQuota {
+        solve_seconds_per_minute: Some(1e-6),
+        ..TenantQuota::default()
+    };
+    let server = limited(quota).await;
+    // The first piece of work begins: nobody knows before how long it takes.
+    let (status, _, session) = open(&server, "a", 8).await;
+    assert_eq!(status, 201);
+    let handles = format!("/v1/sessions/{}/handles", text(&session["id"]));
+    let set = || http().put(server.url(&handles)).json(&json!({"handles": ends()}));
+    let (status, wait, told) = answer(set(), "a").await;
+    assert_eq!(status, 429, "{told}");
+    assert!(text(&told["detail"]).contains("seconds of computing"), "{told}");
+    assert!(wait > Some(60), "{wait:?}");
+    assert_eq!(quotas(&server, "a").await["solveSecondsPerMinute"]["left"], 0.0);
+    // What computes nothing goes on.
+    let (status, ..) = answer(http().get(server.url("/v1/sessions")), "a").await;
+    assert_eq!(status, 200);
+    assert_eq!(open(&server, "b", 8).await.0, 201);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn streams_are_counted_by_tenant() {
+    let quota = TenantQuota {
+        streams: Some(1),
+        ..TenantQuota::default()
+    };
+    let server = limited(quota).await;
+    let ids = [open(&server, "a", 8).await.2, open(&server, "a", 8).await.2].map(|s| text(&s["id"]));
+    let connect = async |id: &str| {
+        let url = format!("ws://{}/v1/sessions/{id}/stream", server.address);
+        let mut request = url.into_client_request().expect("a request");
+        request
+            .headers_mut()
+            .insert("authorization", "Bearer a".parse().expect("ASCII"));
+        match within("a handshake", tokio_tungstenite::connect_async(request)).await {
+            Ok((stream, _)) => Ok(stream),
+            Err(tungstenite::Error::Http(refused)) => Err(refused.status().as_u16()),
+            Err(other) => panic!("{other}"),
+        }
+    };
+    let first = connect(&ids[0]).await.expect("a stream");
+    assert_eq!(connect(&ids[1]).await.err(), Some(429));
+    assert_eq!(
+        quotas(&server, "a").await["streams"],
+        json!({"allowed": 1.0, "left": 0.0})
+    );
+    drop(first);
+    eventually("its place", async || connect(&ids[1]).await.is_ok()).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_stored_is_counted_and_given_back() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let bytes = bar_obj(8).len() as u64;
+    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {}\n", bytes * 3));
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let left = async || {
+        let quotas = server.done("GET", "/v1/limits", None).await["quotas"]["storedBytes"].clone();
+        quotas["left"].as_f64().expect("a number")
+    };
+    assert_eq!(left().await, (bytes * 3) as f64);
+    let first = server.open(bar_obj(8), "").await;
+    let after_one = left().await;
+    assert!(after_one < (bytes * 2) as f64, "{after_one} of {bytes}");
+    // A commit costs something too.
+    let path = |id: &str, rest: &str| format!("/v1/sessions/{id}{rest}");
+    let handles = json!({"handles": ends()});
+    server.done("PUT", &path(&first, "/handles"), Some(&handles)).await;
+    let after_handles = left().await;
+    assert!(after_handles < after_one);
+    let second = server.open(bar_obj(8), "").await;
+    let refused = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8));
+    let (status, wait, told) = answer(refused, "").await;
+    assert_eq!(status, 429, "{told}");
+    assert!(text(&told["detail"]).contains("in the store"), "{told}");
+    assert!(wait.is_some());
+    let refused = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(80));
+    assert_eq!(answer(refused, "").await.0, 413);
+    // As it was, after a start anew too.
+    let before = left().await;
+    server.kill();
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let left = async || {
+        let quotas = server.done("GET", "/v1/limits", None).await["quotas"]["storedBytes"].clone();
+        quotas["left"].as_f64().expect("a number")
+    };
+    assert_eq!(left().await, before);
+    for id in [&first, &second] {
+        server.done("DELETE", &path(id, ""), None).await;
+    }
+    assert_eq!(left().await, (bytes * 3) as f64);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn commits_are_refused_where_no_more_may_be_stored_and_reading_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let bytes = bar_obj(8).len() as u64;
+    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {}\n", bytes + 20_000));
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let id = server.open(bar_obj(8), "").await;
+    let path = |rest: &str| format!("/v1/sessions/{id}{rest}");
+    let handles = json!({"handles": ends()});
+    let mut set = 0;
+    let told = loop {
+        match server.call("PUT", &path("/handles"), Some(&handles)).await {
+            (200, _) => set += 1,
+            (429, told) => break told,
+            other => panic!("{other:?}"),
+        }
+        assert!(set < 10_000);
+    };
+    assert!(
+        set >= 1 && text(&told["detail"]).contains("in the store"),
+        "{set} {told}"
+    );
+    let session = server.done("GET", &path(""), None).await;
+    assert_eq!(session["revision"], (set + 1).to_string());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_that_left_memory_are_counted_and_come_back() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let config = config_file(folder.path(), "[quotas]\nsessions = 2\n");
+    let arguments = ["--config", &config, "--idle", "100ms"];
+    let server = ServedProgram::start(&data, &arguments);
+    let ids = [server.open(bar_obj(8), "").await, server.open(bar_obj(8), "").await];
+    let none_in_memory = async |server: &ServedProgram| {
+        eventually("an empty memory", async || {
+            let text = http()
+                .get(format!("{}/metrics", server.url))
+                .send()
+                .await
+                .expect("an answer");
+            text.text().await.expect("a text").contains("\npliant_sessions 0\n")
+        })
+        .await;
+    };
+    none_in_memory(&server).await;
+    let open = async |server: &ServedProgram| {
+        answer(http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8)), "")
+            .await
+            .0
+    };
+    assert_eq!(open(&server).await, 429);
+    // Both are the tenant's already: its quota does not keep them away.
+    for id in &ids {
+        server.done("GET", &format!("/v1/sessions/{id}"), None).await;
+    }
+    server.kill();
+    let server = ServedProgram::start(&data, &arguments);
+    assert_eq!(open(&server).await, 429);
+    // Deleted while it is in the store alone, and while it is in memory.
+    server.done("DELETE", &format!("/v1/sessions/{}", ids[0]), None).await;
+    server.done("GET", &format!("/v1/sessions/{}", ids[1]), None).await;
+    assert_eq!(open(&server).await, 201);
+    assert_eq!(open(&server).await, 429);
+    server.done("DELETE", &format!("/v1/sessions/{}", ids[1]), None).await;
+    assert_eq!(open(&server).await, 201);
+    assert_eq!(open(&server).await, 429);
+    // Time ends for one in the store alone.
+    none_in_memory(&server).await;
+    let left = async || server.done("GET", "/v1/limits", None).await["quotas"]["sessions"]["left"].clone();
+    assert_eq!(left().await, 0.0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tenants_own_idle_sessions_make_room_in_its_quota_of_memory() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let config = config_file(folder.path(), "[quotas]\nmemory_bytes = \"3MiB\"\n");
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let mut ids = Vec::new();
+    let in_memory = async || {
+        let metrics = http().get(format!("{}/metrics", server.url)).send().await;
+        let metrics = metrics.expect("an answer").text().await.expect("a text");
+        let sessions = metrics.lines().find_map(|l| l.strip_prefix("pliant_sessions "));
+        sessions.expect("a count").parse::<usize>().expect("a number")
+    };
+    while in_memory().await == ids.len() {
+        ids.push(server.open(bar_obj(24), "").await);
+        assert!(ids.len() < 100);
+    }
+    for _ in 0..ids.len() {
+        ids.push(server.open(bar_obj(24), "").await);
+    }
+    for id in &ids {
+        server.done("GET", &format!("/v1/sessions/{id}"), None).await;
+        let limits = server.done("GET", "/v1/limits", None).await;
+        let memory = &limits["quotas"]["memoryBytes"];
+        let left = memory["left"].as_f64().expect("a number");
+        assert!((0.0..3e6).contains(&left), "{memory}");
+    }
+    assert!((1..ids.len()).contains(&in_memory().await));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_of_the_store_are_their_tenants_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let tokens = ["a", "b"].map(|t| format!("[[auth.tokens]]\ntenant = \"{t}\"\nsha256 = \"{}\"\n", token_hex(t)));
+    let config = config_file(folder.path(), &tokens.concat());
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let opened = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8));
+    let id = text(&answer(opened, "a").await.2["id"]);
+    server.kill();
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let ask = async |method: reqwest::Method, rest: &str, id: &str, token: &str| {
+        let request = http().request(method, format!("{}/v1/sessions/{id}{rest}", server.url));
+        let (status, _, mut told) = answer(request, token).await;
+        // Which call it was differs.
+        if let Some(told) = told.as_object_mut() {
+            told.remove("requestId");
+        }
+        (status, told.to_string().replace(id, "ID"))
+    };
+    for (method, rest) in [
+        (reqwest::Method::GET, ""),
+        (reqwest::Method::GET, "/history"),
+        (reqwest::Method::GET, "/positions"),
+        (reqwest::Method::POST, "/undo"),
+        (reqwest::Method::DELETE, ""),
+    ] {
+        let other = ask(method.clone(), rest, &id, "b").await;
+        assert_eq!(other.0, 404, "{other:?}");
+        assert_eq!(other, ask(method, rest, &"0".repeat(32), "b").await);
+    }
+    let list = http().get(format!("{}/v1/sessions", server.url));
+    assert_eq!(answer(list, "b").await.2["sessions"].as_array().map_or(0, Vec::len), 0);
+    assert_eq!(ask(reqwest::Method::GET, "", &id, "a").await.0, 200);
+}
