@@ -166,6 +166,7 @@ class Traffic:
         self._options = options
         self._assembler = Assembler(vertices, changed_only=options.output.HasField("changed_only"))
         self._repeat = False
+        self._opened = False
         self._settled: dict[str, pb.HandlePose] = {}
         # Poses that are neither solved nor refused yet, by number. A refused one moves nothing.
         self._pending: dict[int, dict[str, pb.HandlePose]] = {}
@@ -190,6 +191,10 @@ class Traffic:
         """The first messages of a connection."""
         self._assembler.restart()
         first = [pb.DeformRequest(session_id=self._session_id, options=self._options)]
+        if self._opened:
+            # Its answer tells that the stream is there again, also where no pose waits for one.
+            first.append(pb.DeformRequest(ping=pb.Ping()))
+        self._opened = True
         if self.seq > self.answered:
             return [*first, pb.DeformRequest(pose=pose_message(self.poses, self.seq))]
         self._repeat = bool(self.poses)
@@ -211,13 +216,17 @@ class Traffic:
         return self.poses
 
     def take(self, response: pb.DeformResponse) -> Frame | errors.PliantError | None:
-        """A whole frame, or why a pose was refused."""
+        """A whole frame, or why a pose was refused; an error without a number ends the connection."""
         kind = response.WhichOneof("message")
         if kind == "error":
             error = response.error
             self._pending.pop(error.seq, None)
             self.answered = max(self.answered, error.seq)
             return errors.of_stream(error.code, error.message, error.seq)
+        if kind == "notice" and response.notice.code == "going-away":
+            # What was not answered is asked of the server that comes after this one.
+            self._session_id = response.notice.resume_token or self._session_id
+            return errors.Unavailable(response.notice.message)
         if kind != "frame":
             return None
         frame = self._assembler.take(response.frame)

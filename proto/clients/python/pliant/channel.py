@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import re
 import ssl
 import time
@@ -32,7 +33,7 @@ class Settings:
     ca: str | os.PathLike[str] | None = None
     #: Seconds that a call may take, uploads and solves included.
     timeout: float = 600.0
-    #: Seconds for which a lost connection is looked for again. 0 = give up at once.
+    #: Seconds for which a lost connection, or a server that restarts, is looked for again. 0 = give up at once.
     patience: float = 15.0
     #: Largest message taken. The server's parts are 1 MiB unless it was configured otherwise.
     message_bytes: int = 16 << 20
@@ -129,35 +130,55 @@ CLOSED = "the connection is closed: close() was called on its client, or on the 
 
 
 class Attempts:
-    """When a call that failed is worth another try."""
+    """When a call that failed is worth another try: soon at first, then after longer and longer pauses, for as long as
+    the patience lasts, which is counted from the first failure."""
 
     _FIRST, _LONGEST = 0.05, 1.0
 
-    def __init__(self, patience: float) -> None:
-        self._end = time.monotonic() + patience
+    def __init__(self, patience: float, *, resuming: bool = False) -> None:
+        self._patience = patience
+        self._end: float | None = None
         self._pause = self._FIRST
+        # Whether this client had its place already: then a place that is still taken is its own, and comes free.
+        self._resuming = resuming
 
     @property
     def left(self) -> float:
         """Seconds of patience."""
-        return max(0.0, self._end - time.monotonic())
+        return self._patience if self._end is None else max(0.0, self._end - time.monotonic())
 
     def again(self, error: errors.PliantError) -> float | None:
         """Seconds to wait before the next try, or None when the error stands."""
-        if isinstance(error, errors.LocalServerError):
+        if not self._may_pass(error):
             return None
+        if self._end is None:
+            self._end = time.monotonic() + self._patience
+        left, wanted = self.left, error.retry_after or 0.0
+        if left == 0 or wanted > left:
+            return None
+        # Not all clients of a server that was restarted come at the same moment.
+        pause, self._pause = self._pause * random.uniform(0.5, 1.0), min(self._pause * 2, self._LONGEST)
+        return max(wanted, min(pause, left))
+
+    def last_word(self, error: errors.PliantError) -> errors.PliantError:
+        """The error that stands, with how long it was tried."""
+        if self._end is None or not self._may_pass(error):
+            return error
+        text = f"{error.message} (tried again for {self._patience:g} s)"
+        return type(error)(text, code=error.code, field=error.field, retry_after=error.retry_after, seq=error.seq)
+
+    def _may_pass(self, error: errors.PliantError) -> bool:
+        if isinstance(error, (errors.LocalServerError, errors.TooLarge)):
+            return False
         lost = isinstance(error, errors.Unavailable) or any(words in error.message for words in _LOST)
         running = isinstance(error, errors.Aborted) and "still running" in error.message
-        left = self.left
-        if left == 0 or not (lost or running):
-            return None
-        pause, self._pause = min(self._pause, left), min(self._pause * 2, self._LONGEST)
-        return pause
+        taken = isinstance(error, errors.ResourceExhausted) and error.retry_after is not None and self._resuming
+        return lost or running or taken
 
 
 def of_session(error: errors.PliantError) -> errors.PliantError:
     """The same error, as what it means to somebody who holds a session."""
     if isinstance(error, errors.NotFound) and error.message.startswith("no session"):
-        hint = "a server that was restarted holds none of its old ones. Open the model again"
+        hint = "a server without data_dir forgets its sessions when it is restarted. Open the model again"
         return errors.SessionLost(f"{error.message}; {hint}", code=error.code)
     return error

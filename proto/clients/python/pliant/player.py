@@ -88,7 +88,7 @@ class Animation(Iterator[AnimatedFrame]):
             error: errors.PliantError = errors.Unavailable("the server ended the animation")
             try:
                 for part in self._call:
-                    attempts = channel.Attempts(self._calls.settings.patience)
+                    attempts = channel.Attempts(self._calls.settings.patience, resuming=True)
                     frame = self._playing.take(part)
                     if frame is not None:
                         yield frame
@@ -100,7 +100,7 @@ class Animation(Iterator[AnimatedFrame]):
                 return
             pause = attempts.again(error)
             if pause is None or not self._calls.found(pause, attempts.left, lambda: self._closed):
-                raise self._calls.reason(error)
+                raise self._calls.reason(attempts.last_word(error))
             self.reconnects += 1
             self._outgoing.put(None)
             self._open()

@@ -42,6 +42,8 @@ class Stream:
         self._call: grpc.Call | None = None
         #: How often a lost connection was opened anew.
         self.reconnects = 0
+        #: Whether the connection is lost at the moment and looked for; poses wait, the newest goes out when it is back.
+        self.lost = False
         self._reader = threading.Thread(target=self._run, name="pliant-stream", daemon=True)
         self._reader.start()
 
@@ -171,7 +173,8 @@ class Stream:
                         outgoing.put(message)
                     self._call = call = self._calls.deform(iter(outgoing.get, None))
                 for response in call:
-                    attempts = channel.Attempts(self._calls.settings.patience)
+                    attempts = channel.Attempts(self._calls.settings.patience, resuming=True)
+                    self.lost = False
                     self._put(response)
             except grpc.RpcError as failed:
                 error = self._calls.fault(failed)
@@ -183,9 +186,10 @@ class Stream:
             with self._news:
                 pause = None if self._closed else attempts.again(error)
                 self._call = None
+                self.lost = True
             if pause is None or not self._calls.found(pause, attempts.left, lambda: self._closed):
                 with self._news:
-                    self._failure = self._calls.reason(error)
+                    self._failure = self._calls.reason(attempts.last_word(error))
                     self._news.notify_all()
                 return
             self.reconnects += 1

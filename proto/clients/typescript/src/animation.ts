@@ -80,7 +80,9 @@ export class Animation implements AsyncIterable<AnimatedFrame> {
       try {
         const count = this.options.count ? first + this.options.count - next : 0;
         const form = formOf({ ...this.options, first: next, count });
-        for await (const frame of this.frames(await this.route(form, this.call))) {
+        // Tries after the first are counted here.
+        const call = attempt === 0 ? this.call : { ...this.call, patience: 0 };
+        for await (const frame of this.frames(await this.route(form, call))) {
           attempt = 0;
           next = frame.index + 1;
           yield frame;

@@ -51,6 +51,12 @@ export class PliantError extends Error {
     return this.code === "UNIMPLEMENTED";
   }
 
+  /** Whether the server is away or stopping, or still works on the same call: asking again is no mistake. */
+  get isAway(): boolean {
+    const runs = this.code === "ABORTED" && this.retryAfter !== undefined;
+    return this.code === "UNREACHABLE" || this.code === "UNAVAILABLE" || runs;
+  }
+
   /** Whether the same call may succeed later: the server is away, busy or stopping. */
   get isTransient(): boolean {
     return this.code === "UNREACHABLE" || this.code === "UNAVAILABLE" || this.code === "RESOURCE_EXHAUSTED";

@@ -59,11 +59,16 @@ export interface Carried {
 
 /** A session that is open on the server. Every method asks the server; `facts` is what it said last. */
 export class Session {
+  /** The newest revision that a call was told of. */
+  private known: number;
+
   constructor(
     private readonly transport: Transport,
     /** The session as the server described it last. */
     public facts: Facts,
-  ) {}
+  ) {
+    this.known = Number(facts.revision);
+  }
 
   get id(): string {
     return this.facts.id;
@@ -100,10 +105,12 @@ export class Session {
   /** Solves one pose, commits it, and answers the whole buffer. */
   async solve(handles: PoseEntry[], options: SolveOptions = {}, call: CallOptions = {}): Promise<Solved> {
     const json = jsonOf(SolveRequestSchema, { pose: { handles }, options });
-    const response = await this.transport.bytes("POST", this.path("/solve"), "application/octet-stream", { ...call, json });
-    const fact = (name: string): string => response.headers.get(`x-pliant-${name}`) ?? "";
+    const read = async (response: Response) => ({ headers: response.headers, bytes: await response.arrayBuffer() });
+    const accept = "application/octet-stream";
+    const { headers, bytes } = await this.transport.read("POST", this.path("/solve"), accept, { ...call, json }, read);
+    const fact = (name: string): string => headers.get(`x-pliant-${name}`) ?? "";
     return {
-      positions: new Float32Array(await response.arrayBuffer()),
+      positions: new Float32Array(bytes),
       revision: Number(fact("revision")),
       digest: fact("digest"),
       residual: Number(fact("residual")),
@@ -128,9 +135,11 @@ export class Session {
   }
 
   /** Changes the topology. One commit. */
-  edit(edit: Edit, call: CallOptions = {}): Promise<EditResult> {
+  async edit(edit: Edit, call: CallOptions = {}): Promise<EditResult> {
     const json = jsonOf(EditRequestSchema, edit);
-    return this.transport.message(EditResultSchema, "POST", this.path("/edits"), { ...call, json });
+    const result = await this.transport.message(EditResultSchema, "POST", this.path("/edits"), { ...call, json });
+    this.known = Math.max(this.known, Number(result.revision));
+    return result;
   }
 
   /**
@@ -147,19 +156,19 @@ export class Session {
   /** As `animate`, as a GLB that plays the clip: with morph targets, or with `playedAs: 1` as a skin of rigid bones. */
   async animatedModel(options: AnimateOptions = {}, call: CallOptions = {}): Promise<Blob> {
     const body = formOf(options);
-    return (await this.transport.bytes("POST", this.path("/animations"), "model/gltf-binary", { ...call, body })).blob();
+    return this.transport.read("POST", this.path("/animations"), "model/gltf-binary", { ...call, body }, blobOf);
   }
 
   /** The current shape: x, y, z per render vertex. */
   async positions(call: CallOptions = {}): Promise<Float32Array<ArrayBuffer>> {
-    const response = await this.transport.bytes("GET", this.path("/positions"), "application/octet-stream", call);
-    return new Float32Array(await response.arrayBuffer());
+    const read = (response: Response) => response.arrayBuffer();
+    return new Float32Array(await this.transport.read("GET", this.path("/positions"), "application/octet-stream", call, read));
   }
 
   /** The model in its current shape. Without a format: the one it came in. */
   async model(format?: Format, call: CallOptions = {}): Promise<Blob> {
     const path = this.path(format === undefined ? "/model" : `/model?format=${format}`);
-    return (await this.transport.bytes("GET", path, "*/*", call)).blob();
+    return this.transport.read("GET", path, "*/*", call, blobOf);
   }
 
   /**
@@ -187,30 +196,34 @@ export class Session {
   /** The model in its current shape with all of its files, by name: "" is the main one, others lie beside it (`gltf`). */
   async files(format?: Format, call: CallOptions = {}): Promise<Map<string, Blob>> {
     const path = this.path(format === undefined ? "/model" : `/model?format=${format}`);
-    const main = await this.transport.bytes("GET", path, "*/*", call);
-    const files = new Map([["", await main.blob()]]);
-    for (const [, target] of (main.headers.get("link") ?? "").matchAll(/<([^>]*)>; rel="item"/g)) {
+    const read = async (response: Response) => ({ link: response.headers.get("link") ?? "", main: await response.blob() });
+    const { link, main } = await this.transport.read("GET", path, "*/*", call, read);
+    const files = new Map([["", main]]);
+    for (const [, target] of link.matchAll(/<([^>]*)>; rel="item"/g)) {
       if (target === undefined) continue;
       const name = new URL(target, this.transport.url).searchParams.get("uri") ?? "";
-      files.set(name, await (await this.transport.bytes("GET", target, "*/*", call)).blob());
+      files.set(name, await this.transport.read("GET", target, "*/*", call, blobOf));
     }
     return files;
   }
 
-  /** Opens the stream on which handles are dragged. */
-  stream(options: SolveOptions = {}, events: StreamEvents = {}): Stream {
+  /**
+   * Opens the stream on which handles are dragged. A connection that is lost is opened again for `patience` seconds (60 unless said
+   * otherwise); then the stream is `closed`.
+   */
+  stream(options: SolveOptions = {}, events: StreamEvents = {}, { patience = 60 }: { patience?: number } = {}): Stream {
     const path = this.path("/stream");
     const route = {
       connect: () => this.transport.socket(path),
-      probe: () => this.refresh(),
-      known: () => Number(this.facts.revision),
+      probe: () => this.refresh({ patience: 0 }),
+      known: () => this.known,
     };
-    return new Stream(route, options, events);
+    return new Stream(route, options, events, patience);
   }
 
   /** Closes the session and frees what it held. */
   close(call: CallOptions = {}): Promise<void> {
-    return this.transport.nothing("DELETE", this.path(""), call);
+    return this.transport.remove(this.path(""), call);
   }
 
   private path(rest: string): string {
@@ -219,8 +232,11 @@ export class Session {
 
   private async told(answer: Promise<Facts>): Promise<Facts> {
     this.facts = await answer;
+    this.known = Math.max(this.known, Number(this.facts.revision));
     return this.facts;
   }
 }
+
+const blobOf = (response: Response): Promise<Blob> => response.blob();
 
 export type { EditResult, Facts, HistoryResponse, Quality };

@@ -3,22 +3,27 @@
  *
  * The newest pose wins on both sides: what the socket has not taken yet is replaced here, what the server has not begun
  * is replaced there. A frame counts as read when `take` has written it into the caller's buffer, so a page that paints
- * slowly gets fewer frames, never older ones. A lost socket is opened again, with the session as it was: options, the
- * newest pose and an unanswered commit go out anew. Only when the server no longer knows the session does the stream
- * end, in the state `gone`.
+ * slowly gets fewer frames, never older ones.
+ *
+ * A socket that is lost, or whose server says that it stops, is opened again: options, commits without an answer and the newest
+ * pose go out anew. A commit carries a key, so that one which was stored before its answer was lost is answered and not made twice,
+ * also by a server that was started again. The stream ends when the server no longer knows the session (`gone`), or is not found
+ * again in time (`closed`).
  */
 
 import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
+import { Attempts } from "./attempts.js";
 import { PliantError, statusName } from "./errors.js";
 import type { FrameFacts } from "./frames.js";
 import { Assembler, Frame } from "./frames.js";
 import type { DeformResponse, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
 import { DeformRequestSchema, DeformResponseSchema } from "./gen/pliant/v1/pliant_pb.js";
+import { Pending } from "./pending.js";
 import type { PoseEntry, SolveOptions } from "./session.js";
 
 /**
- * `connecting` the first time, `open`, `lost` while it is being opened again, `gone` when the session is no more (the
- * server restarted, or it expired), `closed` by `close()` or by a defect.
+ * `connecting` the first time, `open`, `lost` while it is being opened again, `gone` when the session is no more (it expired, or a
+ * server without `data_dir` restarted), `closed` by `close()` or because the server was not found again in time.
  */
 export type StreamState = "connecting" | "open" | "lost" | "gone" | "closed";
 
@@ -52,17 +57,6 @@ export interface StreamRoute {
   known: () => number;
 }
 
-interface Commit {
-  seq: number;
-  entries: PoseEntry[];
-  /** The newest revision known when it was sent. */
-  since: number;
-  resolve: (frame: FrameFacts) => void;
-  reject: (error: PliantError) => void;
-}
-
-/** Pauses between attempts, in milliseconds; the last one repeats. */
-const PAUSES = [100, 250, 500, 1000, 2000, 4000];
 /** Silence after which a sign of life is asked for, and how long it may take. */
 const SILENCE_MS = 15_000;
 const PATIENCE_MS = 10_000;
@@ -75,15 +69,16 @@ export class Stream {
   private socket: WebSocket | undefined;
   private assembler = new Assembler();
   private current: StreamState = "connecting";
-  private seq = 0;
-  private revision = 0;
-  /** The newest drag pose that no final frame has answered yet. */
-  private newest: { seq: number; entries: PoseEntry[]; sent: boolean } | undefined;
-  private readonly commits: Commit[] = [];
-  /** Commits known to be stored, by the number of the pose that shows them. */
-  private readonly stored = new Map<number, Commit>();
+  private revision: number;
+  private readonly pending = new Pending();
+  /** Whole frames that wait to be taken; those of a socket that is lost are shown, and nobody is told. */
   private frames: Frame[] = [];
-  private attempt = 0;
+  private fresh = new WeakSet<Frame>();
+  /** The options that the socket was told last. */
+  private told: SolveOptions | undefined;
+  private readonly attempts: Attempts;
+  /** Whether the server on the other end has said that it stops. */
+  private leaving: PliantError | undefined;
   private heardAt = 0;
   private askedAt = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
@@ -93,7 +88,10 @@ export class Stream {
     private readonly route: StreamRoute,
     private options: SolveOptions,
     private readonly events: StreamEvents,
+    patience: number,
   ) {
+    this.attempts = new Attempts(patience);
+    this.revision = route.known();
     this.pulse = setInterval(() => this.beat(), 5_000);
     this.open();
   }
@@ -104,32 +102,34 @@ export class Stream {
 
   /** Sends a pose to show, or to replace the one that waits. Answers its number. */
   pose(entries: PoseEntry[]): number {
-    this.newest = { seq: ++this.seq, entries, sent: false };
+    this.lookBeside();
+    const seq = this.pending.drag(entries);
     this.totals.poses += 1;
     this.flush();
-    return this.seq;
+    return seq;
   }
 
-  /** Sends a pose to record. Answers its last frame, once it is stored; it survives a lost socket. */
+  /**
+   * Sends a pose to record, with what was dragged since the last one. Answers its last frame, once it is stored; it survives a lost
+   * socket and a server that is started again, and is recorded once.
+   */
   commit(entries: PoseEntry[]): Promise<FrameFacts> {
     return new Promise((resolve, reject) => {
       if (this.isOver) {
         reject(new PliantError("CANCELLED", "the stream is closed"));
         return;
       }
-      // What was dragged before is part of the commit, or has no meaning after it.
-      this.newest = undefined;
-      const commit: Commit = { seq: ++this.seq, entries, since: this.knownRevision, resolve, reject };
-      this.commits.push(commit);
+      this.lookBeside();
+      this.pending.commit(entries, this.options, { resolve, reject });
       this.totals.poses += 1;
-      this.sendPose(commit.seq, entries, true);
+      this.flush();
     });
   }
 
   /** Replaces the options of the poses that follow. */
   setOptions(options: SolveOptions): void {
     this.options = options;
-    this.send({ case: "options", value: options });
+    if (this.isHeard) this.sayOptions(options);
   }
 
   /** Whether a frame waits to be taken. */
@@ -156,7 +156,7 @@ export class Stream {
         frame.normalsInto(normals);
       }
     }
-    this.send({ case: "ack", value: { seq: BigInt(last.seq) } });
+    this.acknowledge(last);
     return last;
   }
 
@@ -165,15 +165,19 @@ export class Stream {
     const last = this.frames.at(-1);
     this.frames = [];
     if (last !== undefined) {
-      this.send({ case: "ack", value: { seq: BigInt(last.seq) } });
+      this.acknowledge(last);
     }
+  }
+
+  private acknowledge(frame: Frame): void {
+    if (this.fresh.has(frame)) this.send({ case: "ack", value: { seq: BigInt(frame.seq) } });
   }
 
   /** Tries at once instead of after the pause, such as when the network is back. */
   retry(): void {
     if (this.current === "lost") {
       clearTimeout(this.timer);
-      this.attempt = 0;
+      this.attempts.hurry();
       void this.reopen();
     }
   }
@@ -190,21 +194,20 @@ export class Stream {
   private open(): void {
     const socket = this.route.connect();
     this.socket = socket;
+    // What was half read is read anew: the first frame of a new socket is whole.
     this.assembler = new Assembler();
+    this.fresh = new WeakSet();
     this.heardAt = Date.now();
     this.askedAt = 0;
+    this.leaving = undefined;
     let reason: PliantError | undefined;
     socket.onopen = () => {
-      this.attempt = 0;
+      this.attempts.worked();
       this.change("open");
-      this.send({ case: "options", value: this.options });
-      for (const { seq, entries } of this.commits) {
-        this.sendPose(seq, entries, true);
-      }
-      if (this.newest !== undefined) {
-        this.newest.sent = false;
-        this.flush();
-      }
+      this.told = undefined;
+      this.sayOptions(this.options);
+      this.pending.opened();
+      this.flush();
     };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => {
       this.heardAt = Date.now();
@@ -212,6 +215,7 @@ export class Stream {
       try {
         const failure = this.receive(fromBinary(DeformResponseSchema, new Uint8Array(event.data)));
         reason = failure ?? reason;
+        this.leave();
       } catch (error) {
         reason = new PliantError("DATA_LOSS", error instanceof Error ? error.message : String(error));
         socket.close();
@@ -224,20 +228,30 @@ export class Stream {
       this.socket = undefined;
       const told = event.reason === "" ? "the connection was lost" : event.reason;
       const code = event.code > 4000 ? statusName(event.code - 4000) : "UNREACHABLE";
-      this.lose(reason ?? new PliantError(code, told));
+      this.lose(reason ?? this.leaving ?? new PliantError(code, told));
     };
   }
 
+  /** Leaves a server that stops, once what it was given to record is answered. */
+  private leave(): void {
+    const { socket, leaving } = this;
+    if (leaving === undefined || socket === undefined || this.pending.isOwed) return;
+    this.socket = undefined;
+    socket.close();
+    this.lose(leaving);
+  }
+
   private lose(reason: PliantError): void {
-    // What was half read is read anew: the first frame of a new socket is whole.
-    this.frames = [];
     if (reason.isGone) {
       this.end("gone", reason);
       return;
     }
+    const pause = this.attempts.again(reason);
+    if (pause === undefined) {
+      this.end("closed", this.attempts.lastWord(reason));
+      return;
+    }
     this.change("lost", reason);
-    const pause = PAUSES[Math.min(this.attempt, PAUSES.length - 1)] as number;
-    this.attempt += 1;
     this.timer = setTimeout(() => void this.reopen(), pause);
   }
 
@@ -248,7 +262,8 @@ export class Stream {
       if (this.isOver) {
         return;
       }
-      this.adopt(Number(facts.revision));
+      // It may be newer by a commit of this stream whose answer was lost.
+      this.revision = Math.max(this.revision, Number(facts.revision));
       this.totals.reconnects += 1;
       this.open();
     } catch (error) {
@@ -258,23 +273,13 @@ export class Stream {
     }
   }
 
-  /**
-   * A commit whose answer was lost may be stored all the same; then its pose is asked for without another commit. Where
-   * the revision tells of more than these commits, others were at work: a commit made twice does less harm than none.
-   */
-  private adopt(revision: number): void {
-    const made = revision - (this.commits[0]?.since ?? revision);
-    if (made > 0 && made <= this.commits.length) {
-      for (const commit of this.commits.splice(0, made)) {
-        this.newest = { seq: ++this.seq, entries: commit.entries, sent: false };
-        this.stored.set(this.seq, commit);
-      }
+  /** Calls beside the stream have changed the session: what was dragged before them is void on the server, so it is here. */
+  private lookBeside(): void {
+    const known = this.route.known();
+    if (known > this.revision) {
+      this.revision = known;
+      this.pending.forget();
     }
-    this.revision = Math.max(this.revision, revision);
-  }
-
-  private get knownRevision(): number {
-    return Math.max(this.revision, this.route.known());
   }
 
   private receive(response: DeformResponse): PliantError | undefined {
@@ -292,6 +297,7 @@ export class Stream {
       }
       this.refused(error, seq);
     } else if (message.case === "notice") {
+      if (message.value.code === "going-away") this.leaving = new PliantError("UNAVAILABLE", message.value.message);
       this.events.onNotice?.(message.value.code, message.value.message);
     }
     return undefined;
@@ -301,60 +307,60 @@ export class Stream {
     this.totals.frames += 1;
     this.totals.superseded += frame.superseded;
     this.totals.bytes += frame.bytes;
-    this.revision = Math.max(this.revision, frame.revision);
+    if (frame.revision > this.revision) {
+      this.revision = frame.revision;
+      // Somebody else's commit.
+      if (!this.pending.isCommit(frame.seq)) this.pending.forget();
+    }
+    this.fresh.add(frame);
     this.frames.push(frame);
     this.events.onFrame?.(frame);
     if (frame.final) {
-      if (this.newest !== undefined && frame.seq >= this.newest.seq) {
-        this.newest = undefined;
-      }
-      for (const commit of this.answered(frame.seq)) {
-        commit.resolve(frame);
-      }
+      this.pending.answered(frame.seq)?.resolve(frame);
+      this.flush();
     }
   }
 
   private refused(error: PliantError, seq: number): void {
-    if (this.newest?.seq === seq) {
-      this.newest = undefined;
+    if (this.leaving !== undefined && error.code === "UNAVAILABLE") {
+      // The server came to its end before it came to this pose; the next one gets it.
+      this.pending.putBack(seq);
+      return;
     }
-    for (const commit of this.answered(seq)) {
-      commit.reject(error);
-    }
+    this.pending.answered(seq, true)?.reject(error);
+    this.flush();
     this.events.onPoseError?.(error, seq);
   }
 
-  /** Commits that a frame or an error with this number answers. */
-  private answered(seq: number): Commit[] {
-    const done = this.commits.filter((commit) => commit.seq === seq);
-    for (const commit of done) {
-      this.commits.splice(this.commits.indexOf(commit), 1);
-    }
-    for (const [shown, commit] of [...this.stored]) {
-      if (shown <= seq) {
-        this.stored.delete(shown);
-        done.push(commit);
-      }
-    }
-    return done;
-  }
-
-  /** Sends the newest pose when the socket has room. */
+  /** Sends commits that wait, and the newest pose when the socket has room. */
   private flush(): void {
-    const { newest, socket } = this;
-    if (newest === undefined || newest.sent || socket === undefined || socket.readyState !== socket.OPEN) {
-      return;
+    const { socket } = this;
+    if (socket === undefined || !this.isHeard) return;
+    for (let next = this.pending.nextCommit(); next !== undefined; next = this.pending.nextCommit()) {
+      this.sayOptions(next.options);
+      this.send({ case: "pose", value: next.pose });
     }
+    this.sayOptions(this.options);
+    if (!this.pending.hasDrag) return;
     if (socket.bufferedAmount > BACKLOG) {
       setTimeout(() => this.flush(), 8);
       return;
     }
-    newest.sent = true;
-    this.sendPose(newest.seq, newest.entries, false);
+    const value = this.pending.nextDrag();
+    if (value !== undefined) this.send({ case: "pose", value });
   }
 
-  private sendPose(seq: number, handles: PoseEntry[], commit: boolean): void {
-    this.send({ case: "pose", value: { seq: BigInt(seq), handles, commit } });
+  /** Tells the server the options of the poses that follow, unless it knows them. */
+  private sayOptions(options: SolveOptions): void {
+    if (options === this.told) return;
+    this.told = options;
+    this.send({ case: "options", value: options });
+  }
+
+  /** Whether there is a server on the other end that stays. */
+  private get isHeard(): boolean {
+    const { socket, leaving } = this;
+    return leaving === undefined && socket !== undefined && socket.readyState === socket.OPEN;
   }
 
   private send(message: NonNullable<Parameters<typeof create<typeof DeformRequestSchema>>[1]>["message"] & {}): void {
@@ -393,11 +399,7 @@ export class Stream {
     socket?.close();
     const why = reason ?? new PliantError("CANCELLED", "the stream was closed");
     this.change(state, reason);
-    for (const commit of [...this.commits, ...this.stored.values()]) {
-      commit.reject(why);
-    }
-    this.commits.length = 0;
-    this.stored.clear();
+    this.pending.giveUp(why);
   }
 
   private change(state: StreamState, reason?: PliantError): void {

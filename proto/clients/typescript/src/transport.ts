@@ -1,7 +1,11 @@
-/** HTTP calls: JSON of the schema's messages in and out, failures as `PliantError`. */
+/**
+ * HTTP calls: JSON of the schema's messages in and out, failures as `PliantError`. A server that answered before and cannot be reached
+ * now, or is stopping, is asked again for a while; calls that change something carry an idempotency key, so that they happen once.
+ */
 
 import type { DescMessage, MessageInitShape, MessageShape } from "@bufbuild/protobuf";
 import { create, fromJson, toJson } from "@bufbuild/protobuf";
+import { Attempts, newKey, pause } from "./attempts.js";
 import { PliantError, problemOf } from "./errors.js";
 
 /** What a page may set once for all calls. */
@@ -15,6 +19,8 @@ export interface TransportOptions {
    * token; without one it fails.
    */
   askToken?: (refused: boolean) => Promise<string | undefined>;
+  /** Seconds for which a server that went away is asked again. Default: 15; 0 gives up at once. */
+  patience?: number;
   /** Headers of every call. A browser's WebSocket cannot send them. */
   headers?: Record<string, string>;
   /** In place of the global `fetch`. */
@@ -26,9 +32,14 @@ export interface TransportOptions {
 /** How a call is made. */
 export interface CallOptions {
   signal?: AbortSignal;
-  /** Makes a repeat of the call harmless: the server gives the first answer again. */
+  /** Makes a repeat of the call harmless: the server gives the first answer again. Default: a new one for each call. */
   idempotencyKey?: string;
+  /** In place of the client's `patience`, in seconds. */
+  patience?: number;
 }
+
+/** What a call sends along. */
+type Sent = CallOptions & { body?: BodyInit; json?: unknown };
 
 /** The part of an upload that has gone out, 0 to 1. */
 export type Progress = (fraction: number) => void;
@@ -37,6 +48,9 @@ export type Progress = (fraction: number) => void;
 export class Transport {
   readonly url: string;
   private readonly headers: Record<string, string>;
+  private readonly patience: number;
+  /** Whether the server has answered anything: who has never been there is not waited for. */
+  private reached = false;
   private readonly askToken: ((refused: boolean) => Promise<string | undefined>) | undefined;
   private token: string | undefined;
   private asking: Promise<string | undefined> | undefined;
@@ -47,6 +61,7 @@ export class Transport {
     const page = typeof location === "object" && location.protocol.startsWith("http") ? location.origin : undefined;
     this.url = (options.url ?? page ?? "http://127.0.0.1:7411").replace(/\/+$/, "");
     this.headers = options.headers ?? {};
+    this.patience = options.patience ?? 15;
     this.token = options.token ?? environment("PLIANT_TOKEN");
     this.askToken = options.askToken;
     this.fetch = options.fetch ?? globalThis.fetch.bind(globalThis);
@@ -54,24 +69,34 @@ export class Transport {
   }
 
   /** A call whose answer is a message. */
-  async message<D extends DescMessage>(
-    answer: D,
-    method: string,
-    path: string,
-    call: CallOptions & { body?: BodyInit; json?: unknown } = {},
-  ): Promise<MessageShape<D>> {
-    const response = await this.call(method, path, "application/json", call);
-    return parse(answer, await text(response));
+  async message<D extends DescMessage>(answer: D, method: string, path: string, call: Sent = {}): Promise<MessageShape<D>> {
+    return parse(answer, await this.read(method, path, "application/json", call, (response) => response.text()));
   }
 
-  /** A call whose answer is bytes. */
-  async bytes(method: string, path: string, accept: string, call: CallOptions & { body?: BodyInit; json?: unknown } = {}): Promise<Response> {
-    return this.call(method, path, accept, call);
+  /** A call whose answer is read by `read`. */
+  async read<T>(method: string, path: string, accept: string, call: Sent, read: (response: Response) => Promise<T>): Promise<T> {
+    const keyed = withKey(call);
+    return this.repeat(call, async () => {
+      const response = await this.call(method, path, accept, keyed);
+      return read(response).catch((error: unknown) => Promise.reject(unreachable(this.url, error)));
+    });
   }
 
-  /** A call that answers nothing. */
-  async nothing(method: string, path: string, call: CallOptions = {}): Promise<void> {
-    await this.call(method, path, "application/json", call);
+  /** A call whose answer the caller reads as it comes. */
+  bytes(method: string, path: string, accept: string, call: Sent = {}): Promise<Response> {
+    const keyed = withKey(call);
+    return this.repeat(call, () => this.call(method, path, accept, keyed));
+  }
+
+  /** Deletes something. That it is gone is no failure where an earlier try may have done it. */
+  async remove(path: string, call: CallOptions = {}): Promise<void> {
+    await this.repeat(call, async (again) => {
+      try {
+        await this.call("DELETE", path, "application/json", call);
+      } catch (error) {
+        if (!(again && error instanceof PliantError && error.isGone)) throw error;
+      }
+    });
   }
 
   /** An upload that tells how far it is, where the platform can tell. */
@@ -82,12 +107,30 @@ export class Transport {
     type: string | undefined,
     call: CallOptions & { onProgress?: Progress },
   ): Promise<MessageShape<D>> {
-    if (call.onProgress === undefined || typeof XMLHttpRequest === "undefined") {
+    const { onProgress, ...keyed } = withKey(call);
+    const text = await this.repeat(call, async () => {
+      if (onProgress !== undefined && typeof XMLHttpRequest !== "undefined") {
+        return this.uploadWatched(path, body, type, keyed, onProgress);
+      }
       const headers = type === undefined ? {} : { "content-type": type };
-      const response = await this.call("POST", path, "application/json", { ...call, body }, headers);
-      return parse(answer, await text(response));
+      return textOf(await this.call("POST", path, "application/json", { ...keyed, body }, headers));
+    });
+    return parse(answer, text);
+  }
+
+  /** Tries again while the server that was there is away. */
+  private async repeat<T>({ signal, patience }: CallOptions, attempt: (again: boolean) => Promise<T>): Promise<T> {
+    const attempts = new Attempts(patience ?? this.patience);
+    for (let again = false; ; again = true) {
+      try {
+        return await attempt(again);
+      } catch (error) {
+        if (!(error instanceof PliantError) || !this.reached || !error.isAway) throw error;
+        const wait = attempts.again(error);
+        if (wait === undefined) throw attempts.lastWord(error);
+        await pause(wait, signal);
+      }
     }
-    return parse(answer, await this.uploadWatched(path, body, type, call, call.onProgress));
   }
 
   /** Opens a WebSocket on `path`. */
@@ -106,7 +149,7 @@ export class Transport {
     method: string,
     path: string,
     accept: string,
-    { body, json, signal, idempotencyKey }: CallOptions & { body?: BodyInit; json?: unknown },
+    { body, json, signal, idempotencyKey }: Sent,
     more: Record<string, string> = {},
   ): Promise<Response> {
     const headers: Record<string, string> = { ...this.headers, accept, ...more };
@@ -131,11 +174,12 @@ export class Transport {
       } catch (error) {
         throw unreachable(this.url, error);
       }
+      this.reached = true;
       if (response.status !== 401 || !(await this.hasOther(shown))) break;
     }
     if (!response.ok) {
       const { status, statusText } = response;
-      throw problemOf(status, statusText, await text(response), response.headers.get("retry-after"));
+      throw problemOf(status, statusText, await textOf(response), response.headers.get("retry-after"));
     }
     return response;
   }
@@ -181,6 +225,7 @@ export class Transport {
       }
       request.upload.onprogress = (event) => event.total > 0 && onProgress(event.loaded / event.total);
       request.onload = () => {
+        this.reached = true;
         const { status, statusText, responseText } = request;
         if (status >= 200 && status < 300) {
           resolve(responseText);
@@ -219,7 +264,12 @@ function environment(name: string): string | undefined {
   return process?.env?.[name] || undefined;
 }
 
-async function text(response: Response): Promise<string> {
+/** A call that may be sent twice. */
+function withKey<C extends CallOptions>(call: C): C {
+  return { ...call, idempotencyKey: call.idempotencyKey ?? newKey() };
+}
+
+async function textOf(response: Response): Promise<string> {
   try {
     return await response.text();
   } catch (error) {

@@ -4,7 +4,7 @@ import { PliantError, Stream } from "../dist/index.js";
 import { FakeSocket, frame, settled } from "./fake.mjs";
 
 /** A stream whose sockets and session the test plays. */
-function staged(events = {}) {
+function staged(events = {}, patience = 60) {
   const sockets = [];
   const stage = { sockets, revision: 1n, known: 1, failure: undefined, states: [] };
   const route = {
@@ -14,13 +14,14 @@ function staged(events = {}) {
       return socket;
     },
     probe: async () => {
+      stage.probed?.();
       if (stage.failure !== undefined) throw stage.failure;
       return { revision: stage.revision };
     },
     known: () => stage.known,
   };
   const onState = (state, reason) => stage.states.push(reason === undefined ? state : `${state}: ${reason.code}`);
-  stage.stream = new Stream(route, { tolerance: 1e-3 }, { onState, ...events });
+  stage.stream = new Stream(route, { tolerance: 1e-3 }, { onState, ...events }, patience);
   return stage;
 }
 
@@ -29,13 +30,20 @@ async function untilSockets(stage, count) {
   return stage.sockets[count - 1];
 }
 
-test("options go first, and only the newest pose of those given before the socket opens", () => {
+/** The handles of a pose and where they are along x. */
+const placed = ({ handles }) => handles.map(({ id, pose }) => `${id} ${pose?.translation[0] ?? 0}`);
+const at = (id, x) => ({ id, pose: { translation: [x, 0, 0] } });
+
+test("options go first, then one pose with the newest of every handle that was moved before the socket opened", () => {
   const { stream, sockets } = staged();
-  stream.pose([{ id: "a" }]);
-  stream.pose([{ id: "b" }]);
+  stream.pose([at("a", 1)]);
+  stream.pose([at("a", 2), at("b", 3)]);
+  stream.pose([at("b", 4)]);
   sockets[0].open();
   assert.deepEqual(sockets[0].sent.map((message) => message.case), ["options", "pose"]);
-  assert.equal(sockets[0].of("pose")[0].handles[0].id, "b");
+  assert.deepEqual(placed(sockets[0].of("pose")[0]), ["a 2", "b 4"]);
+  stream.pose([at("b", 5)]);
+  assert.deepEqual(placed(sockets[0].of("pose")[1]), ["b 5"], "later ones say what changes");
   stream.close();
 });
 
@@ -77,7 +85,7 @@ test("a full socket holds poses back where they can be replaced", async () => {
   assert.equal(sockets[0].of("pose").length, 0);
   sockets[0].bufferedAmount = 0;
   await new Promise((resolve) => setTimeout(resolve, 30));
-  assert.deepEqual(sockets[0].of("pose").map((pose) => pose.handles[0].id), ["b"]);
+  assert.deepEqual(sockets[0].of("pose").map((pose) => pose.handles.map(({ id }) => id)), [["a", "b"]]);
   stream.close();
 });
 
@@ -114,72 +122,118 @@ test("a lost socket is opened again with options and the newest pose", async () 
   const second = await untilSockets(stage, 2);
   second.open();
   assert.deepEqual(second.sent.map((message) => message.case), ["options", "pose"]);
-  assert.equal(second.of("pose")[0].handles[0].id, "b");
+  assert.deepEqual(placed(second.of("pose")[0]), ["a 0", "b 0"], "the server has forgotten what was dragged");
   assert.equal(stage.stream.totals.reconnects, 1);
   assert.deepEqual(stage.states, ["open", "lost: UNREACHABLE", "open"]);
   stage.stream.close();
 });
 
-test("a commit that was lost on the way is sent again", async () => {
+test("handles that were dragged are told again with the next pose, when none waits for an answer", async () => {
   const stage = staged();
   stage.sockets[0].open();
-  stage.sockets[0].say(frame(7, [0, 0, 0], { revision: 4n }));
-  const recorded = stage.stream.commit([{ id: "a" }]);
+  stage.stream.pose([at("a", 1)]);
+  stage.sockets[0].say(frame(1, [0, 0, 0]));
   stage.sockets[0].drop();
-  stage.revision = 4n;
   const second = await untilSockets(stage, 2);
   second.open();
-  const [again] = second.of("pose");
-  assert.ok(again.commit);
+  assert.equal(second.of("pose").length, 0, "everything is answered");
+  stage.stream.pose([at("b", 2)]);
+  assert.deepEqual(placed(second.of("pose")[0]), ["a 1", "b 2"]);
+  stage.stream.close();
+});
+
+test("what others did makes dragged poses void", async () => {
+  const stage = staged();
+  stage.sockets[0].open();
+  stage.stream.pose([at("a", 1)]);
+  stage.known = 2;
+  stage.stream.pose([at("b", 2)]);
+  const recorded = stage.stream.commit([at("b", 3)]);
+  assert.deepEqual(placed(stage.sockets[0].of("pose")[2]), ["b 3"], "a call beside the stream");
+  stage.sockets[0].say(frame(3, [0, 0, 0], { revision: 3n }));
+  await recorded;
+  stage.stream.pose([at("a", 4)]);
+  stage.sockets[0].say(frame(4, [0, 0, 0], { revision: 9n }));
+  stage.stream.commit([at("b", 5)]).catch(() => undefined);
+  assert.deepEqual(placed(stage.sockets[0].of("pose")[4]), ["b 5"], "another client");
+  stage.stream.close();
+});
+
+test("a commit without an answer is sent again with its key, its handles and its options", async () => {
+  const stage = staged();
+  stage.sockets[0].open();
+  stage.stream.pose([at("a", 1)]);
+  stage.stream.setOptions({ refine: 7 });
+  const recorded = stage.stream.commit([at("b", 2)]);
+  stage.stream.setOptions({ refine: 0 });
+  const [, first] = stage.sockets[0].of("pose");
+  assert.deepEqual(placed(first), ["a 1", "b 2"], "with what was dragged before it");
+  stage.sockets[0].drop();
+  stage.stream.pose([at("a", 3)]);
+  const second = await untilSockets(stage, 2);
+  second.open();
+  const said = second.sent.map(({ case: kind, value }) => (kind === "options" ? `refine ${value.refine}` : kind));
+  assert.deepEqual(said, ["refine 0", "refine 7", "pose", "refine 0", "pose"]);
+  const [again, drag] = second.of("pose");
+  assert.deepEqual([again.idempotencyKey, again.commit, placed(again)], [first.idempotencyKey, true, placed(first)]);
+  assert.match(first.idempotencyKey, /^[0-9a-f]{32}$/);
+  assert.deepEqual([drag.idempotencyKey, drag.commit, placed(drag)], ["", false, ["a 3"]]);
   second.say(frame(Number(again.seq), [0, 0, 0], { revision: 5n }));
   assert.equal((await recorded).revision, 5);
   stage.stream.close();
 });
 
-test("a commit that was stored before the socket went is not made twice", async () => {
-  const stage = staged();
-  stage.sockets[0].open();
-  stage.sockets[0].say(frame(7, [0, 0, 0], { revision: 4n }));
-  const recorded = stage.stream.commit([{ id: "a" }]);
-  stage.sockets[0].drop();
-  stage.revision = 5n;
-  const second = await untilSockets(stage, 2);
-  second.open();
-  const [shown] = second.of("pose");
-  assert.equal(shown.commit, false);
-  second.say(frame(Number(shown.seq), [0, 0, 0], { revision: 5n }));
-  assert.equal((await recorded).revision, 5);
-  stage.stream.close();
+test("many commits go out in order and few at a time", async () => {
+  const { stream, sockets } = staged();
+  const done = [];
+  for (let k = 1; k <= 20; k++) stream.commit([at("a", k)]).then(({ seq }) => done.push(seq));
+  stream.pose([at("a", 21)]);
+  sockets[0].open();
+  assert.equal(sockets[0].of("pose").length, 8);
+  for (let k = 1; k <= 20; k++) sockets[0].say(frame(k, [0, 0, 0]));
+  await settled();
+  assert.deepEqual(sockets[0].of("pose").map(({ seq }) => Number(seq)), Array.from({ length: 21 }, (_, k) => k + 1));
+  assert.equal(new Set(sockets[0].of("pose").slice(0, 20).map(({ idempotencyKey }) => idempotencyKey)).size, 20);
+  assert.deepEqual(done, Array.from({ length: 20 }, (_, k) => k + 1));
+  stream.close();
 });
 
-test("of two commits on the way, the one that was stored is not made again and the other is", async () => {
-  const stage = staged();
-  stage.sockets[0].open();
-  const first = stage.stream.commit([{ id: "a" }]);
-  const second = stage.stream.commit([{ id: "b" }]);
-  stage.sockets[0].drop();
-  stage.revision = 2n;
-  const socket = await untilSockets(stage, 2);
+test("a server that stops is left when its commits are answered, and what waits goes to the next", async () => {
+  const notices = [];
+  const stage = staged({ onNotice: (code) => notices.push(code) });
+  const [socket] = stage.sockets;
   socket.open();
-  const poses = socket.of("pose");
-  assert.deepEqual(poses.map(({ commit, handles }) => [commit, handles[0].id]), [[true, "b"], [false, "a"]]);
-  for (const { seq } of poses) socket.say(frame(Number(seq), [0, 0, 0]));
-  await Promise.all([first, second]);
+  const stored = stage.stream.commit([at("a", 1)]);
+  const going = { case: "notice", value: { code: "going-away", message: "the server is shutting down", resumeToken: "id" } };
+  socket.say(going);
+  stage.stream.pose([at("a", 2)]);
+  const waiting = stage.stream.commit([at("a", 3)]);
+  assert.deepEqual([stage.stream.state, socket.of("pose").length], ["open", 1], "no more for a server that stops");
+  socket.say(frame(1, [0, 0, 0], { revision: 2n }));
+  await stored;
+  assert.deepEqual([socket.readyState, stage.stream.state, notices], [3, "lost", ["going-away"]]);
+  const target = new Float32Array(3);
+  assert.equal(stage.stream.take(target)?.seq, 1, "the last frame is still shown");
+  const second = await untilSockets(stage, 2);
+  second.open();
+  assert.deepEqual(second.of("pose").map(placed), [["a 3"]]);
+  assert.equal(second.of("ack").length, 0, "the next server knows nothing of frames before it");
+  second.say(frame(3, [0, 0, 0], { revision: 3n }));
+  await waiting;
+  assert.deepEqual(stage.states, ["open", "lost: UNAVAILABLE", "open"]);
   stage.stream.close();
 });
 
-test("a revision made beside the stream does not pass for a commit of the stream", async () => {
+test("a commit that a stopping server did not come to is made by the next", async () => {
   const stage = staged();
   stage.sockets[0].open();
-  // Handles were set over HTTP.
-  stage.known = 3;
-  const recorded = stage.stream.commit([{ id: "a" }]);
-  stage.sockets[0].drop();
-  stage.revision = 3n;
+  const recorded = stage.stream.commit([at("a", 1)]);
+  stage.sockets[0].say({ case: "notice", value: { code: "going-away" } });
+  stage.sockets[0].say({ case: "error", value: { code: 14, message: "shutting down", seq: 1n } });
   const second = await untilSockets(stage, 2);
   second.open();
-  assert.ok(second.of("pose")[0].commit);
-  second.say(frame(1, [0, 0, 0], { revision: 4n }));
+  assert.equal(second.of("pose")[0].idempotencyKey, stage.sockets[0].of("pose")[0].idempotencyKey);
+  second.say(frame(1, [0, 0, 0], { revision: 2n }));
   await recorded;
   stage.stream.close();
 });
@@ -207,6 +261,28 @@ test("while the server is away the stream keeps trying, and at once when asked",
   stage.stream.retry();
   await settled();
   assert.equal(stage.sockets.length, 2);
+  stage.stream.close();
+});
+
+test("patience ends with what was tried, and the commits with it", async () => {
+  const stage = staged({}, 0.3);
+  stage.sockets[0].open();
+  const recorded = stage.stream.commit([at("a", 1)]);
+  stage.failure = new PliantError("UNREACHABLE", "nobody there");
+  stage.sockets[0].drop();
+  await assert.rejects(recorded, /nobody there \(tried again for 0\.3 s\)/);
+  assert.equal(stage.states.at(-1), "closed: UNREACHABLE");
+});
+
+test("a server that says when to ask again is not asked before", async () => {
+  const stage = staged({}, 5);
+  stage.sockets[0].open();
+  const asked = [];
+  stage.failure = new PliantError("UNAVAILABLE", "later", 503, 1);
+  stage.probed = () => asked.push(performance.now());
+  stage.sockets[0].drop();
+  while (asked.length < 3) await new Promise((resolve) => setTimeout(resolve, 10));
+  for (const k of [1, 2]) assert.ok(asked[k] - asked[k - 1] > 990, `${asked}`);
   stage.stream.close();
 });
 

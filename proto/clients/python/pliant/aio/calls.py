@@ -135,4 +135,4 @@ class Calls:
                 error = self.reason(failed)
             pause = attempts.again(error)
             if pause is None or not await self.found(pause, attempts.left):
-                raise self.reason(error)
+                raise self.reason(attempts.last_word(error))

@@ -81,7 +81,7 @@ class Animation:
             error: errors.PliantError = errors.Unavailable("the server ended the animation")
             try:
                 async for part in self._call:
-                    attempts = channel.Attempts(self._calls.settings.patience)
+                    attempts = channel.Attempts(self._calls.settings.patience, resuming=True)
                     frame = self._playing.take(part)
                     if frame is not None:
                         yield frame
@@ -93,7 +93,7 @@ class Animation:
                 return
             pause = attempts.again(error)
             if pause is None or not await self._calls.found(pause, attempts.left):
-                raise self._calls.reason(error)
+                raise self._calls.reason(attempts.last_word(error))
             self.reconnects += 1
             self._outgoing.put_nowait(None)
             self._open()

@@ -37,6 +37,8 @@ class Stream:
         self._outgoing: _Outgoing = asyncio.Queue()
         #: How often a lost connection was opened anew.
         self.reconnects = 0
+        #: Whether the connection is lost at the moment and looked for; poses wait, the newest goes out when it is back.
+        self.lost = False
         self._reader = asyncio.create_task(self._run())
 
     def send(self, poses: Poses) -> int:
@@ -141,7 +143,8 @@ class Stream:
             try:
                 call = self._calls.deform(_until_none(outgoing))
                 async for response in call:
-                    attempts = channel.Attempts(self._calls.settings.patience)
+                    attempts = channel.Attempts(self._calls.settings.patience, resuming=True)
+                    self.lost = False
                     self._put(response)
             except grpc.RpcError as failed:
                 error = self._calls.fault(failed)
@@ -152,8 +155,9 @@ class Stream:
                     call.cancel()
                 outgoing.put_nowait(None)
             pause = attempts.again(error)
+            self.lost = True
             if pause is None or not await self._calls.found(pause, attempts.left):
-                self._failure = self._calls.reason(error)
+                self._failure = self._calls.reason(attempts.last_word(error))
                 self._news.set()
                 return
             self.reconnects += 1

@@ -1,0 +1,136 @@
+/** What a stream has said and not been answered: the newest drag, commits, and where handles were dragged. */
+
+import type { MessageInitShape } from "@bufbuild/protobuf";
+import type { PliantError } from "./errors.js";
+import type { FrameFacts } from "./frames.js";
+import type { PoseSchema } from "./gen/pliant/v1/pliant_pb.js";
+import type { PoseEntry, SolveOptions } from "./session.js";
+import { newKey } from "./attempts.js";
+
+type Pose = MessageInitShape<typeof PoseSchema>;
+
+/** A pose that is to be recorded. */
+interface Commit {
+  readonly seq: number;
+  readonly entries: PoseEntry[];
+  /** Those in force when it was made. */
+  readonly options: SolveOptions;
+  /** By which the server knows one that is sent again. */
+  readonly key: string;
+  /** Whether it went out on the socket that is open. */
+  sent: boolean;
+  readonly whose: Caller;
+}
+
+/** Who waits for a commit. */
+interface Caller {
+  readonly resolve: (frame: FrameFacts) => void;
+  readonly reject: (error: PliantError) => void;
+}
+
+/** Commits on their way at the same time; a server takes 16 waiting ones. */
+const COMMITS = 8;
+
+/** The books of one stream, over all of its sockets. */
+export class Pending {
+  private seq = 0;
+  /** The newest drag that no final frame has answered yet. */
+  private newest: { seq: number; entries: PoseEntry[]; sent: boolean } | undefined;
+  /** In the order in which they were made. */
+  private readonly commits: Commit[] = [];
+  /** Where handles were dragged since the last commit. */
+  private readonly moved = new Map<string, PoseEntry>();
+  /** Whether the socket that is open has not been told of them yet. */
+  private untold = false;
+
+  /** A pose to show. Answers its number. */
+  drag(entries: readonly PoseEntry[]): number {
+    for (const entry of entries) this.moved.set(entry.id ?? "", entry);
+    // One that never went out is part of the one that replaces it.
+    const unsent = this.newest?.sent === false ? this.newest.entries : [];
+    this.newest = { seq: ++this.seq, entries: merged(unsent, entries), sent: false };
+    return this.seq;
+  }
+
+  /** A pose to record, with all that was dragged before. */
+  commit(entries: readonly PoseEntry[], options: SolveOptions, whose: Caller): void {
+    const all = merged([...this.moved.values()], entries);
+    // What was dragged before is part of the commit, or has no meaning after it.
+    this.moved.clear();
+    this.newest = undefined;
+    this.commits.push({ seq: ++this.seq, entries: all, options, key: newKey(), sent: false, whose });
+  }
+
+  /** What was dragged is void: others have changed the session. */
+  forget(): void {
+    this.moved.clear();
+  }
+
+  /** A socket was opened, which has been told nothing. */
+  opened(): void {
+    this.untold = true;
+    for (const commit of this.commits) commit.sent = false;
+    if (this.newest !== undefined) this.newest.sent = false;
+  }
+
+  /** The next commit to send. */
+  nextCommit(): { options: SolveOptions; pose: Pose } | undefined {
+    const at = this.commits.findIndex(({ sent }) => !sent);
+    const commit = this.commits[at];
+    if (commit === undefined || at >= COMMITS) return undefined;
+    commit.sent = true;
+    const { seq, entries: handles, options, key: idempotencyKey } = commit;
+    return { options, pose: { seq: BigInt(seq), handles, commit: true, idempotencyKey } };
+  }
+
+  /** Whether the newest drag is to be sent. Numbers grow along a stream, so commits before it go first. */
+  get hasDrag(): boolean {
+    return this.newest?.sent === false && this.commits.every(({ sent }) => sent);
+  }
+
+  /** That drag. A new socket hears of all that was dragged. */
+  nextDrag(): Pose | undefined {
+    const { newest } = this;
+    if (newest === undefined || !this.hasDrag) return undefined;
+    if (this.untold) newest.entries = merged([...this.moved.values()], newest.entries);
+    this.untold = false;
+    newest.sent = true;
+    return { seq: BigInt(newest.seq), handles: newest.entries };
+  }
+
+  /** Whether a commit was sent and not answered. */
+  get isOwed(): boolean {
+    return this.commits.some(({ sent }) => sent);
+  }
+
+  /** Whether this number is a commit's. */
+  isCommit(seq: number): boolean {
+    return this.commits.some((commit) => commit.seq === seq);
+  }
+
+  /** The pose was not looked at: it goes out again on the next socket. */
+  putBack(seq: number): void {
+    const commit = this.commits.find((each) => each.seq === seq);
+    if (commit !== undefined) commit.sent = false;
+  }
+
+  /** A final frame, or a refusal, answers a pose; if it is a commit's, who waits for it. */
+  answered(seq: number, refused = false): Caller | undefined {
+    const { newest } = this;
+    if (newest !== undefined && (refused ? seq === newest.seq : seq >= newest.seq)) this.newest = undefined;
+    const at = this.commits.findIndex((commit) => commit.seq === seq);
+    return at < 0 ? undefined : this.commits.splice(at, 1)[0]?.whose;
+  }
+
+  /** Gives up all commits. */
+  giveUp(why: PliantError): void {
+    for (const { whose } of this.commits.splice(0)) whose.reject(why);
+  }
+}
+
+/** Entries of the later pose in place of those of the earlier. */
+function merged(earlier: readonly PoseEntry[], later: readonly PoseEntry[]): PoseEntry[] {
+  const all = new Map(earlier.map((entry) => [entry.id, entry]));
+  for (const entry of later) all.set(entry.id, entry);
+  return [...all.values()];
+}
