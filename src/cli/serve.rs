@@ -6,7 +6,7 @@ use crate::asset::sample::BuiltInModel;
 use crate::engine::{HandlePose, HandleSet, OpenOptions};
 use crate::server::config::{self, ConfigKeys, ServeSettings};
 use crate::server::{self, sample};
-use crate::session::store::{DatabaseStore, StoreError, StoreLocation};
+use crate::session::store::{DatabaseStore, StoreError};
 use crate::session::{self, Manager, OpenDeformer, Tenant};
 use crate::wire::{DeformOptions, PoseCommit, SessionOptions};
 use std::io::Write as _;
@@ -106,15 +106,11 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     };
     let listener = TcpListener::bind(settings.listen).await.map_err(refuse)?;
     let address = listener.local_addr().map_err(refuse)?;
-    let manager = match &settings.data_dir {
-        Some(folder) => {
-            let location = StoreLocation {
-                data_dir: folder.clone(),
-                build: None,
-            };
-            let store = DatabaseStore::open(&location).await?;
+    let manager = match &settings.store {
+        Some(location) => {
+            let store = DatabaseStore::open(location).await?;
             let manager = Manager::with_store(settings.session, OpenDeformer, Arc::new(store)).await?;
-            tracing::info!("sessions are kept in {}", folder.display());
+            tracing::info!("sessions are kept in {location}");
             manager
         }
         None => {

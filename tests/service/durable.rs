@@ -4,12 +4,14 @@ use crate::support::program::ServedProgram;
 use crate::support::server::{bar_obj, ends, turn_json};
 use serde_json::{Value, json};
 
+mod away;
 mod crashes;
 mod damage;
 mod faults;
 mod first_version;
 mod idle;
 mod leaving;
+mod place;
 mod restart;
 
 /// A session on a bar, with its ends as handles.

@@ -3,12 +3,15 @@
 
 pub mod bench;
 pub mod book;
+pub mod bucket;
 pub mod certificates;
 pub mod data;
 pub mod gltf_parsed;
 pub mod gltf_sets;
 pub mod khronos;
 pub mod messages;
+pub mod postgres;
+pub mod postgres_proxy;
 pub mod process;
 pub mod program;
 pub mod recipes;

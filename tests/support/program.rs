@@ -23,6 +23,12 @@ impl ServedProgram {
     /// As `start`; the log when it does not come up.
     pub fn try_start(folder: &Path, arguments: &[&str]) -> Result<Self, String> {
         let log = folder.with_extension("log");
+        let arguments = [&["--data-dir", folder.to_str().expect("UTF-8")], arguments].concat();
+        Self::start_anywhere(log, &arguments, &[])
+    }
+
+    /// Starts the server with arguments and variables alone; the log when it does not come up.
+    pub fn start_anywhere(log: PathBuf, arguments: &[&str], variables: &[(&str, &str)]) -> Result<Self, String> {
         // A limit on the size of files ends a process that has not asked to be told otherwise.
         let mut command = Command::new("sh");
         command
@@ -33,9 +39,9 @@ impl ServedProgram {
                 env!("CARGO_BIN_EXE_pliant"),
                 "serve",
             ])
-            .args(["--listen", "127.0.0.1:0", "--threads", "2", "--data-dir"])
-            .arg(folder)
+            .args(["--listen", "127.0.0.1:0", "--threads", "2"])
             .args(arguments)
+            .envs(variables.iter().copied())
             .env_remove("PLIANT_CONFIG")
             .stdout(Stdio::piped())
             .stderr(File::create(&log).expect("a log"));
@@ -117,6 +123,19 @@ impl ServedProgram {
         let status = answer.status().as_u16();
         let text = within(path, answer.text()).await.expect("a body");
         (status, serde_json::from_str(&text).unwrap_or(Value::Null))
+    }
+
+    /// As `call`, of a server that may end meanwhile; the status of a whole answer.
+    pub async fn try_call(&self, method: &str, path: &str, body: Option<&Value>) -> Option<u16> {
+        let method = method.parse().expect("a method");
+        let mut request = http().request(method, format!("{}{path}", self.url));
+        if let Some(body) = body {
+            request = request.json(body);
+        }
+        let answer = within(path, request.send()).await.ok()?;
+        let status = answer.status().as_u16();
+        within(path, answer.bytes()).await.ok()?;
+        Some(status)
     }
 
     /// A call that must succeed.

@@ -17,6 +17,12 @@ pub struct ConfigKeys {
     /// Folder where sessions are kept, so that they outlive the process [default: none, sessions are in memory alone].
     #[arg(long, value_name = "FOLDER")]
     pub data_dir: Option<KeyValue<String>>,
+    /// Database of the sessions, postgres://USER:PASSWORD@HOST/DATABASE [default: SQLite in the data folder].
+    #[arg(long, value_name = "URL", hide_env_values = true)]
+    pub database: Option<KeyValue<String>>,
+    /// Place of models and shapes, s3://BUCKET/PREFIX [default: the data folder].
+    #[arg(long, value_name = "URL")]
+    pub objects: Option<KeyValue<String>>,
     /// Compute threads [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<KeyValue<u32>>,

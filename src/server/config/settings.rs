@@ -8,8 +8,9 @@ use super::sources::{MergedKeys, unknown_variables};
 use crate::server::auth::JwtVerifier;
 use crate::server::tls::TlsDoor;
 use crate::session;
+use crate::session::store::StoreLocation;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// How log lines look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,7 +35,7 @@ pub struct ServeSettings {
     /// How they look.
     pub log_format: LogFormat,
     /// Where sessions are kept; `None`: in memory alone.
-    pub data_dir: Option<PathBuf>,
+    pub store: Option<StoreLocation>,
     /// Whether a session with the built-in creature is opened at the start.
     pub sample: bool,
     /// What should be said about the configuration once logs are open.
@@ -95,12 +96,32 @@ impl ServeSettings {
             session,
             log,
             log_format,
-            data_dir: KeyValue::read(&keys.data_dir)
-                .filter(|d| !d.is_empty())
-                .map(PathBuf::from),
+            store: store_location(&merged)?,
             sample: KeyValue::read(&keys.sample).unwrap_or(false),
             remarks,
         })
+    }
+}
+
+/// Where sessions are kept, if they are.
+fn store_location(merged: &MergedKeys) -> Result<Option<StoreLocation>, Error> {
+    let said = |key: &Option<KeyValue<String>>| KeyValue::read(key).filter(|text| !text.is_empty());
+    let keys = &merged.keys;
+    let location = StoreLocation {
+        data_dir: said(&keys.data_dir).map(Into::into),
+        database: said(&keys.database),
+        objects: said(&keys.objects),
+        build: None,
+    };
+    let lacks = |key: &str, other: &str| {
+        let problem = format!("{key} alone keeps no sessions; set data_dir or {other} as well");
+        Err(merged.refuse(key, problem))
+    };
+    match (&location.data_dir, &location.database, &location.objects) {
+        (None, None, None) => Ok(None),
+        (None, Some(_), None) => lacks("database", "objects"),
+        (None, None, Some(_)) => lacks("objects", "database"),
+        _ => Ok(Some(location)),
     }
 }
 
@@ -142,7 +163,7 @@ mod tests {
     #[test]
     fn every_error_names_key_source_and_what_is_allowed() {
         type Case<'a> = (&'a str, &'a [(&'static str, &'a str)], &'a [&'a str]);
-        let cases: [Case<'_>; 12] = [
+        let cases: [Case<'_>; 14] = [
             (
                 "upload_bytes = \"many\"",
                 &[],
@@ -181,6 +202,16 @@ mod tests {
                 "hosts = [\"mesh.example.org:443\"]",
                 &[],
                 &["hosts", "mesh.example.org:443", "without a port", "file "],
+            ),
+            (
+                "database = \"postgres://me:secret@db/pliant\"",
+                &[],
+                &["database", "data_dir", "objects", "file "],
+            ),
+            (
+                "",
+                &[("objects", "s3://bucket")],
+                &["objects", "data_dir", "database", "--objects"],
             ),
             ("sessons = 4", &[], &["sessons", "no such key", "sessions", "file "]),
         ];
@@ -222,8 +253,8 @@ mod tests {
             (defaults.listen, &defaults.server, &defaults.session)
         );
         assert_eq!(
-            (told.log, told.log_format, told.sample, told.data_dir),
-            (defaults.log, defaults.log_format, defaults.sample, defaults.data_dir)
+            (told.log, told.log_format, told.sample, told.store),
+            (defaults.log, defaults.log_format, defaults.sample, defaults.store)
         );
     }
 }

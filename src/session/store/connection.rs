@@ -1,17 +1,21 @@
-//! The connection to the database: where it is, and how it is made safe.
+//! The connections to the database: where it is, and how they are made safe.
 
 use super::schema::{Dialect, migrate};
 use super::session_store::StoreError;
 use percent_encoding::{AsciiSet, CONTROLS, utf8_percent_encode};
 use sqlx::any::{AnyPoolOptions, install_default_drivers};
-use sqlx::{AnyPool, Executor as _};
+use sqlx::{AnyConnection, AnyPool, Connection as _, Executor as _, Row as _};
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Connections that read.
 const READERS: u32 = 4;
-/// How long a call waits for a connection.
+/// How long a call waits for a connection, and a new connection for the end of the one before.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// A connection that was used so shortly ago is taken as alive.
+const FRESH: Duration = Duration::from_millis(500);
+/// Between two tries to become the one that writes.
+const BETWEEN_TRIES: Duration = Duration::from_millis(50);
 
 /// What a path must not have in a URL.
 const PATH: &AsciiSet = &CONTROLS
@@ -24,59 +28,228 @@ const PATH: &AsciiSet = &CONTROLS
     .add(b'<')
     .add(b'>');
 
-/// The connections to one database. Those that read stay open whatever happens to the one that writes, so that reading goes on.
-#[derive(Debug, Clone)]
-pub(super) struct Connections {
-    pub read: AnyPool,
-    pub write: AnyPool,
+/// Where a database is.
+#[derive(Clone)]
+pub(super) struct DatabaseAddress {
+    url: String,
+    dialect: Dialect,
+    /// As people are told: without a password.
+    shown: String,
 }
 
-/// Opens the database of a folder, made if it is missing.
-pub(super) async fn open_sqlite(file: &Path) -> Result<Connections, StoreError> {
-    let shown = file.display();
-    let text = file
-        .to_str()
-        .ok_or_else(|| StoreError::Refused(format!("{shown} is no UTF-8 path")))?;
-    let url = format!("sqlite://{}?mode=rwc", utf8_percent_encode(text, PATH));
-    open(&url, Dialect::Sqlite).await.map_err(|error| match error {
-        StoreError::Unavailable(problem) => StoreError::Unavailable(format!("{shown}: {problem}")),
-        other => other,
-    })
+impl std::fmt::Debug for DatabaseAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.shown)
+    }
 }
 
-async fn open(url: &str, dialect: Dialect) -> Result<Connections, StoreError> {
-    install_default_drivers();
-    let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
-    let write = connect(url, dialect, 1).await.map_err(failed)?;
-    let mut connection = write.acquire().await.map_err(failed)?;
-    migrate(&mut connection, dialect).await?;
-    drop(connection);
-    let read = connect(url, dialect, READERS).await.map_err(failed)?;
-    Ok(Connections { read, write })
-}
-
-async fn connect(url: &str, dialect: Dialect, most: u32) -> Result<AnyPool, sqlx::Error> {
-    AnyPoolOptions::new()
-        .max_connections(most)
-        .min_connections(1)
-        .idle_timeout(None)
-        .max_lifetime(None)
-        .acquire_timeout(PATIENCE)
-        .after_connect(move |connection, _| {
-            Box::pin(async move {
-                if dialect == Dialect::Sqlite {
-                    // A commit is on disk when it returns: the log is synced with every transaction.
-                    for pragma in [
-                        "PRAGMA busy_timeout = 5000",
-                        "PRAGMA journal_mode = WAL",
-                        "PRAGMA synchronous = FULL",
-                    ] {
-                        connection.execute(pragma).await?;
-                    }
-                }
-                Ok(())
-            })
+impl DatabaseAddress {
+    /// A file of SQLite, made if it is missing.
+    pub fn file(file: &Path) -> Result<Self, StoreError> {
+        let shown = file.display().to_string();
+        let text = file
+            .to_str()
+            .ok_or_else(|| StoreError::Refused(format!("{shown} is no UTF-8 path")))?;
+        Ok(Self {
+            url: format!("sqlite://{}?mode=rwc", utf8_percent_encode(text, PATH)),
+            dialect: Dialect::Sqlite,
+            shown,
         })
-        .connect(url)
-        .await
+    }
+
+    /// A server of PostgreSQL.
+    pub fn server(url: &str) -> Result<Self, StoreError> {
+        let is_postgres = ["postgres://", "postgresql://"].iter().any(|s| url.starts_with(s));
+        if !is_postgres {
+            let text = "the URL of the database is not known; allowed is postgres://USER:PASSWORD@HOST/DATABASE";
+            return Err(StoreError::Refused(text.into()));
+        }
+        let shown = without_password(url);
+        Ok(Self {
+            url: url.to_owned(),
+            dialect: Dialect::Postgres,
+            shown,
+        })
+    }
+
+    fn unavailable(&self, error: impl std::fmt::Display) -> StoreError {
+        StoreError::Unavailable(format!("{}: {error}", self.shown))
+    }
+
+    /// The connections that read. They stay open whatever happens to the one that writes, so that reading goes on.
+    pub async fn readers(&self) -> Result<AnyPool, StoreError> {
+        install_default_drivers();
+        let dialect = self.dialect;
+        AnyPoolOptions::new()
+            .max_connections(READERS)
+            .min_connections(1)
+            .idle_timeout(None)
+            .max_lifetime(None)
+            .acquire_timeout(PATIENCE)
+            .after_connect(move |connection, _| Box::pin(prepare(connection, dialect)))
+            .connect(&self.url)
+            .await
+            .map_err(|e| self.unavailable(e))
+    }
+
+    async fn connect(&self) -> Result<AnyConnection, StoreError> {
+        install_default_drivers();
+        let connected = async {
+            let mut connection = AnyConnection::connect(&self.url).await?;
+            prepare(&mut connection, self.dialect).await?;
+            Ok::<_, sqlx::Error>(connection)
+        };
+        match tokio::time::timeout(PATIENCE, connected).await {
+            Ok(connected) => connected.map_err(|e| self.unavailable(e)),
+            Err(_) => Err(self.unavailable(format!("no connection within {PATIENCE:?}"))),
+        }
+    }
+}
+
+/// A URL without what only its owner may know.
+fn without_password(url: &str) -> String {
+    let (scheme, rest) = url.split_once("://").unwrap_or(("", url));
+    let place = rest.split(['?', '#']).next().unwrap_or_default();
+    let place = place.rsplit_once('@').map_or(place, |(_, host)| host);
+    format!("{scheme}://{place}")
+}
+
+/// Makes a connection safe: what is committed through it is on disk when the commit returns.
+async fn prepare(connection: &mut AnyConnection, dialect: Dialect) -> Result<(), sqlx::Error> {
+    let statements: &[&str] = match dialect {
+        // The log is synced with every transaction.
+        Dialect::Sqlite => &[
+            "PRAGMA busy_timeout = 5000",
+            "PRAGMA journal_mode = WAL",
+            "PRAGMA synchronous = FULL",
+        ],
+        // A server may be set to acknowledge before it syncs, and to hold what a lost client left open.
+        Dialect::Postgres => &[
+            "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'",
+            "SET statement_timeout = '10s'",
+            "SET idle_in_transaction_session_timeout = '15s'",
+        ],
+    };
+    for statement in statements {
+        connection.execute(*statement).await?;
+    }
+    Ok(())
+}
+
+/// The one connection that writes. It is made again when it was lost.
+///
+/// In a database of a server it holds a lock for as long as it lives, so that one process writes, and so that what a lost connection
+/// had begun has ended before the next one begins.
+#[derive(Debug)]
+pub(super) struct WritingConnection {
+    address: DatabaseAddress,
+    open: Option<AnyConnection>,
+    used: Instant,
+}
+
+impl WritingConnection {
+    /// Connects, and makes the tables or brings them up to date.
+    pub async fn open(address: &DatabaseAddress) -> Result<Self, StoreError> {
+        let mut made = Self {
+            address: address.clone(),
+            open: None,
+            used: Instant::now(),
+        };
+        let connection = made.get().await.map_err(|error| match error {
+            LockedOut::Elsewhere => StoreError::Refused(format!("{address:?} is in use by another process")),
+            LockedOut::Error(error) => error,
+        })?;
+        migrate(connection, address.dialect).await?;
+        Ok(made)
+    }
+
+    /// The connection, made again if it was lost.
+    pub async fn get(&mut self) -> Result<&mut AnyConnection, LockedOut> {
+        if self.used.elapsed() > FRESH
+            && let Some(open) = &mut self.open
+        {
+            let answers = tokio::time::timeout(PATIENCE, open.ping()).await;
+            if !matches!(answers, Ok(Ok(()))) {
+                self.open = None;
+            }
+        }
+        let connection = match self.open.take() {
+            Some(open) => open,
+            None => {
+                let mut connection = self.address.connect().await?;
+                if self.address.dialect == Dialect::Postgres {
+                    lock(&self.address, &mut connection).await?;
+                }
+                connection
+            }
+        };
+        self.used = Instant::now();
+        Ok(self.open.insert(connection))
+    }
+
+    /// Gives the connection up: what state it is in is not known.
+    pub async fn give_up(&mut self) {
+        if let Some(lost) = self.open.take() {
+            let _ = tokio::time::timeout(PATIENCE, lost.close_hard()).await;
+        }
+    }
+}
+
+/// Becomes the one that writes, once nobody else is.
+async fn lock(address: &DatabaseAddress, connection: &mut AnyConnection) -> Result<(), LockedOut> {
+    let until = Instant::now() + PATIENCE;
+    loop {
+        // One lock for each schema of a database.
+        let ask = "SELECT pg_try_advisory_lock(1886153057, hashtext(current_schema()))";
+        let row = sqlx::query(ask).fetch_one(&mut *connection).await;
+        let is_ours = row.and_then(|row| row.try_get::<bool, _>(0));
+        if is_ours.map_err(|e| address.unavailable(e))? {
+            return Ok(());
+        }
+        if Instant::now() > until {
+            return Err(LockedOut::Elsewhere);
+        }
+        tokio::time::sleep(BETWEEN_TRIES).await;
+    }
+}
+
+/// Why there is no connection that writes.
+#[derive(Debug, Clone)]
+pub(super) enum LockedOut {
+    /// Another process, or what is left of a lost connection, holds the lock.
+    Elsewhere,
+    Error(StoreError),
+}
+
+impl From<StoreError> for LockedOut {
+    fn from(error: StoreError) -> Self {
+        Self::Error(error)
+    }
+}
+
+impl From<LockedOut> for StoreError {
+    fn from(reason: LockedOut) -> Self {
+        match reason {
+            LockedOut::Elsewhere => Self::Unavailable("another process writes to the database".into()),
+            LockedOut::Error(error) => error,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_password_is_told_to_nobody() {
+        for url in [
+            "postgres://me:se/cret@db.example:5432/pliant",
+            "postgresql://me:s@cret@db.example:5432/pliant?password=secret",
+        ] {
+            let shown = format!("{:?}", DatabaseAddress::server(url).expect("a URL"));
+            assert!(!shown.contains("cret"), "{shown}");
+            assert!(shown.ends_with("db.example:5432/pliant"), "{shown}");
+        }
+        assert!(DatabaseAddress::server("mysql://me:secret@db/pliant").is_err());
+    }
 }

@@ -1,9 +1,11 @@
 //! The store on a database and a folder of objects.
 
 use super::build_identity::build_identity;
-use super::connection::open_sqlite;
+use super::connection::{DatabaseAddress, WritingConnection};
+use super::object_folder::sync_folder;
 use super::objects::Objects;
 use super::reading;
+use super::schema::identity;
 use super::session_store::{
     AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
     StoredSession, UsedSession,
@@ -20,15 +22,46 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 /// Where a store is.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Clone, Default, PartialEq, Eq)]
 pub struct StoreLocation {
-    /// The folder of the database and of objects; made if it is missing.
-    pub data_dir: PathBuf,
+    /// The folder of what has no place of its own; made if it is missing.
+    pub data_dir: Option<PathBuf>,
+    /// The URL of the database, `postgres://USER:PASSWORD@HOST/DATABASE`; `None`: SQLite in the folder.
+    pub database: Option<String>,
+    /// The URL of the objects, `s3://BUCKET/PREFIX`; `None`: in the folder.
+    pub objects: Option<String>,
     /// Which build and processor makes results; `None`: this one.
     pub build: Option<String>,
 }
 
-/// Sessions in a database, what is large in a folder.
+impl StoreLocation {
+    /// Everything in a folder.
+    pub fn in_folder(folder: impl Into<PathBuf>) -> Self {
+        Self {
+            data_dir: Some(folder.into()),
+            ..Self::default()
+        }
+    }
+}
+
+impl std::fmt::Display for StoreLocation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let folder = self.data_dir.as_ref().map(|d| d.display().to_string());
+        // A URL may hold a password.
+        let database = self.database.as_ref().map(|_| "PostgreSQL".to_owned());
+        let places = [&database, &self.objects, &folder];
+        let shown: Vec<&str> = places.into_iter().flatten().map(String::as_str).collect();
+        f.write_str(&shown.join(", "))
+    }
+}
+
+impl std::fmt::Debug for StoreLocation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        std::fmt::Display::fmt(self, f)
+    }
+}
+
+/// Sessions in a database, what is large as objects.
 #[derive(Debug)]
 pub struct DatabaseStore {
     build: String,
@@ -36,7 +69,7 @@ pub struct DatabaseStore {
     writer: Writer,
     objects: Objects,
     /// Held as long as the store: one process writes a folder.
-    _lock: File,
+    _lock: Option<File>,
 }
 
 impl DatabaseStore {
@@ -46,14 +79,24 @@ impl DatabaseStore {
     /// [`StoreError::Refused`] when another process has it or a later version wrote it, [`StoreError::Unavailable`] when folder or
     /// database cannot be had.
     pub async fn open(location: &StoreLocation) -> Result<Self, StoreError> {
-        let folder = &location.data_dir;
-        let lock = lock_folder(folder)?;
-        let objects = Objects::in_folder(folder)?;
-        let connections = open_sqlite(&folder.join("sessions.sqlite")).await?;
+        let nowhere =
+            || StoreError::Refused("sessions need a data folder, or both a database and a place of objects".into());
+        let folder = || location.data_dir.as_deref().ok_or_else(nowhere);
+        let lock = location.data_dir.as_deref().map(lock_folder).transpose()?;
+        let objects = match &location.objects {
+            Some(url) => Objects::in_bucket(url)?,
+            None => Objects::in_folder(folder()?)?,
+        };
+        let address = match &location.database {
+            Some(url) => DatabaseAddress::server(url)?,
+            None => DatabaseAddress::file(&folder()?.join("sessions.sqlite"))?,
+        };
+        let mut writing = WritingConnection::open(&address).await?;
+        objects.belong_to(&identity(writing.get().await?).await?).await?;
         let store = Self {
             build: location.build.clone().unwrap_or_else(build_identity),
-            writer: Writer::start(connections.write),
-            pool: connections.read,
+            pool: address.readers().await?,
+            writer: Writer::start(writing),
             objects,
             _lock: lock,
         };
@@ -193,7 +236,13 @@ impl DatabaseStore {
 fn lock_folder(folder: &Path) -> Result<File, StoreError> {
     let shown = folder.display();
     let unavailable = |e: std::io::Error| StoreError::Unavailable(format!("{shown}: {e}"));
-    fs::create_dir_all(folder).map_err(unavailable)?;
+    if !folder.exists() {
+        fs::create_dir_all(folder).map_err(unavailable)?;
+        // The folder's own name has to be on disk too.
+        if let Some(parent) = folder.parent().filter(|p| !p.as_os_str().is_empty()) {
+            sync_folder(parent).map_err(unavailable)?;
+        }
+    }
     let lock = File::options()
         .create(true)
         .truncate(false)

@@ -8,16 +8,20 @@
 //! |---|---|
 //! | `session_store` | the trait that sessions use, and its values |
 //! | `database_store` | the trait on a database and a folder of objects |
-//! | `connection`, `schema` | the database and its tables |
+//! | `connection`, `schema` | the database, SQLite or PostgreSQL, and its tables |
 //! | `writer`, `write_order` | one task writes, what comes together in one transaction |
 //! | `rows`, `reading` | rows with their checksums, read again |
 //! | `objects` | what is large, by content |
+//! | `object_folder`, `bucket`, `bucket_client` | where it lies: a local folder, S3 |
 //! | `shape_object` | a shape as an object |
 //! | `build_identity` | which build and processor made results |
 
+mod bucket;
+mod bucket_client;
 mod build_identity;
 mod connection;
 mod database_store;
+mod object_folder;
 mod objects;
 mod reading;
 mod rows;

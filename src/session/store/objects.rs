@@ -1,76 +1,115 @@
 //! What is large, by content: an object's name is the SHA-256 of its bytes, so it is written once and never changes, and what is read
 //! can be compared with its name.
 
+use super::bucket::open_bucket;
+use super::object_folder::ObjectFolder;
 use super::session_store::StoreError;
 use bytes::Bytes;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
-use object_store::{ObjectStore, ObjectStoreExt as _};
+use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
-use std::fs::{self, File};
-use std::io::{self, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use tokio::sync::{RwLock, Semaphore};
 
 /// Objects that are hashed or written at a time.
 const BLOCKING: usize = 4;
+/// The object of a bucket that says whose objects the others are.
+const IDENTITY: &str = "store";
 
 /// The objects of a store.
 #[derive(Debug)]
 pub(super) struct Objects {
     store: Arc<dyn ObjectStore>,
-    folder: Arc<ObjectFolder>,
+    /// Where they lie in a local folder: that is where they are written.
+    folder: Option<Arc<ObjectFolder>>,
     blocking: Semaphore,
     /// Held for reading from before an object is written until the row that names it is; for writing while objects without a name are
     /// removed.
     pub naming: RwLock<()>,
 }
 
-/// A local folder of objects. `object_store` writes without syncing; here a file is written beside, synced, renamed, and its folder
-/// synced, so that it is whole on disk before anything names it.
-#[derive(Debug)]
-struct ObjectFolder {
-    objects: PathBuf,
-    unfinished: PathBuf,
-}
-
 impl Objects {
     /// The objects below a folder.
     pub fn in_folder(folder: &Path) -> Result<Self, StoreError> {
-        let objects = folder.join("objects");
-        let unfinished = folder.join("unfinished");
-        let failed = |path: &Path, e: io::Error| StoreError::Unavailable(format!("{}: {e}", path.display()));
-        // What a crash left there has no name yet.
-        if unfinished.exists() {
-            fs::remove_dir_all(&unfinished).map_err(|e| failed(&unfinished, e))?;
-        }
-        for made in [&objects, &unfinished] {
-            fs::create_dir_all(made).map_err(|e| failed(made, e))?;
-        }
-        sync_folder(folder).map_err(|e| failed(folder, e))?;
-        let store = LocalFileSystem::new_with_prefix(&objects)
-            .map_err(|e| StoreError::Unavailable(format!("{}: {e}", objects.display())))?;
-        Ok(Self {
-            store: Arc::new(store),
-            folder: Arc::new(ObjectFolder { objects, unfinished }),
+        let folder = ObjectFolder::open(folder)?;
+        let store = LocalFileSystem::new_with_prefix(&folder.objects)
+            .map_err(|e| StoreError::Unavailable(format!("{}: {e}", folder.objects.display())))?;
+        Ok(Self::of(Arc::new(store), Some(folder)))
+    }
+
+    /// The objects of a bucket, `s3://BUCKET/PREFIX`.
+    pub fn in_bucket(url: &str) -> Result<Self, StoreError> {
+        Ok(Self::of(open_bucket(url)?, None))
+    }
+
+    fn of(store: Arc<dyn ObjectStore>, folder: Option<ObjectFolder>) -> Self {
+        Self {
+            store,
+            folder: folder.map(Arc::new),
             blocking: Semaphore::new(BLOCKING),
             naming: RwLock::new(()),
-        })
+        }
+    }
+
+    /// Refuses objects of another database: each removes what it does not name.
+    pub async fn belong_to(&self, identity: &str) -> Result<(), StoreError> {
+        let identity = format!("pliant objects of the store {identity}\n").into_bytes();
+        let there = match &self.folder {
+            Some(folder) => {
+                let (folder, identity) = (Arc::clone(folder), identity.clone());
+                let told = move || {
+                    folder
+                        .identity(&identity)
+                        .map_err(|e| StoreError::Unavailable(format!("whose objects these are cannot be told: {e}")))
+                };
+                self.apart(told).await?
+            }
+            None => self.identity_in_bucket(&identity).await?,
+        };
+        match there == identity {
+            true => Ok(()),
+            false => Err(StoreError::Refused(
+                "the objects belong to another database; a database needs a folder or prefix of its own".into(),
+            )),
+        }
+    }
+
+    async fn identity_in_bucket(&self, identity: &[u8]) -> Result<Vec<u8>, StoreError> {
+        let path = ObjectPath::from(IDENTITY);
+        let failed = |e: object_store::Error| StoreError::Unavailable(format!("the objects cannot be reached: {e}"));
+        match self.store.get(&path).await {
+            Ok(found) => return Ok(found.bytes().await.map_err(failed)?.to_vec()),
+            Err(object_store::Error::NotFound { .. }) => {}
+            Err(error) => return Err(failed(error)),
+        }
+        let create = PutOptions::from(PutMode::Create);
+        let put = self.store.put_opts(&path, identity.to_vec().into(), create).await;
+        put.map_err(failed)?;
+        Ok(identity.to_vec())
     }
 
     /// Writes an object and returns its name.
     pub async fn put(&self, bytes: Bytes) -> Result<String, StoreError> {
-        let folder = Arc::clone(&self.folder);
-        self.apart(move || {
-            let name = name_of(&bytes);
-            folder
-                .write(&name, &bytes)
-                .map_err(|e| StoreError::Unavailable(format!("an object cannot be written: {e}")))?;
+        let (folder, given) = (self.folder.clone(), bytes.clone());
+        let name = self.apart(move || {
+            let name = name_of(&given);
+            if let Some(folder) = folder {
+                folder
+                    .write(&name, &given)
+                    .map_err(|e| StoreError::Unavailable(format!("an object cannot be written: {e}")))?;
+            }
             Ok(name)
-        })
-        .await
+        });
+        let name = name.await?;
+        if self.folder.is_none() {
+            // Written anew where it is there: what was damaged is mended.
+            let put = self.store.put(&object_path(&name)?, bytes.into()).await;
+            put.map_err(|e| StoreError::Unavailable(format!("an object cannot be written: {e}")))?;
+        }
+        Ok(name)
     }
 
     /// Reads an object and compares it with its name.
@@ -120,31 +159,6 @@ impl Objects {
     }
 }
 
-impl ObjectFolder {
-    fn write(&self, name: &str, bytes: &[u8]) -> io::Result<()> {
-        let shelf = self.objects.join(&name[..2]);
-        let path = shelf.join(name);
-        // What is there and whole is not written again; what was damaged is mended.
-        if fs::read(&path).is_ok_and(|there| there == bytes) {
-            return sync_folder(&shelf);
-        }
-        if !shelf.exists() {
-            fs::create_dir_all(&shelf)?;
-            sync_folder(&self.objects)?;
-        }
-        let mut file = tempfile::NamedTempFile::new_in(&self.unfinished)?;
-        file.write_all(bytes)?;
-        file.as_file().sync_all()?;
-        file.persist(&path).map_err(|e| e.error)?;
-        sync_folder(&shelf)
-    }
-}
-
-/// A name is on disk only when the folder that holds it is.
-fn sync_folder(folder: &Path) -> io::Result<()> {
-    File::open(folder)?.sync_all()
-}
-
 /// SHA-256, lower-case hexadecimal.
 fn name_of(bytes: &[u8]) -> String {
     let mut name = String::with_capacity(64);
@@ -166,6 +180,7 @@ fn object_path(name: &str) -> Result<ObjectPath, StoreError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     #[tokio::test]
     async fn an_object_is_kept_under_its_content_and_damage_is_told_and_mended() {
@@ -192,5 +207,8 @@ mod tests {
             .expect("a folder")
             .count();
         assert_eq!(left, 0);
+        assert_eq!(objects.belong_to("this").await, Ok(()));
+        assert_eq!(objects.belong_to("this").await, Ok(()));
+        assert!(matches!(objects.belong_to("that").await, Err(StoreError::Refused(_))));
     }
 }

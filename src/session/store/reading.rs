@@ -188,7 +188,7 @@ async fn listed_session(pool: &AnyPool, row: &AnyRow) -> Result<ListedSession, S
 
 /// The sessions whose time is over, and whose they are.
 pub(super) async fn expired(pool: &AnyPool, now_ms: u64) -> Result<Vec<(Tenant, String)>, StoreError> {
-    let query = sqlx::query("SELECT tenant, id FROM sessions WHERE used_ms + ttl_ms < $1 ORDER BY number LIMIT 1000");
+    let query = sqlx::query("SELECT tenant, id FROM sessions WHERE used_ms < $1 - ttl_ms ORDER BY number LIMIT 1000");
     let rows = query.bind(signed(now_ms)).fetch_all(pool).await.map_err(unreadable)?;
     rows.iter()
         .map(|row| Ok((tenant_of(row, 0)?, column(row, 1)?)))

@@ -8,11 +8,12 @@ use sqlx::Row as _;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Dialect {
     Sqlite,
+    Postgres,
 }
 
 /// Steps from each version of the tables to the next. What was released is never changed, only followed by a further step.
 /// `{bytes}` and `{serial}` are what the database calls bytes and numbers that count by themselves.
-const STEPS: [&[&str]; 2] = [FIRST, MEASURED];
+const STEPS: [&[&str]; 3] = [FIRST, MEASURED, IDENTIFIED];
 
 const FIRST: &[&str] = &[
     "CREATE TABLE tenants (tenant TEXT PRIMARY KEY, created_ms BIGINT NOT NULL)",
@@ -79,6 +80,9 @@ const MEASURED: &[&str] = &[
     "ALTER TABLE object_uses ADD COLUMN bytes BIGINT NOT NULL DEFAULT -1",
 ];
 
+/// What tells this database from others.
+const IDENTIFIED: &[&str] = &["CREATE TABLE store_identity (id TEXT PRIMARY KEY)"];
+
 /// Brings the tables to the version of this program.
 pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) -> Result<(), StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(format!("the tables cannot be made: {e}"));
@@ -108,6 +112,7 @@ pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) ->
     for statement in STEPS[done..].iter().copied().flatten() {
         let (bytes, serial) = match dialect {
             Dialect::Sqlite => ("BLOB", "INTEGER PRIMARY KEY"),
+            Dialect::Postgres => ("BYTEA", "BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY"),
         };
         let statement = statement.replace("{bytes}", bytes).replace("{serial}", serial);
         sqlx::query(&statement).execute(&mut *steps).await.map_err(failed)?;
@@ -119,4 +124,21 @@ pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) ->
     let note = sqlx::query(note).bind(STEPS.len() as i64);
     note.execute(&mut *steps).await.map_err(failed)?;
     steps.commit().await.map_err(failed)
+}
+
+/// What tells this database from others: made when it is asked for the first time.
+pub(super) async fn identity(connection: &mut AnyConnection) -> Result<String, StoreError> {
+    let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
+    let row = sqlx::query("SELECT id FROM store_identity")
+        .fetch_optional(&mut *connection)
+        .await;
+    if let Some(row) = row.map_err(failed)? {
+        return row.try_get(0).map_err(failed);
+    }
+    let mut random = [0u8; 16];
+    getrandom::fill(&mut random).map_err(|e| StoreError::Unavailable(format!("no random numbers: {e}")))?;
+    let id = random.map(|byte| format!("{byte:02x}")).concat();
+    let insert = sqlx::query("INSERT INTO store_identity (id) VALUES ($1)").bind(&id);
+    insert.execute(connection).await.map_err(failed)?;
+    Ok(id)
 }

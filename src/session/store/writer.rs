@@ -4,9 +4,10 @@
 //! A transaction whose end is not known, because the database went away, may be on disk or not. Its caller was told that nothing
 //! changed, so what it may have left is removed with the next transaction, before anything of its session is read.
 
+use super::connection::WritingConnection;
 use super::session_store::StoreError;
 use super::write_order::{WriteOrder, undo_doubtful};
-use sqlx::{AnyPool, Connection as _};
+use sqlx::{AnyConnection, Connection as _};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -36,11 +37,11 @@ pub(super) struct Writer {
 
 impl Writer {
     /// Starts the task.
-    pub fn start(pool: AnyPool) -> Self {
+    pub fn start(connection: WritingConnection) -> Self {
         let (orders, waiting) = mpsc::channel(QUEUE);
         let doubtful = Arc::default();
         let task = WritingTask {
-            pool,
+            connection,
             waiting,
             doubtful: Arc::clone(&doubtful),
         };
@@ -76,7 +77,7 @@ impl Writer {
 }
 
 struct WritingTask {
-    pool: AnyPool,
+    connection: WritingConnection,
     waiting: mpsc::Receiver<WaitingOrder>,
     /// Commits that were refused and may be on disk: sessions, and the first number each.
     doubtful: Arc<Mutex<BTreeMap<String, u64>>>,
@@ -95,39 +96,50 @@ impl WritingTask {
             {
                 group.push(next);
             }
-            let orders: Vec<&WriteOrder> = group.iter().map(|w| &w.order).collect();
-            match self.carry_out(&orders).await {
-                Ok(answers) => {
-                    for (waiting, answer) in group.into_iter().zip(answers) {
-                        let _ = waiting.done.send(Ok(answer));
-                    }
+            self.carry_out_group(group).await;
+        }
+        self.connection.give_up().await;
+    }
+
+    async fn carry_out_group(&mut self, group: Vec<WaitingOrder>) {
+        let orders: Vec<&WriteOrder> = group.iter().map(|w| &w.order).collect();
+        match self.carry_out(&orders).await {
+            Ok(answers) => {
+                for (waiting, answer) in group.into_iter().zip(answers) {
+                    let _ = waiting.done.send(Ok(answer));
                 }
-                // One of them may be at fault: each for itself.
-                Err(_) if group.len() > 1 => {
+            }
+            // One of them may be at fault: each for itself.
+            Err(Failure::Transaction(_)) if group.len() > 1 => {
+                self.note_doubts(&group);
+                self.carry_out_each(group).await;
+            }
+            Err(failure) => {
+                if let Failure::Transaction(_) = failure {
                     self.note_doubts(&group);
-                    for waiting in group {
-                        self.carry_out_alone(waiting).await;
-                    }
                 }
-                Err(error) => {
-                    self.note_doubts(&group);
-                    for waiting in group {
-                        let _ = waiting.done.send(Err(error.clone()));
-                    }
+                refuse_all(group, &failure);
+            }
+        }
+    }
+
+    async fn carry_out_each(&mut self, group: Vec<WaitingOrder>) {
+        let mut waiting = group.into_iter();
+        while let Some(next) = waiting.next() {
+            match self.carry_out(&[&next.order]).await {
+                Ok(mut lists) => {
+                    let _ = next.done.send(Ok(lists.pop().unwrap_or_default()));
+                }
+                Err(failure @ Failure::Transaction(_)) => {
+                    self.note_doubts(std::slice::from_ref(&next));
+                    refuse_all([next], &failure);
+                }
+                // The others would only wait for it too.
+                Err(failure @ Failure::NoConnection(_)) => {
+                    refuse_all(std::iter::once(next).chain(waiting.by_ref()), &failure);
                 }
             }
         }
-        self.pool.close().await;
-    }
-
-    async fn carry_out_alone(&mut self, waiting: WaitingOrder) {
-        let answer = self.carry_out(&[&waiting.order]).await;
-        if answer.is_err() {
-            self.note_doubts(std::slice::from_ref(&waiting));
-        }
-        let _ = waiting
-            .done
-            .send(answer.map(|mut lists| lists.pop().unwrap_or_default()));
     }
 
     fn note_doubts(&mut self, orders: &[WaitingOrder]) {
@@ -138,45 +150,60 @@ impl WritingTask {
         }
     }
 
-    async fn carry_out(&mut self, orders: &[&WriteOrder]) -> Result<Vec<Vec<String>>, StoreError> {
+    async fn carry_out(&mut self, orders: &[&WriteOrder]) -> Result<Vec<Vec<String>>, Failure> {
         let doubtful = doubts(&self.doubtful).clone();
-        let transaction = write_together(&self.pool, &doubtful, orders);
+        let connection = self.connection.get().await;
+        let connection = connection.map_err(|e| Failure::NoConnection(e.into()))?;
+        let transaction = write_together(connection, &doubtful, orders);
         let written = match tokio::time::timeout(PATIENCE, transaction).await {
             Ok(written) => written,
             Err(_) => Err(StoreError::Unavailable(format!("it took longer than {PATIENCE:?}"))),
         };
-        if written.is_ok() {
-            // This task alone adds to them.
-            doubts(&self.doubtful).clear();
+        match written {
+            Ok(answers) => {
+                // This task alone adds to them.
+                doubts(&self.doubtful).clear();
+                Ok(answers)
+            }
+            Err(error) => {
+                self.connection.give_up().await;
+                Err(Failure::Transaction(error))
+            }
         }
-        written
+    }
+}
+
+/// Why orders were not carried out.
+#[derive(Debug)]
+enum Failure {
+    /// Nothing was begun.
+    NoConnection(StoreError),
+    /// What was begun may be on disk or not.
+    Transaction(StoreError),
+}
+
+fn refuse_all(orders: impl IntoIterator<Item = WaitingOrder>, failure: &Failure) {
+    let (Failure::NoConnection(error) | Failure::Transaction(error)) = failure;
+    for waiting in orders {
+        let _ = waiting.done.send(Err(error.clone()));
     }
 }
 
 /// Writes orders in one transaction, after what is to be removed.
 async fn write_together(
-    pool: &AnyPool,
+    connection: &mut AnyConnection,
     doubtful: &BTreeMap<String, u64>,
     orders: &[&WriteOrder],
 ) -> Result<Vec<Vec<String>>, StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
-    let mut connection = pool.acquire().await.map_err(failed)?;
-    let written = async {
-        let mut transaction = connection.begin().await.map_err(failed)?;
-        for (session, sequence) in doubtful {
-            undo_doubtful(session, *sequence, &mut transaction).await?;
-        }
-        let mut answers = Vec::with_capacity(orders.len());
-        for order in orders {
-            answers.push(order.carry_out(&mut transaction).await?);
-        }
-        transaction.commit().await.map_err(failed)?;
-        Ok(answers)
-    };
-    let written = written.await;
-    if written.is_err() {
-        // What state it is in is not known; the next transaction gets a fresh one.
-        let _ = connection.detach().close_hard().await;
+    let mut transaction = connection.begin().await.map_err(failed)?;
+    for (session, sequence) in doubtful {
+        undo_doubtful(session, *sequence, &mut transaction).await?;
     }
-    written
+    let mut answers = Vec::with_capacity(orders.len());
+    for order in orders {
+        answers.push(order.carry_out(&mut transaction).await?);
+    }
+    transaction.commit().await.map_err(failed)?;
+    Ok(answers)
 }

@@ -4,7 +4,7 @@
 //! `PLIANT_CRASHES` says how many rounds there are; the suite runs a few.
 
 use super::{bar_session, path};
-use crate::support::program::ServedProgram;
+use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::server::{http, turn_json};
 use serde_json::{Value, json};
 use std::sync::{Arc, Mutex};
@@ -119,11 +119,10 @@ fn commits(history: &Value) -> (Vec<(u64, String)>, u64) {
     (list.iter().map(commit).collect(), current.expect("a number"))
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn every_acknowledged_commit_outlives_a_crash_at_any_moment() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let mut server = ServedProgram::start(&folder, &["--history", "1000", "--ttl", "1h"]);
+in_every_store!(every_acknowledged_commit_outlives_a_crash_at_any_moment,);
+
+async fn every_acknowledged_commit_outlives_a_crash_at_any_moment(place: StorePlace) {
+    let mut server = place.start(&["--history", "1000", "--ttl", "1h"]);
     let (mut acknowledged, mut open) = (0, 0);
     let mut ids = [bar_session(&server).await, bar_session(&server).await];
     let mut numbers = Numbers(20_061);
@@ -148,7 +147,7 @@ async fn every_acknowledged_commit_outlives_a_crash_at_any_moment() {
         for (_, task, _) in &mut writers {
             task.await.expect("no call was answered wrongly");
         }
-        server = ServedProgram::start(&folder, &["--history", "1000", "--ttl", "1h"]);
+        server = place.start(&["--history", "1000", "--ttl", "1h"]);
         for (id, _, known) in writers {
             let known = known.lock().expect("no panic").clone();
             let now = server.done("GET", &path(&id, "/history"), None).await;

@@ -1,36 +1,17 @@
 //! What is damaged is told and never served; other sessions do not suffer.
 
 use super::{bar_session, path, seen, turn};
-use crate::support::program::ServedProgram;
-use sqlx::any::AnyPoolOptions;
+use crate::durable::place::{StorePlace, in_every_store};
 use std::fs;
-use std::path::{Path, PathBuf};
 
-/// Changes the database of a server that is not running.
-pub async fn tamper(folder: &Path, statement: &str) {
-    sqlx::any::install_default_drivers();
-    let url = format!("sqlite://{}", folder.join("sessions.sqlite").display());
-    let pool = AnyPoolOptions::new()
-        .max_connections(1)
-        .connect(&url)
-        .await
-        .expect("a database");
-    let done = sqlx::query(statement).execute(&pool).await.expect("a statement");
-    assert!(done.rows_affected() > 0, "{statement}");
-    pool.close().await;
-}
+in_every_store!(
+    damaged_rows_are_told_and_nothing_of_them_is_served,
+    damaged_objects_are_told_and_a_damaged_shape_is_solved_again,
+    what_a_later_version_wrote_is_refused,
+);
 
-fn objects(folder: &Path) -> Vec<PathBuf> {
-    let shelves = fs::read_dir(folder.join("objects")).expect("a folder");
-    let files = shelves.flat_map(|s| fs::read_dir(s.expect("a shelf").path()).expect("a folder"));
-    files.map(|f| f.expect("a file").path()).collect()
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn damaged_rows_are_told_and_nothing_of_them_is_served() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &[]);
+async fn damaged_rows_are_told_and_nothing_of_them_is_served(place: StorePlace) {
+    let server = place.start(&[]);
     let mut ids = Vec::new();
     for _ in 0..6 {
         let id = bar_session(&server).await;
@@ -40,15 +21,15 @@ async fn damaged_rows_are_told_and_nothing_of_them_is_served() {
     let healthy = seen(&server, &ids[5]).await;
     server.kill();
     for (id, change) in ids.iter().zip([
-        "UPDATE commits SET payload = zeroblob(length(payload)) WHERE sequence = 1 AND session",
+        "UPDATE commits SET payload = checksum WHERE sequence = 1 AND session",
         "DELETE FROM commits WHERE sequence = 1 AND session",
         "DELETE FROM commits WHERE sequence = 2 AND session",
         "UPDATE commits SET revision = 7 WHERE sequence = 2 AND session",
-        "UPDATE sessions SET model = zeroblob(9) WHERE id",
+        "UPDATE sessions SET model = checksum WHERE id",
     ]) {
-        tamper(&folder, &format!("{change} = '{id}'")).await;
+        place.tamper(&format!("{change} = '{id}'")).await;
     }
-    let server = ServedProgram::start(&folder, &[]);
+    let server = place.start(&[]);
     for id in &ids[..5] {
         for (method, rest) in [("GET", ""), ("GET", "/positions"), ("GET", "/model"), ("POST", "/undo")] {
             let (status, told) = server.call(method, &path(id, rest), None).await;
@@ -73,33 +54,30 @@ async fn damaged_rows_are_told_and_nothing_of_them_is_served() {
     assert_eq!(server.call("GET", &path(&ids[0], ""), None).await.0, 404);
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn damaged_objects_are_told_and_a_damaged_shape_is_solved_again() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &[]);
+async fn damaged_objects_are_told_and_a_damaged_shape_is_solved_again(place: StorePlace) {
+    let server = place.start(&[]);
     let id = bar_session(&server).await;
-    let model = objects(&folder);
+    let model = place.objects();
     assert_eq!(model.len(), 1, "the model");
     // So many that the shape is kept.
     for k in 0..17 {
         turn(&server, &id, f64::from(k) * 0.05).await;
     }
-    crate::support::server::eventually("a kept shape", async || objects(&folder).len() == 2).await;
+    crate::support::server::eventually("a kept shape", async || place.count("snapshots").await == 1).await;
     let before = seen(&server, &id).await;
     server.kill();
 
-    let shape = objects(&folder).into_iter().find(|o| *o != model[0]).expect("a shape");
+    let shape = place.objects().into_iter().find(|o| *o != model[0]).expect("a shape");
     let whole = fs::read(&shape).expect("readable");
     for damage in [&whole[..whole.len() - 5], b"", &vec![7; whole.len()]] {
         fs::write(&shape, damage).expect("writable");
-        let server = ServedProgram::start(&folder, &[]);
+        let server = place.start(&[]);
         assert_eq!(seen(&server, &id).await, before);
         assert!(server.log().contains("a kept shape is not used"), "{}", server.log());
         server.kill();
     }
     fs::write(&shape, whole).expect("writable");
-    let server = ServedProgram::start(&folder, &[]);
+    let server = place.start(&[]);
     assert_eq!(seen(&server, &id).await, before);
     assert!(!server.log().contains("not used"), "{}", server.log());
     server.kill();
@@ -110,7 +88,7 @@ async fn damaged_objects_are_told_and_a_damaged_shape_is_solved_again() {
             Some(bytes) => fs::write(&model[0], bytes).expect("writable"),
             None => fs::remove_file(&model[0]).expect("there"),
         }
-        let server = ServedProgram::start(&folder, &[]);
+        let server = place.start(&[]);
         let (status, told) = server.call("GET", &path(&id, ""), None).await;
         assert_eq!((status, &told["code"]), (500, &"DATA_LOSS".into()), "{told}");
         // A new session on the same model mends the object.
@@ -121,15 +99,12 @@ async fn damaged_objects_are_told_and_a_damaged_shape_is_solved_again() {
     }
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn what_a_later_version_wrote_is_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &[]);
+async fn what_a_later_version_wrote_is_refused(place: StorePlace) {
+    let server = place.start(&[]);
     let id = bar_session(&server).await;
     server.kill();
-    tamper(&folder, "UPDATE commits SET format = 99 WHERE sequence = 1").await;
-    let server = ServedProgram::start(&folder, &[]);
+    place.tamper("UPDATE commits SET format = 99 WHERE sequence = 1").await;
+    let server = place.start(&[]);
     let (status, told) = server.call("GET", &path(&id, ""), None).await;
     assert_eq!(status, 409, "{told}");
     assert!(
@@ -137,7 +112,7 @@ async fn what_a_later_version_wrote_is_refused() {
         "{told}"
     );
     server.kill();
-    tamper(&folder, "UPDATE pliant_schema SET version = 99").await;
-    let told = ServedProgram::try_start(&folder, &[]).err().expect("refused");
+    place.tamper("UPDATE pliant_schema SET version = 99").await;
+    let told = place.try_start(&[]).err().expect("refused");
     assert!(told.lines().last().is_some_and(|l| l.contains("version 99")), "{told}");
 }

@@ -1,7 +1,7 @@
 //! A folder that the first version wrote, with every kind of commit. It is never written again, and every later version opens it.
 
-use super::damage::tamper;
 use super::path;
+use super::place::tamper;
 use crate::support::program::ServedProgram;
 use crate::support::server::floats;
 use serde_json::Value;

@@ -1,14 +1,17 @@
 //! Sessions that nobody uses leave memory and come back when they are asked for.
 
 use super::{bar_session, metric, path, seen, turn};
-use crate::support::program::ServedProgram;
+use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::server::{eventually, within};
 
-#[tokio::test(flavor = "multi_thread")]
-async fn an_idle_session_leaves_memory_and_comes_back_as_it_was() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &["--idle", "200ms"]);
+in_every_store!(
+    an_idle_session_leaves_memory_and_comes_back_as_it_was,
+    a_stream_holds_its_session_and_calls_never_miss_it,
+    idle_sessions_make_room_before_a_new_one_is_refused,
+);
+
+async fn an_idle_session_leaves_memory_and_comes_back_as_it_was(place: StorePlace) {
+    let server = place.start(&["--idle", "200ms"]);
     let id = bar_session(&server).await;
     for angle in [0.4, 0.8, 0.2] {
         turn(&server, &id, angle).await;
@@ -37,11 +40,8 @@ async fn an_idle_session_leaves_memory_and_comes_back_as_it_was() {
     assert_eq!(server.call("GET", &path(&id, ""), None).await.0, 404);
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_stream_holds_its_session_and_calls_never_miss_it() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &["--idle", "100ms"]);
+async fn a_stream_holds_its_session_and_calls_never_miss_it(place: StorePlace) {
+    let server = place.start(&["--idle", "100ms"]);
     let held = bar_session(&server).await;
     let url = format!("{}{}", server.url.replace("http", "ws"), path(&held, "/stream"));
     let (stream, _) = within("a socket", tokio_tungstenite::connect_async(url))
@@ -63,11 +63,8 @@ async fn a_stream_holds_its_session_and_calls_never_miss_it() {
     assert_eq!(history["commits"].as_array().map(Vec::len), Some(22));
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn idle_sessions_make_room_before_a_new_one_is_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &["--sessions", "2"]);
+async fn idle_sessions_make_room_before_a_new_one_is_refused(place: StorePlace) {
+    let server = place.start(&["--sessions", "2"]);
     let mut known = Vec::new();
     for angle in [0.1, 0.2, 0.3, 0.4] {
         let id = bar_session(&server).await;

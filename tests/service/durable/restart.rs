@@ -1,6 +1,7 @@
 //! A server that is started again goes on where the one before was.
 
 use super::{bar_session, metric, path, seen, turn};
+use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::program::ServedProgram;
 use crate::support::server::{bar_obj, turn_json};
 use serde_json::{Value, json};
@@ -19,11 +20,15 @@ async fn digests_back(server: &ServedProgram, id: &str) -> Vec<(Value, Vec<u8>)>
     found
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn everything_is_as_it_was_after_a_crash() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &[]);
+in_every_store!(
+    everything_is_as_it_was_after_a_crash,
+    a_key_is_answered_again_after_a_crash_and_nothing_is_done_twice,
+    a_session_that_was_deleted_or_has_expired_does_not_come_back,
+    two_servers_do_not_share_a_store,
+);
+
+async fn everything_is_as_it_was_after_a_crash(place: StorePlace) {
+    let server = place.start(&[]);
     let id = bar_session(&server).await;
     turn(&server, &id, 0.4).await;
     turn(&server, &id, 0.8).await;
@@ -41,7 +46,7 @@ async fn everything_is_as_it_was_after_a_crash() {
     let before = seen(&server, &id).await;
     server.kill();
 
-    let server = ServedProgram::start(&folder, &[]);
+    let server = place.start(&[]);
     let listed = server.done("GET", "/v1/sessions", None).await;
     assert_eq!(listed["sessions"][0]["revision"], before.0["revision"]);
     assert_eq!(listed["sessions"][0]["handles"], before.0["handles"]);
@@ -56,9 +61,7 @@ async fn everything_is_as_it_was_after_a_crash() {
     let back = digests_back(&server, &id).await;
     assert_eq!(back.len(), 8, "{redone}");
     server.kill();
-    let other = tempfile::tempdir().expect("a folder");
-    copy_folder(&folder, &other.path().join("data"));
-    let again = ServedProgram::start(&other.path().join("data"), &[]);
+    let again = place.start(&[]);
     let history = again.done("GET", &path(&id, "/history"), None).await;
     assert_eq!(history["commits"], before.1["commits"], "undone, not gone");
     for _ in 0..8 {
@@ -76,11 +79,8 @@ async fn everything_is_as_it_was_after_a_crash() {
     turn(&again, &id, 0.2).await;
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_key_is_answered_again_after_a_crash_and_nothing_is_done_twice() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &[]);
+async fn a_key_is_answered_again_after_a_crash_and_nothing_is_done_twice(place: StorePlace) {
+    let server = place.start(&[]);
     let id = bar_session(&server).await;
     let calls = [
         ("POST", "/solve", Some(turn_json(0.7)), "pose"),
@@ -101,7 +101,7 @@ async fn a_key_is_answered_again_after_a_crash_and_nothing_is_done_twice() {
     let before = seen(&server, &id).await;
     server.kill();
 
-    let server = ServedProgram::start(&folder, &[]);
+    let server = place.start(&[]);
     for ((method, rest, body, key), was) in calls.iter().zip(&answers) {
         let (status, now) = server
             .call_with_key(method, &path(&id, rest), body.as_ref(), Some(key))
@@ -116,17 +116,14 @@ async fn a_key_is_answered_again_after_a_crash_and_nothing_is_done_twice() {
     assert_eq!(status, 422, "another request: {refused}");
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_session_that_was_deleted_or_has_expired_does_not_come_back() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let server = ServedProgram::start(&folder, &[]);
+async fn a_session_that_was_deleted_or_has_expired_does_not_come_back(place: StorePlace) {
+    let server = place.start(&[]);
     let deleted = bar_session(&server).await;
     let kept = bar_session(&server).await;
     let expiring = server.open(bar_obj(8), "?ttl=1s").await;
     server.done("DELETE", &path(&deleted, ""), None).await;
     server.kill();
-    let server = ServedProgram::start(&folder, &[]);
+    let server = place.start(&[]);
     crate::support::server::eventually("the expiry", async || {
         let listed = server.done("GET", "/v1/sessions", None).await;
         listed["sessions"]
@@ -139,38 +136,18 @@ async fn a_session_that_was_deleted_or_has_expired_does_not_come_back() {
     }
     server.done("DELETE", &path(&kept, ""), None).await;
     assert_eq!(server.call("GET", &path(&kept, ""), None).await.0, 404);
-    let mut left = Vec::new();
-    files_below(&folder.join("objects"), &mut left);
-    assert_eq!(left, Vec::<std::path::PathBuf>::new(), "nobody uses an object any more");
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn two_servers_do_not_share_a_folder() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path().join("data");
-    let _server = ServedProgram::start(&folder, &[]);
-    let told = ServedProgram::try_start(&folder, &[]).err().expect("refused");
-    let last = told.lines().last().unwrap_or_default();
-    assert!(
-        last.contains("in use by another process") && last.contains("data"),
-        "{told}"
+    assert_eq!(
+        place.objects(),
+        Vec::<std::path::PathBuf>::new(),
+        "nobody uses an object any more"
     );
 }
 
-fn files_below(folder: &std::path::Path, found: &mut Vec<std::path::PathBuf>) {
-    for entry in std::fs::read_dir(folder).expect("a folder") {
-        let path = entry.expect("an entry").path();
-        if path.is_dir() {
-            files_below(&path, found);
-        } else {
-            found.push(path);
-        }
-    }
-}
-
-fn copy_folder(from: &std::path::Path, to: &std::path::Path) {
-    let done = std::process::Command::new("cp").arg("-r").arg(from).arg(to).status();
-    assert!(done.expect("cp runs").success());
+async fn two_servers_do_not_share_a_store(place: StorePlace) {
+    let _server = place.start(&[]);
+    let told = place.try_start(&[]).err().expect("refused");
+    let last = told.lines().last().unwrap_or_default();
+    assert!(last.contains("in use by another process"), "{told}");
 }
 
 /// An answer without what tells how long it took, or when it is over.

@@ -12,8 +12,8 @@ use std::time::Duration;
 /// Sessions of a folder, opened by a build whose results are so many billionths off.
 async fn opened_by(folder: &Path, build: &str, late_digits: u64) -> Manager {
     let location = StoreLocation {
-        data_dir: folder.to_owned(),
         build: Some(build.into()),
+        ..StoreLocation::in_folder(folder)
     };
     let store = loop {
         match DatabaseStore::open(&location).await {

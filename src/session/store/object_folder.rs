@@ -1,0 +1,81 @@
+//! A local folder of objects. `object_store` writes without syncing; here a file is written beside, synced, renamed, and its folder
+//! synced, so that it is whole on disk before anything names it.
+
+use super::session_store::StoreError;
+use std::fs::{self, File};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+/// A local folder of objects.
+#[derive(Debug)]
+pub(super) struct ObjectFolder {
+    /// Where objects lie, on shelves named by the first two letters of theirs.
+    pub objects: PathBuf,
+    unfinished: PathBuf,
+    /// Which store this is, beside the objects.
+    identity: PathBuf,
+}
+
+impl ObjectFolder {
+    /// The objects below a folder, made if it is missing.
+    pub fn open(folder: &Path) -> Result<Self, StoreError> {
+        let objects = folder.join("objects");
+        let unfinished = folder.join("unfinished");
+        let failed = |path: &Path, e: io::Error| StoreError::Unavailable(format!("{}: {e}", path.display()));
+        // What a crash left there has no name yet.
+        if unfinished.exists() {
+            fs::remove_dir_all(&unfinished).map_err(|e| failed(&unfinished, e))?;
+        }
+        for made in [&objects, &unfinished] {
+            fs::create_dir_all(made).map_err(|e| failed(made, e))?;
+        }
+        sync_folder(folder).map_err(|e| failed(folder, e))?;
+        Ok(Self {
+            objects,
+            unfinished,
+            identity: folder.join("store"),
+        })
+    }
+
+    /// Writes an object; it is on disk when this returns.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> io::Result<()> {
+        let shelf = self.objects.join(&name[..2]);
+        let path = shelf.join(name);
+        // What is there and whole is not written again; what was damaged is mended.
+        if fs::read(&path).is_ok_and(|there| there == bytes) {
+            return sync_folder(&shelf);
+        }
+        if !shelf.exists() {
+            fs::create_dir_all(&shelf)?;
+            sync_folder(&self.objects)?;
+        }
+        self.write_beside(bytes, &path)?;
+        sync_folder(&shelf)
+    }
+
+    /// The identity that stands beside the objects; `identity` is written when there is none.
+    pub fn identity(&self, identity: &[u8]) -> io::Result<Vec<u8>> {
+        match fs::read(&self.identity) {
+            Ok(there) => Ok(there),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                self.write_beside(identity, &self.identity)?;
+                self.identity.parent().map_or(Ok(()), sync_folder)?;
+                Ok(identity.to_vec())
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    fn write_beside(&self, bytes: &[u8], path: &Path) -> io::Result<()> {
+        let mut file = tempfile::NamedTempFile::new_in(&self.unfinished)?;
+        file.write_all(bytes)?;
+        file.as_file().sync_all()?;
+        let (_, beside) = file.keep().map_err(|e| e.error)?;
+        fs::rename(beside, path)
+    }
+}
+
+/// A name is on disk only when the folder that holds it is.
+pub(super) fn sync_folder(folder: &Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()
+}

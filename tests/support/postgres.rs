@@ -1,0 +1,197 @@
+//! A server of PostgreSQL that tests start as an ordinary user, where Debian's package `postgresql` is installed.
+
+use sqlx::{AnyConnection, Connection as _};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// A server of databases. Dropping it stops it.
+pub struct PostgresServer {
+    programs: PathBuf,
+    folder: TempDir,
+    process: Mutex<Option<Child>>,
+    databases: AtomicU32,
+}
+
+/// A database of a running server.
+#[derive(Clone)]
+pub struct TestDatabase {
+    pub server: Arc<PostgresServer>,
+    pub url: String,
+    pub name: String,
+}
+
+/// The newest installed version; tells when there is none.
+fn programs() -> Option<PathBuf> {
+    let versions = fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
+    let mut found: Vec<(u32, PathBuf)> = versions
+        .filter_map(|v| Some((v.file_name().to_str()?.parse().ok()?, v.path().join("bin"))))
+        .filter(|(_, bin)| bin.join("initdb").exists() && bin.join("postgres").exists())
+        .collect();
+    found.sort();
+    let found = found.pop().map(|(_, bin)| bin);
+    if found.is_none() {
+        println!("SKIPPED: PostgreSQL is not installed (apt-get install postgresql); sessions were not kept in it");
+    }
+    found
+}
+
+/// A command as somebody whom the server of databases accepts: it refuses to run as root.
+fn ordinary(program: &Path) -> Command {
+    if !is_root() {
+        return Command::new(program);
+    }
+    let mut command = Command::new("setpriv");
+    command.args(["--reuid=nobody", "--regid=nogroup", "--clear-groups", "--"]);
+    command.arg(program);
+    command
+}
+
+fn is_root() -> bool {
+    let id = Command::new("id").arg("-u").output();
+    id.is_ok_and(|id| id.stdout.trim_ascii() == b"0")
+}
+
+impl PostgresServer {
+    /// A server of its own; `None` where there is none to start.
+    pub fn start() -> Option<Arc<Self>> {
+        let programs = programs()?;
+        let folder = tempfile::tempdir().expect("a folder");
+        if is_root() {
+            let owned = Command::new("chown").arg("nobody:nogroup").arg(folder.path()).status();
+            assert!(owned.expect("chown runs").success());
+        }
+        let made = ordinary(&programs.join("initdb"))
+            .args([
+                "--no-sync",
+                "--auth=trust",
+                "--username=pliant",
+                "--encoding=UTF8",
+                "--locale=C",
+                "-D",
+            ])
+            .arg(folder.path().join("data"))
+            .current_dir("/")
+            .output()
+            .expect("initdb runs");
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+        let server = Arc::new(Self {
+            programs,
+            folder,
+            process: Mutex::default(),
+            databases: AtomicU32::new(0),
+        });
+        server.go_on();
+        Some(server)
+    }
+
+    /// The server that tests share while any of them runs.
+    pub fn shared() -> Option<Arc<Self>> {
+        static SHARED: Mutex<Weak<PostgresServer>> = Mutex::new(Weak::new());
+        let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(server) = shared.upgrade() {
+            return Some(server);
+        }
+        let server = Self::start()?;
+        *shared = Arc::downgrade(&server);
+        Some(server)
+    }
+
+    /// The folder of its socket.
+    pub fn socket(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Starts the process, and waits until it answers.
+    pub fn go_on(&self) {
+        let log = fs::File::create(self.folder.path().join("log")).expect("a log");
+        let process = ordinary(&self.programs.join("postgres"))
+            .arg("-D")
+            .arg(self.folder.path().join("data"))
+            .arg("-k")
+            .arg(self.folder.path())
+            .args([
+                "-c",
+                "listen_addresses=",
+                "-c",
+                "max_connections=200",
+                "-c",
+                "shared_buffers=16MB",
+            ])
+            .current_dir("/")
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .expect("postgres starts");
+        *self.process.lock().expect("no panic") = Some(process);
+        let until = Instant::now() + Duration::from_secs(60);
+        let ready = || {
+            let asked = Command::new(self.programs.join("pg_isready"))
+                .arg("-h")
+                .arg(self.folder.path())
+                .stdout(Stdio::null())
+                .status();
+            asked.is_ok_and(|status| status.success())
+        };
+        while !ready() {
+            let log = fs::read_to_string(self.folder.path().join("log"));
+            assert!(Instant::now() < until, "{}", log.unwrap_or_default());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Ends the process as a crash does: nobody is told, nothing is written.
+    pub fn crash(&self) {
+        self.end("-QUIT");
+    }
+
+    fn end(&self, signal: &str) {
+        let Some(mut process) = self.process.lock().unwrap_or_else(PoisonError::into_inner).take() else {
+            return;
+        };
+        let _ = Command::new("kill").args([signal, &process.id().to_string()]).status();
+        let until = Instant::now() + Duration::from_secs(20);
+        while matches!(process.try_wait(), Ok(None)) && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let _ = process.kill();
+        let _ = process.wait();
+    }
+
+    fn url_of(&self, database: &str, socket: &Path) -> String {
+        format!("postgres://pliant@localhost/{database}?host={}", socket.display())
+    }
+
+    /// A new database.
+    pub async fn database(self: &Arc<Self>) -> TestDatabase {
+        let name = format!("d{}", self.databases.fetch_add(1, Relaxed));
+        sqlx::any::install_default_drivers();
+        let url = self.url_of("postgres", self.socket());
+        let mut connection = AnyConnection::connect(&url).await.expect("a connection");
+        let create = format!("CREATE DATABASE {name}");
+        sqlx::query(&create).execute(&mut connection).await.expect("a database");
+        connection.close().await.expect("closed");
+        TestDatabase {
+            server: Arc::clone(self),
+            url: self.url_of(&name, self.socket()),
+            name,
+        }
+    }
+}
+
+impl TestDatabase {
+    /// The database, reached through another socket.
+    pub fn through(&self, socket: &Path) -> String {
+        self.server.url_of(&self.name, socket)
+    }
+}
+
+impl Drop for PostgresServer {
+    fn drop(&mut self) {
+        self.end("-INT");
+    }
+}
