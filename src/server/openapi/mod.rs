@@ -1,6 +1,7 @@
 //! `/openapi.json`: OpenAPI 3.1, made from the schema's descriptors and comments and from the route table.
 
 mod schemas;
+mod statuses;
 
 use super::http::{ANIMATION_TYPES, ROUTES, Route};
 use crate::asset::Format;
@@ -113,7 +114,12 @@ fn operation(route: &Route, schemas: &Schemas) -> Value {
     }
     let mut responses = Map::new();
     responses.insert(route.status.to_string(), success(route));
-    responses.insert("default".into(), json!({"$ref": "#/components/responses/Problem"}));
+    for status in statuses::other_successes(route) {
+        responses.insert(status.to_string(), success(route));
+    }
+    for status in statuses::refusals(route) {
+        responses.insert(status.to_string(), json!({"$ref": "#/components/responses/Problem"}));
+    }
     operation.insert("responses".into(), responses.into());
     operation.into()
 }
