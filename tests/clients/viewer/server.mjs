@@ -31,7 +31,9 @@ export class Server {
   }
 
   async start() {
-    const child = spawn(BINARY, ["serve", "--listen", `127.0.0.1:${this.port}`, "--drain-deadline", "500ms", ...(this.keys ?? [])]);
+    const keys = this.keys ?? [];
+    const drain = keys.includes("--drain-deadline") ? [] : ["--drain-deadline", "500ms"];
+    const child = spawn(BINARY, ["serve", "--listen", `127.0.0.1:${this.port}`, ...drain, ...keys]);
     this.#child = child;
     for (const stream of [child.stdout, child.stderr]) stream.on("data", (text) => (this.#log += text));
     const exited = new Promise((_, reject) => {
@@ -52,13 +54,22 @@ export class Server {
     await Promise.race([ready(), exited]);
   }
 
-  /** Ends it at once, as a crash would. */
-  async kill() {
+  /** Ends it at once, as a crash would. Answers its exit code or the signal. */
+  kill() {
+    return this.#end("SIGKILL");
+  }
+
+  /** Asks it to end, and waits until it has. */
+  stop() {
+    return this.#end("SIGTERM");
+  }
+
+  async #end(signal) {
     const child = this.#child;
-    if (child === undefined || child.exitCode !== null) return;
-    const gone = new Promise((resolve) => child.once("exit", resolve));
-    child.kill("SIGKILL");
-    await gone;
+    if (child === undefined || child.exitCode !== null || child.signalCode !== null) return undefined;
+    const gone = new Promise((resolve) => child.once("exit", (code, by) => resolve(code ?? by)));
+    child.kill(signal);
+    return gone;
   }
 
   /** The JSON that a call answers; fails with the server's text. */

@@ -13,6 +13,8 @@ import numpy as np
 from . import handles, link, mesh
 
 _BEAT = 1 / 60
+_HELP = "Pliant: move the controls; Enter keeps, Escape cancels"
+_LOST = "Pliant: the server is away and looked for; the mesh follows again when it is back. Escape cancels"
 
 
 class Drag:
@@ -34,6 +36,11 @@ class Drag:
         self.settled = True
         self._options = link.options(object)
         self._session = session
+
+    @property
+    def lost(self) -> bool:
+        """Whether the server is away; the newest pose goes out when it is back."""
+        return bool(self._stream.lost)
 
     def step(self, depsgraph: bpy.types.Depsgraph | None = None) -> bool:
         """One beat: sends what moved, shows what came. Whether something was shown."""
@@ -78,6 +85,7 @@ class PLIANT_OT_drag(bpy.types.Operator):
 
     _drag: Drag | None = None
     _timer = None
+    _was_lost = False
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -92,11 +100,12 @@ class PLIANT_OT_drag(bpy.types.Operator):
         except Exception as error:
             return self._fail(error)
         self._object = context.object
+        self._was_lost = False
         self._object.pliant.running = True
         manager = context.window_manager
         self._timer = manager.event_timer_add(_BEAT, window=context.window)
         manager.modal_handler_add(self)
-        context.workspace.status_text_set("Pliant: move the controls; Enter keeps, Escape cancels")
+        context.workspace.status_text_set(_HELP)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -114,6 +123,9 @@ class PLIANT_OT_drag(bpy.types.Operator):
             if event.type == "TIMER" and drag.step(context.evaluated_depsgraph_get()):
                 for area in context.screen.areas:
                     area.tag_redraw()
+            if drag.lost != self._was_lost:
+                self._was_lost = drag.lost
+                context.workspace.status_text_set(_LOST if drag.lost else _HELP)
         except Exception as error:
             drag.cancel()
             self._end(context, set())

@@ -103,6 +103,9 @@ def _connect(server: str, token: str, program: str) -> Any:
 def _alive(link: Link) -> bool:
     try:
         link.session.refresh()
+    except pliant.Unavailable:
+        # Of a server that is away nothing is known: it may come back, and the session with it.
+        raise
     except pliant.PliantError:
         return False
     return True

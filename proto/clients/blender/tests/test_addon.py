@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import signal
+import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -335,6 +337,65 @@ def test_a_server_that_is_not_there_or_went_is_told_and_found_again(bar: bpy.typ
     assert bpy.ops.pliant.solve() == {"FINISHED"}, "a new session is opened where the old one went"
     link._server.kill()
     assert bpy.ops.pliant.solve() == {"FINISHED"}, "and a new server is started"
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_a_drag_goes_on_while_its_server_is_started_again(
+    bar: bpy.types.Object, tmp_path: Path, monkeypatch, how: signal.Signals
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    # Far more time to end than it takes: the add-on leaves by itself.
+    flags = [f"--listen=127.0.0.1:{port}", f"--data-dir={tmp_path / 'data'}", "--drain-deadline=300s"]
+
+    def start() -> subprocess.Popen:
+        server = subprocess.Popen([find_binary(), "serve", *flags], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        assert server.stdout.readline().startswith(b"listening on ")
+        return server
+
+    server = start()
+    try:
+        monkeypatch.setattr(pliant_addon.preferences, "way", lambda: (f"http://127.0.0.1:{port}", "", ""))
+        bar.pliant.tolerance = 1e-8
+        control = held(bar)
+        operator = Operator(bar)
+        assert operator.invoke(operator, None) == {"RUNNING_MODAL"}
+        dragged = operator._drag
+
+        def follow(angle: float) -> None:
+            move(bar, control, angle)
+            dragged.settled = False
+            end = time.monotonic() + 60
+            while not dragged.settled:
+                assert operator.event("TIMER") == {"PASS_THROUGH"}, operator.reports
+                assert time.monotonic() < end
+                time.sleep(0.002)
+
+        follow(0.3)
+        session = dragged._session.id
+        said = operator.calls.count("status_text_set")
+        server.send_signal(how)
+        assert server.wait(timeout=60) == (0 if how == signal.SIGTERM else -how)
+        move(bar, control, 0.6)
+        end = time.monotonic() + 60
+        while not dragged.lost:
+            assert operator.event("TIMER") == {"PASS_THROUGH"} and time.monotonic() < end
+            time.sleep(0.002)
+        operator.event("TIMER")
+        server = start()
+        follow(0.9)
+        assert not dragged.lost
+        operator.event("TIMER")
+        assert operator.calls.count("status_text_set") == said + 2, "it is told that the server is away, and that it is back"
+        assert operator.event("RET") == {"FINISHED"}
+        assert dragged._session.id == session, "nothing was opened anew"
+        result = mesh.shape(bar.data.shape_keys.key_blocks["Pliant"])
+        assert farthest(result, command_line(bar, 0.9, [0, 0, 0], tmp_path)) < 1e-5
+        assert [c.kind for c in dragged._session.history()] == ["create", "handles", "pose"]
+        link.close_all()
+    finally:
+        server.kill()
+        server.wait()
 
 
 def test_controls_go_back_to_rest_and_the_mesh_with_them(bar: bpy.types.Object) -> None:

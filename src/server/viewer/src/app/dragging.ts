@@ -65,7 +65,8 @@ export function startStream(session: Session): void {
     onFrame: () => stage.request(),
     onPoseError: (error) => s.fail("The pose was refused", error),
     onNotice: (code, message) => code !== "going-away" && s.note("info", message),
-  });
+    // What was dragged waits on the page for as long as the page is open; the user sees that, and may try at once.
+  }, { patience: Number.POSITIVE_INFINITY });
   stream = mine;
   s.link.value = { state: mine.state };
   // A session that nobody calls expires, even while its model is being looked at.
