@@ -20,6 +20,7 @@ mod sample;
 pub mod serve;
 mod skin;
 mod stage_spinner;
+mod store;
 mod threads;
 mod token;
 
@@ -57,6 +58,8 @@ enum PliantCommand {
     Sample(sample::SampleArgs),
     /// Make a token by which a server knows who asks
     Token(token::TokenArgs),
+    /// Check, list, export and prune sessions that a server kept
+    Store(store::StoreArgs),
 }
 
 /// Runs the command line of this process.
@@ -83,6 +86,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Render(args) => render::run_render(&args),
         PliantCommand::Sample(args) => sample::run_sample(&args),
         PliantCommand::Token(args) => token::run_token(&args),
+        PliantCommand::Store(args) => store::run_store(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

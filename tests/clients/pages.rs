@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 19] = [
+const PAGES: [&str; 20] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
@@ -23,6 +23,7 @@ const PAGES: [&str; 19] = [
     "deploy/docs/architecture.md",
     "deploy/docs/command-line.md",
     "deploy/docs/concepts.md",
+    "deploy/docs/durability.md",
     "deploy/docs/formats.md",
     "deploy/docs/glossary.md",
     "deploy/docs/quality.md",
@@ -123,6 +124,14 @@ fn running_the_server() {
 #[test]
 fn security() {
     play("deploy/docs/security.md");
+}
+
+#[test]
+fn durability() {
+    let checkout = play("deploy/docs/durability.md");
+    if checkout.path("target/backup").exists() {
+        assert!(checkout.path("target/restored.glb").exists(), "the model is written");
+    }
 }
 
 #[test]

@@ -13,6 +13,7 @@ mod idle;
 mod leaving;
 mod place;
 mod restart;
+mod upkeep;
 
 /// A session on a bar, with its ends as handles.
 async fn bar_session(server: &ServedProgram) -> String {

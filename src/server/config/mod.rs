@@ -22,5 +22,5 @@ pub use error::Error;
 pub use keys::{ConfigKeys, KeyValue};
 pub use quota_table::QuotaTable;
 pub use server_config::ServerConfig;
-pub use settings::{LogFormat, ServeSettings};
+pub use settings::{LogFormat, ServeSettings, stored_in};
 pub use units::{ByteSize, TimeSpan, WordList};

@@ -103,6 +103,14 @@ impl ServeSettings {
     }
 }
 
+/// Where sessions are kept as file, environment and flags say, if they are.
+///
+/// # Errors
+/// As [`ServeSettings::load`].
+pub fn stored_in(file: Option<&Path>, flags: &ConfigKeys) -> Result<Option<StoreLocation>, Error> {
+    store_location(&MergedKeys::collect(file, flags)?)
+}
+
 /// Where sessions are kept, if they are.
 fn store_location(merged: &MergedKeys) -> Result<Option<StoreLocation>, Error> {
     let said = |key: &Option<KeyValue<String>>| KeyValue::read(key).filter(|text| !text.is_empty());

@@ -72,6 +72,11 @@ impl DatabaseAddress {
         })
     }
 
+    /// Which database it is.
+    pub fn dialect(&self) -> Dialect {
+        self.dialect
+    }
+
     fn unavailable(&self, error: impl std::fmt::Display) -> StoreError {
         StoreError::Unavailable(format!("{}: {error}", self.shown))
     }

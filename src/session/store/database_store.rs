@@ -5,7 +5,7 @@ use super::connection::{DatabaseAddress, WritingConnection};
 use super::object_folder::sync_folder;
 use super::objects::Objects;
 use super::reading;
-use super::schema::identity;
+use super::schema::{Dialect, identity};
 use super::session_store::{
     AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
     StoredSession, UsedSession,
@@ -65,9 +65,10 @@ impl std::fmt::Debug for StoreLocation {
 #[derive(Debug)]
 pub struct DatabaseStore {
     build: String,
-    pool: AnyPool,
+    pub(super) dialect: Dialect,
+    pub(super) pool: AnyPool,
     writer: Writer,
-    objects: Objects,
+    pub(super) objects: Objects,
     /// Held as long as the store: one process writes a folder.
     _lock: Option<File>,
 }
@@ -95,6 +96,7 @@ impl DatabaseStore {
         objects.belong_to(&identity(writing.get().await?).await?).await?;
         let store = Self {
             build: location.build.clone().unwrap_or_else(build_identity),
+            dialect: address.dialect(),
             pool: address.readers().await?,
             writer: Writer::start(writing),
             objects,
@@ -140,7 +142,7 @@ impl DatabaseStore {
 
     /// Writes an order and removes the objects that have no name after it. That a removal fails is no reason to fail: `prune`
     /// finds them.
-    async fn write(&self, order: WriteOrder) -> Result<(), StoreError> {
+    pub(super) async fn write(&self, order: WriteOrder) -> Result<(), StoreError> {
         let unnamed = self.writer.write(order).await?;
         if unnamed.is_empty() {
             return Ok(());

@@ -14,6 +14,7 @@
 //! | `objects` | what is large, by content |
 //! | `object_folder`, `bucket`, `bucket_client` | where it lies: a local folder, S3 |
 //! | `shape_object` | a shape as an object |
+//! | `upkeep`, `read_only_store` | what operators do with a store: look into it, compare it, clean it up |
 //! | `build_identity` | which build and processor made results |
 
 mod bucket;
@@ -23,16 +24,20 @@ mod connection;
 mod database_store;
 mod object_folder;
 mod objects;
+mod read_only_store;
 mod reading;
 mod rows;
 mod schema;
 pub(super) mod session_store;
 pub(super) mod shape_object;
+mod upkeep;
 mod write_order;
 mod writer;
 
 pub use database_store::{DatabaseStore, StoreLocation};
+pub use read_only_store::ReadOnlyStore;
 pub use session_store::{
-    AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, StoredCommit, StoredSession,
-    StoredSnapshot, UsedSession,
+    AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
+    StoredFacts, StoredSession, StoredSnapshot, UsedSession, now_ms,
 };
+pub use upkeep::CheckedSession;

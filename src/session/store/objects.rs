@@ -5,6 +5,7 @@ use super::bucket::open_bucket;
 use super::object_folder::ObjectFolder;
 use super::session_store::StoreError;
 use bytes::Bytes;
+use futures::TryStreamExt as _;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
@@ -136,6 +137,21 @@ impl Objects {
         found
             .map(|facts| facts.size)
             .map_err(|error| StoreError::Unavailable(format!("object {name} cannot be seen: {error}")))
+    }
+
+    /// The names of all objects.
+    pub async fn names(&self) -> Result<Vec<String>, StoreError> {
+        let found: Vec<_> = self
+            .store
+            .list(None)
+            .try_collect()
+            .await
+            .map_err(|error| StoreError::Unavailable(format!("the objects cannot be listed: {error}")))?;
+        let names = found.iter().filter_map(|facts| facts.location.filename());
+        Ok(names
+            .filter(|name| object_path(name).is_ok())
+            .map(str::to_owned)
+            .collect())
     }
 
     /// Removes an object; one that is gone already is no error.

@@ -1,7 +1,10 @@
 //! What is read from the database.
 
 use super::rows::{COMMIT_COLUMNS, CommitRow, check_format, column, signed, unsigned};
-use super::session_store::{ListedSession, LoggedKey, StoreError, StoredCommit, StoredSession, StoredSnapshot};
+use super::schema::Dialect;
+use super::session_store::{
+    ListedSession, LoggedKey, StoreError, StoredCommit, StoredFacts, StoredSession, StoredSnapshot,
+};
 use super::write_order::session_checksum;
 use crate::session::answers::Tenant;
 use crate::wire::record::RecordedModel;
@@ -265,4 +268,50 @@ pub(super) async fn is_used(pool: &AnyPool, object: &str) -> Result<bool, StoreE
     let query = sqlx::query("SELECT session FROM object_uses WHERE object = $1 LIMIT 1");
     let found = query.bind(object).fetch_optional(pool).await.map_err(unreadable)?;
     Ok(found.is_some())
+}
+
+/// A page of the sessions of all tenants.
+pub(super) async fn stored_facts(pool: &AnyPool, after: u64, most: usize) -> Result<Vec<StoredFacts>, StoreError> {
+    let query = "SELECT number, id, tenant, used_ms, ttl_ms, (SELECT COUNT(*) FROM commits WHERE session = sessions.id)
+        FROM sessions WHERE number > $1 ORDER BY number LIMIT $2";
+    let query = sqlx::query(query).bind(signed(after)).bind(signed(most as u64));
+    let rows = query.fetch_all(pool).await.map_err(unreadable)?;
+    let facts = |row: &AnyRow| {
+        Ok(StoredFacts {
+            number: unsigned(column(row, 0)?)?,
+            id: column(row, 1)?,
+            tenant: tenant_of(row, 2)?,
+            used_ms: unsigned(column(row, 3)?)?,
+            ttl_ms: unsigned(column(row, 4)?)?,
+            commits: unsigned(column(row, 5)?)?,
+        })
+    };
+    rows.iter().map(facts).collect()
+}
+
+/// Whether a session uses an object.
+pub(super) async fn uses(pool: &AnyPool, session: &str, object: &str) -> Result<bool, StoreError> {
+    let query = sqlx::query("SELECT object FROM object_uses WHERE session = $1 AND object = $2");
+    let found = query.bind(session).bind(object).fetch_optional(pool).await;
+    Ok(found.map_err(unreadable)?.is_some())
+}
+
+/// All objects that sessions use.
+pub(super) async fn used_objects(pool: &AnyPool) -> Result<Vec<String>, StoreError> {
+    let query = sqlx::query("SELECT DISTINCT object FROM object_uses");
+    let rows = query.fetch_all(pool).await.map_err(unreadable)?;
+    rows.iter().map(|row| column(row, 0)).collect()
+}
+
+/// Compares a database with itself, where it can.
+pub(super) async fn integrity(pool: &AnyPool, dialect: Dialect) -> Result<(), StoreError> {
+    if dialect != Dialect::Sqlite {
+        return Ok(());
+    }
+    let row = sqlx::query("PRAGMA integrity_check(1)").fetch_one(pool).await;
+    let told: String = column(&row.map_err(unreadable)?, 0)?;
+    match told == "ok" {
+        true => Ok(()),
+        false => Err(StoreError::Damaged(told)),
+    }
 }

@@ -172,6 +172,23 @@ pub struct ListedSession {
     pub poses: LoggedCommit,
 }
 
+/// A stored session as operators see it.
+#[derive(Debug, Clone)]
+pub struct StoredFacts {
+    /// Sessions are numbered in the order of their creation.
+    pub number: u64,
+    /// Its id.
+    pub id: String,
+    /// Whose it is.
+    pub tenant: Tenant,
+    /// Its last use, in milliseconds since 1970.
+    pub used_ms: u64,
+    /// How long it outlives its last use, in milliseconds.
+    pub ttl_ms: u64,
+    /// Its commits, undo and redo among them.
+    pub commits: u64,
+}
+
 /// When a session was used last.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UsedSession {
@@ -240,7 +257,7 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
 }
 
 /// Milliseconds since 1970.
-pub(in crate::session) fn now_ms() -> u64 {
+pub fn now_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }

@@ -40,6 +40,8 @@ pub(super) enum WriteOrder {
     NoteUse { sessions: Vec<UsedSession> },
     /// Keys from before this time go.
     ForgetKeys { before_ms: u64 },
+    /// What the audit trail says of before this time goes.
+    ForgetAudit { before_ms: u64 },
     /// Who did what.
     Audit { entry: AuditEntry },
     /// The sizes of objects that an older version wrote.
@@ -113,6 +115,10 @@ impl WriteOrder {
             }
             Self::ForgetKeys { before_ms } => {
                 let delete = sqlx::query("DELETE FROM call_keys WHERE at_ms < $1");
+                execute(delete.bind(signed(*before_ms)), on).await?;
+            }
+            Self::ForgetAudit { before_ms } => {
+                let delete = sqlx::query("DELETE FROM audit WHERE at_ms < $1");
                 execute(delete.bind(signed(*before_ms)), on).await?;
             }
             Self::Audit { entry } => {

@@ -6,7 +6,15 @@ use crate::support::program::ServedProgram;
 use sqlx::{AnyConnection, Connection as _, Row as _};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use tempfile::TempDir;
+
+/// What `pliant store` said.
+pub struct StoreCommandRun {
+    pub code: i32,
+    pub out: String,
+    pub err: String,
+}
 
 /// Where a test's sessions are kept.
 pub struct StorePlace {
@@ -98,6 +106,29 @@ impl StorePlace {
         let variables = self.bucket.as_ref().map(TestBucket::variables).unwrap_or_default();
         let variables: Vec<(&str, &str)> = variables.iter().map(|(name, value)| (*name, value.as_str())).collect();
         ServedProgram::start_anywhere(self.top.path().join("log"), &arguments, &variables)
+    }
+
+    /// The folder above all that the test writes.
+    pub fn top(&self) -> &Path {
+        self.top.path()
+    }
+
+    /// Runs `pliant store` on it: a command and its arguments.
+    pub fn store(&self, arguments: &[&str]) -> StoreCommandRun {
+        let variables = self.bucket.as_ref().map(TestBucket::variables).unwrap_or_default();
+        let run = Command::new(env!("CARGO_BIN_EXE_pliant"))
+            .arg("store")
+            .args(arguments)
+            .args(self.location(self.database.as_ref().map(|d| d.url.as_str())))
+            .envs(variables)
+            .env_remove("PLIANT_CONFIG")
+            .output()
+            .expect("the program runs");
+        StoreCommandRun {
+            code: run.status.code().expect("it ends by itself"),
+            out: String::from_utf8(run.stdout).expect("UTF-8"),
+            err: String::from_utf8(run.stderr).expect("UTF-8"),
+        }
     }
 
     /// Changes the database of a server that is not running.

@@ -68,11 +68,30 @@ pub fn provoke() -> Vec<Said> {
         );
     }
 
-    let cases: [(&'static str, &[&str]); 22] = [
+    let taken_store = folder.path().join("taken");
+    fs::create_dir(&taken_store).expect("a folder");
+    let lock = fs::File::create(taken_store.join("lock")).expect("a lock");
+    rustix::fs::flock(&lock, rustix::fs::FlockOperation::LockExclusive).expect("locked");
+
+    let cases: [(&'static str, &[&str]); 27] = [
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
         ("a time without a unit", &["serve", "--config", "time.toml"]),
         ("an address that others reach", &["serve", "--listen", "0.0.0.0:0"]),
+        (
+            "a database without a place of objects",
+            &["serve", "--database", "postgres://db.example/pliant"],
+        ),
+        (
+            "a database that is none",
+            &["serve", "--data-dir", "kept", "--database", "mysql://db.example/pliant"],
+        ),
+        ("a store that is taken", &["store", "list", "--data-dir", "taken"]),
+        ("a store that is not named", &["store", "list"]),
+        (
+            "a store that is not there",
+            &["store", "check", "--data-dir", "nowhere"],
+        ),
         ("an unknown flag", &["serve", "--port", "80"]),
         ("no such file", &["inspect", "bunny.glb"]),
         ("no model", &["inspect", "notes.txt"]),

@@ -96,6 +96,7 @@ pub async fn provoke() -> Vec<Said> {
     said.extend(of_warnings().await);
     said.extend(of_strangers().await);
     said.extend(of_quotas().await);
+    said.extend(of_stores().await);
     said.push(of_leaving().await);
     said
 }
@@ -168,6 +169,36 @@ async fn of_quotas() -> Vec<Said> {
         text: of_full_store().await,
     });
     said
+}
+
+/// A store that is damaged, and one that cannot be written.
+async fn of_stores() -> Vec<Said> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let server = ServedProgram::start(&data, &[]);
+    let id = server.open(bar_obj(8), "").await;
+    server.kill();
+    let shelf = std::fs::read_dir(data.join("objects")).expect("shelves").next();
+    let shelf = shelf.expect("a shelf").expect("readable").path();
+    for object in std::fs::read_dir(&shelf).expect("a shelf") {
+        std::fs::write(object.expect("an object").path(), "damaged").expect("writable");
+    }
+    let server = ServedProgram::start(&data, &[]);
+    let get = http().get(format!("{}/v1/sessions/{id}", server.url));
+    let damaged = detail(get).await;
+    std::fs::remove_dir_all(data.join("unfinished")).expect("removed");
+    std::fs::write(data.join("unfinished"), "no folder").expect("written");
+    let created = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(9));
+    vec![
+        Said {
+            by: "a session that is damaged",
+            text: damaged,
+        },
+        Said {
+            by: "a store that cannot be written",
+            text: detail(created).await,
+        },
+    ]
 }
 
 async fn of_full_store() -> String {

@@ -1,0 +1,48 @@
+//! `pliant store export`: a kept session's model, without a server.
+
+use super::super::failure::CliFailure;
+use super::super::model_files::output_format;
+use super::super::output_files::OutputPermission;
+use super::kept_place::{StorePlaceArgs, all_sessions, lookers, session_failure};
+use crate::asset::FileSet;
+use clap::Args;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Writes the model of a session in its current shape. Nothing of the session changes.
+#[derive(Debug, Args)]
+pub(super) struct StoreExportArgs {
+    #[command(flatten)]
+    place: StorePlaceArgs,
+    /// Id of the session
+    session: String,
+    /// File to write; its extension is its format
+    output: PathBuf,
+    #[command(flatten)]
+    permission: OutputPermission,
+}
+
+/// Runs the command.
+pub(super) async fn run_store_export(args: &StoreExportArgs) -> Result<(), CliFailure> {
+    let format = output_format(&args.output)?;
+    args.permission.check_target(&args.output)?;
+    let store = Arc::new(args.place.open().await?);
+    let sessions = all_sessions(&store).await?;
+    let found = sessions.iter().find(|s| s.id == args.session).ok_or_else(|| {
+        CliFailure::Input(format!(
+            "no session \"{}\" is kept; pliant store list names them",
+            args.session
+        ))
+    })?;
+    let manager = lookers(&store).await?;
+    let exported = manager.export(&found.tenant, &found.id, Some(format)).await;
+    let exported = exported.map_err(|e| session_failure(&e))?;
+    let nothing = FileSet::default();
+    let written = args
+        .permission
+        .write_model(&args.output, &exported.written, &args.output, &nothing)?;
+    for path in written {
+        println!("{}", path.display());
+    }
+    Ok(())
+}

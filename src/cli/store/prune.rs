@@ -1,0 +1,76 @@
+//! `pliant store prune`: what nobody needs any more goes.
+
+use super::super::failure::CliFailure;
+use super::kept_place::{StorePlaceArgs, all_sessions, store_failure};
+use crate::session::store::{SessionStore as _, StoredFacts, now_ms};
+use clap::Args;
+use std::time::Duration;
+
+/// Removes sessions whose time is over, and objects that no session names.
+///
+/// One line for each, and one for the whole. A server does the first by itself; the second are left where a process ended in the
+/// middle of a call.
+#[derive(Debug, Args)]
+pub(super) struct StorePruneArgs {
+    #[command(flatten)]
+    place: StorePlaceArgs,
+    /// Also sessions that nobody used for this time, such as 30d
+    #[arg(long, value_name = "TIME", value_parser = parse_time)]
+    unused_for: Option<Duration>,
+    /// Sessions of this tenant alone
+    #[arg(long, value_name = "NAME")]
+    tenant: Option<String>,
+    /// Also what the audit trail says of longer ago than this, such as 365d
+    #[arg(long, value_name = "TIME", value_parser = parse_time)]
+    audit_older_than: Option<Duration>,
+    /// Tell what would go; nothing is removed
+    #[arg(long)]
+    dry_run: bool,
+}
+
+fn parse_time(text: &str) -> Result<Duration, String> {
+    humantime::parse_duration(text).map_err(|e| format!("{e}; allowed is a number with its unit, such as 30d"))
+}
+
+fn milliseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
+}
+
+impl StorePruneArgs {
+    fn goes(&self, session: &StoredFacts, now: u64) -> bool {
+        let kept = self.unused_for.map_or(u64::MAX, milliseconds).min(session.ttl_ms);
+        let is_asked = self.tenant.as_ref().is_none_or(|name| **name == *session.tenant.0);
+        is_asked && session.used_ms.saturating_add(kept) < now
+    }
+}
+
+/// Runs the command.
+pub(super) async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFailure> {
+    let store = args.place.open().await?;
+    let now = now_ms();
+    let mut sessions = all_sessions(&store).await?;
+    sessions.retain(|s| args.goes(s, now));
+    for session in &sessions {
+        if !args.dry_run {
+            store.delete(session.id.clone()).await.map_err(store_failure)?;
+        }
+        println!("session  {}  {}", session.id, session.tenant.0);
+    }
+    let unused = store.unused_objects().await.map_err(store_failure)?;
+    if !args.dry_run {
+        store.remove_unused(&unused).await.map_err(store_failure)?;
+    }
+    for object in &unused {
+        println!("object   {object}");
+    }
+    if let (Some(age), false) = (args.audit_older_than, args.dry_run) {
+        let before = now.saturating_sub(milliseconds(age));
+        store.forget_audit(before).await.map_err(store_failure)?;
+    }
+    let (done, counts) = (
+        if args.dry_run { "would go" } else { "are gone" },
+        (sessions.len(), unused.len()),
+    );
+    println!("{} sessions and {} objects {done}", counts.0, counts.1);
+    Ok(())
+}
