@@ -5,8 +5,10 @@ use crate::support::server::{bar_obj, ends, turn_json};
 use serde_json::{Value, json};
 
 mod away;
+mod crash_points;
 mod crashes;
 mod damage;
+mod disk_model;
 mod faults;
 mod first_version;
 mod idle;
