@@ -2,11 +2,13 @@
 //!
 //! `loadtest stream` drags a handle of a model at a steady rate over gRPC, from one client or several, and keeps a ledger:
 //! every pose that was sent must come back as a final frame, as an error, or in the `superseded` of a frame ([`load`]).
+//! `commits` measures what it costs that commits outlive the server ([`commits`]).
 //! `export-system` and `solver` measure the solver alone ([`solver`]), `pipeline` and `edits` measure everything up to a
 //! frame ([`pipeline`]). `motion` measures what animations are to show ([`motion`]). `sheet` and `figures` draw what deforming does to models ([`sheets`]).
 //!
 //! Exit codes: 0 the ledger balances, 1 it does not or the server or solver failed, 2 usage.
 
+mod commits;
 mod failure;
 mod load;
 mod motion;
@@ -31,6 +33,8 @@ struct LoadtestArgs {
 enum LoadtestCommand {
     /// Drag a handle at a steady rate and measure what comes back
     Stream(load::StreamArgs),
+    /// Commit and drag on servers that keep sessions in memory, in SQLite and in PostgreSQL, side by side
+    Commits(commits::CommitsArgs),
     /// Write the second-pass system of a pose as files that any solver can read
     ExportSystem(solver::export::ExportArgs),
     /// Solve an exported system and say what it took
@@ -50,6 +54,7 @@ enum LoadtestCommand {
 fn main() -> ExitCode {
     let outcome = match &LoadtestArgs::parse().command {
         LoadtestCommand::Stream(args) => load::command::run_stream(args),
+        LoadtestCommand::Commits(args) => commits::command::run_commits(args),
         LoadtestCommand::ExportSystem(args) => solver::export::run_export(args),
         LoadtestCommand::Solver(args) => solver::command::run_solver(args),
         LoadtestCommand::Pipeline(args) => pipeline::first_frame::run_pipeline(args),

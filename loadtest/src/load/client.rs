@@ -46,25 +46,34 @@ async fn run_client(
     number: u32,
 ) -> Result<PoseLedger, LoadtestFailure> {
     let mut client = DeformerClient::new(channel);
-    let session = client
-        .create_session(tokio_stream::iter(upload_messages(scene, number)))
-        .await?
-        .into_inner();
-    let id = session.id;
-    let handles = pb::SetHandlesRequest {
-        session_id: id.clone(),
-        handles: scene.handles(),
-        ..Default::default()
-    };
-    let outcome = match client.set_handles(handles).await {
-        Ok(_) => drag_session(&mut client, &id, scene, args).await,
-        Err(status) => Err(status.into()),
-    };
+    let id = open_session(&mut client, scene, number).await?;
+    let outcome = drag_session(&mut client, &id, scene, args).await;
     // Also after a failure: a session of a client that has gone would only wait for its expiry.
     let closed = client.delete_session(pb::SessionRequest { session_id: id }).await;
     let ledger = outcome?;
     closed?;
     Ok(ledger)
+}
+
+/// Opens a session on the scene's model and sets its handles; its id.
+pub(crate) async fn open_session(
+    client: &mut DeformerClient<Channel>,
+    scene: &DragScene,
+    number: u32,
+) -> Result<String, LoadtestFailure> {
+    let opened = client.create_session(tokio_stream::iter(upload_messages(scene, number)));
+    let session_id = opened.await?.into_inner().id;
+    let handles = pb::SetHandlesRequest {
+        session_id: session_id.clone(),
+        handles: scene.handles(),
+        ..Default::default()
+    };
+    if let Err(status) = client.set_handles(handles).await {
+        // A session of a client that has gone would only wait for its expiry.
+        let _ = client.delete_session(pb::SessionRequest { session_id }).await;
+        return Err(status.into());
+    }
+    Ok(session_id)
 }
 
 fn upload_messages(scene: &DragScene, number: u32) -> Vec<pb::CreateSessionRequest> {
@@ -83,7 +92,8 @@ fn upload_messages(scene: &DragScene, number: u32) -> Vec<pb::CreateSessionReque
         .collect()
 }
 
-fn deform_request(message: deform_request::Message) -> pb::DeformRequest {
+/// A message of a stream that is open.
+pub(crate) fn deform_request(message: deform_request::Message) -> pb::DeformRequest {
     pb::DeformRequest {
         session_id: String::new(),
         message: Some(message),

@@ -1,10 +1,10 @@
 //! A server under load: clients that drag, and a ledger in which every pose must be accounted for.
 
 mod args;
-mod client;
+pub(crate) mod client;
 pub(crate) mod command;
-mod ledger;
+pub(crate) mod ledger;
 mod report;
-mod server;
+pub(crate) mod server;
 
 pub(crate) use args::StreamArgs;

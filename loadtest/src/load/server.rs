@@ -42,9 +42,14 @@ impl LoadedServer {
     }
 
     async fn start_own() -> Result<Self, String> {
+        let manager = session::Manager::new(session::SessionConfig::default()).map_err(|e| e.to_string())?;
+        Self::serve(manager).await
+    }
+
+    /// A server of this process with these sessions.
+    pub async fn serve(manager: session::Manager) -> Result<Self, String> {
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| e.to_string())?;
         let address = listener.local_addr().map_err(|e| e.to_string())?;
-        let manager = session::Manager::new(session::SessionConfig::default()).map_err(|e| e.to_string())?;
         let (stop, stopped) = oneshot::channel::<()>();
         let wait = async move {
             let _ = stopped.await;
