@@ -7,6 +7,7 @@ use tempfile::TempDir;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::unix::OwnedReadHalf;
 use tokio::net::{UnixListener, UnixStream};
+use tokio::sync::watch;
 
 /// The socket's name in its folder, by which clients find it.
 const SOCKET: &str = ".s.PGSQL.5432";
@@ -15,6 +16,7 @@ const SOCKET: &str = ".s.PGSQL.5432";
 pub struct PostgresProxy {
     folder: TempDir,
     cut: Arc<Mutex<PlannedCut>>,
+    silent: watch::Sender<bool>,
 }
 
 #[derive(Default)]
@@ -30,18 +32,25 @@ impl PostgresProxy {
         let folder = tempfile::tempdir().expect("a folder");
         let listener = UnixListener::bind(folder.path().join(SOCKET)).expect("a socket");
         let cut = Arc::new(Mutex::new(PlannedCut::default()));
+        let (silent, is_silent) = watch::channel(false);
         let (behind, planned) = (database.server.socket().join(SOCKET), Arc::clone(&cut));
         tokio::spawn(async move {
             while let Ok((client, _)) = listener.accept().await {
-                tokio::spawn(forward(client, behind.clone(), Arc::clone(&planned)));
+                let forwarded = forward(client, behind.clone(), Arc::clone(&planned), is_silent.clone());
+                tokio::spawn(forwarded);
             }
         });
-        Self { folder, cut }
+        Self { folder, cut, silent }
     }
 
     /// The folder of the socket.
     pub fn socket(&self) -> &Path {
         self.folder.path()
+    }
+
+    /// Whether nothing that clients say goes on to the server. Connections stay.
+    pub fn set_silent(&self, is_silent: bool) {
+        self.silent.send_replace(is_silent);
     }
 
     /// Breaks off after so many messages from now on, and ends a process first, if one is given.
@@ -69,7 +78,12 @@ async fn message(from: &mut OwnedReadHalf, has_letter: bool) -> std::io::Result<
     Ok(message)
 }
 
-async fn forward(client: UnixStream, behind: PathBuf, cut: Arc<Mutex<PlannedCut>>) -> std::io::Result<()> {
+async fn forward(
+    client: UnixStream,
+    behind: PathBuf,
+    cut: Arc<Mutex<PlannedCut>>,
+    mut silent: watch::Receiver<bool>,
+) -> std::io::Result<()> {
     let (mut from_client, mut to_client) = client.into_split();
     let (mut from_server, mut to_server) = UnixStream::connect(behind).await?.into_split();
     let answers = tokio::spawn(async move { tokio::io::copy(&mut from_server, &mut to_client).await });
@@ -78,6 +92,7 @@ async fn forward(client: UnixStream, behind: PathBuf, cut: Arc<Mutex<PlannedCut>
         // Protocol 3.0; what comes before asks for encryption.
         has_letter = has_letter || message[4..8] == [0, 3, 0, 0];
         writes = writes || message.windows(11).any(|w| w == b"pg_try_advi");
+        let _ = silent.wait_for(|is_silent| !is_silent).await;
         to_server.write_all(&message).await?;
         let is_cut = {
             let mut planned = cut.lock().expect("no panic");

@@ -7,6 +7,7 @@ use sqlx::any::{AnyPoolOptions, install_default_drivers};
 use sqlx::{AnyConnection, AnyPool, Connection as _, Executor as _, Row as _};
 use std::path::Path;
 use std::time::{Duration, Instant};
+use tokio::task::JoinHandle;
 
 /// Connections that read.
 const READERS: u32 = 4;
@@ -14,6 +15,12 @@ const READERS: u32 = 4;
 const PATIENCE: Duration = Duration::from_secs(5);
 /// A connection that was used so shortly ago is taken as alive.
 const FRESH: Duration = Duration::from_millis(500);
+/// How long a call waits for the connection that writes: as long as it may take to make one.
+const FIRST_WAIT: Duration = Duration::from_secs(10);
+/// How long the old one may hold the lock.
+const LOCKED: Duration = Duration::from_secs(4);
+/// How long a call waits once one call has waited in vain: the connection goes on being made meanwhile.
+const IMPATIENCE: Duration = Duration::from_millis(500);
 /// Between two tries to become the one that writes.
 const BETWEEN_TRIES: Duration = Duration::from_millis(50);
 
@@ -149,6 +156,10 @@ async fn prepare(connection: &mut AnyConnection, dialect: Dialect) -> Result<(),
 pub(super) struct WritingConnection {
     address: DatabaseAddress,
     open: Option<AnyConnection>,
+    /// The next one, being made beside the calls.
+    coming: Option<JoinHandle<Result<AnyConnection, LockedOut>>>,
+    /// Whether the last call waited in vain.
+    is_away: bool,
     used: Instant,
 }
 
@@ -158,6 +169,8 @@ impl WritingConnection {
         let mut made = Self {
             address: address.clone(),
             open: None,
+            coming: None,
+            is_away: false,
             used: Instant::now(),
         };
         let connection = made.get().await.map_err(|error| match error {
@@ -181,15 +194,28 @@ impl WritingConnection {
         let connection = match self.open.take() {
             Some(open) => open,
             None => {
-                let mut connection = self.address.connect().await?;
-                if self.address.dialect == Dialect::Postgres {
-                    lock(&self.address, &mut connection).await?;
-                }
-                connection
+                let made = self.wait_for_next().await;
+                self.is_away = made.is_err();
+                made?
             }
         };
         self.used = Instant::now();
         Ok(self.open.insert(connection))
+    }
+
+    /// Waits for a new connection. One that is late goes on being made, for the calls that come after.
+    async fn wait_for_next(&mut self) -> Result<AnyConnection, LockedOut> {
+        let address = self.address.clone();
+        let mut coming = (self.coming.take()).unwrap_or_else(|| tokio::spawn(connect_to_write(address)));
+        let patience = if self.is_away { IMPATIENCE } else { FIRST_WAIT };
+        match tokio::time::timeout(patience, &mut coming).await {
+            Ok(Ok(made)) => made,
+            Ok(Err(ended)) => Err(self.address.unavailable(ended).into()),
+            Err(_) => {
+                self.coming = Some(coming);
+                Err(self.address.unavailable("it does not answer").into())
+            }
+        }
     }
 
     /// Gives the connection up: what state it is in is not known.
@@ -200,9 +226,18 @@ impl WritingConnection {
     }
 }
 
+/// Makes a connection that writes.
+async fn connect_to_write(address: DatabaseAddress) -> Result<AnyConnection, LockedOut> {
+    let mut connection = address.connect().await?;
+    if address.dialect == Dialect::Postgres {
+        lock(&address, &mut connection).await?;
+    }
+    Ok(connection)
+}
+
 /// Becomes the one that writes, once nobody else is.
 async fn lock(address: &DatabaseAddress, connection: &mut AnyConnection) -> Result<(), LockedOut> {
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + LOCKED;
     loop {
         // One lock for each schema of a database.
         let ask = "SELECT pg_try_advisory_lock(1886153057, hashtext(current_schema()))";

@@ -193,3 +193,33 @@ async fn a_process_that_ends_after_any_message_leaves_the_state_before_or_after(
     println!("{messages} messages, {lost} commits never were, {kept} are there");
     assert!(lost > 4 && kept > 0, "{lost} lost, {kept} kept");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_that_does_not_answer_holds_nobody_up_but_the_first_who_changes_something() {
+    let Some(place) = StorePlace::postgres().await else {
+        return;
+    };
+    let proxy = PostgresProxy::serve(place.database().expect("a database"));
+    let url = place.database().expect("a database").through(proxy.socket());
+    let server = place.start_at(Some(&url), &[]).expect("the server starts");
+    let id = bar_session(&server).await;
+    let before = seen(&server, &id).await;
+    proxy.set_silent(true);
+    for _ in 0..3 {
+        assert_unavailable(server.call("POST", &path(&id, "/solve"), Some(&turn_json(0.9))).await);
+        assert_eq!(
+            seen(&server, &id).await,
+            before,
+            "reading goes on, and nothing has changed"
+        );
+        drag(&server, &id).await;
+    }
+    proxy.set_silent(false);
+    eventually("a server that writes", async || {
+        server.call("POST", &path(&id, "/solve"), Some(&turn_json(0.2))).await.0 == 200
+    })
+    .await;
+    let after = seen(&server, &id).await;
+    server.kill();
+    assert_eq!(seen(&place.start(&[]), &id).await, after);
+}
